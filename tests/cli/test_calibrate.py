@@ -75,8 +75,8 @@ def test_nothing_but_json_is_printed_where_there_is_no_terminal(calibrated: tupl
 
 def test_the_resolved_rig_states_the_intrinsics_of_the_recording(calibrated: tuple[Path, Result]) -> None:
     camera = load_rig(calibrated[0] / "rig.resolved.yaml").cameras()["camera"]
-    assert camera.intrinsics is not None
-    np.testing.assert_allclose(camera.intrinsics.K, (240, 240, 239.5, 179.5))
+    assert camera.stated_intrinsics is not None
+    np.testing.assert_allclose(camera.stated_intrinsics.K, (240, 240, 239.5, 179.5))
 
 
 def test_what_is_wrong_with_the_messages_is_remarked_and_makes_sensors_weak(

@@ -126,8 +126,8 @@ def test_intrinsics_and_tiny_noise_are_read_back(tmp_path: Path) -> None:
     assert again == rig
     camera = again.sensors["camera"]
     assert isinstance(camera, CameraSpec)
-    assert camera.intrinsics is not None
-    assert camera.intrinsics.to_camera().K[1, 2] == 612.725
+    assert camera.stated_intrinsics is not None
+    assert camera.stated_intrinsics.to_camera().K[1, 2] == 612.725
 
 
 BOARD = "{kind: board, size: [1.0, 0.8], "

@@ -1,9 +1,12 @@
 """Captures of a rig: when the board rests in a recording, and what every sensor detects of it then."""
 
+from collections.abc import Collection
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
+from calgraph.calibrate.intrinsics import estimate_unknown_intrinsics, find_intrinsics_remarks
 from calgraph.calibrate.options import Progress, RigOptions, no_progress
 from calgraph.calibrate.strategies import select_plane_estimator
 from calgraph.captures import (
@@ -11,6 +14,7 @@ from calgraph.captures import (
     DetectionMethod,
     InputMonitor,
     RecordingTimeline,
+    SensorCapture,
     check_background,
     check_intrinsics,
     check_timeline,
@@ -26,35 +30,54 @@ from calgraph.captures import (
     recognize_mode,
 )
 from calgraph.config import Rig
-from calgraph.errors import CalibrationError
+from calgraph.errors import CalibrationError, Rejected
 from calgraph.recording import Recording, RecordingCache, find_camera_infos, resolve_intrinsics
 
 
 def collect_captures(
     rig: Rig, recording: Recording, options: RigOptions, rng: np.random.Generator, progress: Progress = no_progress
 ) -> CaptureSet:
-    """Finds the holds of the board, and detects the board in every sensor's messages of each hold."""
+    """Finds the holds of the board, and detects the board in every sensor's messages of each hold.
+
+    The intrinsics of cameras without any are estimated first, from the same holds.
+    """
     if len(rig.sensors) < 2:
         raise CalibrationError(f"{rig.root} is the only sensor: a rig.yaml needs at least two")
-    cameras = resolve_intrinsics(rig, recording).camera_models()
-    monitor = InputMonitor(rig, recording.start, find_camera_infos(rig, recording))
+    resolved, camera_infos = resolve_intrinsics(rig, recording), find_camera_infos(rig, recording)
+    monitor = InputMonitor(rig, recording.start, camera_infos)
     timeline = _read_timeline(rig, recording, monitor, options.cache, progress)
     check_timeline(rig, timeline, recording.end)
     holds = limit_messages(find_holds(timeline, rig.capture, rig.settings.captures), rig)
+    estimates = estimate_unknown_intrinsics(resolved, recording, holds, options.jobs, progress)
+    estimated = {name: one for name, one in estimates.items() if not isinstance(one, Rejected)}
+    failed = {name: one for name, one in estimates.items() if isinstance(one, Rejected)}
+    cameras = resolved.camera_models() | {name: one.camera for name, one in estimated.items()}
     plane_estimator = select_plane_estimator(options.tags)
+    method = DetectionMethod(cameras, draw_seeds(rig, rng), options.tags, plane_estimator)
     observations = detect_by_sensors(
-        rig, recording, holds, DetectionMethod(cameras, draw_seeds(rig, rng), options.tags, plane_estimator),
+        _without(rig, failed), recording, holds, method,
         cache=options.cache, jobs=options.jobs, progress=partial(progress, "detecting"),
     )  # fmt: skip
     findings = [
         *monitor.findings(),
         *check_intrinsics(cameras, rig.settings.captures.input_checks),
         *check_background(rig, timeline),
+        *find_intrinsics_remarks(rig, camera_infos, estimates),
     ]
+    observations += [SensorCapture(hold.index, name, reason) for name, reason in failed.items() for hold in holds]
     captures = collect_detections(rig, timeline, holds, observations, cameras, findings)
+    views = {name: len(one.detections) for name, one in estimated.items()}
+    captures = replace(captures, estimated_from_views=views)
     if recognize_mode(timeline, rig.capture, rig.settings.captures).mode != "synchronized":
         return captures
     return compensate_motion(captures, rig.settings.captures.moving_board)
+
+
+def _without(rig: Rig, names: Collection[str]) -> Rig:
+    """The rig without some of its sensors."""
+    if not names:
+        return rig
+    return rig.model_copy(update={"sensors": {n: spec for n, spec in rig.sensors.items() if n not in names}})
 
 
 def _read_timeline(

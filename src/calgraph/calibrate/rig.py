@@ -14,6 +14,7 @@ from calgraph.captures import (
     GivenDetections,
     captures_from_detections,
     resolve_background,
+    state_estimated_intrinsics,
 )
 from calgraph.config import Cylinder, People, Rig
 from calgraph.diagnostics import add_suggestions, assemble_rig, cross_validate, include_drifts
@@ -104,7 +105,8 @@ def build_problem(
     rng = np.random.default_rng(options.seed)
     rig = resolve_background(rig, recording, options.cache)
     captures = collect_captures(rig, recording, options, rng, progress)
-    return build_problem_from_captures(resolve_intrinsics(rig, recording), captures, options, rng, progress)
+    rig = state_estimated_intrinsics(resolve_intrinsics(rig, recording), captures)
+    return build_problem_from_captures(rig, captures, options, rng, progress)
 
 
 def _check_board(rig: Rig) -> None:

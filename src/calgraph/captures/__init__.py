@@ -1,5 +1,6 @@
 """Holds: the times in which the board rests; the messages measured in them, and the detections of the board."""
 
+from calgraph.captures.board_views import find_views_in_holds
 from calgraph.captures.capture_mode import RecognizedMode, is_snapshot_recording, recognize_mode
 from calgraph.captures.detect import (
     CaptureSet,
@@ -8,6 +9,7 @@ from calgraph.captures.detect import (
     collect_detections,
     detect_in_holds,
     limit_messages,
+    state_estimated_intrinsics,
 )
 from calgraph.captures.detectors import draw_seeds, learn_backgrounds, make_detectors, to_scans
 from calgraph.captures.empty_start import EmptyStart, find_empty_start, resolve_background
@@ -28,7 +30,7 @@ __all__ = [
     "InputFinding", "InputMonitor", "PreviewSize", "RecognizedMode", "RecordingTimeline", "SensorCapture",
     "SensorTimes", "build_timeline", "captures_from_detections", "check_background", "check_intrinsics",
     "check_timeline", "collect_detections", "compensate_motion", "detect_by_sensors", "detect_in_holds",
-    "draw_seeds", "find_empty_start", "find_holds", "is_snapshot_recording", "learn_backgrounds",
-    "limit_messages", "make_detectors", "measure_activity", "plan_previews", "read_timeline", "recognize_mode",
-    "resolve_background", "to_scans",
+    "draw_seeds", "find_empty_start", "find_holds", "find_views_in_holds", "is_snapshot_recording",
+    "learn_backgrounds", "limit_messages", "make_detectors", "measure_activity", "plan_previews",
+    "read_timeline", "recognize_mode", "resolve_background", "state_estimated_intrinsics", "to_scans",
 ]  # fmt: skip

@@ -1,7 +1,7 @@
 """From holds to detections: the messages of each hold are collected from the stream and searched."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,7 @@ from calgraph.detection import Detection, DetectionResult, InconsistentTags
 from calgraph.errors import Rejected
 from calgraph.geometry import Array
 from calgraph.processes import parallel_stream
-from calgraph.result import Snapshot
+from calgraph.result import Snapshot, state_intrinsics
 from calgraph.sensors import CameraModel, Message, RecordedMessage
 
 Detector = Callable[[Sequence[Any]], DetectionResult]
@@ -56,6 +56,8 @@ class CaptureSet:
     """Previews of the captures for report and viewer; not part of a saved problem."""
     findings: tuple[InputFinding, ...] = ()
     """What does not fit the rig in the messages of the recording."""
+    estimated_from_views: Mapping[str, int] = field(default_factory=dict)
+    """By camera whose intrinsics were estimated, the number of views; the rig of a saved problem has it."""
 
 
 def collect_detections(
@@ -104,6 +106,16 @@ def collect_detections(
     )
 
 
+def state_estimated_intrinsics(rig: Rig, captures: CaptureSet) -> Rig:
+    """The rig with the intrinsics that were estimated from its captures."""
+    settings = rig.settings.estimation.intrinsics
+    estimated = {
+        name: state_intrinsics(rig.cameras()[name], captures.cameras[name], views, settings)
+        for name, views in captures.estimated_from_views.items()
+    }
+    return rig.model_copy(update={"sensors": {**rig.sensors, **estimated}})
+
+
 def detect_in_holds(
     records: Iterable[RecordedMessage],
     holds: Sequence[Hold],
@@ -136,7 +148,7 @@ def detect_in_holds(
         CalibrationError: a process was killed.
     """
     jobs = jobs if len(holds) * len(topics) >= _MIN_PARALLEL_SEARCHES else 1
-    work = _gather_messages(records, holds, topics, preview_sizes or {})
+    work = gather_messages(records, holds, topics, preview_sizes or {})
     for done, found in enumerate(parallel_stream(_detect, work, detectors, jobs), start=1):
         yield found
         if progress:
@@ -158,13 +170,20 @@ def _detect(
     return SensorCapture(capture, name, detectors[name](messages), snapshot)
 
 
-def _gather_messages(
+def gather_messages(
     records: Iterable[RecordedMessage],
     holds: Sequence[Hold],
     topics: Mapping[str, str],
     preview_sizes: Mapping[int, PreviewSize],
 ) -> Iterator[tuple[int, str, list[Callable[[], Message]], PreviewSize | None]]:
-    """Arguments of :func:`_detect` for every capture and sensor, as soon as the last message has been read."""
+    """Every capture and sensor with functions that decode its messages, as soon as the last one has been read.
+
+    Args:
+        records: all records of the sensors, streamed.
+        holds: with the stamps of the messages to use.
+        topics: topic by sensor.
+        preview_sizes: by capture; see :func:`detect_in_holds`.
+    """
     sensor_by_topic = {topic: name for name, topic in topics.items()}
     captures_of_message: dict[tuple[str, float], list[int]] = {}
     missing_messages: dict[tuple[int, str], int] = {}

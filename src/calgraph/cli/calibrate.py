@@ -42,6 +42,7 @@ from calgraph.result import (
     save_captures,
     save_residuals,
     save_scene,
+    state_calibrated_intrinsics,
     to_json,
 )
 
@@ -231,7 +232,7 @@ def calibrate(
             calibration = story.calibrate(rig, recording, options, progress)
             read = [rig_file, *recordings, *([prior] if prior else []), *([extend] if extend else [])]
             calibration = replace(calibration, provenance=describe_run(read, recording, cache))
-            rig = resolve_intrinsics(rig, recording)
+            rig = state_calibrated_intrinsics(resolve_intrinsics(rig, recording), calibration)
         write_results(calibration, rig, folder)
     show_results(calibration, out, json=json, strict=strict)
 

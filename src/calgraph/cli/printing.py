@@ -1,6 +1,6 @@
 """Printing of a calibration: poses with standard deviations, for terminals of 80 columns and for pipes."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -10,6 +10,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from calgraph.cli.console import console
+from calgraph.config import Intrinsics
 from calgraph.geometry import Array, se3
 from calgraph.result import Calibration, EstimatedParameter, Provenance, SensorPose
 from calgraph.result.exports import roll_pitch_yaw
@@ -23,13 +24,16 @@ def print_calibration(calibration: Calibration) -> None:
     output = console()
     output.print(f"[bold]Poses in the frame of {escape(calibration.root)}[/] (±: one σ, along the worst axis)")
     _print_poses(output, calibration)
+    for sensor in calibration.sensors:
+        if sensor.intrinsics is not None:
+            _print_intrinsics(output, calibration, sensor.name, sensor.intrinsics)
     if calibration.evidence.tolerance:
         tolerance = calibration.evidence.tolerance
         limits = f"{1000 * tolerance.translation:g} mm and {tolerance.rotation:g}°"
         output.print(f"{_GRADES['good']} good: within the tolerance of {limits} along and about each axis (95 %)")
     if calibration.evidence.bodies:
         output.print(f"Targets: {calibration.evidence.bodies}")
-    if any(_is_notable(one) for one in calibration.systematic):
+    if any(_notable_parameters(calibration)):
         _print_systematic(output, calibration)
     if calibration.evidence.cross_validation:
         _print_cross_validation(output, calibration)
@@ -111,9 +115,24 @@ def _print_fit(output: Console, calibration: Calibration) -> None:
     output.print(table)
 
 
-def _is_notable(one: EstimatedParameter) -> bool:
-    """Whether a systematic parameter is more than one prior standard deviation off its stated value."""
-    return abs(one.deviation) > 1
+def _notable_parameters(calibration: Calibration) -> Iterator[EstimatedParameter]:
+    """The systematic parameters that are more than one prior standard deviation off their stated values."""
+    return (one for one in calibration.systematic if abs(one.deviation) > 1)
+
+
+def _print_intrinsics(output: Console, calibration: Calibration, name: str, intrinsics: Intrinsics) -> None:
+    """Prints the intrinsics of one camera that were estimated from the recording, with standard deviations."""
+    output.print(
+        f"[bold]Intrinsics of {escape(name)}[/], estimated from {intrinsics.estimated_from_views} views: "
+        f"{intrinsics.model}, {intrinsics.width} x {intrinsics.height} pixels"
+    )
+    table = _table("parameter")
+    for head in ("estimate", "± σ", "unit"):
+        table.add_column(head, justify="right", no_wrap=True)
+    for one in calibration.systematic:
+        if one.of == name:
+            table.add_row(one.quantity, *one.formatted[2:])
+    output.print(table)
 
 
 def _print_systematic(output: Console, calibration: Calibration) -> None:
@@ -123,7 +142,7 @@ def _print_systematic(output: Console, calibration: Calibration) -> None:
     table.add_column("parameter", overflow="fold")
     for head in ("stated", "prior σ", "estimate", "± σ", "unit", "deviation"):
         table.add_column(head, justify="right", no_wrap=True)
-    for one in filter(_is_notable, calibration.systematic):
+    for one in _notable_parameters(calibration):
         table.add_row(escape(one.of), one.quantity, *one.formatted, f"{one.deviation:+.1f} prior σ")
     output.print(table)
 

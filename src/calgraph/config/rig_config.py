@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field, Strict, model_validator
+from pydantic import Discriminator, Field, Strict, Tag, model_validator
 
 from calgraph.config.board_ambiguity import check_boards_distinguishable
 from calgraph.config.settings import Settings
@@ -88,6 +88,8 @@ class Intrinsics(StrictModel):
     """fx, fy, cx, cy, pixels."""
     distortion: tuple[Coefficient, ...] = ()
     """OpenCV's coefficients: k1 k2 p1 p2 [k3 [k4 k5 k6]], or k1 to k4 for fisheye; none for no distortion."""
+    estimated_from_views: Annotated[int, Strict(), Field(ge=1)] | None = None
+    """Number of views of the recording that they were estimated from; left out where they are stated."""
 
     @model_validator(mode="after")
     def _known_length(self) -> "Intrinsics":
@@ -115,6 +117,13 @@ class Intrinsics(StrictModel):
         return CameraModel(self.model, self.width, self.height, K, np.array(self.distortion))
 
 
+EstimatedLens = Literal["estimate", "estimate pinhole", "estimate fisheye"]
+
+
+def _kind_of_intrinsics(value: Any) -> str:
+    return "word" if isinstance(value, str) else "values"
+
+
 class PixelNoise(StrictModel):
     """Noise of a camera's corners."""
 
@@ -139,8 +148,15 @@ class CameraSpec(StrictModel):
     """Image topic; in a plain folder the sensor's folder."""
     camera_info: Name | None = None
     """Topic with its intrinsics."""
-    intrinsics: Intrinsics | None = None
-    """The intrinsics, instead of a topic."""
+    intrinsics: (
+        Annotated[
+            Annotated[Intrinsics, Tag("values")] | Annotated[EstimatedLens, Tag("word")],
+            Discriminator(_kind_of_intrinsics),
+        ]
+        | None
+    ) = None
+    """The intrinsics, instead of a topic; or ``estimate``, to estimate them from the recording even if it states
+    any, with the model that fits best, ``estimate pinhole`` or ``estimate fisheye``."""
     frame_id: Name | None = None
     """The sensor's frame; that of its messages' headers if left out."""
     noise: PixelNoise = PixelNoise()
@@ -151,6 +167,19 @@ class CameraSpec(StrictModel):
         if self.camera_info is not None and self.intrinsics is not None:
             raise invalid("", "give camera_info (a topic) or intrinsics, not both")
         return self
+
+    @property
+    def stated_intrinsics(self) -> Intrinsics | None:
+        """The intrinsics, if they are stated."""
+        return self.intrinsics if isinstance(self.intrinsics, Intrinsics) else None
+
+    @property
+    def lens_to_estimate(self) -> Literal["pinhole", "fisheye"] | None:
+        """The model of intrinsics that are to be estimated, if it is stated."""
+        models: dict[Any, Literal["pinhole", "fisheye"]] = {
+            "estimate pinhole": "pinhole", "estimate fisheye": "fisheye",
+        }  # fmt: skip
+        return None if isinstance(self.intrinsics, Intrinsics) else models.get(self.intrinsics)
 
 
 class Lidar2dSpec(StrictModel):
@@ -273,7 +302,8 @@ class Rig(StrictModel):
 
     def camera_models(self) -> dict[str, CameraModel]:
         """Models of the cameras whose intrinsics are stated; see :func:`calgraph.recording.resolve_intrinsics`."""
-        return {name: spec.intrinsics.to_camera() for name, spec in self.cameras().items() if spec.intrinsics}
+        stated = {name: spec.stated_intrinsics for name, spec in self.cameras().items()}
+        return {name: intrinsics.to_camera() for name, intrinsics in stated.items() if intrinsics}
 
     def to_plain(self) -> dict[str, Any]:
         """All keys, defaults included, as plain values for rig.resolved.yaml."""

@@ -2,21 +2,27 @@
 
 import logging
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.config import AprilGrid, Board, Charuco, Checkerboard, PixelNoise
+from calgraph.config import Board, PixelNoise
 from calgraph.config.settings import BoardPoseSettings, CameraDetectionSettings
 from calgraph.detection.board_pose import BoardPose, fit_pose, plane_covariance
-from calgraph.detection.chessboards import CharucoFinder, CheckerboardFinder
 from calgraph.detection.detections import BoardCorners, InconsistentTags
 from calgraph.detection.given_corners import assign_corners, is_mirrored, mirror, turn_over
-from calgraph.detection.landmarks import Landmarks, compute_landmarks
+from calgraph.detection.printed_boards import (
+    PrintedBoard,
+    average_marks,
+    explain_exposure,
+    explain_missing,
+    make_printed_boards,
+    select_grays,
+)
 from calgraph.detection.rectified_view import is_undistorted, rectify_view
-from calgraph.detection.tags import Gray, GridFinder, Marks, TagFinder
+from calgraph.detection.tags import Gray, Marks, TagFinder
 from calgraph.errors import InputError, Rejected
 from calgraph.geometry import Array, plane, se3
 from calgraph.sensors import CameraModel, DetectedCorners, Image
@@ -24,22 +30,8 @@ from calgraph.sensors import CameraModel, DetectedCorners, Image
 PlaneEstimator = Callable[[Marks, Array, CameraModel, float, BoardPoseSettings], tuple[Array, Array] | None]
 """From marks, their corners in the board frame (M, k, 3), camera, noise (px) and settings to the plane (4,) and
 its covariance (3, 3)."""
-Finder = TagFinder | GridFinder | CheckerboardFinder | CharucoFinder
 
 _log = logging.getLogger(__name__)
-
-_DARK, _FLAT = 12.0, 4.0
-"""Largest 99th percentile of dark images and largest standard deviation of blank ones: only for the message."""
-
-
-@dataclass(frozen=True, eq=False)
-class _PrintedBoard:
-    """A board with a print, and the finder of its marks."""
-
-    number: int
-    board: Board
-    landmarks: Landmarks
-    finder: Finder
 
 
 class CameraDetector:
@@ -66,7 +58,7 @@ class CameraDetector:
     ) -> None:
         self._boards = boards
         self._camera, self._noise, self._plane_estimator, self._settings = camera, noise, plane_estimator, settings
-        self._printed = _make_finders(boards, settings)
+        self._printed = make_printed_boards(boards, settings)
 
     def __reduce__(self) -> tuple[Any, ...]:
         # The finders of libraries cannot be pickled; another process makes them again.
@@ -95,8 +87,7 @@ class CameraDetector:
         detections: list[BoardCorners] = []
         reasons: list[str] = []
         inconsistent: list[int] = []
-        exchanged = [255 - gray for gray in grays] if any(one.board.inverted for one in self._printed) else grays
-        grays_of = {printed.finder: exchanged if printed.board.inverted else grays for printed in self._printed}
+        grays_of = select_grays(self._printed, grays)
         marks = {finder: [finder.find(gray) for gray in images] for finder, images in grays_of.items()}
         for printed in self._printed:
             detection = self._find_board(printed, grays_of[printed.finder], marks[printed.finder])
@@ -111,7 +102,7 @@ class CameraDetector:
             for reason in reasons:
                 _log.debug("in the image at %.3f s: %s", images[0].stamp, reason)
             return tuple(detections)
-        reason = "; ".join(reasons) + _explain_exposure(grays)
+        reason = "; ".join(reasons) + explain_exposure(grays)
         return InconsistentTags(reason, tuple(inconsistent)) if inconsistent else Rejected(reason)
 
     def _locate_given(self, messages: Sequence[DetectedCorners]) -> tuple[BoardCorners, ...] | Rejected:
@@ -120,7 +111,7 @@ class CameraDetector:
         found = [self._check_in_image(assign_corners(one, printed.board, printed.landmarks)) for one in messages]
         noise = max(self._noise.pixel, self._settings.min_motion_noise)
         tolerance = self._settings.pose.outlier_sigmas * noise
-        marks = found[0] if len(found) == 1 else _average_marks(found, tolerance)
+        marks = found[0] if len(found) == 1 else average_marks(found, tolerance)
         if isinstance(marks, Rejected):
             return marks
         if not len(marks):
@@ -159,7 +150,7 @@ class CameraDetector:
         return gray
 
     def _find_board(
-        self, printed: _PrintedBoard, grays: Sequence[Gray], marks_by_image: Sequence[Marks]
+        self, printed: PrintedBoard, grays: Sequence[Gray], marks_by_image: Sequence[Marks]
     ) -> BoardCorners | Rejected:
         """One board in all images."""
         detected: list[tuple[Marks, BoardPose]] = []
@@ -176,19 +167,19 @@ class CameraDetector:
         if len(detected) == 1:
             return self._make_detection(printed, *detected[0], on_board)
         noise = max(self._noise.pixel, self._settings.min_motion_noise)
-        averaged = _average_marks([marks for marks, _ in detected], self._settings.pose.outlier_sigmas * noise)
+        averaged = average_marks([marks for marks, _ in detected], self._settings.pose.outlier_sigmas * noise)
         if isinstance(averaged, Rejected):
             return averaged
         pose = self._fit(printed, averaged)
         return pose if isinstance(pose, Rejected) else self._make_detection(printed, averaged, pose, on_board)
 
     def _find_in_image(
-        self, printed: _PrintedBoard, gray: Gray, found: Marks
+        self, printed: PrintedBoard, gray: Gray, found: Marks
     ) -> tuple[Marks, BoardPose] | Rejected:
         """The marks of the board, each once, and its pose, in one image."""
         marks = found.select(np.isin(found.ids, printed.landmarks.ids))
         if not len(marks):
-            return Rejected(_explain_missing(printed, found))
+            return Rejected(explain_missing(printed, found))
         pose = self._fit(printed, marks)
         if isinstance(pose, Rejected):
             return pose
@@ -204,7 +195,7 @@ class CameraDetector:
         return marks.select(used), replace(pose, inliers=pose.inliers[used])
 
     def _refine_tags(
-        self, printed: _PrintedBoard, finder: TagFinder, gray: Gray, marks: Marks, pose: BoardPose
+        self, printed: PrintedBoard, finder: TagFinder, gray: Gray, marks: Marks, pose: BoardPose
     ) -> Marks:
         """The tags with those that the first search missed, and with corners free of the bias of lens distortion.
 
@@ -228,14 +219,14 @@ class CameraDetector:
         found = found.select(np.isin(found.ids, printed.landmarks.ids[wanted]))
         return marks.select(~np.isin(marks.ids, found.ids)) + found if len(found) else marks
 
-    def _fit(self, printed: _PrintedBoard, marks: Marks) -> BoardPose | Rejected:
+    def _fit(self, printed: PrintedBoard, marks: Marks) -> BoardPose | Rejected:
         corners = printed.landmarks.corners_of(marks.ids)
         return fit_pose(
             marks.ids, corners, marks.pixels, self._camera, self._noise.pixel, settings=self._settings.pose
         )
 
     def _make_detection(
-        self, printed: _PrintedBoard, marks: Marks, pose: BoardPose, on_board: NDArray[np.intp]
+        self, printed: PrintedBoard, marks: Marks, pose: BoardPose, on_board: NDArray[np.intp]
     ) -> BoardCorners:
         """The detection from the marks that were used, of all that are on the board by their ids."""
         corners = printed.landmarks.corners_of(marks.ids)
@@ -270,85 +261,3 @@ def make_board_corners(pose: BoardPose, corners: Array, pixels: Array, board: in
         rms=pose.rms,
         board=board,
     )
-
-
-def _average_marks(marks_by_image: Sequence[Marks], tolerance: float) -> Marks | Rejected:
-    """Every mark's mean over the images, unless the board moved by more than ``tolerance`` pixels."""
-    ids = np.unique(np.concatenate([marks.ids for marks in marks_by_image]))
-    pixels = np.full((len(marks_by_image), len(ids), *marks_by_image[0].pixels.shape[1:]), np.nan)
-    for row, marks in zip(pixels, marks_by_image, strict=True):
-        row[np.searchsorted(ids, marks.ids)] = marks.pixels
-    center = np.nanmedian(pixels, axis=0)
-    deviation = np.linalg.norm(pixels - center, axis=-1)
-    shift = np.array([np.nanmedian(one) for one in deviation])
-    if shift.max() > tolerance:
-        return Rejected(f"board moved between images: its corners by {2 * shift.max():.1f} px")
-    # A mark that jumps while the board rests is a false detection in that image.
-    pixels[(deviation > tolerance).any(axis=-1)] = np.nan
-    steady = np.isfinite(pixels).all(axis=(2, 3)).any(axis=0)
-    return Marks(ids[steady], np.nanmean(pixels[:, steady], axis=0))
-
-
-def _make_finders(boards: Sequence[Board], settings: CameraDetectionSettings) -> tuple[_PrintedBoard, ...]:
-    """The boards with a print, and their finders; boards with tags of one family share a finder.
-
-    Inverted prints are detected in inverted images, by other finders.
-    """
-    shared: dict[tuple[type, str, bool], TagFinder | GridFinder] = {}
-    board_of_tag: dict[tuple[type, str, int], int] = {}
-    printed = []
-    for number, board in enumerate(boards):
-        marks = compute_landmarks(board)
-        if not len(marks.ids):
-            continue
-        finder: Finder
-        match board.pattern:
-            case Checkerboard() as pattern:
-                finder = CheckerboardFinder(pattern, settings)
-            case Charuco() as pattern:
-                finder = CharucoFinder(pattern)
-            case None | AprilGrid():
-                kind = TagFinder if board.pattern is None else GridFinder
-                key = kind, board.family, board.inverted
-                if key not in shared:
-                    shared[key] = kind(board.family, settings.tags)
-                finder = shared[key]
-                for mark in marks.ids.tolist():
-                    other = board_of_tag.setdefault((kind, board.family, mark), number)
-                    if other != number:
-                        raise InputError(
-                            f"target: boards {other} and {number} both have tag {mark} of {board.family}"
-                        )
-        printed.append(_PrintedBoard(number, board, marks, finder))
-    return tuple(printed)
-
-
-def _explain_missing(printed: _PrintedBoard, found: Marks) -> str:
-    """The reason why a board was not detected."""
-    match printed.board.pattern:
-        case Checkerboard() as pattern:
-            return f"checkerboard of {pattern.columns}x{pattern.rows} inner corners not found"
-        case Charuco() as pattern:
-            return f"no corner of the {pattern.columns}x{pattern.rows} ChArUco board of {pattern.dictionary} found"
-    expected = _format_ids(printed.landmarks.ids.tolist())
-    if not len(found):
-        return f"no tag of family {printed.board.family} found; {expected} expected"
-    others = _format_ids(np.unique(found.ids).tolist())
-    are = "is" if others.startswith("id ") else "are"
-    return f"only {others} detected, which {are} not on the board; {expected} expected"
-
-
-def _format_ids(ids: Sequence[int]) -> str:
-    if len(ids) > 2 and list(ids) == list(range(ids[0], ids[-1] + 1)):
-        return f"ids {ids[0]} to {ids[-1]}"
-    return ("id " if len(ids) == 1 else "ids ") + ", ".join(map(str, ids))
-
-
-def _explain_exposure(grays: Sequence[Gray]) -> str:
-    """Why images without any detection are unusable: too dark, or blank; otherwise empty."""
-    brightest = max(float(np.percentile(gray, 99)) for gray in grays)
-    if brightest < _DARK:
-        return f" (the image is too dark: 99 % of it below grey value {brightest:.0f})"
-    if max(float(gray.std()) for gray in grays) < _FLAT:
-        return " (the image is blank)"
-    return ""

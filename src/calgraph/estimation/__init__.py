@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 from calgraph.lazy_names import import_on_use
 
 if TYPE_CHECKING:
+    from calgraph.estimation.intrinsics.estimate import IntrinsicsEstimate, estimate_intrinsics
     from calgraph.estimation.network.estimate import NetworkSolution, SolvedNetwork, solve_network
     from calgraph.estimation.network.scanner_prior import ScannerPrior
     from calgraph.estimation.rig.camera_boards import locate_boards, scale_boards
@@ -23,14 +24,16 @@ else:
             "rig.camera_boards",
             "rig.estimate",
             "rig.problem_file",
+            "intrinsics.estimate",
             "network.scanner_prior",
             "network.estimate",
         ],
     )
 
 __all__ = [
-    "Estimator", "MeasuredNoise", "NetworkSolution", "PosePrior", "PriorFile", "Problem",
+    "Estimator", "IntrinsicsEstimate", "MeasuredNoise", "NetworkSolution", "PosePrior", "PriorFile", "Problem",
     "RigSolution", "RigidFile", "RigidGroup", "ScannerPrior", "SolvedBundle", "SolvedNetwork", "SolverOptions",
-    "attach_by_priors", "check_problem", "cramer_rao", "load_problem", "locate_boards", "round_trip",
-    "save_problem", "scale_boards", "solve_bundle", "solve_network", "solve_poses", "with_prior_poses",
+    "attach_by_priors", "check_problem", "cramer_rao", "estimate_intrinsics", "load_problem", "locate_boards",
+    "round_trip", "save_problem", "scale_boards", "solve_bundle", "solve_network", "solve_poses",
+    "with_prior_poses",
 ]  # fmt: skip

@@ -321,7 +321,7 @@ def _discriminator_tag(member: Any) -> str | None:
 
 def _kind_of_model(member: Any) -> str | None:
     model = unwrap_annotation(member)
-    is_model = isinstance(model, type) and issubclass(model, BaseModel)
+    is_model = isinstance(model, type) and issubclass(model, BaseModel) and "kind" in model.model_fields
     return str(get_args(model.model_fields["kind"].annotation)[0]) if is_model else None
 
 

@@ -12,6 +12,10 @@ _FISHEYE = ("equidistant", "fisheye", "kannala_brandt")
 _PINHOLE = ("plumb_bob", "rational_polynomial", "radtan", "pinhole", "none", "")
 
 
+class UncalibratedError(ValueError):
+    """A driver publishes a CameraInfo without focal lengths, because the camera is not calibrated."""
+
+
 def camera_model(distortion_model: str, width: int, height: int, K: Array, D: Array) -> CameraModel:
     """A camera model from the values of a ROS CameraInfo.
 
@@ -23,17 +27,19 @@ def camera_model(distortion_model: str, width: int, height: int, K: Array, D: Ar
         D: (n,) distortion coefficients in OpenCV's order.
 
     Raises:
-        ValueError: the camera is not calibrated or has no image size, or the model or a number of coefficients is
-            not supported.
+        UncalibratedError: the camera is not calibrated.
+        ValueError: it has no image size, or the model or a number of coefficients is not supported.
     """
+    matrix = _camera_matrix(np.asarray(K, dtype=np.float64).ravel())
+    if not (matrix[0, 0] > 0 and matrix[1, 1] > 0):
+        raise UncalibratedError(
+            "K has no focal lengths: the camera is not calibrated; give its intrinsics in rig.yaml"
+        )
     if width < 1 or height < 1:
         raise ValueError(
             f"states images of {width} x {height} pixels: the driver does not set their size; give the intrinsics "
             "in rig.yaml"
         )
-    matrix = _camera_matrix(np.asarray(K, dtype=np.float64).ravel())
-    if not (matrix[0, 0] > 0 and matrix[1, 1] > 0):
-        raise ValueError("K has no focal lengths: the camera is not calibrated; give its intrinsics in rig.yaml")
     model, distortion = _distortion(distortion_model.strip().lower(), np.asarray(D, dtype=np.float64).ravel())
     return CameraModel(model, int(width), int(height), matrix, distortion)
 

@@ -1,26 +1,26 @@
 """The intrinsics of a rig's cameras: from rig.yaml, or from the recording."""
 
 from calgraph.config import CameraSpec, Intrinsics, Rig
-from calgraph.errors import InputError
+from calgraph.errors import InputError, RecordingError
+from calgraph.recording.camera_info import UncalibratedError
 from calgraph.recording.recording import Recording
 from calgraph.sensors import CameraInfo, CameraModel
 
 
 def resolve_intrinsics(rig: Rig, recording: Recording) -> Rig:
-    """The rig with the intrinsics of every camera stated, as :meth:`calgraph.Rig.camera_models` needs them.
+    """The rig with the intrinsics stated of every camera that has any, for :meth:`calgraph.Rig.camera_models`.
 
     A camera with neither ``intrinsics`` nor ``camera_info`` takes those beside its images: in a plain folder its
-    camera_info.yaml, in a bag the topic ``camera_info`` in the namespace of its images.
+    camera_info.yaml, in a bag the topic ``camera_info`` in the namespace of its images. A camera without any, or
+    whose CameraInfo has no focal lengths, stays without: :func:`calgraph.calibrate.calibrate_rig` estimates them.
 
     Raises:
-        InputError: a camera has no intrinsics anywhere.
+        InputError: the stated topic holds no CameraInfo.
     """
     resolved = {
-        name: spec.model_copy(
-            update={"camera_info": None, "intrinsics": Intrinsics.from_camera(_read_camera(name, spec, recording))}
-        )
+        name: spec.model_copy(update={"camera_info": None, "intrinsics": Intrinsics.from_camera(camera)})
         for name, spec in rig.cameras().items()
-        if spec.intrinsics is None
+        if spec.intrinsics is None and (camera := _read_camera(name, spec, recording))
     }
     return rig.model_copy(update={"sensors": {**rig.sensors, **resolved}})
 
@@ -40,14 +40,16 @@ def _find_camera_info(spec: CameraSpec, recording: Recording) -> str | None:
     return spec.camera_info or next((t for t in beside if t in available), None)
 
 
-def _read_camera(name: str, spec: CameraSpec, recording: Recording) -> CameraModel:
+def _read_camera(name: str, spec: CameraSpec, recording: Recording) -> CameraModel | None:
     topic = _find_camera_info(spec, recording)
     if topic is None:
-        raise InputError(
-            f"sensors.{name}: has no intrinsics; give camera_info (a topic of the recording) or intrinsics "
-            f"(model, width, height, K, distortion)"
-        )
-    message = next((r.decode() for r in recording.records([topic])), None)
+        return None
+    try:
+        message = next((r.decode() for r in recording.records([topic])), None)
+    except RecordingError as error:
+        if isinstance(error.__cause__, UncalibratedError):
+            return None
+        raise
     if not isinstance(message, CameraInfo):
         raise InputError(f"sensors.{name}.camera_info: topic {topic} holds no CameraInfo message")
     return message.camera

@@ -1,10 +1,11 @@
 """The calibration found: poses, covariances, evidence; and its files for other programs."""
 
-from calgraph.result.calibrated_cameras import calibrated_cameras
+from calgraph.result.calibrated_cameras import apply_estimates, calibrated_cameras, state_calibrated_intrinsics
 from calgraph.result.calibration import Calibration, join_covariances
 from calgraph.result.calibration_file import save_calibration, save_captures
 from calgraph.result.calibration_reading import load_calibration
 from calgraph.result.coloring import colorize_from_snapshots
+from calgraph.result.estimated_intrinsics import state_intrinsics
 from calgraph.result.estimated_parameter import EstimatedParameter
 from calgraph.result.evidence import (
     CaptureRow,
@@ -29,7 +30,7 @@ __all__ = [
     "FORMATS", "BeamView", "BoardOutline", "BoardView", "Calibration", "CaptureRow", "Edge", "EstimatedParameter",
     "Evidence", "ExtrinsicsFile", "FitError", "FloorView", "HeldOutError", "InputFile", "ModelledBodies",
     "Pictures", "Provenance", "SensorPose", "Snapshot", "StatedPose", "Suggestion", "Verdict",
-    "calibrated_cameras", "colorize_from_snapshots", "export", "join_covariances", "load_calibration",
-    "load_scene", "read_extrinsics", "save_calibration", "save_captures", "save_residuals", "save_scene",
-    "to_dataframe", "to_json",
+    "apply_estimates", "calibrated_cameras", "colorize_from_snapshots", "export", "join_covariances",
+    "load_calibration", "load_scene", "read_extrinsics", "save_calibration", "save_captures", "save_residuals",
+    "save_scene", "state_calibrated_intrinsics", "state_intrinsics", "to_dataframe", "to_json",
 ]  # fmt: skip

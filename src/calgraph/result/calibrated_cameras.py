@@ -1,21 +1,48 @@
 """The intrinsics that belong to a calibration's poses."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from calgraph.config import Rig
 from calgraph.result.calibration import Calibration
+from calgraph.result.estimated_intrinsics import state_intrinsics
+from calgraph.result.estimated_parameter import EstimatedParameter
 from calgraph.sensors import DISTORTION_NAMES, CameraModel
 
 
 def calibrated_cameras(calibration: Calibration, rig: Rig) -> Mapping[str, CameraModel]:
     """Camera models by sensor, with the estimated intrinsics where there are."""
-    return {name: _apply_estimates(calibration, name, camera) for name, camera in rig.camera_models().items()}
+    return {
+        name: apply_estimates(calibration.systematic, name, camera) for name, camera in rig.camera_models().items()
+    }
 
 
-def _apply_estimates(calibration: Calibration, name: str, camera: CameraModel) -> CameraModel:
-    values = {one.quantity: one.value for one in calibration.systematic if one.of == name}
+def state_calibrated_intrinsics(rig: Rig, calibration: Calibration) -> Rig:
+    """The rig with the intrinsics of cameras that the calibration has estimated from the recording alone."""
+    settings = rig.settings.estimation.intrinsics
+    estimated = {
+        sensor.name: state_intrinsics(
+            rig.cameras()[sensor.name],
+            sensor.intrinsics.to_camera(),
+            sensor.intrinsics.estimated_from_views or 1,
+            settings,
+        )
+        for sensor in calibration.sensors
+        if sensor.intrinsics is not None
+    }
+    return rig.model_copy(update={"sensors": {**rig.sensors, **estimated}})
+
+
+def apply_estimates(systematic: Sequence[EstimatedParameter], name: str, camera: CameraModel) -> CameraModel:
+    """A camera with the intrinsics among the systematic parameters of a calibration.
+
+    Args:
+        systematic: all parameters.
+        name: of the camera.
+        camera: with its stated intrinsics.
+    """
+    values = {one.quantity: one.value for one in systematic if one.of == name}
     (fx, fy), (cx, cy) = camera.focal.tolist(), camera.principal_point.tolist()
     stated_aspect = fx / fy
     aspect = values.get("pixel aspect", stated_aspect) / stated_aspect - 1

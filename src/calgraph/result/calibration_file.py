@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from ruamel.yaml.comments import CommentedSeq
 
+from calgraph.config import Intrinsics
 from calgraph.geometry import Array, so3
 from calgraph.io import format_yaml, write_atomically, write_text
 from calgraph.io.csv_writing import escape_formula
@@ -84,11 +85,20 @@ def _sensor(sensor: SensorPose) -> dict[str, Any]:
     entry["covariance"] = _symmetric(sensor.covariance, 9)
     if sensor.stated is not None:
         entry["stated"] = {key: value for key, value in asdict(sensor.stated).items() if value is not None}
+    if sensor.intrinsics is not None:
+        entry["intrinsics"] = _intrinsics(sensor.intrinsics)
     if sensor.clock_offset is not None:
         entry["clock_offset"] = sensor.clock_offset
     if sensor.clock_offset_stddev is not None:
         entry["clock_offset_stddev"] = sensor.clock_offset_stddev
     return entry
+
+
+def _intrinsics(intrinsics: Intrinsics) -> dict[str, Any]:
+    """The block as rig.yaml has it."""
+    K, distortion = _round_digits(intrinsics.K, 12), _round_digits(intrinsics.distortion, 12)
+    values = {"K": flow_sequence(K), "distortion": flow_sequence(distortion)}
+    return {**intrinsics.model_dump(exclude_none=True), **values}
 
 
 def _estimated_parameter(one: EstimatedParameter) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, Strict, model_validator
 
-from calgraph.config import Tolerance
+from calgraph.config import Intrinsics, Tolerance
 from calgraph.config.strict_model import StrictModel, invalid
 from calgraph.errors import InputError
 from calgraph.geometry import Array, se3
@@ -71,6 +71,8 @@ class _Sensor(StrictModel):
     """6 x 6, translation first, in the root's fixed axes, m and rad."""
     stated: _StatedPose | None = None
     """What rig.yaml states of a network's scanner: height, m, roll and pitch, rad."""
+    intrinsics: Intrinsics | None = None
+    """Of a camera, estimated from the recording."""
     clock_offset: Finite | None = None
     clock_offset_stddev: NonNegative | None = None
 
@@ -326,6 +328,7 @@ def _sensor(name: str, entry: _Sensor, verdict: _Verdict) -> SensorPose:
         T_root_sensor=se3.from_xyz_quaternion(np.array(entry.translation), np.array(entry.rotation)),
         verdict=Verdict(verdict.grade, verdict.reason),
         stated=StatedPose(**vars(entry.stated)) if entry.stated else None,
+        intrinsics=entry.intrinsics,
         clock_offset=entry.clock_offset,
         clock_offset_stddev=entry.clock_offset_stddev,
     )

@@ -5,6 +5,7 @@ from typing import Literal
 
 import numpy as np
 
+from calgraph.config import Intrinsics
 from calgraph.geometry import Array
 
 Grade = Literal["good", "weak", "unobservable"]
@@ -51,6 +52,8 @@ class SensorPose:
     clock_offset_stddev: float | None = None
     stated: StatedPose | None = None
     """Height, roll and pitch of a network's scanner, where rig.yaml states any of them."""
+    intrinsics: Intrinsics | None = None
+    """Of a camera whose intrinsics were estimated from the recording, with the joint solution's values."""
     covariance: Array = field(init=False, repr=False)
     """(6, 6) of the error in the root's fixed axes, (translation, rotation), m and rad; zero for the root, and NaN
     where nothing was measured. A view of the joint covariance, set by the calibration."""

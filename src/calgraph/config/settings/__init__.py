@@ -38,6 +38,7 @@ from calgraph.config.settings.diagnostics import (
 )
 from calgraph.config.settings.estimation import EstimationSettings
 from calgraph.config.settings.graph import GraphSettings
+from calgraph.config.settings.intrinsics import IntrinsicsSettings
 from calgraph.config.settings.legs import (
     LegAssociationSettings,
     LegBodySettings,
@@ -115,6 +116,7 @@ __all__ = [
     "HypothesisSettings",
     "IcpSettings",
     "InputCheckSettings",
+    "IntrinsicsSettings",
     "LegAssociationSettings",
     "LegBodySettings",
     "LegClusterSettings",

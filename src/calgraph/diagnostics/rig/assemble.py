@@ -6,7 +6,7 @@ from types import MappingProxyType
 import numpy as np
 
 from calgraph.captures import CaptureSet, Hold, InputFinding
-from calgraph.config import Rig
+from calgraph.config import CameraSpec, Intrinsics, Rig, SensorSpec
 from calgraph.diagnostics.finding import Finding
 from calgraph.diagnostics.rig.board_pictures import (
     InlierResiduals,
@@ -31,7 +31,16 @@ from calgraph.estimation.rig.solution import RigSolution
 from calgraph.geometry import Array
 from calgraph.graph import SpanningTree
 from calgraph.pairwise import PairwiseEstimate, PairwiseEstimates, select_successful
-from calgraph.result import Calibration, CaptureRow, Edge, Evidence, HeldOutError, Pictures, SensorPose
+from calgraph.result import (
+    Calibration,
+    CaptureRow,
+    Edge,
+    Evidence,
+    HeldOutError,
+    Pictures,
+    SensorPose,
+    apply_estimates,
+)
 
 
 def assemble_rig(
@@ -124,6 +133,7 @@ def _assemble_sensor(
         frame_id=frame_id(name, rig, captures),
         kind=spec.kind,
         T_root_sensor=T,
+        intrinsics=_refine_intrinsics(name, spec, solution),
         verdict=grade_pose(
             name,
             spec.kind,
@@ -135,6 +145,14 @@ def _assemble_sensor(
             settings=rig.settings.diagnostics.verdict,
         ),
     )
+
+
+def _refine_intrinsics(name: str, spec: SensorSpec, solution: RigSolution) -> Intrinsics | None:
+    """The intrinsics of a camera that were estimated from the recording, with the joint solution's values."""
+    if not isinstance(spec, CameraSpec) or not (start := spec.stated_intrinsics) or not start.estimated_from_views:
+        return None
+    camera = apply_estimates(solution.systematic, name, start.to_camera())
+    return Intrinsics.from_camera(camera).model_copy(update={"estimated_from_views": start.estimated_from_views})
 
 
 def _hint_at_background(rig: Rig) -> str:

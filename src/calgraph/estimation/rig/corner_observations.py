@@ -133,7 +133,7 @@ class CornerObservations:
         """See :class:`BoardViews`: reprojection errors."""
         view, local = view_indices(self.start, len(self.pixels)), gather_extra(self.extra_of_local, extra)
         lens = 4 + len(self.camera.distortion) if local.shape[1] else 0
-        camera = _adjust_camera(self.camera, local[0, :lens]) if len(local) and lens else self.camera
+        camera = adjust_camera(self.camera, local[0, :lens]) if len(local) and lens else self.camera
         corners, by_print = self.printed.nominal, np.zeros((len(self.pixels), 3, 0))
         if local.shape[1]:
             of_print = local[view, lens:]
@@ -180,7 +180,7 @@ class CornerObservations:
         )
 
 
-def _adjust_camera(camera: CameraModel, change: Array) -> CameraModel:
+def adjust_camera(camera: CameraModel, change: Array) -> CameraModel:
     """The camera after changes (4 + n,) of relative focal length and pixel aspect, centre (px) and distortion."""
     stretch = 1 + change[0] + change[1] * np.array([0.5, -0.5])
     return camera.with_intrinsics(
@@ -191,7 +191,7 @@ def _adjust_camera(camera: CameraModel, change: Array) -> CameraModel:
 
 
 def _project_by_lens(nominal: CameraModel, camera: CameraModel, points: Array) -> Array:
-    """Derivatives (N, 2, 4 + n) of the pixels of points (N, 3) by the changes of :func:`_adjust_camera`."""
+    """Derivatives (N, 2, 4 + n) of the pixels of points (N, 3) by the changes of :func:`adjust_camera`."""
     J = camera.project_by_intrinsics(points)
     by_focal = J[..., :2] * nominal.focal
     return np.concatenate([by_focal.sum(axis=-1, keepdims=True), by_focal @ [[0.5], [-0.5]], J[..., 2:]], axis=-1)

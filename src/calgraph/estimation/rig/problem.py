@@ -73,7 +73,9 @@ def check_problem(problem: Problem) -> None:
     captures, tree, sensors = problem.captures, problem.tree, problem.rig.sensors
     if set(captures.detections) != set(sensors) or set(captures.frames) != set(sensors):
         raise InputError(f"sensors and frames: must be those of the rig, {', '.join(sensors)}")
-    if set(captures.cameras) != set(problem.rig.cameras()):
+    # A camera whose intrinsics could not be estimated has none, and no detections.
+    used = {name for name in problem.rig.cameras() if captures.detections[name]}
+    if not used <= set(captures.cameras) <= set(problem.rig.cameras()):
         raise InputError(f"cameras: must be those of the rig, {', '.join(problem.rig.cameras())}")
     _check_names("misses", (name for _, name in captures.rejections), sensors)
     _check_names("findings", chain.from_iterable(finding.sensors for finding in captures.findings), sensors)

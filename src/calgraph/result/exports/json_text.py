@@ -54,6 +54,7 @@ def _sensor(sensor: SensorPose) -> dict[str, Any]:
         "T_root_sensor": T,
         "covariance": sensor.covariance,
         "stated": sensor.stated and vars(sensor.stated),
+        "intrinsics": sensor.intrinsics and sensor.intrinsics.model_dump(exclude_none=True),
         "clock_offset": sensor.clock_offset,
         "clock_offset_stddev": sensor.clock_offset_stddev,
         "verdict": vars(sensor.verdict),

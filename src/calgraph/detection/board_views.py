@@ -1,0 +1,119 @@
+"""Boards in the images of a camera whose intrinsics are not known: their marks, and no pose."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calgraph.config import Board, PixelNoise
+from calgraph.config.settings import CameraDetectionSettings
+from calgraph.detection.detections import BoardCorners
+from calgraph.detection.printed_boards import (
+    PrintedBoard,
+    average_marks,
+    explain_exposure,
+    explain_missing,
+    make_printed_boards,
+    select_grays,
+)
+from calgraph.detection.tags import Marks
+from calgraph.errors import Rejected
+from calgraph.geometry import Array
+from calgraph.sensors import Image, Message
+
+
+@dataclass(frozen=True, eq=False)
+class BoardView:
+    """One board in the images of one capture: M marks with k corners each."""
+
+    ids: NDArray[np.intp]
+    """(M,)."""
+    corners: Array
+    """(M, k, 3) in the board's frame, m."""
+    pixels: Array
+    """(M, k, 2) where they were detected."""
+    size: tuple[int, int]
+    """Width and height of the image, pixels."""
+    board: int = 0
+    """Index of the board among the rig's boards."""
+
+    @classmethod
+    def from_corners(cls, detection: BoardCorners, size: tuple[int, int]) -> "BoardView":
+        """The view of the corners that a pose was fitted to."""
+        ids = np.arange(len(detection.pixels))
+        return cls(ids, detection.corners_board[:, None], detection.pixels[:, None], size, detection.board)
+
+    @property
+    def flat_corners(self) -> Array:
+        """(N, 3) corners of all marks, m."""
+        return self.corners.reshape(-1, 3)
+
+    @property
+    def flat_pixels(self) -> Array:
+        """(N, 2) where they were detected."""
+        return self.pixels.reshape(-1, 2)
+
+
+class BoardViewFinder:
+    """Finds the marks of a rig's boards in images; built once per camera, and used from one thread.
+
+    Args:
+        boards: the rig's boards; those without a print are not detected.
+        noise: of the corners.
+        settings: of the detection.
+    """
+
+    def __init__(
+        self,
+        boards: Sequence[Board],
+        noise: PixelNoise,
+        settings: CameraDetectionSettings = CameraDetectionSettings(),
+    ) -> None:
+        self._boards, self._noise, self._settings = boards, noise, settings
+        self._printed = make_printed_boards(boards, settings)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # The finders of libraries cannot be pickled; another process makes them again.
+        return BoardViewFinder, (self._boards, self._noise, self._settings)
+
+    def find(self, messages: Sequence[Message]) -> tuple[BoardView, ...] | Rejected:
+        """Every board in the images of one capture, in which it rests; corners of several images are averaged."""
+        grays = [message.gray for message in messages if isinstance(message, Image)]
+        if not grays:
+            return Rejected("no image in this capture")
+        if len({gray.shape for gray in grays}) > 1:
+            return Rejected("the images of one capture differ in size")
+        grays_of = select_grays(self._printed, grays)
+        marks = {finder: [finder.find(gray) for gray in images] for finder, images in grays_of.items()}
+        views, reasons = [], []
+        for printed in self._printed:
+            view = self._find_board(printed, marks[printed.finder], grays[0].shape)
+            if isinstance(view, BoardView):
+                views.append(view)
+            else:
+                reasons.append(view.reason)
+        return tuple(views) if views else Rejected("; ".join(reasons) + explain_exposure(grays))
+
+    def _find_board(
+        self, printed: PrintedBoard, marks_by_image: Sequence[Marks], shape: tuple[int, ...]
+    ) -> BoardView | Rejected:
+        of_board = [_select_unique(marks, printed) for marks in marks_by_image]
+        detected = [marks for marks in of_board if len(marks)]
+        if not detected:
+            return Rejected(explain_missing(printed, marks_by_image[0]))
+        marks: Marks | Rejected = detected[0]
+        if len(detected) > 1:
+            noise = max(self._noise.pixel, self._settings.min_motion_noise)
+            marks = average_marks(detected, self._settings.pose.outlier_sigmas * noise)
+        if isinstance(marks, Rejected):
+            return marks
+        corners = printed.landmarks.corners_of(marks.ids)
+        return BoardView(marks.ids, corners, marks.pixels, (shape[1], shape[0]), printed.number)
+
+
+def _select_unique(marks: Marks, printed: PrintedBoard) -> Marks:
+    """The marks of a board whose id was detected once: which of several is right needs a pose."""
+    ids, count = np.unique(marks.ids, return_counts=True)
+    return marks.select(np.isin(marks.ids, np.intersect1d(ids[count == 1], printed.landmarks.ids)))

@@ -1,0 +1,116 @@
+"""Boards with a print, and the search of their marks in images."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calgraph.config import AprilGrid, Board, Charuco, Checkerboard
+from calgraph.config.settings import CameraDetectionSettings
+from calgraph.detection.chessboards import CharucoFinder, CheckerboardFinder
+from calgraph.detection.landmarks import Landmarks, compute_landmarks
+from calgraph.detection.tags import Gray, GridFinder, Marks, TagFinder
+from calgraph.errors import InputError, Rejected
+
+Finder = TagFinder | GridFinder | CheckerboardFinder | CharucoFinder
+
+_DARK, _FLAT = 12.0, 4.0
+"""Largest 99th percentile of dark images and largest standard deviation of blank ones: only for the message."""
+
+
+@dataclass(frozen=True, eq=False)
+class PrintedBoard:
+    """A board with a print, and the finder of its marks."""
+
+    number: int
+    board: Board
+    landmarks: Landmarks
+    finder: Finder
+
+
+def make_printed_boards(boards: Sequence[Board], settings: CameraDetectionSettings) -> tuple[PrintedBoard, ...]:
+    """The boards with a print, and their finders; boards with tags of one family share a finder.
+
+    Inverted prints are detected in inverted images, by other finders.
+    """
+    shared: dict[tuple[type, str, bool], TagFinder | GridFinder] = {}
+    board_of_tag: dict[tuple[type, str, int], int] = {}
+    printed = []
+    for number, board in enumerate(boards):
+        marks = compute_landmarks(board)
+        if not len(marks.ids):
+            continue
+        finder: Finder
+        match board.pattern:
+            case Checkerboard() as pattern:
+                finder = CheckerboardFinder(pattern, settings)
+            case Charuco() as pattern:
+                finder = CharucoFinder(pattern)
+            case None | AprilGrid():
+                kind = TagFinder if board.pattern is None else GridFinder
+                key = kind, board.family, board.inverted
+                if key not in shared:
+                    shared[key] = kind(board.family, settings.tags)
+                finder = shared[key]
+                for mark in marks.ids.tolist():
+                    other = board_of_tag.setdefault((kind, board.family, mark), number)
+                    if other != number:
+                        raise InputError(
+                            f"target: boards {other} and {number} both have tag {mark} of {board.family}"
+                        )
+        printed.append(PrintedBoard(number, board, marks, finder))
+    return tuple(printed)
+
+
+def select_grays(printed: Sequence[PrintedBoard], grays: Sequence[Gray]) -> Mapping[Finder, Sequence[Gray]]:
+    """The images that each finder searches: for inverted prints with black and white exchanged."""
+    exchanged = [255 - gray for gray in grays] if any(one.board.inverted for one in printed) else grays
+    return {one.finder: exchanged if one.board.inverted else grays for one in printed}
+
+
+def average_marks(marks_by_image: Sequence[Marks], tolerance: float) -> Marks | Rejected:
+    """Every mark's mean over the images, unless the board moved by more than ``tolerance`` pixels."""
+    ids = np.unique(np.concatenate([marks.ids for marks in marks_by_image]))
+    pixels = np.full((len(marks_by_image), len(ids), *marks_by_image[0].pixels.shape[1:]), np.nan)
+    for row, marks in zip(pixels, marks_by_image, strict=True):
+        row[np.searchsorted(ids, marks.ids)] = marks.pixels
+    center = np.nanmedian(pixels, axis=0)
+    deviation = np.linalg.norm(pixels - center, axis=-1)
+    shift = np.array([np.nanmedian(one) for one in deviation])
+    if shift.max() > tolerance:
+        return Rejected(f"board moved between images: its corners by {2 * shift.max():.1f} px")
+    # A mark that jumps while the board rests is a false detection in that image.
+    pixels[(deviation > tolerance).any(axis=-1)] = np.nan
+    steady = np.isfinite(pixels).all(axis=(2, 3)).any(axis=0)
+    return Marks(ids[steady], np.nanmean(pixels[:, steady], axis=0))
+
+
+def explain_missing(printed: PrintedBoard, found: Marks) -> str:
+    """The reason why a board was not detected."""
+    match printed.board.pattern:
+        case Checkerboard() as pattern:
+            return f"checkerboard of {pattern.columns}x{pattern.rows} inner corners not found"
+        case Charuco() as pattern:
+            return f"no corner of the {pattern.columns}x{pattern.rows} ChArUco board of {pattern.dictionary} found"
+    expected = _format_ids(printed.landmarks.ids.tolist())
+    if not len(found):
+        return f"no tag of family {printed.board.family} found; {expected} expected"
+    others = _format_ids(np.unique(found.ids).tolist())
+    are = "is" if others.startswith("id ") else "are"
+    return f"only {others} detected, which {are} not on the board; {expected} expected"
+
+
+def _format_ids(ids: Sequence[int]) -> str:
+    if len(ids) > 2 and list(ids) == list(range(ids[0], ids[-1] + 1)):
+        return f"ids {ids[0]} to {ids[-1]}"
+    return ("id " if len(ids) == 1 else "ids ") + ", ".join(map(str, ids))
+
+
+def explain_exposure(grays: Sequence[Gray]) -> str:
+    """Why images without any detection are unusable: too dark, or blank; otherwise empty."""
+    brightest = max(float(np.percentile(gray, 99)) for gray in grays)
+    if brightest < _DARK:
+        return f" (the image is too dark: 99 % of it below grey value {brightest:.0f})"
+    if max(float(gray.std()) for gray in grays) < _FLAT:
+        return " (the image is blank)"
+    return ""

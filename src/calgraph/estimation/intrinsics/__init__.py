@@ -1,0 +1,1 @@
+"""Intrinsics of a camera from the corners of boards in its images alone."""

@@ -1,0 +1,165 @@
+"""A camera model fitted to the views of one camera: a bundle of that camera alone, without start values.
+
+Source: Zhang, "A flexible new technique for camera calibration", PAMI 2000; Kannala and Brandt, "A generic camera
+model and calibration method", PAMI 2006.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calgraph.captures import CaptureSet
+from calgraph.config import PixelNoise, Rig
+from calgraph.config.settings import IntrinsicsSettings
+from calgraph.detection import BoardCorners
+from calgraph.detection.board_pose import fit_pose
+from calgraph.detection.board_views import BoardView
+from calgraph.detection.camera import make_board_corners
+from calgraph.errors import CalibrationError, InputError, Rejected
+from calgraph.estimation.intrinsics.start import IntrinsicsStart
+from calgraph.estimation.rig.board_observations import BoardObservation
+from calgraph.estimation.rig.bundle_setup import build_bundle
+from calgraph.estimation.rig.bundle_solver import COARSE_TOLERANCE, Bundle, MinimizedBundle, minimize_bundle
+from calgraph.estimation.rig.corner_observations import CornerObservations, adjust_camera
+from calgraph.estimation.rig.covariances import parameter_covariance
+from calgraph.geometry import Array, plane
+from calgraph.result import state_intrinsics
+from calgraph.sensors import CameraModel
+
+
+@dataclass(frozen=True, eq=False)
+class LensFit:
+    """A camera model fitted to views."""
+
+    camera: CameraModel
+    covariance: Array
+    """(4 + n, 4 + n) of ``camera.intrinsics``."""
+    noise: float
+    """Standard deviation of a corner in x and in y, estimated from the residuals, pixels."""
+    detections: Mapping[int, BoardCorners]
+    """By index of the view, the corners that were used, and the pose of the board."""
+
+
+def fit_lens(
+    rig: Rig, name: str, views: Sequence[BoardView], start: IntrinsicsStart, settings: IntrinsicsSettings
+) -> LensFit | Rejected:
+    """Fits a camera model to views: the camera, the noise and the inliers in turn, until they stay the same.
+
+    Errors of the prints have the priors of the rig; intrinsics have none.
+
+    Args:
+        rig: with the boards and the camera.
+        name: of the camera.
+        views: of boards.
+        start: the model, and poses of the boards.
+        settings: of the rounds.
+    """
+    detections: Mapping[int, BoardCorners] = {
+        i: _make_detection(view, T)
+        for i, (view, T) in enumerate(zip(views, start.T_camera_board, strict=True))
+        if np.isfinite(T).all()
+    }
+    camera, noise = start.camera, max(start.error, settings.min_noise)
+    fit: LensFit | None = None
+    for _ in range(settings.max_rounds):
+        if len(detections) < settings.min_views:
+            return Rejected(f"only {len(detections)} views of boards fit one {camera.model} camera")
+        try:
+            fit = _adjust_lens(rig, name, detections, camera, noise, settings)
+        except (CalibrationError, InputError, np.linalg.LinAlgError):
+            return Rejected(f"no {camera.model} camera projects the boards to where they are in the images")
+        settled = abs(fit.noise / noise - 1) < settings.settled_noise_change
+        camera, noise = fit.camera, max(fit.noise, settings.min_noise)
+        found = _locate_boards(views, camera, noise, rig, settings)
+        if settled and _count_corners(found) == _count_corners(detections):
+            break
+        detections = found
+    assert fit is not None
+    return fit
+
+
+def _make_detection(view: BoardView, T_camera_board: Array) -> BoardCorners:
+    """All corners of a view, and a pose of unknown covariance."""
+    return BoardCorners(
+        corners_board=view.flat_corners,
+        pixels=view.flat_pixels,
+        T_camera_board=T_camera_board,
+        covariance=np.eye(6),
+        plane=plane.from_pose(T_camera_board),
+        plane_covariance=np.eye(3),
+        rms=0.0,
+        board=view.board,
+    )
+
+
+def _locate_boards(
+    views: Sequence[BoardView], camera: CameraModel, noise: float, rig: Rig, settings: IntrinsicsSettings
+) -> dict[int, BoardCorners]:
+    """The boards before a camera, without outlier corners, by view; views with larger errors are left out."""
+    found = {}
+    for i, view in enumerate(views):
+        pose = fit_pose(
+            view.ids, view.corners, view.pixels, camera, noise, settings=rig.settings.detection.camera.pose
+        )
+        if not isinstance(pose, Rejected) and pose.rms < settings.max_view_noise_ratio * noise:
+            found[i] = make_board_corners(pose, view.corners, view.pixels, view.board)
+    return found
+
+
+def _count_corners(detections: Mapping[int, BoardCorners]) -> dict[int, int]:
+    return {i: len(one.pixels) for i, one in detections.items()}
+
+
+def _adjust_lens(
+    rig: Rig,
+    name: str,
+    detections: Mapping[int, BoardCorners],
+    camera: CameraModel,
+    noise: float,
+    settings: IntrinsicsSettings,
+) -> LensFit:
+    """One bundle of a camera, all boards and the errors of their prints."""
+    # Start values may be off by more pixels than rig.yaml allows as noise.
+    spec = rig.cameras()[name].model_copy(update={"noise": PixelNoise.model_construct(pixel=noise)})
+    spec = state_intrinsics(spec, camera, len(detections), settings)
+    alone = rig.model_copy(update={"root": name, "sensors": {name: spec}})
+    captured = CaptureSet(
+        start=0.0,
+        frames={name: ""},
+        holds=(),
+        detections={name: {i: (one,) for i, one in detections.items()}},
+        rejections={},
+        cameras={name: camera},
+    )
+    bundle, start = build_bundle(
+        alone, captured, [BoardObservation(i, {name: 0}) for i in detections], {name: np.eye(4)}
+    )
+    # A bias of a view displaces its board, and nothing else.
+    bundle = replace(bundle, bias_variance=np.zeros_like(bundle.bias_variance))
+    return _summarize(bundle, minimize_bundle(bundle, start, tolerance=COARSE_TOLERANCE), detections, noise)
+
+
+def _summarize(
+    bundle: Bundle, solution: MinimizedBundle, detections: Mapping[int, BoardCorners], noise: float
+) -> LensFit:
+    """The camera of a solved bundle, with the noise that its residuals imply."""
+    views, extra = bundle.views[0], solution.state.extra
+    assert isinstance(views, CornerObservations)
+    size = 4 + len(views.camera.distortion)
+    index = bundle.extra_indices(0)[views.extra_of_local[0, :size]]
+    residual = views.linearize(solution.state.T_root_board[views.board], extra[bundle.extra_indices(0)]).residual
+    freedom = max(residual.size - 6 * len(detections) - size, 1)
+    scale = float(np.sqrt(np.sum(residual**2) / freedom))
+    J = np.eye(size)
+    J[:2, :2] = views.camera.focal[:, None] * [[1, 0.5], [1, -0.5]]
+    covariance = J @ parameter_covariance(solution.equations)[np.ix_(index, index)] @ J.T
+    return LensFit(
+        camera=adjust_camera(views.camera, extra[index]),
+        covariance=np.asarray(scale**2 * covariance),
+        noise=scale * noise,
+        detections={
+            i: replace(one, T_camera_board=T)
+            for (i, one), T in zip(detections.items(), solution.state.T_root_board, strict=True)
+        },
+    )

@@ -1,0 +1,136 @@
+"""Start values of intrinsics: a search over focal lengths of undistorted projections.
+
+With the right focal length, rays through the corners of a plane and the corners are related by a homography whose
+columns are two orthogonal vectors of equal length and a translation. That holds for rays in any direction, so
+also beyond 90 degrees from the axis, where no homography of pixels exists.
+
+Source: Zhang, "A flexible new technique for camera calibration", PAMI 2000, for rays instead of pixels.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from calgraph.config.settings import IntrinsicsSettings
+from calgraph.detection.board_views import BoardView
+from calgraph.errors import InputError
+from calgraph.geometry import Array, se3, so3
+from calgraph.levenberg_marquardt import DenseLinearization, minimize
+from calgraph.sensors import CameraModel
+
+LensModel = Literal["pinhole", "fisheye"]
+COEFFICIENTS: dict[LensModel, int] = {"pinhole": 5, "fisheye": 4}
+"""Number of distortion coefficients that are estimated: k1 k2 p1 p2 k3, or k1 to k4."""
+_MIN_COSINE = 0.2
+"""Least cosine of the angle from the axis (78°) of corners that a pinhole is fitted to."""
+
+
+@dataclass(frozen=True, eq=False)
+class IntrinsicsStart:
+    """A camera, and the poses of boards before it."""
+
+    camera: CameraModel
+    T_camera_board: Array
+    """(V, 4, 4); NaN for views that the camera cannot have."""
+    error: float
+    """Mean over the views of their median reprojection error, pixels."""
+
+
+def search_focal_length(
+    views: Sequence[BoardView], model: LensModel, settings: IntrinsicsSettings
+) -> IntrinsicsStart:
+    """The undistorted camera that explains the views best.
+
+    Args:
+        views: of boards, in images of one size.
+        model: the kind of the camera; its principal point is the middle of the image.
+        settings: the focal lengths to try.
+    """
+    width, height = views[0].size
+    ratio = settings.max_focal_length / settings.min_focal_length
+    steps = int(np.ceil(np.log(ratio) / np.log(settings.focal_length_ratio)))
+    distortion = np.zeros(COEFFICIENTS[model])
+    starts = []
+    for focal in width * settings.min_focal_length * settings.focal_length_ratio ** np.arange(steps + 1):
+        K = np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1]])
+        starts.append(locate_views(views, CameraModel(model, width, height, K, distortion)))
+    return min(starts, key=lambda start: start.error)
+
+
+def locate_views(views: Sequence[BoardView], camera: CameraModel) -> IntrinsicsStart:
+    """The poses of boards before a camera, each by the homography between rays and corners."""
+    starts = np.cumsum([len(view.flat_pixels) for view in views])[:-1]
+    rays = np.split(camera.rays(np.concatenate([view.flat_pixels for view in views])), starts)
+    T = np.array([_solve_homography(view.flat_corners, part) for view, part in zip(views, rays, strict=True)])
+    points = np.concatenate([se3.apply(pose, view.flat_corners) for pose, view in zip(T, views, strict=True)])
+    distances = np.linalg.norm(camera.project(points) - np.concatenate([v.flat_pixels for v in views]), axis=-1)
+    # A view without a pose is as wrong as can be.
+    largest = float(max(camera.width, camera.height))
+    bounded = np.minimum(np.where(np.isfinite(distances), distances, largest), largest)
+    errors = [np.median(part) for part in np.split(bounded, starts)]
+    return IntrinsicsStart(camera, T, float(np.mean(errors)))
+
+
+def _solve_homography(corners: Array, rays: Array) -> Array:
+    """The pose (4, 4) of coplanar corners (N, 3) in the direction of rays (N, 3); NaN without one."""
+    none = np.full((4, 4), np.nan)
+    valid = np.isfinite(rays).all(axis=-1)
+    if valid.sum() < 4:
+        return none
+    rays, places = rays[valid], corners[valid, :2]
+    middle = places.mean(axis=0)
+    scale = np.sqrt(np.mean((places - middle) ** 2))
+    x = np.column_stack([(places - middle) / scale, np.ones(len(places))])
+    # d x (H x) = 0 for every ray d.
+    A = np.einsum("nij,nk->nijk", so3.hat(rays), x).reshape(-1, 9)
+    H = np.linalg.eigh(A.T @ A)[1][:, 0].reshape(3, 3)
+    if np.sum(rays * (x @ H.T)) < 0:
+        H = -H
+    lengths = np.linalg.norm(H[:, :2], axis=0)
+    if not lengths.all():
+        return none
+    size = np.sqrt(lengths.prod())
+    a, b = (H[:, :2] / lengths).T
+    U, _, Vt = np.linalg.svd(np.column_stack([a, b, np.cross(a, b)]))
+    R = U @ np.diag([1, 1, np.linalg.det(U @ Vt)]) @ Vt
+    t = H[:, 2] * scale / size - R[:, :2] @ middle
+    # The face of a board in view is towards the camera.
+    if R[:, 2] @ (t + R[:, :2] @ middle) >= 0:
+        return none
+    return se3.pose(R, t)
+
+
+def convert_model(
+    views: Sequence[BoardView], camera: CameraModel, T_camera_board: Array, model: LensModel, max_steps: int
+) -> IntrinsicsStart | None:
+    """The camera of another model that is nearest to a fitted one at the corners of its views; None without one.
+
+    Args:
+        views: of boards.
+        camera: fitted to them.
+        T_camera_board: (V, 4, 4) poses of the boards before it; NaN for views that are left out.
+        model: the other model.
+        max_steps: limit on Levenberg-Marquardt steps.
+    """
+    located = [(view, T) for view, T in zip(views, T_camera_board, strict=True) if np.isfinite(T).all()]
+    points = np.concatenate([se3.apply(T, view.flat_corners) for view, T in located])
+    pixels = np.concatenate([view.flat_pixels for view, _ in located])
+    # The tangent of a pinhole's angles diverges: only corners well in front enter.
+    front = points[:, 2] > _MIN_COSINE * np.linalg.norm(points, axis=1)
+    points, pixels = (points[front], pixels[front]) if model == "pinhole" else (points, pixels)
+    start = replace(camera, model=model, distortion=np.zeros(COEFFICIENTS[model]))
+
+    def linearize(camera: CameraModel, _: DenseLinearization | None) -> DenseLinearization:
+        J = camera.project_by_intrinsics(points)
+        return DenseLinearization((camera.project(points) - pixels).ravel(), J.reshape(-1, J.shape[-1]))
+
+    def retract(camera: CameraModel, step: Array) -> CameraModel:
+        return camera.with_intrinsics(camera.intrinsics + step)
+
+    try:
+        minimum = minimize(start, linearize, retract, iterations=max_steps, tolerance=1e-6)
+    except (np.linalg.LinAlgError, InputError):
+        return None
+    return locate_views(views, minimum.state) if np.isfinite(minimum.linearization.cost) else None
