@@ -161,7 +161,7 @@ def mutate_mcap(data: bytes, rng: Random, inner: MutateBytes) -> bytes:
     """
     if rng.random() < 0.1 or not data.startswith(_MCAP_MAGIC):
         return inner(data)
-    records = _mcap_records(data[8:-8])
+    records = read_records(data[8:-8])
     if not records:
         return inner(data)
     i = rng.randrange(len(records))
@@ -178,7 +178,8 @@ def mutate_mcap(data: bytes, rng: Random, inner: MutateBytes) -> bytes:
     return _pack_mcap(records, rng)
 
 
-def _mcap_records(data: bytes) -> _Records:
+def read_records(data: bytes) -> _Records:
+    """The records of an MCAP, or of a chunk, by operation code; lengths beyond the end are cut."""
     records, position = [], 0
     while position + 9 <= len(data):
         op, size = struct.unpack_from("<BQ", data, position)
@@ -187,7 +188,8 @@ def _mcap_records(data: bytes) -> _Records:
     return records
 
 
-def _pack_records(records: _Records) -> bytes:
+def pack_records(records: _Records) -> bytes:
+    """The records with their lengths."""
     return b"".join(struct.pack("<BQ", op, len(content)) + content for op, content in records)
 
 
@@ -198,11 +200,11 @@ def _mutate_chunk(content: bytes, rng: Random, inner: MutateBytes) -> bytes:
         plain: bytes = _UNPACK[compression](content[40 + length :])
     except Exception:  # no chunk any more
         return inner(content)
-    records = _mcap_records(plain)
+    records = read_records(plain)
     if records and rng.random() < 0.9:
         i = rng.randrange(len(records))
         records[i] = (records[i][0], inner(records[i][1]))
-        plain = _pack_records(records)
+        plain = pack_records(records)
     else:
         plain = inner(plain)
     name = rng.choice(("", "zstd", "lz4"))
@@ -217,12 +219,12 @@ def _pack_mcap(records: _Records, rng: Random) -> bytes:
     end = next((i for i, (op, _) in enumerate(records) if op == _DATA_END), len(records) - 1)
     data, summary = records[: end + 1], [r for r in records[end + 1 :] if r[0] != _FOOTER]
     if rng.random() < 0.15:
-        return _MCAP_MAGIC + _pack_records([*data, (_FOOTER, bytes(20))]) + _MCAP_MAGIC
+        return _MCAP_MAGIC + pack_records([*data, (_FOOTER, bytes(20))]) + _MCAP_MAGIC
     if rng.random() < 0.9:
         summary = [(op, _reindex(content, data) if op == _CHUNK_INDEX else content) for op, content in summary]
-    body = _MCAP_MAGIC + _pack_records(data)
+    body = _MCAP_MAGIC + pack_records(data)
     footer = (_FOOTER, struct.pack("<QQI", len(body), 0, 0))
-    return body + _pack_records([*summary, footer]) + _MCAP_MAGIC
+    return body + pack_records([*summary, footer]) + _MCAP_MAGIC
 
 
 def _reindex(content: bytes, data: _Records) -> bytes:

@@ -17,6 +17,7 @@ from rosbags.rosbag2 import Reader as Reader2
 from calgraph.config.settings import LimitSettings
 from calgraph.errors import RecordingError
 from calgraph.recording.bag_files import BagFiles, check_sqlite, decompress_message, decompress_storage
+from calgraph.recording.chunk_limits import open_reader
 from calgraph.recording.decoding import decode
 from calgraph.recording.message_types import MessageType, message_type
 from calgraph.recording.recording import (
@@ -88,8 +89,7 @@ class BagRecording(ClosedOnExit):
         with wrap_errors(file, _ADVICE[storage.suffix].format(name=file.name)):
             if storage.suffix == ".db3":
                 check_sqlite(storage)
-            reader = Reader1(storage) if storage.suffix == ".bag" else Reader2(storage)
-            reader.open()
+            reader = open_reader(storage, self._limits)
             self._stack.callback(reader.close)
             for connection in reader.connections:
                 # Columns of a database hold values of any type.

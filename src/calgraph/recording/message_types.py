@@ -7,10 +7,11 @@ from functools import cache, lru_cache
 from typing import Any, NamedTuple
 
 from rosbags.interfaces import Connection, ConnectionExtRosbag2, MessageDefinitionFormat, Nodetype
-from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
+from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg
 from rosbags.typesys.store import Typestore
 
 from calgraph.recording.digest import hash_content
+from calgraph.recording.message_limits import LimitedStore, check_arrays, check_definition
 from calgraph.sensors import MessageDigest
 
 _log = logging.getLogger(__name__)
@@ -143,13 +144,15 @@ def make_message_type(definition: TypeDefinition) -> MessageType:
 def _make_store(definition: TypeDefinition) -> Typestore | None:
     """A separate store for each type, so that a malformed definition does not affect other topics."""
     try:
-        store = get_typestore(Stores.EMPTY)
+        check_definition(definition.text)
+        store: Typestore = LimitedStore()
         if definition.format == MessageDefinitionFormat.MSG:
             store.register(get_types_from_msg(definition.text, definition.name))
         elif definition.format == MessageDefinitionFormat.IDL:
             for part in _idl_parts(definition.text):
                 store.register(get_types_from_idl(part))
         if definition.name in store.fielddefs:
+            check_arrays(store, definition.name)
             return store
     except Exception as error:  # the parsers raise many kinds, and the topic may not be needed
         _log.debug("definition of %s not understood: %s", definition.name, error)
@@ -165,7 +168,7 @@ def _idl_parts(text: str) -> list[str]:
 
 @cache
 def _default_store(ros1: bool) -> Typestore:
-    return get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
+    return LimitedStore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
 
 
 def _leading_stamp_cdr(raw: bytes) -> int:

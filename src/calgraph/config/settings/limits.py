@@ -19,6 +19,9 @@ class LimitSettings(StrictModel):
     max_unpacked_bytes: int = Field(default=2**28, ge=1)
     """Maximum size of a compressed message, file of one message, or chunk of a bag once it is unpacked, 268 MB: 16
     million points of 16 bytes. Recorders write chunks of 1 to 8 MB."""
+    max_overlapping_bytes: int = Field(default=2**30, ge=1)
+    """Maximum size of the chunks of an MCAP that overlap in time once they are unpacked, 1.1 GB: they are in
+    memory together. Recorders write one chunk after the other, and converters one for each topic."""
     max_archive_bytes: int = Field(default=2**29, ge=1)
     """Maximum size of all members of a problem.npz or scene.npz once unpacked, 537 MB: those of the largest rigs
     and networks that were tried have some 100 MB."""

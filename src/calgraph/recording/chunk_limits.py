@@ -1,0 +1,150 @@
+"""Limits of the chunks of bags, and of YAML in them; rosbags has none.
+
+Its functions for chunks and QoS profiles are replaced by ones that do the same within limits, as nothing else
+reaches them. What these refuse, rosbags would refuse later, or never come to an end with.
+"""
+
+import bz2
+import sys
+from collections.abc import Callable, Iterable, Mapping
+from functools import partial
+from pathlib import Path
+from struct import unpack
+from typing import Any
+
+import apsw
+import lz4.frame
+from rosbags.rosbag1 import Reader as Reader1
+from rosbags.rosbag1 import reader as bags1
+from rosbags.rosbag2 import Reader as Reader2
+from rosbags.rosbag2 import metadata, storage_mcap, storage_sqlite3
+
+from calgraph.config.settings import LimitSettings
+from calgraph.errors import InputError
+from calgraph.io.yaml_limits import check_yaml_limits
+from calgraph.recording.limits import check_unpacked_size
+
+if sys.version_info >= (3, 14):
+    from compression import zstd
+else:
+    from backports import zstd
+
+# Records of an MCAP.
+_CHUNK = 0x06
+# Values of the QoS profiles of one topic: some 20 for each publisher.
+_MAX_QOS_VALUES = 5000
+
+
+def unpack_chunk(data: bytes, size: int, decompressor: Callable[[], Any]) -> bytes:
+    """The content of a compressed chunk, of ``size`` bytes at most, and one byte more if it is larger.
+
+    Raises:
+        EOFError: the data are cut short.
+    """
+    content = b""
+    while data and len(content) <= size:
+        frame = decompressor()
+        content += frame.decompress(data, size + 1 - len(content))
+        if not frame.eof and len(content) <= size:
+            raise EOFError("a compressed chunk is cut short")
+        data = frame.unused_data or b""
+    return content
+
+
+def _parse_qos(text: Any) -> Any:
+    """The QoS profiles of a topic, which are YAML."""
+    if isinstance(text, str):
+        try:
+            check_yaml_limits(Path("offered_qos_profiles"), text, _MAX_QOS_VALUES)
+        except InputError as error:
+            raise ValueError(str(error)) from error
+    return metadata.parse_qos(text)
+
+
+_DECOMPRESSORS: Mapping[str, Callable[[], Any]] = {
+    "lz4": lz4.frame.LZ4FrameDecompressor,
+    "zstd": zstd.ZstdDecompressor,
+    "bz2": bz2.BZ2Decompressor,
+}
+for _name in ("lz4", "zstd"):
+    storage_mcap.DECOMPRESSORS[_name] = partial(unpack_chunk, decompressor=_DECOMPRESSORS[_name])
+for _module in (storage_mcap, storage_sqlite3):
+    vars(_module).update(parse_qos=_parse_qos)
+
+
+class _McapReader(storage_mcap.McapReader):
+    """An MCAP whose chunks are checked before any is unpacked."""
+
+    limits: LimitSettings
+
+    def meta_scan(self) -> None:
+        """Reads the records of a file without a summary."""
+        assert self.bio
+        self.bio.seek(self.data_start)
+        while self.bio.tell() < self.data_end and len(head := self.bio.read(9)) == 9:
+            op, size = unpack("<BQ", head)
+            after = self.bio.tell() + size
+            if op == _CHUNK and len(times := self.bio.read(24)) == 24:
+                check_unpacked_size(unpack("<16xQ", times)[0], self.limits)
+            self.bio.seek(after)
+        super().meta_scan()
+
+
+class _Reader2(Reader2):
+    STORAGE_PLUGINS: Mapping[str, Any] = {**Reader2.STORAGE_PLUGINS, ".mcap": _McapReader}
+
+
+def open_reader(path: Path, limits: LimitSettings) -> Reader1 | Reader2:
+    """Opens a storage file.
+
+    Raises:
+        ValueError: a chunk, or all that overlap in time, unpack to more than the limit.
+        Exception: anything that rosbags raises for damaged bytes.
+    """
+    if path.suffix == ".bag":
+        bag = Reader1(path)
+        bag.open()
+        for position, chunk in bag.chunks.items():
+            name = next(name for name, one in bags1.decompressors.items() if one is chunk.decompressor)
+            if name in _DECOMPRESSORS:
+                bag.chunks[position] = chunk._replace(decompressor=partial(_unpack_bag_chunk, name, limits))
+        return bag
+    reader = _Reader2(path)
+    storage = reader.storage
+    if isinstance(storage, _McapReader):
+        storage.limits = limits
+    reader.open()
+    try:
+        if isinstance(storage, _McapReader):
+            _check_chunks(storage.chunks, limits)
+        elif isinstance(storage, storage_sqlite3.Sqlite3Reader) and storage.dbconn:
+            # A column may be computed, and then have any size.
+            storage.dbconn.limit(apsw.SQLITE_LIMIT_LENGTH, limits.max_unpacked_bytes)
+    except BaseException:
+        reader.close()
+        raise
+    return reader
+
+
+def _unpack_bag_chunk(name: str, limits: LimitSettings, data: bytes) -> bytes:
+    content = unpack_chunk(data, limits.max_unpacked_bytes, _DECOMPRESSORS[name])
+    check_unpacked_size(len(content), limits)
+    return content
+
+
+def _check_chunks(chunks: Iterable[storage_mcap.ChunkInfo], limits: LimitSettings) -> None:
+    """Checks the sizes of chunks, and of all that overlap in time, which are in memory together."""
+    changes: list[tuple[int, int]] = []
+    for chunk in chunks:
+        start, size = chunk.message_start_time, chunk.uncompressed_size
+        check_unpacked_size(size, limits)
+        changes += [(start, size), (max(start, chunk.message_end_time) + 1, -size)]
+    together = 0
+    for _, size in sorted(changes):
+        together += size
+        if together > limits.max_overlapping_bytes:
+            raise ValueError(
+                f"its chunks that overlap in time unpack to more than the limit of "
+                f"{limits.max_overlapping_bytes / 1e6:.0f} MB: it is damaged, or needs "
+                "limits.max_overlapping_bytes in the settings"
+            )
