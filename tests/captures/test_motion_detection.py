@@ -1,6 +1,8 @@
 import numpy as np
 
 from calgraph.captures import ActivityMeter
+from calgraph.captures.motion_detection import find_still_spans
+from calgraph.config.settings import MotionDetectionSettings
 from calgraph.geometry import Array
 from calgraph.sensors import DetectedCorners, Image, LaserScan, PointCloud
 
@@ -75,3 +77,9 @@ def test_detected_corners_that_move_or_vanish_are_change_and_noise_is_not(rng: n
     assert meter.measure_change(DetectedCorners(2.0, "", points, pixels + 3.0)) == 1
     assert meter.measure_change(DetectedCorners(3.0, "", points[:0], pixels[:0])) == 0
     assert meter.measure_change(DetectedCorners(4.0, "", points[:15], pixels[:15] + 3.0)) == 0.25
+
+
+def test_a_view_that_changes_as_a_whole_all_the_time_never_rests() -> None:
+    stamps = np.linspace(0.0, 2.9, 30)
+    assert len(find_still_spans(stamps, np.ones(30), MotionDetectionSettings())) == 0
+    assert len(find_still_spans(stamps, np.zeros(30), MotionDetectionSettings())) == 1

@@ -1,8 +1,10 @@
 """calgraph init: a rig.yaml that loads, from what was recorded."""
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from typer.testing import Result
@@ -11,6 +13,7 @@ from calgraph.config import load_rig
 from calgraph.errors import InputError
 from calgraph.recording import RecordingWriter
 from calgraph.sensors import Trigger
+from videos import write_video
 
 Run = Callable[..., Result]
 
@@ -110,3 +113,72 @@ def test_a_recording_without_sensors_is_refused_with_its_topics(run: Run, tmp_pa
     result = run("init", tmp_path / "bag", "-o", tmp_path / "rig.yaml")
     assert (result.exit_code, (tmp_path / "rig.yaml").exists()) == (2, False)
     assert "no topic with usable images, laser scans or point clouds; its topics are: /trigger (" in result.stderr
+
+
+def write_numbered(folder: Path) -> None:
+    for sensor in ("cam0", "lidar"):
+        (folder / sensor).mkdir(parents=True)
+        for number in range(4):
+            if sensor == "cam0":
+                cv2.imwrite(str(folder / sensor / f"img_{number:03}.png"), np.zeros((48, 64), np.uint8))
+            else:
+                np.savez(folder / sensor / f"pose{number}.npz", points=np.eye(3))
+
+
+def write_corners(folder: Path) -> None:
+    """Of a board that moves all the time, in frames 0.1 s apart."""
+    folder.mkdir()
+    rows = ["sync_index,cam_id,frame_time,img_loc_x,img_loc_y,obj_loc_x,obj_loc_y"]
+    rows += [
+        f"{i},{c},{100 + 0.1 * i + 0.004 * c},{50 + 9 * i},{60 + 7 * k},{0.1 * k},0"
+        for i in range(40)
+        for c in (0, 1)
+        for k in (1, 2, 3)
+    ]
+    (folder / "xy.csv").write_text("\n".join(rows))
+
+
+def write_videos(folder: Path) -> None:
+    """Of something that moves, and rests for a second now and then."""
+    folder.mkdir()
+    images = [np.zeros((96, 128), np.uint8) for _ in range(60)]
+    position = 0
+    for i, image in enumerate(images):
+        position += 7 if i % 20 < 5 else 0
+        image[20:60, position : position + 40] = 255
+    for name in ("left.mkv", "right.mkv"):
+        write_video(folder / name, images, [0.1 * i for i in range(60)])
+
+
+@pytest.mark.parametrize(
+    ("write", "topics", "mode"),
+    [
+        (write_numbered, {"cam0", "lidar"}, "snapshots"),
+        (write_corners, {"cam_0", "cam_1"}, "synchronized"),
+        (write_videos, {"left", "right"}, None),
+    ],
+)
+def test_the_draft_and_the_inspection_state_how_the_board_is_shown(
+    run: Run, tmp_path: Path, board: Path, write: Callable[[Path], None], topics: set[str], mode: str | None
+) -> None:
+    write(tmp_path / "data")
+    assert run("init", tmp_path / "data", "-o", tmp_path / "rig.yaml", "--board", board).exit_code == 0
+    rig = load_rig(tmp_path / "rig.yaml")
+    assert {sensor.topic for sensor in rig.sensors.values()} == topics
+    assert rig.capture.mode == mode
+    assert "ros2" not in (tmp_path / "rig.yaml").read_text()
+    inspected = json.loads(run("inspect", tmp_path / "data", "--json").stdout)
+    assert inspected["captures"]["mode"] == (mode or "rest")
+    assert f"captures: {mode or 'rest'}: " in run("inspect", tmp_path / "data").stdout
+
+
+def test_a_message_that_is_damaged_does_not_keep_a_recording_from_being_drafted(
+    run: Run, tmp_path: Path, board: Path
+) -> None:
+    write_videos(tmp_path / "data")
+    for name in ("left.mkv", "right.mkv"):
+        data = bytearray((tmp_path / "data" / name).read_bytes())
+        data[len(data) // 2 : len(data) // 2 + 300] = bytes(300)
+        (tmp_path / "data" / name).write_bytes(bytes(data))
+    assert run("init", tmp_path / "data", "-o", tmp_path / "rig.yaml", "--board", board).exit_code == 0
+    assert len(load_rig(tmp_path / "rig.yaml").sensors) == 2

@@ -20,6 +20,7 @@ from calgraph.captures.motion_detection import ActivityMeter
 from calgraph.captures.moving_board import compensate_motion
 from calgraph.captures.plausibility import check_background, check_intrinsics
 from calgraph.captures.previews import PreviewSize, plan_previews
+from calgraph.captures.recognized_recording import recognize_recording
 from calgraph.captures.sensor_detection import DetectionMethod, detect_by_sensors
 from calgraph.captures.timeline import RecordingTimeline, SensorTimes, build_timeline
 from calgraph.captures.timeline_reading import measure_activity, read_timeline
@@ -32,5 +33,6 @@ __all__ = [
     "check_timeline", "collect_detections", "compensate_motion", "detect_by_sensors", "detect_in_holds",
     "draw_seeds", "find_empty_start", "find_holds", "find_views_in_holds", "is_snapshot_recording",
     "learn_backgrounds", "limit_messages", "make_detectors", "measure_activity", "plan_previews",
-    "read_timeline", "recognize_mode", "resolve_background", "state_estimated_intrinsics", "to_scans",
+    "read_timeline", "recognize_mode", "recognize_recording", "resolve_background",
+    "state_estimated_intrinsics", "to_scans",
 ]  # fmt: skip

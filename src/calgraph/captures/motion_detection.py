@@ -106,7 +106,8 @@ def find_still_spans(stamps: Array, activity: Array, settings: MotionDetectionSe
     if len(stamps) < 3:
         return np.zeros((0, 2))
     level = _compute_otsu_threshold(np.log10(activity[1:] + settings.min_activity))
-    moving = np.log10(activity + settings.min_activity) > level
+    # Where all of the view changes, there is motion, also if that is so all the time.
+    moving = (np.log10(activity + settings.min_activity) > level) | (activity >= 1)
     moving[0] = False
     edges = np.flatnonzero(moving)
     first = np.concatenate([[0], edges])

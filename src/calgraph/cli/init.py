@@ -6,16 +6,16 @@ from typing import Annotated
 
 import typer
 
-from calgraph.captures import find_empty_start
+from calgraph.captures import find_empty_start, recognize_recording
 from calgraph.cli.common_options import OneRecording
 from calgraph.cli.console import console
 from calgraph.cli.setting_options import SetOption, parse_limits
-from calgraph.config import FoundBackground, FoundTopic, draft_rig
-from calgraph.config.settings import EmptyStartSettings
+from calgraph.config import FoundBackground, FoundMode, FoundTopic, draft_rig, find_triggers
+from calgraph.config.settings import CaptureSettings, EmptyStartSettings
 from calgraph.errors import InputError
 from calgraph.io import write_text
 from calgraph.printing import format_target, read_boards
-from calgraph.recording import Recording, find_topics, open_recording
+from calgraph.recording import SENSORS, Recording, find_topics, open_recording
 
 
 def init(
@@ -38,10 +38,21 @@ def init(
     target = format_target(read_boards(board)) if board else ""
     with open_recording(recording, parse_limits(overrides, alone=True)) as opened:
         topics = find_topics(opened)
-        text = draft_rig(topics, str(recording), target, _find_background(opened, topics))
+        background = _find_background(opened, topics)
+        mode = _find_mode(opened, topics, background.end if background else 0.0)
+        text = draft_rig(topics, str(recording), target, background, mode)
     write_text(out, text)
     todo = "go through its comments" if board else "state your board in it, and go through its comments"
     console(stderr=True).print(f"Wrote {out}: {todo}", markup=False)
+
+
+def _find_mode(recording: Recording, topics: Sequence[FoundTopic], empty_end: float) -> FoundMode | None:
+    """How the recording shows the board; None where a topic seems to mark the captures."""
+    if find_triggers(topics)[0]:
+        return None
+    usable = [t.name for t in topics if t.kind in SENSORS and t.count and not t.problem]
+    found = recognize_recording(recording, usable, settings=CaptureSettings(), empty_end=empty_end)
+    return FoundMode(found.mode, found.reason) if found else None
 
 
 def _find_background(recording: Recording, topics: Sequence[FoundTopic]) -> FoundBackground | None:

@@ -10,14 +10,17 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
+from calgraph.captures import RecognizedMode, recognize_recording
 from calgraph.cli.common_options import OneRecording
 from calgraph.cli.console import console
 from calgraph.cli.printing import print_calibration, print_provenance
 from calgraph.cli.progress import progress_bars
 from calgraph.cli.setting_options import SetOption, parse_limits
+from calgraph.config import FoundTopic, find_triggers
+from calgraph.config.settings import CaptureSettings
 from calgraph.errors import RecordingError
 from calgraph.io import format_json
-from calgraph.recording import SENSORS, Inspection, TopicReport, inspect_recording, open_recording
+from calgraph.recording import SENSORS, Inspection, Recording, TopicReport, inspect_recording, open_recording
 from calgraph.result import Calibration, load_calibration, to_json
 
 
@@ -38,10 +41,12 @@ def inspect(
         return
     with open_recording(recording, parse_limits(overrides, alone=True)) as opened, progress_bars() as progress:
         inspection = inspect_recording(opened, partial(progress, "reading"))
+        mode = None if inspection.damage else _recognize_mode(opened, inspection)
     if json:
-        typer.echo(format_json({"recording": str(recording), **asdict(inspection)}))
+        captures = {"captures": {"mode": mode.mode, "reason": mode.reason} if mode else None}
+        typer.echo(format_json({"recording": str(recording), **asdict(inspection), **captures}))
     else:
-        _print(recording, inspection)
+        _print(recording, inspection, mode)
     if inspection.damage:
         raise RecordingError(inspection.damage)
 
@@ -56,7 +61,21 @@ def show_result(calibration: Calibration, *, json: bool) -> None:
     print_calibration(calibration)
 
 
-def _print(recording: Path, inspection: Inspection) -> None:
+def _recognize_mode(recording: Recording, inspection: Inspection) -> RecognizedMode | None:
+    """How the recording shows the board.
+
+    None where a topic seems to mark the captures, for one sensor, and for networks of 2-D scanners.
+    """
+    topics = [FoundTopic(topic.name, topic.type, topic.kind, topic.count) for topic in inspection.topics]
+    if find_triggers(topics)[0]:
+        return None
+    sensors = [topic for topic in inspection.topics if topic.kind in SENSORS and topic.timing and topic.content]
+    if all(topic.kind == "lidar2d" for topic in sensors):
+        return None
+    return recognize_recording(recording, [topic.name for topic in sensors], settings=CaptureSettings())
+
+
+def _print(recording: Path, inspection: Inspection, mode: RecognizedMode | None) -> None:
     output = console()
     title = f"{recording}: {inspection.duration:.1f} s, {sum(t.count for t in inspection.topics)} messages"
     output.print(f"[bold]{escape(title)}[/]")
@@ -70,6 +89,8 @@ def _print(recording: Path, inspection: Inspection) -> None:
     output.print("gap: longest time between stamps; delay: median arrival minus stamp")
     for topic in inspection.topics:
         output.print(f"[bold]{escape(topic.name)}[/]: {escape(_describe(topic))}")
+    if mode:
+        output.print(f"captures: {escape(f'{mode.mode}: {mode.reason}')}")
     findings = [(topic.name, finding) for topic in inspection.topics for finding in topic.findings]
     for name, finding in findings:
         output.print(f"[yellow]![/] {escape(f'{name}: {finding}')}")

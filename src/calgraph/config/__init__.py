@@ -1,7 +1,7 @@
 """rig.yaml: the sensors with their noise, the target, and how captures are marked."""
 
 from calgraph.config.board_print import PrintedBitmap, black_rectangles, printed_bitmaps
-from calgraph.config.draft import FoundBackground, FoundTopic, Kind, draft_rig
+from calgraph.config.draft import FoundBackground, FoundMode, FoundTopic, Kind, draft_rig, find_triggers
 from calgraph.config.markers import FAMILIES, Family, dictionary, marker_count
 from calgraph.config.rig_config import (
     CameraSpec,
@@ -27,8 +27,9 @@ from calgraph.config.uncertainty import (
 
 __all__ = [
     "FAMILIES", "AprilGrid", "Board", "BoardUncertainty", "CameraSpec", "CameraUncertainty", "Capture",
-    "CaptureMode", "Charuco", "Checkerboard", "Cylinder", "Family", "FoundBackground", "FoundTopic", "Intrinsics",
-    "Kind", "Lidar2dSpec", "Lidar2dUncertainty", "Lidar3dSpec", "Lidar3dUncertainty", "People", "PixelNoise",
-    "PrintedBitmap", "RangeNoise", "Rig", "SensorSpec", "Tag", "Tolerance", "black_rectangles", "dictionary",
-    "draft_rig", "load_rig", "marker_count", "printed_bitmaps",
+    "CaptureMode", "Charuco", "Checkerboard", "Cylinder", "Family", "FoundBackground", "FoundMode",
+    "FoundTopic", "Intrinsics", "Kind", "Lidar2dSpec", "Lidar2dUncertainty", "Lidar3dSpec",
+    "Lidar3dUncertainty", "People", "PixelNoise", "PrintedBitmap", "RangeNoise", "Rig", "SensorSpec", "Tag",
+    "Tolerance", "black_rectangles", "dictionary", "draft_rig", "find_triggers", "load_rig", "marker_count",
+    "printed_bitmaps",
 ]  # fmt: skip

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+from calgraph.config.rig_config import CaptureMode
 from calgraph.config.sensor_names import name_sensors
 from calgraph.errors import InputError
 
@@ -48,6 +49,13 @@ _NOISE = {
 }
 
 
+_MODES = {
+    "snapshots": "each time is one capture of the board",
+    "synchronized": "each set of frames is one capture of the board",
+}
+"""What a mode other than rest means, for the comment."""
+
+
 @dataclass(frozen=True)
 class FoundTopic:
     """A topic of a recording, as far as a draft needs it."""
@@ -76,6 +84,15 @@ class FoundBackground:
 
 
 @dataclass(frozen=True)
+class FoundMode:
+    """How a recording shows the board, as far as a draft needs it."""
+
+    mode: CaptureMode
+    reason: str
+    """Why, in a sentence without full stop."""
+
+
+@dataclass(frozen=True)
 class _Sensor:
     name: str
     topic: FoundTopic
@@ -83,7 +100,11 @@ class _Sensor:
 
 
 def draft_rig(
-    topics: Sequence[FoundTopic], recording: str, target: str = "", background: FoundBackground | None = None
+    topics: Sequence[FoundTopic],
+    recording: str,
+    target: str = "",
+    background: FoundBackground | None = None,
+    mode: FoundMode | None = None,
 ) -> str:
     """The text of a rig.yaml with every sensor found, one for each camera however many topics it has.
 
@@ -92,6 +113,7 @@ def draft_rig(
         recording: its name, for the comments.
         target: the block of the target; without one, the draft has a comment in its place, and does not load.
         background: the time without board and operator, if one was found.
+        mode: how the recording shows the board, if that is known; its triggers come first.
 
     Raises:
         InputError: there is no sensor among the topics.
@@ -111,11 +133,13 @@ def draft_rig(
     ]
     parts = [
         _head(
-            recording, [name for s in sensors for name in (s.topic.name, s.info.name if s.info else "") if name]
+            recording,
+            [name for s in sensors for name in (s.topic.name, s.info.name if s.info else "") if name],
+            ros=any("/" in topic.type for topic in chosen),
         ),
         _root(sensors),
         target or _missing_target(chosen),
-        _capture(topics, background),
+        _capture(topics, background, mode),
         _sensors(sensors),
         _skipped_topics(skipped),
     ]
@@ -169,15 +193,18 @@ def _find_camera_info(image: FoundTopic, infos: Sequence[FoundTopic], cameras: i
     return by_name or (in_frame[0] if len(in_frame) == 1 else None) or (alone[0] if len(alone) == 1 else None)
 
 
-def _head(recording: str, topics: Sequence[str]) -> str:
+def _head(recording: str, topics: Sequence[str], *, ros: bool) -> str:
     named = " ".join(shlex.quote(_single_line(name)) for name in topics)
+    more = (
+        "# To record more, and to mark each time from which on the board rests:\n"
+        f"#   ros2 bag record -o RECORDING {named} /trigger\n"
+        "#   ros2 topic pub --once /trigger std_msgs/msg/Empty\n"
+    )
     return (
         f"# Drafted by calgraph init from the topics of {_single_line(recording)}.\n"
         "# Go through the comments, state your board, then run\n"
         "#   calgraph calibrate rig.yaml RECORDING -o result\n"
-        "# To record more, and to mark each time from which on the board rests:\n"
-        f"#   ros2 bag record -o RECORDING {named} /trigger\n"
-        "#   ros2 topic pub --once /trigger std_msgs/msg/Empty\n"
+        f"{more if ros else ''}"
     )
 
 
@@ -192,8 +219,10 @@ def _missing_target(chosen: Sequence[FoundTopic]) -> str:
     return _NO_TARGET + (_NO_TARGET_OF_SCANNERS if all(topic.kind == "lidar2d" for topic in chosen) else "")
 
 
-def _capture(topics: Iterable[FoundTopic], background: FoundBackground | None) -> str:
-    triggers, too_many = _find_triggers(list(topics))
+def _capture(
+    topics: Iterable[FoundTopic], background: FoundBackground | None, mode: FoundMode | None = None
+) -> str:
+    triggers, too_many = find_triggers(list(topics))
     notes = [
         f"# Not taken for a trigger, because it fires as often as a sensor: {_single_line(t.name)}"
         for t in too_many
@@ -204,7 +233,14 @@ def _capture(topics: Iterable[FoundTopic], background: FoundBackground | None) -
         if background
         else _NO_BACKGROUND
     )
-    if not triggers:
+    if not triggers and mode and mode.mode in _MODES:
+        lines = [
+            f"# CHECK: {_single_line(mode.reason)}: {_MODES[mode.mode]}.",
+            "capture:",
+            f"  mode: {mode.mode}",
+            f"  {window}",
+        ]
+    elif not triggers:
         lines = [
             "# No trigger topic was found: captures are found by the board resting.",
             "capture:" if background else "# capture:",
@@ -224,8 +260,8 @@ def _capture(topics: Iterable[FoundTopic], background: FoundBackground | None) -
     return "\n".join([*notes, *lines, ""])
 
 
-def _find_triggers(topics: Sequence[FoundTopic]) -> tuple[list[FoundTopic], list[FoundTopic]]:
-    """Topics that could start captures, and those that rather fire with every image."""
+def find_triggers(topics: Sequence[FoundTopic]) -> tuple[list[FoundTopic], list[FoundTopic]]:
+    """Topics whose messages could start captures, and those that rather fire with every image."""
     named = [t for t in topics if t.kind == "event" and t.count and _TRIGGER.search(t.name)]
     often = max((t.count for t in topics if t.kind in _NOISE), default=0) / 2
     plausible = [topic for topic in named if topic.count < often]

@@ -78,7 +78,9 @@ class CornersRecording(IndexedRecording):
         ]
         sources = (path,) if path.is_dir() or not times.is_file() else (path, times)
         types = dict.fromkeys(topics, "corners")
-        super().__init__(path, records, types, untimed=() if timed else topics, sources=sources)
+        super().__init__(
+            path, records, types, time_bases={} if timed else dict.fromkeys(topics, "pose"), sources=sources
+        )
 
 
 def is_corners(path: Path) -> bool:

@@ -82,7 +82,7 @@ class FolderRecording(IndexedRecording):
             path,
             [RecordedMessage(f.topic, f.stamp, f.stamp, partial(_decode, f), partial(_digest, f)) for f in files],
             types,
-            untimed={file.topic for file in files if file.counted},
+            time_bases={file.topic: "pose" for file in files if file.counted},
             sources=(path,),
         )
 

@@ -170,7 +170,7 @@ def _report(topic: TopicInfo, statistics: _TopicStatistics, start: float) -> Top
         findings.append(f"holds {len(stamps)} messages, the recording states {topic.count}")
     elif timing is None:
         findings.append("has no message")
-    if timing and kind in SENSORS:
+    if timing and kind in SENSORS and topic.time_base != "pose":
         findings += _findings(stamps, arrivals, timing, has_header="/" in topic.type)
     return TopicReport(
         name=topic.name,

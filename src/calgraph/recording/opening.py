@@ -84,7 +84,7 @@ def _check_takes(recordings: Sequence[Recording]) -> None:
     for recording in recordings:
         for topic in recording.topics:
             other = first.setdefault(topic.name, recording.path)
-            if other != recording.path and not topic.timed:
+            if other != recording.path and topic.time_base != "clock":
                 raise InputError(
                     f"{recording.path}: has the topic {topic.name}, as {other} has, and both count their time "
                     "from their own start; calibrate from one of them, or name the files of one differently"

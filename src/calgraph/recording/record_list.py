@@ -3,8 +3,9 @@
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 
-from calgraph.recording.recording import ClosedOnExit, TopicInfo, select_topics
+from calgraph.recording.recording import ClosedOnExit, TimeBase, TopicInfo, select_topics
 from calgraph.sensors import RecordedMessage
 
 
@@ -15,7 +16,7 @@ class IndexedRecording(ClosedOnExit):
         path: its name in messages.
         records: one record or more, in any order.
         types: by topic.
-        untimed: topics whose stamps are not of a clock.
+        time_bases: by topic, where stamps are not those of a clock.
         sources: files and folders that the messages are read from.
     """
 
@@ -24,7 +25,7 @@ class IndexedRecording(ClosedOnExit):
         path: Path,
         records: Sequence[RecordedMessage],
         types: Mapping[str, str],
-        untimed: Collection[str] = (),
+        time_bases: Mapping[str, TimeBase] = MappingProxyType({}),
         sources: tuple[Path, ...] = (),
     ) -> None:
         self.path, self.sources = path, sources
@@ -32,7 +33,7 @@ class IndexedRecording(ClosedOnExit):
         self.start, self.end = self._records[0].arrival, self._records[-1].arrival
         counts = Counter(record.topic for record in records)
         self.topics = tuple(
-            TopicInfo(name, types[name], counts[name], name not in untimed) for name in sorted(counts)
+            TopicInfo(name, types[name], counts[name], time_bases.get(name, "clock")) for name in sorted(counts)
         )
 
     def records(

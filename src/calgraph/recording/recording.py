@@ -7,11 +7,13 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
-from typing import Protocol, Self
+from typing import Literal, Protocol, Self
 
 from calgraph.errors import CalgraphError, InputError, RecordingError
 from calgraph.io.git_lfs import POINTER_START, check_git_lfs
 from calgraph.sensors import RecordedMessage
+
+TimeBase = Literal["clock", "start", "pose"]
 
 
 @dataclass(frozen=True)
@@ -25,8 +27,8 @@ class TopicInfo:
     ``cloud`` or ``camera_info``."""
     count: int
     """How many messages the recording states to have."""
-    timed: bool = True
-    """Whether stamps are of a clock; those of numbered files and of videos count from their start."""
+    time_base: TimeBase = "clock"
+    """What stamps state: the time of a clock, s after the start of this recording, or the number of a pose."""
 
 
 class Recording(Protocol):

@@ -70,7 +70,7 @@ class VideoRecording(ClosedOnExit):
         self._stack = ExitStack()
         stamps = self._index.stamps
         self.start, self.end = 0.0, float(stamps[-1])
-        self.topics = (TopicInfo(path.stem, "image", len(stamps), timed=False),)
+        self.topics = (TopicInfo(path.stem, "image", len(stamps), "start"),)
 
     def records(
         self, topics: Collection[str] | None = None, start: float | None = None, end: float | None = None
