@@ -79,7 +79,7 @@ def test_a_part_of_a_png_larger_than_the_file_is_refused() -> None:
     data = cv2.imencode(".png", np.arange(48, dtype=np.uint8).reshape(6, 8))[1]
     at = data.tobytes().index(b"IDAT") - 4
     data[at : at + 4] = (0xF0, 0, 0, 0)
-    with pytest.raises(ValueError, match="a part of it states 4026531840: it is damaged"):
+    with pytest.raises(ValueError, match="a part of it states 4026531840"):
         decode_image(data)
 
 

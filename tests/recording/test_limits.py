@@ -15,6 +15,7 @@ from calgraph.config.settings import LimitSettings
 from calgraph.errors import RecordingError
 from calgraph.recording import open_recording
 from calgraph.recording.bag_files import decompress_message
+from calgraph.recording.image_headers import read_image_size
 from calgraph.recording.images import decode_image
 from calgraph.recording.pcd import read_pcd
 from calgraph.recording.ply import read_ply
@@ -52,6 +53,37 @@ def test_an_image_of_too_many_pixels_is_refused(image: bytes) -> None:
         ValueError, match=f"30000 x 30000 pixels, more than the limit of {LIMITS.max_image_pixels}"
     ):
         decode_image(as_array(image))
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg", ".bmp", ".tiff", ".webp"])
+@pytest.mark.parametrize("quality", [80, 101])
+def test_the_size_of_every_format_is_known_before_it_is_decoded(suffix: str, quality: int) -> None:
+    pixels = np.random.default_rng(1).integers(0, 255, (11, 12, 3), np.uint8)
+    data = cv2.imencode(suffix, pixels, [cv2.IMWRITE_WEBP_QUALITY, quality])[1]
+    assert decode_image(data).shape == (11, 12, 3)
+    with pytest.raises(ValueError, match="12 x 11 pixels, more than the limit of 100"):
+        decode_image(data, limits=TIGHT)
+
+
+def test_the_size_of_webp_with_transparency_and_of_big_endian_tiff_is_known() -> None:
+    pixels = np.random.default_rng(1).integers(0, 255, (11, 12, 4), np.uint8)
+    assert read_image_size(cv2.imencode(".webp", pixels, [cv2.IMWRITE_WEBP_QUALITY, 50])[1].tobytes()) == (12, 11)
+    entries = struct.pack(">HHIHH", 256, 3, 1, 12, 0) + struct.pack(">HHII", 257, 4, 1, 11)
+    tiff = b"MM\0*" + struct.pack(">IH", 8, 2) + entries
+    assert read_image_size(tiff) == (12, 11)
+
+
+def test_bytes_between_the_segments_of_a_jpeg_do_not_hide_its_size() -> None:
+    data = jpeg_of(30_000, 30_000)
+    with pytest.raises(ValueError, match="30000 x 30000 pixels"):
+        decode_image(as_array(data[:2] + b"ab\xff\x00\xff\xd0\xff" + data[2:]))
+
+
+@pytest.mark.parametrize("suffix", [".ppm", ".gif", ".hdr", ".ras"])
+def test_formats_of_unknown_size_are_refused(suffix: str) -> None:
+    pixels = np.zeros((11, 12, 3), np.float32 if suffix == ".hdr" else np.uint8)
+    with pytest.raises(ValueError, match=r"cannot be decoded .*: it is no PNG, JPEG, TIFF, BMP or WebP"):
+        decode_image(cv2.imencode(suffix, pixels)[1])
 
 
 def test_images_below_the_limit_are_left_to_the_decoder() -> None:

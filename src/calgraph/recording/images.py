@@ -1,12 +1,11 @@
 """Pixels as ROS and image files store them, to 8-bit grey or BGR."""
 
-import struct
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.config.settings import LimitSettings
+from calgraph.recording.image_headers import read_image_size
 from calgraph.recording.limits import check_pixel_count
 
 Pixels = NDArray[np.uint8]
@@ -18,7 +17,6 @@ _BAYER = {
     "gbrg": cv2.COLOR_BayerGR2BGR,
     "grbg": cv2.COLOR_BayerGB2BGR,
 }
-_PNG = b"\x89PNG\r\n\x1a\n"
 # Percentiles of deep images that become black and white, and the number of pixels that determine them. A rule of
 # reading, and not a setting: the map is linear, so that the positions of edges and corners do not depend on it.
 _STRETCH_PERCENTILES, _STRETCH_SAMPLE = (0.1, 99.9), 100_000
@@ -110,10 +108,13 @@ def decode_image(data: Pixels, declared: str = "", limits: LimitSettings = Limit
         raise ValueError(f"format {declared!r} holds depths, not an image")
     if data.size == 0:
         raise ValueError("image has no data")
-    stated = _find_stated_size(data)
-    if stated is not None:
-        check_pixel_count(*stated, limits)
-    _check_chunk_sizes(data)
+    try:
+        width, height = read_image_size(data.tobytes())
+    except ValueError as error:
+        raise ValueError(
+            f"image data of {data.size} bytes cannot be decoded (format {declared!r}): {error}"
+        ) from error
+    check_pixel_count(width, height, limits)
     # Unchanged, because the other modes turn pictures by their EXIF tag and the sensor does not turn.
     read = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
     if read is None:
@@ -131,54 +132,19 @@ def decode_image(data: Pixels, declared: str = "", limits: LimitSettings = Limit
     return np.asarray(pixels, dtype=np.uint8)
 
 
-def _find_stated_size(data: Pixels) -> tuple[int, int] | None:
-    """Width and height in the header of a PNG or JPEG; None of other formats, which OpenCV limits itself.
-
-    Source: PNG specification, 11.2.2; ITU-T T.81, B.1.1 and B.2.2.
-    """
-    head = data[:24].tobytes()
-    if head.startswith(_PNG) and len(head) == 24:
-        width, height = struct.unpack(">II", head[16:])
-        return width, height
-    position = 2 if head.startswith(b"\xff\xd8") else len(data)
-    while position + 9 <= len(data):
-        mark, code, length, height, width = struct.unpack(">BBHxHH", data[position : position + 9].tobytes())
-        if mark != 0xFF:
-            return None
-        if 0xC0 <= code <= 0xCF and code not in (0xC4, 0xC8, 0xCC):
-            return width, height
-        # Fill bytes and markers without a segment.
-        alone = 0xD0 <= code <= 0xD9 or code == 0x01
-        position += 1 if code == 0xFF else 2 if alone else 2 + length
-    return None
-
-
-def _check_chunk_sizes(data: Pixels) -> None:
-    """Checks that no chunk of a PNG states more bytes than the file has: OpenCV takes the memory for each first.
-
-    Source: PNG specification, 5.3.
-
-    Raises:
-        ValueError: a chunk does.
-    """
-    position = 8 if data[:8].tobytes() == _PNG else len(data)
-    while position + 8 <= len(data):
-        (size,) = struct.unpack(">I", data[position : position + 4].tobytes())
-        if size > len(data):
-            raise ValueError(f"image has {len(data)} bytes, a part of it states {size}: it is damaged")
-        position += 12 + size
-
-
 def to_8_bits(values: NDArray[np.generic]) -> Pixels:
     """Values of more than 8 bits, stretched between their 0.1 and 99.9 percentiles.
 
     16-bit images often use 10 or 12 bits, so that shifting would darken them; hot pixels exclude the extremes.
     """
-    numbers = values.astype(np.float32)
-    low, high = np.percentile(numbers.ravel()[:: max(1, numbers.size // _STRETCH_SAMPLE)], _STRETCH_PERCENTILES)
+    step = max(1, values.size // _STRETCH_SAMPLE)
+    low, high = np.percentile(values.ravel()[::step].astype(np.float32), _STRETCH_PERCENTILES)
     if not high > low:
         return np.full(values.shape, np.clip(low / 256, 0, 255), dtype=np.uint8)
-    return np.asarray(np.clip((numbers - low) * (255 / (high - low)) + 0.5, 0, 255), dtype=np.uint8)
+    pixels = np.empty(values.shape, dtype=np.uint8)
+    for row, stretched in zip(values, pixels, strict=True):  # as floats, a whole image takes 16 bytes a pixel
+        stretched[:] = np.clip((row.astype(np.float32) - low) * (255 / (high - low)) + 0.5, 0, 255)
+    return pixels
 
 
 def encode_image(pixels: Pixels, encoding: str) -> tuple[bytes, str]:
