@@ -5,15 +5,17 @@ The property: it returns, or raises one of calgraph's own errors.
 
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
-from functools import cache
+from functools import cache, partial
 from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 from rosbags.interfaces import MessageDefinitionFormat
 
 import fuzz_mutators as mutators
 import fuzz_seeds as seeds
+from calgraph.captures.capture_encoding import decode_captures
 from calgraph.cli.setting_options import override_settings
 from calgraph.config import Rig, draft_rig, load_rig, printed_bitmaps
 from calgraph.config.board_print import black_rectangles
@@ -21,10 +23,18 @@ from calgraph.estimation import load_problem
 from calgraph.io import format_json
 from calgraph.io.yaml_reading import read_yaml, validate_content
 from calgraph.printing.target_block import read_boards
-from calgraph.recording import Recording, find_topics, inspect_recording, open_recording
+from calgraph.recording import (
+    MessageRecording,
+    Recording,
+    RecordingCache,
+    find_topics,
+    inspect_recording,
+    open_recording,
+)
 from calgraph.recording.decoding import decode
 from calgraph.recording.message_types import TypeDefinition, make_message_type
 from calgraph.result import Calibration, export, load_calibration, load_scene, read_extrinsics
+from calgraph.sensors import Trigger
 from calgraph.simulation import NetworkScenario, RigScenario, load_truth
 
 _MAX_RECORDS = 200
@@ -171,6 +181,29 @@ def _definition(data: bytes, _folder: Path) -> None:
     decode(kind, raw, 12.0, "a")
 
 
+class _OneEntry(RecordingCache):
+    """A cache that has one entry, and gives it for any key."""
+
+    def _key(self, *_: Any) -> str:
+        return seeds.CACHE_KEY
+
+
+def _cache(data: bytes, folder: Path) -> None:
+    _write(folder, f"{seeds.CACHE_KEY}.npz", data)
+    recording = MessageRecording({"a": [Trigger(1.0)]})
+    _OneEntry(folder).read(recording, "detections", {}, partial(decode_captures, "camera"))
+
+
+def _names(data: bytes, folder: Path) -> None:
+    """A folder of images with the names of the input's lines."""
+    for line in data.decode(errors="replace").splitlines()[:20]:
+        name = line.replace("/", "_").replace("\0", "_").encode()[:200].decode(errors="ignore")
+        if name not in ("", ".", ".."):
+            _write(folder, f"s/{name}", seeds.images()[0])
+    with open_recording(folder) as recording:
+        _inspect(recording)
+
+
 _YAML_WORDS = (
     "*a",
     "&a ",
@@ -217,12 +250,18 @@ HARNESSES: Mapping[str, Harness] = {
     "scenario": Harness(_scenario, lambda: list(seeds.SCENARIOS), mutators.mutate_yaml, _YAML_WORDS),
     "problem.npz": Harness(_problem, seeds.written("problem.npz"), mutators.mutate_zip),
     "scene.npz": Harness(_scene, seeds.written("scene.npz"), mutators.mutate_zip),
+    "cache": Harness(_cache, seeds.written("cache"), mutators.mutate_zip),
     "PCD": Harness(_file("s/1.0.pcd"), seeds.pcds, None, ("DATA ascii", "POINTS ", "COUNT ", "SIZE ")),
     "PCD, gzipped": Harness(_file("s/1.0.pcd.gz"), seeds.gzipped(seeds.pcds)),
     "PLY": Harness(_file("s/1.0.ply"), seeds.plys, None, ("property ", "element ", "double ", "list ")),
     "NPZ": Harness(_file("s/1.0.npz"), seeds.npzs, mutators.mutate_zip),
     "CSV scan": Harness(_file("s/1.0.csv"), lambda: [seeds.SCAN], None, ("nan", "inf", "1e300", "1_0")),
     "image": Harness(_file("s/1.0.png"), seeds.images),
+    "names of files": Harness(_names, lambda: list(seeds.NAMES), None, ("cam0_", "1773380642", ".png", "_12")),
+    "corners CSV": Harness(_file("xy.csv"), lambda: list(seeds.CORNERS), None, ("nan", "1e300", "frame_time")),
+    "video, MKV": Harness(_file("a.mkv"), lambda: seeds.videos()[:1]),
+    "video, MP4": Harness(_file("a.mp4"), lambda: seeds.videos()[1:2]),
+    "video, AVI": Harness(_file("a.avi"), lambda: seeds.videos()[2:]),
     "camera_info.yaml": Harness(_camera_info, lambda: list(seeds.CAMERA_INFO), mutators.mutate_yaml, _YAML_WORDS),
     "metadata.yaml": Harness(_metadata, lambda: [seeds.METADATA], mutators.mutate_yaml, _YAML_WORDS),
     "ROS messages": Harness(_message, seeds.messages),

@@ -10,6 +10,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+import av
 import cv2
 import numpy as np
 from backports import zstd
@@ -21,8 +22,11 @@ from rosbags.typesys.store import Typestore
 from ruamel.yaml import YAML
 
 from calgraph.calibrate import RigOptions, build_problem_from_captures, solve_problem
+from calgraph.captures.capture_encoding import encode_captures
+from calgraph.captures.detect import SensorCapture
 from calgraph.estimation import save_problem
 from calgraph.io import format_yaml
+from calgraph.io.cache_folder import CacheFolder
 from calgraph.result import export, save_calibration, save_scene
 from calgraph.simulation import (
     CameraOptions,
@@ -36,6 +40,8 @@ from calgraph.simulation import (
 )
 
 Seeds = Callable[[], list[bytes]]
+
+CACHE_KEY, CACHE_FORMAT = 64 * "0", "calgraph-cache/1"
 
 PIXELS = np.arange(8 * 6 * 3, dtype=np.uint8).reshape(6, 8, 3)
 SCENARIO = RigScenario(
@@ -293,6 +299,35 @@ def databases() -> list[bytes]:
     return seeds
 
 
+def videos() -> list[bytes]:
+    """Videos of three frames in the containers that are read."""
+    seeds = []
+    for suffix, codec in (("mkv", "mpeg4"), ("mp4", "mpeg4"), ("avi", "mjpeg")):
+        with TemporaryDirectory() as folder:
+            path = Path(folder) / f"a.{suffix}"
+            with av.open(str(path), "w") as container:
+                stream = container.add_stream(codec, rate=10)
+                assert isinstance(stream, av.VideoStream)
+                stream.width, stream.height = 16, 16
+                stream.pix_fmt = "yuvj420p" if codec == "mjpeg" else "yuv420p"
+                for i in range(3):
+                    frame = av.VideoFrame.from_ndarray(np.full((16, 16, 3), 60 * i, np.uint8), format="bgr24")
+                    container.mux(stream.encode(frame))
+                container.mux(stream.encode())
+            seeds.append(path.read_bytes())
+    return seeds
+
+
+CORNERS = (
+    b"sync_index,cam_id,object_id,keypoint_id,img_loc_x,img_loc_y,obj_loc_x,obj_loc_y\n"
+    b"7,0,0,0,10.5,20.5,0.1,0.2\n7,1,0,1,30.5,40.5,0.2,0.2\n8,0,0,0,11,21,0.1,0.2\n",
+    b"sync_index,cam_id,img_loc_x,img_loc_y,obj_loc_x,obj_loc_y,obj_loc_z,frame_time\n7,a,1,2,0.1,0.2,0,100.25\n",
+)
+NAMES = (
+    b"1.0.png\n2.0.png",
+    b"left_1773380642793311604.png\nleft_1773380643793311604.png",
+    b"pose1.png\npose12.png",
+)
 METADATA = b"""rosbag2_bagfile_information:
   version: 8
   storage_identifier: mcap
@@ -323,6 +358,14 @@ def written_files() -> Mapping[str, bytes]:
         save_scene(calibration.pictures, folder / "scene.npz")
         save_truth(folder / "truth.yaml", truth)
         files = {path.name: path.read_bytes() for path in folder.iterdir()}
+        captures = [
+            SensorCapture(capture, "camera", found, None)
+            for capture, found in captured.detections["camera"].items()
+        ]
+        content, arrays = encode_captures(captures)
+        cache = CacheFolder(folder)
+        cache.write(CACHE_KEY, CACHE_FORMAT, content, arrays)
+        files["cache"] = (folder / f"{CACHE_KEY}.npz").read_bytes()
     # Reading YAML takes 0.1 s for 16 kB: a shorter file of the same structure.
     content = YAML(typ="safe").load(files["calibration.yaml"])
     content["quality"]["edges"] = content["quality"]["edges"][:1]
