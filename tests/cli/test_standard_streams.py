@@ -57,3 +57,12 @@ def test_json_does_not_depend_on_the_terminal(calibrated: tuple[Path, object]) -
     command = f"inspect --json {shlex.quote(str(calibrated[0]))}"
     done = run_in_shell(command, **_ASCII)
     assert json.loads(done.stdout) == json.loads(run_in_shell(command).stdout)
+
+
+def test_a_file_that_fails_is_not_taken_for_standard_output() -> None:
+    code = "import calgraph.cli.app as module; module.app = lambda: open('/nothing/here'); module.main()"
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False
+    )  # fmt: skip
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr == "calgraph: /nothing/here: cannot be used (No such file or directory)\n"

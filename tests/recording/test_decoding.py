@@ -128,3 +128,20 @@ def test_a_region_smaller_than_its_binning_is_refused(ros: SimpleNamespace, deco
         decoded(
             ros.camera_info(binning_x=2, roi=ros.types["sensor_msgs/msg/RegionOfInterest"](0, 0, 480, 1, False))
         )
+
+
+@pytest.mark.parametrize("field", ["k", "d"])
+def test_intrinsics_beyond_any_camera_are_unusable(ros: SimpleNamespace, decoded: Decoded, field: str) -> None:
+    values = np.array([500.0, 0, 320, 0, 510, 240, 0, 0, 1]) if field == "k" else np.array([0.1, 0, 0, 0])
+    values[0] = 1.7e16
+    with pytest.raises(RecordingError, match=r"must not exceed 1e\+06, got .*1\.7e\+16"):
+        decoded(ros.camera_info(**{field: values}))
+
+
+def test_ranges_farther_than_any_scanner_measures_are_no_measurements(
+    ros: SimpleNamespace, decoded: Decoded
+) -> None:
+    ranges = np.array([1e30, 2.0, 1e6], np.float32)
+    scan = decoded(ros.scan(ranges=ranges, range_max=0.0))
+    assert isinstance(scan, LaserScan)
+    np.testing.assert_array_equal(scan.valid, [False, True, False])

@@ -268,3 +268,18 @@ def test_real_camera_and_laser_folders_interleave(data_dir: Path) -> None:
 def test_folder_without_recording_is_an_error_that_lists_the_formats(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"neither bag files nor folders with files named <seconds>\.<png"):
         open_recording(tmp_path)
+
+
+@pytest.mark.parametrize("target", ["1.5.png", "nothing"])
+def test_a_link_that_leads_nowhere_is_named(tmp_path: Path, target: str) -> None:
+    for k in range(3):
+        put(tmp_path, f"camera/{k}.5.png", png())
+    file = tmp_path / "camera/1.5.png"
+    file.unlink()
+    file.symlink_to(target)
+    with open_recording(tmp_path) as recording:
+        record = next(r for r in recording.records() if r.stamp == 1.5)
+        assert record.digest is not None
+        for read in (record.decode, record.digest):
+            with pytest.raises(RecordingError, match=r"camera/1\.5\.png: .*(No such file|symbolic links)"):
+                read()

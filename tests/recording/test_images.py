@@ -1,4 +1,6 @@
+import os
 from collections.abc import Callable
+from contextlib import suppress
 from types import SimpleNamespace
 from typing import Any
 
@@ -134,3 +136,16 @@ def test_depth_image_is_refused(ros: SimpleNamespace, decoded: Decoded) -> None:
 def test_bytes_that_are_no_picture_are_an_error(ros: SimpleNamespace, decoded: Decoded, data: bytes) -> None:
     with pytest.raises(RecordingError, match="image"):
         decoded(ros.compressed(data, "jpeg"))
+
+
+@pytest.mark.parametrize(("suffix", "kept"), [(".jpg", 0.7), (".png", 0.9)])
+def test_libraries_print_nothing_about_damaged_images(
+    ros: SimpleNamespace, decoded: Decoded, capfd: pytest.CaptureFixture[str], suffix: str, kept: float
+) -> None:
+    noise = np.random.default_rng(0).integers(0, 256, (64, 64)).astype(np.uint8)
+    data = cv2.imencode(suffix, noise)[1].tobytes()
+    with suppress(RecordingError):
+        decoded(ros.compressed(data[: int(kept * len(data))], suffix[1:]))
+    assert capfd.readouterr().err == ""
+    os.write(2, b"not hidden")
+    assert capfd.readouterr().err == "not hidden"

@@ -171,3 +171,9 @@ def test_times_in_seconds_and_nanoseconds_are_one_time(names: tuple[str, str], s
 def test_nanoseconds_alone_are_no_time_of_two_fields() -> None:
     cloud = read(message({**xyz(np.ones((2, 3))), "time_nsec": ("u4", np.array([0, 10**8]))}))
     assert cloud.times is None
+
+
+def test_points_farther_than_any_scanner_measures_are_left_out() -> None:
+    x = np.array([1.0, 1e30, -1e30, np.nan, np.inf, 9e4])
+    cloud = cloud_from_columns({"x": x, "y": np.ones(6), "z": np.ones(6)}, EPOCH)
+    np.testing.assert_array_equal(cloud.points[:, 0], [1.0, 9e4])

@@ -120,9 +120,10 @@ def main() -> None:
         discard_output()
         sys.exit(_BROKEN_PIPE)
     except OSError as error:
-        # Files that cannot be read or written are InputErrors: this is a stream.
+        # Files are named by the error; where none is, this is the stream.
+        place = f"{error.filename}: cannot be used" if error.filename else "standard output: cannot be written"
         discard_output()
-        _print_error(InputError(f"standard output: cannot be written ({error.strerror or error})"))
+        _print_error(InputError(f"{place} ({error.strerror or error})"))
         sys.exit(2)
 
 

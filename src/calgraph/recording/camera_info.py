@@ -8,6 +8,8 @@ import numpy as np
 from calgraph.geometry import Array
 from calgraph.sensors import CameraModel
 
+# As the intrinsics of rig.yaml: the longest lenses have focal lengths of some 100,000 pixels.
+_MAX_INTRINSIC = 1e6
 _FISHEYE = ("equidistant", "fisheye", "kannala_brandt")
 _PINHOLE = ("plumb_bob", "rational_polynomial", "radtan", "pinhole", "none", "")
 
@@ -28,7 +30,8 @@ def camera_model(distortion_model: str, width: int, height: int, K: Array, D: Ar
 
     Raises:
         UncalibratedError: the camera is not calibrated.
-        ValueError: it has no image size, or the model or a number of coefficients is not supported.
+        ValueError: it has no image size, the model or a number of coefficients is not supported, or a value exceeds
+            a million.
     """
     matrix = _camera_matrix(np.asarray(K, dtype=np.float64).ravel())
     if not (matrix[0, 0] > 0 and matrix[1, 1] > 0):
@@ -39,6 +42,11 @@ def camera_model(distortion_model: str, width: int, height: int, K: Array, D: Ar
         raise ValueError(
             f"states images of {width} x {height} pixels: the driver does not set their size; give the intrinsics "
             "in rig.yaml"
+        )
+    if max(np.abs(matrix).max(), np.abs(np.asarray(D, dtype=np.float64)).max(initial=0.0)) > _MAX_INTRINSIC:
+        raise ValueError(
+            f"K and distortion must not exceed {_MAX_INTRINSIC:g}, got {matrix.tolist()} and "
+            f"{np.ravel(D).tolist()}"
         )
     model, distortion = _distortion(distortion_model.strip().lower(), np.asarray(D, dtype=np.float64).ravel())
     return CameraModel(model, int(width), int(height), matrix, distortion)

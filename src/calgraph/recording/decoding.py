@@ -9,7 +9,7 @@ from calgraph.config.settings import LimitSettings
 from calgraph.geometry import Array
 from calgraph.recording.camera_info import camera_model
 from calgraph.recording.images import decode_image, pixels_from_buffer
-from calgraph.recording.limits import check_point_count
+from calgraph.recording.limits import MAX_RANGE, check_point_count
 from calgraph.recording.message_types import MessageType
 from calgraph.recording.point_cloud_columns import cloud_from_columns, columns_from_point_cloud2
 from calgraph.recording.recording import wrap_errors
@@ -59,7 +59,7 @@ def _scan(message: Any, ranges: Array, stamp: float) -> LaserScan:
 
 def mask_out_of_range(ranges: Array, nearest: float, farthest: float) -> Array:
     """Ranges with NaN where they are outside the scanner's limits, m; limits left at zero or NaN do not count."""
-    inside = ranges > 0
+    inside = (ranges > 0) & (ranges <= MAX_RANGE)
     if nearest > 0:
         inside &= ranges >= nearest
     if farthest > 0:

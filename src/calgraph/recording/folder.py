@@ -144,7 +144,9 @@ def _files_by_name(folder: Path) -> dict[str, list[Path]]:
     files: dict[str, list[Path]] = {}
     for path in sorted(folder.iterdir()):
         suffix = _suffix(path)
-        if suffix is not None and not path.name.startswith(".") and path.is_file():
+        # A link that leads nowhere is the file of a message, too, which is to be named when it is read.
+        is_file = path.is_file() or (path.is_symlink() and not path.exists())
+        if suffix is not None and not path.name.startswith(".") and is_file:
             files.setdefault(path.name[: -len(suffix)], []).append(path)
     return files
 
@@ -182,7 +184,8 @@ def _decode(file: _File) -> Message:
 
 
 def _digest(file: _File) -> MessageDigest:
-    return MessageDigest("", hash_file(file.path))
+    with wrap_errors(file.path):
+        return MessageDigest("", hash_file(file.path))
 
 
 def _camera_info(file: _File) -> CameraInfo:

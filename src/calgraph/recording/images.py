@@ -1,5 +1,10 @@
 """Pixels as ROS and image files store them, to 8-bit grey or BGR."""
 
+import os
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +25,7 @@ _BAYER = {
 # Percentiles of deep images that become black and white, and the number of pixels that determine them. A rule of
 # reading, and not a setting: the map is linear, so that the positions of edges and corners do not depend on it.
 _STRETCH_PERCENTILES, _STRETCH_SAMPLE = (0.1, 99.9), 100_000
+_DECODING = threading.Lock()
 # Encoding to channels, bytes a channel, and OpenCV's conversion to BGR, if one is needed.
 _ENCODINGS: dict[str, tuple[int, int, int | None]] = {
     "mono8": (1, 1, None),
@@ -116,7 +122,8 @@ def decode_image(data: Pixels, declared: str = "", limits: LimitSettings = Limit
         ) from error
     check_pixel_count(width, height, limits)
     # Unchanged, because the other modes turn pictures by their EXIF tag and the sensor does not turn.
-    read = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
+    with _discard_native_messages():
+        read = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
     if read is None:
         raise ValueError(f"image data of {data.size} bytes cannot be decoded (format {declared!r})")
     pixels = read if read.dtype == np.uint8 else to_8_bits(np.asarray(read))
@@ -130,6 +137,29 @@ def decode_image(data: Pixels, declared: str = "", limits: LimitSettings = Limit
         # The publisher compressed RGB as if it were BGR.
         return np.asarray(cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR), dtype=np.uint8)
     return np.asarray(pixels, dtype=np.uint8)
+
+
+@contextmanager
+def _discard_native_messages() -> Iterator[None]:
+    """Discards what libjpeg and libpng print on standard error of every damaged image; some webcams send no other.
+
+    They write to the descriptor, which all threads share: one at a time decodes.
+    """
+    with _DECODING:
+        try:
+            stderr = os.dup(2)
+        except OSError:
+            # The program has closed it.
+            yield
+            return
+        try:
+            null = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(null, 2)
+            os.close(null)
+            yield
+        finally:
+            os.dup2(stderr, 2)
+            os.close(stderr)
 
 
 def to_8_bits(values: NDArray[np.generic]) -> Pixels:

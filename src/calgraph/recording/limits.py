@@ -2,6 +2,10 @@
 
 from calgraph.config.settings import LimitSettings
 
+MAX_RANGE = 1e5
+"""Larger ranges and coordinates count as beams without a return, m: no scanner measures so far. Damaged messages
+have coordinates that no grid of cells can number."""
+
 
 def check_unpacked_size(size: int, limits: LimitSettings) -> None:
     """Checks the size of data before or while they are unpacked, bytes.

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.geometry import Array
+from calgraph.recording.limits import MAX_RANGE
 from calgraph.sensors import PointCloud
 
 _log = logging.getLogger(__name__)
@@ -80,7 +81,8 @@ def _row_step(message: Any, size: int) -> int:
 def cloud_from_columns(columns: Columns, stamp: float, frame_id: str = "") -> PointCloud:
     """A point cloud from columns (N,) x, y, z and, if there, a ring and a time.
 
-    Points that are not finite or lie in the origin are left out: drivers mark beams without a return so.
+    Points that are not finite, lie in the origin, or are farther than any scanner measures are left out: drivers
+    mark beams without a return so.
 
     Raises:
         ValueError: a coordinate is missing.
@@ -89,7 +91,7 @@ def cloud_from_columns(columns: Columns, stamp: float, frame_id: str = "") -> Po
     if missing:
         raise ValueError(f"cloud has no field {', '.join(missing)}, only {', '.join(columns) or 'unknown ones'}")
     points = np.stack([np.asarray(columns[axis], dtype=np.float64) for axis in "xyz"], axis=-1)
-    kept = np.asarray(np.isfinite(points).all(axis=1) & points.any(axis=1))
+    kept = np.asarray((np.abs(points) <= MAX_RANGE).all(axis=1) & points.any(axis=1))
     ring_name = next((name for name in _RING_NAMES if name in columns), None)
     rings = None if ring_name is None else np.nan_to_num(columns[ring_name][kept], nan=-1).astype(np.int32)
     return PointCloud(stamp, frame_id, points[kept], rings, _find_times(columns, kept, stamp))

@@ -199,10 +199,14 @@ def check_fetched(path: Path) -> None:
     """Checks that a file is the file itself.
 
     Raises:
-        RecordingError: it is a Git LFS pointer.
+        RecordingError: it is a Git LFS pointer, or cannot be read.
     """
-    with path.open("rb") as file:
-        check_git_lfs(path, file.read(POINTER_START), RecordingError)
+    try:
+        with path.open("rb") as file:
+            start = file.read(POINTER_START)
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read ({error.strerror or error})") from error
+    check_git_lfs(path, start, RecordingError)
 
 
 def _explain(error: Exception) -> str:

@@ -1,0 +1,300 @@
+"""Damage of messages: recordings that are files without fault, of sensors and recorders that failed."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from reliability_bags import CAMERA, INFO, LASER, LIDAR, STORE, TRIGGER, Item, stamp_of, with_fields, with_stamp
+
+Items = Sequence[Item]
+Change = Callable[[Items, np.random.Generator], Items]
+SENSORS = CAMERA, LASER, LIDAR
+_DAY = 86400.0
+
+
+def _choose(rng: np.random.Generator) -> str:
+    return SENSORS[int(rng.integers(len(SENSORS)))]
+
+
+def _some(items: Items, rng: np.random.Generator, share: float, change: Callable[[Item], Item | None]) -> Items:
+    """Changes a random share of the messages; None removes one."""
+    chosen = rng.random(len(items)) < share
+    changed = [change(item) if hit else item for item, hit in zip(items, chosen, strict=True)]
+    return [item for item in changed if item is not None]
+
+
+def _of_topic(items: Items, topic: str, change: Callable[[Item], Item | None], share: float = 1.0,
+              rng: np.random.Generator | None = None) -> Items:  # fmt: skip
+    """Changes messages of one topic, all or a random share of them."""
+    hits = np.ones(len(items), bool) if rng is None else rng.random(len(items)) < share
+    changed = [change(one) if one.topic == topic and hit else one for one, hit in zip(items, hits, strict=True)]
+    return [item for item in changed if item is not None]
+
+
+def _sorted(items: Items) -> Items:
+    return sorted(items, key=lambda item: item.arrival)
+
+
+def duplicated(items: Items, rng: np.random.Generator) -> Items:
+    """A fifth of the messages twice."""
+    return [one for item in items for one in [item] * (2 if rng.random() < 0.2 else 1)]
+
+
+def repeated(items: Items, rng: np.random.Generator) -> Items:
+    """One message forty times."""
+    at = int(rng.integers(len(items)))
+    return [*items[:at], *[items[at]] * 40, *items[at:]]
+
+
+def reordered(items: Items, rng: np.random.Generator) -> Items:
+    """Stored in random order, with their arrival times."""
+    return [items[i] for i in rng.permutation(len(items))]
+
+
+def late(items: Items, rng: np.random.Generator) -> Items:
+    """A tenth of the messages arrives up to two seconds late."""
+    return _sorted(
+        _some(items, rng, 0.1, lambda one: replace(one, arrival=one.arrival + int(rng.uniform(0, 2e9))))
+    )
+
+
+def lost(items: Items, rng: np.random.Generator) -> Items:
+    """A random share of all messages is lost, 5 to 95 %."""
+    return _some(items, rng, float(rng.uniform(0.05, 0.95)), lambda _: None)
+
+
+def ended_early(items: Items, rng: np.random.Generator) -> Items:
+    """One sensor ends somewhere in the recording."""
+    topic, first = _choose(rng), items[0].arrival
+    end = first + rng.random() * (items[-1].arrival - first)
+    return _of_topic(items, topic, lambda one: one if one.arrival < end else None)
+
+
+def stamps_at_zero(items: Items, rng: np.random.Generator) -> Items:
+    """Stamps of one sensor that are not set: all, or some."""
+    return _of_topic(items, _choose(rng), lambda one: with_stamp(one, 0.0), rng.choice([0.1, 1.0]), rng)
+
+
+def stamps_in_the_future(items: Items, rng: np.random.Generator) -> Items:
+    """Some stamps of one sensor are a day, a year, or as late as ROS can state."""
+    ahead = float(rng.choice([_DAY, 365 * _DAY, 2**31]))
+    return _of_topic(items, _choose(rng), lambda one: with_stamp(one, stamp_of(one) + ahead), 0.1, rng)
+
+
+def stamps_that_jump(items: Items, rng: np.random.Generator) -> Items:
+    """The clock of one sensor is set in the middle, by a second or an hour."""
+    jump, middle = float(rng.choice([-1, 1, -3600, 3600])), items[len(items) // 2].arrival
+    return _of_topic(
+        items, _choose(rng), lambda one: with_stamp(one, stamp_of(one) + jump) if one.arrival > middle else one
+    )
+
+
+def stamps_that_stand(items: Items, rng: np.random.Generator) -> Items:
+    """All stamps of one sensor are that of its first message."""
+    topic = _choose(rng)
+    first = next(stamp_of(item) for item in items if item.topic == topic)
+    return _of_topic(items, topic, lambda one: with_stamp(one, first))
+
+
+def empty_topic(items: Items, rng: np.random.Generator) -> Items:
+    """A sensor, the trigger or the intrinsics have a topic and no message."""
+    topic = str(rng.choice([*SENSORS, TRIGGER, INFO]))
+    kind = next(item.kind for item in items if item.topic == topic)
+    return [Item(topic, kind, 0, None), *(item for item in items if item.topic != topic)]
+
+
+def missing_topic(items: Items, rng: np.random.Generator) -> Items:
+    """A sensor, the trigger or the intrinsics were not recorded."""
+    topic = str(rng.choice([*SENSORS, TRIGGER, INFO]))
+    return [item for item in items if item.topic != topic]
+
+
+def empty_clouds(items: Items, rng: np.random.Generator) -> Items:
+    """Half of the clouds have no points."""
+    empty = {"width": 0, "row_step": 0, "data": np.zeros(0, np.uint8)}
+    return _of_topic(items, LIDAR, lambda one: with_fields(one, **empty), 0.5, rng)
+
+
+def clouds_of_nan(items: Items, rng: np.random.Generator) -> Items:
+    """Points of the clouds are not finite: all of some clouds, or some of all."""
+
+    def spoil(item: Item) -> Item:
+        data = item.message.data.copy()
+        points = data.reshape(-1, item.message.point_step)
+        hits = rng.random(len(points)) < rng.choice([0.3, 1.0])
+        value = np.array([rng.choice([np.nan, np.inf, 1e30])] * 3, "<f4")
+        points[hits, :12] = value.view(np.uint8)
+        return with_fields(item, data=data)
+
+    return _of_topic(items, LIDAR, spoil, 0.5, rng)
+
+
+def clouds_that_contradict(items: Items, rng: np.random.Generator) -> Items:
+    """Clouds with a wrong width, step or fields, or data cut short."""
+    kind = int(rng.integers(4))
+
+    def spoil(item: Item) -> Item:
+        message = item.message
+        match kind:
+            case 0:
+                return with_fields(item, width=int(message.width * 3))
+            case 1:
+                return with_fields(item, point_step=0)
+            case 2:
+                return with_fields(item, fields=message.fields[1:])
+            case _:
+                return with_fields(item, data=message.data[: len(message.data) // 2 + 1])
+
+    return _of_topic(items, LIDAR, spoil, float(rng.choice([0.1, 1.0])), rng)
+
+
+def images_of_zero_size(items: Items, rng: np.random.Generator) -> Items:
+    """Some or all images are raw images without pixels."""
+    share = float(rng.choice([0.2, 1.0]))
+    chosen = rng.random(len(items)) < share
+
+    def empty(item: Item) -> Item:
+        raw = STORE.types["sensor_msgs/msg/Image"](
+            header=item.message.header, height=0, width=0, encoding="bgr8", is_bigendian=0, step=0,
+            data=np.zeros(0, np.uint8),
+        )  # fmt: skip
+        return replace(item, kind="sensor_msgs/msg/Image", message=raw)
+
+    return [
+        empty(one) if one.topic == CAMERA and hit else one for one, hit in zip(items, chosen, strict=True)
+    ]  # fmt: skip
+
+
+def damaged_images(items: Items, rng: np.random.Generator) -> Items:
+    """Compressed images that are empty, cut short, or noise."""
+
+    def spoil(item: Item) -> Item:
+        data = item.message.data
+        choices = [data[:0], data[: rng.integers(1, len(data))], rng.integers(0, 256, 500).astype(np.uint8)]
+        return with_fields(item, data=choices[int(rng.integers(len(choices)))])
+
+    return _of_topic(items, CAMERA, spoil, float(rng.choice([0.1, 0.5, 1.0])), rng)
+
+
+def spoiled_intrinsics(items: Items, rng: np.random.Generator) -> Items:
+    """CameraInfo with zeros, nan, another size, an unknown lens, or a change in the middle."""
+    kind, middle = int(rng.integers(6)), items[len(items) // 2].arrival
+
+    def spoil(item: Item) -> Item:
+        k = item.message.k
+        match kind:
+            case 0:
+                return with_fields(item, k=np.zeros(9))
+            case 1:
+                return with_fields(item, width=0, height=0, k=np.zeros(9))
+            case 2:
+                return with_fields(item, k=np.full(9, np.nan))
+            case 3:
+                return with_fields(item, width=item.message.width * 2)
+            case 4:
+                return with_fields(item, distortion_model="magic")
+            case _:
+                return with_fields(item, k=k * 1.5) if item.arrival > middle else item
+
+    return _of_topic(items, INFO, spoil)
+
+
+def spoiled_scans(items: Items, rng: np.random.Generator) -> Items:
+    """Scans without ranges, of nan, inf or negative ranges, without increment, or with other numbers of beams."""
+    kind, share = int(rng.integers(6)), float(rng.choice([0.3, 1.0]))
+
+    def spoil(item: Item) -> Item:
+        ranges = item.message.ranges
+        match kind:
+            case 0:
+                return with_fields(item, ranges=ranges[:0])
+            case 1:
+                return with_fields(item, ranges=np.full_like(ranges, rng.choice([np.nan, np.inf, -np.inf])))
+            case 2:
+                return with_fields(item, ranges=-ranges)
+            case 3:
+                return with_fields(item, angle_increment=float(rng.choice([0.0, np.nan])))
+            case 4:
+                return with_fields(item, ranges=ranges[: rng.integers(1, len(ranges))])
+            case _:
+                return with_fields(item, time_increment=float(rng.choice([-1.0, np.nan, 10.0])))
+
+    return _of_topic(items, LASER, spoil, share, rng)
+
+
+def exchanged_topics(items: Items, rng: np.random.Generator) -> Items:
+    """Two topics have the messages of each other."""
+    one, other = (SENSORS[i] for i in rng.permutation(3)[:2])
+    names = {one: other, other: one}
+    return [replace(item, topic=names.get(item.topic, item.topic)) for item in items]
+
+
+def frozen_sensor(items: Items, rng: np.random.Generator) -> Items:
+    """One sensor repeats its last measurement with new stamps, from some time on."""
+    topic, start = _choose(rng), items[int(rng.integers(len(items) // 2))].arrival
+    last: list[Item] = []
+    result = []
+    for item in items:
+        if item.topic != topic:
+            result.append(item)
+            continue
+        if item.arrival <= start or not last:
+            last[:] = [item]
+        result.append(with_fields(last[0], header=item.message.header))
+        result[-1] = replace(result[-1], arrival=item.arrival)
+    return result
+
+
+def changed_frames(items: Items, rng: np.random.Generator) -> Items:
+    """Frames of one sensor are empty, change, or are odd names."""
+    names = ["", "other", "a b\nc", "ø/é", "x" * 3000]
+
+    def rename(item: Item) -> Item:
+        return with_fields(item, header=replace(item.message.header, frame_id=str(rng.choice(names))))
+
+    return _of_topic(items, _choose(rng), rename, 0.5, rng)
+
+
+def spoiled_triggers(items: Items, rng: np.random.Generator) -> Items:
+    """Triggers that are doubled, at random times, or one alone."""
+    first, last = items[0].arrival, items[-1].arrival
+    triggers = [item for item in items if item.topic == TRIGGER]
+    others = [item for item in items if item.topic != TRIGGER]
+    match int(rng.integers(3)):
+        case 0:
+            triggers = triggers * 2
+        case 1:
+            times = rng.uniform(first, last, len(triggers))
+            pairs = zip(triggers, times, strict=True)
+            triggers = [with_stamp(replace(item, arrival=int(time)), time / 1e9) for item, time in pairs]
+        case _:
+            triggers = triggers[:1]
+    return _sorted([*others, *triggers])
+
+
+MESSAGE_DAMAGE: Mapping[str, Change] = {
+    "messages duplicated": duplicated,
+    "one message 40 times": repeated,
+    "stored in random order": reordered,
+    "10 % arrive late": late,
+    "5 to 95 % of messages lost": lost,
+    "one sensor ends early": ended_early,
+    "stamps 0": stamps_at_zero,
+    "stamps in the future": stamps_in_the_future,
+    "stamps jump": stamps_that_jump,
+    "stamps stand still": stamps_that_stand,
+    "topic without messages": empty_topic,
+    "topic missing": missing_topic,
+    "half of the clouds empty": empty_clouds,
+    "points nan, inf, 1e30": clouds_of_nan,
+    "clouds that contradict themselves": clouds_that_contradict,
+    "images of zero size": images_of_zero_size,
+    "compressed images damaged": damaged_images,
+    "CameraInfo zero, nan, changing": spoiled_intrinsics,
+    "scans empty, nan, irregular": spoiled_scans,
+    "topics of another type": exchanged_topics,
+    "one sensor frozen": frozen_sensor,
+    "frames empty, odd, changing": changed_frames,
+    "triggers wrong": spoiled_triggers,
+}

@@ -1,0 +1,96 @@
+"""Attempts with damaged recordings: calibrate, and also inspect, init and check."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from reliability_answers import Answer, Judged, find_left, judge_ending, judge_result
+from reliability_bags import FORMS, MAIN_FORMS, Source, link_copy, write_rig
+from reliability_bytes import FILE_DAMAGE, files_of
+from reliability_cases import Case
+from reliability_messages import MESSAGE_DAMAGE
+from reliability_runs import run
+
+TABLE = "recordings"
+_CALIBRATE = "calibrate", "rig.yaml", "{recording}", "-o", "out", "--folds", "0", "--jobs", "1"
+_COMMANDS: Sequence[Sequence[str]] = (
+    _CALIBRATE,
+    ("inspect", "{recording}"),
+    _CALIBRATE,
+    ("init", "{recording}", "-o", "draft.yaml"),
+    _CALIBRATE,
+    ("check", "rig.yaml", "{recording}", "--against", "{truth}", "-o", "out"),
+)
+"""By seed: half of the attempts calibrate."""
+_CODES_OF = {"check": (0, 1, 2)}
+_FEW_FILES = 12
+
+
+def list_cases(source: Source, forms: Mapping[str, Path], seeds: int) -> Iterator[Case]:
+    """All kinds of damage in the main forms; in the others, damage of bytes with a third of the seeds."""
+    for seed in range(seeds):
+        for kind in MESSAGE_DAMAGE:
+            for form in MAIN_FORMS:
+                yield Case(TABLE, kind, form, seed, partial(_attempt_messages, source, kind, form, seed))
+        for kind in FILE_DAMAGE:
+            for form in FORMS:
+                if form in MAIN_FORMS or seed % 3 == 0:
+                    yield Case(
+                        TABLE, kind, form, seed, partial(_attempt_bytes, source, forms[form], kind, form, seed)
+                    )
+
+
+def write_forms(source: Source, folder: Path) -> Mapping[str, Path]:
+    """The undamaged recording in each form."""
+    return {
+        form: write(folder / f"{number} recording", source.items)
+        for number, (form, write) in enumerate(FORMS.items())
+    }
+
+
+def _attempt_messages(
+    source: Source, kind: str, form: str, seed: int, folder: Path, rng: np.random.Generator
+) -> Judged:
+    recording = FORMS[form](folder / "recording", MESSAGE_DAMAGE[kind](source.items, rng))
+    return judge_recording(source, form, recording, folder, seed)
+
+
+def _attempt_bytes(
+    source: Source, whole: Path, kind: str, form: str, seed: int, folder: Path, rng: np.random.Generator
+) -> Judged:
+    copy = folder / f"recording{whole.suffix}"
+    link_copy(whole, copy)
+    return judge_recording(source, form, FILE_DAMAGE[kind](copy, rng), folder, seed)
+
+
+def judge_recording(source: Source, form: str, recording: Path, folder: Path, seed: int) -> Judged:
+    """Runs the command of a seed on a recording, and judges its answer."""
+    write_rig(folder / "rig.yaml", source.rig_of(form))
+    command = _COMMANDS[seed % len(_COMMANDS)]
+    places = {"recording": recording.name, "truth": source.folder / "truth.yaml"}
+    ending = run([part.format(**places) for part in command], folder)
+    names = [recording.name, *source.rig["sensors"], "capture", "board", *_file_names(recording)]
+    found = judge_ending(ending, names, _CODES_OF.get(command[0], (0, 1, 2)))
+    return judge_output(source, found, command[0], folder)
+
+
+def judge_output(source: Source, found: Judged | None, command: str, folder: Path) -> Judged:
+    """The answer where a command ended by itself: what it wrote must be complete, and right if it exits with 0."""
+    if found and found.answer.is_wrong:
+        return found
+    if left := find_left(folder):
+        return Judged(Answer.LEFT, left[0])
+    out = folder / "out"
+    if out.exists():
+        written = judge_result(out, source.truth)
+        if written.answer.is_wrong or not found:
+            return written
+    if found:
+        return found
+    return Judged(Answer.HALF, "no result") if command in ("calibrate", "solve") else Judged(Answer.RIGHT)
+
+
+def _file_names(recording: Path) -> Sequence[str]:
+    return [file.name for file in files_of(recording)[:_FEW_FILES]] if recording.exists() else []
