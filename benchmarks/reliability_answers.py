@@ -15,7 +15,7 @@ from calgraph.simulation import GroundTruth
 from reliability_runs import MAX_BYTES, Ending
 
 MAX_SIGMAS = 5.0
-"""A pose that is further from the truth along an axis, in its stated standard deviations, is wrong."""
+"""A pose that is further from the ground truth along an axis, in its stated standard deviations, is wrong."""
 RESULT_FILES = (
     "calibration.yaml",
     "captures.csv",
@@ -24,7 +24,7 @@ RESULT_FILES = (
     "rig.resolved.yaml",
     "scene.npz",
 )
-_LEFT = re.compile(r"\.tmp$|^\.[^.].*-\w{8}$")
+_LEFT = re.compile(r"\.tmp$")
 _MIN_NAME = 3
 """Shorter names would be found in any message by chance."""
 
@@ -33,15 +33,15 @@ class Answer(Enum):
     """What a run gave."""
 
     RIGHT = "right"
-    """Exit code 0; every pose within 5 of its standard deviations from the truth."""
-    DOUBTED = "doubted"
-    """A pose is further away, and its verdict is not good: the result says so."""
+    """Exit code 0; every pose within 5 of its standard deviations from the ground truth."""
+    WEAK = "weak"
+    """A pose is further away, and its verdict is not good, as the result states."""
     REFUSED = "refused"
     """Exit code 1 or 2, and lines that name what is wrong; nothing half written."""
     TRACEBACK = "traceback"
     CRASH = "crash"
-    """Ended by a signal that nobody sent, or with another exit code."""
-    HANG = "hang"
+    """Ended by a signal that was not sent, or with another exit code."""
+    HANG = "time limit"
     MEMORY = "memory"
     SILENT = "no cause named"
     """Refused without a line that names a file, a key or a sensor."""
@@ -50,12 +50,12 @@ class Answer(Enum):
     HALF = "half written"
     LEFT = "files or processes left"
     CONFIDENT = "confidently wrong"
-    """A pose graded good is further from the truth than 5 of its standard deviations."""
+    """A pose graded good is further from the ground truth than 5 of its standard deviations."""
 
     @property
     def is_wrong(self) -> bool:
         """Whether this must not happen."""
-        return self not in (Answer.RIGHT, Answer.DOUBTED, Answer.REFUSED)
+        return self not in (Answer.RIGHT, Answer.WEAK, Answer.REFUSED)
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,8 @@ def judge_ending(ending: Ending, names: Iterable[str], codes: Collection[int] = 
         return None
     if ending.code not in (1, 2):
         return Judged(Answer.REFUSED, f"exit code {ending.code}")
-    text = " ".join(ending.stderr.split())
+    # What is not calibrated, or fails a check, may be in the tables of standard output.
+    text = " ".join((ending.stderr + (ending.stdout if ending.code == 1 else "")).split())
     if not any(name in text for name in names if len(name) >= _MIN_NAME):
         return Judged(Answer.SILENT, text[:300] or "nothing on standard error")
     return Judged(Answer.REFUSED, text)
@@ -111,7 +112,7 @@ def judge_result(out: Path, truth: GroundTruth) -> Judged:
 
 
 def judge_poses(calibration: Calibration, truth: GroundTruth) -> Judged:
-    """Whether poses agree with the truth; sensors under names that the truth does not have are not compared."""
+    """Whether poses agree with the ground truth; sensors that the ground truth lacks are left out."""
     far = []
     for sensor in calibration.sensors:
         if sensor.name == calibration.root or not {sensor.name, calibration.root} <= set(truth.T_root_sensor):
@@ -126,7 +127,7 @@ def judge_poses(calibration: Calibration, truth: GroundTruth) -> Judged:
     if not far:
         return Judged(Answer.RIGHT)
     good = any(grade == "good" for grade, _ in far)
-    return Judged(Answer.CONFIDENT if good else Answer.DOUBTED, "; ".join(text for _, text in far))
+    return Judged(Answer.CONFIDENT if good else Answer.WEAK, "; ".join(text for _, text in far))
 
 
 def find_left(*folders: Path) -> list[str]:

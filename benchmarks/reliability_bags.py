@@ -64,7 +64,7 @@ class Item:
 
 @dataclass(frozen=True)
 class Source:
-    """The recording that is damaged, with its rig and truth."""
+    """The recording that is damaged, with its rig and ground truth."""
 
     folder: Path
     items: tuple[Item, ...]
@@ -82,6 +82,7 @@ class Source:
 def simulate_source(folder: Path, seed: int) -> Source:
     """Simulates the recording that is damaged."""
     simulate_rig(SCENARIO, folder, seed)
+    save_yaml(folder / "scenario.yaml", SCENARIO.model_dump(mode="json", exclude_none=True))
     rig = {**read_yaml(folder / "rig.yaml"), "tolerance": TOLERANCE}
     sensors = {name: {**spec} for name, spec in rig["sensors"].items()}
     for name, spec in sensors.items():
@@ -173,7 +174,8 @@ def write_folder(path: Path, items: Sequence[Item], scans: str = "npz", clouds: 
             continue
         file = path / _FOLDERS[item.topic] / f"{stamp_of(item):.9f}"
         file.parent.mkdir(exist_ok=True)
-        _FILE_WRITERS.get(item.kind, _write_other)(file, item.message, scans, clouds)
+        write: Callable[..., None] = _FILE_WRITERS.get(item.kind, _write_other)
+        write(file, item.message, scans, clouds)
     return path
 
 

@@ -1,4 +1,4 @@
-"""Cases of the reliability tables, and how they are carried out: each in its own folder, by several threads."""
+"""Cases of the reliability tables, and how they are carried out: each in a separate folder, by several threads."""
 
 import shutil
 import zlib
@@ -54,14 +54,14 @@ def attempt_all(
 
 
 def _attempt(case: Case, scratch: Path, keep: Path | None) -> Outcome:
-    """The same name gives the same random numbers, whatever other cases there are."""
+    """The same name gives the same random numbers, with any other cases."""
     number = zlib.crc32(case.name.encode())
     folder = scratch / f"case {number:08x}"
     folder.mkdir()
     try:
         judged = case.attempt(folder, np.random.default_rng(number))
     except Exception as error:
-        judged = Judged(Answer.FOREIGN, f"the benchmark itself failed: {type(error).__name__}: {error}")
+        judged = Judged(Answer.FOREIGN, f"the benchmark failed: {type(error).__name__}: {error}")
     if keep and judged.answer.is_wrong:
         keep.mkdir(parents=True, exist_ok=True)
         shutil.copytree(folder, keep / folder.name, symlinks=True, dirs_exist_ok=True, ignore=_ignore_special)

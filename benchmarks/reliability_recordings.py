@@ -21,7 +21,7 @@ _COMMANDS: Sequence[Sequence[str]] = (
     _CALIBRATE,
     ("init", "{recording}", "-o", "draft.yaml"),
     _CALIBRATE,
-    ("check", "rig.yaml", "{recording}", "--against", "{truth}", "-o", "out"),
+    ("check", "rig.yaml", "{recording}", "--against", "{extrinsics}", "-o", "out"),
 )
 """By seed: half of the attempts calibrate."""
 _CODES_OF = {"check": (0, 1, 2)}
@@ -69,7 +69,7 @@ def judge_recording(source: Source, form: str, recording: Path, folder: Path, se
     """Runs the command of a seed on a recording, and judges its answer."""
     write_rig(folder / "rig.yaml", source.rig_of(form))
     command = _COMMANDS[seed % len(_COMMANDS)]
-    places = {"recording": recording.name, "truth": source.folder / "truth.yaml"}
+    places = {"recording": recording.name, "extrinsics": source.folder / "extrinsics.yaml"}
     ending = run([part.format(**places) for part in command], folder)
     names = [recording.name, *source.rig["sensors"], "capture", "board", *_file_names(recording)]
     found = judge_ending(ending, names, _CODES_OF.get(command[0], (0, 1, 2)))

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import IO
 
 MAX_SECONDS = 120.0
-"""A run that takes longer hangs. The small recordings here take 3 s on an idle core."""
+"""A run that takes longer has failed. The small recordings here take 3 s on an idle core."""
 MAX_BYTES = 2**30
 """Largest resident set of one process of a run."""
 _LONGEST_END = 20.0
@@ -71,7 +71,8 @@ def run(
     command = [*prefix, *(program or find_command()), *map(str, arguments)]
     if streams:
         command = ["sh", "-c", f'exec "$@" {streams}', "sh", *command]
-    changed = {**os.environ, **(environment or {})}
+    # Each case has a separate cache of detections, which a next run in the same folder uses.
+    changed = {**os.environ, "CALGRAPH_CACHE": str(cwd / "cache"), **(environment or {})}
     variables = {name: value for name, value in changed.items() if value is not None}
     with tempfile.TemporaryFile() as stdout, tempfile.TemporaryFile() as stderr:
         began = time.monotonic()

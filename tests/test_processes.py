@@ -4,6 +4,9 @@ import math
 import multiprocessing
 import os
 import signal
+import subprocess
+import sys
+import time
 from collections.abc import Callable, Iterator
 from functools import partial
 
@@ -98,3 +101,23 @@ def test_a_killed_process_of_a_stream_is_reported() -> None:
 
 def killed_with(_shared: None, number: int) -> int:
     return killed(number)
+
+
+_WAITING = """
+import os, sys, time
+from calgraph.processes import parallel_map
+print(os.getpid(), flush=True)
+parallel_map(time.sleep, [(600,)] * 3, 3)
+"""
+
+
+def test_workers_end_with_a_parent_that_is_killed() -> None:
+    with subprocess.Popen(
+        [sys.executable, "-c", _WAITING], stdout=subprocess.PIPE, start_new_session=True
+    ) as parent:
+        assert parent.stdout is not None
+        parent.stdout.readline()
+        time.sleep(1)
+        parent.kill()
+        # The workers hold the other end of the pipe.
+        assert parent.stdout.read() == b""

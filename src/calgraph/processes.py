@@ -1,8 +1,10 @@
 """Parallel evaluation in several processes of this machine."""
 
 import multiprocessing
+import os
 import signal
 import sys
+import threading
 import warnings
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -131,10 +133,19 @@ def _process_pool(count: int, shared: object = None) -> Iterator[ProcessPoolExec
 
 
 def _start_worker(shared: object) -> None:
-    """Keeps what the calls share, and ignores SIGINT.
+    """Keeps what the calls share, ignores SIGINT, and ends with the parent.
 
-    A terminal sends SIGINT to all processes, and the parent handles it.
+    A terminal sends SIGINT to all processes, and the parent handles it. A parent that is killed does not end its
+    workers, which would wait for work for ever.
     """
     _shared[:] = [shared]
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)

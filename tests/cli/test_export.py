@@ -122,3 +122,10 @@ def test_parents_are_for_formats_with_a_tree(run: Run, out: Path, arguments: lis
     result = run("export", out, "--force", *arguments, "--parents", "tree")
     assert result.exit_code == 2
     assert result.stderr == "calgraph: --parents: goes with --format launch, tf, and urdf without --urdf\n"
+
+
+def test_a_urdf_that_cannot_be_read_is_named(run: Run, out: Path, tmp_path: Path) -> None:
+    (tmp_path / "robot.urdf").write_text("<robot><link")
+    done = run("export", out, "-f", "urdf", "--force", "--urdf", tmp_path / "robot.urdf")
+    assert (done.exit_code, done.stdout) == (2, "")
+    assert done.stderr.startswith(f"calgraph: {tmp_path / 'robot.urdf'}: the URDF is not valid XML")

@@ -196,7 +196,7 @@ def calibrate(
     _check_unused(*(("rigs with a board", rig_options) if rig.is_network else ("networks", network_options)))
     prior_poses, groups = read_priors(prior, prior_stddev, rigid)
     cache = open_cache(unused=no_cache)
-    with replace_folder_atomically(out) as folder:
+    with replace_folder_atomically(out, "calibration.yaml") as folder:
         options: story.RigOptions | story.NetworkOptions
         if rig.is_network:
             options = story.NetworkOptions(

@@ -78,7 +78,7 @@ def check(
     if out:
         check_not_overwriting(out, [*RESULT_FILES, "check.json"], force=force)
     rig, given = _set_tolerance(load_rig_with(rig_file, overrides), tolerance), read_extrinsics(against)
-    with replace_folder_atomically(out) if out else nullcontext() as folder:
+    with replace_folder_atomically(out, "calibration.yaml") if out else nullcontext() as folder:
         calibration, audit, rig = _compare(rig, recordings, given, seed, open_cache(unused=no_cache))
         content = _content(audit, against, rig.tolerance)
         if folder:

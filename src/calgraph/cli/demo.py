@@ -35,7 +35,7 @@ def demo(
     if (out / "recording").exists() and not (out / "truth.yaml").exists():
         raise InputError(f"{out / 'recording'}: is not of a demo, it is not overwritten; choose another OUT")
     check_not_overwriting(out, ["recording", "rig.yaml", "result"], force=force)
-    with replace_folder_atomically(out) as folder:
+    with replace_folder_atomically(out, "recording") as folder:
         with progress_bars() as progress:
             simulate_into(folder, simulate_rig, RigScenario(), seed, progress)
             rig, truth = load_rig(folder / "rig.yaml"), load_truth(folder / "truth.yaml")

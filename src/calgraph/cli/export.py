@@ -75,13 +75,11 @@ def export(
     calibration = load_calibration(file)
     if not force and format != "json":  # which states the verdicts
         _check_poses_are_good(calibration)
-    text = export_text(
-        calibration,
-        format,
-        rig=_rig(rig, file) if format == "kalibr" else None,
-        urdf=read_text(urdf) if urdf else None,
-        parents=parents or "root",
-    )
+    kalibr_rig, urdf_text = _rig(rig, file) if format == "kalibr" else None, read_text(urdf) if urdf else None
+    try:
+        text = export_text(calibration, format, rig=kalibr_rig, urdf=urdf_text, parents=parents or "root")
+    except InputError as error:
+        raise InputError(f"{urdf or file}: {error}") from error
     if out:
         write_text(out, text)
         next_step = _PUBLISH.get(format, "").format(file=shlex.quote(str(out)))

@@ -34,7 +34,7 @@ def simulate_to(out: Path, simulate: Simulate[Scenario], scenario: Scenario, see
     """
     if (out / "recording").exists():
         raise InputError(f"{out / 'recording'}: exists already; remove it or choose another OUT")
-    with replace_folder_atomically(out) as folder, progress_bars() as progress:
+    with replace_folder_atomically(out, "recording") as folder, progress_bars() as progress:
         simulate_into(folder, simulate, scenario, seed, progress)
     console(stderr=True).print(
         f"Wrote {out}; next: calgraph calibrate {out / 'rig.yaml'} {out / 'recording'} -o {out / 'result'}",

@@ -84,7 +84,7 @@ def solve(
     rig = override_settings(problem.rig, overrides)
     problem = replace(problem, rig=rig, solver=problem.solver.model_copy(update=chosen | besides))
     problem = round_trip(with_prior_poses(problem, prior_poses, groups))
-    with replace_folder_atomically(out) as folder:
+    with replace_folder_atomically(out, "calibration.yaml") as folder:
         calibration = replace(solve_problem(problem), provenance=describe_run([file, *([prior] if prior else [])]))
         write_results(calibration, problem.rig, folder)
     show_results(calibration, out, json=json, strict=strict)

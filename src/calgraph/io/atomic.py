@@ -1,7 +1,7 @@
 """Atomic output: files are written under a temporary name in the same folder, then renamed.
 
 A process that is killed (SIGKILL) leaves its temporary file or folder; the next one that writes to the same place
-removes it.
+removes it. Devices and pipes, such as /dev/stdout, are written to; symbolic links stay, and lead to the new file.
 """
 
 import os
@@ -9,6 +9,7 @@ import platform
 import re
 import secrets
 import shutil
+import tempfile
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -25,15 +26,32 @@ def write_atomically(path: Path) -> Iterator[Path]:
         InputError: the folder of ``path`` does not exist or cannot be written to, or ``path`` is a folder.
     """
     check_output_path(path)
-    _remove_abandoned(path.parent, path.name)
+    if path.exists() and not path.is_file():
+        with _write_to_device(path) as temporary:
+            yield temporary
+        return
+    with _wrap_errors(path):
+        target = path.resolve() if path.is_symlink() else path
+    _remove_abandoned(target.parent, target.name)
     # Same folder, hence same file system: the rename is atomic.
-    temporary = path.parent / _temporary_name(path)
+    temporary = target.parent / _temporary_name(target)
     try:
         with _wrap_errors(path):
             yield temporary
-            temporary.replace(path)
+            temporary.replace(target)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def _write_to_device(path: Path) -> Iterator[Path]:
+    """A temporary name, of which the file is copied to a device or pipe: these cannot be replaced."""
+    with temporary_folder() as folder:
+        temporary = folder / "output"
+        with _wrap_errors(path):
+            yield temporary
+            with temporary.open("rb") as file, path.open("wb") as device:
+                shutil.copyfileobj(file, device)
 
 
 def check_output_path(path: Path) -> None:
@@ -42,30 +60,36 @@ def check_output_path(path: Path) -> None:
     Raises:
         InputError: the folder of ``path`` does not exist, or ``path`` is a folder.
     """
-    if path.is_dir():
-        raise InputError(f"{path}: is a folder, a file is to be written there")
-    if not path.parent.is_dir():
-        raise InputError(f"{path}: its folder does not exist")
+    with _wrap_errors(path):
+        if path.is_dir():
+            raise InputError(f"{path}: is a folder, a file is to be written there")
+        if not path.parent.is_dir():
+            raise InputError(f"{path}: its folder does not exist")
 
 
 @contextmanager
-def replace_folder_atomically(path: Path) -> Iterator[Path]:
+def replace_folder_atomically(path: Path, last: str) -> Iterator[Path]:
     """A temporary folder whose files move into the folder ``path`` if the block ends without an error.
 
     ``path`` is created if it is missing. Its other files stay; files of the same name are replaced atomically.
     Only the top level is moved: a folder replaces the folder of the same name as a whole.
 
+    Args:
+        path: the folder.
+        last: name of the file or folder that marks a complete result. An earlier one is removed before, and the
+            new one is moved after all others: a process that is killed leaves no mixture of results that has it.
+
     Raises:
         InputError: ``path`` is a file, or cannot be made or written to; raised before the block is entered.
     """
-    if path.exists() and not path.is_dir():
-        raise InputError(f"{path}: is a file, a folder is to be written there")
     with _wrap_errors(path):
-        temporary = _make_temporary_folder(path)
+        if path.exists() and not path.is_dir():
+            raise InputError(f"{path}: is a file, a folder is to be written there")
+        temporary = make_temporary_folder(path)
     try:
         yield temporary
         with _wrap_errors(path):
-            _move_into_place(temporary, path)
+            _move_into_place(temporary, path, last)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
 
@@ -76,8 +100,29 @@ def write_text(path: Path, text: str) -> None:
         temporary.write_text(text, encoding="utf-8")
 
 
-def _make_temporary_folder(path: Path) -> Path:
-    """An empty folder on the file system of ``path``: inside it if it exists (it may be a mount point)."""
+@contextmanager
+def temporary_folder() -> Iterator[Path]:
+    """An empty folder for temporary files that is removed in the end.
+
+    Raises:
+        InputError: the system's folder for temporary files cannot be written to.
+    """
+    place = Path(tempfile.gettempdir()) / "calgraph"
+    with _wrap_errors(place.parent):
+        _remove_abandoned(place.parent, place.name)
+        folder = place.parent / _temporary_name(place)
+        folder.mkdir(mode=0o700)
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def make_temporary_folder(path: Path) -> Path:
+    """An empty folder on the file system of ``path``: inside it if it exists (it may be a mount point).
+
+    Those that killed processes left for the same path are removed.
+    """
     if not path.exists():
         path.parent.mkdir(parents=True, exist_ok=True)
     for folder in (path.parent, path):
@@ -87,18 +132,23 @@ def _make_temporary_folder(path: Path) -> Path:
     return temporary
 
 
-def _move_into_place(temporary: Path, path: Path) -> None:
-    if path.exists():
-        for entry in sorted(temporary.iterdir()):
-            _move(entry, path / entry.name)
-    else:
+def _move_into_place(temporary: Path, path: Path, last: str) -> None:
+    if not path.exists():
         temporary.rename(path)
+        return
+    _remove(path / last)
+    for entry in sorted(temporary.iterdir(), key=lambda entry: (entry.name == last, entry.name)):
+        target = path / entry.name
+        if target.is_dir() or entry.is_dir():
+            _remove(target)
+        entry.replace(target)
 
 
-def _move(source: Path, target: Path) -> None:
-    if target.is_dir() and not target.is_symlink():
-        shutil.rmtree(target)
-    source.replace(target)
+def _remove(path: Path) -> None:
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
 
 
 def _temporary_name(path: Path) -> str:

@@ -8,11 +8,11 @@ from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path, PurePath
-from tempfile import TemporaryDirectory
 from typing import Any
 
 from calgraph.config.settings import LimitSettings
 from calgraph.errors import InputError, RecordingError
+from calgraph.io import temporary_folder
 from calgraph.io.yaml_reading import read_yaml
 from calgraph.recording.limits import check_unpacked_size
 from calgraph.recording.recording import TopicInfo, check_fetched, wrap_errors
@@ -67,7 +67,7 @@ def decompress_storage(file: Path, stack: ExitStack, limits: LimitSettings) -> P
     """
     if file.suffix not in _ZSTD_SUFFIXES:
         return file
-    folder = Path(stack.enter_context(TemporaryDirectory(prefix="calgraph-")))
+    folder = stack.enter_context(temporary_folder())
     copy = folder / file.stem
     with (
         wrap_errors(file, "the compressed file is incomplete or damaged: copy it again"),

@@ -1,7 +1,6 @@
 """Writes recordings as rosbag2 with MCAP storage, as the tools of ROS 2 read them."""
 
 import shutil
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
@@ -14,6 +13,7 @@ from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
 from calgraph.errors import InputError
+from calgraph.io import make_temporary_folder
 from calgraph.recording.images import encode_image
 from calgraph.sensors import CameraInfo, Image, LaserScan, Message, PointCloud, Trigger
 
@@ -43,9 +43,8 @@ class RecordingWriter:
         self.path = path
         self._store = get_typestore(Stores.ROS2_HUMBLE)
         self._connections: dict[str, Connection] = {}
-        path.parent.mkdir(parents=True, exist_ok=True)
         # rosbags names the storage file after its folder, so the unfinished one differs by its parent.
-        self._unfinished = Path(tempfile.mkdtemp(prefix=f".{path.name}-", dir=path.parent))
+        self._unfinished = make_temporary_folder(path)
         self._writer = Writer(self._unfinished / path.name, version=8, storage_plugin=StoragePlugin.MCAP)
         self._writer.open()
 
