@@ -30,8 +30,8 @@ def camera_model(distortion_model: str, width: int, height: int, K: Array, D: Ar
 
     Raises:
         UncalibratedError: the camera is not calibrated.
-        ValueError: it has no image size, the model or a number of coefficients is not supported, or a value exceeds
-            a million.
+        ValueError: it has no image size, the model or a number of coefficients is not supported, or a value is
+            beyond a million.
     """
     matrix = _camera_matrix(np.asarray(K, dtype=np.float64).ravel())
     if not (matrix[0, 0] > 0 and matrix[1, 1] > 0):
