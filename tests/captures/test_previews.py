@@ -104,3 +104,8 @@ def test_messages_are_decoded_once_and_previewed_where_requested() -> None:
     assert results[0].snapshot is None
     assert results[1].snapshot is not None
     assert results[1].snapshot.stamp == 3.0
+
+
+def test_a_rig_of_which_no_sensor_can_detect_has_no_previews() -> None:
+    rig = rig_of(1, 1, 0).model_copy(update={"sensors": {}})
+    assert plan_previews(holds(3), rig) == {}

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from calgraph.config import Board, Charuco, Checkerboard, PixelNoise, Tag
-from calgraph.detection import BoardCorners, CameraDetector
+from calgraph.detection import BoardCorners, BoardViewFinder, CameraDetector
 from calgraph.detection.landmarks import compute_landmarks
 from calgraph.errors import InputError, Rejected
 from calgraph.geometry import Array, plane, se3, so3
@@ -98,6 +98,12 @@ def test_too_few_corners_are_rejected_with_the_reason(keep: slice, reason: str) 
     found = detect(CHARUCO, T_CAMERA_BOARD, keep)
     assert isinstance(found, Rejected)
     assert reason in found.reason
+
+
+def test_intrinsics_are_not_estimated_from_corners() -> None:
+    finder = BoardViewFinder([CHARUCO], PixelNoise())
+    with pytest.raises(InputError, match="do not state the size of the images: state the intrinsics"):
+        finder.find([DetectedCorners(1, "", np.zeros((1, 3)), np.ones((1, 2)))])
 
 
 def test_corners_of_a_board_that_moves_within_a_capture_are_rejected() -> None:

@@ -35,7 +35,12 @@ _GOLDEN = (np.sqrt(5) - 1) / 2
 
 
 def plan_previews(holds: Sequence[Hold], rig: Rig) -> dict[int, PreviewSize]:
-    """The size of the previews by capture; captures beyond the budget, spread evenly, have none."""
+    """The size of the previews by capture; captures beyond the budget, spread evenly, have none.
+
+    Of a rig without sensors, as none can detect the board, there are none.
+    """
+    if not rig.sensors:
+        return {}
     large = _sample_indices(len(holds), min(_MAX_LARGE, int(_BUDGETS[_LARGE] / _estimate_bytes(_LARGE, rig))))
     remaining = np.setdiff1d(np.arange(len(holds)), large)
     small = remaining[_sample_indices(len(remaining), int(_BUDGETS[_SMALL] / _estimate_bytes(_SMALL, rig)))]

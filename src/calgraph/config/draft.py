@@ -39,6 +39,13 @@ _NO_TARGET_OF_SCANNERS = """\
 # Or, for scanners that are fixed in a building, the people who walked through:
 # target: {kind: people}
 """
+_NO_INTRINSICS = (
+    "    # No usable camera_info was found: intrinsics are estimated from the same images. State them if they\n"
+    "    # are known; K is fx, fy, cx, cy."
+)
+_NO_INTRINSICS_OF_CORNERS = (
+    "    # CHANGE: state the intrinsics, as corners do not have the size of the images; K is fx, fy, cx, cy"
+)
 _NO_BACKGROUND = (
     "# background: [0.0, 5.0]      # s from the start: the room without board and operator; none was found"
 )
@@ -287,7 +294,7 @@ def _sensor(sensor: _Sensor) -> list[str]:
         lines.append(f"    camera_info: {_format_scalar(sensor.info.name)}")
     elif topic.kind == "camera":
         lines += [
-            "    # CHANGE: the recording has no usable camera_info for this camera; K is fx, fy, cx, cy",
+            _NO_INTRINSICS_OF_CORNERS if topic.type == "corners" else _NO_INTRINSICS,
             "    # intrinsics: {width: 1280, height: 960, K: [900.0, 900.0, 639.5, 479.5], distortion: []}",
         ]
     if topic.frame_id:

@@ -19,9 +19,9 @@ from calgraph.detection.printed_boards import (
     select_grays,
 )
 from calgraph.detection.tags import Marks
-from calgraph.errors import Rejected
+from calgraph.errors import InputError, Rejected
 from calgraph.geometry import Array
-from calgraph.sensors import Image, Message
+from calgraph.sensors import DetectedCorners, Image, Message
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +79,16 @@ class BoardViewFinder:
         return BoardViewFinder, (self._boards, self._noise, self._settings)
 
     def find(self, messages: Sequence[Message]) -> tuple[BoardView, ...] | Rejected:
-        """Every board in the images of one capture, in which it rests; corners of several images are averaged."""
+        """Every board in the images of one capture, in which it rests; corners of several images are averaged.
+
+        Raises:
+            InputError: the messages are corners that another program detected.
+        """
+        if any(isinstance(message, DetectedCorners) for message in messages):
+            raise InputError(
+                "sensors: detected corners do not state the size of the images: state the intrinsics of their "
+                "cameras"
+            )
         grays = [message.gray for message in messages if isinstance(message, Image)]
         if not grays:
             return Rejected("no image in this capture")
