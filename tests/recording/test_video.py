@@ -2,6 +2,7 @@
 
 import pickle
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import av
@@ -10,6 +11,7 @@ import pytest
 
 from calgraph.config.settings import LimitSettings
 from calgraph.errors import InputError, RecordingError
+from calgraph.processes import parallel_stream
 from calgraph.recording import open_recording, open_recordings, video
 from calgraph.sensors import Image, RecordedMessage
 from videos import write_video
@@ -126,7 +128,7 @@ def test_a_damaged_frame_is_an_error_with_its_stamp(tmp_path: Path) -> None:
     path.write_bytes(bytes(data))
     with open_recording(path) as recording:
         records = list(recording.records())
-        with pytest.raises(RecordingError, match=r"cam\.avi: topic cam, stamp 0\.375000: "):
+        with pytest.raises(RecordingError, match=r"cam\.avi: stamp 0\.375000: "):
             records[7].decode()
 
 
@@ -158,7 +160,7 @@ def test_frames_larger_than_the_file_states_are_an_error(tmp_path: Path) -> None
     path = write_video(tmp_path / "cam.avi", GRAYS[:2], STAMPS[:2])
     index = video._index_video(path, LimitSettings())
     decoder = video._FrameDecoder(path, index, LimitSettings(max_image_pixels=100))
-    with pytest.raises(RecordingError, match=r"cam\.avi: topic cam, stamp 0\.0"):
+    with pytest.raises(RecordingError, match=r"cam\.avi: stamp 0\.0"):
         decoder.decode(0)
     decoder.close()
 
@@ -184,6 +186,28 @@ def test_a_folder_has_one_video_a_camera_beside_folders_of_other_sensors(tmp_pat
             ("left", 0.5),
             ("right", 0.5),
         ]
+
+
+def test_a_video_alone_in_a_folder_has_its_topic(tmp_path: Path) -> None:
+    """As cameras name their files themselves."""
+    for camera in ("left", "right"):
+        (tmp_path / camera).mkdir()
+        write_video(tmp_path / camera / "GX010012.MP4", GRAYS[:2], [0.0, 0.5])
+    with open_recording(tmp_path) as recording:
+        assert [(topic.name, topic.count) for topic in recording.topics] == [("left", 2), ("right", 2)]
+
+
+def mean_gray(_: None, decode: Callable[[], Image]) -> float:
+    return float(decode().gray.mean())
+
+
+def test_frames_are_the_same_in_several_processes(tmp_path: Path) -> None:
+    path = write_video(tmp_path / "cam.mp4", GRAYS, STAMPS, b_frames=2)
+    with open_recording(path) as recording:
+        here = list(parallel_stream(mean_gray, ((r.decode,) for r in recording.records()), None, 1))
+        there = list(parallel_stream(mean_gray, ((r.decode,) for r in recording.records()), None, 2))
+    assert here == there
+    assert len(here) == 40
 
 
 def test_several_videos_are_one_recording_unless_their_names_are_equal(tmp_path: Path) -> None:

@@ -1,6 +1,6 @@
 """Opening recordings of any supported format."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -49,16 +49,29 @@ def open_recording(path: Path, limits: LimitSettings = LimitSettings()) -> Recor
 
 def _open_folder(path: Path, limits: LimitSettings) -> Recording:
     """A plain folder with folders of files, videos, or both."""
-    videos = [one for one in sorted(path.iterdir()) if is_video(one)]
+    videos = list(_find_videos(path))
     if not videos:
         return FolderRecording(path, limits)
     with ExitStack() as stack:
-        parts: list[Recording] = [stack.enter_context(VideoRecording(video, limits)) for video in videos]
+        parts: list[Recording] = [
+            stack.enter_context(VideoRecording(video, limits, topic)) for video, topic in videos
+        ]
         if has_message_files(path):
             parts.append(stack.enter_context(FolderRecording(path, limits)))
         _check_takes(parts)
         stack.pop_all()
     return JoinedRecording(parts, path)
+
+
+def _find_videos(path: Path) -> Iterator[tuple[Path, str]]:
+    """The videos in a folder, and those that are alone in a folder of it, which names their topic."""
+    for one in sorted(path.iterdir()):
+        if is_video(one):
+            yield one, one.stem
+        elif one.is_dir():
+            inner = [video for video in one.iterdir() if is_video(video)]
+            if len(inner) == 1:
+                yield inner[0], one.name
 
 
 def open_recordings(paths: Sequence[Path], limits: LimitSettings = LimitSettings()) -> Recording:

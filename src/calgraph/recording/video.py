@@ -52,17 +52,22 @@ class _VideoIndex:
 
 
 class VideoRecording(ClosedOnExit):
-    """A video as a recording with one topic, named like the file; needs ``calgraph[video]``.
+    """A video as a recording with one topic; needs ``calgraph[video]``.
 
     The first frame is at 0 s. Frames are decoded when their messages are; rotations that the file states for
     players are not applied, as the sensor does not turn.
+
+    Args:
+        path: of the file.
+        limits: maximum size of its images.
+        topic: the name of the file without suffix if left out.
 
     Raises:
         InputError: PyAV is not installed.
         RecordingError: the file is damaged, has no video, or larger images than the limit.
     """
 
-    def __init__(self, path: Path, limits: LimitSettings) -> None:
+    def __init__(self, path: Path, limits: LimitSettings, topic: str | None = None) -> None:
         self.path, self.sources = path, (path,)
         self._limits = limits
         check_fetched(path)
@@ -70,7 +75,7 @@ class VideoRecording(ClosedOnExit):
         self._stack = ExitStack()
         stamps = self._index.stamps
         self.start, self.end = 0.0, float(stamps[-1])
-        self.topics = (TopicInfo(path.stem, "image", len(stamps), "start"),)
+        self.topics = (TopicInfo(topic or path.stem, "image", len(stamps), "start"),)
 
     def records(
         self, topics: Collection[str] | None = None, start: float | None = None, end: float | None = None
@@ -136,7 +141,7 @@ class _FrameDecoder:
         Raises:
             RecordingError: it is damaged.
         """
-        where = f"{self._path}: topic {self._path.stem}, stamp {self.index.stamps[number]:.6f}"
+        where = f"{self._path}: stamp {self.index.stamps[number]:.6f}"
         with self._lock, _wrap_errors(where, self._path):
             keyframe = int(self.index.keyframes[np.searchsorted(self.index.keyframes, number, side="right") - 1])
             if self._container is None or number < self._number or keyframe > self._number:
