@@ -1,6 +1,7 @@
 """Four webcams around a board moved by hand: calgraph against least squares, the published answer, and halves.
 
 python benchmarks/webcams.py
+python benchmarks/webcams.py --unstamped    # as if the frames of one index were of one time
 python benchmarks/webcams.py --aligned      # the back of the board as if it was exactly behind the front
 
 Data: four-webcams-charuco-corners in ../shared/data, or in CALGRAPH_DATA: corners in 48 synchronized
@@ -103,17 +104,19 @@ def read_rig() -> Rig:
     return Rig.model_validate({"root": ROOT, "target": target, "sensors": sensors})
 
 
-def read_detections(rig: Rig, back: Array = BACK) -> dict[str, dict[int, Detection]]:
-    """The board by camera and frame."""
+def read_captures(rig: Rig, back: Array = BACK, *, stamps: bool = True) -> CaptureSet:
+    """All frames, with the corners at the mean of the frames' stamps if ``stamps``, else as measured."""
     detect = make_detectors(rig, rig.camera_models(), {}, None, draw_seeds(rig, np.random.default_rng(0)))
     found: dict[str, dict[int, Detection]] = {name: {} for name in rig.sensors}
+    times: dict[str, dict[int, float]] = {name: {} for name in rig.sensors}
     with open_recording(data_folder()) as recording:
         for name, topic in rig.topics.items():
             for frame, record in enumerate(recording.records([topic])):
                 detections = detect[name]([record.decode()])
+                times[name][frame] = record.stamp
                 if isinstance(detections, tuple) and isinstance(corners := detections[0], BoardCorners):
                     found[name][frame] = displace(corners, back) if name == BEHIND else corners
-    return found
+    return captures_from_detections(rig, found, stamps=times if stamps else None)
 
 
 def displace(corners: BoardCorners, back: Array) -> BoardCorners:
@@ -138,10 +141,11 @@ def published_poses(rig: Rig) -> dict[str, Array]:
     return {name: T_camera_world[rig.root] @ se3.inverse(T_camera_world[name]) for name in rig.sensors}
 
 
-def fit_frames(rig: Rig, detections: Mapping[str, Mapping[int, Detection]], frames: Sequence[int]) -> Fit:
+def fit_frames(rig: Rig, all_captures: CaptureSet, frames: Sequence[int]) -> Fit:
     """Calibrates from some frames through the library."""
-    chosen = {name: {f: found[f] for f in frames if f in found} for name, found in detections.items()}
-    captures = captures_from_detections(rig, chosen)
+    chosen = {n: {f: found[f] for f in frames if f in found} for n, found in all_captures.detections.items()}
+    holds = tuple(hold for hold in all_captures.holds if hold.index in frames)
+    captures = replace(all_captures, detections=chosen, holds=holds)
     problem = build_problem_from_captures(rig, captures, RigOptions(), np.random.default_rng(0))
     return Fit(captures, solve_jointly(problem)[0], solve_problem(problem))
 
@@ -267,13 +271,14 @@ def show_deviations(
 def main() -> None:
     """Prints the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--unstamped", action="store_true", help="as if the frames of one index were of one time")
     parser.add_argument("--aligned", action="store_true", help="the prints on both sides coincide")
     arguments = parser.parse_args()
     logging.disable(logging.WARNING)
     rig = read_rig()
-    detections = read_detections(rig, np.zeros(6) if arguments.aligned else BACK)
-    frames = sorted({frame for found in detections.values() for frame in found})
-    every = fit_frames(rig, detections, frames)
+    captures = read_captures(rig, np.zeros(6) if arguments.aligned else BACK, stamps=not arguments.unstamped)
+    frames = sorted({frame for found in captures.detections.values() for frame in found})
+    every = fit_frames(rig, captures, frames)
     views = sum(len(found) for found in every.captures.detections.values())
     print(f"{len(frames)} frames, {views} views, {len(every.joint.rejected)} rejected by the joint solution")
     for sensor in every.calibration.sensors:
@@ -295,7 +300,7 @@ def main() -> None:
     }
     held_out = []
     for title, (one, two) in halves.items():
-        a, b = fit_frames(rig, detections, one), fit_frames(rig, detections, two)
+        a, b = fit_frames(rig, captures, one), fit_frames(rig, captures, two)
 
         def covariance(name: str, a: Fit = a, b: Fit = b) -> Array:
             cross = cross_covariance(a.joint, b.joint, name)
