@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -14,7 +15,7 @@ from calgraph.config import Board, Charuco, Rig
 from calgraph.detection.chessboards import CharucoFinder
 from calgraph.recording import RecordingWriter, open_recording, open_recordings, resolve_intrinsics
 from calgraph.result import Calibration
-from calgraph.sensors import Image, PointCloud
+from calgraph.sensors import Image, PointCloud, RecordedMessage
 from calgraph.simulation import (
     CameraOptions,
     GroundTruth,
@@ -22,9 +23,12 @@ from calgraph.simulation import (
     MultibeamOptions,
     RigScenario,
     SpinningOptions,
+    build_world,
+    ground_truth,
+    world_rig,
 )
 from calgraph.simulation.rig_simulation import TRIGGER_TOPIC
-from simulated_rigs import calibrate, pose_errors, simulate_scenario
+from simulated_rigs import build_recording, calibrate, pose_errors, simulate_recording, simulate_scenario
 from videos import write_video
 
 CAMERA, LIDAR = "/camera/image_raw/compressed", "/lidar/points"
@@ -92,6 +96,53 @@ def test_a_folder_of_numbered_files_is_snapshots(poses: Poses, tmp_path: Path) -
         found = calibrate(poses.rig_of({"camera": "cam 0", "lidar": "lidar"}), recording)
     assert found.evidence.edges[0].captures == 8
     check_pose(found, poses.truth)
+
+
+def test_snapshots_may_follow_each_other_closely_and_drivers_answer_late(poses: Poses) -> None:
+    """Poses are 1.2 to 3 s apart; the LiDAR answers half a second late, twice not at all, and sends two clouds."""
+    stamps = 1e9 + np.cumsum(np.random.default_rng(0).uniform(1.2, 3.0, len(poses.images)))
+    records = []
+    for number, (image, cloud) in enumerate(zip(poses.images, poses.clouds, strict=True)):
+        messages: list[tuple[str, Image | PointCloud]] = [("cam", replace(image, stamp=stamps[number]))]
+        if number not in (2, 5):
+            late = stamps[number] + 0.5
+            messages += [("lidar", replace(cloud, stamp=late)), ("lidar", replace(cloud, stamp=late + 0.1))]
+        records += [RecordedMessage(topic, m.stamp, m.stamp, partial(replace, m)) for topic, m in messages]
+    found = calibrate(poses.rig_of({"camera": "cam", "lidar": "lidar"}), build_recording(records))
+    assert found.evidence.edges[0].captures == 7
+    check_pose(found, poses.truth)
+
+
+def test_each_of_several_short_recordings_is_a_pose(poses: Poses, tmp_path: Path) -> None:
+    """Clocks of the sensors start at 0 in each, and the LiDAR is two seconds late."""
+    paths = []
+    for number, (image, cloud) in enumerate(zip(poses.images, poses.clouds, strict=True)):
+        paths.append(tmp_path / f"pose {number}")
+        with RecordingWriter(paths[-1]) as writer:
+            writer.write("/cam", replace(image, stamp=0.5), 0.5)
+            writer.write("/lidar", replace(cloud, stamp=2.5), 2.5)
+    with open_recordings(paths) as recording:
+        found = calibrate(poses.rig_of({"camera": "/cam", "lidar": "/lidar"}), recording)
+    assert found.evidence.edges[0].captures == 9
+    check_pose(found, poses.truth)
+
+
+def test_a_board_that_never_rests_is_calibrated_from_synchronized_frames() -> None:
+    """Image and sweep begin together; the sweep reaches the board half a period later, and states its times."""
+    scenario = SCENARIO.model_copy(
+        update={"hold_time": 0.01, "move_time": 1.5, "camera": SCENARIO.camera.model_copy(update={"rate": 8.0}),
+                "multibeam": SCENARIO.multibeam.model_copy(update={"rate": 8.0}), "trigger": False}
+    )  # fmt: skip
+    world = build_world(scenario, 6)
+    clock = world.robot[0].clock
+    robot = tuple(replace(s, clock=replace(s.clock, phase=clock.phase, period=clock.period)) for s in world.robot)
+    world = replace(world, robot=robot)
+    found = calibrate(world_rig(world), simulate_recording(world))
+    assert found.evidence.edges[0].captures > 35
+    check_pose(found, ground_truth(world))
+    error = pose_errors(found, ground_truth(world))["camera"]
+    (camera,) = (sensor for sensor in found.sensors if sensor.name == "camera")
+    assert error @ np.linalg.solve(camera.covariance, error) / 6 < 3
 
 
 def test_a_video_beside_clouds_is_searched_for_holds(tmp_path: Path) -> None:

@@ -23,7 +23,6 @@ from calgraph.captures import (
     detect_by_sensors,
     draw_seeds,
     find_holds,
-    is_snapshot_recording,
     limit_messages,
     measure_activity,
     read_timeline,
@@ -31,7 +30,14 @@ from calgraph.captures import (
 )
 from calgraph.config import Rig
 from calgraph.errors import CalibrationError, Rejected
-from calgraph.recording import Recording, RecordingCache, find_camera_infos, resolve_intrinsics
+from calgraph.recording import (
+    PoseRecordings,
+    Recording,
+    RecordingCache,
+    find_camera_infos,
+    resolve_intrinsics,
+    separate_poses,
+)
 
 
 def collect_captures(
@@ -80,15 +86,31 @@ def _without(rig: Rig, names: Collection[str]) -> Rig:
     return rig.model_copy(update={"sensors": {n: spec for n, spec in rig.sensors.items() if n not in names}})
 
 
+def separate_snapshots(rig: Rig, recording: Recording) -> Recording:
+    """The recording, as recordings of one pose each where several short ones were given."""
+    settings = rig.settings.captures
+    if rig.capture.trigger or rig.capture.mode in ("rest", "synchronized"):
+        return recording
+    return separate_poses(
+        recording,
+        list(rig.topics.values()),
+        stated=rig.capture.mode == "snapshots",
+        max_duration=settings.max_pose_recording,
+        gap=settings.max_snapshot_gap,
+    )
+
+
 def _read_timeline(
     rig: Rig, recording: Recording, monitor: InputMonitor, cache: RecordingCache, progress: Progress
 ) -> RecordingTimeline:
-    """The stamps of every sensor's messages and, without a trigger, how much its view changed at each."""
+    """The stamps of every sensor's messages and, where it matters, how much its view changed at each."""
 
     def reading(arrival: float) -> None:
         progress("reading", (arrival - recording.start) / max(recording.end - recording.start, 1e-9))
 
     timeline = read_timeline(rig, recording, monitor, cache, reading)
-    if rig.capture.trigger or is_snapshot_recording(timeline, rig.settings.captures.max_snapshot_gap):
+    if isinstance(recording, PoseRecordings):
+        timeline = replace(timeline, poses=recording.poses)
+    if rig.capture.trigger or recognize_mode(timeline, rig.capture, rig.settings.captures).mode == "snapshots":
         return timeline
     return measure_activity(timeline, rig, recording, cache, reading)

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from calgraph.calibrate.bumps import solve_after_bumps
-from calgraph.calibrate.capture_collection import collect_captures
+from calgraph.calibrate.capture_collection import collect_captures, separate_snapshots
 from calgraph.calibrate.options import Progress, RigOptions, check_estimator, no_progress
 from calgraph.calibrate.step_log import log_captures, log_pairs, log_solution
 from calgraph.calibrate.strategies import select_initialization, solve_baseline
@@ -103,6 +103,7 @@ def build_problem(
     """Builds the joint problem from a recording; arguments and errors are those of :func:`calibrate_rig`."""
     _check_board(rig)
     rng = np.random.default_rng(options.seed)
+    recording = separate_snapshots(rig, recording)
     rig = resolve_background(rig, recording, options.cache)
     captures = collect_captures(rig, recording, options, rng, progress)
     rig = state_estimated_intrinsics(resolve_intrinsics(rig, recording), captures)

@@ -45,6 +45,8 @@ def recognize_mode(
         return RecognizedMode(capture.mode, f"rig.yaml states capture.mode: {capture.mode}")
     if capture.trigger or len(timeline.triggers):
         return RecognizedMode("rest", f"each of {len(timeline.triggers)} triggers starts a capture")
+    if timeline.poses:
+        return RecognizedMode("snapshots", f"each of {len(timeline.poses)} recordings is short, and of one pose")
     if is_snapshot_recording(timeline, settings.max_snapshot_gap) or _has_separate_bursts(timeline, settings):
         poses = max((len(_bursts(times, settings)) for times in timeline.sensors.values()), default=0)
         return RecognizedMode("snapshots", f"the sensors measured {poses} times, with pauses in between")
@@ -53,7 +55,11 @@ def recognize_mode(
     if not any(times.activity.any() for times in timeline.sensors.values()):
         reason = "the sensors measure continuously; how much their views change was not measured"
         return RecognizedMode("rest", reason, spread)
-    if rests := find_rests(timeline, settings):
+    begin = timeline.start
+    rests = [(a, b) for a, b in find_rests(timeline, settings) if capture.allows(a - begin, b - begin)]
+    # A moving board may rest for a moment when the recording starts and ends.
+    share = sum(b - a for a, b in rests) / _duration(timeline)
+    if len(rests) >= _MIN_POSES or (rests and (spread is None or share >= settings.min_rest_share)):
         return RecognizedMode("rest", f"nothing moves in {len(rests)} intervals of the recording", spread)
     if spread is None:
         return RecognizedMode("rest", "the sensors measure continuously, and their stamps show no sets of frames")
@@ -63,6 +69,11 @@ def recognize_mode(
         "(median)",
         spread,
     )
+
+
+def _duration(timeline: RecordingTimeline) -> float:
+    stamps = np.concatenate([times.stamps for times in timeline.sensors.values()])
+    return max(float(np.ptp(stamps)), 1e-9)
 
 
 def is_snapshot_recording(timeline: RecordingTimeline, max_gap: float) -> bool:
@@ -90,8 +101,10 @@ def find_snapshots(
     Messages of different sensors belong to one pose if at most ``settings.max_snapshot_gap`` lies between them.
     Where that leaves half of the messages alone, as drivers respond late, the gap is doubled, until it exceeds
     ``settings.max_snapshot_spread``. A stated ``capture.max_spread`` is the time between the first stamps of the
-    first and of the last sensor of a pose.
+    first and of the last sensor of a pose. Where each recording is of one pose, stamps do not matter.
     """
+    if timeline.poses:
+        return [group for start, end in timeline.poses if (group := _select_between(timeline, start, end))]
     bursts = {name: _bursts(times, settings) for name, times in timeline.sensors.items()}
     if capture.max_spread:
         return group_bursts(bursts, capture.max_spread, capture.max_spread)
@@ -101,6 +114,16 @@ def find_snapshots(
         gap *= 2
         groups = group_bursts(bursts, gap, np.inf)
     return groups
+
+
+def _select_between(timeline: RecordingTimeline, start: float, end: float) -> StampGroup | None:
+    """All messages between two stamps; None of fewer than two sensors."""
+    within = {
+        name: times.stamps[(times.stamps >= start) & (times.stamps <= end)]
+        for name, times in timeline.sensors.items()
+    }
+    some = {name: stamps for name, stamps in within.items() if len(stamps)}
+    return StampGroup(some) if len(some) > 1 else None
 
 
 def _are_synchronized(frames: list[StampGroup], timeline: RecordingTimeline, settings: CaptureSettings) -> bool:

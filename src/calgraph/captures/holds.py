@@ -52,7 +52,7 @@ def find_holds(
         frames = [
             group
             for group in find_frame_sets(timeline, capture, settings)
-            if _is_allowed(group.start, group.end, timeline, capture)
+            if capture.allows(group.start - timeline.start, group.end - timeline.start)
         ]
         found = _hold_frames(frames, timeline, settings.moving_board.max_captures)
     else:
@@ -62,16 +62,11 @@ def find_holds(
             candidates = _hold_groups(find_snapshots(timeline, capture, settings), timeline)
         else:
             candidates = _select_messages(timeline, find_rests(timeline, settings))
-        found = [hold for hold in candidates if _is_allowed(hold.start, hold.end, timeline, capture)]
+        begin = timeline.start
+        found = [hold for hold in candidates if capture.allows(hold.start - begin, hold.end - begin)]
     if not found:
-        raise CalibrationError(_explain_no_holds(timeline, capture))
+        raise CalibrationError(_explain_no_holds(timeline, capture, mode))
     return tuple(replace(hold, index=i) for i, hold in enumerate(found))
-
-
-def _is_allowed(start: float, end: float, timeline: RecordingTimeline, capture: Capture) -> bool:
-    """Whether an interval lies in no window without captures."""
-    excluded = [*capture.exclude, *([capture.background] if capture.background else [])]
-    return not any(start - timeline.start < b and end - timeline.start > a for a, b in excluded)
 
 
 def _select_messages(timeline: RecordingTimeline, spans: list[tuple[float, float]]) -> list[Hold]:
@@ -102,7 +97,7 @@ def _hold_frames(frames: list[StampGroup], timeline: RecordingTimeline, limit: i
     return [*_hold_groups(chosen, timeline), *_hold_groups(neighbours, timeline, auxiliary=True)]
 
 
-def _explain_no_holds(timeline: RecordingTimeline, capture: Capture) -> str:
+def _explain_no_holds(timeline: RecordingTimeline, capture: Capture, mode: str) -> str:
     if capture.trigger and not len(timeline.triggers):
         return (
             f"the topic {capture.trigger} has no message: check capture.trigger, or leave it out to find the "
@@ -112,6 +107,16 @@ def _explain_no_holds(timeline: RecordingTimeline, capture: Capture) -> str:
         return (
             f"all {len(timeline.triggers)} messages of {capture.trigger} lie in capture.background or "
             "capture.exclude; make these shorter"
+        )
+    if mode == "snapshots":
+        return (
+            "no pose was measured by two sensors: their stamps lie too far apart; state capture.max_spread in "
+            "seconds, or give one recording per pose"
+        )
+    if mode == "synchronized":
+        return (
+            "no two sensors have frames whose stamps are nearly equal: state capture.max_spread in seconds, the "
+            "largest difference that is acceptable, or hold the board still"
         )
     return "the board never rests: hold it still twice as long as the slowest sensor takes, or record a trigger"
 

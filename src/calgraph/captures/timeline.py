@@ -1,6 +1,6 @@
 """When each sensor measured: all that the search for captures keeps of a whole recording."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,6 +40,8 @@ class RecordingTimeline:
     sensors: Mapping[str, SensorTimes]
     triggers: Array
     """(T,) s, ascending."""
+    poses: Sequence[tuple[float, float]] = ()
+    """First and last stamp, s, of every recording, where each is of one pose of the board."""
 
 
 def build_timeline(

@@ -74,6 +74,11 @@ class Capture(StrictModel):
                 raise invalid(key, f"must end after it starts, got [{start:g}, {end:g}]")
         return self
 
+    def allows(self, start: float, end: float) -> bool:
+        """Whether an interval, s from the start of the recording, lies in no window without captures."""
+        excluded = [*self.exclude, *([self.background] if self.background else [])]
+        return not any(start < b and end > a for a, b in excluded)
+
 
 class Intrinsics(StrictModel):
     """A camera's intrinsics, as :class:`calgraph.sensors.CameraModel` explains them."""

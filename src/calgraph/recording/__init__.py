@@ -5,11 +5,12 @@ from calgraph.recording.camera_intrinsics import find_camera_infos, resolve_intr
 from calgraph.recording.in_memory import MessageRecording
 from calgraph.recording.inspection import SENSORS, Inspection, Timing, TopicReport, find_topics, inspect_recording
 from calgraph.recording.opening import open_recording, open_recordings
+from calgraph.recording.pose_recordings import PoseRecordings, separate_poses
 from calgraph.recording.recording import Recording, TopicInfo
 from calgraph.recording.writer import Encoding, RecordingWriter
 
 __all__ = [
-    "NO_CACHE", "SENSORS", "Encoding", "Inspection", "MessageRecording", "Recording", "RecordingCache",
-    "RecordingWriter", "Timing", "TopicInfo", "TopicReport", "find_camera_infos", "find_topics",
-    "inspect_recording", "open_recording", "open_recordings", "resolve_intrinsics",
+    "NO_CACHE", "SENSORS", "Encoding", "Inspection", "MessageRecording", "PoseRecordings", "Recording",
+    "RecordingCache", "RecordingWriter", "Timing", "TopicInfo", "TopicReport", "find_camera_infos", "find_topics",
+    "inspect_recording", "open_recording", "open_recordings", "resolve_intrinsics", "separate_poses",
 ]  # fmt: skip

@@ -99,13 +99,13 @@ class JoinedRecording(ClosedOnExit):
     """Several recordings read as one, merged by arrival time."""
 
     def __init__(self, recordings: Sequence[Recording], path: Path | None = None) -> None:
-        self._recordings = tuple(recordings)
-        self.path = path or self._recordings[0].path
-        sources = [part.sources for part in self._recordings]
+        self.parts = tuple(recordings)
+        self.path = path or self.parts[0].path
+        sources = [part.sources for part in self.parts]
         self.sources = tuple(path for paths in sources for path in paths) if all(sources) else ()
-        self.topics = merge_topics(topic for part in self._recordings for topic in part.topics)
-        self.start = min(part.start for part in self._recordings)
-        self.end = max(part.end for part in self._recordings)
+        self.topics = merge_topics(topic for part in self.parts for topic in part.topics)
+        self.start = min(part.start for part in self.parts)
+        self.end = max(part.end for part in self.parts)
 
     def records(
         self, topics: Collection[str] | None = None, start: float | None = None, end: float | None = None
@@ -114,13 +114,13 @@ class JoinedRecording(ClosedOnExit):
         wanted = select_topics(self.path, self.topics, topics)
         return merge_by_arrival(
             (part.start, part.records(wanted & {topic.name for topic in part.topics}, start, end))
-            for part in self._recordings
+            for part in self.parts
         )
 
     def close(self) -> None:
         """Closes every part, even if closing one of them fails."""
         with ExitStack() as stack:
-            for part in self._recordings:
+            for part in self.parts:
                 stack.callback(part.close)
 
 

@@ -145,6 +145,12 @@ class CaptureSettings(StrictModel):
     max_snapshot_spread: float = Field(default=8.0, gt=0)
     """Longest time between messages of one pose, s, where those within ``max_snapshot_gap`` are fewer than half:
     drivers that answer after several seconds."""
+    max_pose_recording: float = Field(default=15.0, gt=0)
+    """Maximum duration of a recording that is of one pose of the board, s, where several are given: operators
+    record some seconds of each pose, and minutes of a board that is carried around."""
+    min_rest_share: float = Field(default=0.2, ge=0, le=1)
+    """Share of the recording in which nothing moves, below which fewer than three rests are those of a moving
+    board at start and end: operators who hold the board still do so for half of the time."""
     max_spread_share: float = Field(default=0.35, gt=0, lt=0.5)
     """Maximum time between the stamps of a set of frames, where rig.yaml states none, over the shortest period of
     a sensor: sets of consecutive frames do not overlap, and triggers of cameras and drivers that read one camera
