@@ -25,6 +25,8 @@ from reliability_lines import list_cases as list_lines
 from reliability_recordings import TABLE as RECORDING_TABLE
 from reliability_recordings import list_cases as list_recordings
 from reliability_recordings import write_forms
+from reliability_system import TABLE as FAULT_TABLE
+from reliability_system import list_cases as list_faults
 from reliability_tables import ANSWERS, STATES, Columns, describe_wrong, format_section
 
 
@@ -90,6 +92,10 @@ def _operations(source: Source, scratch: Path, _seeds: int) -> Iterator[Case]:
     return list_operations(references, scratch / "operations")
 
 
+def _faults(source: Source, scratch: Path, seeds: int) -> Iterator[Case]:
+    return list_faults(source, References(_documents(source, scratch)).measure(scratch / "faults"), seeds)
+
+
 def _documents(source: Source, scratch: Path) -> Path:
     folder = scratch / "documents"
     return folder if folder.exists() else write_documents(source, folder)
@@ -102,6 +108,7 @@ _LAYOUTS: Mapping[str, tuple[Sequence[str], Columns]] = {
     LINE_TABLE: (("argument", "place"), ANSWERS),
     SIGNAL_TABLE: (("signal", "command"), STATES),
     SWEEP_TABLE: (("signal", "command"), STATES),
+    FAULT_TABLE: (("fault", "command"), ANSWERS),
 }
 """The heads of the first columns, and the other columns."""
 TABLES: Mapping[str, Callable[[Source, Path, int], Iterator[Case]]] = {
@@ -111,6 +118,7 @@ TABLES: Mapping[str, Callable[[Source, Path, int], Iterator[Case]]] = {
     LINE_TABLE: _lines,
     SIGNAL_TABLE: _signals,
     SWEEP_TABLE: _operations,
+    FAULT_TABLE: _faults,
 }
 
 

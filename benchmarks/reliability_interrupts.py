@@ -209,7 +209,7 @@ def _judge(references: References, task: Task, kind: str, folder: Path, start: C
     names = ["a process was killed", "killed"]
     if (found := judge_ending(ending, names, (0, *_CODES[kind]))) and found.answer.is_wrong:
         return found
-    state = _state(folder / task.output, earlier, new)
+    state = state_of(folder / task.output, earlier, new)
     if state == MIXED:
         return Judged(Answer.HALF, f"{ending.code}: {sorted(fingerprint(folder / task.output))}")
     if ending.code == 0 and state != NEW:
@@ -220,14 +220,15 @@ def _judge(references: References, task: Task, kind: str, folder: Path, start: C
     refused = task.refused_over_new and state == NEW
     if again.code != (2 if refused else 0):
         return Judged(Answer.CRASH, f"the next run failed: {again.stderr[-300:]}")
-    if _state(folder / task.output, earlier, new) != NEW:
+    if state_of(folder / task.output, earlier, new) != NEW:
         return Judged(Answer.HALF, "the next run wrote something else")
     if left := find_left(folder):
         return Judged(Answer.LEFT, f"after the next run: {left[0]}")
     return Judged(Answer.RIGHT, NOT_HIT if ending.code == 0 else state)
 
 
-def _state(output: Path, earlier: Mapping[str, str], new: Mapping[str, str]) -> str:
+def state_of(output: Path, earlier: Mapping[str, str], new: Mapping[str, str]) -> str:
+    """Which result is there."""
     now = fingerprint(output)
     if now == new:
         return NEW

@@ -199,7 +199,8 @@ def _attempt_bad(
         feeder.start()
     ending = run(_fill(place, path), folder)
     found = judge_ending(
-        ending, [path[:100], "folder", "path", "File name", "-o", "OUT", "RECORDING", *source.rig["sensors"]]
+        ending,
+        [path[:100], "folder", "path", "File name", "-o", "OUT", "RECORDING", "RIG.yaml", *source.rig["sensors"]],
     )
     if path == "fifo":
         _release(folder / "fifo")

@@ -1,5 +1,6 @@
 """Parallel evaluation in processes."""
 
+import errno
 import math
 import multiprocessing
 import os
@@ -101,6 +102,35 @@ def test_a_killed_process_of_a_stream_is_reported() -> None:
 
 def killed_with(_shared: None, number: int) -> int:
     return killed(number)
+
+
+@pytest.mark.parametrize("error", [OSError(errno.EROFS, "Read-only file system"), ImportError("no sem_open")])
+def test_one_process_does_the_work_where_there_is_no_shared_memory(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, error: Exception
+) -> None:
+    def fail(*_arguments: object, **_options: object) -> None:
+        raise error
+
+    monkeypatch.setattr("calgraph.processes.ProcessPoolExecutor", fail)
+    assert parallel_map(math.factorial, [(k,) for k in range(4)], 3) == [1, 1, 2, 6]
+    assert list(parallel_stream(add_unless_three, ((k,) for k in range(10, 13)), partial(sum, ()), 3)) == [
+        10,
+        11,
+        12,
+    ]
+    assert "several processes are not possible here" in caplog.text
+
+
+def test_processes_that_cannot_be_started_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_arguments: object) -> None:
+        raise OSError(errno.EAGAIN, "Resource temporarily unavailable")
+
+    monkeypatch.setattr("calgraph.processes.ProcessPoolExecutor.submit", fail)
+    message = r"^processes cannot be started \(Resource temporarily unavailable\); reduce `jobs`$"
+    with pytest.raises(CalibrationError, match=message):
+        parallel_map(math.factorial, [(1,), (2,)], 2)
+    with pytest.raises(CalibrationError, match=message):
+        list(parallel_stream(add_unless_three, [(1,), (2,)], partial(sum, ()), 2))
 
 
 _WAITING = """

@@ -1,5 +1,6 @@
 """Parallel evaluation in several processes of this machine."""
 
+import logging
 import multiprocessing
 import os
 import signal
@@ -15,11 +16,14 @@ from typing import Any, TypeVar
 
 from calgraph.errors import CalibrationError
 
+_log = logging.getLogger(__name__)
+
 Result = TypeVar("Result")
 
 # Calls of a stream that are submitted ahead for each process: enough that short calls behind a long one keep all
 # processes busy, few enough that their arguments fit into memory.
 _SUBMITTED_PER_PROCESS = 4
+_KILLED = "a process was killed, perhaps because memory ran out; reduce `jobs`"
 _shared: list[Any] = []
 """In a worker: the one argument that all calls of its pool share."""
 
@@ -33,7 +37,7 @@ def parallel_map(
     """Calls a function once per tuple of arguments, in up to ``jobs`` processes; returns results in order.
 
     Several processes require a program that may be forked (Linux), or whose main module can be imported again
-    (elsewhere).
+    (elsewhere), and shared memory for semaphores: where the system gives none, all calls run in this process.
 
     Args:
         function: defined at module level; its arguments and results are pickled.
@@ -42,17 +46,16 @@ def parallel_map(
         progress: called with the completed fraction, 0..1.
 
     Raises:
-        CalibrationError: a process was killed; or what ``function`` raises.
+        CalibrationError: a process was killed or cannot be started; or what ``function`` raises.
     """
-    jobs = min(jobs, len(work))
-    if jobs <= 1:
-        results = []
-        for done, arguments in enumerate(work, start=1):
-            results.append(function(*arguments))
-            progress(done / len(work))
-        return results
-    with _process_pool(jobs) as pool:
-        futures = [pool.submit(function, *arguments) for arguments in work]
+    with _process_pool(min(jobs, len(work))) as pool:
+        if pool is None:
+            results = []
+            for done, arguments in enumerate(work, start=1):
+                results.append(function(*arguments))
+                progress(done / len(work))
+            return results
+        futures = [_submit(pool, function, *arguments) for arguments in work]
         for done, future in enumerate(as_completed(futures), start=1):
             _get_result(future)
             progress(done / len(work))
@@ -77,13 +80,13 @@ def parallel_stream(
         Results in the order of the work, before an error: that of the first call that fails, else of the stream.
 
     Raises:
-        CalibrationError: a process was killed; or what ``function`` or the stream raises.
+        CalibrationError: a process was killed or cannot be started; or what ``function`` or the stream raises.
     """
-    if jobs <= 1:
-        for arguments in work:
-            yield function(shared, *arguments)
-        return
     with _process_pool(jobs, shared) as pool:
+        if pool is None:
+            for arguments in work:
+                yield function(shared, *arguments)
+            return
         submitted: deque[Future[Result]] = deque()
         for future in _submit_all(pool, function, work):
             submitted.append(future)
@@ -99,11 +102,20 @@ def _submit_all(
     """The futures of all calls; an error of the stream is the last one, so that earlier results come before it."""
     try:
         for arguments in work:
-            yield pool.submit(_call_with_shared, function, arguments)
+            yield _submit(pool, _call_with_shared, function, arguments)
     except Exception as error:
         failed: Future[Result] = Future()
         failed.set_exception(error)
         yield failed
+
+
+def _submit(pool: ProcessPoolExecutor, function: Callable[..., Result], *arguments: Any) -> Future[Result]:
+    try:
+        return pool.submit(function, *arguments)
+    except BrokenProcessPool as error:
+        raise CalibrationError(_KILLED) from error
+    except OSError as error:
+        raise CalibrationError(f"processes cannot be started ({error.strerror}); reduce `jobs`") from error
 
 
 def _call_with_shared(function: Callable[..., Result], arguments: tuple[Any, ...]) -> Result:
@@ -114,22 +126,38 @@ def _get_result(future: Future[Result]) -> Result:
     try:
         return future.result()
     except BrokenProcessPool as error:
-        raise CalibrationError("a process was killed, perhaps because memory ran out; reduce `jobs`") from error
+        raise CalibrationError(_KILLED) from error
 
 
 @contextmanager
-def _process_pool(count: int, shared: object = None) -> Iterator[ProcessPoolExecutor]:
-    """A pool of processes that is shut down when the block ends; pending work is cancelled if the block fails."""
-    # A forked worker has all imports and needs no importable main module, which a notebook does not have. NumPy
-    # supports forking, and no thread of calgraph holds a lock then, which is what Python 3.12 warns about.
-    context = multiprocessing.get_context("fork" if sys.platform == "linux" else None)
-    pool = ProcessPoolExecutor(count, mp_context=context, initializer=_start_worker, initargs=(shared,))
+def _process_pool(count: int, shared: object = None) -> Iterator[ProcessPoolExecutor | None]:
+    """A pool of processes that is shut down when the block ends; pending work is cancelled if the block fails.
+
+    None where one process is sufficient, or several are not possible.
+    """
+    pool = _make_pool(count, shared) if count > 1 else None
+    if pool is None:
+        yield None
+        return
     try:
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", message=".*fork", category=DeprecationWarning)
             yield pool
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _make_pool(count: int, shared: object) -> ProcessPoolExecutor | None:
+    # A forked worker has all imports and needs no importable main module, which a notebook does not have. NumPy
+    # supports forking, and no thread of calgraph holds a lock then, which is what Python 3.12 warns about.
+    context = multiprocessing.get_context("fork" if sys.platform == "linux" else None)
+    try:
+        return ProcessPoolExecutor(count, mp_context=context, initializer=_start_worker, initargs=(shared,))
+    except (OSError, ImportError, NotImplementedError) as error:
+        # Semaphores are in shared memory, which containers may lack.
+        reason = getattr(error, "strerror", None) or error
+        _log.warning("several processes are not possible here (%s): one does the work", reason)
+        return None
 
 
 def _start_worker(shared: object) -> None:

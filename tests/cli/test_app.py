@@ -138,3 +138,34 @@ def test_a_reader_that_goes_away_ends_it_quietly(simulated: Path) -> None:
             stdout=stdout, stderr=subprocess.PIPE, text=True, timeout=60, check=False,
         )  # fmt: skip
     assert (done.returncode, done.stderr) == (141, "")
+
+
+_INTERRUPTED_IMPORT = """
+import sys
+class Interrupting:
+    def find_spec(self, name, path=None, target=None):
+        if name == "typer":
+            raise KeyboardInterrupt
+sys.meta_path.insert(0, Interrupting())
+from calgraph.cli import main
+main()
+"""
+
+
+def test_an_interruption_while_modules_are_loaded_ends_it_quietly() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", _INTERRUPTED_IMPORT], capture_output=True, text=True, timeout=120, check=False
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
+
+
+def test_memory_that_runs_out_is_one_line() -> None:
+    code = (
+        "import calgraph.cli.app as module\n"
+        "def fail(): raise MemoryError\n"
+        "module.app = fail\n"
+        "module.run_command_line()"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 1
+    assert done.stderr == "calgraph: memory ran out; reduce --jobs, or give a shorter recording\n"

@@ -1,6 +1,8 @@
 """Provenance: which inputs a result was computed from, so that others can be told apart."""
 
+import os
 from collections.abc import Callable
+from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
@@ -52,3 +54,15 @@ def test_both_ends_of_a_large_file_count(tmp_path: Path) -> None:
 def test_the_date_of_a_reproducible_build_is_given(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "0")
     assert describe_run([]).date == "1970-01-01T00:00:00+00:00"
+
+
+def test_a_pipe_is_not_read_again_for_its_hash(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "rig.yaml")
+    assert hash_input(tmp_path / "rig.yaml") == ""
+
+
+@pytest.mark.parametrize("epoch", ["", "yesterday", "9" * 30])
+def test_an_epoch_that_is_no_time_is_ignored(monkeypatch: pytest.MonkeyPatch, epoch: str) -> None:
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", epoch)
+    date = datetime.fromisoformat(describe_run([]).date)
+    assert abs((datetime.now(UTC) - date).total_seconds()) < 60

@@ -60,7 +60,9 @@ def test_json_does_not_depend_on_the_terminal(calibrated: tuple[Path, object]) -
 
 
 def test_a_file_that_fails_is_not_taken_for_standard_output() -> None:
-    code = "import calgraph.cli.app as module; module.app = lambda: open('/nothing/here'); module.main()"
+    code = (
+        "import calgraph.cli.app as module; module.app = lambda: open('/nothing/here'); module.run_command_line()"
+    )
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False
     )  # fmt: skip

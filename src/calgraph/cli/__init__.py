@@ -1,5 +1,5 @@
 """The command line: parse, call, print."""
 
-from calgraph.cli.app import main
+from calgraph.cli.launcher import main
 
 __all__ = ["main"]

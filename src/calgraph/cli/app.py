@@ -18,7 +18,7 @@ from calgraph.cli.console import console
 from calgraph.cli.lazy_commands import LazyCommand, lazy_group
 from calgraph.cli.standard_streams import discard_output, open_standard_streams
 from calgraph.cli.step_log import VerboseOption, log_steps
-from calgraph.errors import CalgraphError, InputError
+from calgraph.errors import CalgraphError, CalibrationError, InputError
 
 _INTERRUPTED, _BROKEN_PIPE, _TERMINATED = (128 + number for number in (2, 13, 15))
 """Exit codes as shells give them for SIGINT, SIGPIPE and SIGTERM."""
@@ -105,8 +105,8 @@ def calgraph(
         log_steps()
 
 
-def main() -> None:
-    """Runs the command given; exit code 0, 1 (not calibrated) or 2 (bad usage or input)."""
+def run_command_line() -> None:
+    """Runs the command given, and ends the process with its exit code."""
     signal.signal(signal.SIGTERM, _terminate)
     _limit_library_threads()
     open_standard_streams()
@@ -119,6 +119,9 @@ def main() -> None:
     except BrokenPipeError:
         discard_output()
         sys.exit(_BROKEN_PIPE)
+    except MemoryError:
+        _print_error(CalibrationError("memory ran out; reduce `jobs`, or give a shorter recording"))
+        sys.exit(1)
     except OSError as error:
         # Files are named by the error; where none is, this is the stream.
         place = f"{error.filename}: cannot be used" if error.filename else "standard output: cannot be written"

@@ -5,6 +5,7 @@ import os
 import shlex
 import sys
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import replace
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -46,7 +47,12 @@ def describe_run(
 
 
 def hash_input(path: Path) -> str:
-    """SHA-256 of the sizes and of both ends of a file, or of all files of a folder in the order of their names."""
+    """SHA-256 of the sizes and of both ends of a file, or of all files of a folder in the order of their names.
+
+    Empty for pipes and devices, which cannot be read again.
+    """
+    if not path.is_file() and not path.is_dir():
+        return ""
     digest = hashlib.sha256()
     for file in sorted(one for one in path.rglob("*") if one.is_file()) if path.is_dir() else [path]:
         size = file.stat().st_size
@@ -59,6 +65,8 @@ def hash_input(path: Path) -> str:
 
 
 def _now() -> datetime:
-    """The time of the run; SOURCE_DATE_EPOCH where it is set, for builds that are to be reproduced."""
-    epoch = os.environ.get("SOURCE_DATE_EPOCH")
-    return datetime.fromtimestamp(int(epoch), UTC) if epoch else datetime.now(UTC)
+    """The time of the run; SOURCE_DATE_EPOCH where it is a number, for builds that are to be reproduced."""
+    epoch = os.environ.get("SOURCE_DATE_EPOCH", "")
+    with suppress(ValueError, OverflowError, OSError):
+        return datetime.fromtimestamp(int(epoch), UTC)
+    return datetime.now(UTC)
