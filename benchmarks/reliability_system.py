@@ -1,7 +1,7 @@
 """Attempts with faults of the computer: disks full or read-only, no shared memory, limits of memory and files.
 
 File systems are mounted in a namespace of the run alone, which needs Linux and the right to make one; elsewhere
-these cases are left out, and said so.
+these cases are left out.
 """
 
 import shutil
@@ -33,7 +33,8 @@ _MEMORY = 300, 500, 700, 900, 1200, 2000
 """Address space of each process, MB."""
 _DESCRIPTORS = 12, 16, 20, 24, 32, 64
 _TASK_NAMES = (
-    "calibrate", "calibrate, 3 processes", "calibrate --force, 3 processes", "simulate", "init --force", "export -o",
+    "calibrate", "calibrate, 3 processes", "calibrate --force, 3 processes", "simulate", "init --force",
+    "export -o",
 )  # fmt: skip
 _FULL = "head -c 4096 /dev/zero > /dev/shm/x"
 _READ_ONLY = "mount --bind {0} {0} && mount -o remount,bind,ro {0}"

@@ -1,4 +1,4 @@
-"""The entry point of the command line; it imports nothing, so that it can be interrupted from its first line on."""
+"""The entry point of the command line; it imports nothing, so that an interruption of imports is handled."""
 
 
 def main() -> None:

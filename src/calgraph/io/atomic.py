@@ -95,9 +95,9 @@ def replace_folder_atomically(path: Path, last: str) -> Iterator[Path]:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Writes a whole text file (UTF-8) in one step, as :func:`write_atomically` does.
+    r"""Writes a whole text file (UTF-8) in one step, as :func:`write_atomically` does.
 
-    Bytes of file names that are not UTF-8 are written as escapes: \\udce9.
+    Bytes of file names that are not UTF-8 are written as escapes: \udce9.
     """
     with write_atomically(path) as temporary:
         temporary.write_text(text, encoding="utf-8", errors="backslashreplace")
