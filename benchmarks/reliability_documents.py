@@ -96,7 +96,9 @@ def write_documents(source: Source, folder: Path) -> Path:
         run(["export", "calibration.yaml", "--format", suffix, "--force", "-o", name], folder)
     printed = run(["board", "--size", "600x400", "-o", "board.pdf"], folder)
     (folder / "board.yaml").write_text(printed.stdout)
-    shutil.rmtree(folder / "out")
+    # Attempts start with an empty cache.
+    for left in ("out", "cache"):
+        shutil.rmtree(folder / left)
     return folder
 
 
