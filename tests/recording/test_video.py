@@ -210,11 +210,20 @@ def test_frames_are_the_same_in_several_processes(tmp_path: Path) -> None:
     assert len(here) == 40
 
 
-def test_several_videos_are_one_recording_unless_their_names_are_equal(tmp_path: Path) -> None:
+def test_several_videos_are_one_recording_and_another_of_the_same_name_is_the_next_take(tmp_path: Path) -> None:
     (tmp_path / "b").mkdir()
     a, b = (write_video(tmp_path / name, GRAYS[:2], [0.0, 0.5]) for name in ("a.mp4", "b/a.mkv"))
     other = write_video(tmp_path / "b.mp4", GRAYS[:2], [0.0, 0.5])
     with open_recordings([a, other]) as recording:
         assert [topic.name for topic in recording.topics] == ["a", "b"]
-    with pytest.raises(InputError, match=r"b/a\.mkv: has the topic a, as .*/a\.mp4 has"):
-        open_recordings([a, b])
+    with open_recordings([a, other, b]) as recording:
+        records = list(recording.records())
+        assert [(r.topic, r.stamp) for r in records[-2:]] == [("a", 60.5), ("a", 61.0)]
+        assert records[-1].decode().stamp == 61.0
+
+
+def test_two_videos_of_one_name_in_a_folder_are_an_error(tmp_path: Path) -> None:
+    for name in ("a.mp4", "a.mkv"):
+        write_video(tmp_path / name, GRAYS[:2], [0.0, 0.5])
+    with pytest.raises(InputError, match="has two videos, or a video and a folder, of the name a: rename one"):
+        open_recording(tmp_path)

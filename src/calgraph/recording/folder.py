@@ -155,7 +155,9 @@ def _list_files(folder: _Folder, stamped: FileStamps, limits: LimitSettings) -> 
     for name, path in folder.paths.items():
         yield _File(stamped.stamps[name], folder.topic, path, limits, stamped.counted)
     if folder.info:
-        yield _File(min(stamped.stamps.values()), f"{folder.topic}/camera_info", folder.info, limits)
+        yield _File(
+            min(stamped.stamps.values()), f"{folder.topic}/camera_info", folder.info, limits, stamped.counted
+        )
 
 
 def _suffix(path: Path) -> str | None:

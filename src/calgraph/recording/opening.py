@@ -12,6 +12,7 @@ from calgraph.recording.bags import BagRecording
 from calgraph.recording.corners_csv import CornersRecording, is_corners
 from calgraph.recording.folder import FolderRecording, has_message_files
 from calgraph.recording.recording import JoinedRecording, Recording
+from calgraph.recording.takes import separate_takes
 from calgraph.recording.video import VideoRecording, is_video
 
 
@@ -58,7 +59,9 @@ def _open_folder(path: Path, limits: LimitSettings) -> Recording:
         ]
         if has_message_files(path):
             parts.append(stack.enter_context(FolderRecording(path, limits)))
-        _check_takes(parts)
+        topics = [topic.name for part in parts for topic in part.topics]
+        if twice := next((topic for topic in topics if topics.count(topic) > 1), ""):
+            raise InputError(f"{path}: has two videos, or a video and a folder, of the name {twice}: rename one")
         stack.pop_all()
     return JoinedRecording(parts, path)
 
@@ -77,28 +80,16 @@ def _find_videos(path: Path) -> Iterator[tuple[Path, str]]:
 def open_recordings(paths: Sequence[Path], limits: LimitSettings = LimitSettings()) -> Recording:
     """Opens several recordings as one, merged by arrival time.
 
+    Those whose stamps count from their own start are one after the other, see :mod:`calgraph.recording.takes`.
+
     Raises:
-        InputError: no path is given, one of them is not a recording, or two have a topic whose stamps are not of a
-            clock.
+        InputError: no path is given, or one of them is not a recording.
         RecordingError: one of them is damaged.
     """
     if not paths:
         raise InputError("no recording is given; at least one is needed")
     with ExitStack() as stack:
         recordings = [stack.enter_context(open_recording(path, limits)) for path in paths]
-        _check_takes(recordings)
+        recordings = separate_takes(recordings)
         stack.pop_all()
     return recordings[0] if len(recordings) == 1 else JoinedRecording(recordings)
-
-
-def _check_takes(recordings: Sequence[Recording]) -> None:
-    """Checks that what is read as one topic has one clock: two videos of a camera would be simultaneous."""
-    first: dict[str, Path] = {}
-    for recording in recordings:
-        for topic in recording.topics:
-            other = first.setdefault(topic.name, recording.path)
-            if other != recording.path and topic.time_base != "clock":
-                raise InputError(
-                    f"{recording.path}: has the topic {topic.name}, as {other} has, and both count their time "
-                    "from their own start; calibrate from one of them, or name the files of one differently"
-                )
