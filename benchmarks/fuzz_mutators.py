@@ -7,8 +7,10 @@ that it cannot parse is left to the latter.
 import io
 import json
 import struct
+import warnings
 import zipfile
 from collections.abc import Callable
+from contextlib import suppress
 from random import Random
 from typing import Any
 
@@ -133,15 +135,14 @@ def mutate_npy(data: bytes, rng: Random, inner: MutateBytes) -> bytes:
     if roll < 0.3:
         array = np.atleast_1d(array)
         array = rng.choice((array[:0], array[:-1], array.repeat(2, axis=0), array.ravel()))
-    elif roll < 0.4:
-        array = array.astype(rng.choice(("<f4", "<i8", "<f8", "|b1", "<U3", ">f8", "<c16", "|S2")))
     elif array.size:
-        flat = array.reshape(-1)
-        with np.errstate(all="ignore"):
-            try:
-                flat[rng.randrange(flat.size)] = rng.choice(_NUMBERS)
-            except (OverflowError, ValueError):
-                flat[rng.randrange(flat.size)] = rng.randrange(-3, 99)
+        # Not every number and type can be written into every array.
+        with suppress(OverflowError, ValueError, TypeError), warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            if roll < 0.4:
+                array = array.astype(rng.choice(("<f4", "<i8", "<f8", "|b1", "<U3", ">f8", "<c16", "|S2")))
+            else:
+                array.reshape(-1)[rng.randrange(array.size)] = rng.choice(_NUMBERS)
     out = io.BytesIO()
     np.lib.format.write_array(out, array, allow_pickle=False)
     return out.getvalue()

@@ -4,9 +4,9 @@ python benchmarks/fuzz_readers.py --seconds 3600 --work build/fuzz            # 
 python benchmarks/fuzz_readers.py --seconds 300 --work build/fuzz --harness MCAP "ROS 1 bag"
 python benchmarks/fuzz_readers.py --replay build/fuzz/findings/*.bin          # after a fix
 
-A finding is an exception other than calgraph's own, more than 10 s of time, or more than 1 GB of memory. Inputs
-and tracebacks are in the folder ``findings``, one for each place in the code; counts of all runs add up in
-``counts.json``, from which the table is printed.
+A finding is an exception other than calgraph's own, a warning of Python, more than 10 s of time, or more than
+1 GB of memory. Inputs and tracebacks are in the folder ``findings``, one for each place in the code; counts of
+all runs add up in ``counts.json``, from which the table is printed.
 """
 
 import argparse
@@ -21,6 +21,7 @@ import sys
 import tempfile
 import time
 import traceback
+import warnings
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
@@ -90,12 +91,18 @@ class Monitor:
 
         self.count += 1
         before, began = _peak(), time.process_time()
-        try:
-            self.harness.run(data, self.scratch)
-        except CalgraphError:
-            self.refused += 1
-        except Exception as error:
-            self._keep(data, _place(error), "".join(traceback.format_exception(error)))
+        with warnings.catch_warnings(record=True) as warned:
+            warnings.simplefilter("always")
+            try:
+                self.harness.run(data, self.scratch)
+            except CalgraphError:
+                self.refused += 1
+            except Exception as error:
+                self._keep(data, _place(error), "".join(traceback.format_exception(error)))
+        for one in warned:
+            if "rosbags" not in one.filename:
+                place = f"{one.category.__name__} at {Path(one.filename).name}, line {one.lineno}"
+                self._keep(data, place, str(one.message))
         if (taken := time.process_time() - began) > MAX_SECONDS:
             self._keep(data, "slow", f"{taken:.1f} s")
         if (grown := _peak() - before) > MAX_BYTES:

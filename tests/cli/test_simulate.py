@@ -139,3 +139,20 @@ def test_an_earlier_recording_is_not_overwritten(run: Run, simulated: Path) -> N
     assert result.stderr == (
         f"calgraph: {simulated / 'recording'}: exists already; remove it or choose another OUT\n"
     )
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "allowed"),
+    [
+        ("--camera-width", "1000000000", "20000 or less"),
+        ("--multibeam-resolution", "1e-9", "0.01 or greater"),
+        ("--radii", "1e300", "1e+06 or less"),
+        ("--camera-count", "1000000", "1000 or less"),
+    ],
+)
+def test_sizes_beyond_any_machine_are_named(
+    run: Run, tmp_path: Path, option: str, value: str, allowed: str
+) -> None:
+    result = run("simulate", "rig", "-o", tmp_path / "out", option, value)
+    assert result.exit_code == 2
+    assert re.search(rf"calgraph: {option}.*must be {re.escape(allowed)}", result.stderr)

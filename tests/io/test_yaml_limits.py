@@ -2,6 +2,7 @@
 
 import time
 import tracemalloc
+import warnings
 from pathlib import Path
 
 import pytest
@@ -89,3 +90,12 @@ def test_the_list_of_errors_has_an_end(tmp_path: Path) -> None:
     lines = str(error.value).splitlines()
     assert len(lines) == 51
     assert lines[-1].endswith("has 953 further errors")
+
+
+@pytest.mark.parametrize("read", [read_yaml, read_documents])
+def test_an_anchor_may_be_used_again_without_a_warning(tmp_path: Path, read: object) -> None:
+    path = tmp_path / "a.yaml"
+    path.write_text("a: &n 1\nb: &n 2\nc: *n\n", encoding="utf-8")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert read(path) in ({"a": 1, "b": 2, "c": 2}, [{"a": 1, "b": 2, "c": 2}])  # type: ignore[operator]

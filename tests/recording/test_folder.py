@@ -235,6 +235,11 @@ def test_camera_info_comes_with_the_first_image(
         (MESSAGE_KEYS.replace("640", "0"), "states images of 0 x 480 pixels: .* give the intrinsics in rig.yaml"),
         (MESSAGE_KEYS.replace("480", "-1"), "states images of 640 x -1 pixels"),
         ("width: 4\nheight: 4\nK: [.nan, 1, 2, 2]\n", "K must have 9 finite values"),
+        ("width: 4\nheight: 4\nK: [1.0e+300, 1, 2, 2]\n", r"K and distortion must not exceed 1e\+06"),
+        (
+            "width: 4\nheight: 4\nK: [9, 9, 2, 2]\nD: [1.0e+9, 0, 0, 0]\n",
+            r"K and distortion must not exceed 1e\+06",
+        ),
     ],
 )
 def test_unusable_camera_info_is_an_error_with_the_reason(tmp_path: Path, content: str, complaint: str) -> None:

@@ -13,9 +13,9 @@ from backports import zstd
 
 from calgraph.config.settings import LimitSettings
 from calgraph.errors import RecordingError
+from calgraph.io.image_headers import read_image_size
 from calgraph.recording import open_recording
 from calgraph.recording.bag_files import decompress_message
-from calgraph.recording.image_headers import read_image_size
 from calgraph.recording.images import decode_image
 from calgraph.recording.pcd import read_pcd
 from calgraph.recording.ply import read_ply

@@ -138,3 +138,19 @@ def test_half_a_file_is_no_scene(saved: Path) -> None:
 def test_a_damaged_image_is_named_with_its_sensor() -> None:
     with pytest.raises(InputError, match="picture of left in capture 7"):
         _ = Snapshot(7, "left", 0.0, b"no jpeg", 8, 8).picture
+
+
+@pytest.mark.parametrize(
+    "image", [b"no picture", b"\xff\xd8" + 20 * b"\xff", cv2.imencode(".png", GRADIENT)[1].tobytes()[:60]]
+)
+def test_a_damaged_picture_is_named(image: bytes) -> None:
+    with pytest.raises(InputError, match="picture of camera in capture 3: is no JPEG"):
+        _ = Snapshot(3, "camera", 1.0, image, 64, 48).picture
+
+
+def test_a_picture_that_states_any_size_is_not_decoded() -> None:
+    data = cv2.imencode(".jpg", GRADIENT)[1].tobytes()
+    large = data.replace((48).to_bytes(2) + (64).to_bytes(2), (60_000).to_bytes(2) * 2)
+    assert large != data
+    with pytest.raises(InputError, match="is no JPEG"):
+        _ = Snapshot(3, "camera", 1.0, large, 64, 48).picture

@@ -7,7 +7,9 @@ along the model's types, which gives the key as written in the file and the keys
 import difflib
 import os
 import types
-from collections.abc import Iterable
+import warnings
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
@@ -17,7 +19,7 @@ from pydantic import BaseModel
 from pydantic_core import ErrorDetails
 from ruamel.yaml import YAML
 from ruamel.yaml.constructor import DuplicateKeyError
-from ruamel.yaml.error import MarkedYAMLError, YAMLError
+from ruamel.yaml.error import MarkedYAMLError, ReusedAnchorWarning, YAMLError
 
 from calgraph.errors import InputError
 from calgraph.io.field_docs import describe_field
@@ -65,11 +67,9 @@ def parse_yaml(text: str, source: Path, max_values: int = MAX_VALUES) -> Any:
     Raises:
         InputError: it is not YAML, gives a key twice, or exceeds a limit of :mod:`calgraph.io.yaml_limits`.
     """
-    try:
+    with _wrap_yaml_errors(source):
         check_yaml_limits(source, text, max_values)
         return YAML(typ="safe").load(text)
-    except _YAML_ERRORS as error:
-        raise InputError(f"{source}{_explain_syntax(error)}") from error
 
 
 def read_documents(path: Path) -> list[Any]:
@@ -80,11 +80,20 @@ def read_documents(path: Path) -> list[Any]:
             :mod:`calgraph.io.yaml_limits`.
     """
     text = read_text(path)
-    try:
+    with _wrap_yaml_errors(path):
         check_yaml_limits(path, text)
         return [content for content in YAML(typ="safe").load_all(text) if content is not None]
-    except _YAML_ERRORS as error:
-        raise InputError(f"{path}{_explain_syntax(error)}") from error
+
+
+@contextmanager
+def _wrap_yaml_errors(source: Path) -> Iterator[None]:
+    """Converts exceptions of ruamel; leaves out its warning of anchors that are used again, which YAML allows."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ReusedAnchorWarning)
+        try:
+            yield
+        except _YAML_ERRORS as error:
+            raise InputError(f"{source}{_explain_syntax(error)}") from error
 
 
 def read_text(path: Path) -> str:

@@ -46,7 +46,7 @@ def camera_model(distortion_model: str, width: int, height: int, K: Array, D: Ar
     if max(np.abs(matrix).max(), np.abs(np.asarray(D, dtype=np.float64)).max(initial=0.0)) > _MAX_INTRINSIC:
         raise ValueError(
             f"K and distortion must not exceed {_MAX_INTRINSIC:g}, got {matrix.tolist()} and "
-            f"{np.ravel(D).tolist()}"
+            f"{np.ravel(D)[:9].tolist()}"
         )
     model, distortion = _distortion(distortion_model.strip().lower(), np.asarray(D, dtype=np.float64).ravel())
     return CameraModel(model, int(width), int(height), matrix, distortion)
@@ -73,7 +73,7 @@ def camera_from_yaml(content: Mapping[str, Any]) -> CameraModel:
 
 def _camera_matrix(K: Array) -> Array:
     if K.size not in (4, 9) or not np.isfinite(K).all():
-        raise ValueError(f"K must have 9 finite values, got {K.tolist()}")
+        raise ValueError(f"K must have 9 finite values, got {K[:9].tolist()}")
     if K.size == 4:
         fx, fy, cx, cy = K
         return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
@@ -82,7 +82,7 @@ def _camera_matrix(K: Array) -> Array:
 
 def _distortion(name: str, D: Array) -> tuple[Literal["pinhole", "fisheye"], Array]:
     if not np.isfinite(D).all():
-        raise ValueError(f"distortion must be finite, got {D.tolist()}")
+        raise ValueError(f"distortion must be finite, got {D[:9].tolist()}")
     if name.startswith(_FISHEYE):
         if D.size > 4 and not D[4:].any():
             D = D[:4]

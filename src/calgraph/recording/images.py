@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.config.settings import LimitSettings
-from calgraph.recording.image_headers import read_image_size
+from calgraph.io.image_headers import read_image_size
 from calgraph.recording.limits import check_pixel_count
 
 Pixels = NDArray[np.uint8]

@@ -6,6 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.errors import InputError
+from calgraph.io.image_headers import read_image_size
+
+# Pictures are shrunk before they are kept: damage may state any size.
+_MAX_PIXELS = 2**26
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +39,12 @@ class Snapshot:
             return np.empty((0, 0, 3), dtype=np.uint8)
         import cv2
 
-        bgr = cv2.imdecode(np.frombuffer(self.image, dtype=np.uint8), cv2.IMREAD_COLOR)
+        try:
+            width, height = read_image_size(self.image)
+            small = width * height <= _MAX_PIXELS
+            bgr = cv2.imdecode(np.frombuffer(self.image, np.uint8), cv2.IMREAD_COLOR) if small else None
+        except (ValueError, cv2.error):
+            bgr = None
         if bgr is None:
             raise InputError(f"picture of {self.sensor} in capture {self.capture}: is no JPEG; calibrate again")
         return np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB), dtype=np.uint8)

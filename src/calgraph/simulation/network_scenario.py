@@ -6,10 +6,10 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, Field, model_validator
 
 from calgraph.config.strict_model import StrictModel, invalid
-from calgraph.simulation.rig_scenario import NotNegative, Positive, Probability
+from calgraph.simulation.rig_scenario import Count, NotNegative, Positive, Probability, Rate, Resolution, Stamp
 
 LayoutName = Literal["ring", "office", "semicircle", "lab", "halls", "grid"]
-AtLeastOne = Annotated[int, Field(ge=1)]
+AtLeastOne = Annotated[int, Field(ge=1, le=1000)]
 
 _MAX_HALLS_SCANNERS = 4
 """Mounts of the layout "halls": two in the halls, two in the corridor."""
@@ -18,15 +18,15 @@ _MAX_HALLS_SCANNERS = 4
 class ScannerOptions(StrictModel):
     """The stationary 2-D scanners; defaults are the office's, and differ from layout to layout."""
 
-    count: Annotated[int, Field(ge=2)] = 6
+    count: Annotated[int, Field(ge=2, le=1000)] = 6
     """How many; halls have four."""
-    rate: Positive = 15.0
+    rate: Rate = 15.0
     """Scans per second."""
     rate_tolerance: Annotated[float, Field(ge=0, lt=0.5)] = 0.001
     """Largest relative error of each scanner's rate."""
     field_of_view: Annotated[float, Field(gt=0, le=360)] = 270.0
     """Degrees."""
-    resolution: Positive = 1 / 3
+    resolution: Resolution = 1 / 3
     """Degrees between beams."""
     min_range: NotNegative = 0.05
     """m."""
@@ -65,7 +65,7 @@ class PeopleOptions(StrictModel):
     """People turn with their walk."""
     shape: Literal["ellipse", "legs"] = "ellipse"
     """What a scanner observes of people: an ellipse, as at the hip, or two legs that walk, as below it."""
-    count: Annotated[int, Field(ge=0)] = 2
+    count: Count = 2
     """Number of simultaneous bodies."""
     axes: tuple[Positive, Positive] = (0.25, 0.15)
     """Radii across and along a person's direction of walk, m."""
@@ -97,13 +97,13 @@ class PeopleOptions(StrictModel):
     step_length: Positive = 0.68
     """Of people at 1.2 m/s, m; it is proportional to the root of the speed, and so is the cadence."""
 
-    couples: Annotated[int, Field(ge=0)] = 0
+    couples: Count = 0
     """Pairs among the people who walk side by side."""
-    carts: Annotated[int, Field(ge=0)] = 0
+    carts: Count = 0
     """Number of people who push a cart, a box that reaches down to the floor."""
-    trolleys: Annotated[int, Field(ge=0)] = 0
+    trolleys: Count = 0
     """Number of people who push a trolley on four poles."""
-    skirts: Annotated[int, Field(ge=0)] = 0
+    skirts: Count = 0
     """Number of people whose legs are hidden by a skirt or a coat: an ellipse of another size."""
     skirt_radii: tuple[Positive, Positive] = (0.19, 0.17)
     """Half width and half depth of a skirt, m."""
@@ -164,7 +164,7 @@ class NetworkErrors(StrictModel):
     """Standard deviation of the drift of a clock, relative to that of the root, ppm."""
     mixed: bool = False
     """Whether scanners differ in rate, resolution and range: three models in turn."""
-    inverted: Annotated[int, Field(ge=0)] = 0
+    inverted: Count = 0
     """Number of scanners besides the root that are mounted upside-down."""
     flip_root: bool = False
     """Whether the root is mounted upside-down."""
@@ -195,11 +195,11 @@ class NetworkScenario(StrictModel):
     """Of the circle of the ring's scanners, m; at 60 the cuboid in its middle is out of a range of 20 m."""
     grid_spacing: Annotated[float, Field(ge=3)] = 7.0
     """Spacing of the scanners of the grid, m."""
-    clutter: Annotated[int, Field(ge=0)] = 14
+    clutter: Count = 14
     """Pieces of furniture in all."""
-    chairs: Annotated[int, Field(ge=0)] = 0
+    chairs: Count = 0
     """Chairs that are moved sometimes, by up to half a metre."""
-    mirrors: Annotated[int, Field(ge=0)] = 0
+    mirrors: Count = 0
     """Mirrors on walls, such as glass that reflects, 2 m wide."""
     scanner: ScannerOptions = ScannerOptions()
     people: PeopleOptions = PeopleOptions()
@@ -210,7 +210,7 @@ class NetworkScenario(StrictModel):
     """Duration without people at the start, s."""
     duration: Positive = 60.0
     """s, the background included."""
-    start_time: NotNegative = 1_700_000_000.0
+    start_time: Stamp = 1_700_000_000.0
     """Stamp at the start of the recording, s."""
 
     @model_validator(mode="before")

@@ -8,11 +8,16 @@ from calgraph.config import Board, Tag
 from calgraph.config.board_ambiguity import check_boards_distinguishable
 from calgraph.config.strict_model import StrictModel
 
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
+# Upper limits are far above those of real sensors and rooms: beyond them no machine has the memory or the time.
+Positive = Annotated[float, Field(gt=0, le=1e6, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0, le=1e6, allow_inf_nan=False)]
+Finite = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]
+Stamp = Annotated[float, Field(ge=0, le=1e10, allow_inf_nan=False)]
 Probability = Annotated[float, Field(ge=0, le=1)]
-Count = Annotated[int, Field(ge=0)]
+Count = Annotated[int, Field(ge=0, le=1000)]
+Pixels = Annotated[int, Field(ge=32, le=20_000)]
+Rate = Annotated[float, Field(gt=0, le=10_000, allow_inf_nan=False)]
+Resolution = Annotated[float, Field(ge=0.01, le=720)]
 
 MEASUREMENTS_PER_HOLD = 2
 """Complete measurements of every sensor in a hold without a given duration."""
@@ -23,11 +28,11 @@ class CameraOptions(StrictModel):
 
     count: Count = 1
     """Number of cameras, 60 degrees apart, the middle one facing ahead."""
-    rate: Positive = 3.0
+    rate: Rate = 3.0
     """Images per second."""
-    width: Annotated[int, Field(ge=32)] = 1280
+    width: Pixels = 1280
     """Pixels."""
-    height: Annotated[int, Field(ge=32)] = 960
+    height: Pixels = 960
     """Pixels."""
     field_of_view: Annotated[float, Field(gt=1, lt=200)] = 90.0
     """Horizontal, of the undistorted lens, degrees; a pinhole needs less than 180."""
@@ -41,7 +46,7 @@ class CameraOptions(StrictModel):
     """Standard deviation of the lens' point spread, pixels."""
     encoding: Literal["jpeg", "png", "raw"] = "jpeg"
     """Encoding of the recorded images."""
-    texels_per_mm: Positive = 2.0
+    texels_per_mm: Annotated[float, Field(gt=0, le=20)] = 2.0
     """Resolution at which the board's face is drawn."""
 
     @model_validator(mode="after")
@@ -73,13 +78,13 @@ class LaserOptions(BeamOptions):
 
     count: Count = 3
     """Number of scanners: front, left, right, then behind."""
-    rate: Positive = 20.0
+    rate: Rate = 20.0
     """Published scans per second; a driver may skip some turns of the mirror."""
-    mirror_rate: Positive = 40.0
+    mirror_rate: Rate = 40.0
     """Turns of the mirror per second."""
     field_of_view: Annotated[float, Field(gt=0, le=360)] = 270.0
     """Degrees."""
-    resolution: Positive = 0.25
+    resolution: Resolution = 0.25
     """Degrees between beams."""
     tilt: Finite = 6.0
     """Tilt of the scan planes, each in a different direction, degrees."""
@@ -98,17 +103,17 @@ class SpinningOptions(BeamOptions):
     """Standard deviation along the beam, m."""
     count: Count = 1
     """Number of scanners."""
-    scan_rate: Positive = 50.0
+    scan_rate: Rate = 50.0
     """Scans per second of the 2-D scanner."""
     field_of_view: Annotated[float, Field(gt=0, le=360)] = 270.0
     """Of the 2-D scanner, degrees."""
-    resolution: Positive = 0.5
+    resolution: Resolution = 0.5
     """Between the beams of the 2-D scanner, degrees."""
     tilt: Finite = 8.0
     """Of its forward axis away from the axis of rotation, degrees."""
     offset: Finite = 0.05
     """Of the 2-D scanner from the axis of rotation, m."""
-    scans_per_degree: Positive = 1 / 3
+    scans_per_degree: Annotated[float, Field(gt=0, le=1000)] = 1 / 3
     """Scans per degree of rotation; with scan_rate and scan_angle this gives the duration of a sweep."""
     scan_angle: Annotated[float, Field(gt=0, le=360)] = 180.0
     """Rotation of a sweep, degrees; 180 cover all azimuths because the scanner measures to both sides."""
@@ -119,15 +124,15 @@ class MultibeamOptions(BeamOptions):
 
     count: Count = 0
     """Number of scanners."""
-    rate: Positive = 10.0
+    rate: Rate = 10.0
     """Sweeps per second."""
-    rings: Annotated[int, Field(ge=2)] = 16
+    rings: Annotated[int, Field(ge=2, le=1000)] = 16
     """Beams."""
     lowest: Finite = -15.0
     """Elevation of the lowest beam, degrees."""
     highest: Finite = 15.0
     """Elevation of the highest beam, degrees."""
-    resolution: Positive = 0.2
+    resolution: Resolution = 0.2
     """Degrees of azimuth between columns."""
 
 
@@ -163,7 +168,7 @@ class RigScenario(StrictModel):
     """Directions in which the board is shown, degrees to the left of ahead, in the order of the walk."""
     radii: Annotated[tuple[Positive, ...], Field(min_length=1)] = (1.7, 2.5)
     """Distances at which the board is shown, m."""
-    samples: Annotated[int, Field(ge=1)] = 2
+    samples: Annotated[int, Field(ge=1, le=1000)] = 2
     """Random rotations of the board at each bearing and radius."""
     max_rotation: Annotated[float, Field(ge=0, le=80)] = 30.0
     """Largest roll, pitch and yaw relative to facing the robot, degrees."""
@@ -186,7 +191,7 @@ class RigScenario(StrictModel):
     """Rotation of the slip, degrees."""
     clutter: Count = 8
     """Number of boxes and columns in the room."""
-    start_time: NotNegative = 1_700_000_000.0
+    start_time: Stamp = 1_700_000_000.0
     """Stamp at the start of the recording, s."""
 
     @model_validator(mode="after")
