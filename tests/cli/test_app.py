@@ -80,7 +80,7 @@ def test_help_of_calibrate_has_everyday_options_first_and_those_of_the_papers_la
         ("calgraph calibrate --estimator h", ["hypergraph"]),
         ("calgraph calibrate --forc", ["--force"]),
         ("calgraph calibrate --set captures.min_h", ["captures.min_hold="]),
-        ("calgraph export --format ", ["launch", "tf", "urdf", "kalibr", "json"]),
+        ("calgraph export --format ", ["launch", "tf", "urdf", "kalibr", "camera_info", "json"]),
     ],
 )
 def test_shells_complete_commands_options_and_choices(typed: str, offered: list[str]) -> None:

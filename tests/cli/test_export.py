@@ -129,3 +129,9 @@ def test_a_urdf_that_cannot_be_read_is_named(run: Run, out: Path, tmp_path: Path
     done = run("export", out, "-f", "urdf", "--force", "--urdf", tmp_path / "robot.urdf")
     assert (done.exit_code, done.stdout) == (2, "")
     assert done.stderr.startswith(f"calgraph: {tmp_path / 'robot.urdf'}: the URDF is not valid XML")
+
+
+def test_camera_info_is_that_of_the_resolved_rig(run: Run, out: Path) -> None:
+    content = YAML(typ="safe").load(run("export", out, "-f", "camera_info", "--force").stdout)
+    assert (content["camera_name"], content["image_width"], content["image_height"]) == ("camera", 480, 360)
+    assert content["camera_matrix"]["data"][0] == pytest.approx(240, rel=0.01)

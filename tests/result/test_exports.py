@@ -169,7 +169,9 @@ def test_a_sensor_without_a_frame_is_refused(calibration: Calibration, format: s
 
 
 def test_an_unknown_format_is_refused_with_those_there_are(calibration: Calibration) -> None:
-    with pytest.raises(InputError, match="no export format 'sdf'; there are launch, tf, urdf, kalibr, json"):
+    with pytest.raises(
+        InputError, match="no export format 'sdf'; there are launch, tf, urdf, kalibr, camera_info"
+    ):
         export(calibration, "sdf")
 
 
@@ -451,10 +453,23 @@ def test_json_has_null_for_what_is_not_finite(calibration: Calibration) -> None:
 
 
 def test_every_format_is_tested() -> None:
-    assert set(FORMATS) == {*READERS, "kalibr", "json"}
+    assert set(FORMATS) == {*READERS, "kalibr", "camera_info", "json"}
 
 
 @pytest.mark.parametrize("angles", np.random.default_rng(1).uniform(-np.pi, np.pi, (5, 3)).tolist())
 def test_rotations_of_every_kind_survive_the_urdf(calibration: Calibration, angles: list[float]) -> None:
     turned = with_sensor(calibration, "camera", T_root_sensor=se3.pose(so3.exp(np.array(angles)), np.zeros(3)))
     assert_poses(read_urdf(export(turned, "urdf")), turned)
+
+
+def test_camera_info_has_a_document_for_each_camera(calibration: Calibration) -> None:
+    wide = CameraModel("fisheye", 640, 480, np.array([[300.0, 0, 320], [0, 301, 240], [0, 0, 1]]), np.zeros(4))
+    names = [sensor.name for sensor in calibration.sensors if sensor.kind == "camera"]
+    contents = list(
+        YAML(typ="safe").load_all(export(calibration, "camera_info", cameras=dict.fromkeys(names, wide)))
+    )
+    assert [content["camera_name"] for content in contents] == names
+    content = contents[-1]
+    assert content["distortion_model"] == "equidistant"
+    assert content["camera_matrix"]["data"] == [300.0, 0.0, 320.0, 0.0, 301.0, 240.0, 0.0, 0.0, 1.0]
+    assert content["distortion_coefficients"]["data"] == [0.0] * 4

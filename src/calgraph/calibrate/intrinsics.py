@@ -1,12 +1,14 @@
 """Intrinsics of cameras that have none, from the same recording."""
 
 import logging
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+
+import numpy as np
 
 from calgraph.calibrate.options import Progress, no_progress
-from calgraph.captures import Hold, InputFinding, find_views_in_holds
+from calgraph.captures import Hold, InputFinding, detect_in_holds, find_views_in_holds
 from calgraph.config import Rig
-from calgraph.detection import BoardViewFinder
+from calgraph.detection import BoardCorners, BoardView, BoardViewFinder, CameraDetector
 from calgraph.errors import Rejected
 from calgraph.estimation import IntrinsicsEstimate, estimate_intrinsics
 from calgraph.recording import Recording
@@ -48,11 +50,89 @@ def estimate_unknown_intrinsics(
         progress=searching,
     )
     estimates = {
-        name: estimate_intrinsics(rig, name, views[name], spec.lens_to_estimate) for name, spec in unknown.items()
+        name: estimate_intrinsics(rig, name, _list_views(views[name]), spec.lens_to_estimate)
+        for name, spec in unknown.items()
     }
     for name, estimate in estimates.items():
         _log.info("%s: %s", name, estimate.reason if isinstance(estimate, Rejected) else _describe(estimate))
     return estimates
+
+
+def calibrate_intrinsics(
+    rig: Rig, recording: Recording, jobs: int = 1, progress: Progress = no_progress
+) -> dict[str, IntrinsicsEstimate | Rejected]:
+    """Estimates the intrinsics of all cameras of a rig from images over the whole recording.
+
+    Unlike captures, the board may move: images are used one by one, and those in which it is blurred have larger
+    residuals, by which they are rejected. Corners of tags are detected again in views that the first estimate
+    rectifies.
+
+    Args:
+        rig: boards and cameras; other sensors and stated intrinsics do not matter.
+        recording: open recording with the cameras' topics.
+        jobs: maximum number of processes.
+        progress: called with the step and the fraction done.
+
+    Returns:
+        By camera, the intrinsics, or why its images do not determine them.
+    """
+    cameras = rig.cameras()
+    found: dict[str, IntrinsicsEstimate | Rejected] = {}
+    for number, name in enumerate(cameras):
+
+        def searching(share: float, number: int = number) -> None:
+            progress("intrinsics", (number + share) / len(cameras))
+
+        found[name] = _calibrate_camera(rig, name, recording, jobs, searching)
+    return found
+
+
+def _calibrate_camera(
+    rig: Rig, name: str, recording: Recording, jobs: int, progress: Callable[[float], None]
+) -> IntrinsicsEstimate | Rejected:
+    """The intrinsics of one camera; progress is called with the share done."""
+    spec, settings = rig.cameras()[name], rig.settings.detection.camera
+    frames = _spread_frames(name, spec.topic, recording, rig.settings.estimation.intrinsics.max_images)
+    by_frame = find_views_in_holds(
+        recording.records([spec.topic]),
+        frames,
+        {name: spec.topic},
+        {name: BoardViewFinder(rig.boards, spec.noise, settings=settings)},
+        jobs=jobs,
+        progress=lambda done: progress(done / (2 * len(frames))),
+    )[name]
+    estimate = estimate_intrinsics(rig, name, _list_views(by_frame), spec.lens_to_estimate)
+    if isinstance(estimate, Rejected) or not any(board.tags for board in rig.boards):
+        return estimate
+    camera = estimate.camera
+    captures = detect_in_holds(
+        recording.records([spec.topic]),
+        [frame for frame in frames if frame.index in by_frame],
+        {name: spec.topic},
+        {name: CameraDetector(rig.boards, camera, spec.noise, settings=settings).find},
+        jobs=jobs,
+        progress=lambda done: progress(0.5 + done / (2 * len(by_frame))),
+    )
+    found = {one.capture: one.detections for one in captures if not isinstance(one.detections, Rejected)}
+    views = [
+        BoardView.from_corners(detection, (camera.width, camera.height))
+        for _, detections in sorted(found.items())
+        for detection in detections
+        if isinstance(detection, BoardCorners)
+    ]
+    return estimate_intrinsics(rig, name, views, spec.lens_to_estimate)
+
+
+def _spread_frames(name: str, topic: str, recording: Recording, count: int) -> list[Hold]:
+    """Single images of a camera, evenly spread over the recording."""
+    stamps = np.unique([record.stamp for record in recording.records([topic])])
+    if len(stamps) > count:
+        stamps = stamps[np.linspace(0, len(stamps) - 1, count).round().astype(int)]
+    return [Hold(i, stamp, stamp, {name: np.array([stamp])}) for i, stamp in enumerate(stamps.tolist())]
+
+
+def _list_views(by_capture: Mapping[int, Sequence[BoardView]]) -> list[BoardView]:
+    return [view for views in by_capture.values() for view in views]
 
 
 def _describe(estimate: IntrinsicsEstimate) -> str:

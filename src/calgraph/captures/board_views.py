@@ -19,7 +19,7 @@ def find_views_in_holds(
     *,
     jobs: int = 1,
     progress: Callable[[float], None] | None = None,
-) -> dict[str, list[BoardView]]:
+) -> dict[str, dict[int, tuple[BoardView, ...]]]:
     """Finds the marks of boards in the images of every hold.
 
     Args:
@@ -31,7 +31,7 @@ def find_views_in_holds(
         progress: called with the number of holds and cameras done.
 
     Returns:
-        The views by camera, in the order of the captures.
+        The views by camera and capture, in the order of the captures.
     """
     found: dict[str, dict[int, tuple[BoardView, ...]]] = {name: {} for name in topics}
     work = gather_messages(records, holds, topics, {})
@@ -40,10 +40,7 @@ def find_views_in_holds(
             found[name][capture] = views
         if progress:
             progress(done)
-    return {
-        name: [view for _, views in sorted(by_capture.items()) for view in views]
-        for name, by_capture in found.items()
-    }
+    return {name: dict(sorted(by_capture.items())) for name, by_capture in found.items()}
 
 
 def _find(

@@ -55,7 +55,8 @@ COMMANDS = {
         "init": "Draft a rig.yaml from the topics of a recording, with comments on what to check and to measure.",
         "board": "Make a printable board: a PDF at true scale, and on stdout the matching target: of rig.yaml.",
         "inspect": "Show the topics of a recording, or how a result was computed.",
-        "export": "Write a calibration as launch file, tf2 YAML, URDF, Kalibr camchain or JSON.",
+        "export": "Write a calibration as launch file, tf2 YAML, URDF, Kalibr camchain, ROS camera_info or JSON.",
+        "intrinsics": "Estimate the intrinsics of cameras from images of a board, which may move.",
         "cache": "Show where detections are kept for later runs, and their size; or remove them.",
         "view": "Show a calibration in the browser: sensors, measurements, and residuals when one is moved.",
     }.items()

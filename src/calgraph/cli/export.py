@@ -16,7 +16,8 @@ from calgraph.result import Calibration, load_calibration
 from calgraph.result import export as export_text
 from calgraph.result.exports import Parents
 
-Format = Literal["launch", "tf", "urdf", "kalibr", "json"]
+Format = Literal["launch", "tf", "urdf", "kalibr", "camera_info", "json"]
+_WITH_INTRINSICS = ("kalibr", "camera_info")
 _PUBLISH = {
     "launch": "; to publish it: ros2 launch {file}",
     "tf": "; to publish it: ros2 topic pub --qos-durability transient_local /tf_static tf2_msgs/msg/TFMessage "
@@ -34,7 +35,8 @@ def export(
             "-f",
             metavar=list_choices(Format),
             help="launch: ROS 2 static transform publishers; tf: tf2_msgs/TFMessage as YAML; urdf: links and "
-            "fixed joints; kalibr: camchain of the cameras; json: the whole result.",
+            "fixed joints; kalibr: camchain of the cameras; camera_info: their intrinsics for ROS; json: the "
+            "whole result.",
         ),
     ],
     urdf: Annotated[
@@ -52,7 +54,8 @@ def export(
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="kalibr: rig with the cameras' intrinsics; rig.resolved.yaml next to RESULT if left out.",
+            help="kalibr, camera_info: rig with the cameras' intrinsics; rig.resolved.yaml next to RESULT if "
+            "left out.",
         ),
     ] = None,
     force: Annotated[
@@ -62,22 +65,23 @@ def export(
         Path | None, typer.Option("--out", "-o", metavar="FILE", help="File to write; stdout if left out.")
     ] = None,
 ) -> None:
-    """Write a calibration as launch file, tf2 YAML, URDF, Kalibr camchain or JSON.
+    """Write a calibration as launch file, tf2 YAML, URDF, Kalibr camchain, ROS camera_info or JSON.
 
     Exit code 1: a pose is not good; give --force to export it as it is.
     """
-    for name, value, its_format in (("--urdf", urdf, "urdf"), ("--rig", rig, "kalibr")):
-        if value and format != its_format:
-            raise InputError(f"{name}: goes with --format {its_format}, got --format {format}")
+    for name, value, formats in (("--urdf", urdf, ("urdf",)), ("--rig", rig, _WITH_INTRINSICS)):
+        if value and format not in formats:
+            raise InputError(f"{name}: goes with --format {' or '.join(formats)}, got --format {format}")
     if parents and (urdf or format not in ("launch", "tf", "urdf")):
         raise InputError("--parents: goes with --format launch, tf, and urdf without --urdf")
     file = find_calibration(result)
     calibration = load_calibration(file)
     if not force and format != "json":  # which states the verdicts
         _check_poses_are_good(calibration)
-    kalibr_rig, urdf_text = _rig(rig, file) if format == "kalibr" else None, read_text(urdf) if urdf else None
+    cameras_rig = _rig(rig, file) if format in _WITH_INTRINSICS else None
+    urdf_text = read_text(urdf) if urdf else None
     try:
-        text = export_text(calibration, format, rig=kalibr_rig, urdf=urdf_text, parents=parents or "root")
+        text = export_text(calibration, format, rig=cameras_rig, urdf=urdf_text, parents=parents or "root")
     except InputError as error:
         raise InputError(f"{urdf or file}: {error}") from error
     if out:

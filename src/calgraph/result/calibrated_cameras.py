@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from calgraph.config import Rig
+from calgraph.errors import InputError
 from calgraph.result.calibration import Calibration
 from calgraph.result.estimated_intrinsics import state_intrinsics
 from calgraph.result.estimated_parameter import EstimatedParameter
@@ -16,6 +17,31 @@ def calibrated_cameras(calibration: Calibration, rig: Rig) -> Mapping[str, Camer
     return {
         name: apply_estimates(calibration.systematic, name, camera) for name, camera in rig.camera_models().items()
     }
+
+
+def find_intrinsics(
+    calibration: Calibration, rig: Rig | None, cameras: Mapping[str, CameraModel]
+) -> dict[str, CameraModel]:
+    """The intrinsics of all cameras of a calibration, for a file of another program.
+
+    Args:
+        calibration: names of the cameras, and estimated intrinsics.
+        rig: with stated intrinsics.
+        cameras: intrinsics by sensor; they take precedence over those of the rig.
+
+    Raises:
+        InputError: there is no camera, or the intrinsics of one are not known.
+    """
+    known = {**(calibrated_cameras(calibration, rig) if rig else {}), **cameras}
+    names = [sensor.name for sensor in calibration.sensors if sensor.kind == "camera"]
+    if not names:
+        raise InputError("a file of intrinsics needs a camera, this calibration has none")
+    for name in names:
+        if name not in known:
+            raise InputError(
+                f"the intrinsics of {name!r} are not known; state them in rig.yaml (sensors.{name}.intrinsics)"
+            )
+    return {name: known[name] for name in names}
 
 
 def state_calibrated_intrinsics(rig: Rig, calibration: Calibration) -> Rig:

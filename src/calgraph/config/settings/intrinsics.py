@@ -15,6 +15,9 @@ class IntrinsicsSettings(StrictModel):
     two more test them."""
     min_corners: int = Field(default=8, ge=5)
     """Minimum number of corners of a view: four determine the pose of the board, and all others the lens."""
+    max_images: int = Field(default=240, ge=5)
+    """Maximum number of images of a recording that ``calgraph intrinsics`` searches, spread evenly over it: four
+    times ``max_views``, as some show no board, or are blurred."""
     max_views: int = Field(default=60, ge=10)
     """Maximum number of views that are used, spread over image, size and tilt: the standard deviations of
     intrinsics fall with the root of their number, and the time is proportional to it."""

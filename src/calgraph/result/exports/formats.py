@@ -7,6 +7,7 @@ from typing import Literal
 from calgraph.config import Rig
 from calgraph.errors import InputError
 from calgraph.result.calibration import Calibration
+from calgraph.result.exports.camera_info import to_camera_infos
 from calgraph.result.exports.frames import parent_to_root
 from calgraph.result.exports.json_text import to_json
 from calgraph.result.exports.kalibr import to_camchain
@@ -41,6 +42,7 @@ FORMATS: Mapping[str, Callable[[_Request], str]] = {
     "tf": lambda request: to_tf_yaml(apply_stated_poses(request.calibration)),
     "urdf": _urdf,
     "kalibr": lambda request: to_camchain(request.calibration, request.rig, request.cameras),
+    "camera_info": lambda request: to_camera_infos(request.calibration, request.rig, request.cameras),
     "json": lambda request: to_json(request.calibration),
 }
 """Writers by the name of their format."""
@@ -63,9 +65,10 @@ def export(
     Args:
         calibration: what to export.
         format: ``launch`` (ROS 2 launch file in Python with static transform publishers), ``tf`` (YAML in the
-            layout of tf2_msgs/TFMessage), ``urdf``, ``kalibr`` (camchain) or ``json`` (the whole result).
-        rig: kalibr: topics of the cameras, and their intrinsics where rig.yaml states them.
-        cameras: kalibr: intrinsics by sensor; they take precedence over those of the rig.
+            layout of tf2_msgs/TFMessage), ``urdf``, ``kalibr`` (camchain), ``camera_info`` (ROS, a document for
+            each camera) or ``json`` (the whole result).
+        rig: kalibr, camera_info: topics of the cameras, and their intrinsics where rig.yaml states them.
+        cameras: kalibr, camera_info: intrinsics by sensor; they take precedence over those of the rig.
         urdf: urdf: text of a URDF whose joints are to be corrected; without it a new one is made.
         parents: launch, tf and new urdf: the parent of every frame is that of the root, or that of the sensor's
             parent in the spanning tree.

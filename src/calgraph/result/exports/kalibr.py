@@ -11,7 +11,7 @@ from calgraph.errors import InputError
 from calgraph.geometry import Array
 from calgraph.io import format_yaml
 from calgraph.io.yaml_writing import flow_sequence
-from calgraph.result.calibrated_cameras import calibrated_cameras
+from calgraph.result.calibrated_cameras import find_intrinsics
 from calgraph.result.calibration import Calibration
 from calgraph.result.exports.frames import format_coordinate
 from calgraph.sensors import CameraModel
@@ -39,25 +39,33 @@ def to_camchain(calibration: Calibration, rig: Rig | None, cameras: Mapping[str,
         InputError: there is no camera, or the intrinsics of one are not known, or more than half a pixel off any
             kind that Kalibr has.
     """
-    names = [sensor.name for sensor in calibration.sensors if sensor.kind == "camera"]
-    if not names:
-        raise InputError("a Kalibr camchain needs a camera, this calibration has none")
-    specs = rig.cameras() if rig else {}
-    models = {**calibrated_cameras(calibration, rig), **cameras} if rig else cameras
+    models = find_intrinsics(calibration, rig, cameras)
+    names, specs = list(models), rig.cameras() if rig else {}
     chain: dict[str, Any] = {}
     for index, name in enumerate(names):
         entry: dict[str, Any] = {"cam_overlaps": flow_sequence(i for i in range(len(names)) if i != index)}
         if index > 0:
             entry["T_cn_cnm1"] = _matrix(calibration.transform(name, names[index - 1]))
-        if name not in models:
-            raise InputError(
-                f"the intrinsics of {name!r} are not known; state them in rig.yaml (sensors.{name}.intrinsics)"
-            )
         entry |= _intrinsics(name, models[name])
         if name in specs:
             entry["rostopic"] = specs[name].topic
         chain[f"cam{index}"] = entry
     return format_yaml(chain, "\n".join([_COMMENT, *(f"cam{i}: {name!r}" for i, name in enumerate(names))]))
+
+
+def to_single_camchain(name: str, camera: CameraModel, topic: str) -> str:
+    """The text of a camchain with one camera.
+
+    Args:
+        name: of the camera.
+        camera: its intrinsics.
+        topic: of its images.
+
+    Raises:
+        InputError: its model is more than half a pixel off any kind that Kalibr has.
+    """
+    entry = {"cam_overlaps": flow_sequence([]), **_intrinsics(name, camera), "rostopic": topic}
+    return format_yaml({"cam0": entry}, f"Kalibr camchain, intrinsics estimated by calgraph.\ncam0: {name!r}")
 
 
 def _intrinsics(name: str, camera: CameraModel) -> dict[str, Any]:

@@ -1,0 +1,245 @@
+"""Intrinsics from scratch on simulated rigs: their errors, and those of poses against those with true intrinsics.
+
+python benchmarks/intrinsics.py --seeds 20
+python benchmarks/intrinsics.py --seeds 20 --warp 0.3    # the lens has terms that no model of ours has
+python benchmarks/intrinsics.py --seeds 20 --lens fisheye190
+
+A rig of a camera and a 32-beam LiDAR, and 24 captures of a board with an AprilGrid. Images of 680 by 510 pixels
+are rendered and cropped to 640 by 480, so that the principal point is up to 20 and 15 pixels from the middle. The
+warp moves pixels along and across the radius, by two periods of a sine over the half diagonal.
+
+Columns: errors of the focal length, %, and of the principal point, px, RMS and largest, of the views alone and of
+the joint solution; NEES per parameter; RMS errors of the camera's pose with true intrinsics and without any; NEES.
+"""
+
+import argparse
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from calgraph.calibrate import RigOptions, build_problem_from_captures, solve_problem
+from calgraph.captures import (
+    CaptureSet,
+    Hold,
+    RecordingTimeline,
+    SensorCapture,
+    SensorTimes,
+    collect_detections,
+    draw_seeds,
+    make_detectors,
+    state_estimated_intrinsics,
+)
+from calgraph.config import AprilGrid, Board, Rig
+from calgraph.detection import BoardViewFinder, CameraDetector
+from calgraph.errors import Rejected
+from calgraph.estimation import estimate_intrinsics
+from calgraph.geometry import Array, se3
+from calgraph.result import Calibration
+from calgraph.sensors import CameraModel, Image, Message
+from calgraph.simulation import (
+    CameraOptions,
+    LaserOptions,
+    MultibeamOptions,
+    RigScenario,
+    SpinningOptions,
+    build_world,
+    ground_truth,
+    simulate_captures,
+    world_rig,
+)
+from calgraph.simulation.robot import MountedCamera
+
+SIZE, MARGIN = (640, 480), (40, 30)
+LENSES = {
+    "pinhole60": CameraOptions(field_of_view=60, distortion=(-0.1, 0.05, 1e-3, -5e-4, 0.0)),
+    "pinhole90": CameraOptions(field_of_view=90, distortion=(-0.25, 0.08, 1e-3, -5e-4, -0.01)),
+    "pinhole110": CameraOptions(field_of_view=110, distortion=(-0.2, 0.04, 1e-3, -5e-4, -0.003)),
+    "fisheye150": CameraOptions(field_of_view=150, model="fisheye", distortion=(0.03, -0.01, 0.003, -0.001)),
+    "fisheye190": CameraOptions(field_of_view=190, model="fisheye", distortion=(-0.02, 0.008, -0.004, 5e-4)),
+}
+_Messages = Mapping[str, Sequence[Message]]
+BOARD = Board(
+    size=(1.0, 1.0),
+    pattern=AprilGrid(kind="aprilgrid", columns=4, rows=4, tag_size=0.17, tag_spacing=0.3),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """Errors of one recording."""
+
+    alone: Array
+    """(4,) relative errors of fx and fy, and errors of cx and cy (px), of the views alone,"""
+    joint: Array
+    """(4,) and of the joint solution."""
+    nees: float
+    """Of all intrinsics, per parameter, of the views alone."""
+    pose: Array
+    """(6,) error of the camera's pose without intrinsics, m and rad,"""
+    pose_given: Array
+    """(6,) and with the true ones."""
+    pose_nees: float
+
+
+def main() -> None:
+    """Prints a line for each lens."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--warp", type=float, default=0.0, help="largest displacement, px")
+    parser.add_argument("--lens", choices=LENSES, action="append")
+    arguments = parser.parse_args()
+    print(
+        f"{'lens':>11} {'n':>3} {'focal %':>13} {'centre px':>13} {'joint %':>13} {'joint px':>13} {'nees':>5} "
+        f"{'given mm':>8} {'mm':>6} {'given deg':>9} {'deg':>6} {'nees':>5}"
+    )
+    for lens in arguments.lens or LENSES:
+        seeds = range(arguments.first, arguments.first + arguments.seeds)
+        outcomes = [measure(lens, seed, arguments.warp) for seed in seeds]
+        _print_row(lens, [one for one in outcomes if one is not None])
+
+
+def _print_row(lens: str, outcomes: Sequence[Outcome]) -> None:
+    alone, joint = (np.abs([getattr(one, name) for one in outcomes]) for name in ("alone", "joint"))
+    pose, given = (np.array([getattr(one, name) for one in outcomes]) for name in ("pose", "pose_given"))
+    texts = [
+        f"{_rms(100 * a[:, :2]):6.3f} {100 * a[:, :2].max():6.3f} {_rms(a[:, 2:]):6.2f} {a[:, 2:].max():6.2f}"
+        for a in (alone, joint)
+    ]
+    print(
+        f"{lens:>11} {len(outcomes):3d} {texts[0]} {texts[1]} {np.mean([o.nees for o in outcomes]):5.2f} "
+        f"{1000 * _rms(given[:, :3]):8.2f} {1000 * _rms(pose[:, :3]):6.2f} {np.degrees(_rms(given[:, 3:])):9.3f} "
+        f"{np.degrees(_rms(pose[:, 3:])):6.3f} {np.mean([o.pose_nees for o in outcomes]):5.2f}",
+        flush=True,
+    )
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def measure(lens: str, seed: int, warp: float) -> Outcome | None:
+    """One recording, with true intrinsics and without any; None if the views do not suffice."""
+    world = build_world(_scenario(lens), seed)
+    rig, truth = world_rig(world), ground_truth(world)
+    rng = np.random.default_rng([seed, 7])
+    shift = np.array([rng.integers(MARGIN[0] + 1), rng.integers(MARGIN[1] + 1)])
+    rendered = next(one.camera for one in world.robot if isinstance(one, MountedCamera))
+    K = rendered.K.copy()
+    K[:2, 2] -= shift
+    camera = CameraModel(rendered.model, *SIZE, K, rendered.distortion)
+    captures = [
+        {
+            name: [_change(message, shift, warp, camera) for message in messages]
+            for name, messages in one.messages.items()
+        }
+        for one in simulate_captures(world)
+    ]
+    others = _detect_others(rig, camera, captures)
+    given = _calibrate(rig, _collect(rig, camera, captures, others), seed)
+    finder = BoardViewFinder(rig.boards, rig.cameras()["camera"].noise, settings=rig.settings.detection.camera)
+    found = [finder.find(one["camera"]) for one in captures]
+    views = [view for one in found if not isinstance(one, Rejected) for view in one]
+    estimate = estimate_intrinsics(rig, "camera", views)
+    if isinstance(estimate, Rejected):
+        print(f"{lens} {seed}: {estimate.reason}")
+        return None
+    if estimate.camera.model != camera.model:
+        print(f"{lens} {seed}: {estimate.camera.model}, {estimate.rejected_models}")
+    captured = _collect(rig, estimate.camera, captures, others)
+    captured = replace(captured, estimated_from_views={"camera": len(estimate.detections)})
+    free = _calibrate(state_estimated_intrinsics(rig, captured), captured, seed)
+    intrinsics = free["camera"].intrinsics
+    assert intrinsics is not None
+    nees = np.nan
+    if estimate.camera.model == camera.model:
+        error = estimate.camera.intrinsics - camera.intrinsics
+        nees = float(error @ np.linalg.solve(estimate.covariance, error)) / len(error)
+    pose, reference = (
+        se3.difference(c["camera"].T_root_sensor, truth.T_root_sensor["camera"]) for c in (free, given)
+    )
+    return Outcome(
+        alone=_relative(estimate.camera, camera),
+        joint=_relative(intrinsics.to_camera(), camera),
+        nees=nees,
+        pose=pose,
+        pose_given=reference,
+        pose_nees=float(pose @ np.linalg.solve(free["camera"].covariance, pose) / 6),
+    )
+
+
+def _scenario(lens: str) -> RigScenario:
+    options = LENSES[lens].model_copy(update={"width": SIZE[0] + MARGIN[0], "height": SIZE[1] + MARGIN[1]})
+    reach = min(0.4 * options.field_of_view, 70.0)
+    near = 0.9 if options.field_of_view > 100 else 1.3
+    return RigScenario(
+        camera=options.model_copy(update={"texels_per_mm": 1.0}),
+        laser=LaserOptions(count=0),
+        spinning=SpinningOptions(count=0),
+        multibeam=MultibeamOptions(count=1, rings=32, resolution=0.4),
+        board=BOARD,
+        bearings=tuple(np.linspace(-reach, reach, 12)),
+        radii=(near, 1.6 * near),
+        samples=1,
+        max_rotation=40.0,
+        heights=(0.5, 1.6),
+    )
+
+
+def _change(message: Message, shift: Array, warp: float, camera: CameraModel) -> Message:
+    """An image cropped, and displaced by what no model of the lens has; other messages as they are."""
+    if not isinstance(message, Image):
+        return message
+    x, y = shift
+    pixels = message.gray[y : y + SIZE[1], x : x + SIZE[0]]
+    if warp:
+        grid = np.stack(np.meshgrid(np.arange(SIZE[0]), np.arange(SIZE[1])), axis=-1) - camera.principal_point
+        radius = np.linalg.norm(grid, axis=-1, keepdims=True) / (np.hypot(*SIZE) / 2)
+        away = grid / np.maximum(np.linalg.norm(grid, axis=-1, keepdims=True), 1e-9)
+        across = away[..., ::-1] * [-1, 1]
+        moved = warp * (np.sin(4 * np.pi * radius) * away + 0.5 * np.sin(2 * np.pi * radius) * across)
+        source = (grid + camera.principal_point + moved).astype(np.float32)
+        warped = cv2.remap(pixels, source[..., 0], source[..., 1], cv2.INTER_CUBIC)
+        pixels = np.asarray(warped, dtype=np.uint8)
+    return Image(message.stamp, message.frame_id, np.ascontiguousarray(pixels))
+
+
+def _collect(
+    rig: Rig, camera: CameraModel, captures: Sequence[_Messages], others: Sequence[SensorCapture]
+) -> CaptureSet:
+    """The captures with the detections of the camera, by these intrinsics, and those of the other sensors."""
+    find = CameraDetector(
+        rig.boards, camera, rig.cameras()["camera"].noise, settings=rig.settings.detection.camera
+    ).find
+    found = [SensorCapture(i, "camera", find(one["camera"])) for i, one in enumerate(captures)]
+    holds = [Hold(i, float(i), i + 0.5) for i in range(len(captures))]
+    never = SensorTimes(np.zeros(0), 0.0, np.zeros(0))
+    timeline = RecordingTimeline(0.0, dict.fromkeys(rig.sensors, never), np.zeros(0))
+    return collect_detections(rig, timeline, holds, [*found, *others], {"camera": camera})
+
+
+def _detect_others(rig: Rig, camera: CameraModel, captures: Sequence[_Messages]) -> list[SensorCapture]:
+    """What all sensors but the camera detect."""
+    detect = make_detectors(rig, {"camera": camera}, {}, None, draw_seeds(rig, np.random.default_rng(0)))
+    return [
+        SensorCapture(i, name, detect[name](messages))
+        for i, one in enumerate(captures)
+        for name, messages in one.items()
+        if name != "camera"
+    ]
+
+
+def _calibrate(rig: Rig, captured: CaptureSet, seed: int) -> Calibration:
+    options = RigOptions(folds=0)
+    return solve_problem(build_problem_from_captures(rig, captured, options, np.random.default_rng(seed)))
+
+
+def _relative(camera: CameraModel, truth: CameraModel) -> Array:
+    """(4,) relative errors of the focal lengths, and errors of the principal point, px."""
+    return np.concatenate([camera.focal / truth.focal - 1, camera.principal_point - truth.principal_point])
+
+
+if __name__ == "__main__":
+    main()
