@@ -86,7 +86,7 @@ def separate_poses(
     if not several or not all(names & measured[0] for names in measured):
         return recording
     ordered = sorted((part.start, part.end) for part in parts)
-    consecutive = any(0 <= b[0] - a[1] <= gap for a, b in pairwise(ordered))
+    consecutive = any(a[0] < b[0] and 0 <= b[0] - a[1] <= gap for a, b in pairwise(ordered))
     return recording if consecutive and not stated else PoseRecordings(parts, topics, gap)
 
 
