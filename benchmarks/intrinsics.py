@@ -4,7 +4,7 @@ python benchmarks/intrinsics.py --seeds 20
 python benchmarks/intrinsics.py --seeds 20 --warp 0.3    # the lens has terms that no model of ours has
 python benchmarks/intrinsics.py --seeds 20 --lens fisheye190
 
-A rig of a camera and a 32-beam LiDAR, and 24 captures of a board with an AprilGrid. Images of 680 by 510 pixels
+A rig of a camera and a 16-beam LiDAR, and 24 captures of a board with an AprilGrid. Images of 680 by 510 pixels
 are rendered and cropped to 640 by 480, so that the principal point is up to 20 and 15 pixels from the middle. The
 warp moves pixels along and across the radius, by two periods of a sine over the half diagonal.
 
@@ -178,7 +178,7 @@ def _scenario(lens: str) -> RigScenario:
         camera=options.model_copy(update={"texels_per_mm": 1.0}),
         laser=LaserOptions(count=0),
         spinning=SpinningOptions(count=0),
-        multibeam=MultibeamOptions(count=1, rings=32, resolution=0.4),
+        multibeam=MultibeamOptions(count=1, rings=16, resolution=0.8),
         board=BOARD,
         bearings=tuple(np.linspace(-reach, reach, 12)),
         radii=(near, 1.6 * near),
@@ -213,7 +213,8 @@ def _collect(
     find = CameraDetector(
         rig.boards, camera, rig.cameras()["camera"].noise, settings=rig.settings.detection.camera
     ).find
-    found = [SensorCapture(i, "camera", find(one["camera"])) for i, one in enumerate(captures)]
+    images = ([message for message in one["camera"] if isinstance(message, Image)] for one in captures)
+    found = [SensorCapture(i, "camera", find(shown)) for i, shown in enumerate(images)]
     holds = [Hold(i, float(i), i + 0.5) for i in range(len(captures))]
     never = SensorTimes(np.zeros(0), 0.0, np.zeros(0))
     timeline = RecordingTimeline(0.0, dict.fromkeys(rig.sensors, never), np.zeros(0))
