@@ -13,8 +13,9 @@ from functools import partial
 
 import pytest
 
+from calgraph import processes
 from calgraph.errors import CalibrationError, InputError
-from calgraph.processes import parallel_map, parallel_stream
+from calgraph.processes import forked_jobs, parallel_map, parallel_stream
 
 
 def refused(number: int) -> int:
@@ -31,6 +32,13 @@ def test_results_come_in_the_order_of_the_work(jobs: int) -> None:
     reported: list[float] = []
     assert parallel_map(math.factorial, [(k,) for k in range(5)], jobs, reported.append) == [1, 1, 2, 6, 24]
     assert reported == pytest.approx([0.2, 0.4, 0.6, 0.8, 1.0])
+
+
+def test_short_work_is_divided_only_where_processes_are_forked(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(processes, "_START_METHOD", "fork")
+    assert forked_jobs(4) == 4
+    monkeypatch.setattr(processes, "_START_METHOD", "spawn")
+    assert forked_jobs(4) == 1
 
 
 def test_no_work_has_no_results() -> None:

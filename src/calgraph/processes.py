@@ -24,8 +24,16 @@ Result = TypeVar("Result")
 # processes busy, few enough that their arguments fit into memory.
 _SUBMITTED_PER_PROCESS = 4
 _KILLED = "a process was killed, perhaps because memory ran out; reduce `jobs`"
+# A forked worker has all imports and needs no importable main module, which a notebook does not have. NumPy
+# supports forking, and no thread of calgraph holds a lock then, which is what Python 3.12 warns about.
+_START_METHOD = "fork" if sys.platform == "linux" else "spawn"
 _shared: list[Any] = []
 """In a worker: the one argument that all calls of its pool share."""
+
+
+def forked_jobs(jobs: int) -> int:
+    """The number of processes for work of less than a second: 1 where each process imports everything again."""
+    return jobs if _START_METHOD == "fork" else 1
 
 
 def parallel_map(
@@ -148,9 +156,7 @@ def _process_pool(count: int, shared: object = None) -> Iterator[ProcessPoolExec
 
 
 def _make_pool(count: int, shared: object) -> ProcessPoolExecutor | None:
-    # A forked worker has all imports and needs no importable main module, which a notebook does not have. NumPy
-    # supports forking, and no thread of calgraph holds a lock then, which is what Python 3.12 warns about.
-    context = multiprocessing.get_context("fork" if sys.platform == "linux" else None)
+    context = multiprocessing.get_context(_START_METHOD)
     try:
         return ProcessPoolExecutor(count, mp_context=context, initializer=_start_worker, initargs=(shared,))
     except (OSError, ImportError, NotImplementedError) as error:

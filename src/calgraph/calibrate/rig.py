@@ -94,7 +94,7 @@ def calibrate_detections(
 def _save_and_solve(problem: Problem, options: RigOptions) -> Calibration:
     if options.dump:
         save_problem(problem, options.dump)
-    return solve_problem(problem)
+    return solve_problem(problem, options.jobs)
 
 
 def build_problem(
@@ -144,8 +144,13 @@ def build_problem_from_captures(
     return round_trip(with_prior_poses(Problem(rig, captures, pairs, tree, solver), options.prior, options.rigid))
 
 
-def solve_problem(problem: Problem) -> Calibration:
-    """Solves the joint problem: the calibration of all sensors, bit-identical for one problem."""
+def solve_problem(problem: Problem, jobs: int = 1) -> Calibration:
+    """Solves the joint problem: the calibration of all sensors, bit-identical for one problem.
+
+    Args:
+        problem: to solve.
+        jobs: maximum number of processes; see :func:`calgraph.processes.parallel_stream`.
+    """
     problem, joint, tree = solve_after_bumps(
         problem, *solve_jointly(problem), build_problem_from_captures, solve_jointly
     )
@@ -153,7 +158,7 @@ def solve_problem(problem: Problem) -> Calibration:
         return assemble_rig(problem, tree, joint)
     rig, folds, solved = problem.rig, problem.solver.folds, joint.solved_bundle
     settings = rig.settings.diagnostics
-    held_out = cross_validate(solved, folds, settings.rig) if folds else {}
+    held_out = cross_validate(solved, folds, settings.rig, jobs) if folds else {}
     joint = include_drifts(joint, solved, settings)
     # Candidate board poses are sampled with a fixed seed: the result depends little on the sample.
     return add_suggestions(

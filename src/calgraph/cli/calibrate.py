@@ -1,7 +1,7 @@
 """``calgraph calibrate``: from a rig.yaml and recordings to a folder of results."""
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, cast
@@ -34,6 +34,7 @@ from calgraph.cli.setting_options import SetOption, load_rig_with
 from calgraph.config import Rig
 from calgraph.errors import CalibrationError, InputError
 from calgraph.io import check_output_path, replace_folder_atomically, save_yaml
+from calgraph.processes import forked_jobs, parallel_stream
 from calgraph.recording import open_recordings, resolve_intrinsics
 from calgraph.result import (
     Calibration,
@@ -233,7 +234,7 @@ def calibrate(
             read = [rig_file, *recordings, *([prior] if prior else []), *([extend] if extend else [])]
             calibration = replace(calibration, provenance=describe_run(read, recording, cache))
             rig = state_calibrated_intrinsics(resolve_intrinsics(rig, recording), calibration)
-        write_results(calibration, rig, folder)
+        write_results(calibration, rig, folder, jobs or available_cores())
     show_results(calibration, out, json=json, strict=strict)
 
 
@@ -249,17 +250,34 @@ def _is_in(file: Path, folder: Path) -> bool:
     return file.resolve().parent == folder.resolve()
 
 
-def write_results(calibration: Calibration, rig: Rig, folder: Path) -> None:
-    """Writes the files of a calibration into an existing folder."""
+def write_results(calibration: Calibration, rig: Rig, folder: Path, jobs: int = 1) -> None:
+    """Writes the files of a calibration into an existing folder, in up to ``jobs`` processes."""
+    work = [(name,) for name in _WRITERS]
+    for _ in parallel_stream(_write_file, work, (calibration, rig, folder), min(forked_jobs(jobs), len(work))):
+        pass
+    _log.info("results: written")
+
+
+def _write_file(shared: tuple[Calibration, Rig, Path], name: str) -> None:
+    calibration, rig, folder = shared
+    _WRITERS[name](calibration, rig, folder / name)
+
+
+def _write_report(calibration: Calibration, rig: Rig, path: Path) -> None:
     from calgraph.report import write_report  # brings plots along, which --help should not wait for
 
-    save_calibration(calibration, folder / "calibration.yaml")
-    save_captures(calibration, folder / "captures.csv")
-    save_yaml(folder / "rig.resolved.yaml", rig.to_plain())
-    write_report(calibration, rig, folder / "report.html")
-    save_scene(calibration.pictures, folder / "scene.npz")
-    save_residuals(calibration, folder / "residuals.csv")
-    _log.info("results: written")
+    write_report(calibration, rig, path)
+
+
+_WRITERS: dict[str, Callable[[Calibration, Rig, Path], None]] = {
+    "report.html": _write_report,
+    "calibration.yaml": lambda calibration, _rig, path: save_calibration(calibration, path),
+    "rig.resolved.yaml": lambda _calibration, rig, path: save_yaml(path, rig.to_plain()),
+    "residuals.csv": lambda calibration, _rig, path: save_residuals(calibration, path),
+    "scene.npz": lambda calibration, _rig, path: save_scene(calibration.pictures, path),
+    "captures.csv": lambda calibration, _rig, path: save_captures(calibration, path),
+}
+"""Each file of a result, those that take longest first."""
 
 
 def show_results(calibration: Calibration, out: Path, *, json: bool, strict: bool = False) -> None:

@@ -45,7 +45,7 @@ def demo(
                 calibration = replace(calibration, provenance=describe_run([], recording))
                 rig = resolve_intrinsics(rig, recording)
         (folder / "result").mkdir()
-        write_results(calibration, rig, folder / "result")
+        write_results(calibration, rig, folder / "result", available_cores())
     print_calibration(calibration)
     print_errors(calibration, truth.T_root_sensor)
     print_output_path(out / "result")

@@ -20,10 +20,11 @@ from calgraph.result import HeldOutError
 SEEDS, SWAY = 12, 0.001
 
 
-def left_out(exact: Scene, bundle: Bundle, folds: int = 4) -> dict[str, HeldOutError]:
+def left_out(exact: Scene, bundle: Bundle, folds: int = 4, jobs: int = 1) -> dict[str, HeldOutError]:
     """Cross-validation of a bundle whose every capture shows one board."""
     solved = minimize_bundle(bundle, exact.truth)
-    return cross_validate(SolvedBundle(bundle, solved, np.arange(len(exact.truth.T_root_board))), folds)
+    boards = np.arange(len(exact.truth.T_root_board))
+    return cross_validate(SolvedBundle(bundle, solved, boards), folds, jobs=jobs)
 
 
 def test_errors_are_as_large_as_noise_and_covariances_say() -> None:
@@ -49,6 +50,12 @@ def test_errors_are_in_pixels_metres_and_radians() -> None:
     assert 0.007 < predicted["lidar"].rms < 0.012
     assert np.degrees(predicted["camera"].tilt or 90) < 1
     assert predicted["laser"].tilt is None
+
+
+def test_processes_do_not_change_the_errors() -> None:
+    exact = scene()
+    bundle = exact.measured(np.random.default_rng(0), view_bias=SWAY)
+    assert left_out(exact, bundle, jobs=3) == left_out(exact, bundle)
 
 
 def test_errors_that_every_view_of_a_sensor_shares_do_not_hide() -> None:

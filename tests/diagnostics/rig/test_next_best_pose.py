@@ -161,7 +161,7 @@ def test_candidates_are_near_recorded_boards() -> None:
 
 def test_the_volume_is_the_product_of_the_standard_deviations() -> None:
     """Of 7 along six axes of length two, each in addition to 1: sqrt(197) to the sixth power."""
-    np.testing.assert_allclose(_log_volume(2 * np.eye(6), 49 * np.eye(6)), 3 * np.log(197))
+    np.testing.assert_allclose(_log_volume(4 * 49 * np.eye(6)), 3 * np.log(197))
 
 
 def test_without_an_estimated_pose_no_board_is_suggested() -> None:

@@ -35,6 +35,7 @@ from calgraph.estimation.rig.range_observations import RangeObservations
 from calgraph.estimation.rig.relinearization import CachedLinearization
 from calgraph.estimation.rig.solution import SolvedBundle
 from calgraph.geometry import Array, se3, se_n
+from calgraph.processes import forked_jobs, parallel_stream
 from calgraph.result import HeldOutError
 from calgraph.result.evidence import rms
 
@@ -64,7 +65,10 @@ class _PredictionErrors:
 
 
 def cross_validate(
-    solved: SolvedBundle, folds: int, settings: RigDiagnosticsSettings = RigDiagnosticsSettings()
+    solved: SolvedBundle,
+    folds: int,
+    settings: RigDiagnosticsSettings = RigDiagnosticsSettings(),
+    jobs: int = 1,
 ) -> dict[str, HeldOutError]:
     """Holds out every capture once, in one of several solutions.
 
@@ -74,6 +78,8 @@ def cross_validate(
         solved: the solution of all captures.
         folds: number of groups of captures; each group is held out as a whole.
         settings: which directions and tilts are compared.
+        jobs: maximum number of processes, see :func:`calgraph.processes.parallel_stream`; they do not change the
+            result.
 
     Returns:
         The errors of the predictions by sensor; none for one that no other sensor predicts.
@@ -91,21 +97,33 @@ def cross_validate(
     _, number = np.unique(solved.captures, return_inverse=True)
     fold_of = number % folds
     errors: dict[str, list[_PredictionErrors]] = {name: [] for name in bundle.sensors}
-    caches = solved.minimized.equations.cache
-    for fold in np.unique(fold_of):
-        training, cache = _select_boards(bundle, caches, fold_of != fold)
-        trained = minimize_bundle(training, solved.minimized.state, cache, tolerance=COARSE_TOLERANCE, exact=False)
-        covariance = parameter_covariance(trained.equations)
-        # An outline is measured by a scanner: it must not locate the board for that scanner.
-        held_out, cache = _select_boards(bundle.without_outlines(), caches[: len(bundle.views)], fold_of == fold)
-        state, equations = _solve_boards(held_out, trained.state, cache)
-        if not np.isfinite(equations.cost):  # by the trained poses, a board is behind a camera
-            continue
-        for s, name in enumerate(bundle.sensors):
-            if len(held_out.views[s].board):
-                errors[name].append(_compare_with_prediction(held_out, state, equations, covariance, s, settings))
+    work = [(fold_of == fold,) for fold in np.unique(fold_of)]
+    for found in parallel_stream(_hold_out, work, (solved, settings), forked_jobs(jobs)):
+        for name, error in found.items():
+            errors[name].append(error)
     summaries = {name: _summarize(found, units[name]) for name, found in errors.items()}
     return {name: summary for name, summary in summaries.items() if summary}
+
+
+def _hold_out(
+    shared: tuple[SolvedBundle, RigDiagnosticsSettings], held_out_boards: NDArray[np.bool_]
+) -> dict[str, _PredictionErrors]:
+    """The errors of the predictions in some boards (C,), by sensor, with poses from the others."""
+    solved, settings = shared
+    bundle, caches = solved.bundle, solved.minimized.equations.cache
+    training, cache = _select_boards(bundle, caches, ~held_out_boards)
+    trained = minimize_bundle(training, solved.minimized.state, cache, tolerance=COARSE_TOLERANCE, exact=False)
+    covariance = parameter_covariance(trained.equations)
+    # An outline is measured by a scanner: it must not locate the board for that scanner.
+    held_out, cache = _select_boards(bundle.without_outlines(), caches[: len(bundle.views)], held_out_boards)
+    state, equations = _solve_boards(held_out, trained.state, cache)
+    if not np.isfinite(equations.cost):  # by the trained poses, a board is behind a camera
+        return {}
+    return {
+        name: _compare_with_prediction(held_out, state, equations, covariance, s, settings)
+        for s, name in enumerate(bundle.sensors)
+        if len(held_out.views[s].board)
+    }
 
 
 def _select_boards(
