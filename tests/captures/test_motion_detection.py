@@ -1,9 +1,17 @@
-import numpy as np
+from copy import copy
+from functools import partial
+from itertools import islice
 
-from calgraph.captures import ActivityMeter
-from calgraph.captures.motion_detection import find_still_spans
+import numpy as np
+import pytest
+
+from calgraph.captures import ActivityMeter, RecordingTimeline, SensorTimes, measure_activity
+from calgraph.captures.motion_detection import find_still_spans, measure_block
+from calgraph.config import Board, Lidar2dSpec, Rig, SensorSpec, Tag
 from calgraph.config.settings import MotionDetectionSettings
 from calgraph.geometry import Array
+from calgraph.recording import MessageRecording
+from calgraph.recording.cache import NO_CACHE
 from calgraph.sensors import DetectedCorners, Image, LaserScan, PointCloud
 
 
@@ -83,3 +91,37 @@ def test_a_view_that_changes_as_a_whole_all_the_time_never_rests() -> None:
     stamps = np.linspace(0.0, 2.9, 30)
     assert len(find_still_spans(stamps, np.ones(30), MotionDetectionSettings())) == 0
     assert len(find_still_spans(stamps, np.zeros(30), MotionDetectionSettings())) == 1
+
+
+@pytest.mark.parametrize("sizes", [[7], [1, 6], [2, 2, 3], [3, 1, 1, 2]])
+def test_blocks_that_are_measured_apart_have_the_changes_of_the_whole(
+    sizes: list[int], rng: np.random.Generator
+) -> None:
+    """Messages without returns are left out, also at the end and at the start of a block."""
+    points = rng.uniform(-5, 5, (500, 3))
+    shifts: list[float | None] = [None, 0.0, 0.5, None, None, 0.5, 2.0]
+    clouds = [
+        PointCloud(float(k), "", np.zeros((0, 3)) if shift is None else points + shift)
+        for k, shift in enumerate(shifts)
+    ]
+    whole, parts = ActivityMeter(), ActivityMeter()
+    decoders = iter([partial(copy, cloud) for cloud in clouds])
+    blocks = [measure_block(MotionDetectionSettings(), list(islice(decoders, size))) for size in sizes]
+    changes = [change for block in blocks for change in parts.join(block)]
+    assert changes == [whole.measure_change(cloud) for cloud in clouds]
+    assert changes[2] > 0.3
+
+
+@pytest.mark.parametrize("jobs", [1, 3])
+def test_the_activity_of_a_recording_is_that_of_its_messages_in_turn(jobs: int, rng: np.random.Generator) -> None:
+    angles = np.linspace(-1, 1, 50)
+    scans = {name: [LaserScan(0.1 * k, name, angles, rng.uniform(1, 5, 50)) for k in range(70)] for name in "ab"}
+    specs: dict[str, SensorSpec] = {name: Lidar2dSpec(kind="lidar2d", topic=f"/{name}") for name in scans}
+    rig = Rig(root="a", target=Board(size=(1, 1), tags=(Tag(id=0, size=0.5),)), sensors=specs)
+    recording = MessageRecording({f"/{name}": messages for name, messages in scans.items()})
+    times = SensorTimes(np.linspace(0.0, 6.9, 70), 0.0, np.zeros(70))
+    timeline = RecordingTimeline(0.0, dict.fromkeys(scans, times), np.zeros(0))
+    found = measure_activity(timeline, rig, recording, NO_CACHE, lambda _arrival: None, jobs)
+    for name, messages in scans.items():
+        meter = ActivityMeter()
+        assert found.sensors[name].activity.tolist() == [meter.measure_change(scan) for scan in messages]

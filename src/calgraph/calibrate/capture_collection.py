@@ -33,7 +33,6 @@ from calgraph.errors import CalibrationError, Rejected
 from calgraph.recording import (
     PoseRecordings,
     Recording,
-    RecordingCache,
     find_camera_infos,
     resolve_intrinsics,
     separate_poses,
@@ -51,7 +50,7 @@ def collect_captures(
         raise CalibrationError(f"{rig.root} is the only sensor: a rig.yaml needs at least two")
     resolved, camera_infos = resolve_intrinsics(rig, recording), find_camera_infos(rig, recording)
     monitor = InputMonitor(rig, recording.start, camera_infos)
-    timeline = _read_timeline(rig, recording, monitor, options.cache, progress)
+    timeline = _read_timeline(rig, recording, monitor, options, progress)
     check_timeline(rig, timeline, recording.end)
     holds = limit_messages(find_holds(timeline, rig.capture, rig.settings.captures), rig)
     estimates = estimate_unknown_intrinsics(resolved, recording, holds, options.jobs, progress)
@@ -101,16 +100,16 @@ def separate_snapshots(rig: Rig, recording: Recording) -> Recording:
 
 
 def _read_timeline(
-    rig: Rig, recording: Recording, monitor: InputMonitor, cache: RecordingCache, progress: Progress
+    rig: Rig, recording: Recording, monitor: InputMonitor, options: RigOptions, progress: Progress
 ) -> RecordingTimeline:
     """The stamps of every sensor's messages and, where it matters, how much its view changed at each."""
 
     def reading(arrival: float) -> None:
         progress("reading", (arrival - recording.start) / max(recording.end - recording.start, 1e-9))
 
-    timeline = read_timeline(rig, recording, monitor, cache, reading)
+    timeline = read_timeline(rig, recording, monitor, options.cache, reading)
     if isinstance(recording, PoseRecordings):
         timeline = replace(timeline, poses=recording.poses)
     if rig.capture.trigger or recognize_mode(timeline, rig.capture, rig.settings.captures).mode == "snapshots":
         return timeline
-    return measure_activity(timeline, rig, recording, cache, reading)
+    return measure_activity(timeline, rig, recording, options.cache, reading, options.jobs)

@@ -1,5 +1,8 @@
 """How much a sensor's view changes from one message to the next; during a hold of the board nothing does."""
 
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -10,10 +13,37 @@ from calgraph.sensors import DetectedCorners, Image, LaserScan, Message, PointCl
 
 Signature = NDArray[np.float64] | NDArray[np.int64]
 """What is compared of a message: grey values, ranges, the keys of occupied cells, or rows of corners."""
+_Signed = tuple[type[Message], Signature]
+"""A message's type and signature."""
 
 # Factors that pack the indices of a cell into one key, 21 bits an axis.
 _PACK = np.array([1, 2**21, 2**42])
 _WITH_NEIGHBOURS = np.array([0, *_PACK, *-_PACK])
+
+
+@dataclass(frozen=True, eq=False)
+class ActivityBlock:
+    """Changes among consecutive messages of one sensor."""
+
+    changes: list[float]
+    """As :meth:`ActivityMeter.measure_change`; 0 for the first one with content."""
+    start: int | None
+    """Index of the first message with content; None if there is none."""
+    first: _Signed | None
+    last: _Signed | None
+    """The first and the last one with content."""
+
+
+def measure_block(settings: MotionDetectionSettings, decoders: Sequence[Callable[[], Message]]) -> ActivityBlock:
+    """The changes among messages, from functions that decode them."""
+    meter = ActivityMeter(settings)
+    changes: list[float] = []
+    start = first = None
+    for number, decode in enumerate(decoders):
+        changes.append(meter.measure_change(decode()))
+        if first is None and meter.previous is not None:
+            start, first = number, meter.previous
+    return ActivityBlock(changes, start, first, meter.previous)
 
 
 class ActivityMeter:
@@ -21,7 +51,16 @@ class ActivityMeter:
 
     def __init__(self, settings: MotionDetectionSettings = MotionDetectionSettings()) -> None:
         self._settings = settings
-        self._previous: Signature | None = None
+        self.previous: _Signed | None = None
+        """Of the last message with content."""
+
+    def join(self, block: ActivityBlock) -> list[float]:
+        """The changes of the next messages, measured apart from those before."""
+        changes = list(block.changes)
+        if block.start is not None and block.first is not None:
+            changes[block.start] = self._compare_with_previous(block.first)
+            self.previous = block.last
+        return changes
 
     def measure_change(self, message: Message) -> float:
         """Share of the view, in 0..1, that differs from the message before; 0 for the first.
@@ -30,13 +69,17 @@ class ActivityMeter:
         """
         if not _has_content(message):
             return 0.0
-        current = _compute_signature(message, self._settings)
-        previous, self._previous = self._previous, current
-        if previous is None:
+        return self._compare_with_previous((type(message), _compute_signature(message, self._settings)))
+
+    def _compare_with_previous(self, signed: _Signed) -> float:
+        before, self.previous = self.previous, signed
+        if before is None:
             return 0.0
-        if isinstance(message, DetectedCorners):
+        kind, current = signed
+        previous = before[1]
+        if kind is DetectedCorners:
             return _compare_corners(previous, current, self._settings.min_corner_change)
-        if isinstance(message, PointCloud):
+        if kind is PointCloud:
             appeared = np.setdiff1d(current, _dilate_cells(previous))
             vanished = np.setdiff1d(previous, _dilate_cells(current))
             return (len(appeared) + len(vanished)) / max(len(current) + len(previous), 1)
@@ -44,7 +87,7 @@ class ActivityMeter:
             return 1.0
         if not current.size:
             return 0.0
-        if isinstance(message, Image):
+        if kind is Image:
             return float(np.mean(np.abs(current - previous) > self._settings.min_gray_change))
         min_change = self._settings.min_range_change_ratio * np.minimum(current, previous)
         min_change = np.maximum(self._settings.min_range_change, min_change)

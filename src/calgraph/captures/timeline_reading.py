@@ -1,6 +1,7 @@
 """Reading of a recording's timeline; what an earlier run read of a topic is taken from the cache."""
 
-from collections.abc import Callable, Mapping
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -12,12 +13,14 @@ from calgraph.captures.input_checks import (
     decode_observations,
     encode_observations,
 )
-from calgraph.captures.motion_detection import ActivityMeter
+from calgraph.captures.motion_detection import ActivityMeter, measure_block
 from calgraph.captures.timeline import RecordingTimeline, SensorTimes, build_timeline
 from calgraph.config import Rig
 from calgraph.geometry import Array
 from calgraph.io.columns import Arrays
+from calgraph.processes import parallel_stream
 from calgraph.recording import Recording, RecordingCache
+from calgraph.sensors import Message
 
 _TOPIC, _ACTIVITY = "topic/1", "activity/1"
 Progress = Callable[[float], None]
@@ -35,6 +38,8 @@ class _TopicContent:
     observations: TopicObservations
 
 
+# Messages that a process decodes in one call: milliseconds of work, and no more than 16 MB of raw images.
+_MESSAGES_PER_BLOCK = {"camera": 4, "lidar3d": 4, "lidar2d": 32}
 # Of topics that are no sensors'.
 _NOTHING_MEASURED = SensorTimes(np.zeros(0), 0.0, np.zeros(0))
 _NOTHING_OBSERVED = TopicObservations(np.zeros(0, np.int64), {})
@@ -82,11 +87,17 @@ def read_timeline(
 
 
 def measure_activity(
-    timeline: RecordingTimeline, rig: Rig, recording: Recording, cache: RecordingCache, progress: Progress
+    timeline: RecordingTimeline,
+    rig: Rig,
+    recording: Recording,
+    cache: RecordingCache,
+    progress: Progress,
+    jobs: int = 1,
 ) -> RecordingTimeline:
     """The timeline with how much the view of every sensor changed; decodes all messages that are not in the cache.
 
-    Arguments are those of :func:`read_timeline`.
+    Arguments are those of :func:`read_timeline`, and the maximum number of processes, which do not change the
+    result; see :func:`calgraph.processes.parallel_stream`.
     """
     inputs = {
         name: {"topic": topic, "settings": rig.settings.captures.motion} for name, topic in rig.topics.items()
@@ -98,14 +109,43 @@ def measure_activity(
     }
     unread = {name: topic for name, topic in rig.topics.items() if name not in activity}
     if unread:
-        meters = {name: ActivityMeter(rig.settings.captures.motion) for name in unread}
-        records = recording.records(unread.values())
-        read = build_timeline(records, recording.start, unread, None, meters=meters, progress=progress)
+        activity |= _measure_unread(rig, recording, unread, progress, jobs)
         for name in unread:
-            activity[name] = read.sensors[name].activity
             cache.write(recording, _ACTIVITY, inputs[name], {}, {"activity": activity[name]})
     sensors = {name: replace(times, activity=activity[name]) for name, times in timeline.sensors.items()}
     return replace(timeline, sensors=sensors)
+
+
+def _measure_unread(
+    rig: Rig, recording: Recording, topics: Mapping[str, str], progress: Progress, jobs: int
+) -> dict[str, Array]:
+    """Changes (N,) of each sensor's messages in the order of their stamps."""
+    settings = rig.settings.captures.motion
+    names = {topic: name for name, topic in topics.items()}
+    stamps: dict[str, list[float]] = {name: [] for name in topics}
+    order: deque[str] = deque()
+
+    def gather_blocks() -> Iterator[tuple[list[Callable[[], Message]]]]:
+        waiting: dict[str, list[Callable[[], Message]]] = {name: [] for name in topics}
+        for record in recording.records(topics.values()):
+            progress(record.arrival)
+            name = names[record.topic]
+            stamps[name].append(record.stamp)
+            waiting[name].append(record.decode)
+            if len(waiting[name]) == _MESSAGES_PER_BLOCK[rig.sensors[name].kind]:
+                order.append(name)
+                yield (waiting[name],)
+                waiting[name] = []
+        for name, decoders in waiting.items():
+            order.append(name)
+            yield (decoders,)
+
+    meters = {name: ActivityMeter(settings) for name in topics}
+    changes: dict[str, list[float]] = {name: [] for name in topics}
+    for block in parallel_stream(measure_block, gather_blocks(), settings, jobs):
+        name = order.popleft()
+        changes[name] += meters[name].join(block)
+    return {name: np.array(changes[name])[np.argsort(stamps[name], kind="stable")] for name in topics}
 
 
 def _list_inputs(rig: Rig, monitor: InputMonitor) -> dict[str, dict[str, Any]]:
