@@ -48,6 +48,12 @@ def test_cameras_do_not_match_different_boards() -> None:
     assert (table[:, 1] == table[:, 2]).all()
 
 
+def test_cameras_that_never_identify_the_same_board_have_no_pair(rng: np.random.Generator) -> None:
+    both = by_camera(np.eye(4), scene(rng), rng)
+    a, b = ({i: found[board : board + 1] for i, found in both.items()} for board in (0, 1))
+    assert estimate_pair("a", "b", a, b, SIZE, rng) == Rejected("no capture in which both detected the same board")
+
+
 @pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize("observe_b", [by_camera, by_lidar], ids=["camera", "lidar"])
 @pytest.mark.parametrize("swapped", [False, True])

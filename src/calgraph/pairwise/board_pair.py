@@ -58,6 +58,8 @@ def estimate_pair(
     common = sorted(set(candidates_a) & set(candidates_b))
     if not common:
         return Rejected("no capture in which both detected the board")
+    if not len(tabulate_matches(candidates_a, candidates_b)):
+        return Rejected("no capture in which both detected the same board")
     kinds = _geometric_kind(candidates_a[common[0]][0]), _geometric_kind(candidates_b[common[0]][0])
     if kinds == ("line", "plane"):
         swapped = estimate_pair(

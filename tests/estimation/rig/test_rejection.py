@@ -54,6 +54,12 @@ def test_of_settled_views_those_beyond_the_limit_are_rejected() -> None:
     ]
 
 
+def test_a_rejected_view_behind_its_camera_does_not_hide_other_outliers() -> None:
+    """Its residuals, and so its statistic, are not finite."""
+    found = select([[np.inf, 0.5, 0.1, 1.5], [0.1] * 4], [[False, True, True, True], ALL], settled=True)
+    assert found == [[False, True, True, False], ALL]
+
+
 def test_before_variances_have_settled_only_gross_outliers_are_rejected() -> None:
     assert select([[0.5, 2.9, 0.1, 0.1], [0.1] * 4], [ALL, ALL], settled=False) == [ALL, ALL]
     assert select([[0.5, 3.1, 0.1, 0.1], [0.1] * 4], [ALL, ALL], settled=False)[0] == [True, False, True, True]

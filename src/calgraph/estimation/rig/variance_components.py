@@ -292,7 +292,7 @@ def select_consistent_views(
     worst: Array = np.zeros(1 + max(int(views.board.max(initial=-1)) for views in judged))
     excess = [one.excess(settings.outlier_significance) for one in consistency]
     for views, over, part in zip(judged, excess, kept[first:], strict=True):
-        worst[views.board] = np.maximum(worst[views.board], over * part)
+        worst[views.board] = np.maximum(worst[views.board], np.where(part, over, 0.0))
     least = 1.0 if settled else settings.gross_outlier_ratio
     limit = max(least, settings.min_share_of_worst * worst.max(initial=0.0))
     selected = [*kept[:first]]
