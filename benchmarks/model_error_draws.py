@@ -53,8 +53,12 @@ def _draw_camera_errors(camera: MountedCamera, rig: Rig, rng: np.random.Generato
 
 
 def _displacement_at_corner(camera: CameraModel) -> Array:
-    """(n,) displacement of the corner of the image by each distortion coefficient, pixels per unit."""
-    ray = camera.rays(np.zeros((1, 2)))
+    """(n,) displacement of the corner of the image by each distortion coefficient, pixels per unit.
+
+    Wide lenses may have no ray at the corner: the farthest pixel towards it that has one counts.
+    """
+    rays = camera.rays(np.linspace(0.0, 0.9, 10)[:, None] * camera.principal_point)
+    ray = rays[np.isfinite(rays).all(axis=1)][:1]
     step = 1e-6
     moved = [
         replace(camera, distortion=camera.distortion + step * unit).project(ray)[0]
