@@ -17,6 +17,7 @@ GIVES_MESSAGES = {
 }  # fmt: skip
 ELSEWHERE = {
     "estimation/rig/problem.py": "Files that calgraph wrote",
+    "estimation/rig/problem_checks.py": "Files that calgraph wrote",
     "estimation/rig/problem_file.py": "Files that calgraph wrote",
     "result/calibration_reading.py": "Files that calgraph wrote",
     "result/covariance_checks.py": "Files that calgraph wrote",

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from calgraph.errors import RecordingError
-from calgraph.recording import open_recording
+from calgraph.recording import RecordingWriter, open_recording
 from calgraph.sensors import CameraInfo, CameraModel, LaserScan, Message
 
 Decoded = Callable[[Any], Message]
@@ -145,3 +145,20 @@ def test_ranges_farther_than_any_scanner_measures_are_no_measurements(
     scan = decoded(ros.scan(ranges=ranges, range_max=0.0))
     assert isinstance(scan, LaserScan)
     np.testing.assert_array_equal(scan.valid, [False, True, False])
+
+
+@pytest.mark.parametrize(
+    ("stated", "frame_id"),
+    [("laser\x1b[31m\n", "laser[31m"), ("x" * 5000, "x" * 255), ("lidar/ünten", "lidar/ünten")],
+    ids=["control characters", "long", "usual"],
+)
+def test_frames_are_as_names_may_be(stated: str, frame_id: str, tmp_path: Path) -> None:
+    with RecordingWriter(tmp_path / "recording") as writer:
+        writer.write("/scan", LaserScan(1.0, stated, np.linspace(-1, 1, 5), np.ones(5)))
+    with open_recording(tmp_path / "recording") as recording:
+        (record,) = recording.records()
+        message = record.decode()
+        assert isinstance(message, LaserScan)
+        assert message.frame_id == frame_id
+        assert record.digest is not None
+        assert record.digest().frame_id == frame_id

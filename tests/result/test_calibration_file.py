@@ -184,7 +184,7 @@ def test_an_unobserved_direction_may_be_infinite(calibration: Calibration, tmp_p
 
 
 def test_names_may_hold_any_text(calibration: Calibration, tmp_path: Path) -> None:
-    name = 'kamera: "vorn"\n# ümläut 前'
+    name = 'kamera: "vorn" # ümläut 前'
     odd = dataclasses.replace(calibration["camera"], name=name)
     path = tmp_path / "c.yaml"
     save_calibration(root_and(odd), path)
@@ -213,6 +213,16 @@ def test_nothing_is_left_behind_but_the_file(saved: Path) -> None:
          "sensors.lidar.rotation: is missing (Unit quaternion x, y, z, w)"),
         (r"(camera_optical\n.*?rotation: )\[.*?\]", r"\1[0.0, 0.0, 0.6, 0.6]",
          "sensors.camera.rotation: must be a quaternion x, y, z, w of length 1, its length is 0.8485"),
+        (r"(camera_optical\n.*?rotation: )\[.*?\]", r"\1[0.0, 0.0, 0.6, 1e300]",
+         "sensors.camera.rotation: must be a quaternion x, y, z, w of length 1, its length is 1e+300"),
+        ("frame_id: camera_optical\n", f"frame_id: {'x' * 256}\n",
+         "sensors.camera.frame_id: must have 255 characters or fewer, got 'xxx"),
+        ("frame_id: camera_optical\n", 'frame_id: "\\\\e[31m"\n',
+         "sensors.camera.frame_id: must have no control characters"),
+        (r"suggestions: \[\]", "suggestions: [{hold: a, sensor: camera, axis: x, unit: m, stddev: 1.0, "
+         "expected: 0.5, translation: [0.0, 0.0, 1.0], rotation: [0.0, 0.0, 0.6, 1e300]}]",
+         "quality.suggestions[0].rotation: must be a quaternion x, y, z, w of length 1, its length is 1e+300"),
+        ("camera_2", "x" * 256, f"sensors.'{'x' * 56}...: must have 255 characters or fewer, got 'xxx"),
         (r"(camera_optical\n.*?rotation: )\[.*?\]", r"\1[0.0, 0.0, 1.0]",
          "sensors.camera.rotation: must have 4 elements, got [0.0, 0.0, 1.0]"),
         (r"(camera_optical\n.*?translation: )\[.*?\]", r"\1[0.0, .nan, 1.0]",

@@ -31,7 +31,10 @@ Spread = Annotated[float, Strict(), _POSITIVE, limit_to(60, "s")]
 CaptureMode = Literal["rest", "snapshots", "synchronized"]
 # ROS limits names of topics to 255 characters, and file systems those of files; control characters would reach
 # terminals and tables.
-Name = Annotated[str, Field(min_length=1, max_length=255, pattern=r"^[^\x00-\x1f\x7f-\x9f\u2028\u2029]*$")]
+MAX_NAME_LENGTH = 255
+CONTROL_CHARACTERS = r"\x00-\x1f\x7f-\x9f\u2028\u2029"
+FrameName = Annotated[str, Field(max_length=MAX_NAME_LENGTH, pattern=rf"^[^{CONTROL_CHARACTERS}]*$")]
+Name = Annotated[FrameName, Field(min_length=1)]
 # The largest sensors have 20,000 pixels a side, and the longest lenses focal lengths of some 100,000.
 PixelCount = Annotated[int, Strict(), Field(ge=1, le=65_536)]
 PixelLength = Annotated[Length, limit_to(1e6, "pixels")]

@@ -273,8 +273,13 @@ def _suggest_key(key: Any, allowed: Iterable[str]) -> str:
 
 def _format_path(path: list[Any]) -> str:
     """The path in dotted notation: ``target.tags[0].size``."""
-    parts = [f"[{part}]" if isinstance(part, int) else f".{part}" for part in path if part != ""]
+    parts = [f"[{part}]" if isinstance(part, int) else f".{_format_key(str(part))}" for part in path if part != ""]
     return "".join(parts).lstrip(".") or "the file"
+
+
+def _format_key(key: str) -> str:
+    """A key as it stands in the file, unless it is too long for a message, or has control characters."""
+    return key if len(key) <= _MAX_VALUE_LENGTH and key.isprintable() else _format_value(key)
 
 
 def _locate(model: type[BaseModel], location: tuple[int | str, ...]) -> _Location:
@@ -285,6 +290,8 @@ def _locate(model: type[BaseModel], location: tuple[int | str, ...]) -> _Locatio
     owner: type[BaseModel] | None = None
     for part in location:
         annotation = unwrap_annotation(annotation)
+        if part == "[key]":
+            break  # pydantic's marker of an invalid key
         if _union_members(annotation):
             annotation = next(
                 (member for member in _union_members(annotation) if _discriminator_tag(member) == part), None
@@ -300,7 +307,7 @@ def _locate(model: type[BaseModel], location: tuple[int | str, ...]) -> _Locatio
         elif origin is tuple and isinstance(part, int):
             owner, annotation = None, get_args(annotation)[0]
         else:
-            break  # markers that pydantic adds, such as [key]
+            break  # markers that pydantic adds
         path.append(part)
     return _Location(path, owner, around, unwrap_annotation(annotation))
 

@@ -10,7 +10,7 @@ from calgraph.geometry import Array
 from calgraph.recording.camera_info import camera_model
 from calgraph.recording.images import decode_image, pixels_from_buffer
 from calgraph.recording.limits import MAX_RANGE, check_point_count
-from calgraph.recording.message_types import MessageType
+from calgraph.recording.message_types import MessageType, clean_frame_id
 from calgraph.recording.point_cloud_columns import cloud_from_columns, columns_from_point_cloud2
 from calgraph.recording.recording import wrap_errors
 from calgraph.sensors import CameraInfo, CameraModel, Image, LaserScan, Message, PointCloud, Trigger
@@ -54,7 +54,7 @@ def _scan(message: Any, ranges: Array, stamp: float) -> LaserScan:
         raise ValueError("angle_min, angle_increment and time_increment must be finite")
     angles = message.angle_min + message.angle_increment * np.arange(len(ranges))
     ranges = mask_out_of_range(ranges, message.range_min, message.range_max)
-    return LaserScan(stamp, message.header.frame_id, angles, ranges, float(message.time_increment))
+    return LaserScan(stamp, clean_frame_id(message.header.frame_id), angles, ranges, float(message.time_increment))
 
 
 def mask_out_of_range(ranges: Array, nearest: float, farthest: float) -> Array:
@@ -69,7 +69,7 @@ def mask_out_of_range(ranges: Array, nearest: float, farthest: float) -> Array:
 
 def _point_cloud2(message: Any, stamp: float, limits: LimitSettings) -> PointCloud:
     check_point_count(message.width * message.height, limits)
-    return cloud_from_columns(columns_from_point_cloud2(message), stamp, message.header.frame_id)
+    return cloud_from_columns(columns_from_point_cloud2(message), stamp, clean_frame_id(message.header.frame_id))
 
 
 def _image(message: Any, stamp: float, _: LimitSettings) -> Image:
@@ -81,12 +81,12 @@ def _image(message: Any, stamp: float, _: LimitSettings) -> Image:
         message.encoding,
         big_endian=bool(message.is_bigendian),
     )
-    return Image(stamp, message.header.frame_id, pixels)
+    return Image(stamp, clean_frame_id(message.header.frame_id), pixels)
 
 
 def _compressed_image(message: Any, stamp: float, limits: LimitSettings) -> Image:
     pixels = decode_image(np.asarray(message.data, dtype=np.uint8), message.format, limits)
-    return Image(stamp, message.header.frame_id, pixels)
+    return Image(stamp, clean_frame_id(message.header.frame_id), pixels)
 
 
 def _camera_info(message: Any, stamp: float, _: LimitSettings) -> CameraInfo:
@@ -99,7 +99,7 @@ def _camera_info(message: Any, stamp: float, _: LimitSettings) -> CameraInfo:
         np.asarray(message.K if K is None else K),
         np.asarray(message.D if D is None else D),
     )
-    return CameraInfo(stamp, message.header.frame_id, _crop_and_bin(full, message))
+    return CameraInfo(stamp, clean_frame_id(message.header.frame_id), _crop_and_bin(full, message))
 
 
 def _crop_and_bin(full: CameraModel, message: Any) -> CameraModel:

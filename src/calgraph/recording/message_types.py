@@ -1,6 +1,7 @@
 """ROS message types as one recording defines them: their header stamps, read cheaply, and their content."""
 
 import logging
+import re
 import struct
 from dataclasses import dataclass
 from functools import cache, lru_cache
@@ -10,6 +11,7 @@ from rosbags.interfaces import Connection, ConnectionExtRosbag2, MessageDefiniti
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg
 from rosbags.typesys.store import Typestore
 
+from calgraph.config.rig_config import CONTROL_CHARACTERS, MAX_NAME_LENGTH
 from calgraph.recording.digest import hash_content
 from calgraph.recording.message_limits import LimitedStore, check_arrays, check_definition
 from calgraph.sensors import MessageDigest
@@ -20,6 +22,7 @@ _HEADER = "std_msgs/msg/Header"
 # Where the characters of a leading header's frame_id begin, both in CDR and as ROS 1 serialises.
 _FRAME = 16
 _IDL_SEPARATOR = "=" * 80 + "\n"
+_CONTROL_CHARACTERS = re.compile(f"[{CONTROL_CHARACTERS}]")
 # Types of a recording whose parsed definitions are kept, for unpickling.
 _MAX_TYPES = 256
 
@@ -102,9 +105,14 @@ class MessageType:
         big_endian = not self.ros1 and not raw[1] & 1
         (length,) = struct.unpack_from(">I" if big_endian else "<I", raw, _FRAME - 4)
         end = _FRAME + length
-        frame_id = raw[_FRAME:end].rstrip(b"\0").decode(errors="replace")
+        frame_id = clean_frame_id(raw[_FRAME:end].rstrip(b"\0").decode(errors="replace"))
         # CDR aligns what follows to 4 bytes.
         return MessageDigest(frame_id, hash_content(raw, end if self.ros1 else end + -end % 4))
+
+
+def clean_frame_id(text: str) -> str:
+    """The frame of a header as results state it: without control characters, and no longer than names may be."""
+    return _CONTROL_CHARACTERS.sub("", text)[:MAX_NAME_LENGTH]
 
 
 def message_type(connection: Connection, *, ros1: bool) -> MessageType:

@@ -1,13 +1,15 @@
 """Reading calibration.yaml back: a model of the file, strict about keys, types and what its numbers must be."""
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field, Strict, model_validator
+from pydantic import AfterValidator, Field, Strict, model_validator
 
 from calgraph.config import Intrinsics, Tolerance
+from calgraph.config.rig_config import FrameName, Name
 from calgraph.config.strict_model import StrictModel, invalid
 from calgraph.errors import InputError
 from calgraph.geometry import Array, se3
@@ -21,6 +23,17 @@ from calgraph.result.frame_tree import MAX_DISTANCE
 from calgraph.result.provenance import InputFile, Provenance
 from calgraph.result.sensor_pose import SensorPose, StatedPose, Verdict
 
+# A quaternion typed with three decimals is off by this much at most; more is another order or not a rotation.
+_UNIT_TOLERANCE = 2e-3
+
+
+def _check_unit_length(rotation: tuple[float, ...]) -> tuple[float, ...]:
+    length = math.hypot(*rotation)
+    if abs(length - 1) > _UNIT_TOLERANCE:
+        raise invalid("", f"must be a quaternion x, y, z, w of length 1, its length is {length:.4g}")
+    return rotation
+
+
 Finite = Annotated[float, Strict(), Field(allow_inf_nan=False)]
 # Infinite variances stand for directions that nothing observes.
 Number = Annotated[float, Strict()]
@@ -30,13 +43,10 @@ Count = Annotated[int, Strict(), Field(ge=0)]
 Flag = Annotated[bool, Strict()]
 Distance = Annotated[float, Strict(), Field(ge=-MAX_DISTANCE, le=MAX_DISTANCE, allow_inf_nan=False)]
 Vector3 = tuple[Distance, Distance, Distance]
-Vector4 = tuple[Finite, Finite, Finite, Finite]
+Quaternion = Annotated[tuple[Finite, Finite, Finite, Finite], AfterValidator(_check_unit_length)]
 # What was not measured is null.
 Entry = Number | None
 Row6 = tuple[Entry, Entry, Entry, Entry, Entry, Entry]
-
-# A quaternion typed with three decimals is off by this much at most; more is another order or not a rotation.
-_UNIT_TOLERANCE = 2e-3
 
 
 def _to_array(rows: Sequence[Sequence[float | None]]) -> Array:
@@ -61,11 +71,11 @@ class _Sensor(StrictModel):
     """The parent in the tree; none for the root."""
     kind: Literal["camera", "lidar2d", "lidar3d"]
     """The kind of sensor."""
-    frame_id: str
+    frame_id: FrameName
     """The name of its frame."""
     translation: Vector3
     """The sensor's origin in the root frame, m."""
-    rotation: Vector4
+    rotation: Quaternion
     """Unit quaternion x, y, z, w."""
     covariance: tuple[Row6, Row6, Row6, Row6, Row6, Row6]
     """6 x 6, translation first, in the root's fixed axes, m and rad."""
@@ -78,9 +88,6 @@ class _Sensor(StrictModel):
 
     @model_validator(mode="after")
     def _numbers_make_sense(self) -> "_Sensor":
-        length = float(np.linalg.norm(self.rotation))
-        if abs(length - 1) > _UNIT_TOLERANCE:
-            raise invalid("rotation", f"must be a quaternion x, y, z, w of length 1, its length is {length:.4g}")
         covariance = _to_array(self.covariance)
         numbers = [value for row in self.covariance for value in row if value is not None]
         if np.isnan(numbers).any() or np.any(np.diag(covariance) < 0):
@@ -138,7 +145,7 @@ class _Suggestion(StrictModel):
     expected: NonNegative
     translation: Vector3
     """The board's centre in the root frame, m."""
-    rotation: Vector4
+    rotation: Quaternion
     """Of the board, a quaternion x, y, z, w."""
 
 
@@ -221,7 +228,7 @@ class _File(StrictModel):
     """Version of the file's format."""
     root: str
     """The sensor whose frame the poses are in."""
-    sensors: dict[str, _Sensor]
+    sensors: dict[Name, _Sensor]
     """The sensors with their poses."""
     quality: _Quality
     """The evidence for the poses."""

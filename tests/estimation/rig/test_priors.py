@@ -131,6 +131,14 @@ def test_inconsistent_priors_are_refused(
         resolve_prior_poses(rig, captured, prior_file, [RigidFile(poses, sensors) for sensors in rigid])
 
 
+@pytest.mark.parametrize("stddev", [(1e-150, 0.1), (1e-160, 1e-160), (0.01, 5e-324), (1e150, 0.1)])
+def test_standard_deviations_whose_weights_overflow_are_refused(
+    rig: Rig, captured: CaptureSet, file: Path, stddev: tuple[float, float]
+) -> None:
+    with pytest.raises(InputError, match="states no covariance of camera: give standard deviations"):
+        resolve_prior_poses(rig, captured, PriorFile(read_extrinsics(file), stddev), [])
+
+
 def prior_of(sensor: str, x: float) -> PosePrior:
     T = se3.pose(np.eye(3), np.array([x, 0, 0])).tolist()
     plain = {"sensor": sensor, "T_root_sensor": T, "covariance": np.eye(6).tolist(), "source": "prior"}

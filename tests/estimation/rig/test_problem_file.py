@@ -18,7 +18,15 @@ from calgraph.captures.detection_tables import DETECTIONS
 from calgraph.config import Rig
 from calgraph.detection import BoardCorners, Detection, PlanePatch, to_beams
 from calgraph.errors import InputError, Rejected
-from calgraph.estimation import Problem, SolverOptions, load_problem, round_trip, save_problem, with_prior_poses
+from calgraph.estimation import (
+    Problem,
+    SolverOptions,
+    check_problem,
+    load_problem,
+    round_trip,
+    save_problem,
+    with_prior_poses,
+)
 from calgraph.estimation.rig.priors import PosePrior
 from calgraph.graph import SpanningTree, find_spanning_tree
 from calgraph.pairwise import PairwiseEstimate, estimate_pairs, select_successful
@@ -52,14 +60,14 @@ def problem() -> Problem:
         assert isinstance(patch, PlanePatch)
         ranges, directions = to_beams(rng.normal(size=(capture, 3)))
         with_beams = dataclasses.replace(patch, ranges=ranges, directions=directions, match=0.1 * capture)
-        two = dataclasses.replace(patch, ranges=np.ones(2), directions=np.asfortranarray(np.ones((2, 3))))
+        two = dataclasses.replace(patch, ranges=np.ones(2), directions=np.asfortranarray(np.full((2, 3), 3**-0.5)))
         patches[capture] = (with_beams, two)
     patches = dict(reversed(patches.items()))
     segments = detect_boards("line", random_pose(rng), scene, rng)
-    ugly = np.array([np.nan, np.inf, -0.0, 5e-324, 1 / 3, -np.inf])
+    ugly = np.diag([5e-324, 1e-300, 1 / 3, 0.1 + 0.2, 1e8, 1e7]) + np.diag([-0.0] * 5, 1)
     corners = BoardCorners(
-        rng.normal(size=(4, 3)), rng.normal(size=(4, 2)), random_pose(rng), np.tile(ugly, (6, 1)), np.ones(4),
-        rng.normal(size=(3, 3)).T, 0.1 + 0.2, board=1,
+        rng.normal(size=(4, 3)), rng.normal(size=(4, 2)), random_pose(rng), ugly, np.array([1.0, -0.0, 0, 1 / 3]),
+        np.asfortranarray(np.eye(3)) / 3, 0.1 + 0.2, board=1,
     )  # fmt: skip
     detections: Mapping[str, Mapping[int, tuple[Detection, ...]]] = {
         "lidar": patches,
@@ -376,6 +384,76 @@ def test_corners_are_of_a_board_and_have_an_extent(name: str, value: float, mess
         array = np.full_like(members[f"corners/{name}"], value)
     with pytest.raises(InputError, match=message):
         load_problem(with_array(saved, f"corners/{name}", array))
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("planes/ranges", np.nan, "planes/ranges: of lidar in capture 11 must be distances in m above 0"),
+        ("planes/ranges", -1.0, "planes/ranges: of lidar in capture 11 must be distances in m above 0"),
+        ("planes/ranges", 0.0, "planes/ranges: of lidar in capture 11 must be distances in m above 0"),
+        ("planes/ranges", 1e300, "planes/ranges: of lidar .* above 0, 1e[+]08 or less"),
+        ("segments/ranges", np.inf, "segments/ranges: of laser ä/1 in capture 2 must be distances"),
+        ("planes/directions", 1e300, "planes/directions: of lidar in capture 11 must be unit vectors"),
+        ("planes/directions", 1e-300, "planes/directions: of lidar in capture 11 must be unit vectors"),
+        ("planes/plane", np.inf, "planes/plane: of lidar in capture 11 must be a unit normal and an offset"),
+        (
+            "planes/center",
+            1e300,
+            "planes/center: of lidar in capture 11 must be coordinates in m, 1e[+]08 or less",
+        ),
+        ("planes/covariance", np.nan, "planes/covariance: of lidar in capture 11 must be finite"),
+        ("segments/covariance", -1.0, "segments/covariance: of laser ä/1 .* must have variances of 0 or more"),
+        ("segments/endpoints", np.inf, "segments/endpoints: of laser ä/1 in capture 2 must be coordinates in m"),
+        ("planes/match", np.nan, "planes/match: of lidar in capture 11 must be a number"),
+        (
+            "corners/T_camera_board",
+            0.0,
+            "corners/T_camera_board: of camera in capture 7 must be a rotation and a tr",
+        ),
+        ("corners/corners_board", 1e300, "corners/corners_board: of camera in capture 7 must be coordinates in m"),
+        ("corners/rms", -1.0, "corners/rms: of camera in capture 7 must be a number of 0 or more"),
+        ("cameras/K", 0.0, "cameras: K of camera: .* greater than 0"),
+        ("cameras/K", np.inf, "cameras: K of camera: .* finite"),
+        ("cameras/width", 0, "cameras: width of camera: .* greater than or equal to 1, got 0"),
+        ("cameras/distortion", 1e300, "cameras: distortion of camera: .* less than or equal to 1000000"),
+        ("estimates/T_a_b", 1e300, "estimates/T_a_b: of the pair lidar, laser ä/1 must be a rotation and a tr"),
+        ("estimates/information", -1.0, "estimates/information: of the pair .* must be positive semidefinite"),
+        ("estimates/information", np.nan, "estimates/information: of the pair .* must be positive semidefinite"),
+        ("estimates/residuals", 1e300, "estimates/residuals: of the pair lidar, laser ä/1 must be distances in m"),
+        ("estimates/inliers", False, "estimates/inliers: of the pair lidar, laser ä/1 must be true for a match"),
+        ("tree/T_root_sensor", 1e300, "tree/T_root_sensor: of lidar must be a rotation and a translation"),
+        ("holds/start", np.nan, "holds and stamps: of capture 0 must be times in s"),
+        ("stamps/stamps", np.inf, "holds and stamps: of capture 1 must be times in s"),
+        ("holds/index", 0, "holds/index: must differ"),
+    ],
+)
+def test_numbers_are_what_they_stand_for(name: str, value: float, message: str, saved: Path) -> None:
+    with np.load(saved) as members:
+        array = np.full_like(members[name], value)
+    with pytest.raises(InputError, match=message):
+        load_problem(with_array(saved, name, array))
+
+
+def test_a_singular_camera_matrix_is_refused(saved: Path) -> None:
+    with pytest.raises(InputError, match=r"cameras/K: of camera must be fx, 0, cx; 0, fy, cy; 0, 0, 1"):
+        load_problem(with_array(saved, "cameras/K", np.diag([500.0, 500.0, 0.0])[None]))
+
+
+def test_a_mirrored_pose_is_refused(saved: Path) -> None:
+    with np.load(saved) as members:
+        poses = members["tree/T_root_sensor"] @ np.diag([1.0, 1.0, -1.0, 1.0])
+    with pytest.raises(InputError, match="tree/T_root_sensor: of lidar must be a rotation"):
+        load_problem(with_array(saved, "tree/T_root_sensor", poses))
+
+
+@pytest.mark.parametrize("variance", [0.0, 5e-324, 1e-300, 1e300, np.nan])
+def test_priors_have_covariances_with_an_inverse(variance: float, problem: Problem) -> None:
+    rows = {"T_root_sensor": np.eye(4).tolist(), "covariance": (variance * np.eye(6)).tolist()}
+    prior = PosePrior.model_validate({"sensor": "camera", "source": "robot.urdf", **rows})
+    solver = problem.solver.model_copy(update={"priors": (prior,)})
+    with pytest.raises(InputError, match="priors: of camera must have a covariance"):
+        check_problem(dataclasses.replace(problem, solver=solver))
 
 
 @pytest.mark.parametrize("shape", [(10**13,), (10**9, 10**9)])

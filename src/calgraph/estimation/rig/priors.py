@@ -19,6 +19,10 @@ from calgraph.graph import SpanningTree, grow_tree
 from calgraph.pairwise import PairwiseEstimate
 from calgraph.result import ExtrinsicsFile
 
+# Of a prior along and about any axis, m² and rad²: a picometre, and the circumference of the Earth. Others are
+# poses that are exact or unknown; their inverses overflow.
+_MIN_VARIANCE, _MAX_VARIANCE = 1e-24, 1e15
+
 Row4 = tuple[float, float, float, float]
 Row6 = tuple[float, float, float, float, float, float]
 
@@ -180,7 +184,7 @@ def _resolve_prior(file: PriorFile, name: str, root: str, frame: str) -> PosePri
         covariance = file.poses.covariance(root, frame)
     else:
         covariance = np.diag(np.repeat(np.square(file.stddev), 3))
-    if not np.all(np.isfinite(covariance)) or np.linalg.eigvalsh(covariance)[0] <= 0:
+    if not has_inverse(covariance):
         raise InputError(
             f"{file.poses.path}: states no covariance of {name}: give standard deviations in m and "
             "degrees, both above 0, or 0 0 for poses that are exact"
@@ -189,6 +193,13 @@ def _resolve_prior(file: PriorFile, name: str, root: str, frame: str) -> PosePri
     return PosePrior(
         sensor=name, T_root_sensor=T_root_sensor, covariance=covariance.tolist(), source=str(file.poses.path)
     )
+
+
+def has_inverse(covariance: Array) -> bool:
+    """Whether a covariance (6, 6), m and rad, weights a prior with finite numbers."""
+    if not (np.abs(covariance) <= _MAX_VARIANCE).all():
+        return False
+    return bool(np.linalg.eigvalsh(covariance)[0] >= _MIN_VARIANCE)
 
 
 def _check_groups(groups: Sequence[RigidGroup], rig: Rig) -> None:

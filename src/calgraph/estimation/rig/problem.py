@@ -14,6 +14,7 @@ from calgraph.config.strict_model import StrictModel
 from calgraph.detection import BoardCorners
 from calgraph.errors import InputError
 from calgraph.estimation.rig.priors import PosePrior, PriorFile, RigidFile, RigidGroup, resolve_prior_poses
+from calgraph.estimation.rig.problem_checks import check_numbers
 from calgraph.graph import SpanningTree
 from calgraph.pairwise import Candidates, MatchFilter, PairwiseEstimate, PairwiseEstimates, select_successful
 
@@ -88,8 +89,10 @@ def check_problem(problem: Problem) -> None:
             if hold.index not in by_capture and (hold.index, name) not in captures.rejections:
                 raise InputError(f"misses: must state why {name} has no detection in capture {hold.index}")
     _check_corners(captures, len(problem.rig.boards))
-    for estimate in select_successful(problem.pairs):
+    estimates = select_successful(problem.pairs)
+    for estimate in estimates:
         _check_matches(estimate, captures.detections)
+    check_numbers(captures, estimates, tree, problem.solver.priors, problem.solver.groups)
 
 
 def _check_names(what: str, names: Iterable[str], allowed: Iterable[str]) -> None:
