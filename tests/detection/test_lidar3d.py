@@ -394,3 +394,10 @@ def test_finds_the_board_in_a_full_sweep_of_a_real_room(
     # The cut-out holds stand and edges too: most of it, not all, is to lie on the plane.
     assert np.median(np.abs(plane.distance(best.plane, cut_out))) < 0.02
     assert np.linalg.norm(best.center - np.median(cut_out, axis=0)) < 0.15
+
+
+def test_a_plane_through_the_sensor_is_no_board(rng: np.random.Generator) -> None:
+    """No beam measures it, but points of one azimuth lie on one."""
+    x, z = np.meshgrid(np.arange(1.2, 2.2, 0.02), np.arange(-0.5, 0.5, 0.02))
+    cloud = PointCloud(0.0, "lidar", np.stack([x.ravel(), 0 * x.ravel(), z.ravel()], axis=-1))
+    assert isinstance(find_patches([cloud], (Board(size=(1.0, 1.0)),), NOISE, None, rng), Rejected)

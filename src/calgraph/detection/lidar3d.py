@@ -224,7 +224,9 @@ def _select_interior(
     surface = rectangle.surface
     # The intersection of the beam with the plane, not the noisy point: on an inclined board a cut by points would
     # keep the far ones at one edge and the near ones at the other, which rotates the plane.
-    flat = rectangle.coordinates(points * (-surface[3] / (points @ surface[:3]))[:, None])
+    # No beam meets a plane through the sensor, as rings have in one azimuth: its points are not finite, and stay.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        flat = rectangle.coordinates(points * (-surface[3] / (points @ surface[:3]))[:, None])
     kept: NDArray[np.bool_] = np.ones(len(flat), dtype=np.bool_)
     if match > settings.rectangle_score:
         # The rectangle excludes stand and arms.
