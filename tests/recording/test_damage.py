@@ -1,6 +1,7 @@
 """Recordings with damage that the libraries below read over: found by the fuzzer, benchmarks/fuzz_readers.py."""
 
 import struct
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -85,3 +86,29 @@ def test_a_part_of_a_png_larger_than_the_file_is_refused() -> None:
 
 def test_the_content_after_a_frame_id_that_is_cut_short_is_empty() -> None:
     assert hash_content(b"abc", 5) == hash_content(b"")
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        ("ring", np.array([1, np.inf, 1e300, np.nan])),
+        ("ring", np.array([1, np.inf, 3e38, np.nan], np.float32)),
+        ("time", np.array([0, 1e308, -1e308, 5e-324])),
+        ("points", np.full((4, 3), 0x7FA00000, np.uint32).view(np.float32)),
+    ],
+)
+def test_numbers_that_overflow_give_no_warning(tmp_path: Path, name: str, values: np.ndarray[Any, Any]) -> None:
+    (tmp_path / "s").mkdir()
+    np.savez(tmp_path / "s" / "1.0.npz", **{"points": np.ones((4, 3)), name: values})  # type: ignore[arg-type]
+    with open_recording(tmp_path) as recording, warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for record in recording.records():
+            record.decode()
+
+
+@pytest.mark.parametrize("dtype", ["complex128", "<U3", "datetime64[s]"])
+def test_arrays_of_an_npz_are_numbers(tmp_path: Path, dtype: str) -> None:
+    (tmp_path / "s").mkdir()
+    np.savez(tmp_path / "s" / "1.0.npz", points=np.zeros((1, 3), dtype))
+    with open_recording(tmp_path) as recording, pytest.raises(RecordingError, match="points must be numbers, got"):
+        [record.decode() for record in recording.records()]

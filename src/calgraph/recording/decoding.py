@@ -34,7 +34,8 @@ def decode(
     decoder = _DECODERS.get(kind.name)
     if decoder is None:
         return Trigger(stamp)
-    with wrap_errors(where):
+    # Damaged numbers overflow; those that are no number do not count as measured.
+    with wrap_errors(where), np.errstate(all="ignore"):
         return decoder(kind.deserialize(raw), stamp, limits)
 
 

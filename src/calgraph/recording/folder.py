@@ -1,5 +1,6 @@
 """Plain folders: ``<sensor>/<time or number>.<png|jpg|pcd|ply|npz|csv>`` beside a ``camera_info.yaml``."""
 
+import warnings
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -178,7 +179,8 @@ def _kind(path: Path) -> str:
 
 
 def _decode(file: _File) -> Message:
-    with wrap_errors(f"{file.path}: topic {file.topic}, stamp {file.stamp:.6f}"):
+    where = f"{file.path}: topic {file.topic}, stamp {file.stamp:.6f}"
+    with wrap_errors(where), np.errstate(all="ignore"):
         check_fetched(file.path)
         if file.path.name == CAMERA_INFO:
             return _camera_info(file)
@@ -230,7 +232,12 @@ def _open_npz(path: Path) -> Iterator[Any]:
 def _npz(file: _File) -> Message:
     with _open_npz(file.path) as npz:
         check_unpacked_size(sum(member.file_size for member in npz.zip.infolist()), file.limits)
-        arrays = {name: npz[name] for name in npz.files}
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # of headers that Python 2 wrote
+            arrays = {name: npz[name] for name in npz.files}
+    for name, values in arrays.items():
+        if values.dtype.kind not in "biuf":
+            raise ValueError(f"{name} must be numbers, got {values.dtype.name:.40}")
     if "ranges" in arrays:
         return _scan(arrays, file)
     if "points" not in arrays:

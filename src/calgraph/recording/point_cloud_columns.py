@@ -93,8 +93,7 @@ def cloud_from_columns(columns: Columns, stamp: float, frame_id: str = "") -> Po
     points = np.stack([np.asarray(columns[axis], dtype=np.float64) for axis in "xyz"], axis=-1)
     kept = np.asarray((np.abs(points) <= MAX_RANGE).all(axis=1) & points.any(axis=1))
     ring_name = next((name for name in _RING_NAMES if name in columns), None)
-    with np.errstate(invalid="ignore"):  # numbers that no integer holds are of damaged points
-        rings = None if ring_name is None else np.nan_to_num(columns[ring_name][kept], nan=-1).astype(np.int32)
+    rings = None if ring_name is None else np.nan_to_num(columns[ring_name][kept], nan=-1).astype(np.int32)
     return PointCloud(stamp, frame_id, points[kept], rings, _find_times(columns, kept, stamp))
 
 
