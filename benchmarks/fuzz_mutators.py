@@ -311,5 +311,5 @@ def _shift_offsets(head: bytes, limit: int, added: int) -> bytes:
         if name in (b"index_pos", b"chunk_pos") and len(value) == 8:
             (place,) = struct.unpack("<Q", value)
             if place > limit:
-                fields[i] = name + b"=" + struct.pack("<Q", max(0, place + added))
+                fields[i] = name + b"=" + struct.pack("<Q", (place + added) % 2**64)
     return _pack_fields(fields)
