@@ -85,3 +85,13 @@ def test_real_corners_are_read(data_dir: Path) -> None:
     assert sum(len(message.pixels) for _, message in found) == 1725
     assert len(found) == 4 * 48
     assert found[0][1].stamp == pytest.approx(48032.9977, abs=0.02)
+
+
+def test_corners_may_lie_beside_the_folders_of_other_sensors(tmp_path: Path) -> None:
+    put(tmp_path, times=TIMES)
+    (tmp_path / "lidar").mkdir()
+    np.savez(tmp_path / "lidar" / "100.3.npz", points=np.ones((1, 3)))
+    with open_recording(tmp_path) as recording:
+        assert [(r.topic, r.stamp) for r in recording.records()] == [
+            ("cam_0", 100.25), ("cam_1", 100.26), ("lidar", 100.3), ("cam_0", 100.45), ("cam_1", 100.46),
+        ]  # fmt: skip

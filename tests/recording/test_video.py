@@ -227,3 +227,12 @@ def test_two_videos_of_one_name_in_a_folder_are_an_error(tmp_path: Path) -> None
         write_video(tmp_path / name, GRAYS[:2], [0.0, 0.5])
     with pytest.raises(InputError, match="has two videos, or a video and a folder, of the name a: rename one"):
         open_recording(tmp_path)
+
+
+def test_images_beside_videos_that_are_no_recording_do_not_matter(tmp_path: Path) -> None:
+    write_video(tmp_path / "cam.mp4", GRAYS[:2], [0.0, 0.5])
+    (tmp_path / "previews").mkdir()
+    for name in ("poster.png", "previews/best of all.png"):
+        (tmp_path / name).write_bytes(b"")
+    with open_recording(tmp_path) as recording:
+        assert [(topic.name, topic.count) for topic in recording.topics] == [("cam", 2)]

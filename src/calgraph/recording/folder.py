@@ -109,20 +109,16 @@ class FolderRecording(IndexedRecording):
         return super().records(topics, start, end)
 
 
-def has_message_files(path: Path) -> bool:
-    """Whether a folder, or a folder in it, has files of messages."""
-    return any(_files_by_name(folder) for folder in (path, *path.iterdir()) if folder.is_dir())
-
-
 def _find_folders(path: Path) -> tuple[list[_Folder], dict[str, str]]:
     """The sensors' folders, and by the names of others with such files why they cannot be used."""
     found: list[_Folder] = []
     unusable: dict[str, str] = {}
-    inner = [folder for folder in sorted(path.iterdir()) if folder.is_dir() and _files_by_name(folder)]
-    for folder in inner or [path]:
-        topic, files = folder.resolve().name, _files_by_name(folder)
+    inner = {folder: _files_by_name(folder) for folder in sorted(path.iterdir()) if folder.is_dir()}
+    by_folder = inner if any(inner.values()) else {path: _files_by_name(path)}
+    for folder, files in by_folder.items():
         if not files:
             continue
+        topic = folder.resolve().name
         paths = {name: same[0] for name, same in files.items()}
         twice = next((same for same in files.values() if len(same) > 1), ())
         info = folder / CAMERA_INFO

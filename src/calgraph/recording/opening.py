@@ -10,7 +10,7 @@ from calgraph.io.yaml_reading import suggest_name
 from calgraph.recording.bag_files import find_bag_files
 from calgraph.recording.bags import BagRecording
 from calgraph.recording.corners_csv import CornersRecording, is_corners
-from calgraph.recording.folder import FolderRecording, has_message_files
+from calgraph.recording.folder import FolderRecording
 from calgraph.recording.recording import JoinedRecording, Recording
 from calgraph.recording.takes import separate_takes
 from calgraph.recording.video import VideoRecording, is_video
@@ -33,8 +33,6 @@ def open_recording(path: Path, limits: LimitSettings = LimitSettings()) -> Recor
     bag = find_bag_files(path)
     if bag is not None:
         return BagRecording(path, bag, limits)
-    if is_corners(path):
-        return CornersRecording(path, limits)
     if path.is_dir():
         inner = [one for one in sorted(path.iterdir()) if one.is_dir() and find_bag_files(one) is not None]
         if inner:
@@ -42,6 +40,8 @@ def open_recording(path: Path, limits: LimitSettings = LimitSettings()) -> Recor
         return _open_folder(path, limits)
     if is_video(path):
         return VideoRecording(path, limits)
+    if is_corners(path):
+        return CornersRecording(path, limits)
     raise InputError(
         f"{path}: is not a recording; give a rosbag2 folder, an .mcap, .db3 or .bag file, a video, or a folder "
         "with one folder of files or one video per sensor"
@@ -49,21 +49,22 @@ def open_recording(path: Path, limits: LimitSettings = LimitSettings()) -> Recor
 
 
 def _open_folder(path: Path, limits: LimitSettings) -> Recording:
-    """A plain folder with folders of files, videos, or both."""
+    """A plain folder with folders of files, videos, detected corners, or several of these."""
     videos = list(_find_videos(path))
-    if not videos:
-        return FolderRecording(path, limits)
     with ExitStack() as stack:
-        parts: list[Recording] = [
-            stack.enter_context(VideoRecording(video, limits, topic)) for video, topic in videos
-        ]
-        if has_message_files(path):
+        parts: list[Recording] = [CornersRecording(path, limits)] if is_corners(path) else []
+        parts += [stack.enter_context(VideoRecording(video, limits, topic)) for video, topic in videos]
+        try:
             parts.append(stack.enter_context(FolderRecording(path, limits)))
+        except InputError:
+            if not parts:
+                raise
+            # Other images, such as previews, beside the recording.
         topics = [topic.name for part in parts for topic in part.topics]
         if twice := next((topic for topic in topics if topics.count(topic) > 1), ""):
             raise InputError(f"{path}: has two videos, or a video and a folder, of the name {twice}: rename one")
         stack.pop_all()
-    return JoinedRecording(parts, path)
+    return parts[0] if len(parts) == 1 and not videos else JoinedRecording(parts, path)
 
 
 def _find_videos(path: Path) -> Iterator[tuple[Path, str]]:
