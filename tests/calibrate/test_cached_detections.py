@@ -14,7 +14,9 @@ import pytest
 
 from calgraph.calibrate import RigOptions, collect_captures
 from calgraph.captures import CaptureSet
+from calgraph.captures.board_views import decode_views, encode_views
 from calgraph.config import Rig, load_rig
+from calgraph.detection import BoardView, BoardViewFinder
 from calgraph.recording import RecordingCache, open_recording
 from calgraph.simulation import (
     CameraOptions,
@@ -40,6 +42,10 @@ SCENARIO = RigScenario(
 )
 LASERS = {"laser_front", "laser_left"}
 ALL = {"camera", "lidar"} | LASERS
+
+RNG = np.random.default_rng(0)
+VIEW = BoardView(np.array([3, 5]), RNG.random((2, 4, 3)), RNG.random((2, 4, 2)), (640, 480), 1)
+OTHER_VIEW = BoardView(np.arange(3), RNG.random((3, 1, 3)), RNG.random((3, 1, 2)), (640, 480))
 
 
 @pytest.fixture(scope="module")
@@ -245,3 +251,32 @@ def test_runs_at_the_same_time_do_not_disturb_each_other(folder: Path, tmp_path:
         found = [content(run.result()[:2]) for run in runs]
     assert found == 3 * [content(collect(folder, rig, None)[:2])]
     assert collect(folder, rig, tmp_path)[2] == ALL
+
+
+def test_boards_in_the_images_of_a_camera_without_intrinsics_are_searched_once(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plain = load_rig(folder / "rig.yaml").to_plain()
+    plain["sensors"]["camera"] |= {"camera_info": None, "intrinsics": "estimate"}
+    rig = Rig.model_validate(plain)
+    searched: list[int] = []
+    original = BoardViewFinder.find
+
+    def find(finder: BoardViewFinder, images: Any) -> Any:
+        searched.append(len(images))
+        return original(finder, images)
+
+    monkeypatch.setattr(BoardViewFinder, "find", find)
+    without = collect(folder, rig, None)
+    searched.clear()
+    first = collect(folder, rig, tmp_path)
+    assert searched
+    searched.clear()
+    second = collect(folder, rig, tmp_path)
+    assert not searched
+    assert content(first[:2]) == content(without[:2]) == content(second[:2])
+
+
+@pytest.mark.parametrize("views", [{}, {3: (VIEW,), 7: (VIEW, OTHER_VIEW)}], ids=["none", "several"])
+def test_views_of_boards_are_decoded_as_they_were(views: dict[int, tuple[BoardView, ...]]) -> None:
+    assert content(decode_views(*encode_views(views))) == content(views)

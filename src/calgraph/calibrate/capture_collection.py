@@ -53,7 +53,7 @@ def collect_captures(
     timeline = _read_timeline(rig, recording, monitor, options, progress)
     check_timeline(rig, timeline, recording.end)
     holds = limit_messages(find_holds(timeline, rig.capture, rig.settings.captures), rig)
-    estimates = estimate_unknown_intrinsics(resolved, recording, holds, options.jobs, progress)
+    estimates = estimate_unknown_intrinsics(resolved, recording, holds, options.jobs, progress, options.cache)
     estimated = {name: one for name, one in estimates.items() if not isinstance(one, Rejected)}
     failed = {name: one for name, one in estimates.items() if isinstance(one, Rejected)}
     cameras = resolved.camera_models() | {name: one.camera for name, one in estimated.items()}

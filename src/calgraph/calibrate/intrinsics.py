@@ -7,17 +7,25 @@ import numpy as np
 
 from calgraph.calibrate.options import Progress, no_progress
 from calgraph.captures import Hold, InputFinding, detect_in_holds, find_views_in_holds
+from calgraph.captures.board_views import decode_views, encode_views
 from calgraph.config import Rig
 from calgraph.detection import BoardCorners, BoardView, BoardViewFinder, CameraDetector
 from calgraph.errors import Rejected
 from calgraph.estimation import IntrinsicsEstimate, estimate_intrinsics
-from calgraph.recording import Recording
+from calgraph.recording import NO_CACHE, Recording, RecordingCache
 
 _log = logging.getLogger(__name__)
 
+_VIEWS = "board views/1"
+
 
 def estimate_unknown_intrinsics(
-    rig: Rig, recording: Recording, holds: Sequence[Hold], jobs: int, progress: Progress = no_progress
+    rig: Rig,
+    recording: Recording,
+    holds: Sequence[Hold],
+    jobs: int,
+    progress: Progress = no_progress,
+    cache: RecordingCache = NO_CACHE,
 ) -> dict[str, IntrinsicsEstimate | Rejected]:
     """Estimates the intrinsics of the cameras without any from all captures.
 
@@ -27,28 +35,46 @@ def estimate_unknown_intrinsics(
         holds: the captures.
         jobs: maximum number of processes.
         progress: called with the step and the fraction done.
+        cache: has what earlier runs found in the images of a camera, and gets the others.
 
     Returns:
         By camera, the intrinsics, or why the captures do not determine them.
     """
     unknown = {name: spec for name, spec in rig.cameras().items() if spec.stated_intrinsics is None}
-    if not unknown:
-        return {}
+    inputs = {
+        name: {
+            "topic": spec.topic,
+            "noise": spec.noise,
+            "boards": [board.model_dump(mode="json", exclude={"uncertainty"}) for board in rig.boards],
+            "captures": [(hold.index, hold.stamps[name]) for hold in holds],
+            "settings": rig.settings.detection.camera,
+        }
+        for name, spec in unknown.items()
+    }
+    views = {
+        name: kept
+        for name, given in inputs.items()
+        if (kept := cache.read(recording, _VIEWS, given, decode_views)) is not None
+    }
+    unread = {name: spec for name, spec in unknown.items() if name not in views}
 
     def searching(done: float) -> None:
-        progress("intrinsics", done / max(len(holds) * len(unknown), 1))
+        progress("intrinsics", done / max(len(holds) * len(unread), 1))
 
-    views = find_views_in_holds(
-        recording.records([spec.topic for spec in unknown.values()]),
-        holds,
-        {name: spec.topic for name, spec in unknown.items()},
-        {
-            name: BoardViewFinder(rig.boards, spec.noise, settings=rig.settings.detection.camera)
-            for name, spec in unknown.items()
-        },
-        jobs=jobs,
-        progress=searching,
-    )
+    if unread:
+        views |= find_views_in_holds(
+            recording.records([spec.topic for spec in unread.values()]),
+            holds,
+            {name: spec.topic for name, spec in unread.items()},
+            {
+                name: BoardViewFinder(rig.boards, spec.noise, settings=rig.settings.detection.camera)
+                for name, spec in unread.items()
+            },
+            jobs=jobs,
+            progress=searching,
+        )
+        for name in unread:
+            cache.write(recording, _VIEWS, inputs[name], *encode_views(views[name]))
     estimates = {
         name: estimate_intrinsics(rig, name, _list_views(views[name]), spec.lens_to_estimate)
         for name, spec in unknown.items()

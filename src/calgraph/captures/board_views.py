@@ -1,12 +1,16 @@
 """Views of boards by cameras whose intrinsics are not known, from all captures of a recording."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
 
 from calgraph.captures.detect import gather_messages
 from calgraph.captures.holds import Hold
 from calgraph.captures.previews import PreviewSize
 from calgraph.detection import BoardView, BoardViewFinder
 from calgraph.errors import Rejected
+from calgraph.io.columns import Arrays
 from calgraph.processes import parallel_stream
 from calgraph.sensors import Message, RecordedMessage
 
@@ -51,3 +55,38 @@ def _find(
     size: PreviewSize | None,  # noqa: ARG001
 ) -> tuple[int, str, tuple[BoardView, ...] | Rejected]:
     return capture, name, finders[name].find([decode() for decode in decoders])
+
+
+def encode_views(views: Mapping[int, Sequence[BoardView]]) -> tuple[dict[str, Any], Arrays]:
+    """The views of one camera, by capture, as a JSON object and arrays, to the last bit."""
+    listed = [(capture, view) for capture, of_capture in views.items() for view in of_capture]
+    content = {"views": [[capture, view.board, *view.size, *view.pixels.shape[:2]] for capture, view in listed]}
+    arrays = {
+        "ids": np.concatenate([np.zeros(0, np.intp), *(view.ids for _, view in listed)]),
+        "corners": np.concatenate([np.zeros((0, 3)), *(view.flat_corners for _, view in listed)]),
+        "pixels": np.concatenate([np.zeros((0, 2)), *(view.flat_pixels for _, view in listed)]),
+    }
+    return content, arrays
+
+
+def decode_views(content: Mapping[str, Any], arrays: Arrays) -> dict[int, tuple[BoardView, ...]]:
+    """The views from what :func:`encode_views` gives.
+
+    Raises:
+        KeyError: a key or an array is missing.
+        ValueError: an array has another size than the views.
+    """
+    views: dict[int, tuple[BoardView, ...]] = {}
+    marks = points = 0
+    for capture, board, width, height, count, k in content["views"]:
+        end = points + count * k
+        view = BoardView(
+            arrays["ids"][marks : marks + count].copy(),
+            arrays["corners"][points:end].reshape(count, k, 3).copy(),
+            arrays["pixels"][points:end].reshape(count, k, 2).copy(),
+            (width, height),
+            board,
+        )
+        views[capture] = (*views.get(capture, ()), view)
+        marks, points = marks + count, end
+    return views
