@@ -1,5 +1,6 @@
 """Captures of a rig: when the board rests in a recording, and what every sensor detects of it then."""
 
+import logging
 from collections.abc import Collection
 from dataclasses import replace
 from functools import partial
@@ -38,6 +39,8 @@ from calgraph.recording import (
     separate_poses,
 )
 
+_log = logging.getLogger("calgraph")
+
 
 def collect_captures(
     rig: Rig, recording: Recording, options: RigOptions, rng: np.random.Generator, progress: Progress = no_progress
@@ -73,7 +76,9 @@ def collect_captures(
     captures = collect_detections(rig, timeline, holds, observations, cameras, findings)
     views = {name: len(one.detections) for name, one in estimated.items()}
     captures = replace(captures, estimated_from_views=views)
-    if recognize_mode(timeline, rig.capture, rig.settings.captures).mode != "synchronized":
+    recognized = recognize_mode(timeline, rig.capture, rig.settings.captures)
+    _log.info("captures by mode %s: %s", recognized.mode, recognized.reason)
+    if recognized.mode != "synchronized":
         return captures
     return compensate_motion(captures, rig.settings.captures.moving_board)
 
