@@ -2,18 +2,19 @@
 
 python benchmarks/intrinsics.py --seeds 20
 python benchmarks/intrinsics.py --seeds 20 --warp 0.3    # the lens has terms that no model of ours has
-python benchmarks/intrinsics.py --seeds 20 --lens fisheye190
+python benchmarks/intrinsics.py --seeds 5 --rendered     # images, with the detection of corners in them
 
-A rig of a camera and a 16-beam LiDAR, and 24 captures of a board with an AprilGrid. Images of 680 by 510 pixels
-are rendered and cropped to 640 by 480, so that the principal point is up to 20 and 15 pixels from the middle. The
-warp moves pixels along and across the radius, by two periods of a sine over the half diagonal.
+A rig of a camera and a 16-beam LiDAR, and 24 captures of a board with an AprilGrid. Corners have a noise of 0.2
+px. Images of 680 by 510 pixels are cropped to 640 by 480, so that the principal point is up to 20 and 15 pixels
+from the middle. The warp moves pixels along and across the radius, by two and one periods of a sine over the half
+diagonal.
 
 Columns: errors of the focal length, %, and of the principal point, px, RMS and largest, of the views alone and of
 the joint solution; NEES per parameter; RMS errors of the camera's pose with true intrinsics and without any; NEES.
 """
 
 import argparse
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -32,7 +33,10 @@ from calgraph.captures import (
     state_estimated_intrinsics,
 )
 from calgraph.config import AprilGrid, Board, Rig
-from calgraph.detection import BoardViewFinder, CameraDetector
+from calgraph.config.settings import BoardPoseSettings
+from calgraph.detection import BoardCorners, BoardView, BoardViewFinder, CameraDetector
+from calgraph.detection.board_pose import BoardPose, fit_pose
+from calgraph.detection.camera import make_board_corners
 from calgraph.errors import Rejected
 from calgraph.estimation import estimate_intrinsics
 from calgraph.geometry import Array, se3
@@ -40,18 +44,21 @@ from calgraph.result import Calibration
 from calgraph.sensors import CameraModel, Image, Message
 from calgraph.simulation import (
     CameraOptions,
+    IdealDetectorOptions,
     LaserOptions,
     MultibeamOptions,
     RigScenario,
     SpinningOptions,
+    World,
     build_world,
     ground_truth,
     simulate_captures,
+    simulate_detections,
     world_rig,
 )
 from calgraph.simulation.robot import MountedCamera
 
-SIZE, MARGIN = (640, 480), (40, 30)
+SIZE, MARGIN, NOISE = (640, 480), (40, 30), 0.2
 LENSES = {
     "pinhole60": CameraOptions(field_of_view=60, distortion=(-0.1, 0.05, 1e-3, -5e-4, 0.0)),
     "pinhole90": CameraOptions(field_of_view=90, distortion=(-0.25, 0.08, 1e-3, -5e-4, -0.01)),
@@ -59,7 +66,6 @@ LENSES = {
     "fisheye150": CameraOptions(field_of_view=150, model="fisheye", distortion=(0.03, -0.01, 0.003, -0.001)),
     "fisheye190": CameraOptions(field_of_view=190, model="fisheye", distortion=(-0.02, 0.008, -0.004, 5e-4)),
 }
-_Messages = Mapping[str, Sequence[Message]]
 BOARD = Board(
     size=(1.0, 1.0),
     pattern=AprilGrid(kind="aprilgrid", columns=4, rows=4, tag_size=0.17, tag_spacing=0.3),
@@ -89,6 +95,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--warp", type=float, default=0.0, help="largest displacement, px")
+    parser.add_argument("--rendered", action="store_true", help="images instead of corners: ten times as long")
     parser.add_argument("--lens", choices=LENSES, action="append")
     arguments = parser.parse_args()
     print(
@@ -97,7 +104,7 @@ def main() -> None:
     )
     for lens in arguments.lens or LENSES:
         seeds = range(arguments.first, arguments.first + arguments.seeds)
-        outcomes = [measure(lens, seed, arguments.warp) for seed in seeds]
+        outcomes = [measure(lens, seed, arguments.warp, rendered=arguments.rendered) for seed in seeds]
         _print_row(lens, [one for one in outcomes if one is not None])
 
 
@@ -120,35 +127,25 @@ def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def measure(lens: str, seed: int, warp: float) -> Outcome | None:
+def measure(lens: str, seed: int, warp: float, *, rendered: bool) -> Outcome | None:
     """One recording, with true intrinsics and without any; None if the views do not suffice."""
-    world = build_world(_scenario(lens), seed)
+    world = build_world(_scenario(lens), seed, images=rendered)
     rig, truth = world_rig(world), ground_truth(world)
     rng = np.random.default_rng([seed, 7])
     shift = np.array([rng.integers(MARGIN[0] + 1), rng.integers(MARGIN[1] + 1)])
-    rendered = next(one.camera for one in world.robot if isinstance(one, MountedCamera))
-    K = rendered.K.copy()
+    whole = next(one.camera for one in world.robot if isinstance(one, MountedCamera))
+    K = whole.K.copy()
     K[:2, 2] -= shift
-    camera = CameraModel(rendered.model, *SIZE, K, rendered.distortion)
-    captures = [
-        {
-            name: [_change(message, shift, warp, camera) for message in messages]
-            for name, messages in one.messages.items()
-        }
-        for one in simulate_captures(world)
-    ]
-    others = _detect_others(rig, camera, captures)
-    given = _calibrate(rig, _collect(rig, camera, captures, others), seed)
-    finder = BoardViewFinder(rig.boards, rig.cameras()["camera"].noise, settings=rig.settings.detection.camera)
-    found = [finder.find(one["camera"]) for one in captures]
-    views = [view for one in found if not isinstance(one, Rejected) for view in one]
+    camera = CameraModel(whole.model, *SIZE, K, whole.distortion)
+    views, collect = (_render if rendered else _simulate_corners)(world, rig, camera, shift, warp, seed)
+    given = _calibrate(rig, collect(camera), seed)
     estimate = estimate_intrinsics(rig, "camera", views)
     if isinstance(estimate, Rejected):
         print(f"{lens} {seed}: {estimate.reason}")
         return None
     if estimate.camera.model != camera.model:
         print(f"{lens} {seed}: {estimate.camera.model}, {estimate.rejected_models}")
-    captured = _collect(rig, estimate.camera, captures, others)
+    captured = collect(estimate.camera)
     captured = replace(captured, estimated_from_views={"camera": len(estimate.detections)})
     free = _calibrate(state_estimated_intrinsics(rig, captured), captured, seed)
     intrinsics = free["camera"].intrinsics
@@ -188,6 +185,76 @@ def _scenario(lens: str) -> RigScenario:
     )
 
 
+_Collect = Callable[[CameraModel], CaptureSet]
+"""All detections, with the boards located by these intrinsics."""
+
+
+def _simulate_corners(
+    world: World, _rig: Rig, camera: CameraModel, shift: Array, warp: float, seed: int
+) -> tuple[list[BoardView], _Collect]:
+    """Views with exact corners but for Gaussian noise, the warp and the crop."""
+    _, captured, _ = simulate_detections(world, seed, IdealDetectorOptions(pixel=NOISE))
+    views = {}
+    for capture, (found,) in captured.detections["camera"].items():
+        assert isinstance(found, BoardCorners)
+        pixels = found.pixels - shift
+        pixels = pixels - _displacement(pixels, warp, camera)
+        inside = camera.contains(pixels)
+        if inside.sum() >= 8:
+            ids = np.arange(int(inside.sum()))
+            views[capture] = BoardView(ids, found.corners_board[inside][:, None], pixels[inside][:, None], SIZE)
+
+    def collect(camera: CameraModel) -> CaptureSet:
+        located: dict[int, tuple[BoardCorners]] = {}
+        rejections = dict(captured.rejections)
+        for hold in captured.holds:
+            view = views.get(hold.index)
+            pose: BoardPose | Rejected = Rejected("outside of the image")
+            if view is not None:
+                pose = fit_pose(view.ids, view.corners, view.pixels, camera, NOISE, BoardPoseSettings())
+                if isinstance(pose, BoardPose):
+                    located[hold.index] = (make_board_corners(pose, view.corners, view.pixels),)
+            if isinstance(pose, Rejected):
+                rejections[hold.index, "camera"] = pose.reason
+        detections = {**captured.detections, "camera": located}
+        return replace(captured, detections=detections, rejections=rejections, cameras={"camera": camera})
+
+    return list(views.values()), collect
+
+
+def _render(
+    world: World, rig: Rig, camera: CameraModel, shift: Array, warp: float, seed: int
+) -> tuple[list[BoardView], _Collect]:
+    """Views of rendered images."""
+    captures = [
+        {
+            name: [_change(message, shift, warp, camera) for message in messages]
+            for name, messages in one.messages.items()
+        }
+        for one in simulate_captures(world)
+    ]
+    spec, settings = rig.cameras()["camera"], rig.settings.detection.camera
+    images = [[message for message in one["camera"] if isinstance(message, Image)] for one in captures]
+    found = [BoardViewFinder(rig.boards, spec.noise, settings=settings).find(shown) for shown in images]
+    detect = make_detectors(rig, {"camera": camera}, {}, None, draw_seeds(rig, np.random.default_rng(seed)))
+    others = [
+        SensorCapture(i, name, detect[name](messages))
+        for i, one in enumerate(captures)
+        for name, messages in one.items()
+        if name != "camera"
+    ]
+
+    def collect(camera: CameraModel) -> CaptureSet:
+        find = CameraDetector(rig.boards, camera, spec.noise, settings=settings).find
+        located = [SensorCapture(i, "camera", find(shown)) for i, shown in enumerate(images)]
+        holds = [Hold(i, float(i), i + 0.5) for i in range(len(captures))]
+        never = SensorTimes(np.zeros(0), 0.0, np.zeros(0))
+        timeline = RecordingTimeline(0.0, dict.fromkeys(rig.sensors, never), np.zeros(0))
+        return collect_detections(rig, timeline, holds, [*located, *others], {"camera": camera})
+
+    return [view for one in found if not isinstance(one, Rejected) for view in one], collect
+
+
 def _change(message: Message, shift: Array, warp: float, camera: CameraModel) -> Message:
     """An image cropped, and displaced by what no model of the lens has; other messages as they are."""
     if not isinstance(message, Image):
@@ -195,41 +262,19 @@ def _change(message: Message, shift: Array, warp: float, camera: CameraModel) ->
     x, y = shift
     pixels = message.gray[y : y + SIZE[1], x : x + SIZE[0]]
     if warp:
-        grid = np.stack(np.meshgrid(np.arange(SIZE[0]), np.arange(SIZE[1])), axis=-1) - camera.principal_point
-        radius = np.linalg.norm(grid, axis=-1, keepdims=True) / (np.hypot(*SIZE) / 2)
-        away = grid / np.maximum(np.linalg.norm(grid, axis=-1, keepdims=True), 1e-9)
-        across = away[..., ::-1] * [-1, 1]
-        moved = warp * (np.sin(4 * np.pi * radius) * away + 0.5 * np.sin(2 * np.pi * radius) * across)
-        source = (grid + camera.principal_point + moved).astype(np.float32)
-        warped = cv2.remap(pixels, source[..., 0], source[..., 1], cv2.INTER_CUBIC)
-        pixels = np.asarray(warped, dtype=np.uint8)
+        grid = np.stack(np.meshgrid(np.arange(SIZE[0]), np.arange(SIZE[1])), axis=-1).astype(np.float64)
+        source = (grid + _displacement(grid, warp, camera)).astype(np.float32)
+        pixels = np.asarray(cv2.remap(pixels, source[..., 0], source[..., 1], cv2.INTER_CUBIC), dtype=np.uint8)
     return Image(message.stamp, message.frame_id, np.ascontiguousarray(pixels))
 
 
-def _collect(
-    rig: Rig, camera: CameraModel, captures: Sequence[_Messages], others: Sequence[SensorCapture]
-) -> CaptureSet:
-    """The captures with the detections of the camera, by these intrinsics, and those of the other sensors."""
-    find = CameraDetector(
-        rig.boards, camera, rig.cameras()["camera"].noise, settings=rig.settings.detection.camera
-    ).find
-    images = ([message for message in one["camera"] if isinstance(message, Image)] for one in captures)
-    found = [SensorCapture(i, "camera", find(shown)) for i, shown in enumerate(images)]
-    holds = [Hold(i, float(i), i + 0.5) for i in range(len(captures))]
-    never = SensorTimes(np.zeros(0), 0.0, np.zeros(0))
-    timeline = RecordingTimeline(0.0, dict.fromkeys(rig.sensors, never), np.zeros(0))
-    return collect_detections(rig, timeline, holds, [*found, *others], {"camera": camera})
-
-
-def _detect_others(rig: Rig, camera: CameraModel, captures: Sequence[_Messages]) -> list[SensorCapture]:
-    """What all sensors but the camera detect."""
-    detect = make_detectors(rig, {"camera": camera}, {}, None, draw_seeds(rig, np.random.default_rng(0)))
-    return [
-        SensorCapture(i, name, detect[name](messages))
-        for i, one in enumerate(captures)
-        for name, messages in one.items()
-        if name != "camera"
-    ]
+def _displacement(pixels: Array, warp: float, camera: CameraModel) -> Array:
+    """(..., 2) what a lens has that no model has: two periods along the radius, and one across, px."""
+    away = pixels - camera.principal_point
+    length = np.linalg.norm(away, axis=-1, keepdims=True)
+    radius, away = length / (np.hypot(*SIZE) / 2), away / np.maximum(length, 1e-9)
+    across = away[..., ::-1] * [-1, 1]
+    return np.asarray(warp * (np.sin(4 * np.pi * radius) * away + 0.5 * np.sin(2 * np.pi * radius) * across))
 
 
 def _calibrate(rig: Rig, captured: CaptureSet, seed: int) -> Calibration:

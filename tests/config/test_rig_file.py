@@ -300,3 +300,32 @@ def test_numbers_are_written_so_that_every_yaml_reads_them(tmp_path: Path, value
     text = (tmp_path / "x.yaml").read_text(encoding="utf-8").strip("{}\n").removeprefix("value: ")
     assert "." in text  # without it YAML 1.1 takes 1e-06 for a text
     assert float(text.replace(".inf", "inf")) == value
+
+
+@pytest.mark.parametrize(
+    ("word", "lens"), [("estimate", None), ("estimate pinhole", "pinhole"), ("estimate fisheye", "fisheye")]
+)
+def test_intrinsics_may_be_estimated(tmp_path: Path, word: str, lens: str | None) -> None:
+    path = tmp_path / "rig.yaml"
+    path.write_text(f"""\
+root: camera
+target: {{kind: board, size: [1, 1], pattern: {{kind: checkerboard, columns: 5, rows: 4, square: 0.1}}}}
+sensors:
+  camera: {{kind: camera, topic: /image, intrinsics: {word}}}
+""")
+    camera = load_rig(path).cameras()["camera"]
+    assert (camera.stated_intrinsics, camera.lens_to_estimate) == (None, lens)
+
+
+def test_another_word_for_intrinsics_is_refused_with_those_there_are(tmp_path: Path) -> None:
+    path = tmp_path / "rig.yaml"
+    path.write_text("""\
+root: camera
+target: {kind: board, size: [1, 1], pattern: {kind: checkerboard, columns: 5, rows: 4, square: 0.1}}
+sensors:
+  camera: {kind: camera, topic: /image, intrinsics: unknown}
+""")
+    with pytest.raises(
+        InputError, match=r"sensors\.camera\.intrinsics: must be 'estimate', 'estimate pinhole' or "
+    ):
+        load_rig(path)
