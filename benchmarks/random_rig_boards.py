@@ -14,6 +14,8 @@ def draw_boards(rng: np.random.Generator, cameras: bool) -> tuple[tuple[Board, .
     kind = KINDS[rng.choice(len(KINDS), p=[0.2, 0.3, 0.2, 0.15, 0.15])]
     count = int(rng.choice([1, 2, 3], p=[0.85, 0.1, 0.05]))
     boards = tuple(_draw_board(rng, kind, _draw_size(rng), i) for i in range(count))
+    while len({_shape(board, i) for i, board in enumerate(boards)}) < count:
+        boards = tuple(_draw_board(rng, kind, _draw_size(rng), i) for i in range(count))
     return boards, kind if count == 1 else "several"
 
 
@@ -28,6 +30,12 @@ def smallest_feature(board: Board) -> float:
             return board.pattern.marker
         case AprilGrid():
             return board.pattern.tag_size
+
+
+def _shape(board: Board, index: int) -> frozenset[int]:
+    """What distinguishes a board from others: a checkerboard has only its numbers of corners."""
+    pattern = board.pattern
+    return frozenset((pattern.columns, pattern.rows) if isinstance(pattern, Checkerboard) else (-1 - index,))
 
 
 def _draw_size(rng: np.random.Generator) -> tuple[float, float]:

@@ -66,19 +66,27 @@ class RandomRig:
     gray_noise: float
     """Standard deviation of a pixel, grey values."""
     mode: str
-    """``snapshots``, ``trigger`` or ``rest``."""
+    """``snapshots``, ``trigger``, ``rest`` or ``synchronized``."""
     labels: Mapping[str, str] = field(default_factory=dict)
     """What it is, for tables: layout, captures, board, noise, error, ..."""
 
 
-def draw_rig(seed: int) -> RandomRig:
-    """The rig of a seed."""
+def draw_rig(seed: int, moving: bool = False, unknown_lenses: float = 0.0) -> RandomRig:
+    """The rig of a seed.
+
+    Args:
+        seed: of everything that is drawn.
+        moving: whether the board moves all the time, in synchronized frames; otherwise the mode is drawn.
+        unknown_lenses: share of cameras whose intrinsics are not stated.
+    """
     rng = np.random.default_rng((seed, 18))
     mode = str(rng.choice(["snapshots", "trigger", "rest"], p=[0.78, 0.16, 0.06]))
     ordinary = bool(rng.random() < _ORDINARY_SHARE)
-    layout, robot = draw_robot(rng, small=mode == "rest", ordinary=ordinary)
+    mode = "synchronized" if moving else mode
+    streams = mode in ("rest", "synchronized")
+    layout, robot = draw_robot(rng, small=streams, ordinary=ordinary)
     boards, board_label = draw_boards(rng, cameras=any(sensor.kind == "camera" for sensor in robot))
-    geometry, captures = draw_captures(rng, robot, boards, 10 if mode == "rest" else 60, ordinary)
+    geometry, captures = draw_captures(rng, robot, boards, 10 if streams else 60, ordinary)
     environment, room = draw_environment(rng, captures, boards)
     root = robot[rng.integers(len(robot))].name
     noise, factors = _draw_stated_noise(rng, robot, ordinary)
@@ -97,6 +105,8 @@ def draw_rig(seed: int) -> RandomRig:
         sensors={sensor.name: _spec(sensor, factors[sensor.name], rng) for sensor in robot},
         tolerance=Tolerance(translation=translation, rotation=rotation),
     )
+    if unknown_lenses:
+        stated = _without_intrinsics(stated, unknown_lenses, rng)
     slips = np.mean([bool(shown.slipped) for shown in captures])
     labels = {
         "setup": "ordinary" if ordinary else "any",
@@ -128,6 +138,16 @@ def draw_rig(seed: int) -> RandomRig:
         mode,
         labels,
     )
+
+
+def _without_intrinsics(rig: Rig, share: float, rng: np.random.Generator) -> Rig:
+    sensors = {
+        name: spec.model_copy(update={"intrinsics": None, "camera_info": None})
+        if isinstance(spec, CameraSpec) and rng.random() < share
+        else spec
+        for name, spec in rig.sensors.items()
+    }
+    return rig.model_copy(update={"sensors": sensors})
 
 
 EMPTY_STEP, POSE_STEP = 3.0, 4.0

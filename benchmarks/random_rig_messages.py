@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.config import Board
+from calgraph.config import Board, CameraSpec
 from calgraph.geometry import Array, se3, so3
 from calgraph.recording.in_memory import MessageRecording
 from calgraph.sensors import CameraInfo, CameraModel, Image, Message, Trigger
@@ -29,6 +29,8 @@ _COARSE = 4
 """Step of the grid on which everything but boards is drawn, pixels."""
 _HOLD, _MOVE = 1.6, 0.7
 """Durations in recordings without trigger, s."""
+_FRAME_STEP, _LEG = 0.25, 1.5
+"""Times between synchronized frames, and from pose to pose of a board that never rests, s."""
 _TRIGGERED = 2
 """Measurements of each sensor after a trigger."""
 _TEXELS = 600.0
@@ -69,8 +71,9 @@ def record(rig: RandomRig) -> MessageRecording:
             measure(shown, done, _START + time + rig.delays[sensor.name])
             for time, shown, done in _times(rig, sensor)
         ]
-        if isinstance(sensor, MountedCamera):
-            messages[f"/{sensor.name}/camera_info"] = [CameraInfo(_START, sensor.frame_id, sensor.camera)]
+        spec = rig.stated.sensors[sensor.name]
+        if isinstance(spec, CameraSpec) and isinstance(sensor, MountedCamera) and spec.camera_info:
+            messages[spec.camera_info] = [CameraInfo(_START, sensor.frame_id, sensor.camera)]
     if rig.mode == "trigger":
         messages[TRIGGER] = [Trigger(_START + _first(rig) + _step(rig) * k) for k in range(len(rig.captures))]
     return MessageRecording(messages)
@@ -87,6 +90,13 @@ def _times(rig: RandomRig, sensor: RobotSensor) -> Iterator[tuple[float, Shown |
     if rig.empty:
         yield from ((time, None, 0.0) for time in np.arange(0.1, STREAM_EMPTY - sensor.clock.duration, period))
     step = _step(rig)
+    if rig.mode == "synchronized":
+        for time in np.arange(_first(rig), _first(rig) + step * (count - 1), _FRAME_STEP):
+            # A clock that is right: what is measured is where the board is at the stamp.
+            passed, after = divmod(time + rig.delays[sensor.name] - _first(rig), step)
+            k = min(max(int(passed), 0), count - 2)
+            yield float(time), _between(rig.captures[k], rig.captures[k + 1], min(after / step, 1.0)), k / count
+        return
     if rig.mode == "trigger":
         for k, shown in enumerate(rig.captures):
             start = _first(rig) + step * k + 0.03
@@ -113,6 +123,8 @@ def _step(rig: RandomRig) -> float:
     """Time from capture to capture in streams, s."""
     if rig.mode == "rest":
         return _MOVE + _HOLD
+    if rig.mode == "synchronized":
+        return _LEG
     return 0.2 + _MOVE + _TRIGGERED * max(s.clock.period + s.clock.duration for s in rig.robot)
 
 

@@ -95,6 +95,8 @@ def main() -> None:
     """Prints the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", nargs=2, type=int, default=[0, 100], help="first, and one past the last")
+    parser.add_argument("--moving", action="store_true", help="boards that never rest, in synchronized frames")
+    parser.add_argument("--unknown-lenses", type=float, default=0.0, help="share of cameras without intrinsics")
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--csv", type=Path, help="file to write all sensors to")
     parser.add_argument("--read", nargs="+", type=Path, default=[], help="such files, instead of runs")
@@ -122,7 +124,8 @@ def run_all(seeds: Sequence[int], arguments: argparse.Namespace) -> list[SensorO
     for first in range(0, len(seeds), block):
         if time.monotonic() - began > 60 * arguments.minutes:
             break
-        part = parallel_map(run, [(seed,) for seed in seeds[first : first + block]], arguments.jobs)
+        rigs = [(seed, arguments.moving, arguments.unknown_lenses) for seed in seeds[first : first + block]]
+        part = parallel_map(run, rigs, arguments.jobs)
         outcomes += [one for of_rig in part for one in of_rig]
         if arguments.csv:
             save(arguments.csv, outcomes)
@@ -131,11 +134,11 @@ def run_all(seeds: Sequence[int], arguments: argparse.Namespace) -> list[SensorO
     return outcomes
 
 
-def run(seed: int) -> list[SensorOutcome]:
-    """Draws, records, calibrates and compares the rig of a seed."""
+def run(seed: int, moving: bool = False, unknown_lenses: float = 0.0) -> list[SensorOutcome]:
+    """Draws, records, calibrates and compares the rig of a seed; see :func:`draw_rig`."""
     cv2.setNumThreads(1)
     began = time.process_time()
-    rig = draw_rig(seed)
+    rig = draw_rig(seed, moving, unknown_lenses)
     recording = record(rig)
     others = [name for name in rig.stated.sensors if name != rig.stated.root]
     labels = "|".join(f"{key}={value}" for key, value in rig.labels.items())

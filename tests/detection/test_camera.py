@@ -12,6 +12,8 @@ from calgraph.baselines import estimate_mean_plane
 from calgraph.config import AprilGrid, Board, Charuco, Checkerboard, PixelNoise, Tag
 from calgraph.detection import BoardCorners, CameraDetector, InconsistentTags, PlaneEstimator
 from calgraph.detection.landmarks import compute_landmarks
+from calgraph.detection.printed_boards import average_marks
+from calgraph.detection.tags import Marks
 from calgraph.errors import InputError, Rejected
 from calgraph.geometry import Array, plane, se3, so3
 from calgraph.sensors import CameraModel, Image
@@ -257,6 +259,15 @@ def test_a_board_may_move_by_a_pixel_from_the_mean(
 def test_a_board_that_moved_is_rejected(render: Render, rng: np.random.Generator) -> None:
     images = [image(render(TAGGED, SMALL, a_pose(t=(x, 0, 2)), rng)) for x in (0, 0.02)]
     assert "moved between images" in reason(find_boards(images, [TAGGED], SMALL, NOISE))
+
+
+def test_images_whose_marks_all_have_a_corner_that_jumps_are_rejected() -> None:
+    """Most corners rest, so that the board has not moved by the median of all."""
+    ids, corners = np.arange(2), np.tile(100.0 * np.eye(4, 2), (2, 1, 1))
+    jump = np.zeros((2, 4, 2))
+    jump[:, 0, 0] = 8.0
+    found = average_marks([Marks(ids, corners), Marks(ids, corners + jump)], 1.5)
+    assert found == Rejected("board moved between images: its corners by up to 8.0 px")
 
 
 def test_an_image_without_the_board_is_left_out(render: Render, rng: np.random.Generator) -> None:

@@ -82,6 +82,8 @@ def average_marks(marks_by_image: Sequence[Marks], tolerance: float) -> Marks | 
     # A mark that jumps while the board rests is a false detection in that image.
     pixels[(deviation > tolerance).any(axis=-1)] = np.nan
     steady = np.isfinite(pixels).all(axis=(2, 3)).any(axis=0)
+    if not steady.any():
+        return Rejected(f"board moved between images: its corners by up to {2 * np.nanmax(deviation):.1f} px")
     return Marks(ids[steady], np.nanmean(pixels[:, steady], axis=0))
 
 

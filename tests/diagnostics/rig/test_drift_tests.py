@@ -171,3 +171,14 @@ def test_rigid_groups_do_not_drift_apart() -> None:
     _, covariance = covariances(grouped)
     of_camera, of_laser = (covariance[6 * s + 3 : 6 * s + 6, 6 * s + 3 : 6 * s + 6] for s in (1, 2))
     np.testing.assert_allclose(of_camera, of_laser, rtol=1e-6)
+
+
+def test_variances_stay_where_views_do_not_determine_a_drift(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object) -> None:
+        raise np.linalg.LinAlgError("Matrix is not positive definite")
+
+    solved = drifting(0, 1, 5 * DIRECTION)
+    without = SETTINGS.model_copy(update={"drifts": SETTINGS.drifts.model_copy(update={"max_rounds": 0})})
+    expected = measure_drifts(solved, without).drift(1)
+    monkeypatch.setattr("calgraph.diagnostics.rig.drift_tests._update_variances_beside_drifts", fail)
+    assert measure_drifts(solved, SETTINGS).drift(1).squared == expected.squared

@@ -101,7 +101,11 @@ def measure_drifts(solved: SolvedBundle, settings: DiagnosticsSettings) -> Drift
     if max(statistics.drift(body).squared for body in bodies) <= trigger:
         return statistics
     for _ in range(settings.drifts.max_rounds):
-        bundle, change = _update_variances_beside_drifts(bundle, state, time)
+        try:
+            bundle, change = _update_variances_beside_drifts(bundle, state, time)
+        except np.linalg.LinAlgError:
+            # Few views of a sensor at nearly one time do not determine its drift: variances stay as they are.
+            break
         if change < bundle.settings.variances.max_settled_change:
             break
     return replace(_score_drifts(bundle, _linearize(bundle, state), time), serial_correlation=factor)
