@@ -74,6 +74,8 @@ DOCUMENTS: Sequence[Document] = (
     ),
     Document("board.yaml", YAML_MUTATIONS, (("init", "recording", "-o", "draft.yaml", "--board", "board.yaml"),)),
 )
+RIGS = "rig.yaml", "rig.resolved.yaml"
+FILE_KINDS = tuple(dict.fromkeys([kind for one in DOCUMENTS for kind in one.mutations] + list(_BYTES)))
 _MESSAGE_NAMES = (
     "calgraph-", "capture", "sensors", "target", "settings", "root", "tolerance", "board", "camera",
     "lidar", "laser",
@@ -106,7 +108,7 @@ def list_rigs(source: Source, whole: Path, seeds: int) -> Iterator[Case]:
     """Mutations of rig.yaml as users write it, and with all settings."""
     for seed in range(6 * seeds):
         for kind in YAML_MUTATIONS:
-            for name in ("rig.yaml", "rig.resolved.yaml"):
+            for name in RIGS:
                 document = Document(name, YAML_MUTATIONS, (_CALIBRATE,))
                 yield Case(
                     RIG_TABLE, kind, name, seed, partial(_attempt, source, whole, document, kind, seed, "rig.yaml")

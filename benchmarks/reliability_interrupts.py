@@ -28,6 +28,7 @@ _MARKERS = "calibration.yaml", "recording"
 _CALIBRATE = "calibrate", "rig.yaml", "recording", "-o", "out", "--folds", "0"
 _SIGNALS = {"SIGKILL": signal.SIGKILL, "SIGTERM": signal.SIGTERM, "SIGINT (Ctrl-C)": signal.SIGINT}
 _WORKER = "SIGKILL of one worker"
+KINDS = *_SIGNALS, _WORKER
 _CODES = {"SIGKILL": (-9,), "SIGTERM": (-15, 143), "SIGINT (Ctrl-C)": (-2, 130), _WORKER: (1,)}
 _COUNT_OPERATIONS = """
 import atexit, os, signal, sys
@@ -148,7 +149,7 @@ def _hash(file: Path) -> str:
 def list_cases(references: References, seeds: int) -> Iterator[Case]:
     """Signals at random times."""
     for seed in range(6 * seeds):
-        for kind in (*_SIGNALS, _WORKER):
+        for kind in KINDS:
             for task in TASKS:
                 if task.workers or kind != _WORKER:
                     yield Case(TABLE, kind, task.name, seed, partial(_attempt_signal, references, task, kind))

@@ -113,9 +113,14 @@ _STREAMS = (
 _STREAM_COMMANDS = ("calibrate RIG", "inspect", "export RESULT", "init RECORDING", "check --against", "solve DUMP")
 
 
-def list_cases(source: Source, whole: Path, seeds: int) -> Iterator[Case]:
-    """Every place with every path, every number and stream; seeds change nothing here."""
-    del seeds
+KINDS = (
+    *(f"path: {kind}" for kind in (*_GOOD_NAMES, *_BAD_PATHS)), "options out of range", "streams closed or full",
+)  # fmt: skip
+PLACES = *_COMMANDS, *_NUMBERS
+
+
+def list_cases(source: Source, whole: Path) -> Iterator[Case]:
+    """Every place with every path, every number and stream."""
     for place in _COMMANDS:
         for kind in _GOOD_NAMES:
             yield Case(TABLE, f"path: {kind}", place, 0, partial(_attempt_good, source, whole, place, kind))

@@ -24,6 +24,7 @@ _COMMANDS: Sequence[Sequence[str]] = (
     ("check", "rig.yaml", "{recording}", "--against", "{extrinsics}", "-o", "out"),
 )
 """By seed: half of the attempts calibrate."""
+KINDS = *MESSAGE_DAMAGE, *FILE_DAMAGE
 _CODES_OF = {"check": (0, 1, 2)}
 _FEW_FILES = 12
 

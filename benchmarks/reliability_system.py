@@ -32,7 +32,7 @@ _FILE_SIZES = 1000, 20_000, 200_000, 1_000_000
 _MEMORY = 300, 500, 700, 900, 1200, 2000
 """Address space of each process, MB."""
 _DESCRIPTORS = 12, 16, 20, 24, 32, 64
-_TASK_NAMES = (
+TASK_NAMES = (
     "calibrate", "calibrate, 3 processes", "calibrate --force, 3 processes", "simulate", "init --force",
     "export -o",
 )  # fmt: skip
@@ -79,11 +79,11 @@ FAULTS: Mapping[str, Sequence[Fault]] = {
 }
 
 
-def list_cases(source: Source, references: References, _seeds: int) -> Iterator[Case]:
+def list_cases(source: Source, references: References) -> Iterator[Case]:
     """Every fault with every command that writes something."""
     for kind, faults in FAULTS.items():
         for task in TASKS:
-            if task.name in _TASK_NAMES:
+            if task.name in TASK_NAMES:
                 for number, fault in enumerate(faults):
                     yield Case(TABLE, kind, task.name, number, partial(_attempt, source, references, task, fault))
 

@@ -1,0 +1,146 @@
+"""The benchmark of reliability: a sample of its cases, what it counts as wrong, and the tables of its page."""
+
+import os
+import shutil
+import signal
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from reliability import TABLES
+from reliability_answers import Answer, find_left, judge_ending, judge_result
+from reliability_bags import FORMS, Source, simulate_source
+from reliability_bytes import FILE_DAMAGE
+from reliability_cases import Case
+from reliability_documents import list_rigs
+from reliability_messages import MESSAGE_DAMAGE
+from reliability_recordings import judge_recording
+from reliability_runs import Ending, run
+
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "reliability.md"
+PEACEFUL = Ending(0, "", "", 1.0, 2**28, hung=False, orphans=0)
+FAST = "calibrate", "rig.yaml", "recording", "-o", "out", "--folds", "0", "--jobs", "1"
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory: pytest.TempPathFactory) -> Source:
+    return simulate_source(tmp_path_factory.mktemp("reliability") / "source", seed=0)
+
+
+@pytest.fixture(scope="module")
+def result(source: Source, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A right result; not to be changed."""
+    folder = tmp_path_factory.mktemp("result")
+    (folder / "recording").symlink_to(source.folder / "recording")
+    shutil.copy(source.folder / "rig.yaml", folder)
+    assert run(FAST, folder).code == 0
+    return folder / "out"
+
+
+@pytest.mark.parametrize(
+    ("kind", "form", "answer"),
+    [
+        ("half of the clouds empty", "MCAP", Answer.RIGHT),
+        ("topic without messages", "SQLite", Answer.REFUSED),
+        ("clouds that contradict themselves", "ROS 1 bag", Answer.REFUSED),
+        ("topics of another type", "plain folder, NPZ", Answer.REFUSED),
+    ],
+)
+def test_damaged_messages(source: Source, tmp_path: Path, kind: str, form: str, answer: Answer) -> None:
+    items = MESSAGE_DAMAGE[kind](source.items, np.random.default_rng(1))
+    recording = FORMS[form](tmp_path / "recording", items)
+    judged = judge_recording(source, form, recording, tmp_path, 0)
+    assert judged.answer is answer, judged.detail
+
+
+@pytest.mark.parametrize("kind", ["cut off anywhere", "Git LFS pointers", "bytes of headers changed"])
+@pytest.mark.parametrize("form", ["MCAP", "plain folder, CSV and PCD"])
+def test_damaged_files(source: Source, tmp_path: Path, kind: str, form: str) -> None:
+    recording = FORMS[form](tmp_path / "recording", source.items)
+    damaged = FILE_DAMAGE[kind](recording, np.random.default_rng(1))
+    judged = judge_recording(source, form, damaged, tmp_path, 0)
+    assert not judged.answer.is_wrong, judged
+
+
+def test_damaged_rigs(source: Source, result: Path, tmp_path: Path) -> None:
+    cases = list(list_rigs(source, result.parent, 1))[:12:3]
+    for number, case in enumerate(cases):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        judged = case.attempt(folder, np.random.default_rng(number))
+        assert not judged.answer.is_wrong, (case.name, judged)
+
+
+@pytest.mark.parametrize(
+    ("ending", "answer"),
+    [
+        (replace(PEACEFUL, code=2, stderr="calgraph: rig.yaml: is empty\n"), Answer.REFUSED),
+        (replace(PEACEFUL, code=2, stderr="calgraph: something is wrong\n"), Answer.SILENT),
+        (replace(PEACEFUL, code=1), Answer.SILENT),
+        (replace(PEACEFUL, code=1, stderr="Traceback (most recent call last):\nKeyError: 3"), Answer.TRACEBACK),
+        (replace(PEACEFUL, code=-signal.SIGSEGV), Answer.CRASH),
+        (replace(PEACEFUL, code=3), Answer.CRASH),
+        (replace(PEACEFUL, hung=True, code=-9), Answer.HANG),
+        (replace(PEACEFUL, peak=2**31), Answer.MEMORY),
+        (replace(PEACEFUL, orphans=1), Answer.LEFT),
+        (replace(PEACEFUL, stderr="RuntimeWarning: invalid value"), Answer.FOREIGN),
+    ],
+)
+def test_ends_are_judged(ending: Ending, answer: Answer) -> None:
+    judged = judge_ending(ending, ["rig.yaml"])
+    assert judged is not None
+    assert judged.answer is answer
+
+
+def test_results_are_judged_by_the_ground_truth(source: Source, result: Path, tmp_path: Path) -> None:
+    assert judge_result(result, source.truth).answer is Answer.RIGHT
+    off = {name: T.copy() for name, T in source.truth.T_root_sensor.items()}
+    off["camera"][0, 3] += 1.0
+    wrong = replace(source.truth, T_root_sensor=off)
+    assert judge_result(result, wrong).answer is Answer.CONFIDENT
+    half = shutil.copytree(result, tmp_path / "half")
+    (half / "scene.npz").unlink()
+    assert judge_result(half, source.truth).answer is Answer.HALF
+    (tmp_path / ".out.1234.tmp").touch()
+    assert len(find_left(tmp_path)) == 1
+
+
+def test_processes_that_are_left_are_counted_and_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("reliability_runs._LONGEST_END", 0.2)
+    ending = run(["-c", "sleep 600 & echo $!"], tmp_path, program=["sh"])
+    assert ending.orphans == 1
+    with pytest.raises(ProcessLookupError):
+        os.kill(int(ending.stdout), 0)
+
+
+def tables() -> list[list[list[str]]]:
+    """The cells of the tables of numbers on the page."""
+    found: list[list[list[str]]] = []
+    lines = PAGE.read_text(encoding="utf-8").splitlines()
+    for before, line in zip(["", *lines], lines, strict=False):
+        if not line.startswith("|"):
+            continue
+        cells = [cell.strip() for cell in line.strip("|").split("|")]
+        if not before.startswith("|"):
+            found.append([])
+        found[-1].append(cells)
+    return [table for table in found if "tried" in table[0]]
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_the_page_has_the_tables_that_the_script_prints(name: str) -> None:
+    described = TABLES[name]
+    for head, rows in zip(described.heads, (described.kinds, described.forms), strict=True):
+        expected = [head, *(column for column, _ in described.columns)]
+        [table] = [one for one in tables() if one[0] == expected and {row[0] for row in one[2:-1]} == set(rows)]
+        counts = np.array([[int(cell) for cell in row[1:]] for row in table[2:]])
+        assert table[-1][0] == "**all**"
+        np.testing.assert_array_equal(counts[:-1].sum(axis=0), counts[-1])
+        np.testing.assert_array_equal(counts[:, 0], counts[:, 1:].sum(axis=1))
+
+
+def test_every_case_has_its_own_random_numbers() -> None:
+    one = Case("table", "kind", "form", 0, lambda *_: pytest.fail("not to be run"))
+    assert one.name != replace(one, seed=1).name
