@@ -64,7 +64,8 @@ def _attempt(case: Case, scratch: Path, keep: Path | None) -> Outcome:
         judged = Judged(Answer.FOREIGN, f"the benchmark failed: {type(error).__name__}: {error}")
     if keep and judged.answer.is_wrong:
         keep.mkdir(parents=True, exist_ok=True)
-        shutil.copytree(folder, keep / folder.name, symlinks=True, dirs_exist_ok=True, ignore=_ignore_special)
+        shutil.rmtree(keep / folder.name, ignore_errors=True)
+        shutil.copytree(folder, keep / folder.name, symlinks=True, ignore=_ignore_special)
         (keep / folder.name / "case.txt").write_text(f"{case.name}\n{judged.answer.value}: {judged.detail}\n")
     shutil.rmtree(folder, ignore_errors=True)
     return Outcome(case, judged)
