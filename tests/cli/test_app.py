@@ -159,10 +159,11 @@ def test_an_interruption_while_modules_are_loaded_ends_it_quietly() -> None:
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
 
 
-def test_memory_that_runs_out_is_one_line() -> None:
+@pytest.mark.parametrize("error", ["MemoryError", "ImportError('x.so: failed to map segment from shared object')"])
+def test_memory_that_runs_out_is_one_line(error: str) -> None:
     code = (
         "import calgraph.cli.app as module\n"
-        "def fail(): raise MemoryError\n"
+        f"def fail(): raise {error}\n"
         "module.app = fail\n"
         "module.run_command_line()"
     )

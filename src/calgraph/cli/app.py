@@ -120,7 +120,10 @@ def run_command_line() -> None:
     except BrokenPipeError:
         discard_output()
         sys.exit(_BROKEN_PIPE)
-    except MemoryError:
+    except (MemoryError, ImportError) as error:
+        # The loader's words for a library that does not fit into memory.
+        if isinstance(error, ImportError) and "failed to map segment" not in str(error):
+            raise
         _print_error(CalibrationError("memory ran out; reduce `jobs`, or give a shorter recording"))
         sys.exit(1)
     except OSError as error:
