@@ -125,7 +125,9 @@ def _count_orphans(session: int) -> int:
     end = time.monotonic() + _LONGEST_END
     while (left := processes_of_session(session)) and time.monotonic() < end:
         time.sleep(0.02)
-    _kill_session(session)
+    while processes_of_session(session):
+        _kill_session(session)
+        time.sleep(0.02)
     return len(left)
 
 
