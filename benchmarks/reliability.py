@@ -3,6 +3,7 @@
 python benchmarks/reliability.py --jobs 4                      # all tables
 python benchmarks/reliability.py --tables recordings --seeds 2 # some of them, with fewer seeds
 python benchmarks/reliability.py --only "cut off" --keep wrong # some kinds; inputs of wrong answers are kept
+python benchmarks/reliability.py --outcomes FILE --minutes 30  # half an hour of them; the next run continues
 
 Each input or fault is one run of the installed command line in a separate folder.
 """
@@ -21,7 +22,7 @@ import reliability_lines as lines
 import reliability_recordings as recordings
 import reliability_system as system
 from reliability_bags import FORMS, Source, simulate_source
-from reliability_cases import Case, Outcome, attempt_all
+from reliability_cases import Case, Outcome, attempt_all, in_order, load_outcomes, save_outcome
 from reliability_mutations import YAML_MUTATIONS
 from reliability_tables import ANSWERS, STATES, Columns, describe_wrong, format_section
 
@@ -44,31 +45,37 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=2, help="of each kind and form; some tables have multiples")
     parser.add_argument("--only", default="", help="cases whose name contains this")
     parser.add_argument("--jobs", type=int, default=2, help="runs at a time")
+    parser.add_argument("--minutes", type=float, default=1e6, help="no case is begun later; 0 prints only")
+    parser.add_argument("--outcomes", type=Path, help="file of outcomes, which are not repeated")
     parser.add_argument("--keep", type=Path, help="folder for the inputs of wrong answers")
     arguments = parser.parse_args()
-    outcomes: list[Outcome] = []
-    began = time.monotonic()
-    with TemporaryDirectory(prefix="reliability ") as name:
-        scratch = Path(name)
-        source = simulate_source(scratch / "source", seed=0)
-        for table in arguments.tables:
-            listed = TABLES[table].list_cases(source, scratch, arguments.seeds)
-            cases = [case for case in listed if arguments.only in case.name]
-            found = attempt_all(cases, scratch / "cases", arguments.jobs, arguments.keep, _show_wrong)
-            outcomes += found
-            if found:
-                print(f"\n{format_section(found, TABLES[table].heads, TABLES[table].columns)}\n", flush=True)
+    outcomes = list(load_outcomes(arguments.outcomes)) if arguments.outcomes else []
+
+    def report(outcome: Outcome) -> None:
+        outcomes.append(outcome)
+        if arguments.outcomes:
+            save_outcome(outcome, arguments.outcomes)
+        if outcome.judged.answer.is_wrong:
+            print("WRONG", describe_wrong([outcome]), file=sys.stderr, flush=True)
+
+    end = time.monotonic() + 60 * arguments.minutes
+    if arguments.minutes:
+        known = {outcome.name for outcome in outcomes}
+        with TemporaryDirectory(prefix="reliability ") as name:
+            scratch = Path(name)
+            source = simulate_source(scratch / "source", seed=0)
+            for table in arguments.tables:
+                listed = TABLES[table].list_cases(source, scratch, arguments.seeds)
+                cases = [case for case in listed if arguments.only in case.name and case.name not in known]
+                attempt_all(cases, scratch / "cases", arguments.jobs, arguments.keep, report, end)
+    for table in arguments.tables:
+        layout = TABLES[table]
+        rows = list(in_order([one for one in outcomes if one.table == table], layout.kinds, layout.forms))
+        if rows:
+            print(f"{format_section(rows, layout.heads, layout.columns)}\n")
     wrong = describe_wrong(outcomes)
-    print(f"{len(outcomes)} in {time.monotonic() - began:.0f} s; wrong:{chr(10) if wrong else ' none'}{wrong}")
+    print(f"{len(outcomes)} cases; wrong:{chr(10) if wrong else ' none'}{wrong}")
     sys.exit(1 if wrong else 0)
-
-
-def _show_wrong(outcome: Outcome) -> None:
-    if outcome.judged.answer.is_wrong:
-        print(
-            f"WRONG {outcome.case.name}: {outcome.judged.answer.value}: {outcome.judged.detail}",
-            file=sys.stderr, flush=True,
-        )  # fmt: skip
 
 
 def _documents(source: Source, scratch: Path) -> Path:

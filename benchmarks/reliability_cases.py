@@ -1,8 +1,10 @@
-"""Cases of the reliability tables, and how they are carried out: each in a separate folder, by several threads."""
+"""Cases of the reliability tables, and how they are attempted: each in a separate folder, by several threads."""
 
+import json
 import shutil
+import time
 import zlib
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
@@ -31,35 +33,79 @@ class Case:
         """Unique among all cases."""
         return f"{self.table}: {self.kind}: {self.form}: {self.seed}"
 
+    @property
+    def number(self) -> int:
+        """The same name gives the same random numbers, with any other cases."""
+        return zlib.crc32(self.name.encode())
+
 
 @dataclass(frozen=True)
 class Outcome:
-    """A case with its answer."""
+    """The answer in one case."""
 
-    case: Case
+    table: str
+    kind: str
+    form: str
+    name: str
     judged: Judged
 
 
 def attempt_all(
-    cases: Iterable[Case], scratch: Path, jobs: int, keep: Path | None, report: Callable[[Outcome], None]
-) -> Sequence[Outcome]:
-    """Carries out cases, several at a time; folders of wrong answers are kept where ``keep`` names a folder."""
+    cases: Iterable[Case],
+    scratch: Path,
+    jobs: int,
+    keep: Path | None,
+    report: Callable[[Outcome], None],
+    end: float,
+) -> None:
+    """Attempts cases, several at a time, in random order.
+
+    Args:
+        cases: to attempt.
+        scratch: folder for those of the cases.
+        jobs: how many at a time.
+        keep: folder that keeps those of wrong answers.
+        report: called with each outcome.
+        end: time of the monotonic clock at which no further case is begun, s.
+    """
     scratch.mkdir(parents=True, exist_ok=True)
+    shuffled = sorted(cases, key=lambda case: case.number)
     with ThreadPoolExecutor(jobs) as pool:
-        outcomes = []
-        for outcome in pool.map(partial(_attempt, scratch=scratch, keep=keep), cases):
-            report(outcome)
-            outcomes.append(outcome)
-    return outcomes
+        for outcome in pool.map(partial(_attempt, scratch=scratch, keep=keep, end=end), shuffled):
+            if outcome:
+                report(outcome)
 
 
-def _attempt(case: Case, scratch: Path, keep: Path | None) -> Outcome:
-    """The same name gives the same random numbers, with any other cases."""
-    number = zlib.crc32(case.name.encode())
-    folder = scratch / f"case {number:08x}"
+def save_outcome(outcome: Outcome, file: Path) -> None:
+    """Appends a line."""
+    content = [outcome.table, outcome.kind, outcome.form, outcome.name, outcome.judged.answer.name]
+    with file.open("a", encoding="utf-8") as opened:
+        opened.write(json.dumps([*content, outcome.judged.detail]) + "\n")
+
+
+def load_outcomes(file: Path) -> Sequence[Outcome]:
+    """The outcomes in a file, the last of each case; none if there is no file."""
+    lines = file.read_text(encoding="utf-8").splitlines() if file.exists() else []
+    found: dict[str, Outcome] = {}
+    for line in lines:
+        table, kind, form, name, answer, detail = json.loads(line)
+        found[name] = Outcome(table, kind, form, name, Judged(Answer[answer], detail))
+    return list(found.values())
+
+
+def in_order(outcomes: Sequence[Outcome], kinds: Collection[str], forms: Collection[str]) -> Iterator[Outcome]:
+    """Outcomes in the order of rows."""
+    rank = {name: number for number, name in enumerate([*kinds, *forms])}
+    yield from sorted(outcomes, key=lambda one: (rank.get(one.kind, 0), rank.get(one.form, 0), one.name))
+
+
+def _attempt(case: Case, scratch: Path, keep: Path | None, end: float) -> Outcome | None:
+    if time.monotonic() > end:
+        return None
+    folder = scratch / f"case {case.number:08x}"
     folder.mkdir()
     try:
-        judged = case.attempt(folder, np.random.default_rng(number))
+        judged = case.attempt(folder, np.random.default_rng(case.number))
     except Exception as error:
         judged = Judged(Answer.FOREIGN, f"the benchmark failed: {type(error).__name__}: {error}")
     if keep and judged.answer.is_wrong:
@@ -68,7 +114,7 @@ def _attempt(case: Case, scratch: Path, keep: Path | None) -> Outcome:
         shutil.copytree(folder, keep / folder.name, symlinks=True, ignore=_ignore_special)
         (keep / folder.name / "case.txt").write_text(f"{case.name}\n{judged.answer.value}: {judged.detail}\n")
     shutil.rmtree(folder, ignore_errors=True)
-    return Outcome(case, judged)
+    return Outcome(case.table, case.kind, case.form, case.name, judged)
 
 
 def _ignore_special(folder: str, names: list[str]) -> set[str]:

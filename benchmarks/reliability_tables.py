@@ -42,8 +42,8 @@ def format_table(outcomes: Sequence[Outcome], head: str, key: Callable[[Outcome]
 def format_section(outcomes: Sequence[Outcome], heads: Sequence[str], columns: Columns) -> str:
     """The tables of one section of the page: by kind of damage or fault, and by what it was done to."""
     keys: Mapping[str, Callable[[Outcome], str]] = {
-        heads[0]: lambda one: one.case.kind,
-        heads[1]: lambda one: one.case.form,
+        heads[0]: lambda one: one.kind,
+        heads[1]: lambda one: one.form,
     }
     return "\n\n".join(format_table(outcomes, head, key, columns) for head, key in keys.items())
 
@@ -51,7 +51,7 @@ def format_section(outcomes: Sequence[Outcome], heads: Sequence[str], columns: C
 def describe_wrong(outcomes: Iterable[Outcome]) -> str:
     """A line for each wrong answer; empty if there is none."""
     return "\n".join(
-        f"- {one.case.name}: {one.judged.answer.value}: {one.judged.detail}"
+        f"- {one.name}: {one.judged.answer.value}: {one.judged.detail}"
         for one in outcomes
         if one.judged.answer.is_wrong
     )

@@ -144,7 +144,7 @@ def test_the_page_has_the_tables_that_the_script_prints(name: str) -> None:
     described = TABLES[name]
     for head, rows in zip(described.heads, (described.kinds, described.forms), strict=True):
         expected = [head, *(column for column, _ in described.columns)]
-        [table] = [one for one in tables() if one[0] == expected and {row[0] for row in one[2:-1]} == set(rows)]
+        [table] = [one for one in tables() if one[0] == expected and {row[0] for row in one[2:-1]} <= set(rows)]
         counts = np.array([[int(cell) for cell in row[1:]] for row in table[2:]])
         assert table[-1][0] == "**all**"
         np.testing.assert_array_equal(counts[:-1].sum(axis=0), counts[-1])
