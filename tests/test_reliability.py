@@ -9,14 +9,15 @@ import numpy as np
 import pytest
 
 from reliability import TABLES
-from reliability_answers import Answer, find_left, judge_ending, judge_result
+from reliability_answers import Answer, Judged, find_left, judge_ending, judge_result
 from reliability_bags import FORMS, Source, simulate_source, write_rig
 from reliability_bytes import FILE_DAMAGE
-from reliability_cases import Case
+from reliability_cases import Case, Outcome, in_order, load_outcomes, save_outcome
 from reliability_documents import list_rigs
 from reliability_messages import MESSAGE_DAMAGE
 from reliability_recordings import judge_recording
 from reliability_runs import Ending, run
+from reliability_tables import format_section
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "reliability.md"
 PEACEFUL = Ending(0, "", "", 1.0, 2**28, hung=False, orphans=0)
@@ -139,16 +140,46 @@ def tables() -> list[list[list[str]]]:
     return [table for table in found if "tried" in table[0]]
 
 
-@pytest.mark.parametrize("name", TABLES)
-def test_the_page_has_the_tables_that_the_script_prints(name: str) -> None:
-    described = TABLES[name]
-    for head, rows in zip(described.heads, (described.kinds, described.forms), strict=True):
-        expected = [head, *(column for column, _ in described.columns)]
-        [table] = [one for one in tables() if one[0] == expected and {row[0] for row in one[2:-1]} <= set(rows)]
-        counts = np.array([[int(cell) for cell in row[1:]] for row in table[2:]])
-        assert table[-1][0] == "**all**"
+def test_the_page_has_tables_as_the_script_prints_them() -> None:
+    layouts = {
+        (head, *(column for column, _ in described.columns)): set(rows)
+        for described in TABLES.values()
+        for head, rows in zip(described.heads, (described.kinds, described.forms), strict=True)
+    }
+    assert tables()
+    for head, _, *rows in tables():
+        assert {row[0] for row in rows[:-1]} <= layouts[tuple(head)]
+        counts = np.array([[int(cell) for cell in row[1:]] for row in rows])
+        assert rows[-1][0] == "**all**"
         np.testing.assert_array_equal(counts[:-1].sum(axis=0), counts[-1])
         np.testing.assert_array_equal(counts[:, 0], counts[:, 1:].sum(axis=1))
+
+
+def test_tables_have_a_row_for_each_kind_and_their_sum() -> None:
+    described = TABLES["signals"]
+    outcomes = [
+        Outcome("signals", kind, "calibrate", f"{kind} {number}", Judged(answer, state))
+        for kind in ("SIGTERM", "SIGKILL")
+        for number, (answer, state) in enumerate([(Answer.RIGHT, "no result"), (Answer.LEFT, "1 processes")])
+    ]
+    rows = list(in_order(outcomes, described.kinds, described.forms))
+    assert format_section(rows, described.heads, described.columns).splitlines()[:5] == [
+        "| signal at a random time | tried | ended before | no result | earlier result | new result | lost |",
+        "| --- | ---: | ---: | ---: | ---: | ---: | ---: |",
+        "| SIGKILL | 2 | 0 | 1 | 0 | 0 | 1 |",
+        "| SIGTERM | 2 | 0 | 1 | 0 | 0 | 1 |",
+        "| **all** | 4 | 0 | 2 | 0 | 0 | 2 |",
+    ]
+
+
+def test_outcomes_are_kept_in_a_file(tmp_path: Path) -> None:
+    file = tmp_path / "outcomes.jsonl"
+    assert load_outcomes(file) == []
+    first = Outcome("table", "kind", "form", "name", Judged(Answer.HANG, "120 s"))
+    again = replace(first, judged=Judged(Answer.RIGHT))
+    for outcome in (first, replace(first, name="other"), again):
+        save_outcome(outcome, file)
+    assert load_outcomes(file) == [again, replace(first, name="other")]
 
 
 def test_every_case_has_its_own_random_numbers() -> None:

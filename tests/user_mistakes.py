@@ -238,6 +238,10 @@ USAGE: Mapping[str, tuple[str, str]] = {
         "calibrate {rig} {rec} -o {out} --start trees",
         "'trees' is not one of 'tree', 'identity'",
     ),
+    "more processes than any machine has": (
+        "calibrate {rig} {rec} -o {out} --jobs 99999999999999999999",
+        "'--jobs': 99999999999999999999 is not in the range 1<=x<=256",
+    ),
     "a negative number of folds": (
         "calibrate {rig} {rec} -o {out} --folds -1",
         "'--folds': .* greater than or equal to 0",

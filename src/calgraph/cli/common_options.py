@@ -52,11 +52,14 @@ SeedOption = Annotated[
         min=0, metavar="N", help="Seed of random samples: same seed, same result.", rich_help_panel=TUNING
     ),
 ]
+_MAX_JOBS = 256
+"""Every process takes 100 MB or more; larger numbers are slips, and would stop the machine."""
 JobsOption = Annotated[
     int | None,
     typer.Option(
         "--jobs",
         min=1,
+        max=_MAX_JOBS,
         metavar="N",
         help="Number of worker processes; all cores if left out.",
         rich_help_panel=TUNING,
