@@ -141,6 +141,27 @@ def test_processes_that_cannot_be_started_are_reported(monkeypatch: pytest.Monke
         list(parallel_stream(add_unless_three, [(1,), (2,)], partial(sum, ()), 2))
 
 
+_FEW_FILES = """
+import os, resource, time
+from calgraph.errors import CalibrationError
+from calgraph.processes import parallel_map
+used = len(os.listdir("/proc/self/fd"))
+resource.setrlimit(resource.RLIMIT_NOFILE, (used + {free}, used + {free}))
+try:
+    parallel_map(time.sleep, [(0.0,)] * 40, 40)
+    print("done")
+except CalibrationError as error:
+    print(error)
+"""
+
+
+@pytest.mark.parametrize("free", [14, 20])
+def test_workers_end_where_not_all_can_be_started(free: int) -> None:
+    code = _FEW_FILES.replace("{free}", str(free))
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=100, check=False)
+    assert "processes cannot be started (Too many open files)" in done.stdout
+
+
 _WAITING = """
 import os, sys, time
 from calgraph.processes import parallel_map

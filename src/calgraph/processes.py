@@ -123,6 +123,9 @@ def _submit(pool: ProcessPoolExecutor, function: Callable[..., Result], *argumen
     except BrokenProcessPool as error:
         raise CalibrationError(_KILLED) from error
     except OSError as error:
+        # The executor leaves workers that were started before; the interpreter would wait for them.
+        for worker in list(getattr(pool, "_processes", {}).values()):
+            worker.terminate()
         raise CalibrationError(f"processes cannot be started ({error.strerror}); reduce `jobs`") from error
 
 

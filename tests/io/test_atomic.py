@@ -177,6 +177,13 @@ def test_a_link_stays_and_leads_to_the_new_file(tmp_path: Path) -> None:
     assert names(tmp_path / "folder") == ["file.txt"]
 
 
+def test_a_loop_of_links_is_named(tmp_path: Path) -> None:
+    (tmp_path / "link").symlink_to("link")
+    with suppress(InputError):  # Python 3.13 replaces it
+        write_text(tmp_path / "link", "x")
+    assert names(tmp_path) == ["link"]
+
+
 def test_a_name_that_is_too_long_is_named(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"n+: cannot be written \(File name too long\)"):
         write_text(tmp_path / ("n" * 300), "x")

@@ -30,8 +30,11 @@ def write_atomically(path: Path) -> Iterator[Path]:
         with _write_to_device(path) as temporary:
             yield temporary
         return
-    with _wrap_errors(path):
+    try:
         target = path.resolve() if path.is_symlink() else path
+    except (OSError, RuntimeError) as error:
+        # The latter is how Python before 3.13 reports a loop.
+        raise InputError(f"{path}: is a link that leads nowhere") from error
     _remove_abandoned(target.parent, target.name)
     # Same folder, hence same file system: the rename is atomic.
     temporary = target.parent / _temporary_name(target)
