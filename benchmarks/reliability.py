@@ -101,7 +101,7 @@ TABLES: Mapping[str, Table] = {
         _list_recordings,
     ),
     documents.RIG_TABLE: Table(
-        ("mutation of the rig", "file"),
+        ("mutation of the rig", "form of the rig"),
         ANSWERS,
         YAML_MUTATIONS,
         documents.RIGS,
