@@ -22,9 +22,12 @@ def add_beam_times(
     beams = _find_timed_beams(messages[0]) if len(messages) == 1 else None
     if beams is None:
         return tuple(detections)
+    from scipy.spatial import cKDTree
+
     directions, times = beams
+    nearest = cKDTree(directions)  # one for all candidates: making it takes as long as all searches
     return tuple(
-        replace(one, times=_select_times(one.directions, directions, times))
+        replace(one, times=np.asarray(times[nearest.query(one.directions)[1]], dtype=np.float64))
         if isinstance(one, PlanePatch | Segment)
         else one
         for one in detections
@@ -44,10 +47,3 @@ def _find_timed_beams(message: PointCloud | LaserScan) -> tuple[Array, Array] | 
     norm = np.asarray(np.linalg.norm(message.points, axis=1), dtype=np.float64)
     some = norm > 0
     return np.asarray(message.points[some] / norm[some, None], dtype=np.float64), message.times[some]
-
-
-def _select_times(wanted: Array, directions: Array, times: Array) -> Array:
-    """(M,) times of the beams that are nearest to the wanted directions (M, 3)."""
-    from scipy.spatial import cKDTree
-
-    return np.asarray(times[cKDTree(directions).query(wanted)[1]], dtype=np.float64)
