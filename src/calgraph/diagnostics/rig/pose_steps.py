@@ -222,6 +222,8 @@ def _find_step(
     released = release_poses(rescaled, state, equations, weights)
     scores = [one.score_steps(settings.min_views) for one in released]
     scores = _require_several_views(released, scores, trigger, settings)
+    if not any(len(one.squared) for one in scores):
+        return None
     again = _select_largest(scores)
     if again != best:
         best, split = again, _split_sensor(bundle, state, scores, again, settings.max_rounds)
@@ -375,5 +377,6 @@ def _require_several_views(
 
 def _select_largest(scores: Sequence[StepStatistics]) -> tuple[int, int]:
     """Index of the view set and of the time of the largest statistic."""
-    k = int(np.argmax([one.squared.max(initial=0.0) for one in scores]))
+    # One that has no time counts less than one whose statistics are all zero.
+    k = int(np.argmax([one.squared.max(initial=-1.0) for one in scores]))
     return k, int(np.argmax(scores[k].squared))
