@@ -50,3 +50,19 @@ def test_git_lfs_pointers_are_named(tmp_path: Path) -> None:
         read_archive(tmp_path / "a", "a.json", "a/1", LIMIT)
     with pytest.raises(InputError, match="is a Git LFS pointer"):
         read_yaml(tmp_path / "a")
+
+
+@pytest.mark.skipif(not Path("/dev/zero").exists(), reason="the system has no /dev/zero")
+def test_devices_are_not_read_because_they_may_never_end() -> None:
+    with pytest.raises(InputError, match="is a device"):
+        read_archive(Path("/dev/zero"), "a.json", "a/1", LIMIT)
+
+
+def test_arrays_that_python_2_wrote_are_read(tmp_path: Path) -> None:
+    """NumPy warns of the L of their integers, which pytest takes for an error."""
+    path = tmp_path / "a.npz"
+    write_archive(path, "a.json", {"format": "a/1"}, {})
+    header = b"{'descr': '<f8', 'fortran_order': False, 'shape': (1L,), }".ljust(117) + b"\n"
+    with zipfile.ZipFile(path, "a") as archive:
+        archive.writestr("b.npy", b"\x93NUMPY\x01\x00v\x00" + header + np.ones(1).tobytes())
+    assert read_archive(path, "a.json", "a/1", LIMIT)[1]["b"].tolist() == [1.0]

@@ -2,6 +2,7 @@
 
 import json
 import math
+import warnings
 import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -59,6 +60,8 @@ def read_archive(
     Raises:
         InputError: the file is missing, is something else, has another format or version, or is damaged.
     """
+    if path.is_char_device() or path.is_block_device():
+        raise InputError(f"{path}: is a device, and not a file of the format {format}")
     try:
         data = path.read_bytes()
     except OSError as error:
@@ -89,8 +92,10 @@ def _arrays(path: Path, archive: zipfile.ZipFile) -> Iterator[tuple[str, NDArray
             with _wrap_damage_errors(path, name):
                 # Whole, as only then the checksum is compared.
                 stream = BytesIO(archive.read(name))
-                _check_array_size(stream)
-                array = np.lib.format.read_array(stream, allow_pickle=False)
+                with warnings.catch_warnings():
+                    warnings.simplefilter("ignore", UserWarning)  # of headers that Python 2 wrote
+                    _check_array_size(stream)
+                    array = np.lib.format.read_array(stream, allow_pickle=False)
             yield name.removesuffix(".npy"), array
 
 

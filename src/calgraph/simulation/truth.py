@@ -1,5 +1,6 @@
 """truth.yaml: true poses of the sensors of a simulated robot or network, and of its board or people."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,6 +14,8 @@ from calgraph.io import save_yaml
 from calgraph.io.yaml_reading import read_yaml
 
 _FORMAT = "calgraph-truth/1"
+# Simulate writes quaternions with all digits; a person may type three decimals.
+_MAX_LENGTH_ERROR = 2e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +113,10 @@ def _pose_entry(T: Array) -> dict[str, list[float]]:
 
 
 def _read_pose(entry: Mapping[str, Any]) -> Array:
-    return se3.from_xyz_quaternion(entry["translation"], entry["rotation"])
+    rotation = np.array(entry["rotation"], dtype=np.float64)
+    if not (rotation.shape == (4,) and abs(math.hypot(*rotation) - 1) < _MAX_LENGTH_ERROR):
+        raise ValueError(f"a rotation must be a quaternion x, y, z, w of length 1, got {entry['rotation']!s:.80}")
+    return se3.from_xyz_quaternion(entry["translation"], rotation)
 
 
 def _person_entry(person: PersonTruth) -> dict[str, Any]:

@@ -8,7 +8,13 @@ from scipy.stats import beta, chi2, kstest
 
 from bundle_scenes import remeasured, scene
 from calgraph.config.settings import BumpTestSettings, SerialCorrelationSettings
-from calgraph.diagnostics.rig.pose_steps import PoseStep, find_pose_steps, release_poses
+from calgraph.diagnostics.rig.pose_steps import (
+    PoseStep,
+    StepStatistics,
+    _select_largest,
+    find_pose_steps,
+    release_poses,
+)
 from calgraph.estimation.rig.bundle_solver import Bundle, minimize_bundle
 from calgraph.estimation.rig.covariances import pose_covariance
 from calgraph.estimation.rig.observations import relative_poses
@@ -174,3 +180,9 @@ def test_no_search_is_possible_to_choose() -> None:
     assert find(bundle, SETTINGS.model_copy(update={"max_bumps": 0})) == []
     few = SETTINGS.model_copy(update={"min_views": BOARDS})
     assert find(bundle, few) == []
+
+
+def test_views_without_a_time_for_a_step_are_not_selected() -> None:
+    none = StepStatistics(np.zeros(0, dtype=np.intp), np.zeros(0), np.zeros((0, 6)))
+    zero = StepStatistics(np.array([3]), np.zeros(1), np.zeros((1, 6)))
+    assert _select_largest([none, zero]) == (1, 0)
