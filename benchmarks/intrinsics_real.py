@@ -105,7 +105,7 @@ def _read_acfr() -> tuple[Rig, list[BoardView], CameraModel]:
     folder = DATA / "acfr-vlp16-checkerboard"
     camera = camera_from_yaml(YAML(typ="safe").load(folder / "camera_info_first_commit.yaml"))
     rows = np.loadtxt(folder / "corners_all40.csv", delimiter=",", skiprows=1)
-    # 5 columns of 7 rows; the first corner is at either end, which a view alone does not tell.
+    # 5 columns of 7 rows; the first corner is at either end: one view does not distinguish them.
     index = np.arange(35)
     corners = np.stack([(index % 5 - 2) * 0.095, -(index // 5 - 3) * 0.095, np.zeros(35)], axis=-1)
     views = []

@@ -240,7 +240,7 @@ USAGE: Mapping[str, tuple[str, str]] = {
     ),
     "more processes than any machine has": (
         "calibrate {rig} {rec} -o {out} --jobs 99999999999999999999",
-        "'--jobs': 99999999999999999999 is not in the range 1<=x<=256",
+        "'--jobs': .* less than or equal to 256",
     ),
     "a negative number of folds": (
         "calibrate {rig} {rec} -o {out} --folds -1",

@@ -90,13 +90,6 @@ def test_a_rig_that_does_not_fit_its_recording_is_bad_input(
         calibrate(changed(rig, path, value), recording)
 
 
-def test_a_camera_without_intrinsics_is_bad_input(staged_rig: tuple[Rig, SimulatedRecording]) -> None:
-    rig, recording = staged_rig
-    none = build_recording(r for r in recording.messages if "camera_info" not in r.topic)
-    with pytest.raises(InputError, match=r"sensors.camera: has no intrinsics; give camera_info"):
-        calibrate(changed(rig, "sensors.camera.camera_info", None), none)
-
-
 @pytest.mark.parametrize("topics", [(FRONT,), (FRONT, CLOUD, CAMERA)])
 def test_stamps_that_stand_still_are_bad_input(
     staged_rig: tuple[Rig, SimulatedRecording], topics: tuple[str, ...]
@@ -127,7 +120,9 @@ def test_a_recording_that_ends_with_the_background_leaves_nothing(
 ) -> None:
     rig, recording = staged_rig
     short = build_recording(r for r in recording.messages if r.arrival < recording.start + 3)
-    with pytest.raises(CalibrationError, match="the board never rests: hold it still"):
+    with pytest.raises(
+        CalibrationError, match=r"all \d+ sets of frames lie in capture\.background or capture\.exclude"
+    ):
         calibrate(changed(rig, "capture.trigger", None), short)
 
 

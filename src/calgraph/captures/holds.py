@@ -49,11 +49,14 @@ def find_holds(
     """
     mode = recognize_mode(timeline, capture, settings).mode
     if mode == "synchronized":
-        frames = [
-            group
-            for group in find_frame_sets(timeline, capture, settings)
-            if capture.allows(group.start - timeline.start, group.end - timeline.start)
-        ]
+        sets = find_frame_sets(timeline, capture, settings)
+        begin = timeline.start
+        frames = [group for group in sets if capture.allows(group.start - begin, group.end - begin)]
+        if sets and not frames:
+            raise CalibrationError(
+                f"all {len(sets)} sets of frames lie in capture.background or capture.exclude; make these "
+                "shorter, or record longer"
+            )
         found = _hold_frames(frames, timeline, settings.moving_board.max_captures)
     else:
         if capture.trigger:
