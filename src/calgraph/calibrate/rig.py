@@ -1,6 +1,7 @@
 """Rigs: from one recording of a board carried around a robot to its tree of transforms."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from calgraph.captures import (
 )
 from calgraph.config import Cylinder, People, Rig
 from calgraph.diagnostics import add_suggestions, assemble_rig, cross_validate, include_drifts
-from calgraph.errors import InputError
+from calgraph.errors import CalibrationError, InputError
 from calgraph.estimation import (
     Problem,
     RigSolution,
@@ -115,6 +116,24 @@ def _check_board(rig: Rig) -> None:
         raise InputError(f"target.kind: must be board for the poses of a rig, got {rig.target.kind}")
 
 
+@contextmanager
+def explain_singular_equations() -> Iterator[None]:
+    """Converts errors of linear algebra into one that states their usual cause; also a decorator.
+
+    Raises:
+        CalibrationError: equations are singular in floating point.
+    """
+    try:
+        yield
+    except np.linalg.LinAlgError as error:
+        raise CalibrationError(
+            "the equations of the joint solution are singular: the views of a board in some capture do not "
+            "determine its pose; record more captures with other poses of the board, or leave out sensors that "
+            f"detect it at its edge ({error})"
+        ) from error
+
+
+@explain_singular_equations()
 def build_problem_from_captures(
     rig: Rig, captures: CaptureSet, options: RigOptions, rng: np.random.Generator, progress: Progress = no_progress
 ) -> Problem:
@@ -144,12 +163,16 @@ def build_problem_from_captures(
     return round_trip(with_prior_poses(Problem(rig, captures, pairs, tree, solver), options.prior, options.rigid))
 
 
+@explain_singular_equations()
 def solve_problem(problem: Problem, jobs: int = 1) -> Calibration:
     """Solves the joint problem: the calibration of all sensors, bit-identical for one problem.
 
     Args:
         problem: to solve.
         jobs: maximum number of processes; see :func:`calgraph.processes.parallel_stream`.
+
+    Raises:
+        CalibrationError: its equations are singular.
     """
     problem, joint, tree = solve_after_bumps(
         problem, *solve_jointly(problem), build_problem_from_captures, solve_jointly

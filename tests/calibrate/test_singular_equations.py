@@ -1,0 +1,19 @@
+"""Equations that are singular end in one line that states what to do."""
+
+import numpy as np
+import pytest
+
+from calgraph.calibrate.rig import explain_singular_equations
+from calgraph.errors import CalibrationError
+
+
+@explain_singular_equations()
+def solve_without_information() -> None:
+    np.linalg.solve(np.zeros((6, 6)), np.zeros(6))
+
+
+def test_singular_equations_are_explained() -> None:
+    with pytest.raises(
+        CalibrationError, match=r"do not determine its pose; record more captures .*Singular matrix"
+    ):
+        solve_without_information()
