@@ -30,7 +30,7 @@ from calgraph.captures import (
     recognize_mode,
 )
 from calgraph.config import Rig
-from calgraph.errors import CalibrationError, Rejected
+from calgraph.errors import CalibrationError
 from calgraph.recording import (
     PoseRecordings,
     Recording,
@@ -56,26 +56,26 @@ def collect_captures(
     timeline = _read_timeline(rig, recording, monitor, options, progress)
     check_timeline(rig, timeline, recording.end)
     holds = limit_messages(find_holds(timeline, rig.capture, rig.settings.captures), rig)
-    estimates = estimate_unknown_intrinsics(resolved, recording, holds, options.jobs, progress, options.cache)
-    estimated = {name: one for name, one in estimates.items() if not isinstance(one, Rejected)}
-    failed = {name: one for name, one in estimates.items() if isinstance(one, Rejected)}
-    cameras = resolved.camera_models() | {name: one.camera for name, one in estimated.items()}
-    plane_estimator = select_plane_estimator(options.tags)
-    method = DetectionMethod(cameras, draw_seeds(rig, rng), options.tags, plane_estimator)
+    intrinsics = estimate_unknown_intrinsics(resolved, recording, holds, options.jobs, progress, options.cache)
+    cameras = resolved.camera_models() | intrinsics.cameras
+    method = DetectionMethod(cameras, draw_seeds(rig, rng), options.tags, select_plane_estimator(options.tags))
     observations = detect_by_sensors(
-        _without(rig, failed), recording, holds, method,
+        _without(rig, intrinsics.failed), recording, holds, method,
         cache=options.cache, jobs=options.jobs, progress=partial(progress, "detecting"),
     )  # fmt: skip
+    observations += [
+        SensorCapture(hold.index, name, reason) for name, reason in intrinsics.failed.items() for hold in holds
+    ]
     findings = [
         *monitor.findings(),
         *check_intrinsics(cameras, rig.settings.captures.input_checks),
         *check_background(rig, timeline),
-        *find_intrinsics_remarks(rig, camera_infos, estimates),
+        *find_intrinsics_remarks(rig, camera_infos, intrinsics),
     ]
-    observations += [SensorCapture(hold.index, name, reason) for name, reason in failed.items() for hold in holds]
-    captures = collect_detections(rig, timeline, holds, observations, cameras, findings)
-    views = {name: len(one.detections) for name, one in estimated.items()}
-    captures = replace(captures, estimated_from_views=views)
+    captures = replace(
+        collect_detections(rig, timeline, holds, observations, cameras, findings),
+        estimated_from_views=intrinsics.view_counts,
+    )
     recognized = recognize_mode(timeline, rig.capture, rig.settings.captures)
     _log.info("captures by mode %s: %s", recognized.mode, recognized.reason)
     if recognized.mode != "synchronized":

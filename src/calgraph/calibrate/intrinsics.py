@@ -2,6 +2,7 @@
 
 import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,10 +14,31 @@ from calgraph.detection import BoardCorners, BoardView, BoardViewFinder, CameraD
 from calgraph.errors import Rejected
 from calgraph.estimation import IntrinsicsEstimate, estimate_intrinsics
 from calgraph.recording import NO_CACHE, Recording, RecordingCache
+from calgraph.sensors import CameraModel
 
 _log = logging.getLogger(__name__)
 
 _VIEWS = "board views/1"
+
+
+@dataclass(frozen=True, eq=False)
+class EstimatedIntrinsics:
+    """What the captures show of the cameras without intrinsics."""
+
+    estimates: Mapping[str, IntrinsicsEstimate]
+    """By camera whose intrinsics the captures determine."""
+    failed: Mapping[str, Rejected]
+    """By each other camera without intrinsics, why not."""
+
+    @property
+    def cameras(self) -> dict[str, CameraModel]:
+        """The estimated intrinsics."""
+        return {name: one.camera for name, one in self.estimates.items()}
+
+    @property
+    def view_counts(self) -> dict[str, int]:
+        """By camera, the number of views that its intrinsics are estimated from."""
+        return {name: len(one.detections) for name, one in self.estimates.items()}
 
 
 def estimate_unknown_intrinsics(
@@ -26,7 +48,7 @@ def estimate_unknown_intrinsics(
     jobs: int,
     progress: Progress = no_progress,
     cache: RecordingCache = NO_CACHE,
-) -> dict[str, IntrinsicsEstimate | Rejected]:
+) -> EstimatedIntrinsics:
     """Estimates the intrinsics of the cameras without any from all captures.
 
     Args:
@@ -36,9 +58,6 @@ def estimate_unknown_intrinsics(
         jobs: maximum number of processes.
         progress: called with the step and the fraction done.
         cache: has what earlier runs found in the images of a camera, and gets the others.
-
-    Returns:
-        By camera, the intrinsics, or why the captures do not determine them.
     """
     unknown = {name: spec for name, spec in rig.cameras().items() if spec.stated_intrinsics is None}
     inputs = {
@@ -81,7 +100,10 @@ def estimate_unknown_intrinsics(
     }
     for name, estimate in estimates.items():
         _log.info("%s: %s", name, estimate.reason if isinstance(estimate, Rejected) else _describe(estimate))
-    return estimates
+    return EstimatedIntrinsics(
+        {name: one for name, one in estimates.items() if not isinstance(one, Rejected)},
+        {name: one for name, one in estimates.items() if isinstance(one, Rejected)},
+    )
 
 
 def calibrate_intrinsics(
@@ -168,22 +190,24 @@ def _describe(estimate: IntrinsicsEstimate) -> str:
 
 
 def find_intrinsics_remarks(
-    rig: Rig, camera_infos: Mapping[str, str], estimates: Mapping[str, IntrinsicsEstimate | Rejected]
+    rig: Rig, camera_infos: Mapping[str, str], intrinsics: EstimatedIntrinsics
 ) -> Iterator[InputFinding]:
     """Remarks on the intrinsics that were estimated, or could not be.
 
     Args:
         rig: the rig.
         camera_infos: topic with its intrinsics, by camera that has one.
-        estimates: by camera without intrinsics.
+        intrinsics: of the cameras without any.
     """
-    for name, estimate in estimates.items():
-        if name in camera_infos and rig.cameras()[name].intrinsics is None:
+    for name in rig.cameras():
+        without = name in intrinsics.estimates or name in intrinsics.failed
+        if without and name in camera_infos and rig.cameras()[name].intrinsics is None:
             yield InputFinding(
                 f"{camera_infos[name]} has no focal lengths, as the driver of {name} knows none: its intrinsics "
                 "are estimated from this recording"
             )
-        if isinstance(estimate, Rejected):
+        estimate = intrinsics.estimates.get(name)
+        if estimate is None:
             continue
         yield InputFinding(f"the intrinsics of {name} were estimated from this recording: {_describe(estimate)}")
         for shortcoming in estimate.shortcomings:

@@ -11,9 +11,6 @@ from calgraph.config import Capture, CaptureMode
 from calgraph.config.settings import CaptureSettings
 from calgraph.geometry import Array
 
-# Fewer poses than these do not show how a recording was made.
-_MIN_POSES = 3
-
 
 @dataclass(frozen=True)
 class RecognizedMode:
@@ -59,7 +56,7 @@ def recognize_mode(
     rests = [(a, b) for a, b in find_rests(timeline, settings) if capture.allows(a - begin, b - begin)]
     # A moving board may rest for a moment when the recording starts and ends.
     share = sum(b - a for a, b in rests) / _duration(timeline)
-    if len(rests) >= _MIN_POSES or (rests and (spread is None or share >= settings.min_rest_share)):
+    if len(rests) >= settings.min_poses or (rests and (spread is None or share >= settings.min_rest_share)):
         return RecognizedMode("rest", f"nothing moves in {len(rests)} intervals of the recording", spread)
     if spread is None:
         return RecognizedMode("rest", "the sensors measure continuously, and their stamps show no sets of frames")
@@ -132,14 +129,14 @@ def _are_synchronized(frames: list[StampGroup], timeline: RecordingTimeline, set
     if any(times.period > settings.max_motion_period for times in sensors):
         return False
     counts = [len(np.unique(times.stamps)) for times in sensors]
-    return len(frames) >= _MIN_POSES and 2 * len(frames) >= min(counts)
+    return len(frames) >= settings.min_poses and 2 * len(frames) >= min(counts)
 
 
 def _has_separate_bursts(timeline: RecordingTimeline, settings: CaptureSettings) -> bool:
     """Whether every sensor measured shortly, with pauses of different lengths in between."""
     sensors = [times for times in timeline.sensors.values() if len(times.stamps)]
     bursts = [_bursts(times, settings) for times in sensors]
-    if min((len(one) for one in bursts), default=0) < _MIN_POSES:
+    if min((len(one) for one in bursts), default=0) < settings.min_poses:
         return False
     if any(burst[-1] - burst[0] >= settings.min_hold for one in bursts for burst in one):
         return False

@@ -148,8 +148,11 @@ class CaptureSettings(StrictModel):
     max_pose_recording: float = Field(default=15.0, gt=0)
     """Maximum duration of a recording that is of one pose of the board, s, where several are given: operators
     record some seconds of each pose, and minutes of a board that is carried around."""
+    min_poses: int = Field(default=3, ge=2)
+    """Minimum number of rests, bursts or sets of frames that show how a recording was made: two may be accidents,
+    and two poses of the board do not calibrate a sensor."""
     min_rest_share: float = Field(default=0.2, ge=0, le=1)
-    """Share of the recording in which nothing moves, below which fewer than three rests are those of a moving
+    """Share of the recording in which nothing moves, below which fewer rests than min_poses are those of a moving
     board at start and end: operators who hold the board still do so for half of the time."""
     max_spread_share: float = Field(default=0.35, gt=0, lt=0.5)
     """Maximum time between the stamps of a set of frames, where rig.yaml states none, over the shortest period of
