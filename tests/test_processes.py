@@ -180,3 +180,25 @@ def test_workers_end_with_a_parent_that_is_killed() -> None:
         parent.kill()
         # The workers hold the other end of the pipe.
         assert parent.stdout.read() == b""
+
+
+_STOPPED_BETWEEN_WORKERS = """
+import os, signal, sys
+from calgraph.processes import parallel_map
+signal.signal(signal.{name}, lambda *_: sys.exit(3))
+forks = []
+def stop_before_second(event, _arguments):
+    if event == "os.fork":
+        forks.append(event)
+        if len(forks) == 2:
+            os.kill(os.getpid(), signal.{name})
+sys.addaudithook(stop_before_second)
+parallel_map(abs, [(1,), (2,)], 2)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="workers are forked on Linux only")
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
+def test_a_signal_between_the_starts_of_two_workers_ends_the_program(name: str) -> None:
+    code = _STOPPED_BETWEEN_WORKERS.replace("{name}", name)
+    assert subprocess.run([sys.executable, "-c", code], timeout=60, check=False).returncode == 3

@@ -119,14 +119,41 @@ def _submit_all(
 
 def _submit(pool: ProcessPoolExecutor, function: Callable[..., Result], *arguments: Any) -> Future[Result]:
     try:
-        return pool.submit(function, *arguments)
+        with _postponed_signals():
+            return pool.submit(function, *arguments)
     except BrokenProcessPool as error:
         raise CalibrationError(_KILLED) from error
     except OSError as error:
-        # The executor leaves workers that were started before; the interpreter would wait for them.
+        # The executor leaves workers that were started before; the interpreter would wait for them. They may still
+        # have the handlers of this process, which postpone SIGTERM.
         for worker in list(getattr(pool, "_processes", {}).values()):
-            worker.terminate()
+            worker.kill()
         raise CalibrationError(f"processes cannot be started ({error.strerror}); reduce `jobs`") from error
+
+
+@contextmanager
+def _postponed_signals() -> Iterator[None]:
+    """Handles SIGINT and SIGTERM after the block.
+
+    An exception from their handlers between the starts of two workers would leave the first one running: the
+    executor does not end it, and the interpreter waits for it.
+    """
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    handlers = {number: signal.getsignal(number) for number in numbers}
+    # Only the main thread handles signals; a handler that is not Python's cannot be set again.
+    if threading.current_thread() is not threading.main_thread() or None in handlers.values():
+        yield
+        return
+    received: list[int] = []
+    try:
+        for number in numbers:
+            signal.signal(number, lambda number, _frame: received.append(number))
+        yield
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+        for postponed in received:
+            signal.raise_signal(postponed)
 
 
 def _call_with_shared(function: Callable[..., Result], arguments: tuple[Any, ...]) -> Result:
