@@ -84,6 +84,15 @@ def test_a_sensor_may_miss_a_pose() -> None:
     assert len(holds[4].stamps["third"]) == 0
 
 
+@pytest.mark.parametrize(("rests", "mode"), [(6, "synchronized"), (12, "rest")])
+def test_some_short_rests_leave_a_board_moving_and_a_dozen_are_the_captures(rests: int, mode: str) -> None:
+    shot = np.arange(0, 60, 0.05)
+    resting = (shot % (60 / rests)) < 0.9
+    still = {side: np.where(resting, 0.0, moving(shot, seed)) for side, seed in (("left", 1), ("right", 2))}
+    recording = timeline(left=sensor(shot, still["left"]), right=sensor(shot + 0.001, still["right"]))
+    assert recognize_mode(recording, Capture()).mode == mode
+
+
 def test_frames_with_equal_stamps_of_a_moving_board_are_synchronized() -> None:
     recognized = recognize_mode(moving_pair(0.004), Capture())
     assert recognized.mode == "synchronized"

@@ -54,9 +54,10 @@ def recognize_mode(
         return RecognizedMode("rest", reason, spread)
     begin = timeline.start
     rests = [(a, b) for a, b in find_rests(timeline, settings) if capture.allows(a - begin, b - begin)]
-    # A moving board may rest for a moment when the recording starts and ends.
+    # A moving board may rest for a moment: when the recording starts and ends, and where it is turned back.
     share = sum(b - a for a, b in rests) / _duration(timeline)
-    if len(rests) >= settings.min_poses or (rests and (spread is None or share >= settings.min_rest_share)):
+    rested = len(rests) >= settings.min_rests or share >= settings.min_rest_share
+    if rests and (spread is None or rested):
         return RecognizedMode("rest", f"nothing moves in {len(rests)} intervals of the recording", spread)
     if spread is None:
         return RecognizedMode("rest", "the sensors measure continuously, and their stamps show no sets of frames")

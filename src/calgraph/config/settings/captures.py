@@ -149,11 +149,15 @@ class CaptureSettings(StrictModel):
     """Maximum duration of a recording that is of one pose of the board, s, where several are given: operators
     record some seconds of each pose, and minutes of a board that is carried around."""
     min_poses: int = Field(default=3, ge=2)
-    """Minimum number of rests, bursts or sets of frames that show how a recording was made: two may be accidents,
-    and two poses of the board do not calibrate a sensor."""
+    """Minimum number of bursts or sets of frames that show how a recording was made: two may be accidents, and two
+    poses of the board do not calibrate a sensor."""
+    min_rests: int = Field(default=12, ge=1)
+    """Number of rests from which the captures are rests although the stamps show sets of frames of a moving board:
+    a dozen poses calibrate a sensor, and frames of a board at rest are the better ones."""
     min_rest_share: float = Field(default=0.2, ge=0, le=1)
-    """Share of the recording in which nothing moves, below which fewer rests than min_poses are those of a moving
-    board at start and end: operators who hold the board still do so for half of the time."""
+    """Share of the recording in which nothing moves, below which fewer rests than min_rests are those of a moving
+    board, at start and end or where it is turned back: operators who hold the board still do so for half of the
+    time."""
     max_spread_share: float = Field(default=0.35, gt=0, lt=0.5)
     """Maximum time between the stamps of a set of frames, where rig.yaml states none, over the shortest period of
     a sensor: sets of consecutive frames do not overlap, and triggers of cameras and drivers that read one camera
