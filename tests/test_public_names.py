@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 import calgraph
+from calgraph.errors import InputError
 
 SOURCE = ast.parse(Path(calgraph.__file__).read_text(encoding="utf-8"))
 STATED = {
@@ -43,3 +44,10 @@ def test_import_loads_no_room() -> None:
     code = "import sys, calgraph; print([m for m in sys.modules if m.startswith('calgraph.') or m == 'numpy'])"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert run.stdout.strip() == "['calgraph.lazy_names']"
+
+
+@pytest.mark.parametrize("name", ["load_calibration", "load_problem", "load_rig", "open_recording"])
+def test_paths_may_be_strings(name: str, tmp_path: Path) -> None:
+    missing = str(tmp_path / "missing")
+    with pytest.raises(InputError, match=f"^{missing}"):
+        getattr(calgraph, name)(missing)

@@ -65,6 +65,11 @@ def test_covariances_come_back_to_eight_digits(calibration: Calibration, saved: 
         np.testing.assert_allclose(loaded[sensor.name].covariance, sensor.covariance, rtol=1e-8)
 
 
+def test_a_path_may_be_a_string(calibration: Calibration, tmp_path: Path) -> None:
+    save_calibration(calibration, str(tmp_path / "calibration.yaml"))
+    assert load_calibration(str(tmp_path / "calibration.yaml")).root == calibration.root
+
+
 def test_names_verdicts_and_clocks_come_back(calibration: Calibration, saved: Path) -> None:
     def facts(c: Calibration) -> list[object]:
         return [(s.name, s.parent, s.kind, s.frame_id, s.verdict, s.clock_offset, s.clock_offset_stddev)

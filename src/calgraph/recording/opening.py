@@ -16,7 +16,7 @@ from calgraph.recording.takes import separate_takes
 from calgraph.recording.video import VideoRecording, is_video
 
 
-def open_recording(path: Path, limits: LimitSettings = LimitSettings()) -> Recording:
+def open_recording(path: Path | str, limits: LimitSettings = LimitSettings()) -> Recording:
     """Opens a recording; close it, or use it as a context manager.
 
     Args:
@@ -28,6 +28,7 @@ def open_recording(path: Path, limits: LimitSettings = LimitSettings()) -> Recor
         InputError: the path does not exist, or is not a recording.
         RecordingError: it is damaged.
     """
+    path = Path(path)
     if not path.exists():
         raise InputError(f"{path}: does not exist{suggest_name(path)}")
     bag = find_bag_files(path)
@@ -78,7 +79,7 @@ def _find_videos(path: Path) -> Iterator[tuple[Path, str]]:
                 yield inner[0], one.name
 
 
-def open_recordings(paths: Sequence[Path], limits: LimitSettings = LimitSettings()) -> Recording:
+def open_recordings(paths: Sequence[Path | str], limits: LimitSettings = LimitSettings()) -> Recording:
     """Opens several recordings as one, merged by arrival time.
 
     Those whose stamps count from their own start are one after the other, see :mod:`calgraph.recording.takes`.

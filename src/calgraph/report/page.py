@@ -34,7 +34,7 @@ from calgraph.report.vocabulary import NETWORK_VOCABULARY, Vocabulary, select_vo
 from calgraph.result import Calibration
 
 
-def write_report(calibration: Calibration, rig: Rig, path: Path) -> None:
+def write_report(calibration: Calibration, rig: Rig, path: Path | str) -> None:
     """Writes the report as one self-contained HTML file, in one step.
 
     Args:
@@ -46,7 +46,7 @@ def write_report(calibration: Calibration, rig: Rig, path: Path) -> None:
     Raises:
         InputError: ``path`` cannot be written.
     """
-    write_text(path, render_report(calibration, rig))
+    write_text(Path(path), render_report(calibration, rig))
 
 
 def render_report(calibration: Calibration, rig: Rig) -> str:

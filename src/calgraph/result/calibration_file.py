@@ -31,7 +31,7 @@ in standard deviations (1 as expected from the noise).
 _CAPTURE_COLUMNS = ("capture", "start", "end", "sensor", "used", "reason", "residual")
 
 
-def save_calibration(calibration: Calibration, path: Path) -> None:
+def save_calibration(calibration: Calibration, path: Path | str) -> None:
     """Writes a calibration.yaml in one step.
 
     Residuals are summed up as their root mean squares; everything else comes back with :func:`load_calibration`.
@@ -53,7 +53,7 @@ def save_calibration(calibration: Calibration, path: Path) -> None:
         text += format_yaml({"joint_covariance": {"order": order}}) + _matrix(calibration.joint_covariance)
     if calibration.provenance:
         text += format_yaml({"provenance": _provenance(calibration.provenance)})
-    write_text(path, text)
+    write_text(Path(path), text)
 
 
 def save_captures(calibration: Calibration, path: Path) -> None:

@@ -281,7 +281,7 @@ class _File(StrictModel):
         return True
 
 
-def load_calibration(path: Path) -> Calibration:
+def load_calibration(path: Path | str) -> Calibration:
     """Reads a calibration.yaml.
 
     Residuals come back as their root mean squares only, captures without their residuals; outlines of the board
@@ -291,6 +291,7 @@ def load_calibration(path: Path) -> Calibration:
         InputError: the file is missing, is not YAML, has another format or version, or has wrong keys or values,
             each on one line.
     """
+    path = Path(path)
     content = read_yaml(path)
     given = content.get("format")
     if given != FORMAT:

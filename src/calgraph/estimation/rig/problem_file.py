@@ -76,23 +76,24 @@ class _Structure(StrictModel):
     """What does not fit the rig in the recording; files of version 0.1 have none."""
 
 
-def save_problem(problem: Problem, path: Path) -> None:
+def save_problem(problem: Problem, path: Path | str) -> None:
     """Writes a problem, to the last bit, in one step.
 
     Raises:
         InputError: ``path`` cannot be written.
     """
     content, arrays = _encode(problem)
-    write_archive(path, _STRUCTURE, content, arrays)
+    write_archive(Path(path), _STRUCTURE, content, arrays)
 
 
-def load_problem(path: Path, limits: LimitSettings = LimitSettings()) -> Problem:
+def load_problem(path: Path | str, limits: LimitSettings = LimitSettings()) -> Problem:
     """Reads what :func:`save_problem` wrote.
 
     Raises:
         InputError: the file is missing, is not a problem, has another version, is truncated, damaged or
             inconsistent; the message names the member and the allowed values.
     """
+    path = Path(path)
     content, arrays = read_archive(path, _STRUCTURE, FORMAT, limits.max_archive_bytes)
     structure = validate_content(_Structure, content, path / _STRUCTURE)
     try:
