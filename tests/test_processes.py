@@ -15,7 +15,7 @@ import pytest
 
 from calgraph import processes
 from calgraph.errors import CalibrationError, InputError
-from calgraph.processes import forked_jobs, parallel_map, parallel_stream
+from calgraph.processes import forked_jobs, parallel_call, parallel_map, parallel_stream
 
 
 def refused(number: int) -> int:
@@ -55,6 +55,33 @@ def test_an_error_keeps_its_type_and_message(jobs: int) -> None:
 def test_a_killed_process_is_reported() -> None:
     with pytest.raises(CalibrationError, match=r"killed.*reduce `jobs`"):
         parallel_map(killed, [(1,), (2,)], 2)
+
+
+def describe_process(name: str) -> tuple[str, bool]:
+    return name, multiprocessing.parent_process() is not None
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_a_call_is_in_another_process_if_there_may_be_several(jobs: int) -> None:
+    with parallel_call(describe_process, ("camera",), jobs) as result:
+        assert result() == ("camera", jobs > 1)
+    assert multiprocessing.active_children() == []
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_an_error_of_a_call_is_raised_where_its_result_is_wanted(jobs: int) -> None:
+    with parallel_call(refused, (1,), jobs) as result:
+        pass
+    with pytest.raises(InputError, match=r"^sensors\.1: is upside down$"):
+        result()
+
+
+def test_a_killed_process_of_a_call_is_reported() -> None:
+    with (
+        pytest.raises(CalibrationError, match=r"killed.*reduce `jobs`"),
+        parallel_call(killed, (1,), 2) as result,
+    ):
+        result()
 
 
 def add_unless_three(shared: Callable[[], int], number: int) -> int:

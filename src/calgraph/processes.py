@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
+from functools import partial
 from typing import Any, TypeVar
 
 from calgraph.errors import CalibrationError
@@ -104,6 +105,36 @@ def parallel_stream(
             yield _get_result(submitted.popleft())
 
 
+@contextmanager
+def parallel_call(
+    function: Callable[..., Result], arguments: tuple[Any, ...], jobs: int
+) -> Iterator[Callable[[], Result]]:
+    """Calls a function in another process while the block runs.
+
+    Args:
+        function: defined at module level; its result is pickled.
+        arguments: of the call; pickled only where processes are not forked.
+        jobs: maximum number of processes; with 1 the function is called in this one, where the result is wanted.
+
+    Yields:
+        A function that waits for the result and returns it.
+
+    Raises:
+        CalibrationError: a process was killed or cannot be started; or what ``function`` raises.
+    """
+    with _process_pool(min(jobs, 2), (function, arguments), workers=1) as pool:
+        if pool is None:
+            yield partial(function, *arguments)
+        else:
+            future: Future[Result] = _submit(pool, _call_with_shared, _call, ())
+            yield partial(_get_result, future)
+
+
+def _call(shared: tuple[Callable[..., Result], tuple[Any, ...]]) -> Result:
+    function, arguments = shared
+    return function(*arguments)
+
+
 def _submit_all(
     pool: ProcessPoolExecutor, function: Callable[..., Result], work: Iterable[tuple[Any, ...]]
 ) -> Iterator[Future[Result]]:
@@ -168,12 +199,19 @@ def _get_result(future: Future[Result]) -> Result:
 
 
 @contextmanager
-def _process_pool(count: int, shared: object = None) -> Iterator[ProcessPoolExecutor | None]:
+def _process_pool(
+    count: int, shared: object = None, workers: int | None = None
+) -> Iterator[ProcessPoolExecutor | None]:
     """A pool of processes that is shut down when the block ends; pending work is cancelled if the block fails.
 
     None where one process is sufficient, or several are not possible.
+
+    Args:
+        count: of processes that are to work.
+        shared: see :func:`_start_worker`.
+        workers: of which these are in the pool; all if left out, and this process waits.
     """
-    pool = _make_pool(count, shared) if count > 1 else None
+    pool = _make_pool(workers or count, shared) if count > 1 else None
     if pool is None:
         yield None
         return

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from calgraph.config.settings import CloudBackgroundSettings, DetectionSettings
 from calgraph.detection import learn_cloud_background
-from calgraph.detection.cloud_background import find_direction_cells
+from calgraph.detection.cloud_background import find_direction_cells, find_voxels, pack_voxels
 from calgraph.errors import InputError
 from calgraph.sensors import PointCloud
 
@@ -93,3 +93,13 @@ def test_points_on_and_behind_a_wall_are_background(behind: float, foreground: b
     background = learn_cloud_background([wall])
     assert (background.foreground(wall.points + np.array([behind, 0, 0])).mean() > 0.5) == foreground
     assert background.foreground(wall.points - np.array([0.16, 0, 0])).mean() > 0.95
+
+
+def test_all_voxels_that_a_cube_of_a_voxel_around_a_point_meets_are_background(rng: np.random.Generator) -> None:
+    voxel = 0.1
+    borders = voxel / 2 * rng.integers(-4, 5, (60, 3))
+    points = np.concatenate([borders, rng.uniform(-0.3, 0.3, (60, 3)), 1e4 * rng.normal(size=(20, 3))])
+    background = learn_cloud_background([PointCloud(0.0, "scanner", points)])
+    corners = 0.499 * voxel * np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3), axis=-1).reshape(-1, 1, 3)
+    met = np.unique(pack_voxels(find_voxels((points + corners).reshape(-1, 3), voxel)))
+    assert np.array_equal(background.keys, met)

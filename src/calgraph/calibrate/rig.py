@@ -18,7 +18,13 @@ from calgraph.captures import (
     state_estimated_intrinsics,
 )
 from calgraph.config import Cylinder, People, Rig
-from calgraph.diagnostics import add_suggestions, assemble_rig, cross_validate, include_drifts
+from calgraph.diagnostics import (
+    add_suggestions,
+    assemble_rig,
+    cross_validate,
+    include_drifts,
+    suggest_board_poses,
+)
 from calgraph.errors import CalibrationError, InputError
 from calgraph.estimation import (
     Problem,
@@ -35,6 +41,7 @@ from calgraph.estimation import (
 )
 from calgraph.graph import SpanningTree, initialize_rig
 from calgraph.pairwise import PairwiseEstimates, estimate_pairs, reselect_all_inliers, select_successful
+from calgraph.processes import forked_jobs, parallel_call
 from calgraph.recording import Recording, resolve_intrinsics
 from calgraph.result import Calibration
 from calgraph.sensors import CameraModel
@@ -181,17 +188,14 @@ def solve_problem(problem: Problem, jobs: int = 1) -> Calibration:
         return assemble_rig(problem, tree, joint)
     rig, folds, solved = problem.rig, problem.solver.folds, joint.solved_bundle
     settings = rig.settings.diagnostics
-    held_out = cross_validate(solved, folds, settings.rig, jobs) if folds else {}
-    joint = include_drifts(joint, solved, settings)
     # Candidate board poses are sampled with a fixed seed: the result depends little on the sample.
-    return add_suggestions(
-        assemble_rig(problem, tree, joint, held_out),
-        solved,
-        rig.board_size,
-        np.random.default_rng(0),
-        rig.tolerance,
-        settings,
-    )
+    kinds = {name: rig.sensors[name].kind for name in solved.bundle.sensors}
+    suggesting = (solved, kinds, rig.board_size, np.random.default_rng(0), rig.tolerance, settings)
+    with parallel_call(suggest_board_poses, suggesting, forked_jobs(jobs)) as suggestions:
+        held_out = cross_validate(solved, folds, settings.rig, max(jobs - 1, 1)) if folds else {}
+        joint = include_drifts(joint, solved, settings)
+        calibration = assemble_rig(problem, tree, joint, held_out)
+        return add_suggestions(calibration, suggestions())
 
 
 def solve_jointly(problem: Problem) -> tuple[RigSolution, SpanningTree]:

@@ -32,16 +32,20 @@ class CloudBackground:
 
     def foreground(self, points: Array) -> Mask:
         """Which of the points (N, 3), m, are neither at nor behind the background: (N,)."""
-        keys = pack_voxel_keys(points, self.voxel)
+        keys = pack_voxels(find_voxels(points, self.voxel))
         in_background = self.keys[np.minimum(np.searchsorted(self.keys, keys), len(self.keys) - 1)] == keys
         max_range = self.max_range[find_direction_cells(points, self.max_range.shape)]
         return np.asarray(~in_background & (np.linalg.norm(points, axis=1) < max_range))
 
 
-def pack_voxel_keys(points: Array, voxel: float) -> NDArray[np.int64]:
-    """Keys (N,) of the voxels that contain points (N, 3), m."""
-    cells = np.clip(np.floor(points / voxel).astype(np.int64) + _HALF, 0, 2 * _HALF - 1)
-    return np.asarray((cells[:, 0] << 2 * _BITS) | (cells[:, 1] << _BITS) | cells[:, 2])
+def find_voxels(points: Array, voxel: float) -> NDArray[np.int64]:
+    """Indices (N, 3), 0 and more, of the voxels that contain points (N, 3), m."""
+    return np.clip(np.floor(points / voxel).astype(np.int64) + _HALF, 0, 2 * _HALF - 1)
+
+
+def pack_voxels(voxels: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Keys (N,) of voxels (N, 3)."""
+    return np.asarray((voxels[:, 0] << 2 * _BITS) | (voxels[:, 1] << _BITS) | voxels[:, 2])
 
 
 def find_direction_cells(points: Array, shape: tuple[int, ...]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

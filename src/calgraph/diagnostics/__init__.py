@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from calgraph.diagnostics.rig.cross_validation import cross_validate
     from calgraph.diagnostics.rig.drift_tests import include_drifts
     from calgraph.diagnostics.rig.extrinsics_check import compare_rig_poses
+    from calgraph.diagnostics.rig.next_best_pose import suggest_board_poses
     from calgraph.diagnostics.rig.suggestions import add_suggestions
     from calgraph.diagnostics.verdict import axis_names
 else:
@@ -44,6 +45,7 @@ else:
             "rig.cross_validation",
             "rig.drift_tests",
             "rig.extrinsics_check",
+            "rig.next_best_pose",
             "rig.suggestions",
             "comparison",
             "network.assemble",
@@ -62,5 +64,5 @@ __all__ = [
     "assemble_rig", "assess_network_model", "axis_names", "bootstrap_poses", "build_consistent_prior",
     "collect_network_findings", "compare_network_poses", "compare_rig_poses", "cross_validate",
     "extract_earlier_poses", "find_bumps", "find_track_bump", "include_drifts",
-    "merge_calibrations", "remove_scanners", "report_clocks_and_mountings",
+    "merge_calibrations", "remove_scanners", "report_clocks_and_mountings", "suggest_board_poses",
 ]  # fmt: skip

@@ -9,6 +9,7 @@ from collections.abc import Collection, Iterator
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 from rosbags.interfaces import Connection
 from rosbags.rosbag1 import Reader as Reader1
@@ -39,6 +40,20 @@ _ADVICE = {
 }
 # Float seconds resolve 0.24 µs; the query is widened by this margin and filtered exactly afterwards.
 _MARGIN_NS = 1000
+
+
+class _Place(NamedTuple):
+    """Where a message is; as text, which takes longer to make than all else of a record, in errors only."""
+
+    path: Path
+    topic: str
+    time: str
+    """Which time is known of it."""
+    value: float
+    """s."""
+
+    def __str__(self) -> str:
+        return f"{self.path}: topic {self.topic}, {self.time} {self.value:.6f}"
 
 
 class BagRecording(ClosedOnExit):
@@ -113,21 +128,19 @@ class BagRecording(ClosedOnExit):
                 if connection.topic not in topics:
                     continue  # a damaged index names a message of another connection
                 if (start is None or arrival >= start) and (end is None or arrival <= end):
-                    yield self._record(connection, arrival, decompress_message(raw, self._limits), ros1=ros1)
+                    kind = self._type(connection, ros1=ros1)
+                    yield self._record(kind, connection.topic, arrival, decompress_message(raw, self._limits))
 
-    def _record(self, connection: Connection, arrival: float, raw: bytes, *, ros1: bool) -> RecordedMessage:
-        kind = self._type(connection, ros1=ros1)
-        with wrap_errors(f"{self.path}: topic {connection.topic}, arrival {arrival:.6f}"):
+    def _record(self, kind: MessageType, topic: str, arrival: float, raw: bytes) -> RecordedMessage:
+        try:
             header_stamp = kind.header_stamp(raw)
+        except Exception:
+            with wrap_errors(_Place(self.path, topic, "arrival", arrival)):
+                raise
         stamp = arrival if header_stamp is None else header_stamp / 1e9
-        where = f"{self.path}: topic {connection.topic}, stamp {stamp:.6f}"
-        return RecordedMessage(
-            connection.topic,
-            stamp,
-            arrival,
-            partial(decode, kind, raw, stamp, where, self._limits),
-            partial(kind.digest, raw),
-        )
+        place = _Place(self.path, topic, "stamp", stamp)
+        decoder = partial(decode, kind, raw, stamp, place, self._limits)
+        return RecordedMessage(topic, stamp, arrival, decoder, partial(kind.digest, raw))
 
     def _type(self, connection: Connection, *, ros1: bool) -> MessageType:
         key = (connection.msgtype, connection.msgdef.data)

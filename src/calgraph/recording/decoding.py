@@ -17,7 +17,7 @@ from calgraph.sensors import CameraInfo, CameraModel, Image, LaserScan, Message,
 
 
 def decode(
-    kind: MessageType, raw: bytes, stamp: float, where: str, limits: LimitSettings = LimitSettings()
+    kind: MessageType, raw: bytes, stamp: float, where: object, limits: LimitSettings = LimitSettings()
 ) -> Message:
     """Decodes one message; a type without a decoder becomes a Trigger.
 

@@ -16,12 +16,13 @@ _SAMPLE_BYTES = 64
 def hash_content(data: bytes | mmap.mmap | NDArray[np.uint8], start: int = 0) -> int:
     """A hash of samples spread over the bytes from ``start`` on, 64 bits with sign; equal for equal bytes."""
     # A damaged message may state a longer frame_id than it has bytes.
-    size = max(len(data) - start, 0)
-    step = max(size // _SAMPLES, _SAMPLE_BYTES)
-    samples = (bytes(data[i : i + _SAMPLE_BYTES]) for i in range(start, len(data), step))
+    content = np.frombuffer(data, np.uint8)[start:]
+    step = max(len(content) // _SAMPLES, _SAMPLE_BYTES)
+    end = len(content) - len(content) % step
+    first, last = content[:end].reshape(-1, step)[:, :_SAMPLE_BYTES], content[end : end + _SAMPLE_BYTES]
     # Unlike Python's own hash, it is the same in all processes.
-    digest = hashlib.blake2b(b"".join((size.to_bytes(8), *samples)), digest_size=8).digest()
-    return int.from_bytes(digest, signed=True)
+    hashed = hashlib.blake2b(len(content).to_bytes(8) + first.tobytes() + last.tobytes(), digest_size=8)
+    return int.from_bytes(hashed.digest(), signed=True)
 
 
 def hash_array(values: NDArray[Any]) -> int:

@@ -6,6 +6,7 @@ import numpy as np
 
 from bundle_scenes import HEIGHT, WIDTH, scene
 from calgraph.config import Tolerance
+from calgraph.diagnostics.rig.next_best_pose import suggest_board_poses
 from calgraph.diagnostics.rig.suggestions import add_suggestions
 from calgraph.estimation.rig.bundle_solver import minimize_bundle
 from calgraph.estimation.rig.covariances import pose_covariance
@@ -31,9 +32,8 @@ def suggest(grade: Literal["good", "weak"]) -> Calibration:
     joint = pose_covariance(exact.bundle, solved.state, solved.equations)
     calibration = Calibration("lidar", sensors, joint_covariance=joint)
     rng = np.random.default_rng(0)
-    return add_suggestions(
-        calibration, SolvedBundle(exact.bundle, solved, np.arange(6)), (WIDTH, HEIGHT), rng, Tolerance()
-    )
+    problem = SolvedBundle(exact.bundle, solved, np.arange(6))
+    return add_suggestions(calibration, suggest_board_poses(problem, KINDS, (WIDTH, HEIGHT), rng, Tolerance()))
 
 
 def test_the_first_suggestion_for_a_weak_sensor_is_in_its_verdict() -> None:

@@ -3,39 +3,20 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
-
-from calgraph.config import Tolerance
-from calgraph.config.settings import DiagnosticsSettings
-from calgraph.diagnostics.rig.next_best_pose import suggest_board_poses
-from calgraph.estimation.rig.solution import SolvedBundle
 from calgraph.result import Calibration, SensorPose, Suggestion, Verdict
 
 
-def add_suggestions(
-    calibration: Calibration,
-    solved: SolvedBundle,
-    size: tuple[float, float],
-    rng: np.random.Generator,
-    tolerance: Tolerance,
-    settings: DiagnosticsSettings = DiagnosticsSettings(),
-) -> Calibration:
+def add_suggestions(calibration: Calibration, suggestions: Sequence[Suggestion]) -> Calibration:
     """The calibration with the suggested board poses.
 
     Args:
         calibration: poses and verdicts.
-        solved: the joint solution that they come from.
-        size: width and height of the board, m.
-        rng: draws candidate board poses.
-        tolerance: the largest acceptable error of poses.
-        settings: of the diagnostics.
+        suggestions: see :func:`calgraph.diagnostics.suggest_board_poses`.
     """
-    kinds = {sensor.name: sensor.kind for sensor in calibration.sensors}
-    suggestions = suggest_board_poses(solved, kinds, size, rng, tolerance, settings)
     return replace(
         calibration,
         sensors=tuple(_add_advice(sensor, suggestions) for sensor in calibration.sensors),
-        evidence=replace(calibration.evidence, suggestions=suggestions),
+        evidence=replace(calibration.evidence, suggestions=tuple(suggestions)),
     )
 
 
