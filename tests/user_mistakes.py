@@ -122,6 +122,8 @@ RIG_KEYS: Mapping[str, tuple[str, Any, str]] = {
         {"kind": "lidar3d", "topic": "/laser_front/scan"},
         "has LaserScan messages; a lidar2d sends those, but its kind lidar3d needs PointCloud",
     ),
+    "a clock offset of the root": ("sensors.lidar.clock_offset", 0.5, "is relative to the root's clock"),
+    "a clock offset in words": ("sensors.camera.clock_offset", "measure", "must be"),
     "mounting of a rig's scanner": ("sensors.laser_front.mounting", "inverted", "applies to networks only"),
     "a misspelled setting": (
         "settings",

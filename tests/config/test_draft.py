@@ -12,12 +12,12 @@ from calgraph.errors import InputError
 IMAGE, INFO = "sensor_msgs/msg/Image", "sensor_msgs/msg/CameraInfo"
 
 
-def image(name: str, **more: str) -> FoundTopic:
-    return FoundTopic(name, IMAGE, "camera", 100, **more)
+def image(name: str, frame_id: str = "", problem: str = "") -> FoundTopic:
+    return FoundTopic(name, IMAGE, "camera", 100, frame_id, problem)
 
 
-def info(name: str, **more: str) -> FoundTopic:
-    return FoundTopic(name, INFO, "camera_info", 100, **more)
+def info(name: str, frame_id: str = "", problem: str = "") -> FoundTopic:
+    return FoundTopic(name, INFO, "camera_info", 100, frame_id, problem)
 
 
 def scan(name: str, count: int = 500) -> FoundTopic:
@@ -114,6 +114,16 @@ def test_an_empty_start_becomes_the_background(tmp_path: Path, topics: tuple[Fou
 @pytest.mark.parametrize("topics", [(), (event("/trigger", 10),)], ids=["holds", "triggers"])
 def test_without_an_empty_start_there_is_no_background(tmp_path: Path, topics: tuple[FoundTopic, ...]) -> None:
     assert drafted(tmp_path, scan("/scan"), *topics).capture.background is None
+
+
+def test_videos_have_clocks_of_their_own(tmp_path: Path) -> None:
+    videos = [FoundTopic(name, "image", "camera", 100, own_clock=True) for name in ("left", "right")]
+    assert [spec.clock_offset for spec in drafted(tmp_path, *videos).sensors.values()] == [None, "estimate"]
+
+
+def test_messages_have_one_clock(tmp_path: Path) -> None:
+    rig = drafted(tmp_path, image("/a/image_raw"), cloud("/c/points"))
+    assert [spec.clock_offset for spec in rig.sensors.values()] == [None, None]
 
 
 def test_a_draft_without_a_target_does_not_load(tmp_path: Path) -> None:

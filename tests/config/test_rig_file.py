@@ -142,7 +142,8 @@ MISTAKES = {
     "noise": (("{range: 0.01,", "{rnage: 0.01,"), "unknown key sensors.laser.noise.rnage; did you mean 'range'?"),
     "no_resemblance": (("{pixel: 0.5}", "{qqq: 1}"), "unknown key sensors.camera.noise.qqq; allowed here are pixel"),
     "other_kind": (("noise: {range: 0.03}", "camera_info: /info"),
-                   "unknown key sensors.lidar.camera_info; allowed here are kind, topic, frame_id, noise, uncertainty"),
+                   "unknown key sensors.lidar.camera_info; allowed here are kind, topic, frame_id, clock_offset, "
+                   "noise, uncertainty"),
     "tag_key": (("center:", "centre:"), "unknown key target.tags[0].centre; did you mean 'center'?"),
     "named_as_kind": (("topic: /image", "topic: /image, camera: 1"),
                       "unknown key sensors.camera.camera; did you mean 'camera_info'?"),

@@ -170,6 +170,11 @@ def test_heights_and_tilts_of_a_network_have_units(tmp_path: Path) -> None:
         assert [east.height, east.roll, east.pitch] == pytest.approx([2.1, 0.5, -1.0])
 
 
+def test_clock_offsets_are_of_rigs(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"sensors\.east\.clock_offset: applies to rigs only"):
+        load_network(tmp_path, "clock_offset: estimate")
+
+
 def test_a_tilt_of_a_network_is_small(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"sensors\.east\.roll: must be less than 45"):
         load_network(tmp_path, "roll: 180")

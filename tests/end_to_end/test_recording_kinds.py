@@ -25,7 +25,7 @@ from calgraph.simulation import (
     SpinningOptions,
 )
 from calgraph.simulation.rig_simulation import TRIGGER_TOPIC
-from simulated_rigs import build_recording, calibrate, pose_errors, simulate_scenario
+from simulated_rigs import SimulatedRecording, build_recording, calibrate, pose_errors, simulate_scenario
 from videos import write_video
 
 CAMERA, LIDAR = "/camera/image_raw/compressed", "/lidar/points"
@@ -92,6 +92,37 @@ def test_a_folder_of_numbered_files_is_snapshots(poses: Poses, tmp_path: Path) -
     with open_recording(tmp_path) as recording:
         found = calibrate(poses.rig_of({"camera": "cam 0", "lidar": "lidar"}), recording)
     assert found.evidence.edges[0].captures == 8
+    check_pose(found, poses.truth)
+
+
+def carry(poses: Poses, clock_offset: float) -> SimulatedRecording:
+    """The board rests for irregular times, and something moves in between; the LiDAR has a clock of its own."""
+    rng = np.random.default_rng(2)
+    moves = 100 + np.cumsum(rng.uniform(2.0, 5.0, len(poses.images)))
+    rests = moves + rng.uniform(0.6, 1.2, len(moves))
+    records = []
+    for time in np.arange(moves[0], moves[-1] + 4, 0.2):
+        number = int(np.searchsorted(moves, time, side="right")) - 1
+        image, cloud = poses.images[number], poses.clouds[number]
+        if moves[number] <= time < rests[number]:
+            image = replace(image, pixels=np.roll(image.pixels, rng.integers(20, 200), axis=1))
+            cloud = replace(cloud, points=cloud.points + np.array([0, 0, rng.uniform(0.3, 0.6)]))
+        for topic, message in (
+            ("cam", replace(image, stamp=time)),
+            ("lidar", replace(cloud, stamp=time + 0.07 + clock_offset)),
+        ):
+            records.append(RecordedMessage(topic, message.stamp, time, partial(replace, message)))
+    return build_recording(records)
+
+
+def test_sensors_may_have_clocks_of_their_own(poses: Poses) -> None:
+    rig = poses.rig_of({"camera": "cam", "lidar": "lidar"})
+    camera = rig.sensors["camera"].model_copy(update={"clock_offset": "estimate"})
+    rig = rig.model_copy(update={"sensors": {**rig.sensors, "camera": camera}})
+    found = calibrate(rig, carry(poses, clock_offset=-3.7))
+    [remark] = [one for one in found.evidence.remarks if "the clock of camera minus that of lidar" in one]
+    assert float(remark.split(" is ")[1].split(" s,")[0]) == pytest.approx(3.7, abs=0.15)
+    assert found.evidence.edges[0].captures == 9
     check_pose(found, poses.truth)
 
 

@@ -9,14 +9,15 @@ import numpy as np
 
 from calgraph.calibrate.intrinsics import estimate_unknown_intrinsics, find_intrinsics_remarks
 from calgraph.calibrate.options import Progress, RigOptions, no_progress
+from calgraph.calibrate.rig_timeline import read_rig_timeline
 from calgraph.calibrate.strategies import select_plane_estimator
 from calgraph.captures import (
     CaptureSet,
     DetectionMethod,
     InputMonitor,
-    RecordingTimeline,
     SensorCapture,
     check_background,
+    check_clocks,
     check_intrinsics,
     check_timeline,
     collect_detections,
@@ -25,14 +26,11 @@ from calgraph.captures import (
     draw_seeds,
     find_holds,
     limit_messages,
-    measure_activity,
-    read_timeline,
     recognize_mode,
 )
 from calgraph.config import Rig
 from calgraph.errors import CalibrationError
 from calgraph.recording import (
-    PoseRecordings,
     Recording,
     find_camera_infos,
     resolve_intrinsics,
@@ -53,7 +51,7 @@ def collect_captures(
         raise CalibrationError(f"{rig.root} is the only sensor: a rig.yaml needs at least two")
     resolved, camera_infos = resolve_intrinsics(rig, recording), find_camera_infos(rig, recording)
     monitor = InputMonitor(rig, recording.start, camera_infos)
-    timeline = _read_timeline(rig, recording, monitor, options, progress)
+    timeline = read_rig_timeline(rig, recording, monitor, options, progress)
     check_timeline(rig, timeline, recording.end)
     holds = limit_messages(find_holds(timeline, rig.capture, rig.settings.captures), rig)
     intrinsics = estimate_unknown_intrinsics(resolved, recording, holds, options.jobs, progress, options.cache)
@@ -70,6 +68,7 @@ def collect_captures(
         *monitor.findings(),
         *check_intrinsics(cameras, rig.settings.captures.input_checks),
         *check_background(rig, timeline),
+        *check_clocks(rig, timeline),
         *find_intrinsics_remarks(rig, camera_infos, intrinsics),
     ]
     captures = replace(
@@ -102,19 +101,3 @@ def separate_snapshots(rig: Rig, recording: Recording) -> Recording:
         max_duration=settings.max_pose_recording,
         gap=settings.max_snapshot_gap,
     )
-
-
-def _read_timeline(
-    rig: Rig, recording: Recording, monitor: InputMonitor, options: RigOptions, progress: Progress
-) -> RecordingTimeline:
-    """The stamps of every sensor's messages and, where it matters, how much its view changed at each."""
-
-    def reading(arrival: float) -> None:
-        progress("reading", (arrival - recording.start) / max(recording.end - recording.start, 1e-9))
-
-    timeline = read_timeline(rig, recording, monitor, options.cache, reading)
-    if isinstance(recording, PoseRecordings):
-        timeline = replace(timeline, poses=recording.poses)
-    if rig.capture.trigger or recognize_mode(timeline, rig.capture, rig.settings.captures).mode == "snapshots":
-        return timeline
-    return measure_activity(timeline, rig, recording, options.cache, reading, options.jobs)

@@ -2,11 +2,13 @@
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 
 import numpy as np
 
 from calgraph.calibrate.bumps import solve_after_bumps
 from calgraph.calibrate.capture_collection import collect_captures, separate_snapshots
+from calgraph.calibrate.clock_alignment import align_clocks
 from calgraph.calibrate.options import Progress, RigOptions, check_estimator, no_progress
 from calgraph.calibrate.step_log import log_captures, log_pairs, log_solution
 from calgraph.calibrate.strategies import select_initialization, solve_baseline
@@ -112,8 +114,10 @@ def build_problem(
     _check_board(rig)
     rng = np.random.default_rng(options.seed)
     recording = separate_snapshots(rig, recording)
-    rig = resolve_background(rig, recording, options.cache)
+    aligned = align_clocks(rig, recording, options, progress)
+    rig, recording = resolve_background(aligned.rig, aligned.recording, options.cache), aligned.recording
     captures = collect_captures(rig, recording, options, rng, progress)
+    captures = replace(captures, findings=(*aligned.findings, *captures.findings))
     rig = state_estimated_intrinsics(resolve_intrinsics(rig, recording), captures)
     return build_problem_from_captures(rig, captures, options, rng, progress)
 

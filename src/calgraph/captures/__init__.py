@@ -2,6 +2,7 @@
 
 from calgraph.captures.board_views import find_views_in_holds
 from calgraph.captures.capture_mode import RecognizedMode, is_snapshot_recording, recognize_mode
+from calgraph.captures.clock_alignment import ClockOffset, check_clocks, estimate_clock_offsets
 from calgraph.captures.detect import (
     CaptureSet,
     Detector,
@@ -27,12 +28,12 @@ from calgraph.captures.timeline_reading import measure_activity, read_timeline
 from calgraph.captures.validate_recording import check_timeline
 
 __all__ = [
-    "ActivityMeter", "CaptureSet", "DetectionMethod", "Detector", "EmptyStart", "GivenDetections", "Hold",
-    "InputFinding", "InputMonitor", "PreviewSize", "RecognizedMode", "RecordingTimeline", "SensorCapture",
-    "SensorTimes", "build_timeline", "captures_from_detections", "check_background", "check_intrinsics",
-    "check_timeline", "collect_detections", "compensate_motion", "detect_by_sensors", "detect_in_holds",
-    "draw_seeds", "find_empty_start", "find_holds", "find_views_in_holds", "is_snapshot_recording",
-    "learn_backgrounds", "limit_messages", "make_detectors", "measure_activity", "plan_previews",
-    "read_timeline", "recognize_mode", "recognize_recording", "resolve_background",
-    "state_estimated_intrinsics", "to_scans",
+    "ActivityMeter", "CaptureSet", "ClockOffset", "DetectionMethod", "Detector", "EmptyStart",
+    "GivenDetections", "Hold", "InputFinding", "InputMonitor", "PreviewSize", "RecognizedMode",
+    "RecordingTimeline", "SensorCapture", "SensorTimes", "build_timeline", "captures_from_detections",
+    "check_background", "check_clocks", "check_intrinsics", "check_timeline", "collect_detections",
+    "compensate_motion", "detect_by_sensors", "detect_in_holds", "draw_seeds", "estimate_clock_offsets",
+    "find_empty_start", "find_holds", "find_views_in_holds", "is_snapshot_recording", "learn_backgrounds",
+    "limit_messages", "make_detectors", "measure_activity", "plan_previews", "read_timeline", "recognize_mode",
+    "recognize_recording", "resolve_background", "state_estimated_intrinsics", "to_scans",
 ]  # fmt: skip

@@ -78,6 +78,8 @@ class FoundTopic:
     """Of its first message."""
     problem: str = ""
     """Why its first message cannot be used, where it cannot."""
+    own_clock: bool = False
+    """Whether its stamps count from its own start, as those of a video do."""
 
 
 @dataclass(frozen=True)
@@ -280,10 +282,13 @@ def _sensors(sensors: Sequence[_Sensor]) -> str:
         "# Names are free to choose. noise: standard deviations to begin with, of corners (px) or beams (m, rad).",
         "sensors:",
     ]
-    return "\n".join([*head, *(line for sensor in sensors for line in _sensor(sensor)), ""])
+    root = sensors[0]
+    own_clocks = [sensor for sensor in sensors if sensor.topic.own_clock or root.topic.own_clock]
+    lines = [line for sensor in sensors for line in _sensor(sensor, sensor in own_clocks and sensor is not root)]
+    return "\n".join([*head, *lines, ""])
 
 
-def _sensor(sensor: _Sensor) -> list[str]:
+def _sensor(sensor: _Sensor, own_clock: bool) -> list[str]:
     topic = sensor.topic
     lines = [
         f"  {_format_scalar(sensor.name)}:",
@@ -297,6 +302,8 @@ def _sensor(sensor: _Sensor) -> list[str]:
             _NO_INTRINSICS_OF_CORNERS if topic.type == "corners" else _NO_INTRINSICS,
             "    # intrinsics: {width: 1280, height: 960, K: [900.0, 900.0, 639.5, 479.5], distortion: []}",
         ]
+    if own_clock:
+        lines.append("    clock_offset: estimate      # from the motion of the board; leave it out for one clock")
     if topic.frame_id:
         lines.append(f"    frame_id: {_format_scalar(topic.frame_id)}")
     else:

@@ -128,8 +128,17 @@ class Intrinsics(StrictModel):
 EstimatedLens = Literal["estimate", "estimate pinhole", "estimate fisheye"]
 
 
-def _kind_of_intrinsics(value: Any) -> str:
+def _word_or_values(value: Any) -> str:
     return "word" if isinstance(value, str) else "values"
+
+
+# Clocks that count from the start of a computer are off by the time since 1970.
+_StatedOffset = Annotated[float, Strict(), Field(ge=-1e10, le=1e10, allow_inf_nan=False)]
+ClockOffset = Annotated[
+    Annotated[_StatedOffset, Tag("values")] | Annotated[Literal["estimate"], Tag("word")],
+    Discriminator(_word_or_values),
+]
+"""A sensor's clock minus the root's, s; or ``estimate``, to find it from the motion of the board."""
 
 
 class PixelNoise(StrictModel):
@@ -159,7 +168,7 @@ class CameraSpec(StrictModel):
     intrinsics: (
         Annotated[
             Annotated[Intrinsics, Tag("values")] | Annotated[EstimatedLens, Tag("word")],
-            Discriminator(_kind_of_intrinsics),
+            Discriminator(_word_or_values),
         ]
         | None
     ) = None
@@ -167,6 +176,8 @@ class CameraSpec(StrictModel):
     any, with the model that fits best, ``estimate pinhole`` or ``estimate fisheye``."""
     frame_id: Name | None = None
     """The sensor's frame; that of its messages' headers if left out."""
+    clock_offset: ClockOffset | None = None
+    """The sensor's clock minus the root's, s, of a rig whose sensors have different clocks."""
     noise: PixelNoise = PixelNoise()
     uncertainty: CameraUncertainty = CameraUncertainty()
 
@@ -198,6 +209,8 @@ class Lidar2dSpec(StrictModel):
     """Topic of its messages; in a plain folder the sensor's folder."""
     frame_id: Name | None = None
     """The sensor's frame; that of its messages' headers if left out."""
+    clock_offset: ClockOffset | None = None
+    """The sensor's clock minus the root's, s, of a rig whose sensors have different clocks."""
     noise: RangeNoise = RangeNoise()
     mounting: Literal["upright", "inverted"] | None = None
     """Of a network's scanner: inverted if it is mounted upside-down. Recognised from mirrored tracks if left out;
@@ -220,6 +233,8 @@ class Lidar3dSpec(StrictModel):
     """Topic of its messages; in a plain folder the sensor's folder."""
     frame_id: Name | None = None
     """The sensor's frame; that of its messages' headers if left out."""
+    clock_offset: ClockOffset | None = None
+    """The sensor's clock minus the root's, s, of a rig whose sensors have different clocks."""
     noise: RangeNoise = RangeNoise()
     uncertainty: Lidar3dUncertainty = Lidar3dUncertainty()
 
@@ -275,6 +290,18 @@ class Rig(StrictModel):
                     raise invalid(
                         f"sensors.{name}.{key}", "applies to networks only: a board determines all of a pose"
                     )
+        return self
+
+    @model_validator(mode="after")
+    def _clock_offsets_are_relative_to_the_root(self) -> "Rig":
+        for name, sensor in self.sensors.items():
+            if sensor.clock_offset is None:
+                continue
+            key = f"sensors.{name}.clock_offset"
+            if self.is_network:
+                raise invalid(key, "applies to rigs only: those of a network are estimated from tracks")
+            if name == self.root:
+                raise invalid(key, "is relative to the root's clock, and this is the root: leave it out")
         return self
 
     @model_validator(mode="after")

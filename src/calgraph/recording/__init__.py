@@ -2,6 +2,7 @@
 
 from calgraph.recording.cache import NO_CACHE, RecordingCache
 from calgraph.recording.camera_intrinsics import find_camera_infos, resolve_intrinsics
+from calgraph.recording.clock_correction import ClockCorrectedRecording
 from calgraph.recording.in_memory import MessageRecording
 from calgraph.recording.inspection import SENSORS, Inspection, Timing, TopicReport, find_topics, inspect_recording
 from calgraph.recording.opening import open_recording, open_recordings
@@ -10,7 +11,8 @@ from calgraph.recording.recording import Recording, TopicInfo
 from calgraph.recording.writer import Encoding, RecordingWriter
 
 __all__ = [
-    "NO_CACHE", "SENSORS", "Encoding", "Inspection", "MessageRecording", "PoseRecordings", "Recording",
-    "RecordingCache", "RecordingWriter", "Timing", "TopicInfo", "TopicReport", "find_camera_infos", "find_topics",
-    "inspect_recording", "open_recording", "open_recordings", "resolve_intrinsics", "separate_poses",
+    "NO_CACHE", "SENSORS", "ClockCorrectedRecording", "Encoding", "Inspection", "MessageRecording",
+    "PoseRecordings", "Recording", "RecordingCache", "RecordingWriter", "Timing", "TopicInfo", "TopicReport",
+    "find_camera_infos", "find_topics", "inspect_recording", "open_recording", "open_recordings",
+    "resolve_intrinsics", "separate_poses",
 ]  # fmt: skip

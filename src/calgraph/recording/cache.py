@@ -15,6 +15,7 @@ from pydantic import BaseModel
 
 from calgraph.errors import InputError
 from calgraph.io.cache_folder import MAX_BYTES, CacheFolder
+from calgraph.recording.clock_correction import ClockCorrectedRecording
 from calgraph.recording.content_hash import FileState, hash_files, hash_text, read_states
 from calgraph.recording.recording import Recording
 
@@ -103,7 +104,9 @@ class RecordingCache:
             except OSError:
                 return None  # an error that reading the recording reports
         content, _ = self._contents[recording.sources]
-        return hash_text(json.dumps([kind, self._program, content, inputs], sort_keys=True, default=_to_plain))
+        offsets = recording.clock_offsets if isinstance(recording, ClockCorrectedRecording) else {}
+        key = [kind, self._program, content, offsets, inputs]
+        return hash_text(json.dumps(key, sort_keys=True, default=_to_plain))
 
     @cached_property
     def _program(self) -> str:

@@ -140,7 +140,15 @@ def _summarize_topic(recording: Recording, topic: TopicInfo) -> FoundTopic:
             _add_record(statistics, record)
             break
     kind = _kind(topic.type, statistics.first)
-    return FoundTopic(topic.name, topic.type, kind, topic.count, _frame(statistics.first), statistics.problem)
+    return FoundTopic(
+        topic.name,
+        topic.type,
+        kind,
+        topic.count,
+        _frame(statistics.first),
+        statistics.problem,
+        own_clock=topic.time_base == "start",
+    )
 
 
 def _kind(message_type: str, first: Message | None = None) -> Kind:

@@ -26,19 +26,22 @@ class ShiftedRecording(ClosedOnExit):
     ) -> Iterator[RecordedMessage]:
         """The records in order of arrival; see :meth:`Recording.records`."""
         first, last = (None if time is None else time - self._offset for time in (start, end))
-        return map(self._shift, self._recording.records(topics, first, last))
+        records = self._recording.records(topics, first, last)
+        return (shift_record(record, self._offset, self._offset) for record in records)
 
     def close(self) -> None:
         """Closes the files."""
         self._recording.close()
 
-    def _shift(self, record: RecordedMessage) -> RecordedMessage:
-        return replace(
-            record,
-            stamp=record.stamp + self._offset,
-            arrival=record.arrival + self._offset,
-            decode=partial(_decode_later, record.decode, self._offset),
-        )
+
+def shift_record(record: RecordedMessage, offset: float, arrival_offset: float) -> RecordedMessage:
+    """The record with a stamp and an arrival that are later by offsets, s."""
+    return replace(
+        record,
+        stamp=record.stamp + offset,
+        arrival=record.arrival + arrival_offset,
+        decode=partial(_decode_later, record.decode, offset),
+    )
 
 
 def _decode_later(decode: Callable[[], Message], offset: float) -> Message:

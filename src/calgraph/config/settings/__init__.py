@@ -4,6 +4,7 @@ from calgraph.config.settings.baselines import BaselineSettings
 from calgraph.config.settings.captures import (
     CameraNoiseSettings,
     CaptureSettings,
+    ClockAlignmentSettings,
     EmptyStartSettings,
     InputCheckSettings,
     MaxMessageSettings,
@@ -101,6 +102,7 @@ __all__ = [
     "CameraNoiseSettings",
     "CaptureSettings",
     "CentroidSettings",
+    "ClockAlignmentSettings",
     "ClockMountingSettings",
     "CloudBackgroundSettings",
     "ClusterSettings",

@@ -28,6 +28,32 @@ class MotionDetectionSettings(StrictModel):
     as noise alone takes points across borders of cells."""
 
 
+class ClockAlignmentSettings(StrictModel):
+    """Clock offsets of a rig's sensors, from the times at which their views change."""
+
+    min_messages: int = Field(default=20, ge=3)
+    """Minimum number of messages of a sensor: fewer changes of a view agree with others by chance."""
+    min_step: float = Field(default=0.005, gt=0)
+    """Minimum time between samples of the activity, s; half of the shortest period above it. The offset is
+    interpolated to a fraction of it."""
+    min_overlap: float = Field(default=0.5, gt=0, le=1)
+    """Minimum share of the shorter view that lies within the other with an offset: recordings of cameras that are
+    started one after the other overlap for most of their time, and short overlaps agree by chance."""
+    peak_width: float = Field(default=1.0, gt=0)
+    """Time to both sides of an offset, s, within which larger correlations are of the same maximum: moves of a
+    board take a second."""
+    min_correlation: float = Field(default=0.5, gt=0, lt=1)
+    """Minimum correlation: views from different sides change differently, and share starts and stops."""
+    min_distinction: float = Field(default=0.15, gt=0, lt=1)
+    """Minimum difference to the correlation with any other offset: moves at equal intervals repeat themselves."""
+    resolution: float = Field(default=0.02, gt=0)
+    """Offsets below it, s, are taken for zero: the estimate is no better, and a device that starts its recordings
+    together gives them one clock."""
+    min_remark: float = Field(default=0.5, gt=0)
+    """Minimum offset, s, that is remarked on where rig.yaml states none: smaller ones leave captures within rests,
+    and views from different sides differ by them."""
+
+
 class CameraNoiseSettings(StrictModel):
     """The noise of a camera's corners, estimated from PnP residuals."""
 
@@ -130,6 +156,7 @@ class CaptureSettings(StrictModel):
     """When the board rests, and which messages of a capture are used."""
 
     motion: MotionDetectionSettings = MotionDetectionSettings()
+    clock_alignment: ClockAlignmentSettings = ClockAlignmentSettings()
     camera_noise: CameraNoiseSettings = CameraNoiseSettings()
     max_messages: MaxMessageSettings = MaxMessageSettings()
     input_checks: InputCheckSettings = InputCheckSettings()
