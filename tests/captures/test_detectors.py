@@ -6,12 +6,19 @@ from functools import partial
 import numpy as np
 import pytest
 
-from calgraph.captures import learn_backgrounds, make_detectors, to_scans
+from calgraph.captures import (
+    Hold,
+    learn_backgrounds,
+    learn_backgrounds_of_captures,
+    make_detectors,
+    to_scans,
+)
 from calgraph.config import Board, Capture, Lidar2dSpec, Lidar3dSpec, Rig
-from calgraph.config.settings import CaptureSettings, Settings
-from calgraph.detection import BoardCorners, CloudBackground
+from calgraph.config.settings import CaptureBackgroundSettings, CaptureSettings, DetectionSettings, Settings
+from calgraph.detection import BoardCorners, CloudBackground, PlanePatch
 from calgraph.errors import Rejected
 from calgraph.geometry import Array
+from calgraph.recording import MessageRecording
 from calgraph.sensors import LaserScan, Message, PointCloud, RecordedMessage, ScanBackground
 
 ANGLES = np.radians(np.arange(-60, 60, 0.5))
@@ -117,3 +124,54 @@ def test_clouds_of_2d_scanners_become_scans() -> None:
     converted = to_scans([PointCloud(3.0, "flat", points), scan(stamp=4.0)])
     assert [s.stamp for s in converted] == [3.0, 4.0]
     np.testing.assert_allclose(converted[0].ranges[np.isfinite(converted[0].ranges)], scan().ranges)
+
+
+def hold_each(clouds: Sequence[PointCloud], *, auxiliary: bool = False) -> list[Hold]:
+    """A hold for each cloud, in which the other sensors measured nothing."""
+    none = np.zeros(0)
+    return [
+        Hold(i, c.stamp, c.stamp, {"lidar": np.array([c.stamp]), "laser": none, "flat": none}, auxiliary=auxiliary)
+        for i, c in enumerate(clouds)
+    ]
+
+
+def find_boards(clouds: Sequence[PointCloud], rig: Rig = RIG) -> list[float]:
+    """Bearings of candidates that match a board in the first cloud, with what is learned from all of them."""
+    recording = MessageRecording({"/points": clouds})
+    learned = learn_backgrounds_of_captures(rig, recording, hold_each(clouds), without=())
+    found = make_detectors(rig, {}, learned, None, dict.fromkeys(rig.sensors, 0))["lidar"](clouds[:1])
+    assert not isinstance(found, Rejected)
+    boards = [one.center for one in found if isinstance(one, PlanePatch) and one.match > 0.5]
+    return sorted(round(float(np.arctan2(y, x)), 1) for x, y, _ in boards)
+
+
+BESIDE_FURNITURE = [cloud(-0.6, b, stamp=float(i)) for i, b in enumerate([0.5, 0.1, 0.3, 0.8] * 2)]
+"""A board in several places, and a second one that stands at -0.6 in all captures."""
+
+
+def test_captures_show_which_board_is_furniture() -> None:
+    assert find_boards(BESIDE_FURNITURE) == [0.5]
+
+
+def test_empty_clouds_do_not_hide_what_is_static() -> None:
+    lost = [PointCloud(8.0 + i, "lidar", np.empty((0, 3))) for i in range(3)]
+    assert find_boards([*BESIDE_FURNITURE, *lost]) == [0.5]
+
+
+def test_a_board_that_never_moves_is_still_found() -> None:
+    assert find_boards([cloud(0.3, stamp=float(i)) for i in range(8)]) == [0.3]
+
+
+def test_the_background_of_captures_can_be_turned_off() -> None:
+    settings = DetectionSettings(capture_background=CaptureBackgroundSettings(min_captures=1000))
+    rig = RIG.model_copy(update={"settings": Settings(detection=settings)})
+    assert find_boards(BESIDE_FURNITURE, rig) == [-0.6, 0.5]
+
+
+def test_only_lidars_without_background_learn_it_from_captures() -> None:
+    clouds = [cloud(stamp=float(i)) for i in range(8)]
+    recording, holds = MessageRecording({"/points": clouds}), hold_each(clouds)
+    assert list(learn_backgrounds_of_captures(RIG, recording, holds, without=())) == ["lidar"]
+    assert learn_backgrounds_of_captures(RIG, recording, holds, without=["lidar"]) == {}
+    auxiliary = hold_each(clouds, auxiliary=True)
+    assert learn_backgrounds_of_captures(RIG, recording, holds[:4] + auxiliary[4:], without=()) == {}

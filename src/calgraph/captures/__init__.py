@@ -12,7 +12,13 @@ from calgraph.captures.detect import (
     limit_messages,
     state_estimated_intrinsics,
 )
-from calgraph.captures.detectors import draw_seeds, learn_backgrounds, make_detectors, to_scans
+from calgraph.captures.detectors import (
+    draw_seeds,
+    learn_backgrounds,
+    learn_backgrounds_of_captures,
+    make_detectors,
+    to_scans,
+)
 from calgraph.captures.empty_start import EmptyStart, find_empty_start, resolve_background
 from calgraph.captures.from_detections import GivenDetections, captures_from_detections
 from calgraph.captures.holds import Hold, find_holds
@@ -34,6 +40,7 @@ __all__ = [
     "check_background", "check_clocks", "check_intrinsics", "check_timeline", "collect_detections",
     "compensate_motion", "detect_by_sensors", "detect_in_holds", "draw_seeds", "estimate_clock_offsets",
     "find_empty_start", "find_holds", "find_views_in_holds", "is_snapshot_recording", "learn_backgrounds",
-    "limit_messages", "make_detectors", "measure_activity", "plan_previews", "read_timeline", "recognize_mode",
-    "recognize_recording", "resolve_background", "state_estimated_intrinsics", "to_scans",
+    "learn_backgrounds_of_captures", "limit_messages", "make_detectors", "measure_activity", "plan_previews",
+    "read_timeline", "recognize_mode", "recognize_recording", "resolve_background",
+    "state_estimated_intrinsics", "to_scans",
 ]  # fmt: skip

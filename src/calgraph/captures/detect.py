@@ -211,12 +211,13 @@ def limit_messages(holds: Iterable[Hold], rig: Rig) -> tuple[Hold, ...]:
     """The same holds with the messages of each sensor that sharpen a detection, spread over the hold."""
     limits = {name: rig.settings.captures.max_messages.of(spec.kind) for name, spec in rig.sensors.items()}
     return tuple(
-        replace(hold, stamps={name: _sample_evenly(stamps, limits[name]) for name, stamps in hold.stamps.items()})
+        replace(hold, stamps={name: sample_evenly(stamps, limits[name]) for name, stamps in hold.stamps.items()})
         for hold in holds
     )
 
 
-def _sample_evenly(stamps: Array, count: int) -> Array:
+def sample_evenly(stamps: Array, count: int) -> Array:
+    """At most ``count`` of the stamps (N,), evenly chosen."""
     if len(stamps) <= count:
         return stamps
     sampled: Array = stamps[np.linspace(0, len(stamps) - 1, count).round().astype(int)]

@@ -1,25 +1,30 @@
 """The detector of every sensor of a rig, and the background models of its scanners."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from functools import partial
 
 import numpy as np
 
 from calgraph.captures.beam_times import add_beam_times
-from calgraph.captures.detect import Detector
+from calgraph.captures.detect import Detector, sample_evenly
+from calgraph.captures.holds import Hold
 from calgraph.config import CameraSpec, Lidar2dSpec, Lidar3dSpec, Rig
 from calgraph.config.settings import DetectionSettings
 from calgraph.detection import (
     CameraDetector,
+    CaptureBackground,
     CloudBackground,
     DetectionResult,
     PlaneEstimator,
+    PlanePatch,
     find_patches,
     find_segments,
+    learn_capture_background,
     learn_cloud_background,
     learn_scan_background,
 )
 from calgraph.errors import InputError, Rejected
+from calgraph.recording import Recording
 from calgraph.sensors import (
     CameraModel,
     LaserScan,
@@ -30,7 +35,7 @@ from calgraph.sensors import (
     convert_cloud_to_scan,
 )
 
-Background = CloudBackground | ScanBackground
+Background = CloudBackground | CaptureBackground | ScanBackground
 
 
 def learn_backgrounds(records: Iterable[RecordedMessage], rig: Rig) -> Mapping[str, Background | Rejected]:
@@ -67,6 +72,36 @@ def learn_background(
     if isinstance(spec, Lidar2dSpec):
         return learn_scan_background(to_scans(messages), settings.scan_background)
     return learn_cloud_background([m for m in messages if isinstance(m, PointCloud)], settings)
+
+
+def learn_backgrounds_of_captures(
+    rig: Rig, recording: Recording, holds: Sequence[Hold], without: Collection[str]
+) -> dict[str, CaptureBackground]:
+    """Learns the background of 3-D LiDARs from their captures.
+
+    Args:
+        rig: the rig.
+        recording: to read.
+        holds: with the stamps of the messages to use.
+        without: sensors that are left out: their background is known.
+
+    Returns:
+        By LiDAR; those with too few captures are left out.
+    """
+    settings = rig.settings.detection
+    lidars = {
+        name: spec for name, spec in rig.sensors.items() if isinstance(spec, Lidar3dSpec) and name not in without
+    }
+    learned = {}
+    for name, spec in lidars.items():
+        stamps = [hold.stamps[name][0] for hold in holds if not hold.auxiliary and len(hold.stamps[name])]
+        if len(stamps) < settings.capture_background.min_captures:
+            continue
+        chosen = set(sample_evenly(np.array(stamps), settings.capture_background.max_captures).tolist())
+        messages = (record.decode() for record in recording.records([spec.topic]) if record.stamp in chosen)
+        clouds = (message for message in messages if isinstance(message, PointCloud))
+        learned[name] = learn_capture_background(clouds, spec.noise, settings)
+    return learned
 
 
 def to_scans(messages: Iterable[Message]) -> list[LaserScan]:
@@ -107,7 +142,7 @@ def make_detectors(
                 rig.boards, cameras[name], spec.noise, plane_estimator, rig.settings.detection.camera
             ).find
         elif isinstance(spec, Lidar3dSpec):
-            cloud_background = background if isinstance(background, CloudBackground) else None
+            cloud_background = background if isinstance(background, CloudBackground | CaptureBackground) else None
             detectors[name] = partial(_detect_patches, rig=rig, spec=spec, background=cloud_background, seed=seed)
         else:
             scan_background = background if isinstance(background, ScanBackground) else None
@@ -116,12 +151,26 @@ def make_detectors(
 
 
 def _detect_patches(
-    messages: Sequence[PointCloud], rig: Rig, spec: Lidar3dSpec, background: CloudBackground | None, seed: int
+    messages: Sequence[PointCloud],
+    rig: Rig,
+    spec: Lidar3dSpec,
+    background: CloudBackground | CaptureBackground | None,
+    seed: int,
 ) -> DetectionResult:
-    found = find_patches(
-        messages, rig.boards, spec.noise, background, _make_generator(seed, messages), rig.settings.detection
-    )
+    settings = rig.settings.detection
+
+    def find(known: CloudBackground | CaptureBackground | None) -> tuple[PlanePatch, ...] | Rejected:
+        return find_patches(messages, rig.boards, spec.noise, known, _make_generator(seed, messages), settings)
+
+    found = find(background)
+    if isinstance(background, CaptureBackground) and not _has_board(found, settings.capture_background.min_score):
+        # A board that stood in the same place in most captures is part of what was learned.
+        found = find(None)
     return found if isinstance(found, Rejected) else add_beam_times(found, messages)
+
+
+def _has_board(found: tuple[PlanePatch, ...] | Rejected, min_score: float) -> bool:
+    return not isinstance(found, Rejected) and found[0].match >= min_score
 
 
 def _detect_segments(

@@ -8,7 +8,7 @@ from typing import Any
 
 from calgraph.captures.capture_encoding import decode_captures, encode_captures
 from calgraph.captures.detect import SensorCapture, detect_in_holds
-from calgraph.captures.detectors import learn_backgrounds, make_detectors
+from calgraph.captures.detectors import learn_backgrounds, learn_backgrounds_of_captures, make_detectors
 from calgraph.captures.holds import Hold
 from calgraph.captures.previews import PreviewSize, plan_previews
 from calgraph.config import CameraSpec, Rig
@@ -20,7 +20,7 @@ from calgraph.sensors import CameraModel, RecordedMessage
 
 _log = logging.getLogger(__name__)
 
-_DETECTIONS = "detections/2"
+_DETECTIONS = "detections/3"
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,6 +89,7 @@ def detect_by_sensors(
         part = rig.model_copy(update={"sensors": unread})
         backgrounds = learn_backgrounds(_background_records(part, recording), part)
         models = {name: one for name, one in backgrounds.items() if not isinstance(one, Rejected)}
+        models |= learn_backgrounds_of_captures(part, recording, holds, without=models)
         detect = make_detectors(part, method.cameras, models, method.plane_estimator, method.seeds)
         detected: dict[str, list[SensorCapture]] = {name: [] for name in unread}
         for capture in detect_in_holds(

@@ -13,6 +13,7 @@ from scipy.spatial import ConvexHull, QhullError, cKDTree
 from calgraph.config import Board, RangeNoise
 from calgraph.config.settings import DetectionSettings, Lidar3dDetectionSettings
 from calgraph.detection.board_edges import find_board_edges, select_beams_with_margin
+from calgraph.detection.capture_background import CaptureBackground
 from calgraph.detection.cloud_background import CloudBackground
 from calgraph.detection.detections import PlanePatch, to_beams
 from calgraph.detection.line_plane_fit import fit_plane
@@ -29,7 +30,7 @@ def find_patches(
     clouds: Sequence[PointCloud],
     boards: Sequence[Board],
     noise: RangeNoise,
-    background: CloudBackground | None,
+    background: CloudBackground | CaptureBackground | None,
     rng: np.random.Generator,
     settings: DetectionSettings = DetectionSettings(),
 ) -> tuple[PlanePatch, ...] | Rejected:
@@ -53,9 +54,8 @@ def find_patches(
     clouds = [cloud for cloud in clouds if len(cloud.points)] or clouds
     scene = np.concatenate([cloud.points for cloud in clouds])
     rings = _join_rings(clouds)
-    foreground = np.linalg.norm(scene, axis=1) > limits.min_range
-    if background is not None:
-        foreground &= background.foreground(scene)
+    valid = np.linalg.norm(scene, axis=1) > limits.min_range
+    foreground = valid if background is None else valid & background.foreground(scene)
     if foreground.sum() < limits.min_points:
         return Rejected(
             f"{foreground.sum()} foreground points: the board is not in view, or the background window contains it"
@@ -75,6 +75,9 @@ def find_patches(
     regions = [] if cells is None else grow_flat_regions(cells, thickness, settings.lidar3d.regions)
     if cells is None or not regions:
         return Rejected(f"{count_text} hold no flat patch: the board is not in view, too far or edge-on")
+    if isinstance(background, CaptureBackground):
+        # Where the board often stood, its points may be taken for background; those on its plane belong to it.
+        points = np.concatenate([points, scene[valid & ~foreground]])
     subsampled = scene[:: max(1, len(scene) // settings.lidar3d.max_scene_points)]
     candidates = _select_candidate_regions(cells, regions, boards, subsampled, thickness, settings)
     measured = [
@@ -145,15 +148,15 @@ def _measure_patch(
     rng: np.random.Generator,
     settings: DetectionSettings,
 ) -> _MeasuredPatch | None:
-    """The plane, points and score of one flat region."""
+    """The plane, points and score of one flat region; cells are of the first of the points."""
     in_region = np.zeros(len(cells.points) + 1, dtype=np.bool_)  # the last one is that of points without a cell
     in_region[region] = True
-    chosen = points[in_region[cells.cell_of_point]]
+    chosen = points[: len(cells.cell_of_point)][in_region[cells.cell_of_point]]
     surface = _find_consensus_plane(chosen, thickness, rng, settings)
     if surface is None:
         return None
     members = _collect_plane_points(points, cells, region, surface, thickness)
-    flat = cells.points[np.unique(cells.cell_of_point[members])]
+    flat = cells.points[np.unique(cells.cell_of_point[members[members < len(cells.cell_of_point)]])]
     match, rectangle = max(
         (_score_patch(surface, flat, board, cells.spacing, scene, thickness, settings) for board in boards),
         key=lambda matched: matched[0],

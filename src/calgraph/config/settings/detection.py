@@ -315,6 +315,27 @@ class ScanBackgroundSettings(StrictModel):
     1.6 + 2.5 x 1.9 = 6.4 standard deviations before the mean."""
 
 
+class CaptureBackgroundSettings(StrictModel):
+    """The scene around a 3-D LiDAR without a background, learned from its captures."""
+
+    min_captures: int = Field(default=8, ge=3)
+    """Minimum number of captures from which the static scene is learned: with fewer, the time saved is small, and
+    a board that stays in one place is soon in most of them. A large number turns it off."""
+    max_captures: int = Field(default=32, ge=3)
+    """Maximum number of captures that it is learned from, evenly chosen: bounds time and memory."""
+    direction_cell: float = Field(default=math.radians(1.0), gt=0)
+    """Edge of a direction cell, 1°: several beams of any LiDAR, and 5 cm at 3 m."""
+    min_static_share: float = Field(default=0.7, gt=0.5, le=1)
+    """Minimum share of the captures in which a static direction has the same range: board and operator cover a
+    direction that they often stand in by less than a third of the captures, or it is not static."""
+    max_free_share: float = Field(default=0.05, ge=0, lt=1)
+    """Maximum share of the captures with a longer range, or no return: one of 20. All beams of a cell are rarely
+    lost together, and a board that stood elsewhere in two captures is not static."""
+    min_score: float = Field(default=0.6, ge=0, le=1)
+    """Score of the best candidate in front of the static scene below which the whole cloud is searched: boards
+    that are not occluded have 0.65 to 1."""
+
+
 class DetectionSettings(StrictModel):
     """The target in the messages of one capture."""
 
@@ -324,3 +345,4 @@ class DetectionSettings(StrictModel):
     lidar3d: Lidar3dDetectionSettings = Lidar3dDetectionSettings()
     cloud_background: CloudBackgroundSettings = CloudBackgroundSettings()
     scan_background: ScanBackgroundSettings = ScanBackgroundSettings()
+    capture_background: CaptureBackgroundSettings = CaptureBackgroundSettings()

@@ -1,0 +1,81 @@
+"""The static scene around a 3-D scanner, learned from captures in which board and operator stood elsewhere.
+
+A recording without a background window shows the scene behind the board in its other captures. A direction in
+which most of them measure the same range, and few a longer one, ends on something static there.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calgraph.config import RangeNoise
+from calgraph.config.settings import DetectionSettings
+from calgraph.geometry import Array
+from calgraph.sensors import PointCloud
+
+# Offset of the borders of direction cells, in cells. LiDARs have rings at whole and half degrees, at the border of
+# cells of one degree: rounding would put the points of one ring in either of two rows.
+_BORDER_OFFSET = 0.37
+
+
+@dataclass(frozen=True, eq=False)
+class CaptureBackground:
+    """Ranges at which the static scene begins, by direction."""
+
+    ranges: Array
+    """(elevations, azimuths) m; infinite where it is not known."""
+
+    def foreground(self, points: Array) -> NDArray[np.bool_]:
+        """Which of the points (N, 3), m, are in front of the static scene: (N,)."""
+        begin = self.ranges.ravel()[_find_cells(points, self.ranges.shape)]
+        return np.asarray(np.linalg.norm(points, axis=1) < begin)
+
+
+def learn_capture_background(
+    clouds: Iterable[PointCloud], noise: RangeNoise, settings: DetectionSettings = DetectionSettings()
+) -> CaptureBackground:
+    """Learns the static scene from one sweep of each capture; of few captures, nothing is known.
+
+    If the sensor moved between captures, no direction has a static range. A board that stood in one place is
+    static only if hardly any capture measured behind it. Empty clouds show nothing.
+
+    Args:
+        clouds: of one sensor, one a capture.
+        noise: of a beam.
+        settings: of the detection.
+    """
+    limits = settings.capture_background
+    shape = round(np.pi / limits.direction_cell) + 1, round(2 * np.pi / limits.direction_cell)
+    nearest = [
+        _measure_nearest_ranges(cloud, shape, settings.lidar3d.min_range) for cloud in clouds if len(cloud.points)
+    ]
+    if len(nearest) < limits.min_captures:
+        return CaptureBackground(np.full(shape, np.inf))
+    ranges = np.sort(nearest, axis=0)  # directions without return last: they are infinite
+    median = ranges[len(ranges) // 2]
+    thickness = max(settings.scanner.fit.outlier_sigmas * noise.range, settings.scanner.min_thickness)
+    beyond = np.mean(ranges > median + thickness, axis=0)
+    same = 1 - beyond - np.mean(ranges < median - thickness, axis=0)
+    static = np.isfinite(median) & (same >= limits.min_static_share) & (beyond <= limits.max_free_share)
+    begin = np.where(static, median - thickness, np.inf)
+    return CaptureBackground(begin.reshape(shape).astype(np.float64))
+
+
+def _measure_nearest_ranges(cloud: PointCloud, shape: tuple[int, int], min_range: float) -> NDArray[np.float32]:
+    """(elevations * azimuths,) m; infinite without returns."""
+    ranges = np.linalg.norm(cloud.points, axis=1)
+    valid = ranges > min_range
+    nearest = np.full(shape[0] * shape[1], np.inf, dtype=np.float32)
+    np.minimum.at(nearest, _find_cells(cloud.points[valid], shape), ranges[valid].astype(np.float32))
+    return nearest
+
+
+def _find_cells(points: Array, shape: tuple[int, ...]) -> NDArray[np.intp]:
+    """Index of the direction cell of each point (N, 3)."""
+    x, y, z = points.T
+    elevation, azimuth = np.arctan2(z, np.hypot(x, y)), np.arctan2(y, x)
+    row = (elevation / np.pi + 0.5) * (shape[0] - 1) + _BORDER_OFFSET
+    column = (azimuth / (2 * np.pi) + 0.5) * shape[1] + _BORDER_OFFSET
+    return np.asarray(row.astype(np.intp) * shape[1] + column.astype(np.intp) % shape[1])
