@@ -104,6 +104,8 @@ def test_units_of_a_part_of_a_rig_are_read_back_from_the_resolved_rig(tmp_path: 
 MISTAKES = {
     "wrong unit": ({"camera": "focal_length: 10 px"},
                    "sensors.camera.uncertainty.focal_length: must be a number, or a number with a unit (%, ppm), got '10 px'"),
+    "unit of time": ({"lidar": "stamp_delay: 10 min"},
+                     "sensors.lidar.uncertainty.stamp_delay: must be a number, or a number with a unit (s, ms), got '10 min'"),
     "unknown unit": ({"lidar": "range_bias: 1 inch"},
                      "sensors.lidar.uncertainty.range_bias: must be a number, or a number with a unit (m, cm, mm), got '1 inch'"),
     "no number": ({"laser": "angle_scale: little"},
@@ -133,7 +135,7 @@ def test_a_mistake_is_named_with_key_value_and_units(tmp_path: Path, parts: dict
 def test_every_key_states_unit_meaning_and_reason(model: type[StrictModel]) -> None:
     for name in model.model_fields:
         description = describe_field(model, name)
-        assert description.startswith(("Relative", "Pixels", "m, ", "m. ", "Degrees")), name
+        assert description.startswith(("Relative", "Pixels", "m, ", "m. ", "Degrees", "Seconds")), name
         assert len(description.split()) >= 10, name
 
 

@@ -14,6 +14,8 @@ from calgraph.estimation.rig.bundle_parameters import SystematicParameter
         ("camera", "pixel aspect", "", 0.004, "pixels of camera are 0.4 % narrower for their height than stated"),
         ("camera", "cx", "px", 25.0, "cx of camera is 25 px larger than stated"),
         ("laser", "range bias", "m", -0.034, "ranges of laser are 34 mm shorter than they should be"),
+        ("laser", "stamp delay", "s", -0.012, "laser measures 12 ms earlier than its stamps state"),
+        ("camera", "readout time", "s", 0.02, "camera reads the last row of an image 20 ms later than stated"),
         ("laser", "angle scale", "", 0.005, "angles between beams of laser are 0.5 % larger than stated"),
         ("laser", "stretch along diagonal", "", -0.001,
          "ranges of laser at 45° are 0.1 % shorter than on average, as by a tilt of its scan plane"),

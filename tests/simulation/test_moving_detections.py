@@ -1,7 +1,18 @@
 """Detections of a board that never rests, and the calibration from them."""
 
+import numpy as np
+import pytest
+
 import moving_boards
-from calgraph.simulation import MovingBoardOptions
+from calgraph.calibrate import RigOptions, build_problem_from_captures, solve_problem
+from calgraph.simulation import (
+    CameraOptions,
+    IdealDetectorOptions,
+    LaserOptions,
+    MovingBoardOptions,
+    build_world,
+    simulate_moving_detections,
+)
 
 
 def test_a_rig_is_calibrated_from_a_board_that_never_rests() -> None:
@@ -13,3 +24,19 @@ def test_a_rig_is_calibrated_from_a_board_that_never_rests() -> None:
         assert degrees < 0.7
         assert squared < 3
         assert not confidently_wrong
+
+
+def test_the_times_of_a_rolling_shutter_are_found() -> None:
+    """Its stamps are of the first row: the middle one is 10 ms later, and the last one 20 ms."""
+    scenario = moving_boards.scenario().model_copy(
+        update={"camera": CameraOptions(count=1), "laser": LaserOptions(count=0)}
+    )
+    motion = MovingBoardOptions(speed=0.6, jitter=0.001, readout=0.02, captures=20)
+    world = build_world(scenario, 1, images=False)
+    rig, captures, _ = simulate_moving_detections(world, 1, motion, IdealDetectorOptions(scans_per_hold=1))
+    calibration = solve_problem(build_problem_from_captures(rig, captures, RigOptions(), np.random.default_rng(0)))
+    times = {one.quantity: one for one in calibration.systematic if one.unit == "s"}
+    assert {one.of for one in times.values()} == {"camera"}
+    assert times["stamp delay"].value == pytest.approx(0.010, abs=0.003)
+    assert times["readout time"].value == pytest.approx(0.020, abs=0.003)
+    assert times["readout time"].stddev < 0.002

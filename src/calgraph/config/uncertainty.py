@@ -18,6 +18,7 @@ _QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([^\d\
 _RATIOS = {"%": 1e-2, "ppm": 1e-6}
 _LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 _PIXELS = {"px": 1.0}
+_TIMES = {"s": 1.0, "ms": 1e-3}
 _DEGREES = {"deg": 1.0, "°": 1.0, "mrad": float(np.degrees(1e-3)), "rad": float(np.degrees(1.0))}
 
 
@@ -40,6 +41,7 @@ _BOUNDED = Field(ge=0, lt=1, allow_inf_nan=False)
 Ratio = Annotated[float, Strict(), _BOUNDED, _parse_with(_RATIOS)]
 LengthStddev = Annotated[float, Strict(), _BOUNDED, _parse_with(_LENGTHS)]
 PixelStddev = Annotated[float, Strict(), Field(ge=0, allow_inf_nan=False), _parse_with(_PIXELS)]
+TimeStddev = Annotated[float, Strict(), _BOUNDED, _parse_with(_TIMES)]
 _POSITIVE = Field(gt=0, allow_inf_nan=False)
 LengthLimit = Annotated[float, Strict(), _POSITIVE, limit_to(1, "m"), _parse_with(_LENGTHS)]
 DegreeStddev = Annotated[float, Strict(), Field(ge=0, lt=45, allow_inf_nan=False), _parse_with(_DEGREES)]
@@ -48,8 +50,16 @@ Metres = Annotated[float, Strict(), Field(allow_inf_nan=False), _parse_with(_LEN
 Tilt = Annotated[float, Strict(), Field(gt=-45, lt=45, allow_inf_nan=False), _parse_with(_DEGREES)]
 
 
-class CameraUncertainty(StrictModel):
-    """Prior standard deviations of a camera's intrinsics; 0 means exact."""
+class _TimeUncertainty(StrictModel):
+    """What all sensors share."""
+
+    stamp_delay: TimeStddev = 0.02
+    """Seconds, by which it measures later than its stamps, relative to the root; only where the board moves.
+    Drivers stamp images when exposures begin or when they arrive, 5 to 30 ms off."""
+
+
+class CameraUncertainty(_TimeUncertainty):
+    """Prior standard deviations of a camera's intrinsics and times; 0 means exact."""
 
     focal_length: Ratio = 0.01
     """Relative, common to fx and fy. Calibrations from few, little tilted boards are wrong by up to 1 %;
@@ -64,9 +74,12 @@ class CameraUncertainty(StrictModel):
     """Pixels at the corner of the image, each coefficient. Boards rarely cover the corners in calibration, so
     that models extrapolate there. On a real recording, priors of 6 px gave poses of disjoint sets of captures
     that differ as stated, together with the other defaults here."""
+    readout_time: TimeStddev = 0.02
+    """Seconds, from the first to the last row of an image; only where the board moves. Rolling shutters take 10 to
+    33 ms; state 0 for a global shutter."""
 
 
-class _RangeUncertainty(StrictModel):
+class _RangeUncertainty(_TimeUncertainty):
     """What scanners with one and with several beams share."""
 
     range_bias: LengthStddev = 0.02

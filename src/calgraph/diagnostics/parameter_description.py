@@ -24,11 +24,13 @@ _MEANINGS = {
     "print scale": ("the print on the {of} is {size} larger than stated", "smaller"),
     "print aspect": ("the print on the {of} is {size} wider for its height than stated", "narrower"),
     "tag size": ("tags on the {of} are {size} larger than stated", "smaller"),
+    "stamp delay": ("{of} measures {size} later than its stamps state", "earlier"),
+    "readout time": ("{of} reads the last row of an image {size} later than stated", "earlier"),
     "clock drift": ("the clock of {of} is {size} faster than that of the root", "slower"),
     "width": ("the {of} is {size} wider than stated", "narrower"),
     "height": ("the {of} is {size} higher than stated", "lower"),
 }
-_COMPARATIVES = ("longer", "narrower", "larger", "faster", "wider", "higher")
+_COMPARATIVES = ("longer", "narrower", "larger", "faster", "wider", "higher", "later")
 
 
 class DescribedParameter(Protocol):
@@ -101,6 +103,8 @@ def format_size(deviation: float, parameter: DescribedParameter) -> str:
     if parameter.quantity == "clock drift":
         return f"{1e6 * size:.3g} ppm"
     match parameter.unit if parameter.quantity != "focal length" else "":
+        case "s":
+            return f"{1000 * size:.3g} ms"
         case "m":
             return f"{1000 * size:.3g} mm"
         case "rad":

@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass
 
-_DISPLAY_UNITS = {"m": (1e3, "mm"), "rad": (180 / math.pi, "°")}
+_DISPLAY_UNITS = {"m": (1e3, "mm"), "s": (1e3, "ms"), "rad": (180 / math.pi, "°")}
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calgraph.captures import CaptureSet
 from calgraph.config.settings import RigEstimationSettings, SystematicParameterSettings
 from calgraph.estimation.rig.board_observations import group_detections
 from calgraph.estimation.rig.board_outlines import add_outlines
@@ -38,18 +39,33 @@ FISHEYE = CameraOptions(model="fisheye", width=640, height=480, distortion=(0.02
 SCENARIOS = {"pinhole": DENSE, "fisheye": DENSE.model_copy(update={"camera": FISHEYE})}
 
 
-@pytest.fixture(scope="module", params=SCENARIOS)
+# Of boards before all sensors, m/s and rad/s.
+TWIST = np.array([0.3, -0.2, 0.4, 0.05, 0.1, -0.05])
+
+
+@pytest.fixture(scope="module", params=[("pinhole", False), ("fisheye", False), ("pinhole", True)])
 def bundle_and_state(request: pytest.FixtureRequest) -> tuple[Bundle, BundleState]:
-    """Of all sensors and outlines, with parameters half a prior standard deviation off."""
-    one = detect_rig(SCENARIOS[request.param])
+    """Of all sensors and outlines, at rest and in motion, with parameters half a prior standard deviation off."""
+    scenario, moving = request.param
+    one = detect_rig(SCENARIOS[scenario])
     boards = group_detections([(pair, select_matches(pair, "ransac")) for pair in one.pairs()])
-    bundle, state = build_bundle(one.rig, one.captures, boards, one.T_root_sensor)
+    captures = move(one.captures) if moving else one.captures
+    bundle, state = build_bundle(one.rig, captures, boards, one.T_root_sensor)
     bundle, state = add_outlines(bundle, state, one.rig, one.captures.detections, boards, 1e-6)
     rng = np.random.default_rng(0)
     prior = [parameter.prior_stddev for parameter in bundle.extra_parameters]
     # Places of beams on bowed boards belong to the poses.
     bundle = update_noise(bundle, state)
     return bundle, replace(state, extra=0.5 * rng.normal(size=len(prior)) * prior)
+
+
+def move(captures: CaptureSet) -> CaptureSet:
+    """Boards with a velocity."""
+    moving = {
+        name: {capture: tuple(replace(one, twist=TWIST) for one in found) for capture, found in by_capture.items()}
+        for name, by_capture in captures.detections.items()
+    }
+    return replace(captures, detections=moving)
 
 
 def dense_jacobian(linearized: LinearizedResiduals, start: np.ndarray) -> Array:
@@ -102,12 +118,15 @@ def test_derivatives_by_poses_and_systematic_parameters(
 
 def test_all_kinds_of_parameters_are_differentiated(bundle_and_state: tuple[Bundle, BundleState]) -> None:
     bundle, _ = bundle_and_state
+    moving = any(len(views.twist) for views in bundle.views)
     quantities = {one.quantity.split(" of ring")[0] for one in bundle.extra_parameters}
     assert quantities >= {
         "focal length", "pixel aspect", "cx", "cy", "k1", "k2", "range bias", "range scale", "angle scale", "bias",
         "print scale", "print aspect", "tag size", "bow along x", "bow along y", "x", "y", "rotation", "width",
         "height", "print x", "print y", "print rotation", "azimuth footprint", "elevation footprint",
-    }  # fmt: skip
+    } | ({"stamp delay", "readout time"} if moving else set())  # fmt: skip
+    delayed = [one.of for one in bundle.extra_parameters if one.quantity == "stamp delay"]
+    assert delayed == (list(bundle.sensors[1:]) if moving else [])
 
 
 def test_local_parameters_change_as_their_derivatives_state(bundle_and_state: tuple[Bundle, BundleState]) -> None:

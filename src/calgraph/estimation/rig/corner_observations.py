@@ -28,6 +28,8 @@ from calgraph.sensors import CameraModel
 BOARD_PARAMETERS = ("print scale", "print aspect", "tag size", "bow along x", "bow along y")
 """Systematic parameters of a board, in the order of a view's local parameters."""
 TAG_PARAMETERS = ("x", "y", "rotation")
+TIME_PARAMETERS = ("stamp delay", "readout time")
+"""Systematic parameters of an image's times, s: from the stamp to the middle row, and from first to last row."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +93,8 @@ class CornerObservations:
 
     Implements :class:`calgraph.estimation.rig.observations.BoardViews`. The local parameters are the board's pose,
     then the camera's relative focal length and pixel aspect, principal point (px) and distortion coefficients,
-    then ``BOARD_PARAMETERS`` and three displacements for each tag of the view's board.
+    then ``BOARD_PARAMETERS``, three displacements for each tag of the view's board, and ``TIME_PARAMETERS`` if
+    boards move.
     """
 
     board: Index
@@ -106,6 +109,8 @@ class CornerObservations:
     """(V, m) index of the local parameters after the pose in the sensor's extra parameters; -1 for exact ones.
     m = 0 if all are exact."""
     extra_count: int = 0
+    timed: bool = False
+    """Whether the last local parameters are ``TIME_PARAMETERS``."""
     twist: Array = field(default_factory=lambda: np.zeros((0, 6)))
     """See :class:`BoardViews`."""
     ring_count: ClassVar[int] = 0
@@ -132,6 +137,7 @@ class CornerObservations:
     def linearize(self, T_sensor_board: Array, extra: Array) -> LinearizedResiduals:
         """See :class:`BoardViews`: reprojection errors."""
         view, local = view_indices(self.start, len(self.pixels)), gather_extra(self.extra_of_local, extra)
+        local, times = np.split(local, [local.shape[1] - len(TIME_PARAMETERS) * self.timed], axis=1)
         lens = 4 + len(self.camera.distortion) if local.shape[1] else 0
         camera = adjust_camera(self.camera, local[0, :lens]) if len(local) and lens else self.camera
         corners, by_print = self.printed.nominal, np.zeros((len(self.pixels), 3, 0))
@@ -143,14 +149,41 @@ class CornerObservations:
         R = T_sensor_board[view, :3, :3]
         rotated = (R @ corners[..., None])[..., 0]
         points = rotated + T_sensor_board[view, :3, 3]
+        by_times, turn = np.zeros((len(points), 3, times.shape[1])), None
+        if self.timed and len(self.twist):
+            points, by_times, turn = self._move_points(points, times)
         pixels, by_point = camera.project_with_jacobian(points)
+        by_times = by_point @ by_times
+        if turn is not None:
+            by_point = by_point + by_point @ turn
         derivatives = [by_point, -by_point @ so3.hat(rotated)]
         if local.shape[1]:
-            derivatives += [_project_by_lens(self.camera, camera, points), by_point @ R @ by_print]
+            by_lens = _project_by_lens(self.camera, camera, points)
+            derivatives += [by_lens, by_point @ R @ by_print, by_times]
         sigma = self.noise_scale * self.noise.pixel
         residual, jacobian = (pixels - self.pixels) / sigma, np.concatenate(derivatives, axis=-1) / sigma
         velocity = velocity_along_sensor(self.twist, T_sensor_board)
         return LinearizedResiduals(residual, jacobian, self.local_jacobian(T_sensor_board), 6, velocity=velocity)
+
+    def _move_points(self, points: Array, times: Array) -> tuple[Array, Array, Array]:
+        """Moves points (N, 3) from the time of the stamp to that of their row in the image.
+
+        Args:
+            points: in the camera frame.
+            times: (V, 2) ``TIME_PARAMETERS``.
+
+        Returns:
+            Points (N, 3), and their derivatives by the times (N, 3, 2) and by the points at the time of the stamp
+            (N, 3, 3), minus the identity.
+        """
+        view = view_indices(self.start, len(self.pixels))
+        row = self.pixels[:, 1] / self.camera.height - 0.5
+        share = np.stack([np.ones_like(row), row], axis=-1)
+        delay = np.sum(share * times[view], axis=-1)
+        linear, angular = np.split(self.twist[view], 2, axis=-1)
+        velocity = linear + np.cross(angular, points)
+        by_times = velocity[..., None] * share[:, None]
+        return points + delay[:, None] * velocity, by_times, so3.hat(delay[:, None] * angular)
 
     def local_jacobian(self, T_sensor_board: Array) -> Array:  # noqa: ARG002
         """See :class:`BoardViews`: the pose itself, and the extra parameters that each view depends on."""

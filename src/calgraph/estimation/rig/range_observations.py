@@ -34,8 +34,8 @@ class RangeObservations:
     """Ranges along a scanner's beams to the plane of the board: metres.
 
     Implements :class:`calgraph.estimation.rig.observations.BoardViews`. The local parameters are three of the
-    plane, ``SCANNER_PARAMETERS`` (m, or relative), the relative scale of azimuths where there are, and one bias a
-    ring.
+    plane, ``SCANNER_PARAMETERS`` (m, or relative), the relative scale of azimuths where there are, the delay of
+    stamps (s) if boards move, and one bias a ring.
     """
 
     board: Index
@@ -64,6 +64,8 @@ class RangeObservations:
     extra_of_local: Index = field(default_factory=lambda: np.zeros((0, 0), dtype=np.intp))
     """(V, m) as of :class:`calgraph.estimation.rig.corner_observations.CornerObservations`."""
     extra_count: int = 0
+    timed: bool = False
+    """Whether the last local parameter before those of rings is the delay of stamps, s."""
     twist: Array = field(default_factory=lambda: np.zeros((0, 6)))
     """See :class:`BoardViews`."""
     dimension: ClassVar[int] = 1
@@ -116,7 +118,15 @@ class RangeObservations:
             directions = so3.rotate_z(turn, self.directions)
             across = np.stack([-directions[:, 1], directions[:, 0], np.zeros(len(turn))])
             by_azimuth = across.T * self.azimuth[:, None]
-        h, cosine = self._intersect_planes(T_sensor_board, directions)
+        T_measured, by_delay, local_jacobian = T_sensor_board, None, self.local_jacobian(T_sensor_board)
+        if self.timed and velocity is not None:
+            delay = shared[local.shape[1] - self.ring_count - 1]
+            T_measured = se3.retract(T_sensor_board, delay * velocity)
+            by_delay = _plane_velocity(T_measured, self.twist)
+            local_jacobian = self.local_jacobian(T_measured)
+            local_jacobian[..., :3] += local_jacobian[..., :3] @ so3.hat(delay * velocity[:, 3:])
+            local_jacobian[..., 3:6] = local_jacobian[..., 3:6] @ so3.exp(delay * velocity[:, 3:])
+        h, cosine = self._intersect_planes(T_measured, directions)
         height = np.repeat(h, self._counts)
         if self.bow_shape is not None:
             height = height + np.sum(self.bow_shape * local[view, 2:4], axis=-1)
@@ -127,8 +137,10 @@ class RangeObservations:
         columns[BIAS_COLUMN], columns[4] = 1 / self.sigma, distance / self.sigma
         columns[5:7] = 0 if self.bow_shape is None else (stretch / cosine) * self.bow_shape.T
         if by_azimuth is not None:
-            n = np.repeat(T_sensor_board[:, :3, 2].T, self._counts, axis=1)
+            n = np.repeat(T_measured[:, :3, 2].T, self._counts, axis=1)
             columns[7] = -np.einsum("in,ni->n", n, by_azimuth) * stretch * distance / cosine
+        if self.timed:
+            columns[-1] = 0 if by_delay is None else np.einsum("in,ni->n", columns[:3], by_delay[view])
         predicted = (1 + scale) * distance + bias
         if self.ring is not None:
             predicted = predicted + local[view, local.shape[1] - self.ring_count + self.ring]
@@ -136,7 +148,7 @@ class RangeObservations:
         return LinearizedResiduals(
             residual[:, None],
             columns.T[:, None],
-            self.local_jacobian(T_sensor_board),
+            local_jacobian,
             3,
             self.ring,
             self.ring_count,
@@ -259,6 +271,14 @@ def bow_shape(points: Array, half_size: Array) -> Array:
     known = np.isfinite(half_size)
     share = np.clip(points / np.where(known, half_size, 1.0), -1, 1)
     return np.asarray(np.where(known, share**2 - 1 / 3, 0.0))
+
+
+def _plane_velocity(T_sensor_board: Array, twist: Array) -> Array:
+    """(V, 3) change of ``n dh - h dn`` per second, of boards (V, 4, 4) with twists (V, 6)."""
+    n, h = _board_planes(T_sensor_board)
+    return np.asarray(
+        n * np.sum(n * twist[:, :3], axis=-1, keepdims=True) - h[:, None] * np.cross(twist[:, 3:], n)
+    )
 
 
 def _board_planes(T_sensor_board: Array) -> tuple[Array, Array]:

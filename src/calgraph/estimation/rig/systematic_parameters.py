@@ -8,12 +8,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from calgraph.config import Board, CameraSpec, Lidar2dSpec, Lidar3dSpec, Rig
+from calgraph.config import Board, CameraSpec, Lidar2dSpec, Lidar3dSpec, Rig, SensorSpec
 from calgraph.config.settings import SystematicParameterSettings
 from calgraph.detection import compute_landmarks
 from calgraph.estimation.rig.bundle_parameters import SystematicParameter
 from calgraph.estimation.rig.bundle_solver import Bundle, BundleEquations, BundleState
-from calgraph.estimation.rig.corner_observations import CornerObservations, PrintedCorners
+from calgraph.estimation.rig.corner_observations import TIME_PARAMETERS, CornerObservations, PrintedCorners
 from calgraph.estimation.rig.covariances import parameter_covariance
 from calgraph.estimation.rig.observations import BoardViews, view_indices
 from calgraph.estimation.rig.outline_observations import FOOTPRINTS, OutlineObservations
@@ -200,11 +200,25 @@ def _add_to_camera(
     camera = _with_estimated_distortion(views.camera)
     lens: list[_Candidate | None] = list(_lens_parameters(name, camera, spec))
     most_tags = max((len(one.placed_tags) for one in prints), default=0)
-    candidates = [[*lens, *one.parameters(most_tags)] for one in prints]
+    # A board at rest is the same at all times.
+    timed = len(views.twist) > 0
+    of_times = [_stamp_delay(k, name, spec), _readout_time(name, spec)] if timed else []
+    candidates = [[*lens, *one.parameters(most_tags), *of_times] for one in prints]
     extra_of_local, count = table.index_extra(k, candidates, number)
     corner_number = number[view_indices(views.start, len(views.pixels))]
     printed = _locate_corners(views.printed.nominal, corner_number, prints)
-    return replace(views, camera=camera, printed=printed, extra_of_local=extra_of_local, extra_count=count)
+    return replace(
+        views, camera=camera, printed=printed, extra_of_local=extra_of_local, extra_count=count, timed=timed
+    )
+
+
+def _stamp_delay(k: int, name: str, spec: SensorSpec) -> _Candidate | None:
+    """That of sensor k; delays are relative to the root's, as a common one is a displacement of all boards."""
+    return _Candidate(name, TIME_PARAMETERS[0], "s", spec.uncertainty.stamp_delay) if k else None
+
+
+def _readout_time(name: str, spec: CameraSpec) -> _Candidate:
+    return _Candidate(name, TIME_PARAMETERS[1], "s", spec.uncertainty.readout_time)
 
 
 def _lens_parameters(name: str, camera: CameraModel, spec: CameraSpec) -> Iterator[_Candidate | None]:
@@ -325,14 +339,17 @@ def _add_to_scanner(
         _Candidate(name, "range scale", "", prior.range_scale, 1.0),
     ]
     last: list[_Candidate | None] = []
+    timed = len(views.twist) > 0
+    delay = [_stamp_delay(k, name, spec)] if timed else []
     if isinstance(spec, Lidar2dSpec):
         views = replace(views, azimuth=np.arctan2(views.directions[:, 1], views.directions[:, 0]))
-        last = [_Candidate(name, "angle scale", "", spec.uncertainty.angle_scale, 1.0)]
+        last = [_Candidate(name, "angle scale", "", spec.uncertainty.angle_scale, 1.0), *delay]
     else:
+        last = [*delay]
         elevations, ring = find_rings(views.directions, settings)
         if len(elevations):
             views = views.with_rings(ring, len(elevations))
-            last = [
+            last += [
                 _Candidate(name, f"bias of ring {i + 1} ({np.degrees(e):+.1f}°)", "m", spec.uncertainty.ring_bias)
                 for i, e in enumerate(elevations)
             ]
@@ -341,7 +358,8 @@ def _add_to_scanner(
     candidates = [[*shared, *bow, *last] for bow in bows] + [[*shared, None, None, *last]]
     extra_of_local, count = table.index_extra(k, candidates, number)
     half = np.array([*(board.size for board in rig.boards), (np.inf, np.inf)])[number] / 2
-    return replace(views, half_size=half.reshape(-1, 2), extra_of_local=extra_of_local, extra_count=count)
+    half = half.reshape(-1, 2)
+    return replace(views, half_size=half, extra_of_local=extra_of_local, extra_count=count, timed=timed)
 
 
 def find_rings(directions: Array, settings: SystematicParameterSettings) -> tuple[Array, Index]:
