@@ -3,10 +3,12 @@
 import numpy as np
 import pytest
 
-from calgraph.captures import RecordingTimeline, SensorTimes, check_timeline
+from calgraph.captures import RecordingTimeline, SensorTimes, check_pose_numbers, check_timeline
 from calgraph.config import Board, Capture, Lidar2dSpec, Lidar3dSpec, Rig, SensorSpec
 from calgraph.errors import InputError
 from calgraph.geometry import Array
+from calgraph.recording import TopicInfo
+from calgraph.recording.recording import TimeBase
 
 STAMPS = np.arange(100.0, 160.0, 0.5)
 
@@ -107,3 +109,25 @@ def test_a_recording_without_messages_is_refused_by_its_topics() -> None:
     nothing = {name: times(np.zeros(0), "") for name in ("lidar", "front", "left", "rear")}
     with pytest.raises(InputError, match=r"no message of any sensor \(/points, /front, /left, /rear\): .*inspect"):
         check_timeline(rig(background=[0.0, 5.0]), timeline((), **nothing), 100.0)
+
+
+def check_numbers(front: Array, left: Array, time_base: TimeBase = "pose") -> None:
+    """Files of two scanners with these numbers, which are stamps 10 s apart; the other two sensors have none."""
+    nothing = times(np.zeros(0))
+    counted = timeline(lidar=nothing, rear=nothing, front=times(10.0 * front), left=times(10.0 * left))
+    topics = [TopicInfo(topic, "scan", 1, time_base) for topic in rig().topics.values()]
+    check_pose_numbers(rig(), counted, topics)
+
+
+def test_files_that_share_no_number_are_of_no_pose() -> None:
+    reason = "sensors.front: its files have the numbers 101 to 120, those of the others 2041 to 2062: files of one"
+    with pytest.raises(InputError, match=reason):
+        check_numbers(np.arange(101.0, 121), np.arange(2041.0, 2063))
+
+
+def test_files_may_share_some_numbers() -> None:
+    check_numbers(np.arange(101.0, 121), np.arange(115.0, 130))
+
+
+def test_stamps_of_a_clock_are_no_numbers() -> None:
+    check_numbers(np.arange(101.0, 121), np.arange(2041.0, 2063), time_base="clock")

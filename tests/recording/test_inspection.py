@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -120,3 +121,23 @@ def test_a_recording_without_messages_is_reported(tmp_path: Path) -> None:
         inspection = inspect_recording(recording, lambda _: None)
     assert (inspection.duration, inspection.topics) == (0.0, ())
     assert inspection.damage.startswith(f"{tmp_path / 'bag'}: holds no message")
+
+
+def numbered(place: Path, first: int) -> TopicReport:
+    """The left one of two folders of three photos; those of the right one are numbered from 5."""
+    for side, start in (("left", first), ("right", 5)):
+        (place / side).mkdir()
+        for number in range(start, start + 3):
+            cv2.imwrite(str(place / side / f"IMG_{number:04}.png"), np.zeros((4, 6), dtype=np.uint8))
+    with open_recording(place) as recording:
+        return inspect_recording(recording, lambda _: None).topics[0]
+
+
+def test_numbered_files_have_numbers_instead_of_times(tmp_path: Path) -> None:
+    topic = numbered(tmp_path, 6)
+    assert (topic.timing, topic.pose_numbers, topic.findings) == (None, (6, 8), ())
+
+
+def test_photos_that_each_camera_counts_by_itself_are_named(tmp_path: Path) -> None:
+    [finding] = numbered(tmp_path, 2041).findings
+    assert finding.startswith("its files have the numbers 2041 to 2043, those of the others 5 to 7")

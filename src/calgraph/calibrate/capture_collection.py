@@ -19,6 +19,7 @@ from calgraph.captures import (
     check_background,
     check_clocks,
     check_intrinsics,
+    check_pose_numbers,
     check_timeline,
     collect_detections,
     compensate_motion,
@@ -52,6 +53,7 @@ def collect_captures(
     resolved, camera_infos = resolve_intrinsics(rig, recording), find_camera_infos(rig, recording)
     monitor = InputMonitor(rig, recording.start, camera_infos)
     timeline = read_rig_timeline(rig, recording, monitor, options, progress)
+    check_pose_numbers(rig, timeline, recording.topics)
     check_timeline(rig, timeline, recording.end)
     holds = limit_messages(find_holds(timeline, rig.capture, rig.settings.captures), rig)
     intrinsics = estimate_unknown_intrinsics(resolved, recording, holds, options.jobs, progress, options.cache)

@@ -31,15 +31,15 @@ from calgraph.captures.recognized_recording import recognize_recording
 from calgraph.captures.sensor_detection import DetectionMethod, detect_by_sensors
 from calgraph.captures.timeline import RecordingTimeline, SensorTimes, build_timeline
 from calgraph.captures.timeline_reading import measure_activity, read_timeline
-from calgraph.captures.validate_recording import check_timeline
+from calgraph.captures.validate_recording import check_pose_numbers, check_timeline
 
 __all__ = [
     "ActivityMeter", "CaptureSet", "ClockOffset", "DetectionMethod", "Detector", "EmptyStart",
     "GivenDetections", "Hold", "InputFinding", "InputMonitor", "PreviewSize", "RecognizedMode",
     "RecordingTimeline", "SensorCapture", "SensorTimes", "build_timeline", "captures_from_detections",
-    "check_background", "check_clocks", "check_intrinsics", "check_timeline", "collect_detections",
-    "compensate_motion", "detect_by_sensors", "detect_in_holds", "draw_seeds", "estimate_clock_offsets",
-    "find_empty_start", "find_holds", "find_views_in_holds", "is_snapshot_recording", "learn_backgrounds",
+    "check_background", "check_clocks", "check_intrinsics", "check_pose_numbers", "check_timeline",
+    "collect_detections", "compensate_motion", "detect_by_sensors", "detect_in_holds", "draw_seeds",
+    "estimate_clock_offsets", "find_empty_start", "find_holds", "find_views_in_holds", "is_snapshot_recording", "learn_backgrounds",
     "learn_backgrounds_of_captures", "limit_messages", "make_detectors", "measure_activity", "plan_previews",
     "read_timeline", "recognize_mode", "recognize_recording", "resolve_background",
     "state_estimated_intrinsics", "to_scans",

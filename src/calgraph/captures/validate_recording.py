@@ -1,12 +1,14 @@
 """Checks that a recording fits a rig, before any detection: message types, stamps, trigger and windows."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 
 from calgraph.captures.timeline import RecordingTimeline
 from calgraph.config import Rig
 from calgraph.errors import InputError
+from calgraph.recording import TopicInfo
+from calgraph.recording.file_names import describe_unmatched_numbers, find_pose_numbers
 
 _MESSAGES_OF_KIND: Mapping[str, tuple[str, ...]] = {
     "camera": ("Image", "DetectedCorners"),
@@ -45,6 +47,27 @@ def check_timeline(rig: Rig, timeline: RecordingTimeline, end: float) -> None:
     for name in rig.sensors:
         _check_messages(name, rig, timeline)
         _check_stamps(name, timeline, rig.settings.captures.max_snapshot_gap)
+
+
+def check_pose_numbers(rig: Rig, timeline: RecordingTimeline, topics: Iterable[TopicInfo]) -> None:
+    """Checks that files which are numbered by poses belong to poses of other sensors.
+
+    Args:
+        rig: the rig.
+        timeline: of its sensors.
+        topics: of the recording.
+
+    Raises:
+        InputError: no file of a sensor has the number of another one's.
+    """
+    numbered = {topic.name for topic in topics if topic.time_base == "pose"}
+    numbers = {
+        name: find_pose_numbers(timeline.sensors[name].stamps)
+        for name, topic in rig.topics.items()
+        if topic in numbered
+    }
+    for name, reason in describe_unmatched_numbers(numbers).items():
+        raise InputError(f"sensors.{name}: {reason}")
 
 
 def _check_trigger(rig: Rig) -> None:
@@ -91,5 +114,6 @@ def _check_stamps(name: str, timeline: RecordingTimeline, max_gap: float) -> Non
     if first - stamps[-1] > max_gap or stamps[0] - last > max_gap:
         raise InputError(
             f"sensors.{name}: its header stamps run from {stamps[0]:.3f} to {stamps[-1]:.3f} s, those of the "
-            f"other sensors and triggers from {first:.3f} to {last:.3f} s: their clocks differ"
+            f"other sensors and triggers from {first:.3f} to {last:.3f} s: their clocks differ; state "
+            f"sensors.{name}.clock_offset, or clock_offset: estimate"
         )

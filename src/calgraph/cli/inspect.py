@@ -69,7 +69,7 @@ def _recognize_mode(recording: Recording, inspection: Inspection) -> RecognizedM
     topics = [FoundTopic(topic.name, topic.type, topic.kind, topic.count) for topic in inspection.topics]
     if find_triggers(topics)[0]:
         return None
-    sensors = [topic for topic in inspection.topics if topic.kind in SENSORS and topic.timing and topic.content]
+    sensors = [topic for topic in inspection.topics if topic.kind in SENSORS and topic.count and topic.content]
     if all(topic.kind == "lidar2d" for topic in sensors):
         return None
     return recognize_recording(recording, [topic.name for topic in sensors], settings=CaptureSettings())
@@ -77,16 +77,18 @@ def _recognize_mode(recording: Recording, inspection: Inspection) -> RecognizedM
 
 def _print(recording: Path, inspection: Inspection, mode: RecognizedMode | None) -> None:
     output = console()
-    title = f"{recording}: {inspection.duration:.1f} s, {sum(t.count for t in inspection.topics)} messages"
+    duration = f"{inspection.duration:.1f} s, " if any(topic.timing for topic in inspection.topics) else ""
+    title = f"{recording}: {duration}{sum(t.count for t in inspection.topics)} messages"
     output.print(f"[bold]{escape(title)}[/]")
     table = Table(box=None, pad_edge=False)
     table.add_column("topic", overflow="fold")
-    for head in ("count", "Hz", "jitter\nms", "gap\ns", "start\ns", "delay\nms"):
+    for head in ("count", *(("Hz", "jitter\nms", "gap\ns", "start\ns", "delay\nms") if duration else ())):
         table.add_column(head, justify="right", no_wrap=True)
     for topic in inspection.topics:
         table.add_row(escape(topic.name), str(topic.count), *_times(topic))
     output.print(table)
-    output.print("gap: longest time between stamps; delay: median arrival minus stamp")
+    if duration:
+        output.print("gap: longest time between stamps; delay: median arrival minus stamp")
     for topic in inspection.topics:
         output.print(f"[bold]{escape(topic.name)}[/]: {escape(_describe(topic))}")
     if mode:
@@ -103,7 +105,8 @@ def _describe(topic: TopicReport) -> str:
     frame = f"frame {topic.frame_id}" if topic.frame_id else ""
     short_type = topic.type.rpartition("/")[2]
     kind = topic.kind if topic.kind in SENSORS else ""
-    return ", ".join(dict.fromkeys(text for text in (short_type, kind, frame, topic.content) if text))
+    numbers = "poses {} to {}".format(*topic.pose_numbers) if topic.pose_numbers else ""
+    return ", ".join(dict.fromkeys(text for text in (short_type, kind, frame, topic.content, numbers) if text))
 
 
 def _times(topic: TopicReport) -> Sequence[str]:

@@ -36,6 +36,31 @@ class FileStamps:
     """Whether they are numbers of poses times :data:`SNAPSHOT_SPACING`."""
 
 
+def find_pose_numbers(stamps: Iterable[float]) -> set[int]:
+    """The numbers of the poses at these stamps, s, of numbered files."""
+    return {round(stamp / SNAPSHOT_SPACING) for stamp in stamps}
+
+
+def describe_unmatched_numbers(numbers: Mapping[str, Collection[int]]) -> dict[str, str]:
+    """Why the files of some sensors belong to no pose of another one: no number is the same.
+
+    Args:
+        numbers: of the poses, by sensor or topic with numbered files.
+
+    Returns:
+        A sentence by name.
+    """
+    found: dict[str, str] = {}
+    for name, own in numbers.items():
+        others = set().union(*(other for key, other in numbers.items() if key != name))
+        if own and others and not others.intersection(own):
+            found[name] = (
+                f"its files have the numbers {min(own)} to {max(own)}, those of the others {min(others)} to "
+                f"{max(others)}: files of one pose must have the same number; rename them"
+            )
+    return found
+
+
 def parse_stamp(name: str) -> float | None:
     """The time that a name without suffix is, s; None if it is none.
 

@@ -2,13 +2,14 @@
 
 from array import array
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from calgraph.config import FoundTopic, Kind
 from calgraph.errors import RecordingError
 from calgraph.geometry import Array
+from calgraph.recording.file_names import describe_unmatched_numbers, find_pose_numbers
 from calgraph.recording.recording import Recording, TopicInfo
 from calgraph.sensors import CameraInfo, DetectedCorners, Image, LaserScan, Message, PointCloud, RecordedMessage
 
@@ -74,7 +75,9 @@ class TopicReport:
     content: str = ""
     """Size of the first message, in words."""
     timing: Timing | None = None
-    """None without messages."""
+    """None without messages, and of numbered files."""
+    pose_numbers: tuple[int, int] | None = None
+    """The first and the last, of numbered files."""
     findings: tuple[str, ...] = ()
     """Anomalies, in words."""
 
@@ -84,7 +87,7 @@ class Inspection:
     """What is in a recording."""
 
     duration: float
-    """From the first to the last arrival, s."""
+    """From the first to the last arrival, s; 0 for numbered files."""
     topics: tuple[TopicReport, ...]
     """Sorted by name."""
     damage: str = ""
@@ -126,9 +129,21 @@ def inspect_recording(recording: Recording, progress: Callable[[float], None]) -
         damage = (
             f"{recording.path}: holds no message; was the recorder stopped before a driver published anything?"
         )
+    numbers = {
+        topic.name: find_pose_numbers(statistics[topic.name].stamps)
+        for topic in recording.topics
+        if topic.time_base == "pose" and _kind(topic.type, statistics[topic.name].first) in SENSORS
+    }
+    unmatched = describe_unmatched_numbers(numbers)
+    reports = (_report(topic, statistics[topic.name], recording.start) for topic in recording.topics)
     return Inspection(
-        duration,
-        tuple(_report(topic, statistics[topic.name], recording.start) for topic in recording.topics),
+        0.0 if numbers else duration,
+        tuple(
+            replace(report, findings=(*report.findings, unmatched[report.name]))
+            if report.name in unmatched
+            else report
+            for report in reports
+        ),
         damage,
     )
 
@@ -172,13 +187,14 @@ def _add_record(statistics: _TopicStatistics, record: RecordedMessage) -> None:
 def _report(topic: TopicInfo, statistics: _TopicStatistics, start: float) -> TopicReport:
     kind = _kind(topic.type, statistics.first)
     stamps, arrivals = np.array(statistics.stamps), np.array(statistics.arrivals)
-    timing = _timing(stamps, arrivals, start) if len(stamps) else None
+    numbers = find_pose_numbers(stamps) if topic.time_base == "pose" else set()
+    timing = _timing(stamps, arrivals, start) if len(stamps) and not numbers else None
     findings = [f"the first message cannot be used: {statistics.problem}"] if statistics.problem else []
     if len(stamps) < topic.count:
         findings.append(f"holds {len(stamps)} messages, the recording states {topic.count}")
-    elif timing is None:
+    elif not len(stamps):
         findings.append("has no message")
-    if timing and kind in SENSORS and topic.time_base != "pose":
+    if timing and kind in SENSORS:
         findings += _findings(stamps, arrivals, timing, has_header="/" in topic.type)
     return TopicReport(
         name=topic.name,
@@ -189,6 +205,7 @@ def _report(topic: TopicInfo, statistics: _TopicStatistics, start: float) -> Top
         frame_id=_frame(statistics.first),
         content=_content(statistics.first),
         timing=timing,
+        pose_numbers=(min(numbers), max(numbers)) if numbers else None,
         findings=tuple(findings),
     )
 
