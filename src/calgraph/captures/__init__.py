@@ -39,8 +39,8 @@ __all__ = [
     "RecordingTimeline", "SensorCapture", "SensorTimes", "build_timeline", "captures_from_detections",
     "check_background", "check_clocks", "check_intrinsics", "check_pose_numbers", "check_timeline",
     "collect_detections", "compensate_motion", "detect_by_sensors", "detect_in_holds", "draw_seeds",
-    "estimate_clock_offsets", "find_empty_start", "find_holds", "find_views_in_holds", "is_snapshot_recording", "learn_backgrounds",
-    "learn_backgrounds_of_captures", "limit_messages", "make_detectors", "measure_activity", "plan_previews",
-    "read_timeline", "recognize_mode", "recognize_recording", "resolve_background",
-    "state_estimated_intrinsics", "to_scans",
+    "estimate_clock_offsets", "find_empty_start", "find_holds", "find_views_in_holds", "is_snapshot_recording",
+    "learn_backgrounds", "learn_backgrounds_of_captures", "limit_messages", "make_detectors",
+    "measure_activity", "plan_previews", "read_timeline", "recognize_mode", "recognize_recording",
+    "resolve_background", "state_estimated_intrinsics", "to_scans",
 ]  # fmt: skip
