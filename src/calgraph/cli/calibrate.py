@@ -1,7 +1,7 @@
 """``calgraph calibrate``: from a rig.yaml and recordings to a folder of results."""
 
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, cast
@@ -34,7 +34,7 @@ from calgraph.cli.setting_options import SetOption, load_rig_with
 from calgraph.config import Rig
 from calgraph.errors import CalibrationError, InputError
 from calgraph.io import check_output_path, replace_folder_atomically, save_yaml
-from calgraph.processes import forked_jobs, parallel_stream
+from calgraph.processes import forked_jobs, parallel_call
 from calgraph.recording import open_recordings, resolve_intrinsics
 from calgraph.result import (
     Calibration,
@@ -252,32 +252,22 @@ def _is_in(file: Path, folder: Path) -> bool:
 
 def write_results(calibration: Calibration, rig: Rig, folder: Path, jobs: int = 1) -> None:
     """Writes the files of a calibration into an existing folder, in up to ``jobs`` processes."""
-    work = [(name,) for name in _WRITERS]
-    for _ in parallel_stream(_write_file, work, (calibration, rig, folder), min(forked_jobs(jobs), len(work))):
-        pass
+    from calgraph.report import write_report  # brings plots along, which --help should not wait for
+
+    jobs = forked_jobs(jobs)
+    with parallel_call(_write_tables, (calibration, rig, folder), jobs) as written:
+        write_report(calibration, rig, folder / "report.html", max(jobs - 1, 1))
+        written()
     _log.info("results: written")
 
 
-def _write_file(shared: tuple[Calibration, Rig, Path], name: str) -> None:
-    calibration, rig, folder = shared
-    _WRITERS[name](calibration, rig, folder / name)
-
-
-def _write_report(calibration: Calibration, rig: Rig, path: Path) -> None:
-    from calgraph.report import write_report  # brings plots along, which --help should not wait for
-
-    write_report(calibration, rig, path)
-
-
-_WRITERS: dict[str, Callable[[Calibration, Rig, Path], None]] = {
-    "report.html": _write_report,
-    "calibration.yaml": lambda calibration, _rig, path: save_calibration(calibration, path),
-    "rig.resolved.yaml": lambda _calibration, rig, path: save_yaml(path, rig.to_plain()),
-    "residuals.csv": lambda calibration, _rig, path: save_residuals(calibration, path),
-    "scene.npz": lambda calibration, _rig, path: save_scene(calibration.pictures, path),
-    "captures.csv": lambda calibration, _rig, path: save_captures(calibration, path),
-}
-"""Each file of a result, those that take longest first."""
+def _write_tables(calibration: Calibration, rig: Rig, folder: Path) -> None:
+    """Writes all files but the report, which takes longer than these together."""
+    save_calibration(calibration, folder / "calibration.yaml")
+    save_yaml(folder / "rig.resolved.yaml", rig.to_plain())
+    save_residuals(calibration, folder / "residuals.csv")
+    save_scene(calibration.pictures, folder / "scene.npz")
+    save_captures(calibration, folder / "captures.csv")
 
 
 def show_results(calibration: Calibration, out: Path, *, json: bool, strict: bool = False) -> None:

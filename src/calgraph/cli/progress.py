@@ -12,6 +12,8 @@ from calgraph.cli.console import console
 _log = logging.getLogger("calgraph")
 _MIN_DURATION = 2.0
 """Work that is done sooner shows no bar, s."""
+_LEAST_CHANGE = 0.005
+"""A change of the share that is done by less than this is not visible."""
 
 
 @contextmanager
@@ -29,9 +31,13 @@ def progress_bars() -> Iterator[Callable[[str, float], None]]:
     )
     tasks: dict[str, TaskID] = {}
     starts: dict[str, float] = {}
+    shown: dict[str, float] = {}
     began = time.monotonic()
 
     def show(step: str, done: float) -> None:
+        if step in starts and shown[step] <= done < min(shown[step] + _LEAST_CHANGE, 1.0):
+            return
+        shown[step] = done
         if step not in tasks:
             tasks[step] = bars.add_task(step, total=1.0)
         if step not in starts:

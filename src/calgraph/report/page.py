@@ -1,5 +1,7 @@
 """report.html: one self-contained page on the calibration and its reliability."""
 
+from collections.abc import Callable
+from functools import partial
 from importlib.resources import files
 from pathlib import Path
 from string import Template
@@ -8,6 +10,7 @@ from plotly.offline import get_plotlyjs
 
 from calgraph.config import Rig
 from calgraph.io import write_text
+from calgraph.processes import forked_jobs, parallel_call
 from calgraph.report.capture_view import render_captures
 from calgraph.report.coverage_view import render_coverage
 from calgraph.report.diagnostics_view import render_cross_validation, render_suggestions
@@ -34,7 +37,7 @@ from calgraph.report.vocabulary import NETWORK_VOCABULARY, Vocabulary, select_vo
 from calgraph.result import Calibration
 
 
-def write_report(calibration: Calibration, rig: Rig, path: Path | str) -> None:
+def write_report(calibration: Calibration, rig: Rig, path: Path | str, jobs: int = 1) -> None:
     """Writes the report as one self-contained HTML file, in one step.
 
     Args:
@@ -42,15 +45,22 @@ def write_report(calibration: Calibration, rig: Rig, path: Path | str) -> None:
         rig: its configuration. Cameras without intrinsics have no images with overlays;
             :func:`calgraph.recording.resolve_intrinsics` adds them.
         path: the file, e.g. ``OUT/report.html``.
+        jobs: maximum number of processes; see :func:`calgraph.processes.parallel_call`.
 
     Raises:
         InputError: ``path`` cannot be written.
+        CalibrationError: a process was killed.
     """
-    write_text(Path(path), render_report(calibration, rig))
+    with parallel_call(render_gallery, (calibration,), forked_jobs(jobs)) as gallery:
+        write_text(Path(path), _render_page(calibration, rig, gallery))
 
 
 def render_report(calibration: Calibration, rig: Rig) -> str:
     """The text of the report."""
+    return _render_page(calibration, rig, partial(render_gallery, calibration))
+
+
+def _render_page(calibration: Calibration, rig: Rig, gallery: Callable[[], str]) -> str:
     words = select_vocabulary(rig)
     systematic = render_systematic_parameters(calibration)
     sections = {
@@ -82,7 +92,7 @@ def render_report(calibration: Calibration, rig: Rig) -> str:
         ),
         coverage=render_coverage(calibration, rig, words),
         captures_title=words.items_title,
-        captures=render_captures(calibration, words) + render_gallery(calibration),
+        captures=render_captures(calibration, words) + gallery(),
         systematic=systematic,
         systematic_link='<a href="#systematic">Systematic parameters</a>' if systematic else "",
         provenance=render_provenance(calibration),
