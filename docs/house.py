@@ -33,6 +33,7 @@ PURPOSE = {
     "geometry": "poses, planes",
     "processes": "parallel work",
     "lazy_names": "exports on first use",
+    "termination": "end by a signal",
     "errors": "exceptions, Rejected",
 }
 WIDTH, HEIGHT, GAP = 860, 44, 8

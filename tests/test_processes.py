@@ -212,7 +212,7 @@ def test_workers_end_with_a_parent_that_is_killed() -> None:
 _STOPPED_BETWEEN_WORKERS = """
 import os, signal, sys
 from calgraph.processes import parallel_map
-signal.signal(signal.{name}, lambda *_: sys.exit(3))
+{handler}
 forks = []
 def stop_before_second(event, _arguments):
     if event == "os.fork":
@@ -225,7 +225,42 @@ parallel_map(abs, [(1,), (2,)], 2)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="workers are forked on Linux only")
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
+@pytest.mark.parametrize("handled", ["by the program", "by calgraph"])
+def test_a_signal_between_the_starts_of_two_workers_ends_the_program(name: str, handled: str) -> None:
+    number = f"signal.{name}"
+    handler, expected = f"signal.signal({number}, lambda *_: sys.exit(3))", 3
+    if handled == "by calgraph":
+        # Background jobs of shells ignore SIGINT.
+        handler = (
+            f"import calgraph.termination as one; signal.signal({number}, signal.SIG_DFL); one.handle_signals()"
+        )
+        expected = 128 + getattr(signal, name)
+    code = _STOPPED_BETWEEN_WORKERS.replace("{name}", name).replace("{handler}", handler)
+    assert subprocess.run([sys.executable, "-c", code], timeout=60, check=False).returncode == expected
+
+
+_STOPPED_BY_A_WORKER = """
+import os, signal, time
+from calgraph.processes import parallel_map, parallel_stream
+from calgraph.termination import handle_signals
+signal.signal(signal.SIGINT, signal.default_int_handler)  # background jobs of shells ignore it
+handle_signals()
+def stop_program(seconds):
+    os.kill(os.getppid(), signal.{name})
+    time.sleep(seconds)
+def stop_with(_shared, seconds):
+    stop_program(seconds)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="workers are forked on Linux only")
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
-def test_a_signal_between_the_starts_of_two_workers_ends_the_program(name: str) -> None:
-    code = _STOPPED_BETWEEN_WORKERS.replace("{name}", name)
-    assert subprocess.run([sys.executable, "-c", code], timeout=60, check=False).returncode == 3
+@pytest.mark.parametrize(
+    "call", ["parallel_map(stop_program, [(600,)] * 9, 3)", "list(parallel_stream(stop_with, [(600,)] * 9, 1, 3))"]
+)
+def test_a_signal_does_not_wait_for_calls_that_workers_carry_out(name: str, call: str) -> None:
+    code = _STOPPED_BY_A_WORKER.replace("{name}", name) + call
+    # The end of its output is that of all its processes.
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (128 + getattr(signal, name), "", "")

@@ -16,6 +16,7 @@ from functools import partial
 from typing import Any, TypeVar
 
 from calgraph.errors import CalibrationError
+from calgraph.termination import SIGNALS, add_cleanup, remove_cleanup
 
 _log = logging.getLogger(__name__)
 
@@ -155,29 +156,26 @@ def _submit(pool: ProcessPoolExecutor, function: Callable[..., Result], *argumen
     except BrokenProcessPool as error:
         raise CalibrationError(_KILLED) from error
     except OSError as error:
-        # The executor leaves workers that were started before; the interpreter would wait for them. They may still
-        # have the handlers of this process, which postpone SIGTERM.
-        for worker in list(getattr(pool, "_processes", {}).values()):
-            worker.kill()
+        # The executor leaves workers that were started before; the interpreter would wait for them.
+        _kill_workers(pool)
         raise CalibrationError(f"processes cannot be started ({error.strerror}); reduce `jobs`") from error
 
 
 @contextmanager
 def _postponed_signals() -> Iterator[None]:
-    """Handles SIGINT and SIGTERM after the block.
+    """Handles signals that end the program after the block.
 
     An exception from their handlers between the starts of two workers would leave the first one running: the
     executor does not end it, and the interpreter waits for it.
     """
-    numbers = (signal.SIGINT, signal.SIGTERM)
-    handlers = {number: signal.getsignal(number) for number in numbers}
+    handlers = {number: signal.getsignal(number) for number in SIGNALS}
     # Only the main thread handles signals; a handler that is not Python's cannot be set again.
     if threading.current_thread() is not threading.main_thread() or None in handlers.values():
         yield
         return
     received: list[int] = []
     try:
-        for number in numbers:
+        for number in SIGNALS:
             signal.signal(number, lambda number, _frame: received.append(number))
         yield
     finally:
@@ -185,6 +183,18 @@ def _postponed_signals() -> Iterator[None]:
             signal.signal(number, handler)
         for postponed in received:
             signal.raise_signal(postponed)
+
+
+def _kill_workers(pool: ProcessPoolExecutor) -> None:
+    """Ends the workers of a pool, and waits for their end.
+
+    They may still have the handlers of this process, which postpone SIGTERM.
+    """
+    workers = list((getattr(pool, "_processes", None) or {}).values())
+    for worker in workers:
+        worker.kill()
+    for worker in workers:
+        worker.join()
 
 
 def _call_with_shared(function: Callable[..., Result], arguments: tuple[Any, ...]) -> Result:
@@ -215,12 +225,15 @@ def _process_pool(
     if pool is None:
         yield None
         return
+    # Calls may take minutes, which a signal does not wait for.
+    add_cleanup(pool, partial(_kill_workers, pool))
     try:
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", message=".*fork", category=DeprecationWarning)
             yield pool
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
+        remove_cleanup(pool)
 
 
 def _make_pool(count: int, shared: object) -> ProcessPoolExecutor | None:
@@ -235,15 +248,15 @@ def _make_pool(count: int, shared: object) -> ProcessPoolExecutor | None:
 
 
 def _start_worker(shared: object) -> None:
-    """Keeps what the calls share, ignores SIGINT, and ends with the parent.
+    """Keeps what the calls share, ignores signals of terminals, and ends with the parent.
 
-    A terminal sends SIGINT to all processes, and the parent handles it. A parent that is killed does not end its
-    workers, which would wait for work for ever.
+    A terminal sends SIGINT and SIGHUP to all processes, and the parent handles them. A parent that is killed does
+    not end its workers, which would wait for work for ever.
     """
     _shared[:] = [shared]
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    for number in SIGNALS:
+        signal.signal(number, signal.SIG_DFL if number == signal.SIGTERM else signal.SIG_IGN)
 
 
 def _end_with_parent() -> None:

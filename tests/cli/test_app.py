@@ -2,6 +2,7 @@
 
 import os
 import re
+import signal
 import subprocess
 import sys
 from collections.abc import Callable
@@ -110,7 +111,7 @@ def test_the_list_of_commands_waits_for_none_of_them() -> None:
 
 @pytest.mark.parametrize(
     ("error", "code"),
-    [(CalibrationError("why"), 1), (InputError("why"), 2), (RecordingError("why"), 2), (KeyboardInterrupt(), 130)],
+    [(CalibrationError("why"), 1), (InputError("why"), 2), (RecordingError("why"), 2)],
 )
 def test_expected_errors_have_their_exit_code(error: BaseException, code: int) -> None:
     assert guarded_exit(error).exit_code == code
@@ -141,22 +142,26 @@ def test_a_reader_that_goes_away_ends_it_quietly(simulated: Path) -> None:
 
 
 _INTERRUPTED_IMPORT = """
-import sys
+import os, signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)  # background jobs of shells ignore it
 class Interrupting:
     def find_spec(self, name, path=None, target=None):
-        if name == "typer":
-            raise KeyboardInterrupt
+        if name == "{module}":
+            os.kill(os.getpid(), signal.{name})
 sys.meta_path.insert(0, Interrupting())
 from calgraph.cli import main
 main()
 """
 
 
-def test_an_interruption_while_modules_are_loaded_ends_it_quietly() -> None:
+@pytest.mark.parametrize("module", ["typer", "calgraph.cli.board"])
+@pytest.mark.parametrize("by", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_while_modules_are_loaded_ends_it_quietly(module: str, by: signal.Signals) -> None:
+    code = _INTERRUPTED_IMPORT.replace("{module}", module).replace("{name}", by.name)
     done = subprocess.run(
-        [sys.executable, "-c", _INTERRUPTED_IMPORT], capture_output=True, text=True, timeout=120, check=False
+        [sys.executable, "-c", code, "board"], capture_output=True, text=True, timeout=120, check=False
     )
-    assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
+    assert (done.returncode, done.stdout, done.stderr) == (128 + by, "", "")
 
 
 @pytest.mark.parametrize("error", ["MemoryError", "ImportError('x.so: failed to map segment from shared object')"])

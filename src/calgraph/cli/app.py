@@ -5,11 +5,9 @@ import gc
 import logging
 import os
 import re
-import signal
 import sys
 from collections.abc import Callable
 from contextlib import suppress
-from types import FrameType
 from typing import Annotated
 
 import typer
@@ -21,15 +19,15 @@ from calgraph.cli.standard_streams import discard_output, open_standard_streams
 from calgraph.cli.step_log import VerboseOption, log_steps
 from calgraph.errors import CalgraphError, CalibrationError, InputError
 
-_INTERRUPTED, _BROKEN_PIPE, _TERMINATED = (128 + number for number in (2, 13, 15))
-"""Exit codes as shells give them for SIGINT, SIGPIPE and SIGTERM."""
+_BROKEN_PIPE = 128 + 13
+"""Exit code as shells give it for SIGPIPE."""
 # Objects between two searches for reference cycles, which find none worth their time while modules are loaded: by
 # default, they take a tenth of it. At some 100 bytes an object, these are 5 MB.
 _ALLOCATIONS_PER_COLLECTION = 50_000
 
 
 def handle_errors(command: Callable[..., None]) -> Callable[..., None]:
-    """A command that ends silently when interrupted, and reports expected errors in a line with an exit code.
+    """A command that reports expected errors in a line with an exit code.
 
     Exit codes: 1 for what the data do not determine, 2 for bad input.
     """
@@ -41,8 +39,6 @@ def handle_errors(command: Callable[..., None]) -> Callable[..., None]:
         except CalgraphError as error:
             _print_error(error)
             raise typer.Exit(2 if isinstance(error, InputError) else 1) from None
-        except KeyboardInterrupt:
-            raise typer.Exit(_INTERRUPTED) from None
 
     return run
 
@@ -112,7 +108,6 @@ def calgraph(
 
 def run_command_line() -> None:
     """Runs the command given, and ends the process with its exit code."""
-    signal.signal(signal.SIGTERM, _terminate)
     gc.set_threshold(_ALLOCATIONS_PER_COLLECTION)
     _limit_library_threads()
     open_standard_streams()
@@ -147,11 +142,6 @@ def _limit_library_threads() -> None:
     """
     for variable in ("OMP_NUM_THREADS", "OPENCV_FOR_THREADS_NUM"):
         os.environ.setdefault(variable, "1")
-
-
-def _terminate(_number: int, _frame: FrameType | None) -> None:
-    """Ends as an error does, so that unfinished files are removed on the way out."""
-    sys.exit(_TERMINATED)
 
 
 def _print_error(error: CalgraphError) -> None:

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
 from calgraph.cli.console import console
+from calgraph.termination import add_cleanup, remove_cleanup
 
 _log = logging.getLogger("calgraph")
 _MIN_DURATION = 2.0
@@ -46,9 +47,11 @@ def progress_bars() -> Iterator[Callable[[str, float], None]]:
             _log.info("%s: done in %.1f s", step, time.monotonic() - starts.pop(step))
         bars.update(tasks[step], completed=min(max(done, 0.0), 1.0))
         if not bars.live.is_started and time.monotonic() - began > _MIN_DURATION:
+            add_cleanup(bars, bars.stop)  # it hides the cursor
             bars.start()
 
     try:
         yield show
     finally:
         bars.stop()
+        remove_cleanup(bars)

@@ -11,6 +11,7 @@ from calgraph.cli.common_options import find_calibration
 from calgraph.config import load_rig
 from calgraph.errors import InputError
 from calgraph.result import calibrated_cameras, load_calibration, load_scene
+from calgraph.termination import allow_interrupts
 
 
 def view(
@@ -36,6 +37,7 @@ def view(
         typer.echo(f"{result} is shown at {viewer.url}; Ctrl-C ends it")
         if browser:
             webbrowser.open(viewer.url)
+        allow_interrupts()
         try:
             viewer.serve()
         except KeyboardInterrupt:

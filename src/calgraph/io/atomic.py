@@ -1,7 +1,8 @@
 """Atomic output: files are written under a temporary name in the same folder, then renamed.
 
 A process that is killed (SIGKILL) leaves its temporary file or folder; the next one that writes to the same place
-removes it. Devices and pipes, such as /dev/stdout, are written to; symbolic links stay, and lead to the new file.
+removes it. Other signals that end the program remove it first. Devices and pipes, such as /dev/stdout, are written
+to; symbolic links stay, and lead to the new file.
 """
 
 import os
@@ -13,9 +14,11 @@ import tempfile
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 
 from calgraph.errors import InputError
+from calgraph.termination import add_cleanup, remove_cleanup
 
 
 @contextmanager
@@ -38,12 +41,14 @@ def write_atomically(path: Path) -> Iterator[Path]:
     _remove_abandoned(target.parent, target.name)
     # Same folder, hence same file system: the rename is atomic.
     temporary = target.parent / _temporary_name(target)
+    add_cleanup(temporary, partial(temporary.unlink, missing_ok=True))
     try:
         with _wrap_errors(path):
             yield temporary
             temporary.replace(target)
     finally:
         temporary.unlink(missing_ok=True)
+        remove_cleanup(temporary)
 
 
 @contextmanager
@@ -94,7 +99,7 @@ def replace_folder_atomically(path: Path, last: str) -> Iterator[Path]:
         with _wrap_errors(path):
             _move_into_place(temporary, path, last)
     finally:
-        shutil.rmtree(temporary, ignore_errors=True)
+        remove_temporary_folder(temporary)
 
 
 def write_text(path: Path, text: str) -> None:
@@ -117,25 +122,33 @@ def temporary_folder() -> Iterator[Path]:
     with _wrap_errors(place.parent):
         _remove_abandoned(place.parent, place.name)
         folder = place.parent / _temporary_name(place)
+        add_cleanup(folder, partial(shutil.rmtree, folder, ignore_errors=True))
         folder.mkdir(mode=0o700)
     try:
         yield folder
     finally:
-        shutil.rmtree(folder, ignore_errors=True)
+        remove_temporary_folder(folder)
 
 
 def make_temporary_folder(path: Path) -> Path:
     """An empty folder on the file system of ``path``: inside it if it exists (it may be a mount point).
 
-    Those that killed processes left for the same path are removed.
+    Those that killed processes left for the same path are removed. :func:`remove_temporary_folder` removes it.
     """
     if not path.exists():
         path.parent.mkdir(parents=True, exist_ok=True)
     for folder in (path.parent, path):
         _remove_abandoned(folder, path.name)
     temporary = (path if path.exists() else path.parent) / _temporary_name(path)
+    add_cleanup(temporary, partial(shutil.rmtree, temporary, ignore_errors=True))
     temporary.mkdir()
     return temporary
+
+
+def remove_temporary_folder(folder: Path) -> None:
+    """Removes what :func:`make_temporary_folder` made, unless it was renamed."""
+    shutil.rmtree(folder, ignore_errors=True)
+    remove_cleanup(folder)
 
 
 def _move_into_place(temporary: Path, path: Path, last: str) -> None:

@@ -1,6 +1,5 @@
 """Writes recordings as rosbag2 with MCAP storage, as the tools of ROS 2 read them."""
 
-import shutil
 from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
@@ -13,7 +12,7 @@ from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
 from calgraph.errors import InputError
-from calgraph.io import make_temporary_folder
+from calgraph.io import make_temporary_folder, remove_temporary_folder
 from calgraph.recording.images import encode_image
 from calgraph.sensors import CameraInfo, Image, LaserScan, Message, PointCloud, Trigger
 
@@ -92,7 +91,7 @@ class RecordingWriter:
             else:
                 self._writer.abort()
         finally:
-            shutil.rmtree(self._unfinished, ignore_errors=True)
+            remove_temporary_folder(self._unfinished)
 
 
 def _nanoseconds(seconds: float) -> int:
