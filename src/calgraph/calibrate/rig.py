@@ -32,6 +32,7 @@ from calgraph.estimation import (
     Problem,
     RigSolution,
     SolverOptions,
+    align_symmetric_prints,
     attach_by_priors,
     locate_boards,
     round_trip,
@@ -163,6 +164,7 @@ def build_problem_from_captures(
         captures.detections, rig.board_size, rng, lambda done: progress("pairing", done), settings=settings
     )
     tree = span_tree(pairs)
+    captures = align_symmetric_prints(rig, captures, tree.T_root_sensor)
     if options.keep == "ransac":
         # RANSAC selects inliers from minimal samples; select them once more under joint poses of all sensors.
         joint = solve_poses(rig, captures, select_successful(pairs), tree.T_root_sensor)

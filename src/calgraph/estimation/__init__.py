@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from calgraph.estimation.network.scanner_prior import ScannerPrior
     from calgraph.estimation.rig.camera_boards import locate_boards, scale_boards
     from calgraph.estimation.rig.estimate import cramer_rao, solve_bundle, solve_poses
+    from calgraph.estimation.rig.print_symmetry import align_symmetric_prints
     from calgraph.estimation.rig.priors import PosePrior, PriorFile, RigidFile, RigidGroup, attach_by_priors
     from calgraph.estimation.rig.problem import Estimator, Problem, SolverOptions, check_problem, with_prior_poses
     from calgraph.estimation.rig.problem_file import load_problem, round_trip, save_problem
@@ -22,6 +23,7 @@ else:
             "rig.priors",
             "rig.solution",
             "rig.camera_boards",
+            "rig.print_symmetry",
             "rig.estimate",
             "rig.problem_file",
             "intrinsics.estimate",
@@ -33,7 +35,7 @@ else:
 __all__ = [
     "Estimator", "IntrinsicsEstimate", "MeasuredNoise", "NetworkSolution", "PosePrior", "PriorFile", "Problem",
     "RigSolution", "RigidFile", "RigidGroup", "ScannerPrior", "SolvedBundle", "SolvedNetwork", "SolverOptions",
-    "attach_by_priors", "check_problem", "cramer_rao", "estimate_intrinsics", "load_problem", "locate_boards",
-    "round_trip", "save_problem", "scale_boards", "solve_bundle", "solve_network", "solve_poses",
-    "with_prior_poses",
+    "align_symmetric_prints", "attach_by_priors", "check_problem", "cramer_rao", "estimate_intrinsics",
+    "load_problem", "locate_boards", "round_trip", "save_problem", "scale_boards", "solve_bundle",
+    "solve_network", "solve_poses", "with_prior_poses",
 ]  # fmt: skip
