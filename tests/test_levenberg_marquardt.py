@@ -151,3 +151,24 @@ def test_extrapolated_linearizations_are_refined_at_the_minimum() -> None:
     np.testing.assert_allclose(found.state, solved(exponential, [1.0, 1.0, 0.0]).state, atol=1e-5)
     coarse = minimize(start, linearize, np.add, iterations=100, tolerance=1e-12)
     assert not coarse.linearization.exact
+
+
+class SingularWithoutDamping(DenseLinearization):
+    """Equations that a solver refuses, or solves with NaN, up to some damping."""
+
+    def solve(self, damping: Any) -> tuple[Array, Any]:
+        if damping < 1e-4:
+            raise np.linalg.LinAlgError("Singular matrix")
+        if damping < 1e-3:
+            return np.full(3, np.nan), np.nan
+        return super().solve(damping)
+
+
+def test_equations_that_are_singular_are_damped_more() -> None:
+    def linearize(x: Array, _near: SingularWithoutDamping | None) -> SingularWithoutDamping:
+        there = exponential(x)
+        return SingularWithoutDamping(there.residual, there.jacobian)
+
+    start = np.array([1.0, 1.0, 0.0])
+    found = minimize(start, linearize, np.add, iterations=200, tolerance=1e-20)
+    np.testing.assert_allclose(found.state, solved(exponential, [1.0, 1.0, 0.0]).state, atol=1e-4)

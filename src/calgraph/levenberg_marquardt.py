@@ -151,8 +151,13 @@ def minimize(
         return Minimum(state, at, 0, converged=False)
     damped = Damping(damping)
     for iteration in range(iterations):
-        step, predicted = at.solve(damped.value)
-        if settled := predicted <= tolerance + relative_tolerance * at.cost:
+        try:
+            step, predicted = at.solve(damped.value)
+        except np.linalg.LinAlgError:
+            predicted = np.nan
+        if not np.isfinite(predicted):  # singular in floating point: more damping
+            settled, gain = False, 0.0
+        elif settled := predicted <= tolerance + relative_tolerance * at.cost:
             gain = 0.0
         else:
             trial = retract(state, step)

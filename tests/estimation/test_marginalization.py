@@ -49,3 +49,22 @@ def test_the_covariance_of_a_bias_is_that_of_the_summed_information(n: int, rng:
     A, _, _ = equations(rng, n)
     Q = np.diag(np.linspace(0.1, 2, n))
     np.testing.assert_allclose(compute_bias_covariance(A, Q), np.linalg.inv(A + np.linalg.inv(Q)), atol=1e-12)
+
+
+@pytest.mark.parametrize("n", [2, 3, 6])
+@pytest.mark.parametrize("largest", [1e6, 1e12, 1e18])
+def test_covariances_are_definite_where_directions_differ_by_many_digits(
+    n: int, largest: float, rng: np.random.Generator
+) -> None:
+    """Along the axes of the information, the variances are those of single numbers as far as it has digits."""
+    axes, _ = np.linalg.qr(rng.normal(size=(4, n, n)))
+    information = np.geomspace(1e-3, largest, n)
+    A = (axes * information) @ np.swapaxes(axes, -1, -2)
+    found = compute_bias_covariance(A, 0.5 * np.eye(n))
+    values = np.linalg.eigvalsh(found)
+    assert values.min() >= -1e-15
+    assert values.max() <= 0.5 * (1 + 1e-9)
+    if largest == 1e6:
+        np.testing.assert_allclose(
+            np.sort(values), np.tile(np.sort(0.5 / (1 + 0.5 * information)), (4, 1)), rtol=1e-6
+        )

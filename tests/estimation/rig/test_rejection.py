@@ -54,6 +54,15 @@ def test_of_settled_views_those_beyond_the_limit_are_rejected() -> None:
     ]
 
 
+def test_no_view_returns_to_a_board_that_no_other_locates() -> None:
+    """Nothing predicts where it is, so that any view agrees with it."""
+    kept = [[False, True, True, True], [False, False, True, True]]
+    assert select([[0.0, 0.1, 0.1, 0.1], [0.0, 0.1, 0.1, 0.1]], kept, settled=True) == [
+        [False, True, True, True],
+        [False, True, True, True],
+    ]
+
+
 def test_a_rejected_view_behind_its_camera_does_not_hide_other_outliers() -> None:
     """Its residuals, and so its statistic, are not finite."""
     found = select([[np.inf, 0.5, 0.1, 1.5], [0.1] * 4], [[False, True, True, True], ALL], settled=True)

@@ -6,12 +6,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calgraph.detection import BoardCorners, Detection
+from calgraph.detection import BoardCorners, Detection, PlanePatch
+from calgraph.detection.detections import to_beams
 from calgraph.estimation import RigSolution, solve_bundle
+from calgraph.estimation.rig.board_observations import BoardObservation
+from calgraph.estimation.rig.bundle_setup import build_bundle
 from calgraph.estimation.rig.bundle_solver import linearize_bundle
-from detected_rigs import DetectedRig, detect_rig
+from calgraph.estimation.rig.view_return import _choose_detections, _start_at_detections
+from calgraph.geometry import plane, se3, so3
+from calgraph.simulation import CameraOptions, LaserOptions, MultibeamOptions
+from detected_rigs import QUICK, DetectedRig, detect_rig
 
 EXCLUDED = range(0, 60, 4)
+TWO_LIDARS = MultibeamOptions(count=2, resolution=2.0)
 
 
 @pytest.fixture(scope="module")
@@ -89,3 +96,33 @@ def test_priors_have_tails(detected: DetectedRig) -> None:
         ahead = linearize_bundle(views, replace(state, extra=(deviation + 1e-5) * stddev))
         assert (ahead.cost - at.cost) / 1e-5 == pytest.approx(len(stddev) * weight * deviation, rel=1e-3)
         assert at.g[first:] * stddev == pytest.approx(weight * deviation)
+
+
+def test_a_board_starts_at_the_detection_that_locates_it_however_far_away_the_others_are() -> None:
+    """Two LiDARs, of which the second takes a plane 30 m away, at another angle, for the board."""
+    parts = {"camera": CameraOptions(count=0), "laser": LaserOptions(count=0), "multibeam": TWO_LIDARS}
+    one = detect_rig(QUICK.model_copy(update=parts))
+    first, second = one.T_root_sensor
+    away = se3.pose(so3.exp(np.array([0.3, 1.5, 0.1])), np.array([-30.0, 0.0, 0.5]))
+
+    def mistake(name: str, detection: Detection) -> Detection:
+        if name == first or not isinstance(detection, PlanePatch):
+            return detection
+        ranges, directions = to_beams(se3.apply(away, detection.points))
+        return replace(
+            detection,
+            plane=plane.transform(away, detection.plane),
+            ranges=ranges,
+            directions=directions,
+            center=se3.apply(away, detection.center[None])[0],
+        )
+
+    captures = one.map_detections(mistake).captures
+    (capture, (detected, *_)), *_ = captures.detections[first].items()
+    assert isinstance(detected, PlanePatch)
+    boards = [BoardObservation(capture, {first: 0, second: 0})]
+    bundle, start = build_bundle(one.rig, captures, boards, one.T_root_sensor)
+    chosen = _choose_detections(boards, set(), captures)
+    assert chosen == {(capture, first, 0)}
+    located = _start_at_detections(bundle, start, boards, chosen, captures)
+    np.testing.assert_allclose(plane.from_pose(located.T_root_board[0]), detected.plane, atol=0.02)

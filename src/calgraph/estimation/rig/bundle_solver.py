@@ -8,19 +8,20 @@ Source: Triggs et al., "Bundle adjustment: a modern synthesis", 1999, section 6.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from calgraph.config.settings import RigEstimationSettings
 from calgraph.errors import CalibrationError
 from calgraph.estimation.rig.bundle_parameters import SensorPrior, SystematicParameter
+from calgraph.estimation.rig.corner_observations import CornerObservations
 from calgraph.estimation.rig.observations import BoardViews, relative_poses
 from calgraph.estimation.rig.relinearization import CachedLinearization, linearize_views
 from calgraph.geometry import Array, Index, se3, se_n, so3
 from calgraph.levenberg_marquardt import minimize
 
-# Prior information on a board's pose (m⁻², rad⁻²): makes directions that no view measures invertible. A single
-# beam has 10⁷ times as much.
+# Prior information on a board's pose (m⁻², rad⁻²), 10⁻⁷ of a beam's: makes unmeasured directions invertible.
 BOARD_PRIOR_INFORMATION = 1e-4
 # Predicted decrease of the cost (half squared standard deviations) at which the solver stops: no parameter is then
 # off by more than 5 % of its standard deviation,
@@ -117,12 +118,6 @@ class Bundle:
         views = self.all_views[k]
         return (0, 1, *([2] if views.ring_count else []), *([3] if len(views.twist) else []))
 
-    @property
-    def usual_bias_variance(self) -> Array:
-        """(4,) prior variances of the view bias, in the columns of ``bias_variance``."""
-        usual, stamp = self.settings.variances.usual_view_bias, self.settings.variances.usual_stamp_error
-        return np.array([usual, usual / self.lever, usual, stamp]) ** 2
-
     def least_bias_variance(self, k: int) -> Array:
         """(4,) least variances of the bias of views k, in the columns of ``bias_variance``."""
         least = self.settings.outlines.min_view_bias if k >= len(self.views) else 0.0
@@ -189,9 +184,8 @@ class BundleEquations:
         step: Array = np.asarray(-np.linalg.solve(H, g), dtype=np.float64)
         boards = -(K[..., :-1] @ step + K[..., -1])
         decrease = damping * np.diagonal(self.H) @ step**2 - self.g @ step
-        decrease += np.sum(
-            (damping * np.diagonal(self.H_board, axis1=-2, axis2=-1) * boards - self.g_board) * boards
-        )
+        damped = damping * np.diagonal(self.H_board, axis1=-2, axis2=-1) * boards
+        decrease += np.sum((damped - self.g_board) * boards)
         return (step, boards), 0.5 * float(decrease)
 
     def eliminate_boards(self, damping: float = 0.0) -> tuple[Array, Array, Array]:
@@ -231,8 +225,7 @@ def linearize_bundle(
     H_board, g_board, H_board_sensor = np.zeros((boards, 6, 6)), np.zeros((boards, 6)), np.zeros((boards, 6, size))
     equations, linearizations = [], []
     for k, views in enumerate(bundle.all_views):
-        bias, extra = bundle.bias_variances(k), state.extra[bundle.extra_indices(k)]
-        T_sensor_board = relative_poses(state.T_root_sensor[bundle.sensor_of(k)], state.T_root_board[views.board])
+        bias, (T_sensor_board, extra) = bundle.bias_variances(k), _view_state(bundle, state, k)
         cached = cache[k] if cache else None
         at = cached.extrapolate(views, T_sensor_board, extra, settings.extrapolation) if cached else None
         if not (cached and at):
@@ -293,17 +286,29 @@ def minimize_bundle(
         limit = bundle.settings.extrapolation.max_cost_ratio * tolerance if settled else 0.0
         return linearize_bundle(bundle, state) if equations.extrapolated > limit else None
 
-    minimum = minimize(
+    run = partial(
+        minimize,
         state,
-        linearize,
-        lambda state, step: retract_state(bundle, state, *step),
+        retract=lambda state, step: retract_state(bundle, state, *step),
         iterations=bundle.settings.max_steps if iterations is None else iterations,
         tolerance=tolerance,
         refine=refine if exact else None,
     )
+    minimum = run(linearize=linearize)
+    of_cameras = [k for k, views in enumerate(bundle.all_views) if isinstance(views, CornerObservations)]
+    found = (bundle.all_views[k].linearize(*_view_state(bundle, minimum.state, k)) for k in of_cameras)
+    if not all(np.isfinite(at.residual).all() for at in found):
+        # Extrapolation does not show that a board with small robust weights has left a camera's field of view.
+        minimum = run(linearize=lambda state, _: linearize_bundle(bundle, state))
     if not np.isfinite(minimum.linearization.cost):
         raise CalibrationError("the start poses give residuals that are not finite: a board is behind a camera")
     return MinimizedBundle(minimum.state, minimum.linearization, minimum.iterations, minimum.converged)
+
+
+def _view_state(bundle: Bundle, state: BundleState, k: int) -> tuple[Array, Array]:
+    """The poses (V, 4, 4) of boards before the sensor of views k, and its extra parameters (e,)."""
+    T_root_sensor, board = state.T_root_sensor[bundle.sensor_of(k)], bundle.all_views[k].board
+    return relative_poses(T_root_sensor, state.T_root_board[board]), state.extra[bundle.extra_indices(k)]
 
 
 def view_jacobians(bundle: Bundle, state: BundleState, k: int) -> tuple[Array, Array]:
@@ -392,5 +397,4 @@ def _add_sensor_prior(bundle: Bundle, state: BundleState, prior: SensorPrior, H:
 
 def _damp(H: Array, damping: float) -> Array:
     """Matrices (..., n, n) with Marquardt's damping of their diagonals."""
-    size = H.shape[-1]
-    return H * (1 + damping * np.eye(size))
+    return H * (1 + damping * np.eye(H.shape[-1]))

@@ -182,7 +182,10 @@ def _add_prior_of_biases(
     Without them, the estimate from few views is zero as often as not, and the poses' covariance too small. Source:
     Chung et al., "A nondegenerate penalized likelihood estimator for variance parameters", Psychometrika 2013.
     """
-    usual, weight = bundle.usual_bias_variance, bundle.settings.variances.usual_bias_weight
+    settings, weight = bundle.settings.variances, bundle.settings.variances.usual_bias_weight
+    displacement = settings.usual_view_bias
+    # In the columns of ``bias_variance``.
+    usual = np.square([displacement, displacement / bundle.lever, displacement, settings.usual_stamp_error])
     for one, row in zip(statistics, rows, strict=True):
         bias = np.arange(row.start + 1, row.stop)
         at = np.maximum(variances[bias], usual[one.components])
@@ -286,10 +289,14 @@ def select_consistent_views(
 
     Of each board only the worst view is rejected. A gross outlier biases all sensors: views with much smaller
     statistics are tested after it has been rejected. As long as variances have not settled, gross outliers only
-    are rejected, and no view returns. Views before ``first`` stay as they are; ``consistency`` is of the others.
+    are rejected, and no view returns; nor does one of a board that no view locates, with which any would agree.
+    Views before ``first`` stay as they are; ``consistency`` is of the others.
     """
     settings, judged = bundle.settings.variances, bundle.all_views[first:]
-    worst: Array = np.zeros(1 + max(int(views.board.max(initial=-1)) for views in judged))
+    worst: Array = np.zeros(1 + max(int(views.board.max(initial=-1)) for views in bundle.all_views))
+    located = np.zeros(len(worst), dtype=np.bool_)
+    for views, part in zip(bundle.all_views, kept, strict=True):
+        located[views.board[part]] = True
     excess = [one.excess(settings.outlier_significance) for one in consistency]
     for views, over, part in zip(judged, excess, kept[first:], strict=True):
         worst[views.board] = np.maximum(worst[views.board], np.where(part, over, 0.0))
@@ -304,5 +311,5 @@ def select_consistent_views(
             left = part
         # A return waits until the outliers are gone that bias the solution.
         return_now = settled and worst.max(initial=0.0) <= 1.0
-        selected.append(left | (~part & (over <= 1.0)) if return_now else left)
+        selected.append(left | (~part & (over <= 1.0) & located[views.board]) if return_now else left)
     return selected

@@ -13,9 +13,20 @@ from numpy.typing import NDArray
 from calgraph.captures import CaptureSet
 from calgraph.config import Rig
 from calgraph.detection import BoardCorners, PlanePatch
-from calgraph.estimation.rig.board_observations import BoardObservation, Node, add_unambiguous_detections
+from calgraph.estimation.rig.board_observations import (
+    BoardObservation,
+    Node,
+    add_unambiguous_detections,
+    initial_board_pose,
+)
 from calgraph.estimation.rig.bundle_setup import rebuild_bundle
-from calgraph.estimation.rig.bundle_solver import COARSE_TOLERANCE, Bundle, MinimizedBundle, minimize_bundle
+from calgraph.estimation.rig.bundle_solver import (
+    COARSE_TOLERANCE,
+    Bundle,
+    BundleState,
+    MinimizedBundle,
+    minimize_bundle,
+)
 from calgraph.estimation.rig.settling import select_views, settle_variances
 from calgraph.geometry import Index
 
@@ -59,7 +70,9 @@ def return_excluded_views(settled: SettledBundle, rig: Rig, captured: CaptureSet
         return settled
     before = settled.nodes()
     complete, start = rebuild_bundle(rig, captured, boards, settled.bundle, settled.solution.state)
-    kept = _select_at_first(complete, boards, before, captured)
+    chosen = _choose_detections(boards, before, captured)
+    kept = _select_at_first(complete, boards, before | chosen)
+    start = _start_at_detections(complete, start, boards, chosen, captured)
     solution = minimize_bundle(
         select_views(complete, complete, start, kept), start, tolerance=COARSE_TOLERANCE, exact=False
     )
@@ -75,15 +88,24 @@ def _count_detections(boards: Sequence[BoardObservation]) -> int:
     return sum(len(board.detection_index) for board in boards)
 
 
-def _select_at_first(
-    complete: Bundle, boards: Sequence[BoardObservation], before: set[Node], captured: CaptureSet
-) -> list[NDArray[np.bool_]]:
-    """(S,) masks (V,) of the views that are part of the bundle, and of one view of each board that has none."""
-    chosen = set(before)
+def _choose_detections(boards: Sequence[BoardObservation], before: set[Node], captured: CaptureSet) -> set[Node]:
+    """One detection of each board that has none in the bundle: that which determines most of its pose."""
+    chosen = set()
     for board in boards:
-        nodes = [(board.capture, name, k) for name, k in board.detection_index.items()]
-        if chosen.isdisjoint(nodes):
+        nodes = _nodes(board)
+        if before.isdisjoint(nodes):
             chosen.add(max(nodes, key=lambda node: _rank(captured, node)))
+    return chosen
+
+
+def _nodes(board: BoardObservation) -> list[Node]:
+    return [(board.capture, name, k) for name, k in board.detection_index.items()]
+
+
+def _select_at_first(
+    complete: Bundle, boards: Sequence[BoardObservation], chosen: set[Node]
+) -> list[NDArray[np.bool_]]:
+    """(S,) masks (V,) of the views that are part of the bundle at first."""
     return [
         np.array(
             [(boards[i].capture, name, boards[i].detection_index[name]) in chosen for i in views.board.tolist()],
@@ -91,6 +113,23 @@ def _select_at_first(
         )
         for name, views in zip(complete.sensors, complete.views, strict=True)
     ]
+
+
+def _start_at_detections(
+    complete: Bundle,
+    start: BundleState,
+    boards: Sequence[BoardObservation],
+    chosen: set[Node],
+    captured: CaptureSet,
+) -> BundleState:
+    """Start values with boards at their chosen detections, from which the others may be metres away."""
+    T_root_sensor = dict(zip(complete.sensors, start.T_root_sensor, strict=True))
+    T_root_board = start.T_root_board.copy()
+    for i, board in enumerate(boards):
+        for capture, name, k in chosen.intersection(_nodes(board)):
+            alone = BoardObservation(capture, {name: k})
+            T_root_board[i] = initial_board_pose(alone, captured.detections, T_root_sensor)
+    return replace(start, T_root_board=T_root_board)
 
 
 def _rank(captured: CaptureSet, node: Node) -> int:
