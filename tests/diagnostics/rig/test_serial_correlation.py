@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from bundle_scenes import bias_variances, remeasured, scene
 from calgraph.config.settings import BumpTestSettings, SerialCorrelationSettings
@@ -42,6 +43,33 @@ def test_common_errors_of_successive_captures_increase_variances() -> None:
     factors = [measure(wandering(seed, 0.02, 8)) for seed in range(10)]
     # With a false-alarm probability of 1 %, three of ten are no chance.
     assert sum(factor > 1.2 for factor in factors) >= 3
+
+
+def test_the_factor_does_not_depend_on_axes_and_units() -> None:
+    """Under any linear change of the parameters of each pose."""
+    bundle = wandering(3, 0.02, 8)
+    solution = minimize_bundle(bundle, SCENE.truth)
+    order, rng = np.arange(BOARDS), np.random.default_rng(0)
+    change = np.eye(bundle.parameter_count)
+    for body in range(bundle.body_count):
+        block = slice(6 * body, 6 * body + 6)
+        change[block, block] = np.geomspace(1, 1e3, 6)[:, None] * rng.normal(size=(6, 6))
+    equations = solution.equations
+    changed = replace(
+        equations,
+        H=change.T @ equations.H @ change,
+        g=equations.g @ change,
+        H_board_sensor=equations.H_board_sensor @ change,
+        views=tuple(
+            replace(views, J_sensor=views.J_sensor @ change[np.ix_(columns, columns)])
+            for views, columns in zip(equations.views, map(bundle.columns, range(3)), strict=True)
+        ),
+    )
+    factor = measure_serial_correlation(bundle, solution, order, SETTINGS)
+    assert factor > 1
+    assert measure_serial_correlation(
+        bundle, replace(solution, equations=changed), order, SETTINGS
+    ) == pytest.approx(factor, rel=1e-3)
 
 
 def test_few_captures_are_not_tested() -> None:

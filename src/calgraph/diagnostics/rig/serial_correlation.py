@@ -17,9 +17,10 @@ def measure_serial_correlation(
 ) -> float:
     """The factor by which serial correlation increases the variances of poses; 1 where it is not significant.
 
-    What each board adds to the poses has a long-run variance, the mean over all parameters of poses, with lags
-    weighted as by Bartlett, after removal of a linear trend. Its ratio to that of random orders of the boards is
-    the factor if it is larger than in all of them.
+    What each board adds to the poses has a long-run variance, with lags weighted as by Bartlett, after removal of
+    a linear trend. It is the mean over all directions in the space of poses, whitened by the covariance of the
+    solution, so that it does not depend on the root and on units. Its ratio to that of random orders of the boards
+    is the factor if it is larger than in all of them.
 
     Source: Newey and West, "A simple, positive semi-definite, heteroskedasticity and autocorrelation consistent
     covariance matrix", Econometrica 1987.
@@ -32,8 +33,11 @@ def measure_serial_correlation(
     """
     if len(order) < 2 * settings.lags or not bundle.body_count:
         return 1.0
+    poses = 6 * bundle.body_count
     H, _, _ = solution.equations.eliminate_boards()
-    steps = gradient_by_board(bundle, solution.equations) @ np.linalg.inv(H)[:, : 6 * bundle.body_count]
+    covariance = np.linalg.inv(H)[:, :poses]
+    steps = gradient_by_board(bundle, solution.equations) @ covariance
+    steps = np.linalg.solve(np.linalg.cholesky(covariance[:poses]), steps.T).T
     steps = steps[np.argsort(order, kind="stable")]
     rng = np.random.default_rng(0)
     random_orders = [
@@ -44,9 +48,8 @@ def measure_serial_correlation(
 
 
 def _long_run_variance(steps: Array, lags: int) -> float:
-    """Of a series (C, n) without its linear trend, over its variance; mean over columns."""
+    """Of a series (C, n) without its linear trend, over its variance; both are sums over columns."""
     trend = np.stack([np.ones(len(steps)), np.linspace(-1, 1, len(steps))], axis=1)
     left = steps - trend @ np.linalg.lstsq(trend, steps, rcond=None)[0]
-    left = left / np.maximum(np.linalg.norm(left, axis=0), np.finfo(float).tiny)
     products = [np.sum(left[k:] * left[: len(left) - k]) for k in range(lags)]
-    return float((products[0] + sum(2 * (1 - k / lags) * products[k] for k in range(1, lags))) / steps.shape[1])
+    return float(1 + sum(2 * (1 - k / lags) * products[k] for k in range(1, lags)) / products[0])
