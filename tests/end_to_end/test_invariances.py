@@ -2,11 +2,13 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import combinations
 
 import numpy as np
 import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
+from scipy.linalg import eigh
 
 from calgraph.calibrate import RigOptions, calibrate_rig
 from calgraph.config import Capture, Rig, Tolerance
@@ -25,6 +27,8 @@ from calgraph.simulation import (
     world_rig,
 )
 from calgraph.simulation.robot import MountedCamera
+from random_rig_draws import draw_rig
+from random_rig_messages import record
 
 FEW = settings(max_examples=2, phases=(Phase.explicit, Phase.reuse, Phase.generate))
 """An example takes a second: none is made smaller."""
@@ -47,6 +51,8 @@ TOLERANCE = Tolerance(translation=0.04, rotation=2.0)
 ROUNDING, SAMPLING = 0.03, 0.5
 """Largest differences of two results, in standard deviations: of the same detections, whose solutions end where
 steps are small; and where detectors draw other samples of a cloud, by its stamp and by the order of sensors."""
+SPREAD = 0.01
+"""Largest relative difference of standard deviations, in any direction, of two results of the same detections."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,10 +119,44 @@ def test_the_reference_places_every_sensor(snapshots: Snapshots, reference: Cali
     assert {sensor.verdict.grade for sensor in reference.sensors[1:]} == {"good"}
 
 
+def assert_same_uncertainty(
+    found: Calibration, reference: Calibration, names: Mapping[str, str] | None = None
+) -> None:
+    """Covariances of all relative poses are those of the reference."""
+    names = names or {sensor.name: sensor.name for sensor in reference.sensors}
+    for a, b in combinations([sensor.name for sensor in reference.sensors], 2):
+        expected = reference.covariance(a, b)
+        ratios = eigh(found.covariance(names[a], names[b]), expected, eigvals_only=True)
+        np.testing.assert_allclose(np.sqrt(ratios), 1.0, atol=SPREAD, err_msg=f"{a}, {b}")
+
+
 @pytest.mark.parametrize("root", ["camera", "laser_front"])
 def test_the_root_does_not_matter(snapshots: Snapshots, reference: Calibration, root: str) -> None:
     rig = snapshots.rig.model_copy(update={"root": root})
-    assert_same(replace(snapshots, rig=rig).calibrate(), reference, ROUNDING)
+    found = replace(snapshots, rig=rig).calibrate()
+    assert_same(found, reference, ROUNDING)
+    assert_same_uncertainty(found, reference)
+
+
+@pytest.mark.parametrize("seed", [30009, 30012])
+def test_neither_the_root_nor_names_of_random_rigs_matter(seed: int) -> None:
+    """Of a camera and a LiDAR, and of a LiDAR and a 2-D scanner of which one is weak."""
+    drawn = draw_rig(seed)
+    rig, recording = drawn.stated, record(drawn)
+    reference = calibrate_rig(rig, recording, RigOptions(folds=0))
+    assert len(reference.sensors) == 2
+    first, second = rig.sensors
+    names = {first: "z", second: "a"}
+    sensors = {names[name]: spec for name, spec in rig.sensors.items()}
+    other = names[second if rig.root == first else first]
+    changed = rig.model_copy(update={"sensors": sensors, "root": other})
+    found = calibrate_rig(changed, recording, RigOptions(folds=0))
+    stddev = np.sqrt(np.diag(reference.covariance(first, second)))
+    off = se3.difference(found.transform("z", "a"), reference.transform(first, second))
+    assert np.abs(off / stddev).max() <= ROUNDING
+    assert_same_uncertainty(found, reference, names)
+    grades = [next(s.verdict.grade for s in one.sensors if s.parent is not None) for one in (found, reference)]
+    assert grades[0] == grades[1]
 
 
 @FEW
