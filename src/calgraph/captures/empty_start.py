@@ -7,7 +7,7 @@ import numpy as np
 
 from calgraph.config import CameraSpec, Rig
 from calgraph.config.settings import EmptyStartSettings
-from calgraph.detection.cloud_background import find_direction_cells
+from calgraph.detection.cloud_background import Cells, find_direction_cells, find_local_maxima
 from calgraph.geometry import Array
 from calgraph.recording import NO_CACHE, Recording, RecordingCache
 from calgraph.sensors import LaserScan, Message, PointCloud, RecordedMessage
@@ -85,45 +85,48 @@ class _Reference:
         self._shape = round(np.pi / settings.direction_cell), round(2 * np.pi / settings.direction_cell)
         self._nearest = np.full(self._shape, np.inf)
         self._farthest = np.full(self._shape, -np.inf)
+        self._around: tuple[Array, Array] | None = None
 
     def add(self, message: Message) -> None:
         """Adds a message."""
-        nearest, farthest = self._measure(message)
-        self._nearest = np.minimum(self._nearest, nearest)
-        self._farthest = np.maximum(self._farthest, farthest)
+        cells, ranges = self._measure(message)
+        np.minimum.at(self._nearest, cells, ranges)
+        np.maximum.at(self._farthest, cells, ranges)
+        self._around = None
 
     def count_nearer(self, message: Message) -> int:
         """Number of directions in which a message has something in front of everything around them."""
-        from scipy.ndimage import minimum_filter  # takes as long to import as all of NumPy
-
-        nearest, _ = self._measure(message)
-        reference = minimum_filter(self._nearest, size=3, mode=["nearest", "wrap"])
-        margin = self._margin(nearest)
-        return int(np.sum(np.isfinite(nearest) & (nearest < reference - margin)))
+        nearest = self._find_nearest(message)
+        reference = self._find_range_around()[0] - self._margin(nearest)
+        return int(np.sum(np.isfinite(nearest) & (nearest < reference)))
 
     def count_beyond(self, message: Message) -> int:
         """Number of directions in which a message measures only what is behind everything around them."""
-        from scipy.ndimage import maximum_filter
+        nearest = self._find_nearest(message)
+        reference = self._find_range_around()[1] + self._margin(nearest)
+        return int(np.sum(np.isfinite(nearest) & np.isfinite(self._farthest) & (nearest > reference)))
 
-        nearest, _ = self._measure(message)
-        reference = maximum_filter(self._farthest, size=3, mode=["nearest", "wrap"])
-        beyond = np.isfinite(nearest) & np.isfinite(self._farthest) & (nearest > reference + self._margin(nearest))
-        return int(np.sum(beyond))
+    def _find_range_around(self) -> tuple[Array, Array]:
+        """Nearest and farthest range in each direction and those next to it."""
+        if self._around is None:
+            self._around = -find_local_maxima(-self._nearest), find_local_maxima(self._farthest)
+        return self._around
 
     def _margin(self, ranges: Array) -> Array:
         settings = self._settings
         finite = np.where(np.isfinite(ranges), ranges, 0.0)
         return np.asarray(np.maximum(settings.min_range_change, settings.min_range_change_ratio * finite))
 
-    def _measure(self, message: Message) -> tuple[Array, Array]:
-        """Nearest and farthest range by direction; infinite without returns."""
-        nearest, farthest = np.full(self._shape, np.inf), np.full(self._shape, -np.inf)
+    def _find_nearest(self, message: Message) -> Array:
+        """Nearest range by direction; infinite without returns."""
+        nearest = np.full(self._shape, np.inf)
+        np.minimum.at(nearest, *self._measure(message))
+        return nearest
+
+    def _measure(self, message: Message) -> tuple[Cells, Array]:
+        """Direction and range of each return."""
         points = _list_points(message)
-        cells = find_direction_cells(points, self._shape)
-        ranges = np.linalg.norm(points, axis=1)
-        np.minimum.at(nearest, cells, ranges)
-        np.maximum.at(farthest, cells, ranges)
-        return nearest, farthest
+        return find_direction_cells(points, self._shape), np.linalg.norm(points, axis=1)
 
 
 def _list_points(message: Message) -> Array:
@@ -132,7 +135,8 @@ def _list_points(message: Message) -> Array:
         angles, ranges = message.angles[message.valid], message.ranges[message.valid]
         return np.column_stack([ranges * np.cos(angles), ranges * np.sin(angles), np.zeros(len(ranges))])
     if isinstance(message, PointCloud):
-        return np.asarray(message.points[np.isfinite(message.points).all(axis=1)])
+        finite = np.isfinite(message.points)
+        return message.points if finite.all() else np.asarray(message.points[finite.all(axis=1)])
     return np.zeros((0, 3))
 
 

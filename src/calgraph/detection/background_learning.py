@@ -11,7 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.config.settings import DetectionSettings, ScanBackgroundSettings
-from calgraph.detection.cloud_background import CloudBackground, find_direction_cells, find_voxels, pack_voxels
+from calgraph.detection.cloud_background import (
+    CloudBackground,
+    find_direction_cells,
+    find_local_maxima,
+    find_voxels,
+    pack_voxels,
+)
 from calgraph.errors import InputError
 from calgraph.geometry import Array
 from calgraph.sensors import LaserScan, PointCloud, ScanBackground, align_ranges
@@ -77,7 +83,7 @@ def learn_cloud_background(
         np.maximum.at(max_range, cells, np.linalg.norm(cloud.points, axis=1))
     if not len(keys):
         raise InputError("capture.background: no points in this window; choose one with measurements")
-    max_range = _find_local_maxima(max_range)
+    max_range = find_local_maxima(max_range)
     max_range = np.where(max_range > 0, max_range + settings.scanner.min_depth_jump, np.inf)
     return CloudBackground(voxel, keys, max_range)
 
@@ -103,11 +109,3 @@ def _sort_distinct(keys: NDArray[np.int64]) -> NDArray[np.int64]:
     """As ``np.unique``, which takes five times as long where most keys occur once."""
     keys = np.sort(keys)
     return keys[np.flatnonzero(np.diff(keys, prepend=-1))]
-
-
-def _find_local_maxima(max_range: Array) -> Array:
-    """The maximum of each cell (elevations, azimuths) and its eight neighbours."""
-    by_elevation = np.pad(max_range, ((1, 1), (0, 0)), mode="edge")
-    rows = np.maximum(np.maximum(by_elevation[:-2], by_elevation[1:-1]), by_elevation[2:])
-    around = np.pad(rows, ((0, 0), (1, 1)), mode="wrap")
-    return np.asarray(np.maximum(np.maximum(around[:, :-2], around[:, 1:-1]), around[:, 2:]))

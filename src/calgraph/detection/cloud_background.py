@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from calgraph.geometry import Array
 
 Mask = NDArray[np.bool_]
+Cells = tuple[NDArray[np.intp], NDArray[np.intp]]
+"""Rows and columns of a grid of directions."""
 
 # Voxel indices are packed into one 64-bit key, 21 bits an axis: ±100 km at 10 cm.
 _BITS = 21
@@ -48,10 +50,18 @@ def pack_voxels(voxels: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.asarray((voxels[:, 0] << 2 * _BITS) | (voxels[:, 1] << _BITS) | voxels[:, 2])
 
 
-def find_direction_cells(points: Array, shape: tuple[int, ...]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def find_direction_cells(points: Array, shape: tuple[int, ...]) -> Cells:
     """Row and column of each point's direction from the sensor in a grid of elevations and azimuths."""
     elevation = np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1]))
     azimuth = np.arctan2(points[:, 1], points[:, 0])
     row = np.clip((elevation / np.pi + 0.5) * shape[0], 0, shape[0] - 1).astype(np.intp)
     column = ((azimuth / (2 * np.pi) + 0.5) * shape[1]).astype(np.intp) % shape[1]
     return row, column
+
+
+def find_local_maxima(grid: Array) -> Array:
+    """The maximum of each cell (elevations, azimuths) and its eight neighbours."""
+    by_elevation = np.pad(grid, ((1, 1), (0, 0)), mode="edge")
+    rows = np.maximum(np.maximum(by_elevation[:-2], by_elevation[1:-1]), by_elevation[2:])
+    around = np.pad(rows, ((0, 0), (1, 1)), mode="wrap")
+    return np.asarray(np.maximum(np.maximum(around[:, :-2], around[:, 1:-1]), around[:, 2:]))

@@ -90,11 +90,13 @@ def cloud_from_columns(columns: Columns, stamp: float, frame_id: str = "") -> Po
     missing = [axis for axis in "xyz" if axis not in columns]
     if missing:
         raise ValueError(f"cloud has no field {', '.join(missing)}, only {', '.join(columns) or 'unknown ones'}")
-    points = np.stack([np.asarray(columns[axis], dtype=np.float64) for axis in "xyz"], axis=-1)
-    kept = np.asarray((np.abs(points) <= MAX_RANGE).all(axis=1) & points.any(axis=1))
+    x, y, z = (np.asarray(columns[axis], dtype=np.float64) for axis in "xyz")
+    near = (np.abs(x) <= MAX_RANGE) & (np.abs(y) <= MAX_RANGE) & (np.abs(z) <= MAX_RANGE)
+    kept = np.asarray(near & ((x != 0) | (y != 0) | (z != 0)))
+    points = np.stack([x[kept], y[kept], z[kept]], axis=-1)
     ring_name = next((name for name in _RING_NAMES if name in columns), None)
     rings = None if ring_name is None else np.nan_to_num(columns[ring_name][kept], nan=-1).astype(np.int32)
-    return PointCloud(stamp, frame_id, points[kept], rings, _find_times(columns, kept, stamp))
+    return PointCloud(stamp, frame_id, points, rings, _find_times(columns, kept, stamp))
 
 
 def _find_times(columns: Columns, kept: NDArray[np.bool_], stamp: float) -> Array | None:

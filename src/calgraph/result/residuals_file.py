@@ -40,12 +40,15 @@ def _board_rows(view: BoardView, time: float) -> Iterator[tuple[object, ...]]:
     if view.residuals is None:
         return
     head = escape_formula(view.sensor), view.capture, _format_time(time)
-    for at, residual in zip(view.measured, view.residuals, strict=True):
-        if view.measured.shape[1] == 2:
-            dx, dy = (f"{value:.4f}" for value in residual)
-            yield *head, "px", f"{at[0]:.2f}", f"{at[1]:.2f}", "", f"{np.hypot(*residual):.4f}", dx, dy
-        else:
-            yield *head, "m", *(f"{value:.4f}" for value in at), f"{residual:.6f}", "", ""
+    # Python formats its own numbers in a fraction of the time that it takes for NumPy's.
+    measured, residuals = view.measured.tolist(), view.residuals.tolist()
+    if view.measured.shape[1] == 2:
+        sizes = np.hypot(*view.residuals.T).tolist()
+        for (x, y), (dx, dy), size in zip(measured, residuals, sizes, strict=True):
+            yield *head, "px", f"{x:.2f}", f"{y:.2f}", "", f"{size:.4f}", f"{dx:.4f}", f"{dy:.4f}"
+    else:
+        for (x, y, z), residual in zip(measured, residuals, strict=True):
+            yield *head, "m", f"{x:.4f}", f"{y:.4f}", f"{z:.4f}", f"{residual:.6f}", "", ""
 
 
 def _beam_rows(view: BeamView) -> Iterator[tuple[object, ...]]:
