@@ -146,7 +146,7 @@ def measure(lens: str, seed: int, warp: float, *, rendered: bool) -> Outcome | N
     if estimate.camera.model != camera.model:
         print(f"{lens} {seed}: {estimate.camera.model}, {estimate.rejected_models}")
     captured = collect(estimate.camera)
-    captured = replace(captured, estimated_from_views={"camera": len(estimate.detections)})
+    captured = replace(captured, estimated_intrinsics={"camera": estimate.to_intrinsics()})
     free = _calibrate(state_estimated_intrinsics(rig, captured), captured, seed)
     intrinsics = free["camera"].intrinsics
     assert intrinsics is not None

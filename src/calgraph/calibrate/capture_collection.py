@@ -75,7 +75,7 @@ def collect_captures(
     ]
     captures = replace(
         collect_detections(rig, timeline, holds, observations, cameras, findings),
-        estimated_from_views=intrinsics.view_counts,
+        estimated_intrinsics={name: one.to_intrinsics() for name, one in intrinsics.estimates.items()},
     )
     recognized = recognize_mode(timeline, rig.capture, rig.settings.captures)
     _log.info("captures by mode %s: %s", recognized.mode, recognized.reason)

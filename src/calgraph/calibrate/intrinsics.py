@@ -35,11 +35,6 @@ class EstimatedIntrinsics:
         """The estimated intrinsics."""
         return {name: one.camera for name, one in self.estimates.items()}
 
-    @property
-    def view_counts(self) -> dict[str, int]:
-        """By camera, the number of views that its intrinsics are estimated from."""
-        return {name: len(one.detections) for name, one in self.estimates.items()}
-
 
 def estimate_unknown_intrinsics(
     rig: Rig,

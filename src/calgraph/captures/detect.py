@@ -12,7 +12,7 @@ from calgraph.captures.input_checks import InputFinding
 from calgraph.captures.misplaced_tags import find_misplaced_tags
 from calgraph.captures.previews import PreviewSize, make_preview
 from calgraph.captures.timeline import RecordingTimeline
-from calgraph.config import Rig
+from calgraph.config import Intrinsics, Rig
 from calgraph.detection import Detection, DetectionResult, InconsistentTags
 from calgraph.errors import Rejected
 from calgraph.geometry import Array
@@ -56,8 +56,8 @@ class CaptureSet:
     """Previews of the captures for report and viewer; not part of a saved problem."""
     findings: tuple[InputFinding, ...] = ()
     """What does not fit the rig in the messages of the recording."""
-    estimated_from_views: Mapping[str, int] = field(default_factory=dict)
-    """By camera whose intrinsics were estimated, the number of views; the rig of a saved problem has it."""
+    estimated_intrinsics: Mapping[str, Intrinsics] = field(default_factory=dict)
+    """By camera whose intrinsics were estimated; the rig of a saved problem has them."""
 
 
 def collect_detections(
@@ -110,8 +110,8 @@ def state_estimated_intrinsics(rig: Rig, captures: CaptureSet) -> Rig:
     """The rig with the intrinsics that were estimated from its captures."""
     settings = rig.settings.estimation.intrinsics
     estimated = {
-        name: state_intrinsics(rig.cameras()[name], captures.cameras[name], views, settings)
-        for name, views in captures.estimated_from_views.items()
+        name: state_intrinsics(rig.cameras()[name], intrinsics, settings)
+        for name, intrinsics in captures.estimated_intrinsics.items()
     }
     return rig.model_copy(update={"sensors": {**rig.sensors, **estimated}})
 

@@ -22,7 +22,9 @@ from calgraph.sensors import CameraModel
 
 _POSITIVE = Field(gt=0, allow_inf_nan=False)
 # More noise than this makes a sensor useless, and is a number in another unit.
-PixelSigma = Annotated[float, Strict(), _POSITIVE, limit_to(20, "pixels")]
+_MAX_PIXELS = 20
+"""Larger errors of corners are a wrong unit."""
+PixelSigma = Annotated[float, Strict(), _POSITIVE, limit_to(_MAX_PIXELS, "pixels")]
 RangeSigma = Annotated[float, Strict(), _POSITIVE, limit_to(1, "m")]
 AngleSigma = Annotated[float, Strict(), _POSITIVE, limit_to(0.2, "rad")]
 Seconds = Annotated[float, Strict(), Field(ge=0, allow_inf_nan=False)]
@@ -98,6 +100,8 @@ class Intrinsics(StrictModel):
     """OpenCV's coefficients: k1 k2 p1 p2 [k3 [k4 k5 k6]], or k1 to k4 for fisheye; none for no distortion."""
     estimated_from_views: Annotated[int, Strict(), Field(ge=1)] | None = None
     """Number of views of the recording that they were estimated from; left out where they are stated."""
+    model_error: PixelSigma | None = None
+    """RMS displacement of pixels that the model of the lens does not have, estimated with them."""
 
     @model_validator(mode="after")
     def _known_length(self) -> "Intrinsics":
@@ -108,14 +112,18 @@ class Intrinsics(StrictModel):
         return self
 
     @classmethod
-    def from_camera(cls, camera: CameraModel) -> "Intrinsics":
-        """The intrinsics of a camera model."""
+    def from_camera(
+        cls, camera: CameraModel, estimated_from_views: int | None = None, model_error: float = 0.0
+    ) -> "Intrinsics":
+        """The intrinsics of a camera model; an error of the model of 0 is left out."""
         return cls(
             model=camera.model,
             width=camera.width,
             height=camera.height,
             K=(*camera.focal.tolist(), *camera.principal_point.tolist()),
             distortion=tuple(camera.distortion.tolist()),
+            estimated_from_views=estimated_from_views,
+            model_error=min(model_error, _MAX_PIXELS) or None,
         )
 
     def to_camera(self) -> CameraModel:

@@ -48,12 +48,7 @@ def state_calibrated_intrinsics(rig: Rig, calibration: Calibration) -> Rig:
     """The rig with the intrinsics of cameras that the calibration has estimated from the recording alone."""
     settings = rig.settings.estimation.intrinsics
     estimated = {
-        sensor.name: state_intrinsics(
-            rig.cameras()[sensor.name],
-            sensor.intrinsics.to_camera(),
-            sensor.intrinsics.estimated_from_views or 1,
-            settings,
-        )
+        sensor.name: state_intrinsics(rig.cameras()[sensor.name], sensor.intrinsics, settings)
         for sensor in calibration.sensors
         if sensor.intrinsics is not None
     }

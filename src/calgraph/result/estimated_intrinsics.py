@@ -4,12 +4,9 @@ import numpy as np
 
 from calgraph.config import CameraSpec, CameraUncertainty, Intrinsics
 from calgraph.config.settings import IntrinsicsSettings
-from calgraph.sensors import CameraModel
 
 
-def state_intrinsics(
-    spec: CameraSpec, camera: CameraModel, views: int, settings: IntrinsicsSettings
-) -> CameraSpec:
+def state_intrinsics(spec: CameraSpec, intrinsics: Intrinsics, settings: IntrinsicsSettings) -> CameraSpec:
     """A camera of a rig with intrinsics that were estimated from the recording, of which nothing else is known.
 
     Its priors are those of unknown intrinsics: the same views are part of the joint solution, so the covariance of
@@ -17,12 +14,10 @@ def state_intrinsics(
 
     Args:
         spec: the camera.
-        camera: with the estimated intrinsics.
-        views: number of views that they were estimated from.
+        intrinsics: the estimated ones.
         settings: the priors of unknown intrinsics.
     """
-    intrinsics = Intrinsics.from_camera(camera).model_copy(update={"estimated_from_views": views})
-    diagonal = float(np.hypot(camera.width, camera.height))
+    diagonal = float(np.hypot(intrinsics.width, intrinsics.height))
     unknown = CameraUncertainty(
         focal_length=settings.focal_length_stddev,
         pixel_aspect=settings.pixel_aspect_stddev,

@@ -1,11 +1,13 @@
 """Derivatives by all systematic parameters against finite differences, and rings against dense one-hot columns."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from calgraph.captures import CaptureSet
+from calgraph.config import Intrinsics, Rig
 from calgraph.config.settings import RigEstimationSettings, SystematicParameterSettings
 from calgraph.estimation.rig.board_observations import group_detections
 from calgraph.estimation.rig.board_outlines import add_outlines
@@ -24,6 +26,7 @@ from calgraph.estimation.rig.range_observations import RangeObservations
 from calgraph.estimation.rig.systematic_parameters import find_rings
 from calgraph.geometry import Array, se3
 from calgraph.pairwise import select_matches
+from calgraph.sensors import CameraModel
 from calgraph.simulation import CameraOptions, LaserOptions, MultibeamOptions
 from detected_rigs import QUICK, detect_rig
 
@@ -39,6 +42,17 @@ FISHEYE = CameraOptions(model="fisheye", width=640, height=480, distortion=(0.02
 SCENARIOS = {"pinhole": DENSE, "fisheye": DENSE.model_copy(update={"camera": FISHEYE})}
 
 
+def displace_beyond_model(rig: Rig, cameras: Mapping[str, CameraModel]) -> Rig:
+    """The rig with cameras whose lenses displace pixels beyond their models."""
+    stated = {
+        name: rig.cameras()[name].model_copy(
+            update={"intrinsics": Intrinsics.from_camera(camera, model_error=1.0)}
+        )
+        for name, camera in cameras.items()
+    }
+    return rig.model_copy(update={"sensors": {**rig.sensors, **stated}})
+
+
 # Of boards before all sensors, m/s and rad/s.
 TWIST = np.array([0.3, -0.2, 0.4, 0.05, 0.1, -0.05])
 
@@ -50,7 +64,8 @@ def bundle_and_state(request: pytest.FixtureRequest) -> tuple[Bundle, BundleStat
     one = detect_rig(SCENARIOS[scenario])
     boards = group_detections([(pair, select_matches(pair, "ransac")) for pair in one.pairs()])
     captures = move(one.captures) if moving else one.captures
-    bundle, state = build_bundle(one.rig, captures, boards, one.T_root_sensor)
+    rig = displace_beyond_model(one.rig, captures.cameras)
+    bundle, state = build_bundle(rig, captures, boards, one.T_root_sensor)
     bundle, state = add_outlines(bundle, state, one.rig, one.captures.detections, boards, 1e-6)
     rng = np.random.default_rng(0)
     prior = [parameter.prior_stddev for parameter in bundle.extra_parameters]

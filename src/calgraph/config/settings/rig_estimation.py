@@ -113,6 +113,30 @@ class BoardRegistrationSettings(StrictModel):
     """Minimum difference of other rotations, rad (20°): smaller ones belong to the same minimum."""
 
 
+class ResidualDistortionSettings(StrictModel):
+    """What lenses displace beyond their models: a smooth field over the image, where intrinsics are estimated.
+
+    Stated intrinsics have no field: the views that they were calibrated from are not known.
+    """
+
+    correlation_length: float = Field(default=0.05, gt=0)
+    """Length over which displacements are correlated, in diagonals of the image: half the spacing of the control
+    points with which splines describe real lenses (Schöps et al., "Why having 10,000 parameters in your camera
+    model is better than twelve", 2020)."""
+    spectral_decay: float = Field(default=1.5, gt=1)
+    """Power by which the variance falls with the squared frequency beyond the correlation length: 1.5 is a Matérn
+    process of smoothness 1/2, the roughest one usual."""
+    min_wavelength: float = Field(default=0.2, gt=0.05)
+    """Shortest wavelength of the field, in diagonals of the image: boards are rarely smaller, and shorter waves
+    displace all corners of one to and fro. The number of coefficients grows with its inverse square; here 119."""
+    radial_share: float = Field(default=0.5, ge=0, lt=1)
+    """Share of the variance that displacements along the radius have, which are the same in all directions:
+    lenses are made round, and their models are short polynomials of the radius."""
+    margin: float = Field(default=0.05, ge=0)
+    """Distance from the image, in its diagonals, at which the field has no slope: a correlation length, beyond
+    which that has no effect."""
+
+
 class SystematicParameterSettings(StrictModel):
     """Systematic errors of every bundle; their priors are the ``uncertainty`` of sensors and boards."""
 
@@ -126,6 +150,7 @@ class SystematicParameterSettings(StrictModel):
     max_rings: int = Field(default=32, ge=2)
     """Maximum number of ring biases of a scanner; neighbouring rings of scanners with more share one. The mean
     bias of m rings is smaller by the root of m, and the time of a solution grows with the square of the number."""
+    residual_distortion: ResidualDistortionSettings = ResidualDistortionSettings()
 
 
 class ExtrapolationSettings(StrictModel):

@@ -152,7 +152,7 @@ def _refine_intrinsics(name: str, spec: SensorSpec, solution: RigSolution) -> In
     if not isinstance(spec, CameraSpec) or not (start := spec.stated_intrinsics) or not start.estimated_from_views:
         return None
     camera = apply_estimates(solution.systematic, name, start.to_camera())
-    return Intrinsics.from_camera(camera).model_copy(update={"estimated_from_views": start.estimated_from_views})
+    return Intrinsics.from_camera(camera, start.estimated_from_views, start.model_error or 0.0)
 
 
 def _hint_at_background(rig: Rig) -> str:

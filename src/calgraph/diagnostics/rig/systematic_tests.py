@@ -17,6 +17,7 @@ from calgraph.estimation.rig.bundle_solver import Bundle
 from calgraph.estimation.rig.corner_observations import CornerObservations
 from calgraph.estimation.rig.covariances import parameter_covariance
 from calgraph.estimation.rig.solution import SolvedBundle
+from calgraph.estimation.rig.systematic_parameters import RESIDUAL_DISTORTION
 from calgraph.geometry import Index
 from calgraph.sensors import DISTORTION_NAMES
 
@@ -63,11 +64,16 @@ def find_systematic_errors(
             yield from _find_wrong_distortion(bundle, estimates, k, views, prior, settings.max_prior_deviation)
 
 
+def _is_part(quantity: str) -> bool:
+    """Whether a parameter is a coefficient of several that together have a meaning."""
+    return quantity in _COEFFICIENTS or quantity.startswith(RESIDUAL_DISTORTION)
+
+
 def _group_parameters(bundle: Bundle) -> list[Index]:
-    """Indices of parameters that are tested together; distortion coefficients are in none."""
+    """Indices of parameters that are tested together; coefficients are in none."""
     groups: dict[tuple[str, str], list[int]] = {}
     for i, one in enumerate(bundle.extra_parameters):
-        if one.quantity in _COEFFICIENTS:
+        if _is_part(one.quantity):
             continue
         if one.of.startswith("tag "):
             key = (" of ".join(one.of.split(" of ")[1:]), "tags")
@@ -82,7 +88,7 @@ def _group_parameters(bundle: Bundle) -> list[Index]:
 def _describe_error(bundle: Bundle, estimates: ParameterEstimates, i: int, others: Index) -> Finding:
     """The finding of parameter i, or of others that could explain the data as well."""
     parameters = bundle.extra_parameters
-    named = np.array([j for j in others if parameters[j].quantity not in _COEFFICIENTS], dtype=np.intp)
+    named = np.array([j for j in others if not _is_part(parameters[j].quantity)], dtype=np.intp)
     text, causes = estimates.describe(i, named)
     return Finding(text, affected_sensors(bundle, [k for j in causes for k in parameters[j].view_sets]))
 

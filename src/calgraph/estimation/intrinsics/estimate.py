@@ -1,20 +1,21 @@
 """Intrinsics of a camera from corners of boards in its images alone, with the model that fits them best."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from calgraph.config import Rig
+from calgraph.config import Intrinsics, Rig
 from calgraph.config.settings import IntrinsicsSettings
 from calgraph.detection import BoardCorners
 from calgraph.detection.board_views import BoardView
 from calgraph.errors import Rejected
 from calgraph.estimation.intrinsics.assessment import ViewCoverage, describe_shortcomings, measure_coverage
-from calgraph.estimation.intrinsics.lens_fit import LensFit, fit_lens
+from calgraph.estimation.intrinsics.lens_fit import LensFit, fit_lens, include_model_error
 from calgraph.estimation.intrinsics.start import LensModel, convert_model, search_focal_length
 from calgraph.estimation.intrinsics.view_choice import choose_views
-from calgraph.geometry import Array, se3
+from calgraph.geometry import Array
 from calgraph.sensors import CameraModel
 
 _MODELS: tuple[LensModel, ...] = ("pinhole", "fisheye")
@@ -28,7 +29,9 @@ class IntrinsicsEstimate:
     covariance: Array
     """(4 + n, 4 + n) of ``camera.intrinsics``."""
     noise: float
-    """Standard deviation of a corner in x and in y, pixels."""
+    """RMS of the residuals of corners in x and in y, pixels."""
+    model_error: float
+    """RMS displacement of pixels that the model does not have."""
     detections: tuple[BoardCorners, ...]
     """The views that were used."""
     views: int
@@ -38,6 +41,10 @@ class IntrinsicsEstimate:
     coverage: ViewCoverage
     shortcomings: tuple[str, ...]
     """What limits the accuracy, each with what to do; empty if nothing does."""
+
+    def to_intrinsics(self) -> Intrinsics:
+        """The intrinsics as rig.yaml has them."""
+        return Intrinsics.from_camera(self.camera, len(self.detections), self.model_error)
 
     @property
     def stddev(self) -> Array:
@@ -71,26 +78,26 @@ def estimate_intrinsics(
         )
     if len(sizes := {view.size for view in chosen}) > 1:
         return Rejected("its images differ in size: " + ", ".join(f"{w}x{h}" for w, h in sorted(sizes)))
-    fits, failures = _fit_models(rig, name, chosen, (model,) if model else _MODELS, settings)
+    fits, others = _fit_models(rig, name, chosen, (model,) if model else _MODELS, settings)
     if not fits:
-        return Rejected(f"{'; '.join(failures.values())}: check the sizes of the tags or squares in rig.yaml")
+        return Rejected(f"{'; '.join(others.values())}: check the sizes of the tags or squares in rig.yaml")
     best = _select_model(fits, chosen, settings)
     fit = fits[best]
     coverage = measure_coverage(list(fit.detections.values()), fit.camera)
     shortcomings = describe_shortcomings(fit, coverage, settings)
     if shortcomings.decisive:
         return Rejected("; ".join(shortcomings.decisive))
-    rejected = failures | {other: f"{fits[other].noise:.2f} px" for other in fits if other != best}
+    rejected: dict[str, str] = {other: reason for other, reason in others.items() if other != best}
     return IntrinsicsEstimate(
-        fit.camera, fit.covariance, fit.noise, tuple(fit.detections.values()), len(chosen), rejected, coverage,
-        shortcomings.remarks,
+        fit.camera, fit.covariance, fit.noise, fit.model_error, tuple(fit.detections.values()), len(chosen),
+        rejected, coverage, shortcomings.remarks,
     )  # fmt: skip
 
 
 def _fit_models(
     rig: Rig, name: str, views: Sequence[BoardView], models: Sequence[LensModel], settings: IntrinsicsSettings
-) -> tuple[dict[LensModel, LensFit], dict[str, str]]:
-    """The fit of each model, and why there is none of the others."""
+) -> tuple[dict[LensModel, LensFit], dict[LensModel, str]]:
+    """The fit of each model that may be right; and of all, their errors, or why there is none."""
     outcomes = {
         model: fit_lens(rig, name, views, search_focal_length(views, model, settings), settings)
         for model in _MODELS
@@ -106,9 +113,16 @@ def _fit_models(
         if isinstance(again, LensFit) and (other not in fits or again.noise < fits[other].noise):
             fits[other] = again
     failures = {model: one.reason for model, one in outcomes.items() if isinstance(one, Rejected)}
+    fits = {model: fits[model] for model in models if model in fits}
+    least = min((fit.noise for fit in fits.values()), default=0.0)
     return (
-        {model: fits[model] for model in models if model in fits},
-        {model: failures[model] for model in models if model not in fits},
+        {
+            model: include_model_error(rig, name, fit, settings)
+            for model, fit in fits.items()
+            if fit.noise <= settings.max_view_noise_ratio * least
+        },
+        {model: f"{fit.noise:.2f} px" for model, fit in fits.items()}
+        | {model: failures[model] for model in models if model not in fits},
     )
 
 
@@ -123,8 +137,11 @@ def _poses(fit: LensFit, count: int) -> Array:
 def _select_model(
     fits: Mapping[LensModel, LensFit], views: Sequence[BoardView], settings: IntrinsicsSettings
 ) -> LensModel:
-    """The model with the least Bayesian information criterion; a pinhole unless the evidence is strong."""
-    noise = max(min(fit.noise for fit in fits.values()), settings.min_noise)
+    """The model with the least Bayesian information criterion; a pinhole unless the evidence is strong.
+
+    The errors of models are marginalised: residuals that neighbouring corners share count once, not by corner.
+    """
+    noise = max(min(fit.corner_noise for fit in fits.values()), settings.min_noise)
     criteria = {model: _bayesian_information(fit, views, noise, settings) for model, fit in fits.items()}
     if len(criteria) < 2 or criteria["fisheye"] < criteria["pinhole"] - settings.min_evidence:
         return min(criteria, key=lambda model: criteria[model])
@@ -135,14 +152,7 @@ def _bayesian_information(
     fit: LensFit, views: Sequence[BoardView], noise: float, settings: IntrinsicsSettings
 ) -> float:
     """Bayesian information criterion of a fit to all corners; outliers count as the farthest inliers."""
-    limit = settings.max_view_noise_ratio**2
-    total, count = 0.0, 0
-    for i, view in enumerate(views):
-        count += view.flat_pixels.size
-        if i not in fit.detections:
-            total += limit * view.flat_pixels.size
-            continue
-        projected = fit.camera.project(se3.apply(fit.detections[i].T_camera_board, view.flat_corners))
-        squared = np.square((projected - view.flat_pixels) / noise)
-        total += float(np.minimum(np.where(np.isfinite(squared), squared, limit), limit).sum())
-    return total + len(fit.camera.intrinsics) * float(np.log(count))
+    total = sum(view.flat_pixels.size for view in views)
+    missing = total - sum(found.pixels.size for found in fit.detections.values())
+    outliers = missing * (settings.max_view_noise_ratio**2 + 2 * math.log(noise))
+    return fit.deviance + outliers + len(fit.camera.intrinsics) * math.log(total)

@@ -10,20 +10,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calgraph.captures import CaptureSet
-from calgraph.config import PixelNoise, Rig
+from calgraph.config import Intrinsics, PixelNoise, Rig
 from calgraph.config.settings import IntrinsicsSettings
 from calgraph.detection import BoardCorners
 from calgraph.detection.board_pose import fit_pose
 from calgraph.detection.board_views import BoardView
 from calgraph.detection.camera import make_board_corners
 from calgraph.errors import CalibrationError, InputError, Rejected
+from calgraph.estimation.intrinsics.model_error import FieldEquations, ModelError, estimate_model_error
 from calgraph.estimation.intrinsics.start import IntrinsicsStart
 from calgraph.estimation.rig.board_observations import BoardObservation
 from calgraph.estimation.rig.bundle_setup import build_bundle
 from calgraph.estimation.rig.bundle_solver import COARSE_TOLERANCE, Bundle, MinimizedBundle, minimize_bundle
 from calgraph.estimation.rig.corner_observations import CornerObservations, adjust_camera
 from calgraph.estimation.rig.covariances import parameter_covariance
-from calgraph.geometry import Array, plane
+from calgraph.geometry import Array, plane, se3
 from calgraph.result import state_intrinsics
 from calgraph.sensors import CameraModel
 
@@ -36,9 +37,15 @@ class LensFit:
     covariance: Array
     """(4 + n, 4 + n) of ``camera.intrinsics``."""
     noise: float
-    """Standard deviation of a corner in x and in y, estimated from the residuals, pixels."""
+    """RMS of the residuals of corners in x and in y, over their degrees of freedom, pixels."""
     detections: Mapping[int, BoardCorners]
     """By index of the view, the corners that were used, and the pose of the board."""
+    corner_noise: float = 0.0
+    """Standard deviation of a corner in x and in y, without the error of the model, pixels."""
+    model_error: float = 0.0
+    """RMS displacement of pixels that the model does not have."""
+    deviance: float = 0.0
+    """-2 log of the likelihood of the residuals, px."""
 
 
 def fit_lens(
@@ -79,6 +86,22 @@ def fit_lens(
     return fit
 
 
+def include_model_error(rig: Rig, name: str, fit: LensFit, settings: IntrinsicsSettings) -> LensFit:
+    """A fit together with a residual distortion, whose size is estimated from the residuals.
+
+    Args:
+        rig: with the boards and the camera.
+        name: of the camera.
+        fit: the camera's model alone.
+        settings: of the rounds; in the first one, the residual distortion is as large as the residuals.
+    """
+    found, noise, error = fit, fit.noise, fit.noise
+    for _ in range(settings.model_error_rounds):
+        found = _adjust_lens(rig, name, found.detections, found.camera, noise, settings, error)
+        noise, error = max(found.corner_noise, settings.min_noise), found.model_error
+    return replace(found, noise=fit.noise)
+
+
 def _make_detection(view: BoardView, T_camera_board: Array) -> BoardCorners:
     """All corners of a view, and a pose of unknown covariance."""
     return BoardCorners(
@@ -111,6 +134,18 @@ def _count_corners(detections: Mapping[int, BoardCorners]) -> dict[int, int]:
     return {i: len(one.pixels) for i, one in detections.items()}
 
 
+def _select_projected(
+    detections: Mapping[int, BoardCorners], camera: CameraModel, settings: IntrinsicsSettings
+) -> dict[int, BoardCorners]:
+    """The corners that the camera projects; models of wide lenses end where their polynomials have extrema."""
+    selected = {}
+    for i, one in detections.items():
+        projected = np.isfinite(camera.project(se3.apply(one.T_camera_board, one.corners_board))).all(axis=-1)
+        if projected.sum() >= settings.min_corners:
+            selected[i] = replace(one, corners_board=one.corners_board[projected], pixels=one.pixels[projected])
+    return selected
+
+
 def _adjust_lens(
     rig: Rig,
     name: str,
@@ -118,11 +153,13 @@ def _adjust_lens(
     camera: CameraModel,
     noise: float,
     settings: IntrinsicsSettings,
+    model_error: float = 0.0,
 ) -> LensFit:
     """One bundle of a camera, all boards and the errors of their prints."""
+    detections = _select_projected(detections, camera, settings)
     # Start values may be off by more pixels than rig.yaml allows as noise.
     spec = rig.cameras()[name].model_copy(update={"noise": PixelNoise.model_construct(pixel=noise)})
-    spec = state_intrinsics(spec, camera, len(detections), settings)
+    spec = state_intrinsics(spec, Intrinsics.from_camera(camera, len(detections), model_error), settings)
     alone = rig.model_copy(update={"root": name, "sensors": {name: spec}})
     captured = CaptureSet(
         start=0.0,
@@ -150,7 +187,10 @@ def _summarize(
     index = bundle.extra_indices(0)[views.extra_of_local[0, :size]]
     residual = views.linearize(solution.state.T_root_board[views.board], extra[bundle.extra_indices(0)]).residual
     freedom = max(residual.size - 6 * len(detections) - size, 1)
-    scale = float(np.sqrt(np.sum(residual**2) / freedom))
+    scale, error = float(np.sqrt(np.sum(residual**2) / freedom)), ModelError(0.0, 0.0, 0.0)
+    if views.residual_distortion:
+        error = estimate_model_error(_eliminate_all_but_field(bundle, solution, freedom))
+        scale = float(np.sqrt(error.noise))
     J = np.eye(size)
     J[:2, :2] = views.camera.focal[:, None] * [[1, 0.5], [1, -0.5]]
     covariance = J @ parameter_covariance(solution.equations)[np.ix_(index, index)] @ J.T
@@ -162,4 +202,25 @@ def _summarize(
             i: replace(one, T_camera_board=T)
             for (i, one), T in zip(detections.items(), solution.state.T_root_board, strict=True)
         },
+        corner_noise=scale * noise,
+        model_error=float(np.sqrt(error.field)) * noise,
+        deviance=error.deviance + 2 * freedom * float(np.log(noise)),
     )
+
+
+def _eliminate_all_but_field(bundle: Bundle, solution: MinimizedBundle, freedom: int) -> FieldEquations:
+    """The equations of the residual distortion's coefficients, in the unit of the noise."""
+    views, extra = bundle.views[0], solution.state.extra
+    assert isinstance(views, CornerObservations)
+    assert views.residual_distortion
+    field = views.extra_of_local[0, -views.residual_distortion.count :]
+    others = np.setdiff1d(np.arange(len(extra)), field)
+    H, g, _ = solution.equations.eliminate_boards()
+    prior = bundle.prior_weights(extra)[field] * bundle.prior_stddev[field] ** -2
+    by_others = np.linalg.solve(H[np.ix_(others, others)], np.column_stack([H[np.ix_(others, field)], g[others]]))
+    A = H[np.ix_(field, field)] - np.diag(prior) - H[np.ix_(field, others)] @ by_others[:, :-1]
+    value = extra[field]
+    b = prior * value - g[field] + H[np.ix_(field, others)] @ by_others[:, -1]
+    squared = 2 * solution.equations.cost - prior @ value**2 + 2 * b @ value + value @ A @ value
+    unit = views.noise.pixel * views.residual_distortion.stddev
+    return FieldEquations(A * unit * unit[:, None], unit * (b + A @ value), float(squared), freedom)

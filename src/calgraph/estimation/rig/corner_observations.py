@@ -22,6 +22,7 @@ from calgraph.estimation.rig.observations import (
     velocity_along_sensor,
     view_indices,
 )
+from calgraph.estimation.rig.residual_distortion import ResidualDistortion
 from calgraph.geometry import Array, Index, so3
 from calgraph.sensors import CameraModel
 
@@ -93,8 +94,8 @@ class CornerObservations:
 
     Implements :class:`calgraph.estimation.rig.observations.BoardViews`. The local parameters are the board's pose,
     then the camera's relative focal length and pixel aspect, principal point (px) and distortion coefficients,
-    then ``BOARD_PARAMETERS``, three displacements for each tag of the view's board, and ``TIME_PARAMETERS`` if
-    boards move.
+    then ``BOARD_PARAMETERS``, three displacements for each tag of the view's board, ``TIME_PARAMETERS`` if boards
+    move, and the coefficients of the residual distortion.
     """
 
     board: Index
@@ -110,9 +111,11 @@ class CornerObservations:
     m = 0 if all are exact."""
     extra_count: int = 0
     timed: bool = False
-    """Whether the last local parameters are ``TIME_PARAMETERS``."""
+    """Whether ``TIME_PARAMETERS`` are among the local parameters."""
     twist: Array = field(default_factory=lambda: np.zeros((0, 6)))
     """See :class:`BoardViews`."""
+    residual_distortion: ResidualDistortion | None = None
+    """What the lens displaces beyond its model; None if nothing."""
     ring_count: ClassVar[int] = 0
     dimension: ClassVar[int] = 2
 
@@ -136,19 +139,8 @@ class CornerObservations:
 
     def linearize(self, T_sensor_board: Array, extra: Array) -> LinearizedResiduals:
         """See :class:`BoardViews`: reprojection errors."""
-        view, local = view_indices(self.start, len(self.pixels)), gather_extra(self.extra_of_local, extra)
-        local, times = np.split(local, [local.shape[1] - len(TIME_PARAMETERS) * self.timed], axis=1)
-        lens = 4 + len(self.camera.distortion) if local.shape[1] else 0
-        camera = adjust_camera(self.camera, local[0, :lens]) if len(local) and lens else self.camera
-        corners, by_print = self.printed.nominal, np.zeros((len(self.pixels), 3, 0))
-        if local.shape[1]:
-            of_print = local[view, lens:]
-            of_board, of_tags = np.split(of_print, [len(BOARD_PARAMETERS)], axis=1)
-            tags = of_tags.reshape(len(view), of_tags.shape[1] // len(TAG_PARAMETERS), len(TAG_PARAMETERS))
-            corners, by_print = self.printed.displace(of_board, tags)
-        R = T_sensor_board[view, :3, :3]
-        rotated = (R @ corners[..., None])[..., 0]
-        points = rotated + T_sensor_board[view, :3, 3]
+        camera, corners, by_print, times = self._displace(extra)
+        points, R, rotated = self._place(corners, T_sensor_board)
         by_times, turn = np.zeros((len(points), 3, times.shape[1])), None
         if self.timed and len(self.twist):
             points, by_times, turn = self._move_points(points, times)
@@ -157,13 +149,47 @@ class CornerObservations:
         if turn is not None:
             by_point = by_point + by_point @ turn
         derivatives = [by_point, -by_point @ so3.hat(rotated)]
-        if local.shape[1]:
+        if self.extra_of_local.shape[1]:
             by_lens = _project_by_lens(self.camera, camera, points)
             derivatives += [by_lens, by_point @ R @ by_print, by_times]
+        if self.residual_distortion and len(self.board):
+            coefficients = gather_extra(self.extra_of_local[0, -self.residual_distortion.count :], extra)
+            pixels, by_pixel, by_field = self.residual_distortion.displace(pixels, coefficients)
+            derivatives = [*(by_pixel @ one for one in derivatives), by_field]
         sigma = self.noise_scale * self.noise.pixel
         residual, jacobian = (pixels - self.pixels) / sigma, np.concatenate(derivatives, axis=-1) / sigma
         velocity = velocity_along_sensor(self.twist, T_sensor_board)
         return LinearizedResiduals(residual, jacobian, self.local_jacobian(T_sensor_board), 6, velocity=velocity)
+
+    def _displace(self, extra: Array) -> tuple[CameraModel, Array, Array, Array]:
+        """The camera, corners (N, 3) and their derivatives (N, 3, n) by errors of the print, and times (V, t)."""
+        local = gather_extra(self.extra_of_local, extra)
+        end = local.shape[1] - (self.residual_distortion.count if self.residual_distortion else 0)
+        first = end - len(TIME_PARAMETERS) * self.timed
+        times = local[:, first:end]
+        if not first:
+            return self.camera, self.printed.nominal, np.zeros((len(self.pixels), 3, 0)), times
+        lens = 4 + len(self.camera.distortion)
+        camera = adjust_camera(self.camera, local[0, :lens]) if len(local) else self.camera
+        of_print = local[view_indices(self.start, len(self.pixels)), lens:first]
+        of_board, of_tags = np.split(of_print, [len(BOARD_PARAMETERS)], axis=1)
+        tags = of_tags.reshape(len(of_tags), of_tags.shape[1] // len(TAG_PARAMETERS), len(TAG_PARAMETERS))
+        return camera, *self.printed.displace(of_board, tags), times
+
+    def _place(self, corners: Array, T_sensor_board: Array) -> tuple[Array, Array, Array]:
+        """Points (N, 3) before the camera, the rotations (N, 3, 3) of their boards, and rotated corners (N, 3)."""
+        T = T_sensor_board[view_indices(self.start, len(self.pixels))]
+        R = T[:, :3, :3]
+        rotated = (R @ corners[..., None])[..., 0]
+        return rotated + T[:, :3, 3], R, rotated
+
+    def is_defined(self, T_sensor_board: Array, extra: Array) -> bool:
+        """See :class:`BoardViews`."""
+        camera, corners, _, times = self._displace(extra)
+        points, _, _ = self._place(corners, T_sensor_board)
+        if self.timed and len(self.twist):
+            points, _, _ = self._move_points(points, times)
+        return bool(np.isfinite(camera.project(points)).all())
 
     def _move_points(self, points: Array, times: Array) -> tuple[Array, Array, Array]:
         """Moves points (N, 3) from the time of the stamp to that of their row in the image.

@@ -89,6 +89,9 @@ class BoardViews(Protocol):
     def local_difference(self, T_before: Array, T_sensor_board: Array, extra: Array) -> Array:
         """(V, q) difference of the local parameters between two poses, for a difference ``extra`` (e,)."""
 
+    def is_defined(self, T_sensor_board: Array, extra: Array) -> bool:
+        """Whether the residuals exist: no model of a lens projects all points."""
+
     def update_noise(self, T_sensor_board: Array, scale: float) -> Self:
         """The same views with the noise at these poses, ``scale`` times that stated."""
 

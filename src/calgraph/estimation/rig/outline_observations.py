@@ -166,6 +166,10 @@ class OutlineObservations:
             [difference_along_sensor(T_before, T_sensor_board), gather_extra(self.extra_of_local, extra)], axis=-1
         )
 
+    def is_defined(self, T_sensor_board: Array, extra: Array) -> bool:  # noqa: ARG002
+        """See :class:`BoardViews`."""
+        return True
+
     def update_noise(self, T_sensor_board: Array, noise_scale: float) -> "OutlineObservations":
         """See :class:`BoardViews`: the outline is uniformly distributed between the two beams, plus blur."""
         view = self._view

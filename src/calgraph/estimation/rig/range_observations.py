@@ -176,6 +176,10 @@ class RangeObservations:
         planes = n * (h_after - h)[:, None] - h[:, None] * (n_after - n)
         return np.concatenate([planes, gather_extra(self.extra_of_local, extra)], axis=-1)
 
+    def is_defined(self, T_sensor_board: Array, extra: Array) -> bool:  # noqa: ARG002
+        """See :class:`BoardViews`."""
+        return True
+
     def update_noise(self, T_sensor_board: Array, scale: float) -> "RangeObservations":
         """See :class:`BoardViews`: the error of a beam's direction grows with the tangent of its incidence."""
         h, cosine = self._intersect_planes(T_sensor_board)

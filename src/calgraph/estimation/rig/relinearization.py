@@ -30,6 +30,8 @@ class CachedLinearization:
         self, views: BoardViews, T_sensor_board: Array, extra: Array, limits: ExtrapolationSettings
     ) -> ViewNormalEquations | None:
         """The equations at other poses (V, 4, 4) and extra parameters (e,); None beyond the limits."""
+        if not views.is_defined(T_sensor_board, extra):
+            return None
         cosine = np.sum(self.T_sensor_board[:, :3, 2] * T_sensor_board[:, :3, 2], axis=-1)
         change = views.local_difference(self.T_sensor_board, T_sensor_board, extra - self.extra)
         squared, count = self.equations.squared_change(change), self.equations.residual_count

@@ -18,6 +18,7 @@ from calgraph.estimation.rig.covariances import parameter_covariance
 from calgraph.estimation.rig.observations import BoardViews, view_indices
 from calgraph.estimation.rig.outline_observations import FOOTPRINTS, OutlineObservations
 from calgraph.estimation.rig.range_observations import RangeObservations, bow_shape
+from calgraph.estimation.rig.residual_distortion import ResidualDistortion
 from calgraph.geometry import Array, Index
 from calgraph.result import EstimatedParameter
 from calgraph.sensors import DISTORTION_NAMES, CameraModel
@@ -27,6 +28,8 @@ _ESTIMATED_COEFFICIENTS = {"pinhole": 5, "fisheye": 4}
 these, have nearly the same effect."""
 
 _PRINT_SCALE = "print scale"
+RESIDUAL_DISTORTION = "residual distortion"
+"""First words of the quantities of its coefficients."""
 
 
 @dataclass(frozen=True)
@@ -107,7 +110,7 @@ def add_systematic_parameters(
         spec, number = rig.sensors[name], board_number[views.board]
         if isinstance(views, CornerObservations):
             assert isinstance(spec, CameraSpec)
-            all_views.append(_add_to_camera(table, k, name, views, spec, prints, number))
+            all_views.append(_add_to_camera(table, k, name, views, spec, prints, number, settings))
         else:
             assert isinstance(views, RangeObservations)
             assert not isinstance(spec, CameraSpec)
@@ -170,6 +173,7 @@ def summarize_systematic_parameters(
             stddev=float(np.sqrt(variance)) * abs(one.scale),
         )
         for one, value, variance in zip(bundle.extra_parameters, state.extra, variances, strict=True)
+        if not one.quantity.startswith(RESIDUAL_DISTORTION)
     )
 
 
@@ -196,6 +200,7 @@ def _add_to_camera(
     spec: CameraSpec,
     prints: Sequence["_Print"],
     number: Index,
+    settings: SystematicParameterSettings,
 ) -> CornerObservations:
     camera = _with_estimated_distortion(views.camera)
     lens: list[_Candidate | None] = list(_lens_parameters(name, camera, spec))
@@ -203,13 +208,21 @@ def _add_to_camera(
     # A board at rest is the same at all times.
     timed = len(views.twist) > 0
     of_times = [_stamp_delay(k, name, spec), _readout_time(name, spec)] if timed else []
-    candidates = [[*lens, *one.parameters(most_tags), *of_times] for one in prints]
+    # Of lenses whose intrinsics were estimated; others, and those like their models, have none.
+    size = spec.stated_intrinsics.model_error if spec.stated_intrinsics else None
+    field = ResidualDistortion.over_images(camera, settings.residual_distortion) if size else None
+    coefficients = [
+        _Candidate(name, f"{RESIDUAL_DISTORTION} {i + 1}", "px", stddev)
+        for i, stddev in enumerate((size * field.stddev).tolist() if size and field else ())
+    ]
+    candidates = [[*lens, *one.parameters(most_tags), *of_times, *coefficients] for one in prints]
     extra_of_local, count = table.index_extra(k, candidates, number)
     corner_number = number[view_indices(views.start, len(views.pixels))]
     printed = _locate_corners(views.printed.nominal, corner_number, prints)
     return replace(
-        views, camera=camera, printed=printed, extra_of_local=extra_of_local, extra_count=count, timed=timed
-    )
+        views, camera=camera, printed=printed, extra_of_local=extra_of_local, extra_count=count, timed=timed,
+        residual_distortion=field,
+    )  # fmt: skip
 
 
 def _stamp_delay(k: int, name: str, spec: SensorSpec) -> _Candidate | None:
