@@ -116,3 +116,13 @@ def test_corners_of_a_board_that_moves_within_a_capture_are_rejected() -> None:
     found = detector.find(moved)
     assert isinstance(found, Rejected)
     assert "board moved between images" in found.reason
+
+
+def test_images_without_corners_do_not_count() -> None:
+    points = opencv_points(CHECKERBOARD)
+    pixels = CAMERA.project(se3.apply(T_CAMERA_BOARD, compute_landmarks(CHECKERBOARD).corners[:, 0]))
+    finder = CameraDetector([CHECKERBOARD], CAMERA, PixelNoise())
+    nothing = DetectedCorners(0.0, "", points[:0], pixels[:0])
+    found = finder.find([nothing, DetectedCorners(1.0, "", points, pixels), nothing])
+    assert not isinstance(found, Rejected)
+    assert finder.find([nothing, nothing]) == Rejected("no corner of the board was detected")

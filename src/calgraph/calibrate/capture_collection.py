@@ -15,6 +15,7 @@ from calgraph.captures import (
     CaptureSet,
     DetectionMethod,
     InputMonitor,
+    RecordingTimeline,
     SensorCapture,
     check_background,
     check_clocks,
@@ -46,15 +47,37 @@ def collect_captures(
 ) -> CaptureSet:
     """Finds the holds of the board, and detects the board in every sensor's messages of each hold.
 
-    The intrinsics of cameras without any are estimated first, from the same holds.
+    The intrinsics of cameras without any are estimated first, from the same holds. Where the board is out of the
+    views while they rest, and stamps show sets of frames, the captures are these.
     """
     if len(rig.sensors) < 2:
         raise CalibrationError(f"{rig.root} is the only sensor: a rig.yaml needs at least two")
-    resolved, camera_infos = resolve_intrinsics(rig, recording), find_camera_infos(rig, recording)
-    monitor = InputMonitor(rig, recording.start, camera_infos)
+    monitor = InputMonitor(rig, recording.start, find_camera_infos(rig, recording))
     timeline = read_rig_timeline(rig, recording, monitor, options, progress)
     check_pose_numbers(rig, timeline, recording.topics)
     check_timeline(rig, timeline, recording.end)
+    captures = _detect_in_timeline(rig, recording, timeline, options, rng, progress)
+    recognized = recognize_mode(timeline, rig.capture, rig.settings.captures)
+    shared = captures.count_shared()
+    out_of_view = shared < min(rig.settings.captures.min_shared_rests, len(captures.holds) / 2)
+    if out_of_view and recognized.mode == "rest" and recognized.spread is not None:
+        _log.info("no board in the rests: sets of frames are taken")
+        moving = rig.capture.model_copy(update={"mode": "synchronized"})
+        rig = rig.model_copy(update={"capture": moving})
+        captures = _detect_in_timeline(rig, recording, timeline, options, rng, progress)
+    return replace(captures, findings=(*monitor.findings(), *captures.findings))
+
+
+def _detect_in_timeline(
+    rig: Rig,
+    recording: Recording,
+    timeline: RecordingTimeline,
+    options: RigOptions,
+    rng: np.random.Generator,
+    progress: Progress,
+) -> CaptureSet:
+    """The detections in the holds of a timeline, and what the holds show of the rig."""
+    resolved, camera_infos = resolve_intrinsics(rig, recording), find_camera_infos(rig, recording)
     holds = limit_messages(find_holds(timeline, rig.capture, rig.settings.captures), rig)
     intrinsics = estimate_unknown_intrinsics(resolved, recording, holds, options.jobs, progress, options.cache)
     cameras = resolved.camera_models() | intrinsics.cameras
@@ -67,7 +90,6 @@ def collect_captures(
         SensorCapture(hold.index, name, reason) for name, reason in intrinsics.failed.items() for hold in holds
     ]
     findings = [
-        *monitor.findings(),
         *check_intrinsics(cameras, rig.settings.captures.input_checks),
         *check_background(rig, timeline),
         *check_clocks(rig, timeline),

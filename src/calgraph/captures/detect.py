@@ -1,7 +1,9 @@
 """From holds to detections: the messages of each hold are collected from the stream and searched."""
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -58,6 +60,10 @@ class CaptureSet:
     """What does not fit the rig in the messages of the recording."""
     estimated_intrinsics: Mapping[str, Intrinsics] = field(default_factory=dict)
     """By camera whose intrinsics were estimated; the rig of a saved problem has them."""
+
+    def count_shared(self) -> int:
+        """The number of captures in which at least two sensors detected the board."""
+        return sum(count >= 2 for count in Counter(chain.from_iterable(self.detections.values())).values())
 
 
 def collect_detections(

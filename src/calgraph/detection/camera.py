@@ -111,11 +111,12 @@ class CameraDetector:
         found = [self._check_in_image(assign_corners(one, printed.board, printed.landmarks)) for one in messages]
         noise = max(self._noise.pixel, self._settings.min_motion_noise)
         tolerance = self._settings.pose.outlier_sigmas * noise
+        found = [marks for marks in found if len(marks)]
+        if not found:
+            return Rejected("no corner of the board was detected")
         marks = found[0] if len(found) == 1 else average_marks(found, tolerance)
         if isinstance(marks, Rejected):
             return marks
-        if not len(marks):
-            return Rejected("no corner of the board was detected")
         corners = printed.landmarks.corners_of(marks.ids)
         mirrored = is_mirrored(corners[:, 0], marks.pixels[:, 0])
         pose = fit_pose(

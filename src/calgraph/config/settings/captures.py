@@ -181,6 +181,10 @@ class CaptureSettings(StrictModel):
     min_rests: int = Field(default=12, ge=1)
     """Number of rests from which the captures are rests although the stamps show sets of frames of a moving board:
     a dozen poses calibrate a sensor, and frames of a board at rest are the better ones."""
+    min_shared_rests: int = Field(default=5, ge=1)
+    """Minimum number of rests in which two sensors detect the board, below which, and below half of the rests, the
+    views rest because the board is out of them, if stamps show sets of frames: fewer calibrate no pair of
+    sensors."""
     min_rest_share: float = Field(default=0.2, ge=0, le=1)
     """Share of the recording in which nothing moves, below which fewer rests than min_rests are those of a moving
     board, at start and end or where it is turned back: operators who hold the board still do so for half of the
