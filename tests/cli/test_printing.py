@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -118,14 +119,21 @@ def test_verdicts_are_printed_as_sentences(calibration: Calibration, capsys: pyt
     ]
 
 
-def test_the_tolerance_of_good_poses_is_named(
-    calibration: Calibration, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize("grade", ["good", "weak"])
+def test_the_tolerance_is_named_where_a_pose_is_good(
+    calibration: Calibration, capsys: pytest.CaptureFixture[str], grade: Literal["good", "weak"]
 ) -> None:
-    tolerant = replace(
-        calibration, evidence=replace(calibration.evidence, tolerance=Tolerance(translation=0.02, rotation=0.5))
+    graded = replace(
+        calibration,
+        sensors=tuple(
+            replace(sensor, verdict=Verdict("good" if sensor.name == calibration.root else grade))
+            for sensor in calibration.sensors
+        ),
+        evidence=replace(calibration.evidence, tolerance=Tolerance(translation=0.02, rotation=0.5)),
     )
-    lines = printed(lambda: print_calibration(tolerant), capsys)
-    assert "✓ good: within the tolerance of 20 mm and 0.5° along and about each axis (95 %)" in lines
+    lines = printed(lambda: print_calibration(graded), capsys)
+    named = "✓ good: within the tolerance of 20 mm and 0.5° along and about each axis (95 %)" in lines
+    assert named == (grade == "good")
 
 
 def test_residuals_are_printed_beside_held_out_errors(

@@ -27,8 +27,9 @@ def print_calibration(calibration: Calibration) -> None:
     for sensor in calibration.sensors:
         if sensor.intrinsics is not None:
             _print_intrinsics(output, calibration, sensor.name, sensor.intrinsics)
-    if calibration.evidence.tolerance:
-        tolerance = calibration.evidence.tolerance
+    tolerance = calibration.evidence.tolerance
+    others = [sensor for sensor in calibration.sensors if sensor.name != calibration.root]
+    if tolerance and any(sensor.verdict.grade == "good" for sensor in others):
         limits = f"{1000 * tolerance.translation:g} mm and {tolerance.rotation:g}°"
         output.print(f"{_GRADES['good']} good: within the tolerance of {limits} along and about each axis (95 %)")
     if calibration.evidence.bodies:
