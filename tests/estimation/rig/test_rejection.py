@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from bundle_scenes import LEVER, Scene, bias_variances, remeasured, scene
 from calgraph.config import CameraSpec, PixelNoise
@@ -22,6 +23,7 @@ from calgraph.geometry import se3
 from calgraph.simulation import BoardErrors, IdealDetectorOptions, ModelErrors, build_world
 from detected_rigs import QUICK, DetectedRig, detect_rig, detect_rig_on
 
+Mask = NDArray[np.bool_]
 SENSORS = ("lidar", "camera", "lidar2", "laser")
 
 
@@ -212,3 +214,33 @@ def test_a_slipped_view_is_rejected_and_no_other() -> None:
         # 7.5 to 15 cm.
         joint = displaced_view(one, capture, 0.05).solve()
         assert {found for found, _ in joint.rejected} == {capture}
+
+
+def test_a_view_that_is_rejected_again_after_its_return_stays_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Alone it agrees with the others, but not together with them: rounds would end in either state."""
+    exact = scene(SENSORS[:2], boards=8)
+    bundle = exact.measured(np.random.default_rng(0))
+    solution = minimize_bundle(bundle, exact.truth)
+    judged: list[bool] = []
+
+    def judge(
+        _complete: Bundle,
+        _bundle: Bundle,
+        _solution: object,
+        _factors: object,
+        kept: list[Mask],
+        *_: int,
+        **__: bool,
+    ) -> list[Mask]:
+        judged.append(bool(kept[0][3]))
+        turned = kept[0].copy()
+        turned[3] = ~turned[3]
+        return [turned, kept[1]]
+
+    monkeypatch.setattr("calgraph.estimation.rig.settling._judge_views", judge)
+    _, _, kept = settle_variances(bundle, solution, 9)
+    assert judged[:4] == [True, False, True, False]
+    assert not any(judged[3:])
+    assert not kept[0][3]
+    assert kept[0].sum() == 7
+    assert kept[1].all()

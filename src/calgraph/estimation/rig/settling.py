@@ -33,7 +33,7 @@ def settle_variances(
     """Estimates noise and view bias, and rejects outlier views, until neither changes.
 
     Variances settle before views are judged: views that scatter as all others do are not outliers. A rejected view
-    returns once it agrees with the others.
+    returns once it agrees with the others, and does not return a second time.
 
     Args:
         complete: all views.
@@ -48,11 +48,18 @@ def settle_variances(
     settings = complete.settings.variances
     kept = kept or [np.ones(len(views.board), dtype=np.bool_) for views in complete.all_views]
     bundle = select_views(complete, complete, solution.state, kept)
+    returned = barred = [np.zeros_like(part) for part in kept]
     for _ in range(rounds):
         before, factors = bundle, view_covariance_factors(bundle, solution.equations, first=first)
         bundle, change = update_variance_components(bundle, solution, factors, first)
         settled = change < settings.max_settled_change
         selected = _judge_views(complete, before, solution, factors, kept, first, settled=settled)
+        # A view that was rejected again after its return would return in every third round.
+        barred = [
+            bar | (old & ~new & back) for bar, old, new, back in zip(barred, kept, selected, returned, strict=True)
+        ]
+        selected = [new & ~bar for new, bar in zip(selected, barred, strict=True)]
+        returned = [back | (new & ~old) for back, old, new in zip(returned, kept, selected, strict=True)]
         if any(np.any(new != old) for new, old in zip(selected, kept, strict=True)):
             bundle, kept = select_views(complete, before, solution.state, selected), selected
         elif settled:
