@@ -123,6 +123,29 @@ def test_a_section_of_the_board_is_moved() -> None:
     np.testing.assert_allclose(segment.twist, [-0.5, 0, 0, 0, 0, 0], atol=1e-9)
 
 
+def torn_patch_at(time: float) -> PlanePatch:
+    """A sweep that begins and ends in the middle of the board: its left half is measured 80 ms after the other."""
+    on_board = np.array([[x, y, 0.0] for x in np.linspace(-0.4, 0.4, 21) for y in np.linspace(-0.3, 0.3, 7)])
+    u = directions_to(se3.apply(board_at(time), on_board))
+    times = np.where(on_board[:, 0] < 0, 0.04, -0.04)
+    times -= times.mean()
+    measured = ranges_to(board_at(time + times), u)
+    points = measured[:, None] * u
+    return PlanePatch(plane.fit(points), np.eye(3), measured, u, points.mean(axis=0), times=times)
+
+
+def test_the_plane_of_a_sweep_that_begins_on_the_board_is_freed_from_skew() -> None:
+    found = captures_of({"lidar": {t: torn_patch_at(t) for t in FRAMES}})
+    angles = []
+    for rounds in (0, 2):
+        (patch,) = compensate_motion(found, MovingBoardSettings(skew_rounds=rounds)).detections["lidar"][0]
+        assert isinstance(patch, PlanePatch)
+        cosine = patch.plane[:3] @ plane.from_pose(board_at(0.0))[:3]
+        angles.append(float(np.arccos(np.clip(cosine, -1, 1))))
+    assert angles[0] > 0.01
+    assert angles[1] < 0.003
+
+
 def test_without_detections_in_neighbouring_frames_the_view_is_not_used() -> None:
     found = compensate_motion(
         captures_of({"camera": {t: corners_at(t) for t in FRAMES}, "lidar": {0.0: patch_at(0.0)}}), SETTINGS

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeGuard
 
 import numpy as np
 
@@ -23,6 +24,9 @@ class _Measured:
 
     stamp: float
     detections: tuple[Detection, ...]
+    """As at the time of the stamp."""
+    original: tuple[Detection, ...]
+    """As measured."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +61,7 @@ def compensate_motion(captures: CaptureSet, settings: MovingBoardSettings) -> Ca
         captures: with stamps of the holds; one message a sensor and hold.
         settings: limits of motion and of the time between measurements.
     """
-    history = _order_by_time(captures)
+    history = {name: _remove_skew(of, settings) for name, of in _order_by_time(captures).items()}
     detections: dict[str, dict[int, tuple[Detection, ...]]] = {name: {} for name in captures.detections}
     chosen = {hold.index for hold in captures.holds if not hold.auxiliary}
     rejections = {key: why for key, why in captures.rejections.items() if key[0] in chosen}
@@ -71,11 +75,12 @@ def compensate_motion(captures: CaptureSet, settings: MovingBoardSettings) -> Ca
             continue
         reference = float(np.mean([stamp for stamp, _ in measured.values()]))
         for name, (stamp, found) in measured.items():
+            at_stamp = next(one.detections for one in history[name] if one.original is found)
             before, after = _neighbours(history[name], stamp, settings.max_interval)
             moved = [
                 move_detection(one, motion, reference - stamp, captures.cameras.get(name))
-                for one in found
-                if (motion := estimate_motion(one, stamp, before, after, settings)) is not None
+                for one, known in zip(found, at_stamp, strict=True)
+                if (motion := estimate_motion(known, stamp, before, after, settings)) is not None
             ]
             if moved:
                 detections[name][hold.index] = tuple(moved)
@@ -224,12 +229,52 @@ def _order_by_time(captures: CaptureSet) -> Mapping[str, Sequence[_Measured]]:
     history = {}
     for name, found in captures.detections.items():
         measured = [
-            _Measured(measured_at(hold.stamps[name], found[hold.index]), found[hold.index])
+            _Measured(measured_at(hold.stamps[name], found[hold.index]), found[hold.index], found[hold.index])
             for hold in captures.holds
             if hold.index in found and len(hold.stamps.get(name, ()))
         ]
         history[name] = sorted(measured, key=lambda one: one.stamp)
     return history
+
+
+def _remove_skew(history: Sequence[_Measured], settings: MovingBoardSettings) -> Sequence[_Measured]:
+    """The detections in sweeps, in order of time, as if all beams had been measured at the time of the stamp.
+
+    The parts of a moving board that a sweep measures at its beginning and at its end lie apart, and the plane
+    through them is rotated. Its velocity is known nevertheless: it is used to move the beams to one time, which
+    gives planes that give better velocities.
+    """
+    for _ in range(settings.skew_rounds):
+        if not any(_is_swept(one) for measured in history for one in measured.original):
+            break
+        straight = []
+        for measured in history:
+            before, after = _neighbours(history, measured.stamp, settings.max_interval)
+            motions = [
+                estimate_motion(one, measured.stamp, before, after, settings) for one in measured.detections
+            ]
+            both = zip(measured.original, measured.detections, motions, strict=True)
+            fitted = tuple(
+                _fit_plane(original, motion) if _is_swept(original) and motion is not None else one
+                for original, one, motion in both
+            )
+            straight.append(replace(measured, detections=fitted))
+        history = straight
+    return history
+
+
+def _is_swept(detection: Detection) -> TypeGuard[PlanePatch]:
+    """Whether it is a plane whose beams have different times."""
+    return isinstance(detection, PlanePatch) and len(detection.times) > 0
+
+
+def _fit_plane(original: PlanePatch, motion: BoardMotion) -> PlanePatch:
+    """The plane through beams that are moved to their mean time."""
+    at_beam = motion.pose_at(original.times - original.times.mean())
+    shift = _distance_along(original.directions, motion.T_sensor_board)
+    shift -= _distance_along(original.directions, at_beam)
+    points = original.points + shift[:, None] * original.directions
+    return replace(original, plane=plane.towards_origin(plane.fit(points)), center=points.mean(axis=0))
 
 
 def _neighbours(

@@ -8,7 +8,7 @@ import pytest
 from bundle_scenes import bias_variances, remeasured, scene
 from calgraph.config.settings import BumpTestSettings, SerialCorrelationSettings
 from calgraph.diagnostics.rig.pose_steps import find_pose_steps
-from calgraph.diagnostics.rig.serial_correlation import measure_serial_correlation
+from calgraph.diagnostics.rig.serial_correlation import measure_score_correlation, measure_serial_correlation
 from calgraph.estimation.rig.bundle_solver import Bundle, minimize_bundle
 from calgraph.estimation.rig.observations import relative_poses
 from calgraph.geometry import se3
@@ -85,3 +85,14 @@ def test_no_steps_beside_common_errors_of_successive_captures() -> None:
         bundle = wandering(seed, 0.02, 8)
         found += bool(find_pose_steps(bundle, minimize_bundle(bundle, SCENE.truth), BumpTestSettings(), SETTINGS))
     assert found <= 1
+
+
+def test_the_factor_of_scores_is_that_of_their_most_correlated_direction() -> None:
+    """Autoregression with 0.8 in one of six directions has a long-run variance of 9; six lags show half."""
+    rng = np.random.default_rng(0)
+    scores = rng.normal(size=(120, 6))
+    independent = measure_score_correlation(scores, SETTINGS)
+    for i in range(1, len(scores)):
+        scores[i, 2] = 0.8 * scores[i - 1, 2] + 0.6 * scores[i, 2]
+    assert 1 <= independent < 1.6
+    assert 2 < measure_score_correlation(scores, SETTINGS) < 6

@@ -150,6 +150,9 @@ class MovingBoardSettings(StrictModel):
     """Maximum speed of a board, m/s: operators walk and turn at half of it; more is a wrong detection."""
     max_rotation_rate: float = Field(default=6.0, gt=0)
     """Maximum rotation rate of a board, rad/s: more is the second solution of a plane's pose."""
+    skew_rounds: int = Field(default=2, ge=0)
+    """Rounds of removing the motion from the planes of a sweep, and of estimating the motion from them: where a
+    sweep begins and ends on the board, the first plane is rotated by up to 10°, the second by less than 1°."""
 
 
 class CaptureSettings(StrictModel):

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.special import chdtri, fdtri
 
 from calgraph.config.settings import BumpTestSettings, SerialCorrelationSettings
-from calgraph.diagnostics.rig.serial_correlation import measure_serial_correlation
+from calgraph.diagnostics.rig.serial_correlation import measure_score_correlation, measure_serial_correlation
 from calgraph.errors import CalibrationError
 from calgraph.estimation.rig.bundle_setup import set_noise
 from calgraph.estimation.rig.bundle_solver import (
@@ -115,7 +115,9 @@ def find_pose_steps(
 ) -> list[PoseStep]:
     """The significant steps in the poses of sensors, each searched beside those before it.
 
-    None if successive boards have errors in common beside these steps.
+    None if successive boards at rest have errors in common beside these steps. Moving boards always have some:
+    their serial correlation is a part of the variances, and one step is searched at a time, as there may be few
+    independent views between two.
 
     Args:
         bundle: all views, also outliers, in order of time; without outlines and priors of poses.
@@ -123,6 +125,10 @@ def find_pose_steps(
         settings: of the tests.
         correlation_settings: of errors that successive boards have in common.
     """
+    moving = any(len(views.twist) for views in bundle.views)
+    if moving:
+        min_views = max(settings.min_views, 2 * correlation_settings.lags)
+        settings = settings.model_copy(update={"max_bumps": min(settings.max_bumps, 1), "min_views": min_views})
     steps: list[PoseStep] = []
     while len(steps) < settings.max_bumps:
         try:
@@ -133,9 +139,8 @@ def find_pose_steps(
             break
         step, bundle, solution = found
         steps.append(step)
-    # Errors that depend on the board's pose, and those of moving boards, change with time as well. They remain
-    # beside steps.
-    return [] if steps and steps[-1].serial_correlation > 1 else steps
+    # Errors that depend on the board's pose change with time as well. They remain beside steps.
+    return [] if steps and steps[-1].serial_correlation > 1 and not moving else steps
 
 
 def release_poses(
@@ -320,14 +325,31 @@ def _measure_step(
     joint = pose_covariance(bundle, state, solution.equations).reshape(added + 1, 6, added + 1, 6)
     covariance = joint[k, :, k] + joint[added, :, added] - joint[k, :, added] - joint[added, :, k]
     factors = view_covariance_factors(bundle, solution.equations)
-    freedom = 0.0
+    freedom, moving = 0.0, len(bundle.views[k].twist) > 0
     for j in (k, added):
         A = solution.equations.views[j].information
-        whiten, measured = whitening(A)
-        freedom += float(measured.sum() - np.sum((whiten @ A @ factors[j]) ** 2))
+        # Of boards at rest, variances of noise and rings determine the step as well.
+        p = solution.equations.cache[j].equations.pose_count if moving else A.shape[-1]
+        whiten, measured = whitening(A[:, :p, :p])
+        freedom += float(measured.sum() - np.sum((whiten @ A[:, :p] @ factors[j]) ** 2))
     step = se3.difference(state.T_root_sensor[added], state.T_root_sensor[k])
     factor = measure_serial_correlation(bundle, solution, np.arange(len(state.T_root_board)), correlation_settings)
+    if moving:
+        factor = max(factor, _correlate_scores(bundle, solution, (k, added), correlation_settings))
     return step, covariance, max(freedom, 1.0), factor
+
+
+def _correlate_scores(
+    bundle: Bundle, solution: MinimizedBundle, parts: Sequence[int], settings: SerialCorrelationSettings
+) -> float:
+    """The factor of :func:`measure_score_correlation` of the views of a sensor on both sides of a step."""
+    ones = [np.ones(len(views.board)) for views in bundle.views]
+    released = release_poses(bundle, solution.state, solution.equations, ones)
+    scores = np.concatenate([released[j].score for j in parts])
+    information = np.sum([released[j].information.sum(axis=0) for j in parts], axis=0)
+    whiten, _ = whitening(information)
+    order = np.argsort(np.concatenate([bundle.views[j].board for j in parts]))
+    return measure_score_correlation(scores[order] @ whiten.T, settings)
 
 
 def _depends_on_order(released: ReleasedPose, largest: float, settings: BumpTestSettings) -> bool:

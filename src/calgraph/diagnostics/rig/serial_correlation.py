@@ -47,6 +47,32 @@ def measure_serial_correlation(
     return variance / float(np.median(random_orders)) if variance > max(random_orders) else 1.0
 
 
+def measure_score_correlation(scores: Array, settings: SerialCorrelationSettings) -> float:
+    """The factor by which serial correlation of views increases the variance of sums of their scores, at least 1.
+
+    The long-run covariance of the scores, with lags weighted as by Bartlett, has one largest eigenvalue for the
+    views in order of time, and others for random orders, whose median is what independent views have.
+
+    Args:
+        scores: (V, m) of views in order of time.
+        settings: lags and random orders.
+    """
+    rng = np.random.default_rng(0)
+    random_orders = [
+        _largest_long_run_variance(rng.permutation(scores), settings.lags) for _ in range(settings.permutations)
+    ]
+    return max(1.0, _largest_long_run_variance(scores, settings.lags) / float(np.median(random_orders)))
+
+
+def _largest_long_run_variance(series: Array, lags: int) -> float:
+    """The largest eigenvalue of the long-run covariance of a series (V, m)."""
+    covariance = series.T @ series
+    for k in range(1, min(lags, len(series))):
+        product = series[k:].T @ series[:-k]
+        covariance += (1 - k / lags) * (product + product.T)
+    return float(np.linalg.eigvalsh(covariance)[-1])
+
+
 def _long_run_variance(steps: Array, lags: int) -> float:
     """Of a series (C, n) without its linear trend, over its variance; both are sums over columns."""
     trend = np.stack([np.ones(len(steps)), np.linspace(-1, 1, len(steps))], axis=1)
