@@ -14,7 +14,11 @@ from calgraph.estimation.rig.corner_observations import CornerObservations
 from calgraph.estimation.rig.observations import BoardViews, relative_poses, stack_poses
 from calgraph.estimation.rig.range_observations import RangeObservations
 from calgraph.estimation.rig.systematic_parameters import add_systematic_parameters
-from calgraph.geometry import Array
+from calgraph.geometry import Array, se3
+from calgraph.sensors import CameraModel
+
+_MIN_CORNERS = 4
+"""Number of corners that determine the pose of a board."""
 
 
 def build_bundle(
@@ -22,7 +26,11 @@ def build_bundle(
 ) -> tuple[Bundle, BundleState]:
     """The bundle of the observed boards, and its start values."""
     names = tuple(T_root_sensor)
-    views = tuple(_select_views(rig, captured, name, boards) for name in names)
+    T_root_board = stack_poses([initial_board_pose(board, captured.detections, T_root_sensor) for board in boards])
+    views = tuple(
+        _select_views(rig, captured, name, boards, relative_poses(T_root_sensor[name], T_root_board))
+        for name in names
+    )
     bundle = Bundle(
         names,
         views,
@@ -38,7 +46,7 @@ def build_bundle(
         bundle.bias_variance[k, components] = of_view[components] ** 2
     state = BundleState(
         stack_poses([T_root_sensor[name] for name in names]),
-        stack_poses([initial_board_pose(board, captured.detections, T_root_sensor) for board in boards]),
+        T_root_board,
         np.zeros(0),
     )
     number = np.array([board_number(board, captured.detections) for board in boards], dtype=np.intp)
@@ -55,8 +63,10 @@ def update_noise(bundle: Bundle, state: BundleState) -> Bundle:
     return bundle.with_views(all_views)
 
 
-def _select_views(rig: Rig, captured: CaptureSet, name: str, boards: Sequence[BoardObservation]) -> BoardViews:
-    """One sensor's views of the boards."""
+def _select_views(
+    rig: Rig, captured: CaptureSet, name: str, boards: Sequence[BoardObservation], T_sensor_board: Array
+) -> BoardViews:
+    """One sensor's views of the boards, whose start poses (C, 4, 4) are given."""
     spec = rig.sensors[name]
     detected = [
         (i, captured.detections[name][board.capture][board.detection_index[name]])
@@ -65,12 +75,29 @@ def _select_views(rig: Rig, captured: CaptureSet, name: str, boards: Sequence[Bo
     ]
     indices = [i for i, _ in detected]
     if isinstance(spec, CameraSpec):
-        corners = [d for _, d in detected if isinstance(d, BoardCorners)]
-        return CornerObservations.from_detections(indices, corners, captured.cameras[name], spec.noise)
+        camera = captured.cameras[name]
+        corners = [
+            _leave_out_unprojected(d, camera, T_sensor_board[i])
+            for i, d in detected
+            if isinstance(d, BoardCorners)
+        ]
+        return CornerObservations.from_detections(indices, corners, camera, spec.noise)
     surfaces = [d for _, d in detected if not isinstance(d, BoardCorners)]
     return RangeObservations.from_detections(
         indices, surfaces, spec.noise, rig.settings.estimation.rig.min_incidence_cosine
     )
+
+
+def _leave_out_unprojected(detection: BoardCorners, camera: CameraModel, T_camera_board: Array) -> BoardCorners:
+    """A detection without the corners that the camera's model does not project at the board's start pose.
+
+    Models of wide lenses end at the extremum of their polynomials, which corners near the border of the image pass
+    where intrinsics are slightly wrong. A board with fewer than four others is behind the camera, and stays so.
+    """
+    projected = np.isfinite(camera.project(se3.apply(T_camera_board, detection.corners_board))).all(axis=-1)
+    if projected.all() or projected.sum() < _MIN_CORNERS:
+        return detection
+    return replace(detection, corners_board=detection.corners_board[projected], pixels=detection.pixels[projected])
 
 
 def rebuild_bundle(
