@@ -4,7 +4,12 @@ import numpy as np
 import pytest
 
 from calgraph.config.settings import DetectionSettings
-from calgraph.detection.rectangle_fit import BoardRectangle, fit_rectangle, measure_solidity_and_isolation
+from calgraph.detection.rectangle_fit import (
+    BoardRectangle,
+    SceneBeams,
+    fit_rectangle,
+    measure_solidity_and_isolation,
+)
 from calgraph.geometry import Array
 
 SIZE = (1.0, 0.6)
@@ -65,7 +70,8 @@ def scene(*parts: tuple[Array, float]) -> Array:
 
 def shares(points: Array, frame: float = 0.15) -> tuple[float, float]:
     rectangle = fit(cells(grid(*SIZE)))
-    return measure_solidity_and_isolation(rectangle, points, 0.03, frame, DetectionSettings())
+    beams = SceneBeams(points, np.linalg.norm(points, axis=1))
+    return measure_solidity_and_isolation(rectangle, beams, 0.03, frame, DetectionSettings())
 
 
 def ring(inner: float, outer: float) -> Array:

@@ -6,8 +6,11 @@ from dataclasses import replace
 import numpy as np
 
 from calgraph.detection import Detection, PlanePatch, Segment
-from calgraph.geometry import Array
+from calgraph.geometry import Array, measure_lengths
 from calgraph.sensors import LaserScan, PointCloud
+
+# Directions of detections are those of beams but for rounding.
+_MARGIN = 1e-6
 
 
 def add_beam_times(
@@ -24,7 +27,7 @@ def add_beam_times(
         return tuple(detections)
     from scipy.spatial import cKDTree
 
-    directions, times = beams
+    directions, times = _select_beams_near(*beams, detections)
     nearest = cKDTree(directions)  # one for all candidates: making it takes as long as all searches
     return tuple(
         replace(one, times=np.asarray(times[nearest.query(one.directions)[1]], dtype=np.float64))
@@ -32,6 +35,18 @@ def add_beam_times(
         else one
         for one in detections
     )
+
+
+def _select_beams_near(directions: Array, times: Array, detections: Sequence[Detection]) -> tuple[Array, Array]:
+    """The beams in the bounding boxes of the detections' directions, a tenth of a sweep."""
+    near = np.zeros(len(directions), dtype=np.bool_)
+    columns = np.ascontiguousarray(directions.T)
+    for one in detections:
+        if isinstance(one, PlanePatch | Segment):
+            low, high = one.directions.min(axis=0) - _MARGIN, one.directions.max(axis=0) + _MARGIN
+            inside = [(along >= a) & (along <= b) for along, a, b in zip(columns, low, high, strict=True)]
+            near |= inside[0] & inside[1] & inside[2]
+    return directions[near], times[near]
 
 
 def _find_timed_beams(message: PointCloud | LaserScan) -> tuple[Array, Array] | None:
@@ -44,6 +59,6 @@ def _find_timed_beams(message: PointCloud | LaserScan) -> tuple[Array, Array] | 
         return directions, np.arange(len(angles), dtype=np.float64) * message.time_increment
     if message.times is None:
         return None
-    norm = np.asarray(np.linalg.norm(message.points, axis=1), dtype=np.float64)
+    norm = measure_lengths(message.points)
     some = norm > 0
     return np.asarray(message.points[some] / norm[some, None], dtype=np.float64), message.times[some]

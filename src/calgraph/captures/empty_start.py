@@ -8,7 +8,7 @@ import numpy as np
 from calgraph.config import CameraSpec, Rig
 from calgraph.config.settings import EmptyStartSettings
 from calgraph.detection.cloud_background import Cells, find_direction_cells, find_local_maxima
-from calgraph.geometry import Array
+from calgraph.geometry import Array, measure_lengths
 from calgraph.recording import NO_CACHE, Recording, RecordingCache
 from calgraph.sensors import LaserScan, Message, PointCloud, RecordedMessage
 
@@ -126,7 +126,7 @@ class _Reference:
     def _measure(self, message: Message) -> tuple[Cells, Array]:
         """Direction and range of each return."""
         points = _list_points(message)
-        return find_direction_cells(points, self._shape), np.linalg.norm(points, axis=1)
+        return find_direction_cells(points, self._shape), measure_lengths(points)
 
 
 def _list_points(message: Message) -> Array:

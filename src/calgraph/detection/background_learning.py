@@ -19,7 +19,7 @@ from calgraph.detection.cloud_background import (
     pack_voxels,
 )
 from calgraph.errors import InputError
-from calgraph.geometry import Array
+from calgraph.geometry import Array, measure_lengths
 from calgraph.sensors import LaserScan, PointCloud, ScanBackground, align_ranges
 
 
@@ -80,7 +80,7 @@ def learn_cloud_background(
     for cloud in clouds:
         keys = _sort_distinct(np.concatenate([keys, _find_occupied(cloud.points, voxel)]))
         cells = find_direction_cells(cloud.points, max_range.shape)
-        np.maximum.at(max_range, cells, np.linalg.norm(cloud.points, axis=1))
+        np.maximum.at(max_range, cells, measure_lengths(cloud.points))
     if not len(keys):
         raise InputError("capture.background: no points in this window; choose one with measurements")
     max_range = find_local_maxima(max_range)

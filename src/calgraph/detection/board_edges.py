@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.config.settings import ScannerDetectionSettings
-from calgraph.geometry import Array, Index
+from calgraph.geometry import Array, Index, measure_lengths
 
 # Bound of ranges before the plane, m: beams that do not intersect it have an infinite one.
 _FAR = 1e3
@@ -45,7 +45,7 @@ def find_board_edges(
     excess = np.maximum(excess, -_FAR)
     on_board = np.abs(excess) < thickness
     adjacent = on_board[1:] & on_board[:-1] & (scan_line[1:] == scan_line[:-1])
-    steps = np.linalg.norm(np.diff(directions, axis=0), axis=1)[adjacent]
+    steps = measure_lengths(np.diff(directions, axis=0))[adjacent]
     if not len(steps):
         return np.empty((0, 2, 3))
     step = float(np.median(steps))
@@ -71,9 +71,9 @@ def _find_trailing_edges(
         return np.empty((0, 2, 3))
     previous, last, next_beam, after_next = (slice(i, len(scan_line) - 3 + i) for i in range(4))
     max_step = settings.edges.max_step_ratio * step
-    gap = np.linalg.norm(directions[next_beam] - directions[last], axis=1)
+    gap = measure_lengths(directions[next_beam] - directions[last])
     last_step = directions[last] - directions[previous]
-    step_length = np.linalg.norm(last_step, axis=1)
+    step_length = measure_lengths(last_step)
     same_line = (scan_line[previous] == scan_line[last]) & (scan_line[last] == scan_line[next_beam])
     board_ends = same_line & on_board[previous] & on_board[last] & ~on_board[next_beam]
     board_ends &= (step_length < max_step) & (step_length > 0)
@@ -91,5 +91,5 @@ def _find_trailing_edges(
     angle_past = step * (steps + mixed_pixel)
     ratio = np.divide(angle_past, step_length, out=np.zeros_like(angle_past), where=step_length > 0)
     outside = directions[last] + last_step * ratio[:, None]
-    pairs = np.stack([directions[last], outside / np.linalg.norm(outside, axis=1)[:, None]], axis=1)
+    pairs = np.stack([directions[last], outside / measure_lengths(outside)[:, None]], axis=1)
     return np.asarray(pairs[is_edge])

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from calgraph.config import RangeNoise
 from calgraph.config.settings import DetectionSettings
-from calgraph.geometry import Array
+from calgraph.geometry import Array, measure_lengths
 from calgraph.sensors import PointCloud
 
 # Offset of the borders of direction cells, in cells. LiDARs have rings at whole and half degrees, at the border of
@@ -30,7 +30,7 @@ class CaptureBackground:
     def foreground(self, points: Array) -> NDArray[np.bool_]:
         """Which of the points (N, 3), m, are in front of the static scene: (N,)."""
         begin = self.ranges.ravel()[_find_cells(points, self.ranges.shape)]
-        return np.asarray(np.linalg.norm(points, axis=1) < begin)
+        return np.asarray(measure_lengths(points) < begin)
 
 
 def learn_capture_background(
@@ -65,7 +65,7 @@ def learn_capture_background(
 
 def _measure_nearest_ranges(cloud: PointCloud, shape: tuple[int, int], min_range: float) -> NDArray[np.float32]:
     """(elevations * azimuths,) m; infinite without returns."""
-    ranges = np.linalg.norm(cloud.points, axis=1)
+    ranges = measure_lengths(cloud.points)
     valid = ranges > min_range
     nearest = np.full(shape[0] * shape[1], np.inf, dtype=np.float32)
     np.minimum.at(nearest, _find_cells(cloud.points[valid], shape), ranges[valid].astype(np.float32))
@@ -75,7 +75,7 @@ def _measure_nearest_ranges(cloud: PointCloud, shape: tuple[int, int], min_range
 def _find_cells(points: Array, shape: tuple[int, ...]) -> NDArray[np.intp]:
     """Index of the direction cell of each point (N, 3)."""
     x, y, z = points.T
-    elevation, azimuth = np.arctan2(z, np.hypot(x, y)), np.arctan2(y, x)
+    elevation, azimuth = np.arctan2(z, np.sqrt(x * x + y * y)), np.arctan2(y, x)  # hypot takes ten times as long
     row = (elevation / np.pi + 0.5) * (shape[0] - 1) + _BORDER_OFFSET
     column = (azimuth / (2 * np.pi) + 0.5) * shape[1] + _BORDER_OFFSET
     return np.asarray(row.astype(np.intp) * shape[1] + column.astype(np.intp) % shape[1])

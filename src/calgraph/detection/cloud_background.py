@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.geometry import Array
+from calgraph.geometry import Array, measure_lengths
 
 Mask = NDArray[np.bool_]
 Cells = tuple[NDArray[np.intp], NDArray[np.intp]]
@@ -37,7 +37,7 @@ class CloudBackground:
         keys = pack_voxels(find_voxels(points, self.voxel))
         in_background = self.keys[np.minimum(np.searchsorted(self.keys, keys), len(self.keys) - 1)] == keys
         max_range = self.max_range[find_direction_cells(points, self.max_range.shape)]
-        return np.asarray(~in_background & (np.linalg.norm(points, axis=1) < max_range))
+        return np.asarray(~in_background & (measure_lengths(points) < max_range))
 
 
 def find_voxels(points: Array, voxel: float) -> NDArray[np.int64]:

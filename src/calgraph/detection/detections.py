@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from calgraph.errors import Rejected
-from calgraph.geometry import Array
+from calgraph.geometry import Array, measure_lengths
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +122,7 @@ DetectionResult = tuple[Detection, ...] | Rejected
 
 def to_beams(points: Array) -> tuple[Array, Array]:
     """Ranges (N,), m, and unit directions (N, 3) of beams from the origin that end at points (N, 3)."""
-    ranges = np.linalg.norm(points, axis=1)
+    ranges = measure_lengths(points)
     return ranges, points / ranges[:, None]
 
 

@@ -17,11 +17,16 @@ from calgraph.detection.capture_background import CaptureBackground
 from calgraph.detection.cloud_background import CloudBackground
 from calgraph.detection.detections import PlanePatch, to_beams
 from calgraph.detection.line_plane_fit import fit_plane
-from calgraph.detection.rectangle_fit import BoardRectangle, fit_rectangle, measure_solidity_and_isolation
+from calgraph.detection.rectangle_fit import (
+    BoardRectangle,
+    SceneBeams,
+    fit_rectangle,
+    measure_solidity_and_isolation,
+)
 from calgraph.detection.region_growing import grow_flat_regions
 from calgraph.detection.voxel_normals import Cells, Indices, make_cells
 from calgraph.errors import Rejected
-from calgraph.geometry import Array, plane
+from calgraph.geometry import Array, measure_lengths, plane
 from calgraph.ransac import find_consensus
 from calgraph.sensors import PointCloud
 
@@ -54,7 +59,8 @@ def find_patches(
     clouds = [cloud for cloud in clouds if len(cloud.points)] or clouds
     scene = np.concatenate([cloud.points for cloud in clouds])
     rings = _join_rings(clouds)
-    valid = np.linalg.norm(scene, axis=1) > limits.min_range
+    ranges = measure_lengths(scene)
+    valid = ranges > limits.min_range
     foreground = valid if background is None else valid & background.foreground(scene)
     if foreground.sum() < limits.min_points:
         return Rejected(
@@ -78,7 +84,8 @@ def find_patches(
     if isinstance(background, CaptureBackground):
         # Where the board often stood, its points may be taken for background; those on its plane belong to it.
         points = np.concatenate([points, scene[valid & ~foreground]])
-    subsampled = scene[:: max(1, len(scene) // settings.lidar3d.max_scene_points)]
+    step = max(1, len(scene) // settings.lidar3d.max_scene_points)
+    subsampled = SceneBeams(scene[::step], ranges[::step])
     candidates = _select_candidate_regions(cells, regions, boards, subsampled, thickness, settings)
     measured = [
         _measure_patch(points, cells, region, boards, thickness, subsampled, rng, settings)
@@ -102,7 +109,7 @@ def _select_candidate_regions(
     cells: Cells,
     regions: Sequence[Indices],
     boards: Sequence[Board],
-    scene: Array,
+    scene: SceneBeams,
     thickness: float,
     settings: DetectionSettings,
 ) -> list[Indices]:
@@ -144,7 +151,7 @@ def _measure_patch(
     region: Indices,
     boards: Sequence[Board],
     thickness: float,
-    scene: Array,
+    scene: SceneBeams,
     rng: np.random.Generator,
     settings: DetectionSettings,
 ) -> _MeasuredPatch | None:
@@ -214,10 +221,10 @@ def _collect_plane_points(
     """All points on the plane next to cells of the region, those of edge cells without a normal included."""
     near = np.flatnonzero(np.abs(plane.distance(surface, points)) < thickness)
     low, high = cells.points[region].min(axis=0), cells.points[region].max(axis=0)
-    reach = cells.spacing * np.linalg.norm(points[near], axis=1, keepdims=True)
+    reach = cells.spacing * measure_lengths(points[near])[:, None]
     near = near[np.all((points[near] > low - reach) & (points[near] < high + reach), axis=1)]
     distance, _ = cKDTree(cells.points[region]).query(points[near])
-    return np.asarray(near[distance < cells.spacing * np.linalg.norm(points[near], axis=1)])
+    return np.asarray(near[distance < cells.spacing * measure_lengths(points[near])])
 
 
 def _select_interior(
@@ -248,7 +255,7 @@ def _score_patch(
     cells: Array,
     board: Board,
     spacing: float,
-    scene: Array,
+    scene: SceneBeams,
     thickness: float,
     settings: DetectionSettings,
 ) -> tuple[float, BoardRectangle]:
@@ -314,7 +321,7 @@ class _ScanLines:
 
 def _order_by_scan_line(cloud: PointCloud, settings: DetectionSettings) -> _ScanLines:
     """Rings, each by azimuth; without rings, points as they were sent, which is as they were measured."""
-    valid = np.linalg.norm(cloud.points, axis=1) > settings.lidar3d.min_range
+    valid = measure_lengths(cloud.points) > settings.lidar3d.min_range
     points = cloud.points[valid]
     if cloud.rings is None:
         return _ScanLines(*to_beams(points), np.zeros(len(points), dtype=np.intp), settings.scanner.edges.parallax)
@@ -339,13 +346,10 @@ def _find_edges(
         return np.empty((0, 2, 3))
     near = select_beams_with_margin(within)
     # Beams of a scan line that are not consecutive are different scan lines.
-    _, scan_line = np.unique(
-        np.stack([lines.scan_line[near], near - np.arange(len(near))]), axis=1, return_inverse=True
-    )
+    ends = (np.diff(lines.scan_line[near]) != 0) | (np.diff(near) != 1)
+    scan_line = np.append(0, np.cumsum(ends))
     excess = (ranges - predicted)[near]
-    return find_board_edges(
-        directions[near], excess, np.ravel(scan_line), thickness, settings.scanner, lines.parallax
-    )
+    return find_board_edges(directions[near], excess, scan_line, thickness, settings.scanner, lines.parallax)
 
 
 def _join_rings(clouds: Sequence[PointCloud]) -> NDArray[np.int32] | None:

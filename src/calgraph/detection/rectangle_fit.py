@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from calgraph.config.settings import DetectionSettings
-from calgraph.geometry import Array, plane
+from calgraph.geometry import Array, measure_lengths, plane
 
 Mask = NDArray[np.bool_]
 
@@ -41,6 +41,16 @@ class BoardRectangle:
     def coordinates(self, points: Array) -> Array:
         """(N, 2) coordinates of points (N, 3) along the rectangle's axes from its centre, m."""
         return np.asarray((points - self.center) @ self.axes)
+
+
+@dataclass(frozen=True, eq=False)
+class SceneBeams:
+    """The beams of a cloud, background included."""
+
+    points: Array
+    """(N, 3) their ends, m."""
+    ranges: Array
+    """(N,) m."""
 
 
 def fit_rectangle(
@@ -118,13 +128,13 @@ def _find_fullest_window(values: Array, counted: Mask, width: float) -> Mask:
 
 
 def measure_solidity_and_isolation(
-    rectangle: BoardRectangle, scene: Array, thickness: float, frame: float, settings: DetectionSettings
+    rectangle: BoardRectangle, scene: SceneBeams, thickness: float, frame: float, settings: DetectionSettings
 ) -> tuple[float, float]:
     """Shares of the beams through a rectangle that end on it, and of those around it that do not.
 
     Args:
         rectangle: the candidate.
-        scene: (N, 3) all points of the cloud, background included, m.
+        scene: all beams of the cloud.
         thickness: a point lies on the plane up to this distance from it, m.
         frame: width of the frame around the rectangle to evaluate, m.
         settings: of the detection.
@@ -135,16 +145,16 @@ def measure_solidity_and_isolation(
         0 to 1, and 1 where there are no beams.
     """
     blur = settings.lidar3d.outline_blur
-    scene = _crop_to_cone(rectangle, scene, 2 * blur + frame)
-    facing = scene @ rectangle.surface[:3]
+    points, ranges = _crop_to_cone(rectangle, scene, 2 * blur + frame)
+    facing = points @ rectangle.surface[:3]
     # Ranges relative to the intersection with the plane; beams that do not intersect it are left out.
     ratio = np.where(facing < 0, -facing / max(rectangle.surface[3], 1e-9), np.inf)
     intersects = np.isfinite(ratio) & (ratio > 1e-3)
-    intersections = scene[intersects] / ratio[intersects, None]
-    excess = np.linalg.norm(scene[intersects], axis=1) * (1 - 1 / ratio[intersects])
+    intersections = points[intersects] / ratio[intersects, None]
+    excess = ranges[intersects] * (1 - 1 / ratio[intersects])
     distance_outside = np.abs(rectangle.coordinates(intersections)) - 0.5 * np.array(rectangle.size)
     margin = distance_outside.max(axis=1)
-    on_plane = np.abs(excess) * rectangle.surface[3] / np.linalg.norm(intersections, axis=1) < thickness
+    on_plane = np.abs(excess) * rectangle.surface[3] / measure_lengths(intersections) < thickness
     through = (margin < -blur) & (on_plane | (excess > settings.scanner.min_depth_jump))
     around = (margin > 2 * blur) & (margin < 2 * blur + frame)
     solidity = float(on_plane[through].mean()) if through.any() else 1.0
@@ -152,13 +162,12 @@ def measure_solidity_and_isolation(
     return solidity, isolation
 
 
-def _crop_to_cone(rectangle: BoardRectangle, scene: Array, frame: float) -> Array:
-    """The points (N, 3) of the scene in the cone around the rectangle and its frame."""
+def _crop_to_cone(rectangle: BoardRectangle, scene: SceneBeams, frame: float) -> tuple[Array, Array]:
+    """The points (N, 3) of the scene in the cone around the rectangle and its frame, and their ranges (N,)."""
     distance = float(np.linalg.norm(rectangle.center))
     radius = 0.5 * float(np.hypot(*rectangle.size)) + np.sqrt(2) * frame
     if radius >= distance:
-        return scene
-    squared_cosine = 1 - (radius / distance) ** 2
-    along = scene @ (rectangle.center / distance)
-    ahead = (along > 0) & (along**2 > squared_cosine * np.einsum("ni,ni->n", scene, scene))
-    return np.asarray(scene[ahead])
+        return scene.points, scene.ranges
+    cosine = np.sqrt(1 - (radius / distance) ** 2)
+    inside = np.flatnonzero(scene.points @ (rectangle.center / distance) > cosine * scene.ranges)
+    return scene.points.take(inside, axis=0), scene.ranges[inside]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from calgraph.config.settings import DetectionSettings, RegionSettings
-from calgraph.geometry import Array
+from calgraph.geometry import Array, measure_lengths
 
 Indices = NDArray[np.intp]
 
@@ -56,7 +56,7 @@ def make_cells(points: Array, rings: NDArray[np.int32] | None, settings: Detecti
     means = _average_cells(points, cell)
     if len(means) <= regions.min_neighbours:
         return None
-    radius = np.linalg.norm(means, axis=1)
+    radius = measure_lengths(means)
     k = min(regions.neighbours if levels is None else regions.ring_neighbours, len(means))
     distance, neighbours = cKDTree(means, balanced_tree=False).query(means, k=k)
     # On a square grid the eighth neighbour is a diagonal away; the scan planes of a slow spinner are sparser.
@@ -96,7 +96,7 @@ def _find_ring_elevations(
 
 def _assign_cells(points: Array, levels: Array | None, along: float, depth_step: float) -> Indices:
     """Index 0..M-1 of the cell of each point."""
-    radius = np.linalg.norm(points, axis=1)
+    radius = measure_lengths(points)
     elevation = np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1]))
     if levels is None:
         row = np.floor((elevation + np.pi) / along).astype(np.int64)
