@@ -1,6 +1,7 @@
 """The detectors of a rig, and the backgrounds that its scanners learn."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -175,3 +176,15 @@ def test_only_lidars_without_background_learn_it_from_captures() -> None:
     assert learn_backgrounds_of_captures(RIG, recording, holds, without=["lidar"]) == {}
     auxiliary = hold_each(clouds, auxiliary=True)
     assert learn_backgrounds_of_captures(RIG, recording, holds[:4] + auxiliary[4:], without=()) == {}
+
+
+def test_each_beam_of_a_candidate_has_its_own_time() -> None:
+    whole = cloud(-0.6, 0.5)
+    timed = replace(whole, times=np.linspace(0.0, 0.1, len(whole.points)))
+    found = make_detectors(RIG, {}, {}, None, dict.fromkeys(RIG.sensors, 7))["lidar"]([timed])
+    assert not isinstance(found, Rejected)
+    assert len(found) >= 2
+    for patch in found:
+        assert isinstance(patch, PlanePatch)
+        measured = np.rint(patch.times / 0.1 * (len(whole.points) - 1)).astype(int)
+        np.testing.assert_allclose(whole.points[measured], patch.points, atol=1e-9)

@@ -17,7 +17,7 @@ from calgraph.detection.detections import Segment
 from calgraph.detection.line_plane_fit import SurfaceFit, fit_line, whiten_line
 from calgraph.detection.scan_averaging import AveragedScan, average_scans
 from calgraph.errors import Rejected
-from calgraph.geometry import Array
+from calgraph.geometry import Array, find_median
 from calgraph.ransac import find_consensus
 from calgraph.sensors import LaserScan, ScanBackground
 
@@ -204,7 +204,7 @@ def _trim_bent_ends(scan: AveragedScan, beams: Indices, start: Array, settings: 
     fit = fit_line(*scan.measurements(middle), start, settings=settings.scanner.fit)
     if fit is None:
         return beams
-    straight = [_lies_on_line(scan, block, fit, settings) for block in blocks]
+    straight = [_lies_on_line(scan, block, fit, settings) for block in (*blocks[:outer], *blocks[-outer:])]
     first, last = 0, len(blocks)
     for i in range(outer):
         first = i + 1 if not straight[i] else first
@@ -216,7 +216,7 @@ def _lies_on_line(scan: AveragedScan, block: Indices, fit: SurfaceFit, settings:
     """Whether the median offset of a block of beams from a line is within the noise of both."""
     angle, p = fit.parameters
     cosine = np.cos(scan.angles[block] - angle)
-    offset = float(np.median(scan.ranges[block] * cosine - p))
+    offset = find_median(scan.ranges[block] * cosine - p)
     s = float(np.mean(_positions_along(scan.angles[block], fit.parameters)))
     J = np.array([-s, 1.0])
     sigma_offset = fit.scale * float(np.mean(scan.sigma_range[block] * cosine)) * np.sqrt(np.pi / 2 / len(block))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from calgraph.config.settings import SurfaceFitSettings
-from calgraph.geometry import Array, plane
+from calgraph.geometry import Array, find_median, plane
 
 WhitenedResiduals = Callable[[Array], tuple[Array, Array]]
 """Parameters to whitened residuals (N,) and the Jacobian (N, P) of the whitened predictions."""
@@ -131,7 +131,7 @@ def _fit_robustly(
             if np.abs(step).max() < 1e-9:
                 break
         residuals, J = whitened(parameters)
-        scale = max(1.0, 1.4826 * float(np.median(np.abs(residuals[inliers]))))
+        scale = max(1.0, 1.4826 * find_median(np.abs(residuals[inliers])))
         inliers = np.abs(residuals) < settings.outlier_sigmas * scale
     if inliers.sum() <= J.shape[1]:
         return None
