@@ -22,6 +22,7 @@ from rosbags.rosbag2 import metadata, storage_mcap, storage_sqlite3
 from calgraph.config.settings import LimitSettings
 from calgraph.errors import InputError
 from calgraph.io.yaml_limits import check_yaml_limits
+from calgraph.recording.indexed_bag import LimitedBagReader
 from calgraph.recording.limits import check_unpacked_size
 
 if sys.version_info >= (3, 14):
@@ -102,7 +103,7 @@ def open_reader(path: Path, limits: LimitSettings) -> Reader1 | Reader2:
         Exception: anything that rosbags raises for damaged bytes.
     """
     if path.suffix == ".bag":
-        bag = Reader1(path)
+        bag = LimitedBagReader(path, limits)
         bag.open()
         for position, chunk in bag.chunks.items():
             name = next(name for name, one in bags1.decompressors.items() if one is chunk.decompressor)
