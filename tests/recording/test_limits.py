@@ -13,7 +13,7 @@ from backports import zstd
 
 from calgraph.config.settings import LimitSettings
 from calgraph.errors import RecordingError
-from calgraph.io.image_headers import read_image_size
+from calgraph.io.image_headers import has_several_scans, read_image_size
 from calgraph.recording import open_recording
 from calgraph.recording.bag_files import decompress_message
 from calgraph.recording.images import decode_image
@@ -77,6 +77,30 @@ def test_bytes_between_the_segments_of_a_jpeg_do_not_hide_its_size() -> None:
     data = jpeg_of(30_000, 30_000)
     with pytest.raises(ValueError, match="30000 x 30000 pixels"):
         decode_image(as_array(data[:2] + b"ab\xff\x00\xff\xd0\xff" + data[2:]))
+
+
+def test_a_progressive_jpeg_has_a_third_of_the_pixels() -> None:
+    """Its decoder keeps all coefficients: one of 2**28 pixels would take 2.4 GB."""
+    pixels = np.random.default_rng(1).integers(0, 255, (11, 12, 3), np.uint8)
+    limits = LimitSettings(max_image_pixels=3 * 131)
+    for progressive in (0, 1):
+        data = cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_PROGRESSIVE, progressive])[1]
+        assert decode_image(data).shape == (11, 12, 3)
+        assert has_several_scans(data.tobytes()) == progressive
+        if progressive:
+            with pytest.raises(
+                ValueError, match="12 x 11 pixels, more than the limit of 131 in a progressive JPEG"
+            ):
+                decode_image(data, limits=limits)
+        else:
+            assert decode_image(data, limits=limits).shape == (11, 12, 3)
+
+
+def test_a_jpeg_of_one_scan_for_each_colour_counts_as_progressive() -> None:
+    data = cv2.imencode(".jpg", np.zeros((11, 12, 3), np.uint8))[1].tobytes()
+    scan = data.index(b"\xff\xda")
+    assert data[scan + 4] == 3
+    assert has_several_scans(data[: scan + 4] + b"\x01" + data[scan + 5 :])
 
 
 @pytest.mark.parametrize("suffix", [".ppm", ".gif", ".hdr", ".ras"])

@@ -2,9 +2,12 @@
 
 import re
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 _PNG = b"\x89PNG\r\n\x1a\n"
+_JPEG = b"\xff\xd8"
+# Markers: frames whose coefficients come in several scans, and the start of a scan.
+_PROGRESSIVE, _SCAN = (0xC2, 0xC6, 0xCA, 0xCE), 0xDA
 # With fill bytes; neither bytes of data that are stuffed, nor markers that stand alone.
 _JPEG_SEGMENT = re.compile(rb"\xff+[\x02-\xcf\xda-\xfe]")
 
@@ -24,6 +27,28 @@ def read_image_size(data: bytes) -> tuple[int, int]:
     raise ValueError("it is no PNG, JPEG, TIFF, BMP or WebP, or is cut short")
 
 
+def has_several_scans(data: bytes) -> bool:
+    """Whether an image is a JPEG whose decoder keeps all coefficients, such as a progressive one.
+
+    Raises:
+        ValueError: it is a JPEG that is cut short.
+    """
+    if not data.startswith(_JPEG):
+        return False
+    channels = 0
+    try:
+        for code, position in _find_segments(data):
+            if _is_frame(code):
+                channels = data[position + 7]
+                if code in _PROGRESSIVE:
+                    return True
+            elif code == _SCAN:
+                return data[position + 2] < channels
+    except (struct.error, IndexError):
+        pass
+    raise ValueError("it is a JPEG that is cut short")
+
+
 def _png(data: bytes) -> tuple[int, int]:
     """Source: PNG specification, 5.3 and 11.2.2."""
     width, height = struct.unpack_from(">II", data, 16)
@@ -37,15 +62,29 @@ def _png(data: bytes) -> tuple[int, int]:
 
 
 def _jpeg(data: bytes) -> tuple[int, int]:
-    """Source: ITU-T T.81, B.1.1 and B.2.2. Bytes between segments are passed over, as decoders do."""
-    position = 2
+    """Source: ITU-T T.81, B.2.2."""
+    for code, position in _find_segments(data):
+        if _is_frame(code):
+            height, width = struct.unpack_from(">HH", data, position + 3)
+            return width, height
+    raise IndexError
+
+
+def _find_segments(data: bytes) -> Iterator[tuple[int, int]]:
+    """Codes of the markers of a JPEG's segments, and the positions after them.
+
+    Source: ITU-T T.81, B.1.1. Bytes between segments are passed over, as decoders do.
+    """
+    position = len(_JPEG)
     while marker := _JPEG_SEGMENT.search(data, position):
         code, position = data[marker.end() - 1], marker.end()
-        length, height, width = struct.unpack_from(">HxHH", data, position)
-        if 0xC0 <= code <= 0xCF and code not in (0xC4, 0xC8, 0xCC):
-            return width, height
+        yield code, position
+        (length,) = struct.unpack_from(">H", data, position)
         position += max(length, 2)
-    raise IndexError
+
+
+def _is_frame(code: int) -> bool:
+    return 0xC0 <= code <= 0xCF and code not in (0xC4, 0xC8, 0xCC)
 
 
 def _tiff(data: bytes) -> tuple[int, int]:
@@ -82,5 +121,5 @@ def _webp(data: bytes) -> tuple[int, int]:
 
 
 _FORMATS: dict[bytes, Callable[[bytes], tuple[int, int]]] = {
-    _PNG: _png, b"\xff\xd8": _jpeg, b"II*\0": _tiff, b"MM\0*": _tiff, b"BM": _bmp, b"RIFF": _webp,
+    _PNG: _png, _JPEG: _jpeg, b"II*\0": _tiff, b"MM\0*": _tiff, b"BM": _bmp, b"RIFF": _webp,
 }  # fmt: skip

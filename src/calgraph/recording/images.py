@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.config.settings import LimitSettings
-from calgraph.io.image_headers import read_image_size
+from calgraph.io.image_headers import has_several_scans, read_image_size
 from calgraph.recording.limits import check_pixel_count
 
 Pixels = NDArray[np.uint8]
@@ -115,12 +115,14 @@ def decode_image(data: Pixels, declared: str = "", limits: LimitSettings = Limit
     if data.size == 0:
         raise ValueError("image has no data")
     try:
-        width, height = read_image_size(data.tobytes())
+        content = data.tobytes()
+        width, height = read_image_size(content)
+        several_scans = has_several_scans(content)
     except ValueError as error:
         raise ValueError(
             f"image data of {data.size} bytes cannot be decoded (format {declared!r}): {error}"
         ) from error
-    check_pixel_count(width, height, limits)
+    check_pixel_count(width, height, limits, several_scans=several_scans)
     # Unchanged, because the other modes turn pictures by their EXIF tag and the sensor does not turn.
     with _discard_native_messages():
         read = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)

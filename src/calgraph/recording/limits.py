@@ -20,15 +20,24 @@ def check_unpacked_size(size: int, limits: LimitSettings) -> None:
         )
 
 
-def check_pixel_count(width: int, height: int, limits: LimitSettings) -> None:
+def check_pixel_count(width: int, height: int, limits: LimitSettings, *, several_scans: bool = False) -> None:
     """Checks the size of an image before it is decoded, pixels.
+
+    Args:
+        width: columns.
+        height: rows.
+        limits: that state how many pixels are allowed.
+        several_scans: whether it is a JPEG in several scans. Its decoder keeps all coefficients, 2 bytes for each
+            of up to three channels, besides 3 bytes of each pixel: a third of the pixels is allowed.
 
     Raises:
         ValueError: it is larger than the limit.
     """
-    if width * height > limits.max_image_pixels:
+    allowed = limits.max_image_pixels // 3 if several_scans else limits.max_image_pixels
+    if width * height > allowed:
+        form = " in a progressive JPEG" if several_scans else ""
         raise ValueError(
-            f"image states {width} x {height} pixels, more than the limit of {limits.max_image_pixels}: it is "
+            f"image states {width} x {height} pixels, more than the limit of {allowed}{form}: it is "
             "damaged, or needs limits.max_image_pixels in the settings"
         )
 

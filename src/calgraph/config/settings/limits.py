@@ -12,7 +12,8 @@ class LimitSettings(StrictModel):
     """
 
     max_image_pixels: int = Field(default=2**28, ge=1)
-    """Maximum number of pixels of an image, 16,384 squared: 0.8 GB in colour. Cameras have up to 150 million."""
+    """Maximum number of pixels of an image, 16,384 squared: 0.8 GB in colour. A third of it in
+    progressive JPEGs, whose decoder needs three times the memory. Cameras have up to 150 million."""
     max_points: int = Field(default=2**24, ge=1)
     """Maximum number of points of a cloud or beams of a scan, 16.8 million: 1 GB while it is read. Sweeps of
     LiDARs with 128 rings have half a million; merged scans of surveyors may have more."""
