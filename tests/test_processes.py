@@ -156,12 +156,21 @@ def test_one_process_does_the_work_where_there_is_no_shared_memory(
     assert "several processes are not possible here" in caplog.text
 
 
-def test_processes_that_cannot_be_started_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("error", "reason"),
+    [
+        (OSError(errno.EAGAIN, "Resource temporarily unavailable"), "Resource temporarily unavailable"),
+        (RuntimeError("can't start new thread"), "can't start new thread"),
+    ],
+)
+def test_processes_that_cannot_be_started_are_reported(
+    monkeypatch: pytest.MonkeyPatch, error: Exception, reason: str
+) -> None:
     def fail(*_arguments: object) -> None:
-        raise OSError(errno.EAGAIN, "Resource temporarily unavailable")
+        raise error
 
     monkeypatch.setattr("calgraph.processes.ProcessPoolExecutor.submit", fail)
-    message = r"^processes cannot be started \(Resource temporarily unavailable\); reduce `jobs`$"
+    message = rf"^processes cannot be started \({reason}\); reduce `jobs`$"
     with pytest.raises(CalibrationError, match=message):
         parallel_map(math.factorial, [(1,), (2,)], 2)
     with pytest.raises(CalibrationError, match=message):

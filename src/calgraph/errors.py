@@ -19,7 +19,10 @@ class RecordingError(InputError):
 
 
 class CalibrationError(CalgraphError):
-    """The data do not determine the requested calibration (exit code 1)."""
+    """The requested calibration cannot be computed (exit code 1).
+
+    The data do not determine it, or the computer lacks memory or processes.
+    """
 
 
 @dataclass(frozen=True)

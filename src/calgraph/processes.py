@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 from typing import Any, TypeVar
 
@@ -155,10 +155,12 @@ def _submit(pool: ProcessPoolExecutor, function: Callable[..., Result], *argumen
             return pool.submit(function, *arguments)
     except BrokenProcessPool as error:
         raise CalibrationError(_KILLED) from error
-    except OSError as error:
-        # The executor leaves workers that were started before; the interpreter would wait for them.
+    except (OSError, RuntimeError) as error:
+        # The latter is how threads fail to start. The executor leaves workers that were started before; the
+        # interpreter would wait for them.
         _kill_workers(pool)
-        raise CalibrationError(f"processes cannot be started ({error.strerror}); reduce `jobs`") from error
+        reason = getattr(error, "strerror", None) or error
+        raise CalibrationError(f"processes cannot be started ({reason}); reduce `jobs`") from error
 
 
 @contextmanager
@@ -232,7 +234,8 @@ def _process_pool(
             warnings.filterwarnings("ignore", message=".*fork", category=DeprecationWarning)
             yield pool
     finally:
-        pool.shutdown(wait=True, cancel_futures=True)
+        with suppress(RuntimeError):  # from a thread of the executor that could not be started
+            pool.shutdown(wait=True, cancel_futures=True)
         remove_cleanup(pool)
 
 
@@ -254,7 +257,10 @@ def _start_worker(shared: object) -> None:
     not end its workers, which would wait for work for ever.
     """
     _shared[:] = [shared]
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    try:
+        threading.Thread(target=_end_with_parent, daemon=True).start()
+    except RuntimeError:  # too little memory, or too many threads; the parent reports a killed process
+        os._exit(1)
     for number in SIGNALS:
         signal.signal(number, signal.SIG_DFL if number == signal.SIGTERM else signal.SIG_IGN)
 

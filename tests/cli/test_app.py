@@ -164,6 +164,27 @@ def test_a_signal_while_modules_are_loaded_ends_it_quietly(module: str, by: sign
     assert (done.returncode, done.stdout, done.stderr) == (128 + by, "", "")
 
 
+def run_main(*arguments: str, before: str = "") -> tuple[int, str]:
+    """Exit code and standard error of the program."""
+    done = subprocess.run(
+        [sys.executable, "-c", f"{before}\nfrom calgraph.cli import main; main()", *arguments],
+        capture_output=True, text=True, timeout=120, check=False,
+    )  # fmt: skip
+    return done.returncode, done.stderr
+
+
+def test_an_empty_argument_is_refused_instead_of_taken_for_this_folder() -> None:
+    message = "calgraph: an argument is empty, perhaps an unset variable; give a path or a value\n"
+    assert run_main("inspect", "") == (2, message)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="limits of the address space are those of Linux")
+def test_a_limit_of_memory_in_which_libraries_do_not_fit_is_one_line() -> None:
+    before = "import resource; resource.setrlimit(resource.RLIMIT_AS, (600 * 10**6, 600 * 10**6))"
+    message = "calgraph: memory is limited to 600 MB (ulimit -v); at least 700 MB are needed\n"
+    assert run_main("inspect", "recording", before=before) == (1, message)
+
+
 @pytest.mark.parametrize("error", ["MemoryError", "ImportError('x.so: failed to map segment from shared object')"])
 def test_memory_that_runs_out_is_one_line(error: str) -> None:
     code = (

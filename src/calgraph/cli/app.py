@@ -113,6 +113,8 @@ def run_command_line() -> None:
     open_standard_streams()
     try:
         try:
+            if "" in sys.argv[1:]:
+                raise InputError("an argument is empty, perhaps an unset variable; give a path or a value")
             app()
         finally:
             # Here, as what remains in the buffer is otherwise written, and fails, after the exit code is given.
@@ -126,6 +128,9 @@ def run_command_line() -> None:
             raise
         _print_error(CalibrationError("memory ran out; reduce `jobs`, or give a shorter recording"))
         sys.exit(1)
+    except InputError as error:
+        _print_error(error)
+        sys.exit(2)
     except OSError as error:
         # Files are named by the error; where none is, this is the stream.
         place = f"{error.filename}: cannot be used" if error.filename else "standard output: cannot be written"
