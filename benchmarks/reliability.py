@@ -16,9 +16,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import reliability_caches as caches
 import reliability_documents as documents
 import reliability_interrupts as interrupts
 import reliability_lines as lines
+import reliability_media as media
 import reliability_recordings as recordings
 import reliability_system as system
 from reliability_bags import FORMS, Source, simulate_source
@@ -100,6 +102,15 @@ TABLES: Mapping[str, Table] = {
         FORMS,
         _list_recordings,
     ),
+    media.TABLE: Table(
+        ("damage of another recording", "form of another recording"),
+        ANSWERS,
+        media.KINDS,
+        media.FORMS,
+        lambda source, scratch, seeds: media.list_cases(
+            source, media.write_media(source, scratch / "media"), seeds
+        ),
+    ),
     documents.RIG_TABLE: Table(
         ("mutation of the rig", "form of the rig"),
         ANSWERS,
@@ -127,6 +138,15 @@ TABLES: Mapping[str, Table] = {
         system.FAULTS,
         system.TASK_NAMES,
         lambda source, scratch, _: system.list_cases(source, _references(source, scratch, "faults")),
+    ),
+    caches.TABLE: Table(
+        ("state of the cache", "command with a cache"),
+        ANSWERS,
+        caches.KINDS,
+        caches.COMMANDS,
+        lambda source, scratch, seeds: caches.list_cases(
+            source, caches.Kept(_documents(source, scratch), scratch / "caches").make(), seeds
+        ),
     ),
     interrupts.TABLE: Table(
         ("signal at a random time", "command"),

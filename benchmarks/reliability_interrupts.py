@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -23,13 +24,27 @@ TABLE, SWEEP_TABLE = "signals", "SIGKILL before each operation on files"
 NOTHING, EARLIER, NEW, MIXED = "no result", "earlier result", "new result", "mixed"
 """States of what a command writes."""
 NOT_HIT = "ended before"
-_MARKERS = "calibration.yaml", "recording"
+_MARKERS = "calibration.yaml", "recording", "intrinsics.json"
 """A folder without them holds no result."""
 _CALIBRATE = "calibrate", "rig.yaml", "recording", "-o", "out", "--folds", "0"
-_SIGNALS = {"SIGKILL": signal.SIGKILL, "SIGTERM": signal.SIGTERM, "SIGINT (Ctrl-C)": signal.SIGINT}
+_SIGNALS = {
+    "SIGKILL": signal.SIGKILL,
+    "SIGTERM": signal.SIGTERM,
+    "SIGINT (Ctrl-C)": signal.SIGINT,
+    "SIGHUP (terminal closed)": signal.SIGHUP,
+}
+_TWICE = "SIGINT, and SIGTERM soon after"
 _WORKER = "SIGKILL of one worker"
-KINDS = *_SIGNALS, _WORKER
-_CODES = {"SIGKILL": (-9,), "SIGTERM": (-15, 143), "SIGINT (Ctrl-C)": (-2, 130), _WORKER: (1,)}
+KINDS = *_SIGNALS, _TWICE, _WORKER
+_CODES: Mapping[str, tuple[int, ...]] = {
+    # Negative where the signal comes before the first line of calgraph, or after its last.
+    **{kind: (-number, 128 + number) for kind, number in _SIGNALS.items()},
+    "SIGKILL": (-9,),
+    _TWICE: (-2, 130, -15, 143),
+    _WORKER: (1,),
+}
+_LONGEST_END = 5.0
+"""A run must have ended this long after a signal, s."""
 _COUNT_OPERATIONS = """
 import atexit, os, signal, sys
 kill_at, folder, main, count = int(sys.argv.pop(1)), os.getcwd() + os.sep, os.getpid(), 0
@@ -52,6 +67,10 @@ command_line()
 """A program that kills itself before one of its operations on files below its folder."""
 
 
+_LAST_OPERATIONS = 5
+"""Of commands that take long, operations before these are left out."""
+
+
 @dataclass(frozen=True)
 class Task:
     """A command that writes something."""
@@ -67,6 +86,8 @@ class Task:
     refused_over_new: bool = False
     """Whether the next run refuses to replace a complete result."""
     workers: bool = False
+    heavy: bool = False
+    """Whether it takes so long that fewer signals are sent."""
 
 
 TASKS: Sequence[Task] = (
@@ -85,6 +106,9 @@ TASKS: Sequence[Task] = (
     Task("check -o", ("check", "rig.yaml", "recording", "--against", "extrinsics.yaml", "-o", "out"), "out"),
     Task("simulate", ("simulate", "rig", "--scenario", "scenario.yaml", "-o", "robot"), "robot", again=(),
          refused_over_new=True),
+    Task("intrinsics, 3 processes", ("intrinsics", "rig.yaml", "recording", "-o", "out", "--jobs", "3"), "out",
+         workers=True),
+    Task("demo", ("demo", "--out", "demo"), "demo", again=("--force",), heavy=True),
     Task("init --force", ("init", "recording", "-o", "draft.yaml", "--force"), "draft.yaml",
          (("export", "calibration.yaml", "-f", "tf", "--force", "-o", "draft.yaml"),), ()),
     Task("export -o", ("export", "calibration.yaml", "-f", "urdf", "--force", "-o", "new.urdf"), "new.urdf",
@@ -148,10 +172,10 @@ def _hash(file: Path) -> str:
 
 def list_cases(references: References, seeds: int) -> Iterator[Case]:
     """Signals at random times."""
-    for seed in range(6 * seeds):
+    for seed in range(12 * seeds):
         for kind in KINDS:
             for task in TASKS:
-                if task.workers or kind != _WORKER:
+                if (task.workers or kind != _WORKER) and not (task.heavy and seed % 6):
                     yield Case(TABLE, kind, task.name, seed, partial(_attempt_signal, references, task, kind))
 
 
@@ -164,7 +188,8 @@ def list_operations(references: References, scratch: Path) -> Iterator[Case]:
         references.prepare(task, folder)
         counted = run(task.command, folder, program=[sys.executable, "-c", _COUNT_OPERATIONS, "0"])
         shutil.rmtree(folder)
-        for number in range(1, int(counted.stderr.split()[-1]) + 1):
+        last = int(counted.stderr.split()[-1])
+        for number in range(last - _LAST_OPERATIONS if task.heavy else 1, last + 1):
             yield Case(
                 SWEEP_TABLE, SWEEP_TABLE, task.name, number, partial(_attempt_operation, references, task, number)
             )
@@ -177,7 +202,7 @@ def _attempt_signal(
     # The second half of the times is among the last 40 %, where results are written.
     delay = duration * (rng.uniform(0, 1) if rng.random() < 0.5 else rng.uniform(0.6, 1.1))
     disturb = partial(_kill_worker if kind == _WORKER else _send, delay, kind)
-    return _judge(references, task, kind, folder, lambda: run(task.command, folder, disturb=disturb))
+    return _judge(references, task, kind, folder, lambda: run(task.command, folder, disturb=disturb), delay)
 
 
 def _attempt_operation(
@@ -189,10 +214,15 @@ def _attempt_operation(
 
 def _send(delay: float, kind: str, process: subprocess.Popen[bytes]) -> None:
     time.sleep(delay)
-    if process.returncode is None:
-        # A terminal sends SIGINT to all processes of a command.
-        send = os.killpg if _SIGNALS[kind] == signal.SIGINT else os.kill
-        send(process.pid, _SIGNALS[kind])
+    number = _SIGNALS.get(kind, signal.SIGINT)
+    # A terminal sends its signals to all processes of a command.
+    send = os.killpg if number in (signal.SIGINT, signal.SIGHUP) else os.kill
+    with suppress(ProcessLookupError):
+        if process.returncode is None:
+            send(process.pid, number)
+        if kind == _TWICE:
+            time.sleep(delay % 0.05)
+            send(process.pid, signal.SIGTERM)
 
 
 def _kill_worker(delay: float, _kind: str, process: subprocess.Popen[bytes]) -> None:
@@ -202,7 +232,9 @@ def _kill_worker(delay: float, _kind: str, process: subprocess.Popen[bytes]) -> 
         os.kill(workers[int(1000 * delay) % len(workers)], signal.SIGKILL)
 
 
-def _judge(references: References, task: Task, kind: str, folder: Path, start: Callable[[], Ending]) -> Judged:
+def _judge(
+    references: References, task: Task, kind: str, folder: Path, start: Callable[[], Ending], delay: float = 0.0
+) -> Judged:
     link_documents(references.whole, folder)
     earlier, new, _ = references.states[task.name]
     references.prepare(task, folder)
@@ -217,6 +249,12 @@ def _judge(references: References, task: Task, kind: str, folder: Path, start: C
         return Judged(Answer.HALF, f"exit code 0 and {state}")
     if kind != "SIGKILL" and (left := find_left(folder)):
         return Judged(Answer.LEFT, left[0])
+    if kind not in ("SIGKILL", _WORKER):
+        late = ending.seconds - delay
+        if ending.code != 0 and late > _LONGEST_END:
+            return Judged(Answer.HANG, f"ended {late:.1f} s after the signal")
+        # Nothing is left to be removed, and what a next run finds is what this one found.
+        return Judged(Answer.RIGHT, NOT_HIT if ending.code == 0 else state)
     again = run([*task.command, *(task.again if state == NEW else ())], folder)
     refused = task.refused_over_new and state == NEW
     if again.code != (2 if refused else 0):
