@@ -181,7 +181,7 @@ def test_an_empty_argument_is_refused_instead_of_taken_for_this_folder() -> None
 @pytest.mark.skipif(sys.platform != "linux", reason="limits of the address space are those of Linux")
 def test_a_limit_of_memory_in_which_libraries_do_not_fit_is_one_line() -> None:
     before = "import resource; resource.setrlimit(resource.RLIMIT_AS, (600 * 10**6, 600 * 10**6))"
-    message = "calgraph: memory is limited to 600 MB (ulimit -v); at least 700 MB are needed\n"
+    message = "calgraph: memory is limited to 600 MB (ulimit -v); at least 1000 MB are needed\n"
     assert run_main("inspect", "recording", before=before) == (1, message)
 
 

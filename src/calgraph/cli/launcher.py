@@ -4,9 +4,9 @@ import sys
 
 from calgraph.termination import handle_signals
 
-_MIN_ADDRESS_SPACE = 700 * 10**6
-"""Of all modules of a command and a small recording, bytes. With less, libraries end the program themselves, or
-never: some try again and again to get memory when they are loaded."""
+_MIN_ADDRESS_SPACE = 10**9
+"""Of all modules of a command and a small recording, which need some 700 MB, with a margin for several processes,
+bytes. With less, libraries end the program themselves, or never: some try again and again to get memory."""
 
 
 def main() -> None:
