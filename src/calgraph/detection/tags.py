@@ -54,12 +54,11 @@ class TagFinder:
         corrected = settings.min_corrected_margin
         # Least decision margin by the number of corrected bits; tags with more corrections are rejected.
         self._margins = (corrected,) if family == "tag16h5" else (settings.min_decision_margin, corrected)
-        self._coarse = _make_detector(family, quad_decimate=2.0, quad_sigma=settings.half_resolution_blur)
-        self._fine = _make_detector(family, quad_decimate=1.0, quad_sigma=0.0)
+        self._detector = _make_detector(family)
 
     def find(self, gray: Gray) -> Marks:
         """All tags of the family in an image (height, width), of the rig's boards or not."""
-        return self._decode(self._coarse if gray.size > self._settings.half_resolution_above else self._fine, gray)
+        return self._decode(gray, coarse=gray.size > self._settings.half_resolution_above)
 
     def find_within(self, gray: Gray, pixels: Array) -> Marks:
         """Tags at full resolution near their predicted corners (N, 4, 2); small ones too."""
@@ -67,16 +66,20 @@ class TagFinder:
         margin = self._settings.search_margin * edge + self._settings.min_search_margin
         low = np.maximum(np.floor(pixels.min(axis=(0, 1)) - margin), 0).astype(int)
         high = np.ceil(pixels.max(axis=(0, 1)) + margin).astype(int)
-        found = self._decode(self._fine, gray[low[1] : high[1], low[0] : high[0]])
+        found = self._decode(gray[low[1] : high[1], low[0] : high[0]], coarse=False)
         return Marks(found.ids, found.pixels + low)
 
-    def _decode(self, detector: Any, gray: Gray) -> Marks:
+    def _decode(self, gray: Gray, *, coarse: bool) -> Marks:
         # No tag has fewer pixels, and the library fails on such images.
         if min(gray.shape) < 8:
             return empty_marks(4)
+        # The library reads these in each search; a second detector would take 25 ms to make.
+        options = self._detector.tag_detector_ptr.contents
+        options.quad_decimate = 2.0 if coarse else 1.0
+        options.quad_sigma = self._settings.half_resolution_blur if coarse else 0.0
         tags = [
             tag
-            for tag in detector.detect(np.ascontiguousarray(gray))
+            for tag in self._detector.detect(np.ascontiguousarray(gray))
             if tag.hamming < len(self._margins) and tag.decision_margin > self._margins[tag.hamming]
         ]
         if not tags:
@@ -107,10 +110,10 @@ class GridFinder:
         return Marks(np.asarray(ids, dtype=np.intp).ravel(), pixels)
 
 
-def _make_detector(family: Family, quad_decimate: float, quad_sigma: float) -> Any:
+def _make_detector(family: Family) -> Any:
     from pupil_apriltags import Detector
 
-    detector = Detector(families=family, nthreads=1, quad_decimate=quad_decimate, quad_sigma=quad_sigma)
+    detector = Detector(families=family, nthreads=1)
     # Its destructor frees its families and then uses them, which corrupts the heap: it is left without any.
     detector.tag_families.clear()
     return detector
