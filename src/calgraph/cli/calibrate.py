@@ -1,7 +1,7 @@
 """``calgraph calibrate``: from a rig.yaml and recordings to a folder of results."""
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, cast
@@ -230,12 +230,25 @@ def calibrate(
             messages = sum(topic.count for topic in recording.topics)
             _log.info("recording: %.1f s, %d messages", recording.end - recording.start, messages)
             rig = resolve_background(rig, recording, cache)
-            calibration = story.calibrate(rig, recording, options, progress)
+            calibration = story.calibrate(rig, recording, options, _load_meanwhile(progress))
             read = [rig_file, *recordings, *([prior] if prior else []), *([extend] if extend else [])]
             calibration = replace(calibration, provenance=describe_run(read, recording, cache))
             rig = state_calibrated_intrinsics(resolve_intrinsics(rig, recording), calibration)
         write_results(calibration, rig, folder, jobs or available_cores())
     show_results(calibration, out, json=json, strict=strict)
+
+
+def _load_meanwhile(progress: Callable[[str, float], None]) -> Callable[[str, float], None]:
+    """The same function, which loads what is needed later while other processes detect."""
+
+    def show(step: str, done: float) -> None:
+        progress(step, done)
+        if step == "detecting":
+            import scipy.optimize  # noqa: F401
+
+            import calgraph.report  # noqa: F401
+
+    return show
 
 
 def _check_unused(target: str, options: Mapping[str, object]) -> None:

@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import nnls
 from scipy.special import chdtr, chdtri
 
 from calgraph.config.settings import VarianceComponentSettings
@@ -205,6 +204,8 @@ def _shrink_noise_scale(variance: float, freedom: float, settings: VarianceCompo
 
 def _fisher_scoring_step(variances: Array, score: Array, fisher: Array, least: Array, ridge: float) -> Array:
     """Variances after one step of Fisher scoring, none of them below the least."""
+    from scipy.optimize import nnls  # takes as long to import as all of NumPy
+
     # Two sensors alone determine the sum of their variances only: the ridge keeps the difference.
     regularized = fisher + np.diag(ridge * np.diag(fisher) + np.finfo(float).tiny)
     root = np.linalg.cholesky(regularized).T

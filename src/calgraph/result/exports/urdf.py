@@ -1,7 +1,5 @@
 """A new URDF: a link for each sensor's frame, a fixed joint for each edge of the tree."""
 
-from xml.sax.saxutils import quoteattr
-
 from calgraph.geometry import Array
 from calgraph.result.calibration import Calibration
 from calgraph.result.exports.frames import (
@@ -21,7 +19,7 @@ def to_urdf(calibration: Calibration) -> str:
         InputError: a sensor has no frame_id, or two have the same.
     """
     lines = ['<?xml version="1.0"?>', f"<!-- {describe_origin(calibration)} -->", '<robot name="calgraph">']
-    lines += [f"  <link name={quoteattr(frame)}/>" for frame in frame_ids(calibration).values()]
+    lines += [f"  <link name={_quote(frame)}/>" for frame in frame_ids(calibration).values()]
     for link in tree_edges(calibration):
         lines += _joint(link)
     return "\n".join([*lines, "</robot>", ""])
@@ -34,11 +32,17 @@ def origin_attributes(T_parent_child: Array) -> str:
     return f'xyz="{xyz}" rpy="{rpy}"'
 
 
+def _quote(text: str) -> str:
+    from xml.sax.saxutils import quoteattr  # brings the modules of the web along, which no other command uses
+
+    return quoteattr(text)
+
+
 def _joint(link: TreeEdge) -> list[str]:
     return [
-        f'  <joint name={quoteattr(f"{link.parent}_to_{link.child}")} type="fixed">',
-        f"    <parent link={quoteattr(link.parent)}/>",
-        f"    <child link={quoteattr(link.child)}/>",
+        f'  <joint name={_quote(f"{link.parent}_to_{link.child}")} type="fixed">',
+        f"    <parent link={_quote(link.parent)}/>",
+        f"    <child link={_quote(link.child)}/>",
         f"    <origin {origin_attributes(link.T_parent_child)}/>",
         "  </joint>",
     ]
