@@ -5,6 +5,7 @@ variables of style.css: the page substitutes their values for light mode, dark m
 """
 
 import json
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -93,17 +94,20 @@ def _to_json(content: Any) -> str:
 
 
 def _to_plain(value: Any) -> Any:
+    # Strings and numbers are the most frequent values, so they are tested first.
+    if isinstance(value, str | int) or value is None:
+        return value
+    if isinstance(value, float):
+        return float(f"{value:.6g}") if math.isfinite(value) else None
     if isinstance(value, dict):
         return {key: _to_plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray) and value.dtype.kind == "f":
         return _round_significant(value)
+    if isinstance(value, np.ndarray) and value.dtype.kind in "biuU":
+        return value.tolist()
     if isinstance(value, list | tuple | np.ndarray):
         return [_to_plain(item) for item in value]
-    if isinstance(value, np.generic):
-        value = value.item()
-    if isinstance(value, float):
-        return float(f"{value:.6g}") if np.isfinite(value) else None
-    return value
+    return _to_plain(value.item()) if isinstance(value, np.generic) else value
 
 
 def _round_significant(values: Array) -> Any:
