@@ -11,9 +11,11 @@ import pytest
 from ruamel.yaml import YAML
 from typer.testing import Result
 
+from calgraph.calibrate import calibrate_intrinsics
 from calgraph.config import AprilGrid, Board, CameraSpec, Rig
+from calgraph.errors import Rejected
 from calgraph.printing import format_target
-from calgraph.recording import open_recording, resolve_intrinsics
+from calgraph.recording import RecordingCache, open_recording, resolve_intrinsics
 from calgraph.sensors import CameraModel, Image
 from calgraph.simulation import (
     CameraOptions,
@@ -143,3 +145,23 @@ def test_a_camera_that_does_not_exist_is_refused_with_those_that_do(
     )
     assert done.exit_code == 2
     assert "--camera: there is no camera 'left'; there are camera (camera)" in done.stderr
+
+
+def test_a_second_run_takes_corners_from_the_cache(
+    recorded: tuple[Path, CameraModel], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig = Rig(root="camera", target=BOARD, sensors={"camera": CameraSpec(topic="/camera")})
+
+    def calibrate() -> CameraModel:
+        with open_recording(recorded[0] / "recording") as recording:
+            topic = next(iter({record.topic for record in recording.records()}))
+            spec = CameraSpec(topic=topic)
+            found = calibrate_intrinsics(
+                rig.model_copy(update={"sensors": {"camera": spec}}), recording, cache=RecordingCache(tmp_path)
+            )["camera"]
+        assert not isinstance(found, Rejected), found.reason
+        return found.camera
+
+    first = calibrate()
+    monkeypatch.delattr("calgraph.calibrate.intrinsics.find_views_in_holds")
+    assert np.array_equal(calibrate().intrinsics, first.intrinsics)

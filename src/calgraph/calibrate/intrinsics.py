@@ -9,7 +9,8 @@ import numpy as np
 from calgraph.calibrate.options import Progress, no_progress
 from calgraph.captures import Hold, InputFinding, detect_in_holds, find_views_in_holds
 from calgraph.captures.board_views import decode_views, encode_views
-from calgraph.config import Rig
+from calgraph.captures.sensor_detection import list_shared_inputs
+from calgraph.config import CameraSpec, Rig
 from calgraph.detection import BoardCorners, BoardView, BoardViewFinder, CameraDetector
 from calgraph.errors import Rejected
 from calgraph.estimation import IntrinsicsEstimate, estimate_intrinsics
@@ -55,40 +56,7 @@ def estimate_unknown_intrinsics(
         cache: has what earlier runs found in the images of a camera, and gets the others.
     """
     unknown = {name: spec for name, spec in rig.cameras().items() if spec.stated_intrinsics is None}
-    inputs = {
-        name: {
-            "topic": spec.topic,
-            "noise": spec.noise,
-            "boards": [board.model_dump(mode="json", exclude={"uncertainty"}) for board in rig.boards],
-            "captures": [(hold.index, hold.stamps[name]) for hold in holds],
-            "settings": rig.settings.detection.camera,
-        }
-        for name, spec in unknown.items()
-    }
-    views = {
-        name: kept
-        for name, given in inputs.items()
-        if (kept := cache.read(recording, _VIEWS, given, decode_views)) is not None
-    }
-    unread = {name: spec for name, spec in unknown.items() if name not in views}
-
-    def searching(done: float) -> None:
-        progress("intrinsics", done / max(len(holds) * len(unread), 1))
-
-    if unread:
-        views |= find_views_in_holds(
-            recording.records([spec.topic for spec in unread.values()]),
-            holds,
-            {name: spec.topic for name, spec in unread.items()},
-            {
-                name: BoardViewFinder(rig.boards, spec.noise, settings=rig.settings.detection.camera)
-                for name, spec in unread.items()
-            },
-            jobs=jobs,
-            progress=searching,
-        )
-        for name in unread:
-            cache.write(recording, _VIEWS, inputs[name], *encode_views(views[name]))
+    views = _find_views(rig, unknown, recording, holds, jobs, lambda done: progress("intrinsics", done), cache)
     estimates = {
         name: estimate_intrinsics(rig, name, _list_views(views[name]), spec.lens_to_estimate)
         for name, spec in unknown.items()
@@ -101,8 +69,45 @@ def estimate_unknown_intrinsics(
     )
 
 
+def _find_views(
+    rig: Rig,
+    cameras: Mapping[str, CameraSpec],
+    recording: Recording,
+    holds: Sequence[Hold],
+    jobs: int,
+    progress: Callable[[float], None],
+    cache: RecordingCache,
+) -> dict[str, dict[int, tuple[BoardView, ...]]]:
+    """The views of boards in the images of cameras, by camera and hold; progress is called with the share done."""
+    settings = rig.settings.detection.camera
+    inputs = {name: {**list_shared_inputs(name, rig, holds), "settings": settings} for name in cameras}
+    views = {
+        name: kept
+        for name, given in inputs.items()
+        if (kept := cache.read(recording, _VIEWS, given, decode_views)) is not None
+    }
+    unread = {name: spec for name, spec in cameras.items() if name not in views}
+    if not unread:
+        return views
+    found = find_views_in_holds(
+        recording.records([spec.topic for spec in unread.values()]),
+        holds,
+        {name: spec.topic for name, spec in unread.items()},
+        {name: BoardViewFinder(rig.boards, spec.noise, settings=settings) for name, spec in unread.items()},
+        jobs=jobs,
+        progress=lambda done: progress(done / max(len(holds) * len(unread), 1)),
+    )
+    for name in unread:
+        cache.write(recording, _VIEWS, inputs[name], *encode_views(found[name]))
+    return views | found
+
+
 def calibrate_intrinsics(
-    rig: Rig, recording: Recording, jobs: int = 1, progress: Progress = no_progress
+    rig: Rig,
+    recording: Recording,
+    jobs: int = 1,
+    progress: Progress = no_progress,
+    cache: RecordingCache = NO_CACHE,
 ) -> dict[str, IntrinsicsEstimate | Rejected]:
     """Estimates the intrinsics of all cameras of a rig from images over the whole recording.
 
@@ -115,6 +120,7 @@ def calibrate_intrinsics(
         recording: open recording with the cameras' topics.
         jobs: maximum number of processes.
         progress: called with the step and the fraction done.
+        cache: has what earlier runs found in the images of a camera, and gets the others.
 
     Returns:
         By camera, the intrinsics, or why its images do not determine them.
@@ -126,24 +132,24 @@ def calibrate_intrinsics(
         def searching(share: float, number: int = number) -> None:
             progress("intrinsics", (number + share) / len(cameras))
 
-        found[name] = _calibrate_camera(rig, name, recording, jobs, searching)
+        found[name] = _calibrate_camera(rig, name, recording, jobs, searching, cache)
     return found
 
 
 def _calibrate_camera(
-    rig: Rig, name: str, recording: Recording, jobs: int, progress: Callable[[float], None]
+    rig: Rig,
+    name: str,
+    recording: Recording,
+    jobs: int,
+    progress: Callable[[float], None],
+    cache: RecordingCache,
 ) -> IntrinsicsEstimate | Rejected:
     """The intrinsics of one camera; progress is called with the share done."""
     spec, settings = rig.cameras()[name], rig.settings.detection.camera
     frames = _spread_frames(name, spec.topic, recording, rig.settings.estimation.intrinsics.max_images)
-    by_frame = find_views_in_holds(
-        recording.records([spec.topic]),
-        frames,
-        {name: spec.topic},
-        {name: BoardViewFinder(rig.boards, spec.noise, settings=settings)},
-        jobs=jobs,
-        progress=lambda done: progress(done / (2 * len(frames))),
-    )[name]
+    by_frame = _find_views(rig, {name: spec}, recording, frames, jobs, lambda done: progress(0.5 * done), cache)[
+        name
+    ]
     estimate = estimate_intrinsics(rig, name, _list_views(by_frame), spec.lens_to_estimate)
     if isinstance(estimate, Rejected) or not any(board.tags for board in rig.boards):
         return estimate

@@ -123,6 +123,17 @@ def _background_records(rig: Rig, recording: Recording) -> Iterable[RecordedMess
     return recording.records(scanners, *(recording.start + t for t in window))
 
 
+def list_shared_inputs(name: str, rig: Rig, holds: Sequence[Hold]) -> dict[str, Any]:
+    """What all that is found in a sensor's messages depends on: the messages, their noise, and the boards."""
+    spec = rig.sensors[name]
+    return {
+        "topic": spec.topic,
+        "noise": spec.noise,
+        "boards": [board.model_dump(mode="json", exclude={"uncertainty"}) for board in rig.boards],
+        "captures": [(hold.index, hold.stamps[name]) for hold in holds],
+    }
+
+
 def _list_inputs(
     name: str, rig: Rig, holds: Sequence[Hold], method: DetectionMethod, previews: Mapping[int, PreviewSize]
 ) -> dict[str, Any]:
@@ -132,11 +143,8 @@ def _list_inputs(
     """
     spec, settings = rig.sensors[name], rig.settings
     inputs: dict[str, Any] = {
-        "topic": spec.topic,
+        **list_shared_inputs(name, rig, holds),
         "kind": spec.kind,
-        "noise": spec.noise,
-        "boards": [board.model_dump(mode="json", exclude={"uncertainty"}) for board in rig.boards],
-        "captures": [(hold.index, hold.stamps[name]) for hold in holds],
         "previews": [vars(previews[hold.index]) if hold.index in previews else None for hold in holds],
     }
     if isinstance(spec, CameraSpec):

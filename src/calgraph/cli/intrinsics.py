@@ -10,6 +10,7 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
+from calgraph.cli.cache import NoCacheOption, open_cache
 from calgraph.cli.common_options import (
     ForceOption,
     JobsOption,
@@ -53,6 +54,7 @@ def intrinsics(
     force: ForceOption = False,
     jobs: JobsOption = None,
     overrides: SetOption = None,
+    no_cache: NoCacheOption = False,
     json: Annotated[bool, typer.Option("--json", help=f"Print {_SUMMARY}.")] = False,
 ) -> None:
     """Estimate the intrinsics of cameras from images of a board, which may move.
@@ -67,7 +69,9 @@ def intrinsics(
     with replace_folder_atomically(out, _SUMMARY) as folder:
         with open_recordings(recordings, parse_limits(overrides)) as recording, progress_bars() as progress:
             rig = _select_cameras(_read_rig(board, recording, overrides), camera or [])
-            found = story.calibrate_intrinsics(rig, recording, jobs or available_cores(), progress)
+            found = story.calibrate_intrinsics(
+                rig, recording, jobs or available_cores(), progress, open_cache(unused=no_cache)
+            )
         content = format_json(_summarize(rig, found), indent=1)
         write_text(folder / _SUMMARY, content + "\n")
         remarks = [*_write_files(rig, found, folder)]

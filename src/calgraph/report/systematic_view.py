@@ -2,6 +2,9 @@
 
 from collections.abc import Sequence
 
+import numpy as np
+
+from calgraph.config import Intrinsics
 from calgraph.report.formatting import escape_html
 from calgraph.result import Calibration, EstimatedParameter
 
@@ -16,6 +19,11 @@ def render_systematic_parameters(calibration: Calibration) -> str:
     """A section with all systematic parameters, their priors and estimates; empty if there are none."""
     if not calibration.systematic:
         return ""
+    lenses = "".join(
+        _render_lens(calibration, sensor.name, sensor.intrinsics)
+        for sensor in calibration.sensors
+        if sensor.intrinsics is not None
+    )
     notable = [one for one in calibration.systematic if abs(one.deviation) > _NOTABLE]
     rest = [one for one in calibration.systematic if abs(one.deviation) <= _NOTABLE]
     which = f"more than {_NOTABLE:g} prior σ off its stated value"
@@ -33,7 +41,38 @@ def render_systematic_parameters(calibration: Calibration) -> str:
         f"band is the prior (±1 σ), the bar the estimate (±1 σ); the axis ends at ±{_END:g}. "
         "Coefficients of a distortion are correlated: single ones may be far off where their joint effect in the "
         "image, which is tested, is small.</p>"
-        f"{first}{others}</section>"
+        f"{first}{others}{lenses}</section>"
+    )
+
+
+def _render_lens(calibration: Calibration, name: str, intrinsics: Intrinsics) -> str:
+    """Intrinsics that were estimated from the recording, with standard deviations, and what limits them."""
+    camera = intrinsics.to_camera()
+    middle = camera.principal_point
+    borders = np.array(
+        [[0, middle[1]], [camera.width - 1, middle[1]], [middle[0], 0], [middle[0], camera.height - 1]]
+    )
+    angles = np.degrees(np.arccos(np.clip(camera.rays(borders)[:, 2], -1, 1)))
+    fields = [f"{angle:.0f}°" if np.isfinite(angle) else "unknown" for angle in angles.reshape(2, 2).sum(axis=1)]
+    values = [one for one in calibration.systematic if one.of == name]
+    rows = "".join(
+        f"<tr><th scope='row'>{escape_html(one.quantity)}</th>"
+        + "".join(f"<td>{escape_html(text)}</td>" for text in one.formatted[2:])
+        + "</tr>"
+        for one in values
+    )
+    remarks = [
+        one for one in calibration.evidence.remarks if one.startswith(f"the intrinsics of {name} are not well")
+    ]
+    limits = "".join(f"<li>{escape_html(one)}</li>" for one in remarks)
+    error = f"{intrinsics.model_error:.2g} px" if intrinsics.model_error else "none was found"
+    return (
+        f"<h3>Intrinsics of {escape_html(name)}</h3>"
+        f"<p>Estimated from {intrinsics.estimated_from_views} views of this recording: {intrinsics.model}, "
+        f"{intrinsics.width} x {intrinsics.height} pixels, a field of view of {fields[0]} by {fields[1]}. "
+        f"Error of the lens's model (RMS): {error}; standard deviations contain it.</p>"
+        f'<div class="wide"><table class="poses"><thead><tr><th>parameter</th><th>estimate</th><th>σ</th>'
+        f"<th>unit</th></tr></thead><tbody>{rows}</tbody></table></div>" + (f"<ul>{limits}</ul>" if limits else "")
     )
 
 

@@ -62,6 +62,10 @@ class IntrinsicsSettings(StrictModel):
     good_focal_length_error: float = Field(default=0.005, gt=0)
     """Relative standard deviation of the focal length up to which intrinsics are called good: half the default
     prior of stated ones."""
+    good_principal_point_error: float = Field(default=0.002, gt=0)
+    """The same of the principal point, in diagonals of the image: 1.6 px of 640 by 480 pixels, a sixth of the
+    default prior of stated ones. Narrow lenses reach it with boards
+    that are near and tilted, as a displaced principal point looks like a rotation of the camera."""
     good_border_error: float = Field(default=3.0, gt=0)
     """Standard deviation, pixels, of the projection at the border of the image, after the best rotation, up to
     which intrinsics are called good: half the default prior of stated distortion."""

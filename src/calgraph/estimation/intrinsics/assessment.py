@@ -91,7 +91,7 @@ def describe_shortcomings(fit: LensFit, coverage: ViewCoverage, settings: Intrin
     if decisive:
         return Shortcomings(decisive=(f"its views do not determine its intrinsics ({values}): {advice}",))
     remarks = []
-    if focal > settings.good_focal_length_error * mean:
+    if focal > settings.good_focal_length_error * mean or center > settings.good_principal_point_error * diagonal:
         remarks.append(f"{values}: {advice}")
     border = border_error(fit.camera, fit.covariance)
     if border > settings.good_border_error:
