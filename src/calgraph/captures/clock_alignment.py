@@ -81,6 +81,8 @@ def _compare(reference: SensorTimes, other: SensorTimes, captures: CaptureSettin
     pair = (reference, other)
     if any(len(times.stamps) < settings.min_messages or np.ptp(times.stamps) == 0 for times in pair):
         return None
+    if any(times.period > captures.max_motion_period for times in pair):
+        return None
     step = max(min(times.period for times in pair) / 2, settings.min_step)
     first, second = (_sample_activity(times, step, captures.motion) for times in pair)
     lags, correlation = _correlate(first, second, settings.min_overlap)
@@ -90,7 +92,12 @@ def _compare(reference: SensorTimes, other: SensorTimes, captures: CaptureSettin
     apart = np.abs(lags - lags[best]) * step > settings.peak_width
     rival = float(correlation[apart].max(initial=0.0))
     peak = float(correlation[best])
-    if peak < settings.min_correlation or peak - rival < settings.min_distinction:
+    significance = peak * np.sqrt(_count_independent(first, second))
+    if (
+        peak < settings.min_correlation
+        or peak - rival < settings.min_distinction
+        or significance < settings.min_significance
+    ):
         return None
     lag = lags[best] + _refine_peak(correlation, best)
     offset = float(_center(other) - _center(reference) - step * lag)
@@ -135,6 +142,19 @@ def _correlate(first: Array, second: Array, min_overlap: float) -> tuple[NDArray
     correlation = np.where(scale > floor, covariance / np.maximum(scale, 1e-300), 0.0)
     lags = np.arange(len(count), dtype=np.int64) - (len(second) - 1)
     return lags[enough], correlation[enough]
+
+
+def _count_independent(first: Array, second: Array) -> float:
+    """The number of independent samples that have the variance of a correlation by chance (Bartlett 1935)."""
+    autocorrelations = []
+    for signal in (first - first.mean(), second - second.mean()):
+        size = next_fast_len(2 * len(signal), real=True)
+        products = irfft(np.abs(rfft(signal, size)) ** 2, size)[: len(signal)]
+        autocorrelations.append(products / max(float(products[0]), 1e-300))
+    n = min(len(first), len(second))
+    lags = np.arange(1, n // 2)
+    shared = autocorrelations[0][lags] * autocorrelations[1][lags] * (1 - lags / n)
+    return float(n / max(1 + 2 * shared.sum(), 1.0))
 
 
 def _refine_peak(values: Array, best: int) -> float:

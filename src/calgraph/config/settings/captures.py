@@ -44,8 +44,12 @@ class ClockAlignmentSettings(StrictModel):
     board take a second."""
     min_correlation: float = Field(default=0.5, gt=0, lt=1)
     """Minimum correlation: views from different sides change differently, and share starts and stops."""
-    min_distinction: float = Field(default=0.15, gt=0, lt=1)
-    """Minimum difference to the correlation with any other offset: moves at equal intervals repeat themselves."""
+    min_distinction: float = Field(default=0.25, gt=0, lt=1)
+    """Minimum difference to the correlation with any other offset: moves at equal intervals repeat themselves, and
+    those of a hand nearly do."""
+    min_significance: float = Field(default=5.0, gt=0)
+    """Minimum correlation over its standard deviation by chance: the largest of some thousand offsets reaches four
+    in views that have nothing in common."""
     resolution: float = Field(default=0.02, gt=0)
     """Offsets below it, s, are taken for zero: the estimate is no better, and a device that starts its recordings
     together gives them one clock."""
