@@ -144,6 +144,7 @@ def test_a_reader_that_goes_away_ends_it_quietly(simulated: Path) -> None:
 _INTERRUPTED_IMPORT = """
 import os, signal, sys
 signal.signal(signal.SIGINT, signal.default_int_handler)  # background jobs of shells ignore it
+signal.signal(signal.SIGHUP, signal.SIG_DFL)  # those of nohup ignore it
 class Interrupting:
     def find_spec(self, name, path=None, target=None):
         if name == "{module}":

@@ -150,7 +150,10 @@ def include_drifts(solution: RigSolution, solved: SolvedBundle, settings: Diagno
             at_end[s, :, 6 * body : 6 * body + 6] = body_jacobian(bundle, state, s)
             at_end[s, :, :6] = -_displacement_with_root(state, s)
     error = of_estimate - at_end.reshape(of_estimate.shape) / 2
-    covariance = statistics.serial_correlation * solution.joint_covariance
+    # Priors have no part in it: they alone place a sensor without views.
+    measured = np.repeat([len(views.board) > 0 for views in bundle.views], 6)
+    scale = np.where(measured, np.sqrt(statistics.serial_correlation), 1.0)
+    covariance = scale[:, None] * solution.joint_covariance * scale
     covariance += error @ compute_drift_moments(statistics, settings.drifts) @ error.T
     return replace(solution, joint_covariance=covariance)
 
