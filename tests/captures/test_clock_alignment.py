@@ -1,6 +1,7 @@
 """Clock offsets from the times at which views change."""
 
 from collections.abc import Sequence
+from time import process_time
 
 import numpy as np
 import pytest
@@ -66,6 +67,15 @@ def test_other_motion_determines_no_offset() -> None:
 def test_a_view_without_changes_determines_no_offset() -> None:
     still = view(MOVES, 15, 0.0, 8)
     assert offset_of(SensorTimes(still.stamps, 0.0, np.zeros(len(still.stamps)))) is None
+
+
+@pytest.mark.parametrize("far", [-1e5, 0.0, 1e9, 1e300])
+def test_one_stamp_of_another_time_takes_neither_time_nor_memory(far: float) -> None:
+    times = view(MOVES, 15, 0.0, 14)
+    jumping = SensorTimes(np.sort(np.append(1e9 + times.stamps, far)), 0.0, np.append(times.activity, 0.0))
+    begin = process_time()
+    offset_of(jumping)
+    assert process_time() - begin < 2
 
 
 def test_a_sensor_whose_view_the_root_does_not_share_is_compared_with_another() -> None:

@@ -84,6 +84,8 @@ def _compare(reference: SensorTimes, other: SensorTimes, captures: CaptureSettin
     if any(times.period > captures.max_motion_period for times in pair):
         return None
     step = max(min(times.period for times in pair) / 2, settings.min_step)
+    if any(np.ptp(times.stamps) > step * settings.max_samples for times in pair):
+        return None
     first, second = (_sample_activity(times, step, captures.motion) for times in pair)
     lags, correlation = _correlate(first, second, settings.min_overlap)
     if not len(lags):

@@ -36,6 +36,9 @@ class ClockAlignmentSettings(StrictModel):
     min_step: float = Field(default=0.005, gt=0)
     """Minimum time between samples of the activity, s; half of the shortest period above it. The offset is
     interpolated to a fraction of it."""
+    max_samples: int = Field(default=500_000, gt=0)
+    """Maximum number of samples of a view: two hours at 30 Hz. Views of a longer time, or with a stamp that is far
+    from all others, are not compared."""
     min_overlap: float = Field(default=0.5, gt=0, le=1)
     """Minimum share of the shorter view that lies within the other with an offset: recordings of cameras that are
     started one after the other overlap for most of their time, and short overlaps agree by chance."""
