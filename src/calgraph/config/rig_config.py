@@ -23,7 +23,6 @@ from calgraph.sensors import CameraModel
 _POSITIVE = Field(gt=0, allow_inf_nan=False)
 # More noise than this makes a sensor useless, and is a number in another unit.
 _MAX_PIXELS = 20
-"""Larger errors of corners are a wrong unit."""
 PixelSigma = Annotated[float, Strict(), _POSITIVE, limit_to(_MAX_PIXELS, "pixels")]
 RangeSigma = Annotated[float, Strict(), _POSITIVE, limit_to(1, "m")]
 AngleSigma = Annotated[float, Strict(), _POSITIVE, limit_to(0.2, "rad")]
