@@ -49,6 +49,7 @@ from calgraph.config.settings.legs import (
     LegTrackSettings,
 )
 from calgraph.config.settings.limits import LimitSettings
+from calgraph.config.settings.live import ConnectionSettings, LiveSettings
 from calgraph.config.settings.network_estimation import (
     BodySettings,
     HeadingSearchSettings,
@@ -109,6 +110,7 @@ __all__ = [
     "ClockMountingSettings",
     "CloudBackgroundSettings",
     "ClusterSettings",
+    "ConnectionSettings",
     "DetectionSettings",
     "DiagnosticsSettings",
     "DriftTestSettings",
@@ -130,6 +132,7 @@ __all__ = [
     "Lidar2dDetectionSettings",
     "Lidar3dDetectionSettings",
     "LimitSettings",
+    "LiveSettings",
     "MaxMessageSettings",
     "MisplacedTagSettings",
     "ModelErrorSettings",

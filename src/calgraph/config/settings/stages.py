@@ -7,6 +7,7 @@ from calgraph.config.settings.diagnostics import DiagnosticsSettings
 from calgraph.config.settings.estimation import EstimationSettings
 from calgraph.config.settings.graph import GraphSettings
 from calgraph.config.settings.limits import LimitSettings
+from calgraph.config.settings.live import LiveSettings
 from calgraph.config.settings.pairwise import PairwiseSettings
 from calgraph.config.settings.tracking import TrackingSettings
 from calgraph.config.strict_model import StrictModel
@@ -24,3 +25,4 @@ class Settings(StrictModel):
     baselines: BaselineSettings = BaselineSettings()
     diagnostics: DiagnosticsSettings = DiagnosticsSettings()
     limits: LimitSettings = LimitSettings()
+    live: LiveSettings = LiveSettings()

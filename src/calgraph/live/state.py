@@ -1,0 +1,121 @@
+"""What the operator's page shows: the state of a session at one moment, as plain values."""
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+Phase = Literal["connecting", "background", "ready", "waiting", "measuring", "finishing", "finished", "failed"]
+"""``background``: the views must stay free of board and operator; ``ready``: for a capture; ``waiting``: a capture
+is triggered, and the board still moves; ``measuring``: sensors measure the board at rest; ``finishing``: the
+recording is calibrated as a whole; ``failed``: the session ended with an error."""
+
+
+@dataclass(frozen=True)
+class SensorState:
+    """One sensor of a rig or network."""
+
+    name: str
+    kind: str
+    """camera, lidar2d or lidar3d."""
+    rate: float = 0.0
+    """Messages per second of late."""
+    age: float | None = None
+    """s since its last message; None if there was none."""
+    problem: str = ""
+    """What keeps it from working: no message, another type, a wrong clock; empty if nothing does."""
+    sees_board: bool | None = None
+    """Whether it detects the board now; None if unknown."""
+    reason: str = ""
+    """Why it does not detect the board: "not in view", "blurred"."""
+    moving: bool = False
+    """Whether its view changes."""
+    captures: int = 0
+    """In which it detected the board."""
+    coverage: tuple[float, ...] = ()
+    """Of a camera: shares (3 x 3, row by row) of image regions with detected boards, 0..1. Of scanners: the same
+    over sectors of azimuth from -180 to 180 degrees."""
+    stddev_mm: float | None = None
+    """Largest standard deviation of the position along an axis, mm; None without a pose, and for the root."""
+    stddev_degrees: float | None = None
+    progress: float = 0.0
+    """Tolerance over uncertainty, limited to 0..1: 1 where the pose is within tolerance with 95 %."""
+    grade: str = ""
+    """good, weak or unobservable; empty without a pose."""
+    picture: int = 0
+    """Counts the pictures of its view; 0 before the first."""
+
+
+@dataclass(frozen=True)
+class Advice:
+    """What to do next."""
+
+    text: str
+    """Where and how to hold the board, in words."""
+    picture: str = ""
+    """An SVG image of it."""
+    expected: str = ""
+    """What it is expected to improve: "laser_left: 12 to 6 mm"."""
+
+
+@dataclass(frozen=True)
+class CaptureEvent:
+    """The last capture that was taken or refused; the page sounds once for each number."""
+
+    number: int = 0
+    taken: bool = False
+    text: str = ""
+    """"Capture 12: camera, lidar", or why none was taken: "laser_left does not see the board"."""
+
+
+@dataclass(frozen=True)
+class RecorderState:
+    """What has been recorded."""
+
+    seconds: float = 0.0
+    megabytes: float = 0.0
+    messages: int = 0
+    lost: int = 0
+    """Messages that the source is known to have lost."""
+    minutes_left: float | None = None
+    """Until the disk is full, at the present rate."""
+    problem: str = ""
+
+
+@dataclass(frozen=True)
+class SessionState:
+    """A session at one moment."""
+
+    kind: Literal["rig", "network"]
+    phase: Phase
+    headline: str
+    """One sentence: what the operator should do or wait for."""
+    source: str
+    connected: bool = False
+    automatic: bool = True
+    """Whether captures are taken without the button."""
+    root: str = ""
+    sensors: tuple[SensorState, ...] = ()
+    captures: int = 0
+    event: CaptureEvent = field(default_factory=CaptureEvent)
+    advice: Advice | None = None
+    tolerance_mm: float = 0.0
+    tolerance_degrees: float = 0.0
+    done: bool = False
+    """Whether all sensors are within tolerance."""
+    notices: tuple[str, ...] = ()
+    """The last ones, newest first."""
+    recorder: RecorderState = field(default_factory=RecorderState)
+    floor_plan: str = ""
+    """Of a network: an SVG image of scanners, walls and where people walked."""
+    scene: int = 0
+    """Counts the versions of the 3-D view; 0 before the first."""
+    report: bool = False
+    """Whether a report is there."""
+
+
+@dataclass(frozen=True)
+class Command:
+    """What the operator wants."""
+
+    action: Literal["trigger", "automatic", "manual", "discard", "finish"]
+    """``trigger``: take a capture as soon as the board rests; ``automatic`` and ``manual``: whether captures are
+    taken without the button; ``discard``: leave out the last capture; ``finish``: end and calibrate the whole."""
