@@ -50,6 +50,8 @@ class Notice:
     """One sentence for the operator."""
     topic: str | None = None
     """The topic that it concerns."""
+    count: int = 0
+    """How many messages or frames it stands for, if they were lost or refused."""
 
 
 class Source(Protocol):

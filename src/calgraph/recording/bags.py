@@ -20,7 +20,7 @@ from calgraph.errors import RecordingError
 from calgraph.recording.bag_files import BagFiles, check_sqlite, decompress_message, decompress_storage
 from calgraph.recording.chunk_limits import open_reader
 from calgraph.recording.decoding import decode
-from calgraph.recording.message_types import MessageType, message_type
+from calgraph.recording.message_types import MessageType, TypeDefinition, message_type
 from calgraph.recording.recording import (
     ClosedOnExit,
     TopicInfo,
@@ -54,6 +54,18 @@ class _Place(NamedTuple):
 
     def __str__(self) -> str:
         return f"{self.path}: topic {self.topic}, {self.time} {self.value:.6f}"
+
+
+class RawMessage(NamedTuple):
+    """One message as a bag stores it."""
+
+    topic: str
+    definition: TypeDefinition
+    """Of its type."""
+    arrival: int
+    """ns."""
+    data: bytes
+    """Serialised, without compression."""
 
 
 class BagRecording(ClosedOnExit):
@@ -92,6 +104,20 @@ class BagRecording(ClosedOnExit):
             self.path, records, stated, cause="a file is missing or was not closed: copy it again or reindex it"
         )
 
+    def raw_messages(self, topics: Collection[str], after: int = -1) -> Iterator[RawMessage]:
+        """The messages that arrived after a time (ns), as they are stored, in order of arrival.
+
+        Raises:
+            InputError: a topic is not in the recording.
+            RecordingError: the file is damaged.
+        """
+        wanted = select_topics(self.path, self.topics, topics)
+        return merge_by_arrival(
+            (reader.start_time, self._raw_messages_of(reader, wanted, after))
+            for reader in self._readers
+            if reader.message_count
+        )
+
     def close(self) -> None:
         """Closes the storage files and removes uncompressed copies."""
         self._stack.close()
@@ -115,21 +141,32 @@ class BagRecording(ClosedOnExit):
     def _records_of(
         self, reader: Reader1 | Reader2, topics: set[str], start: float | None, end: float | None
     ) -> Iterator[RecordedMessage]:
+        start_ns = None if start is None else max(0, math.floor(start * 1e9) - _MARGIN_NS)
+        stop_ns = None if end is None else math.ceil(end * 1e9) + _MARGIN_NS
+        for kind, message in self._stored_messages(reader, topics, start_ns, stop_ns):
+            arrival = message.arrival / 1e9
+            if (start is None or arrival >= start) and (end is None or arrival <= end):
+                yield self._record(kind, message.topic, arrival, message.data)
+
+    def _raw_messages_of(self, reader: Reader1 | Reader2, topics: set[str], after: int) -> Iterator[RawMessage]:
+        messages = (message for _, message in self._stored_messages(reader, topics, max(0, after), None))
+        return (message for message in messages if message.arrival > after)
+
+    def _stored_messages(
+        self, reader: Reader1 | Reader2, topics: set[str], start_ns: int | None, stop_ns: int | None
+    ) -> Iterator[tuple[MessageType, RawMessage]]:
         connections = [connection for connection in reader.connections if connection.topic in topics]
         if not connections:
             return
-        start_ns = None if start is None else max(0, math.floor(start * 1e9) - _MARGIN_NS)
-        stop_ns = None if end is None else math.ceil(end * 1e9) + _MARGIN_NS
         ros1 = isinstance(reader, Reader1)
         path = Path(str(reader.path))
         with wrap_errors(path, _ADVICE[path.suffix].format(name=path.name)):
-            for connection, arrival_ns, raw in reader.messages(connections, start_ns, stop_ns):
-                arrival = arrival_ns / 1e9
+            for connection, arrival, raw in reader.messages(connections, start_ns, stop_ns):
                 if connection.topic not in topics:
                     continue  # a damaged index names a message of another connection
-                if (start is None or arrival >= start) and (end is None or arrival <= end):
-                    kind = self._type(connection, ros1=ros1)
-                    yield self._record(kind, connection.topic, arrival, decompress_message(raw, self._limits))
+                kind = self._type(connection, ros1=ros1)
+                data = decompress_message(raw, self._limits)
+                yield kind, RawMessage(connection.topic, kind.definition, arrival, data)
 
     def _record(self, kind: MessageType, topic: str, arrival: float, raw: bytes) -> RecordedMessage:
         try:

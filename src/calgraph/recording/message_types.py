@@ -149,6 +149,25 @@ def make_message_type(definition: TypeDefinition) -> MessageType:
     return MessageType(definition, store, headers[0], fields[0][0] == headers[0])
 
 
+def complete_definition(definition: TypeDefinition) -> TypeDefinition | None:
+    """The definition itself, or ROS's own where it has no text, as of recordings before ROS 2 Iron.
+
+    None where ROS has no such type either.
+    """
+    if definition.format != MessageDefinitionFormat.NONE and definition.text:
+        return definition
+    store = _default_store(definition.ros1)
+    if definition.name not in store.fielddefs:
+        return None
+    text, _ = store.generate_msgdef(definition.name, ros_version=1 if definition.ros1 else 2)
+    return definition._replace(format=MessageDefinitionFormat.MSG, text=text)
+
+
+def ros2_definition(name: str) -> TypeDefinition | None:
+    """The definition of a type of ROS 2, serialised as CDR; None where ROS 2 has none of this name."""
+    return complete_definition(TypeDefinition(name, MessageDefinitionFormat.NONE, "", ros1=False, readable=True))
+
+
 def _make_store(definition: TypeDefinition) -> Typestore | None:
     """A separate store for each type, so that a malformed definition does not affect other topics."""
     try:

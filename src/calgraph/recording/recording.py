@@ -7,13 +7,24 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
-from typing import Literal, Protocol, Self
+from typing import Literal, Protocol, Self, TypeVar
 
 from calgraph.errors import CalgraphError, InputError, RecordingError
 from calgraph.io.git_lfs import POINTER_START, check_git_lfs
 from calgraph.sensors import RecordedMessage
 
 TimeBase = Literal["clock", "start", "pose"]
+
+
+class Arrived(Protocol):
+    """What arrived at some time."""
+
+    @property
+    def arrival(self) -> float:
+        """In the unit of the other entries of a merge."""
+
+
+_Entry = TypeVar("_Entry", bound=Arrived)
 
 
 @dataclass(frozen=True)
@@ -142,19 +153,24 @@ def select_topics(path: Path, present: Sequence[TopicInfo], wanted: Collection[s
     names = [topic.name for topic in present]
     for name in wanted or ():
         if name not in names:
-            close = difflib.get_close_matches(name, names, n=1)
-            hint = f"; did you mean {close[0]!r}?" if close else "."
-            raise InputError(f"{path}: has no topic {name!r}{hint} Its topics are: {', '.join(names) or 'none'}")
+            raise InputError(f"{path}: {explain_missing_topic(name, names)}")
     return set(names if wanted is None else wanted)
 
 
-def merge_by_arrival(sources: Iterable[tuple[float, Iterable[RecordedMessage]]]) -> Iterator[RecordedMessage]:
-    """Merges streams that are each in order, opening each only when its start (s) has come.
+def explain_missing_topic(name: str, present: Sequence[str]) -> str:
+    """That a topic is missing, with the most similar one of those that are present, and all of these."""
+    close = difflib.get_close_matches(name, present, n=1)
+    hint = f"; did you mean {close[0]!r}?" if close else "."
+    return f"has no topic {name!r}{hint} Its topics are: {', '.join(present) or 'none'}"
+
+
+def merge_by_arrival(sources: Iterable[tuple[float, Iterable[_Entry]]]) -> Iterator[_Entry]:
+    """Merges streams that are each in order, opening each only when its start (in the unit of arrivals) has come.
 
     Thus the first chunks of many split files are not all in memory together.
     """
 
-    def lazily(start: float, records: Iterable[RecordedMessage]) -> Iterator[tuple[float, RecordedMessage | None]]:
+    def lazily(start: float, records: Iterable[_Entry]) -> Iterator[tuple[float, _Entry | None]]:
         yield start, None
         for record in records:
             yield record.arrival, record

@@ -61,9 +61,10 @@ class RecordingWriter:
         Raises:
             InputError: the message cannot be expressed in ROS, or the topic has messages of another type.
         """
-        if type(message) not in _MAKERS:
-            raise InputError(f"{self.path}: topic {topic}: ROS has no type for {type(message).__name__}")
-        ros_type, content = _MAKERS[type(message)](self._store, message, encoding)
+        try:
+            ros_type, data = serialize_message(self._store, message, encoding)
+        except InputError as error:
+            raise InputError(f"{self.path}: topic {topic}: {error}") from error
         connection = self._connections.get(topic)
         if connection is None:
             connection = self._writer.add_connection(topic, ros_type, typestore=self._store)
@@ -71,7 +72,7 @@ class RecordingWriter:
         elif connection.msgtype != ros_type:
             raise InputError(f"{self.path}: topic {topic} has {connection.msgtype}, cannot add {ros_type}")
         time = message.stamp if arrival is None else arrival
-        self._writer.write(connection, _nanoseconds(time), self._store.serialize_cdr(content, ros_type))
+        self._writer.write(connection, _nanoseconds(time), data)
 
     def close(self) -> None:
         """Finishes the recording and gives it its name."""
@@ -92,6 +93,18 @@ class RecordingWriter:
                 self._writer.abort()
         finally:
             remove_temporary_folder(self._unfinished)
+
+
+def serialize_message(store: Typestore, message: Message, encoding: Encoding = "raw") -> tuple[str, memoryview]:
+    """The ROS type and the CDR of a message; images as :meth:`RecordingWriter.write` does.
+
+    Raises:
+        InputError: it cannot be expressed in ROS.
+    """
+    if type(message) not in _MAKERS:
+        raise InputError(f"ROS has no type for {type(message).__name__}")
+    ros_type, content = _MAKERS[type(message)](store, message, encoding)
+    return ros_type, store.serialize_cdr(content, ros_type)
 
 
 def _nanoseconds(seconds: float) -> int:

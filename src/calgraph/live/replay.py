@@ -1,0 +1,130 @@
+"""A recording as a live source: its messages at the pace at which they arrived, or faster."""
+
+import asyncio
+from collections.abc import AsyncIterator, Awaitable, Callable, Collection, Iterator
+from pathlib import Path
+
+from rosbags.interfaces import MessageDefinitionFormat
+from rosbags.typesys import Stores, get_typestore
+
+from calgraph.config.settings import LimitSettings
+from calgraph.errors import InputError
+from calgraph.live.source import Channel, LiveMessage, Notice, SchemaFormat
+from calgraph.recording import Recording, open_recording
+from calgraph.recording.bags import BagRecording, RawMessage
+from calgraph.recording.message_types import TypeDefinition, complete_definition, ros2_definition
+from calgraph.recording.recording import explain_missing_topic
+from calgraph.recording.writer import serialize_message
+
+
+class ReplaySource:
+    """Replays a recording.
+
+    Args:
+        path: anything that :func:`calgraph.recording.open_recording` opens. Messages of bags are given as they are
+            stored; others are serialised as ROS 2 does.
+        speed: 1 is real time, 5 five times as fast; 0 is as fast as messages are consumed.
+        start_after: only messages that arrived later, ns.
+        limits: of what is read.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        *,
+        speed: float = 1.0,
+        start_after: int = -1,
+        limits: LimitSettings = LimitSettings(),
+    ) -> None:
+        if not 0 <= speed < float("inf"):
+            raise InputError(f"speed {speed:g}: give 1 for real time, 5 for five times as fast, 0 for no waiting")
+        self._path, self._speed, self._start_after, self._limits = path, speed, start_after, limits
+
+    @property
+    def name(self) -> str:
+        """The path of the recording."""
+        return str(self._path)
+
+    async def stream(self, topics: Collection[str]) -> AsyncIterator[LiveMessage | Notice]:
+        """The messages of the topics wanted; see :meth:`Source.stream`.
+
+        Raises:
+            InputError: it is no recording, or has no time that could be replayed.
+            RecordingError: it is damaged.
+        """
+        # Compressed files are unpacked first, which takes seconds.
+        with await asyncio.to_thread(open_recording, self._path, self._limits) as recording:
+            yield Notice("connected", f"replays {self._path}")
+            present = [topic.name for topic in recording.topics]
+            for topic in topics:
+                if topic not in present:
+                    yield Notice("missing", f"{self._path}: {explain_missing_topic(topic, present)}", topic)
+            channels: dict[tuple[str, TypeDefinition], Channel | None] = {}
+            wait = self._start_pacing()
+            for message in _raw_messages(recording, set(topics).intersection(present), self._start_after):
+                key = (message.topic, message.definition)
+                if key not in channels:
+                    channels[key] = _channel(*key)
+                    if channels[key] is None:
+                        yield Notice("missing", _explain_unreadable(*key), message.topic)
+                if channel := channels[key]:
+                    await wait(message.arrival)
+                    yield LiveMessage(channel, message.arrival, message.data)
+            yield Notice("ended", f"the recording {self._path} is at its end")
+
+    def _start_pacing(self) -> Callable[[int], Awaitable[None]]:
+        """A function that waits until it is time for the message of an arrival (ns); the first one comes at once."""
+        now = asyncio.get_running_loop().time
+        first: list[tuple[float, int]] = []
+
+        async def wait(arrival: int) -> None:
+            if not first:
+                first.append((now(), arrival))
+            began, first_arrival = first[0]
+            delay = began + (arrival - first_arrival) / 1e9 / self._speed - now() if self._speed else 0.0
+            # Where nothing is to be waited for, other tasks of the loop have their turn.
+            await asyncio.sleep(max(0.0, delay))
+
+        return wait
+
+
+def _raw_messages(recording: Recording, topics: Collection[str], after: int) -> Iterator[RawMessage]:
+    if isinstance(recording, BagRecording):
+        return recording.raw_messages(topics, after)
+    if any(topic.time_base == "pose" for topic in recording.topics):
+        raise InputError(
+            f"{recording.path}: its files are numbered by pose and have no times to replay: use calgraph calibrate"
+        )
+    return _serialized_messages(recording, topics, after)
+
+
+def _serialized_messages(recording: Recording, topics: Collection[str], after: int) -> Iterator[RawMessage]:
+    """Messages of folders and videos, as ROS 2 would have recorded them."""
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    for record in recording.records(topics, max(0, after) / 1e9):
+        arrival = round(record.arrival * 1e9)
+        if arrival <= after:
+            continue
+        ros_type, data = serialize_message(store, record.decode())
+        definition = ros2_definition(ros_type)
+        assert definition is not None
+        yield RawMessage(record.topic, definition, arrival, bytes(data))
+
+
+def _channel(topic: str, definition: TypeDefinition) -> Channel | None:
+    complete = complete_definition(definition) if definition.readable else None
+    if complete is None:
+        return None
+    of_ros2: SchemaFormat = "ros2idl" if complete.format == MessageDefinitionFormat.IDL else "ros2msg"
+    return Channel(
+        topic,
+        complete.name,
+        "ros1" if complete.ros1 else "cdr",
+        "ros1msg" if complete.ros1 else of_ros2,
+        complete.text,
+    )
+
+
+def _explain_unreadable(topic: str, definition: TypeDefinition) -> str:
+    why = "its definition is unknown" if definition.readable else "it is not serialised as CDR"
+    return f"{topic}: messages of type {definition.name} cannot be read: {why}"
