@@ -87,6 +87,8 @@ _BAD_PATHS = {
     "a file of another kind": "other.txt",
     "below /proc": "/proc/nothing",
 }
+_FOLDERS_TO_WRITE = "does not exist", "in a folder that does not exist", "an empty folder"
+"""Of these, into which results can be written."""
 _DEVICES = {"null": 3, "zero": 5, "full": 7}
 """Minor numbers of the character devices with the major number 1."""
 _NUMBERS: Mapping[str, Sequence[str]] = {
@@ -103,7 +105,7 @@ _NUMBERS: Mapping[str, Sequence[str]] = {
         "a.b.c=1",
     ),
     "--estimator": ("", "BUNDLE", "ünï"),
-    "--prior-stddev": ("0 0", "nan 1", "-1 1"),
+    "--prior-stddev": ("0 1", "nan 1", "-1 1"),
     "--rigid": ("", ":", "camera", "a:b:c", "camera,camera"),
 }
 _STREAMS = (
@@ -211,7 +213,9 @@ def _attempt_bad(
         _release(folder / "fifo")
     if special and (not special.exists() or special.is_file()):
         return Judged(Answer.HALF, f"{path} was replaced by a file")
-    return judge_output(source, found, _COMMANDS[place][0] if found or place != "calibrate -o" else "", folder)
+    # A missing or empty folder of results is written to.
+    results = path if place.endswith(" -o") and kind in _FOLDERS_TO_WRITE else "out"
+    return judge_output(source, found, _COMMANDS[place][0], folder, results)
 
 
 def _open_other_end(fifo: Path, place: str) -> None:
@@ -240,7 +244,10 @@ def _attempt_option(
     if option == "--prior-stddev":
         command += ["--prior", "calibration.yaml"]
     values = value.split() if option in ("--tolerance", "--prior-stddev") else [value]
-    found = judge_ending(run([*command, option, *values], folder), [option, option[2:], "captures", *values])
+    found = judge_ending(
+        run([*command, option, *values], folder),
+        [option, option[2:], "captures", *values, value.rpartition(":")[0] or option],
+    )
     return judge_output(source, found, command[0], folder)
 
 

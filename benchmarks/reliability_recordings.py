@@ -77,13 +77,13 @@ def judge_recording(source: Source, form: str, recording: Path, folder: Path, se
     return judge_output(source, found, command[0], folder)
 
 
-def judge_output(source: Source, found: Judged | None, command: str, folder: Path) -> Judged:
+def judge_output(source: Source, found: Judged | None, command: str, folder: Path, results: str = "out") -> Judged:
     """The answer where a command ended by itself: what it wrote must be complete, and right if it exits with 0."""
     if found and found.answer.is_wrong:
         return found
     if left := find_left(folder):
         return Judged(Answer.LEFT, left[0])
-    out = folder / "out"
+    out = folder / results
     if out.exists():
         written = judge_result(out, source.truth)
         if written.answer.is_wrong or not found:

@@ -202,12 +202,20 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
         "calibrate {rig} {rec} -o {out} --dump {tmp}/none/p.npz",
         "its folder does not exist",
     ),
+    "a dump into a loop of links": (
+        "calibrate {rig} {rec} -o {out} --dump {tmp}/loop",
+        "loop: is a link that leads nowhere",
+    ),
     "export of no result": (
         "export {tmp}/empty -f tf",
         "has no calibration.yaml; give the folder that calibrate wrote",
     ),
     "export of a rig.yaml": ("export {rig} -f tf", "format: must be calgraph/1"),
     "check against a rig.yaml": ("check {rig} {rec} --against {rig}", "must be a calibration.yaml .*, a URDF, or"),
+    "a tolerance of many turns": (
+        "check {rig} {rec} --against {truth} --tolerance 0.01 1e300",
+        "--tolerance: rotation: is in degrees and must be 45 or less, got 1e[+]300",
+    ),
     "a negative tolerance": (
         "check {rig} {rec} --against {truth} --tolerance -1 1",
         "must be two numbers above 0, m and degrees",

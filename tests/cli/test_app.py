@@ -174,9 +174,16 @@ def run_main(*arguments: str, before: str = "") -> tuple[int, str]:
     return done.returncode, done.stderr
 
 
-def test_an_empty_argument_is_refused_instead_of_taken_for_this_folder() -> None:
-    message = "calgraph: an argument is empty, perhaps an unset variable; give a path or a value\n"
-    assert run_main("inspect", "") == (2, message)
+@pytest.mark.parametrize(
+    ("arguments", "place"), [(["inspect", ""], "an argument"), (["calibrate", "--jobs", ""], "--jobs")]
+)
+def test_an_empty_argument_is_refused_instead_of_taken_for_this_folder(arguments: list[str], place: str) -> None:
+    message = f"calgraph: {place}: is empty, perhaps an unset variable; give a path or a value\n"
+    assert run_main(*arguments) == (2, message)
+
+
+def test_a_name_between_colons_is_printed_as_it_is() -> None:
+    assert run_main("inspect", "a:b:c") == (2, "calgraph: a:b:c: does not exist; check the path\n")
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="limits of the address space are those of Linux")

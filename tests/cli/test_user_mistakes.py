@@ -25,6 +25,7 @@ def places(simulated: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterato
     shutil.copy(simulated / "rig.yaml", tmp / "rig.yaml")
     (tmp / "empty").mkdir()
     (tmp / "earlier").mkdir()
+    (tmp / "loop").symlink_to("loop")
     (tmp / "earlier/report.html").touch()
     (tmp / "zero.mcap").touch()
     (tmp / "text.mcap").write_text("hello")

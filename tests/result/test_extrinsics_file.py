@@ -1,5 +1,6 @@
 """Reading poses that others wrote: our own exports come back, and what cannot be is refused with what there is."""
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -86,6 +87,13 @@ def test_transforms_are_read_in_all_their_spellings(text: str, tmp_path: Path) -
 def test_links_of_a_urdf_may_be_nested_at_any_depth(tmp_path: Path) -> None:
     poses = reading(tmp_path / "robot.urdf", CHAIN)
     np.testing.assert_allclose(poses.transform("a", "b")[:3, 3], [-1, 1, -2], atol=1e-12)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="Windows has no FIFOs")
+def test_a_pipe_is_refused_before_it_is_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "poses")
+    with pytest.raises(InputError, match="poses: is a pipe, and its content is read more than once"):
+        read_extrinsics(tmp_path / "poses")
 
 
 def test_a_movable_joint_between_sensors_is_refused(tmp_path: Path) -> None:

@@ -6,8 +6,9 @@ import logging
 import os
 import re
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
+from itertools import pairwise
 from typing import Annotated
 
 import typer
@@ -113,8 +114,7 @@ def run_command_line() -> None:
     open_standard_streams()
     try:
         try:
-            if "" in sys.argv[1:]:
-                raise InputError("an argument is empty, perhaps an unset variable; give a path or a value")
+            _check_no_argument_is_empty(sys.argv)
             app()
         finally:
             # Here, as what remains in the buffer is otherwise written, and fails, after the exit code is given.
@@ -137,6 +137,13 @@ def run_command_line() -> None:
         discard_output()
         _print_error(InputError(f"{place} ({error.strerror or error})"))
         sys.exit(2)
+
+
+def _check_no_argument_is_empty(arguments: Sequence[str]) -> None:
+    for before, argument in pairwise(arguments):
+        if not argument:
+            place = before if before.startswith("-") else "an argument"
+            raise InputError(f"{place}: is empty, perhaps an unset variable; give a path or a value")
 
 
 def _limit_library_threads() -> None:

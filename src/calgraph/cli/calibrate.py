@@ -33,7 +33,7 @@ from calgraph.cli.provenance import describe_run
 from calgraph.cli.setting_options import SetOption, load_rig_with
 from calgraph.config import Rig
 from calgraph.errors import CalibrationError, InputError
-from calgraph.io import check_output_path, replace_folder_atomically, save_yaml
+from calgraph.io import check_output_path, follow_links, replace_folder_atomically, save_yaml
 from calgraph.processes import forked_jobs, parallel_call
 from calgraph.recording import open_recordings, resolve_intrinsics
 from calgraph.result import (
@@ -260,7 +260,7 @@ def _check_unused(target: str, options: Mapping[str, object]) -> None:
 
 def _is_in(file: Path, folder: Path) -> bool:
     """Whether a file is to be among the results, whose folder appears when they are complete."""
-    return file.resolve().parent == folder.resolve()
+    return follow_links(file).parent == follow_links(folder)
 
 
 def write_results(calibration: Calibration, rig: Rig, folder: Path, jobs: int = 1) -> None:

@@ -27,6 +27,7 @@ from calgraph.cli.setting_options import SetOption, load_rig_with
 from calgraph.config import Rig, Tolerance
 from calgraph.errors import InputError
 from calgraph.io import format_json, replace_folder_atomically, write_text
+from calgraph.io.yaml_reading import validate_content
 from calgraph.recording import RecordingCache, open_recordings
 from calgraph.result import Calibration, ExtrinsicsFile, read_extrinsics
 
@@ -101,7 +102,8 @@ def _set_tolerance(rig: Rig, tolerance: tuple[float, float] | None) -> Rig:
         raise InputError(
             f"--tolerance: must be two numbers above 0, m and degrees, got {tolerance[0]:g} {tolerance[1]:g}"
         )
-    return rig.model_copy(update={"tolerance": Tolerance(translation=tolerance[0], rotation=tolerance[1])})
+    content = {"translation": tolerance[0], "rotation": tolerance[1]}
+    return rig.model_copy(update={"tolerance": validate_content(Tolerance, content, Path("--tolerance"))})
 
 
 def _compare(

@@ -13,5 +13,8 @@ class _Console(Console):
 
 def console(*, stderr: bool = False) -> Console:
     """A console on stdout or stderr; as wide as the terminal, or as what is printed where there is none."""
-    plain = _Console(stderr=stderr, highlight=False)
-    return plain if plain.is_terminal else _Console(stderr=stderr, highlight=False, width=_UNWRAPPED)
+    # Colons in paths and names are no emoji.
+    plain = _Console(stderr=stderr, highlight=False, emoji=False)
+    if plain.is_terminal:
+        return plain
+    return _Console(stderr=stderr, highlight=False, emoji=False, width=_UNWRAPPED)

@@ -33,11 +33,7 @@ def write_atomically(path: Path) -> Iterator[Path]:
         with _write_to_device(path) as temporary:
             yield temporary
         return
-    try:
-        target = path.resolve() if path.is_symlink() else path
-    except (OSError, RuntimeError) as error:
-        # The latter is how Python before 3.13 reports a loop.
-        raise InputError(f"{path}: is a link that leads nowhere") from error
+    target = follow_links(path) if path.is_symlink() else path
     _remove_abandoned(target.parent, target.name)
     # Same folder, hence same file system: the rename is atomic.
     temporary = target.parent / _temporary_name(target)
@@ -60,6 +56,19 @@ def _write_to_device(path: Path) -> Iterator[Path]:
             yield temporary
             with temporary.open("rb") as file, path.open("wb") as device:
                 shutil.copyfileobj(file, device)
+
+
+def follow_links(path: Path) -> Path:
+    """The absolute path without links.
+
+    Raises:
+        InputError: its links lead in a loop.
+    """
+    try:
+        return path.resolve()
+    except (OSError, RuntimeError) as error:
+        # The latter is how Python before 3.13 reports a loop.
+        raise InputError(f"{path}: is a link that leads nowhere") from error
 
 
 def check_output_path(path: Path) -> None:

@@ -103,6 +103,8 @@ def read_extrinsics(path: Path) -> ExtrinsicsFile:
     Raises:
         InputError: the file is none of these, or its content is invalid; the message names the location.
     """
+    if path.is_fifo():
+        raise InputError(f"{path}: is a pipe, and its content is read more than once: write it to a file first")
     if path.suffix in (".urdf", ".xml", ".xacro") or read_text(path).lstrip("\ufeff \t\r\n").startswith("<"):
         return _read_urdf(path)
     documents = read_documents(path)
