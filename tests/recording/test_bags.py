@@ -263,14 +263,16 @@ def test_unmerged_sqlite_log_is_noticed(make_bag: MakeBag, ros: SimpleNamespace)
 
 
 @pytest.mark.parametrize(
-    ("file", "advice"),
+    ("file", "advice", "kept"),
     [
-        ("scans_demo.bag", "rosbag reindex"),
-        ("derived_rosbag2_mcap/derived_rosbag2_mcap.mcap", "mcap recover"),
-        ("derived_rosbag2_sqlite3/derived_rosbag2_sqlite3.db3", "recover"),
+        *(("scans_demo.bag", "rosbag reindex", kept) for kept in (0.001, 0.4, 0.999)),
+        *(("derived_rosbag2_mcap/derived_rosbag2_mcap.mcap", "mcap recover", kept) for kept in (0.001, 0.4)),
+        *(
+            ("derived_rosbag2_sqlite3/derived_rosbag2_sqlite3.db3", "recover", kept)
+            for kept in (0.001, 0.4, 0.999)
+        ),
     ],
 )
-@pytest.mark.parametrize("kept", [0.001, 0.4, 0.999])
 def test_truncated_file_is_an_error_with_advice(
     data_dir: Path, tmp_path: Path, file: str, advice: str, kept: float, read_all: ReadAll
 ) -> None:

@@ -96,7 +96,9 @@ def _print(recording: Path, inspection: Inspection, mode: RecognizedMode | None)
     findings = [(topic.name, finding) for topic in inspection.topics for finding in topic.findings]
     for name, finding in findings:
         output.print(f"[yellow]![/] {escape(f'{name}: {finding}')}")
-    if not findings and not inspection.damage:
+    for notice in inspection.notices:
+        output.print(f"[yellow]![/] {escape(notice)}")
+    if not (findings or inspection.notices or inspection.damage):
         output.print("No anomalies were found.")
 
 

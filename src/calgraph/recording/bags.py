@@ -4,6 +4,7 @@ The storage files are read one by one rather than through rosbags' reader of who
 including their QoS settings and silently drops those whose metadata.yaml differs from the storage.
 """
 
+import logging
 import math
 from collections.abc import Collection, Iterator
 from contextlib import ExitStack
@@ -18,7 +19,7 @@ from rosbags.rosbag2 import Reader as Reader2
 from calgraph.config.settings import LimitSettings
 from calgraph.errors import RecordingError
 from calgraph.recording.bag_files import BagFiles, check_sqlite, decompress_message, decompress_storage
-from calgraph.recording.chunk_limits import open_reader
+from calgraph.recording.chunk_limits import is_finished, open_reader
 from calgraph.recording.decoding import decode
 from calgraph.recording.message_types import MessageType, TypeDefinition, message_type
 from calgraph.recording.recording import (
@@ -32,6 +33,8 @@ from calgraph.recording.recording import (
     wrap_errors,
 )
 from calgraph.sensors import RecordedMessage
+
+_log = logging.getLogger(__name__)
 
 _ADVICE = {
     ".bag": "it may be truncated: try `rosbag reindex` and `rosbag check`, or copy it again",
@@ -69,7 +72,11 @@ class RawMessage(NamedTuple):
 
 
 class BagRecording(ClosedOnExit):
-    """A bag of one or more storage files."""
+    """A bag of one or more storage files.
+
+    Attributes:
+        notices: what is missing of it although it can be read, in words.
+    """
 
     def __init__(self, path: Path, bag: BagFiles, limits: LimitSettings) -> None:
         self.path, self.sources = path, (path,)
@@ -82,10 +89,14 @@ class BagRecording(ClosedOnExit):
             self._stack.close()
             raise
         filled = [reader for reader in self._readers if reader.message_count]
+        self.notices = tuple(_describe_unfinished(reader) for reader in self._readers if not is_finished(reader))
+        for notice in self.notices:
+            _log.warning("%s", notice)
         self.start = min((reader.start_time for reader in filled), default=0) / 1e9
         # The readers' end is one nanosecond after the last message.
         self.end = max((reader.end_time - 1 for reader in filled), default=0) / 1e9
-        self.topics = _topics(self._readers, bag.stated)
+        # What was recorded or copied after the end that is missing is known to be missing.
+        self.topics = _topics(self._readers, () if self.notices else bag.stated)
 
     def records(
         self, topics: Collection[str] | None = None, start: float | None = None, end: float | None = None
@@ -184,6 +195,14 @@ class BagRecording(ClosedOnExit):
         if key not in self._types:
             self._types[key] = message_type(connection, ros1=ros1)
         return self._types[key]
+
+
+def _describe_unfinished(reader: Reader1 | Reader2) -> str:
+    duration = (reader.end_time - 1 - reader.start_time) / 1e9
+    return (
+        f"{reader.path}: has no end, as its recorder was killed or its copy is incomplete: it is read up to the "
+        f"last complete chunk, {duration:.2f} s after its first message"
+    )
 
 
 def _topics(readers: tuple[Reader1 | Reader2, ...], stated: tuple[TopicInfo, ...]) -> tuple[TopicInfo, ...]:

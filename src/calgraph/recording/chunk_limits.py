@@ -17,13 +17,14 @@ import lz4.frame
 from rosbags.rosbag1 import Reader as Reader1
 from rosbags.rosbag1 import reader as bags1
 from rosbags.rosbag2 import Reader as Reader2
-from rosbags.rosbag2 import metadata, storage_mcap, storage_sqlite3
+from rosbags.rosbag2 import ReaderError, metadata, storage_mcap, storage_sqlite3
 
 from calgraph.config.settings import LimitSettings
 from calgraph.errors import InputError
 from calgraph.io.yaml_limits import check_yaml_limits
 from calgraph.recording.indexed_bag import LimitedBagReader
 from calgraph.recording.limits import check_unpacked_size
+from calgraph.recording.unfinished_mcap import complete_mcap, lacks_end
 
 if sys.version_info >= (3, 14):
     from compression import zstd
@@ -74,9 +75,22 @@ for _module in (storage_mcap, storage_sqlite3):
 
 
 class _McapReader(storage_mcap.McapReader):
-    """An MCAP whose chunks are checked before any is unpacked."""
+    """An MCAP whose chunks are checked before any is unpacked, and which may have no end."""
 
     limits: LimitSettings
+    is_finished = True
+
+    def _open(self) -> None:
+        """Reads the index of the file, or makes one where it has no end."""
+        try:
+            super()._open()
+        except ReaderError:
+            # Where its data begin is known if its header could be read.
+            if not self.data_start or not self.bio or not lacks_end(self.bio):
+                raise
+            self.bio = complete_mcap(self.bio, self.data_start, self.limits)
+            self.is_finished = False
+            super()._open()
 
     def meta_scan(self) -> None:
         """Reads the records of a file without a summary."""
@@ -99,7 +113,8 @@ def open_reader(path: Path, limits: LimitSettings) -> Reader1 | Reader2:
     """Opens a storage file.
 
     Raises:
-        ValueError: a chunk, or all that overlap in time, unpack to more than the limit.
+        ValueError: a chunk, or all that overlap in time, unpack to more than the limit; an MCAP has no end and no
+            complete chunk.
         Exception: anything that rosbags raises for damaged bytes.
     """
     if path.suffix == ".bag":
@@ -125,6 +140,12 @@ def open_reader(path: Path, limits: LimitSettings) -> Reader1 | Reader2:
         reader.close()
         raise
     return reader
+
+
+def is_finished(reader: Reader1 | Reader2) -> bool:
+    """Whether the end of a storage file is there: without it, a reader has the messages before."""
+    storage = reader.storage if isinstance(reader, Reader2) else None
+    return not isinstance(storage, _McapReader) or storage.is_finished
 
 
 def _unpack_bag_chunk(name: str, limits: LimitSettings, data: bytes) -> bytes:

@@ -9,6 +9,7 @@ import numpy as np
 from calgraph.config import FoundTopic, Kind
 from calgraph.errors import RecordingError
 from calgraph.geometry import Array
+from calgraph.recording.bags import BagRecording
 from calgraph.recording.file_names import describe_unmatched_numbers, find_pose_numbers
 from calgraph.recording.recording import Recording, TopicInfo
 from calgraph.sensors import CameraInfo, DetectedCorners, Image, LaserScan, Message, PointCloud, RecordedMessage
@@ -90,6 +91,8 @@ class Inspection:
     """From the first to the last arrival, s; 0 for numbered files."""
     topics: tuple[TopicReport, ...]
     """Sorted by name."""
+    notices: tuple[str, ...] = ()
+    """What is missing of it although it could be read, in words."""
     damage: str = ""
     """Why it could not be read to its end, or that it is empty; an empty text otherwise."""
 
@@ -144,6 +147,7 @@ def inspect_recording(recording: Recording, progress: Callable[[float], None]) -
             else report
             for report in reports
         ),
+        recording.notices if isinstance(recording, BagRecording) else (),
         damage,
     )
 
