@@ -73,7 +73,7 @@ class ReplaySource:
             yield Notice("ended", f"the recording {self._path} is at its end")
 
     def _start_pacing(self) -> Callable[[int], Awaitable[None]]:
-        """A function that waits until it is time for the message of an arrival (ns); the first one comes at once."""
+        """A function that waits until messages of an arrival (ns) are to be given; the first are now."""
         now = asyncio.get_running_loop().time
         first: list[tuple[float, int]] = []
 
