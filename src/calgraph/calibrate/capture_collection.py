@@ -14,6 +14,7 @@ from calgraph.calibrate.strategies import select_plane_estimator
 from calgraph.captures import (
     CaptureSet,
     DetectionMethod,
+    InputFinding,
     InputMonitor,
     RecordingTimeline,
     SensorCapture,
@@ -61,10 +62,15 @@ def collect_captures(
     shared = captures.count_shared()
     out_of_view = shared < min(rig.settings.captures.min_shared_rests, len(captures.holds) / 2)
     if out_of_view and recognized.mode == "rest" and recognized.spread is not None:
-        _log.info("no board in the rests: sets of frames are taken")
+        rests = len(captures.holds)
         moving = rig.capture.model_copy(update={"mode": "synchronized"})
         rig = rig.model_copy(update={"capture": moving})
         captures = _detect_in_timeline(rig, recording, timeline, options, rng, progress)
+        finding = InputFinding(
+            f"two sensors detect the board in {shared} of {rests} rests of their views: the captures are sets "
+            "of frames, in which it moves; if it was meant to rest, hold it still where two sensors detect it"
+        )
+        captures = replace(captures, findings=(*captures.findings, finding))
     return replace(captures, findings=(*monitor.findings(), *captures.findings))
 
 
