@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
+from types import MappingProxyType
 
 import numpy as np
 
@@ -42,6 +43,7 @@ from calgraph.estimation import (
     solve_poses,
     with_prior_poses,
 )
+from calgraph.geometry import Array
 from calgraph.graph import SpanningTree, initialize_rig
 from calgraph.pairwise import PairwiseEstimates, estimate_pairs, reselect_all_inliers, select_successful
 from calgraph.processes import forked_jobs, parallel_call
@@ -147,9 +149,17 @@ def explain_singular_equations() -> Iterator[None]:
 
 @explain_singular_equations()
 def build_problem_from_captures(
-    rig: Rig, captures: CaptureSet, options: RigOptions, rng: np.random.Generator, progress: Progress = no_progress
+    rig: Rig,
+    captures: CaptureSet,
+    options: RigOptions,
+    rng: np.random.Generator,
+    progress: Progress = no_progress,
+    known: Mapping[str, Array] = MappingProxyType({}),
 ) -> Problem:
-    """Builds the joint problem from detections: relative poses of all pairs, and the spanning tree."""
+    """Builds the joint problem from detections: relative poses of all pairs, and the spanning tree.
+
+    Poses ``known`` (4, 4) from an earlier solution take the place of RANSAC where most captures agree with them.
+    """
     log_captures(captures)
     captures = locate_boards(rig, captures)
     settings = rig.settings.pairwise.board
@@ -161,8 +171,9 @@ def build_problem_from_captures(
         )
 
     pairs = estimate_pairs(
-        captures.detections, rig.board_size, rng, lambda done: progress("pairing", done), settings=settings
-    )
+        captures.detections, rig.board_size, rng, lambda done: progress("pairing", done),
+        settings=settings, known=known,
+    )  # fmt: skip
     tree = span_tree(pairs)
     captures = align_symmetric_prints(rig, captures, tree.T_root_sensor)
     if options.keep == "ransac":

@@ -5,15 +5,14 @@ from typing import TYPE_CHECKING
 from calgraph.lazy_names import import_on_use
 
 if TYPE_CHECKING:
+    from calgraph.pairwise.board_matches import Candidates, tabulate_matches
     from calgraph.pairwise.board_pair import (
-        Candidates,
         PairwiseEstimates,
         estimate_pair,
         estimate_pairs,
         reselect_all_inliers,
         reselect_inliers,
         select_successful,
-        tabulate_matches,
     )
     from calgraph.pairwise.clock_mounting_search import (
         ClockMountingHypothesis,
@@ -35,6 +34,7 @@ else:
         __name__,
         [
             "pairwise_estimate",
+            "board_matches",
             "board_pair",
             "line_matches",
             "hypothesis_evidence",

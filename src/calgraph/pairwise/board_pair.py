@@ -1,16 +1,23 @@
 """Relative pose of two sensors from their detections of the board: RANSAC with a solver for each (kind, kind)."""
 
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.config.settings import BoardPairSettings
-from calgraph.detection import BoardCorners, Detection, PlanePatch, Segment, plane_of
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se3
-from calgraph.pairwise.line_matches import LineLineMatches, PlaneLineMatches
+from calgraph.pairwise.board_matches import (
+    Candidates,
+    build_matches,
+    geometric_kind,
+    group_alternatives,
+    tabulate_matches,
+)
+from calgraph.pairwise.line_matches import PlaneLineMatches
 from calgraph.pairwise.pairwise_estimate import (
     Matches,
     PairwiseEstimate,
@@ -21,11 +28,7 @@ from calgraph.pairwise.pairwise_estimate import (
     resolve_ambiguity,
     squared_residual_function,
 )
-from calgraph.pairwise.plane_matches import PlanePlaneMatches
 from calgraph.ransac import find_consensus, select_best_of_groups
-
-Candidates = Mapping[int, Sequence[Detection]]
-"""Detections of one sensor by capture; several if it is ambiguous which of them is the board."""
 
 
 def estimate_pair(
@@ -38,6 +41,7 @@ def estimate_pair(
     *,
     refine: bool = True,
     settings: BoardPairSettings = BoardPairSettings(),
+    known: Array | None = None,
 ) -> PairwiseEstimate | Rejected:
     """Estimates ``T_a_b`` from the captures in which both sensors have detections.
 
@@ -51,6 +55,7 @@ def estimate_pair(
         refine: fit the inliers, weighted by their covariances, during and after RANSAC; the paper keeps the
             solution of its solver, which has equal weights.
         settings: gates, errors and limits.
+        known: ``T_a_b`` (4, 4) from an earlier solution, which is kept without RANSAC if most captures agree.
 
     Returns:
         The estimate, or the reason why the pair cannot be estimated.
@@ -60,29 +65,36 @@ def estimate_pair(
         return Rejected("no capture in which both detected the board")
     if not len(tabulate_matches(candidates_a, candidates_b)):
         return Rejected("no capture in which both detected the same board")
-    kinds = _geometric_kind(candidates_a[common[0]][0]), _geometric_kind(candidates_b[common[0]][0])
+    kinds = geometric_kind(candidates_a[common[0]][0]), geometric_kind(candidates_b[common[0]][0])
     if kinds == ("line", "plane"):
         swapped = estimate_pair(
-            sensor_b, sensor_a, candidates_b, candidates_a, board_size, rng, refine=refine, settings=settings
-        )
+            sensor_b, sensor_a, candidates_b, candidates_a, board_size, rng,
+            refine=refine, settings=settings, known=None if known is None else se3.inverse(known),
+        )  # fmt: skip
         return swapped if isinstance(swapped, Rejected) else swapped.inverse()
 
-    table, matches = _build_matches(candidates_a, candidates_b, board_size, settings)
+    table, matches = build_matches(candidates_a, candidates_b, board_size, settings)
     if len(common) < matches.sample_size:
         return Rejected(f"both detected the board in {len(common)} captures, {matches.sample_size} are needed")
-    groups = _group_alternatives(table, candidates_a, candidates_b)
+    groups = group_alternatives(table, candidates_a, candidates_b)
+    residuals = squared_residual_function(matches, settings)
+    enough = max(matches.sample_size, _min_match_count(matches, len(table)))
+    if known is not None:
+        inliers = select_best_of_groups(residuals(known[None])[0], groups)
+        if inliers.sum() >= max(enough, len(common) / 2):
+            return _evaluate_estimate((sensor_a, sensor_b), known, table, matches, inliers, 0.0, settings)
 
     def fit(T: Array, inliers: NDArray[np.bool_]) -> Array:
         return refine_pose(T, matches, inliers, settings.model_error, settings)
 
     found = find_consensus(
-        groups, matches.sample_size, matches.solve, squared_residual_function(matches, settings), 1.0, rng=rng,
+        groups, matches.sample_size, matches.solve, residuals, 1.0, rng=rng,
         confidence=settings.ransac_confidence, max_samples=settings.ransac_max_samples,
         fit=fit if refine else None,
     )  # fmt: skip
     count = found.inlier_count if found else 0
     minority = settings.minority_inliers if count < len(common) / 2 else 0
-    min_inliers = max(matches.sample_size, _min_match_count(matches, len(table))) + minority
+    min_inliers = enough + minority
     if found is None or count < min_inliers:
         most = max(len(by[capture]) for by in (candidates_a, candidates_b) for capture in common)
         return Rejected(
@@ -123,38 +135,20 @@ def reselect_inliers(
         The estimate at ``T_a_b`` with the new inliers; rejected if fewer than a minimal sample are left.
     """
     capture = estimate.matches[0, 0]
-    if (_geometric_kind(candidates_a[capture][0]), _geometric_kind(candidates_b[capture][0])) == ("line", "plane"):
+    if (geometric_kind(candidates_a[capture][0]), geometric_kind(candidates_b[capture][0])) == ("line", "plane"):
         T_b_a = se3.inverse(T_a_b)
         swapped = reselect_inliers(estimate.inverse(), T_b_a, candidates_b, candidates_a, board_size, settings)
         return swapped if isinstance(swapped, Rejected) else swapped.inverse()
-    table, matches = _build_matches(candidates_a, candidates_b, board_size, settings)
+    table, matches = build_matches(candidates_a, candidates_b, board_size, settings)
     r2 = squared_residual_function(matches, settings)(T_a_b[None])[0]
     scale2 = float(np.median(r2[estimate.inliers])) / 0.4549  # the median of χ² with one degree of freedom
     gate = min(1.0, settings.reselection_gate**2 * scale2)
-    inliers = select_best_of_groups(r2 / gate, _group_alternatives(table, candidates_a, candidates_b))
+    inliers = select_best_of_groups(r2 / gate, group_alternatives(table, candidates_a, candidates_b))
     if inliers.sum() < matches.sample_size:
         count = int(estimate.inliers.sum())
         return Rejected(f"all {count} shared captures were rejected as outliers by the joint solution")
     sensors = estimate.sensor_a, estimate.sensor_b
     return _evaluate_estimate(sensors, T_a_b, table, matches, inliers, estimate.alternative_pose_angle, settings)
-
-
-def _build_matches(
-    candidates_a: Candidates, candidates_b: Candidates, size: tuple[float, float], settings: BoardPairSettings
-) -> tuple[NDArray[np.intp], Matches]:
-    table = tabulate_matches(candidates_a, candidates_b)
-    a = [candidates_a[capture][i] for capture, i, _ in table]
-    b = [candidates_b[capture][j] for capture, _, j in table]
-    radius, diagonal = min(size) / 2, float(np.hypot(*size))
-    match _geometric_kind(a[0]), _geometric_kind(b[0]):
-        case "plane", "plane":
-            return table, PlanePlaneMatches(*_stack_planes(a), *_stack_planes(b), radius, diagonal, settings)
-        case "plane", "line":
-            return table, PlaneLineMatches(*_stack_planes(a), *_stack_segments(b), diagonal, settings)
-        case "line", "line":
-            return table, LineLineMatches(*_stack_segments(a), *_stack_segments(b), diagonal, settings)
-        case kinds:
-            raise ValueError(f"no matches between {' and '.join(kinds)}")
 
 
 def _min_match_count(matches: Matches, count: int) -> int:
@@ -192,6 +186,7 @@ def estimate_pairs(
     *,
     refine: bool = True,
     settings: BoardPairSettings = BoardPairSettings(),
+    known: Mapping[str, Array] = MappingProxyType({}),
 ) -> PairwiseEstimates:
     """Estimates the relative pose of every pair of sensors, as :func:`estimate_pair` does.
 
@@ -202,12 +197,14 @@ def estimate_pairs(
         progress: called with the completed fraction, 0..1.
         refine: as for :func:`estimate_pair`.
         settings: as for :func:`estimate_pair`.
+        known: poses (4, 4) of sensors in one frame, from an earlier solution, as for :func:`estimate_pair`.
     """
     names = list(itertools.combinations(detections, 2))
     pairs = {}
     for done, (a, b) in enumerate(names, start=1):
+        T_a_b = se3.inverse(known[a]) @ known[b] if a in known and b in known else None
         pairs[a, b] = estimate_pair(
-            a, b, detections[a], detections[b], board_size, rng, refine=refine, settings=settings
+            a, b, detections[a], detections[b], board_size, rng, refine=refine, settings=settings, known=T_a_b
         )
         progress(done / len(names))
     return pairs
@@ -240,50 +237,3 @@ def reselect_all_inliers(
             T_a_b = se3.inverse(T_root_sensor[a]) @ T_root_sensor[b]
             chosen[a, b] = reselect_inliers(pair, T_a_b, detections[a], detections[b], board_size, settings)
     return chosen
-
-
-def tabulate_matches(candidates_a: Candidates, candidates_b: Candidates) -> NDArray[np.intp]:
-    """Lists all pairs of candidates in common captures: (M, 3) rows of capture, index in a, index in b.
-
-    Detections that cameras identified as different boards are not paired.
-    """
-    rows = [
-        (capture, i, j)
-        for capture in sorted(set(candidates_a) & set(candidates_b))
-        for i, a in enumerate(candidates_a[capture])
-        for j, b in enumerate(candidates_b[capture])
-        if _board_index(a) is None or _board_index(b) is None or _board_index(a) == _board_index(b)
-    ]
-    return np.array(rows, dtype=np.intp).reshape(-1, 3)
-
-
-def _group_alternatives(
-    table: NDArray[np.intp], candidates_a: Candidates, candidates_b: Candidates
-) -> NDArray[np.intp]:
-    """Numbers (M,) the groups of mutually exclusive matches: those of one capture, and board if identified."""
-    groups: dict[tuple[int, frozenset[int | None]], int] = {}
-    numbers = []
-    for capture, i, j in table.tolist():
-        boards = {_board_index(candidates_a[capture][i]), _board_index(candidates_b[capture][j])}
-        numbers.append(groups.setdefault((capture, frozenset(boards)), len(groups)))
-    return np.array(numbers, dtype=np.intp)
-
-
-def _board_index(detection: Detection) -> int | None:
-    """Index of the board in the rig, if the sensor can identify it."""
-    return detection.board if isinstance(detection, BoardCorners) else None
-
-
-def _geometric_kind(detection: Detection) -> str:
-    return "line" if isinstance(detection, Segment) else "plane"
-
-
-def _stack_planes(detections: Sequence[Detection]) -> tuple[Array, Array, Array]:
-    with_plane = [d for d in detections if isinstance(d, PlanePatch | BoardCorners)]
-    planes, covariances = zip(*(plane_of(d) for d in with_plane), strict=True)
-    return np.array(planes), np.array(covariances), np.array([d.center for d in with_plane])
-
-
-def _stack_segments(detections: Sequence[Detection]) -> tuple[Array, Array]:
-    segments = [d for d in detections if isinstance(d, Segment)]
-    return np.array([d.endpoints for d in segments]), np.array([d.covariance for d in segments])

@@ -1,0 +1,156 @@
+"""The calibration of a rig from the captures until now, in less time than the operator needs for the next one.
+
+Poses, covariances and verdicts are those of ``calgraph calibrate`` on the same captures, without the errors of
+held-out captures: cross-validation and bootstrap take longest.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from calgraph.calibrate import RigOptions, build_problem_from_captures
+from calgraph.calibrate.bumps import solve_after_bumps
+from calgraph.calibrate.rig import explain_singular_equations, solve_jointly
+from calgraph.captures import CaptureSet, state_estimated_intrinsics
+from calgraph.config import Rig
+from calgraph.diagnostics import assemble_rig, include_drifts
+from calgraph.diagnostics.verdict import max_good_stddev
+from calgraph.errors import CalgraphError
+from calgraph.geometry import Array
+from calgraph.live.missing_pairs import advise_on_missing_pairs, explain_unconnected
+from calgraph.live.state import Advice
+from calgraph.result import Calibration, SensorPose
+
+
+@dataclass(frozen=True, eq=False)
+class SensorSolution:
+    """What is known of one sensor's pose."""
+
+    name: str
+    kind: str
+    """camera, lidar2d or lidar3d."""
+    T_root_sensor: Array | None = None
+    """(4, 4); None as long as nothing connects the sensor to the root."""
+    stddev: Array = field(default_factory=lambda: np.full(6, np.nan))
+    """(6,) along and about the axes of the sensor, m and rad; zero for the root, NaN without a pose."""
+    progress: float = 0.0
+    """The least ratio of the largest acceptable standard deviation to that of an axis, limited to 0..1: 1 where
+    all errors are within the tolerance with the probability of verdicts."""
+    grade: str = ""
+    """good, weak or unobservable; empty without a pose."""
+    reason: str = ""
+    """Why it is not good, or not connected, in words."""
+
+
+@dataclass(frozen=True, eq=False)
+class LiveSolution:
+    """The calibration of a rig from the captures until now."""
+
+    sensors: tuple[SensorSolution, ...]
+    """In the order of rig.yaml."""
+    done: bool
+    """Whether all sensors have good poses."""
+    captures: int
+    """Number of captures that it was computed from."""
+    advice: Advice | None = None
+    """The next board pose; None where all sensors are good, and where no pose has a relevant gain."""
+    problem: str = ""
+    """Why the captures could not be solved, if they could not."""
+    scene: Mapping[str, object] = field(default_factory=dict)
+    """The 3-D view as plain values; see :mod:`calgraph.live.scene`."""
+
+
+def solve_captures(rig: Rig, captures: CaptureSet, start: LiveSolution | None = None) -> LiveSolution:
+    """Solves for the poses of all sensors from the captures until now.
+
+    Args:
+        rig: sensors and board.
+        captures: the detections until now; cameras without intrinsics are left out.
+        start: the last solution.
+
+    Returns:
+        The solution, for any captures: sensors that nothing connects to the root have no pose, and the reason in
+        words.
+    """
+    rig, captures = state_estimated_intrinsics(rig, captures), _leave_out_unprojected(rig, captures)
+    try:
+        calibration = _solve(rig, captures, _select_known_poses(start))
+    except CalgraphError as error:
+        return LiveSolution(_describe_sensors(rig, captures, None), False, len(captures.holds), problem=str(error))
+    sensors = _describe_sensors(rig, captures, calibration)
+    done = all(sensor.grade == "good" for sensor in sensors)
+    connected = {sensor.name for sensor in sensors if sensor.T_root_sensor is not None}
+    return LiveSolution(
+        sensors,
+        done,
+        len(captures.holds),
+        advice=None if done else advise_on_missing_pairs(rig, captures, connected),
+    )
+
+
+def _leave_out_unprojected(rig: Rig, captures: CaptureSet) -> CaptureSet:
+    """The captures with detections of every sensor of the rig, none of cameras that have no intrinsics yet."""
+    usable = {name for name in rig.sensors if name in captures.cameras or name not in rig.cameras()}
+    found = {name: captures.detections.get(name, {}) if name in usable else {} for name in rig.sensors}
+    waiting = {(hold.index, name): "not measured yet" for hold in captures.holds for name in rig.sensors}
+    return replace(captures, detections=found, rejections=waiting | dict(captures.rejections))
+
+
+def _select_known_poses(start: LiveSolution | None) -> dict[str, Array]:
+    """The poses of an earlier solution without ambiguous or unobservable ones, by sensor."""
+    return {
+        sensor.name: sensor.T_root_sensor
+        for sensor in (start.sensors if start else ())
+        if sensor.T_root_sensor is not None and sensor.grade in ("good", "weak")
+    }
+
+
+@explain_singular_equations()
+def _solve(rig: Rig, captures: CaptureSet, known: Mapping[str, Array]) -> Calibration:
+    options = RigOptions()
+    rig = _without_bootstrap(rig)
+    problem = build_problem_from_captures(rig, captures, options, np.random.default_rng(options.seed), known=known)
+    problem, solution, tree = solve_after_bumps(
+        problem, *solve_jointly(problem), build_problem_from_captures, solve_jointly
+    )
+    if solution.solved_bundle:
+        solution = include_drifts(solution, solution.solved_bundle, rig.settings.diagnostics)
+    return assemble_rig(problem, tree, solution)
+
+
+def _without_bootstrap(rig: Rig) -> Rig:
+    """The rig with settings by which no number of captures is too small to do without a bootstrap."""
+    diagnostics = rig.settings.diagnostics
+    tests = diagnostics.rig.model_copy(update={"max_bootstrap_captures": 1})
+    diagnostics = diagnostics.model_copy(update={"rig": tests})
+    return rig.model_copy(update={"settings": rig.settings.model_copy(update={"diagnostics": diagnostics})})
+
+
+def _describe_sensors(
+    rig: Rig, captures: CaptureSet, calibration: Calibration | None
+) -> tuple[SensorSolution, ...]:
+    poses = {sensor.name: sensor for sensor in calibration.sensors} if calibration else {}
+    limits = max_good_stddev(rig.tolerance, rig.settings.diagnostics.verdict)
+    return tuple(
+        _describe_pose(poses[name], limits, alone=len(poses) == 1)
+        if name in poses
+        else SensorSolution(name, spec.kind, reason=explain_unconnected(name, rig, captures, poses))
+        for name, spec in rig.sensors.items()
+    )
+
+
+def _describe_pose(sensor: SensorPose, limits: Array, *, alone: bool) -> SensorSolution:
+    to_sensor = np.kron(np.eye(2), sensor.T_root_sensor[:3, :3].T)
+    stddev = np.sqrt(np.maximum(np.diag(to_sensor @ sensor.covariance @ to_sensor.T), 0))
+    progress = float(np.min(limits / np.maximum(stddev, np.finfo(float).tiny)).clip(0.0, 1.0))
+    # A root to which nothing is connected is no result.
+    return SensorSolution(
+        sensor.name,
+        sensor.kind,
+        sensor.T_root_sensor,
+        stddev,
+        0.0 if alone else progress,
+        "" if alone else sensor.verdict.grade,
+        sensor.verdict.reason,
+    )
