@@ -8,6 +8,8 @@ Phase = Literal["connecting", "background", "ready", "waiting", "measuring", "fi
 is triggered, and the board still moves; ``measuring``: sensors measure the board at rest; ``finishing``: the
 recording is calibrated as a whole; ``failed``: the session ended with an error."""
 
+Action = Literal["trigger", "automatic", "manual", "discard", "finish"]
+
 
 @dataclass(frozen=True)
 class SensorState:
@@ -116,6 +118,6 @@ class SessionState:
 class Command:
     """What the operator wants."""
 
-    action: Literal["trigger", "automatic", "manual", "discard", "finish"]
+    action: Action
     """``trigger``: take a capture as soon as the board rests; ``automatic`` and ``manual``: whether captures are
     taken without the button; ``discard``: leave out the last capture; ``finish``: end and calibrate the whole."""

@@ -49,7 +49,7 @@ from calgraph.config.settings.legs import (
     LegTrackSettings,
 )
 from calgraph.config.settings.limits import LimitSettings
-from calgraph.config.settings.live import ConnectionSettings, LiveSettings
+from calgraph.config.settings.live import ConnectionSettings, LiveSettings, PageSettings
 from calgraph.config.settings.network_estimation import (
     BodySettings,
     HeadingSearchSettings,
@@ -143,6 +143,7 @@ __all__ = [
     "NetworkEstimationSettings",
     "NetworkModelSettings",
     "OutlineSettings",
+    "PageSettings",
     "PairwiseSettings",
     "ProposalSettings",
     "RangeNoiseSettings",

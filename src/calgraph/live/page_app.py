@@ -1,0 +1,185 @@
+"""What the page's server answers: the page and its files, pictures, the report, and a websocket."""
+
+import asyncio
+import time
+from collections.abc import AsyncIterator, Callable, Coroutine, Mapping
+from contextlib import asynccontextmanager, suppress
+from dataclasses import fields
+from importlib.resources import files
+from typing import get_args
+
+from pydantic_core import to_json
+from starlette.applications import Starlette
+from starlette.requests import Request
+from starlette.responses import FileResponse, PlainTextResponse, Response
+from starlette.routing import Route, WebSocketRoute
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from calgraph.config.settings import PageSettings
+from calgraph.live.refusals import Refusals
+from calgraph.live.session_view import SessionView
+from calgraph.live.state import Action, Command, SessionState
+
+MEDIA_TYPES = {"html": "text/html", "css": "text/css", "js": "text/javascript"}
+_COMMANDS = {action: Command(action) for action in get_args(Action)}
+# Of a message that a page sends: one word.
+MAX_MESSAGE_BYTES = 64
+# Close code of the protocol (RFC 6455, 7.4.1) for messages beyond that.
+_TOO_BIG = 1009
+# The report has its scripts in it, and shows texts of the recording: it runs without access to this site.
+_REPORT_POLICY = (
+    "sandbox allow-scripts allow-downloads allow-modals; default-src 'none'; script-src 'unsafe-inline';"
+    " style-src 'unsafe-inline'; img-src data: blob:; font-src data:; worker-src blob:; base-uri 'none';"
+    " form-action 'none'; frame-ancestors 'none'"
+)
+
+
+class PageApp:
+    """Answers requests, and gives the state to all pages that are open.
+
+    Args:
+        view: the session.
+        settings: of the page.
+        refusals: are counted here.
+    """
+
+    def __init__(self, view: SessionView, settings: PageSettings, refusals: Refusals) -> None:
+        self._view = view
+        self._settings = settings
+        self._refusals = refusals
+        self._pages = 0
+        self._fields: Mapping[str, bytes] = {}
+        self._changed = asyncio.Event()
+        assets = [
+            Route(f"/{'' if name == 'page.html' else name}", _answer_with(content, name))
+            for name, content in _read_assets().items()
+        ]
+        self.routes = Starlette(
+            routes=[
+                *assets,
+                Route("/picture", self._answer_picture),
+                Route("/scene", self._answer_scene),
+                Route("/report", self._answer_report),
+                WebSocketRoute("/state", self._serve_page),
+            ]
+        )
+        self.routes.router.redirect_slashes = False
+
+    @asynccontextmanager
+    async def following(self) -> AsyncIterator[None]:
+        """Follows the session's state in the background."""
+        task = asyncio.create_task(self._follow())
+        try:
+            yield
+        finally:
+            task.cancel()
+            with suppress(asyncio.CancelledError):
+                await task
+
+    async def _follow(self) -> None:
+        """Encodes the state whenever it has changed, at the maximum rate; the last change is never left out."""
+        while True:
+            state = self._view.state()
+            self._fields = _encode(state)
+            self._changed.set()
+            self._changed = asyncio.Event()
+            await asyncio.sleep(1 / self._settings.max_rate)
+            await self._view.wait_for_change(state)
+
+    async def _answer_picture(self, request: Request) -> Response:
+        picture = self._view.picture(request.query_params.get("sensor", ""))
+        return _not_found() if picture is None else Response(picture, media_type="image/jpeg")
+
+    async def _answer_scene(self, _: Request) -> Response:
+        scene = self._view.scene()
+        return _not_found() if scene is None else Response(scene, media_type="application/json")
+
+    async def _answer_report(self, _: Request) -> Response:
+        report = self._view.report()
+        if report is None:
+            return _not_found()
+        return FileResponse(report, media_type="text/html", headers={"Content-Security-Policy": _REPORT_POLICY})
+
+    async def _serve_page(self, socket: WebSocket) -> None:
+        if self._pages >= self._settings.max_pages:
+            self._refusals.add("pages beyond the limit")
+            await socket.close(1013)
+            return
+        self._pages += 1
+        try:
+            await socket.accept()
+            # The page is gone where it sends no more, and as good as gone where it accepts no more.
+            tasks = [
+                asyncio.create_task(self._send_states(socket)),
+                asyncio.create_task(self._take_commands(socket)),
+            ]
+            try:
+                done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+                for task in done:
+                    task.result()
+            finally:
+                for task in tasks:
+                    task.cancel()
+                await asyncio.gather(*tasks, return_exceptions=True)
+        finally:
+            self._pages -= 1
+
+    async def _send_states(self, socket: WebSocket) -> None:
+        """Sends what has changed since the last message, and an empty one where nothing has for a while.
+
+        A page that is slow receives the newest state next, never those between.
+        """
+        sent: Mapping[str, bytes] = {}
+        with suppress(TimeoutError, WebSocketDisconnect):
+            while True:
+                changed, current = self._changed, self._fields
+                new = [
+                    b'"%s":%s' % (name.encode(), text) for name, text in current.items() if sent.get(name) != text
+                ]
+                async with asyncio.timeout(self._settings.timeout):
+                    await socket.send_text("{" + b",".join(new).decode() + "}")
+                sent = current
+                with suppress(TimeoutError):
+                    await asyncio.wait_for(changed.wait(), self._settings.heartbeat)
+
+    async def _take_commands(self, socket: WebSocket) -> None:
+        """Hands commands to the session until the page is closed, or sends one that is refused."""
+        allowed, since = float(self._settings.command_burst), time.monotonic()
+        while True:
+            message = await socket.receive()
+            if message["type"] == "websocket.disconnect":
+                if message.get("code") == _TOO_BIG:
+                    self._refusals.add("oversized messages")
+                return
+            now = time.monotonic()
+            allowed = min(self._settings.command_burst, allowed + (now - since) * self._settings.command_rate)
+            since = now
+            command = _COMMANDS.get(message.get("text"))
+            if command is None or allowed < 1:
+                self._refusals.add("commands in too fast succession" if command else "unknown commands")
+                await socket.close(1008)
+                return
+            allowed -= 1
+            self._view.command(command)
+
+
+def _encode(state: SessionState) -> Mapping[str, bytes]:
+    """The fields of the state, each as JSON; numbers that are not finite are null."""
+    return {field.name: to_json(getattr(state, field.name), inf_nan_mode="null") for field in fields(state)}
+
+
+def _read_assets() -> Mapping[str, bytes]:
+    """The files of the page by name."""
+    found = [file for file in files("calgraph.live").iterdir() if file.name.rpartition(".")[2] in MEDIA_TYPES]
+    return {file.name: file.read_bytes() for file in found}
+
+
+def _answer_with(content: bytes, name: str) -> Callable[[Request], Coroutine[None, None, Response]]:
+    async def answer(_: Request) -> Response:
+        return Response(content, media_type=MEDIA_TYPES[name.rpartition(".")[2]])
+
+    return answer
+
+
+def _not_found() -> Response:
+    return PlainTextResponse("not there\n", 404)
