@@ -15,7 +15,7 @@ import pytest
 
 from calgraph import processes
 from calgraph.errors import CalibrationError, InputError
-from calgraph.processes import forked_jobs, parallel_call, parallel_map, parallel_stream
+from calgraph.processes import forked_jobs, parallel_call, parallel_map, parallel_stream, worker_pool
 
 
 def refused(number: int) -> int:
@@ -273,3 +273,19 @@ def test_a_signal_does_not_wait_for_calls_that_workers_carry_out(name: str, call
     # The end of its output is that of all its processes.
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
     assert (done.returncode, done.stdout, done.stderr) == (128 + getattr(signal, name), "", "")
+
+
+def test_a_worker_pool_runs_before_its_first_call() -> None:
+    with worker_pool(2) as pool:
+        workers = {worker.pid for worker in multiprocessing.active_children()}
+        assert len(workers) == 2
+        assert pool.submit(os.getpid).result() in workers
+    assert multiprocessing.active_children() == []
+
+
+def test_a_worker_pool_does_not_wait_for_calls_under_way() -> None:
+    began = time.monotonic()
+    with worker_pool(1) as pool:
+        pool.submit(time.sleep, 600.0)
+    assert time.monotonic() - began < 300
+    assert multiprocessing.active_children() == []

@@ -131,6 +131,29 @@ def parallel_call(
             yield partial(_get_result, future)
 
 
+@contextmanager
+def worker_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
+    """Processes for calls whose results are not waited for, of a program that serves while they work.
+
+    They run when the block begins: no process is forked once the program has threads. When the block ends, waiting
+    calls are cancelled, and those under way are ended.
+
+    Args:
+        workers: number of processes.
+
+    Raises:
+        CalibrationError: processes cannot be started.
+    """
+    with _process_pool(max(workers, 2), workers=workers) as pool:
+        if pool is None:
+            raise CalibrationError("several processes are not possible here, and live capture needs them")
+        _get_result(_submit(pool, os.getpid))
+        try:
+            yield pool
+        finally:
+            _kill_workers(pool)
+
+
 def _call(shared: tuple[Callable[..., Result], tuple[Any, ...]]) -> Result:
     function, arguments = shared
     return function(*arguments)

@@ -155,13 +155,13 @@ def detect_in_holds(
     """
     jobs = jobs if len(holds) * len(topics) >= _MIN_PARALLEL_SEARCHES else 1
     work = gather_messages(records, holds, topics, preview_sizes or {})
-    for done, found in enumerate(parallel_stream(_detect, work, detectors, jobs), start=1):
+    for done, found in enumerate(parallel_stream(detect_in_hold, work, detectors, jobs), start=1):
         yield found
         if progress:
             progress(done)
 
 
-def _detect(
+def detect_in_hold(
     detectors: Mapping[str, Detector],
     capture: int,
     name: str,

@@ -13,7 +13,7 @@ from calgraph.sensors import DetectedCorners, Image, LaserScan, Message, PointCl
 
 Signature = NDArray[np.float64] | NDArray[np.int64]
 """What is compared of a message: grey values, ranges, the keys of occupied cells, or rows of corners."""
-_Signed = tuple[type[Message], Signature]
+Signed = tuple[type[Message], Signature]
 """A message's type and signature."""
 
 # Factors that pack the indices of a cell into one key, 21 bits an axis.
@@ -29,8 +29,8 @@ class ActivityBlock:
     """As :meth:`ActivityMeter.measure_change`; 0 for the first one with content."""
     start: int | None
     """Index of the first message with content; None if there is none."""
-    first: _Signed | None
-    last: _Signed | None
+    first: Signed | None
+    last: Signed | None
     """The first and the last one with content."""
 
 
@@ -51,7 +51,7 @@ class ActivityMeter:
 
     def __init__(self, settings: MotionDetectionSettings = MotionDetectionSettings()) -> None:
         self._settings = settings
-        self.previous: _Signed | None = None
+        self.previous: Signed | None = None
         """Of the last message with content."""
 
     def join(self, block: ActivityBlock) -> list[float]:
@@ -71,7 +71,7 @@ class ActivityMeter:
             return 0.0
         return self._compare_with_previous((type(message), _compute_signature(message, self._settings)))
 
-    def _compare_with_previous(self, signed: _Signed) -> float:
+    def _compare_with_previous(self, signed: Signed) -> float:
         before, self.previous = self.previous, signed
         if before is None:
             return 0.0

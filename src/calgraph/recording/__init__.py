@@ -1,7 +1,11 @@
 """Recordings in and out, as streams of messages: ROS bags and plain folders."""
 
 from calgraph.recording.cache import NO_CACHE, RecordingCache
-from calgraph.recording.camera_intrinsics import find_camera_infos, resolve_intrinsics
+from calgraph.recording.camera_intrinsics import (
+    find_camera_infos,
+    list_camera_info_topics,
+    resolve_intrinsics,
+)
 from calgraph.recording.clock_correction import ClockCorrectedRecording
 from calgraph.recording.in_memory import MessageRecording
 from calgraph.recording.inspection import SENSORS, Inspection, Timing, TopicReport, find_topics, inspect_recording
@@ -13,6 +17,6 @@ from calgraph.recording.writer import Encoding, RecordingWriter
 __all__ = [
     "NO_CACHE", "SENSORS", "ClockCorrectedRecording", "Encoding", "Inspection", "MessageRecording",
     "PoseRecordings", "Recording", "RecordingCache", "RecordingWriter", "Timing", "TopicInfo", "TopicReport",
-    "find_camera_infos", "find_topics", "inspect_recording", "open_recording", "open_recordings",
-    "resolve_intrinsics", "separate_poses",
+    "find_camera_infos", "find_topics", "inspect_recording", "list_camera_info_topics", "open_recording",
+    "open_recordings", "resolve_intrinsics", "separate_poses",
 ]  # fmt: skip

@@ -8,7 +8,6 @@ import logging
 import math
 from collections.abc import Collection, Iterator
 from contextlib import ExitStack
-from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,8 +19,8 @@ from calgraph.config.settings import LimitSettings
 from calgraph.errors import RecordingError
 from calgraph.recording.bag_files import BagFiles, check_sqlite, decompress_message, decompress_storage
 from calgraph.recording.chunk_limits import is_finished, open_reader
-from calgraph.recording.decoding import decode
 from calgraph.recording.message_types import MessageType, TypeDefinition, message_type
+from calgraph.recording.raw_messages import make_record
 from calgraph.recording.recording import (
     ClosedOnExit,
     TopicInfo,
@@ -43,20 +42,6 @@ _ADVICE = {
 }
 # Float seconds resolve 0.24 µs; the query is widened by this margin and filtered exactly afterwards.
 _MARGIN_NS = 1000
-
-
-class _Place(NamedTuple):
-    """Where a message is; as text, which takes longer to make than all else of a record, in errors only."""
-
-    path: Path
-    topic: str
-    time: str
-    """Which time is known of it."""
-    value: float
-    """s."""
-
-    def __str__(self) -> str:
-        return f"{self.path}: topic {self.topic}, {self.time} {self.value:.6f}"
 
 
 class RawMessage(NamedTuple):
@@ -157,7 +142,7 @@ class BagRecording(ClosedOnExit):
         for kind, message in self._stored_messages(reader, topics, start_ns, stop_ns):
             arrival = message.arrival / 1e9
             if (start is None or arrival >= start) and (end is None or arrival <= end):
-                yield self._record(kind, message.topic, arrival, message.data)
+                yield make_record(kind, message.topic, arrival, message.data, self.path, self._limits)
 
     def _raw_messages_of(self, reader: Reader1 | Reader2, topics: set[str], after: int) -> Iterator[RawMessage]:
         messages = (message for _, message in self._stored_messages(reader, topics, max(0, after), None))
@@ -178,17 +163,6 @@ class BagRecording(ClosedOnExit):
                 kind = self._type(connection, ros1=ros1)
                 data = decompress_message(raw, self._limits)
                 yield kind, RawMessage(connection.topic, kind.definition, arrival, data)
-
-    def _record(self, kind: MessageType, topic: str, arrival: float, raw: bytes) -> RecordedMessage:
-        try:
-            header_stamp = kind.header_stamp(raw)
-        except Exception:
-            with wrap_errors(_Place(self.path, topic, "arrival", arrival)):
-                raise
-        stamp = arrival if header_stamp is None else header_stamp / 1e9
-        place = _Place(self.path, topic, "stamp", stamp)
-        decoder = partial(decode, kind, raw, stamp, place, self._limits)
-        return RecordedMessage(topic, stamp, arrival, decoder, partial(kind.digest, raw))
 
     def _type(self, connection: Connection, *, ros1: bool) -> MessageType:
         key = (connection.msgtype, connection.msgdef.data)

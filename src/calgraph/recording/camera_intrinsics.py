@@ -33,11 +33,19 @@ def find_camera_infos(rig: Rig, recording: Recording) -> dict[str, str]:
     return {name: topic for name, topic in topics.items() if topic}
 
 
-def _find_camera_info(spec: CameraSpec, recording: Recording) -> str | None:
+def list_camera_info_topics(spec: CameraSpec) -> tuple[str, ...]:
+    """The topics that may hold the intrinsics of a camera whose rig.yaml has none, the preferred one first."""
+    if spec.camera_info:
+        return (spec.camera_info,)
     images = spec.topic.removesuffix("/compressed")
-    beside = (f"{images}/camera_info", f"{images.rpartition('/')[0]}/camera_info")
+    return f"{images}/camera_info", f"{images.rpartition('/')[0]}/camera_info"
+
+
+def _find_camera_info(spec: CameraSpec, recording: Recording) -> str | None:
+    if spec.camera_info:
+        return spec.camera_info
     available = {topic.name for topic in recording.topics}
-    return spec.camera_info or next((t for t in beside if t in available), None)
+    return next((topic for topic in list_camera_info_topics(spec) if topic in available), None)
 
 
 def _read_camera(name: str, spec: CameraSpec, recording: Recording) -> CameraModel | None:

@@ -49,7 +49,15 @@ from calgraph.config.settings.legs import (
     LegTrackSettings,
 )
 from calgraph.config.settings.limits import LimitSettings
-from calgraph.config.settings.live import ConnectionSettings, LiveSettings, PageSettings
+from calgraph.config.settings.live import (
+    ConnectionSettings,
+    LiveCaptureSettings,
+    LiveSettings,
+    MessageRingSettings,
+    PageSettings,
+    RestSettings,
+    ViewSettings,
+)
 from calgraph.config.settings.network_estimation import (
     BodySettings,
     HeadingSearchSettings,
@@ -132,8 +140,10 @@ __all__ = [
     "Lidar2dDetectionSettings",
     "Lidar3dDetectionSettings",
     "LimitSettings",
+    "LiveCaptureSettings",
     "LiveSettings",
     "MaxMessageSettings",
+    "MessageRingSettings",
     "MisplacedTagSettings",
     "ModelErrorSettings",
     "MotionDetectionSettings",
@@ -151,6 +161,7 @@ __all__ = [
     "RegistrationSettings",
     "ResamplingSettings",
     "ResidualDistortionSettings",
+    "RestSettings",
     "RigDiagnosticsSettings",
     "RigEstimationSettings",
     "ScanBackgroundSettings",
@@ -169,5 +180,6 @@ __all__ = [
     "TrackingSettings",
     "VarianceComponentSettings",
     "VerdictSettings",
+    "ViewSettings",
     "VisibilitySettings",
 ]  # fmt: skip

@@ -33,8 +33,97 @@ class PageSettings(StrictModel):
     """Time after which a page that neither answers nor accepts data is disconnected, s; it connects again."""
 
 
+class MessageRingSettings(StrictModel):
+    """The messages that are kept in memory until a capture needs them."""
+
+    max_seconds: float = Field(default=20.0, gt=0)
+    """Time after which messages are dropped, s: two sweeps of the slowest scanners (4 s), and the time until the
+    board is known to have rested, twice."""
+    max_bytes: int = Field(default=2**27, ge=1)
+    """Maximum size of the messages of all sensors, 134 MB: 37 s at 220 MB a minute. Sensors that send more have
+    captures that begin later in a rest."""
+
+
+class RestSettings(StrictModel):
+    """Rest and motion of the board while it is recorded."""
+
+    max_rate: float = Field(default=10.0, gt=0)
+    """Maximum number of messages of a sensor per second whose change is measured, 1/s: a rest is noticed within
+    0.1 s, and fast cameras leave time for the detection."""
+    max_waiting: int = Field(default=20, ge=1)
+    """Maximum number of messages of a sensor that wait for it: 2 s; older ones are skipped, and the next is
+    compared with the last one measured."""
+    noise_ratio: float = Field(default=2.5, gt=1)
+    """Change over the median change of views at rest from which a view moves: noise of scanners reaches 1.8 times
+    its median, and Otsu's threshold on simulated recordings lies between 2.2 and 2.6 times it."""
+    min_change: float = Field(default=5e-4, gt=0)
+    """Least share of a view that is motion: two blocks of an image of 640 x 480 pixels, whose noise changes
+    none."""
+    quiet_share: float = Field(default=0.25, gt=0, lt=1)
+    """Share of all messages whose changes show the noise where no time without operator was measured: boards rest
+    for more than this share of the time."""
+    min_quiet: int = Field(default=10, ge=1)
+    """Minimum number of messages of the time without operator that show the noise: 1 s."""
+    min_separation: float = Field(default=0.7, gt=0)
+    """Minimum difference of the mean logarithms (base 10) of the changes at rest and in motion, from which Otsu's
+    threshold is taken, if it is above the noise: changes of views that only rest, or only move, differ by
+    less."""
+    min_messages: int = Field(default=60, ge=2)
+    """Minimum number of messages for Otsu's threshold: 6 s of rest and motion."""
+    settle: float = Field(default=0.2, ge=0)
+    """Time from the last motion to the start of a capture, s: 0.1 s before the end of a move by 1 m the board is
+    still 10 mm from its place, and moves no more than noise."""
+    silence: float = Field(default=2.0, gt=0)
+    """Time without messages, s, after which a sensor is taken for silent; three periods of slow ones."""
+
+
+class LiveCaptureSettings(StrictModel):
+    """When captures are taken."""
+
+    background: float = Field(default=5.0, gt=0)
+    """Time at the start without board and operator, s, where rig.yaml states no window: scanners learn the room in
+    it, and captures begin after it."""
+    timeout: float = Field(default=10.0, gt=0)
+    """Time after which a capture is refused because the board still moves, s: three moves to another pose."""
+    min_distance: float = Field(default=0.1, gt=0)
+    """Minimum distance of the board from its places in earlier captures for an automatic one, m: captures that are
+    closer add little."""
+    min_angle: float = Field(default=8.0, gt=0)
+    """The same of its rotation, degrees."""
+    covering_captures: int = Field(default=3, ge=1)
+    """Number of captures after which a region of a view is covered: lenses and patches need several."""
+
+
+class ViewSettings(StrictModel):
+    """Pictures of the views with the detected board."""
+
+    rate: float = Field(default=3.0, gt=0)
+    """Maximum number of pictures of a sensor per second: operators see motion, and processes are free for
+    captures."""
+    width: int = Field(default=480, ge=16)
+    """Width of a picture, px: that of a phone with two pictures beside each other; 15 kB as a JPEG."""
+    quality: int = Field(default=60, ge=1, le=100)
+    """Quality of the JPEG: lower ones blur outlines."""
+    detection_width: int = Field(default=800, ge=16)
+    """Minimum width of the images in which the board is searched for a picture, px: larger ones are reduced by a
+    whole factor to no less, which takes a quarter of the time."""
+    max_range: float = Field(default=8.0, gt=0)
+    """Largest distance that pictures of scanners show, m: boards are carried nearer."""
+    sharpness_ratio: float = Field(default=0.5, gt=0, lt=1)
+    """Sharpness of an image over its median of late, below which it is blurred: rest and small boards change it
+    by less."""
+    sharpness_images: int = Field(default=60, ge=2)
+    """Number of images that this median is of: 20 s."""
+
+
 class LiveSettings(StrictModel):
     """Live capture."""
 
     connection: ConnectionSettings = ConnectionSettings()
     page: PageSettings = PageSettings()
+    ring: MessageRingSettings = MessageRingSettings()
+    rest: RestSettings = RestSettings()
+    capture: LiveCaptureSettings = LiveCaptureSettings()
+    view: ViewSettings = ViewSettings()
+    analysis_processes: int = Field(default=3, ge=1)
+    """Maximum number of processes that detect; at least one core is left to the recorder and the page."""

@@ -1,0 +1,115 @@
+"""What other processes compute of live messages: changes of views, backgrounds, and detections."""
+
+import pickle
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+
+from calgraph.captures import ActivityMeter, Detector, make_detectors
+from calgraph.captures.detect import detect_in_hold
+from calgraph.captures.detectors import Background, learn_background
+from calgraph.captures.motion_detection import Signed
+from calgraph.config import Rig
+from calgraph.config.settings import MotionDetectionSettings
+from calgraph.detection import DetectionResult
+from calgraph.errors import InputError, RecordingError, Rejected
+from calgraph.sensors import CameraModel, Message
+
+Decoder = Callable[[], Message]
+# Detectors that a process keeps: those of captures and of pictures of some ten sensors.
+_KEPT = 64
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredChanges:
+    """The changes of consecutive messages of one sensor."""
+
+    changes: tuple[float | None, ...]
+    """0..1 of each; None of those whose content is unusable."""
+    last: Signed | None
+    """What the next message is to be compared with."""
+    problem: str = ""
+    """Why the content of the last of those is unusable."""
+
+
+def measure_changes(
+    settings: MotionDetectionSettings, previous: Signed | None, decoders: Sequence[Decoder]
+) -> MeasuredChanges:
+    """Measures the changes of messages, compared with ``previous`` and one another."""
+    meter = ActivityMeter(settings)
+    meter.previous = previous
+    changes: list[float | None] = []
+    problem = ""
+    for decode in decoders:
+        try:
+            changes.append(meter.measure_change(decode()))
+        except RecordingError as error:
+            changes.append(None)
+            problem = str(error)
+    return MeasuredChanges(tuple(changes), meter.previous, problem)
+
+
+def learn_live_background(rig: Rig, name: str, decoders: Sequence[Decoder]) -> Background | Rejected:
+    """Learns what a scanner measures without target and operator; see :func:`calgraph.captures.learn_backgrounds`.
+
+    Raises:
+        RecordingError: the content of a message is unusable.
+    """
+    try:
+        return learn_background([decode() for decode in decoders], rig.sensors[name], rig.settings.detection)
+    except RecordingError:
+        raise
+    except InputError as error:
+        return Rejected(str(error))
+
+
+def encode_detector(
+    rig: Rig,
+    name: str,
+    camera: CameraModel | None,
+    background: Background | None,
+    seeds: Mapping[str, int],
+) -> bytes:
+    """All that the detector of a sensor is made from, for other processes.
+
+    Args:
+        rig: the rig.
+        name: of the sensor.
+        camera: intrinsics of a camera.
+        background: of a scanner, if one was learned.
+        seeds: by sensor; see :func:`calgraph.captures.draw_seeds`.
+    """
+    part = rig.model_copy(update={"sensors": {name: rig.sensors[name]}})
+    cameras = {name: camera} if camera else {}
+    backgrounds = {name: background} if background else {}
+    return pickle.dumps((part, cameras, backgrounds, {name: seeds[name]}))
+
+
+@lru_cache(maxsize=_KEPT)
+def decode_detector(encoded: bytes) -> Detector:
+    """The detector that :func:`encode_detector` describes; made once in each process."""
+    rig, cameras, backgrounds, seeds = pickle.loads(encoded)  # noqa: S301 - from this program
+    (detector,) = make_detectors(rig, cameras, backgrounds, None, seeds).values()
+    return detector
+
+
+def detect_board(encoded: bytes, name: str, decoders: Sequence[Decoder]) -> DetectionResult:
+    """The detections of one sensor in the messages of one capture.
+
+    Raises:
+        RecordingError: the content of a message is unusable.
+        InputError: images do not have the size that the intrinsics are for.
+    """
+    return detect_in_hold({name: decode_detector(encoded)}, 0, name, decoders, None).detections
+
+
+def reduce_camera(camera: CameraModel, factor: int) -> CameraModel:
+    """The intrinsics of images reduced by a whole factor; OpenCV's pixel convention."""
+    K = camera.K / factor
+    K[:2, 2] = (camera.K[:2, 2] + 0.5) / factor - 0.5
+    K[2, 2] = 1.0
+    return replace(
+        camera, width=camera.width // factor, height=camera.height // factor, K=np.asarray(K, dtype=np.float64)
+    )

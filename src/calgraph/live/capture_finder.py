@@ -1,0 +1,138 @@
+"""When a capture can be taken: the board rests, and every sensor has measured it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from calgraph.captures import Hold, find_holds, limit_messages
+from calgraph.config import Rig
+from calgraph.errors import CalibrationError
+from calgraph.live.live_timeline import LiveTimeline
+from calgraph.live.message_ring import MessageRing
+from calgraph.live.motion import Rest, RestMonitor
+from calgraph.live.state import Phase
+
+# Stamps as floating-point numbers are apart by 0.2 µs: captures do not share a message.
+_GAP = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A capture that could be taken."""
+
+    hold: Hold
+    """As :func:`calgraph.captures.find_holds` finds it of a trigger at its start, with the messages to search."""
+    rest: float | None
+    """Start of the rest that it lies in, s; None if the operator did not want to wait for one."""
+
+
+@dataclass(frozen=True)
+class Waiting:
+    """Why no capture can be taken yet."""
+
+    phase: Phase
+    sensors: tuple[str, ...] = ()
+    """Those that are waited for: silent, moving, or still measuring."""
+    silent: bool = False
+    """Whether these are silent."""
+
+
+class CaptureFinder:
+    """Finds times at which a trigger gives a capture; the same as later in the recording.
+
+    Args:
+        rig: of the session, with its trigger and background window.
+        timeline: of the messages so far.
+        ring: the messages that are in memory.
+        rests: rest and motion of the views.
+    """
+
+    def __init__(self, rig: Rig, timeline: LiveTimeline, ring: MessageRing, rests: RestMonitor) -> None:
+        self._rig, self._timeline, self._ring, self._rests = rig, timeline, ring, rests
+        self._settings = rig.settings.live.rest
+        self.earliest = float("-inf")
+        """No capture begins before it: the end of the last one, s."""
+
+    def fast_sensors(self) -> list[str]:
+        """Those whose messages show motion."""
+        limit = self._rig.settings.captures.max_motion_period
+        return [name for name in self._rig.sensors if self._timeline.period(name) <= limit]
+
+    def silent_sensors(self) -> list[str]:
+        """Those without messages for a while, or without any."""
+        silent = []
+        for name in self._rig.sensors:
+            age, period = self._timeline.age(name), self._timeline.period(name)
+            limit = max(self._settings.silence, 3 * period if period < float("inf") else 0.0)
+            if age is None or age > limit:
+                silent.append(name)
+        return silent
+
+    def now(self) -> float:
+        """After the stamps of all measurements so far, s."""
+        stamps = [self._timeline.last_stamp(name) for name in self._rig.sensors]
+        return max((stamp for stamp in stamps if stamp is not None), default=0.0) + _GAP
+
+    def find(self, forced: float | None = None) -> Candidate | Waiting:
+        """The capture that can be taken now.
+
+        Args:
+            forced: a time at which it begins in any case, s; else it lies in the rest under way.
+        """
+        silent = self.silent_sensors()
+        if silent:
+            return Waiting("waiting", tuple(silent), silent=True)
+        fast = self.fast_sensors()
+        rest = None if forced is not None else self._rests.find_rest(fast)
+        if forced is None and rest is None:
+            return Waiting("waiting", tuple(name for name in fast if self._rests.is_moving(name)))
+        start = self._choose_start(forced if rest is None else rest.start + self._settings.settle)
+        measuring = [name for name in self._rig.sensors if len(self._timeline.stamps_from(name, start)) < 2]
+        hold = None if measuring else self._find_hold(start)
+        if hold is not None:
+            measuring = self._find_unfinished(hold, rest)
+        if hold is None or measuring:
+            return Waiting("measuring", tuple(measuring))
+        return Candidate(hold, rest.start if rest else None)
+
+    def _choose_start(self, start: float | None) -> float:
+        """The first time, s, at which a capture may begin, as a header states it: in nanoseconds."""
+        begin, window = self._timeline.start or 0.0, self._rig.capture.background
+        after_background = begin + window[1] if window else float("-inf")
+        first = max(start or 0.0, self.earliest + _GAP, self._ring.begin + _GAP, after_background + _GAP)
+        return round(first * 1e9) / 1e9
+
+    def _find_hold(self, start: float) -> Hold | None:
+        timeline = self._timeline.snapshot([start], start)
+        try:
+            (hold,) = find_holds(timeline, self._rig.capture, self._rig.settings.captures)
+        except CalibrationError:  # in a window without captures
+            return None
+        return hold
+
+    def _find_unfinished(self, hold: Hold, rest: Rest | None) -> list[str]:
+        """Sensors of which messages of the hold may still come, or may still show motion."""
+        timeline = self._timeline
+        unfinished = [
+            name
+            for name in self._rig.sensors
+            if (timeline.last_stamp(name) or 0.0) + timeline.duration(name) < hold.end - _GAP
+        ]
+        if rest is None:
+            return unfinished
+        shortest = rest.start + self._rig.settings.captures.min_hold
+        for name, measured in rest.measured.items():
+            interval = max(timeline.period(name), 1 / self._settings.max_rate)
+            if measured < max(hold.end, shortest) - interval and name not in unfinished:
+                unfinished.append(name)
+        return unfinished
+
+
+def limit_hold(hold: Hold, rig: Rig) -> Hold:
+    """The hold with the messages that detections use."""
+    (limited,) = limit_messages([hold], rig)
+    return limited
+
+
+def name_sensors(names: Sequence[str]) -> str:
+    """Names in a sentence."""
+    return " and ".join([", ".join(names[:-1]), names[-1]]) if len(names) > 1 else "".join(names)

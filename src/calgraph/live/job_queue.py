@@ -1,0 +1,69 @@
+"""Calls in other processes, whose results come back into the loop of the session."""
+
+from collections.abc import Callable
+from concurrent.futures import Executor, Future
+from typing import Any
+
+Post = Callable[[Callable[[], None]], object]
+"""Has a function called soon in the thread of the session, from any thread."""
+
+
+class JobQueue:
+    """Runs no more calls at a time than there are processes: the most urgent one is chosen when one is free.
+
+    Args:
+        executor: runs the calls.
+        workers: number of its processes.
+        post: has results handled in the thread of the session.
+    """
+
+    def __init__(self, executor: Executor, workers: int, post: Post) -> None:
+        self._executor, self._workers, self._post = executor, workers, post
+        self._running = 0
+        self.closed = False
+        """Whether results are discarded."""
+
+    @property
+    def idle(self) -> bool:
+        """Whether a process is free."""
+        return self._running < self._workers and not self.closed
+
+    @property
+    def running(self) -> int:
+        """Number of calls under way."""
+        return self._running
+
+    def run(
+        self,
+        function: Callable[..., Any],
+        *arguments: Any,
+        done: Callable[[Any], None],
+        failed: Callable[[BaseException], None],
+    ) -> None:
+        """Starts a call.
+
+        Args:
+            function: defined at module level.
+            arguments: of the call.
+            done: called with its result,
+            failed: or with what it raised; or that a process was killed.
+        """
+        try:
+            future: Future[Any] = self._executor.submit(function, *arguments)
+        except RuntimeError as error:  # a process was killed, or the pool is shut down
+            failed(error)
+            return
+        self._running += 1
+        future.add_done_callback(lambda one: self._post(lambda: self._finish(one, done, failed)))
+
+    def _finish(
+        self, future: Future[Any], done: Callable[[Any], None], failed: Callable[[BaseException], None]
+    ) -> None:
+        self._running -= 1
+        if self.closed or future.cancelled():
+            return
+        error = future.exception()
+        if error is None:
+            done(future.result())
+        else:
+            failed(error)

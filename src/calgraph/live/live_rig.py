@@ -1,0 +1,47 @@
+"""The rig of a live session: captures are triggered, and scanners learn the room first."""
+
+from functools import cache
+
+from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys.store import Typestore
+
+from calgraph.config import Capture, Rig
+from calgraph.live.source import Channel, LiveMessage
+from calgraph.recording import list_camera_info_topics
+from calgraph.recording.message_types import ros2_definition
+from calgraph.recording.writer import serialize_message
+from calgraph.sensors import Trigger
+
+TRIGGER_TOPIC = "/calgraph/trigger"
+"""Topic of the messages that mark the captures of a live session."""
+
+
+def prepare_live_rig(rig: Rig) -> Rig:
+    """The rig whose recording is calibrated at the end: with the session's trigger, and a background window."""
+    background = rig.capture.background or (0.0, rig.settings.live.capture.background)
+    capture = Capture(background=background, trigger=TRIGGER_TOPIC, exclude=rig.capture.exclude)
+    return rig.model_copy(update={"capture": capture})
+
+
+def list_intrinsics_topics(rig: Rig) -> dict[str, tuple[str, ...]]:
+    """By camera whose intrinsics rig.yaml does not state, the topics that may have them, the preferred first."""
+    return {name: list_camera_info_topics(spec) for name, spec in rig.cameras().items() if spec.intrinsics is None}
+
+
+def make_trigger(stamp: float, arrival: float) -> LiveMessage:
+    """The message that marks a capture.
+
+    Args:
+        stamp: start of the capture by the sensors' clock, s.
+        arrival: of the message, s.
+    """
+    kind, data = serialize_message(_load_store(), Trigger(stamp))
+    definition = ros2_definition(kind)
+    assert definition is not None
+    channel = Channel(TRIGGER_TOPIC, kind, "cdr", "ros2msg", definition.text)
+    return LiveMessage(channel, round(arrival * 1e9), bytes(data))
+
+
+@cache
+def _load_store() -> Typestore:
+    return get_typestore(Stores.ROS2_HUMBLE)

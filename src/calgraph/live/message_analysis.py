@@ -1,0 +1,206 @@
+"""Messages of a live session: kept for a while, and analysed in other processes as far as these keep up."""
+
+import logging
+from collections.abc import Callable, Sequence
+from functools import partial
+
+from calgraph.captures.detectors import Background
+from calgraph.config import CameraSpec, Rig
+from calgraph.errors import RecordingError, Rejected
+from calgraph.live.analysis_jobs import MeasuredChanges, learn_live_background, measure_changes
+from calgraph.live.job_queue import JobQueue
+from calgraph.live.live_detectors import LiveDetectors
+from calgraph.live.live_timeline import LiveTimeline
+from calgraph.live.message_ring import MessageRing
+from calgraph.live.motion import RestMonitor
+from calgraph.live.record_reader import RecordReader
+from calgraph.live.sensor_activity import SensorActivity
+from calgraph.live.source import LiveMessage
+from calgraph.live.view_pictures import SensorView, make_view
+from calgraph.sensors import RecordedMessage
+
+_log = logging.getLogger(__name__)
+
+# Messages whose change one call measures: some 0.1 s of work, so that captures and pictures come in between.
+_MESSAGES_PER_CALL = 8
+
+
+class MessageAnalysis:
+    """What the messages of a rig show while they arrive.
+
+    Args:
+        rig: of the session.
+        source: name of the source, for error messages.
+        changed: called when something is to be shown.
+    """
+
+    def __init__(self, rig: Rig, source: str, changed: Callable[[], None]) -> None:
+        self._rig, self._changed = rig, changed
+        self._reader = RecordReader(source, rig.settings.limits)
+        self._sensor_of = {topic: name for name, topic in rig.topics.items()}
+        self._learning: set[str] = set()
+        self.timeline = LiveTimeline(rig.sensors)
+        self.ring = MessageRing(rig.settings.live.ring)
+        self.rests = RestMonitor(rig.sensors, rig.settings.captures.motion, rig.settings.live.rest)
+        self.detectors = LiveDetectors(rig)
+        self.sensors = {name: SensorActivity(rig.settings.live.view) for name in rig.sensors}
+        self._last_queued: dict[str, float] = {}
+        self._background_done = False
+
+    @property
+    def background_left(self) -> float:
+        """Time until the views need no longer be free of board and operator, s; 0 afterwards."""
+        window = self._rig.capture.background
+        if window is None or self._background_done:
+            return 0.0
+        begin = self.timeline.start
+        return window[1] if begin is None else max(begin + window[1] - self.timeline.latest_arrival, 0.0)
+
+    def skip_background(self) -> None:
+        """Continues a session whose scanners have learned the room."""
+        self._background_done = True
+
+    def feed(self, message: LiveMessage) -> None:
+        """Takes a message; those that are unusable are counted."""
+        topic = message.channel.topic
+        name = self._sensor_of.get(topic)
+        self.timeline.note_arrival(message.arrival / 1e9)
+        if name is None and topic not in self.detectors.intrinsics_topics:
+            return
+        try:
+            record = self._reader.read(message)
+            if name is None:
+                self.detectors.add_intrinsics(record)
+                return
+            self.ring.add(name, record, len(message.data))
+            self._queue(name, record)
+            self.timeline.add(name, record)
+        except RecordingError as error:
+            self._note_malformed(topic, name, error)
+
+    def _note_malformed(self, topic: str, name: str | None, error: RecordingError) -> None:
+        names = [name] if name else self.detectors.cameras_of(topic)
+        for one in names:
+            self.sensors[one].note_malformed(str(error))
+        self._changed()
+
+    def _queue(self, name: str, record: RecordedMessage) -> None:
+        """Has a message analysed: drawn, measured, and the room learned from it."""
+        sensor, settings = self.sensors[name], self._rig.settings.live.rest
+        sensor.latest = record
+        room_is_shown = self._is_of_background(record) and not isinstance(self._rig.sensors[name], CameraSpec)
+        if room_is_shown and len(sensor.background) < self._rig.settings.captures.max_background_messages:
+            sensor.background.append(record)
+        slow = self.timeline.period(name) > self._rig.settings.captures.max_motion_period
+        if slow and len(self.timeline.stamps_from(name, 0.0)) > 1:
+            return
+        # Periods vary by some percent: of a sensor at the highest rate every message is measured.
+        if record.stamp - self._last_queued.get(name, float("-inf")) > 0.9 / settings.max_rate:
+            self._last_queued[name] = record.stamp
+            sensor.waiting.append(record)
+            while len(sensor.waiting) > settings.max_waiting:
+                sensor.waiting.popleft()
+
+    def _is_of_background(self, record: RecordedMessage) -> bool:
+        window, begin = self._rig.capture.background, self.timeline.start
+        if window is None or begin is None or self._background_done:
+            return False
+        return begin + window[0] <= record.arrival <= begin + window[1]
+
+    def start_job(self, queue: JobQueue) -> bool:
+        """Starts what is most urgent of what is to be computed; whether there was anything."""
+        return self._learn_background(queue) or self._measure_changes(queue) or self._draw(queue)
+
+    def _learn_background(self, queue: JobQueue) -> bool:
+        window, begin = self._rig.capture.background, self.timeline.start
+        if window is None or begin is None or self.timeline.latest_arrival <= begin + window[1]:
+            return False
+        for name, spec in self._rig.sensors.items():
+            if isinstance(spec, CameraSpec) or name in self._learning or self.detectors.is_ready(name):
+                continue
+            self._learning.add(name)
+            decoders = [record.decode for record in self.sensors[name].background]
+            self.sensors[name].background = []
+            queue.run(
+                learn_live_background, self._rig, name, decoders,
+                done=partial(self._set_background, name),
+                failed=partial(self._fail_learning, name),
+            )  # fmt: skip
+            return True
+        return False
+
+    def _fail_learning(self, name: str, error: BaseException) -> None:
+        self._set_background(name, Rejected(str(error)))
+
+    def _set_background(self, name: str, background: Background | Rejected) -> None:
+        if isinstance(background, Rejected):
+            _log.warning("%s: %s; it detects the board by size and shape", name, background.reason)
+        self.detectors.set_background(name, background)
+        self._changed()
+
+    def _measure_changes(self, queue: JobQueue) -> bool:
+        waiting = [name for name, sensor in self.sensors.items() if sensor.waiting and not sensor.measuring]
+        if not waiting:
+            return False
+        name = min(waiting, key=lambda one: self.sensors[one].waiting[0].arrival)
+        sensor = self.sensors[name]
+        records = [sensor.waiting.popleft() for _ in range(min(len(sensor.waiting), _MESSAGES_PER_CALL))]
+        sensor.measuring = True
+        queue.run(
+            measure_changes, self._rig.settings.captures.motion, self.rests.previous(name),
+            [record.decode for record in records],
+            done=partial(self._add_changes, name, records),
+            failed=partial(self._fail_measuring, name),
+        )  # fmt: skip
+        return True
+
+    def _add_changes(self, name: str, records: Sequence[RecordedMessage], measured: MeasuredChanges) -> None:
+        sensor = self.sensors[name]
+        sensor.measuring = False
+        for change in measured.changes:
+            if change is None:
+                sensor.note_malformed(measured.problem)
+        usable = [
+            (record.stamp, change)
+            for record, change in zip(records, measured.changes, strict=True)
+            if change is not None
+        ]
+        was_moving = self.rests.is_moving(name)
+        quiet = all(self._is_of_background(record) for record in records)
+        self.rests.add(name, [s for s, _ in usable], [c for _, c in usable], measured.last, quiet=quiet)
+        if self.rests.is_moving(name) != was_moving:
+            self._changed()
+
+    def _fail_measuring(self, name: str, error: BaseException) -> None:
+        self.sensors[name].measuring = False
+        self.sensors[name].note_malformed(str(error))
+
+    def _draw(self, queue: JobQueue) -> bool:
+        settings = self._rig.settings.live.view
+        due = [
+            name
+            for name, sensor in self.sensors.items()
+            if sensor.latest
+            and not sensor.drawing
+            and sensor.latest.arrival - sensor.drawn_at >= 1 / settings.rate
+        ]
+        if not due:
+            return False
+        name = min(due, key=lambda one: self.sensors[one].drawn_at)
+        sensor = self.sensors[name]
+        record, sensor.latest, sensor.drawing = sensor.latest, None, True
+        assert record is not None
+        sensor.drawn_at = record.arrival
+        encoded = self.detectors.encode(name, reduced=True) if self.detectors.can_detect(name) else None
+        queue.run(
+            make_view, record.decode, encoded,
+            self.detectors.reduced_camera(name), self._rig.boards, self.detectors.reduction(name), settings,
+            done=partial(self._set_view, name),
+            failed=lambda error: self._set_view(name, SensorView(b"", None, str(error))),
+        )  # fmt: skip
+        return True
+
+    def _set_view(self, name: str, view: SensorView) -> None:
+        self.sensors[name].drawing = False
+        self.sensors[name].set_view(view)
+        self._changed()

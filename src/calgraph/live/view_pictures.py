@@ -1,0 +1,162 @@
+"""Small pictures of the sensors' views, with the detected board drawn in."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from calgraph.config import Board
+from calgraph.config.settings import ViewSettings
+from calgraph.detection import BoardCorners, Detection, DetectionResult, PlanePatch, Segment
+from calgraph.errors import CalgraphError, Rejected
+from calgraph.geometry import Array
+from calgraph.live.analysis_jobs import decode_detector
+from calgraph.sensors import CameraModel, Image, LaserScan, Message, PointCloud
+
+Pixels = NDArray[np.uint8]
+# Colours in OpenCV's order, on a dark background: the board is the brightest.
+_BACKGROUND, _POINTS, _BOARD, _SENSOR = (24, 18, 15), (150, 130, 110), (90, 255, 120), (60, 160, 255)
+# Points between the corners of a board, so that its outline follows the distortion.
+_EDGE_POINTS = np.linspace(0, 1, 9)[:-1]
+
+
+@dataclass(frozen=True, eq=False)
+class SensorView:
+    """The view of one sensor in one message."""
+
+    picture: bytes
+    """JPEG; empty if the message is unusable."""
+    sees_board: bool | None
+    """None if it was not searched."""
+    reason: str = ""
+    """Why there is no board."""
+    sharpness: float = 0.0
+    """Variance of the Laplacian of an image; 0 of scanners."""
+
+
+def find_reduction(camera: CameraModel, settings: ViewSettings) -> int:
+    """The whole factor by which images are reduced before the board is searched for a picture."""
+    return max(camera.width // settings.detection_width, 1)
+
+
+def make_view(
+    decode: Callable[[], Message],
+    encoded: bytes | None,
+    camera: CameraModel | None,
+    boards: Sequence[Board],
+    factor: int,
+    settings: ViewSettings,
+) -> SensorView:
+    """Detects the board in one message and draws both.
+
+    Args:
+        decode: decodes the message.
+        encoded: the detector; see :func:`calgraph.live.analysis_jobs.encode_detector`. Of cameras it is for images
+            reduced by ``factor``. None if the board is not searched.
+        camera: intrinsics of the reduced images.
+        boards: of the rig.
+        factor: by which images are reduced.
+        settings: of the picture.
+    """
+    try:
+        message = decode()
+        if isinstance(message, Image):
+            message = _reduce(message, factor)
+        found = decode_detector(encoded)([message]) if encoded else None
+    except CalgraphError as error:
+        return SensorView(b"", None, str(error))
+    if isinstance(message, Image):
+        picture = _draw_image(message, found, camera, boards, settings)
+        sharpness = float(cv2.Laplacian(message.gray, cv2.CV_64F).var())
+    else:
+        picture, sharpness = _draw_from_above(message, found, settings), 0.0
+    reason = found.reason if isinstance(found, Rejected) else ""
+    return SensorView(picture, None if found is None else not reason, reason, sharpness)
+
+
+def _reduce(image: Image, factor: int) -> Image:
+    if factor == 1:
+        return image
+    height, width = image.pixels.shape[:2]
+    size = width // factor, height // factor
+    # Whole blocks are averaged: the pixels beyond the last block are left out.
+    whole = image.pixels[: size[1] * factor, : size[0] * factor]
+    reduced = np.asarray(cv2.resize(whole, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    return Image(image.stamp, image.frame_id, reduced)
+
+
+def _list_found(found: DetectionResult | None) -> tuple[Detection, ...]:
+    return () if found is None or isinstance(found, Rejected) else found
+
+
+def _draw_image(
+    image: Image,
+    found: DetectionResult | None,
+    camera: CameraModel | None,
+    boards: Sequence[Board],
+    settings: ViewSettings,
+) -> bytes:
+    height, width = image.pixels.shape[:2]
+    scale = min(settings.width / width, 1.0)
+    size = max(round(width * scale), 1), max(round(height * scale), 1)
+    pixels = np.asarray(cv2.resize(image.pixels, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    colored = cv2.cvtColor(pixels, cv2.COLOR_GRAY2BGR) if pixels.ndim == 2 else pixels
+    canvas = np.ascontiguousarray(colored, dtype=np.uint8)
+    for one in _list_found(found):
+        if isinstance(one, BoardCorners) and camera:
+            outline = camera.project(_outline_board(boards[one.board], one.T_camera_board))
+            _draw_line(canvas, scale * outline, closed=True)
+            for u, v in scale * one.pixels:
+                cv2.circle(canvas, (round(float(u)), round(float(v))), 2, _BOARD, -1, cv2.LINE_AA)
+    return _encode_picture(canvas, settings)
+
+
+def _outline_board(board: Board, T_camera_board: Array) -> Array:
+    """(N, 3) points along the edges of a board, camera frame, m."""
+    corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * np.array(board.size) / 2
+    edges = [
+        a + t * (b - a) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True) for t in _EDGE_POINTS
+    ]
+    points = np.column_stack([np.array(edges), np.zeros(len(edges))])
+    return np.asarray(points @ T_camera_board[:3, :3].T + T_camera_board[:3, 3])
+
+
+def _draw_from_above(message: Message, found: DetectionResult | None, settings: ViewSettings) -> bytes:
+    """The points of a scanner from above, x up, y to the left."""
+    size = settings.width
+    scale = size / (2 * settings.max_range)
+    canvas: Pixels = np.full((size, size, 3), _BACKGROUND, dtype=np.uint8)
+    if isinstance(message, LaserScan):
+        _draw_points(canvas, message.points[message.valid], scale, _POINTS)
+    elif isinstance(message, PointCloud):
+        _draw_points(canvas, message.points, scale, _POINTS)
+    for one in _list_found(found)[:1]:
+        if isinstance(one, PlanePatch):
+            _draw_points(canvas, one.points, scale, _BOARD)
+        elif isinstance(one, Segment):
+            _draw_line(canvas, _project_from_above(one.endpoints, size, scale), closed=False)
+    cv2.circle(canvas, (size // 2, size // 2), 4, _SENSOR, -1, cv2.LINE_AA)
+    return _encode_picture(canvas, settings)
+
+
+def _project_from_above(points: Array, size: int, scale: float) -> Array:
+    return size / 2 - scale * points[:, [1, 0]]
+
+
+def _draw_points(canvas: Pixels, points: Array, scale: float, color: tuple[int, int, int]) -> None:
+    pixels = _project_from_above(points, len(canvas), scale)
+    inside = pixels[((pixels >= 0) & (pixels < len(canvas) - 1)).all(axis=1)].astype(np.intp)
+    for dx, dy in ((0, 0), (1, 0), (0, 1), (1, 1)):
+        canvas[inside[:, 1] + dy, inside[:, 0] + dx] = color
+
+
+def _draw_line(canvas: Pixels, pixels: Array, *, closed: bool) -> None:
+    # Projections of points beside or behind a camera are anywhere.
+    limited = np.clip(np.nan_to_num(pixels), -1e4, 1e4).round().astype(np.int32)
+    cv2.polylines(canvas, [limited], closed, _BOARD, 2, cv2.LINE_AA)
+
+
+def _encode_picture(canvas: Pixels, settings: ViewSettings) -> bytes:
+    return cv2.imencode(".jpg", canvas, [cv2.IMWRITE_JPEG_QUALITY, settings.quality])[1].tobytes()
