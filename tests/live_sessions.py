@@ -49,8 +49,10 @@ def send_messages(recording: Recording, topics: Collection[str] | None = None) -
         yield make_live_message(record.topic, record.decode(), record.arrival)
 
 
-def start_session(rig: Rig, solve: Solve | None = None) -> tuple[RigSession, list[LiveMessage]]:
+def start_session(
+    rig: Rig, solve: Solve | None = None, exclude: Callable[[tuple[float, float]], object] = lambda _: None
+) -> tuple[RigSession, list[LiveMessage]]:
     """A session that computes at once, and the triggers that it records."""
     triggers: list[LiveMessage] = []
     pools = SessionPools(ImmediateExecutor(), 1, ImmediateExecutor(), lambda function: function())
-    return RigSession(rig, "simulated", pools, SessionOutputs(triggers.append), solve), triggers
+    return RigSession(rig, "simulated", pools, SessionOutputs(triggers.append, exclude), solve), triggers

@@ -1,6 +1,7 @@
 """A live session of a rig takes the captures that the calibration of its recording finds."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from calgraph.config import Rig
 from calgraph.live.record_reader import RecordReader
 from calgraph.live.rig_session import RigSession
 from calgraph.live.source import LiveMessage
+from calgraph.live.state import Command
 from calgraph.simulation import (
     CameraOptions,
     GroundTruth,
@@ -39,10 +41,18 @@ SCENARIO = RigScenario(
 )
 
 
+def change_settings(rig: Rig, group: str, **values: float) -> Rig:
+    """The rig with other settings of live capture."""
+    live = rig.settings.live
+    changed = live.model_copy(update={group: getattr(live, group).model_copy(update=values)})
+    return rig.model_copy(update={"settings": rig.settings.model_copy(update={"live": changed})})
+
+
 @pytest.fixture(scope="module")
 def walk() -> tuple[Rig, list[LiveMessage], GroundTruth]:
     """A rig of five sensors, its messages, and the truth."""
     rig, recording, truth = simulate_scenario(SCENARIO, seed=3)
+    rig = change_settings(rig, "view", rate=0.4)
     return rig, list(send_messages(recording)), truth
 
 
@@ -102,3 +112,134 @@ def test_every_automatic_capture_lies_in_a_hold(
     assert [(b.trigger <= h.start, h.end <= b.end) for b, h in zip(walk[2].boards, holds, strict=True)] == [
         (True, True)
     ] * 3
+
+
+def feed_until(running: RigSession, messages: Sequence[LiveMessage], time: float) -> list[LiveMessage]:
+    """Feeds the messages of the first seconds; returns the others."""
+    first = messages[0].arrival
+    count = sum(message.arrival <= first + time * 1e9 for message in messages)
+    for message in messages[:count]:
+        running.feed(message)
+    return list(messages[count:])
+
+
+def test_an_interrupted_session_continues_with_its_captures(
+    walk: tuple[Rig, list[LiveMessage], GroundTruth], session: tuple[RigSession, list[LiveMessage]]
+) -> None:
+    rig, messages, _ = walk
+    first, triggers = start_session(rig)
+    rest = feed_until(first, messages, 6.5)
+    recorded = messages[: len(messages) - len(rest)]
+    assert len(triggers) == 2
+    second, later = start_session(rig)
+    second.rebuild(record([*recorded, *triggers], rig))
+    assert second.state().captures == 2
+    for message in rest:
+        second.feed(message)
+    assert_equal_captures(second.captures(), session[0].captures())
+    assert len(later) == 1
+
+
+def test_the_button_waits_until_the_board_rests(walk: tuple[Rig, list[LiveMessage], GroundTruth]) -> None:
+    rig, messages, truth = walk
+    running, triggers = start_session(rig)
+    running.command(Command("manual"))
+    rest = feed_until(running, messages, 6.4)
+    assert not triggers
+    running.command(Command("trigger"))
+    assert running.state().phase == "waiting"
+    for message in rest:
+        running.feed(message)
+    (hold,) = running.captures().holds
+    assert truth.boards[2].trigger <= hold.start < hold.end <= truth.boards[2].end
+    assert running.state().event.taken
+
+
+def test_the_second_press_takes_a_moving_board(walk: tuple[Rig, list[LiveMessage], GroundTruth]) -> None:
+    rig, messages, truth = walk
+    running, _ = start_session(rig)
+    running.command(Command("manual"))
+    rest = feed_until(running, messages, 6.4)
+    running.command(Command("trigger"))
+    running.command(Command("trigger"))
+    for message in rest[:40]:
+        running.feed(message)
+    (hold,) = running.captures().holds
+    assert truth.boards[1].end < hold.start < truth.boards[2].trigger
+    assert "camera does not detect the board (the board moved)" in running.state().event.text
+
+
+def test_a_board_that_never_rests_is_refused_with_the_sensors_that_see_it_move(
+    walk: tuple[Rig, list[LiveMessage], GroundTruth],
+) -> None:
+    rig, messages, _ = walk
+    running, triggers = start_session(change_settings(rig, "capture", timeout=0.3))
+    running.command(Command("manual"))
+    rest = feed_until(running, messages, 4.3)
+    running.command(Command("trigger"))
+    feed_until(running, rest, 0.35)
+    event = running.state().event
+    assert (event.number, event.taken) == (1, False)
+    assert event.text.startswith("No capture: still moving (")
+    assert not triggers
+
+
+def test_a_silent_sensor_refuses_captures_by_name(walk: tuple[Rig, list[LiveMessage], GroundTruth]) -> None:
+    rig, messages, _ = walk
+    running, triggers = start_session(rig)
+    for message in messages:
+        if message.channel.topic != rig.sensors["laser_left"].topic or message.arrival - messages[0].arrival < 1e9:
+            running.feed(message)
+    assert not triggers
+    state = running.state()
+    assert "laser_left sends no messages" in state.headline
+    assert {sensor.name: sensor.problem for sensor in state.sensors if sensor.problem} == {
+        "laser_left": "no messages for 7 s"
+    }
+    running.command(Command("trigger"))
+    assert running.state().event.text == "No capture: laser_left sends no messages"
+
+
+def test_a_capture_that_is_left_out_is_excluded_from_the_recording(
+    walk: tuple[Rig, list[LiveMessage], GroundTruth],
+) -> None:
+    rig, messages, _ = walk
+    excluded: list[tuple[float, float]] = []
+    running, triggers = start_session(rig, exclude=excluded.append)
+    rest = feed_until(running, messages, 6.0)
+    running.command(Command("discard"))
+    for message in rest:
+        running.feed(message)
+    assert len(triggers) == 3
+    assert len(running.captures().holds) == 2
+    capture = running.rig.capture.model_copy(update={"exclude": tuple(excluded)})
+    recorded = calibrated_captures(running.rig.model_copy(update={"capture": capture}), [*messages, *triggers])
+    assert_equal_captures(running.captures(), recorded)
+
+
+def test_unusable_messages_are_counted_and_change_nothing(
+    walk: tuple[Rig, list[LiveMessage], GroundTruth], session: tuple[RigSession, list[LiveMessage]]
+) -> None:
+    rig, messages, _ = walk
+    running, triggers = start_session(rig)
+    for number, message in enumerate(messages):
+        running.feed(message)
+        if number % 17 == 10:
+            running.feed(replace(message, data=message.data[: 8 if number % 2 else 60]))
+    assert [trigger.data for trigger in triggers] == [trigger.data for trigger in session[1]]
+    assert all("unusable messages" in sensor.problem for sensor in running.state().sensors)
+
+
+def test_the_state_says_what_each_sensor_detects(session: tuple[RigSession, list[LiveMessage]]) -> None:
+    state = session[0].state()
+    assert (state.phase, state.captures, state.event.taken) == ("ready", 3, True)
+    assert {sensor.name: (sensor.sees_board, sensor.reason) for sensor in state.sensors} == {
+        "camera": (True, ""),
+        "lidar": (True, ""),
+        "laser_front": (True, ""),
+        "laser_left": (True, ""),
+        "laser_right": (False, "not in view"),
+    }
+    camera = state.sensors[0]
+    assert camera.coverage[4] == 1.0
+    assert len(session[0].picture("camera") or b"") < 20_000

@@ -2,6 +2,7 @@
 
 import pickle
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -54,13 +55,14 @@ def measure_changes(
 def learn_live_background(rig: Rig, name: str, decoders: Sequence[Decoder]) -> Background | Rejected:
     """Learns what a scanner measures without target and operator; see :func:`calgraph.captures.learn_backgrounds`.
 
-    Raises:
-        RecordingError: the content of a message is unusable.
+    Messages whose content is unusable are left out.
     """
+    messages = []
+    for decode in decoders:
+        with suppress(RecordingError):
+            messages.append(decode())
     try:
-        return learn_background([decode() for decode in decoders], rig.sensors[name], rig.settings.detection)
-    except RecordingError:
-        raise
+        return learn_background(messages, rig.sensors[name], rig.settings.detection)
     except InputError as error:
         return Rejected(str(error))
 

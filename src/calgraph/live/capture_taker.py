@@ -110,7 +110,10 @@ class CaptureTaker:
             return
         self._wait(found)
         request = self._request
-        if request and self._analysis.timeline.latest_arrival - request.arrival > self._settings.timeout:
+        if request is None:
+            return
+        waited = self._analysis.timeline.latest_arrival - request.arrival
+        if found.silent or waited > self._settings.timeout:
             self._request = None
             self._announce(f"No capture: {_explain_waiting(found)}", taken=False)
 

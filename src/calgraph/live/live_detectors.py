@@ -14,7 +14,8 @@ from calgraph.live.live_rig import list_intrinsics_topics
 from calgraph.live.view_pictures import find_reduction
 from calgraph.sensors import CameraInfo, CameraModel, RecordedMessage
 
-_NO_INTRINSICS = "its intrinsics are not known: no CameraInfo message with focal lengths has arrived"
+NO_INTRINSICS = "its intrinsics are not known: no CameraInfo message with focal lengths has arrived"
+"""Why a camera without intrinsics detects nothing while it is recorded."""
 
 
 class LiveDetectors:
@@ -27,7 +28,8 @@ class LiveDetectors:
     def __init__(self, rig: Rig) -> None:
         self._rig = rig
         # As calibrate_rig draws them first of all.
-        self._seeds = draw_seeds(rig, np.random.default_rng(RigOptions().seed))
+        self.seeds = draw_seeds(rig, np.random.default_rng(RigOptions().seed))
+        """Of the detectors' samples, by sensor."""
         self.cameras: dict[str, CameraModel] = rig.camera_models()
         """Intrinsics by camera, as far as they are known."""
         self._backgrounds: dict[str, Background | Rejected] = {}
@@ -80,7 +82,7 @@ class LiveDetectors:
     def refuse(self, name: str) -> Rejected | None:
         """Why a sensor cannot detect the board, if it cannot."""
         if self._rig.sensors[name].kind == "camera" and name not in self.cameras:
-            return Rejected(_NO_INTRINSICS)
+            return Rejected(NO_INTRINSICS)
         return None
 
     def reduction(self, name: str) -> int:
@@ -109,15 +111,12 @@ class LiveDetectors:
             camera = self.reduced_camera(name) if reduced else self.cameras.get(name)
             background = self._backgrounds.get(name)
             self._encoded[name, factor] = encode_detector(
-                self._rig, name, camera, None if isinstance(background, Rejected) else background, self._seeds
+                self._rig, name, camera, None if isinstance(background, Rejected) else background, self.seeds
             )
         return self._encoded[name, factor]
 
-    def restore(
-        self, cameras: Mapping[str, CameraModel], backgrounds: Mapping[str, Background | Rejected]
-    ) -> None:
-        """Takes what was found in a recording, by camera and by scanner."""
+    def restore(self, cameras: Mapping[str, CameraModel]) -> None:
+        """Takes intrinsics that are in a recording, by camera."""
         self.cameras |= cameras
         self._preferred |= {name: self._topics[name][0] for name in cameras if name in self._topics}
-        self._backgrounds = dict(backgrounds)
         self._encoded = {}

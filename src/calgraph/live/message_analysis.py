@@ -1,9 +1,10 @@
 """Messages of a live session: kept for a while, and analysed in other processes as far as these keep up."""
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 
+from calgraph.captures import RecordingTimeline
 from calgraph.captures.detectors import Background
 from calgraph.config import CameraSpec, Rig
 from calgraph.errors import RecordingError, Rejected
@@ -17,7 +18,7 @@ from calgraph.live.record_reader import RecordReader
 from calgraph.live.sensor_activity import SensorActivity
 from calgraph.live.source import LiveMessage
 from calgraph.live.view_pictures import SensorView, make_view
-from calgraph.sensors import RecordedMessage
+from calgraph.sensors import CameraModel, RecordedMessage
 
 _log = logging.getLogger(__name__)
 
@@ -45,20 +46,35 @@ class MessageAnalysis:
         self.detectors = LiveDetectors(rig)
         self.sensors = {name: SensorActivity(rig.settings.live.view) for name in rig.sensors}
         self._last_queued: dict[str, float] = {}
-        self._background_done = False
 
     @property
     def background_left(self) -> float:
         """Time until the views need no longer be free of board and operator, s; 0 afterwards."""
         window = self._rig.capture.background
-        if window is None or self._background_done:
+        if window is None:
             return 0.0
         begin = self.timeline.start
         return window[1] if begin is None else max(begin + window[1] - self.timeline.latest_arrival, 0.0)
 
-    def skip_background(self) -> None:
-        """Continues a session whose scanners have learned the room."""
-        self._background_done = True
+    def restore(
+        self,
+        timeline: RecordingTimeline,
+        end: float,
+        cameras: Mapping[str, CameraModel],
+        background: Iterable[RecordedMessage],
+    ) -> None:
+        """Continues after what was recorded before.
+
+        Args:
+            timeline: of the recording.
+            end: arrival of its last message, s.
+            cameras: intrinsics by camera, as far as it has any.
+            background: the scanners' messages in its background window.
+        """
+        self.timeline.restore(timeline, end)
+        self.detectors.restore(cameras)
+        for record in background:
+            self._keep_background(self._sensor_of[record.topic], record)
 
     def feed(self, message: LiveMessage) -> None:
         """Takes a message; those that are unusable are counted."""
@@ -88,9 +104,8 @@ class MessageAnalysis:
         """Has a message analysed: drawn, measured, and the room learned from it."""
         sensor, settings = self.sensors[name], self._rig.settings.live.rest
         sensor.latest = record
-        room_is_shown = self._is_of_background(record) and not isinstance(self._rig.sensors[name], CameraSpec)
-        if room_is_shown and len(sensor.background) < self._rig.settings.captures.max_background_messages:
-            sensor.background.append(record)
+        if self._is_of_background(record) and not isinstance(self._rig.sensors[name], CameraSpec):
+            self._keep_background(name, record)
         slow = self.timeline.period(name) > self._rig.settings.captures.max_motion_period
         if slow and len(self.timeline.stamps_from(name, 0.0)) > 1:
             return
@@ -101,9 +116,15 @@ class MessageAnalysis:
             while len(sensor.waiting) > settings.max_waiting:
                 sensor.waiting.popleft()
 
+    def _keep_background(self, name: str, record: RecordedMessage) -> None:
+        """Keeps a message that a scanner learns the room from, if it needs more."""
+        kept = self.sensors[name].background
+        if len(kept) < self._rig.settings.captures.max_background_messages:
+            kept.append(record)
+
     def _is_of_background(self, record: RecordedMessage) -> bool:
         window, begin = self._rig.capture.background, self.timeline.start
-        if window is None or begin is None or self._background_done:
+        if window is None or begin is None:
             return False
         return begin + window[0] <= record.arrival <= begin + window[1]
 

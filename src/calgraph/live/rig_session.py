@@ -8,15 +8,17 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from calgraph.captures import CaptureSet
-from calgraph.config import Intrinsics, Rig
+from calgraph.config import CameraSpec, Intrinsics, Rig
 from calgraph.live.capture_taker import CaptureTaker
 from calgraph.live.job_queue import JobQueue, Post
 from calgraph.live.live_captures import collect_live_captures
 from calgraph.live.live_rig import make_trigger, prepare_live_rig
 from calgraph.live.message_analysis import MessageAnalysis
+from calgraph.live.rebuild import rebuild_captures
 from calgraph.live.rig_state import describe_rig_session
 from calgraph.live.source import LiveMessage
 from calgraph.live.state import Command, SessionState
+from calgraph.recording import Recording
 
 Solve = Callable[[Rig, CaptureSet, Any], Any]
 """Computes the poses from the captures until now and the last solution; defined at module level."""
@@ -85,6 +87,28 @@ class RigSession:
         self._shown_at = float("-inf")
         self._change = asyncio.Event()
         self._pumping = False
+
+    def rebuild(self, recording: Recording, jobs: int = 1) -> None:
+        """Continues after what was recorded before, with its captures; called before the first message.
+
+        Args:
+            recording: of the session until now; it is read as :func:`calgraph.calibrate.calibrate_rig` does, which
+                takes as long as a calibration.
+            jobs: maximum number of processes.
+
+        Raises:
+            RecordingError: it cannot be read.
+        """
+        rebuilt = rebuild_captures(self.rig, recording, self.analysis.detectors.seeds, jobs)
+        window = self.rig.capture.background
+        scanners = [spec.topic for spec in self.rig.sensors.values() if not isinstance(spec, CameraSpec)]
+        present = {topic.name for topic in recording.topics}
+        times = [recording.start + time for time in window] if window else [0.0, 0.0]
+        background = recording.records([topic for topic in scanners if topic in present], *times)
+        self.analysis.restore(rebuilt.timeline, recording.end, rebuilt.cameras, background)
+        self.taker.restore(rebuilt.captures, self.taker.finder.now())
+        self._note_change()
+        self._pump()
 
     def feed(self, message: LiveMessage) -> None:
         """Takes a message that has been recorded; the work is left to other processes, which may skip it."""

@@ -107,8 +107,8 @@ class ViewSettings(StrictModel):
     detection_width: int = Field(default=800, ge=16)
     """Minimum width of the images in which the board is searched for a picture, px: larger ones are reduced by a
     whole factor to no less, which takes a quarter of the time."""
-    max_range: float = Field(default=8.0, gt=0)
-    """Largest distance that pictures of scanners show, m: boards are carried nearer."""
+    max_range: float = Field(default=5.0, gt=0)
+    """Largest distance that pictures of scanners show, m: boards are carried nearer, and are well visible."""
     sharpness_ratio: float = Field(default=0.5, gt=0, lt=1)
     """Sharpness of an image over its median of late, below which it is blurred: rest and small boards change it
     by less."""
