@@ -1,7 +1,8 @@
 """A live session of a rig takes the captures that the calibration of its recording finds."""
 
+import asyncio
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -11,9 +12,10 @@ from calgraph.calibrate.capture_collection import collect_captures
 from calgraph.captures import CaptureSet
 from calgraph.config import Rig
 from calgraph.live.record_reader import RecordReader
-from calgraph.live.rig_session import RigSession
+from calgraph.live.rig_session import RigSession, SessionOutputs, SessionPools
 from calgraph.live.source import LiveMessage
 from calgraph.live.state import Command
+from calgraph.processes import worker_pool
 from calgraph.simulation import (
     CameraOptions,
     GroundTruth,
@@ -243,3 +245,43 @@ def test_the_state_says_what_each_sensor_detects(session: tuple[RigSession, list
     camera = state.sensors[0]
     assert camera.coverage[4] == 1.0
     assert len(session[0].picture("camera") or b"") < 20_000
+
+
+@dataclass(frozen=True)
+class CountedCaptures:
+    """A solution that states how many captures it is of."""
+
+    sensors: tuple[object, ...]
+    captures: int
+    done: bool = False
+    advice: None = None
+
+
+def count_captures(_rig: Rig, captures: CaptureSet, _start: CountedCaptures | None) -> CountedCaptures:
+    return CountedCaptures((), len(captures.holds))
+
+
+def test_other_processes_detect_and_solve_what_one_process_does(
+    walk: tuple[Rig, list[LiveMessage], GroundTruth], session: tuple[RigSession, list[LiveMessage]]
+) -> None:
+    rig, messages, _ = walk
+    triggers: list[LiveMessage] = []
+
+    async def run() -> RigSession:
+        with worker_pool(1) as analysis, worker_pool(1) as solving:
+            post = asyncio.get_running_loop().call_soon_threadsafe
+            pools = SessionPools(analysis, 1, solving, post)
+            running = RigSession(rig, "simulated", pools, SessionOutputs(triggers.append), count_captures)
+            shown = running.state()
+            for message in messages[:160]:
+                running.feed(message)
+                while running.busy:
+                    await asyncio.sleep(0)
+            await asyncio.wait_for(running.wait_for_change(shown), 60)
+            running.close()
+            return running
+
+    running = asyncio.run(run())
+    assert [trigger.data for trigger in triggers] == [trigger.data for trigger in session[1][:1]]
+    assert running.solution == CountedCaptures((), 1)
+    assert running.picture("camera")

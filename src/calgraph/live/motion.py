@@ -45,9 +45,9 @@ class _SensorMotion:
 class RestMonitor:
     """Decides from the changes of all views whether the board rests.
 
-    A view moves if it changes more than its noise, which is that of the time without operator. When rest and
-    motion have both been measured, Otsu's threshold separates them, as in :func:`calgraph.captures.find_holds`, if
-    it is higher: a board that is held by hand never rests completely.
+    A view moves if it changes more than its noise, which is that of the time without operator at first, and of the
+    quietest messages later. When rest and motion have both been measured, Otsu's threshold separates them, as in
+    :func:`calgraph.captures.find_holds`, if it is higher: a board that is held by hand never rests completely.
 
     Args:
         sensors: their names.
@@ -125,10 +125,14 @@ class RestMonitor:
 
     def _compute_level(self, motion: _SensorMotion) -> float:
         settings = self._settings
-        if motion.quiet.sum() >= settings.min_quiet:
-            noise = self._find_quantile(motion.quiet, 0.5)
-        else:
+        if motion.quiet.sum() < settings.min_quiet:
             noise = self._find_quantile(motion.quiet + motion.others, settings.quiet_share)
+        else:
+            noise = empty = self._find_quantile(motion.quiet, 0.5)
+            if motion.others.sum() >= settings.min_quiet:
+                floor = max(empty, settings.min_change / settings.noise_ratio)
+                held = self._find_quantile(motion.others, settings.quiet_share)
+                noise = min(max(empty, held), settings.max_noise_growth * floor)
         level = max(settings.noise_ratio * noise, settings.min_change)
         if motion.others.sum() < settings.min_messages:
             return level

@@ -60,8 +60,11 @@ class RestSettings(StrictModel):
     """Least share of a view that is motion: two blocks of an image of 640 x 480 pixels, whose noise changes
     none."""
     quiet_share: float = Field(default=0.25, gt=0, lt=1)
-    """Share of all messages whose changes show the noise where no time without operator was measured: boards rest
-    for more than this share of the time."""
+    """Share of the messages with operator whose changes show the noise: boards rest for a larger share of the
+    time."""
+    max_noise_growth: float = Field(default=4.0, ge=1)
+    """Maximum ratio of this noise to that of the time without operator: a board and a person in view of a LiDAR
+    triple it, and a board that moves all the time is no noise."""
     min_quiet: int = Field(default=10, ge=1)
     """Minimum number of messages of the time without operator that show the noise: 1 s."""
     min_separation: float = Field(default=0.7, gt=0)

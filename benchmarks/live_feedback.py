@@ -1,0 +1,222 @@
+"""Feedback of a live session: time from a hold to its capture and to the poses, load, and memory.
+
+python benchmarks/live_feedback.py                       # five sensors, 220 MB a minute, at real time
+python benchmarks/live_feedback.py --keep DIR            # the simulated recording is kept, and used again
+python benchmarks/live_feedback.py --processes 1 --repeat 10
+"""
+
+import argparse
+import asyncio
+import os
+import time
+from collections.abc import Iterator
+from concurrent.futures import Executor
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from calgraph.config import Rig, load_rig
+from calgraph.live.live_rig import list_intrinsics_topics
+from calgraph.live.replay import ReplaySource
+from calgraph.live.rig_session import RigSession, SessionOutputs, SessionPools, count_analysis_processes
+from calgraph.live.rig_solution import solve_captures
+from calgraph.live.source import LiveMessage
+from calgraph.processes import worker_pool
+from calgraph.simulation import (
+    CameraOptions,
+    LaserOptions,
+    MultibeamOptions,
+    RigScenario,
+    SpinningOptions,
+    load_truth,
+    simulate_rig,
+)
+
+_SCENARIO = RigScenario(
+    camera=CameraOptions(count=1, width=1280, height=960, rate=5.0, encoding="jpeg"),
+    laser=LaserOptions(count=3),
+    spinning=SpinningOptions(count=0),
+    multibeam=MultibeamOptions(count=1, rate=5.0),
+    bearings=(-60, -40, -20, -10, 0, 10, 20, 40, 60),
+    radii=(1.7, 2.5),
+    samples=1,
+    hold_time=2.5,
+    move_time=1.5,
+    trigger=False,
+)
+_SAMPLING_INTERVAL = 0.2
+"""Between two measurements of memory and load, s."""
+
+
+class Usage:
+    """Memory and processor time of this process and its workers."""
+
+    def __init__(self) -> None:
+        self.peak = 0
+        """Bytes of proportional memory of all together."""
+        self.at: list[tuple[float, int]] = []
+        self._began = time.monotonic()
+
+    async def sample(self) -> None:
+        """Samples the memory until it is cancelled."""
+        while True:
+            total = sum(read_memory(pid) for pid in list_processes())
+            self.peak = max(self.peak, total)
+            self.at.append((time.monotonic() - self._began, total))
+            await asyncio.sleep(_SAMPLING_INTERVAL)
+
+
+def list_processes() -> list[int]:
+    """This process and its children."""
+    own = os.getpid()
+    children = Path(f"/proc/{own}/task/{own}/children").read_text().split()
+    return [own, *map(int, children)]
+
+
+def read_memory(pid: int) -> int:
+    """Memory of a process, pages shared by several divided among them; bytes."""
+    try:
+        lines = Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines()
+    except OSError:
+        return 0
+    return next((1024 * int(line.split()[1]) for line in lines if line.startswith("Pss:")), 0)
+
+
+def read_processor_time(pid: int) -> float:
+    """Processor time of a process until now, s."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(") ")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+class Feedback:
+    """When what the operator waits for came, s of the wall clock."""
+
+    def __init__(self) -> None:
+        self.arrived: list[tuple[float, float]] = []
+        """Arrivals of messages, s, and when they were fed."""
+        self.captured: list[float] = []
+        self.solved: list[tuple[float, int]] = []
+        """When solutions came, and from how many captures."""
+        self.feeding: list[float] = []
+        """Time that each message took in the main process, s."""
+        self.texts: list[str] = []
+
+
+async def run(rig: Rig, recording: Path, pools: tuple[Executor, Executor], processes: int, repeat: int) -> None:
+    """Replays the recording to a session, and reports."""
+    loop = asyncio.get_running_loop()
+    feedback, usage = Feedback(), Usage()
+    session_pools = SessionPools(pools[0], processes, pools[1], loop.call_soon_threadsafe)
+    session = RigSession(rig, str(recording), session_pools, SessionOutputs(lambda _: None), solve_captures)
+    watching = asyncio.create_task(watch(session, feedback))
+    sampling = asyncio.create_task(usage.sample())
+    began, busy = time.monotonic(), [read_processor_time(pid) for pid in list_processes()]
+    topics = [*rig.topics.values(), *(t for one in list_intrinsics_topics(rig).values() for t in one)]
+    shift, size = 0, 0
+    for _ in range(repeat):
+        last = 0
+        async for message in ReplaySource(recording).stream(topics):
+            if isinstance(message, LiveMessage):
+                moved = move(message, shift)
+                last = max(last, moved.arrival)
+                size += len(moved.data)
+                before = time.monotonic()
+                session.feed(moved)
+                feedback.feeding.append(time.monotonic() - before)
+                feedback.arrived.append((moved.arrival / 1e9, before))
+        shift = last - first_arrival(feedback) + 10**8
+    await asyncio.sleep(3.0)
+    for task in (watching, sampling):
+        task.cancel()
+    seconds = time.monotonic() - began
+    used = [read_processor_time(pid) - before for pid, before in zip(list_processes(), busy, strict=True)]
+    report(session, feedback, usage, seconds, size, used)
+    session.close()
+
+
+def first_arrival(feedback: Feedback) -> int:
+    """Of all messages, ns."""
+    return round(feedback.arrived[0][0] * 1e9)
+
+
+def move(message: LiveMessage, shift: int) -> LiveMessage:
+    """The message, later by a time, ns: its arrival, and the stamp of its leading header."""
+    if not shift:
+        return message
+    stamp = int.from_bytes(message.data[4:8], "little") * 10**9 + int.from_bytes(message.data[8:12], "little")
+    sec, nanosec = divmod(stamp + shift, 10**9)
+    data = message.data[:4] + sec.to_bytes(4, "little") + nanosec.to_bytes(4, "little") + message.data[12:]
+    return replace(message, arrival=message.arrival + shift, data=data)
+
+
+async def watch(session: RigSession, feedback: Feedback) -> None:
+    """Notes when captures and solutions come."""
+    number, captures, solutions = 0, 0, 0
+    while True:
+        state = session.state()
+        now = time.monotonic()
+        if state.event.number != number:
+            number = state.event.number
+            feedback.texts.append(state.event.text)
+        if state.captures != captures:
+            captures = state.captures
+            feedback.captured.append(now)
+        if session.solutions != solutions:
+            solutions = session.solutions
+            feedback.solved.append((now, session.solution.captures))
+        await session.wait_for_change(state)
+
+
+def report(
+    session: RigSession, feedback: Feedback, usage: Usage, seconds: float, size: int, used: list[float]
+) -> None:
+    """Prints the figures."""
+    holds = session.captures().holds
+    arrivals, walls = (np.array(column) for column in zip(*feedback.arrived, strict=True))
+    # Until the last message of a hold has arrived, nobody can know it: latencies of the sensors are below 20 ms.
+    ends = np.interp([hold.end for hold in holds], arrivals, walls)
+    captured = np.array(feedback.captured) - ends
+    solved = [min(wall for wall, count in feedback.solved if count > i) - end for i, end in enumerate(ends)]
+    print("\n".join(feedback.texts))
+    print(f"{len(holds)} captures in {seconds:.0f} s, {60 * size / seconds / 1e6:.0f} MB a minute")
+    print("time from the end of a hold, s     median    95 %     max")
+    for name, times in (("capture", captured), ("solution", np.array(solved))):
+        print(f"  {name:30s} {np.median(times):8.2f} {np.percentile(times, 95):7.2f} {times.max():7.2f}")
+    feeding = 1000 * np.array(feedback.feeding)
+    slow = np.percentile(feeding, 99)
+    print(f"feeding a message: mean {feeding.mean():.2f}, 99 % {slow:.2f}, max {feeding.max():.1f} ms")
+    print("load of main, analysis ..., solver: " + ", ".join(f"{100 * one / seconds:.0f} %" for one in used))
+    half = [total for at, total in usage.at if at > seconds / 2]
+    print(f"memory: peak {usage.peak / 1e6:.0f} MB, median of the second half {np.median(half) / 1e6:.0f} MB")
+
+
+@contextmanager
+def simulated(keep: Path | None) -> Iterator[Path]:
+    """A folder with the simulated recording."""
+    with TemporaryDirectory() as temporary:
+        folder = keep or Path(temporary)
+        if not (folder / "recording").exists():
+            simulate_rig(_SCENARIO, folder, seed=1)
+        yield folder
+
+
+def main() -> None:
+    """Runs the benchmark."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--keep", type=Path, help="folder of the simulated recording")
+    parser.add_argument("--processes", type=int, help="number of processes that detect")
+    parser.add_argument("--repeat", type=int, default=1, help="number of times that it is replayed")
+    arguments = parser.parse_args()
+    with simulated(arguments.keep) as folder:
+        rig = load_rig(folder / "rig.yaml")
+        processes = arguments.processes or count_analysis_processes(rig)
+        print(f"{len(load_truth(folder / 'truth.yaml').boards)} holds, {processes} processes detect")
+        with worker_pool(processes) as analysis, worker_pool(1) as solving:
+            asyncio.run(run(rig, folder / "recording", (analysis, solving), processes, arguments.repeat))
+
+
+if __name__ == "__main__":
+    main()
