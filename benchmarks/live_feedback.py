@@ -176,7 +176,7 @@ def report(
     """Prints the figures."""
     holds = session.captures().holds
     arrivals, walls = (np.array(column) for column in zip(*feedback.arrived, strict=True))
-    # Until the last message of a hold has arrived, nobody can know it: latencies of the sensors are below 20 ms.
+    # Measurements arrive less than 20 ms after they end, which is not corrected for.
     ends = np.interp([hold.end for hold in holds], arrivals, walls)
     captured = np.array(feedback.captured) - ends
     solved = [min(wall for wall, count in feedback.solved if count > i) - end for i, end in enumerate(ends)]

@@ -194,12 +194,12 @@ def test_a_silent_sensor_refuses_captures_by_name(walk: tuple[Rig, list[LiveMess
             running.feed(message)
     assert not triggers
     state = running.state()
-    assert "laser_left sends no messages" in state.headline
+    assert state.headline == "No captures are possible: laser_left has sent no message for 7 s"
     assert {sensor.name: sensor.problem for sensor in state.sensors if sensor.problem} == {
-        "laser_left": "no messages for 7 s"
+        "laser_left": "has sent no message for 7 s"
     }
     running.command(Command("trigger"))
-    assert running.state().event.text == "No capture: laser_left sends no messages"
+    assert running.state().event.text == "No capture: laser_left has sent no message for 7 s"
 
 
 def test_a_capture_that_is_left_out_is_excluded_from_the_recording(
@@ -245,6 +245,45 @@ def test_the_state_says_what_each_sensor_detects(session: tuple[RigSession, list
     camera = state.sensors[0]
     assert camera.coverage[4] == 1.0
     assert len(session[0].picture("camera") or b"") < 20_000
+
+
+def delay_stamp(message: LiveMessage, seconds: int) -> LiveMessage:
+    """The message with a stamp of a clock that is early by whole seconds."""
+    stamp = int.from_bytes(message.data[4:8], "little") + seconds
+    return replace(message, data=message.data[:4] + stamp.to_bytes(4, "little") + message.data[8:])
+
+
+def problems_of(running: RigSession) -> dict[str, str]:
+    return {sensor.name: sensor.problem for sensor in running.state().sensors if sensor.problem}
+
+
+def test_a_clock_that_differs_is_named_unless_it_is_stated(
+    walk: tuple[Rig, list[LiveMessage], GroundTruth],
+) -> None:
+    rig, messages, _ = walk
+    topic = rig.sensors["laser_left"].topic
+    early = [delay_stamp(one, 3) if one.channel.topic == topic else one for one in messages[:60]]
+    running, _ = start_session(rig)
+    for message in early:
+        running.feed(message)
+    assert problems_of(running) == {"laser_left": "has a clock that is 3.0 s early: state its clock_offset"}
+    spec = rig.sensors["laser_left"].model_copy(update={"clock_offset": 3.0})
+    stated, _ = start_session(rig.model_copy(update={"sensors": {**rig.sensors, "laser_left": spec}}))
+    for message in early:
+        stated.feed(message)
+    assert problems_of(stated) == {}
+
+
+def test_messages_of_another_kind_are_named(walk: tuple[Rig, list[LiveMessage], GroundTruth]) -> None:
+    rig, messages, _ = walk
+    scans, clouds = rig.sensors["laser_left"].topic, rig.sensors["lidar"].topic
+    exchanged = {scans: clouds, clouds: scans}
+    running, _ = start_session(rig)
+    for message in messages[:60]:
+        topic = exchanged.get(message.channel.topic, message.channel.topic)
+        running.feed(replace(message, channel=replace(message.channel, topic=topic)))
+    # A 2-D scanner's driver may send clouds.
+    assert problems_of(running) == {"lidar": "sends LaserScan messages, and its kind is lidar3d"}
 
 
 @dataclass(frozen=True)

@@ -70,6 +70,11 @@ def check_pose_numbers(rig: Rig, timeline: RecordingTimeline, topics: Iterable[T
         raise InputError(f"sensors.{name}: {reason}")
 
 
+def is_message_of_kind(message_type: str, kind: str) -> bool:
+    """Whether sensors of a kind send messages of this type; true of an empty type, before the first message."""
+    return not message_type or message_type in _MESSAGES_OF_KIND[kind]
+
+
 def _check_trigger(rig: Rig) -> None:
     for name, spec in rig.sensors.items():
         if spec.topic == rig.capture.trigger:
@@ -90,7 +95,7 @@ def _check_windows(rig: Rig, length: float) -> None:
 
 def _check_messages(name: str, rig: Rig, timeline: RecordingTimeline) -> None:
     spec, sent = rig.sensors[name], timeline.sensors[name].message_type
-    if sent and sent not in _MESSAGES_OF_KIND[spec.kind]:
+    if not is_message_of_kind(sent, spec.kind):
         sender = f"; a {_KIND_OF_MESSAGE[sent]} sends those" if sent in _KIND_OF_MESSAGE else ""
         raise InputError(
             f"sensors.{name}.topic: {spec.topic} has {sent} messages{sender}, but its kind {spec.kind} needs "

@@ -2,8 +2,10 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from statistics import median
 
 from calgraph.captures import Hold, find_holds, limit_messages
+from calgraph.captures.validate_recording import is_message_of_kind
 from calgraph.config import Rig
 from calgraph.errors import CalibrationError
 from calgraph.live.live_timeline import LiveTimeline
@@ -31,9 +33,9 @@ class Waiting:
 
     phase: Phase
     sensors: tuple[str, ...] = ()
-    """Those that are waited for: silent, moving, or still measuring."""
-    silent: bool = False
-    """Whether these are silent."""
+    """Those that are waited for: moving, or still measuring."""
+    problem: str = ""
+    """Why none can be taken before someone corrects it."""
 
 
 class CaptureFinder:
@@ -57,34 +59,54 @@ class CaptureFinder:
         limit = self._rig.settings.captures.max_motion_period
         return [name for name in self._rig.sensors if self._timeline.period(name) <= limit]
 
-    def silent_sensors(self) -> list[str]:
-        """Those without messages for a while, or without any."""
-        silent = []
-        for name in self._rig.sensors:
-            age, period = self._timeline.age(name), self._timeline.period(name)
-            limit = max(self._settings.silence, 3 * period if period < float("inf") else 0.0)
-            if age is None or age > limit:
-                silent.append(name)
-        return silent
+    def find_problems(self) -> dict[str, str]:
+        """By sensor that keeps captures from being taken, why: a predicate."""
+        latencies = {
+            name: late for name in self._rig.sensors if (late := self._timeline.latency(name)) is not None
+        }
+        typical = median(latencies.values()) if latencies else 0.0
+        problems = {
+            name: self._find_problem(name, latencies.get(name, typical) - typical) for name in self._rig.sensors
+        }
+        return {name: problem for name, problem in problems.items() if problem}
+
+    def _find_problem(self, name: str, late: float) -> str:
+        timeline, kind = self._timeline, self._rig.sensors[name].kind
+        age, period, sent = timeline.age(name), timeline.period(name), timeline.message_type(name)
+        slow = max(period if period < float("inf") else 0.0, timeline.duration(name))
+        if age is None:
+            return "sends no messages"
+        if age > max(self._settings.silence, 3 * slow):
+            return f"has sent no message for {age:.0f} s"
+        if not is_message_of_kind(sent, kind):
+            return f"sends {sent} messages, and its kind is {kind}"
+        if abs(late) > self._settings.max_clock_difference:
+            side = "late" if late > 0 else "early"
+            return f"has a clock that is {abs(late):.1f} s {side}: state its clock_offset"
+        return ""
 
     def now(self) -> float:
         """After the stamps of all measurements so far, s."""
         stamps = [self._timeline.last_stamp(name) for name in self._rig.sensors]
         return max((stamp for stamp in stamps if stamp is not None), default=0.0) + _GAP
 
-    def find(self, forced: float | None = None) -> Candidate | Waiting:
+    def find(self, forced: float | None = None, judged: float | None = None) -> Candidate | Waiting:
         """The capture that can be taken now.
 
         Args:
             forced: a time at which it begins in any case, s; else it lies in the rest under way.
+            judged: start of a rest in which none is wanted, s.
         """
-        silent = self.silent_sensors()
-        if silent:
-            return Waiting("waiting", tuple(silent), silent=True)
+        problems = self.find_problems()
+        if problems:
+            text = "; ".join(f"{name} {problem}" for name, problem in problems.items())
+            return Waiting("ready", problem=text)
         fast = self.fast_sensors()
         rest = None if forced is not None else self._rests.find_rest(fast)
         if forced is None and rest is None:
             return Waiting("waiting", tuple(name for name in fast if self._rests.is_moving(name)))
+        if rest is not None and rest.start == judged:
+            return Waiting("ready")
         start = self._choose_start(forced if rest is None else rest.start + self._settings.settle)
         measuring = [name for name in self._rig.sensors if len(self._timeline.stamps_from(name, start)) < 2]
         hold = None if measuring else self._find_hold(start)
@@ -119,10 +141,13 @@ class CaptureFinder:
         ]
         if rest is None:
             return unfinished
-        shortest = rest.start + self._rig.settings.captures.min_hold
+        end = max(hold.end, rest.start + self._rig.settings.captures.min_hold)
         for name, measured in rest.measured.items():
-            interval = max(timeline.period(name), 1 / self._settings.max_rate)
-            if measured < max(hold.end, shortest) - interval and name not in unfinished:
+            stamps = timeline.stamps_from(name, hold.start)
+            # Of fast sensors some messages are not measured.
+            skipped = 1 / self._settings.max_rate if timeline.period(name) < 1 / self._settings.max_rate else 0.0
+            last = stamps[stamps <= end][-1:]
+            if (stamps[-1] < end - timeline.period(name) or measured < last - skipped) and name not in unfinished:
                 unfinished.append(name)
         return unfinished
 

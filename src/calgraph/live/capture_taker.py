@@ -101,19 +101,19 @@ class CaptureTaker:
         """Begins to search a capture that can be taken now."""
         if self._search or self._analysis.background_left:
             return
-        found = self.finder.find(self._request.forced if self._request else None)
+        request = self._request
+        found = self.finder.find(request.forced) if request else self.finder.find(judged=self._judged_rest)
         if isinstance(found, Candidate):
-            if self._request or (self.automatic and found.rest != self._judged_rest):
+            if request or self.automatic:
                 self._begin(found)
             else:
                 self._wait(Waiting("ready"))
             return
         self._wait(found)
-        request = self._request
         if request is None:
             return
         waited = self._analysis.timeline.latest_arrival - request.arrival
-        if found.silent or waited > self._settings.timeout:
+        if found.problem or waited > self._settings.timeout:
             self._request = None
             self._announce(f"No capture: {_explain_waiting(found)}", taken=False)
 
@@ -223,9 +223,8 @@ class CaptureTaker:
 
 def _explain_waiting(waiting: Waiting) -> str:
     names = name_sensors(waiting.sensors)
-    verb = "send" if len(waiting.sensors) > 1 else "sends"
-    if waiting.silent:
-        return f"{names} {verb} no messages"
+    if waiting.problem:
+        return waiting.problem
     if waiting.phase == "measuring":
         return f"{names} did not measure the board at rest" if names else "the board did not rest long enough"
     return f"still moving ({names})" if names else "still moving"

@@ -1,7 +1,7 @@
 """Calls in other processes, whose results come back into the loop of the session."""
 
 from collections.abc import Callable
-from concurrent.futures import Executor, Future
+from concurrent.futures import BrokenExecutor, Executor, Future
 from typing import Any
 
 Post = Callable[[Callable[[], None]], object]
@@ -22,6 +22,8 @@ class JobQueue:
         self._running = 0
         self.closed = False
         """Whether results are discarded."""
+        self.problem = ""
+        """Why nothing is computed any more; empty if it is."""
 
     @property
     def idle(self) -> bool:
@@ -46,12 +48,12 @@ class JobQueue:
             function: defined at module level.
             arguments: of the call.
             done: called with its result,
-            failed: or with what it raised; or that a process was killed.
+            failed: or with what it raised. Neither is called if a process was killed.
         """
         try:
             future: Future[Any] = self._executor.submit(function, *arguments)
         except RuntimeError as error:  # a process was killed, or the pool is shut down
-            failed(error)
+            self._break(error)
             return
         self._running += 1
         future.add_done_callback(lambda one: self._post(lambda: self._finish(one, done, failed)))
@@ -63,7 +65,13 @@ class JobQueue:
         if self.closed or future.cancelled():
             return
         error = future.exception()
-        if error is None:
+        if isinstance(error, BrokenExecutor):
+            self._break(error)
+        elif error is None:
             done(future.result())
         else:
             failed(error)
+
+    def _break(self, error: BaseException) -> None:
+        self.closed = True
+        self.problem = f"a process was killed, perhaps because memory ran out ({error})"

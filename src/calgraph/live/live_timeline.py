@@ -105,6 +105,11 @@ class LiveTimeline:
         arrivals = self._times[name].arrivals
         return max(self.latest_arrival - arrivals[-1], 0.0) if arrivals else None
 
+    def latency(self, name: str) -> float | None:
+        """Time from the end of the sensor's last measurement to its arrival, s; None before the first message."""
+        times = self._times[name]
+        return times.arrivals[-1] - times.stamps[-1] - times.duration if times.arrivals else None
+
     def period(self, name: str) -> float:
         """Median time between the sensor's last measurements, s; infinite for fewer than two."""
         return self._times[name].period

@@ -18,6 +18,7 @@ from calgraph.live.record_reader import RecordReader
 from calgraph.live.sensor_activity import SensorActivity
 from calgraph.live.source import LiveMessage
 from calgraph.live.view_pictures import SensorView, make_view
+from calgraph.recording.takes import shift_record
 from calgraph.sensors import CameraModel, RecordedMessage
 
 _log = logging.getLogger(__name__)
@@ -39,6 +40,9 @@ class MessageAnalysis:
         self._rig, self._changed = rig, changed
         self._reader = RecordReader(source, rig.settings.limits)
         self._sensor_of = {topic: name for name, topic in rig.topics.items()}
+        # Offsets that are to be estimated are known when the recording is calibrated.
+        offsets = {name: spec.clock_offset for name, spec in rig.sensors.items()}
+        self._clock_offsets = {name: o if isinstance(o, float) else 0.0 for name, o in offsets.items()}
         self._learning: set[str] = set()
         self.timeline = LiveTimeline(rig.sensors)
         self.ring = MessageRing(rig.settings.live.ring)
@@ -88,6 +92,7 @@ class MessageAnalysis:
             if name is None:
                 self.detectors.add_intrinsics(record)
                 return
+            record = shift_record(record, -self._clock_offsets[name], 0.0)
             self.ring.add(name, record, len(message.data))
             self._queue(name, record)
             self.timeline.add(name, record)

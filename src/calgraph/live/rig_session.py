@@ -135,8 +135,10 @@ class RigSession:
     def state(self) -> SessionState:
         """The session now, without what concerns source and recorder; another object after each change."""
         if self._state is None:
+            killed = self._queue.problem or self._solver.problem
+            problem = f"Only recording goes on: {killed}" if killed else self._problem
             self._state = describe_rig_session(
-                self.rig, self._source, self.analysis, self.taker, self.solution, self.solutions, self._problem
+                self.rig, self._source, self.analysis, self.taker, self.solution, self.solutions, problem
             )
         return self._state
 
@@ -215,7 +217,10 @@ class RigSession:
         return self.rig.model_copy(update={"sensors": {**self.rig.sensors, **sensors}})
 
     def _set_solution(self, solution: object) -> None:
+        if not self.taker.captures:  # they were left out meanwhile
+            return
         self.solution = solution
+        self._problem = ""
         self.solutions += 1
         self._note_change()
 

@@ -1,5 +1,6 @@
 """What the operator is shown of a rig's session."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -34,6 +35,7 @@ def describe_rig_session(
     """
     solved = {one.name: one for one in solution.sensors} if solution else {}
     done = bool(solution and solution.done)
+    problems = taker.finder.find_problems()
     phase, headline = _describe_phase(analysis, taker)
     return SessionState(
         kind="rig",
@@ -43,7 +45,9 @@ def describe_rig_session(
         source=source,
         automatic=taker.automatic,
         root=rig.root,
-        sensors=tuple(_describe_sensor(name, rig, analysis, taker, solved.get(name)) for name in rig.sensors),
+        sensors=tuple(
+            _describe_sensor(name, rig, analysis, taker, problems, solved.get(name)) for name in rig.sensors
+        ),
         captures=len(taker.captures),
         event=taker.event,
         advice=solution.advice if solution else None,
@@ -61,9 +65,8 @@ def _describe_phase(analysis: MessageAnalysis, taker: CaptureTaker) -> tuple[Pha
         return "connecting", f"Waiting for messages of {name_sensors(unheard)}"
     if analysis.background_left:
         return "background", f"Stay out of view: {np.ceil(analysis.background_left):.0f} s to learn the room"
-    if waiting.silent:
-        verb = "send" if len(waiting.sensors) > 1 else "sends"
-        return "ready", f"{name_sensors(waiting.sensors)} {verb} no messages: no captures are possible"
+    if waiting.problem:
+        return "ready", f"No captures are possible: {waiting.problem}"
     if taker.searching:
         return "measuring", "Searching for the board"
     if waiting.phase == "measuring" and (taker.requested or taker.automatic):
@@ -77,15 +80,18 @@ def _describe_phase(analysis: MessageAnalysis, taker: CaptureTaker) -> tuple[Pha
 
 
 def _describe_sensor(
-    name: str, rig: Rig, analysis: MessageAnalysis, taker: CaptureTaker, solved: Any
+    name: str,
+    rig: Rig,
+    analysis: MessageAnalysis,
+    taker: CaptureTaker,
+    problems: Mapping[str, str],
+    solved: Any,
 ) -> SensorState:
     timeline, activity = analysis.timeline, analysis.sensors[name]
     age = timeline.age(name)
-    problem = ""
-    if activity.malformed:
+    problem = problems.get(name, "")
+    if activity.malformed and not problem:
         problem = f"{activity.malformed} unusable messages: {activity.problem}"
-    if name in taker.finder.silent_sensors():
-        problem = "no messages" if age is None else f"no messages for {age:.0f} s"
     stddev = None if solved is None or name == rig.root else np.asarray(solved.stddev)
     known = stddev is not None and bool(np.isfinite(stddev).all())
     view = activity.view

@@ -76,6 +76,9 @@ class RestSettings(StrictModel):
     settle: float = Field(default=0.2, ge=0)
     """Time from the last motion to the start of a capture, s: 0.1 s before the end of a move by 1 m the board is
     still 10 mm from its place, and moves no more than noise."""
+    max_clock_difference: float = Field(default=1.0, gt=0)
+    """Maximum difference of a sensor's latency, from the end of a measurement to its arrival, from that of the
+    others, s, that is none of clocks: networks and drivers take some tenths."""
     silence: float = Field(default=2.0, gt=0)
     """Time without messages, s, after which a sensor is taken for silent; three periods of slow ones."""
 
