@@ -52,6 +52,7 @@ from calgraph.config.settings.limits import LimitSettings
 from calgraph.config.settings.live import (
     ConnectionSettings,
     LiveCaptureSettings,
+    LiveNetworkSettings,
     LiveSettings,
     MessageRingSettings,
     PageSettings,
@@ -141,6 +142,7 @@ __all__ = [
     "Lidar3dDetectionSettings",
     "LimitSettings",
     "LiveCaptureSettings",
+    "LiveNetworkSettings",
     "LiveSettings",
     "MaxMessageSettings",
     "MessageRingSettings",

@@ -122,10 +122,55 @@ class ViewSettings(StrictModel):
     """Number of images that this median is of: 20 s."""
 
 
+class LiveNetworkSettings(StrictModel):
+    """The calibration of a network while it is recorded."""
+
+    first: float = Field(default=8.0, gt=0)
+    """Time from the first message to the first solution, s: two people have walked 20 m, and some scanners are
+    connected."""
+    pause: float = Field(default=2.0, ge=0)
+    """Minimum time from the end of a solution to the next, s, so that there is something new."""
+    max_load: float = Field(default=0.5, gt=0, le=1)
+    """Maximum share of the time in which solutions are computed."""
+    interval: float = Field(default=60.0, gt=0)
+    """Length of the intervals that are tracked once, s. People who are in view at the end of one have two tracks,
+    and those who stand still for half of one are part of its background."""
+    min_interval: float = Field(default=20.0, gt=0)
+    """Minimum time after the last of these intervals that is tracked, s: in less, people are background."""
+    max_intervals: int = Field(default=10, ge=1)
+    """Maximum number of intervals that are tracked before a solution, of sessions that are resumed: 10 s of
+    work for five scanners."""
+    max_positions: int = Field(default=30_000, ge=1000)
+    """Maximum number of positions in all tracks that a solution is computed from: seven minutes of five scanners
+    and two people, 15 s of work; intervals that add least are left out."""
+    walk_range: float = Field(default=8.0, gt=0)
+    """Range within which scanners detect people reliably, m: nine beams of 0.5 degrees."""
+    cell: float = Field(default=0.25, gt=0)
+    """Width of the cells of the floor plan, m: half of a person's. Large plans have wider ones."""
+    max_cells: int = Field(default=80, ge=10)
+    """Maximum number of cells along the longer side of the floor plan: 4 px each on a phone."""
+    min_walked: float = Field(default=0.5, gt=0)
+    """Time that people spend within one cell's width of a cell from which it counts as walked, s: one passage at
+    1.2 m/s takes 0.6 s."""
+    min_area: float = Field(default=1.0, ge=0)
+    """Minimum size of an area where people are asked to walk, m²."""
+    max_wall_points: int = Field(default=1400, ge=10)
+    """Maximum number of points of the static background in the floor plan: 14 kB."""
+    max_minutes: float = Field(default=60.0, gt=0)
+    """Longest time to the tolerance that is stated, min: longer extrapolations are guesses."""
+    min_decay: float = Field(default=0.2, gt=0, lt=0.5)
+    """Least exponent of the decay of standard deviations with the recorded time for which a time to the tolerance
+    is stated: with 0.5 noise is averaged; close to zero more of the same does not help."""
+    max_clock_difference: float = Field(default=1.0, gt=0)
+    """Difference of a scanner's clock from the median of all, s, from which it is named: the calibration measures
+    smaller ones."""
+
+
 class LiveSettings(StrictModel):
     """Live capture."""
 
     connection: ConnectionSettings = ConnectionSettings()
+    network: LiveNetworkSettings = LiveNetworkSettings()
     page: PageSettings = PageSettings()
     ring: MessageRingSettings = MessageRingSettings()
     rest: RestSettings = RestSettings()

@@ -1,0 +1,172 @@
+"""The floor of a network in cells: walls, where people walked, and where they should still walk."""
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import label, uniform_filter
+
+from calgraph.config.settings import LiveNetworkSettings, Settings
+from calgraph.geometry import Array, se3
+from calgraph.live.joined_tracks import Tracked
+from calgraph.result import Calibration
+from calgraph.tracking import ScannerTracks
+
+Cells = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class FloorGrid:
+    """Cells of the floor in the root's frame."""
+
+    origin: Array
+    """(2,) corner of the first cell, m."""
+    cell: float
+    """Width of a cell, m."""
+    walked: Cells
+    """(X, Y) where people walked."""
+    wanted: Cells
+    """(X, Y) where they should still walk, in views that scanners which are not within tolerance share
+    with others."""
+    walls: Array
+    """(W, 2) points of the static background, m."""
+
+
+def build_floor_grid(
+    calibration: Calibration, tracked: Tracked, unfinished: Collection[str], settings: Settings
+) -> FloorGrid | None:
+    """The floor in the views of the connected scanners.
+
+    Args:
+        calibration: of the network.
+        tracked: tracks and background by scanner.
+        unfinished: connected scanners that are not within tolerance.
+        settings: sizes and limits.
+
+    Returns:
+        The cells; None as long as no scanners are connected.
+    """
+    poses = {
+        sensor.name: (sensor.T_root_sensor, found)
+        for sensor in calibration.sensors
+        if isinstance(found := tracked[sensor.name], ScannerTracks)
+    }
+    if len(poses) < 2:
+        return None
+    live_settings = settings.live.network
+    walls = np.concatenate([_to_root(T, found.background) for T, found in poses.values()])
+    walls = walls[np.isfinite(walls).all(axis=1)]
+    positions = np.concatenate(
+        [_to_root(T, track.positions) for T, found in poses.values() for track in found.tracks]
+    )
+    origins = np.array([T[:2, 3] for T, _ in poses.values()])
+    everything = np.concatenate([walls, positions, origins])
+    low, high = np.min(everything, axis=0), np.max(everything, axis=0)
+    cell = max(live_settings.cell, float(np.max(high - low)) / live_settings.max_cells)
+    shape = tuple(int(n) for n in np.ceil((high - low) / cell) + 1)
+    seconds = _sum_walking_time(
+        [found for _, found in poses.values()], [T for T, _ in poses.values()], low, cell, shape
+    )
+    x = low + cell * (np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), axis=-1) + 0.5)
+    observed = {
+        name: _find_observed_cells(T, found, x.reshape(-1, 2), settings).reshape(shape)
+        for name, (T, found) in poses.items()
+    }
+    return FloorGrid(
+        low,
+        cell,
+        seconds > 0,
+        _select_wanted(observed, unfinished, seconds, cell, live_settings, unconnected=len(poses) < len(tracked)),
+        _thin(walls, cell / 2, live_settings.max_wall_points),
+    )
+
+
+def _to_root(T_root_scanner: Array, points: Array) -> Array:
+    """(N, 2) points of a scanner's plane in the root's frame."""
+    return np.asarray(se3.apply(T_root_scanner, np.column_stack([points, np.zeros(len(points))]))[:, :2])
+
+
+def _sum_walking_time(
+    found: Sequence[ScannerTracks], poses: Sequence[Array], low: Array, cell: float, shape: tuple[int, ...]
+) -> Array:
+    """(X, Y) the longest time that a scanner tracked people in each cell, s."""
+    longest = np.zeros(shape)
+    for tracked, T in zip(found, poses, strict=True):
+        seconds = np.zeros(shape)
+        for track in tracked.tracks:
+            cells = ((_to_root(T, track.positions) - low) / cell).astype(np.intp)
+            np.add.at(seconds, tuple(cells.T), np.gradient(track.times) if len(track.times) > 1 else 0.0)
+        longest = np.maximum(longest, seconds)
+    return longest
+
+
+def _find_observed_cells(T: Array, tracked: ScannerTracks, x: Array, settings: Settings) -> Cells:
+    """(N,) in which of the positions (N, 2) of the root's frame the scanner would detect a person."""
+    inside = _to_root(se3.inverse(T), x)
+    visibility = settings.pairwise.scanners.visibility
+    distance = np.linalg.norm(inside, axis=1)
+    limit = _find_free_range(tracked.background, np.arctan2(inside[:, 1], inside[:, 0]), visibility.max_beam_gap)
+    limit = np.minimum(limit - visibility.background_margin, settings.live.network.walk_range)
+    return np.asarray((distance > visibility.min_range) & (distance < limit))
+
+
+def _find_free_range(background: Array, bearing: Array, max_gap: float) -> Array:
+    """Range (N,) up to which nothing static is in view at bearings (N,), m: infinite where beams return nothing.
+
+    Beams between which there is a gap ended beyond the scanner's range, or in the one behind it: between the first
+    and the last background point they are in view.
+    """
+    points = background[np.isfinite(background).all(axis=1)]
+    if not len(points):
+        return np.zeros(len(bearing))
+    at, ranges = np.arctan2(points[:, 1], points[:, 0]), np.linalg.norm(points, axis=1)
+    bins = np.arange(-np.pi, np.pi + max_gap, max_gap)
+    nearest = np.full(len(bins), np.inf)
+    np.minimum.at(nearest, np.digitize(at, bins) - 1, ranges)
+    in_view = (bearing >= at.min()) & (bearing <= at.max())
+    return np.where(in_view, nearest[np.digitize(bearing, bins) - 1], 0.0)
+
+
+def _select_wanted(
+    observed: Mapping[str, Cells],
+    unfinished: Collection[str],
+    seconds: Array,
+    cell: float,
+    settings: LiveNetworkSettings,
+    *,
+    unconnected: bool,
+) -> Cells:
+    """Where people should walk next."""
+    # A person covers the cells around; a mean over 3 x 3 cells times 9 is their sum.
+    around = 9 * uniform_filter(seconds, 3, mode="constant")
+    wanted = np.zeros(seconds.shape, dtype=np.bool_)
+    if unconnected:
+        # Their views are unknown: people should go where none has been.
+        wanted |= np.any(list(observed.values()), axis=0) & (around == 0)
+    for name in unfinished:
+        others = np.any([cells for other, cells in observed.items() if other != name], axis=0)
+        shared = observed[name] & others
+        if not shared.any():
+            continue
+        chosen = shared & (around < settings.min_walked)
+        if np.sum(chosen) * cell**2 < settings.min_area:
+            # All of it has been walked: where that was least.
+            chosen = shared & (around <= np.quantile(around[shared], 1 / 3))
+        wanted |= chosen
+    return _remove_small_areas(wanted, settings.min_area / cell**2)
+
+
+def _remove_small_areas(cells: Cells, min_cells: float) -> Cells:
+    numbers, _ = label(cells)
+    counts = np.bincount(numbers.ravel())
+    return np.asarray(cells & (counts[numbers] >= min_cells))
+
+
+def _thin(points: Array, width: float, limit: int) -> Array:
+    """At most ``limit`` of points (N, 2), one in each square of a width that grows until they are few enough."""
+    while True:
+        _, first = np.unique(np.round(points / width).astype(np.int64), axis=0, return_index=True)
+        if len(first) <= limit:
+            return np.asarray(points[np.sort(first)])
+        width *= 1.25

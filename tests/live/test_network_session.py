@@ -1,0 +1,250 @@
+"""A live session of a network: when it calibrates, and what it states."""
+
+import asyncio
+from collections.abc import Callable
+from concurrent.futures import Executor, Future
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from calgraph.config import Rig
+from calgraph.live.network_session import NetworkSession
+from calgraph.live.network_solution import LiveNetworkSolution, ScannerSolution
+from calgraph.live.rig_session import SessionPools
+from calgraph.live.source import LiveMessage
+from calgraph.sensors import LaserScan
+from live_sessions import make_live_message
+
+EPOCH = 1_700_000_000.0
+NAMES = ("a", "b", "c")
+RIG = Rig.model_validate(
+    {
+        "root": "a",
+        "target": {"kind": "people"},
+        "sensors": {name: {"kind": "lidar2d", "topic": f"/{name}", "noise": {"range": 0.01}} for name in NAMES},
+    }
+)
+
+
+def posed(name: str, grade: str, uncertainty: float, reason: str = "") -> ScannerSolution:
+    """A scanner with a pose, standard deviations of 2 mm and 2 mrad."""
+    covariance, stddev = np.eye(2) * 4e-6, np.full(3, 0.002)
+    return ScannerSolution(name, 3, np.eye(4), covariance, stddev, uncertainty, grade, reason)
+
+
+class WaitingExecutor(Executor):
+    """Computes nothing until it is told to; calls are counted."""
+
+    def __init__(self) -> None:
+        self.calls: list[tuple[Future[Any], Callable[..., Any], tuple[Any, ...]]] = []
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **_: Any) -> Future[Any]:
+        future: Future[Any] = Future()
+        self.calls.append((future, fn, args))
+        return future
+
+    def finish(self, result: object) -> None:
+        """The last call returns, or raises."""
+        future = self.calls[-1][0]
+        if isinstance(result, Exception):
+            future.set_exception(result)
+        else:
+            future.set_result(result)
+
+
+class Fed:
+    """A session, its process, and its clock; messages are fed at 10 Hz of each scanner."""
+
+    def __init__(self) -> None:
+        self.pool = WaitingExecutor()
+        self.now = 1000.0
+        self.recorded = 0.0
+        """s"""
+        pools = SessionPools(WaitingExecutor(), 1, self.pool, lambda function: function())
+        self.session = NetworkSession(RIG, "test", pools, Path("recording"), clock=lambda: self.now)
+
+    def feed(self, seconds: float, names: tuple[str, ...] = NAMES, delay: dict[str, float] | None = None) -> None:
+        for _ in range(round(10 * seconds)):
+            for name in names:
+                self.session.feed(scan(name, self.recorded, (delay or {}).get(name, 0.0)))
+            self.recorded += 0.1
+            self.now += 0.1
+
+
+def scan(name: str, at: float, delay: float = 0.0) -> LiveMessage:
+    message = LaserScan(EPOCH + at - delay, name, np.linspace(-1, 1, 3), np.full(3, 2.0))
+    return make_live_message(f"/{name}", message, EPOCH + at)
+
+
+def solution(end: float, *scanners: ScannerSolution, seconds: float = 1.0) -> LiveNetworkSolution:
+    """One of three scanners without poses, if none are given."""
+    known = scanners or tuple(ScannerSolution(name) for name in NAMES)
+    return LiveNetworkSolution(known, None, EPOCH, EPOCH + end, end, seconds=seconds)
+
+
+@pytest.fixture
+def fed() -> Fed:
+    return Fed()
+
+
+def test_the_first_solution_begins_after_eight_seconds(fed: Fed) -> None:
+    fed.feed(7.9)
+    assert not fed.pool.calls
+    fed.feed(0.3)
+    assert len(fed.pool.calls) == 1
+    assert fed.session.busy
+
+
+def test_one_solution_is_computed_at_a_time(fed: Fed) -> None:
+    fed.feed(60)
+    assert len(fed.pool.calls) == 1
+
+
+def test_the_process_rests_as_long_as_it_worked(fed: Fed) -> None:
+    fed.feed(30)
+    fed.pool.finish(solution(8.0))
+    fed.feed(20)
+    assert len(fed.pool.calls) == 1
+    fed.feed(4)
+    assert len(fed.pool.calls) == 2
+
+
+def test_nothing_is_computed_without_new_messages(fed: Fed) -> None:
+    fed.feed(9)
+    fed.pool.finish(solution(9.0))
+    fed.now += 100
+    fed.feed(0.1)
+    assert len(fed.pool.calls) == 1
+    fed.feed(3)
+    assert len(fed.pool.calls) == 2
+
+
+def test_the_last_solution_is_given_to_the_next(fed: Fed) -> None:
+    fed.feed(9)
+    assert fed.pool.calls[0][2][3] is None
+    fed.pool.finish(None)
+    fed.feed(5)
+    found = solution(14.0)
+    fed.pool.finish(found)
+    fed.feed(5)
+    assert fed.pool.calls[-1][2][3] is found
+
+
+def test_the_state_is_another_object_after_a_solution(fed: Fed) -> None:
+    fed.feed(9)
+    before = fed.session.state()
+    assert fed.session.state() is before
+
+    async def wait() -> None:
+        waiting = asyncio.ensure_future(fed.session.wait_for_change(before))
+        await asyncio.sleep(0)
+        assert not waiting.done()
+        fed.pool.finish(solution(9.0))
+        await asyncio.wait_for(waiting, 5)
+
+    asyncio.run(wait())
+    assert fed.session.state() is not before
+
+
+def test_scanners_without_messages_are_named(fed: Fed) -> None:
+    fed.feed(1, ("a", "c"))
+    state = fed.session.state()
+    assert state.phase == "connecting"
+    assert state.headline == "Waiting for messages of b"
+    assert [sensor.rate for sensor in state.sensors] == pytest.approx([10, 0, 10])
+
+
+def test_silent_scanners_are_named(fed: Fed) -> None:
+    fed.feed(1)
+    fed.feed(3, ("a", "b"))
+    state = fed.session.state()
+    assert state.headline == "c: no messages any more"
+    assert state.sensors[2].problem == "no messages for 3 s"
+
+
+def test_a_clock_that_differs_from_the_others_is_named(fed: Fed) -> None:
+    fed.feed(2, delay={"b": 7.0, "c": 0.05})
+    assert [sensor.problem for sensor in fed.session.state().sensors] == [
+        "", "its clock is 7.0 s behind the others", "",
+    ]  # fmt: skip
+
+
+def test_unusable_messages_are_counted(fed: Fed) -> None:
+    fed.feed(1)
+    for _ in range(2):
+        fed.session.feed(replace(scan("b", 1.0), data=b"\x00\x01"))
+    assert fed.session.state().sensors[1].problem.startswith("2 unusable messages: ")
+
+
+def test_people_are_sent_to_scanners_that_have_detected_no_person(fed: Fed) -> None:
+    fed.feed(9)
+    apart = ScannerSolution("c", reason="no object of the target's size was detected")
+    fed.pool.finish(solution(9.0, posed("a", "good", 0.0), ScannerSolution("b", 3), apart))
+    state = fed.session.state()
+    assert state.headline == "Walk where c detects you, and on to where another scanner does"
+    assert state.advice is not None
+    assert "b and another scanner both detect you" in state.advice.text
+    assert "(no object of the target's size was detected)" in state.advice.text
+
+
+def test_the_time_that_is_left_is_stated(fed: Fed) -> None:
+    fed.feed(60)
+    weak = posed("b", "weak", 2.0, "±2 cm")
+    fed.pool.finish(solution(60.0, posed("a", "good", 0.0), weak))
+    state = fed.session.state()
+    assert state.headline == "Walk in the orange areas, for b: about 3 minutes more"
+    assert state.advice is not None
+    assert state.advice.expected == "within tolerance in about 3 minutes"
+    assert not state.done
+
+
+def test_it_is_done_when_all_scanners_are_good(fed: Fed) -> None:
+    fed.feed(9)
+    fed.pool.finish(solution(9.0, *(posed(name, "good", 0.4) for name in NAMES)))
+    state = fed.session.state()
+    assert state.done
+    assert state.phase == "ready"
+    assert state.advice is None
+    assert state.sensors[0].stddev_mm is None
+    assert state.sensors[1].stddev_mm == pytest.approx(2)
+    assert state.sensors[1].stddev_degrees == pytest.approx(np.degrees(0.002))
+    assert state.floor_plan.startswith("<svg")
+
+
+def test_the_state_says_that_solutions_are_late(fed: Fed) -> None:
+    fed.feed(9)
+    fed.pool.finish(solution(9.0))
+    fed.feed(20)
+    assert fed.session.state().notices == ()
+    fed.feed(20)
+    (notice,) = fed.session.state().notices
+    assert notice == "Poses and plan are 40 s old: the computer is slower than the scanners"
+
+
+def test_the_state_says_of_how_much_the_poses_are(fed: Fed) -> None:
+    fed.feed(9)
+    fed.pool.finish(replace(solution(2400.0), used=600.0))
+    (notice,) = fed.session.state().notices
+    assert notice == "Poses are of 10 of 40 minutes: all are calibrated at the end"
+
+
+def test_an_error_is_stated_and_the_next_solution_follows(fed: Fed) -> None:
+    fed.feed(9)
+    fed.pool.finish(RuntimeError("no memory"))
+    assert fed.session.state().headline == "No poses from the recording until now: no memory"
+    fed.feed(5)
+    fed.pool.finish(solution(14.0))
+    assert "no memory" not in fed.session.state().headline
+
+
+def test_results_are_ignored_and_files_removed_after_the_end(fed: Fed) -> None:
+    fed.feed(9)
+    folder: Path = fed.pool.calls[0][2][2]
+    assert folder.is_dir()
+    fed.session.close()
+    fed.pool.finish(solution(9.0))
+    assert fed.session.solution is None
+    assert not folder.exists()

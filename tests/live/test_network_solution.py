@@ -1,0 +1,140 @@
+"""The calibration of a network from its recording until now."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calgraph.calibrate import NetworkOptions, calibrate_network
+from calgraph.config import Rig, load_rig
+from calgraph.live.network_solution import LiveNetworkSolution, solve_recording
+from calgraph.recording import RecordingWriter, open_recording
+from calgraph.result import Calibration
+from calgraph.simulation import NetworkScenario, ScannerOptions, simulate_network
+
+SCENARIO = NetworkScenario(
+    layout="office", duration=24.0, scanner=ScannerOptions(count=3, resolution=1.0, rate=10.0)
+)
+Recorded = tuple[Rig, Path, Calibration]
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
+    """A network, its recording, and what calgraph calibrate computes from it."""
+    place = tmp_path_factory.mktemp("live network")
+    simulate_network(SCENARIO, place / "network", seed=2)
+    rig = load_rig(place / "network/rig.yaml")
+    with open_recording(place / "network/recording") as recording:
+        return rig, place / "network/recording", calibrate_network(rig, recording, NetworkOptions())
+
+
+@pytest.fixture(scope="module")
+def solution(recorded: Recorded, tmp_path_factory: pytest.TempPathFactory) -> LiveNetworkSolution:
+    """The live solution from the whole recording."""
+    return solve(*recorded[:2], tmp_path_factory.mktemp("tracks"))
+
+
+def solve(rig: Rig, path: Path, folder: Path, last: LiveNetworkSolution | None = None) -> LiveNetworkSolution:
+    found = solve_recording(rig, path, folder, last)
+    assert found is not None
+    return found
+
+
+def with_intervals(rig: Rig, **changes: float) -> Rig:
+    network = rig.settings.live.network.model_copy(update=changes)
+    live = rig.settings.live.model_copy(update={"network": network})
+    return rig.model_copy(update={"settings": rig.settings.model_copy(update={"live": live})})
+
+
+def assert_same_poses(live: LiveNetworkSolution, calibration: Calibration) -> None:
+    for scanner in live.scanners:
+        assert scanner.T_root_scanner is not None
+        np.testing.assert_array_equal(scanner.T_root_scanner, calibration[scanner.name].T_root_sensor)
+        assert scanner.grade == calibration[scanner.name].verdict.grade
+
+
+def test_poses_are_those_of_the_command(recorded: Recorded, solution: LiveNetworkSolution) -> None:
+    assert_same_poses(solution, recorded[2])
+    assert not solution.done
+    assert solution.used == pytest.approx(24, abs=0.5)
+
+
+def test_standard_deviations_are_along_the_axes_of_the_scanner(
+    recorded: Recorded, solution: LiveNetworkSolution
+) -> None:
+    root, *others = solution.scanners
+    assert root.stddev is not None
+    assert root.stddev.tolist() == [0, 0, 0]
+    for scanner in others:
+        sensor = recorded[2][scanner.name]
+        R = sensor.T_root_sensor[:2, :2]
+        expected = np.sqrt(np.diag(R.T @ sensor.covariance[:2, :2] @ R))
+        assert scanner.stddev is not None
+        np.testing.assert_allclose(scanner.stddev, [*expected, np.sqrt(sensor.covariance[5, 5])])
+        # 95 % within 10 mm.
+        assert scanner.uncertainty == pytest.approx(1.96 * scanner.stddev[:2].max() / 0.01, rel=1e-3)
+        assert scanner.progress == pytest.approx(min(1, 1 / scanner.uncertainty))
+
+
+def test_poses_of_joined_intervals_agree_with_those_of_the_whole(recorded: Recorded, tmp_path: Path) -> None:
+    rig, path, calibration = recorded
+    last = None
+    for _ in range(2):
+        last = solve(with_intervals(rig, interval=8, min_interval=4), path, tmp_path, last)
+    assert last is not None
+    assert len(last.intervals) == 2
+    assert len(list(tmp_path.iterdir())) == 2
+    for scanner in last.scanners[1:]:
+        assert scanner.T_root_scanner is not None
+        sensor = calibration[scanner.name]
+        off = np.abs(scanner.T_root_scanner[:2, 3] - sensor.T_root_sensor[:2, 3])
+        assert np.all(off < 3 * np.sqrt(np.diag(sensor.covariance)[:2]))
+
+
+def test_intervals_in_files_are_not_tracked_again(recorded: Recorded, tmp_path: Path) -> None:
+    rig, path, _ = recorded
+    rig = with_intervals(rig, interval=16, min_interval=2)
+    first = solve(rig, path, tmp_path)
+    (file,) = tmp_path.iterdir()
+    written = file.stat().st_mtime_ns
+    again = solve(rig, path, tmp_path, first)
+    assert file.stat().st_mtime_ns == written
+    for one, other in zip(first.scanners, again.scanners, strict=True):
+        assert one.T_root_scanner is not None
+        np.testing.assert_array_equal(one.T_root_scanner, other.T_root_scanner)
+
+
+def test_a_long_recording_is_tracked_in_several_calls(recorded: Recorded, tmp_path: Path) -> None:
+    rig, path, _ = recorded
+    rig = with_intervals(rig, interval=6, min_interval=4, max_intervals=2)
+    first = solve(rig, path, tmp_path)
+    assert first.end - first.start == pytest.approx(12, abs=0.01)
+    second = solve(rig, path, tmp_path, first)
+    assert second.end - second.start == pytest.approx(24, abs=0.5)
+
+
+def test_a_recording_without_messages_has_no_solution(recorded: Recorded, tmp_path: Path) -> None:
+    (tmp_path / "recording").mkdir()
+    assert solve_recording(recorded[0], tmp_path / "recording", tmp_path, None) is None
+
+
+def test_scanners_without_messages_have_the_reason(recorded: Recorded, tmp_path: Path) -> None:
+    rig, path, _ = recorded
+    with open_recording(path) as recording, RecordingWriter(tmp_path / "two") as writer:
+        for record in recording.records(list(rig.topics.values())[:2], end=recording.start + 12):
+            writer.write(record.topic, record.decode(), record.arrival)
+    found = solve(rig, tmp_path / "two", tmp_path / "tracks")
+    assert found.scanners[2].reason == "it has sent no messages yet"
+    assert found.scanners[2].T_root_scanner is None
+
+
+def test_a_lone_root_has_no_pose(recorded: Recorded, tmp_path: Path) -> None:
+    rig, path, _ = recorded
+    with open_recording(path) as recording, RecordingWriter(tmp_path / "short") as writer:
+        for record in recording.records(end=recording.start + 1):
+            writer.write(record.topic, record.decode(), record.arrival)
+    found = solve(rig, tmp_path / "short", tmp_path / "tracks")
+    assert [one.T_root_scanner for one in found.scanners] == [None] * 3
+    assert not replace(found, scanners=()).done
+    assert found.grid is None
