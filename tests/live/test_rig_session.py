@@ -1,8 +1,11 @@
 """A live session of a rig takes the captures that the calibration of its recording finds."""
 
 import asyncio
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -24,7 +27,7 @@ from calgraph.simulation import (
     RigScenario,
     SpinningOptions,
 )
-from live_sessions import send_messages, start_session
+from live_sessions import ImmediateExecutor, send_messages, start_session
 from simulated_rigs import SimulatedRecording, build_recording, simulate_scenario
 
 SCENARIO = RigScenario(
@@ -284,6 +287,30 @@ def test_messages_of_another_kind_are_named(walk: tuple[Rig, list[LiveMessage], 
         running.feed(replace(message, channel=replace(message.channel, topic=topic)))
     # A 2-D scanner's driver may send clouds.
     assert problems_of(running) == {"lidar": "sends LaserScan messages, and its kind is lidar3d"}
+
+
+def kill_process(*_: object) -> None:
+    raise BrokenProcessPool("terminated abruptly")
+
+
+class KilledExecutor(ImmediateExecutor):
+    """Processes of which one is killed."""
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        return super().submit(kill_process, fn, *args, **kwargs)
+
+
+def test_a_killed_process_is_shown_and_messages_are_still_taken(
+    walk: tuple[Rig, list[LiveMessage], GroundTruth],
+) -> None:
+    rig, messages, _ = walk
+    pools = SessionPools(KilledExecutor(), 1, ImmediateExecutor(), lambda function: function())
+    running = RigSession(rig, "simulated", pools, SessionOutputs(lambda _: None))
+    for message in messages[:60]:
+        running.feed(message)
+    state = running.state()
+    assert state.headline.startswith("Only recording goes on: a process was killed")
+    assert all(sensor.rate > 0 for sensor in state.sensors)
 
 
 @dataclass(frozen=True)
