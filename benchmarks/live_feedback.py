@@ -167,7 +167,7 @@ async def watch(session: RigSession, feedback: Feedback) -> None:
         if state.captures != captures:
             captures = state.captures
             feedback.captured.append(now)
-        if session.solutions != solutions:
+        if session.solution and session.solutions != solutions:
             solutions = session.solutions
             feedback.solved.append((now, session.solution.captures))
         await session.wait_for_change(state)

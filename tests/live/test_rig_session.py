@@ -1,10 +1,11 @@
 """A live session of a rig takes the captures that the calibration of its recording finds."""
 
 import asyncio
+import json
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from calgraph.captures import CaptureSet
 from calgraph.config import Rig
 from calgraph.live.record_reader import RecordReader
 from calgraph.live.rig_session import RigSession, SessionOutputs, SessionPools
+from calgraph.live.rig_solution import LiveSolution, SensorSolution
 from calgraph.live.source import LiveMessage
 from calgraph.live.state import Command
 from calgraph.processes import worker_pool
@@ -313,18 +315,15 @@ def test_a_killed_process_is_shown_and_messages_are_still_taken(
     assert all(sensor.rate > 0 for sensor in state.sensors)
 
 
-@dataclass(frozen=True)
-class CountedCaptures:
-    """A solution that states how many captures it is of."""
-
-    sensors: tuple[object, ...]
-    captures: int
-    done: bool = False
-    advice: None = None
-
-
-def count_captures(_rig: Rig, captures: CaptureSet, _start: CountedCaptures | None) -> CountedCaptures:
-    return CountedCaptures((), len(captures.holds))
+def solve_camera(rig: Rig, captures: CaptureSet, _start: LiveSolution | None) -> LiveSolution:
+    """A pose of the camera that is as uncertain as its captures are few."""
+    stddev = np.array([1, 2, 4, 0.001, 0.002, 0.003]) * 1e-3 / len(captures.holds)
+    sensors = (
+        SensorSolution(rig.root, "lidar3d", np.eye(4), np.zeros(6), 1.0, "good"),
+        SensorSolution("camera", "camera", np.eye(4), stddev, 0.5, "weak"),
+        SensorSolution("laser_left", "lidar2d"),
+    )
+    return LiveSolution(sensors, False, len(captures.holds))
 
 
 def test_other_processes_detect_and_solve_what_one_process_does(
@@ -337,7 +336,7 @@ def test_other_processes_detect_and_solve_what_one_process_does(
         with worker_pool(1) as analysis, worker_pool(1) as solving:
             post = asyncio.get_running_loop().call_soon_threadsafe
             pools = SessionPools(analysis, 1, solving, post)
-            running = RigSession(rig, "simulated", pools, SessionOutputs(triggers.append), count_captures)
+            running = RigSession(rig, "simulated", pools, SessionOutputs(triggers.append), solve_camera)
             shown = running.state()
             for message in messages[:160]:
                 running.feed(message)
@@ -349,5 +348,18 @@ def test_other_processes_detect_and_solve_what_one_process_does(
 
     running = asyncio.run(run())
     assert [trigger.data for trigger in triggers] == [trigger.data for trigger in session[1][:1]]
-    assert running.solution == CountedCaptures((), 1)
     assert running.picture("camera")
+    scene = json.loads(running.scene() or b"")
+    assert [frame["name"] for frame in scene["frames"]] == ["lidar", "camera"]
+    np.testing.assert_allclose(scene["frames"][1]["covariance"], np.diag([1e-6, 4e-6, 16e-6]))
+    np.testing.assert_allclose(scene["frames"][1]["field_of_view"], np.radians([90.0, 73.7]), atol=0.01)
+    # As seen by the camera, whose pose is that of the root.
+    (board,) = np.array(scene["boards"])
+    assert np.linalg.norm(board[1] - board[0]) == pytest.approx(1.2, abs=0.01)
+    assert board[:, 2].mean() == pytest.approx(1.7, abs=0.4)
+    sensors = {sensor.name: sensor for sensor in running.state().sensors}
+    assert sensors["camera"].stddev_mm == pytest.approx(4.0)
+    assert sensors["camera"].progress == 0.5
+    assert sensors["camera"].stddev_degrees == pytest.approx(np.degrees(3e-6))
+    assert [sensors[name].stddev_mm for name in ("lidar", "laser_left")] == [None, None]
+    assert [sensors[name].grade for name in ("lidar", "camera", "laser_left")] == ["good", "weak", ""]

@@ -15,7 +15,7 @@ from calgraph.captures.motion_detection import Signed
 from calgraph.config import Rig
 from calgraph.config.settings import MotionDetectionSettings
 from calgraph.detection import DetectionResult
-from calgraph.errors import InputError, RecordingError, Rejected
+from calgraph.errors import CalgraphError, InputError, Rejected
 from calgraph.sensors import CameraModel, Message
 
 Decoder = Callable[[], Message]
@@ -46,7 +46,7 @@ def measure_changes(
     for decode in decoders:
         try:
             changes.append(meter.measure_change(decode()))
-        except RecordingError as error:
+        except CalgraphError as error:
             changes.append(None)
             problem = str(error)
     return MeasuredChanges(tuple(changes), meter.previous, problem)
@@ -59,7 +59,7 @@ def learn_live_background(rig: Rig, name: str, decoders: Sequence[Decoder]) -> B
     """
     messages = []
     for decode in decoders:
-        with suppress(RecordingError):
+        with suppress(CalgraphError):
             messages.append(decode())
     try:
         return learn_background(messages, rig.sensors[name], rig.settings.detection)

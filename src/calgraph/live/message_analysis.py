@@ -7,7 +7,7 @@ from functools import partial
 from calgraph.captures import RecordingTimeline
 from calgraph.captures.detectors import Background
 from calgraph.config import CameraSpec, Rig
-from calgraph.errors import RecordingError, Rejected
+from calgraph.errors import CalgraphError, Rejected
 from calgraph.live.analysis_jobs import MeasuredChanges, learn_live_background, measure_changes
 from calgraph.live.job_queue import JobQueue
 from calgraph.live.live_detectors import LiveDetectors
@@ -96,10 +96,10 @@ class MessageAnalysis:
             self.ring.add(name, record, len(message.data))
             self._queue(name, record)
             self.timeline.add(name, record)
-        except RecordingError as error:
+        except CalgraphError as error:
             self._note_malformed(topic, name, error)
 
-    def _note_malformed(self, topic: str, name: str | None, error: RecordingError) -> None:
+    def _note_malformed(self, topic: str, name: str | None, error: CalgraphError) -> None:
         names = [name] if name else self.detectors.cameras_of(topic)
         for one in names:
             self.sensors[one].note_malformed(str(error))

@@ -5,7 +5,6 @@ import os
 from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
-from typing import Any
 
 from calgraph.captures import CaptureSet
 from calgraph.config import CameraSpec, Intrinsics, Rig
@@ -15,12 +14,15 @@ from calgraph.live.live_captures import collect_live_captures
 from calgraph.live.live_rig import make_trigger, prepare_live_rig
 from calgraph.live.message_analysis import MessageAnalysis
 from calgraph.live.rebuild import rebuild_captures
+from calgraph.live.rig_scene import make_scene
+from calgraph.live.rig_solution import LiveSolution
 from calgraph.live.rig_state import describe_rig_session
+from calgraph.live.scene_view import encode_scene
 from calgraph.live.source import LiveMessage
 from calgraph.live.state import Command, SessionState
 from calgraph.recording import Recording
 
-Solve = Callable[[Rig, CaptureSet, Any], Any]
+Solve = Callable[[Rig, CaptureSet, LiveSolution | None], LiveSolution]
 """Computes the poses from the captures until now and the last solution; defined at module level."""
 
 
@@ -77,8 +79,9 @@ class RigSession:
         self.taker = CaptureTaker(self.rig, self.analysis, self._write_trigger, self._note_change)
         self._queue = JobQueue(pools.analysis, pools.analysis_processes, self._post_to(pools.post))
         self._solver = JobQueue(pools.solving, 1, self._post_to(pools.post))
-        self.solution: Any = None
+        self.solution: LiveSolution | None = None
         """The last one; None before the first."""
+        self._scene: bytes | None = None
         self.solutions = 0
         """Number of solutions so far."""
         self._solved_captures: tuple[object, ...] = ()
@@ -156,7 +159,7 @@ class RigSession:
 
     def scene(self) -> bytes | None:
         """The 3-D view of the last solution; None before the first."""
-        return getattr(self.solution, "scene", None) or None
+        return self._scene
 
     def captures(self) -> CaptureSet:
         """The captures so far."""
@@ -216,10 +219,12 @@ class RigSession:
         }
         return self.rig.model_copy(update={"sensors": {**self.rig.sensors, **sensors}})
 
-    def _set_solution(self, solution: object) -> None:
-        if not self.taker.captures:  # they were left out meanwhile
+    def _set_solution(self, solution: LiveSolution) -> None:
+        captures = self.taker.captures
+        if not captures:  # they were left out meanwhile
             return
         self.solution = solution
+        self._scene = encode_scene(make_scene(self.rig, solution, captures, self.analysis.detectors.cameras))
         self._problem = ""
         self.solutions += 1
         self._note_change()
@@ -237,7 +242,7 @@ class RigSession:
         if capture is None or begin is None:
             return
         if not self.taker.captures:
-            self.solution = None
+            self.solution = self._scene = None
         # Within the capture, so that rounding does not touch those before and after.
         start, end = capture.hold.start - begin, capture.hold.end - begin
         margin = (end - start) / 10

@@ -1,7 +1,6 @@
 """What the operator is shown of a rig's session."""
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 
@@ -10,6 +9,7 @@ from calgraph.live.capture_finder import name_sensors
 from calgraph.live.capture_taker import CaptureTaker
 from calgraph.live.live_captures import count_coverage
 from calgraph.live.message_analysis import MessageAnalysis
+from calgraph.live.rig_solution import LiveSolution, SensorSolution
 from calgraph.live.state import Phase, SensorState, SessionState
 
 
@@ -18,7 +18,7 @@ def describe_rig_session(
     source: str,
     analysis: MessageAnalysis,
     taker: CaptureTaker,
-    solution: Any,
+    solution: LiveSolution | None,
     solutions: int,
     problem: str,
 ) -> SessionState:
@@ -29,7 +29,7 @@ def describe_rig_session(
         source: name of the source.
         analysis: of its messages.
         taker: of its captures.
-        solution: the last :class:`calgraph.live.rig_solution.LiveSolution`; None before the first.
+        solution: the last one; None before the first.
         solutions: number of solutions so far.
         problem: what keeps the session from working; empty if nothing does.
     """
@@ -85,7 +85,7 @@ def _describe_sensor(
     analysis: MessageAnalysis,
     taker: CaptureTaker,
     problems: Mapping[str, str],
-    solved: Any,
+    solved: SensorSolution | None,
 ) -> SensorState:
     timeline, activity = analysis.timeline, analysis.sensors[name]
     age = timeline.age(name)
