@@ -291,6 +291,17 @@ def test_messages_of_another_kind_are_named(walk: tuple[Rig, list[LiveMessage], 
     assert problems_of(running) == {"lidar": "sends LaserScan messages, and its kind is lidar3d"}
 
 
+def test_a_camera_without_intrinsics_is_part_of_captures(walk: tuple[Rig, list[LiveMessage], GroundTruth]) -> None:
+    rig, messages, _ = walk
+    running, _ = start_session(rig)
+    for message in messages[:160]:
+        if not message.channel.topic.endswith("camera_info"):
+            running.feed(message)
+    camera = running.state().sensors[0]
+    assert (camera.captures, camera.sees_board) == (1, True)
+    assert running.captures().rejections[0, "camera"].startswith("its intrinsics are not known")
+
+
 def kill_process(*_: object) -> None:
     raise BrokenProcessPool("terminated abruptly")
 

@@ -4,7 +4,7 @@ import pickle
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 
@@ -12,15 +12,25 @@ from calgraph.captures import ActivityMeter, Detector, make_detectors
 from calgraph.captures.detect import detect_in_hold
 from calgraph.captures.detectors import Background, learn_background
 from calgraph.captures.motion_detection import Signed
-from calgraph.config import Rig
+from calgraph.config import CameraSpec, Rig
 from calgraph.config.settings import MotionDetectionSettings
-from calgraph.detection import DetectionResult
+from calgraph.detection import BoardViewFinder, DetectionResult
 from calgraph.errors import CalgraphError, InputError, Rejected
 from calgraph.sensors import CameraModel, Message
 
+NO_INTRINSICS = "its intrinsics are not known: no CameraInfo message with focal lengths has arrived"
+"""Why a camera without intrinsics measures no pose while it is recorded."""
 Decoder = Callable[[], Message]
 # Detectors that a process keeps: those of captures and of pictures of some ten sensors.
 _KEPT = 64
+
+
+@dataclass(frozen=True)
+class UnprojectedBoard(Rejected):
+    """A camera without intrinsics detected the board: they are estimated from its views at the end."""
+
+    pixels: tuple[tuple[float, float], ...] = ()
+    """Where its corners were detected."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +89,7 @@ def encode_detector(
     Args:
         rig: the rig.
         name: of the sensor.
-        camera: intrinsics of a camera.
+        camera: intrinsics of a camera; without any it detects no more than :class:`UnprojectedBoard`.
         background: of a scanner, if one was learned.
         seeds: by sensor; see :func:`calgraph.captures.draw_seeds`.
     """
@@ -93,8 +103,20 @@ def encode_detector(
 def decode_detector(encoded: bytes) -> Detector:
     """The detector that :func:`encode_detector` describes; made once in each process."""
     rig, cameras, backgrounds, seeds = pickle.loads(encoded)  # noqa: S301 - from this program
+    (spec,) = rig.sensors.values()
+    if isinstance(spec, CameraSpec) and not cameras:
+        finder = BoardViewFinder(rig.boards, spec.noise, settings=rig.settings.detection.camera)
+        return partial(_find_unprojected, finder)
     (detector,) = make_detectors(rig, cameras, backgrounds, None, seeds).values()
     return detector
+
+
+def _find_unprojected(finder: BoardViewFinder, messages: Sequence[Message]) -> Rejected:
+    found = finder.find(messages)
+    if isinstance(found, Rejected):
+        return found
+    pixels = np.concatenate([view.flat_pixels for view in found]).tolist()
+    return UnprojectedBoard(NO_INTRINSICS, tuple(map(tuple, pixels)))
 
 
 def detect_board(encoded: bytes, name: str, decoders: Sequence[Decoder]) -> DetectionResult:

@@ -11,7 +11,7 @@ from calgraph.errors import Rejected
 from calgraph.live.analysis_jobs import Decoder, detect_board
 from calgraph.live.capture_finder import Candidate, CaptureFinder, Waiting, limit_hold, name_sensors
 from calgraph.live.job_queue import JobQueue
-from calgraph.live.live_captures import LiveCapture, explain_rejection, find_same_pose
+from calgraph.live.live_captures import LiveCapture, explain_rejection, find_same_pose, has_board
 from calgraph.live.message_analysis import MessageAnalysis
 from calgraph.live.state import CaptureEvent
 
@@ -131,10 +131,7 @@ class CaptureTaker:
         search = _Search(candidate, hold, self._request is not None, [], set(self._rig.sensors))
         for name in self._rig.sensors:
             records = self._analysis.ring.select(name, hold.stamps[name].tolist())
-            refusal = detectors.refuse(name)
-            if refusal:
-                search.results[name] = refusal
-            elif records is None:
+            if records is None:
                 search.results[name] = Rejected("its messages of this capture are no longer in memory")
             else:
                 search.waiting.append((name, detectors.encode(name), [record.decode for record in records]))
@@ -195,7 +192,7 @@ class CaptureTaker:
         """Which sensors did not detect the board, and why."""
         by_reason: dict[str, list[str]] = {}
         for name, found in results.items():
-            if isinstance(found, Rejected):
+            if isinstance(found, Rejected) and not has_board(found):
                 by_reason.setdefault(explain_rejection(found.reason), []).append(name)
         return "; ".join(
             f"{name_sensors(names)} {'do' if len(names) > 1 else 'does'} not detect the board ({reason})"

@@ -11,6 +11,7 @@ from calgraph.config.settings import LiveCaptureSettings
 from calgraph.detection import BoardCorners, Detection, DetectionResult, Segment
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, so3
+from calgraph.live.analysis_jobs import UnprojectedBoard
 from calgraph.live.live_timeline import LiveTimeline
 from calgraph.sensors import CameraModel
 
@@ -31,8 +32,13 @@ class LiveCapture:
 
     @property
     def sensors(self) -> tuple[str, ...]:
-        """Those that detected the board."""
-        return tuple(name for name, found in self.detections.items() if not isinstance(found, Rejected))
+        """Those that detected the board, cameras without intrinsics too."""
+        return tuple(name for name, found in self.detections.items() if has_board(found))
+
+
+def has_board(found: DetectionResult) -> bool:
+    """Whether a sensor detected the board."""
+    return not isinstance(found, Rejected) or isinstance(found, UnprojectedBoard)
 
 
 def collect_live_captures(
@@ -60,7 +66,11 @@ def find_same_pose(
     Poses are compared by the most reliable sensors that detected the board in both.
     """
     for i, capture in enumerate(captures):
-        common = [name for name in capture.sensors if not isinstance(detections[name], Rejected)]
+        common = [
+            name
+            for name, found in capture.detections.items()
+            if not isinstance(found, Rejected) and not isinstance(detections[name], Rejected)
+        ]
         kinds = {rig.sensors[name].kind for name in common}
         best = next((kind for kind in _RELIABILITY if kind in kinds), None)
         pairs = [
@@ -144,7 +154,6 @@ def explain_rejection(reason: str) -> str:
         ("blank", "blank image"),
         ("corners detected", "partly hidden"),
         ("not on the board", "another tag in view"),
-        ("intrinsics", "no intrinsics"),
         ("no message", "no message"),
         ("memory", "messages too large"),
     ):

@@ -14,9 +14,6 @@ from calgraph.live.live_rig import list_intrinsics_topics
 from calgraph.live.view_pictures import find_reduction
 from calgraph.sensors import CameraInfo, CameraModel, RecordedMessage
 
-NO_INTRINSICS = "its intrinsics are not known: no CameraInfo message with focal lengths has arrived"
-"""Why a camera without intrinsics detects nothing while it is recorded."""
-
 
 class LiveDetectors:
     """Intrinsics and backgrounds that have been found so far, and the detectors made from them.
@@ -76,14 +73,8 @@ class LiveDetectors:
         self._encoded = {key: one for key, one in self._encoded.items() if key[0] != name}
 
     def is_ready(self, name: str) -> bool:
-        """Whether captures of a sensor can be searched; cameras without intrinsics only reject."""
+        """Whether messages of a sensor can be searched: scanners learn the room first."""
         return self._rig.sensors[name].kind == "camera" or name in self._backgrounds
-
-    def refuse(self, name: str) -> Rejected | None:
-        """Why a sensor cannot detect the board, if it cannot."""
-        if self._rig.sensors[name].kind == "camera" and name not in self.cameras:
-            return Rejected(NO_INTRINSICS)
-        return None
 
     def reduction(self, name: str) -> int:
         """The factor by which images of a camera are reduced for pictures; 1 of scanners."""
@@ -95,12 +86,8 @@ class LiveDetectors:
         camera = self.cameras.get(name)
         return reduce_camera(camera, self.reduction(name)) if camera else None
 
-    def can_detect(self, name: str) -> bool:
-        """Whether the sensor can detect the board."""
-        return self.is_ready(name) and self.refuse(name) is None
-
     def encode(self, name: str, *, reduced: bool = False) -> bytes:
-        """The detector of a sensor that can detect, for other processes.
+        """The detector of a sensor that is ready, for other processes.
 
         Args:
             name: of the sensor.

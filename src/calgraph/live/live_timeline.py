@@ -46,7 +46,7 @@ class LiveTimeline:
     def __init__(self, sensors: Collection[str]) -> None:
         self._times = {name: _GrowingTimes() for name in sensors}
         self.start: float | None = None
-        """Arrival of the first message, s; windows in rig.yaml count from here. None before it."""
+        """The first arrival of a message, s; windows in rig.yaml count from here. None before it."""
         self.latest_arrival = 0.0
         """Of all messages, s."""
 
@@ -62,8 +62,7 @@ class LiveTimeline:
 
     def note_arrival(self, arrival: float) -> None:
         """Notes that a message of any topic arrived, s."""
-        if self.start is None:
-            self.start = arrival
+        self.start = arrival if self.start is None else min(self.start, arrival)
         self.latest_arrival = max(self.latest_arrival, arrival)
 
     def add(self, name: str, record: RecordedMessage) -> None:

@@ -217,7 +217,7 @@ class MessageAnalysis:
         record, sensor.latest, sensor.drawing = sensor.latest, None, True
         assert record is not None
         sensor.drawn_at = record.arrival
-        encoded = self.detectors.encode(name, reduced=True) if self.detectors.can_detect(name) else None
+        encoded = self.detectors.encode(name, reduced=True) if self.detectors.is_ready(name) else None
         queue.run(
             make_view, record.decode, encoded,
             self.detectors.reduced_camera(name), self._rig.boards, self.detectors.reduction(name), settings,

@@ -15,8 +15,8 @@ from calgraph.captures import (
 from calgraph.config import Rig
 from calgraph.detection import DetectionResult
 from calgraph.errors import CalibrationError, Rejected
+from calgraph.live.analysis_jobs import NO_INTRINSICS
 from calgraph.live.live_captures import LiveCapture
-from calgraph.live.live_detectors import NO_INTRINSICS
 from calgraph.recording import Recording, resolve_intrinsics
 from calgraph.sensors import CameraModel
 

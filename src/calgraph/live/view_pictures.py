@@ -12,7 +12,7 @@ from calgraph.config.settings import ViewSettings
 from calgraph.detection import BoardCorners, Detection, DetectionResult, PlanePatch, Segment
 from calgraph.errors import CalgraphError, Rejected
 from calgraph.geometry import Array
-from calgraph.live.analysis_jobs import decode_detector
+from calgraph.live.analysis_jobs import UnprojectedBoard, decode_detector
 from calgraph.sensors import CameraModel, Image, LaserScan, Message, PointCloud
 
 Pixels = NDArray[np.uint8]
@@ -73,7 +73,8 @@ def make_view(
     else:
         picture, sharpness = _draw_from_above(message, found, settings), 0.0
     reason = found.reason if isinstance(found, Rejected) else ""
-    return SensorView(picture, None if found is None else not reason, reason, sharpness)
+    sees_board = not reason or isinstance(found, UnprojectedBoard)
+    return SensorView(picture, None if found is None else sees_board, reason, sharpness)
 
 
 def _reduce(image: Image, factor: int) -> Image:
@@ -108,9 +109,15 @@ def _draw_image(
         if isinstance(one, BoardCorners) and camera:
             outline = camera.project(_outline_board(boards[one.board], one.T_camera_board))
             _draw_line(canvas, scale * outline, closed=True)
-            for u, v in scale * one.pixels:
-                cv2.circle(canvas, (round(float(u)), round(float(v))), 2, _BOARD, -1, cv2.LINE_AA)
+            _draw_corners(canvas, scale * one.pixels)
+    if isinstance(found, UnprojectedBoard):
+        _draw_corners(canvas, scale * np.array(found.pixels))
     return _encode_picture(canvas, settings)
+
+
+def _draw_corners(canvas: Pixels, pixels: Array) -> None:
+    for u, v in pixels:
+        cv2.circle(canvas, (round(float(u)), round(float(v))), 2, _BOARD, -1, cv2.LINE_AA)
 
 
 def _outline_board(board: Board, T_camera_board: Array) -> Array:
