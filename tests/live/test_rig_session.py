@@ -302,6 +302,35 @@ def test_a_camera_without_intrinsics_is_part_of_captures(walk: tuple[Rig, list[L
     assert running.captures().rejections[0, "camera"].startswith("its intrinsics are not known")
 
 
+def delay(message: LiveMessage, seconds: int) -> LiveMessage:
+    """The message as if it had been measured and sent later."""
+    return replace(delay_stamp(message, seconds), arrival=message.arrival + seconds * 10**9)
+
+
+def test_captures_with_one_sensor_or_of_a_known_pose_are_refused(
+    walk: tuple[Rig, list[LiveMessage], GroundTruth],
+) -> None:
+    rig, messages, _ = walk
+    pair = {name: rig.sensors[name] for name in ("camera", "laser_right")}
+    topics = {rig.sensors[name].topic for name in pair} | {"/camera/camera_info"}
+    running, triggers = start_session(rig.model_copy(update={"root": "camera", "sensors": pair}))
+    sent = [message for message in messages if message.channel.topic in topics]
+    told: dict[int, str] = {}
+    for message in [*sent, *(delay(one, 10) for one in sent)]:
+        running.feed(message)
+        event = running.state().event
+        told[event.number] = event.text
+    assert list(told.values()) == [
+        "",
+        "Capture 1: camera, laser_right",
+        "Capture 2: camera, laser_right",
+        "No capture: laser_right does not detect the board (not in view)",
+        "No capture: the pose is that of capture 1",
+        "No capture: laser_right does not detect the board (not in view)",
+    ]
+    assert len(triggers) == 2
+
+
 def kill_process(*_: object) -> None:
     raise BrokenProcessPool("terminated abruptly")
 

@@ -1,0 +1,59 @@
+"""Pictures of views on the operator's page."""
+
+import cv2
+import numpy as np
+
+from calgraph.config.settings import ViewSettings
+from calgraph.live.sensor_activity import SensorActivity
+from calgraph.live.view_pictures import SensorView, find_reduction, make_view
+from calgraph.sensors import CameraModel, Image, LaserScan, PointCloud
+
+SETTINGS = ViewSettings()
+
+
+def decode(picture: bytes) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:
+    return np.asarray(cv2.imdecode(np.frombuffer(picture, np.uint8), cv2.IMREAD_COLOR), dtype=np.uint8)
+
+
+def test_large_images_become_small_pictures(rng: np.random.Generator) -> None:
+    coarse = rng.integers(0, 255, (60, 80)).astype(np.uint8)
+    pixels = np.asarray(cv2.resize(coarse, (2561, 1921), interpolation=cv2.INTER_LINEAR), dtype=np.uint8)
+    camera = CameraModel(
+        "pinhole", 2561, 1921, np.array([[900.0, 0, 1280], [0, 900, 960], [0, 0, 1]]), np.zeros(0)
+    )
+    factor = find_reduction(camera, SETTINGS)
+    assert factor == 3
+    view = make_view(lambda: Image(0.0, "", pixels), None, None, (), factor, SETTINGS)
+    assert decode(view.picture).shape == (360, 480, 3)
+    assert len(view.picture) < 30_000
+    assert view.sees_board is None
+
+
+def test_scanners_are_drawn_from_above_with_x_up() -> None:
+    angles = np.radians([0.0, 90.0])
+    scan = LaserScan(0.0, "", angles, np.array([4.0, 2.0]))
+    cloud = PointCloud(0.0, "", scan.points)
+    for message in (scan, cloud):
+        picture = decode(make_view(lambda one=message: one, None, None, (), 1, SETTINGS).picture)  # type: ignore[misc]
+        bright = picture.max(axis=2) > 90
+        assert bright[240 - 192, 240]
+        assert bright[240, 240 - 96]
+        assert bright.sum() < 100
+
+
+def test_an_unusable_message_has_no_picture() -> None:
+    view = make_view(lambda: LaserScan(0.0, "", np.zeros(1), np.array([-1.0])), None, None, (), 1, SETTINGS)
+    assert (view.picture, view.sees_board) == (b"", None)
+    assert "negative" in view.reason or "-1" in view.reason
+
+
+def test_an_image_is_blurred_if_it_is_less_sharp_than_those_before() -> None:
+    activity = SensorActivity(SETTINGS)
+    for sharpness in (100.0, 110.0, 90.0, 105.0):
+        activity.set_view(SensorView(b"jpeg", False, "no tag of family tag36h11 found", sharpness))
+        assert activity.explain_view() == "not in view"
+    activity.set_view(SensorView(b"jpeg", False, "no tag of family tag36h11 found", 30.0))
+    assert activity.explain_view() == "blurred"
+    activity.set_view(SensorView(b"jpeg", True, "", 30.0))
+    assert activity.explain_view() == ""
+    assert activity.pictures == 6
