@@ -38,7 +38,7 @@ def scanner(
 
 
 def solution(*scanners: ScannerSolution) -> LiveNetworkSolution:
-    return LiveNetworkSolution(scanners, grid(), 0.0, 60.0, 60.0)
+    return LiveNetworkSolution(scanners, grid(), 0.0, 60.0, 60.0, 60.0)
 
 
 def draw(found: LiveNetworkSolution, root: str = "root") -> ET.Element:

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calgraph.config.settings import LiveNetworkSettings
 from calgraph.errors import Rejected
 from calgraph.live.joined_tracks import join_tracks
 from calgraph.live.tracked_intervals import TrackedInterval, select_intervals
@@ -109,32 +108,29 @@ def row(sensor: str, start: float, end: float, *, used: bool = True) -> CaptureR
     return CaptureRow(0, start, end, sensor, used, "")
 
 
-SETTINGS = LiveNetworkSettings(max_positions=2000)
-
-
 def test_intervals_are_kept_up_to_the_number_of_positions() -> None:
     few = intervals(500, 500, 500)
-    assert select_intervals(few, [row("a", 0, 1)], 100.0, SETTINGS) == tuple(few)
+    assert select_intervals(few, [row("a", 0, 1)], 100.0, 2000) == tuple(few)
 
 
 def test_the_interval_that_a_scanner_depends_on_is_kept() -> None:
     many = intervals(900, 900, 900)
     rows = [row("a", 0, 30), row("b", 1, 4), row("b", 21, 22)]
     # b was shared for 3 s in the first, and not in the second.
-    assert select_intervals(many, rows, 100.0, SETTINGS) == (many[0], many[2])
+    assert select_intervals(many, rows, 100.0, 2000) == (many[0], many[2])
 
 
 def test_tracks_of_a_scanner_that_shares_none_count() -> None:
     many = intervals(900, 900, 900)
     rows = [row("a", 0, 30), row("b", 13, 14, used=False), row("b", 25, 26, used=False)]
-    assert select_intervals(many, rows, 100.0, SETTINGS) == (many[1], many[2])
+    assert select_intervals(many, rows, 100.0, 2000) == (many[1], many[2])
 
 
 def test_tracks_that_others_lack_do_not_count_for_a_scanner_that_shares_some() -> None:
     many = intervals(900, 900, 900)
     rows = [row("a", 0, 30), row("b", 13, 14), row("b", 5, 9, used=False), row("b", 25, 26)]
-    assert select_intervals(many, rows, 100.0, SETTINGS) == (many[1], many[2])
+    assert select_intervals(many, rows, 100.0, 2000) == (many[1], many[2])
 
 
 def test_an_interval_that_is_too_large_is_kept() -> None:
-    assert len(select_intervals(intervals(5000), [], 100.0, SETTINGS)) == 1
+    assert len(select_intervals(intervals(5000), [], 100.0, 2000)) == 1

@@ -12,7 +12,9 @@ def solution(seconds: float, **uncertainties: float) -> LiveNetworkSolution:
     scanners = tuple(
         ScannerSolution(name, T_root_scanner=np.eye(4), uncertainty=value) for name, value in uncertainties.items()
     )
-    return LiveNetworkSolution((*scanners, ScannerSolution("apart")), None, 100.0, 100.0 + seconds, seconds)
+    return LiveNetworkSolution(
+        (*scanners, ScannerSolution("apart")), None, 100.0, 100.0 + seconds, seconds, seconds
+    )
 
 
 def forecast(*solutions: LiveNetworkSolution) -> float | None:

@@ -82,7 +82,7 @@ def scan(name: str, at: float, delay: float = 0.0) -> LiveMessage:
 def solution(end: float, *scanners: ScannerSolution, seconds: float = 1.0) -> LiveNetworkSolution:
     """One of three scanners without poses, if none are given."""
     known = scanners or tuple(ScannerSolution(name) for name in NAMES)
-    return LiveNetworkSolution(known, None, EPOCH, EPOCH + end, end, seconds=seconds)
+    return LiveNetworkSolution(known, None, EPOCH, EPOCH + end, end, end, seconds=seconds)
 
 
 @pytest.fixture

@@ -26,7 +26,7 @@ class Forecast:
 
     def add(self, solution: LiveNetworkSolution) -> None:
         """Takes a solution; those that used no new messages replace the last."""
-        duration = solution.end - solution.start
+        duration = solution.recorded
         uncertainties = {
             scanner.name: scanner.uncertainty
             for scanner in solution.scanners

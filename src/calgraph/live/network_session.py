@@ -119,6 +119,11 @@ class NetworkSession:
         """None: networks are shown as a floor plan."""
 
     @property
+    def minutes_left(self) -> float | None:
+        """Until all scanners with a pose are within tolerance; None if that is unknown."""
+        return self._forecast.minutes_left()
+
+    @property
     def busy(self) -> bool:
         """Whether another process works for the session."""
         return self._queue.running > 0

@@ -7,7 +7,7 @@ import logging
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -21,8 +21,7 @@ from calgraph.geometry import Array
 from calgraph.live.floor_grid import FloorGrid, build_floor_grid
 from calgraph.live.joined_tracks import Tracked, join_tracks
 from calgraph.live.tracked_intervals import (
-    TrackedInterval,
-    TrackedRecording,
+    TrackingProgress,
     remove_files,
     select_intervals,
     track_recording,
@@ -77,12 +76,12 @@ class LiveNetworkSolution:
     """Arrival of the first message, s."""
     end: float
     """Arrival up to which messages were used, s."""
+    recorded: float
+    """Duration of what was recorded until then, s, without the time between two runs of a session."""
     used: float
-    """Duration of the intervals that were used, s."""
-    intervals: tuple[TrackedInterval, ...] = ()
-    """Whose tracks are kept for the next solution."""
-    kept_until: float | None = None
-    """End of the last interval whose tracks were ever kept, s."""
+    """Duration of what was used of that, s."""
+    progress: TrackingProgress = field(default_factory=TrackingProgress)
+    """For the next solution."""
     seconds: float = 0.0
     """That it took to compute, s."""
     problem: str = ""
@@ -118,19 +117,19 @@ def solve_recording(
             return None  # its first chunk is not complete yet
         with recording:
             solution = _solve(rig, recording, folder, last, begin)
-    remove_files(folder, solution.intervals)
+    remove_files(folder, solution.progress.intervals)
     return solution
 
 
 def _solve(
     rig: Rig, recording: Recording, folder: Path, last: LiveNetworkSolution | None, begin: float
 ) -> LiveNetworkSolution:
+    settings = rig.settings.live.network
     monitor = InputMonitor(rig, recording.start)
-    kept, kept_until = (last.intervals, last.kept_until) if last else ((), None)
-    found = track_recording(rig, recording, folder, kept, kept_until, monitor)
+    found = track_recording(rig, recording, folder, last.progress if last else TrackingProgress(), monitor)
     tracked = join_tracks(found.parts, rig.settings.tracking.motion.max_scan_gap)
     calibration: Calibration | None = None
-    problem = ""
+    problem, work = "", time.process_time()
     try:
         calibration = calibrate_tracks(
             rig, tracked, NetworkOptions(), start=recording.start, findings=monitor.findings()
@@ -138,15 +137,17 @@ def _solve(
     except CalgraphError as error:
         problem = str(error)
     rows = calibration.evidence.captures if calibration else ()
+    max_positions = found.positions * settings.max_work / max(time.process_time() - work, 1e-3)
+    used = select_intervals(found.progress.intervals, rows, recording.start, max_positions)
     scanners = _describe_scanners(rig, tracked, calibration)
     return LiveNetworkSolution(
         scanners,
         build_floor_grid(calibration, tracked, _find_unfinished(scanners), rig.settings) if calibration else None,
         recording.start,
-        found.tracked_until,
-        _sum_durations(found, recording.start),
-        select_intervals(found.intervals, rows, recording.start, rig.settings.live.network),
-        found.kept_until,
+        found.end,
+        found.progress.duration + found.rest,
+        sum(interval.duration for interval in found.progress.intervals) + found.rest,
+        replace(found.progress, intervals=used),
         time.perf_counter() - begin,
         problem,
         calibration.further_remarks if calibration else (),
@@ -156,12 +157,6 @@ def _solve(
 def _find_unfinished(scanners: tuple[ScannerSolution, ...]) -> tuple[str, ...]:
     """Names of the connected scanners that are not within tolerance."""
     return tuple(one.name for one in scanners if one.T_root_scanner is not None and one.grade != "good")
-
-
-def _sum_durations(found: TrackedRecording, start: float) -> float:
-    kept = sum(interval.end - interval.start for interval in found.intervals)
-    # Without tracks of the time after them both are the same.
-    return kept + found.tracked_until - (start if found.kept_until is None else found.kept_until)
 
 
 def _describe_scanners(rig: Rig, tracked: Tracked, calibration: Calibration | None) -> tuple[ScannerSolution, ...]:

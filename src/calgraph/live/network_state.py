@@ -93,7 +93,8 @@ def _describe_phase(
     if solution.done:
         return "ready", "All scanners are within tolerance: finish"
     if apart := _find_unconnected(solution):
-        return "measuring", _say_where_to_walk(apart[0])
+        areas = ": try the orange areas" if solution.grid is not None and solution.grid.wanted.any() else ""
+        return "measuring", _say_where_to_walk(apart[0]) + areas
     weak = _find_weak(solution)
     beyond = [one.name for one in weak if one.uncertainty > 1]
     if not beyond:
@@ -148,7 +149,7 @@ def _describe_lag(rig: Rig, timeline: LiveTimeline, solution: LiveNetworkSolutio
     usual = rig.settings.live.network.min_interval + 2 * (solution.seconds + rig.settings.live.network.pause)
     if behind > usual:
         notes.append(f"Poses and plan are {behind:.0f} s old: the computer is slower than the scanners")
-    whole = solution.end - solution.start
+    whole = solution.recorded
     if solution.used < 0.95 * whole:
         notes.append(
             f"Poses are of {solution.used / 60:.0f} of {whole / 60:.0f} minutes: all are calibrated at the end"

@@ -25,6 +25,8 @@ class RecordingWindow(ClosedOnExit):
         # What is computed from a window is not kept: its files have other messages, too.
         self.sources: tuple[Path, ...] = ()
         self.start, self.end = start, end
+        self.last_arrival = start
+        """Of the messages that were read so far, s."""
         share = (end - start) / max(recording.end - recording.start, 1e-9)
         self.topics = tuple(replace(topic, count=ceil(topic.count * share)) for topic in recording.topics)
 
@@ -34,4 +36,6 @@ class RecordingWindow(ClosedOnExit):
         """The messages in order of arrival; see :meth:`calgraph.recording.Recording.records`."""
         first = self.start if start is None else max(start, self.start)
         last = self.end if end is None else min(end, self.end)
-        return self._recording.records(topics, first, last)
+        for record in self._recording.records(topics, first, last):
+            self.last_arrival = max(self.last_arrival, record.arrival)
+            yield record

@@ -1,15 +1,14 @@
 """Tracks of a recording that grows: each interval of it is tracked once, and its tracks are kept in a file."""
 
+import math
 import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import nextafter
 from pathlib import Path
 
 from calgraph.calibrate import NetworkOptions, track_people
 from calgraph.captures import InputMonitor
 from calgraph.config import Rig
-from calgraph.config.settings import LiveNetworkSettings
 from calgraph.errors import Rejected
 from calgraph.io.archive import read_archive, write_archive
 from calgraph.live.joined_tracks import Tracked
@@ -32,28 +31,44 @@ class TrackedInterval:
     positions: int
     """Number of positions in its tracks, to which the time of a solution is proportional."""
 
+    @property
+    def duration(self) -> float:
+        """Time that it takes, s."""
+        return self.end - self.start
+
+
+@dataclass(frozen=True)
+class TrackingProgress:
+    """How far a recording has been tracked in intervals."""
+
+    intervals: tuple[TrackedInterval, ...] = ()
+    """Whose tracks are still used, in order of time."""
+    until: float | None = None
+    """End of the last interval, used or not, s; None before the first."""
+    duration: float = 0.0
+    """Of all intervals, used or not, s."""
+
 
 @dataclass(frozen=True, eq=False)
 class TrackedRecording:
     """The tracks of a recording until now."""
 
-    intervals: tuple[TrackedInterval, ...]
-    """Those in files, in order of time."""
+    progress: TrackingProgress
     parts: tuple[Tracked, ...]
-    """Their tracks, and those of the time after them, if it is long enough."""
-    kept_until: float | None
-    """End of the last interval whose tracks were ever in a file, s; None before the first."""
-    tracked_until: float
+    """The tracks of the intervals, and of the time after them if it is long enough."""
+    rest: float
+    """Duration of the latter, s; 0 without."""
+    end: float
     """Arrival up to which messages were tracked, s."""
+
+    @property
+    def positions(self) -> int:
+        """In all tracks."""
+        return sum(map(_count_positions, self.parts))
 
 
 def track_recording(
-    rig: Rig,
-    recording: Recording,
-    folder: Path,
-    kept: Sequence[TrackedInterval],
-    kept_until: float | None,
-    monitor: InputMonitor,
+    rig: Rig, recording: Recording, folder: Path, progress: TrackingProgress, monitor: InputMonitor
 ) -> TrackedRecording:
     """Tracks what was recorded since the last call.
 
@@ -61,35 +76,38 @@ def track_recording(
         rig: the network.
         recording: until now.
         folder: of the files with tracks.
-        kept: the intervals whose tracks are in files, and still used.
-        kept_until: end of the last interval whose tracks were ever in a file, s; None before the first.
+        progress: of the last call, without the intervals that are no longer used.
         monitor: observes the messages.
     """
     settings = rig.settings.live.network
-    intervals = list(kept)
-    parts = [_read_tracks(rig, _name_file(folder, interval)) for interval in intervals]
-    closed = 0
-    while (
-        recording.end - (start := _start_after(kept_until, recording)) >= settings.interval + settings.min_interval
-    ):
-        if closed == settings.max_intervals:
-            return TrackedRecording(tuple(intervals), tuple(parts), kept_until, start)
-        kept_until = start + settings.interval
-        tracked = _track_window(rig, RecordingWindow(recording, start, kept_until), monitor)
-        interval = TrackedInterval(start, kept_until, _count_positions(tracked))
-        _write_tracks(_name_file(folder, interval), tracked)
-        intervals.append(interval)
-        parts.append(tracked)
-        closed += 1
-    if parts and recording.end - start < settings.min_interval:
-        return TrackedRecording(tuple(intervals), tuple(parts), kept_until, start)
+    parts = [_read_tracks(rig, _name_file(folder, interval)) for interval in progress.intervals]
+    tracked = 0
+    while True:
+        start = _find_start(recording, progress.until, rig)
+        if recording.end - start < settings.interval + settings.min_interval:
+            break
+        if tracked == settings.max_intervals:
+            return TrackedRecording(progress, tuple(parts), 0.0, progress.until or start)
+        window = RecordingWindow(recording, start, start + settings.interval)
+        parts.append(_track_window(rig, window, monitor))
+        interval = TrackedInterval(start, window.last_arrival, _count_positions(parts[-1]))
+        _write_tracks(_name_file(folder, interval), parts[-1])
+        duration = progress.duration + interval.duration
+        progress = TrackingProgress((*progress.intervals, interval), interval.end, duration)
+        tracked += 1
+    if progress.until is not None and recording.end - start < settings.min_interval:
+        return TrackedRecording(progress, tuple(parts), 0.0, progress.until)
     parts.append(_track_window(rig, RecordingWindow(recording, start, recording.end), monitor))
-    return TrackedRecording(tuple(intervals), tuple(parts), kept_until, recording.end)
+    return TrackedRecording(progress, tuple(parts), recording.end - start, recording.end)
 
 
-def _start_after(kept_until: float | None, recording: Recording) -> float:
-    """Where the next interval begins: after the last arrival of the one before."""
-    return recording.start if kept_until is None else nextafter(kept_until, float("inf"))
+def _find_start(recording: Recording, until: float | None, rig: Rig) -> float:
+    """Where the next interval begins, s: at the first arrival after the last one, which may be of a later run."""
+    if until is None:
+        return recording.start
+    present = {topic.name for topic in recording.topics}.intersection(rig.topics.values())
+    record = next(iter(recording.records(present, math.nextafter(until, math.inf))), None)
+    return recording.end if record is None else record.arrival
 
 
 def _track_window(rig: Rig, window: RecordingWindow, monitor: InputMonitor) -> Tracked:
@@ -101,12 +119,9 @@ def _track_window(rig: Rig, window: RecordingWindow, monitor: InputMonitor) -> T
 
 
 def select_intervals(
-    intervals: Sequence[TrackedInterval],
-    rows: Sequence[CaptureRow],
-    start: float,
-    settings: LiveNetworkSettings,
+    intervals: Sequence[TrackedInterval], rows: Sequence[CaptureRow], start: float, max_positions: float
 ) -> tuple[TrackedInterval, ...]:
-    """Drops intervals as long as all have more positions than are solved for.
+    """Drops intervals as long as all have too many positions.
 
     The one that goes first has the least of the time in which people were tracked by several scanners, as a share
     of that of each scanner, summed over all scanners: a scanner whose view people seldom enter keeps what it has.
@@ -115,7 +130,7 @@ def select_intervals(
         intervals: all, in order of time.
         rows: the tracks, and whether other scanners have them too; all count of scanners that share none.
         start: of the recording, s.
-        settings: ``max_positions``.
+        max_positions: maximum number of all together; one interval always stays.
     """
     kept = list(intervals)
     sharing = {row.sensor for row in rows if row.used}
@@ -123,7 +138,7 @@ def select_intervals(
     seconds = {
         interval: _sum_by_scanner(counted, interval.start - start, interval.end - start) for interval in kept
     }
-    while len(kept) > 1 and sum(interval.positions for interval in kept) > settings.max_positions:
+    while len(kept) > 1 and sum(interval.positions for interval in kept) > max_positions:
         total: dict[str, float] = {}
         for interval in kept:
             for name, duration in seconds[interval].items():

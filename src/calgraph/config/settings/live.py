@@ -140,9 +140,9 @@ class LiveNetworkSettings(StrictModel):
     max_intervals: int = Field(default=10, ge=1)
     """Maximum number of intervals that are tracked before a solution, of sessions that are resumed: 10 s of
     work for five scanners."""
-    max_positions: int = Field(default=30_000, ge=1000)
-    """Maximum number of positions in all tracks that a solution is computed from: seven minutes of five scanners
-    and two people, 15 s of work; intervals that add least are left out."""
+    max_work: float = Field(default=20.0, gt=0)
+    """Processor time of a solution, s, above which the next is computed from fewer intervals; those that add least
+    are left out. Five scanners and two people need 2 s for each minute, 8 s where their legs are modelled."""
     walk_range: float = Field(default=8.0, gt=0)
     """Range within which scanners detect people reliably, m: nine beams of 0.5 degrees."""
     cell: float = Field(default=0.25, gt=0)
