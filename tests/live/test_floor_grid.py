@@ -123,6 +123,15 @@ def test_a_large_building_has_larger_cells(both: dict[str, ScannerTracks | Rejec
     assert max(grid.walked.shape) <= Settings().live.network.max_cells + 1
 
 
+def test_scanners_that_track_people_far_away_detect_them_there() -> None:
+    near, far = ((1.0, 2.0), (3.0, 2.0)), ((9.5, 2.0), (1.0, 2.0))
+    left = scanner("left", near)
+    assert (short := build({"left": left, "right": scanner("right", near)}, ["left"])) is not None
+    assert (wide := build({"left": scanner("left", far), "right": scanner("right", near)}, ["left"])) is not None
+    assert not at(short, short.wanted, 8.6, 0.0)
+    assert at(wide, wide.wanted, 8.6, 0.0)
+
+
 def test_beams_that_return_nothing_are_free() -> None:
     def cut(name: str) -> ScannerTracks:
         found = scanner(name, LINE)

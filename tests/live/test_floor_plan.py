@@ -55,7 +55,7 @@ def test_scanners_are_named_in_the_plan_and_listed_with_their_errors() -> None:
     shown = texts(draw(solution(scanner("root"), scanner("laser", 2.0))))
     assert shown.count("laser") == 2
     # 1.96 standard deviations of 4 mm and 1 mrad.
-    assert "±7.8 mm ±0.1° · clock -12 ms" in shown
+    assert "±7.8 mm ±0.1° · clock \N{MINUS SIGN}12 ms" in shown
     assert "origin of the plan" in shown
 
 
@@ -95,6 +95,17 @@ def test_scanners_are_where_their_poses_are() -> None:
     # The y axis of images points down.
     assert step[0] / 4 == pytest.approx(-step[1] / 2, rel=0.01)
     assert step[0] > 100
+
+
+def test_names_do_not_cover_each_other() -> None:
+    close = [scanner("root"), *(scanner(f"laser_{k}", 1.0 + k) for k in range(4))]
+    drawn = draw(solution(*close))
+    names = [one for one in drawn.findall(f"{SVG}g/{SVG}text") if one.get("textLength")]
+    assert len(names) == 5
+    boxes = [(float(one.get("x", "")), float(one.get("y", "")), float(one.get("textLength", ""))) for one in names]
+    for k, (x, y, width) in enumerate(boxes):
+        assert 0 <= x <= 360 - width
+        assert all(abs(y - v) >= 13 or x + width <= u or u + w <= x for u, v, w in boxes[:k])
 
 
 def test_a_network_of_many_scanners_in_a_large_hall_fits() -> None:

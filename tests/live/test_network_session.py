@@ -195,7 +195,7 @@ def test_the_time_that_is_left_is_stated(fed: Fed) -> None:
     weak = posed("b", "weak", 2.0, "±2 cm")
     fed.pool.finish(solution(60.0, posed("a", "good", 0.0), weak))
     state = fed.session.state()
-    assert state.headline == "Walk in the orange areas, for b: about 3 minutes more"
+    assert state.headline == "Walk where several scanners detect you, for b: about 3 minutes more"
     assert state.advice is not None
     assert state.advice.expected == "within tolerance in about 3 minutes"
     assert not state.done

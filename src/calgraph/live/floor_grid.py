@@ -107,7 +107,9 @@ def _find_observed_cells(T: Array, tracked: ScannerTracks, x: Array, settings: S
     visibility = settings.pairwise.scanners.visibility
     distance = np.linalg.norm(inside, axis=1)
     limit = _find_free_range(tracked.background, np.arctan2(inside[:, 1], inside[:, 0]), visibility.max_beam_gap)
-    limit = np.minimum(limit - visibility.background_margin, settings.live.network.walk_range)
+    ranges = [np.linalg.norm(track.positions, axis=1) for track in tracked.tracks]
+    usual = float(np.quantile(np.concatenate(ranges), 1 - visibility.range_tail)) if ranges else 0.0
+    limit = np.minimum(limit - visibility.background_margin, max(usual, settings.live.network.walk_range))
     return np.asarray((distance > visibility.min_range) & (distance < limit))
 
 

@@ -18,6 +18,8 @@ _TOLERANCE_RADIUS, _MAX_RADII = 11, 3.5
 # 95 % of a normal distribution, as tolerances mean it.
 _SIGMAS = 1.96
 _MAX_NAME = 18
+# Mean width of a character, font sizes; numbers of scanners that are named in large letters.
+_NAME_WIDTH, _MAX_LARGE_NAMES = 0.6, 8
 _COLORS = {"good": "#3ddc84", "weak": "#ffb020", "unobservable": "#ff6b6b", "": "#ff6b6b"}
 _WALKED, _WANTED, _WALL, _TEXT, _DIM, _GROUND = "#1f4a78", "#ffb020", "#b8c4d0", "#f2f5f8", "#9aa7b4", "#0e1318"
 # A scanner that looks along x.
@@ -70,7 +72,7 @@ def _draw_plan(
     posed = [(scanner, scanner.T_root_scanner) for scanner in scanners if scanner.T_root_scanner is not None]
     placed = [_PlacedScanner(scanner, T, to_pixels(T[:2, 3])) for scanner, T in posed]
     return [
-        _draw_cells(grid.wanted, corner, grid.cell * scale, f'stroke="{_WANTED}" stroke-opacity=".42"'),
+        _draw_cells(grid.wanted, corner, grid.cell * scale, f'stroke="{_WANTED}" stroke-opacity=".5"'),
         _draw_cells(grid.walked, corner, grid.cell * scale, f'stroke="{_WALKED}"'),
         f'<path transform="scale(.5)" stroke="{_WALL}" stroke-width="3.2" stroke-linecap="round" '
         f'd="{"".join(f"M{x:.0f} {y:.0f}h0" for x, y in 2 * to_pixels(grid.walls))}"/>',
@@ -134,16 +136,35 @@ def _draw_markers(placed: Sequence[_PlacedScanner]) -> list[str]:
 
 
 def _draw_names(placed: Sequence[_PlacedScanner]) -> list[str]:
+    """Names above or below their scanners, or beside them, where least is in their way."""
+    size = 13 if len(placed) <= _MAX_LARGE_NAMES else 11
+    taken = [_box(one.place[0] - 8, one.place[1] - 8, 16, 16) for one in placed]
     names = []
     for scanner, _, (x, y) in placed:
-        # At the edges towards the middle.
-        anchor, at = ("start", x - 4) if x < 60 else ("end", x + 4) if x > _WIDTH - 60 else ("middle", x)
-        below = 25 if y < 60 else -17
+        width = _NAME_WIDTH * size * min(len(scanner.name), _MAX_NAME)
+        middle, right, left = x - width / 2, x + 15, x - 15 - width
+        corners = [(middle, y - 17 - size), (middle, y + 15), (right, y - size / 2), (left, y - size / 2)]
+        # Those at the edges are moved into the picture.
+        options = [_box(min(max(at, 2), _WIDTH - 2 - width), max(top, 0), width, size) for at, top in corners]
+        chosen = min(options, key=lambda box: round(sum(_overlap(box, other) for other in taken)))
+        taken.append(chosen)
         names.append(
-            f'<text x="{at:.1f}" y="{y + below:.1f}" text-anchor="{anchor}">{_escape_name(scanner.name)}</text>'
+            f'<text x="{chosen[0]:.1f}" y="{chosen[3] - 2:.1f}" textLength="{width:.0f}">'
+            f"{_escape_name(scanner.name)}</text>"
         )
-    style = f'font-weight="600" stroke="{_GROUND}" stroke-width="3.5" paint-order="stroke"'
+    style = f'font-size="{size}" font-weight="600" stroke="{_GROUND}" stroke-width="3.5" paint-order="stroke"'
     return [f"<g {style}>{''.join(names)}</g>"]
+
+
+def _box(left: float, top: float, width: float, height: float) -> Array:
+    """(4,) left, top, right, bottom, px."""
+    return np.array([left, top, left + width, top + height])
+
+
+def _overlap(a: Array, b: Array) -> float:
+    """Area that two boxes have in common, px²."""
+    size = np.minimum(a[2:], b[2:]) - np.maximum(a[:2], b[:2])
+    return float(size[0] * size[1]) if np.all(size > 0) else 0.0
 
 
 def _draw_scale_bar(scale: float, height: float) -> list[str]:
@@ -201,7 +222,7 @@ def _describe_scanner(scanner: ScannerSolution, root: str) -> str:
     assert scanner.stddev is not None
     clock = ""
     if scanner.clock_offset is not None:
-        clock = f" · clock {1000 * scanner.clock_offset:+.0f} ms"
+        clock = f" · clock {1000 * scanner.clock_offset:+.0f} ms".replace("-", "\N{MINUS SIGN}")
     error = _SIGMAS * scanner.stddev
     return f"±{_round(1000 * float(error[:2].max()))} mm ±{_round(np.degrees(error[2]))}°{clock}"
 

@@ -92,16 +92,17 @@ def _describe_phase(
         return "measuring", f"No poses yet: {solution.problem}"
     if solution.done:
         return "ready", "All scanners are within tolerance: finish"
+    has_areas = solution.grid is not None and bool(solution.grid.wanted.any())
     if apart := _find_unconnected(solution):
-        areas = ": try the orange areas" if solution.grid is not None and solution.grid.wanted.any() else ""
-        return "measuring", _say_where_to_walk(apart[0]) + areas
+        return "measuring", _say_where_to_walk(apart[0]) + (": try the orange areas" if has_areas else "")
     weak = _find_weak(solution)
     beyond = [one.name for one in weak if one.uncertainty > 1]
     if not beyond:
         return "measuring", weak[0].reason
     minutes = forecast.minutes_left()
     left = "" if minutes is None else f": about {_format_minutes(minutes)} more"
-    return "measuring", f"Walk in the orange areas, for {name_sensors(beyond)}{left}"
+    where = "in the orange areas" if has_areas else "where several scanners detect you"
+    return "measuring", f"Walk {where}, for {name_sensors(beyond)}{left}"
 
 
 def _format_minutes(minutes: float) -> str:

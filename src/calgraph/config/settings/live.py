@@ -144,7 +144,8 @@ class LiveNetworkSettings(StrictModel):
     """Processor time of a solution, s, above which the next is computed from fewer intervals; those that add least
     are left out. Five scanners and two people need 2 s for each minute, 8 s where their legs are modelled."""
     walk_range: float = Field(default=8.0, gt=0)
-    """Range within which scanners detect people reliably, m: nine beams of 0.5 degrees."""
+    """Range within which scanners detect people reliably, m: nine beams of 0.5 degrees; more if they have tracked
+    people farther away."""
     cell: float = Field(default=0.25, gt=0)
     """Width of the cells of the floor plan, m: half of a person's. Large plans have wider ones."""
     max_cells: int = Field(default=80, ge=10)
