@@ -54,6 +54,14 @@ def test_tracks_and_their_periods_follow_each_other() -> None:
     assert [one.times[0] for one in joined.tracks] == pytest.approx([0, 1, 10.1, 11.1])
 
 
+def test_what_is_tracked_twice_is_of_the_earlier_interval() -> None:
+    joined = join(tracked(0, 10.5), tracked(10.4, 20))
+    assert [one.times[0] for one in joined.tracks] == pytest.approx([0, 1, 10.6, 11.4])
+    np.testing.assert_allclose(joined.coverage, [[0, 20]])  # type: ignore[arg-type]
+    assert joined.foreground is not None
+    assert joined.foreground.times.tolist() == pytest.approx([0.1, 0.3, 10.7])
+
+
 def test_beams_are_of_successive_scans() -> None:
     beams = join(tracked(0, 10), tracked(10.1, 20)).foreground
     assert beams is not None
@@ -86,8 +94,8 @@ BUMP = ScannerBump((12.0, 13.0), 0.1, 0.0, 0.01, 0.01)
 
 def test_what_is_from_before_a_bump_is_dropped() -> None:
     after = replace(tracked(10, 20, bumps=(BUMP,)), interval=(13.0, np.inf))
-    joined = join(tracked(0, 10), after, tracked(20, 30))
-    assert [one.times[0] for one in joined.tracks] == pytest.approx([10, 11, 20, 21])
+    joined = join(tracked(0, 10), after, tracked(20.1, 30))
+    assert [one.times[0] for one in joined.tracks] == pytest.approx([10, 11, 20.1, 21.1])
     assert joined.bumps == (BUMP,)
     assert joined.interval == (13.0, np.inf)
 

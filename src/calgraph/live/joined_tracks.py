@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -17,8 +18,8 @@ Tracked = Mapping[str, ScannerTracks | Rejected]
 def join_tracks(intervals: Sequence[Tracked], max_gap: float) -> dict[str, ScannerTracks | Rejected]:
     """Joins the tracks of each scanner over intervals.
 
-    A person who is in view when an interval ends has a track before and one after it; all else is as in tracks of
-    the whole.
+    What is tracked twice is of the earlier interval. A person who is in view when it ends has a track before and
+    one after it; all else is as in tracks of the whole.
 
     Args:
         intervals: in order of time, one at least; all of the same scanners.
@@ -33,6 +34,7 @@ def _join_scanner(found: Sequence[ScannerTracks | Rejected], max_gap: float) -> 
     if not parts:
         return found[-1]
     parts, bumps = _select_last_pose(parts)
+    parts = [parts[0], *(_remove_overlap(one, before) for before, one in pairwise(parts))]
     if len(parts) == 1:
         return replace(parts[0], bumps=bumps)
     periods = np.cumsum([0, *(1 + max((track.period for track in one.tracks), default=-1) for one in parts)])
@@ -63,6 +65,14 @@ def _select_last_pose(parts: list[ScannerTracks]) -> tuple[list[ScannerTracks], 
     last = bumped[-1]
     is_after = parts[last].interval[1] == np.inf
     return parts[last if is_after or last == len(parts) - 1 else last + 1 :], parts[last].bumps
+
+
+def _remove_overlap(tracked: ScannerTracks, before: ScannerTracks) -> ScannerTracks:
+    """The tracks of an interval after the last scan of the one before, by the clock of the scanner."""
+    if before.coverage is None or not len(before.coverage):
+        return tracked
+    last = float(before.coverage[-1, 1])
+    return replace(tracked.select((np.nextafter(last, np.inf), np.inf)), interval=tracked.interval)
 
 
 def _covered_time(tracked: ScannerTracks) -> float:

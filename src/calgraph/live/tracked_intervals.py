@@ -88,7 +88,7 @@ def track_recording(
             break
         if tracked == settings.max_intervals:
             return TrackedRecording(progress, tuple(parts), 0.0, progress.until or start)
-        window = RecordingWindow(recording, start, start + settings.interval)
+        window = _open_window(recording, start, start + settings.interval, progress.until, rig)
         parts.append(_track_window(rig, window, monitor))
         interval = TrackedInterval(start, window.last_arrival, _count_positions(parts[-1]))
         _write_tracks(_name_file(folder, interval), parts[-1])
@@ -97,7 +97,8 @@ def track_recording(
         tracked += 1
     if progress.until is not None and recording.end - start < settings.min_interval:
         return TrackedRecording(progress, tuple(parts), 0.0, progress.until)
-    parts.append(_track_window(rig, RecordingWindow(recording, start, recording.end), monitor))
+    window = _open_window(recording, start, recording.end, progress.until, rig)
+    parts.append(_track_window(rig, window, monitor))
     return TrackedRecording(progress, tuple(parts), recording.end - start, recording.end)
 
 
@@ -108,6 +109,12 @@ def _find_start(recording: Recording, until: float | None, rig: Rig) -> float:
     present = {topic.name for topic in recording.topics}.intersection(rig.topics.values())
     record = next(iter(recording.records(present, math.nextafter(until, math.inf))), None)
     return recording.end if record is None else record.arrival
+
+
+def _open_window(recording: Recording, start: float, end: float, until: float | None, rig: Rig) -> RecordingWindow:
+    """An interval with the end of the one before, so that scanners that are moved between them are noticed."""
+    first = start if until is None else until - rig.settings.live.network.overlap
+    return RecordingWindow(recording, max(first, recording.start), end)
 
 
 def _track_window(rig: Rig, window: RecordingWindow, monitor: InputMonitor) -> Tracked:

@@ -135,8 +135,12 @@ class LiveNetworkSettings(StrictModel):
     interval: float = Field(default=60.0, gt=0)
     """Length of the intervals that are tracked once, s. People who are in view at the end of one have two tracks,
     and those who stand still for half of one are part of its background."""
-    min_interval: float = Field(default=20.0, gt=0)
-    """Minimum time after the last of these intervals that is tracked, s: in less, people are background."""
+    overlap: float = Field(default=15.0, ge=0)
+    """Time before an interval that is tracked with it, s, whose tracks are those of the one before: a scanner that
+    is moved between the two has 10 s at rest before and after it."""
+    min_interval: float = Field(default=10.0, gt=0)
+    """Minimum time after the last of these intervals that is tracked, s: with the overlap 25 s, in half of which
+    people do not stand still."""
     max_intervals: int = Field(default=10, ge=1)
     """Maximum number of intervals that are tracked before a solution, of sessions that are resumed: 10 s of
     work for five scanners."""
