@@ -217,9 +217,9 @@ def test_it_is_done_when_all_scanners_are_good(fed: Fed) -> None:
 def test_the_state_says_that_solutions_are_late(fed: Fed) -> None:
     fed.feed(9)
     fed.pool.finish(solution(9.0))
-    fed.feed(20)
+    fed.feed(10)
     assert fed.session.state().notices == ()
-    fed.feed(20)
+    fed.feed(30)
     (notice,) = fed.session.state().notices
     assert notice == "Poses and plan are 40 s old: the computer is slower than the scanners"
 
