@@ -279,6 +279,21 @@ def test_a_clock_that_differs_is_named_unless_it_is_stated(
     assert problems_of(stated) == {}
 
 
+def test_damaged_stamps_do_not_end_captures(
+    walk: tuple[Rig, list[LiveMessage], GroundTruth], session: tuple[RigSession, list[LiveMessage]]
+) -> None:
+    rig, messages, _ = walk
+    running, triggers = start_session(rig)
+    damaged = []
+    for number, message in enumerate(messages):
+        seconds = {50: 10**8, 90: -(10**8), 150: 10**6}.get(number)
+        damaged.append(delay_stamp(message, seconds) if seconds else message)
+        running.feed(damaged[-1])
+    assert len(triggers) == len(session[1])
+    assert problems_of(running) == {}
+    assert_equal_captures(running.captures(), calibrated_captures(running.rig, [*damaged, *triggers]))
+
+
 def test_messages_of_another_kind_are_named(walk: tuple[Rig, list[LiveMessage], GroundTruth]) -> None:
     rig, messages, _ = walk
     scans, clouds = rig.sensors["laser_left"].topic, rig.sensors["lidar"].topic

@@ -32,6 +32,8 @@ class _GrowingTimes:
     """Whether the duration is known."""
     period: float = float("inf")
     """Of the last messages, s."""
+    latest: float | None = None
+    """Stamp of the message that arrived last, s: one damaged stamp may be later than all others."""
 
 
 class LiveTimeline:
@@ -57,7 +59,13 @@ class LiveTimeline:
             known = bool(times.message_type)
             stamps = array("d", times.stamps.tolist())
             self._times[name] = _GrowingTimes(
-                stamps, array("d"), times.duration, times.frame_id, times.message_type, known
+                stamps,
+                array("d"),
+                times.duration,
+                times.frame_id,
+                times.message_type,
+                known,
+                latest=stamps[-1] if stamps else None,
             )
 
     def note_arrival(self, arrival: float) -> None:
@@ -76,6 +84,7 @@ class LiveTimeline:
             times.stamps.append(record.stamp)
         else:
             insort(times.stamps, record.stamp)
+        times.latest = record.stamp
         times.arrivals.append(record.arrival)
         if len(times.arrivals) > 2 * _RECENT:
             del times.arrivals[:-_RECENT]
@@ -95,9 +104,8 @@ class LiveTimeline:
         return self._times[name].message_type
 
     def last_stamp(self, name: str) -> float | None:
-        """Stamp of the sensor's latest measurement, s; None before the first message."""
-        stamps = self._times[name].stamps
-        return stamps[-1] if stamps else None
+        """Stamp of the sensor's message that arrived last, s; None before the first."""
+        return self._times[name].latest
 
     def age(self, name: str) -> float | None:
         """Time from the last arrival of the sensor's messages to the last of all, s; None before the first."""
@@ -107,7 +115,9 @@ class LiveTimeline:
     def latency(self, name: str) -> float | None:
         """Time from the end of the sensor's last measurement to its arrival, s; None before the first message."""
         times = self._times[name]
-        return times.arrivals[-1] - times.stamps[-1] - times.duration if times.arrivals else None
+        if times.latest is None or not times.arrivals:
+            return None
+        return times.arrivals[-1] - times.latest - times.duration
 
     def period(self, name: str) -> float:
         """Median time between the sensor's last measurements, s; infinite for fewer than two."""

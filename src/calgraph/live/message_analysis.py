@@ -115,7 +115,7 @@ class MessageAnalysis:
         if slow and len(self.timeline.stamps_from(name, 0.0)) > 1:
             return
         # Periods vary by some percent: of a sensor at the highest rate every message is measured.
-        if record.stamp - self._last_queued.get(name, float("-inf")) > 0.9 / settings.max_rate:
+        if abs(record.stamp - self._last_queued.get(name, float("-inf"))) > 0.9 / settings.max_rate:
             self._last_queued[name] = record.stamp
             sensor.waiting.append(record)
             while len(sensor.waiting) > settings.max_waiting:

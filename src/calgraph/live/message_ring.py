@@ -27,8 +27,7 @@ class MessageRing:
         self._by_stamp: dict[tuple[str, float], RecordedMessage] = {}
         self.size = 0
         """Bytes of the messages that are kept."""
-        self.begin = float("-inf")
-        """Messages with later stamps are complete, s."""
+        self._dropped: dict[str, float] = {}
 
     def add(self, sensor: str, record: RecordedMessage, size: int) -> None:
         """Keeps a message of ``size`` bytes, and drops old ones."""
@@ -43,7 +42,12 @@ class MessageRing:
             key = dropped.sensor, dropped.record.stamp
             if self._by_stamp.get(key) is dropped.record:
                 del self._by_stamp[key]
-            self.begin = max(self.begin, dropped.record.stamp)
+            self._dropped[dropped.sensor] = dropped.record.stamp
+
+    @property
+    def begin(self) -> float:
+        """Messages with later stamps have not been dropped, s."""
+        return max(self._dropped.values(), default=float("-inf"))
 
     def select(self, sensor: str, stamps: Sequence[float]) -> list[RecordedMessage] | None:
         """The messages of a sensor with these stamps; None if one was dropped."""
