@@ -136,7 +136,9 @@ class RestMonitor:
         level = max(settings.noise_ratio * noise, settings.min_change)
         if motion.others.sum() < settings.min_messages:
             return level
-        otsu, separation = _split(self._centers, motion.others)
+        # What is below the noise is rest, however far: views without any change do not set the threshold.
+        lowest = float(np.log10(level + self._motion.min_activity))
+        otsu, separation = _split(np.maximum(self._centers, lowest), motion.others)
         if separation < settings.min_separation:
             return level
         return max(level, 10**otsu - self._motion.min_activity)
@@ -148,8 +150,8 @@ class RestMonitor:
 
 def _split(centers: Array, counts: Array) -> tuple[float, float]:
     """Otsu's threshold of a histogram (Otsu 1979), and the difference of the means of its two classes."""
-    filled = counts > 0
-    centers, counts = centers[filled], counts[filled]
+    centers, place = np.unique(centers[counts > 0], return_inverse=True)
+    counts = np.bincount(place, counts[counts > 0]).astype(np.float64)
     if len(centers) < 2:
         return 0.0, 0.0
     below = np.cumsum(counts)[:-1]
