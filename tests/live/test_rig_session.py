@@ -154,7 +154,10 @@ def test_the_button_waits_until_the_board_rests(walk: tuple[Rig, list[LiveMessag
     rest = feed_until(running, messages, 6.4)
     assert not triggers
     running.command(Command("trigger"))
-    assert running.state().phase == "waiting"
+    state = running.state()
+    assert state.phase == "waiting"
+    assert state.headline.startswith("Hold the board still (motion in ")
+    assert any(sensor.moving for sensor in state.sensors)
     for message in rest:
         running.feed(message)
     (hold,) = running.captures().holds

@@ -73,7 +73,8 @@ def _describe_phase(analysis: MessageAnalysis, taker: CaptureTaker) -> tuple[Pha
         names = name_sensors(waiting.sensors)
         return "measuring", f"Hold still: {names} measuring" if names else "Hold still"
     if taker.requested:
-        return "waiting", "Hold the board still, or press again to capture while it moves"
+        moving = f" (motion in {name_sensors(waiting.sensors)})" if waiting.sensors else ""
+        return "waiting", f"Hold the board still{moving}, or press again to capture while it moves"
     if taker.automatic:
         return "ready", "Hold the board still in a new pose"
     return "ready", "Hold the board still and press the button"
