@@ -7,16 +7,18 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
 
 from calgraph.config.settings import LimitSettings
 from calgraph.errors import RecordingError
 from calgraph.recording import inspect_recording, open_recording
-from calgraph.recording.unfinished_mcap import complete_mcap
+from calgraph.recording.bags import BagRecording
+from calgraph.recording.unfinished_mcap import complete_mcap, finish_mcap
 from fuzz_mutators import pack_records, read_records
 
 MAGIC = b"\x89MCAP0\r\n"
-SCHEMA, CHANNEL, CHUNK, MESSAGE_INDEX, DATA_END = 3, 4, 6, 7, 15
+CHUNK, MESSAGE_INDEX, CHUNK_INDEX, DATA_END = 6, 7, 8, 15
 TYPE = "std_msgs/msg/Header"
 MESSAGES = 60
 Read = list[tuple[str, float]]
@@ -212,10 +214,9 @@ def test_chunks_are_passed_over(tmp_path: Path) -> None:
             return n
 
     whole = write(tmp_path / "whole.mcap", size=300_000, late=0)
-    start = 8 + len(pack_records(records_of(whole)[:1]))
     whole.write_bytes(whole.read_bytes()[: end_of_chunk(whole, -1)])
     with CountingFile(whole) as file, io.BufferedReader(file, 4096) as buffered:
-        complete_mcap(buffered, start, LimitSettings())
+        complete_mcap(buffered, LimitSettings())
         # The first and the last chunk are read, and the heads of 78 others.
         assert file.count < 0.06 * whole.stat().st_size
 
@@ -228,3 +229,38 @@ def test_files_of_several_runs_are_one_recording(tmp_path: Path) -> None:
     assert len(read(folder)) == len(expected)
     first.write_bytes(first.read_bytes()[: end_of_chunk(first, 8)])
     assert sorted(read(folder)) == sorted(read(first) + read(second))
+
+
+@pytest.mark.parametrize("options", [{}, {"use_chunking": False}], ids=str)
+def test_a_finished_file_is_an_ordinary_one_with_the_same_messages(
+    tmp_path: Path, options: dict[str, Any]
+) -> None:
+    whole = write(tmp_path / "whole.mcap", **options)
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(whole.read_bytes()[:3000])
+    expected = read(cut)
+    finish_mcap(cut, LimitSettings())
+    with cut.open("rb") as file:
+        messages = [(channel.topic, m.log_time / 1e9) for _, channel, m in make_reader(file).iter_messages()]
+    assert messages == expected
+    content = cut.read_bytes()
+    for index in (index for op, index in read_records(content[8:-8]) if op == CHUNK_INDEX):
+        chunk, length, entries = struct.unpack_from("<16xQQI", index)
+        (size,) = struct.unpack_from("<Q", index, 36 + entries)
+        indices = [record for op, record in read_records(content[chunk + length :][:size]) if op == MESSAGE_INDEX]
+        assert len(indices) == entries // 10
+        for channel, _, time, offset in (struct.unpack_from("<HIQQ", one) for one in indices):
+            message = content[chunk + 9 + 40 + offset :]
+            assert struct.unpack_from("<BQH4xQ", message)[::2] == (5, channel)
+            assert struct.unpack_from("<BQH4xQ", message)[3] == time
+    with open_recording(cut) as recording:
+        assert [(record.topic, record.arrival) for record in recording.records()] == expected
+        assert isinstance(recording, BagRecording)
+        assert recording.notices == ()
+
+
+def test_a_complete_file_needs_no_finish(tmp_path: Path) -> None:
+    whole = write(tmp_path / "whole.mcap")
+    content = whole.read_bytes()
+    finish_mcap(whole, LimitSettings())
+    assert whole.read_bytes() == content

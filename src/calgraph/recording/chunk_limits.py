@@ -88,7 +88,7 @@ class _McapReader(storage_mcap.McapReader):
             # Where its data begin is known if its header could be read.
             if not self.data_start or not self.bio or not lacks_end(self.bio):
                 raise
-            self.bio = complete_mcap(self.bio, self.data_start, self.limits)
+            self.bio = complete_mcap(self.bio, self.limits)
             self.is_finished = False
             super()._open()
 

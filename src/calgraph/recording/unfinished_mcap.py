@@ -7,11 +7,13 @@ Source: "MCAP Format Specification", mcap.dev/spec.
 """
 
 import io
+import os
 import struct
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
 
 from rosbags.rosbag2 import storage_mcap
@@ -61,6 +63,13 @@ class _Chunk:
     """Where its compressed content begins, and its length, bytes."""
     counts: Counter[int] = field(default_factory=Counter)
     """Messages of each channel."""
+    offsets: dict[int, int] = field(default_factory=dict)
+    """Where the indices of messages of each channel begin; empty if there are none."""
+
+    @property
+    def end(self) -> int:
+        """Of its record in the file, bytes."""
+        return self.start + self.length
 
 
 def lacks_end(file: BinaryIO) -> bool:
@@ -69,22 +78,49 @@ def lacks_end(file: BinaryIO) -> bool:
     return file.read() != _MAGIC
 
 
-def complete_mcap(file: BinaryIO, start: int, limits: LimitSettings) -> BinaryIO:
+def complete_mcap(file: BinaryIO, limits: LimitSettings) -> BinaryIO:
     """The file up to its last complete chunk, followed by an index of its chunks.
 
     Args:
-        file: an MCAP without an end. It may still be written to.
-        start: where the records after its header begin, bytes.
+        file: an MCAP with a header and without an end. It may still be written to.
         limits: of chunks that are unpacked.
 
     Raises:
         ValueError: no chunk is complete, or a record before the last is damaged or larger than the limit.
         Exception: anything that rosbags raises for damaged bytes.
     """
+    end, tail = _make_tail(file, limits)
+    return io.BufferedReader(_FileWithTail(file, end, tail))
+
+
+def finish_mcap(path: Path, limits: LimitSettings) -> None:
+    """Gives an MCAP the end that it lacks; what follows its last complete chunk is removed.
+
+    Raises:
+        OSError: it cannot be written.
+        ValueError: as for :func:`complete_mcap`.
+        Exception: anything that rosbags raises for damaged bytes.
+    """
+    with path.open("r+b") as file:
+        if not lacks_end(file):
+            return
+        end, tail = _make_tail(file, limits)
+        # Two steps: a program that is killed between them leaves a file that can be finished again.
+        file.truncate(end)
+        file.seek(end)
+        file.write(tail)
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def _make_tail(file: BinaryIO, limits: LimitSettings) -> tuple[int, bytes]:
+    """Where the last complete chunk ends, bytes, and the records that belong behind it."""
     definitions: dict[tuple[int, int], bytes] = {}
     chunks: list[_Chunk] = []
-    end, is_chunked = start, True
-    for record in _scan_records(file, start):
+    file.seek(len(_MAGIC))
+    _, header = _HEAD.unpack(storage_mcap.read_exact(file, _HEAD.size))
+    end, is_chunked = len(_MAGIC) + _HEAD.size + header, True
+    for record in _scan_records(file, end):
         end = record.end
         if record.op == _CHUNK:
             chunks.append(_read_chunk_head(file, record, limits))
@@ -92,26 +128,28 @@ def complete_mcap(file: BinaryIO, start: int, limits: LimitSettings) -> BinaryIO
             file.seek(record.start)
             (channel,) = struct.unpack("<H", storage_mcap.read_exact(file, 2))
             chunks[-1].counts[channel] += max(record.end - record.start - 6, 0) // _INDEX_ENTRY
+            chunks[-1].offsets[channel] = record.start - _HEAD.size
         elif record.op in (_SCHEMA, _CHANNEL):
             file.seek(record.start)
             _add_definition(definitions, record.op, storage_mcap.read_exact(file, record.end - record.start))
         elif record.op == _MESSAGE:
             is_chunked = False
+    data_end = _pack(_DATA_END, bytes(4))
     if not is_chunked:
         # There is no index of messages outside of chunks, and they are read without.
-        return _append(file, end, _pack(_FOOTER, bytes(20)) + _MAGIC)
+        return end, data_end + _pack(_FOOTER, bytes(20)) + _MAGIC
+    index = b""
     if chunks:
         # Parts of its index may be missing, or of itself where the system ended before its disk was written to.
         last = chunks.pop()
         with suppress(Exception):
-            _count_messages(file, last, definitions)
+            index = _index_messages(last, _read_messages(file, last, definitions))
             chunks.append(last)
     if not any(chunk.counts for chunk in chunks):
         raise ValueError("ends before its first chunk of messages is complete")
     _find_definitions(file, chunks, definitions)
-    end = min(end, chunks[-1].start + chunks[-1].length)
-    summary = _make_summary(chunks, definitions)
-    return _append(file, end, summary + _pack(_FOOTER, struct.pack("<QQI", end, 0, 0)) + _MAGIC)
+    footer = _pack(_FOOTER, struct.pack("<QQI", chunks[-1].end + len(index + data_end), 0, 0))
+    return chunks[-1].end, index + data_end + _make_summary(chunks, definitions) + footer + _MAGIC
 
 
 def _scan_records(file: BinaryIO, start: int) -> Iterator[_Record]:
@@ -179,31 +217,40 @@ def _read_chunk_head(file: BinaryIO, record: _Record, limits: LimitSettings | No
     )
 
 
-def _unpack_records(file: BinaryIO, chunk: _Chunk) -> Iterator[tuple[int, memoryview]]:
-    """The records in a chunk: operation code and content."""
+def _read_messages(
+    file: BinaryIO, chunk: _Chunk, definitions: dict[tuple[int, int], bytes]
+) -> dict[int, list[tuple[int, int]]]:
+    """Time (ns) and offset in the chunk of its messages, by channel; counts them, and adds what it defines."""
     start, length = chunk.packed
     file.seek(start)
     packed = storage_mcap.read_exact(file, length)
-    content = memoryview(storage_mcap.decompress(packed, chunk.compression, chunk.size, chunk.checksum))
+    data = storage_mcap.decompress(packed, chunk.compression, chunk.size, chunk.checksum)
+    messages: dict[int, list[tuple[int, int]]] = {}
     position = 0
-    while position < len(content):
-        op, length = _HEAD.unpack_from(content, position)
-        position += _HEAD.size
-        if position + length > len(content):
+    while position < len(data):
+        op, length = _HEAD.unpack_from(data, position)
+        content = position + _HEAD.size
+        if content + length > len(data):
             raise ValueError(f"a record of the chunk at byte {chunk.start} is longer than the chunk")
-        yield op, content[position : position + length]
-        position += length
-
-
-def _count_messages(file: BinaryIO, chunk: _Chunk, definitions: dict[tuple[int, int], bytes]) -> None:
-    """Counts the messages of a chunk, and adds the channels and schemas that it defines."""
-    counts: Counter[int] = Counter()
-    for op, content in _unpack_records(file, chunk):
         if op == _MESSAGE:
-            counts[struct.unpack_from("<H", content)[0]] += 1
+            channel, time = struct.unpack_from("<H4xQ", data, content)
+            messages.setdefault(channel, []).append((time, position))
         elif op in (_SCHEMA, _CHANNEL):
-            _add_definition(definitions, op, bytes(content))
-    chunk.counts = counts
+            _add_definition(definitions, op, data[content : content + length])
+        position = content + length
+    chunk.counts = Counter({channel: len(entries) for channel, entries in messages.items()})
+    return messages
+
+
+def _index_messages(chunk: _Chunk, messages: dict[int, list[tuple[int, int]]]) -> bytes:
+    """The indices of a chunk's messages, as records that follow it."""
+    records = b""
+    chunk.offsets = {}
+    for channel, entries in messages.items():
+        chunk.offsets[channel] = chunk.end + len(records)
+        packed = b"".join(struct.pack("<QQ", *entry) for entry in entries)
+        records += _pack(_MESSAGE_INDEX, struct.pack("<HI", channel, len(packed)) + packed)
+    return records
 
 
 def _find_definitions(file: BinaryIO, chunks: list[_Chunk], definitions: dict[tuple[int, int], bytes]) -> None:
@@ -214,14 +261,14 @@ def _find_definitions(file: BinaryIO, chunks: list[_Chunk], definitions: dict[tu
     others = []
     for chunk in chunks:
         if not chunk.counts or any((_CHANNEL, channel) not in definitions for channel in chunk.counts):
-            _count_messages(file, chunk, definitions)
+            _read_messages(file, chunk, definitions)
         else:
             others.append(chunk)
     used = {channel for chunk in chunks for channel in chunk.counts}
     for chunk in others:
         if all((_CHANNEL, channel) in definitions for channel in used):
             break
-        _count_messages(file, chunk, definitions)
+        _read_messages(file, chunk, definitions)
 
 
 def _add_definition(definitions: dict[tuple[int, int], bytes], op: int, content: bytes) -> None:
@@ -245,17 +292,21 @@ def _make_summary(chunks: list[_Chunk], definitions: dict[tuple[int, int], bytes
 
 
 def _index_chunk(chunk: _Chunk) -> bytes:
-    """The content of the index record of a chunk, as though the indices of its messages were complete after it."""
-    offsets: dict[int, int] = {}
-    offset = after = chunk.start + chunk.length
+    """The content of the index record of a chunk.
+
+    Readers take the numbers of messages from the lengths of their indices: where a chunk has none, they are stated
+    as though they followed it.
+    """
+    offsets = dict(chunk.offsets)
+    after = chunk.end
     for channel, count in chunk.counts.items():
-        offsets[channel] = offset
-        offset += _HEAD.size + 6 + _INDEX_ENTRY * count
+        offsets.setdefault(channel, after)
+        after += _HEAD.size + 6 + _INDEX_ENTRY * count
     name = chunk.compression.encode()
     return (
         struct.pack("<QQQQ", chunk.first, chunk.last, chunk.start, chunk.length)
         + _pack_map(offsets)
-        + struct.pack("<QI", offset - after, len(name))
+        + struct.pack("<QI", after - chunk.end, len(name))
         + name
         + struct.pack("<QQ", chunk.packed[1], chunk.size)
     )
@@ -268,10 +319,6 @@ def _pack_map(values: dict[int, int]) -> bytes:
 
 def _pack(op: int, content: bytes) -> bytes:
     return _HEAD.pack(op, len(content)) + content
-
-
-def _append(file: BinaryIO, end: int, tail: bytes) -> BinaryIO:
-    return io.BufferedReader(_FileWithTail(file, end, tail))
 
 
 class _FileWithTail(io.RawIOBase):

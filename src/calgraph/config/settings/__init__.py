@@ -56,6 +56,7 @@ from calgraph.config.settings.live import (
     LiveSettings,
     MessageRingSettings,
     PageSettings,
+    RecorderSettings,
     RestSettings,
     ViewSettings,
 )
@@ -159,6 +160,7 @@ __all__ = [
     "PairwiseSettings",
     "ProposalSettings",
     "RangeNoiseSettings",
+    "RecorderSettings",
     "RegionSettings",
     "RegistrationSettings",
     "ResamplingSettings",

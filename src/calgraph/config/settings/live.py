@@ -14,6 +14,24 @@ class ConnectionSettings(StrictModel):
     """Maximum delay, s: an operator who has put a cable back waits no longer."""
 
 
+class RecorderSettings(StrictModel):
+    """Recording of live messages."""
+
+    max_chunk_duration: float = Field(default=0.5, gt=0)
+    """Maximum time from the arrival of a message until it is written to its file, s: a program that is killed
+    loses no more, and each chunk costs an index of some 300 bytes."""
+    max_chunk_bytes: int = Field(default=2**22, ge=1)
+    """Size above which a chunk is written earlier, 4.2 MB: readers unpack a whole chunk for one message."""
+    max_queued_bytes: int = Field(default=2**26, ge=1)
+    """Maximum size of messages that wait for the disk, 67 MB: 18 s of five sensors with 220 MB a minute. While
+    there are more, none is accepted, and the robot keeps or drops what follows."""
+    sync_period: float = Field(default=5.0, ge=0)
+    """Period at which the disk stores what it was given (``fsync``), s; 0: never. A computer that loses its power
+    loses no more. Without it, the system collects data for half a minute, and slow disks then stall."""
+    rate_window: float = Field(default=30.0, gt=0)
+    """Time over which the rate is averaged that predicts when the disk is full, s: images vary over seconds."""
+
+
 class PageSettings(StrictModel):
     """The operator's page, and what its server bears."""
 
@@ -175,6 +193,7 @@ class LiveSettings(StrictModel):
     """Live capture."""
 
     connection: ConnectionSettings = ConnectionSettings()
+    recorder: RecorderSettings = RecorderSettings()
     network: LiveNetworkSettings = LiveNetworkSettings()
     page: PageSettings = PageSettings()
     ring: MessageRingSettings = MessageRingSettings()

@@ -1,0 +1,266 @@
+"""Recording of live messages as they arrive, in files that are readable whenever the program ends."""
+
+import asyncio
+import shutil
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from typing import Any, cast
+
+from mcap.writer import CompressionType, Writer
+
+from calgraph.config.settings import LimitSettings, RecorderSettings
+from calgraph.errors import InputError, RecordingError
+from calgraph.live.cdr import CdrSchema, make_cdr_schema
+from calgraph.live.recorded_files import METADATA, ChunkFile, finish_files, read_files, write_metadata
+from calgraph.live.source import Channel, LiveMessage
+from calgraph.live.state import RecorderState
+from calgraph.recording.unfinished_mcap import finish_mcap
+from calgraph.termination import add_cleanup, remove_cleanup
+
+# Chunks end when they are flushed, and not before.
+_NO_LIMIT = 2**62
+# Times of arrival are signed numbers of 64 bits.
+_MAX_TIME = 2**63
+# Writing what is queued takes less where a signal ends the program, s; the cleanup of everything has ten.
+_MAX_CLOSING_TIME = 8.0
+
+
+class Recorder:
+    """Writes messages into the next file of a rosbag2 folder: ``recording_0.mcap``, ``recording_1.mcap``, ...
+
+    A thread writes them, as chunks that are complete in the file at most ``max_chunk_duration`` after the first of
+    their messages. Chunks are not compressed: images mostly are, and processors have the board to detect.
+
+    Args:
+        folder: of the recording; it is created. Its metadata.yaml is removed until the recorder is closed, and
+            files of recorders that were killed are finished.
+        settings: of the recorder.
+        limits: ``min_free_disk`` is kept free.
+
+    Raises:
+        InputError: the folder cannot be written to, or its disk is almost full.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        settings: RecorderSettings,
+        limits: LimitSettings,
+    ) -> None:
+        self._folder, self._settings, self._limits = folder, settings, limits
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            if shutil.disk_usage(folder).free < limits.min_free_disk:
+                raise InputError(f"{folder}: {self._describe_full_disk()}")
+            (folder / METADATA).unlink(missing_ok=True)
+            finish_files(folder, limits)
+            self._file = ChunkFile(folder)
+        except OSError as error:
+            raise InputError(f"{folder}: cannot be written to ({error.strerror or error})") from error
+        self._writer = Writer(cast(Any, self._file), chunk_size=_NO_LIMIT, compression=CompressionType.NONE)
+        self._writer.start("ros2")
+        self._channels: dict[Channel, tuple[int, CdrSchema] | str] = {}
+        """Number and schema of each channel, or why its messages cannot be recorded."""
+        self._queue: SimpleQueue[LiveMessage | None] = SimpleQueue()
+        self._queued_bytes = self._done_bytes = 0
+        """Of all messages; the former are counted by the event loop, the latter by the thread."""
+        self._count = 0
+        self._arrivals: tuple[int, int] | None = None
+        """The first and the last in the file, ns."""
+        self._refused: dict[str, tuple[int, str]] = {}
+        """By topic: how many messages cannot be recorded, and why the first one cannot."""
+        self._failure = ""
+        self._sizes: deque[tuple[float, int]] = deque([(time.monotonic(), 0)])
+        """When, s, the file had which size, bytes: within the window of the rate."""
+        self._sync_time = time.monotonic()
+        self._state = RecorderState()
+        self._has_space = asyncio.Event()
+        self._wake: Callable[[], object] = bool
+        """Has the event loop look for space in the queue again."""
+        self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
+        self._thread.start()
+        add_cleanup(self, self._close_at_once)
+
+    @property
+    def path(self) -> Path:
+        """The file."""
+        return self._file.path
+
+    @property
+    def state(self) -> RecorderState:
+        """What is in the file."""
+        return self._state
+
+    async def write(self, message: LiveMessage) -> None:
+        """Queues a message; waits while ``max_queued_bytes`` wait for the disk.
+
+        Raises:
+            RecordingError: the recording has ended, and why: the disk is almost full, or cannot be written to.
+        """
+        loop = asyncio.get_running_loop()
+        self._wake = lambda: loop.call_soon_threadsafe(self._has_space.set)
+        while self._is_full():
+            self._has_space.clear()
+            if self._is_full():  # the thread may have written in between
+                await self._has_space.wait()
+        if self._failure:
+            raise RecordingError(self._failure)
+        self._queued_bytes += len(message.data)
+        self._queue.put(message)
+
+    async def close(self) -> None:
+        """Writes what is queued, the index of the file, and metadata.yaml.
+
+        Raises:
+            RecordingError: not everything could be written, and why.
+        """
+        self._queue.put(None)
+        await asyncio.to_thread(self._thread.join)
+        remove_cleanup(self)
+        if self._failure:
+            raise RecordingError(self._failure)
+
+    def _close_at_once(self) -> None:
+        self._queue.put(None)
+        self._thread.join(_MAX_CLOSING_TIME)
+
+    def _is_full(self) -> bool:
+        return self._queued_bytes - self._done_bytes > self._settings.max_queued_bytes and not self._failure
+
+    def _run(self) -> None:
+        try:
+            self._record()
+            self._writer.finish()  # type: ignore[no-untyped-call]
+            if self._count:
+                self._file.flush()
+                self._file.sync()
+        except OSError as error:
+            self._fail(f"cannot be written to ({error.strerror or error}): the recording has ended")
+        # What follows is of use to the tools of ROS 2; calgraph reads the files without.
+        with suppress(Exception):
+            self._file.close()
+            finish_mcap(self._file.path, self._limits)
+        with suppress(Exception):
+            write_metadata(self._folder, read_files(self._folder, self._limits))
+
+    def _record(self) -> None:
+        """Writes messages until the recorder is closed, or the disk is almost full.
+
+        Raises:
+            OSError: the file cannot be written to.
+        """
+        pending, pending_bytes, deadline = 0, 0, 0.0
+        # Those who wait for space in the queue wait for the end of the chunk.
+        max_bytes = min(self._settings.max_chunk_bytes, self._settings.max_queued_bytes)
+        while not self._failure:
+            try:
+                message = self._queue.get(timeout=max(0.0, deadline - time.monotonic()) if pending else None)
+            except Empty:
+                is_due = True
+            else:
+                if message is None:
+                    self._flush(pending_bytes)
+                    return
+                if not pending:
+                    deadline = time.monotonic() + self._settings.max_chunk_duration
+                self._add(message)
+                pending += 1
+                pending_bytes += len(message.data)
+                is_due = pending_bytes >= max_bytes or time.monotonic() >= deadline
+            if is_due:
+                self._flush(pending_bytes)
+                pending = pending_bytes = 0
+
+    def _add(self, message: LiveMessage) -> None:
+        """Adds a message to the chunk; one that cannot be recorded is counted."""
+        channel = message.channel
+        if channel not in self._channels:
+            self._channels[channel] = self._add_channel(channel)
+        registered = self._channels[channel]
+        if isinstance(registered, str):
+            self._refuse(channel.topic, registered)
+            return
+        number, schema = registered
+        try:
+            data = schema.convert(message.data)
+        except Exception as error:  # parsers of damaged bytes raise many kinds
+            self._refuse(channel.topic, " ".join(str(error).split()))
+            return
+        if not 0 <= message.arrival < _MAX_TIME:
+            self._refuse(channel.topic, f"it arrived at {message.arrival} ns, which is no time")
+            return
+        self._writer.add_message(number, message.arrival, data, message.arrival)
+        first, last = self._arrivals or (message.arrival, message.arrival)
+        self._arrivals = min(first, message.arrival), max(last, message.arrival)
+        self._count += 1
+
+    def _add_channel(self, channel: Channel) -> tuple[int, CdrSchema] | str:
+        try:
+            schema = make_cdr_schema(channel)
+        except Exception as error:  # as above
+            return " ".join(str(error).split())
+        number = self._writer.register_schema(channel.type, schema.encoding, schema.text.encode())
+        return self._writer.register_channel(channel.topic, "cdr", number, {"offered_qos_profiles": ""}), schema
+
+    def _refuse(self, topic: str, reason: str) -> None:
+        count, first_reason = self._refused.get(topic, (0, reason))
+        self._refused[topic] = count + 1, first_reason
+
+    def _flush(self, pending_bytes: int) -> None:
+        """Writes the chunk, and updates the state.
+
+        Raises:
+            OSError: it cannot be written.
+        """
+        if self._count:
+            self._writer.flush()  # type: ignore[no-untyped-call]
+        now = time.monotonic()
+        if self._settings.sync_period and now - self._sync_time > self._settings.sync_period:
+            self._file.sync()
+            self._sync_time = now
+        free = shutil.disk_usage(self._folder).free
+        self._update_state(now, free)
+        if free < self._limits.min_free_disk:
+            self._fail(f"{self._describe_full_disk()}: the recording has ended")
+        self._done_bytes += pending_bytes
+        self._wake()
+
+    def _update_state(self, now: float, free: int) -> None:
+        size = self._file.size
+        self._sizes.append((now, size))
+        while now - self._sizes[0][0] > self._settings.rate_window:
+            self._sizes.popleft()
+        began, size_then = self._sizes[0]
+        rate = (size - size_then) / (now - began) if now > began else 0.0
+        first, last = self._arrivals or (0, 0)
+        self._state = RecorderState(
+            seconds=(last - first) / 1e9,
+            megabytes=size / 1e6,
+            messages=self._count,
+            minutes_left=max(0, free - self._limits.min_free_disk) / rate / 60 if rate else None,
+            problem=self._describe_refused(),
+        )
+
+    def _describe_refused(self) -> str:
+        return "; ".join(
+            f"{topic}: {count} message{'s' if count > 1 else ''} not recorded: {reason}"
+            for topic, (count, reason) in self._refused.items()
+        )
+
+    def _describe_full_disk(self) -> str:
+        return (
+            f"its disk is almost full: {self._limits.min_free_disk / 1e6:.0f} MB are kept free "
+            "(limits.min_free_disk); remove other files"
+        )
+
+    def _fail(self, reason: str) -> None:
+        """Ends the recording with an error."""
+        self._failure = f"{self._file.path}: {reason}"
+        self._state = replace(self._state, problem=self._failure)
+        self._wake()
