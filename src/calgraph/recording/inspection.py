@@ -30,6 +30,8 @@ _KINDS: dict[str, Kind] = {
     "corners": "camera",
     "camera_info": "camera_info",
 }
+SENSOR_TYPES = frozenset(name for name, kind in _KINDS.items() if kind in SENSORS)
+"""Types of the messages of sensors."""
 _EVENTS = "std_msgs/msg/"
 _MAX_SCAN_HEIGHT = 1e-3
 """A cloud whose points are all closer to z = 0 than this is a scan, m."""

@@ -12,6 +12,30 @@ class ConnectionSettings(StrictModel):
     """Delay of the first attempt to connect again, s; it doubles with each further one."""
     max_delay: float = Field(default=8.0, gt=0)
     """Maximum delay, s: an operator who has put a cable back waits no longer."""
+    open_timeout: float = Field(default=5.0, gt=0)
+    """Time for the handshake of a connection, s; on a local network it takes milliseconds."""
+    ping_interval: float = Field(default=2.0, gt=0)
+    """Time between two questions whether the server is still there, s: without them, a robot that lost its power
+    looks like one that has nothing to send."""
+    ping_timeout: float = Field(default=10.0, gt=0)
+    """Time for the answer, s; behind the frames that a slow wireless link still carries it may take seconds."""
+    max_frame_bytes: int = Field(default=2**27, ge=1)
+    """Maximum size of a frame of a server, 134 MB: a larger one ends the connection. Raw images of 20 megapixels
+    have 60 MB."""
+    discovery_time: float = Field(default=3.0, gt=0)
+    """Time after which a wanted topic that is not served is reported, s: bridges advertise topics some 100 ms
+    after a connection, and DDS finds them within 2 s."""
+    silence: float = Field(default=5.0, gt=0)
+    """Time without a message after which a topic is reported, s; sensors send several each second."""
+    usual_intervals: int = Field(default=20, ge=3)
+    """Number of last messages of a sensor whose stamps state its usual interval: their median."""
+    gap_ratio: float = Field(default=3.5, gt=1)
+    """Minimum ratio of a time between two stamps to the usual interval for the messages between to count as lost:
+    drivers skip single ones without any fault."""
+    min_gap: float = Field(default=0.05, ge=0)
+    """Minimum time between two such stamps, s: stamps of fast sensors vary by the scheduling of computers."""
+    notice_interval: float = Field(default=1.0, ge=0)
+    """Minimum time between two notices of one kind and topic, s; those between are counted."""
 
 
 class RecorderSettings(StrictModel):
