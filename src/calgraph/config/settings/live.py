@@ -22,6 +22,9 @@ class ConnectionSettings(StrictModel):
     max_frame_bytes: int = Field(default=2**27, ge=1)
     """Maximum size of a frame of a server, 134 MB: a larger one ends the connection. Raw images of 20 megapixels
     have 60 MB."""
+    max_queue_bytes: int = Field(default=2**26, ge=1)
+    """Maximum size of the messages that are received and wait to be recorded, 67 MB: 4 s of 1 GB a minute. Further
+    ones are counted as lost."""
     discovery_time: float = Field(default=3.0, gt=0)
     """Time after which a wanted topic that is not served is reported, s: bridges advertise topics some 100 ms
     after a connection, and DDS finds them within 2 s."""
