@@ -66,7 +66,7 @@ def test_page_and_its_files_are_served_with_headers_that_allow_own_files_only(lo
     assert "unsafe" not in policy
     assert headers["x-content-type-options"] == "nosniff"
     assert headers["referrer-policy"] == "no-referrer"
-    named = re.findall(r'(?:src|href)="(/[^"]+)"', content.decode())
+    named = re.findall(r'(?:src|href)="(/[^"]+[.][a-z]+)"', content.decode())
     assert {local.get(name)[0] for name in named} == {200}
 
 

@@ -1,0 +1,163 @@
+// The page of a live session: shows its state, and sends what the operator presses.
+
+import { connect } from "./connection.js";
+import { byId, formatCount, formatTime, make, setOptionalText, setPicture, setText } from "./dom.js";
+import { flash, signal, startFeedback } from "./feedback.js";
+import { showScene } from "./scene.js";
+import { showSensors } from "./sensors.js";
+
+const CAPTURING = new Set(["ready", "waiting", "measuring"]);
+const LABELS = { waiting: "Hold still", measuring: "Measuring", background: "Wait", connecting: "Wait" };
+
+let state = null;
+
+const send = connect((changes) => {
+  const before = state;
+  state = { ...state, ...changes };
+  if (state.kind) show(before);
+}, showOffline);
+
+startFeedback();
+
+function show(before) {
+  document.body.dataset.phase = state.phase;
+  document.body.dataset.kind = state.kind;
+  document.body.dataset.done = state.done ? "yes" : "no";
+  setText(byId("source"), state.connected ? state.source : `${state.source}: not connected`);
+  byId("light").className = state.connected ? "connected" : "";
+  setText(byId("headline"), state.headline);
+  setText(byId("sensors-title"), state.kind === "network" ? "Scanners" : "Sensors");
+  showEvent(before);
+  showOverall();
+  showAdvice();
+  showPlan();
+  showSensors(state);
+  showScene(state);
+  showRecorder();
+  showControls();
+}
+
+/** A page that was opened or reloaded is silent about what happened before. */
+function showEvent(before) {
+  const { number, taken, text } = state.event;
+  setOptionalText(byId("event"), number ? text : "");
+  byId("event").className = taken ? "taken" : "";
+  if (before?.event && number > before.event.number) announce(taken ? "taken" : "refused");
+  if (before?.event && state.done && !before.done) announce("done");
+}
+
+function announce(kind) {
+  signal(kind);
+  flash(kind);
+}
+
+function showOverall() {
+  const segments = byId("segments");
+  while (segments.children.length > state.sensors.length) segments.lastChild.remove();
+  while (segments.children.length < state.sensors.length) segments.append(make("li", "", make("span")));
+  let within = 0;
+  state.sensors.forEach((sensor, index) => {
+    const share = sensor.name === state.root ? 1 : sensor.progress;
+    segments.children[index].className = share >= 1 ? "within" : "";
+    segments.children[index].firstChild.style.width = `${100 * share}%`;
+    if (sensor.name !== state.root && share >= 1) within += 1;
+  });
+  const others = state.sensors.filter((sensor) => sensor.name !== state.root).length;
+  const noun = state.kind === "network" ? "scanners" : "sensors";
+  const parts = [`${within} of ${others} ${noun} within tolerance`];
+  if (state.kind === "rig") parts.unshift(formatCount(state.captures, "capture"));
+  setText(byId("summary"), parts.join(" · "));
+}
+
+function showAdvice() {
+  const { advice } = state;
+  const isOver = state.done || state.phase === "finishing" || state.phase === "finished";
+  byId("advice").hidden = !advice || isOver;
+  if (!advice) return;
+  setText(byId("advice-title"), state.kind === "network" ? "Next walk" : "Next board pose");
+  setText(byId("advice-text"), advice.text);
+  setOptionalText(byId("advice-expected"), advice.expected);
+  setPicture(byId("advice-picture"), advice.picture);
+}
+
+function showPlan() {
+  byId("plan").hidden = state.kind !== "network";
+  setPicture(byId("floor-plan"), state.floor_plan);
+  byId("no-plan").hidden = Boolean(state.floor_plan);
+}
+
+function showRecorder() {
+  const { seconds, megabytes, messages, lost, minutes_left: left, problem } = state.recorder;
+  const parts = [
+    formatTime(seconds),
+    `${megabytes.toLocaleString("en", { maximumFractionDigits: megabytes < 10 ? 1 : 0 })} MB`,
+    formatCount(messages, "message"),
+    `${lost.toLocaleString("en")} lost`,
+  ];
+  if (left !== null) parts.push(left < 600 ? `disk full in ${Math.floor(left)} min` : "enough disk space");
+  setText(byId("recorder"), parts.join(" · "));
+  setOptionalText(byId("recorder-problem"), problem);
+  const notices = byId("notices");
+  const key = state.notices.join("\n");
+  if (notices.dataset.shown === key) return;
+  notices.dataset.shown = key;
+  notices.replaceChildren(...state.notices.map((text) => make("li", "", text)));
+}
+
+function showControls() {
+  byId("automatic").setAttribute("aria-pressed", state.automatic);
+  byId("manual").setAttribute("aria-pressed", !state.automatic);
+  byId("trigger").disabled = !CAPTURING.has(state.phase);
+  setText(byId("trigger-label"), LABELS[state.phase] ?? "Capture");
+  setText(byId("trigger-note"), describeTrigger());
+  byId("discard").disabled = state.captures === 0;
+  byId("report").hidden = !state.report;
+}
+
+function describeTrigger() {
+  if (state.phase === "waiting") return "press again to capture while it moves";
+  if (state.phase === "ready") return state.automatic ? "or hold the board still" : "press, then hold still";
+  return "";
+}
+
+function showOffline(text) {
+  document.body.dataset.page = text ? "offline" : "online";
+  setOptionalText(byId("offline"), text);
+}
+
+function press(action) {
+  if (send(action)) {
+    signal("pressed");
+    return;
+  }
+  announce("refused");
+}
+
+for (const action of ["trigger", "automatic", "manual"]) byId(action).addEventListener("click", () => press(action));
+
+const ask = (question, answer, action, isSevere) => {
+  setText(byId("question"), question);
+  setText(byId("yes"), answer);
+  byId("yes").className = isSevere ? "severe" : "";
+  byId("yes").onclick = () => {
+    byId("confirm").close();
+    press(action);
+  };
+  byId("confirm").showModal();
+};
+byId("no").addEventListener("click", () => byId("confirm").close());
+byId("discard").addEventListener("click", () => {
+  ask(`Leave out the last capture? ${formatCount(state.captures - 1, "capture")} remain.`, "Leave out", "discard", true);
+});
+byId("finish").addEventListener("click", () => {
+  const open = state.done ? "" : "Not all are within tolerance yet. ";
+  ask(`${open}End the recording and calibrate?`, "Finish", "finish", false);
+});
+
+// Space is the trigger wherever the focus is, except on buttons and links, which it presses.
+window.addEventListener("keydown", (event) => {
+  const isOnControl = event.target.closest?.("button, a, dialog");
+  if (event.code !== "Space" || event.repeat || isOnControl || byId("confirm").open) return;
+  event.preventDefault();
+  if (state?.kind === "rig" && !byId("trigger").disabled) press("trigger");
+});
