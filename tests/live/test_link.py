@@ -1,5 +1,6 @@
 """Links to the page, and their QR codes."""
 
+import re
 import socket
 
 import cv2
@@ -16,9 +17,10 @@ def server(host: str, token: str | None = "secret-token_1") -> PageServer:
 
 
 def read_blocks(text: str) -> str:
-    """What a phone reads of a code of half blocks, drawn white on black."""
-    halves = {" ": (0, 0), "▀": (1, 0), "▄": (0, 1), "█": (1, 1)}
-    rows = [[halves[block] for block in line] for line in text.split("\n")]
+    """What a phone reads of a code of half blocks, black on white."""
+    halves = {" ": (1, 1), "▀": (0, 1), "▄": (1, 0), "█": (0, 0)}
+    lines = re.sub("\x1b[^m]*m", "", text).split("\n")
+    rows = [[halves[block] for block in line] for line in lines]
     modules = np.array(rows, dtype=np.uint8).transpose(0, 2, 1).reshape(2 * len(rows), -1)
     picture = np.kron(255 * modules, np.ones((8, 8), dtype=np.uint8))
     return str(cv2.QRCodeDetector().detectAndDecode(np.pad(picture, 32, constant_values=255))[0])

@@ -9,8 +9,6 @@ from calgraph.live.server import PageServer
 # Of an address that needs not answer (RFC 5737): the way to it shows this machine's own address on the network.
 _ANY_ADDRESS = {socket.AF_INET: "192.0.2.1", socket.AF_INET6: "2001:db8::1"}
 _ANY_PORT = 9
-# By whether the upper and the lower module are dark.
-_HALF_BLOCKS = {(0, 0): "█", (0, 1): "▀", (1, 0): "▄", (1, 1): " "}
 # Modules of light around the code; readers of phones need two, the standard has four.
 _BORDER = 2
 _BLOCKS = {(False, False): " ", (True, False): "▀", (False, True): "▄", (True, True): "█"}
@@ -51,13 +49,13 @@ def draw_qr_code(text: str) -> str:
         return ""
     # The lowest error correction gives the smallest code: a screen has no scratches.
     code = segno.make(text, error="l", boost_error=False, micro=False)
-    rows = [bytes(row) for row in code.matrix_iter(border=2)]
-    rows += [bytes(len(rows[0]))] * (len(rows) % 2)
-    # Light modules are blocks in the colour of the text, two rows of them in one line.
-    return "\n".join(
-        "".join(_HALF_BLOCKS[upper, lower] for upper, lower in zip(above, below, strict=True))
-        for above, below in zip(rows[::2], rows[1::2], strict=True)
+    rows = [[bool(module) for module in row] for row in code.matrix_iter(border=_BORDER)]
+    rows += [[False] * len(rows[0])] * (len(rows) % 2)
+    lines = (
+        "".join(_BLOCKS[pair] for pair in zip(*two, strict=True))
+        for two in zip(rows[::2], rows[1::2], strict=True)
     )
+    return "\n".join(f"{_BLACK_ON_WHITE}{line}{_RESET}" for line in lines)
 
 
 def _list_hosts(host: str) -> list[str]:
