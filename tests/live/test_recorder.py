@@ -244,6 +244,35 @@ def test_a_recording_ends_before_the_disk_is_full(tmp_path: Path, monkeypatch: p
         Recorder(tmp_path / "bag", RecorderSettings(), LimitSettings(min_free_disk=10**8))
 
 
+def test_what_was_accepted_before_the_disk_was_full_is_recorded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    free, go = [10**9], threading.Event()
+
+    def measure(_: Path) -> Any:
+        # The recorder waits at its first chunk, while all other messages are accepted.
+        if threading.current_thread().name == "recorder":
+            assert go.wait(60)
+        return SimpleNamespace(free=free[0])
+
+    monkeypatch.setattr(shutil, "disk_usage", measure)
+    messages = [block(number, 2000) for number in range(100)]
+
+    async def run() -> None:
+        recorder = Recorder(
+            tmp_path / "bag", RecorderSettings(max_chunk_bytes=10_000), LimitSettings(min_free_disk=10**8)
+        )
+        for message in messages:
+            await recorder.write(message)
+        free[0] = 10**7
+        go.set()
+        with pytest.raises(RecordingError, match="its disk is almost full"):
+            await recorder.close()
+
+    asyncio.run(run())
+    assert read(tmp_path / "bag") == expected(messages)
+
+
 def test_a_disk_that_cannot_be_written_to_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What was written before can be read."""
     folder = tmp_path / "bag"
@@ -348,6 +377,7 @@ def test_types_of_ros_1_that_ros_2_has_not_keep_their_fields() -> None:
 
 def test_messages_that_cannot_be_recorded_are_counted_and_others_are_recorded(tmp_path: Path) -> None:
     unknown = Channel("/odd", "my_msgs/msg/Unknown", "ros1", "ros1msg", "Other[ other")
+    surrogate = Channel("/points", "test_msgs/msg/Bytes", "cdr", "ros2msg", "uint8[] data # \ud800\n")
     text, _ = get_typestore(Stores.ROS1_NOETIC).generate_msgdef("sensor_msgs/msg/LaserScan", ros_version=1)
     scans = Channel("/scan", "sensor_msgs/msg/LaserScan", "ros1", "ros1msg", text)
     messages = [
@@ -355,11 +385,12 @@ def test_messages_that_cannot_be_recorded_are_counted_and_others_are_recorded(tm
         LiveMessage(unknown, SECOND, b"2"),
         LiveMessage(scans, SECOND, b"too short"),
         LiveMessage(HEADER, -1, trigger(0).data),
+        LiveMessage(surrogate, SECOND, block(0, 1).data),
         trigger(0),
     ]
     state = record(tmp_path / "bag", messages)
     assert read(tmp_path / "bag") == expected(messages[-1:])
     problems = Counter(problem.partition(":")[0] for problem in state.problem.split("; "))
-    assert problems == {"/odd": 1, "/scan": 1, "/calgraph/trigger": 1}
+    assert problems == {"/odd": 1, "/scan": 1, "/calgraph/trigger": 1, "/points": 1}
     assert state.problem.startswith("/odd: 2 messages not recorded: the definition of type my_msgs/msg/Unknown is")
     assert "/calgraph/trigger: 1 message not recorded: it arrived at -1 ns, which is no time" in state.problem

@@ -76,6 +76,9 @@ class Recorder:
         self._refused: dict[str, tuple[int, str]] = {}
         """By topic: how many messages cannot be recorded, and why the first one cannot."""
         self._failure = ""
+        """Why the recording has ended."""
+        self._ending = threading.Lock()
+        """No message is queued while the recording ends: what was accepted before is written."""
         self._sizes: deque[tuple[float, int]] = deque([(time.monotonic(), 0)])
         """When, s, the file had which size, bytes: within the window of the rate."""
         self._sync_time = time.monotonic()
@@ -109,10 +112,11 @@ class Recorder:
             self._has_space.clear()
             if self._is_full():  # the thread may have written in between
                 await self._has_space.wait()
-        if self._failure:
-            raise RecordingError(self._failure)
-        self._queued_bytes += len(message.data)
-        self._queue.put(message)
+        with self._ending:
+            if self._failure:
+                raise RecordingError(self._failure)
+            self._queued_bytes += len(message.data)
+            self._queue.put(message)
 
     async def close(self) -> None:
         """Writes what is queued, the index of the file, and metadata.yaml.
@@ -140,8 +144,9 @@ class Recorder:
             if self._count:
                 self._file.flush()
                 self._file.sync()
-        except OSError as error:
-            self._fail(f"cannot be written to ({error.strerror or error}): the recording has ended")
+        except Exception as error:  # without this thread messages would only be queued
+            reason = getattr(error, "strerror", None) or error
+            self._fail(f"cannot be written to ({reason}): the recording has ended")
         # What follows is of use to the tools of ROS 2; calgraph reads the files without.
         with suppress(Exception):
             self._file.close()
@@ -158,10 +163,14 @@ class Recorder:
         pending, pending_bytes, deadline = 0, 0, 0.0
         # Those who wait for space in the queue wait for the end of the chunk.
         max_bytes = min(self._settings.max_chunk_bytes, self._settings.max_queued_bytes)
-        while not self._failure:
+        while True:
+            wait = max(0.0, deadline - time.monotonic()) if pending else None
             try:
-                message = self._queue.get(timeout=max(0.0, deadline - time.monotonic()) if pending else None)
+                message = self._queue.get(timeout=0.0 if self._failure else wait)
             except Empty:
+                if self._failure:
+                    self._flush(pending_bytes)
+                    return
                 is_due = True
             else:
                 if message is None:
@@ -203,9 +212,12 @@ class Recorder:
     def _add_channel(self, channel: Channel) -> tuple[int, CdrSchema] | str:
         try:
             schema = make_cdr_schema(channel)
+            definitions = schema.text.encode()
+            # The writer encodes names, and keeps those that it cannot encode.
+            (channel.type + channel.topic).encode()
         except Exception as error:  # as above
             return " ".join(str(error).split())
-        number = self._writer.register_schema(channel.type, schema.encoding, schema.text.encode())
+        number = self._writer.register_schema(channel.type, schema.encoding, definitions)
         return self._writer.register_channel(channel.topic, "cdr", number, {"offered_qos_profiles": ""}), schema
 
     def _refuse(self, topic: str, reason: str) -> None:
@@ -226,7 +238,7 @@ class Recorder:
             self._sync_time = now
         free = shutil.disk_usage(self._folder).free
         self._update_state(now, free)
-        if free < self._limits.min_free_disk:
+        if free < self._limits.min_free_disk and not self._failure:
             self._fail(f"{self._describe_full_disk()}: the recording has ended")
         self._done_bytes += pending_bytes
         self._wake()
@@ -244,7 +256,7 @@ class Recorder:
             megabytes=size / 1e6,
             messages=self._count,
             minutes_left=max(0, free - self._limits.min_free_disk) / rate / 60 if rate else None,
-            problem=self._describe_refused(),
+            problem=self._failure or self._describe_refused(),
         )
 
     def _describe_refused(self) -> str:
@@ -261,6 +273,7 @@ class Recorder:
 
     def _fail(self, reason: str) -> None:
         """Ends the recording with an error."""
-        self._failure = f"{self._file.path}: {reason}"
+        with self._ending:
+            self._failure = f"{self._file.path}: {reason}"
         self._state = replace(self._state, problem=self._failure)
         self._wake()
