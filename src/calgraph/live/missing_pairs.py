@@ -1,10 +1,10 @@
 """What connects the sensors of a rig: which of them still have to detect the board together, in words."""
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection
+from dataclasses import dataclass
 
 from calgraph.captures import CaptureSet
 from calgraph.config import Rig
-from calgraph.live.state import Advice
 
 # How well a sensor alone locates the board: a partner that measures its plane needs the fewest shared captures.
 _PARTNER_RANK = {"lidar3d": 0, "camera": 1, "lidar2d": 2}
@@ -34,7 +34,26 @@ def explain_unconnected(name: str, rig: Rig, captures: CaptureSet, connected: Co
     return f"{name} needs more captures together with other sensors, with the board tilted differently: {counts}"
 
 
-def advise_on_missing_pairs(rig: Rig, captures: CaptureSet, connected: Collection[str]) -> Advice | None:
+@dataclass(frozen=True)
+class MissingPair:
+    """Two sensors that should detect the board together next."""
+
+    sensors: tuple[str, str]
+    """One without a pose, and one with a pose."""
+    shared: int
+    """Captures in which both have detected the board."""
+
+    def __str__(self) -> str:
+        """What the operator should do."""
+        name, partner = self.sensors
+        first = f"Show the board to {name} and {partner} together"
+        if not self.shared:
+            return f"{first}, in several places, tilted and turned differently each time"
+        times = "once" if self.shared == 1 else f"{self.shared} times"
+        return f"{first}, tilted and turned differently than before: they have detected it together {times}"
+
+
+def find_missing_pair(rig: Rig, captures: CaptureSet, connected: Collection[str]) -> MissingPair | None:
     """Which sensors should detect the board together next, as long as some have no pose.
 
     Args:
@@ -43,30 +62,23 @@ def advise_on_missing_pairs(rig: Rig, captures: CaptureSet, connected: Collectio
         connected: the sensors that have a pose, the root included.
 
     Returns:
-        The pair that needs the fewest further captures, of a sensor without a pose and one with a pose; None if
-        all have one.
+        The pair with the most common captures, of a sensor without a pose and one with a pose; None if all have
+        one.
     """
-    pairs = list(_list_missing_pairs(rig, captures, {rig.root, *connected}))
-    if not pairs:
-        return None
-    shared, _, _, name, partner = min(pairs)
-    first = f"Show the board to {name} and {partner} together"
-    if -shared == 0:
-        return Advice(f"{first}, in several places, tilted and turned differently each time")
-    times = "once" if shared == -1 else f"{-shared} times"
-    return Advice(f"{first}, tilted and turned differently than before: they have detected it together {times}")
+    placed = {rig.root, *connected}
+    missing = [name for name in rig.sensors if name not in placed]
 
+    def rank(pair: MissingPair) -> tuple[int, int, int]:
+        name, partner = pair.sensors
+        kinds = _PARTNER_RANK[rig.sensors[name].kind] + _PARTNER_RANK[rig.sensors[partner].kind]
+        return -pair.shared, kinds, missing.index(name)
 
-def _list_missing_pairs(
-    rig: Rig, captures: CaptureSet, connected: Collection[str]
-) -> Iterator[tuple[int, int, int, str, str]]:
-    """Pairs of a sensor without a pose and one with a pose, sortable: those nearest to a relative pose first."""
-    order = list(rig.sensors)
-    for name, spec in rig.sensors.items():
-        for partner in connected:
-            if name not in connected:
-                rank = _PARTNER_RANK[spec.kind] + _PARTNER_RANK[rig.sensors[partner].kind]
-                yield -_count_shared(captures, name, partner), rank, order.index(name), name, partner
+    pairs = [
+        MissingPair((name, partner), _count_shared(captures, name, partner))
+        for name in missing
+        for partner in sorted(placed)
+    ]
+    return min(pairs, key=rank, default=None)
 
 
 def _count_shared(captures: CaptureSet, a: str, b: str) -> int:

@@ -7,7 +7,7 @@ import numpy as np
 from calgraph.config import Rig
 from calgraph.detection import BoardCorners
 from calgraph.errors import Rejected
-from calgraph.geometry import Array
+from calgraph.geometry import Array, se3
 from calgraph.live.live_captures import LiveCapture
 from calgraph.live.rig_solution import LiveSolution, SensorSolution
 from calgraph.live.scene_view import SceneFrame, SceneView
@@ -28,7 +28,9 @@ def make_scene(
     poses = {one.name: one.T_root_sensor for one in solution.sensors if one.T_root_sensor is not None}
     frames = [_make_frame(rig, one, one.T_root_sensor, cameras) for one in solution.sensors if one.name in poses]
     boards = [board for capture in captures if (board := _locate_board(rig, capture, poses)) is not None]
-    return SceneView(frames, np.array(boards) if boards else np.zeros((0, 4, 3)))
+    suggestion = solution.suggestion
+    suggested = None if suggestion is None else _outline(rig.board_size, suggestion.T_root_board)
+    return SceneView(frames, np.array(boards) if boards else np.zeros((0, 4, 3)), suggested)
 
 
 def _make_frame(
@@ -61,8 +63,11 @@ def _locate_board(rig: Rig, capture: LiveCapture, poses: Mapping[str, Array]) ->
         found = capture.detections[name]
         best = None if isinstance(found, Rejected) else found[0]
         if isinstance(best, BoardCorners):
-            width, height = rig.boards[best.board].size
-            corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * [width / 2, height / 2, 0.0]
-            T_root_board = T_root_camera @ best.T_camera_board
-            return np.asarray(corners @ T_root_board[:3, :3].T + T_root_board[:3, 3])
+            return _outline(rig.boards[best.board].size, T_root_camera @ best.T_camera_board)
     return None
+
+
+def _outline(size: tuple[float, float], T_root_board: Array) -> Array:
+    """(4, 3) corners of a board of a width and height, m."""
+    corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * [size[0] / 2, size[1] / 2, 0.0]
+    return se3.apply(T_root_board, corners)

@@ -4,7 +4,7 @@ Poses, covariances and verdicts are those of ``calgraph calibrate`` on the same 
 held-out captures: cross-validation and bootstrap take longest.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -17,10 +17,14 @@ from calgraph.config import Rig
 from calgraph.diagnostics import assemble_rig, include_drifts
 from calgraph.diagnostics.verdict import max_good_stddev
 from calgraph.errors import CalgraphError
+from calgraph.estimation.rig.solution import SolvedBundle
 from calgraph.geometry import Array
-from calgraph.live.missing_pairs import advise_on_missing_pairs, explain_unconnected
+from calgraph.live.missing_pairs import MissingPair, explain_unconnected, find_missing_pair
+from calgraph.live.pose_picture import DrawnSensor, draw_pose
+from calgraph.live.pose_suggestion import estimate_up, suggest_next_pose
 from calgraph.live.state import Advice
-from calgraph.result import Calibration, SensorPose
+from calgraph.result import Calibration, SensorPose, Suggestion
+from calgraph.sensors import CameraModel
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,8 +61,10 @@ class LiveSolution:
     """The next board pose; None where all sensors are good, and where no pose has a relevant gain."""
     problem: str = ""
     """Why the captures could not be solved, if they could not."""
-    scene: Mapping[str, object] = field(default_factory=dict)
-    """The 3-D view as plain values; see :mod:`calgraph.live.scene`."""
+    missing: MissingPair | None = None
+    """Sensors that should detect the board together next; None where all have a pose."""
+    suggestion: Suggestion | None = None
+    """The next best board pose, where all sensors have a pose and some are not good."""
 
 
 def solve_captures(rig: Rig, captures: CaptureSet, start: LiveSolution | None = None) -> LiveSolution:
@@ -75,18 +81,68 @@ def solve_captures(rig: Rig, captures: CaptureSet, start: LiveSolution | None = 
     """
     rig, captures = state_estimated_intrinsics(rig, captures), _leave_out_unprojected(rig, captures)
     try:
-        calibration = _solve(rig, captures, _select_known_poses(start))
+        calibration, solved = _solve(rig, captures, _select_known_poses(start))
     except CalgraphError as error:
-        return LiveSolution(_describe_sensors(rig, captures, None), False, len(captures.holds), problem=str(error))
+        missing = find_missing_pair(rig, captures, ())
+        return LiveSolution(
+            _describe_sensors(rig, captures, None),
+            False,
+            len(captures.holds),
+            Advice(str(missing)) if missing else None,
+            problem=str(error),
+            missing=missing,
+        )
     sensors = _describe_sensors(rig, captures, calibration)
     done = all(sensor.grade == "good" for sensor in sensors)
     connected = {sensor.name for sensor in sensors if sensor.T_root_sensor is not None}
-    return LiveSolution(
-        sensors,
-        done,
-        len(captures.holds),
-        advice=None if done else advise_on_missing_pairs(rig, captures, connected),
+    missing = find_missing_pair(rig, captures, connected)
+    suggestion = None
+    if solved and not missing and not done:
+        repeated = start and start.captures != len(captures.holds)
+        suggestion = suggest_next_pose(rig, solved, start.suggestion if start and repeated else None)
+    picture = _draw_suggestion(rig, captures.cameras, sensors, suggestion) if suggestion else ""
+    advice = None if done else _advise(sensors, missing, suggestion, picture)
+    return LiveSolution(sensors, done, len(captures.holds), advice, missing=missing, suggestion=suggestion)
+
+
+def _advise(
+    sensors: Sequence[SensorSolution], missing: MissingPair | None, suggestion: Suggestion | None, picture: str
+) -> Advice | None:
+    """What to do next, in words; what keeps a sensor from being good where no board pose helps."""
+    if missing:
+        return Advice(str(missing))
+    if suggestion:
+        return Advice(
+            suggestion.hold[0].upper() + suggestion.hold[1:],
+            picture,
+            str(suggestion).removeprefix(f"{suggestion.hold}: "),
+        )
+    reasons = [sensor.reason for sensor in sensors if sensor.grade != "good" and sensor.reason]
+    return Advice(reasons[0]) if reasons else None
+
+
+def _draw_suggestion(
+    rig: Rig, cameras: Mapping[str, CameraModel], sensors: Sequence[SensorSolution], suggestion: Suggestion
+) -> str:
+    """The picture of a suggestion, as viewed by its sensor, or a camera."""
+    drawn = [
+        DrawnSensor(one.name, one.kind, one.T_root_sensor, _half_view_angle(cameras.get(one.name)))
+        for one in sorted(sensors, key=lambda one: one.name != rig.root)
+        if one.T_root_sensor is not None
+    ]
+    up = estimate_up({one.name: one.kind for one in drawn}, {one.name: one.T_root_sensor for one in drawn})
+    return draw_pose(
+        drawn, suggestion.T_root_board, rig.board_size, up, suggestion.sensor, rig.settings.live.advice.min_angle
     )
+
+
+def _half_view_angle(camera: CameraModel | None) -> float:
+    """Half of the horizontal field of view, rad; 0 without intrinsics."""
+    if camera is None:
+        return 0.0
+    rays = camera.rays(np.array([[0.0, camera.K[1, 2]], [camera.width - 1.0, camera.K[1, 2]]]))
+    left, right = rays / np.linalg.norm(rays, axis=1, keepdims=True)
+    return float(np.arccos(np.clip(left @ right, -1, 1))) / 2
 
 
 def _leave_out_unprojected(rig: Rig, captures: CaptureSet) -> CaptureSet:
@@ -107,7 +163,7 @@ def _select_known_poses(start: LiveSolution | None) -> dict[str, Array]:
 
 
 @explain_singular_equations()
-def _solve(rig: Rig, captures: CaptureSet, known: Mapping[str, Array]) -> Calibration:
+def _solve(rig: Rig, captures: CaptureSet, known: Mapping[str, Array]) -> tuple[Calibration, SolvedBundle | None]:
     options = RigOptions()
     rig = _without_bootstrap(rig)
     problem = build_problem_from_captures(rig, captures, options, np.random.default_rng(options.seed), known=known)
@@ -116,7 +172,7 @@ def _solve(rig: Rig, captures: CaptureSet, known: Mapping[str, Array]) -> Calibr
     )
     if solution.solved_bundle:
         solution = include_drifts(solution, solution.solved_bundle, rig.settings.diagnostics)
-    return assemble_rig(problem, tree, solution)
+    return assemble_rig(problem, tree, solution), solution.solved_bundle
 
 
 def _without_bootstrap(rig: Rig) -> Rig:

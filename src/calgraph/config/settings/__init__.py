@@ -50,6 +50,7 @@ from calgraph.config.settings.legs import (
 )
 from calgraph.config.settings.limits import LimitSettings
 from calgraph.config.settings.live import (
+    AdviceSettings,
     ConnectionSettings,
     LiveCaptureSettings,
     LiveNetworkSettings,
@@ -103,6 +104,7 @@ from calgraph.config.settings.tracking import (
 )
 
 __all__ = [
+    "AdviceSettings",
     "AssociationSettings",
     "BaselineSettings",
     "BoardEdgeSettings",

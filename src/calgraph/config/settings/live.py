@@ -1,5 +1,6 @@
 """Settings of live capture. Times in s, distances in m. None changes what ``calgraph calibrate`` computes."""
 
+import numpy as np
 from pydantic import Field
 
 from calgraph.config.strict_model import StrictModel
@@ -216,9 +217,26 @@ class LiveNetworkSettings(StrictModel):
     smaller ones."""
 
 
+class AdviceSettings(StrictModel):
+    """The next board pose that an operator is advised to take."""
+
+    max_height_change: float = Field(default=0.6, gt=0)
+    """Maximum height of the board's centre above or below the median of its heights until now, m: a person holds
+    a board whose centre is at 1 m from the knees to above the head."""
+    min_distance: float = Field(default=0.6, gt=0)
+    """Minimum distance of the board's centre from every sensor, m: nearer, the robot is in the way."""
+    repeat_distance: float = Field(default=0.25, gt=0)
+    """Distance from the last suggestion, m, within which no other is made after a capture: more than operators
+    miss it by, so that a suggestion whose board sensors did not detect is not repeated."""
+    min_angle: float = Field(default=float(np.radians(5)), gt=0)
+    """Smallest angle by which the picture asks for a board that is tilted or turned, rad (5°): a person holds it
+    no more precisely."""
+
+
 class LiveSettings(StrictModel):
     """Live capture."""
 
+    advice: AdviceSettings = AdviceSettings()
     connection: ConnectionSettings = ConnectionSettings()
     recorder: RecorderSettings = RecorderSettings()
     network: LiveNetworkSettings = LiveNetworkSettings()

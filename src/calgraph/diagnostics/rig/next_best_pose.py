@@ -6,10 +6,11 @@ observations that the sensors are predicted to make. The best one is selected, t
 Source: Krause, Singh, Guestrin, "Near-optimal sensor placements in Gaussian processes", 2008, on greedy choices.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calgraph.config import Tolerance
 from calgraph.config.settings import DiagnosticsSettings, RigDiagnosticsSettings
@@ -32,6 +33,9 @@ def suggest_board_poses(
     rng: np.random.Generator,
     tolerance: Tolerance,
     settings: DiagnosticsSettings = DiagnosticsSettings(),
+    *,
+    up: Array | None = None,
+    is_reachable: Callable[[Array], NDArray[np.bool_]] | None = None,
 ) -> tuple[Suggestion, ...]:
     """Board poses that reduce the uncertainty of the least certain sensor most, relative to the tolerance.
 
@@ -42,12 +46,19 @@ def suggest_board_poses(
         rng: draws the candidates.
         tolerance: the largest acceptable error of poses.
         settings: of the candidates, of predicted detections, and of verdicts.
+        up: (3,) direction in the root's frame towards which the upper edge of boards is held; any if left out.
+        is_reachable: (K,) which of candidates ``T_root_board`` (K, 4, 4) can be suggested; all if left out.
 
     Returns:
         Poses in the order of selection, each in addition to those before; none where no pose has a relevant gain.
     """
     bundle, current = solved.bundle, solved.minimized.state
-    state = replace(current, T_root_board=_draw_candidates(bundle, current, rng, settings.rig))
+    candidates = _draw_candidates(bundle, current, rng, settings.rig, up)
+    if is_reachable:
+        candidates = candidates[is_reachable(candidates)]
+    if not len(candidates):
+        return ()
+    state = replace(current, T_root_board=candidates)
     sensors = list(zip(bundle.sensors, bundle.views, state.T_root_sensor, strict=True))
     views = tuple(
         predict_observations(
@@ -121,7 +132,11 @@ def _log_volume(covariances: Array) -> Array:
 
 
 def _draw_candidates(
-    bundle: Bundle, state: BundleState, rng: np.random.Generator, settings: RigDiagnosticsSettings
+    bundle: Bundle,
+    state: BundleState,
+    rng: np.random.Generator,
+    settings: RigDiagnosticsSettings,
+    up: Array | None = None,
 ) -> Array:
     """``T_root_board`` (K, 4, 4): near recorded boards, facing a sensor that detected them, with random tilts."""
     count, radius = settings.candidate_poses, settings.candidate_radius
@@ -131,8 +146,7 @@ def _draw_candidates(
     z = state.T_root_sensor[sensor, :3, 3] - position
     z /= np.linalg.norm(z, axis=-1, keepdims=True)
     # The roll of the board about the line of sight does not matter: any axis across it serves.
-    up = np.eye(3)[np.argmin(np.abs(z), axis=-1)]
-    x = np.cross(up, z)
+    x = np.cross(np.eye(3)[np.argmin(np.abs(z), axis=-1)] if up is None else up, z)
     x /= np.linalg.norm(x, axis=-1, keepdims=True)
     azimuth, tilt = rng.uniform(0, 2 * np.pi, count), rng.uniform(0, settings.max_candidate_tilt, count)
     y = np.cross(z, x)
