@@ -187,9 +187,9 @@ class LiveNetworkSettings(StrictModel):
     min_interval: float = Field(default=10.0, gt=0)
     """Minimum time after the last of these intervals that is tracked, s: with the overlap 25 s, in half of which
     people do not stand still."""
-    max_intervals: int = Field(default=10, ge=1)
+    max_intervals: int = Field(default=4, ge=1)
     """Maximum number of intervals that are tracked before a solution, of sessions that are resumed: 10 s of
-    work for five scanners."""
+    work for ten scanners."""
     max_work: float = Field(default=20.0, gt=0)
     """Processor time of a solution, s, above which the next is computed from fewer intervals; those that add least
     are left out. Five scanners and two people need 2 s for each minute, 8 s where their legs are modelled."""
