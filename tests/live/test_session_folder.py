@@ -137,7 +137,7 @@ def test_one_process_uses_a_session_until_it_is_killed(session: Path) -> None:
     ) as holder:
         assert holder.stdout is not None
         assert holder.stdout.readline() == b"held\n"
-        with pytest.raises(InputError, match="is in use by another calgraph live"):
+        with pytest.raises(InputError, match="is in use by another live session"):
             resume_session(session)
         holder.send_signal(signal.SIGKILL)
         holder.wait()

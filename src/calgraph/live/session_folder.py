@@ -174,7 +174,7 @@ def _lock_folder(path: Path) -> BinaryIO:
             fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError as error:
         file.close()
-        raise InputError(f"{path}: is in use by another calgraph live") from error
+        raise InputError(f"{path}: is in use by another live session") from error
     return file
 
 
