@@ -313,13 +313,13 @@ def test_malformed_requests_are_answered_and_end_nothing(local: ServedPage) -> N
 
 def test_a_port_in_use_is_an_input_error(local: ServedPage) -> None:
     port = local.server.port
-    with pytest.raises(InputError, match=f"--port {port}: another program listens on that port; give another one"):
+    with pytest.raises(InputError, match=f"`port` {port}: another program listens on that port; give another one"):
         ServedPage(GivenSession(STATE), port=port).__enter__()
 
 
 @pytest.mark.parametrize("host", ["203.0.113.7", "no such host"])
 def test_an_address_of_another_machine_is_an_input_error(host: str) -> None:
-    with pytest.raises(InputError, match=f"--host {host} --port 0: is no address of this machine"):
+    with pytest.raises(InputError, match=f"`host` {host}, `port` 0: is no address of this machine"):
         ServedPage(GivenSession(STATE), host).__enter__()
 
 

@@ -97,7 +97,7 @@ def test_the_last_arrival_is_exact(session: Path) -> None:
 
 def test_a_session_is_not_overwritten(session: Path) -> None:
     before = {file.name: file.read_bytes() for file in session.iterdir()}
-    with pytest.raises(InputError, match=r"continue it with --resume .*a session"):
+    with pytest.raises(InputError, match=r"continue it with `resume` .*a session"):
         create_session(session, *write_rig(session.parent), "ros2:")
     assert {file.name: file.read_bytes() for file in session.iterdir()} == before
 
@@ -124,8 +124,9 @@ import os, sys
 from pathlib import Path
 from calgraph.live.session_folder import resume_session
 folder = resume_session(Path(sys.argv[1]))
-os.fork()  # a worker, which lives on
-print("held", flush=True)
+# A worker lives on.
+if os.fork():
+    print("held", flush=True)
 sys.stdin.read()
 """
 

@@ -98,7 +98,7 @@ async def serve_page(
 
 def _listen(host: str, port: int, settings: PageSettings) -> socket.socket:
     """A socket that listens; other programs on the port are refused, those just ended are not."""
-    where = f"--host {host} --port {port}"
+    where = f"`host` {host}, `port` {port}"
     try:
         family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
         listening = socket.socket(family, kind, protocol)

@@ -148,7 +148,7 @@ def _check_empty(path: Path) -> None:
         names = {entry.name for entry in path.iterdir()} - {_LOCK} if path.exists() else set()
     if _NOTES in names:
         raise InputError(
-            f"{path}: is the folder of a live session: continue it with --resume {path}, or give another"
+            f"{path}: is the folder of a live session: continue it with `resume` {path}, or give another"
         )
     if names:
         raise InputError(f"{path}: is not empty: give another folder for the session")
