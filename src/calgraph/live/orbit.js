@@ -16,7 +16,8 @@ export function makeView(canvas, redraw) {
   let radius = 1;
   const pointers = new Map();
 
-  const scale = () => (zoom * 0.65 * Math.min(canvas.clientWidth, canvas.clientHeight)) / radius;
+  // All points lie within the radius: at the first zoom, nine tenths of the shorter side show them.
+  const scale = () => (zoom * 0.45 * Math.min(canvas.clientWidth, canvas.clientHeight)) / radius;
 
   /** Directions of the screen in the scene: right, and down. */
   function axes() {
