@@ -2,20 +2,25 @@
 
 import shutil
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from datetime import datetime, timedelta
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 from playwright.sync_api import Browser, Page, sync_playwright
 
+from calgraph.config.settings import PageSettings
 from calgraph.live.scene_view import SceneFrame, SceneView, encode_scene
-from calgraph.live.state import Advice, CaptureEvent, SensorState, SessionState
+from calgraph.live.state import Advice, CaptureEvent, RecorderState, SensorState, SessionState
 from live_pages import PATIENCE, GivenSession, ServedPage
 
 CHROMIUM = shutil.which("chromium")
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium to open the page in")
-PORTRAIT, LANDSCAPE, WIDE = (390, 844), (844, 390), (1280, 800)
+SMALL, PORTRAIT, LANDSCAPE, WIDE = (360, 640), (390, 844), (844, 390), (1440, 900)
+POSE = '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 360 500"/>'
 HOSTILE = "<img src=x onerror=\"document.title='run'\">"
 SENSORS = (
     SensorState("lidar", "lidar3d", sees_board=True, progress=1.0, coverage=(0.0, 0.5)),
@@ -26,7 +31,7 @@ SENSORS = (
 RIG = SessionState(
     "rig", "ready", "Hold the board still in a new pose", "ws://robot:8765", connected=True, root="lidar",
     sensors=SENSORS, captures=3, tolerance_mm=10.0, tolerance_degrees=0.3, scene=1,
-    advice=Advice("Stand to the left", '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 3 2"/>'),
+    advice=Advice("Hold the board 2.2 m in front of lidar, tilted back by 25°", POSE, "σ of z: 12 mm → 6 mm"),
 )  # fmt: skip
 NETWORK = replace(
     RIG, kind="network", floor_plan='<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 360 300"/>', scene=0
@@ -134,29 +139,97 @@ def test_captures_that_are_taken_and_refused_are_signalled_once_and_differ(opene
     assert opened.page.locator("body").get_attribute("data-signal") is None
 
 
-def test_the_end_is_shown_with_the_report(opened: Opened) -> None:
+def test_the_calibration_of_the_whole_recording_is_awaited_without_buttons(opened: Opened) -> None:
+    opened.show(replace(RIG, phase="finishing", headline="Calibrating", connected=False))
+    assert opened.page.locator("#working").is_visible()
+    assert opened.page.locator("button:visible, #advice:visible, #event:visible, .board:visible").count() == 0
+    assert opened.page.locator("#source").inner_text() == "ws://robot:8765"
+
+
+def test_the_result_is_signalled_and_its_report_is_one_press_away(opened: Opened, tmp_path: Path) -> None:
     assert opened.page.locator("#report").is_hidden()
-    opened.show(replace(RIG, phase="finished", headline="Calibrated", done=True, report=True))
-    assert opened.page.locator("#report").is_visible()
+    opened.session.report_file = tmp_path / "report.html"
+    opened.session.report_file.write_text("<p>the report")
+    opened.show(replace(RIG, phase="finished", headline="Calibrated", report=True))
+    assert opened.page.locator("body").get_attribute("data-signal") == "done"
     assert opened.page.locator("#trigger").is_hidden()
+    with opened.page.expect_popup() as popup:
+        opened.page.locator("#report").click()
+    popup.value.get_by_text("the report").wait_for()
 
 
-def test_a_lost_connection_is_named_and_ends(browser: Browser) -> None:
-    session = GivenSession(RIG)
-    with ServedPage(session) as served:
-        page = browser.new_context().new_page()
-        page.set_default_timeout(1000 * PATIENCE)
-        page.goto(served.link)
-        page.locator(".card").first.wait_for()
+def test_a_failure_is_signalled_with_its_reason(opened: Opened) -> None:
+    opened.show(replace(RIG, phase="failed", headline="Not calibrated: nothing connects camera to lidar"))
+    assert opened.page.locator("body").get_attribute("data-signal") == "refused"
+    assert opened.page.locator("footer").is_hidden()
+
+
+def test_problems_of_the_recorder_and_of_the_source_are_at_the_top(opened: Opened) -> None:
+    recorder = RecorderState(problem="the disk is full: recording has ended")
+    opened.show(replace(RIG, headline="now", connected=False, recorder=recorder))
+    assert opened.page.locator("header [role=alert]").inner_text() == recorder.problem
+    assert opened.page.locator("header").inner_text().startswith("Not connected: ws://robot:8765")
+
+
+@contextmanager
+def open_page(browser: Browser, link: str) -> Iterator[Page]:
+    context = browser.new_context()
+    page = context.new_page()
+    page.set_default_timeout(1000 * PATIENCE)
+    page.goto(link)
+    page.locator(".card").first.wait_for()
+    yield page
+    context.close()
+
+
+@pytest.mark.parametrize(
+    ("state", "text"),
+    [
+        (RIG, "This page connects again if the session is resumed."),
+        (replace(RIG, phase="finished"), "the result is in the folder of the session."),
+    ],
+)
+def test_the_end_of_the_server_is_named_until_it_comes_back(
+    browser: Browser, state: SessionState, text: str
+) -> None:
+    with ServedPage(GivenSession(state)) as served:
+        opening = open_page(browser, served.link)
+        page = opening.__enter__()
         port = served.server.port
-    page.locator("#offline").wait_for()
+    page.get_by_text(text).wait_for()
     with ServedPage(GivenSession(replace(RIG, headline="again")), port=port):
         page.get_by_text("again", exact=True).wait_for()
         assert page.locator("#offline").is_hidden()
-    page.context.close()
+    opening.__exit__(None, None, None)
 
 
-@pytest.mark.parametrize("size", [PORTRAIT, LANDSCAPE, WIDE])
+def test_silence_of_the_server_is_named(browser: Browser) -> None:
+    with (
+        ServedPage(GivenSession(RIG), settings=PageSettings(heartbeat=100)) as served,
+        open_page(browser, served.link) as page,
+    ):
+        page.clock.install()
+        page.reload()
+        page.locator(".card").first.wait_for()
+        page.clock.pause_at(datetime.now() + timedelta(seconds=10))
+        page.get_by_text("No connection to calgraph live: connecting again.").wait_for()
+        page.clock.resume()
+        page.locator("#offline").wait_for(state="hidden")
+
+
+def test_a_server_with_another_token_asks_for_its_link(browser: Browser) -> None:
+    with ServedPage(GivenSession(RIG), "0.0.0.0") as served:
+        opening = open_page(browser, served.link)
+        page = opening.__enter__()
+        port = served.server.port
+    with ServedPage(GivenSession(RIG), "0.0.0.0", port) as served:
+        page.get_by_text("open the link that it shows now").wait_for()
+        page.goto(served.link)
+        page.locator(".card").first.wait_for()
+    opening.__exit__(None, None, None)
+
+
+@pytest.mark.parametrize("size", [SMALL, PORTRAIT, LANDSCAPE, WIDE])
 @pytest.mark.parametrize("state", [RIG, NETWORK], ids=["rig", "network"])
 def test_nothing_is_wider_than_the_screen_and_buttons_are_large(
     opened: Opened, state: SessionState, size: tuple[int, int]
@@ -172,6 +245,69 @@ def test_nothing_is_wider_than_the_screen_and_buttons_are_large(
     assert all(box and box["y"] >= 0 and box["y"] + box["height"] <= size[1] for box in buttons)
     if state is NETWORK:
         assert opened.page.locator("#floor-plan").is_visible()
+
+
+@pytest.mark.parametrize("size", [SMALL, LANDSCAPE, (1024, 768), WIDE, (1920, 1080)])
+def test_the_advice_is_complete_without_scrolling(opened: Opened, size: tuple[int, int]) -> None:
+    opened.page.set_viewport_size({"width": size[0], "height": size[1]})
+    for part in ("picture", "text", "expected"):
+        shown = opened.page.evaluate(
+            """id => new Promise(answer => {
+              const seen = ([entry]) => answer(entry.intersectionRatio);
+              new IntersectionObserver(seen).observe(document.getElementById(id));
+            })""",
+            f"advice-{part}",
+        )
+        assert shown > 0.99, part
+
+
+def test_the_picture_of_the_pose_fills_the_screen_when_pressed(opened: Opened) -> None:
+    opened.page.locator("#enlarge").click()
+    box = opened.page.locator("#large-picture").bounding_box()
+    assert box
+    assert box["width"] > 0.9 * PORTRAIT[0]
+    opened.page.locator("#reduce").click()
+    assert opened.page.locator("#enlarged").is_hidden()
+
+
+CONTRAST = """() => {
+  const luminance = color => {
+    const [r, g, b] = color.match(/[0-9.]+/g).map(value => value / 255)
+      .map(value => value <= 0.04045 ? value / 12.92 : ((value + 0.055) / 1.055) ** 2.4);
+    return 0.2126 * r + 0.7152 * g + 0.0722 * b;
+  };
+  const ground = element => {
+    const color = getComputedStyle(element).backgroundColor;
+    return color === "rgba(0, 0, 0, 0)" ? ground(element.parentElement) : color;
+  };
+  const hasText = element => [...element.childNodes].some(node => node.nodeType === 3 && node.data.trim());
+  return [...document.querySelectorAll("body *")]
+    .filter(element => hasText(element) && element.checkVisibility() && !element.closest(":disabled"))
+    .map(element => {
+      const [a, b] = [getComputedStyle(element).color, ground(element)].map(luminance).sort((x, y) => y - x);
+      return [element.textContent, (a + 0.05) / (b + 0.05)];
+    });
+}"""
+
+
+@pytest.mark.parametrize(
+    "state",
+    [
+        replace(
+            RIG, event=CaptureEvent(1, False, "none"), recorder=RecorderState(problem="full"), connected=False
+        ),
+        replace(RIG, phase="waiting"),
+        replace(RIG, done=True),
+        replace(RIG, phase="failed", report=True),
+        replace(NETWORK, floor_plan=""),
+    ],
+    ids=["problems", "waiting", "done", "failed", "network"],
+)
+def test_texts_have_the_contrast_of_wcag_level_aaa(opened: Opened, state: SessionState) -> None:
+    opened.show(replace(state, headline="now"))
+    texts = opened.page.evaluate(CONTRAST)
+    assert len(texts) > 10
+    assert [text for text, contrast in texts if contrast < 7] == []
 
 
 def test_wide_screens_draw_the_scene_which_turns(opened: Opened) -> None:

@@ -245,8 +245,10 @@ def test_a_network_needs_the_token_of_the_link(public: ServedPage) -> None:
 
 
 def test_the_link_sets_a_cookie_that_opens_everything(public: ServedPage) -> None:
-    status, headers, _ = public.get(f"/?token={public.server.token}")
+    status, headers, content = public.get(f"/?token={public.server.token}")
     assert (status, headers["refresh"]) == (200, "0; url=/")
+    # Otherwise browsers ask for one, which is not there.
+    assert b'<link rel="icon" href="data:,">' in content
     assert {"HttpOnly", "SameSite=strict"} <= set(headers["set-cookie"].split("; "))
     assert public.get("/", Cookie=cookie_of(public))[0] == 200
     with open_socket(public, cookie_of(public)) as page:

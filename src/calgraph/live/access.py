@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from http.cookies import CookieError, SimpleCookie
 
 from starlette.datastructures import Headers, MutableHeaders, QueryParams
-from starlette.responses import PlainTextResponse, Response
+from starlette.responses import HTMLResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from calgraph.live.refusals import Refusal, Refusals
@@ -15,6 +15,13 @@ from calgraph.live.refusals import Refusal, Refusals
 _HOST = re.compile(r"(?P<name>\[[0-9a-fA-F:.]+\]|[A-Za-z0-9.-]+)(?::[0-9]{1,5})?")
 # Bytes of randomness, more than can be tried.
 _TOKEN_BYTES = 16
+# For phones, in letters that are large without a style sheet; browsers ask for no icon where one is given.
+_DOCUMENT = (
+    '<!doctype html><html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
+    '<meta name="color-scheme" content="dark"><link rel="icon" href="data:,"><title>calgraph live</title>{}'
+    "</html>\n"
+)
+_OLD_LINK = "This link is not valid any more: open the one that calgraph live shows now."
 
 
 def make_token() -> str:
@@ -84,12 +91,12 @@ class AccessCheck:
         if given is not None and scope["type"] == "http":
             if _is_token(given, self._token):
                 return None, self._admit()
-            return "wrong tokens", _refuse("The link is that of another session: open the one shown now.", 403)
+            return "wrong tokens", _refuse(_OLD_LINK, 403)
         kept = self._token_of_cookie(headers)
         if kept is None:
             return "missing tokens", _refuse("Open the link with the token that calgraph live shows.", 403)
         if not _is_token(kept, self._token):
-            return "wrong tokens", _refuse("The session has ended: open the link that is shown now.", 403)
+            return "wrong tokens", _refuse(_OLD_LINK, 403)
         return None, None
 
     def _is_known(self, host: str) -> bool:
@@ -118,7 +125,7 @@ class AccessCheck:
     def _admit(self) -> Response:
         # A redirect would be part of the navigation to the link: where that began on a page of another site, such
         # as a chat, browsers send no cookie that is SameSite=Strict. A refresh begins here.
-        response = Response(headers={"Refresh": "0; url=/"})
+        response = HTMLResponse(_DOCUMENT.format(""), headers={"Refresh": "0; url=/"})
         response.set_cookie(self._cookie, self._token or "", httponly=True, samesite="strict", path="/")
         return response
 
@@ -135,7 +142,7 @@ def _is_token(given: str, token: str) -> bool:
 
 
 def _refuse(text: str, status: int) -> Response:
-    return PlainTextResponse(text + "\n", status, {"Connection": "close"})
+    return HTMLResponse(_DOCUMENT.format(f"<h1>{text}</h1>"), status, {"Connection": "close"})
 
 
 def _add_headers(headers: MutableHeaders, host: str) -> None:

@@ -20,9 +20,17 @@ export function draw(tag, attributes, ...children) {
   return made;
 }
 
+// Longer words may break after underscores.
+const LONG_WORD = 16;
+
 /** Sets a text where it differs, so that readers of screens repeat nothing. */
 export function setText(element, text) {
-  if (element.textContent !== text) element.textContent = text;
+  if (element.textContent !== text) element.replaceChildren(...String(text).split(/(\s+)/).flatMap(allowBreaks));
+}
+
+function allowBreaks(word) {
+  if (word.length <= LONG_WORD) return [word];
+  return word.split("_").flatMap((part, index) => (index ? ["_", make("wbr"), part] : [part]));
 }
 
 /** Sets a text and hides the element where there is none. */

@@ -7,6 +7,17 @@ import { showScene } from "./scene.js";
 import { showSensors } from "./sensors.js";
 
 const CAPTURING = new Set(["ready", "waiting", "measuring"]);
+const ENDING = new Set(["finishing", "finished", "failed"]);
+// Longer sentences are set in smaller letters.
+const LONG = 60;
+const OFFLINE = {
+  "": "",
+  lost: "No connection to calgraph live: connecting again. Recording does not depend on this page.",
+  ended: "calgraph live has ended on the computer. This page connects again if the session is resumed.",
+  replaced: "calgraph live was started again with another link: open the link that it shows now.",
+  over: "calgraph live has ended on the computer: the result is in the folder of the session.",
+};
+const END_SIGNALS = { finished: "done", failed: "refused" };
 const LABELS = { waiting: "Hold still", measuring: "Measuring", background: "Wait", connecting: "Wait" };
 
 let state = null;
@@ -23,9 +34,9 @@ function show(before) {
   document.body.dataset.phase = state.phase;
   document.body.dataset.kind = state.kind;
   document.body.dataset.done = state.done ? "yes" : "no";
-  setText(byId("source"), state.connected ? state.source : `${state.source}: not connected`);
-  byId("light").className = state.connected ? "connected" : "";
+  showSource();
   setText(byId("headline"), state.headline);
+  byId("headline").classList.toggle("long", state.headline.length > LONG);
   setText(byId("sensors-title"), state.kind === "network" ? "Scanners" : "Sensors");
   showEvent(before);
   showOverall();
@@ -37,13 +48,22 @@ function show(before) {
   showControls();
 }
 
+/** Once the recording has ended, it does not matter whether its source is connected. */
+function showSource() {
+  const isOver = ENDING.has(state.phase);
+  byId("status").className = isOver ? "over" : state.connected ? "connected" : "";
+  setText(byId("source"), isOver || state.connected ? state.source : `Not connected: ${state.source}`);
+}
+
 /** A page that was opened or reloaded is silent about what happened before. */
 function showEvent(before) {
   const { number, taken, text } = state.event;
-  setOptionalText(byId("event"), number ? text : "");
+  setOptionalText(byId("event"), number && !ENDING.has(state.phase) ? text : "");
   byId("event").className = taken ? "taken" : "";
+  byId("event").classList.toggle("long", text.length > LONG);
   if (before?.event && number > before.event.number) announce(taken ? "taken" : "refused");
   if (before?.event && state.done && !before.done) announce("done");
+  if (before?.event && state.phase !== before.phase && END_SIGNALS[state.phase]) announce(END_SIGNALS[state.phase]);
 }
 
 function announce(kind) {
@@ -57,10 +77,10 @@ function showOverall() {
   while (segments.children.length < state.sensors.length) segments.append(make("li", "", make("span")));
   let within = 0;
   state.sensors.forEach((sensor, index) => {
-    const share = sensor.name === state.root ? 1 : sensor.progress;
-    segments.children[index].className = share >= 1 ? "within" : "";
-    segments.children[index].firstChild.style.width = `${100 * share}%`;
-    if (sensor.name !== state.root && share >= 1) within += 1;
+    const isWithin = sensor.progress >= 1;
+    segments.children[index].className = isWithin ? "within" : "";
+    segments.children[index].firstChild.style.width = `${100 * sensor.progress}%`;
+    if (isWithin && sensor.name !== state.root) within += 1;
   });
   const others = state.sensors.filter((sensor) => sensor.name !== state.root).length;
   const noun = state.kind === "network" ? "scanners" : "sensors";
@@ -71,13 +91,14 @@ function showOverall() {
 
 function showAdvice() {
   const { advice } = state;
-  const isOver = state.done || state.phase === "finishing" || state.phase === "finished";
-  byId("advice").hidden = !advice || isOver;
+  byId("advice").hidden = !advice || state.done || ENDING.has(state.phase);
   if (!advice) return;
   setText(byId("advice-title"), state.kind === "network" ? "Next walk" : "Next board pose");
   setText(byId("advice-text"), advice.text);
   setOptionalText(byId("advice-expected"), advice.expected);
   setPicture(byId("advice-picture"), advice.picture);
+  setPicture(byId("large-picture"), advice.picture);
+  byId("enlarge").hidden = !advice.picture;
 }
 
 function showPlan() {
@@ -120,9 +141,10 @@ function describeTrigger() {
   return "";
 }
 
-function showOffline(text) {
-  document.body.dataset.page = text ? "offline" : "online";
-  setOptionalText(byId("offline"), text);
+function showOffline(reason) {
+  document.body.dataset.page = reason ? "offline" : "online";
+  const isOver = state && END_SIGNALS[state.phase];
+  setOptionalText(byId("offline"), OFFLINE[isOver && reason === "ended" ? "over" : reason]);
 }
 
 function press(action) {
@@ -153,6 +175,9 @@ byId("finish").addEventListener("click", () => {
   const open = state.done ? "" : "Not all are within tolerance yet. ";
   ask(`${open}End the recording and calibrate?`, "Finish", "finish", false);
 });
+
+byId("enlarge").addEventListener("click", () => byId("enlarged").showModal());
+byId("reduce").addEventListener("click", () => byId("enlarged").close());
 
 // Space is the trigger wherever the focus is, except on buttons and links, which it presses.
 window.addEventListener("keydown", (event) => {

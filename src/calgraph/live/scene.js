@@ -67,10 +67,14 @@ function drawNames(context) {
       const isBeside = x > other.x + other.width || other.x > x + width;
       if (!isBeside) y = Math.max(y, other.y + 18);
     }
-    placed.push({ x, y, width });
-    context.strokeText(frame.name, x, y);
+    placed.push({ frame, x, y, width });
+  }
+  // Those below the lower border move up, all by as much.
+  const below = Math.max(0, ...placed.map(({ y }) => y + 6 - canvas.clientHeight));
+  for (const { frame, x, y } of placed) {
+    context.strokeText(frame.name, x, y - below);
     context.fillStyle = colorOf(frame);
-    context.fillText(frame.name, x, y);
+    context.fillText(frame.name, x, y - below);
   }
 }
 

@@ -27,7 +27,8 @@ function makeCard(sensor) {
   const part = Object.fromEntries(
     ["board", "precision", "tolerance", "captures", "problem"].map((name) => [name, make("p", name)]),
   );
-  const name = make("h3", "", sensor.name);
+  const name = make("h3");
+  setText(name, sensor.name);
   const image = make("img", "view");
   image.alt = "";
   const kind = make("span", "kind", KINDS[sensor.kind] ?? sensor.kind);
@@ -47,15 +48,15 @@ function makeCard(sensor) {
 function updateCard(card, sensor, state) {
   const { element, part, bar } = card;
   const isRoot = sensor.name === state.root;
-  const within = isRoot || sensor.progress >= 1;
-  element.dataset.state = sensor.problem ? "problem" : within ? "within" : sensor.stddev_mm === null ? "none" : "open";
+  const isOpen = sensor.stddev_mm !== null;
+  element.dataset.state = sensor.problem ? "problem" : sensor.progress >= 1 ? "within" : isOpen ? "open" : "none";
   element.dataset.board = sensor.sees_board === null ? "unknown" : sensor.sees_board ? "yes" : "no";
   setOptionalText(part.board, state.kind === "network" ? sensor.reason : describeBoard(sensor));
   setText(part.precision, describePrecision(sensor, isRoot, state));
   setOptionalText(part.tolerance, isRoot ? "" : describeTolerance(sensor, state));
   setText(part.captures, state.kind === "network" ? describeTracks(sensor) : formatCount(sensor.captures, "capture"));
   setOptionalText(part.problem, sensor.problem);
-  const percent = isRoot ? 100 : Math.round(100 * Math.min(1, Math.max(0, sensor.progress)));
+  const percent = Math.round(100 * sensor.progress);
   bar.firstChild.style.width = `${percent}%`;
   bar.setAttribute("aria-valuenow", percent);
   bar.hidden = isRoot;
