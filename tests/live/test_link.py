@@ -13,7 +13,7 @@ from calgraph.live.server import PageServer
 
 
 def server(host: str, token: str | None = "secret-token_1") -> PageServer:
-    return PageServer(host, 8790, token, Refusals())
+    return PageServer(host, 8790, token, Refusals(), lambda: 0)
 
 
 def read_blocks(text: str) -> str:

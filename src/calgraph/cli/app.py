@@ -57,6 +57,7 @@ COMMANDS = {
         "board": "Make a printable board: a PDF at true scale, and on stdout the matching target: of rig.yaml.",
         "inspect": "Show the topics of a recording, or how a result was computed.",
         "export": "Write a calibration as launch file, tf2 YAML, URDF, Kalibr camchain, ROS camera_info or JSON.",
+        "live": "Record a running robot, watch sensors and captures on a phone, and calibrate.",
         "intrinsics": "Estimate the intrinsics of cameras from images of a board, which may move.",
         "cache": "Show where detections are kept for later runs, and their size; or remove them.",
         "view": "Show a calibration in the browser: sensors, measurements, and residuals when one is moved.",

@@ -48,6 +48,8 @@ class PageApp:
         self._settings = settings
         self._refusals = refusals
         self._pages = 0
+        self.opened = 0
+        """Number of pages that were ever open."""
         self._fields: Mapping[str, bytes] = {}
         self._changed = asyncio.Event()
         assets = [
@@ -106,6 +108,7 @@ class PageApp:
             await socket.close(1013)
             return
         self._pages += 1
+        self.opened += 1
         try:
             await socket.accept()
             # The page is gone where it sends no more, and as good as gone where it accepts no more.

@@ -3,7 +3,7 @@
 import asyncio
 import errno
 import socket
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager, nullcontext
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -31,6 +31,25 @@ class PageServer:
     token: str | None
     """That the link needs; None if only this machine reaches the server."""
     refusals: Refusals
+    pages_opened: Callable[[], int]
+    """Number of pages that were ever open."""
+
+
+def check_page_libraries() -> None:
+    """Checks that the page can be served.
+
+    Raises:
+        InputError: a library is missing.
+    """
+    try:
+        import starlette  # noqa: F401
+        import uvicorn  # noqa: F401
+        import websockets  # noqa: F401
+    except ImportError:
+        raise InputError(
+            "live capture needs starlette, uvicorn and websockets, which are not installed:"
+            " pip install 'calgraph[live]'"
+        ) from None
 
 
 @asynccontextmanager
@@ -48,18 +67,13 @@ async def serve_page(
     Raises:
         InputError: the address cannot be used, or a library is missing.
     """
-    try:
-        import uvicorn
-        import websockets  # noqa: F401
+    check_page_libraries()
+    import uvicorn
 
-        from calgraph.live.access import AccessCheck, is_loopback, make_token
-        from calgraph.live.bounded_http import make_bounded_protocol
-        from calgraph.live.page_app import MAX_MESSAGE_BYTES, PageApp
-    except ImportError:
-        raise InputError(
-            "live capture needs starlette, uvicorn and websockets, which are not installed:"
-            " pip install 'calgraph[live]'"
-        ) from None
+    from calgraph.live.access import AccessCheck, is_loopback, make_token
+    from calgraph.live.bounded_http import make_bounded_protocol
+    from calgraph.live.page_app import MAX_MESSAGE_BYTES, PageApp
+
     listening = _listen(host, port, settings)
     address, port, *_ = listening.getsockname()
     refusals = Refusals()
@@ -90,7 +104,7 @@ async def serve_page(
     async with app.following():
         serving = asyncio.create_task(server.serve([listening]))
         try:
-            yield PageServer(host, port, token, refusals)
+            yield PageServer(host, port, token, refusals, lambda: app.opened)
         finally:
             server.should_exit = True
             await serving

@@ -1,0 +1,174 @@
+"""A live session, from its first message until its recording is complete and calibrated."""
+
+import asyncio
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
+from contextlib import asynccontextmanager, contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from calgraph.config import Rig
+from calgraph.errors import CalibrationError, RecordingError
+from calgraph.live.job_queue import Post
+from calgraph.live.network_session import NetworkSession
+from calgraph.live.operator_view import OperatorView
+from calgraph.live.recorder import Recorder
+from calgraph.live.recording_loop import FedSession, TriggerQueue, record_session
+from calgraph.live.rig_session import RigSession, SessionOutputs, SessionPools, count_analysis_processes
+from calgraph.live.rig_solution import solve_captures
+from calgraph.live.server import PageServer, serve_page
+from calgraph.live.session_folder import SessionFolder
+from calgraph.live.source import Source
+from calgraph.live.state import Command
+from calgraph.processes import worker_pool
+from calgraph.recording import open_recording
+
+
+@dataclass(frozen=True)
+class FinalCalibration:
+    """How the calibration of the whole recording ended."""
+
+    exit_code: int
+    """Of ``calgraph calibrate``."""
+    message: str
+    """One sentence: which sensors are calibrated, or why none is."""
+    report: Path | None
+    """The report, if there is a result."""
+
+
+@dataclass(frozen=True)
+class LiveOptions:
+    """How a session is shown and ended."""
+
+    host: str
+    """Address of the page; see :func:`calgraph.live.server.serve_page`."""
+    port: int
+    manual: bool
+    """Whether captures are only taken with the button, until the operator states otherwise."""
+    calibrate: Callable[[SessionFolder], Awaitable[FinalCalibration]]
+    """Calibrates the whole recording into the folder of the result."""
+    announce: Callable[[PageServer], object]
+    """Reports where the page is."""
+    print_line: Callable[[str], object]
+    """Takes a line on what has happened."""
+
+
+def run_session(rig: Rig, source: Source, folder: SessionFolder, options: LiveOptions) -> int:
+    """Records and calibrates until the operator or the source ends it; then calibrates the whole recording.
+
+    The page shows the result until the program is interrupted, if it was ever open.
+
+    Args:
+        rig: of the session's folder.
+        source: of the messages.
+        folder: of the session; what it has recorded before is continued.
+        options: of page and end.
+
+    Returns:
+        The exit code of ``calgraph calibrate`` on the recording.
+
+    Raises:
+        InputError: the source, the folder or the page's address cannot be used.
+        RecordingError: the recording that is replayed is damaged.
+        CalibrationError: nothing was recorded, or processes cannot be started.
+        KeyboardInterrupt: the program was interrupted; the recording is complete until then.
+    """
+    with asyncio.Runner() as runner, _open_pools(rig, runner.get_loop().call_soon_threadsafe) as pools:
+        triggers = TriggerQueue()
+        session = _make_session(rig, source.name, folder, pools, triggers)
+        if options.manual:
+            session.command(Command("manual"))
+        return runner.run(_run(rig, source, folder, session, triggers, options))
+
+
+@contextmanager
+def _open_pools(rig: Rig, post: Post) -> Iterator[SessionPools]:
+    """The processes of a session; those that detect are of no use to networks."""
+    with worker_pool(1) as solving:
+        if rig.is_network:
+            yield SessionPools(solving, 1, solving, post)
+            return
+        processes = count_analysis_processes(rig)
+        with worker_pool(processes) as analysis:
+            yield SessionPools(analysis, processes, solving, post)
+
+
+def _make_session(
+    rig: Rig, source: str, folder: SessionFolder, pools: SessionPools, triggers: TriggerQueue
+) -> FedSession:
+    """A session that goes on where the recording in the folder ends."""
+    if rig.is_network:
+        return NetworkSession(rig, source, pools, folder.recording)
+    session = RigSession(rig, source, pools, SessionOutputs(triggers.put, folder.exclude), solve_captures)
+    if folder.last_arrival() >= 0:
+        with open_recording(folder.recording, rig.settings.limits) as recording:
+            session.rebuild(recording, pools.analysis_processes)
+    return session
+
+
+async def _run(
+    rig: Rig,
+    source: Source,
+    folder: SessionFolder,
+    session: FedSession,
+    triggers: TriggerQueue,
+    options: LiveOptions,
+) -> int:
+    view = OperatorView(session, options.print_line)
+    async with (
+        serve_page(view, options.host, options.port, settings=rig.settings.live.page) as server,
+        _printing_events(view, options.print_line),
+    ):
+        async with _recording(rig, folder, session) as recorder:
+            view.show_recorder(recorder)
+            options.announce(server)
+            await record_session(source, rig, recorder, session, triggers, view)
+        if recorder.state.problem:
+            options.print_line(recorder.state.problem)
+        if folder.last_arrival() < 0:
+            raise CalibrationError(f"{folder.recording}: no message was recorded")
+        view.show_end("finishing", "The whole recording is calibrated")
+        end = await options.calibrate(folder)
+        view.show_end("finished" if end.report else "failed", end.message, end.report)
+        if refused := server.refusals.describe():
+            options.print_line(f"the page's server {refused}")
+        if server.pages_opened():
+            options.print_line("the page shows the result until Ctrl-C")
+            with suppress(asyncio.CancelledError):
+                await asyncio.Event().wait()
+    return end.exit_code
+
+
+@asynccontextmanager
+async def _recording(rig: Rig, folder: SessionFolder, session: FedSession) -> AsyncIterator[Recorder]:
+    """The recorder of a session; both are closed at the end."""
+    recorder = Recorder(folder.recording, rig.settings.live.recorder, rig.settings.limits)
+    try:
+        yield recorder
+    finally:
+        session.close()
+        with suppress(RecordingError):  # its state has it
+            await recorder.close()
+
+
+@asynccontextmanager
+async def _printing_events(view: OperatorView, print_line: Callable[[str], object]) -> AsyncIterator[None]:
+    """Prints captures meanwhile."""
+    task = asyncio.create_task(_print_events(view, print_line))
+    try:
+        yield
+    finally:
+        task.cancel()
+        with suppress(asyncio.CancelledError):
+            await task
+
+
+async def _print_events(view: OperatorView, print_line: Callable[[str], object]) -> None:
+    before = view.state()
+    while True:
+        await view.wait_for_change(before)
+        state = view.state()
+        if state.event.number != before.event.number:
+            print_line(state.event.text)
+        if state.done and not before.done:
+            print_line("All sensors are within tolerance: finish")
+        before = state

@@ -1,0 +1,109 @@
+"""What the page shows of a session besides its captures, and which commands reach it."""
+
+import asyncio
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from calgraph.live.operator_view import OperatorView
+from calgraph.live.source import Notice
+from calgraph.live.state import Command, RecorderState, SessionState
+from live_pages import GivenSession
+
+STATE = SessionState("rig", "ready", "Hold the board still in a new pose", "ws://robot:8765")
+
+
+@dataclass
+class GivenRecorder:
+    state: RecorderState
+
+
+def make_view(printed: list[str] | None = None) -> tuple[OperatorView, GivenSession]:
+    session, lines = GivenSession(STATE), [] if printed is None else printed
+    return OperatorView(session, lines.append), session
+
+
+def test_notices_are_shown_newest_first_and_printed() -> None:
+    printed: list[str] = []
+    view, _ = make_view(printed)
+    for number in range(7):
+        view.note(Notice("refused", f"notice {number}"))
+    assert view.state().notices == ("notice 6", "notice 5", "notice 4", "notice 3", "notice 2")
+    assert printed == [f"notice {number}" for number in range(7)]
+
+
+@pytest.mark.parametrize(
+    ("kinds", "connected"),
+    [
+        ([], False),
+        (["connected"], True),
+        (["connected", "disconnected"], False),
+        (["connected", "ended"], False),
+        (["connected", "missing", "lost", "refused"], True),
+    ],
+)
+def test_the_connection_is_that_of_the_last_notice_on_it(kinds: list[str], connected: bool) -> None:
+    view, _ = make_view()
+    for kind in kinds:
+        view.note(Notice(kind, kind))  # type: ignore[arg-type]
+    assert view.state().connected is connected
+
+
+def test_messages_that_the_source_lost_are_counted_with_those_recorded() -> None:
+    view, _ = make_view()
+    view.show_recorder(GivenRecorder(RecorderState(messages=12)))
+    view.note(Notice("lost", "3 messages lost", "/scan", 3))
+    view.note(Notice("lost", "2 messages lost", "/scan", 2))
+    view.note(Notice("refused", "not a message", "/scan", 7))
+    assert view.state().recorder == RecorderState(messages=12, lost=5)
+
+
+def test_commands_reach_the_session_until_it_ends() -> None:
+    view, session = make_view()
+    view.command(Command("trigger"))
+    view.show_end("finishing", "The whole recording is calibrated")
+    view.command(Command("discard"))
+    assert session.commands.qsize() == 1
+
+
+def test_finish_is_for_who_owns_the_session() -> None:
+    view, session = make_view()
+    view.command(Command("finish"))
+    assert view.finish_wanted.is_set()
+    assert session.commands.empty()
+
+
+def test_the_end_and_its_report_are_shown(tmp_path: Path) -> None:
+    view, _ = make_view()
+    view.show_end("finishing", "The whole recording is calibrated")
+    assert (view.state().phase, view.state().report, view.report()) == ("finishing", False, None)
+    view.show_end("finished", "All 4 poses are good", tmp_path / "report.html")
+    state = view.state()
+    assert (state.phase, state.headline, state.report) == ("finished", "All 4 poses are good", True)
+    assert view.report() == tmp_path / "report.html"
+
+
+@pytest.mark.parametrize("cause", ["session", "notice", "end"])
+def test_each_change_is_another_state(cause: str) -> None:
+    async def wait() -> tuple[SessionState, SessionState]:
+        view, session = make_view()
+        before = view.state()
+        assert view.state() is before
+        waiting = asyncio.create_task(view.wait_for_change(before))
+        await asyncio.sleep(0)
+        await asyncio.sleep(0)
+        assert not waiting.done()
+        match cause:
+            case "session":
+                session.show(SessionState("rig", "measuring", "Hold still", "ws://robot:8765"))
+            case "notice":
+                view.note(Notice("connected", "connected to ws://robot:8765"))
+            case "end":
+                view.show_end("finishing", "The whole recording is calibrated")
+        await asyncio.wait_for(waiting, 30.0)
+        return before, view.state()
+
+    before, after = asyncio.run(wait())
+    assert after is not before
+    assert after != before
