@@ -247,7 +247,7 @@ def test_nothing_is_wider_than_the_screen_and_buttons_are_large(
         assert opened.page.locator("#floor-plan").is_visible()
 
 
-@pytest.mark.parametrize("size", [SMALL, LANDSCAPE, (1024, 768), WIDE, (1920, 1080)])
+@pytest.mark.parametrize("size", [SMALL, PORTRAIT, LANDSCAPE, (1024, 768), WIDE, (1920, 1080)])
 def test_the_advice_is_complete_without_scrolling(opened: Opened, size: tuple[int, int]) -> None:
     opened.page.set_viewport_size({"width": size[0], "height": size[1]})
     for part in ("picture", "text", "expected"):

@@ -211,7 +211,7 @@ def _draw_side(T_root_board: Array, up: Array, sensor: DrawnSensor, tilt: float,
     return [
         f'<path d="M8 {_PLAN_HEIGHT}H{_WIDTH - 8}M178 {_PLAN_HEIGHT + 8}V{_PLAN_HEIGHT + _PANEL_HEIGHT - 8}" '
         f'stroke="{_FAINT}" opacity=".5"/>',
-        f'<text x="10" y="{_PLAN_HEIGHT + 22}" fill="{_BOARD}" font-size="13.5">{word}</text>',
+        f'<text x="10" y="{_PLAN_HEIGHT + 22}" fill="{_BOARD}" font-size="12.5">{word}</text>',
         _line([np.array([x, y - half]), np.array([x, y + half])], _FAINT, 2, "3 5"),
         _line([at - edge, at + edge], _BOARD, 6),
         _arrow(at, at + 24 * np.array([-np.cos(tilt), -np.sin(tilt)]), _BOARD),

@@ -17,7 +17,7 @@ from calgraph.sensors import CameraModel, Image, LaserScan, Message, PointCloud
 
 Pixels = NDArray[np.uint8]
 # Colours in OpenCV's order, on a dark background: the board is the brightest.
-_BACKGROUND, _POINTS, _BOARD, _SENSOR = (24, 18, 15), (150, 130, 110), (90, 255, 120), (60, 160, 255)
+_BACKGROUND, _POINTS, _BOARD, _SENSOR = (24, 18, 15), (215, 195, 170), (90, 255, 120), (60, 160, 255)
 # Points between the corners of a board, so that its outline follows the distortion.
 _EDGE_POINTS = np.linspace(0, 1, 9)[:-1]
 
@@ -154,15 +154,16 @@ def _project_from_above(points: Array, size: int, scale: float) -> Array:
 
 def _draw_points(canvas: Pixels, points: Array, scale: float, color: tuple[int, int, int]) -> None:
     pixels = _project_from_above(points, len(canvas), scale)
-    inside = pixels[((pixels >= 0) & (pixels < len(canvas) - 1)).all(axis=1)].astype(np.intp)
-    for dx, dy in ((0, 0), (1, 0), (0, 1), (1, 1)):
-        canvas[inside[:, 1] + dy, inside[:, 0] + dx] = color
+    inside = pixels[((pixels >= 1) & (pixels < len(canvas) - 1)).all(axis=1)].astype(np.intp)
+    for dx in (-1, 0, 1):
+        for dy in (-1, 0, 1):
+            canvas[inside[:, 1] + dy, inside[:, 0] + dx] = color
 
 
 def _draw_line(canvas: Pixels, pixels: Array, *, closed: bool) -> None:
     # Projections of points beside or behind a camera are anywhere.
     limited = np.clip(np.nan_to_num(pixels), -1e4, 1e4).round().astype(np.int32)
-    cv2.polylines(canvas, [limited], closed, _BOARD, 2, cv2.LINE_AA)
+    cv2.polylines(canvas, [limited], closed, _BOARD, 4, cv2.LINE_AA)
 
 
 def _encode_picture(canvas: Pixels, settings: ViewSettings) -> bytes:
