@@ -55,3 +55,20 @@ def test_a_corner_of_the_fast_search_that_is_off_the_lattice_is_not_used(
     displaced[corner, 0, 0] += 11
     monkeypatch.setattr(cv2, "findChessboardCorners", lambda *_args, **_options: (True, displaced))
     np.testing.assert_allclose(corners(image), expected, atol=0.15)
+
+
+def test_the_search_by_saddle_points_starts_with_the_same_random_numbers(
+    image: Gray, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn = []
+
+    def draw(*_args: object, **_options: object) -> tuple[bool, None]:
+        drawn.append(cv2.randu(np.zeros(4, dtype=np.float32), 0, 1).tolist())
+        return False, None
+
+    monkeypatch.setattr(cv2, "findChessboardCorners", lambda *_args, **_options: (False, None))
+    monkeypatch.setattr(cv2, "findChessboardCornersSB", draw)
+    for _ in range(2):
+        assert len(corners(image)) == 0
+    first, second = np.array_split(np.array(drawn), 2)
+    np.testing.assert_array_equal(first, second)

@@ -48,6 +48,8 @@ class CheckerboardFinder:
         for attempt, side in enumerate(self._settings.checkerboard_sides):
             flags = cv2.CALIB_CB_NORMALIZE_IMAGE if attempt else 0
             small = _reduce(gray, side)
+            # It draws random numbers: with the same seed, an image has the same corners in every run and process.
+            cv2.setRNGSeed(0)
             found, saddles = cv2.findChessboardCornersSB(small, self._shape, flags=flags)
             if found:
                 return _refine_corners(gray, self._to_lattice(saddles, gray, small), self._settings)
