@@ -63,6 +63,13 @@ class RigDiagnosticsSettings(StrictModel):
     """Share of a sensor's shared captures that may be rejected without a remark."""
     max_good_lost_share: float = Field(default=0.4, gt=0, lt=1)
     """The same beyond which a sensor is weak: RANSAC and robust estimates hold up to about half of outliers."""
+    min_last_losses: int = Field(default=2, ge=1)
+    """Minimum number of a sensor's last shared captures that are all rejected for it to be weak, as it may have
+    been bumped before them: one wrong detection is more frequent than a bump before the last capture."""
+    last_losses_probability: float = Field(default=0.1, gt=0, lt=1)
+    """Maximum probability that this number of the last ones is rejected if those that are rejected are drawn at
+    random: 2 of 6 captures have 0.07, and the last 2 of 60 with 15 rejected 0.06. Lower limits miss bumps in short
+    recordings."""
     min_held_out_views: int = Field(default=8, ge=1)
     """Predicted captures of a sensor at which its held-out error is tested."""
     max_held_out_ratio: float = Field(default=1.5, gt=1)
