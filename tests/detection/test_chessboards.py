@@ -63,7 +63,7 @@ def test_the_search_by_saddle_points_starts_with_the_same_random_numbers(
     drawn = []
 
     def draw(*_args: object, **_options: object) -> tuple[bool, None]:
-        drawn.append(cv2.randu(np.zeros(4, dtype=np.float32), 0, 1).tolist())
+        drawn.append(cv2.randu(np.zeros(4, dtype=np.float32), np.zeros(1), np.ones(1)).tolist())
         return False, None
 
     monkeypatch.setattr(cv2, "findChessboardCorners", lambda *_args, **_options: (False, None))
