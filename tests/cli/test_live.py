@@ -192,6 +192,18 @@ def test_the_operator_finishes_and_reads_the_report_on_the_page(walk: Path, tmp_
     assert live.wait() in {0, 1}
 
 
+def test_a_replayed_network_is_calibrated(run: Run, tmp_path: Path) -> None:
+    walk, session = tmp_path / "walk", tmp_path / "session"
+    options = "--duration 15 --scanner-count 3 --scanner-rate 10 --scanner-resolution 0.5"
+    assert run("simulate", "network", "-o", walk, *options.split()).exit_code == 0
+    live = Live(
+        walk / "rig.yaml", "--source", walk / "recording", "-o", session, "--speed", 5, "--port", 0,
+        "--set", "live.network.first=4",
+    )  # fmt: skip
+    assert live.wait() == 0, live.lines
+    assert len(load_calibration(session / "result" / "calibration.yaml").sensors) == 3
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
