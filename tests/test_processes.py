@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from functools import partial
+from pathlib import Path
 
 import pytest
 
@@ -90,20 +91,39 @@ def add_unless_three(shared: Callable[[], int], number: int) -> int:
     return shared() + number
 
 
+def touch_file(folder: Path, number: int) -> int:
+    (folder / str(number)).touch()
+    return 300 + number
+
+
 @pytest.mark.parametrize("jobs", [1, 2, 3])
-def test_a_stream_is_read_little_ahead_and_keeps_its_order(jobs: int) -> None:
-    read: list[int] = []
+def test_a_stream_is_read_little_ahead_and_keeps_its_order(tmp_path: Path, jobs: int) -> None:
+    unfinished: list[int] = []
 
     def work() -> Iterator[tuple[int]]:
-        for number in range(10, 40):
-            read.append(number)
+        for number in range(10, 60):
+            unfinished.append(number - 10 - len(list(tmp_path.iterdir())))
             yield (number,)
 
-    shared = [100, 200]
-    results = parallel_stream(add_unless_three, work(), partial(sum, shared), jobs)
-    assert next(results) == 310
-    assert len(read) == (1 if jobs == 1 else 4 * jobs)
-    assert list(results) == list(range(311, 340))
+    assert list(parallel_stream(touch_file, work(), tmp_path, jobs)) == list(range(310, 360))
+    assert max(unfinished) < (1 if jobs == 1 else 4 * jobs)
+
+
+def wait_for_last(folder: Path, number: int) -> int:
+    """The number; the first call returns after the last one has begun, or -1 after 20 s."""
+    if number == 39:
+        (folder / "last").touch()
+    ends = time.monotonic() + 20
+    while number == 10 and not (folder / "last").exists():
+        if time.monotonic() > ends:
+            return -1
+        time.sleep(0.01)
+    return number
+
+
+def test_one_long_call_of_a_stream_does_not_hold_up_the_others(tmp_path: Path) -> None:
+    results = list(parallel_stream(wait_for_last, ((k,) for k in range(10, 40)), tmp_path, 2))
+    assert results == list(range(10, 40))
 
 
 def test_a_stream_that_is_not_read_to_its_end_leaves_no_process() -> None:

@@ -9,7 +9,7 @@ import threading
 import warnings
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, as_completed, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
 from functools import partial
@@ -77,7 +77,7 @@ def parallel_stream(
 ) -> Iterator[Result]:
     """Calls a function once per tuple of arguments of a stream, in up to ``jobs`` processes.
 
-    The stream is read by this process, at most four calls per process ahead of the results.
+    The stream is read by this process while fewer than four calls per process are unfinished.
 
     Args:
         function: defined at module level; called with ``shared`` and the arguments. Arguments and results are
@@ -98,9 +98,14 @@ def parallel_stream(
                 yield function(shared, *arguments)
             return
         submitted: deque[Future[Result]] = deque()
+        unfinished: set[Future[Result]] = set()
         for future in _submit_all(pool, function, work):
             submitted.append(future)
-            if len(submitted) >= _SUBMITTED_PER_PROCESS * jobs:
+            unfinished.add(future)
+            if len(unfinished) >= _SUBMITTED_PER_PROCESS * jobs:
+                # Not for the oldest one, which may take longer than all the others.
+                unfinished = wait(unfinished, return_when=FIRST_COMPLETED).not_done
+            while submitted and submitted[0].done():
                 yield _get_result(submitted.popleft())
         while submitted:
             yield _get_result(submitted.popleft())
