@@ -6,15 +6,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bundle_scenes import HEIGHT, LEVER, WIDTH, bias_variances, board_poses, scene, views_of
+from bundle_scenes import HEIGHT, LEVER, WIDTH, bias_variances, board_poses, scene, views_of, with_range_bias
 from calgraph.config import Tolerance
 from calgraph.config.settings import RigDiagnosticsSettings
 from calgraph.diagnostics.rig.next_best_pose import _draw_candidates, _log_volume, suggest_board_poses
 from calgraph.diagnostics.rig.pose_description import describe_pose
 from calgraph.diagnostics.verdict import axis_names, grade_pose
+from calgraph.estimation.rig.bundle_parameters import SystematicParameter
 from calgraph.estimation.rig.bundle_solver import Bundle, BundleState, minimize_bundle
 from calgraph.estimation.rig.covariances import pose_covariance
 from calgraph.estimation.rig.observations import relative_poses
+from calgraph.estimation.rig.range_observations import RangeObservations
 from calgraph.estimation.rig.solution import SolvedBundle
 from calgraph.geometry import Array, se3, so3
 from calgraph.result import Suggestion
@@ -105,6 +107,28 @@ def test_suggestions_beat_boards_of_the_same_kind_as_before() -> None:
     assert suggestions
     # Three more boards among twelve like them shrink deviations by a tenth.
     assert suggestions[0].expected / suggestions[0].stddev < 0.9
+
+
+@pytest.mark.parametrize("bias", [-0.15, 0.15])
+def test_an_estimated_error_of_a_sensor_does_not_change_what_a_board_is_expected_to_determine(bias: float) -> None:
+    def suggest_with(bias: float) -> tuple[Suggestion, ...]:
+        exact = scene(boards=12)
+        lidar = exact.bundle.views[0]
+        assert isinstance(lidar, RangeObservations)
+        biased = with_range_bias(replace(lidar, ranges=lidar.ranges + bias))
+        bundle = replace(
+            exact.bundle,
+            views=(biased, *exact.bundle.views[1:]),
+            extra_parameters=(SystematicParameter("lidar", "range bias", "m", 0.2, (0,)),),
+        )
+        solved = SolvedBundle(
+            bundle, minimize_bundle(bundle, replace(exact.truth, extra=np.zeros(1))), np.arange(12)
+        )
+        assert solved.minimized.state.extra == pytest.approx([bias], abs=0.01)
+        return suggest_board_poses(solved, KINDS, (WIDTH, HEIGHT), np.random.default_rng(0), Tolerance())
+
+    without, estimated = suggest_with(0.0), suggest_with(bias)
+    assert [s.expected for s in estimated] == pytest.approx([s.expected for s in without], rel=0.02)
 
 
 def test_words_say_where_the_board_is_and_how_it_is_tilted() -> None:

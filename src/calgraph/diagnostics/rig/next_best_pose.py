@@ -58,7 +58,8 @@ def suggest_board_poses(
         candidates = candidates[is_reachable(candidates)]
     if not len(candidates):
         return ()
-    state = replace(current, T_root_board=candidates)
+    # Predicted observations are those of sensors and prints without errors: others would make outliers of them.
+    state = replace(current, T_root_board=candidates, extra=np.zeros_like(current.extra))
     sensors = list(zip(bundle.sensors, bundle.views, state.T_root_sensor, strict=True))
     views = tuple(
         predict_observations(
