@@ -49,11 +49,7 @@ def compute_overlay(
         board_outlines=tuple(
             project_to_image(_sample_outline(o.corners), sensor, camera, _IMAGE_MARGIN) for o in outlines
         ),
-        marks=tuple(
-            project_to_image(mark, sensor, camera, _IMAGE_MARGIN)
-            for o in outlines
-            for mark in _print_outlines(o, rig)
-        ),
+        marks=tuple(mark for o in outlines for mark in _project_print(o, rig, sensor, camera)),
         measured=np.concatenate([np.zeros((0, 2)), *(view.measured for view in of_camera)]),
         residuals=np.concatenate([np.zeros((0, 2)), *(_residuals_or_nan(view) for view in of_camera)]),
         points=project_to_image(points, sensor, camera),
@@ -83,13 +79,17 @@ def _sample_outline(corners: Array) -> Array:
     return np.concatenate([along.swapaxes(0, 1).reshape(-1, 3), corners[:1]])
 
 
-def _print_outlines(outline: BoardOutline, rig: Rig) -> Sequence[Array]:
-    """Outlines (N, 3) of tags, or single corners (1, 3), in the root frame; none without a camera's detection."""
+def _project_print(outline: BoardOutline, rig: Rig, sensor: SensorPose, camera: CameraModel) -> Sequence[Array]:
+    """Outlines (N, 2) of tags, or single corners (1, 2), in pixels; none without a camera's detection."""
     if outline.board is None or outline.board >= len(rig.boards):
         return ()
-    T_root_board = _board_pose(outline.corners)
     marks = compute_landmarks(rig.boards[outline.board]).corners
-    return [se3.apply(T_root_board, mark if len(mark) == 1 else _sample_outline(mark)) for mark in marks]
+    lines = [mark if len(mark) == 1 else _sample_outline(mark) for mark in marks]
+    if not lines:
+        return ()
+    points = se3.apply(_board_pose(outline.corners), np.concatenate(lines))
+    ends = np.cumsum([len(line) for line in lines])[:-1]
+    return np.split(project_to_image(points, sensor, camera, _IMAGE_MARGIN), ends)
 
 
 def _board_pose(corners: Array) -> Array:

@@ -51,21 +51,28 @@ def write_report(calibration: Calibration, rig: Rig, path: Path | str, jobs: int
         InputError: ``path`` cannot be written.
         CalibrationError: a process was killed.
     """
-    with parallel_call(render_gallery, (calibration,), forked_jobs(jobs)) as gallery:
-        write_text(Path(path), _render_page(calibration, rig, gallery))
+    jobs = forked_jobs(jobs)
+    with (
+        parallel_call(render_gallery, (calibration,), jobs) as gallery,
+        parallel_call(render_fused_cloud, (calibration, rig), jobs - 1) as cloud,
+    ):
+        write_text(Path(path), _render_page(calibration, rig, gallery, cloud))
 
 
 def render_report(calibration: Calibration, rig: Rig) -> str:
     """The text of the report."""
-    return _render_page(calibration, rig, partial(render_gallery, calibration))
+    return _render_page(
+        calibration, rig, partial(render_gallery, calibration), partial(render_fused_cloud, calibration, rig)
+    )
 
 
-def _render_page(calibration: Calibration, rig: Rig, gallery: Callable[[], str]) -> str:
+def _render_page(calibration: Calibration, rig: Rig, gallery: Callable[[], str], cloud: Callable[[], str]) -> str:
     words = select_vocabulary(rig)
-    systematic = render_systematic_parameters(calibration)
+    systematic, coverage = render_systematic_parameters(calibration), render_coverage(calibration, rig, words)
+    errors = render_residual_pictures(calibration, rig, words)
     sections = {
         "images": ("Camera images", render_camera_images(calibration, rig)),
-        "cloud": ("Fused cloud", render_fused_cloud(calibration, rig)),
+        "cloud": ("Fused cloud", cloud()),
     }
     shown = {name: (title, content) for name, (title, content) in sections.items() if content}
     return Template(_read_asset("page.html")).substitute(
@@ -79,7 +86,7 @@ def _render_page(calibration: Calibration, rig: Rig, gallery: Callable[[], str])
         graph=render_graph(calibration, words),
         edges=render_edge_table(calibration, words),
         poses=render_pose_table(calibration),
-        errors=render_residual_pictures(calibration, rig, words),
+        errors=errors,
         residuals=render_histograms(calibration, words)
         + render_distances(calibration, words)
         + render_cross_validation(calibration),
@@ -90,7 +97,7 @@ def _render_page(calibration: Calibration, rig: Rig, gallery: Callable[[], str])
         images="".join(
             f'<section id="{name}"><h2>{title}</h2>{content}</section>' for name, (title, content) in shown.items()
         ),
-        coverage=render_coverage(calibration, rig, words),
+        coverage=coverage,
         captures_title=words.items_title,
         captures=render_captures(calibration, words) + gallery(),
         systematic=systematic,
