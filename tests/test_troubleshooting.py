@@ -74,9 +74,10 @@ def listed() -> list[str]:
 
 @pytest.fixture(scope="module")
 def source_text() -> str:
-    """All texts in the source, one a line."""
+    """All texts in the source, one a line, and the scripts of the page of live capture."""
     nodes = (node for path in files() for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
-    return "\n".join(words for node in nodes if isinstance(node, ast.expr) for words in texts_of(node))
+    texts = (words for node in nodes if isinstance(node, ast.expr) for words in texts_of(node))
+    return "\n".join([*texts, *(path.read_text(encoding="utf-8") for path in SOURCE.glob("live/*.js"))])
 
 
 def pattern(message: str) -> str:
