@@ -62,7 +62,7 @@ def test_messages_that_the_source_lost_are_counted_with_those_recorded() -> None
 def test_commands_reach_the_session_until_it_ends() -> None:
     view, session = make_view()
     view.command(Command("trigger"))
-    view.show_end("finishing", "The whole recording is calibrated")
+    view.show_end("finishing", "The whole recording is being calibrated")
     view.command(Command("discard"))
     assert session.commands.qsize() == 1
 
@@ -76,7 +76,7 @@ def test_finish_is_for_who_owns_the_session() -> None:
 
 def test_the_end_and_its_report_are_shown(tmp_path: Path) -> None:
     view, _ = make_view()
-    view.show_end("finishing", "The whole recording is calibrated")
+    view.show_end("finishing", "The whole recording is being calibrated")
     assert (view.state().phase, view.state().report, view.report()) == ("finishing", False, None)
     view.show_end("finished", "All 4 poses are good", tmp_path / "report.html")
     state = view.state()
@@ -100,7 +100,7 @@ def test_each_change_is_another_state(cause: str) -> None:
             case "notice":
                 view.note(Notice("connected", "connected to ws://robot:8765"))
             case "end":
-                view.show_end("finishing", "The whole recording is calibrated")
+                view.show_end("finishing", "The whole recording is being calibrated")
         await asyncio.wait_for(waiting, 30.0)
         return before, view.state()
 

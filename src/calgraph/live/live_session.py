@@ -126,7 +126,7 @@ async def _run(
             options.print_line(recorder.state.problem)
         if folder.last_arrival() < 0:
             raise CalibrationError(f"{folder.recording}: no message was recorded")
-        view.show_end("finishing", "The whole recording is calibrated")
+        view.show_end("finishing", "The whole recording is being calibrated")
         end = await options.calibrate(folder)
         view.show_end("finished" if end.report else "failed", end.message, end.report)
         if refused := server.refusals.describe():
