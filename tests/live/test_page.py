@@ -1,6 +1,7 @@
 """The operator's page in a browser with the size of a phone: what it shows, what it sends, and that it fits."""
 
 import shutil
+import socket
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -45,7 +46,8 @@ def jpeg() -> bytes:
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
     with sync_playwright() as playwright:
-        chromium = playwright.chromium.launch(executable_path=CHROMIUM)
+        rules = f"--host-resolver-rules=MAP {socket.gethostname()} 127.0.0.1"
+        chromium = playwright.chromium.launch(executable_path=CHROMIUM, args=[rules])
         yield chromium
         chromium.close()
 
@@ -215,6 +217,22 @@ def test_silence_of_the_server_is_named(browser: Browser) -> None:
         page.get_by_text("No connection to calgraph live: connecting again.").wait_for()
         page.clock.resume()
         page.locator("#offline").wait_for(state="hidden")
+
+
+def test_the_page_works_by_a_name_in_the_network(browser: Browser) -> None:
+    context = browser.new_context(viewport={"width": PORTRAIT[0], "height": PORTRAIT[1]})
+    session = GivenSession(RIG)
+    session.pictures["camera"] = jpeg()
+    with ServedPage(session, "0.0.0.0") as served:
+        opened = Opened(session, context.new_page())
+        opened.page.goto(served.link.replace("127.0.0.1", socket.gethostname()))
+        opened.page.locator(".card").first.wait_for()
+        opened.page.locator("#trigger").click()
+        assert session.next_command() == "trigger"
+        # Without https, browsers do not keep the screen on.
+        opened.page.locator("#screen").wait_for()
+        assert opened.errors == []
+    context.close()
 
 
 def test_a_server_with_another_token_asks_for_its_link(browser: Browser) -> None:

@@ -65,7 +65,8 @@ class AccessCheck:
         async def send_guarded(message: Message) -> None:
             if message["type"] == "http.response.start":
                 self._count_status(message["status"])
-                _add_headers(MutableHeaders(scope=message), host if self._is_known(host) else "")
+                known = host if self._is_known(host) else ""
+                _add_headers(MutableHeaders(scope=message), known, is_local=self._token is None)
             await send(message)
 
         refusal, answer = self._check(scope, headers, host)
@@ -145,7 +146,7 @@ def _refuse(text: str, status: int) -> Response:
     return HTMLResponse(_DOCUMENT.format(f"<h1>{text}</h1>"), status, {"Connection": "close"})
 
 
-def _add_headers(headers: MutableHeaders, host: str) -> None:
+def _add_headers(headers: MutableHeaders, host: str, *, is_local: bool) -> None:
     """Own files only: no script in the page, no other site, no frame around it, no copy that stays."""
     # Safari before 15.4 does not count websockets as 'self'.
     sockets = f" ws://{host}" if host else ""
@@ -158,5 +159,7 @@ def _add_headers(headers: MutableHeaders, host: str) -> None:
     headers["X-Frame-Options"] = "DENY"
     headers["Referrer-Policy"] = "no-referrer"
     headers["Cross-Origin-Resource-Policy"] = "same-origin"
-    headers["Cross-Origin-Opener-Policy"] = "same-origin"
     headers["Cache-Control"] = "no-store"
+    if is_local:
+        # Browsers heed it for https and their own machine; from others it is an error in their console.
+        headers["Cross-Origin-Opener-Policy"] = "same-origin"
