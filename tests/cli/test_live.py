@@ -204,6 +204,14 @@ def test_a_replayed_network_is_calibrated(run: Run, tmp_path: Path) -> None:
     assert len(load_calibration(session / "result" / "calibration.yaml").sensors) == 3
 
 
+def test_a_session_without_captures_says_so_and_is_not_calibrated(walk: Path, tmp_path: Path) -> None:
+    source = ("--source", walk / "recording", "-o", tmp_path / "session")
+    live = Live(walk / "rig.yaml", *source, "--speed", 0, "--port", 0, "--manual")
+    assert live.wait() == 1
+    assert live.lines[-1].startswith("No capture was taken")
+    assert not (tmp_path / "session" / "result").exists()
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

@@ -14,7 +14,7 @@ import pytest
 from calgraph.calibrate import RigOptions
 from calgraph.calibrate.capture_collection import collect_captures
 from calgraph.captures import CaptureSet
-from calgraph.config import Rig
+from calgraph.config import Capture, Rig
 from calgraph.live.record_reader import RecordReader
 from calgraph.live.rig_session import RigSession, SessionOutputs, SessionPools
 from calgraph.live.rig_solution import LiveSolution, SensorSolution
@@ -224,6 +224,24 @@ def test_a_capture_that_is_left_out_is_excluded_from_the_recording(
     assert len(running.captures().holds) == 2
     capture = running.rig.capture.model_copy(update={"exclude": tuple(excluded)})
     recorded = calibrated_captures(running.rig.model_copy(update={"capture": capture}), [*messages, *triggers])
+    assert_equal_captures(running.captures(), recorded)
+
+
+@pytest.mark.parametrize("days", [-1000, 1000])
+def test_clocks_that_differ_from_arrivals_do_not_keep_captures_from_being_taken_and_left_out(
+    walk: tuple[Rig, list[LiveMessage], GroundTruth], days: float
+) -> None:
+    rig, messages, _ = walk
+    later = [replace(message, arrival=message.arrival - round(days * 86400e9)) for message in messages]
+    excluded: list[tuple[float, float]] = []
+    running, triggers = start_session(rig, exclude=excluded.append)
+    rest = feed_until(running, later, 6.0)
+    running.command(Command("discard"))
+    for message in rest:
+        running.feed(message)
+    assert len(triggers) == 3
+    capture = Capture.model_validate(running.rig.capture.model_dump() | {"exclude": excluded})
+    recorded = calibrated_captures(running.rig.model_copy(update={"capture": capture}), [*later, *triggers])
     assert_equal_captures(running.captures(), recorded)
 
 

@@ -169,8 +169,26 @@ def test_other_messages_are_refused(local: ServedPage, message: str | bytes, rea
     assert local.session.commands.empty()
 
 
+@pytest.mark.parametrize(
+    "frame",
+    [b"\x83\x80\0\0\0\0", b"\xf1\x80\0\0\0\0", b"\x81\x01a", b"\x81\x82\0\0\0\0\xff\xfe"],
+    ids=["reserved opcode", "reserved bits", "no mask", "no UTF-8"],
+)
+def test_frames_that_violate_the_protocol_are_refused(local: ServedPage, frame: bytes) -> None:
+    before = count(local, "malformed messages")
+    with open_socket(local) as page:
+        page.socket.sendall(frame)
+        with pytest.raises(ConnectionClosed):
+            receive_until_closed(page)
+        assert count(local, "malformed messages") == before + 1
+
+
 def send_until_closed(page: Connection, message: str | bytes) -> None:
     page.send(message)
+    receive_until_closed(page)
+
+
+def receive_until_closed(page: Connection) -> None:
     while True:
         page.recv(timeout=PATIENCE)
 

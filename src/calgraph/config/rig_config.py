@@ -28,6 +28,7 @@ RangeSigma = Annotated[float, Strict(), _POSITIVE, limit_to(1, "m")]
 AngleSigma = Annotated[float, Strict(), _POSITIVE, limit_to(0.2, "rad")]
 Seconds = Annotated[float, Strict(), Field(ge=0, allow_inf_nan=False)]
 Window = tuple[Seconds, Seconds]
+Instant = Annotated[float, Strict(), Field(allow_inf_nan=False)]
 Spread = Annotated[float, Strict(), _POSITIVE, limit_to(60, "s")]
 CaptureMode = Literal["rest", "snapshots", "synchronized"]
 # ROS limits names of topics to 255 characters, and file systems those of files; control characters would reach
@@ -49,8 +50,8 @@ class Capture(StrictModel):
     """Start and end of the time without target and operator, s from the start of the recording."""
     trigger: Name | None = None
     """Topic whose every message starts a capture; without it, holds are found by motion detection."""
-    exclude: tuple[Window, ...] = ()
-    """Intervals to ignore, s from the start of the recording."""
+    exclude: tuple[tuple[Instant, Instant], ...] = ()
+    """Intervals to ignore, s from the start of the recording; negative if stamps are of a late clock."""
     mode: CaptureMode | None = None
     """``rest``: the board rests between moves. ``snapshots``: the sensors measured each pose of the board once.
     ``synchronized``: frames of all sensors with nearly equal stamps while the board moves. Found from the stamps

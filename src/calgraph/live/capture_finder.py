@@ -120,6 +120,9 @@ class CaptureFinder:
         """The first time, s, at which a capture may begin, as a header states it: in nanoseconds."""
         begin, window = self._timeline.start or 0.0, self._rig.capture.background
         after_background = begin + window[1] if window else float("-inf")
+        # Windows are compared with stamps, as in the recording: a clock that is late does not reach its end.
+        if after_background > self.now():
+            after_background = float("-inf")
         first = max(start or 0.0, self.earliest + _GAP, self._ring.begin + _GAP, after_background + _GAP)
         return round(first * 1e9) / 1e9
 

@@ -22,6 +22,10 @@ from calgraph.live.state import Command
 from calgraph.processes import worker_pool
 from calgraph.recording import open_recording
 
+# Exit code of commands that calibrate nothing.
+_NOT_CALIBRATED = 1
+_NO_CAPTURES = "No capture was taken: the recording is kept, and there is nothing to calibrate"
+
 
 @dataclass(frozen=True)
 class FinalCalibration:
@@ -127,7 +131,11 @@ async def _run(
         if folder.last_arrival() < 0:
             raise CalibrationError(f"{folder.recording}: no message was recorded")
         view.show_end("finishing", "The whole recording is being calibrated")
-        end = await options.calibrate(folder)
+        if rig.is_network or view.state().captures:
+            end = await options.calibrate(folder)
+        else:
+            end = FinalCalibration(_NOT_CALIBRATED, _NO_CAPTURES, None)
+            options.print_line(_NO_CAPTURES)
         view.show_end("finished" if end.report else "failed", end.message, end.report)
         if refused := server.refusals.describe():
             options.print_line(f"the page's server {refused}")

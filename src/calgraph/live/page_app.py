@@ -16,7 +16,7 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from calgraph.config.settings import PageSettings
-from calgraph.live.refusals import Refusals
+from calgraph.live.refusals import Refusal, Refusals
 from calgraph.live.session_view import SessionView
 from calgraph.live.state import Action, Command, SessionState
 
@@ -24,8 +24,8 @@ MEDIA_TYPES = {"html": "text/html", "css": "text/css", "js": "text/javascript"}
 _COMMANDS = {action: Command(action) for action in get_args(Action)}
 # Of a message that a page sends: one word.
 MAX_MESSAGE_BYTES = 64
-# Close code of the protocol (RFC 6455, 7.4.1) for messages beyond that.
-_TOO_BIG = 1009
+# By close code of the protocol (RFC 6455, 7.4.1): beyond that, not a frame of the protocol, and text not in UTF-8.
+_REFUSED: dict[int, Refusal] = {1009: "oversized messages", 1002: "malformed messages", 1007: "malformed messages"}
 # The report has its scripts in it, and shows texts of the recording: it runs without access to this site.
 _REPORT_POLICY = (
     "sandbox allow-scripts allow-downloads allow-modals; default-src 'none'; script-src 'unsafe-inline';"
@@ -151,8 +151,8 @@ class PageApp:
         while True:
             message = await socket.receive()
             if message["type"] == "websocket.disconnect":
-                if message.get("code") == _TOO_BIG:
-                    self._refusals.add("oversized messages")
+                if refusal := _REFUSED.get(message.get("code", 0)):
+                    self._refusals.add(refusal)
                 return
             now = time.monotonic()
             allowed = min(self._settings.command_burst, allowed + (now - since) * self._settings.command_rate)

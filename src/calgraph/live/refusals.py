@@ -10,6 +10,7 @@ Refusal = Literal[
     "wrong tokens",
     "unknown commands",
     "oversized messages",
+    "malformed messages",
     "commands in too fast succession",
     "pages beyond the limit",
     "connections beyond the limit",

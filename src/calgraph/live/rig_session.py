@@ -246,8 +246,7 @@ class RigSession:
         # Within the capture, so that rounding does not touch those before and after.
         start, end = capture.hold.start - begin, capture.hold.end - begin
         margin = (end - start) / 10
-        if start + margin >= 0:
-            self._outputs.exclude((start + margin, end - margin))
+        self._outputs.exclude((start + margin, end - margin))
 
     def _note_change(self) -> None:
         self._state = None
