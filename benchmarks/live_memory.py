@@ -2,8 +2,9 @@
 
 The simulated recording of live_feedback.py is repeated with later stamps, and replayed to the command.
 
-python benchmarks/live_memory.py --keep DIR                          # 30 minutes at real time; 7 GB in DIR
-taskset -c 0,1 python benchmarks/live_memory.py --keep DIR           # on two cores
+python benchmarks/live_memory.py --keep DIR                 # 30 minutes at real time; 7 GB in DIR
+python benchmarks/live_memory.py --keep DIR --repeat        # with hundreds of captures
+taskset -c 0,1 python benchmarks/live_memory.py --keep DIR  # on two cores
 """
 
 import argparse
@@ -35,6 +36,7 @@ def main() -> None:
     parser.add_argument("--keep", type=Path, required=True, help="folder of recordings and of the session")
     parser.add_argument("--minutes", type=float, default=30.0)
     parser.add_argument("--speed", type=float, default=1.0, help="of the replay")
+    parser.add_argument("--repeat", action="store_true", help="captures of poses that have been captured, too")
     arguments = parser.parse_args()
     folder = arguments.keep
     with simulated(folder) as walk:
@@ -42,6 +44,9 @@ def main() -> None:
         if not long.exists():
             asyncio.run(repeat(walk, long, arguments.minutes))
     options = ["--source", long, "-o", folder / f"session {time.time():.0f}", "--speed", arguments.speed]
+    if arguments.repeat:
+        # Far less than noise moves the detected board.
+        options += ["--set", "live.capture.min_distance=1e-6", "--set", "live.capture.min_angle=1e-6"]
     command = [*_COMMAND, *map(str, [folder / "rig.yaml", *options])]
     samples: list[tuple[float, int]] = []
     began = time.monotonic()
