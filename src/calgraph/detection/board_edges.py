@@ -49,7 +49,7 @@ def find_board_edges(
     if not len(steps):
         return np.empty((0, 2, 3))
     step = float(np.median(steps))
-    orders = (np.arange(len(scan_line)), np.arange(len(scan_line))[::-1])
+    orders = (slice(None), slice(None, None, -1))
     beams = [(directions[o], excess[o], on_board[o], scan_line[o]) for o in orders]
     return np.concatenate([_find_trailing_edges(*ordered, step, settings, parallax) for ordered in beams])
 

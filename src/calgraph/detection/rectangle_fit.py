@@ -76,7 +76,7 @@ def fit_rectangle(
     rotated = flat @ rotation
     ticks = (np.arange(_RASTER) + 0.5) / _RASTER - 0.5
     raster = np.stack(np.meshgrid(ticks * size[0], ticks * size[1]), axis=-1).reshape(-1, 2) + center
-    distance, _ = cKDTree(rotated).query(raster, distance_upper_bound=max(reach, blur))
+    distance, _ = cKDTree(rotated, balanced_tree=False).query(raster, distance_upper_bound=max(reach, blur))
     middle = origin + axes @ center
     middle = middle - (surface[:3] @ middle + surface[3]) * surface[:3]
     covered = float(np.isfinite(distance).mean())
