@@ -5,6 +5,7 @@ from pathlib import Path
 from calgraph.config.settings import Settings
 from calgraph.errors import InputError
 from calgraph.io.yaml_reading import suggest_name
+from calgraph.live.clock_alignment import AlignedSource
 from calgraph.live.dds import DdsSource
 from calgraph.live.foxglove import FoxgloveSource
 from calgraph.live.replay import ReplaySource
@@ -25,9 +26,9 @@ def open_source(text: str, settings: Settings, *, speed: float = 1.0, start_afte
         InputError: it is none of these.
     """
     if text.startswith(("ws:", "wss:")):
-        return FoxgloveSource(text, settings.live.connection)
+        return AlignedSource(FoxgloveSource(text, settings.live.connection), settings.live.connection)
     if text.startswith("ros2:"):
-        return DdsSource(text, settings.live.connection)
+        return AlignedSource(DdsSource(text, settings.live.connection), settings.live.connection)
     path = Path(text)
     if not path.exists():
         raise InputError(f"{text}: is neither an address nor an existing recording{suggest_name(path)}")

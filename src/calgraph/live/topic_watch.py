@@ -38,7 +38,7 @@ class TopicWatch:
 
     def start(self, channel: Channel, now: float) -> None:
         """Watches a topic from now on."""
-        kind = make_message_type(_definition(channel)) if channel.type in SENSOR_TYPES else None
+        kind = _find_sensor_type(channel)
         intervals: deque[int] = deque(maxlen=self._settings.usual_intervals)
         self._topics[channel.topic] = _Topic(now, kind, intervals=intervals)
 
@@ -90,6 +90,30 @@ class TopicWatch:
         ordered = sorted(topic.intervals)
         median = ordered[len(ordered) // 2]
         return median if ordered[-2] < self._settings.gap_ratio * median else None
+
+
+class StampReader:
+    """Reads stamps of sensors' messages."""
+
+    def __init__(self) -> None:
+        self._kinds: dict[Channel, MessageType | None] = {}
+
+    def read(self, message: LiveMessage) -> int | None:
+        """The header's stamp, ns; None of other messages, and of headers without one."""
+        if message.channel not in self._kinds:
+            self._kinds[message.channel] = _find_sensor_type(message.channel)
+        kind = self._kinds[message.channel]
+        if kind is None:
+            return None
+        try:
+            return kind.header_stamp(message.data) or None
+        except Exception:  # damaged: the decoder states why
+            return None
+
+
+def _find_sensor_type(channel: Channel) -> MessageType | None:
+    """The type of a sensor's messages; None of others."""
+    return make_message_type(_definition(channel)) if channel.type in SENSOR_TYPES else None
 
 
 def _stamp(kind: MessageType, message: LiveMessage) -> int:

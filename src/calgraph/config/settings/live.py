@@ -38,6 +38,12 @@ class ConnectionSettings(StrictModel):
     drivers skip single ones without any fault."""
     min_gap: float = Field(default=0.05, ge=0)
     """Minimum time between two such stamps, s: stamps of fast sensors vary by the scheduling of computers."""
+    alignment_time: float = Field(default=1.0, ge=0)
+    """Time from the first message until the clocks of stamps and arrivals are compared, s: most sensors have sent
+    messages, and one with a wrong clock does not decide alone."""
+    max_clock_offset: float = Field(default=1.0, gt=0)
+    """Maximum difference of stamps from arrivals that is latency, s; above, arrivals are given by the clock of the
+    stamps."""
     notice_interval: float = Field(default=1.0, ge=0)
     """Minimum time between two notices of one kind and topic, s; those between are counted."""
 
