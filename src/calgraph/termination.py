@@ -50,6 +50,17 @@ def allow_interrupts() -> None:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+def handle_interrupt(function: Callable[[], object]) -> None:
+    """From now on the first SIGINT calls a function, and further ones nothing: Ctrl-C is often pressed twice."""
+
+    def interrupt(_number: int, _frame: FrameType | None) -> None:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        function()
+
+    if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
+        signal.signal(signal.SIGINT, interrupt)
+
+
 def _terminate(number: int, _frame: FrameType | None) -> None:
     try:
         # Ctrl-C is often pressed twice.

@@ -1,7 +1,7 @@
 """What the page shows of a session besides its captures, and which commands reach it."""
 
 import asyncio
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pytest
@@ -31,6 +31,13 @@ def test_notices_are_shown_newest_first_and_printed() -> None:
         view.note(Notice("refused", f"notice {number}"))
     assert view.state().notices == ("notice 6", "notice 5", "notice 4", "notice 3", "notice 2")
     assert printed == [f"notice {number}" for number in range(7)]
+
+
+def test_notices_of_the_session_follow() -> None:
+    view, session = make_view()
+    session.show(replace(STATE, notices=("computed every 40 s",)))
+    view.note(Notice("connected", "connected to ws://robot:8765"))
+    assert view.state().notices == ("connected to ws://robot:8765", "computed every 40 s")
 
 
 @pytest.mark.parametrize(
@@ -78,9 +85,10 @@ def test_the_end_and_its_report_are_shown(tmp_path: Path) -> None:
     view, _ = make_view()
     view.show_end("finishing", "The whole recording is being calibrated")
     assert (view.state().phase, view.state().report, view.report()) == ("finishing", False, None)
-    view.show_end("finished", "All 4 poses are good", tmp_path / "report.html")
+    view.show_end("finished", "All 4 poses are good", tmp_path / "report.html", done=True)
     state = view.state()
     assert (state.phase, state.headline, state.report) == ("finished", "All 4 poses are good", True)
+    assert state.done
     assert view.report() == tmp_path / "report.html"
 
 

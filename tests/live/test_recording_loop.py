@@ -62,13 +62,15 @@ class GivenSource:
 class Loop:
     """A session, a recorder and a source in the loop; ``log`` has what happened in its order."""
 
-    def __init__(self, *items: LiveMessage | Notice | Exception | None, disk: int = 100, busy: int = 0) -> None:
+    def __init__(
+        self, *items: LiveMessage | Notice | Exception | None, disk: int = 100, busy: int = 0, wait: bool = False
+    ) -> None:
         self.log: list[str] = []
         self.source = GivenSource(*items)
         self.triggers = TriggerQueue()
         self.trigger_after: int | None = None
         self.view = OperatorView(GivenSession(SessionState("rig", "ready", "", "given")), self.log.append)
-        self._disk, self._busy = disk, busy
+        self._disk, self._busy, self.wait = disk, busy, wait
 
     @property
     def busy(self) -> bool:
@@ -93,7 +95,7 @@ class Loop:
     def run(self) -> None:
         asyncio.run(
             asyncio.wait_for(
-                record_session(self.source, RIG, self, self, self.triggers, self.view),  # type: ignore[arg-type]
+                record_session(self.source, RIG, self, self, self.triggers, self.view, wait=self.wait),  # type: ignore[arg-type]
                 30.0,
             )
         )
@@ -130,6 +132,13 @@ def test_captures_under_way_are_waited_for_where_the_source_ends() -> None:
     loop.run()
     assert not loop.busy
     assert loop.log == ["recorded /scan 1", "fed 1"]
+
+
+def test_messages_wait_for_the_session_where_none_is_to_be_skipped() -> None:
+    loop = Loop(message(1), message(2), busy=3, wait=True)
+    loop.feed = lambda one: loop.log.append(f"fed {one.arrival}, {loop._busy}")  # type: ignore[method-assign]
+    loop.run()
+    assert loop.log == ["recorded /scan 1", "fed 1, 3", "recorded /scan 2", "fed 2, -1"]
 
 
 def test_the_operator_ends_a_source_that_does_not_end() -> None:

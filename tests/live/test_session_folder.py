@@ -96,10 +96,31 @@ def test_the_last_arrival_is_exact(session: Path) -> None:
 
 
 def test_a_session_is_not_overwritten(session: Path) -> None:
-    before = {file.name: file.read_bytes() for file in session.iterdir()}
+    with resume_session(session) as folder:
+        record_trigger(folder)
+    before = {file.name: file.read_bytes() for file in session.rglob("*") if file.is_file()}
     with pytest.raises(InputError, match=r"continue it with `resume` .*a session"):
         create_session(session, *write_rig(session.parent), "ros2:")
-    assert {file.name: file.read_bytes() for file in session.iterdir()} == before
+    assert {file.name: file.read_bytes() for file in session.rglob("*") if file.is_file()} == before
+
+
+def test_a_session_that_has_recorded_nothing_is_begun_again(session: Path) -> None:
+    (session / "recording").mkdir()
+    with create_session(session, *write_rig(session.parent), "ros2:") as folder:
+        assert folder.source == "ros2:"
+    (session / "notes.txt").touch()
+    with pytest.raises(InputError, match="is the folder of a live session"):
+        create_session(session, *write_rig(session.parent), "ros2:")
+
+
+@pytest.mark.parametrize("content", [b"", b"\x89MC", b"\x89MCAP0\r\n"])
+def test_a_session_that_was_killed_before_its_first_message_goes_on(session: Path, content: bytes) -> None:
+    (session / "recording").mkdir()
+    (session / "recording" / "recording_0.mcap.part").write_bytes(content)
+    with resume_session(session) as folder:
+        assert folder.last_arrival() == -1
+        record_trigger(folder)
+        assert folder.last_arrival() == LAST
 
 
 def test_other_files_are_no_session(tmp_path: Path) -> None:

@@ -77,7 +77,9 @@ def live(
     speed: Annotated[
         float | None,
         typer.Option(
-            metavar="X", help="Of a replayed recording: 1 is real time, 0 without waiting.", rich_help_panel=TUNING
+            metavar="X",
+            help="Of a replayed recording: 1 is real time, 0 as fast as nothing is skipped.",
+            rich_help_panel=TUNING,
         ),
     ] = None,
     overrides: SetOption = None,
@@ -99,7 +101,7 @@ def live(
     with closing(folder):
         rig = load_rig(folder.rig_file)
         opened = _open_source(source or folder.source, rig, speed, folder.last_arrival())
-        options = LiveOptions(host, port, manual, _calibrate, _announce, _print_line)
+        options = LiveOptions(host, port, manual, speed == 0, _calibrate, _announce, _print_line)
         allow_interrupts()
         try:
             code = run_session(rig, opened, folder, options)
@@ -171,7 +173,8 @@ async def _calibrate(folder: SessionFolder) -> FinalCalibration:
             process.terminate()
     if _read_time(report) == before:
         return FinalCalibration(code, lines[-1] if lines else "The calibration failed", None)
-    return FinalCalibration(code, _summarise(load_calibration(folder.result / "calibration.yaml")), report)
+    summary, done = _summarise(load_calibration(folder.result / "calibration.yaml"))
+    return FinalCalibration(code, summary, report, done)
 
 
 def _read_time(file: Path) -> int:
@@ -179,8 +182,8 @@ def _read_time(file: Path) -> int:
     return file.stat().st_mtime_ns if file.is_file() else 0
 
 
-def _summarise(calibration: Calibration) -> str:
-    """One sentence on the verdicts."""
+def _summarise(calibration: Calibration) -> tuple[str, bool]:
+    """One sentence on the verdicts, and whether all poses are good."""
     by_grade: dict[str, list[str]] = {}
     for sensor in calibration.sensors:
         if sensor.name != calibration.root:
@@ -193,7 +196,9 @@ def _summarise(calibration: Calibration) -> str:
         if names
     )
     count = len(calibration.sensors) + len(calibration.evidence.unconnected) - 1
-    return f"{good} of {count} poses are good{others}" if others else f"All {count} poses are good"
+    return (
+        (f"{good} of {count} poses are good{others}", False) if others else (f"All {count} poses are good", True)
+    )
 
 
 def _explain_interruption(folder: SessionFolder) -> None:

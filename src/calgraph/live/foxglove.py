@@ -1,6 +1,7 @@
 """A live source that is a server of the Foxglove WebSocket protocol, as robots run for looking at their data."""
 
 import asyncio
+import os
 import time
 from collections.abc import AsyncIterator, Collection
 from contextlib import suppress
@@ -94,7 +95,9 @@ class FoxgloveSource:
                     yield Notice("refused", self._explain_refusal(error.sent.code), count=1)
                 reason = "the connection broke"
             except (OSError, WebSocketException) as error:
-                reason = str(error) or "no answer"
+                # asyncio has other texts for errors of the system; those of names have negative numbers.
+                number = getattr(error, "errno", None) or 0
+                reason = os.strerror(number).lower() if number > 0 else str(error) or "no answer"
             if reason != problem:
                 problem = reason
                 yield Notice("disconnected", clean_text(f"{self._address}: {reason}; trying again"))

@@ -21,6 +21,7 @@ from calgraph.live.source import Source
 from calgraph.live.state import Command
 from calgraph.processes import worker_pool
 from calgraph.recording import open_recording
+from calgraph.termination import handle_interrupt
 
 # Exit code of commands that calibrate nothing.
 _NOT_CALIBRATED = 1
@@ -37,6 +38,8 @@ class FinalCalibration:
     """One sentence: which sensors are calibrated, or why none is."""
     report: Path | None
     """The report, if there is a result."""
+    done: bool = False
+    """Whether all poses are good."""
 
 
 @dataclass(frozen=True)
@@ -48,6 +51,9 @@ class LiveOptions:
     port: int
     manual: bool
     """Whether captures are only taken with the button, until the operator states otherwise."""
+    wait: bool
+    """Whether messages wait for the analysis of those before; see
+    :func:`calgraph.live.recording_loop.record_session`."""
     calibrate: Callable[[SessionFolder], Awaitable[FinalCalibration]]
     """Calibrates the whole recording into the folder of the result."""
     announce: Callable[[PageServer], object]
@@ -81,7 +87,10 @@ def run_session(rig: Rig, source: Source, folder: SessionFolder, options: LiveOp
         session = _make_session(rig, source.name, folder, pools, triggers)
         if options.manual:
             session.command(Command("manual"))
-        return runner.run(_run(rig, source, folder, session, triggers, options))
+        try:
+            return runner.run(_run(rig, source, folder, session, triggers, options))
+        except asyncio.CancelledError:
+            raise KeyboardInterrupt from None
 
 
 @contextmanager
@@ -117,6 +126,9 @@ async def _run(
     triggers: TriggerQueue,
     options: LiveOptions,
 ) -> int:
+    loop, task = asyncio.get_running_loop(), asyncio.current_task()
+    assert task
+    handle_interrupt(lambda: loop.call_soon_threadsafe(task.cancel))
     view = OperatorView(session, options.print_line)
     async with (
         serve_page(view, options.host, options.port, settings=rig.settings.live.page) as server,
@@ -125,7 +137,7 @@ async def _run(
         async with _recording(rig, folder, session) as recorder:
             view.show_recorder(recorder)
             options.announce(server)
-            await record_session(source, rig, recorder, session, triggers, view)
+            await record_session(source, rig, recorder, session, triggers, view, wait=options.wait)
         if recorder.state.problem:
             options.print_line(recorder.state.problem)
         if folder.last_arrival() < 0:
@@ -136,7 +148,7 @@ async def _run(
         else:
             end = FinalCalibration(_NOT_CALIBRATED, _NO_CAPTURES, None)
             options.print_line(_NO_CAPTURES)
-        view.show_end("finished" if end.report else "failed", end.message, end.report)
+        view.show_end("finished" if end.report else "failed", end.message, end.report, done=end.done)
         if refused := server.refusals.describe():
             options.print_line(f"the page's server {refused}")
         if server.pages_opened():
@@ -154,7 +166,7 @@ async def _recording(rig: Rig, folder: SessionFolder, session: FedSession) -> As
         yield recorder
     finally:
         session.close()
-        with suppress(RecordingError):  # its state has it
+        with suppress(RecordingError):  # its state has the error
             await recorder.close()
 
 

@@ -55,7 +55,7 @@ class OperatorView:
         self._notices: deque[str] = deque(maxlen=_SHOWN_NOTICES)
         self._connected = False
         self._lost = 0
-        self._end: tuple[Phase, str] | None = None
+        self._end: tuple[Phase, str, bool] | None = None
         self._report: Path | None = None
         self._state: SessionState | None = None
         self._shown: SessionState | None = None
@@ -79,15 +79,16 @@ class OperatorView:
         self._print_line(notice.text)
         self._note_change()
 
-    def show_end(self, phase: Phase, headline: str, report: Path | None = None) -> None:
+    def show_end(self, phase: Phase, headline: str, report: Path | None = None, *, done: bool = False) -> None:
         """From now on shows a phase of the end of the session, in place of those of the captures.
 
         Args:
             phase: ``finishing``, ``finished`` or ``failed``.
             headline: one sentence.
             report: of the calibration, if there is one.
+            done: whether all poses are good.
         """
-        self._end, self._report = (phase, headline), report
+        self._end, self._report = (phase, headline, done), report
         self._note_change()
 
     def state(self) -> SessionState:
@@ -96,13 +97,14 @@ class OperatorView:
         if self._state is None or shown is not self._shown:
             self._shown = shown
             recorded = self._recorder.state if self._recorder else RecorderState()
-            phase, headline = self._end or (shown.phase, shown.headline)
+            phase, headline, done = self._end or (shown.phase, shown.headline, shown.done)
             self._state = replace(
                 shown,
                 phase=phase,
                 headline=headline,
+                done=done,
                 connected=self._connected,
-                notices=tuple(self._notices),
+                notices=(*self._notices, *shown.notices)[:_SHOWN_NOTICES],
                 recorder=replace(recorded, lost=self._lost),
                 report=self._report is not None,
             )

@@ -111,6 +111,9 @@ def finish_files(folder: Path, limits: LimitSettings) -> None:
         OSError: a file cannot be written.
     """
     for file in _list_files(folder):
+        if file.suffix == _PART and not file.stat().st_size:  # killed before its first message
+            file.unlink()
+            continue
         try:
             finish_mcap(file, limits)
         except OSError:

@@ -11,8 +11,8 @@ from calgraph.live.live_rig import list_intrinsics_topics
 from calgraph.live.operator_view import CapturingSession, OperatorView
 from calgraph.live.source import LiveMessage, Notice, Source
 
-# Time between two looks at whether other processes still work, s; a person does not notice it.
-_IDLE_CHECK = 0.05
+# Time between two looks at whether other processes still work, s: much less than their calls take.
+_IDLE_CHECK = 0.002
 
 
 class MessageSink(Protocol):
@@ -67,6 +67,8 @@ async def record_session(
     session: FedSession,
     triggers: TriggerQueue,
     view: OperatorView,
+    *,
+    wait: bool,
 ) -> None:
     """Records and feeds messages until the source or the recording ends, or the operator wants to finish.
 
@@ -77,6 +79,7 @@ async def record_session(
         session: takes the captures.
         triggers: of the session.
         view: shows notices of the source, and has the operator's wish to finish.
+        wait: whether each message waits until the session has analysed those before, so that it skips none.
 
     Raises:
         InputError: the source cannot be used.
@@ -109,6 +112,8 @@ async def record_session(
             view.note(Notice("ended", str(error)))
             return False
         session.feed(message)
+        if wait:
+            await wait_until_idle()
         return True
 
     async def wait_until_idle() -> None:

@@ -37,7 +37,9 @@ class ReplaySource:
         limits: LimitSettings = LimitSettings(),
     ) -> None:
         if not 0 <= speed < float("inf"):
-            raise InputError(f"speed {speed:g}: give 1 for real time, 5 for five times as fast, 0 for no waiting")
+            raise InputError(
+                f"`speed` {speed:g}: give 1 for real time, 5 for five times as fast, 0 for no waiting"
+            )
         self._path, self._speed, self._start_after, self._limits = path, speed, start_after, limits
 
     @property

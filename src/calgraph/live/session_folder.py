@@ -18,6 +18,8 @@ from calgraph.live.recorded_files import finish_files, read_files
 
 _LOCK = "session.lock"
 _NOTES = "session.yaml"
+_RIG = "rig.yaml"
+_RECORDING = "recording"
 
 
 class _Notes(StrictModel):
@@ -45,8 +47,8 @@ class SessionFolder:
     def __init__(self, path: Path, notes: _Notes, lock: BinaryIO) -> None:
         self.path, self.source = path, notes.source
         self._notes, self._lock = notes, lock
-        self.recording = path / "recording"
-        self.rig_file = path / "rig.yaml"
+        self.recording = path / _RECORDING
+        self.rig_file = path / _RIG
         self.result = path / "result"
 
     def last_arrival(self) -> int:
@@ -94,7 +96,7 @@ def create_session(path: Path, rig_file: Path, rig: Rig, source: str) -> Session
     """Makes the folder of a new session.
 
     Args:
-        path: the folder, which is missing or empty.
+        path: the folder, which is missing or empty, or of a session that has recorded nothing.
         rig_file: the user's rig.yaml, which a comment names.
         rig: of the session; see :func:`calgraph.live.live_rig.prepare_live_rig`. Its rig.yaml has the keys that
             were stated, and loads to exactly this rig.
@@ -146,6 +148,10 @@ def _check_empty(path: Path) -> None:
         if path.exists() and not path.is_dir():
             raise InputError(f"{path}: is a file, a folder is to be written there")
         names = {entry.name for entry in path.iterdir()} - {_LOCK} if path.exists() else set()
+        has_messages = any((path / _RECORDING).glob("*.mcap"))
+    # A session that has recorded nothing is begun again, after a wrong address for example.
+    if _NOTES in names and names <= {_NOTES, _RIG, _RECORDING} and not has_messages:
+        return
     if _NOTES in names:
         raise InputError(
             f"{path}: is the folder of a live session: continue it with `resume` {path}, or give another"

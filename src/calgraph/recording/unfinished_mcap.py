@@ -74,6 +74,9 @@ class _Chunk:
 
 def lacks_end(file: BinaryIO) -> bool:
     """Whether an MCAP does not end as all that are complete do."""
+    # It begins with the same bytes.
+    if file.seek(0, io.SEEK_END) < 2 * len(_MAGIC):
+        return True
     file.seek(-len(_MAGIC), io.SEEK_END)
     return file.read() != _MAGIC
 
