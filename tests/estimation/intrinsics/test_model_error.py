@@ -84,3 +84,16 @@ def test_the_deviance_is_that_of_a_normal_distribution() -> None:
         variance = residual @ np.linalg.solve(V, residual) / 6
         deviances.append(np.linalg.slogdet(variance * V)[1] + 6)
     assert found.deviance == pytest.approx(min(deviances))
+
+
+def test_waves_along_the_radius_are_no_error_of_the_intrinsics() -> None:
+    views = []
+    for view in simulate_views(PINHOLE, 3, 12):
+        away = (view.pixels - PINHOLE.principal_point) / 800
+        radius = np.linalg.norm(away, axis=-1, keepdims=True)
+        views.append(BoardView(view.ids, view.corners, view.pixels + np.sin(21 * radius) * away, view.size))
+    found = estimate_intrinsics(RIG, "camera", views)
+    assert isinstance(found, IntrinsicsEstimate), found.reason
+    assert found.camera.model == "pinhole"
+    error = found.camera.intrinsics - PINHOLE.intrinsics
+    assert error @ np.linalg.solve(found.covariance, error) / len(error) < 3

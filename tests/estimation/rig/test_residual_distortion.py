@@ -54,3 +54,15 @@ def test_neighbours_are_displaced_together() -> None:
     ]
     # Of 1600 px; independent displacements differ by 2 px².
     assert np.mean(differences) < 0.2
+
+
+@pytest.mark.parametrize("periods", [1.5, 2.5, 3.5])
+def test_it_has_short_waves_along_the_radius(periods: float) -> None:
+    pixels, _ = draw()
+    away = (pixels - PINHOLE.principal_point) / 800
+    radius = np.linalg.norm(away, axis=-1, keepdims=True)
+    wave = (np.sin(2 * np.pi * periods * radius) * away).ravel()
+    # Least squares with the prior of a field of 1 px, and measurements of 0.02 px.
+    J = FIELD.displace(pixels, np.zeros(FIELD.count))[2].reshape(len(wave), -1) * FIELD.stddev
+    found = np.linalg.solve(J.T @ J + 0.02**2 * np.eye(FIELD.count), J.T @ wave)
+    assert np.std(wave - J @ found) < 0.1 * np.std(wave)

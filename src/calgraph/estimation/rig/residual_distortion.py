@@ -39,10 +39,11 @@ class ResidualDistortion:
         diagonal = float(np.linalg.norm(size))
         margin = settings.margin * diagonal
         highest = 2 * np.pi / (settings.min_wavelength * diagonal)
+        highest_radial = 2 * np.pi / (settings.min_radial_wavelength * diagonal)
         n = np.stack(np.meshgrid(*(_frequencies(side + 2 * margin, highest) for side in size)), axis=-1)
         # A displacement of all pixels is one of the principal point.
         frequency = np.array([one for one in n.reshape(-1, 2) if 0 < np.linalg.norm(one) <= highest])
-        radial = _frequencies(diagonal / 2 + margin, highest)[1:]
+        radial = _frequencies(diagonal / 2 + margin, highest_radial)[1:]
 
         def share_variance(frequencies: Array, total: float) -> Array:
             """The prior variances of coefficients: those of the spectrum of a Matérn process, with their sum."""
