@@ -5,12 +5,14 @@ import math
 import multiprocessing
 import os
 import signal
+import struct
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
+from types import FrameType
 
 import pytest
 
@@ -301,6 +303,23 @@ def test_a_worker_pool_runs_before_its_first_call() -> None:
         assert len(workers) == 2
         assert pool.submit(os.getpid).result() in workers
     assert multiprocessing.active_children() == []
+
+
+def write_half_a_result() -> None:
+    """Does what a worker that is killed while it returns a result has done until then."""
+    frame: FrameType | None = sys._getframe()
+    while frame and "result_queue" not in frame.f_locals:
+        frame = frame.f_back
+    assert frame
+    os.write(frame.f_locals["result_queue"]._writer.fileno(), struct.pack("!i", 1000) + b"half")
+    time.sleep(600)
+
+
+@pytest.mark.timeout(60)
+def test_a_worker_pool_ends_while_a_result_is_being_written() -> None:
+    with worker_pool(1) as pool:
+        pool.submit(write_half_a_result)
+        time.sleep(0.2)
 
 
 def test_a_worker_pool_does_not_wait_for_calls_under_way() -> None:

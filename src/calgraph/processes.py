@@ -225,6 +225,10 @@ def _kill_workers(pool: ProcessPoolExecutor) -> None:
         worker.kill()
     for worker in workers:
         worker.join()
+    # A thread of the pool may wait for the rest of a result that was being written: only this process's own end of
+    # the pipe keeps it from the end of the file.
+    if results := getattr(pool, "_result_queue", None):
+        results._writer.close()
 
 
 def _call_with_shared(function: Callable[..., Result], arguments: tuple[Any, ...]) -> Result:
