@@ -229,6 +229,15 @@ def test_connections_beyond_the_limit_and_idle_ones_are_closed() -> None:
         assert served.get("/")[0] == 200
 
 
+@pytest.mark.parametrize("request_bytes", [b"\x16\x03\x01\r\n\r\n", b"GET / HTTP/9\r\n\r\n"])
+def test_requests_that_are_none_of_http_are_refused(local: ServedPage, request_bytes: bytes) -> None:
+    before = count(local, "malformed requests")
+    with socket.create_connection(("127.0.0.1", local.server.port), timeout=PATIENCE) as connection:
+        connection.sendall(request_bytes)
+        assert connection.recv(12) == b"HTTP/1.1 400"
+    assert count(local, "malformed requests") == before + 1
+
+
 @pytest.mark.parametrize(
     "host", ["evil.example", "127.0.0.1.evil.example", "127.0.0.2x", "192.168.0.7", "", "a b"]
 )

@@ -27,6 +27,10 @@ def make_bounded_protocol(settings: PageSettings, refusals: Refusals) -> type[as
                 self._deadline.cancel()
             super().connection_lost(exc)
 
+        def send_400_response(self, msg: str) -> None:
+            refusals.add("malformed requests")
+            super().send_400_response(msg)
+
         def _end_without_request(self) -> None:
             # A websocket has another protocol by now.
             if self.cycle is None and self.transport.get_protocol() is self:

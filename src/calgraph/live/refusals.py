@@ -15,6 +15,7 @@ Refusal = Literal[
     "pages beyond the limit",
     "connections beyond the limit",
     "requests that took too long",
+    "malformed requests",
     "unknown addresses",
     "wrong methods",
 ]

@@ -11,8 +11,8 @@ class ConnectionSettings(StrictModel):
 
     first_delay: float = Field(default=0.5, gt=0)
     """Delay of the first attempt to connect again, s; it doubles with each further one."""
-    max_delay: float = Field(default=8.0, gt=0)
-    """Maximum delay, s: an operator who has put a cable back waits no longer."""
+    max_delay: float = Field(default=2.0, gt=0)
+    """Maximum delay, s: an operator who has put a cable back waits no longer, and an attempt costs nothing."""
     open_timeout: float = Field(default=5.0, gt=0)
     """Time for the handshake of a connection, s; on a local network it takes milliseconds."""
     ping_interval: float = Field(default=2.0, gt=0)
