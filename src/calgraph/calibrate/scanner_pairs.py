@@ -34,7 +34,7 @@ class CorrectedPairs:
     tracked: Mapping[str, ScannerTracks]
     """Corrected tracks by scanner."""
     pairs: Mapping[tuple[str, str], ScannerPairEstimate | Rejected]
-    """Pairs of all scanners."""
+    """Pairs of scanners that were registered."""
     clock_offset: Mapping[str, float] = field(default_factory=dict)
     """By which tracks were corrected: clock of a scanner minus the root's, s; none where it is 0."""
     inverted: frozenset[str] = frozenset()
@@ -50,7 +50,7 @@ def pair_scanners(
     rng: np.random.Generator,
     progress: Progress,
 ) -> CorrectedPairs:
-    """Estimates all pairs; where they do not connect the network, as if clocks and mountings differed, too."""
+    """Estimates pairs; where they do not connect the network, as if clocks and mountings differed, too."""
     settings = rig.settings.pairwise.scanners
     stated = _stated_mountings(rig, options.extend)
     inverted = frozenset(name for name, differs in stated.items() if differs)
@@ -139,8 +139,8 @@ def _reject_refused(
     limits = settings.clock_mounting
     for refused in solution.refused:
         ends = refused.sensor_a, refused.sensor_b
-        found = kept[ends]
-        if isinstance(found, Rejected):
+        found = kept.get(ends)
+        if not isinstance(found, ScannerPairEstimate):
             continue
         best = describe_difference(found, settings)
         corrected = solution.clock_offset[refused.sensor_b] - solution.clock_offset[refused.sensor_a]

@@ -8,6 +8,7 @@ periods. Its truncation at the scanner's range, which mixes metres with Mahalano
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,12 @@ from numpy.typing import NDArray
 from calgraph.config.settings import HypothesisSettings, NetworkEstimationSettings, ScannerPairSettings
 from calgraph.errors import Rejected
 from calgraph.geometry import Array
+from calgraph.pairwise.candidate_pairs import (
+    Ends,
+    select_implied_pairs,
+    select_pairs_between_parts,
+    select_similar_pairs,
+)
 from calgraph.pairwise.hypothesis_evidence import (
     PoseHypothesis,
     build_hypothesis,
@@ -33,6 +40,7 @@ from calgraph.pairwise.track_registration import (
     compute_pose_costs,
     register_tracks,
 )
+from calgraph.pairwise.track_similarity import compute_track_similarity
 from calgraph.pairwise.visibility_map import ScannerObservations, contradicts_visibility
 from calgraph.processes import parallel_map
 from calgraph.tracking import ScannerTracks
@@ -87,7 +95,10 @@ def estimate_scanner_pairs(
     progress: Callable[[float], None] = lambda _done: None,
     settings: ScannerPairSettings = ScannerPairSettings(),
 ) -> dict[tuple[str, str], ScannerPairEstimate | Rejected]:
-    """Estimates the relative pose of every pair of scanners, as :func:`estimate_scanner_pair` does.
+    """Estimates the relative poses of pairs of scanners, as :func:`estimate_scanner_pair` does.
+
+    Pairs of networks with many scanners that cannot have tracked the same people are left out, see
+    :mod:`calgraph.pairwise.candidate_pairs`.
 
     Args:
         tracked: tracks and background of each scanner, by its name.
@@ -99,16 +110,83 @@ def estimate_scanner_pairs(
         jobs: maximum number of processes, see :func:`calgraph.processes.parallel_map`; does not affect the result.
         progress: called with the completed fraction, 0..1.
         settings: gates, priors and limits.
+
+    Returns:
+        The pairs that were registered, in the order of the scanners.
     """
-    prior = _nuisance_prior(clock_sigma, depth_stddev, settings)
-    scanners = {name: _ScannerData.from_tracks(tracks, settings) for name, tracks in tracked.items()}
-    names = list(itertools.combinations(tracked, 2))
-    pairs = [(scanners[a], scanners[b]) for a, b in names]
-    # Random numbers are drawn here in a fixed order, so that results do not depend on the number of processes.
-    proposals = [_propose_hypotheses(a, b, rng, settings) for a, b in pairs]
-    work = [(names[k], *pairs[k], proposals[k], icp, prior, settings) for k in range(len(names))]
-    found = parallel_map(_evaluate_hypotheses, work, jobs if len(work) >= _MIN_PARALLEL_PAIRS else 1, progress)
-    return dict(zip(names, found, strict=True))
+    batch = _PairBatch(
+        tuple(tracked),
+        tuple(_ScannerData.from_tracks(tracks, settings) for tracks in tracked.values()),
+        icp,
+        _nuisance_prior(clock_sigma, depth_stddev, settings),
+        settings,
+        jobs,
+    )
+    names = batch.names
+    if len(names) <= settings.candidates.max_exhaustive:
+        every = list(itertools.combinations(range(len(names)), 2))
+        found = dict(zip(every, batch.estimate(every, [rng] * len(every), progress), strict=True))
+    else:
+        found = _estimate_candidates(batch, int(rng.integers(2**63)), progress)
+    return {(names[a], names[b]): found[a, b] for a, b in sorted(found)}
+
+
+@dataclass(frozen=True, eq=False)
+class _PairBatch:
+    """Scanners, and how their pairs are estimated."""
+
+    names: tuple[str, ...]
+    scanners: tuple[_ScannerData, ...]
+    icp: bool
+    prior: NuisancePrior
+    settings: ScannerPairSettings
+    jobs: int
+
+    def estimate(
+        self, pairs: Sequence[Ends], generators: Sequence[np.random.Generator], progress: Callable[[float], None]
+    ) -> list[ScannerPairEstimate | Rejected]:
+        """Estimates pairs of scanners, given by their indices, each with its random generator."""
+        work = []
+        for (i, j), rng in zip(pairs, generators, strict=True):
+            a, b, ends = self.scanners[i], self.scanners[j], (self.names[i], self.names[j])
+            # Random numbers are drawn here, so that results do not depend on the number of processes.
+            proposals = _propose_hypotheses(a, b, rng, self.settings)
+            work.append((ends, a, b, proposals, self.icp, self.prior, self.settings))
+        return parallel_map(
+            _evaluate_hypotheses, work, self.jobs if len(work) >= _MIN_PARALLEL_PAIRS else 1, progress
+        )
+
+
+def _estimate_candidates(
+    batch: _PairBatch, seed: int, progress: Callable[[float], None]
+) -> dict[Ends, ScannerPairEstimate | Rejected]:
+    """Estimates the most similar pairs, those that they imply, and those between parts, until none are left."""
+    samples = [scanner.observations.samples for scanner in batch.scanners]
+    limits = batch.settings.candidates
+    similarity = compute_track_similarity(samples, batch.settings)
+    tried: dict[Ends, ScannerPairEstimate | Rejected] = {}
+    poses: dict[Ends, Array] = {}
+    wanted = select_similar_pairs(similarity, limits.partners)
+    for rounds in itertools.count():
+        if not wanted:
+            break
+        pairs = sorted(wanted)
+        # Random numbers of a pair do not depend on the other pairs.
+        generators = [np.random.default_rng((seed, *ends)) for ends in pairs]
+        report = partial(_report_round, progress, rounds)
+        found = dict(zip(pairs, batch.estimate(pairs, generators, report), strict=True))
+        tried |= found
+        registered = {ends: pair.T_a_b for ends, pair in found.items() if isinstance(pair, ScannerPairEstimate)}
+        poses |= registered
+        wanted = select_implied_pairs(samples, poses, registered, tried, limits)
+        wanted = wanted or select_pairs_between_parts(similarity, poses, tried, limits)
+    progress(1.0)
+    return tried
+
+
+def _report_round(progress: Callable[[float], None], rounds: int, done: float) -> None:
+    """Reports that each round takes half of what is left; their number is not known before the last."""
+    progress(1 - 0.5**rounds * (1 - done / 2))
 
 
 def estimate_scanner_pair(

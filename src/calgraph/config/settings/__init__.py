@@ -71,6 +71,7 @@ from calgraph.config.settings.network_estimation import (
 )
 from calgraph.config.settings.pairwise import (
     BoardPairSettings,
+    CandidateSettings,
     ClockMountingSettings,
     HypothesisSettings,
     IcpSettings,
@@ -115,6 +116,7 @@ __all__ = [
     "BumpTestSettings",
     "CameraDetectionSettings",
     "CameraNoiseSettings",
+    "CandidateSettings",
     "CaptureBackgroundSettings",
     "CaptureSettings",
     "CentroidSettings",

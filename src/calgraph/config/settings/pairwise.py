@@ -341,11 +341,39 @@ class ClockMountingSettings(StrictModel):
     those pairs it was below 0.5; it is 1 where all people walk on one line."""
 
 
+class CandidateSettings(StrictModel):
+    """Pairs of scanners whose tracks are registered, in networks of many scanners."""
+
+    max_exhaustive: Count = 8
+    """Scanners up to which all pairs are registered: 28 pairs take less than a second."""
+    partners: Count = 5
+    """Pairs of each scanner that are registered first, those with the most similar tracks. In simulated grids of
+    30 and 100 scanners, 3 connect all that any pairs connect; two more for paths that resemble each other."""
+    partners_between_parts: Count = 30
+    """Pairs of each scanner with scanners of other parts that are registered where parts remain unconnected: most
+    have fewer partners in view, and the number bounds the time of networks that people do not connect."""
+    stretch_duration: Positive = 3.0
+    """Length of the stretches of trajectories that are compared, s: the shorter one of proposals."""
+    compared_poses: Count = 8
+    """Alignments of a pair with which all others are compared, those of the best fit: with 16, ranks are the
+    same."""
+    same_position: Positive = 0.5
+    """Distance up to which two alignments agree, m: that of two hypotheses that are one."""
+    same_angle: Angle = float(np.radians(20))
+    """Angle up to which two alignments agree, rad (20 degrees): the error of that of a stretch of 1 m."""
+    common_radius: Positive = 1.0
+    """Distance of simultaneous samples under a pose that two pairs imply up to which both scanners may have
+    tracked one person, m: at 10 m, two angles that are off by 3 degrees displace it by 0.7 m."""
+    min_common_time: Positive = 1.0
+    """Duration of such samples from which a pair is registered, s: half of the least duration of matches."""
+
+
 class ScannerPairSettings(StrictModel):
     """Two scanners that track the same people."""
 
     resampling: ResamplingSettings = ResamplingSettings()
     visibility: VisibilitySettings = VisibilitySettings()
+    candidates: CandidateSettings = CandidateSettings()
     proposals: ProposalSettings = ProposalSettings()
     registration: RegistrationSettings = RegistrationSettings()
     hypotheses: HypothesisSettings = HypothesisSettings()

@@ -1,0 +1,163 @@
+"""Similarity of the tracks of all pairs of scanners: which of them are likely to have tracked the same people.
+
+The moments of all pairs of trajectories within a stretch of time are matrix products, so that the similarity of a
+pair costs microseconds, and the registration of its tracks milliseconds. It ranks pairs, and rejects none.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calgraph.config.settings import ScannerPairSettings
+from calgraph.geometry import Array
+from calgraph.pairwise.synchronized_tracks import Indices, TrackSamples
+
+# Pairs of trajectories that are compared at once, for all stretches: their moments take about 100 MB.
+_MAX_COMPARED = 500_000
+
+
+@dataclass(frozen=True, eq=False)
+class _Stretch:
+    """Trajectories of all scanners during one stretch of time: R, ascending by scanner."""
+
+    scanner: Indices
+    """(R,)."""
+    positions: NDArray[np.complex128]
+    """(R, ticks) x + iy in the frame of the scanner, m; 0 where it has none."""
+    detected: Array
+    """(R, ticks) 1 where the scanner tracked the trajectory, 0 elsewhere."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Alignments:
+    """Least-squares alignments of a trajectory of a with one of b: M."""
+
+    pair: Indices
+    """(M,) index of a times the number of scanners plus index of b."""
+    angle: Array
+    """(M,) of b in a, rad."""
+    center_a: NDArray[np.complex128]
+    """(M,) mean position in a, m."""
+    center_b: NDArray[np.complex128]
+    """(M,) mean position in b, m."""
+    weight: Array
+    """(M,) number of common ticks times the logarithm of the largest RMS distance over that of the alignment."""
+    score: Array
+    """(M,) extent over RMS distance, as of proposals."""
+
+
+def compute_track_similarity(samples: Sequence[TrackSamples], settings: ScannerPairSettings) -> Array:
+    """Scores all pairs of scanners by the stretches of trajectories that one pose aligns.
+
+    Every stretch of a trajectory of a is aligned with every simultaneous one of b (Kabsch, in complex numbers).
+    The alignments of a pair with the best fits are compared with all others of the pair: those with the same pose
+    add to the score of the pair, by their number of ticks and fit. As only motions within a stretch are compared,
+    clock offsets of some tenths of a second change little.
+
+    Args:
+        samples: of each scanner.
+        settings: of candidates, and of proposals for the fits.
+
+    Returns:
+        (N, N) symmetric, >= 0; the diagonal is 0.
+    """
+    count = len(samples)
+    similarity = np.zeros((count, count))
+    stretches = _cut_stretches(samples, settings)
+    for first, end in _split_scanners(stretches, count):
+        found = [_align(stretch, first, end, count, settings) for stretch in stretches]
+        if not found:
+            continue
+        alignments = _Alignments(*(np.concatenate(column) for column in zip(*map(_columns, found), strict=True)))
+        pairs, votes = _count_votes(alignments, settings)
+        similarity[pairs // count, pairs % count] = votes
+    return similarity + similarity.T
+
+
+def _cut_stretches(samples: Sequence[TrackSamples], settings: ScannerPairSettings) -> list[_Stretch]:
+    """Successive stretches of equal duration, without trajectories that are too short."""
+    occupied = [k for k, one in enumerate(samples) if len(one.tick)]
+    if not occupied:
+        return []
+    scanner = np.concatenate([np.full(len(samples[k].tick), k) for k in occupied])
+    tick = np.concatenate([samples[k].tick for k in occupied])
+    trajectory = np.concatenate([samples[k].trajectory for k in occupied])
+    x, y = np.concatenate([samples[k].positions for k in occupied]).T
+    to_ticks = samples[0].to_ticks
+    length, least = to_ticks(settings.candidates.stretch_duration), to_ticks(settings.proposals.min_duration)
+    block, column = np.divmod(tick - tick.min(), length)
+    # A trajectory within a block is one row.
+    order = np.lexsort((trajectory, scanner, block))
+    keys = np.column_stack([block, scanner, trajectory])[order]
+    begins = np.any(np.diff(keys, axis=0, prepend=-1) != 0, axis=1)
+    row = np.cumsum(begins) - 1
+    positions = np.zeros((row[-1] + 1, length), dtype=np.complex128)
+    detected = np.zeros(positions.shape)
+    positions[row, column[order]], detected[row, column[order]] = (x + 1j * y)[order], 1.0
+    block, scanner = keys[begins, 0], keys[begins, 1]
+    kept = detected.sum(axis=1) >= least
+    block, scanner, positions, detected = block[kept], scanner[kept], positions[kept], detected[kept]
+    starts = np.flatnonzero(np.diff(block, prepend=-1))
+    return [
+        _Stretch(scanner[part], positions[part], detected[part])
+        for part in (
+            slice(begin, end) for begin, end in zip(starts, np.append(starts[1:], len(block)), strict=True)
+        )
+    ]
+
+
+def _split_scanners(stretches: Sequence[_Stretch], count: int) -> list[tuple[int, int]]:
+    """Splits scanners into ranges that are few enough for their comparisons to fit into memory."""
+    compared = np.zeros(count)
+    for stretch in stretches:
+        compared += np.bincount(stretch.scanner, minlength=count) * float(len(stretch.scanner))
+    group = np.floor(np.cumsum(compared) / _MAX_COMPARED).astype(np.intp)
+    starts = np.flatnonzero(np.diff(group, prepend=-1))
+    return list(zip(starts.tolist(), [*starts[1:].tolist(), count], strict=True))
+
+
+def _align(stretch: _Stretch, first: int, end: int, count: int, settings: ScannerPairSettings) -> _Alignments:
+    """Aligns trajectories of scanners ``first`` to ``end`` with those of all later scanners."""
+    rows = slice(*np.searchsorted(stretch.scanner, [first, end]))
+    z_a, z_b, in_a, in_b = stretch.positions[rows], stretch.positions, stretch.detected[rows], stretch.detected
+    limits = settings.proposals
+    ticks = in_a @ in_b.T
+    least = max(round(limits.min_duration / settings.resampling.tick_period), 1)
+    usable = (ticks >= least) & (stretch.scanner[rows, None] < stretch.scanner)
+    a, b = np.nonzero(usable)
+    n = ticks[a, b]
+    center_a, center_b = (z_a @ in_b.T)[a, b] / n, (in_a @ z_b.T)[a, b] / n
+    spread_a = ((np.abs(z_a) ** 2) @ in_b.T)[a, b] / n - np.abs(center_a) ** 2
+    spread_b = (in_a @ (np.abs(z_b) ** 2).T)[a, b] / n - np.abs(center_b) ** 2
+    product = (z_a @ z_b.conj().T)[a, b] / n - center_a * center_b.conj()
+    rms = np.sqrt(np.maximum(spread_a + spread_b - 2 * np.abs(product), 0))
+    extent = np.sqrt(np.maximum(np.minimum(spread_a, spread_b), 0))
+    kept = (rms < limits.max_rms) & (extent > limits.min_extent)
+    weight = n * np.log(np.hypot(limits.max_rms, limits.noise) / np.hypot(rms, limits.noise))
+    pair = stretch.scanner[rows][a] * count + stretch.scanner[b]
+    score = extent / (rms + limits.noise)
+    columns = pair, np.angle(product), center_a, center_b, weight, score
+    return _Alignments(*(column[kept] for column in columns))
+
+
+def _columns(found: _Alignments) -> tuple[Array, ...]:
+    return found.pair, found.angle, found.center_a, found.center_b, found.weight, found.score
+
+
+def _count_votes(found: _Alignments, settings: ScannerPairSettings) -> tuple[Indices, Array]:
+    """Pairs (P,) and the largest weight (P,) of alignments that agree with one of the best of their pair."""
+    order = np.lexsort((-found.score, found.pair))
+    pair, angle, center_a, center_b, weight = (column[order] for column in _columns(found)[:-1])
+    pairs, start, size = np.unique(pair, return_index=True, return_counts=True)
+    group = np.repeat(np.arange(len(pairs)), size)
+    limits = settings.candidates
+    votes = np.zeros(len(pairs))
+    for k in range(limits.compared_poses):
+        best = (start + np.minimum(k, size - 1))[group]
+        turn = np.exp(1j * angle[best])
+        off = np.abs(turn * (center_b - center_b[best]) + center_a[best] - center_a)
+        agrees = (off < limits.same_position) & (np.abs(np.angle(np.exp(1j * angle) / turn)) < limits.same_angle)
+        votes = np.maximum(votes, np.bincount(group, weight * agrees, len(pairs)))
+    return pairs, votes
