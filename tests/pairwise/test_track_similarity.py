@@ -57,13 +57,11 @@ def test_people_at_different_times_score_nothing(rng: np.random.Generator) -> No
 
 def test_a_scanner_without_tracks_scores_nothing(rng: np.random.Generator) -> None:
     a = observe([0], somewhere(rng), rng)
-    empty = a.transform(False, 0).subsample(10**6)
-    empty = TrackSamples(*(getattr(empty, column)[:0] for column in COLUMNS), a.tick_period)
+    empty = TrackSamples(
+        a.tick[:0], a.trajectory[:0], a.positions[:0], a.velocities[:0], a.covariances[:0], a.tick_period
+    )
     np.testing.assert_array_equal(compute_track_similarity([empty, a], SETTINGS), 0)
     np.testing.assert_array_equal(compute_track_similarity([empty, empty], SETTINGS), 0)
-
-
-COLUMNS = ("tick", "trajectory", "positions", "velocities", "covariances")
 
 
 def test_scanners_in_groups_score_as_all_at_once(

@@ -6,6 +6,7 @@ pair costs microseconds, and the registration of its tracks milliseconds. It ran
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -142,7 +143,7 @@ def _align(stretch: _Stretch, first: int, end: int, count: int, settings: Scanne
     return _Alignments(*(column[kept] for column in columns))
 
 
-def _columns(found: _Alignments) -> tuple[Array, ...]:
+def _columns(found: _Alignments) -> tuple[NDArray[Any], ...]:
     return found.pair, found.angle, found.center_a, found.center_b, found.weight, found.score
 
 
@@ -160,4 +161,4 @@ def _count_votes(found: _Alignments, settings: ScannerPairSettings) -> tuple[Ind
         off = np.abs(turn * (center_b - center_b[best]) + center_a[best] - center_a)
         agrees = (off < limits.same_position) & (np.abs(np.angle(np.exp(1j * angle) / turn)) < limits.same_angle)
         votes = np.maximum(votes, np.bincount(group, weight * agrees, len(pairs)))
-    return pairs, votes
+    return np.asarray(pairs, dtype=np.intp), votes
