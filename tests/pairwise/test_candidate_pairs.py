@@ -11,7 +11,7 @@ from calgraph.pairwise import ScannerPairEstimate, estimate_scanner_pairs
 from calgraph.pairwise.candidate_pairs import (
     Ends,
     select_implied_pairs,
-    select_pairs_between_parts,
+    select_separated_pairs,
     select_similar_pairs,
 )
 from calgraph.pairwise.synchronized_tracks import TrackSamples
@@ -83,12 +83,12 @@ def test_only_new_poses_imply_pairs() -> None:
 def test_pairs_between_parts_are_those_that_were_not_tried() -> None:
     similarity = np.arange(16.0).reshape(4, 4)
     connected: list[Ends] = [(0, 1), (2, 3)]
-    assert select_pairs_between_parts(similarity, connected, [*connected, (0, 3)], SETTINGS) == {
+    assert select_separated_pairs(similarity, connected, [*connected, (0, 3)], SETTINGS) == {
         (0, 2), (1, 2), (1, 3),
     }  # fmt: skip
-    assert not select_pairs_between_parts(similarity, [*connected, (1, 2)], connected, SETTINGS)
+    assert not select_separated_pairs(similarity, [*connected, (1, 2)], connected, SETTINGS)
     one = SETTINGS.model_copy(update={"partners_between_parts": 1})
-    assert select_pairs_between_parts(similarity, connected, connected, one) == {(0, 3), (1, 3), (1, 2)}
+    assert select_separated_pairs(similarity, connected, connected, one) == {(0, 3), (1, 3), (1, 2)}
 
 
 def observe_hall(rng: np.random.Generator, reach: float = 7.0) -> tuple[dict[str, ScannerTracks], list[Array]]:

@@ -65,7 +65,7 @@ def select_implied_pairs(
     return implied
 
 
-def select_pairs_between_parts(
+def select_separated_pairs(
     similarity: Array, poses: Collection[Ends], tried: Collection[Ends], settings: CandidateSettings
 ) -> set[Ends]:
     """Untried pairs of scanners that poses do not connect: of each scanner those with the most similar tracks."""

@@ -19,7 +19,7 @@ from calgraph.geometry import Array
 from calgraph.pairwise.candidate_pairs import (
     Ends,
     select_implied_pairs,
-    select_pairs_between_parts,
+    select_separated_pairs,
     select_similar_pairs,
 )
 from calgraph.pairwise.hypothesis_evidence import (
@@ -162,11 +162,11 @@ def _estimate_candidates(
 ) -> dict[Ends, ScannerPairEstimate | Rejected]:
     """Estimates the most similar pairs, those that they imply, and those between parts, until none are left."""
     samples = [scanner.observations.samples for scanner in batch.scanners]
-    limits = batch.settings.candidates
+    settings = batch.settings.candidates
     similarity = compute_track_similarity(samples, batch.settings)
     tried: dict[Ends, ScannerPairEstimate | Rejected] = {}
     poses: dict[Ends, Array] = {}
-    wanted = select_similar_pairs(similarity, limits.partners)
+    wanted = select_similar_pairs(similarity, settings.partners)
     for rounds in itertools.count():
         if not wanted:
             break
@@ -178,8 +178,8 @@ def _estimate_candidates(
         tried |= found
         registered = {ends: pair.T_a_b for ends, pair in found.items() if isinstance(pair, ScannerPairEstimate)}
         poses |= registered
-        wanted = select_implied_pairs(samples, poses, registered, tried, limits)
-        wanted = wanted or select_pairs_between_parts(similarity, poses, tried, limits)
+        wanted = select_implied_pairs(samples, poses, registered, tried, settings)
+        wanted = wanted or select_separated_pairs(similarity, poses, tried, settings)
     progress(1.0)
     return tried
 

@@ -15,7 +15,7 @@ from calgraph.config.settings import ScannerPairSettings
 from calgraph.geometry import Array
 from calgraph.pairwise.synchronized_tracks import Indices, TrackSamples
 
-# Pairs of trajectories that are compared at once, for all stretches: their moments take about 100 MB.
+# Pairs of trajectories, of all stretches, that are compared together: their moments take about 100 MB.
 _MAX_COMPARED = 500_000
 
 
@@ -68,7 +68,7 @@ def compute_track_similarity(samples: Sequence[TrackSamples], settings: ScannerP
     similarity = np.zeros((count, count))
     stretches = _cut_stretches(samples, settings)
     for first, end in _split_scanners(stretches, count):
-        found = [_align(stretch, first, end, count, settings) for stretch in stretches]
+        found = [_align_trajectories(stretch, first, end, count, settings) for stretch in stretches]
         if not found:
             continue
         alignments = _Alignments(*(np.concatenate(column) for column in zip(*map(_columns, found), strict=True)))
@@ -119,7 +119,9 @@ def _split_scanners(stretches: Sequence[_Stretch], count: int) -> list[tuple[int
     return list(zip(starts.tolist(), [*starts[1:].tolist(), count], strict=True))
 
 
-def _align(stretch: _Stretch, first: int, end: int, count: int, settings: ScannerPairSettings) -> _Alignments:
+def _align_trajectories(
+    stretch: _Stretch, first: int, end: int, count: int, settings: ScannerPairSettings
+) -> _Alignments:
     """Aligns trajectories of scanners ``first`` to ``end`` with those of all later scanners."""
     rows = slice(*np.searchsorted(stretch.scanner, [first, end]))
     z_a, z_b, in_a, in_b = stretch.positions[rows], stretch.positions, stretch.detected[rows], stretch.detected
