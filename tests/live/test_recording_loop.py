@@ -1,7 +1,7 @@
 """The loop of a live session: what is recorded before what is fed, and what ends it."""
 
 import asyncio
-from collections.abc import AsyncIterator, Collection
+from collections.abc import AsyncIterator, Collection, Sequence
 
 import pytest
 
@@ -63,19 +63,28 @@ class Loop:
     """A session, a recorder and a source in the loop; ``log`` has what happened in its order."""
 
     def __init__(
-        self, *items: LiveMessage | Notice | Exception | None, disk: int = 100, busy: int = 0, wait: bool = False
+        self,
+        *items: LiveMessage | Notice | Exception | None,
+        disk: int = 100,
+        busy: int = 0,
+        lags: Sequence[float] = (),
+        max_lead: float = float("inf"),
     ) -> None:
         self.log: list[str] = []
         self.source = GivenSource(*items)
         self.triggers = TriggerQueue()
         self.trigger_after: int | None = None
         self.view = OperatorView(GivenSession(SessionState("rig", "ready", "", "given")), self.log.append)
-        self._disk, self._busy, self.wait = disk, busy, wait
+        self._disk, self._busy, self.lags, self._max_lead = disk, busy, list(lags), max_lead
 
     @property
     def busy(self) -> bool:
         self._busy -= 1
         return self._busy >= 0
+
+    @property
+    def lag(self) -> float:
+        return self.lags.pop(0) if self.lags else 0.0
 
     async def write(self, one: LiveMessage) -> None:
         if len(self.log) >= self._disk:
@@ -95,7 +104,7 @@ class Loop:
     def run(self) -> None:
         asyncio.run(
             asyncio.wait_for(
-                record_session(self.source, RIG, self, self, self.triggers, self.view, wait=self.wait),  # type: ignore[arg-type]
+                record_session(self.source, RIG, self, self, self.triggers, self.view, max_lead=self._max_lead),  # type: ignore[arg-type]
                 30.0,
             )
         )
@@ -134,8 +143,15 @@ def test_captures_under_way_are_waited_for_where_the_source_ends() -> None:
     assert loop.log == ["recorded /scan 1", "fed 1"]
 
 
+@pytest.mark.parametrize(("max_lead", "left"), [(1.0, 0), (3.0, 3), (float("inf"), 3)])
+def test_messages_wait_until_the_session_has_caught_up(max_lead: float, left: int) -> None:
+    loop = Loop(message(1), lags=[2.0, 1.0, 0.5, 0.0], max_lead=max_lead)
+    loop.run()
+    assert len(loop.lags) == left
+
+
 def test_messages_wait_for_the_session_where_none_is_to_be_skipped() -> None:
-    loop = Loop(message(1), message(2), busy=3, wait=True)
+    loop = Loop(message(1), message(2), busy=3, max_lead=0.0)
     loop.feed = lambda one: loop.log.append(f"fed {one.arrival}, {loop._busy}")  # type: ignore[method-assign]
     loop.run()
     assert loop.log == ["recorded /scan 1", "fed 1, 3", "recorded /scan 2", "fed 2, -1"]

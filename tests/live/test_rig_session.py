@@ -245,6 +245,26 @@ def test_clocks_that_differ_from_arrivals_do_not_keep_captures_from_being_taken_
     assert_equal_captures(running.captures(), recorded)
 
 
+class BusyExecutor(ImmediateExecutor):
+    """Never completes a call."""
+
+    def submit(self, *_: Any, **__: Any) -> Future[Any]:
+        return Future()
+
+
+def test_the_lag_is_the_age_of_the_first_message_that_is_not_analysed(
+    walk: tuple[Rig, list[LiveMessage], GroundTruth],
+) -> None:
+    rig, messages, _ = walk
+    pools = SessionPools(BusyExecutor(), 1, BusyExecutor(), lambda function: function())
+    busy = RigSession(rig, "simulated", pools, SessionOutputs(lambda _: None))
+    idle, _ = start_session(rig)
+    feed_until(busy, messages, 1.0)
+    feed_until(idle, messages, 1.0)
+    assert busy.lag == pytest.approx(1.0, abs=0.25)
+    assert idle.lag == 0.0
+
+
 def test_unusable_messages_are_counted_and_change_nothing(
     walk: tuple[Rig, list[LiveMessage], GroundTruth], session: tuple[RigSession, list[LiveMessage]]
 ) -> None:

@@ -35,6 +35,8 @@ class _Search:
 
     candidate: Candidate
     hold: Hold
+    arrival: float
+    """Of the last message before it, s."""
     requested: bool
     waiting: list[tuple[str, bytes, Sequence[Decoder]]]
     missing: set[str]
@@ -80,6 +82,11 @@ class CaptureTaker:
     def searching(self) -> bool:
         """Whether the board is searched for in a capture."""
         return self._search is not None
+
+    @property
+    def lag(self) -> float:
+        """Time by which the search of the candidate is behind the messages, s; 0 without one."""
+        return self._analysis.timeline.latest_arrival - self._search.arrival if self._search else 0.0
 
     def request(self) -> None:
         """Takes a capture as soon as the board rests; wanted a second time, without waiting for that."""
@@ -128,7 +135,14 @@ class CaptureTaker:
         if not all(detectors.is_ready(name) for name in self._rig.sensors):
             return
         hold = limit_hold(candidate.hold, self._rig)
-        search = _Search(candidate, hold, self._request is not None, [], set(self._rig.sensors))
+        search = _Search(
+            candidate,
+            hold,
+            self._analysis.timeline.latest_arrival,
+            self._request is not None,
+            [],
+            set(self._rig.sensors),
+        )
         for name in self._rig.sensors:
             records = self._analysis.ring.select(name, hold.stamps[name].tolist())
             if records is None:

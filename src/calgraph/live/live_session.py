@@ -13,6 +13,7 @@ from calgraph.live.network_session import NetworkSession
 from calgraph.live.operator_view import OperatorView
 from calgraph.live.recorder import Recorder
 from calgraph.live.recording_loop import FedSession, TriggerQueue, record_session
+from calgraph.live.replay import ReplaySource
 from calgraph.live.rig_session import RigSession, SessionOutputs, SessionPools, count_analysis_processes
 from calgraph.live.rig_solution import solve_captures
 from calgraph.live.server import PageServer, serve_page
@@ -137,7 +138,8 @@ async def _run(
         async with _recording(rig, folder, session) as recorder:
             view.show_recorder(recorder)
             options.announce(server)
-            await record_session(source, rig, recorder, session, triggers, view, wait=options.wait)
+            max_lead = _choose_max_lead(source, rig, options)
+            await record_session(source, rig, recorder, session, triggers, view, max_lead=max_lead)
         if recorder.state.problem:
             options.print_line(recorder.state.problem)
         if folder.last_arrival() < 0:
@@ -156,6 +158,13 @@ async def _run(
             with suppress(asyncio.CancelledError):
                 await asyncio.Event().wait()
     return end.exit_code
+
+
+def _choose_max_lead(source: Source, rig: Rig, options: LiveOptions) -> float:
+    """Time by which messages may be ahead of the detection, s."""
+    if options.wait:
+        return 0.0
+    return rig.settings.live.capture.max_replay_lead if isinstance(source, ReplaySource) else float("inf")
 
 
 @asynccontextmanager

@@ -60,6 +60,16 @@ class MessageAnalysis:
         begin = self.timeline.start
         return window[1] if begin is None else max(begin + window[1] - self.timeline.latest_arrival, 0.0)
 
+    @property
+    def lag(self) -> float:
+        """Time by which motion and rooms that other processes compute are behind the messages, s."""
+        oldest = (sensor.oldest_unmeasured for sensor in self.sensors.values())
+        due = [arrival for arrival in oldest if arrival is not None]
+        window, begin = self._rig.capture.background, self.timeline.start
+        if window and begin is not None and not all(map(self.detectors.is_ready, self._learning)):
+            due.append(begin + window[1])
+        return max(self.timeline.latest_arrival - min(due), 0.0) if due else 0.0
+
     def restore(
         self,
         timeline: RecordingTimeline,
@@ -171,7 +181,7 @@ class MessageAnalysis:
         name = min(waiting, key=lambda one: self.sensors[one].waiting[0].arrival)
         sensor = self.sensors[name]
         records = [sensor.waiting.popleft() for _ in range(min(len(sensor.waiting), _MESSAGES_PER_CALL))]
-        sensor.measuring = True
+        sensor.measuring = records
         queue.run(
             measure_changes, self._rig.settings.captures.motion, self.rests.previous(name),
             [record.decode for record in records],
@@ -182,7 +192,7 @@ class MessageAnalysis:
 
     def _add_changes(self, name: str, records: Sequence[RecordedMessage], measured: MeasuredChanges) -> None:
         sensor = self.sensors[name]
-        sensor.measuring = False
+        sensor.measuring = ()
         for change in measured.changes:
             if change is None:
                 sensor.note_malformed(measured.problem)
@@ -198,7 +208,7 @@ class MessageAnalysis:
             self._changed()
 
     def _fail_measuring(self, name: str, error: BaseException) -> None:
-        self.sensors[name].measuring = False
+        self.sensors[name].measuring = ()
         self.sensors[name].note_malformed(str(error))
 
     def _draw(self, queue: JobQueue) -> bool:

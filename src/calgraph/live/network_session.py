@@ -128,6 +128,11 @@ class NetworkSession:
         """Whether another process works for the session."""
         return self._queue.running > 0
 
+    @property
+    def lag(self) -> float:
+        """0: what is solved is read from the recording, and nothing is skipped."""
+        return 0.0
+
     def close(self) -> None:
         """Ends the session: results of calls under way are ignored."""
         self._queue.closed = True

@@ -33,6 +33,10 @@ class FedSession(CapturingSession, Protocol):
     def busy(self) -> bool:
         """Whether other processes work for it."""
 
+    @property
+    def lag(self) -> float:
+        """Time by which the processes that detect are behind the messages, s; 0 as soon as they wait for more."""
+
     def feed(self, message: LiveMessage) -> None:
         """Takes a message that has been recorded."""
 
@@ -68,7 +72,7 @@ async def record_session(
     triggers: TriggerQueue,
     view: OperatorView,
     *,
-    wait: bool,
+    max_lead: float,
 ) -> None:
     """Records and feeds messages until the source or the recording ends, or the operator wants to finish.
 
@@ -79,7 +83,8 @@ async def record_session(
         session: takes the captures.
         triggers: of the session.
         view: shows notices of the source, and has the operator's wish to finish.
-        wait: whether each message waits until the session has analysed those before, so that it skips none.
+        max_lead: time by which messages may be ahead of the detection before they wait until it has caught up, s;
+            with 0 each waits until all before it are analysed. Infinite for robots, which do not wait.
 
     Raises:
         InputError: the source cannot be used.
@@ -112,8 +117,11 @@ async def record_session(
             view.note(Notice("ended", str(error)))
             return False
         session.feed(message)
-        if wait:
+        if not max_lead:
             await wait_until_idle()
+        elif session.lag > max_lead:
+            while session.lag:
+                await asyncio.sleep(_IDLE_CHECK)
         return True
 
     async def wait_until_idle() -> None:

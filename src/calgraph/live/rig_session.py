@@ -172,6 +172,11 @@ class RigSession:
         """Whether other processes work for the session."""
         return self._queue.running + self._solver.running > 0
 
+    @property
+    def lag(self) -> float:
+        """Time by which the detection is behind the messages, s; 0 where nothing is detected any more."""
+        return max(self.analysis.lag, self.taker.lag) if self._queue.running else 0.0
+
     def close(self) -> None:
         """Ends the session: results of calls under way are ignored."""
         self._queue.closed = self._solver.closed = True

@@ -1,6 +1,7 @@
 """The messages and the view of each sensor of a live session: pictures, unusable messages, sharpness."""
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -18,8 +19,8 @@ class SensorActivity:
     settings: ViewSettings
     waiting: deque[RecordedMessage] = field(default_factory=deque)
     """Messages whose change is to be measured."""
-    measuring: bool = False
-    """Whether the changes of some are being measured."""
+    measuring: Sequence[RecordedMessage] = ()
+    """Messages whose change is being measured."""
     background: list[RecordedMessage] = field(default_factory=list)
     """Of a scanner, the messages that it learns the room from."""
     latest: RecordedMessage | None = None
@@ -37,6 +38,11 @@ class SensorActivity:
 
     def __post_init__(self) -> None:
         self.sharpness = deque(maxlen=self.settings.sharpness_images)
+
+    @property
+    def oldest_unmeasured(self) -> float | None:
+        """Arrival of the first message whose change is not known yet, s; None if there is none."""
+        return next((record.arrival for record in (*self.measuring, *self.waiting)), None)
 
     def note_malformed(self, problem: str) -> None:
         """Counts a message that cannot be used."""

@@ -143,6 +143,9 @@ class LiveCaptureSettings(StrictModel):
     it, and captures begin after it."""
     timeout: float = Field(default=10.0, gt=0)
     """Time after which a capture is refused because the board still moves, s: three moves to another pose."""
+    max_replay_lead: float = Field(default=0.5, gt=0)
+    """Time by which a replayed recording may be ahead of the detection before it waits, s: no rest of the board
+    begins and ends in it. Robots do not wait."""
     min_distance: float = Field(default=0.1, gt=0)
     """Minimum distance of the board from its places in earlier captures for an automatic one, m: captures that are
     closer add little."""
