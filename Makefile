@@ -19,9 +19,10 @@ setup: $(READY)  ## make .venv with calgraph and all tools in it
 demo: $(READY)  ## simulate a five-sensor robot and calibrate it; results in demo/
 	$(BIN)/calgraph demo --out demo --force
 
-# One process per core runs tests, so NumPy needs no more threads.
+# One process per core runs tests, so NumPy needs no more threads. Tests start many commands: they keep bytecode, even
+# where the environment forbids it.
 test: $(READY)  ## run the tests (ARGS="-k name" to choose some)
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile $(ARGS)
+	OMP_NUM_THREADS=1 PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n auto --dist loadfile $(ARGS)
 
 # All tests; settings and the least coverage allowed are in pyproject.toml. --cov-report=html also draws it line by line.
 coverage:  ## run the tests and measure coverage; fails below the limit in pyproject.toml

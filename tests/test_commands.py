@@ -15,6 +15,8 @@ from typer.main import get_command
 
 from calgraph.cli.app import app
 
+pytestmark = pytest.mark.without_coverage
+
 ROOT = Path(__file__).resolve().parents[1]
 BUILT = {"_build", "gallery", "generated"}
 FIRST = "docs/quickstart.md"

@@ -8,6 +8,8 @@ import pytest
 import fuzz_harnesses
 from fuzz_readers import Monitor
 
+pytestmark = pytest.mark.without_coverage
+
 # Of each reader; the fuzzer tries thousands a second, guided by coverage.
 DAMAGED = 40
 

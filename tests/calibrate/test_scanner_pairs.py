@@ -22,6 +22,8 @@ from calgraph.simulation import (
 )
 from calgraph.tracking import ScannerTracks, correct_tracks, track_scanner
 
+pytestmark = pytest.mark.without_coverage
+
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 INVERTED, LATE = "scanner_3", "scanner_2"
 Network = tuple[Rig, dict[str, ScannerTracks], GroundTruth]

@@ -10,6 +10,8 @@ from typer.testing import Result
 from calgraph.result import load_calibration
 from written_results import read_without_provenance
 
+pytestmark = pytest.mark.without_coverage
+
 Run = Callable[..., Result]
 SENSORS = ("camera", "laser_front", "lidar")
 

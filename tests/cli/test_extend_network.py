@@ -26,6 +26,8 @@ from calgraph.simulation import (
     simulate_scans,
 )
 
+pytestmark = pytest.mark.without_coverage
+
 Run = Callable[..., Result]
 
 MOVED, STEP = "scanner_2", np.array([0.03, 0.0, 0.0])

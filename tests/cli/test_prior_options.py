@@ -21,6 +21,8 @@ from calgraph.result import export, load_calibration, read_extrinsics
 from calgraph.simulation import IdealDetectorOptions, RigScenario, build_world, simulate_detections
 from written_results import read_without_provenance
 
+pytestmark = pytest.mark.without_coverage
+
 Run = Callable[..., Result]
 
 _SCENARIO = {

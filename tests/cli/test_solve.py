@@ -15,6 +15,8 @@ from calgraph.estimation import load_problem, save_problem
 from calgraph.result import load_calibration
 from written_results import read_without_provenance
 
+pytestmark = pytest.mark.without_coverage
+
 Run = Callable[..., Result]
 
 RESULTS = ("calibration.yaml", "captures.csv", "rig.resolved.yaml")

@@ -14,6 +14,8 @@ from typer.testing import Result
 from calgraph.io.yaml_reading import read_yaml
 from user_mistakes import COMMANDS, RESULTS, RIG_KEYS, RIG_TEXTS, USAGE
 
+pytestmark = pytest.mark.without_coverage
+
 Run = Callable[..., Result]
 
 

@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 from typer.testing import Result
 
+pytestmark = pytest.mark.without_coverage
+
 Run = Callable[..., Result]
 
 

@@ -30,6 +30,8 @@ from calgraph.simulation.robot import MountedCamera
 from random_rig_draws import draw_rig
 from random_rig_messages import record
 
+pytestmark = pytest.mark.without_coverage
+
 FEW = settings(max_examples=2, phases=(Phase.explicit, Phase.reuse, Phase.generate))
 """An example takes a second: none is made smaller."""
 SCENARIO = RigScenario(

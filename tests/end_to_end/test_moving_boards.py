@@ -28,6 +28,8 @@ from calgraph.simulation import (
 )
 from simulated_rigs import build_recording, calibrate, pose_errors, simulate_recording
 
+pytestmark = pytest.mark.without_coverage
+
 RATE = 8.0
 SCENARIO = RigScenario(
     camera=CameraOptions(width=480, height=360, texels_per_mm=0.5, rate=RATE),

@@ -14,6 +14,8 @@ from calgraph.recording import open_recording
 from calgraph.result import Calibration
 from calgraph.simulation import GroundTruth, NetworkScenario, load_truth, simulate_network
 
+pytestmark = pytest.mark.without_coverage
+
 TWO: dict[str, object] = {
     "root": "front",
     "target": {"kind": "people"},

@@ -14,6 +14,8 @@ from calgraph.recording import open_recording
 from calgraph.sensors import LaserScan
 from calgraph.tracking import ScannerTracks, track_scanner
 
+pytestmark = pytest.mark.without_coverage
+
 TURN = 0.3
 """Rotation of the second scanner, rad."""
 

@@ -15,6 +15,8 @@ from calgraph.io import save_yaml
 from calgraph.recording import open_recording
 from calgraph.result import Calibration
 
+pytestmark = pytest.mark.without_coverage
+
 
 @pytest.fixture(scope="module")
 def vlp16(data_dir: Path) -> Calibration:

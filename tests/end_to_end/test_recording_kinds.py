@@ -28,6 +28,8 @@ from calgraph.simulation.rig_simulation import TRIGGER_TOPIC
 from simulated_rigs import SimulatedRecording, build_recording, calibrate, pose_errors, simulate_scenario
 from videos import write_video
 
+pytestmark = pytest.mark.without_coverage
+
 CAMERA, LIDAR = "/camera/image_raw/compressed", "/lidar/points"
 SCENARIO = RigScenario(
     camera=CameraOptions(width=480, height=360, texels_per_mm=0.5, rate=4.0),

@@ -12,6 +12,8 @@ from calgraph.result import Calibration
 from calgraph.simulation import RigScenario
 from simulated_rigs import calibrate, simulate_scenario
 
+pytestmark = pytest.mark.without_coverage
+
 
 @pytest.fixture(scope="module")
 def found() -> tuple[Calibration, Rig]:

@@ -31,6 +31,8 @@ from simulated_rigs import (
     simulate_scenario,
 )
 
+pytestmark = pytest.mark.without_coverage
+
 NO_CAMERA = CameraOptions(count=0)
 NO_LASER = LaserOptions(count=0)
 NO_SPINNING = SpinningOptions(count=0)

@@ -19,6 +19,8 @@ from calgraph.simulation import (
 from calgraph.simulation.robot import MountedCamera
 from simulated_rigs import SimulatedRecording, build_recording, calibrate, pose_errors, simulate_scenario
 
+pytestmark = pytest.mark.without_coverage
+
 LENSES = {
     "pinhole": CameraOptions(
         width=640, height=480, field_of_view=80, distortion=(-0.2, 0.06, 1e-3, -5e-4, 0.0), texels_per_mm=1.0

@@ -13,6 +13,8 @@ from calgraph.sensors import Image, LaserScan, Message, PointCloud, RecordedMess
 from calgraph.simulation import CameraOptions, LaserOptions, MultibeamOptions, RigScenario, SpinningOptions
 from simulated_rigs import SimulatedRecording, alter_messages, build_recording, calibrate, simulate_scenario
 
+pytestmark = pytest.mark.without_coverage
+
 CAMERA, FRONT, CLOUD = "/camera/image_raw/compressed", "/laser_front/scan", "/lidar/points"
 SCENARIO = RigScenario(
     camera=CameraOptions(width=320, height=240, texels_per_mm=0.5, rate=2.0),

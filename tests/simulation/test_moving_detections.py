@@ -14,6 +14,8 @@ from calgraph.simulation import (
     simulate_moving_detections,
 )
 
+pytestmark = pytest.mark.without_coverage
+
 
 def test_a_rig_is_calibrated_from_a_board_that_never_rests() -> None:
     """At 0.3 m/s, with stamps 10 ms apart that are wrong by 2 ms."""

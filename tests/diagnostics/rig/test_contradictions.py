@@ -14,6 +14,8 @@ from calgraph.estimation.rig.solution import SolvedBundle
 from calgraph.result import HeldOutError
 from detected_rigs import DetectedRig, detect_rig
 
+pytestmark = pytest.mark.without_coverage
+
 
 def first_captures(detected: DetectedRig, count: int) -> DetectedRig:
     by_sensor = {

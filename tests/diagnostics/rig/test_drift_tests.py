@@ -20,6 +20,8 @@ from calgraph.estimation.rig.covariances import pose_covariance
 from calgraph.estimation.rig.solution import RigSolution, SolvedBundle
 from calgraph.geometry import Array, se3
 
+pytestmark = pytest.mark.without_coverage
+
 SETTINGS = DiagnosticsSettings()
 BOARDS = 30
 SCENE = scene(boards=BOARDS)

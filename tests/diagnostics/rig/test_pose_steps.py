@@ -15,6 +15,8 @@ from calgraph.estimation.rig.covariances import pose_covariance
 from calgraph.estimation.rig.observations import relative_poses
 from calgraph.geometry import Array, se3
 
+pytestmark = pytest.mark.without_coverage
+
 SETTINGS = BumpTestSettings()
 CORRELATION = SerialCorrelationSettings()
 BOARDS = 20

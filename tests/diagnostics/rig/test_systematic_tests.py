@@ -10,6 +10,8 @@ from calgraph.diagnostics.rig.systematic_tests import find_systematic_errors
 from calgraph.simulation import BoardErrors, CameraErrors, ModelErrors, ScannerErrors
 from detected_rigs import detect_rig
 
+pytestmark = pytest.mark.without_coverage
+
 ALL = ("lidar", "camera", "laser_front")
 
 

@@ -11,6 +11,8 @@ from calgraph.estimation import IntrinsicsEstimate, estimate_intrinsics
 from calgraph.sensors import CameraModel
 from camera_views import FISHEYE, PINHOLE, WIDE, checkerboard_rig, simulate_views
 
+pytestmark = pytest.mark.without_coverage
+
 CAMERAS = {"pinhole": PINHOLE, "wide": WIDE, "fisheye": FISHEYE}
 RIG = checkerboard_rig()
 

@@ -11,6 +11,8 @@ from calgraph.estimation.intrinsics.model_error import FieldEquations, estimate_
 from calgraph.geometry import Array
 from camera_views import FISHEYE, PINHOLE, WIDE, checkerboard_rig, simulate_views
 
+pytestmark = pytest.mark.without_coverage
+
 CAMERAS = {"pinhole": PINHOLE, "wide": WIDE, "fisheye": FISHEYE}
 RIG = checkerboard_rig()
 

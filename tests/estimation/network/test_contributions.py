@@ -12,6 +12,8 @@ from leg_scenes import build_network
 from network_scenes import SETTINGS
 from solved_networks import SECONDS, solve_two_walks
 
+pytestmark = pytest.mark.without_coverage
+
 SHRINKAGE = TukeyLoss(SETTINGS.beams.tukey_limit).score_to_information ** 0.5
 
 

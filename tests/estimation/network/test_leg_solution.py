@@ -12,6 +12,8 @@ from calgraph.simulation import NetworkScenario, build_network, network_rig, net
 from calgraph.simulation.network_scenario import PeopleOptions, ScannerOptions
 from calgraph.tracking import ScannerTracks, track_scanner
 
+pytestmark = pytest.mark.without_coverage
+
 
 @pytest.fixture(scope="module")
 def solved() -> tuple[NetworkSolution, Array, Array]:

@@ -11,6 +11,8 @@ from calgraph.geometry import Array, se3
 from calgraph.simulation import CameraOptions, LaserOptions, MultibeamOptions, build_world
 from detected_rigs import QUICK, DetectedRig, detect_rig, detect_rig_on
 
+pytestmark = pytest.mark.without_coverage
+
 RUNS = 10
 CONFIDENCE = 0.998
 SMALL = QUICK.model_copy(update={"samples": 1})

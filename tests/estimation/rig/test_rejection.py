@@ -23,6 +23,8 @@ from calgraph.geometry import se3
 from calgraph.simulation import BoardErrors, IdealDetectorOptions, ModelErrors, build_world
 from detected_rigs import QUICK, DetectedRig, detect_rig, detect_rig_on
 
+pytestmark = pytest.mark.without_coverage
+
 Mask = NDArray[np.bool_]
 SENSORS = ("lidar", "camera", "lidar2", "laser")
 

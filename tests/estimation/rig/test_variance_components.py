@@ -23,6 +23,8 @@ from calgraph.estimation.rig.variance_components import (
 )
 from calgraph.geometry import se3
 
+pytestmark = pytest.mark.without_coverage
+
 SEEDS = 20
 
 
