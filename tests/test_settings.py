@@ -1,7 +1,7 @@
 """Every setting is documented, is used, and reaches the code that uses it."""
 
 import ast
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import pytest
@@ -12,7 +12,13 @@ from calgraph.config.settings import Settings
 from calgraph.io.field_docs import describe_field
 
 SOURCE = Path(calgraph.__file__).parent
-TREES = {path: ast.parse(path.read_text()) for path in sorted(SOURCE.rglob("*.py"))}
+Trees = Mapping[Path, ast.Module]
+
+
+@pytest.fixture(scope="module")
+def trees() -> Trees:
+    """The syntax of each module: millions of objects, which no other test shall keep in memory."""
+    return {path: ast.parse(path.read_text()) for path in sorted(SOURCE.rglob("*.py"))}
 
 
 def leaves(model: type[BaseModel], prefix: str = "") -> Iterator[tuple[str, str]]:
@@ -30,10 +36,10 @@ def test_a_setting_states_its_meaning_and_reason(name: str, description: str) ->
     assert len(description.split()) >= 6, f"{name}: {description}"
 
 
-def test_every_setting_is_read_outside_the_configuration() -> None:
+def test_every_setting_is_read_outside_the_configuration(trees: Trees) -> None:
     read = {
         node.attr
-        for path, tree in TREES.items()
+        for path, tree in trees.items()
         if "config" not in path.relative_to(SOURCE).parts
         for node in ast.walk(tree)
         if isinstance(node, ast.Attribute)
@@ -41,13 +47,13 @@ def test_every_setting_is_read_outside_the_configuration() -> None:
     assert [name for name, _ in leaves(Settings) if name.split(".")[-1] not in read] == []
 
 
-def functions_with_settings() -> set[str]:
+def functions_with_settings(trees: Trees) -> set[str]:
     """Names of functions and methods, and of classes whose constructor, have a parameter ``settings``.
 
     Commands are not among them: typer calls them, with what ``--set`` states.
     """
     names = set()
-    for path, tree in TREES.items():
+    for path, tree in trees.items():
         if "cli" in path.relative_to(SOURCE).parts:
             continue
         functions = {n: n.name for n in ast.walk(tree) if isinstance(n, ast.FunctionDef) and n.name != "__init__"}
@@ -62,12 +68,12 @@ def functions_with_settings() -> set[str]:
     return names
 
 
-def test_every_call_hands_settings_on() -> None:
+def test_every_call_hands_settings_on(trees: Trees) -> None:
     # A parameter with a default value would silently ignore what the user has set.
-    takers = functions_with_settings()
+    takers = functions_with_settings(trees)
     forgetful = [
         f"{path.relative_to(SOURCE)}:{node.lineno} {name}"
-        for path, tree in TREES.items()
+        for path, tree in trees.items()
         for node in ast.walk(tree)
         if isinstance(node, ast.Call)
         and (name := getattr(node.func, "id", getattr(node.func, "attr", ""))) in takers
@@ -104,11 +110,11 @@ def states_reason(lines: list[str], number: int) -> bool:
     return lines[before].startswith("#") or lines[number].startswith('"""')
 
 
-def test_a_constant_that_is_not_a_setting_states_its_reason() -> None:
+def test_a_constant_that_is_not_a_setting_states_its_reason(trees: Trees) -> None:
     # What influences a result is a setting; what stays is a numerical tolerance, a buffer, or a fact.
     unexplained = [
         f"{path.relative_to(SOURCE)}:{number} {name}"
-        for path, tree in TREES.items()
+        for path, tree in trees.items()
         if path.relative_to(SOURCE).parts[0] not in DRAWING
         for number, name in numeric_constants(tree)
         if not states_reason(path.read_text().splitlines(), number)
