@@ -55,7 +55,8 @@ def run(page: str, folder: Path) -> None:
         done = subprocess.run(
             ["bash", "-euo", "pipefail", "-c", block],
             cwd=folder,
-            env={**os.environ, "PATH": path},
+            # Commands find earlier detections of a recording in the cache, as those of a reader do.
+            env={**os.environ, "PATH": path, "CALGRAPH_CACHE": str(folder / "cache")},
             stdin=subprocess.DEVNULL,
             capture_output=True,
             text=True,

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from calgraph.calibrate import RigOptions, build_problem
+from calgraph.calibrate import RigOptions, build_problem, solve_problem
 from calgraph.config import CameraSpec, Rig
+from calgraph.estimation import Problem
 from calgraph.result import Calibration, state_calibrated_intrinsics
 from calgraph.sensors import CameraModel
 from calgraph.simulation import (
@@ -81,8 +82,14 @@ def recorded(request: pytest.FixtureRequest) -> Recorded:
 
 
 @pytest.fixture(scope="module")
-def calibrated(recorded: Recorded) -> Calibration:
-    return calibrate(recorded[0], recorded[1], OPTIONS)
+def built(recorded: Recorded) -> Problem:
+    return build_problem(recorded[0], recorded[1], OPTIONS)
+
+
+@pytest.fixture(scope="module")
+def calibrated(built: Problem) -> Calibration:
+    """What ``calibrate_rig`` returns, in its two steps."""
+    return solve_problem(built)
 
 
 def estimated_camera(calibration: Calibration) -> CameraModel:
@@ -132,10 +139,8 @@ def test_views_that_do_not_suffice_leave_the_camera_out_with_the_reason() -> Non
     assert "3 images with at least 8 corners of the board do not determine its intrinsics, which need 5" in reason
 
 
-def test_the_covariance_of_the_estimate_is_no_prior(recorded: Recorded) -> None:
-    rig, recording, *_ = recorded
-    problem = build_problem(rig, recording, OPTIONS)
-    prior = problem.rig.cameras()["camera"].uncertainty
+def test_the_covariance_of_the_estimate_is_no_prior(built: Problem) -> None:
+    prior = built.rig.cameras()["camera"].uncertainty
     assert prior.focal_length == 0.5
     assert prior.principal_point == pytest.approx(200)
 
