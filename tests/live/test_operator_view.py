@@ -66,6 +66,13 @@ def test_messages_that_the_source_lost_are_counted_with_those_recorded() -> None
     assert view.state().recorder == RecorderState(messages=12, lost=5)
 
 
+def test_connections_that_broke_are_counted_once_each() -> None:
+    view, _ = make_view()
+    for kind in ("disconnected", "connected", "disconnected", "disconnected", "connected"):
+        view.note(Notice(kind, kind))
+    assert view.state().recorder.gaps == 1
+
+
 def test_commands_reach_the_session_until_it_ends() -> None:
     view, session = make_view()
     view.command(Command("trigger"))

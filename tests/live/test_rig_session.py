@@ -147,6 +147,20 @@ def test_an_interrupted_session_continues_with_its_captures(
     assert len(later) == 1
 
 
+def test_a_resumed_session_measures_noise_in_the_recorded_background(
+    walk: tuple[Rig, list[LiveMessage], GroundTruth],
+) -> None:
+    rig, messages, _ = walk
+    first, triggers = start_session(rig)
+    feed_until(first, messages, SCENARIO.background)
+    levels = {name: first.analysis.rests.level(name) for name in rig.sensors}
+    rest = feed_until(first, messages, 6.5)
+    second, _ = start_session(rig)
+    second.rebuild(record([*messages[: len(messages) - len(rest)], *triggers], rig))
+    for name, level in levels.items():
+        assert second.analysis.rests.level(name) == pytest.approx(level, rel=0.3), name
+
+
 def test_the_button_waits_until_the_board_rests(walk: tuple[Rig, list[LiveMessage], GroundTruth]) -> None:
     rig, messages, truth = walk
     running, triggers = start_session(rig)

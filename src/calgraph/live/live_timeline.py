@@ -35,6 +35,12 @@ class _GrowingTimes:
     latest: float | None = None
     """Stamp of the message that arrived last, s: one damaged stamp may be later than all others."""
 
+    def measure_period(self) -> None:
+        """Measures the period of the last messages."""
+        recent = self.stamps[-_RECENT:]
+        if len(recent) > 1:
+            self.period = median(b - a for a, b in pairwise(recent))
+
 
 class LiveTimeline:
     """The stamps of all sensors, and what their first messages state.
@@ -67,6 +73,7 @@ class LiveTimeline:
                 known,
                 latest=stamps[-1] if stamps else None,
             )
+            self._times[name].measure_period()
 
     def note_arrival(self, arrival: float) -> None:
         """Notes that a message of any topic arrived, s."""
@@ -88,9 +95,7 @@ class LiveTimeline:
         times.arrivals.append(record.arrival)
         if len(times.arrivals) > 2 * _RECENT:
             del times.arrivals[:-_RECENT]
-        recent = times.stamps[-_RECENT:]
-        if len(recent) > 1:
-            times.period = median(b - a for a, b in pairwise(recent))
+        times.measure_period()
         if not times.measured:
             message = record.decode()
             times.duration = message.duration if isinstance(message, LaserScan | PointCloud) else 0.0

@@ -83,12 +83,13 @@ class MessageAnalysis:
             timeline: of the recording.
             end: arrival of its last message, s.
             cameras: intrinsics by camera, as far as it has any.
-            background: the scanners' messages in its background window.
+            background: the sensors' messages in its background window: scanners learn the room from them, and the
+                noise of all at rest is measured again.
         """
         self.timeline.restore(timeline, end)
         self.detectors.restore(cameras)
         for record in background:
-            self._keep_background(self._sensor_of[record.topic], record)
+            self._queue(self._sensor_of[record.topic], record)
 
     def feed(self, message: LiveMessage) -> None:
         """Takes a message; those that are unusable are counted."""

@@ -54,7 +54,7 @@ class OperatorView:
         self._recorder: RecordingStatus | None = None
         self._notices: deque[str] = deque(maxlen=_SHOWN_NOTICES)
         self._connected = False
-        self._lost = 0
+        self._lost = self._gaps = 0
         self._end: tuple[Phase, str, bool] | None = None
         self._report: Path | None = None
         self._state: SessionState | None = None
@@ -71,6 +71,8 @@ class OperatorView:
 
     def note(self, notice: Notice) -> None:
         """Shows what happened to the connection."""
+        if notice.kind == "disconnected" and self._connected:
+            self._gaps += 1
         if notice.kind in ("connected", "disconnected", "ended"):
             self._connected = notice.kind == "connected"
         if notice.kind == "lost":
@@ -105,7 +107,7 @@ class OperatorView:
                 done=done,
                 connected=self._connected,
                 notices=(*self._notices, *shown.notices)[:_SHOWN_NOTICES],
-                recorder=replace(recorded, lost=self._lost),
+                recorder=replace(recorded, lost=self._lost, gaps=self._gaps),
                 report=self._report is not None,
             )
         return self._state

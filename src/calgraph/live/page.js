@@ -108,13 +108,14 @@ function showPlan() {
 }
 
 function showRecorder() {
-  const { seconds, megabytes, messages, lost, minutes_left: left, problem } = state.recorder;
+  const { seconds, megabytes, messages, lost, gaps, minutes_left: left, problem } = state.recorder;
   const parts = [
     formatTime(seconds),
     `${megabytes.toLocaleString("en", { maximumFractionDigits: megabytes < 10 ? 1 : 0 })} MB`,
     formatCount(messages, "message"),
     `${lost.toLocaleString("en")} lost`,
   ];
+  if (gaps) parts.push(`${formatCount(gaps, "gap")} in the connection`);
   if (left !== null) parts.push(left < 600 ? `disk full in ${Math.floor(left)} min` : "enough disk space");
   setText(byId("recorder"), parts.join(" · "));
   setOptionalText(byId("recorder-problem"), problem);

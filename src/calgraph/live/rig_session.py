@@ -7,7 +7,7 @@ from concurrent.futures import Executor
 from dataclasses import dataclass, field
 
 from calgraph.captures import CaptureSet
-from calgraph.config import CameraSpec, Intrinsics, Rig
+from calgraph.config import Intrinsics, Rig
 from calgraph.live.capture_taker import CaptureTaker
 from calgraph.live.job_queue import JobQueue, Post
 from calgraph.live.live_captures import collect_live_captures
@@ -104,10 +104,9 @@ class RigSession:
         """
         rebuilt = rebuild_captures(self.rig, recording, self.analysis.detectors.seeds, jobs)
         window = self.rig.capture.background
-        scanners = [spec.topic for spec in self.rig.sensors.values() if not isinstance(spec, CameraSpec)]
         present = {topic.name for topic in recording.topics}
         times = [recording.start + time for time in window] if window else [0.0, 0.0]
-        background = recording.records([topic for topic in scanners if topic in present], *times)
+        background = recording.records([t for t in self.rig.topics.values() if t in present], *times)
         self.analysis.restore(rebuilt.timeline, recording.end, rebuilt.cameras, background)
         self.taker.restore(rebuilt.captures, self.taker.finder.now())
         self._note_change()

@@ -77,6 +77,8 @@ class RecorderState:
     messages: int = 0
     lost: int = 0
     """Messages that the source is known to have lost."""
+    gaps: int = 0
+    """How often the connection broke, in which unknown numbers of messages were lost."""
     minutes_left: float | None = None
     """Until the disk is full, at the present rate."""
     problem: str = ""
