@@ -33,6 +33,12 @@ _shared: list[Any] = []
 """In a worker: the one argument that all calls of its pool share."""
 
 
+def available_cores() -> int:
+    """The processors that this process may use."""
+    # A container or a batch system may grant fewer than the machine has.
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 def forked_jobs(jobs: int) -> int:
     """The number of processes for work of less than a second: 1 where each process imports everything again."""
     return jobs if _START_METHOD == "fork" else 1

@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
@@ -16,7 +17,7 @@ from calgraph.calibrate.capture_collection import collect_captures
 from calgraph.captures import CaptureSet
 from calgraph.config import Capture, Rig
 from calgraph.live.record_reader import RecordReader
-from calgraph.live.rig_session import RigSession, SessionOutputs, SessionPools
+from calgraph.live.rig_session import RigSession, SessionOutputs, SessionPools, count_analysis_processes
 from calgraph.live.rig_solution import LiveSolution, SensorSolution
 from calgraph.live.source import LiveMessage
 from calgraph.live.state import Command
@@ -473,3 +474,12 @@ def test_other_processes_detect_and_solve_what_one_process_does(
     assert sensors["camera"].stddev_degrees == pytest.approx(np.degrees(3e-6))
     assert [sensors[name].stddev_mm for name in ("lidar", "laser_left")] == [None, None]
     assert [sensors[name].grade for name in ("lidar", "camera", "laser_left")] == ["good", "weak", ""]
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_getaffinity"), reason="the system does not limit cores")
+@pytest.mark.parametrize(("cores", "processes"), [(1, 1), (2, 1), (3, 2), (64, 3)])
+def test_cores_that_the_process_may_use_detect(
+    walk: tuple[Rig, list[LiveMessage], GroundTruth], monkeypatch: pytest.MonkeyPatch, cores: int, processes: int
+) -> None:
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(cores)))
+    assert count_analysis_processes(walk[0]) == processes

@@ -22,7 +22,6 @@ from calgraph.cli.common_options import (
     SeedOption,
     StrictOption,
     WholeJson,
-    available_cores,
     check_not_overwriting,
     list_choices,
 )
@@ -34,7 +33,7 @@ from calgraph.cli.setting_options import SetOption, load_rig_with
 from calgraph.config import Rig
 from calgraph.errors import CalibrationError, InputError
 from calgraph.io import check_output_path, follow_links, replace_folder_atomically, save_yaml
-from calgraph.processes import forked_jobs, parallel_call
+from calgraph.processes import available_cores, forked_jobs, parallel_call
 from calgraph.recording import open_recordings, resolve_intrinsics
 from calgraph.result import (
     Calibration,

@@ -17,7 +17,6 @@ from calgraph.cli.common_options import (
     ForceOption,
     RigFile,
     SeedOption,
-    available_cores,
     check_not_overwriting,
 )
 from calgraph.cli.console import console
@@ -28,6 +27,7 @@ from calgraph.config import Rig, Tolerance
 from calgraph.errors import InputError
 from calgraph.io import format_json, replace_folder_atomically, write_text
 from calgraph.io.yaml_reading import validate_content
+from calgraph.processes import available_cores
 from calgraph.recording import RecordingCache, open_recordings
 from calgraph.result import Calibration, ExtrinsicsFile, read_extrinsics
 

@@ -1,6 +1,5 @@
 """Arguments and options that mean the same to several commands."""
 
-import os
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any, get_args
@@ -65,12 +64,6 @@ JobsOption = Annotated[
         rich_help_panel=TUNING,
     ),
 ]
-
-
-def available_cores() -> int:
-    """The processors that this process may use."""
-    # A container or a batch system may grant fewer than the machine has.
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def check_not_overwriting(folder: Path, names: Iterable[str], *, force: bool) -> None:

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from calgraph.cli.calibrate import fail_if_not_calibrated, write_results
-from calgraph.cli.common_options import ForceOption, available_cores, check_not_overwriting
+from calgraph.cli.common_options import ForceOption, check_not_overwriting
 from calgraph.cli.printing import print_calibration, print_errors, print_output_path
 from calgraph.cli.progress import progress_bars
 from calgraph.cli.provenance import describe_run
@@ -15,6 +15,7 @@ from calgraph.cli.simulate_common import simulate_into
 from calgraph.config import load_rig
 from calgraph.errors import InputError
 from calgraph.io import replace_folder_atomically
+from calgraph.processes import available_cores
 from calgraph.recording import open_recording, resolve_intrinsics
 from calgraph.simulation import RigScenario, load_truth, simulate_rig
 

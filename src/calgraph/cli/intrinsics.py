@@ -14,7 +14,6 @@ from calgraph.cli.cache import NoCacheOption, open_cache
 from calgraph.cli.common_options import (
     ForceOption,
     JobsOption,
-    available_cores,
     check_not_overwriting,
 )
 from calgraph.cli.console import console
@@ -26,6 +25,7 @@ from calgraph.errors import CalibrationError, InputError, Rejected
 from calgraph.io import format_json, replace_folder_atomically, write_text
 from calgraph.io.yaml_limits import MAX_RIG_VALUES
 from calgraph.io.yaml_reading import read_yaml
+from calgraph.processes import available_cores
 from calgraph.recording import Recording, find_topics, open_recordings
 from calgraph.result.exports.camera_info import to_camera_info
 from calgraph.result.exports.kalibr import to_single_camchain

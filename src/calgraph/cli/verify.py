@@ -12,13 +12,13 @@ from rich.table import Table
 
 from calgraph.cli.cache import NoCacheOption, open_cache
 from calgraph.cli.calibrate import fail_if_not_calibrated
-from calgraph.cli.common_options import available_cores
 from calgraph.cli.console import console
 from calgraph.cli.printing import print_remarks
 from calgraph.cli.progress import progress_bars
 from calgraph.cli.setting_options import SetOption, load_rig_with, override_settings, parse_limits
 from calgraph.errors import CalibrationError, InputError
 from calgraph.io import format_json
+from calgraph.processes import available_cores
 from calgraph.recording import RecordingCache, open_recordings
 
 if TYPE_CHECKING:

@@ -1,7 +1,6 @@
 """A live session of a rig: from its messages to captures, poses, and the state that the operator is shown."""
 
 import asyncio
-import os
 from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
@@ -20,6 +19,7 @@ from calgraph.live.rig_state import describe_rig_session
 from calgraph.live.scene_view import encode_scene
 from calgraph.live.source import LiveMessage
 from calgraph.live.state import Command, SessionState
+from calgraph.processes import available_cores
 from calgraph.recording import Recording
 
 Solve = Callable[[Rig, CaptureSet, LiveSolution | None], LiveSolution]
@@ -52,7 +52,7 @@ class SessionOutputs:
 
 def count_analysis_processes(rig: Rig) -> int:
     """The number of processes that detect on this machine: one core is left to the recorder and the page."""
-    return max(1, min((os.cpu_count() or 1) - 1, rig.settings.live.analysis_processes))
+    return max(1, min(available_cores() - 1, rig.settings.live.analysis_processes))
 
 
 class RigSession:
