@@ -56,12 +56,20 @@ def walk(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+COMMAND = """
+import signal
+signal.signal(signal.SIGINT, signal.default_int_handler)  # background jobs of shells ignore it
+from calgraph.cli import main
+main()
+"""
+
+
 class Live:
     """A running command, and the lines that it has printed until now."""
 
     def __init__(self, *arguments: object) -> None:
         self._process = subprocess.Popen(
-            [sys.executable, "-c", "from calgraph.cli import main; main()", "live", *map(str, arguments)],
+            [sys.executable, "-c", COMMAND, "live", *map(str, arguments)],
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,
@@ -139,8 +147,10 @@ def test_calibrating_the_recording_gives_the_same_to_the_bit(
 
 
 def test_a_killed_session_goes_on(walk: Path, session: tuple[Path, Live], tmp_path: Path) -> None:
-    killed = start(walk, tmp_path / "session")
+    options = ("--source", walk / "recording", "-o", tmp_path / "session", "--port", 0)
+    killed = Live(walk / "rig.yaml", *options)
     killed.wait_for("Capture 2")
+    time.sleep(1.0)  # messages of the last half second may be lost
     killed.signal(signal.SIGKILL)
     killed.wait()
     resumed = Live("--resume", tmp_path / "session", "--speed", 0, "--port", 0)
