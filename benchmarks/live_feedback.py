@@ -35,7 +35,7 @@ from calgraph.simulation import (
     simulate_rig,
 )
 
-_SCENARIO = RigScenario(
+SCENARIO = RigScenario(
     camera=CameraOptions(count=1, width=1280, height=960, rate=5.0, encoding="jpeg"),
     laser=LaserOptions(count=3),
     spinning=SpinningOptions(count=0),
@@ -216,12 +216,12 @@ def report(
 
 
 @contextmanager
-def simulated(keep: Path | None) -> Iterator[Path]:
+def simulated(keep: Path | None, scenario: RigScenario = SCENARIO) -> Iterator[Path]:
     """A folder with the simulated recording."""
     with TemporaryDirectory() as temporary:
         folder = keep or Path(temporary)
         if not (folder / "recording").exists():
-            simulate_rig(_SCENARIO, folder, seed=1)
+            simulate_rig(scenario, folder, seed=1)
         yield folder
 
 

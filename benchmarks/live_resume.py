@@ -14,8 +14,6 @@ import subprocess
 import sys
 import time
 from collections import Counter
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -23,26 +21,14 @@ import numpy as np
 
 from calgraph.recording import open_recording
 from calgraph.result import Calibration, load_calibration
-from calgraph.simulation import (
-    CameraOptions,
-    LaserOptions,
-    MultibeamOptions,
-    RigScenario,
-    SpinningOptions,
-    simulate_rig,
-)
+from live_feedback import SCENARIO, simulated
 
-_SCENARIO = RigScenario(
-    camera=CameraOptions(count=1, width=640, height=480, rate=5.0, encoding="jpeg"),
-    laser=LaserOptions(count=3),
-    spinning=SpinningOptions(count=0),
-    multibeam=MultibeamOptions(count=1, rate=5.0),
-    bearings=(-40, -20, -10, 0, 10, 20, 40),
-    radii=(1.7, 2.5),
-    samples=1,
-    hold_time=2.5,
-    move_time=1.5,
-    trigger=False,
+# Smaller images and fewer holds: a minute, many times.
+_SCENARIO = SCENARIO.model_copy(
+    update={
+        "camera": SCENARIO.camera.model_copy(update={"width": 640, "height": 480}),
+        "bearings": (-40, -20, -10, 0, 10, 20, 40),
+    }
 )
 _COMMAND = [sys.executable, "-c", "from calgraph.cli import main; main()", "live", "--port", "0"]
 _TRIGGER = "/calgraph/trigger"
@@ -57,7 +43,7 @@ def main() -> None:
     arguments = parser.parse_args()
     logging.disable()  # each killed recording is warned of, as it has no end
     rng = np.random.default_rng(0)
-    with simulated(arguments.keep) as walk, TemporaryDirectory() as temporary:
+    with simulated(arguments.keep, _SCENARIO) as walk, TemporaryDirectory() as temporary:
         sessions = Path(temporary)
         began = time.monotonic()
         run_session([walk / "rig.yaml", "--source", walk / "recording", "-o", sessions / "whole"], arguments.speed)
@@ -87,16 +73,6 @@ def main() -> None:
             failures += lost > 1.0 or missing > 0 or captures < count_captures(whole)
         print(f"whole: {count_captures(whole)} captures; {failures} of {arguments.kills} failed")
     sys.exit(bool(failures))
-
-
-@contextmanager
-def simulated(keep: Path | None) -> Iterator[Path]:
-    """A folder with the simulated recording."""
-    with TemporaryDirectory() as temporary:
-        folder = keep or Path(temporary)
-        if not (folder / "recording").exists():
-            simulate_rig(_SCENARIO, folder, seed=1)
-        yield folder
 
 
 def run_session(options: list[object], speed: float, kill_after: float | None = None) -> float:

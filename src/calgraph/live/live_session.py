@@ -131,11 +131,8 @@ async def _run(
     assert task
     handle_interrupt(lambda: loop.call_soon_threadsafe(task.cancel))
     view = OperatorView(session, options.print_line)
-    async with (
-        serve_page(view, options.host, options.port, settings=rig.settings.live.page) as server,
-        _printing_events(view, options.print_line),
-    ):
-        async with _recording(rig, folder, session) as recorder:
+    async with serve_page(view, options.host, options.port, settings=rig.settings.live.page) as server:
+        async with _printing_events(view, options.print_line), _recording(rig, folder, session) as recorder:
             view.show_recorder(recorder)
             options.announce(server)
             max_lead = _choose_max_lead(source, rig, options)

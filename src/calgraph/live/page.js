@@ -62,7 +62,7 @@ function showEvent(before) {
   byId("event").className = taken ? "taken" : "";
   byId("event").classList.toggle("long", text.length > LONG);
   if (before?.event && number > before.event.number) announce(taken ? "taken" : "refused");
-  if (before?.event && state.done && !before.done) announce("done");
+  if (before?.event && state.done && !before.done && !ENDING.has(state.phase)) announce("done");
   if (before?.event && state.phase !== before.phase && END_SIGNALS[state.phase]) announce(END_SIGNALS[state.phase]);
 }
 

@@ -38,7 +38,7 @@ class ReplaySource:
     ) -> None:
         if not 0 <= speed < float("inf"):
             raise InputError(
-                f"`speed` {speed:g}: give 1 for real time, 5 for five times as fast, 0 for no waiting"
+                f"`speed` {speed:g}: give 1 for real time, 5 for five times as fast, 0 to skip nothing"
             )
         self._path, self._speed, self._start_after, self._limits = path, speed, start_after, limits
 
