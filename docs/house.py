@@ -32,6 +32,7 @@ PURPOSE = {
     "ransac": "sample and score",
     "levenberg_marquardt": "the one nonlinear solver",
     "geometry": "poses, planes",
+    "engine": "where calls run",
     "processes": "parallel work",
     "lazy_names": "exports on first use",
     "termination": "end by a signal",

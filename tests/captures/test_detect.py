@@ -16,6 +16,7 @@ from calgraph.captures import (
 )
 from calgraph.config import Board, Lidar2dSpec, Rig
 from calgraph.detection import Segment
+from calgraph.engine import Processes
 from calgraph.errors import RecordingError, Rejected
 from calgraph.recording import MessageRecording
 from calgraph.sensors import Image, LaserScan, RecordedMessage, Trigger
@@ -118,7 +119,7 @@ def test_messages_in_memory_are_searched_by_processes_in_order(jobs: int) -> Non
     found = list(
         detect_in_holds(
             recording.records(), holds, {"laser": "/scan"}, {"laser": find_in_process},
-            jobs=jobs, progress=done.append,
+            engine=Processes(jobs), progress=done.append,
         )
     )  # fmt: skip
     reasons = [result.detections.reason.split(": ") for result in found if isinstance(result.detections, Rejected)]
@@ -142,7 +143,9 @@ def test_the_first_damaged_message_is_reported_by_any_number_of_processes(jobs: 
     records = [
         RecordedMessage("/scan", scan.stamp, scan.stamp, partial(read_undamaged, scan)) for scan in scans_of(holds)
     ]
-    results = detect_in_holds(records, holds, {"laser": "/scan"}, {"laser": find_in_process}, jobs=jobs)
+    results = detect_in_holds(
+        records, holds, {"laser": "/scan"}, {"laser": find_in_process}, engine=Processes(jobs)
+    )
     assert [next(results).capture for _ in range(1, 30)] == list(range(1, 30))
     with pytest.raises(RecordingError, match=r"^/scan: stamp 30\.25: is damaged$"):
         next(results)

@@ -9,6 +9,7 @@ from calgraph.captures import ActivityMeter, RecordingTimeline, SensorTimes, mea
 from calgraph.captures.motion_detection import find_still_spans, measure_block
 from calgraph.config import Board, Lidar2dSpec, Rig, SensorSpec, Tag
 from calgraph.config.settings import MotionDetectionSettings
+from calgraph.engine import Processes
 from calgraph.geometry import Array
 from calgraph.recording import MessageRecording
 from calgraph.recording.cache import NO_CACHE
@@ -121,7 +122,7 @@ def test_the_activity_of_a_recording_is_that_of_its_messages_in_turn(jobs: int, 
     recording = MessageRecording({f"/{name}": messages for name, messages in scans.items()})
     times = SensorTimes(np.linspace(0.0, 6.9, 70), 0.0, np.zeros(70))
     timeline = RecordingTimeline(0.0, dict.fromkeys(scans, times), np.zeros(0))
-    found = measure_activity(timeline, rig, recording, NO_CACHE, lambda _arrival: None, jobs)
+    found = measure_activity(timeline, rig, recording, NO_CACHE, lambda _arrival: None, Processes(jobs))
     for name, messages in scans.items():
         meter = ActivityMeter()
         assert found.sensors[name].activity.tolist() == [meter.measure_change(scan) for scan in messages]

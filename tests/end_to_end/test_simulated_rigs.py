@@ -9,6 +9,7 @@ import pytest
 from calgraph.calibrate import RigOptions, build_problem_from_captures, collect_captures, solve_problem
 from calgraph.calibrate.options import RigStart
 from calgraph.config import Board, Checkerboard, Rig
+from calgraph.engine import Processes
 from calgraph.recording import MessageRecording
 from calgraph.recording.recording import JoinedRecording
 from calgraph.result import Calibration
@@ -126,7 +127,7 @@ def test_the_same_seed_gives_the_same_result_in_any_number_of_processes(recorded
     for record in recording.records([*few.topics.values(), TRIGGER_TOPIC]):
         messages.setdefault(record.topic, []).append(record.decode())
     decoded = MessageRecording(messages)
-    first, second = (calibrate(few, decoded, RigOptions(seed=7, jobs=jobs)) for jobs in (1, 3))
+    first, second = (calibrate(few, decoded, RigOptions(seed=7, engine=Processes(jobs))) for jobs in (1, 3))
     for a, b in zip(first.sensors, second.sensors, strict=True):
         np.testing.assert_array_equal(a.T_root_sensor, b.T_root_sensor)
         np.testing.assert_array_equal(a.covariance, b.covariance)

@@ -5,6 +5,7 @@ from itertools import combinations
 import numpy as np
 
 from calgraph.config.settings import CandidateSettings, ScannerPairSettings
+from calgraph.engine import Processes
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2
 from calgraph.pairwise import ScannerPairEstimate, estimate_scanner_pairs
@@ -139,7 +140,7 @@ def test_candidates_do_not_depend_on_the_number_of_processes() -> None:
     tracked, _ = observe_hall(np.random.default_rng(4))
     done: list[float] = []
     one = estimate_scanner_pairs(tracked, np.random.default_rng(0), progress=done.append)
-    two = estimate_scanner_pairs(tracked, np.random.default_rng(0), jobs=2)
+    two = estimate_scanner_pairs(tracked, np.random.default_rng(0), engine=Processes(2))
     assert list(one) == list(two) == sorted(one, key=lambda ends: [int(name[1:]) for name in ends])
     for ends, pair in one.items():
         other = two[ends]

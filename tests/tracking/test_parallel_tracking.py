@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 import pytest
 
 from calgraph.config import People, RangeNoise
+from calgraph.engine import Processes
 from calgraph.errors import Rejected
 from calgraph.tracking import ScannerTracks, ScanRun, parallel_tracking, stack_scans, track_scanners
 from walking_scenes import World, walk_along, walk_in_circle
@@ -32,7 +33,9 @@ def track_all(
     scans: Mapping[str, Sequence[ScanRun]], jobs: int, report: list[float] | None = None
 ) -> dict[str, ScannerTracks | Rejected]:
     progress = (lambda _done: None) if report is None else report.append
-    return track_scanners(scans, PEOPLE, dict.fromkeys(scans, RangeNoise()), jobs=jobs, progress=progress)
+    return track_scanners(
+        scans, PEOPLE, dict.fromkeys(scans, RangeNoise()), engine=Processes(jobs), progress=progress
+    )
 
 
 def serialize(found: Mapping[str, ScannerTracks | Rejected]) -> dict[str, list[bytes] | str]:

@@ -85,12 +85,12 @@ def _detect_in_timeline(
     """The detections in the holds of a timeline, and what the holds show of the rig."""
     resolved, camera_infos = resolve_intrinsics(rig, recording), find_camera_infos(rig, recording)
     holds = limit_messages(find_holds(timeline, rig.capture, rig.settings.captures), rig)
-    intrinsics = estimate_unknown_intrinsics(resolved, recording, holds, options.jobs, progress, options.cache)
+    intrinsics = estimate_unknown_intrinsics(resolved, recording, holds, options.engine, progress, options.cache)
     cameras = resolved.camera_models() | intrinsics.cameras
     method = DetectionMethod(cameras, draw_seeds(rig, rng), options.tags, select_plane_estimator(options.tags))
     observations = detect_by_sensors(
         _without(rig, intrinsics.failed), recording, holds, method,
-        cache=options.cache, jobs=options.jobs, progress=partial(progress, "detecting"),
+        cache=options.cache, engine=options.engine, progress=partial(progress, "detecting"),
     )  # fmt: skip
     observations += [
         SensorCapture(hold.index, name, reason) for name, reason in intrinsics.failed.items() for hold in holds

@@ -12,6 +12,7 @@ from calgraph.captures.board_views import decode_views, encode_views
 from calgraph.captures.sensor_detection import list_shared_inputs
 from calgraph.config import CameraSpec, Rig
 from calgraph.detection import BoardCorners, BoardView, BoardViewFinder, CameraDetector
+from calgraph.engine import THIS_PROCESS, Engine
 from calgraph.errors import Rejected
 from calgraph.estimation import IntrinsicsEstimate, estimate_intrinsics
 from calgraph.recording import NO_CACHE, Recording, RecordingCache
@@ -41,7 +42,7 @@ def estimate_unknown_intrinsics(
     rig: Rig,
     recording: Recording,
     holds: Sequence[Hold],
-    jobs: int,
+    engine: Engine,
     progress: Progress = no_progress,
     cache: RecordingCache = NO_CACHE,
 ) -> EstimatedIntrinsics:
@@ -51,12 +52,12 @@ def estimate_unknown_intrinsics(
         rig: with the intrinsics of all other cameras.
         recording: open recording with the rig's topics.
         holds: the captures.
-        jobs: maximum number of processes.
+        engine: searches views.
         progress: called with the step and the fraction done.
         cache: has what earlier runs found in the images of a camera, and gets the others.
     """
     unknown = {name: spec for name, spec in rig.cameras().items() if spec.stated_intrinsics is None}
-    views = _find_views(rig, unknown, recording, holds, jobs, lambda done: progress("intrinsics", done), cache)
+    views = _find_views(rig, unknown, recording, holds, engine, lambda done: progress("intrinsics", done), cache)
     estimates = {
         name: estimate_intrinsics(rig, name, _list_views(views[name]), spec.lens_to_estimate)
         for name, spec in unknown.items()
@@ -74,7 +75,7 @@ def _find_views(
     cameras: Mapping[str, CameraSpec],
     recording: Recording,
     holds: Sequence[Hold],
-    jobs: int,
+    engine: Engine,
     progress: Callable[[float], None],
     cache: RecordingCache,
 ) -> dict[str, dict[int, tuple[BoardView, ...]]]:
@@ -94,7 +95,7 @@ def _find_views(
         holds,
         {name: spec.topic for name, spec in unread.items()},
         {name: BoardViewFinder(rig.boards, spec.noise, settings=settings) for name, spec in unread.items()},
-        jobs=jobs,
+        engine=engine,
         progress=lambda done: progress(done / max(len(holds) * len(unread), 1)),
     )
     for name in unread:
@@ -105,7 +106,7 @@ def _find_views(
 def calibrate_intrinsics(
     rig: Rig,
     recording: Recording,
-    jobs: int = 1,
+    engine: Engine = THIS_PROCESS,
     progress: Progress = no_progress,
     cache: RecordingCache = NO_CACHE,
 ) -> dict[str, IntrinsicsEstimate | Rejected]:
@@ -118,7 +119,7 @@ def calibrate_intrinsics(
     Args:
         rig: boards and cameras; other sensors and stated intrinsics do not matter.
         recording: open recording with the cameras' topics.
-        jobs: maximum number of processes.
+        engine: searches views.
         progress: called with the step and the fraction done.
         cache: has what earlier runs found in the images of a camera, and gets the others.
 
@@ -132,7 +133,7 @@ def calibrate_intrinsics(
         def searching(share: float, number: int = number) -> None:
             progress("intrinsics", (number + share) / len(cameras))
 
-        found[name] = _calibrate_camera(rig, name, recording, jobs, searching, cache)
+        found[name] = _calibrate_camera(rig, name, recording, engine, searching, cache)
     return found
 
 
@@ -140,14 +141,14 @@ def _calibrate_camera(
     rig: Rig,
     name: str,
     recording: Recording,
-    jobs: int,
+    engine: Engine,
     progress: Callable[[float], None],
     cache: RecordingCache,
 ) -> IntrinsicsEstimate | Rejected:
     """The intrinsics of one camera; progress is called with the share done."""
     spec, settings = rig.cameras()[name], rig.settings.detection.camera
     frames = _spread_frames(name, spec.topic, recording, rig.settings.estimation.intrinsics.max_images)
-    by_frame = _find_views(rig, {name: spec}, recording, frames, jobs, lambda done: progress(0.5 * done), cache)[
+    by_frame = _find_views(rig, {name: spec}, recording, frames, engine, lambda done: progress(0.5 * done), cache)[
         name
     ]
     estimate = estimate_intrinsics(rig, name, _list_views(by_frame), spec.lens_to_estimate)
@@ -159,7 +160,7 @@ def _calibrate_camera(
         [frame for frame in frames if frame.index in by_frame],
         {name: spec.topic},
         {name: CameraDetector(rig.boards, camera, spec.noise, settings=settings).find},
-        jobs=jobs,
+        engine=engine,
         progress=lambda done: progress(0.5 + done / (2 * len(by_frame))),
     )
     found = {one.capture: one.detections for one in captures if not isinstance(one.detections, Rejected)}

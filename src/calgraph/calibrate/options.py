@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, get_args
 
+from calgraph.engine import THIS_PROCESS, Engine
 from calgraph.errors import InputError
 from calgraph.estimation import Estimator, PriorFile, RigidFile, SolverOptions
 from calgraph.pairwise import MatchFilter
@@ -51,8 +52,8 @@ class RigOptions:
     """Of the random samples; the same seed gives the same result."""
     dump: Path | None = None
     """File to write the joint problem to before it is solved."""
-    jobs: int = 1
-    """Number of worker processes; see :func:`calgraph.processes.parallel_stream`."""
+    engine: Engine = THIS_PROCESS
+    """Where the board is searched for; does not affect the result."""
     cache: RecordingCache = NO_CACHE
     """Keeps detections for later runs; nowhere unless stated."""
 
@@ -84,8 +85,8 @@ class NetworkOptions:
     """Scanners that have moved since ``extend``, and whose poses are estimated again."""
     seed: int = 0
     """Of the random samples; the same seed gives the same result."""
-    jobs: int = 1
-    """Number of worker processes; see :func:`calgraph.processes.parallel_map`."""
+    engine: Engine = THIS_PROCESS
+    """Where scanners and pairs are evaluated; does not affect the result."""
     cache: RecordingCache = NO_CACHE
     """Keeps tracks for later runs; nowhere unless stated."""
 

@@ -107,7 +107,7 @@ def calibrate_detections(
 def _save_and_solve(problem: Problem, options: RigOptions) -> Calibration:
     if options.dump:
         save_problem(problem, options.dump)
-    return solve_problem(problem, options.jobs)
+    return solve_problem(problem, options.engine.jobs)
 
 
 def build_problem(

@@ -21,4 +21,4 @@ def read_rig_timeline(
         timeline = replace(timeline, poses=recording.poses)
     if rig.capture.trigger or recognize_mode(timeline, rig.capture, rig.settings.captures).mode == "snapshots":
         return timeline
-    return measure_activity(timeline, rig, recording, options.cache, reading, options.jobs)
+    return measure_activity(timeline, rig, recording, options.cache, reading, options.engine)

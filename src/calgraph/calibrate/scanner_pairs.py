@@ -85,7 +85,7 @@ def _estimate_pairs(
         icp=options.icp,
         depth_stddev=select_depth_stddev(options.feature, rig.settings.baselines),
         clock_sigma=rig.settings.estimation.network.clock_sigma,
-        jobs=options.jobs,
+        engine=options.engine,
         progress=lambda done: progress("pairing", done),
         settings=rig.settings.pairwise.scanners,
     )
@@ -123,7 +123,7 @@ def _find_differences(
         # Other random numbers than those of pairs and trees, which do not depend on the search.
         rng = np.random.default_rng((options.seed, 1))
         hypotheses += search_clocks_and_mountings(
-            between, observations, clock_sigma, rng, jobs=options.jobs, settings=settings
+            between, observations, clock_sigma, rng, engine=options.engine, settings=settings
         )
     names = list(dict.fromkeys([rig.root, *tracked]))
     return resolve_clocks_and_mountings(rig.root, names, hypotheses, stated & set(names), settings)
@@ -179,7 +179,7 @@ def _find_distant_clocks(
             observations,
             rig.settings.estimation.network.clock_sigma,
             np.random.default_rng((options.seed, 2)),
-            jobs=options.jobs,
+            engine=options.engine,
             settings=wide,
         )
         best = max(found, key=lambda h: h.evidence, default=None)

@@ -79,7 +79,7 @@ def track_people(
             noise,
             centers=select_center_estimator(options.feature, rig.settings.baselines),
             settings=rig.settings.tracking,
-            jobs=options.jobs,
+            engine=options.engine,
             progress=tracking,
         )
         for name in names:

@@ -9,9 +9,9 @@ from calgraph.captures.detect import gather_messages
 from calgraph.captures.holds import Hold
 from calgraph.captures.previews import PreviewSize
 from calgraph.detection import BoardView, BoardViewFinder
+from calgraph.engine import THIS_PROCESS, Engine
 from calgraph.errors import Rejected
 from calgraph.io.columns import Arrays
-from calgraph.processes import parallel_stream
 from calgraph.sensors import Message, RecordedMessage
 
 
@@ -21,7 +21,7 @@ def find_views_in_holds(
     topics: Mapping[str, str],
     finders: Mapping[str, BoardViewFinder],
     *,
-    jobs: int = 1,
+    engine: Engine = THIS_PROCESS,
     progress: Callable[[float], None] | None = None,
 ) -> dict[str, dict[int, tuple[BoardView, ...]]]:
     """Finds the marks of boards in the images of every hold.
@@ -31,7 +31,7 @@ def find_views_in_holds(
         holds: with the stamps of the messages to use.
         topics: topic by camera.
         finders: by camera.
-        jobs: maximum number of processes, see :func:`calgraph.processes.parallel_stream`.
+        engine: searches.
         progress: called with the number of holds and cameras done.
 
     Returns:
@@ -39,7 +39,7 @@ def find_views_in_holds(
     """
     found: dict[str, dict[int, tuple[BoardView, ...]]] = {name: {} for name in topics}
     work = gather_messages(records, holds, topics, {})
-    for done, (capture, name, views) in enumerate(parallel_stream(_find, work, finders, jobs), start=1):
+    for done, (capture, name, views) in enumerate(engine.stream(_find, work, finders), start=1):
         if not isinstance(views, Rejected):
             found[name][capture] = views
         if progress:

@@ -16,9 +16,9 @@ from calgraph.captures.previews import PreviewSize, make_preview
 from calgraph.captures.timeline import RecordingTimeline
 from calgraph.config import Intrinsics, Rig
 from calgraph.detection import Detection, DetectionResult, InconsistentTags
+from calgraph.engine import THIS_PROCESS, Engine
 from calgraph.errors import Rejected
 from calgraph.geometry import Array
-from calgraph.processes import parallel_stream
 from calgraph.result import Snapshot, state_intrinsics
 from calgraph.sensors import CameraModel, Message, RecordedMessage
 
@@ -129,13 +129,13 @@ def detect_in_holds(
     detectors: Mapping[str, Detector],
     *,
     preview_sizes: Mapping[int, PreviewSize] | None = None,
-    jobs: int = 1,
+    engine: Engine = THIS_PROCESS,
     progress: Callable[[float], None] | None = None,
 ) -> Iterator[SensorCapture]:
     """Detects the board for every sensor in every hold, with the messages of few holds in memory at a time.
 
-    One process reads the recording; messages are decoded and searched in up to ``jobs`` processes. The result does
-    not depend on their number.
+    One process reads the recording; messages are decoded and searched by the engine, on which the result
+    does not depend.
 
     Args:
         records: all records of the sensors, streamed.
@@ -143,7 +143,7 @@ def detect_in_holds(
         topics: topic by sensor.
         detectors: by sensor.
         preview_sizes: by capture, the size of the previews of its messages; captures that are not in it have none.
-        jobs: maximum number of processes, see :func:`calgraph.processes.parallel_stream`.
+        engine: searches.
         progress: called with the number of holds and sensors done.
 
     Yields:
@@ -153,9 +153,9 @@ def detect_in_holds(
         RecordingError: the content of a message is unusable.
         CalibrationError: a process was killed.
     """
-    jobs = jobs if len(holds) * len(topics) >= _MIN_PARALLEL_SEARCHES else 1
+    engine = engine if len(holds) * len(topics) >= _MIN_PARALLEL_SEARCHES else THIS_PROCESS
     work = gather_messages(records, holds, topics, preview_sizes or {})
-    for done, found in enumerate(parallel_stream(detect_in_hold, work, detectors, jobs), start=1):
+    for done, found in enumerate(engine.stream(detect_in_hold, work, detectors), start=1):
         yield found
         if progress:
             progress(done)

@@ -13,6 +13,7 @@ from calgraph.captures.holds import Hold
 from calgraph.captures.previews import PreviewSize, plan_previews
 from calgraph.config import CameraSpec, Rig
 from calgraph.detection import PlaneEstimator
+from calgraph.engine import THIS_PROCESS, Engine
 from calgraph.errors import Rejected
 from calgraph.io.columns import Arrays
 from calgraph.recording import NO_CACHE, Recording, RecordingCache
@@ -53,7 +54,7 @@ def detect_by_sensors(
     method: DetectionMethod,
     *,
     cache: RecordingCache = NO_CACHE,
-    jobs: int = 1,
+    engine: Engine = THIS_PROCESS,
     progress: Callable[[float], None] = lambda _: None,
 ) -> list[SensorCapture]:
     """Detects the board in every sensor's messages of every hold.
@@ -64,7 +65,7 @@ def detect_by_sensors(
         holds: with the stamps of the messages to use.
         method: of the detection.
         cache: has what earlier runs detected by sensors, and gets the others.
-        jobs: maximum number of processes; the result does not depend on it.
+        engine: searches; the result does not depend on it.
         progress: called with the share of the detections that is done.
 
     Returns:
@@ -93,8 +94,8 @@ def detect_by_sensors(
         detect = make_detectors(part, method.cameras, models, method.plane_estimator, method.seeds)
         detected: dict[str, list[SensorCapture]] = {name: [] for name in unread}
         for capture in detect_in_holds(
-            recording.records(part.topics.values()), holds, part.topics, detect, preview_sizes=previews, jobs=jobs,
-            progress=lambda done: progress(done / (len(holds) * len(unread))),
+            recording.records(part.topics.values()), holds, part.topics, detect, preview_sizes=previews,
+            engine=engine, progress=lambda done: progress(done / (len(holds) * len(unread))),
         ):  # fmt: skip
             detected[capture.sensor].append(capture)
         for name, captures in detected.items():

@@ -16,9 +16,9 @@ from calgraph.captures.input_checks import (
 from calgraph.captures.motion_detection import ActivityMeter, measure_block
 from calgraph.captures.timeline import RecordingTimeline, SensorTimes, build_timeline
 from calgraph.config import Rig
+from calgraph.engine import THIS_PROCESS, Engine
 from calgraph.geometry import Array
 from calgraph.io.columns import Arrays
-from calgraph.processes import parallel_stream
 from calgraph.recording import Recording, RecordingCache
 from calgraph.sensors import Message
 
@@ -92,12 +92,11 @@ def measure_activity(
     recording: Recording,
     cache: RecordingCache,
     progress: Progress,
-    jobs: int = 1,
+    engine: Engine = THIS_PROCESS,
 ) -> RecordingTimeline:
     """The timeline with how much the view of every sensor changed; decodes all messages that are not in the cache.
 
-    Arguments are those of :func:`read_timeline`, and the maximum number of processes, which do not change the
-    result; see :func:`calgraph.processes.parallel_stream`.
+    Arguments are those of :func:`read_timeline`, and the engine, which does not change the result.
     """
     inputs = {
         name: {"topic": topic, "settings": rig.settings.captures.motion} for name, topic in rig.topics.items()
@@ -109,7 +108,7 @@ def measure_activity(
     }
     unread = {name: topic for name, topic in rig.topics.items() if name not in activity}
     if unread:
-        activity |= _measure_unread(rig, recording, unread, progress, jobs)
+        activity |= _measure_unread(rig, recording, unread, progress, engine)
         for name in unread:
             cache.write(recording, _ACTIVITY, inputs[name], {}, {"activity": activity[name]})
     sensors = {name: replace(times, activity=activity[name]) for name, times in timeline.sensors.items()}
@@ -117,7 +116,7 @@ def measure_activity(
 
 
 def _measure_unread(
-    rig: Rig, recording: Recording, topics: Mapping[str, str], progress: Progress, jobs: int
+    rig: Rig, recording: Recording, topics: Mapping[str, str], progress: Progress, engine: Engine
 ) -> dict[str, Array]:
     """Changes (N,) of each sensor's messages in the order of their stamps."""
     settings = rig.settings.captures.motion
@@ -142,7 +141,7 @@ def _measure_unread(
 
     meters = {name: ActivityMeter(settings) for name in topics}
     changes: dict[str, list[float]] = {name: [] for name in topics}
-    for block in parallel_stream(measure_block, gather_blocks(), settings, jobs):
+    for block in engine.stream(measure_block, gather_blocks(), settings):
         name = order.popleft()
         changes[name] += meters[name].join(block)
     return {name: np.array(changes[name])[np.argsort(stamps[name], kind="stable")] for name in topics}

@@ -31,6 +31,7 @@ from calgraph.cli.progress import progress_bars
 from calgraph.cli.provenance import describe_run
 from calgraph.cli.setting_options import SetOption, load_rig_with
 from calgraph.config import Rig
+from calgraph.engine import Processes
 from calgraph.errors import CalibrationError, InputError
 from calgraph.io import check_output_path, follow_links, replace_folder_atomically, save_yaml
 from calgraph.processes import available_cores, forked_jobs, parallel_call
@@ -208,7 +209,7 @@ def calibrate(
                 extend=load_calibration(extend) if extend else None,
                 moved=tuple(moved or ()),
                 seed=seed,
-                jobs=jobs or available_cores(),
+                engine=Processes(jobs or available_cores()),
                 cache=cache,
             )
         else:
@@ -222,7 +223,7 @@ def calibrate(
                 tags=tags,
                 seed=seed,
                 dump=folder / dump.name if dump and _is_in(dump, out) else dump,
-                jobs=jobs or available_cores(),
+                engine=Processes(jobs or available_cores()),
                 cache=cache,
             )
         with open_recordings(recordings, rig.settings.limits) as recording, progress_bars() as progress:

@@ -24,6 +24,7 @@ from calgraph.cli.printing import print_remarks
 from calgraph.cli.progress import progress_bars
 from calgraph.cli.setting_options import SetOption, load_rig_with
 from calgraph.config import Rig, Tolerance
+from calgraph.engine import Processes
 from calgraph.errors import InputError
 from calgraph.io import format_json, replace_folder_atomically, write_text
 from calgraph.io.yaml_reading import validate_content
@@ -113,7 +114,7 @@ def _compare(
     from calgraph import calibrate as story
 
     if rig.is_network:
-        options = story.NetworkOptions(seed=seed, jobs=available_cores(), cache=cache)
+        options = story.NetworkOptions(seed=seed, engine=Processes(available_cores()), cache=cache)
         with open_recordings(recordings, rig.settings.limits) as recording, progress_bars() as progress:
             return *story.compare_network_extrinsics(rig, recording, given, options, progress), rig
     problem = _problem(rig, recordings, seed, cache)
@@ -132,7 +133,7 @@ def _problem(rig: Rig, recordings: list[Path], seed: int, cache: RecordingCache)
         check_problem(problem)
         return problem
     with open_recordings(recordings, rig.settings.limits) as recording, progress_bars() as progress:
-        options = story.RigOptions(seed=seed, jobs=available_cores(), cache=cache)
+        options = story.RigOptions(seed=seed, engine=Processes(available_cores()), cache=cache)
         return story.build_problem(rig, recording, options, progress)
 
 

@@ -13,6 +13,7 @@ from calgraph.cli.progress import progress_bars
 from calgraph.cli.provenance import describe_run
 from calgraph.cli.simulate_common import simulate_into
 from calgraph.config import load_rig
+from calgraph.engine import Processes
 from calgraph.errors import InputError
 from calgraph.io import replace_folder_atomically
 from calgraph.processes import available_cores
@@ -41,7 +42,9 @@ def demo(
             simulate_into(folder, simulate_rig, RigScenario(), seed, progress)
             rig, truth = load_rig(folder / "rig.yaml"), load_truth(folder / "truth.yaml")
             with open_recording(folder / "recording") as recording:
-                calibration = calibrate_rig(rig, recording, RigOptions(jobs=available_cores()), progress)
+                calibration = calibrate_rig(
+                    rig, recording, RigOptions(engine=Processes(available_cores())), progress
+                )
                 # The command repeats the recording: there is no other input.
                 calibration = replace(calibration, provenance=describe_run([], recording))
                 rig = resolve_intrinsics(rig, recording)

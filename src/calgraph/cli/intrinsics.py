@@ -21,6 +21,7 @@ from calgraph.cli.progress import progress_bars
 from calgraph.cli.setting_options import SetOption, load_rig_with, override_settings, parse_limits
 from calgraph.config import CameraSpec, Rig
 from calgraph.config.sensor_names import name_sensors
+from calgraph.engine import Processes
 from calgraph.errors import CalibrationError, InputError, Rejected
 from calgraph.io import format_json, replace_folder_atomically, write_text
 from calgraph.io.yaml_limits import MAX_RIG_VALUES
@@ -70,7 +71,7 @@ def intrinsics(
         with open_recordings(recordings, parse_limits(overrides)) as recording, progress_bars() as progress:
             rig = _select_cameras(_read_rig(board, recording, overrides), camera or [])
             found = story.calibrate_intrinsics(
-                rig, recording, jobs or available_cores(), progress, open_cache(unused=no_cache)
+                rig, recording, Processes(jobs or available_cores()), progress, open_cache(unused=no_cache)
             )
         content = format_json(_summarize(rig, found), indent=1)
         write_text(folder / _SUMMARY, content + "\n")

@@ -16,6 +16,7 @@ from calgraph.cli.console import console
 from calgraph.cli.printing import print_remarks
 from calgraph.cli.progress import progress_bars
 from calgraph.cli.setting_options import SetOption, load_rig_with, override_settings, parse_limits
+from calgraph.engine import Processes
 from calgraph.errors import CalibrationError, InputError
 from calgraph.io import format_json
 from calgraph.processes import available_cores
@@ -81,7 +82,7 @@ def _problem(
         return replace(problem, rig=override_settings(problem.rig, overrides))
     rig = load_rig_with(files[0], overrides)
     with open_recordings(files[1:], rig.settings.limits) as recording:
-        options = story.RigOptions(seed=seed, jobs=available_cores(), cache=cache)
+        options = story.RigOptions(seed=seed, engine=Processes(available_cores()), cache=cache)
         return story.build_problem(rig, recording, options, progress)
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from calgraph.config import Rig
+from calgraph.engine import Processes
 from calgraph.errors import CalibrationError, RecordingError
 from calgraph.live.job_queue import Post
 from calgraph.live.network_session import NetworkSession
@@ -115,7 +116,7 @@ def _make_session(
     session = RigSession(rig, source, pools, SessionOutputs(triggers.put, folder.exclude), solve_captures)
     if folder.last_arrival() >= 0:
         with open_recording(folder.recording, rig.settings.limits) as recording:
-            session.rebuild(recording, pools.analysis_processes)
+            session.rebuild(recording, Processes(pools.analysis_processes))
     return session
 
 

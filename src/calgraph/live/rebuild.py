@@ -14,6 +14,7 @@ from calgraph.captures import (
 )
 from calgraph.config import Rig
 from calgraph.detection import DetectionResult
+from calgraph.engine import Engine
 from calgraph.errors import CalibrationError, Rejected
 from calgraph.live.analysis_jobs import NO_INTRINSICS
 from calgraph.live.live_captures import LiveCapture
@@ -31,14 +32,14 @@ class RebuiltSession:
     captures: tuple[LiveCapture, ...] = field(default=())
 
 
-def rebuild_captures(rig: Rig, recording: Recording, seeds: Mapping[str, int], jobs: int) -> RebuiltSession:
+def rebuild_captures(rig: Rig, recording: Recording, seeds: Mapping[str, int], engine: Engine) -> RebuiltSession:
     """The captures of the recording of an interrupted session; sensors may be missing in it.
 
     Args:
         rig: of the session; see :func:`calgraph.live.live_rig.prepare_live_rig`.
         recording: until the interruption.
         seeds: of the detectors' samples, by sensor; see :func:`calgraph.captures.draw_seeds`.
-        jobs: maximum number of processes.
+        engine: searches the board.
 
     Raises:
         RecordingError: it cannot be read.
@@ -60,7 +61,7 @@ def rebuild_captures(rig: Rig, recording: Recording, seeds: Mapping[str, int], j
         recording,
         holds,
         DetectionMethod(cameras, seeds),
-        jobs=jobs,
+        engine=engine,
     )
     by_hold: dict[int, dict[str, DetectionResult]] = {hold.index: {} for hold in holds}
     for one in found:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 from calgraph.captures import CaptureSet
 from calgraph.config import Intrinsics, Rig
+from calgraph.engine import THIS_PROCESS, Engine
 from calgraph.live.capture_taker import CaptureTaker
 from calgraph.live.job_queue import JobQueue, Post
 from calgraph.live.live_captures import collect_live_captures
@@ -91,18 +92,18 @@ class RigSession:
         self._change = asyncio.Event()
         self._pumping = False
 
-    def rebuild(self, recording: Recording, jobs: int = 1) -> None:
+    def rebuild(self, recording: Recording, engine: Engine = THIS_PROCESS) -> None:
         """Continues after what was recorded before, with its captures; called before the first message.
 
         Args:
             recording: of the session until now; it is read as :func:`calgraph.calibrate.calibrate_rig` does, which
                 takes as long as a calibration.
-            jobs: maximum number of processes.
+            engine: searches the board.
 
         Raises:
             RecordingError: it cannot be read.
         """
-        rebuilt = rebuild_captures(self.rig, recording, self.analysis.detectors.seeds, jobs)
+        rebuilt = rebuild_captures(self.rig, recording, self.analysis.detectors.seeds, engine)
         window = self.rig.capture.background
         present = {topic.name for topic in recording.topics}
         times = [recording.start + time for time in window] if window else [0.0, 0.0]

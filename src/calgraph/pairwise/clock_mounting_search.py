@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.config.settings import ScannerPairSettings
+from calgraph.engine import THIS_PROCESS, Engine
 from calgraph.geometry import Array, se2
 from calgraph.pairwise.hypothesis_evidence import PoseHypothesis, build_hypothesis, subsample_pairs
 from calgraph.pairwise.pose_hypotheses import propose_poses
@@ -20,7 +21,6 @@ from calgraph.pairwise.scanner_pair import ScannerPairEstimate
 from calgraph.pairwise.synchronized_tracks import SimultaneousPairs, pair_samples
 from calgraph.pairwise.track_registration import NuisancePrior, compute_pose_costs, register_tracks
 from calgraph.pairwise.visibility_map import ScannerObservations, contradicts_visibility
-from calgraph.processes import parallel_map
 
 # Most registrations of a hypothesis, each with the samples shifted to the clock offset of the previous one.
 _MAX_SHIFTS = 3
@@ -84,7 +84,7 @@ def search_clocks_and_mountings(
     clock_sigma: float,
     rng: np.random.Generator,
     *,
-    jobs: int = 1,
+    engine: Engine = THIS_PROCESS,
     settings: ScannerPairSettings = ScannerPairSettings(),
 ) -> list[ClockMountingHypothesis]:
     """Searches the clock offsets and relative mountings of pairs of scanners.
@@ -94,7 +94,7 @@ def search_clocks_and_mountings(
         observations: by scanner.
         clock_sigma: prior standard deviation of the clock offset of two scanners, s.
         rng: random generator for the selection of poses.
-        jobs: maximum number of processes.
+        engine: evaluates pairs.
         settings: range and steps of the search, gates and limits of registrations.
 
     Returns:
@@ -106,7 +106,7 @@ def search_clocks_and_mountings(
         (ends, observations[ends[0]], observations[ends[1]], prior, generator, settings)
         for ends, generator in zip(pairs, generators, strict=True)
     ]
-    return [found for of_pair in parallel_map(_search_pair, work, jobs) for found in of_pair]
+    return [found for of_pair in engine.map(_search_pair, work) for found in of_pair]
 
 
 def _search_pair(

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.config.settings import HypothesisSettings, NetworkEstimationSettings, ScannerPairSettings
+from calgraph.engine import THIS_PROCESS, Engine
 from calgraph.errors import Rejected
 from calgraph.geometry import Array
 from calgraph.pairwise.candidate_pairs import (
@@ -42,7 +43,6 @@ from calgraph.pairwise.track_registration import (
 )
 from calgraph.pairwise.track_similarity import compute_track_similarity
 from calgraph.pairwise.visibility_map import ScannerObservations, contradicts_visibility
-from calgraph.processes import parallel_map
 from calgraph.tracking import ScannerTracks
 
 # Fewer pairs than these are evaluated faster than other processes start.
@@ -91,7 +91,7 @@ def estimate_scanner_pairs(
     icp: bool = True,
     depth_stddev: float | None = None,
     clock_sigma: float = NetworkEstimationSettings().clock_sigma,
-    jobs: int = 1,
+    engine: Engine = THIS_PROCESS,
     progress: Callable[[float], None] = lambda _done: None,
     settings: ScannerPairSettings = ScannerPairSettings(),
 ) -> dict[tuple[str, str], ScannerPairEstimate | Rejected]:
@@ -107,7 +107,7 @@ def estimate_scanner_pairs(
         depth_stddev: prior standard deviation of the distance from tracked to true centres along the beam, m; that
             of the settings if None.
         clock_sigma: prior standard deviation of the clock offset of two scanners, s.
-        jobs: maximum number of processes, see :func:`calgraph.processes.parallel_map`; does not affect the result.
+        engine: evaluates pairs; does not affect the result.
         progress: called with the completed fraction, 0..1.
         settings: gates, priors and limits.
 
@@ -120,7 +120,7 @@ def estimate_scanner_pairs(
         icp,
         _nuisance_prior(clock_sigma, depth_stddev, settings),
         settings,
-        jobs,
+        engine,
     )
     names = batch.names
     if len(names) <= settings.candidates.max_exhaustive:
@@ -140,7 +140,7 @@ class _PairBatch:
     icp: bool
     prior: NuisancePrior
     settings: ScannerPairSettings
-    jobs: int
+    engine: Engine
 
     def estimate(
         self, pairs: Sequence[Ends], generators: Sequence[np.random.Generator], progress: Callable[[float], None]
@@ -149,12 +149,11 @@ class _PairBatch:
         work = []
         for (i, j), rng in zip(pairs, generators, strict=True):
             a, b, ends = self.scanners[i], self.scanners[j], (self.names[i], self.names[j])
-            # Random numbers are drawn here, so that results do not depend on the number of processes.
+            # Random numbers are drawn here, so that results do not depend on the engine.
             proposals = _propose_hypotheses(a, b, rng, self.settings)
             work.append((ends, a, b, proposals, self.icp, self.prior, self.settings))
-        return parallel_map(
-            _evaluate_hypotheses, work, self.jobs if len(work) >= _MIN_PARALLEL_PAIRS else 1, progress
-        )
+        engine = self.engine if len(work) >= _MIN_PARALLEL_PAIRS else THIS_PROCESS
+        return engine.map(_evaluate_hypotheses, work, progress)
 
 
 def _estimate_candidates(

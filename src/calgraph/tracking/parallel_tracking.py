@@ -1,11 +1,11 @@
-"""Tracking in many scanners in parallel processes."""
+"""Tracking in many scanners in parallel."""
 
 from collections.abc import Callable, Mapping, Sequence
 
 from calgraph.config import Cylinder, People, RangeNoise
 from calgraph.config.settings import TrackingSettings
+from calgraph.engine import THIS_PROCESS, Engine
 from calgraph.errors import Rejected
-from calgraph.processes import parallel_map
 from calgraph.tracking.features import CenterEstimator
 from calgraph.tracking.scan_stack import ScanRun
 from calgraph.tracking.track import ScannerTracks
@@ -22,12 +22,12 @@ def track_scanners(
     *,
     centers: CenterEstimator | None = None,
     settings: TrackingSettings = TrackingSettings(),
-    jobs: int = 1,
+    engine: Engine = THIS_PROCESS,
     progress: Callable[[float], None] = lambda _done: None,
 ) -> dict[str, ScannerTracks | Rejected]:
     """Tracks the moving objects of each scanner, as :func:`calgraph.tracking.track_scanner` does.
 
-    The result does not depend on the number of processes.
+    The result does not depend on the engine.
 
     Args:
         scans: by scanner.
@@ -35,7 +35,7 @@ def track_scanners(
         noise: by scanner.
         centers: measures the centres of objects in place of the fit of ellipses.
         settings: of tracking.
-        jobs: processes at most, see :func:`calgraph.processes.parallel_map`.
+        engine: evaluates scanners.
         progress: called with the fraction done, 0 to 1.
 
     Raises:
@@ -43,5 +43,6 @@ def track_scanners(
     """
     beams = sum(run.ranges.size for runs in scans.values() for run in runs)
     work = [(runs, target, noise[name], centers, settings) for name, runs in scans.items()]
-    found = parallel_map(track_runs, work, jobs if beams > _MIN_PARALLEL_BEAMS else 1, progress)
+    chosen = engine if beams > _MIN_PARALLEL_BEAMS else THIS_PROCESS
+    found = chosen.map(track_runs, work, progress)
     return dict(zip(scans, found, strict=True))

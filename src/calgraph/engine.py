@@ -1,0 +1,81 @@
+"""Where the calls of a calibration run: in processes of this machine, or on a cluster."""
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol, TypeVar
+
+from calgraph.processes import parallel_map, parallel_stream
+
+Result = TypeVar("Result")
+
+
+class Engine(Protocol):
+    """Evaluates independent calls. Results do not depend on where, nor on how many run at the same time."""
+
+    @property
+    def jobs(self) -> int:
+        """Processes of this machine that may work at the same time, for calls that the engine does not run."""
+
+    def map(
+        self,
+        function: Callable[..., Result],
+        work: Sequence[tuple[Any, ...]],
+        progress: Callable[[float], None] = lambda _done: None,
+    ) -> list[Result]:
+        """Calls a function once per tuple of arguments.
+
+        Args:
+            function: defined at module level; a call may be repeated, on another machine.
+            work: arguments of each call.
+            progress: called with the completed fraction, 0..1.
+
+        Returns:
+            Results in the order of the work.
+
+        Raises:
+            CalibrationError: the engine cannot go on; or what ``function`` raises.
+        """
+
+    def stream(
+        self, function: Callable[..., Result], work: Iterable[tuple[Any, ...]], shared: Any
+    ) -> Iterator[Result]:
+        """Calls a function once per tuple of arguments of a stream, which is read while calls run.
+
+        Args:
+            function: as for :meth:`map`; called with ``shared`` and the arguments.
+            work: arguments of each call.
+            shared: first argument of all calls.
+
+        Yields:
+            Results in the order of the work, before an error: that of the first call that fails, else of the
+            stream.
+
+        Raises:
+            CalibrationError: the engine cannot go on; or what ``function`` or the stream raises.
+        """
+
+
+@dataclass(frozen=True)
+class Processes:
+    """Processes of this machine, see :mod:`calgraph.processes`; all calls run in this one if there is one only."""
+
+    jobs: int = 1
+
+    def map(
+        self,
+        function: Callable[..., Result],
+        work: Sequence[tuple[Any, ...]],
+        progress: Callable[[float], None] = lambda _done: None,
+    ) -> list[Result]:
+        """See :meth:`Engine.map`."""
+        return parallel_map(function, work, self.jobs, progress)
+
+    def stream(
+        self, function: Callable[..., Result], work: Iterable[tuple[Any, ...]], shared: Any
+    ) -> Iterator[Result]:
+        """See :meth:`Engine.stream`."""
+        return parallel_stream(function, work, shared, self.jobs)
+
+
+THIS_PROCESS = Processes()
+"""No other process."""
