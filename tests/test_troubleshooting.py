@@ -20,6 +20,7 @@ ELSEWHERE = {
     "estimation/rig/problem_checks.py": "Files that calgraph wrote",
     "estimation/rig/problem_file.py": "Files that calgraph wrote",
     "result/calibration_reading.py": "Files that calgraph wrote",
+    "result/covariance_reading.py": "Files that calgraph wrote",
     "result/covariance_checks.py": "Files that calgraph wrote",
     "result/scene.py": "Files that calgraph wrote",
     "result/snapshots.py": "Files that calgraph wrote",

@@ -191,6 +191,64 @@ def test_the_joint_covariance_of_sixty_sensors_is_written_in_seconds(tmp_path: P
     assert (tmp_path / "calibration.yaml").read_text().count("\n  - [") == 360
 
 
+def neighbours_only(count: int) -> Calibration:
+    """The root, and sensors whose correlation is known for successive ones only."""
+    A = np.random.default_rng(0).normal(0, 0.01, (6 * count, 6 * count))
+    joint = A @ A.T
+    joint[:6] = joint[:, :6] = 0.0
+    k = np.repeat(np.arange(count), 6)
+    joint[(abs(k[:, None] - k) > 1) & (k[:, None] > 0) & (k > 0)] = np.nan
+    return camera_calibration({f"s{k}": np.eye(4) for k in range(count)}, joint)
+
+
+def test_correlations_of_neighbours_come_back(tmp_path: Path) -> None:
+    given = neighbours_only(5)
+    save_calibration(given, tmp_path / "calibration.yaml")
+    assert (tmp_path / "calibration.yaml").read_text().count('- sensors: ["s') == 3
+    loaded = load_calibration(tmp_path / "calibration.yaml")
+    np.testing.assert_allclose(loaded.joint_covariance, given.joint_covariance, rtol=1e-8, atol=1e-12)
+    np.testing.assert_allclose(loaded.covariance("s2", "s3"), given.covariance("s2", "s3"), rtol=1e-6)
+    with pytest.raises(CalibrationError, match="correlation of the errors of 's1' and 's3' is unknown"):
+        loaded.covariance("s1", "s3")
+
+
+def test_json_has_correlations_of_neighbours() -> None:
+    given = neighbours_only(4)
+    content = json.loads(export(given, "json"))
+    assert content["joint_covariance"] is None
+    assert [entry["sensors"] for entry in content["cross_covariances"]] == [["s1", "s2"], ["s2", "s3"]]
+    np.testing.assert_array_equal(
+        content["cross_covariances"][1]["covariance"], given.joint_covariance[12:18, 18:]
+    )
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "message"),
+    [
+        ('["s1", "s2"]', "[s1, s9]", r"cross_covariances\[0\]\.sensors: must be two of the sensors, s0, s1"),
+        ('["s1", "s2"]', "[s1, s1]", r"cross_covariances\[0\]\.sensors: must be two of the sensors, s0, s1"),
+        ('["s2", "s3"]', "[s2, s1]", r"cross_covariances\[1\]\.sensors: has these two sensors again"),
+    ],
+)
+def test_wrong_pairs_of_cross_covariances_are_refused(
+    before: str, after: str, message: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "calibration.yaml"
+    save_calibration(neighbours_only(5), path)
+    path.write_text(path.read_text().replace(before, after))
+    with pytest.raises(InputError, match=message):
+        load_calibration(path)
+
+
+def test_a_cross_covariance_that_its_sensors_cannot_have_is_refused(tmp_path: Path) -> None:
+    path, given = tmp_path / "calibration.yaml", neighbours_only(4)
+    joint = np.array(given.joint_covariance)
+    joint[6:12, 12:18] *= 100
+    save_calibration(dataclasses.replace(given, joint_covariance=joint), path)
+    with pytest.raises(InputError, match=r"cross_covariances\[0\]\.covariance: must be positive semidefinite"):
+        load_calibration(path)
+
+
 def test_the_joint_covariance_comes_back_to_twelve_digits(tmp_path: Path) -> None:
     A = np.random.default_rng(0).normal(0, 1e-4, (18, 18))
     few = camera_calibration({name: np.eye(4) for name in "abc"}, A @ A.T)

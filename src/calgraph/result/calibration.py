@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from calgraph.errors import CalibrationError, InputError
-from calgraph.geometry import Array, se3
+from calgraph.geometry import Array, Index, se3
 from calgraph.result.estimated_parameter import EstimatedParameter
 from calgraph.result.evidence import Evidence
 from calgraph.result.pictures import Pictures
@@ -71,6 +71,16 @@ class Calibration:
         return bool(np.isfinite(self.joint_covariance[np.ix_(measured, measured)]).all())
 
     @property
+    def correlated_pairs(self) -> Index:
+        """(P, 2) indices of two sensors with errors, the earlier first, whose correlation is known."""
+        count = len(self.sensors)
+        joint = self.joint_covariance.reshape(count, 6, count, 6)
+        known = np.isfinite(joint).any(axis=(1, 3))
+        variances = np.nan_to_num(np.diag(self.joint_covariance)).reshape(count, 6)
+        uncertain = np.asarray(variances.any(axis=1))
+        return np.argwhere(np.triu(known & uncertain & uncertain[:, None], k=1))
+
+    @property
     def further_remarks(self) -> tuple[str, ...]:
         """The remarks on the whole result that are not part of the reason of a verdict."""
         reasons = [sensor.verdict.reason for sensor in self.sensors if sensor.parent is not None]
@@ -108,7 +118,7 @@ class Calibration:
         joint[unmeasured] = joint[:, unmeasured] = 0.0
         if np.isnan(joint).any():
             raise CalibrationError(
-                f"the correlation of the errors of {a!r} and {b!r} is unknown: this result has no joint_covariance"
+                f"the correlation of the errors of {a!r} and {b!r} is unknown: this result does not state it"
             )
         relative = se3.relative_covariance(T_root_a, T_root_b, joint)
         if unmeasured.any():

@@ -51,6 +51,8 @@ def save_calibration(calibration: Calibration, path: Path | str) -> None:
     if calibration.has_correlations:
         order = flow_sequence(sensor.name for sensor in calibration.sensors)
         text += format_yaml({"joint_covariance": {"order": order}}) + _matrix(calibration.joint_covariance)
+    else:
+        text += _cross_covariances(calibration)
     if calibration.provenance:
         text += format_yaml({"provenance": _provenance(calibration.provenance)})
     write_text(Path(path), text)
@@ -215,11 +217,28 @@ def _symmetric(covariance: Array, digits: int) -> list[CommentedSeq]:
     return [flow_sequence(None if np.isnan(value) else value for value in row) for row in rows]
 
 
+def _cross_covariances(calibration: Calibration) -> str:
+    """Of all pairs whose correlation is known, written directly as :func:`_matrix` does."""
+    pairs = calibration.correlated_pairs
+    if not len(pairs):
+        return ""
+    # Names of sensors are plain in YAML, but for those that JSON's quotes make so.
+    names = [json.dumps(sensor.name) for sensor in calibration.sensors]
+    joint = calibration.joint_covariance.reshape(len(names), 6, len(names), 6)
+    return "cross_covariances:\n" + "".join(
+        f"- sensors: [{names[a]}, {names[b]}]\n  covariance:\n{_rows(joint[a, :, b])}" for a, b in pairs.tolist()
+    )
+
+
 def _matrix(joint_covariance: Array) -> str:
     """The rest of the file: written directly, as a YAML library takes a minute for 100,000 numbers."""
+    return "  matrix:\n" + _rows(0.5 * (joint_covariance + joint_covariance.T))
+
+
+def _rows(matrix: Array) -> str:
     # Relative poses may be far more certain than those in the root frame: more digits for the difference.
-    rows = (_round_digits(row, 14) for row in 0.5 * (joint_covariance + joint_covariance.T))
-    return "  matrix:\n" + "".join(
+    rows = (_round_digits(row, 14) for row in matrix)
+    return "".join(
         f"  - [{', '.join('null' if np.isnan(value) else format_yaml_number(value) for value in row)}]\n"
         for row in rows
     )

@@ -14,9 +14,19 @@ from calgraph.config.strict_model import StrictModel, invalid
 from calgraph.errors import InputError
 from calgraph.geometry import Array, se3
 from calgraph.io.yaml_reading import read_yaml, validate_content
-from calgraph.result.calibration import UNMEASURED_IN_PLANE, Calibration, join_covariances
+from calgraph.result.calibration import UNMEASURED_IN_PLANE, Calibration
 from calgraph.result.calibration_file import FORMAT
 from calgraph.result.covariance_checks import check_semidefinite, check_symmetric
+from calgraph.result.covariance_reading import (
+    CrossCovariance,
+    Finite,
+    JointCovariance,
+    Matrix6,
+    Number,
+    check_cross_covariances,
+    join_cross_covariances,
+    to_array,
+)
 from calgraph.result.estimated_parameter import EstimatedParameter
 from calgraph.result.evidence import CaptureRow, Edge, Evidence, FitError, HeldOutError, ModelledBodies, Suggestion
 from calgraph.result.frame_tree import MAX_DISTANCE
@@ -34,9 +44,6 @@ def _check_unit_length(rotation: tuple[float, ...]) -> tuple[float, ...]:
     return rotation
 
 
-Finite = Annotated[float, Strict(), Field(allow_inf_nan=False)]
-# Infinite variances stand for directions that nothing observes.
-Number = Annotated[float, Strict()]
 NonNegative = Annotated[float, Strict(), Field(ge=0)]
 Positive = Annotated[float, Strict(), Field(gt=0)]
 Count = Annotated[int, Strict(), Field(ge=0)]
@@ -44,14 +51,6 @@ Flag = Annotated[bool, Strict()]
 Distance = Annotated[float, Strict(), Field(ge=-MAX_DISTANCE, le=MAX_DISTANCE, allow_inf_nan=False)]
 Vector3 = tuple[Distance, Distance, Distance]
 Quaternion = Annotated[tuple[Finite, Finite, Finite, Finite], AfterValidator(_check_unit_length)]
-# What was not measured is null.
-Entry = Number | None
-Row6 = tuple[Entry, Entry, Entry, Entry, Entry, Entry]
-
-
-def _to_array(rows: Sequence[Sequence[float | None]]) -> Array:
-    """A matrix; NaN where nothing was measured, as in a calibration in one plane."""
-    return np.array([[np.nan if value is None else value for value in row] for row in rows])
 
 
 class _Verdict(StrictModel):
@@ -77,7 +76,7 @@ class _Sensor(StrictModel):
     """The sensor's origin in the root frame, m."""
     rotation: Quaternion
     """Unit quaternion x, y, z, w."""
-    covariance: tuple[Row6, Row6, Row6, Row6, Row6, Row6]
+    covariance: Matrix6
     """6 x 6, translation first, in the root's fixed axes, m and rad."""
     stated: _StatedPose | None = None
     """What rig.yaml states of a network's scanner: height, m, roll and pitch, rad."""
@@ -88,7 +87,7 @@ class _Sensor(StrictModel):
 
     @model_validator(mode="after")
     def _numbers_make_sense(self) -> "_Sensor":
-        covariance = _to_array(self.covariance)
+        covariance = to_array(self.covariance)
         numbers = [value for row in self.covariance for value in row if value is not None]
         if np.isnan(numbers).any() or np.any(np.diag(covariance) < 0):
             raise invalid("covariance", "must have variances of 0 or more on its diagonal and no NaN")
@@ -177,25 +176,6 @@ class _Quality(StrictModel):
     captures: _Captures = _Captures(windows={}, sensors={})
 
 
-class _JointCovariance(StrictModel):
-    order: tuple[str, ...]
-    """The sensors, one after the other."""
-    matrix: tuple[tuple[Finite | None, ...], ...]
-    """Six rows and columns for each of them, in the root's fixed axes, m and rad."""
-
-    @model_validator(mode="after")
-    def _is_a_covariance(self) -> "_JointCovariance":
-        size = 6 * len(self.order)
-        if {len(self.matrix), *map(len, self.matrix)} != {size}:
-            raise invalid("matrix", f"must have {size} rows of {size} numbers, six for each of order")
-        matrix = _to_array(self.matrix)
-        if np.any(np.diag(matrix) < 0):
-            raise invalid("matrix", "must have variances of 0 or more on its diagonal")
-        check_symmetric(matrix, "matrix")
-        check_semidefinite(matrix, "matrix")
-        return self
-
-
 class _EstimatedParameter(StrictModel):
     of: str
     """A sensor, a board, or a tag."""
@@ -236,8 +216,10 @@ class _File(StrictModel):
     """Systematic parameters of sensors and target."""
     estimated: tuple[dict[str, Any], ...] = ()
     """What version 0.1 estimated on request, without priors; not read."""
-    joint_covariance: _JointCovariance | None = None
+    joint_covariance: JointCovariance | None = None
     """The covariance of the errors of all sensors."""
+    cross_covariances: tuple[CrossCovariance, ...] = ()
+    """The covariances of the errors of two sensors each, where those of others are unknown."""
     provenance: _Provenance | None = None
     """How the calibration was computed."""
 
@@ -246,6 +228,15 @@ class _File(StrictModel):
         order = self.joint_covariance.order if self.joint_covariance else tuple(self.sensors)
         if sorted(order) != sorted(self.sensors):
             raise invalid("joint_covariance.order", f"must be the sensors, {', '.join(self.sensors)}")
+        return self
+
+    @model_validator(mode="after")
+    def _correlations_are_stated_once(self) -> "_File":
+        if self.joint_covariance and self.cross_covariances:
+            raise invalid("cross_covariances", "joint_covariance has those of all sensors")
+        check_cross_covariances(
+            self.cross_covariances, {name: to_array(sensor.covariance) for name, sensor in self.sensors.items()}
+        )
         return self
 
     @model_validator(mode="after")
@@ -343,12 +334,11 @@ def _sensor(name: str, entry: _Sensor, verdict: _Verdict) -> SensorPose:
 
 
 def _joint_covariance(file: _File, names: Sequence[str]) -> Array:
-    entry = file.joint_covariance
-    if entry is None:
-        joint = join_covariances([_to_array(file.sensors[name].covariance) for name in names])
+    if file.joint_covariance is None:
+        own = {name: to_array(file.sensors[name].covariance) for name in names}
+        joint = join_cross_covariances(own, file.cross_covariances)
     else:
-        order = np.concatenate([6 * entry.order.index(name) + np.arange(6) for name in names])
-        joint = np.asarray(_to_array(entry.matrix)[np.ix_(order, order)])
+        joint = file.joint_covariance.reorder(names)
     # Version 0.1 states zero for what a network does not measure.
     out_of_plane = (6 * np.arange(1, len(names))[:, None] + UNMEASURED_IN_PLANE).ravel()
     if not np.diag(joint)[out_of_plane].any() and all(file.sensors[name].kind == "lidar2d" for name in names):

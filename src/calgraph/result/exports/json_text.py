@@ -26,6 +26,7 @@ def to_json(calibration: Calibration) -> str:
         "sensors": {sensor.name: _sensor(sensor) for sensor in calibration.sensors},
         "systematic": [vars(one) for one in calibration.systematic],
         "joint_covariance": _joint_covariance(calibration),
+        "cross_covariances": _cross_covariances(calibration),
         "unconnected": dict(evidence.unconnected),
         "remarks": evidence.remarks,
         "fit": {name: vars(one) for name, one in evidence.fit.items()},
@@ -65,6 +66,18 @@ def _joint_covariance(calibration: Calibration) -> dict[str, Any] | None:
     if not calibration.has_correlations:
         return None
     return {"order": [sensor.name for sensor in calibration.sensors], "matrix": calibration.joint_covariance}
+
+
+def _cross_covariances(calibration: Calibration) -> list[dict[str, Any]]:
+    """Of pairs of sensors, where there is no joint covariance."""
+    if calibration.has_correlations:
+        return []
+    names = [sensor.name for sensor in calibration.sensors]
+    joint = calibration.joint_covariance.reshape(len(names), 6, len(names), 6)
+    return [
+        {"sensors": [names[a], names[b]], "covariance": joint[a, :, b]}
+        for a, b in calibration.correlated_pairs.tolist()
+    ]
 
 
 def _edge(edge: Edge) -> dict[str, Any]:

@@ -1,0 +1,94 @@
+"""Covariances of the poses of several sensors in calibration.yaml: of all in one matrix, or of two each."""
+
+from collections.abc import Mapping, Sequence
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field, Strict, model_validator
+
+from calgraph.config.strict_model import StrictModel, invalid
+from calgraph.geometry import Array
+from calgraph.result.calibration import join_covariances
+from calgraph.result.covariance_checks import check_semidefinite, check_symmetric
+
+Finite = Annotated[float, Strict(), Field(allow_inf_nan=False)]
+# Infinite variances stand for directions that nothing observes.
+Number = Annotated[float, Strict()]
+# What was not measured is null.
+Entry = Number | None
+Row6 = tuple[Entry, Entry, Entry, Entry, Entry, Entry]
+Matrix6 = tuple[Row6, Row6, Row6, Row6, Row6, Row6]
+
+
+def to_array(rows: Sequence[Sequence[float | None]]) -> Array:
+    """A matrix; NaN where nothing was measured, as in a calibration in one plane."""
+    return np.array([[np.nan if value is None else value for value in row] for row in rows])
+
+
+class JointCovariance(StrictModel):
+    """Of the errors of all sensors."""
+
+    order: tuple[str, ...]
+    """The sensors, one after the other."""
+    matrix: tuple[tuple[Finite | None, ...], ...]
+    """Six rows and columns for each of them, in the root's fixed axes, m and rad."""
+
+    @model_validator(mode="after")
+    def _is_a_covariance(self) -> "JointCovariance":
+        size = 6 * len(self.order)
+        if {len(self.matrix), *map(len, self.matrix)} != {size}:
+            raise invalid("matrix", f"must have {size} rows of {size} numbers, six for each of order")
+        matrix = to_array(self.matrix)
+        if np.any(np.diag(matrix) < 0):
+            raise invalid("matrix", "must have variances of 0 or more on its diagonal")
+        check_symmetric(matrix, "matrix")
+        check_semidefinite(matrix, "matrix")
+        return self
+
+    def reorder(self, names: Sequence[str]) -> Array:
+        """(S·6, S·6) of the sensors in this order."""
+        rows = np.concatenate([6 * self.order.index(name) + np.arange(6) for name in names])
+        return np.asarray(to_array(self.matrix)[np.ix_(rows, rows)])
+
+
+class CrossCovariance(StrictModel):
+    """Of the errors of two sensors."""
+
+    sensors: tuple[str, str]
+    covariance: Matrix6
+    """Rows of the first, columns of the second, in the root's fixed axes, m and rad."""
+
+
+def check_cross_covariances(entries: Sequence[CrossCovariance], own: Mapping[str, Array]) -> None:
+    """Refuses those of unknown sensors, of one pair twice, and those that are too large for the sensors' own.
+
+    Args:
+        entries: of the file.
+        own: covariance (6, 6) of each sensor.
+    """
+    seen: set[frozenset[str]] = set()
+    for k, entry in enumerate(entries):
+        key, pair = f"cross_covariances[{k}]", frozenset(entry.sensors)
+        if len(pair) < 2 or not pair <= set(own):
+            raise invalid(f"{key}.sensors", f"must be two of the sensors, {', '.join(own)}")
+        if pair in seen:
+            raise invalid(f"{key}.sensors", "has these two sensors again")
+        seen.add(pair)
+        (a, b), cross = entry.sensors, to_array(entry.covariance)
+        check_semidefinite(np.block([[own[a], cross], [cross.T, own[b]]]), f"{key}.covariance")
+
+
+def join_cross_covariances(own: Mapping[str, Array], entries: Sequence[CrossCovariance]) -> Array:
+    """The joint covariance (S·6, S·6) of sensors, NaN where the correlation of two is not stated.
+
+    Args:
+        own: covariance (6, 6) of each sensor, in order.
+        entries: of pairs of them.
+    """
+    place = {name: k for k, name in enumerate(own)}
+    joint = join_covariances(list(own.values())).reshape(len(own), 6, len(own), 6)
+    for entry in entries:
+        a, b = (place[name] for name in entry.sensors)
+        joint[a, :, b] = to_array(entry.covariance)
+        joint[b, :, a] = joint[a, :, b].T
+    return np.asarray(joint.reshape(6 * len(own), -1))
