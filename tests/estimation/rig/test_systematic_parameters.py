@@ -184,7 +184,7 @@ def test_tags_of_a_grid_have_a_common_size_and_no_places() -> None:
 def test_scanners_alone_do_not_have_parameters_of_a_print() -> None:
     joint = detect_rig(FINE.model_copy(update={"camera": CameraOptions(count=0)})).solve()
     assert {one.of for one in joint.systematic} <= {"lidar", "laser_front", "board"}
-    assert {"print scale", "print x", "bow along x"}.isdisjoint({one.quantity for one in joint.systematic})
+    assert {"print scale", "print x"}.isdisjoint({one.quantity for one in joint.systematic})
 
 
 def test_a_focal_length_one_percent_off_moves_no_camera() -> None:

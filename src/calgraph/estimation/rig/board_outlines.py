@@ -12,7 +12,7 @@ from calgraph.estimation.rig.board_observations import BoardObservation, board_n
 from calgraph.estimation.rig.bundle_solver import Bundle, BundleState
 from calgraph.estimation.rig.observations import relative_poses
 from calgraph.estimation.rig.outline_observations import OutlineObservations
-from calgraph.estimation.rig.range_observations import SCANNER_PARAMETERS, RangeObservations
+from calgraph.estimation.rig.range_observations import RangeObservations
 from calgraph.estimation.rig.rectangle_registration import register_rectangles
 from calgraph.estimation.rig.systematic_parameters import add_outline_parameters
 from calgraph.geometry import Array, Index
@@ -68,7 +68,7 @@ def add_outlines(
         for s, outline in zip(edges, outlines, strict=True)
     ]
     views = [
-        _bow_registered_boards(of_sensor, registered & (number < 0), half, relative_poses(T, T_root_board))
+        _bow_registered_boards(of_sensor, registered, relative_poses(T, T_root_board))
         if isinstance(of_sensor, RangeObservations)
         else of_sensor
         for of_sensor, T in zip(bundle.views, state.T_root_sensor, strict=True)
@@ -88,25 +88,19 @@ def add_outlines(
 
 
 def _bow_registered_boards(
-    views: RangeObservations, registered: NDArray[np.bool_], half_size: Array, T_sensor_board: Array
+    views: RangeObservations, registered: NDArray[np.bool_], T_sensor_board: Array
 ) -> RangeObservations:
-    """The views with the bow of boards that outlines registered, as of those that cameras identified.
+    """The views of one scanner with the bow of registered boards (C,) along their sides, as cameras identify them.
 
     Args:
-        views: of one scanner.
-        registered: (C,) boards.
-        half_size: (C, 2) of the boards, m.
+        views: with the mean curvature of boards that were not registered before.
+        registered: (C,) whether the pose of each board in its plane is known.
         T_sensor_board: (C, 4, 4) of the boards.
     """
-    bowed, of_extra = registered[views.board], views.extra_of_local.copy()
-    columns = np.flatnonzero(np.char.startswith(SCANNER_PARAMETERS, "bow"))
-    if not (of_extra.shape[1] and bowed.any() and np.any(of_extra[:, columns] >= 0)):
+    now = views.registered | registered[views.board]
+    if np.array_equal(now, views.registered):
         return views
-    of_extra[np.ix_(bowed, columns)] = of_extra[:, columns].max(axis=0)
-    half = np.where(bowed[:, None], half_size[views.board], views.half_size)
-    return replace(views, half_size=half, extra_of_local=of_extra).update_noise(
-        T_sensor_board[views.board], views.noise_scale
-    )
+    return replace(views, registered=now).update_noise(T_sensor_board[views.board], views.noise_scale)
 
 
 def _surface_of(detections: Mapping[str, Candidates], board: BoardObservation, name: str) -> PlanePatch | Segment:

@@ -57,7 +57,9 @@ class RangeObservations:
     """(N,) index of each beam's ring, ascending within a view; None without rings."""
     ring_count: int = 0
     half_size: Array = field(default_factory=lambda: np.zeros((0, 2)))
-    """(V, 2) half width and height of each bowed board, m; infinite where its pose in the plane is unknown."""
+    """(V, 2) half width and height of each bowed board, m; infinite where it is not known which board it is."""
+    registered: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
+    """(V,) whether the pose of each bowed board within its plane is known."""
     bow_shape: Array | None = None
     """(N, 2) height of each beam's end on a board with a bow of 1 m along x and y; constant within a
     minimisation."""
@@ -194,7 +196,8 @@ class RangeObservations:
                 + np.repeat(T[:, axis, 3], counts)
                 for axis in range(2)
             ])  # fmt: skip
-            shape = bow_shape(on_board.T, np.repeat(self.half_size, counts, axis=0))
+            half, known = np.repeat(self.half_size, counts, axis=0), np.repeat(self.registered, counts)[:, None]
+            shape = np.where(known, bow_shape(on_board.T, half), round_bow_shape(on_board.T, half))
         return replace(self, sigma=sigma, noise_scale=scale, bow_shape=shape)
 
     def select(self, keep: NDArray[np.bool_] | Index) -> "RangeObservations":
@@ -210,6 +213,7 @@ class RangeObservations:
             azimuth=None if self.azimuth is None else self.azimuth[kept],
             ring=None if self.ring is None else self.ring[kept],
             half_size=self.half_size[keep] if len(self.half_size) else self.half_size,
+            registered=self.registered[keep] if len(self.registered) else self.registered,
             bow_shape=None if self.bow_shape is None else self.bow_shape[kept],
             extra_of_local=self.extra_of_local[keep],
             twist=select_twists(self.twist, keep),
@@ -243,6 +247,7 @@ class RangeObservations:
             sigma=np.ones(len(ranges)),
             azimuth=None if self.azimuth is None else np.arctan2(directions[:, 1], directions[:, 0]),
             half_size=self.half_size[first] if len(self.half_size) else self.half_size,
+            registered=self.registered[first] if len(self.registered) else self.registered,
             bow_shape=None,
             extra_of_local=self.extra_of_local[first],
             twist=np.zeros((0, 6)),
@@ -275,6 +280,20 @@ def bow_shape(points: Array, half_size: Array) -> Array:
     known = np.isfinite(half_size)
     share = np.clip(points / np.where(known, half_size, 1.0), -1, 1)
     return np.asarray(np.where(known, share**2 - 1 / 3, 0.0))
+
+
+def round_bow_shape(points: Array, half_size: Array) -> Array:
+    """(N, 2) as :func:`bow_shape`, of boards in an unknown rotation about the point (0, 0) of their plane.
+
+    The mean of the heights over all rotations: a paraboloid with the boards' mean curvature. That the point is not
+    the centre of the board tilts and displaces it only, which its pose does as well.
+    """
+    known = np.isfinite(half_size)
+    square = np.where(known, half_size, 1.0) ** 2
+    diagonal = square.sum(axis=-1, keepdims=True)
+    # No two points of a board are farther apart than its diagonal.
+    distance = np.minimum(np.sum(points**2, axis=-1, keepdims=True), 4 * diagonal)
+    return np.asarray(np.where(known, (distance - diagonal / 3) / (2 * square), 0.0))
 
 
 def _plane_velocity(T_sensor_board: Array, twist: Array) -> Array:

@@ -367,12 +367,13 @@ def _add_to_scanner(
                 for i, e in enumerate(elevations)
             ]
     bows = [list(_bow_parameters(board_name(b, len(rig.boards)), board)) for b, board in enumerate(rig.boards)]
-    # The last row is of boards that no camera identified: the place of a beam on them is not known.
-    candidates = [[*shared, *bow, *last] for bow in bows] + [[*shared, None, None, *last]]
+    # The last row is of boards that no camera identified: of several, it is not known which one each is.
+    size, bow = (rig.boards[0].size, bows[0]) if len(bows) == 1 else ((np.inf, np.inf), (None, None))
+    candidates = [[*shared, *of_board, *last] for of_board in (*bows, bow)]
     extra_of_local, count = table.index_extra(k, candidates, number)
-    half = np.array([*(board.size for board in rig.boards), (np.inf, np.inf)])[number] / 2
-    half = half.reshape(-1, 2)
-    return replace(views, half_size=half, extra_of_local=extra_of_local, extra_count=count, timed=timed)
+    half = np.array([*(board.size for board in rig.boards), size])[number].reshape(-1, 2) / 2
+    views = replace(views, half_size=half, registered=number >= 0, timed=timed)
+    return replace(views, extra_of_local=extra_of_local, extra_count=count)
 
 
 def find_rings(directions: Array, settings: SystematicParameterSettings) -> tuple[Array, Index]:
