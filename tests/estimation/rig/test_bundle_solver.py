@@ -1,6 +1,7 @@
 """The bundle's solver against SciPy and dense matrices, and on problems with exact solutions."""
 
 from dataclasses import replace
+from itertools import count
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,8 @@ from calgraph.estimation.rig.bundle_solver import (
     retract_state,
 )
 from calgraph.estimation.rig.covariances import pose_covariance
+from calgraph.estimation.rig.normal_equations import ViewNormalEquations
+from calgraph.estimation.rig.relinearization import CachedLinearization
 from calgraph.geometry import Array, se3, so3
 from dense_bundles import dense_jacobian, residuals_after, unbiased_scene
 
@@ -207,6 +210,24 @@ def test_extrapolation_does_not_take_boards_out_of_a_cameras_view() -> None:
     ])  # fmt: skip
     found = minimize_bundle(bundle, replace(exact.truth, T_root_board=far), tolerance=1e-3, exact=False)
     assert np.isfinite(linearize_bundle(bundle, found.state).cost)
+
+
+def test_extrapolation_that_leads_off_the_minimum_is_given_up(
+    rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bundle, start = unbiased_scene().measured(rng), disturbed(unbiased_scene().truth, rng)
+    expected = minimize_bundle(bundle, start)
+    gains = count(1.0)
+
+    def extrapolate(cached: CachedLinearization, *_: object) -> ViewNormalEquations:
+        """Equations by which every further step is a gain."""
+        return replace(cached.equations, robust_cost_offset=cached.equations.robust_cost_offset - next(gains))
+
+    monkeypatch.setattr(CachedLinearization, "extrapolate", extrapolate)
+    found = minimize_bundle(bundle, start)
+    assert found.converged
+    off = se3.difference(found.state.T_root_sensor, expected.state.T_root_sensor)
+    assert np.abs(off).max() < 1e-5
 
 
 def test_the_gradient_of_a_prior_is_that_of_its_cost() -> None:

@@ -297,8 +297,8 @@ def minimize_bundle(
     minimum = run(linearize=linearize)
     of_cameras = [k for k, views in enumerate(bundle.all_views) if isinstance(views, CornerObservations)]
     found = (bundle.all_views[k].linearize(*_view_state(bundle, minimum.state, k)) for k in of_cameras)
-    if not all(np.isfinite(at.residual).all() for at in found):
-        # Extrapolation does not show that a board with small robust weights has left a camera's field of view.
+    if (exact and not minimum.converged) or not all(np.isfinite(at.residual).all() for at in found):
+        # Extrapolation keeps robust weights: its steps may lead off the minimum, or boards out of a camera's view.
         minimum = run(linearize=lambda state, _: linearize_bundle(bundle, state))
     if not np.isfinite(minimum.linearization.cost):
         raise CalibrationError("the start poses give residuals that are not finite: a board is behind a camera")
