@@ -12,6 +12,7 @@ from calgraph.pairwise import ScannerPairEstimate, estimate_scanner_pairs
 from calgraph.pairwise.candidate_pairs import (
     Ends,
     select_implied_pairs,
+    select_pairs_between_parts,
     select_separated_pairs,
     select_similar_pairs,
 )
@@ -90,6 +91,27 @@ def test_pairs_between_parts_are_those_that_were_not_tried() -> None:
     assert not select_separated_pairs(similarity, [*connected, (1, 2)], connected, SETTINGS)
     one = SETTINGS.model_copy(update={"partners_between_parts": 1})
     assert select_separated_pairs(similarity, connected, connected, one) == {(0, 3), (1, 3), (1, 2)}
+
+
+def test_a_part_selects_its_most_similar_pairs() -> None:
+    similarity = np.zeros((6, 6))
+    for k, ends in enumerate([(0, 4), (0, 5), (1, 4), (2, 5), (3, 4), (3, 5)]):
+        similarity[ends] = similarity[ends[::-1]] = k + 1
+    part = np.array([0, 0, 0, 0, 1, 1])
+    everything = {(0, 4), (0, 5), (1, 4), (2, 5), (3, 4), (3, 5)}
+    assert select_pairs_between_parts(similarity, part, 6, 100) == everything
+    assert select_pairs_between_parts(similarity, part, 6, 2) == {(3, 4), (3, 5)}
+
+
+def test_a_large_part_selects_few_pairs_with_a_single_scanner() -> None:
+    similarity = np.zeros((40, 40))
+    similarity[-1, :-1] = similarity[:-1, -1] = np.arange(1, 40)
+    part = np.append(np.zeros(39, dtype=np.intp), 1)
+    assert select_pairs_between_parts(similarity, part, 3, 100) == {(36, 39), (37, 39), (38, 39)}
+
+
+def test_pairs_without_any_common_motion_are_not_selected_between_parts() -> None:
+    assert not select_pairs_between_parts(np.zeros((3, 3)), np.arange(3), 5, 100)
 
 
 def observe_hall(rng: np.random.Generator, reach: float = 7.0) -> tuple[dict[str, ScannerTracks], list[Array]]:

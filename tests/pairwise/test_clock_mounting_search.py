@@ -14,6 +14,7 @@ from calgraph.pairwise import (
     estimate_scanner_pair,
     is_firm,
     search_clocks_and_mountings,
+    select_searched_pairs,
 )
 from calgraph.tracking import ScannerTracks, Track, correct_tracks
 
@@ -104,3 +105,38 @@ def test_people_who_were_never_observed_together_have_no_hypothesis() -> None:
     rng = np.random.default_rng(1)
     a, b = observe([wander(rng, 10.0)], np.eye(3), rng), observe([wander(rng, 10.0)], T_A_B, rng)
     assert search(a, correct_tracks(b, clock_offset=-60.0), rng) == {}
+
+
+def observe_parts(count: int, rng: np.random.Generator) -> dict[str, ScannerObservations]:
+    """Scanners k, 4 + k and 8 + k see person k; their clocks and mountings differ."""
+    walks = [wander(rng) for _ in range(4)]
+    found = {}
+    for k in range(count):
+        T = se2.pose(rng.uniform(-3, 3), rng.uniform(-9, 9, 2))
+        tracks = observe([walks[k % 4]], T, rng)
+        corrected = correct_tracks(tracks, clock_offset=-0.45 * (k // 4 - 1), inverted=k // 4 == 2)
+        found[f"s{k}"] = ScannerObservations.from_tracks(corrected)
+    return found
+
+
+def test_of_many_scanners_those_of_the_same_people_are_searched() -> None:
+    observations = observe_parts(12, np.random.default_rng(1))
+    one = SETTINGS.clock_mounting.model_copy(update={"partners": 2})
+    few_partners = SETTINGS.model_copy(update={"clock_mounting": one})
+    found = select_searched_pairs(observations, np.arange(12), few_partners)
+    same_person = {(f"s{a}", f"s{b}") for a in range(12) for b in range(a + 1, 12) if a % 4 == b % 4}
+    assert set(found) >= same_person
+    assert len(found) <= 24  # of 66
+
+
+def test_of_many_scanners_only_those_of_other_parts_are_searched() -> None:
+    observations = observe_parts(12, np.random.default_rng(1))
+    part = np.arange(12) // 4
+    found = select_searched_pairs(observations, part, SETTINGS)
+    assert all(part[int(a[1:])] != part[int(b[1:])] for a, b in found)
+
+
+def test_of_few_scanners_all_pairs_of_different_parts_are_searched() -> None:
+    observations = observe_parts(4, np.random.default_rng(1))
+    found = select_searched_pairs(observations, np.array([0, 0, 1, 2]), SETTINGS)
+    assert found == [("s0", "s2"), ("s0", "s3"), ("s1", "s2"), ("s1", "s3"), ("s2", "s3")]

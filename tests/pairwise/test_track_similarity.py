@@ -71,3 +71,32 @@ def test_scanners_in_groups_score_as_all_at_once(
     at_once = compute_track_similarity(scanners, SETTINGS)
     monkeypatch.setattr("calgraph.pairwise.track_similarity._MAX_COMPARED", 200)
     np.testing.assert_allclose(compute_track_similarity(scanners, SETTINGS), at_once, rtol=1e-6)
+
+
+def test_the_best_alignments_of_a_stretch_select_the_scanners_of_the_same_people(rng: np.random.Generator) -> None:
+    scanners = [observe([k, 12 + k % 2], somewhere(rng), rng) for k in range(12)]
+    scanners += [observe([k], somewhere(rng), rng) for k in range(12)]
+    few = SETTINGS.model_copy(update={"candidates": SETTINGS.candidates.model_copy(update={"kept_alignments": 6})})
+    # Scanners k and 12 + k saw person k, and five of the first 12 the other person of each of them.
+    nearest = np.argsort(-compute_track_similarity(scanners, few)[:12], axis=1)[:, :6]
+    everything = np.argsort(-compute_track_similarity(scanners, SETTINGS)[:12], axis=1)[:, :6]
+    assert all(12 + k in of_k for k, of_k in enumerate(everything.tolist()))
+    assert all(12 + k in of_k for k, of_k in enumerate(nearest.tolist()))
+
+
+def test_delayed_and_mirrored_tracks_are_similar_where_these_are_compared(rng: np.random.Generator) -> None:
+    a, b = observe([0, 1], somewhere(rng), rng), observe([0, 1], somewhere(rng), rng)
+    late = [a, b.transform(True, -20)]
+    alone = compute_track_similarity(late, SETTINGS)[0, 1]
+    searched = compute_track_similarity(late, SETTINGS, delays=(-20, 0, 20), mirrored=(False, True))
+    # 280 of 300 ticks are common.
+    assert searched[0, 1] == pytest.approx(compute_track_similarity([a, b], SETTINGS)[0, 1], rel=0.15)
+    assert alone < 0.5 * searched[0, 1]
+
+
+def test_pairs_that_are_not_compared_score_nothing(rng: np.random.Generator) -> None:
+    scanners = [observe([0, 1], somewhere(rng), rng) for _ in range(4)]
+    compared = np.zeros((4, 4), dtype=np.bool_)
+    compared[3, 1] = True
+    similarity = compute_track_similarity(scanners, SETTINGS, compared=compared)
+    assert np.argwhere(similarity).tolist() == [[1, 3], [3, 1]]

@@ -1,12 +1,10 @@
 """Pairs of a network's scanners, with clocks that differ and scanners mounted upside-down corrected."""
 
-from collections.abc import Mapping
+import itertools
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from itertools import combinations
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from calgraph.calibrate.options import NetworkOptions, Progress
 from calgraph.calibrate.strategies import select_depth_stddev
@@ -22,7 +20,9 @@ from calgraph.pairwise import (
     estimate_scanner_pairs,
     is_firm,
     search_clocks_and_mountings,
+    select_searched_pairs,
 )
+from calgraph.pairwise.candidate_pairs import label_parts
 from calgraph.result import Calibration
 from calgraph.tracking import ScannerTracks, correct_tracks
 
@@ -109,17 +109,19 @@ def _find_differences(
     """Clocks and mountings; searched in pairs between parts of the network that firm pairs do not connect."""
     settings, clock_sigma = rig.settings.pairwise.scanners, rig.settings.estimation.network.clock_sigma
     estimates = [pair for pair in pairs.values() if isinstance(pair, ScannerPairEstimate)]
-    firm = [pair for pair in estimates if is_firm(pair, clock_sigma, settings)]
-    node = {name: k for k, name in enumerate(tracked)}
-    ends = np.array([(node[pair.sensor_a], node[pair.sensor_b]) for pair in firm], dtype=np.intp).reshape(-1, 2)
-    adjacency = coo_array((np.ones(len(ends)), ends.T), shape=(len(node), len(node)))
-    part = dict(zip(node, connected_components(adjacency, directed=False)[1].tolist(), strict=True))
-    used = [pair for pair in estimates if pair in firm or part[pair.sensor_a] != part[pair.sensor_b]]
+    firm = [is_firm(pair, clock_sigma, settings) for pair in estimates]
+    part = _label_parts(tracked, itertools.compress(estimates, firm))
+    used = itertools.compress(
+        estimates,
+        (
+            is_firm_one or part[pair.sensor_a] != part[pair.sensor_b]
+            for pair, is_firm_one in zip(estimates, firm, strict=True)
+        ),
+    )
     hypotheses = [describe_difference(pair, settings) for pair in used]
-    between = [(a, b) for a, b in combinations(tracked, 2) if part[a] != part[b]]
-    if between:
-        searched = {name for pair in between for name in pair}
-        observations = {name: ScannerObservations.from_tracks(tracked[name], settings) for name in searched}
+    if len(set(part.values())) > 1:
+        observations = _build_observations(tracked, settings)
+        between = select_searched_pairs(observations, np.array(list(part.values())), settings)
         # Other random numbers than those of pairs and trees, which do not depend on the search.
         rng = np.random.default_rng((options.seed, 1))
         hypotheses += search_clocks_and_mountings(
@@ -127,6 +129,19 @@ def _find_differences(
         )
     names = list(dict.fromkeys([rig.root, *tracked]))
     return resolve_clocks_and_mountings(rig.root, names, hypotheses, stated & set(names), settings)
+
+
+def _label_parts(tracked: Mapping[str, ScannerTracks], pairs: Iterable[ScannerPairEstimate]) -> dict[str, int]:
+    """Number of the part of each scanner that pairs connect."""
+    node = {name: k for k, name in enumerate(tracked)}
+    connected = [(node[pair.sensor_a], node[pair.sensor_b]) for pair in pairs]
+    return dict(zip(node, label_parts(len(node), connected).tolist(), strict=True))
+
+
+def _build_observations(
+    tracked: Mapping[str, ScannerTracks], settings: ScannerPairSettings
+) -> dict[str, ScannerObservations]:
+    return {name: ScannerObservations.from_tracks(one, settings) for name, one in tracked.items()}
 
 
 def _reject_refused(
@@ -166,21 +181,25 @@ def _find_distant_clocks(
     """
     settings = rig.settings.pairwise.scanners
     limits = settings.clock_mounting
-    wide = settings.model_copy(
+    wide_settings = settings.model_copy(
         update={"clock_mounting": limits.model_copy(update={"max_clock_offset": limits.max_named_offset})}
     )
     connected = {end for ends, found in pairs.items() if isinstance(found, ScannerPairEstimate) for end in ends}
+    unconnected = [name for name in tracked if name not in connected]
+    if not unconnected:
+        return []
+    observations = _build_observations(tracked, settings)
+    part = np.array([0 if name in connected else 1 + k for k, name in enumerate(tracked)])
+    searched = select_searched_pairs(observations, part, wide_settings)
     findings = []
-    for name in (name for name in tracked if name not in connected):
-        others = [other for other in tracked if other != name]
-        observations = {other: ScannerObservations.from_tracks(tracked[other], settings) for other in tracked}
+    for name in unconnected:
         found = search_clocks_and_mountings(
-            [(other, name) for other in others],
+            [(b if a == name else a, name) for a, b in searched if name in (a, b)],
             observations,
             rig.settings.estimation.network.clock_sigma,
             np.random.default_rng((options.seed, 2)),
             engine=options.engine,
-            settings=wide,
+            settings=wide_settings,
         )
         best = max(found, key=lambda h: h.evidence, default=None)
         distant = best is not None and abs(best.clock_offset) > limits.max_clock_offset

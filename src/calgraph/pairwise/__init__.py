@@ -19,6 +19,7 @@ if TYPE_CHECKING:
         describe_difference,
         is_firm,
         search_clocks_and_mountings,
+        select_searched_pairs,
     )
     from calgraph.pairwise.hypothesis_evidence import PoseHypothesis
     from calgraph.pairwise.line_matches import evaluate_coplanarity
@@ -64,6 +65,7 @@ __all__ = [
     "reselect_inliers",
     "search_clocks_and_mountings",
     "select_matches",
+    "select_searched_pairs",
     "select_successful",
     "tabulate_matches",
 ]  # fmt: skip

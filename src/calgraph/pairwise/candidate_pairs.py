@@ -13,24 +13,22 @@ from scipy.sparse.csgraph import connected_components
 
 from calgraph.config.settings import CandidateSettings
 from calgraph.geometry import Array, se2
-from calgraph.pairwise.synchronized_tracks import TrackSamples, pair_samples
+from calgraph.pairwise.synchronized_tracks import Indices, TrackSamples, pair_samples
 
 Ends = tuple[int, int]
 """Indices of two scanners, ascending."""
 
 
-def select_similar_pairs(similarity: Array, partners: int, allowed: NDArray[np.bool_] | None = None) -> set[Ends]:
+def select_similar_pairs(similarity: Array, partners: int) -> set[Ends]:
     """Pairs of each scanner with those of the most similar tracks.
 
     Args:
         similarity: (N, N) from :func:`calgraph.pairwise.track_similarity.compute_track_similarity`.
         partners: number of pairs of each scanner; it may be in more pairs that others select.
-        allowed: (N, N) pairs to select from; all if None.
     """
-    allowed = np.ones(similarity.shape, dtype=np.bool_) if allowed is None else allowed
-    allowed = allowed & ~np.eye(len(similarity), dtype=np.bool_)
-    ranked = np.argsort(np.where(allowed, -similarity, np.inf), axis=1, kind="stable")[:, :partners]
-    return {(min(a, b), max(a, b)) for a, of_a in enumerate(ranked.tolist()) for b in of_a if allowed[a, b]}
+    others = ~np.eye(len(similarity), dtype=np.bool_)
+    ranked = _rank_partners(similarity, partners, others)
+    return {(min(a, b), max(a, b)) for a, of_a in enumerate(ranked) for b in of_a}
 
 
 def select_implied_pairs(
@@ -68,13 +66,46 @@ def select_implied_pairs(
 def select_separated_pairs(
     similarity: Array, poses: Collection[Ends], tried: Collection[Ends], settings: CandidateSettings
 ) -> set[Ends]:
-    """Untried pairs of scanners that poses do not connect: of each scanner those with the most similar tracks."""
-    count = len(similarity)
-    ends = np.array(sorted(poses), dtype=np.intp).reshape(-1, 2)
+    """Untried pairs of scanners that poses do not connect, of the most similar tracks."""
+    part = label_parts(len(similarity), poses)
+    return select_pairs_between_parts(
+        similarity, part, settings.partners_between_parts, settings.pairs_of_part
+    ) - set(tried)
+
+
+def label_parts(count: int, connected: Collection[Ends]) -> Indices:
+    """(N,) number of the part of each of ``count`` scanners, those that chains of pairs connect."""
+    ends = np.array(sorted(connected), dtype=np.intp).reshape(-1, 2)
     adjacency = coo_array((np.ones(len(ends)), ends.T), shape=(count, count))
-    _, part = connected_components(adjacency, directed=False)
-    between = part[:, None] != part
-    return select_similar_pairs(similarity, settings.partners_between_parts, between) - set(tried)
+    return np.asarray(connected_components(adjacency, directed=False)[1], dtype=np.intp)
+
+
+def select_pairs_between_parts(similarity: Array, part: Indices, partners: int, pairs_of_part: int) -> set[Ends]:
+    """Pairs of scanners of different parts, of the most similar tracks: at least one alignment agrees.
+
+    Args:
+        similarity: (N, N) symmetric.
+        part: (N,) of each scanner.
+        partners: most pairs that a scanner selects, and that a part selects for each scanner outside of it: a
+            large part has few pairs with the few scanners that are apart from it.
+        pairs_of_part: most pairs that all scanners of a part select.
+    """
+    between = (part[:, None] != part) & (similarity > 0)
+    of_parts: dict[int, set[Ends]] = {}
+    for a, partners_of_a in enumerate(_rank_partners(similarity, partners, between)):
+        of_parts.setdefault(int(part[a]), set()).update((min(a, b), max(a, b)) for b in partners_of_a)
+    outside = len(part) - np.bincount(part)
+    selected: set[Ends] = set()
+    for one, pairs in of_parts.items():
+        limit = min(pairs_of_part, partners * int(outside[one]))
+        selected.update(sorted(pairs, key=lambda ends: (-similarity[ends], ends))[:limit])
+    return selected
+
+
+def _rank_partners(similarity: Array, partners: int, allowed: NDArray[np.bool_]) -> list[list[int]]:
+    """Of each scanner those allowed with the most similar tracks, the most similar first."""
+    ranked = np.argsort(np.where(allowed, -similarity, np.inf), axis=1, kind="stable")[:, :partners]
+    return [[b for b in of_a if allowed[a, b]] for a, of_a in enumerate(ranked.tolist())]
 
 
 def _have_common_tracks(a: TrackSamples, b: TrackSamples, T_a_b: Array, settings: CandidateSettings) -> bool:

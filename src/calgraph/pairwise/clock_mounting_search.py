@@ -6,6 +6,7 @@ therefore registered with and without a reflection of b's samples, and with its 
 registration bridges; the evidence of the fits is compared.
 """
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -15,11 +16,13 @@ from numpy.typing import NDArray
 from calgraph.config.settings import ScannerPairSettings
 from calgraph.engine import THIS_PROCESS, Engine
 from calgraph.geometry import Array, se2
+from calgraph.pairwise.candidate_pairs import select_pairs_between_parts
 from calgraph.pairwise.hypothesis_evidence import PoseHypothesis, build_hypothesis, subsample_pairs
 from calgraph.pairwise.pose_hypotheses import propose_poses
 from calgraph.pairwise.scanner_pair import ScannerPairEstimate
-from calgraph.pairwise.synchronized_tracks import SimultaneousPairs, pair_samples
+from calgraph.pairwise.synchronized_tracks import Indices, SimultaneousPairs, pair_samples
 from calgraph.pairwise.track_registration import NuisancePrior, compute_pose_costs, register_tracks
+from calgraph.pairwise.track_similarity import compute_track_similarity
 from calgraph.pairwise.visibility_map import ScannerObservations, contradicts_visibility
 
 # Most registrations of a hypothesis, each with the samples shifted to the clock offset of the previous one.
@@ -76,6 +79,37 @@ def is_firm(pair: ScannerPairEstimate, clock_sigma: float, settings: ScannerPair
         and abs(best.clock_offset) <= clock_sigma
         and best.lateral_spread >= limits.min_lateral_spread
     )
+
+
+def select_searched_pairs(
+    observations: Mapping[str, ScannerObservations], part: Indices, settings: ScannerPairSettings
+) -> list[tuple[str, str]]:
+    """Pairs of scanners of different parts, in their order, whose clocks and mountings are to be searched.
+
+    All of a few scanners; of many those with the most similar tracks, if these are delayed or mirrored.
+
+    Args:
+        observations: by scanner, N.
+        part: (N,) of each scanner, of those that are known to have the same clock and mounting.
+        settings: number of pairs, range and steps of the search.
+    """
+    names, limits = list(observations), settings.clock_mounting
+    samples = [one.samples for one in observations.values()]
+    if len(names) <= settings.candidates.max_exhaustive:
+        ends = [(a, b) for a, b in itertools.combinations(range(len(names)), 2) if part[a] != part[b]]
+    else:
+        to_ticks = samples[0].to_ticks
+        step, farthest = to_ticks(limits.similarity_step), to_ticks(limits.max_clock_offset)
+        delays = range(-(farthest // step) * step, farthest + 1, step)
+        # Scanners of the largest part are compared with the others, which are few as a rule.
+        others = part != np.argmax(np.bincount(part))
+        compared = others[:, None] & (part[:, None] != part)
+        compared &= ~(others & np.tri(len(names), dtype=np.bool_))
+        similarity = compute_track_similarity(
+            samples, settings, compared=compared, delays=delays, mirrored=(False, True)
+        )
+        ends = sorted(select_pairs_between_parts(similarity, part, limits.partners, limits.pairs_of_part))
+    return [(names[a], names[b]) for a, b in ends]
 
 
 def search_clocks_and_mountings(

@@ -2,8 +2,11 @@
 
 The moments of all pairs of trajectories within a stretch of time are matrix products, so that the similarity of a
 pair costs microseconds, and the registration of its tracks milliseconds. It ranks pairs, and rejects none.
+Sums over alignments take far more time than the moments: of each trajectory within a stretch, those with the best
+fits count.
 """
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -21,7 +24,7 @@ _MAX_COMPARED = 500_000
 
 @dataclass(frozen=True, eq=False)
 class _Stretch:
-    """Trajectories of all scanners during one stretch of time: R, ascending by scanner."""
+    """Trajectories of scanners during one stretch of time: R, ascending by scanner."""
 
     scanner: Indices
     """(R,)."""
@@ -49,46 +52,66 @@ class _Alignments:
     """(M,) extent over RMS distance, as of proposals."""
 
 
-def compute_track_similarity(samples: Sequence[TrackSamples], settings: ScannerPairSettings) -> Array:
-    """Scores all pairs of scanners by the stretches of trajectories that one pose aligns.
+def compute_track_similarity(
+    samples: Sequence[TrackSamples],
+    settings: ScannerPairSettings,
+    *,
+    compared: NDArray[np.bool_] | None = None,
+    delays: Sequence[int] = (0,),
+    mirrored: Sequence[bool] = (False,),
+) -> Array:
+    """Scores pairs of scanners by the stretches of trajectories that one pose aligns.
 
-    Every stretch of a trajectory of a is aligned with every simultaneous one of b (Kabsch, in complex numbers).
-    The alignments of a pair with the best fits are compared with all others of the pair: those with the same pose
-    add to the score of the pair, by their number of ticks and fit. As only motions within a stretch are compared,
-    clock offsets of some tenths of a second change little.
+    Every stretch of a trajectory of a is aligned with every simultaneous one of b (Kabsch, in complex numbers). Of
+    the alignments of a stretch, the best are kept, so that their number is linear in that of scanners. Those of a
+    pair with the best fits are compared with all others of the pair: those with the same pose add to the score of
+    the pair, by their number of ticks and fit. As only motions within a stretch are compared, clock offsets of
+    some tenths of a second change little.
 
     Args:
         samples: of each scanner.
         settings: of candidates, and of proposals for the fits.
+        compared: (N, N) which a and b to compare; all pairs, once, if None.
+        delays: of b, in ticks, and
+        mirrored: whether b is mirrored, of which combinations the highest score counts.
 
     Returns:
         (N, N) symmetric, >= 0; the diagonal is 0.
     """
     count = len(samples)
+    compared = np.triu(np.ones((count, count), dtype=np.bool_), 1) if compared is None else compared
     similarity = np.zeros((count, count))
-    stretches = _cut_stretches(samples, settings)
-    for first, end in _split_scanners(stretches, count):
-        found = [_align_trajectories(stretch, first, end, count, settings) for stretch in stretches]
-        if not found:
-            continue
-        alignments = _Alignments(*(np.concatenate(column) for column in zip(*map(_columns, found), strict=True)))
-        pairs, votes = _count_votes(alignments, settings)
-        similarity[pairs // count, pairs % count] = votes
-    return similarity + similarity.T
+    origin = min((int(one.tick[0]) for one in samples if len(one.tick)), default=0) + min(delays)
+    of_a = _cut_stretches(samples, np.asarray(compared.any(axis=1)), origin, settings)
+    for is_mirrored, delay in itertools.product(mirrored, delays):
+        moved = [one.transform(is_mirrored, delay) for one in samples]
+        of_b = _cut_stretches(moved, np.asarray(compared.any(axis=0)), origin, settings)
+        common = [(of_a[block], of_b[block]) for block in sorted(of_a.keys() & of_b.keys())]
+        for first, end in _split_scanners(common, count):
+            found = [_align_trajectories(a, b, first, end, compared, settings) for a, b in common]
+            alignments = _Alignments(
+                *(np.concatenate(column) for column in zip(*map(_columns, found), strict=True))
+            )
+            pairs, votes = _count_votes(alignments, settings)
+            a, b = pairs // count, pairs % count
+            similarity[a, b] = np.maximum(similarity[a, b], votes)
+    return np.maximum(similarity, similarity.T)
 
 
-def _cut_stretches(samples: Sequence[TrackSamples], settings: ScannerPairSettings) -> list[_Stretch]:
-    """Successive stretches of equal duration, without trajectories that are too short."""
-    occupied = [k for k, one in enumerate(samples) if len(one.tick)]
+def _cut_stretches(
+    samples: Sequence[TrackSamples], wanted: NDArray[np.bool_], origin: int, settings: ScannerPairSettings
+) -> dict[int, _Stretch]:
+    """Successive stretches of equal duration by number, of wanted scanners (N,); no trajectory is too short."""
+    occupied = [k for k in np.flatnonzero(wanted).tolist() if len(samples[k].tick)]
     if not occupied:
-        return []
+        return {}
     scanner = np.concatenate([np.full(len(samples[k].tick), k) for k in occupied])
     tick = np.concatenate([samples[k].tick for k in occupied])
     trajectory = np.concatenate([samples[k].trajectory for k in occupied])
     x, y = np.concatenate([samples[k].positions for k in occupied]).T
     to_ticks = samples[0].to_ticks
     length, least = to_ticks(settings.candidates.stretch_duration), to_ticks(settings.proposals.min_duration)
-    block, column = np.divmod(tick - tick.min(), length)
+    block, column = np.divmod(tick - origin, length)
     # A trajectory within a block is one row.
     order = np.lexsort((trajectory, scanner, block))
     keys = np.column_stack([block, scanner, trajectory])[order]
@@ -101,35 +124,40 @@ def _cut_stretches(samples: Sequence[TrackSamples], settings: ScannerPairSetting
     kept = detected.sum(axis=1) >= least
     block, scanner, positions, detected = block[kept], scanner[kept], positions[kept], detected[kept]
     starts = np.flatnonzero(np.diff(block, prepend=-1))
-    return [
-        _Stretch(scanner[part], positions[part], detected[part])
-        for part in (
-            slice(begin, end) for begin, end in zip(starts, np.append(starts[1:], len(block)), strict=True)
-        )
-    ]
+    return {
+        int(block[begin]): _Stretch(scanner[begin:end], positions[begin:end], detected[begin:end])
+        for begin, end in zip(starts, np.append(starts[1:], len(block)), strict=True)
+    }
 
 
-def _split_scanners(stretches: Sequence[_Stretch], count: int) -> list[tuple[int, int]]:
-    """Splits scanners into ranges that are few enough for their comparisons to fit into memory."""
+def _split_scanners(stretches: Sequence[tuple[_Stretch, _Stretch]], count: int) -> list[tuple[int, int]]:
+    """Splits scanners a into ranges that are few enough for their comparisons to fit into memory."""
+    if not stretches:
+        return []
     compared = np.zeros(count)
-    for stretch in stretches:
-        compared += np.bincount(stretch.scanner, minlength=count) * float(len(stretch.scanner))
+    for a, b in stretches:
+        compared += np.bincount(a.scanner, minlength=count) * float(len(b.scanner))
     group = np.floor(np.cumsum(compared) / _MAX_COMPARED).astype(np.intp)
     starts = np.flatnonzero(np.diff(group, prepend=-1))
     return list(zip(starts.tolist(), [*starts[1:].tolist(), count], strict=True))
 
 
 def _align_trajectories(
-    stretch: _Stretch, first: int, end: int, count: int, settings: ScannerPairSettings
+    of_a: _Stretch,
+    of_b: _Stretch,
+    first: int,
+    end: int,
+    compared: NDArray[np.bool_],
+    settings: ScannerPairSettings,
 ) -> _Alignments:
-    """Aligns trajectories of scanners ``first`` to ``end`` with those of all later scanners."""
-    rows = slice(*np.searchsorted(stretch.scanner, [first, end]))
-    z_a, z_b, in_a, in_b = stretch.positions[rows], stretch.positions, stretch.detected[rows], stretch.detected
+    """Aligns trajectories of scanners a from ``first`` to ``end`` with those of all b; keeps the best of each."""
+    rows = slice(*np.searchsorted(of_a.scanner, [first, end]))
+    scanner_a, z_a, in_a = of_a.scanner[rows], of_a.positions[rows], of_a.detected[rows]
+    scanner_b, z_b, in_b = of_b.scanner, of_b.positions, of_b.detected
     limits = settings.proposals
     ticks = in_a @ in_b.T
     least = max(round(limits.min_duration / settings.resampling.tick_period), 1)
-    usable = (ticks >= least) & (stretch.scanner[rows, None] < stretch.scanner)
-    a, b = np.nonzero(usable)
+    a, b = np.nonzero((ticks >= least) & compared[np.ix_(scanner_a, scanner_b)])
     n = ticks[a, b]
     center_a, center_b = (z_a @ in_b.T)[a, b] / n, (in_a @ z_b.T)[a, b] / n
     spread_a = ((np.abs(z_a) ** 2) @ in_b.T)[a, b] / n - np.abs(center_a) ** 2
@@ -137,12 +165,22 @@ def _align_trajectories(
     product = (z_a @ z_b.conj().T)[a, b] / n - center_a * center_b.conj()
     rms = np.sqrt(np.maximum(spread_a + spread_b - 2 * np.abs(product), 0))
     extent = np.sqrt(np.maximum(np.minimum(spread_a, spread_b), 0))
-    kept = (rms < limits.max_rms) & (extent > limits.min_extent)
     weight = n * np.log(np.hypot(limits.max_rms, limits.noise) / np.hypot(rms, limits.noise))
-    pair = stretch.scanner[rows][a] * count + stretch.scanner[b]
+    usable = (rms < limits.max_rms) & (extent > limits.min_extent)
+    weights = np.zeros(ticks.shape)
+    weights[a[usable], b[usable]] = weight[usable]
+    kept = usable & (weight >= _find_least_kept(weights, settings.candidates.kept_alignments)[a])
+    pair = scanner_a[a] * len(compared) + scanner_b[b]
     score = extent / (rms + limits.noise)
     columns = pair, np.angle(product), center_a, center_b, weight, score
     return _Alignments(*(column[kept] for column in columns))
+
+
+def _find_least_kept(weights: Array, count: int) -> Array:
+    """(R,) the least of the ``count`` largest of each row of weights (R, C)."""
+    if weights.shape[1] <= count:
+        return np.zeros(len(weights))
+    return np.asarray(np.partition(weights, -count, axis=1)[:, -count])
 
 
 def _columns(found: _Alignments) -> tuple[NDArray[Any], ...]:
