@@ -51,17 +51,18 @@ def find_ambiguous_parts(
         hypothesis_settings: differences up to which two poses are the same.
     """
     i, j = graph.edges.T
+    differing, distance, rotation = _differing(graph, solution.T_root_node, hypothesis_settings)
     found = []
     for _, part in fundamental_cuts(graph, np.where(solution.inliers, evidence, 0.0)):
         across = part[i] != part[j]
         chosen = float(evidence[across & solution.inliers].sum())
-        others = np.flatnonzero(across & _differing(graph, solution.T_root_node, hypothesis_settings)[0])
+        others = np.flatnonzero(across & differing)
+        edges_across, evidence_across = graph.select_edges(across), evidence[across]
         for edge in others[np.argsort(-evidence[others], kind="stable")].tolist():
             T = move_part(graph, solution.T_root_node, part, edge)
-            differing, _, _ = _differing(graph, T, hypothesis_settings)
-            if float(evidence[across & ~differing].sum()) <= settings.max_ambiguity * chosen:
+            agreeing = ~_differing(edges_across, T, hypothesis_settings)[0]
+            if float(evidence_across[agreeing].sum()) <= settings.max_ambiguity * chosen:
                 continue
-            _, distance, rotation = _differing(graph, solution.T_root_node, hypothesis_settings)
             nodes = tuple(np.flatnonzero(part).tolist())
             found.append(AmbiguousPart(nodes, (int(i[edge]), int(j[edge])), distance[edge], rotation[edge]))
             break

@@ -7,9 +7,12 @@ delays show in cycles: correct offsets of all pairs across a cut agree.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from heapq import heappop, heappush
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csc_array, csr_array
+from scipy.sparse.linalg import splu
 
 from calgraph.config.settings import ClockMountingSettings
 from calgraph.geometry import Array
@@ -17,6 +20,8 @@ from calgraph.pairwise import ClockMountingHypothesis
 
 # Rounds of reweighting, after which weights of clock offsets change by less than a percent.
 _ROUNDS = 20
+# Scanners up to which dense equations are solved faster than sparse ones.
+_MAX_DENSE = 100
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,14 +114,19 @@ def _spanning_tree(
     count: int, node: Mapping[str, int], used: Sequence[ClockMountingHypothesis]
 ) -> list[ClockMountingHypothesis]:
     """The maximum spanning tree of descending hypotheses, in the order from node 0."""
-    reached, tree = {0}, list[ClockMountingHypothesis]()
-    while len(reached) < count:
-        ends = ((h, {node[h.sensor_a], node[h.sensor_b]}) for h in used)
-        leaving = next(((h, both) for h, both in ends if len(both & reached) == 1), None)
-        if leaving is None:
-            break
-        tree.append(leaving[0])
-        reached |= leaving[1]
+    of_node: list[list[int]] = [[] for _ in range(count)]
+    for k, h in enumerate(used):
+        of_node[node[h.sensor_a]].append(k)
+        of_node[node[h.sensor_b]].append(k)
+    reached, tree, leaving = {0}, list[ClockMountingHypothesis](), of_node[0].copy()  # ascending, so a heap
+    while leaving:
+        h = used[heappop(leaving)]
+        for name in (h.sensor_a, h.sensor_b):
+            if node[name] not in reached:
+                reached.add(node[name])
+                tree.append(h)
+                for k in of_node[node[name]]:
+                    heappush(leaving, k)
     return tree
 
 
@@ -163,10 +173,11 @@ def _rests_on_a_line(
     settings: ClockMountingSettings,
 ) -> bool:
     """Whether clocks across an edge differ by what no other pair confirms, where people may follow each other."""
-    part = _beyond(edge, tree, node)
-    across = sum((node[h.sensor_a] in part) != (node[h.sensor_b] in part) for h in used)
     differs = abs(edge.clock_offset) > settings.min_clock_offset
-    return differs and across == 1 and edge.lateral_spread < settings.min_lateral_spread
+    if not differs or edge.lateral_spread >= settings.min_lateral_spread:
+        return False
+    part = _beyond(edge, tree, node)
+    return sum((node[h.sensor_a] in part) != (node[h.sensor_b] in part) for h in used) == 1
 
 
 def _residual(h: ClockMountingHypothesis, node: Mapping[str, int], offset: Array) -> float:
@@ -199,13 +210,20 @@ def _average_clocks(
     ends: NDArray[np.intp] = np.array([(node[h.sensor_a], node[h.sensor_b]) for h in used], dtype=np.intp)
     measured = np.array([h.clock_offset for h in used])
     sigma = np.hypot([h.clock_stddev for h in used], settings.clock_noise)
-    J = np.zeros((len(used), count))
-    J[np.arange(len(used)), ends[:, 1]] = 1
-    J[np.arange(len(used)), ends[:, 0]] = -1
+    signs, rows = np.tile([-1.0, 1.0], len(used)), np.repeat(np.arange(len(used)), 2)
+    J_sparse = csr_array((signs, (rows, ends.ravel())), shape=(len(used), count))
+    J = (J_sparse.toarray() if count <= _MAX_DENSE else J_sparse)[:, free]
     for _ in range(_ROUNDS):
-        r = (measured - J @ offsets) / sigma
+        r = (measured - J_sparse @ offsets) / sigma
         w = 1 / (1 + r**2) / sigma**2
-        H = J[:, free].T @ (w[:, None] * J[:, free])
-        offsets[free] = np.linalg.solve(H, J[:, free].T @ (w * measured))
-    stddev[free] = np.sqrt(np.diag(np.linalg.inv(H)))
+        H = J.T @ (J * w[:, None])
+        offsets[free] = _solve(H, J.T @ (w * measured))
+    stddev[free] = np.sqrt(np.diag(_solve(H, np.eye(len(free)))))
     return offsets, stddev
+
+
+def _solve(H: Array | csr_array, right: Array) -> Array:
+    """Solution of ``H x = right`` of a matrix that is dense or sparse."""
+    if isinstance(H, np.ndarray):
+        return np.asarray(np.linalg.solve(H, right))
+    return np.asarray(splu(csc_array(H)).solve(right))

@@ -96,12 +96,21 @@ def _select_mountings(
     signs = np.ones(count, dtype=np.intp)
     parent: dict[int, int] = dict.fromkeys(fixed, -1)
     order = []
-    while len(parent) < count:
-        reached = np.array([k in parent for k in range(count)])
-        leaving = np.where(reached[:, None] & ~reached, np.abs(gain), -1.0)
-        i, j = np.unravel_index(int(np.argmax(leaving)), leaving.shape)
-        parent[int(j)] = int(i)
-        order.append(int(j))
+    # Of nodes that are not reached, the clearest pair with one that is; of equal ones the first.
+    clearest, nearest = np.full(count, -1.0), np.full(count, count)
+    added = sorted(fixed)
+    while True:
+        for i in added:
+            size = np.abs(gain[i])
+            nearer = (size > clearest) | ((size == clearest) & (i < nearest))
+            clearest[nearer], nearest[nearer] = size[nearer], i
+        if len(parent) == count:
+            break
+        open_nodes = np.setdiff1d(np.arange(count), list(parent))
+        j = int(open_nodes[np.lexsort((open_nodes, nearest[open_nodes], -clearest[open_nodes]))[0]])
+        i = int(nearest[j])
+        parent[j], added = i, [j]
+        order.append(j)
         signs[j] = signs[i] if gain[i, j] >= 0 else -signs[i]
     improved = True
     while improved:
@@ -111,13 +120,14 @@ def _select_mountings(
                 signs[k] *= -1
                 improved = True
     ambiguous = np.zeros(count, dtype=np.bool_)
+    ends = np.argwhere(np.any(evidence > 0, axis=0))
     for first in order:
         inside = {first}
         for k in order:  # parents come before their children
             if parent[k] in inside:
                 inside.add(k)
         part = np.array([k in inside for k in range(count)])
-        chosen, other = _evidence_across(evidence, signs, part)
+        chosen, other = _evidence_across(evidence, ends, signs, part)
         if chosen > 0 and other > max_evidence_ratio * chosen:
             ambiguous |= part
             if signs[part].sum() < 0:
@@ -125,9 +135,10 @@ def _select_mountings(
     return signs, ambiguous
 
 
-def _evidence_across(evidence: Array, signs: NDArray[np.intp], part: NDArray[np.bool_]) -> tuple[float, float]:
+def _evidence_across(
+    evidence: Array, ends: NDArray[np.intp], signs: NDArray[np.intp], part: NDArray[np.bool_]
+) -> tuple[float, float]:
     """Evidence of the pairs between a part (N,) and the rest with its mountings, and with the part's flipped."""
-    mirrored = (signs[:, None] != signs).astype(np.intp)
-    across = part[:, None] & ~part
-    i, j = np.nonzero(across)
-    return float(evidence[mirrored[i, j], i, j].sum()), float(evidence[1 - mirrored[i, j], i, j].sum())
+    i, j = ends[part[ends[:, 0]] & ~part[ends[:, 1]]].T
+    mirrored = (signs[i] != signs[j]).astype(np.intp)
+    return float(evidence[mirrored, i, j].sum()), float(evidence[1 - mirrored, i, j].sum())

@@ -1,5 +1,6 @@
 """A network's pairs, with all their alternatives, as a graph in the plane."""
 
+from collections import deque
 from collections.abc import Sequence
 
 import numpy as np
@@ -132,17 +133,22 @@ def edge_evidence(
 
 def _hypotheses(names: Sequence[str], pairs: Sequence[ScannerPairEstimate]) -> list[PoseHypothesis]:
     """That of each edge."""
-    return [h for pair in pairs if pair.sensor_a in names for h in pair.hypotheses]
+    connected = set(names)
+    return [h for pair in pairs if pair.sensor_a in connected for h in pair.hypotheses]
 
 
 def _connected_scanners(root: str, pairs: Sequence[ScannerPairEstimate]) -> tuple[str, ...]:
     """The root and all scanners that some chain of pairs connects to it, in breadth-first order."""
-    reached = [root]
-    for name in reached:
-        for pair in pairs:
-            for start, end in ((pair.sensor_a, pair.sensor_b), (pair.sensor_b, pair.sensor_a)):
-                if start == name and end not in reached:
-                    reached.append(end)
+    neighbours: dict[str, list[str]] = {root: []}
+    for pair in pairs:
+        neighbours.setdefault(pair.sensor_a, []).append(pair.sensor_b)
+        neighbours.setdefault(pair.sensor_b, []).append(pair.sensor_a)
+    reached = {root: None}  # in order
+    queue = deque([root])
+    while queue:
+        found = [end for end in dict.fromkeys(neighbours[queue.popleft()]) if end not in reached]
+        reached.update(dict.fromkeys(found))
+        queue.extend(found)
     return tuple(reached)
 
 

@@ -45,11 +45,11 @@ class NetworkInitialization:
 
         They are averages of those with which the pairs that agree with the poses were registered.
         """
-        inlier = iter(self.solution.inliers)
+        inlier, connected = iter(self.solution.inliers), set(self.names)
         of_nodes = (
             pair
             for pair in self.pairs.values()
-            if isinstance(pair, ScannerPairEstimate) and pair.sensor_a in self.names
+            if isinstance(pair, ScannerPairEstimate) and pair.sensor_a in connected
         )
         agreeing = ((pair, tuple(h for h in pair.hypotheses if next(inlier))) for pair in of_nodes)
         differences = [
@@ -120,11 +120,11 @@ def _reject_scanners(pairs: Pairs, scanners: Set[str], reason: Rejected) -> Pair
 
 def _reject_edges(pairs: Pairs, names: Sequence[str], edges: NDArray[np.bool_], reason: Rejected) -> Pairs:
     """The pairs without the hypotheses of some edges (E,), in the order of :func:`build_network_graph`."""
-    rejected = iter(edges)
+    rejected, connected = iter(edges), set(names)
     kept_pairs: dict[tuple[str, str], ScannerPairEstimate | Rejected] = {}
     for ends, found in pairs.items():
         kept_pairs[ends] = found
-        if isinstance(found, ScannerPairEstimate) and found.sensor_a in names:
+        if isinstance(found, ScannerPairEstimate) and found.sensor_a in connected:
             kept = tuple(h for h in found.hypotheses if not next(rejected))
             kept_pairs[ends] = replace(found, hypotheses=kept) if kept else reason
     return kept_pairs

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
-from scipy.sparse.csgraph import minimum_spanning_tree
+from scipy.sparse.csgraph import depth_first_order, minimum_spanning_tree
 
 from calgraph.geometry import Array
 from calgraph.graph.pose_graph import PoseGraph
@@ -32,4 +32,18 @@ def fundamental_cuts(graph: PoseGraph, evidence: Array) -> list[tuple[int, NDArr
     used = np.flatnonzero(evidence)
     graph = graph.select_edges(used)
     tree = np.flatnonzero(find_minimum_tree(graph, 1 / evidence[used]))
-    return [(int(used[edge]), ~graph.select_edges(tree[tree != edge]).find_reachable()) for edge in tree]
+    i, j = graph.edges[tree].T
+    adjacency = coo_array((np.ones(len(tree)), (i, j)), shape=(graph.count, graph.count))
+    order, parent = depth_first_order(adjacency, graph.root, directed=False)
+    # Of nodes in depth-first order, a subtree is a range: its first node, and as many as it has.
+    size = np.ones(graph.count, dtype=np.intp)
+    for node in order[:0:-1].tolist():
+        size[parent[node]] += size[node]
+    position = np.full(graph.count, -1)
+    position[order] = np.arange(len(order))
+    beyond = np.where(parent[j] == i, j, i)
+    begin, end = position[beyond], position[beyond] + size[beyond]
+    return [
+        (int(used[edge]), (position < 0) | (position >= first) & (position < last))
+        for edge, first, last in zip(tree.tolist(), begin.tolist(), end.tolist(), strict=True)
+    ]

@@ -84,17 +84,20 @@ class _MutualDetections:
     """Samples of all scanners."""
     step: int
     """Each sample stands for this number of ticks."""
-    pairs: tuple[tuple[int, int, NDArray[np.intp], Flags, Flags], ...]
-    """Two scanners, indices (M,) of their samples, whether the other one should have detected each, and did."""
+    ends: NDArray[np.intp]
+    """(P, 2) scanners of each pair."""
+    pairs: tuple[tuple[NDArray[np.intp], Flags, Flags], ...]
+    """Of each pair the indices (M,) of samples, whether the other one should have detected each, and did."""
     settings: VisibilitySettings
 
     def count_across(self, part: Flags) -> tuple[int, int]:
         """Number of detections expected between a part (N,) and the rest, and number of those that none made."""
         expected, detected = np.zeros((2, self.count), dtype=np.bool_)
-        for a, b, samples, pair_expected, pair_detected in self.pairs:
-            if part[a] != part[b]:
-                expected[samples] |= pair_expected
-                detected[samples] |= pair_detected
+        a, b = self.ends.T
+        for k in np.flatnonzero(part[a] != part[b]).tolist():
+            samples, pair_expected, pair_detected = self.pairs[k]
+            expected[samples] |= pair_expected
+            detected[samples] |= pair_detected
         return self.step * int(np.count_nonzero(expected)), self.step * int(np.count_nonzero(expected & ~detected))
 
 
@@ -109,7 +112,7 @@ def _compare_detections(observations: Sequence[ScannerObservations], T_root_node
     max_range = np.array([scanner.visibility.max_range for scanner in observations])
     t = T_root_node[:, :2, 2]
     in_reach = np.linalg.norm(t[:, None] - t, axis=-1) < max_range[:, None] + max_range
-    pairs = []
+    ends, pairs = [], []
     for a, b in np.argwhere(np.triu(in_reach, 1)).tolist():
         simultaneous = pair_samples(observations[a].samples, observations[b].samples)
         T_a_b = se2.inverse(T_root_node[a]) @ T_root_node[b]
@@ -118,5 +121,7 @@ def _compare_detections(observations: Sequence[ScannerObservations], T_root_node
             T_a_b[None], simultaneous, *maps, settings.detection_radius
         )
         if expected.any():
-            pairs.append((a, b, np.concatenate([indices[a], indices[b]]), expected, detected))
-    return _MutualDetections(sum(sizes), step, tuple(pairs), settings)
+            ends.append((a, b))
+            pairs.append((np.concatenate([indices[a], indices[b]]), expected, detected))
+    of_pairs = np.array(ends, dtype=np.intp).reshape(-1, 2)
+    return _MutualDetections(sum(sizes), step, of_pairs, tuple(pairs), settings)
