@@ -2,6 +2,7 @@
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
+from heapq import heappop, heappush
 from types import MappingProxyType
 from typing import Literal
 
@@ -185,19 +186,22 @@ def _finite_or_none(value: float) -> float | None:
 def _find_parents(inliers: PoseGraph, names: tuple[str, ...]) -> dict[str, str]:
     """Each scanner's neighbour on the way to the root, over the edges with the most information."""
     by_information = np.argsort(-np.linalg.eigvalsh(inliers.information)[:, 0], kind="stable")
+    ends = inliers.edges[by_information].tolist()
+    of_node: list[list[int]] = [[] for _ in names]
+    for rank, (i, j) in enumerate(ends):
+        of_node[i].append(rank)
+        of_node[j].append(rank)
     parents: dict[str, str] = {}
-    reached = {0}
-    while True:
-        step = next(
-            (e for e in by_information if (inliers.edges[e, 0] in reached) != (inliers.edges[e, 1] in reached)),
-            None,
-        )
-        if step is None:
-            return parents
-        i, j = (int(node) for node in inliers.edges[step])
+    reached, leaving = {0}, of_node[0].copy()  # ascending, so a heap
+    while leaving:
+        i, j = ends[heappop(leaving)]
         parent, child = (i, j) if i in reached else (j, i)
-        parents[names[child]] = names[parent]
-        reached.add(child)
+        if child not in reached:
+            parents[names[child]] = names[parent]
+            reached.add(child)
+            for rank in of_node[child]:
+                heappush(leaving, rank)
+    return parents
 
 
 def _build_edge(

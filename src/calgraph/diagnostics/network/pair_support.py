@@ -35,15 +35,17 @@ def find_poorly_supported_parts(
     findings = []
     ends = np.unique(np.sort(inliers.edges, axis=1), axis=0)
     for k, (i, j) in enumerate(ends.tolist()):
-        part = _separate(np.delete(ends, k, axis=0), len(names))
         found = pairs.get((names[i], names[j])) or pairs.get((names[j], names[i]))
-        if not part.any() or found is None or isinstance(found, Rejected):
+        if found is None or isinstance(found, Rejected):
             continue
         T_a_b = se2.inverse(T_root_scanner[i]) @ T_root_scanner[j]
         nearest = min(
             found.hypotheses, key=lambda one: float(np.linalg.norm(se2.difference(T_a_b, one.T_a_b)[:2]))
         )
         if nearest.matched_share >= min_matched_share:
+            continue
+        part = _separate(np.delete(ends, k, axis=0), len(names))
+        if not part.any():
             continue
         scanners = tuple(names[node] for node in np.flatnonzero(part).tolist())
         findings.append(

@@ -1,7 +1,6 @@
 """Report of the walks through a network under its final poses: capture rows, residuals, and floor plans."""
 
-import itertools
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -38,7 +37,7 @@ class CrossScannerMatches:
 def match_across_scanners(
     samples: Mapping[str, TrackSamples], T_root_scanner: Mapping[str, Array], max_distance: float
 ) -> CrossScannerMatches:
-    """Matches the samples of all pairs of connected scanners.
+    """Matches the samples of all pairs of connected scanners that detected anything near each other.
 
     Args:
         samples: by scanner; those without a pose are left out.
@@ -47,11 +46,9 @@ def match_across_scanners(
     """
     names = [name for name in samples if name in T_root_scanner]
     distance = {name: np.full(len(samples[name].tick), np.inf) for name in names}
-    others_active = {name: np.zeros(len(samples[name].tick), dtype=np.bool_) for name in names}
     residuals = [np.zeros((0, 2))]
-    for a, b in itertools.combinations(names, 2):
+    for a, b in _list_near_scanners(names, samples, T_root_scanner, max_distance):
         both = pair_samples(samples[a], samples[b])
-        others_active[a][both.row_a] = others_active[b][both.row_b] = True
         offset = se2.apply(T_root_scanner[a], both.x_a) - se2.apply(T_root_scanner[b], both.x_b)
         d = np.linalg.norm(offset, axis=-1)
         matched = np.flatnonzero(d < max_distance)
@@ -60,7 +57,28 @@ def match_across_scanners(
         np.minimum.at(distance[b], both.row_b[matched], d[matched])
         residuals.append(_whiten(offset, both, matched, T_root_scanner[a], T_root_scanner[b]))
     pooled = np.concatenate(residuals)
+    ticks, scanners = np.unique(
+        np.concatenate([np.zeros(0, dtype=np.intp), *(np.unique(samples[name].tick) for name in names)]),
+        return_counts=True,
+    )
+    others_active = {name: np.isin(samples[name].tick, ticks[scanners > 1]) for name in names}
     return CrossScannerMatches(max_distance, distance, others_active, pooled[:: len(pooled) // _MAX_RESIDUALS + 1])
+
+
+def _list_near_scanners(
+    names: Sequence[str],
+    samples: Mapping[str, TrackSamples],
+    T_root_scanner: Mapping[str, Array],
+    max_distance: float,
+) -> Iterator[tuple[str, str]]:
+    """Pairs of scanners the bounding boxes of whose positions in the root frame are within a distance."""
+    names = [name for name in names if len(samples[name].tick)]
+    positions = [se2.apply(T_root_scanner[name], samples[name].positions) for name in names]
+    low = np.array([x.min(axis=0) for x in positions]).reshape(-1, 2) - max_distance
+    high = np.array([x.max(axis=0) for x in positions]).reshape(-1, 2)
+    for k, name in enumerate(names):
+        near = np.all((low[k + 1 :] <= high[k]) & (low[k] <= high[k + 1 :]), axis=1)
+        yield from ((name, names[k + 1 + other]) for other in np.flatnonzero(near).tolist())
 
 
 def _whiten(
