@@ -319,11 +319,9 @@ class ClockMountingSettings(StrictModel):
     pairs: Count = 2400
     """Simultaneous pairs on which poses are proposed and registered; bounds the time."""
     similarity_step: Positive = 0.4
-    """Step of the clock offsets at which tracks are compared in networks of more than 8 scanners, s, to select the
-    pairs that are searched: two tenths of a second change the similarity of tracks little."""
+    """Step of clock offsets at which tracks of more than 8 scanners are compared, s, to select searched pairs."""
     partners: Count = 8
-    """Pairs of each scanner that are searched then: those of the most similar tracks, with scanners that firm
-    pairs do not connect to it. A clock takes several pairs to confirm; where all agree, 5 are registered first."""
+    """Pairs of each scanner that are searched then: a clock takes several pairs to confirm."""
     pairs_of_part: Count = 100
     """Pairs that all scanners of a connected part select then; ten suffice to confirm a clock offset."""
     firm_evidence: Positive = 150.0
@@ -361,14 +359,12 @@ class CandidateSettings(StrictModel):
     """Pairs of each scanner with scanners of other parts that are registered where parts remain unconnected: most
     have fewer partners in view, and the number bounds the time of networks that people do not connect."""
     pairs_of_part: Count = 300
-    """Pairs with other parts that all scanners of a part select then: more than all pairs of two halves of 30
-    scanners. It bounds the time where a few of many scanners remain unconnected."""
+    """Pairs that all scanners of a part select then: more than all between two halves of 30 scanners."""
     stretch_duration: Positive = 3.0
     """Length of the stretches of trajectories that are compared, s: the shorter one of proposals."""
     kept_alignments: Count = 64
-    """Alignments of a stretch of a trajectory with others that are kept, those of the best fits: the number makes
-    the time linear in that of scanners. With 4 in a grid of 100 scanners, 97 % of the right pairs are selected
-    that are selected with all."""
+    """Best alignments of a stretch with others, which are kept: bounds the time of many scanners. With 4 in a grid
+    of 100, 97 % of the right pairs are selected that are selected with all."""
     compared_poses: Count = 8
     """Alignments of a pair with which all others are compared, those of the best fit: with 16, ranks are the
     same."""
