@@ -171,3 +171,20 @@ def test_candidates_do_not_depend_on_the_number_of_processes() -> None:
             np.testing.assert_array_equal(pair.T_a_b, other.T_a_b)
     assert done == sorted(done)
     assert done[-1] == 1
+
+
+def test_unclear_poses_imply_pairs_of_scanners_without_failures_only() -> None:
+    tracked, poses = observe_hall(np.random.default_rng(3))
+
+    def find(clear_evidence: float, max_unclear_tries: int) -> tuple[int, int]:
+        candidates = CandidateSettings(
+            partners=2, clear_evidence=clear_evidence, max_unclear_tries=max_unclear_tries
+        )
+        settings = ScannerPairSettings(candidates=candidates)
+        found = estimate_scanner_pairs(tracked, np.random.default_rng(0), settings=settings)
+        return len(found), len(count_right(found, poses))
+
+    registered, right = find(clear_evidence=1e9, max_unclear_tries=100)
+    assert find(clear_evidence=1e9, max_unclear_tries=1)[0] < registered
+    # Clear poses imply pairs whatever other pairs a scanner has tried.
+    assert find(clear_evidence=1e-9, max_unclear_tries=1) == (registered, right)

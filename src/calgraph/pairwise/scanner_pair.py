@@ -6,6 +6,7 @@ periods. Its truncation at the scanner's range, which mixes metres with Mahalano
 """
 
 import itertools
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -165,6 +166,9 @@ def _estimate_candidates(
     similarity = compute_track_similarity(samples, batch.settings)
     tried: dict[Ends, ScannerPairEstimate | Rejected] = {}
     poses: dict[Ends, Array] = {}
+    clear_poses: dict[Ends, Array] = {}
+    unclear_tries: Counter[int] = Counter()
+    implied: set[Ends] = set()
     wanted = select_similar_pairs(similarity, settings.partners)
     for rounds in itertools.count():
         if not wanted:
@@ -175,10 +179,21 @@ def _estimate_candidates(
         report = partial(_report_round, progress, rounds)
         found = dict(zip(pairs, batch.estimate(pairs, generators, report), strict=True))
         tried |= found
-        registered = {ends: pair.T_a_b for ends, pair in found.items() if isinstance(pair, ScannerPairEstimate)}
-        poses |= registered
-        wanted = select_implied_pairs(samples, poses, registered, tried, settings)
-        wanted = wanted or select_separated_pairs(similarity, poses, tried, settings)
+        registered = {ends: pair for ends, pair in found.items() if isinstance(pair, ScannerPairEstimate)}
+        poses |= {ends: pair.T_a_b for ends, pair in registered.items()}
+        clear = {
+            ends: pair.T_a_b
+            for ends, pair in registered.items()
+            if pair.hypotheses[0].weight_of_evidence(batch.settings.hypotheses) >= settings.clear_evidence
+        }
+        clear_poses |= clear
+        unclear_tries.update(end for ends in implied - set(clear) for end in ends)
+        implied = select_implied_pairs(samples, clear_poses, clear, tried, settings) | {
+            ends
+            for ends in select_implied_pairs(samples, poses, registered, tried, settings)
+            if max(unclear_tries[end] for end in ends) < settings.max_unclear_tries
+        }
+        wanted = implied or select_separated_pairs(similarity, poses, tried, settings)
     progress(1.0)
     return tried
 
