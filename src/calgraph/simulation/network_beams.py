@@ -7,10 +7,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.geometry import Array
+from calgraph.simulation.network_floor import Floor
 from calgraph.simulation.network_walks import SimulatedWalk
 
-_USUAL_MAX_SPEED = 4.0
+USUAL_MAX_SPEED = 4.0
 """Upper bound of the speed of bodies, m/s; faster ones have their measured one."""
+_SEGMENT_BATCH = 32
+"""Segments that are cast together, which then fit into the processor's cache."""
+_SEARCH_RADIUS = 8.0
+"""First radius in which walls are searched, m; it doubles for beams that hit none."""
 _SAME_POINT = 1e-6
 """A beam leaves a mirror farther than this from the point where it hit it, m."""
 
@@ -55,16 +60,32 @@ def cast_segments(origin: Array, angles: Array, segments: Array, start: Array | 
     Segments nearer than ``start`` (N,) do not count.
     """
     nearest = np.full(len(angles), np.inf)
-    c, s = np.cos(angles), np.sin(angles)
-    for a, b in segments - origin:
-        along = b - a
+    c, s, start = np.cos(angles)[:, None], np.sin(angles)[:, None], np.broadcast_to(start, len(angles))[:, None]
+    for first in range(0, len(segments), _SEGMENT_BATCH):
+        ends = segments[first : first + _SEGMENT_BATCH] - origin
+        a, along = ends[:, 0].T, (ends[:, 1] - ends[:, 0]).T
         # origin + r (c, s) = a + u along, by Cramer's rule.
         determinant = c * along[1] - s * along[0]
         determinant = np.where(np.abs(determinant) < 1e-12, np.nan, determinant)
         r = (a[0] * along[1] - a[1] * along[0]) / determinant
         u = (a[0] * s - a[1] * c) / determinant
         hit = (r > start) & (u >= 0) & (u <= 1)
-        nearest = np.where(hit, np.fmin(nearest, r), nearest)
+        nearest = np.minimum(nearest, np.where(hit, r, np.inf).min(axis=1))
+    return nearest
+
+
+def cast_walls(origin: Array, angles: Array, floor: Floor, start: Array | float = 0.0) -> Array:
+    """As :func:`cast_segments`, with the walls of a floor, of which those behind others are not looked at."""
+    nearest = np.full(len(angles), np.inf)
+    start = np.broadcast_to(start, len(angles))
+    beams, cast, radius = np.arange(len(angles)), np.zeros(0, dtype=np.intp), _SEARCH_RADIUS
+    while len(beams) and len(cast) < len(floor.segments):
+        near = floor.segment_index.near(origin - radius, origin + radius)
+        new = np.setdiff1d(near, cast, assume_unique=True)
+        found = cast_segments(origin, angles[beams], floor.segments[new], start[beams])
+        nearest[beams] = np.minimum(nearest[beams], found)
+        # What is not near is farther away than the radius.
+        beams, cast, radius = np.flatnonzero(nearest > radius), near, 2 * radius
     return nearest
 
 
@@ -121,16 +142,16 @@ def cast_polygons(
     return np.where((enter > 0) & (enter <= leave) & ~beside, enter, np.inf)
 
 
-def build_views(plane: ScanPlane, segments: Array, mirrors: Array, floor_distance: Array) -> tuple[View, ...]:
+def build_views(plane: ScanPlane, floor: Floor, mirrors: Array, floor_distance: Array) -> tuple[View, ...]:
     """The direct view of a scanner, and one by way of each mirror that it has in view.
 
     Args:
         plane: the beams.
-        segments: (S, 2, 2) of walls and obstacles, m.
+        floor: walls and obstacles.
         mirrors: (Q, 2, 2) end points of mirrors, m.
         floor_distance: (M,) where beams that fall reach the floor, m.
     """
-    static = np.minimum(cast_segments(plane.origin, plane.angles, segments), floor_distance)
+    static = np.minimum(cast_walls(plane.origin, plane.angles, floor), floor_distance)
     distances = [cast_segments(plane.origin, plane.angles, mirror[None]) for mirror in mirrors]
     end = np.minimum.reduce([static, *distances])
     views = [View(plane, np.arange(len(end)), np.zeros_like(end), end, np.where(end < static, np.inf, static))]
@@ -138,7 +159,7 @@ def build_views(plane: ScanPlane, segments: Array, mirrors: Array, floor_distanc
         beams = np.flatnonzero((distance <= end) & (distance < static))
         if len(beams):
             image, start = _reflect(plane, beams, mirror), distance[beams] + _SAME_POINT
-            beyond = cast_segments(image.origin, image.angles, segments, start)
+            beyond = cast_walls(image.origin, image.angles, floor, start)
             beyond = np.minimum(beyond, floor_distance[beams])
             views.append(View(image, beams, start, beyond, beyond))
     return tuple(views)
@@ -199,7 +220,7 @@ def _beams_near(
     x, y = (centers - plane.origin).T
     distance = np.hypot(x, y)
     level = walk.section is None or plane.cuts_at(walk.section.height)
-    reach = (walk.reach if level else walk.full_reach) + max(walk.max_speed, _USUAL_MAX_SPEED) * (last - first) / 2
+    reach = (walk.reach if level else walk.full_reach) + max(walk.max_speed, USUAL_MAX_SPEED) * (last - first) / 2
     near = np.flatnonzero((last >= walk.start) & (distance < max_range + reach))
     # The tangents to the circle that holds the body during the scan; all beams if the scanner is inside it.
     half = np.arcsin(np.minimum(reach[near] / np.maximum(distance[near], 1e-9), 1)) + 1e-6

@@ -12,11 +12,14 @@ from scipy.sparse.csgraph import dijkstra
 
 from calgraph.errors import InputError
 from calgraph.geometry import Array
+from calgraph.simulation.floor_index import BoxIndex, group_by_tile, index_polygons
 
 _CELL = 0.2
 """Edge of the cells in which paths are planned, m."""
 _BATCH = 500
 """Points per batch of distances, which then fits into the processor's cache."""
+_SEARCH_RADIUS = 4.0
+"""First radius in which walls are searched, m; it doubles until the nearest one is certain."""
 _STEPS = np.array([(0, 1), (1, 0), (1, 1), (1, -1)])
 """Half of the eight neighbours of a cell; the other half follows by symmetry."""
 
@@ -38,16 +41,45 @@ class Floor:
         polygons = [*([self.outline] if self.walled else []), *self.obstacles]
         return np.concatenate([polygon_sides(p) for p in polygons]) if polygons else np.zeros((0, 2, 2))
 
+    @cached_property
+    def segment_index(self) -> BoxIndex:
+        """Of ``segments``."""
+        return index_polygons(self.segments)
+
+    @cached_property
+    def _edges(self) -> Array:
+        """(E, 2, 2) sides of the outline and of all obstacles, m."""
+        return np.concatenate([polygon_sides(polygon) for polygon in (self.outline, *self.obstacles)])
+
+    @cached_property
+    def _edge_index(self) -> BoxIndex:
+        return index_polygons(self._edges)
+
+    @cached_property
+    def _obstacle_index(self) -> BoxIndex:
+        return index_polygons(self.obstacles)
+
     def clearance(self, points: Array) -> Array:
         """Distances (N,) of points (N, 2) from obstacles and the outline, m; negative inside or beyond them."""
-        edges = np.concatenate(
-            [polygon_sides(self.outline), *(polygon_sides(polygon) for polygon in self.obstacles)]
-        )
-        distance = distance_to_segments(points, edges)
+        distance = np.empty(len(points))
         outside = ~points_inside(self.outline, points)
-        for polygon in self.obstacles:
-            outside |= points_inside(polygon, points)
+        for tile in group_by_tile(points):
+            here = points[tile]
+            distance[tile] = self._distance_to_edges(here)
+            for k in self._obstacle_index.near(here.min(axis=0), here.max(axis=0)):
+                outside[tile] |= points_inside(self.obstacles[k], here)
         return np.where(outside, -distance, distance)
+
+    def _distance_to_edges(self, points: Array) -> Array:
+        """Distances (N,) of points (N, 2) that are near to each other from the nearest edge, m."""
+        low, high, radius = points.min(axis=0), points.max(axis=0), _SEARCH_RADIUS
+        while True:
+            near = self._edge_index.near(low - radius, high + radius)
+            distance = distance_to_segments(points, self._edges[near])
+            # Edges that were left out are farther away than the radius from all points.
+            if distance.max() <= radius or len(near) == len(self._edges):
+                return distance
+            radius *= 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,8 +92,8 @@ class FreeSpace:
     """(columns, rows) distance of each cell's centre from obstacles, m."""
     free: NDArray[np.bool_]
     """(columns, rows) cells that a body's centre may be in: one connected region."""
-    graph: csr_array
-    """Costs of the steps between neighbouring free cells, by flat index."""
+    min_clearance: float
+    """Of those cells, m."""
 
     def cells(self, points: Array) -> NDArray[np.intp]:
         """(..., 2) cells of points (..., 2); points beyond the floor are clipped to the outermost cells."""
@@ -76,24 +108,75 @@ class FreeSpace:
 
     def nearest_free(self, point: Array) -> Array:
         """(2,) the centre of the free cell nearest to a point (2,)."""
-        centers = self.corner + _CELL * np.argwhere(self.free)
-        return np.asarray(centers[np.argmin(np.linalg.norm(centers - point, axis=1))])
+        radius = _SEARCH_RADIUS
+        while True:
+            low, high = self._window(point - radius, point + radius)
+            centers = self.corner + _CELL * (low + np.argwhere(self.free[low[0] : high[0], low[1] : high[1]]))
+            distances = np.linalg.norm(centers - point, axis=1)
+            # Cells beyond the window are farther away than the radius, less half a cell.
+            if distances.min(initial=np.inf) < radius - _CELL or (high - low == self.free.shape).all():
+                return np.asarray(centers[np.argmin(distances)])
+            radius *= 2
 
     def random_place(self, rng: np.random.Generator) -> Array:
         """(2,) the centre of a free cell."""
-        return np.asarray(self.corner + _CELL * rng.choice(np.argwhere(self.free)))
+        return np.asarray(self.corner + _CELL * rng.choice(self._free_cells))
 
-    def plan_path(self, start: Array, goal: Array) -> Array:
-        """(L, 2) the centres of the cells of a shortest path between two points on the floor."""
-        first, last = (
-            int(np.ravel_multi_index(self.cells(self.nearest_free(p)), self.free.shape)) for p in (start, goal)
-        )
+    def random_place_near(self, point: Array, distance: float, rng: np.random.Generator) -> Array:
+        """(2,) the centre of a free cell that is at most ``distance``, m, away from a free point (2,) in x and y."""
+        low, high = self._window(point - distance, point + distance)
+        cells = low + np.argwhere(self.free[low[0] : high[0], low[1] : high[1]])
+        return np.asarray(self.corner + _CELL * rng.choice(cells))
+
+    def plan_path(self, start: Array, goal: Array, detour: float = np.inf) -> Array:
+        """(L, 2) the centres of the cells of a shortest path between two points on the floor.
+
+        Args:
+            start: (2,) m.
+            goal: (2,) m.
+            detour: how far beyond both points paths are searched first, m. Where none leads from one to the other,
+                it doubles. Without a limit the whole floor is searched, which costs as much as the floor is large.
+        """
+        first, last = (self.cells(self.nearest_free(point)) for point in (start, goal))
+        while True:
+            low, high = self._window(np.minimum(start, goal) - detour, np.maximum(start, goal) + detour)
+            cells = self._plan_in_window(first, last, low, high)
+            if cells is not None:
+                return np.asarray(self.corner + _CELL * cells)
+            detour *= 2
+
+    def _window(self, low: Array, high: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """(2,) the first cell, and the one past the last, of a box on the floor, which may be infinite."""
+        beyond = _CELL * np.array(self.free.shape) + np.abs(self.corner)
+        return self.cells(np.clip(low, -beyond, None)), self.cells(np.clip(high, None, self.corner + beyond)) + 1
+
+    def _plan_in_window(
+        self, first: NDArray[np.intp], last: NDArray[np.intp], low: NDArray[np.intp], high: NDArray[np.intp]
+    ) -> NDArray[np.intp] | None:
+        """(L, 2) the cells of a shortest path within a window, or None."""
+        whole = bool((high - low == self.free.shape).all())
+        free = self.free[low[0] : high[0], low[1] : high[1]]
+        clearance = self.clearance[low[0] : high[0], low[1] : high[1]]
+        graph = self._graph if whole else _build_graph(free, clearance, self.min_clearance)
+        here, target = (int(np.ravel_multi_index(cell - low, free.shape)) for cell in (first, last))
         # Computed from the goal, so that following the predecessors leads forwards.
-        _, predecessors = dijkstra(self.graph, directed=False, indices=last, return_predecessors=True)
-        flat = [first]
-        while flat[-1] != last:
+        _, predecessors = dijkstra(graph, directed=False, indices=target, return_predecessors=True)
+        if here != target and predecessors[here] < 0:
+            return None
+        flat = [here]
+        while flat[-1] != target:
             flat.append(int(predecessors[flat[-1]]))
-        return np.asarray(self.corner + _CELL * np.stack(np.unravel_index(flat, self.free.shape), axis=1))
+        return np.asarray(low + np.stack(np.unravel_index(flat, free.shape), axis=1))
+
+    @cached_property
+    def _free_cells(self) -> NDArray[np.intp]:
+        """(F, 2) all free cells."""
+        return np.argwhere(self.free)
+
+    @cached_property
+    def _graph(self) -> csr_array:
+        """Costs of the steps between neighbouring free cells, by flat index."""
+        return _build_graph(self.free, self.clearance, self.min_clearance)
 
 
 def find_free_space(floor: Floor, min_clearance: float, keep_off: Array) -> FreeSpace:
@@ -112,10 +195,18 @@ def find_free_space(floor: Floor, min_clearance: float, keep_off: Array) -> Free
     shape = (len(axes[0]), len(axes[1]))
     centers = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
     clearance = floor.clearance(centers)
+    clearance, grid = clearance.reshape(shape), centers.reshape(*shape, 2)
+    most = float(clearance.max())
     for x, y, radius in keep_off:
-        # A circle acts as a wall at the distance that makes both minimum distances equal.
-        clearance = np.minimum(clearance, np.linalg.norm(centers - (x, y), axis=1) - radius + min_clearance)
-    clearance = clearance.reshape(shape)
+        # A circle acts as a wall at the distance that makes both minimum distances equal; farther than this away it
+        # makes no difference.
+        reach = most + radius
+        near = tuple(
+            slice(*np.searchsorted(axis, [middle - reach - _CELL, middle + reach + _CELL]))
+            for axis, middle in zip(axes, (x, y), strict=True)
+        )
+        off = np.linalg.norm(grid[near] - (x, y), axis=-1)
+        clearance[near] = np.minimum(clearance[near], off - radius + min_clearance)
     regions, _ = label(clearance >= min_clearance, structure=np.ones((3, 3)))
     sizes = np.bincount(regions.ravel())
     sizes[0] = 0
@@ -124,7 +215,7 @@ def find_free_space(floor: Floor, min_clearance: float, keep_off: Array) -> Free
         raise InputError(
             f"people.clearance: no free space remains {min_clearance:.2f} m away from all obstacles; take less"
         )
-    return FreeSpace(centers[0], clearance, free, _build_graph(free, clearance, min_clearance))
+    return FreeSpace(centers[0], clearance, free, min_clearance)
 
 
 def polygon_sides(polygon: Array) -> Array:

@@ -7,7 +7,14 @@ import numpy as np
 
 from calgraph.errors import InputError
 from calgraph.geometry import Array
-from calgraph.simulation.network_floor import Floor, polygon_sides, rectangle
+from calgraph.simulation.floor_index import BoxIndex
+from calgraph.simulation.network_floor import (
+    Floor,
+    distance_to_segments,
+    points_inside,
+    polygon_sides,
+    rectangle,
+)
 from calgraph.simulation.network_scenario import NetworkScenario
 
 _WALL_OFFSET = 0.5
@@ -209,16 +216,28 @@ def _place_furniture(plan: Layout, count: int, rng: np.random.Generator) -> list
     """
     scanners = np.column_stack([plan.mounts[:, :2], np.full(len(plan.mounts), _MIN_VIEW_DISTANCE)])
     clear = np.concatenate([scanners, plan.keep_clear])
-    floor, pieces = plan.floor, list[Array]()
+    pieces, placed = list[Array](), BoxIndex()
     for _ in range(20 * count if len(plan.furniture_areas) else 0):
         if len(pieces) == count:
             break
         low_x, low_y, high_x, high_y = plan.furniture_areas[rng.integers(len(plan.furniture_areas))]
         center = rng.uniform((low_x, low_y), (high_x, high_y))
         size = rng.uniform(0.08, 0.25, 2) if rng.random() < _THIN_FRACTION else rng.uniform(0.4, 1.4, 2)
-        gap = replace(floor, obstacles=(*floor.obstacles, *pieces)).clearance(center[None])[0]
         reach = 0.5 * float(np.hypot(*size))
+        room = reach + _MIN_PASSAGE
+        near = [pieces[k] for k in placed.near(center - room, center + room)]
+        gap = min(plan.floor.clearance(center[None])[0], _distance_to_polygons(center, near))
         away = np.linalg.norm(clear[:, :2] - center, axis=1) - clear[:, 2]
-        if gap > reach + _MIN_PASSAGE and away.min() > reach:
-            pieces.append(rectangle(center, size, rng.uniform(0, np.pi)))
+        if gap > room and away.min() > reach:
+            piece = rectangle(center, size, rng.uniform(0, np.pi))
+            placed.add(piece.min(axis=0), piece.max(axis=0))
+            pieces.append(piece)
     return pieces
+
+
+def _distance_to_polygons(point: Array, polygons: Sequence[Array]) -> float:
+    """Distance of a point (2,) from the nearest polygon, m; 0 inside."""
+    if any(points_inside(polygon, point[None])[0] for polygon in polygons):
+        return 0.0
+    sides = [polygon_sides(polygon) for polygon in polygons]
+    return float(distance_to_segments(point[None], np.concatenate(sides))[0]) if sides else np.inf

@@ -184,13 +184,13 @@ def _beam_angles(options: ScannerOptions) -> Array:
 def _add_errors(
     scanners: list[StationaryScanner], scenario: NetworkScenario, root: str, rng: np.random.Generator
 ) -> tuple[StationaryScanner, ...]:
-    errors, count = scenario.errors, len(scanners)
+    errors, count, names = scenario.errors, len(scanners), scenario.names
     # Everything is drawn whether or not it is used, so that each error is the same beside any other.
     low, high = norm.cdf([-_MAX_DEVIATIONS, _MAX_DEVIATIONS]).tolist()
     bias, range_scale, angle_scale, drift, *tilts = norm.ppf(rng.uniform(low, high, (6, count)))
     heights = rng.uniform(-1, 1, count)
-    drift[scenario.names.index(root)] = 0.0
-    others = rng.permutation([k for k in range(count) if scenario.names[k] != root])
+    drift[names.index(root)] = 0.0
+    others = rng.permutation([k for k in range(count) if names[k] != root])
     inverted = others[: errors.inverted]
     bumped = int(rng.integers(count))
     step = _draw_step(errors, rng)

@@ -5,8 +5,9 @@ separate random generator, so that its scans do not depend on what else is simul
 """
 
 import heapq
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
 
@@ -17,14 +18,14 @@ from calgraph.geometry import Array, se2, se3
 from calgraph.io import save_yaml
 from calgraph.recording.writer import RecordingWriter
 from calgraph.sensors import LaserScan
-from calgraph.simulation.network_beams import ScanPlane, build_views, simulate_true_ranges
+from calgraph.simulation.network_beams import USUAL_MAX_SPEED, ScanPlane, View, build_views, simulate_true_ranges
 from calgraph.simulation.network_floor import Floor, FreeSpace, find_free_space
 from calgraph.simulation.network_furniture import CHAIR_REACH, move_chairs, place_chairs, place_mirrors
 from calgraph.simulation.network_layouts import build_layout
 from calgraph.simulation.network_people import build_bodies, form_parties, separate_people
 from calgraph.simulation.network_scanners import StationaryScanner, build_scanners
 from calgraph.simulation.network_scenario import NetworkScenario, ScannerOptions
-from calgraph.simulation.network_walks import Party, SimulatedWalk, body_clearance, draw_walks
+from calgraph.simulation.network_walks import BodyIndex, Party, SimulatedWalk, body_clearance, draw_walks
 from calgraph.simulation.scanners import add_mixed_pixels
 from calgraph.simulation.truth import GroundTruth, PersonTruth, save_truth
 
@@ -53,6 +54,24 @@ class SimulatedNetwork:
     """What beams hit of them and of chairs."""
     mirrors: Array
     """(Q, 2, 2) end points of mirrors, m."""
+
+    @cached_property
+    def _body_index(self) -> BodyIndex:
+        return BodyIndex(self.bodies)
+
+    @cached_property
+    def _max_speed(self) -> float:
+        """Of all bodies, m/s."""
+        return max((body.max_speed for body in self.bodies), default=0.0)
+
+    def find_bodies(self, views: Sequence[View], times: Array, max_range: float) -> list[SimulatedWalk]:
+        """The bodies that scans (C, M) at ``times`` may hit, and some others."""
+        if not len(times):
+            return []
+        # Bodies move while a scan lasts.
+        margin = max(self._max_speed, USUAL_MAX_SPEED) * float((times[:, -1] - times[:, 0]).max())
+        places = np.array([view.plane.origin for view in views])
+        return self._body_index.near(places, max_range + margin, float(times[0, 0]), float(times[-1, -1]))
 
 
 def build_network(scenario: NetworkScenario, seed: int) -> SimulatedNetwork:
@@ -169,10 +188,15 @@ def simulate_scans(network: SimulatedNetwork, scanner: StationaryScanner) -> Ite
     starts: Array = scanner.phase + scanner.period * np.arange(_scan_count(scenario, scanner), dtype=np.float64)
     stamps = scenario.start_time + starts + scanner.clock_offset
     stamps += scanner.clock_drift * (starts - scenario.duration / 2)
+    before, views = None, tuple[View, ...]()
     for first, last, T_world_scanner in _batches(scanner, starts):
-        plane, times = scanner.plane_at(T_world_scanner), starts[first:last, None] + within
-        views = build_views(plane, network.floor.segments, network.mirrors, _floor_distance(plane, scenario))
-        true = simulate_true_ranges(views, times, network.bodies, options.max_range)
+        if T_world_scanner is not before:
+            plane = scanner.plane_at(T_world_scanner)
+            views = build_views(plane, network.floor, network.mirrors, _floor_distance(plane, scenario))
+            before = T_world_scanner
+        times = starts[first:last, None] + within
+        bodies = network.find_bodies(views, times, options.max_range)
+        true = simulate_true_ranges(views, times, bodies, options.max_range)
         true = (1 + scanner.range_scale) * scanner.stretch * true + scanner.range_bias
         for stamp, ranges in zip(stamps[first:last], _simulate_measured_ranges(true, options, rng), strict=True):
             yield LaserScan(float(stamp), scanner.name, scanner.angles, ranges, scanner.time_increment)

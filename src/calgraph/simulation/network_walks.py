@@ -15,6 +15,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from calgraph.errors import InputError
 from calgraph.geometry import Array
+from calgraph.simulation.floor_index import BoxIndex
 from calgraph.simulation.network_floor import FreeSpace
 from calgraph.simulation.network_scenario import PeopleOptions
 
@@ -36,6 +37,10 @@ _CANDIDATE_TURNS = np.radians([0, -15, 15, -30, 30, -50, 50, -75, 75, -105, 105,
 """Directions of candidate velocities relative to the wanted one, rad."""
 _CANDIDATE_SPEEDS = np.array([1.0, 0.7, 0.35])
 """Speeds of candidate velocities relative to the walker's."""
+_HEEDED_DISTANCE = 6.0
+"""Walkers farther apart do not heed each other, m."""
+_INDEX_INTERVAL = 5.0
+"""Of the times in which bodies are indexed, s: walkers stay within some metres."""
 _GOAL_RADIUS = 0.5
 """A goal is reached within this distance, m."""
 _MAX_STUCK_TIME = 2.5
@@ -120,6 +125,74 @@ class SimulatedWalk:
         return first, np.where(present, sample - first, np.nan)
 
 
+@dataclass(frozen=True, eq=False)
+class BodyIndex:
+    """Which bodies are near to a place during some time."""
+
+    bodies: tuple[SimulatedWalk, ...]
+
+    @cached_property
+    def _intervals(self) -> list[BoxIndex]:
+        """Where the bodies are in each interval of time, and how far they reach; those that are absent, nowhere."""
+        ends = [body.start + SAMPLE_INTERVAL * len(body.positions) for body in self.bodies]
+        intervals = [BoxIndex() for _ in range(int(max(ends, default=0.0) / _INDEX_INTERVAL) + 1)]
+        for k, interval in enumerate(intervals):
+            for body in self.bodies:
+                first, last = ((k + i) * _INDEX_INTERVAL - body.start for i in (0, 1))
+                begin, end = (round(time / SAMPLE_INTERVAL) for time in (first, last))
+                places = body.positions[max(begin - 1, 0) : max(end + 2, 0)]
+                if len(places):
+                    interval.add(places.min(axis=0) - body.full_reach, places.max(axis=0) + body.full_reach)
+                else:
+                    interval.skip()
+        return intervals
+
+    def near(self, places: Array, distance: float, first: float, last: float) -> list[SimulatedWalk]:
+        """The bodies that are near to one of some places between two times, and some others, in order.
+
+        Args:
+            places: (P, 2) m.
+            distance: from a place to the nearest point of the body, m.
+            first: s from the start of the recording.
+            last: s.
+        """
+        intervals = self._intervals[int(first / _INDEX_INTERVAL) : int(last / _INDEX_INTERVAL) + 1]
+        found = [one.near(place - distance, place + distance) for one in intervals for place in places]
+        return [self.bodies[k] for k in np.unique(np.concatenate(found))] if found else []
+
+
+class _Crowd:
+    """The walkers by the square cells they are in."""
+
+    def __init__(self) -> None:
+        self.walkers: list[_Walker] = []
+        self._cells: dict[tuple[int, int], list[int]] = {}
+
+    def add(self, walker: "_Walker") -> None:
+        """Adds a walker at its place."""
+        self._cells.setdefault(_crowd_cell(walker.position), []).append(len(self.walkers))
+        self.walkers.append(walker)
+
+    def move(self, number: int, position: Array) -> None:
+        """Moves a walker to a place (2,)."""
+        walker = self.walkers[number]
+        before, after = _crowd_cell(walker.position), _crowd_cell(position)
+        if after != before:
+            self._cells[before].remove(number)
+            self._cells.setdefault(after, []).append(number)
+        walker.position = position
+
+    def near(self, position: Array) -> "list[_Walker]":
+        """All within the distance at which walkers heed each other, and some beyond, in order."""
+        i, j = _crowd_cell(position)
+        cells = [(i + x, j + y) for x in (-1, 0, 1) for y in (-1, 0, 1)]
+        return [self.walkers[k] for k in sorted(k for cell in cells for k in self._cells.get(cell, ()))]
+
+
+def _crowd_cell(position: Array) -> tuple[int, int]:
+    return int(position[0] // _HEEDED_DISTANCE), int(position[1] // _HEEDED_DISTANCE)
+
+
 @dataclass
 class _Walker:
     """State of one person during the simulation."""
@@ -131,6 +204,8 @@ class _Walker:
     speed: float
     stations: Array
     """(K, 2) goals in order, or none."""
+    trip: float
+    """Distance within which random goals are drawn, and beyond which paths go around only where they must, m."""
     position: Array
     velocity: Array = field(default_factory=lambda: np.zeros(2))
     path: Array = field(default_factory=lambda: np.zeros((0, 2)))
@@ -161,6 +236,7 @@ def draw_walks(
     start: float,
     end: float,
     rng: np.random.Generator,
+    trip: float = np.inf,
 ) -> tuple[SimulatedWalk, ...]:
     """Draws the walks of all parties, with radii of one person each.
 
@@ -172,25 +248,25 @@ def draw_walks(
         start: s from the start of the recording.
         end: s.
         rng: draws everything random.
+        trip: distance within which random goals are drawn, along each axis, m.
 
     Raises:
         InputError: the floor is too small for all of them.
     """
-    walkers = _init_walkers(parties, stations, people, rng)
+    crowd = _init_walkers(parties, stations, people, trip, rng)
     steps = int(np.ceil((end - start) / _DECISION_INTERVAL)) + 2
-    places = np.empty((steps, len(walkers), 2))
+    places = np.empty((steps, len(parties), 2))
     for step in range(steps):
-        for walker in walkers:
-            _advance(walker, walkers, people, step * _DECISION_INTERVAL, rng)
-        for k, walker in enumerate(walkers):
-            places[step, k] = walker.position
-    return tuple(_smooth_walk(walker.axes, places[:, k], start) for k, walker in enumerate(walkers))
+        for k in range(len(parties)):
+            _advance(crowd, k, people, step * _DECISION_INTERVAL, rng)
+        places[step] = [walker.position for walker in crowd.walkers]
+    return tuple(_smooth_walk(walker.axes, places[:, k], start) for k, walker in enumerate(crowd.walkers))
 
 
 def _init_walkers(
-    parties: Sequence[Party], stations: Array, people: PeopleOptions, rng: np.random.Generator
-) -> list[_Walker]:
-    walkers: list[_Walker] = []
+    parties: Sequence[Party], stations: Array, people: PeopleOptions, trip: float, rng: np.random.Generator
+) -> _Crowd:
+    crowd = _Crowd()
     for k, party in enumerate(parties):
         free_space = party.free_space
         scale = 1 + rng.uniform(-people.axes_spread, people.axes_spread, 2)
@@ -203,15 +279,15 @@ def _init_walkers(
             if all(
                 np.linalg.norm(place - other.position)
                 > _min_center_distance(people, party.reach + other.reach) + 0.2
-                for other in walkers
+                for other in crowd.near(place)
             ):
                 break
             place = free_space.random_place(rng)
         else:
-            raise InputError(f"people.count: {len(parties)} do not fit on the floor, only {len(walkers)} do")
+            raise InputError(f"people.count: {len(parties)} do not fit on the floor, only {len(crowd.walkers)} do")
         speed = people.speed * (1 + rng.uniform(-people.speed_spread, people.speed_spread))
-        walkers.append(_Walker(axes, party.reach, free_space, speed, order, place))
-    return walkers
+        crowd.add(_Walker(axes, party.reach, free_space, speed, order, trip, place))
+    return crowd
 
 
 def _min_center_distance(people: PeopleOptions, reaches: float) -> float:
@@ -219,14 +295,9 @@ def _min_center_distance(people: PeopleOptions, reaches: float) -> float:
     return reaches + people.clearance + _SMOOTHING_MARGIN
 
 
-def _advance(
-    walker: _Walker,
-    walkers: Sequence[_Walker],
-    people: PeopleOptions,
-    now: float,
-    rng: np.random.Generator,
-) -> None:
+def _advance(crowd: _Crowd, number: int, people: PeopleOptions, now: float, rng: np.random.Generator) -> None:
     """Moves one person by one step."""
+    walker = crowd.walkers[number]
     if now < walker.stopped_until:
         walker.velocity = np.zeros(2)
         return
@@ -237,20 +308,21 @@ def _advance(
         or walker.stuck_time > _MAX_STUCK_TIME
         or np.linalg.norm(walker.path[-1] - walker.position) < _GOAL_RADIUS
     ):
-        walker.path, walker.stuck_time = (
-            walker.free_space.plan_path(walker.position, _next_goal(walker, rng)),
-            0.0,
-        )
+        goal = _next_goal(walker, rng)
+        walker.path = walker.free_space.plan_path(walker.position, goal, walker.trip)
+        walker.stuck_time = 0.0
     wanted = _wanted_direction(walker)
-    others = [other for other in walkers if other is not walker]
+    others = [other for other in crowd.near(walker.position) if other is not walker]
     walker.velocity = _choose_velocity(walker, wanted, others, people)
-    walker.position = walker.position + _DECISION_INTERVAL * walker.velocity
+    crowd.move(number, walker.position + _DECISION_INTERVAL * walker.velocity)
     slow = np.linalg.norm(walker.velocity) < 0.3 * walker.speed
     walker.stuck_time = walker.stuck_time + _DECISION_INTERVAL if slow else 0.0
 
 
 def _next_goal(walker: _Walker, rng: np.random.Generator) -> Array:
     if len(walker.stations) == 0 or walker.stuck_time > _MAX_STUCK_TIME:
+        if np.isfinite(walker.trip):
+            return walker.free_space.random_place_near(walker.position, walker.trip, rng)
         return walker.free_space.random_place(rng)
     walker.visited += 1
     station = walker.stations[walker.visited % len(walker.stations)]
@@ -287,7 +359,7 @@ def _choose_velocity(walker: _Walker, wanted: Array, others: Sequence[_Walker], 
     forbidden = blocked[0] & (free_space.clearance_at(ahead[0]) <= now_room)
     cost += walker.speed * (_WALL_COSTS[:, None] * blocked).max(axis=0)
     for other in others:
-        if np.linalg.norm(other.position - walker.position) > 6:
+        if np.linalg.norm(other.position - walker.position) > _HEEDED_DISTANCE:
             continue
         gaps = np.linalg.norm(ahead - other.position - _LOOKAHEAD_TIMES[:, None, None] * other.velocity, axis=-1)
         distance = _min_center_distance(people, walker.reach + other.reach)
