@@ -1,13 +1,14 @@
 """The buildings of simulated networks: floors with furniture, scanners and stations."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from calgraph.errors import InputError
 from calgraph.geometry import Array
 from calgraph.simulation.floor_index import BoxIndex
+from calgraph.simulation.network_building import lay_out_building
 from calgraph.simulation.network_floor import (
     Floor,
     distance_to_segments,
@@ -15,6 +16,7 @@ from calgraph.simulation.network_floor import (
     polygon_sides,
     rectangle,
 )
+from calgraph.simulation.network_plan import Layout, wall
 from calgraph.simulation.network_scenario import NetworkScenario
 
 _WALL_OFFSET = 0.5
@@ -29,21 +31,6 @@ _MIN_PASSAGE = 0.9
 """Minimum width between furniture, and from it to walls, m: wide enough for one person."""
 _THIN_FRACTION = 0.3
 """Fraction of the furniture that is thin."""
-
-
-@dataclass(frozen=True, eq=False)
-class Layout:
-    """A building with its scanners."""
-
-    floor: Floor
-    mounts: Array
-    """(N, 3) x, y, m, and yaw, rad, of the scanners."""
-    stations: Array
-    """(K, 2) goals that people walk to one after the other, m; without any, goals are random."""
-    furniture_areas: Array
-    """(A, 4) rectangles for furniture: x and y of the lower left, then of the upper right corner, m."""
-    keep_clear: Array
-    """(C, 3) circles without furniture, such as doorways: x, y, radius, m."""
 
 
 def build_layout(scenario: NetworkScenario, rng: np.random.Generator) -> Layout:
@@ -98,8 +85,8 @@ def _halls(scenario: NetworkScenario) -> Layout:
     """
     outline = rectangle((13.0, 13.0), (26.0, 26.0))
     walls = (
-        _wall((0, 3.4), (1.5, 3.4)), _wall((4.5, 3.4), (21.5, 3.4)), _wall((24.5, 3.4), (26, 3.4)),
-        _wall((15, 3.4), (15, 19)), _wall((15, 23), (15, 26)),
+        wall((0, 3.4), (1.5, 3.4)), wall((4.5, 3.4), (21.5, 3.4)), wall((24.5, 3.4), (26, 3.4)),
+        wall((15, 3.4), (15, 19)), wall((15, 23), (15, 26)),
     )  # fmt: skip
     mounts = np.array([(5.0, 20.0, -0.9), (21.5, 20.0, -2.2), (0.6, 1.6, 0.4), (25.4, 1.6, 2.7)])
     stations = np.array(
@@ -142,7 +129,7 @@ def _grid(scenario: NetworkScenario) -> Layout:
     posts = [rectangle(corner, (0.5, 0.5)) for corner in corners]
     # Every second bay has a wall to its right neighbour over half of the side.
     walls = [
-        _wall((x * pitch, y * pitch), (x * pitch, (y + 0.5) * pitch))
+        wall((x * pitch, y * pitch), (x * pitch, (y + 0.5) * pitch))
         for x in range(1, columns)
         for y in range(rows)
         if (x + y) % 2
@@ -150,8 +137,13 @@ def _grid(scenario: NetworkScenario) -> Layout:
     return _fully_furnished(Floor(rectangle(size / 2, size), True, (*posts, *walls)), mounts)
 
 
+def _building(scenario: NetworkScenario) -> Layout:
+    return lay_out_building(scenario.scanner.count)
+
+
 _LAYOUT_BUILDERS = {
     "ring": _ring, "office": _office, "semicircle": _semicircle, "lab": _lab, "halls": _halls, "grid": _grid,
+    "building": _building,
 }  # fmt: skip
 
 
@@ -183,12 +175,6 @@ def _mounts_along_walls(outline: Array, count: int) -> Array:
     into = np.clip(at - starts[side], 1.5 * _WALL_OFFSET, lengths[side] - 1.5 * _WALL_OFFSET)
     places = edges[side, 0] + into[:, None] * along + _WALL_OFFSET * inwards
     return np.column_stack([places, np.arctan2(inwards[:, 1], inwards[:, 0])])
-
-
-def _wall(a: Sequence[float], b: Sequence[float], thickness: float = 0.15) -> Array:
-    """(4, 2) a straight wall from a to b."""
-    along = np.subtract(b, a)
-    return rectangle(np.add(a, b) / 2, (float(np.hypot(*along)), thickness), float(np.arctan2(along[1], along[0])))
 
 
 def _jitter_mounts(plan: Layout, scenario: NetworkScenario, rng: np.random.Generator) -> Array:

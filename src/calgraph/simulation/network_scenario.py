@@ -8,18 +8,20 @@ from pydantic import BaseModel, Field, model_validator
 from calgraph.config.strict_model import StrictModel, invalid
 from calgraph.simulation.rig_scenario import Count, NotNegative, Positive, Probability, Rate, Resolution, Stamp
 
-LayoutName = Literal["ring", "office", "semicircle", "lab", "halls", "grid"]
+LayoutName = Literal["ring", "office", "semicircle", "lab", "halls", "grid", "building"]
 AtLeastOne = Annotated[int, Field(ge=1, le=1000)]
 
 _MAX_HALLS_SCANNERS = 4
 """Mounts of the layout "halls": two in the halls, two in the corridor."""
+MIN_BUILDING_SCANNERS = 8
+"""Of the layout "building": six in the corridors on either side of a hall, and two in it."""
 
 
 class ScannerOptions(StrictModel):
     """The stationary 2-D scanners; defaults are the office's, and differ from layout to layout."""
 
-    count: Annotated[int, Field(ge=2, le=1000)] = 6
-    """How many; halls have four."""
+    count: Annotated[int, Field(ge=2, le=10_000)] = 6
+    """How many; halls have four, a building at least eight."""
     rate: Rate = 15.0
     """Scans per second."""
     rate_tolerance: Annotated[float, Field(ge=0, lt=0.5)] = 0.001
@@ -190,7 +192,8 @@ class NetworkScenario(StrictModel):
     """
 
     layout: LayoutName = "office"
-    """ring, office, semicircle and halls are the paper's, lab its L-shaped one; grid is for any number."""
+    """ring, office, semicircle and halls are the paper's, lab its L-shaped one; grid and building, which has
+    corridors, halls and offices, are for any number of scanners."""
     ring_diameter: Positive = 60.0
     """Of the circle of the ring's scanners, m; at 60 the cuboid in its middle is out of a range of 20 m."""
     grid_spacing: Annotated[float, Field(ge=3)] = 7.0
@@ -212,6 +215,8 @@ class NetworkScenario(StrictModel):
     """s, the background included."""
     start_time: Stamp = 1_700_000_000.0
     """Stamp at the start of the recording, s."""
+    max_file_duration: NotNegative = 0.0
+    """Of one file of the recording, s, as of `ros2 bag record --max-bag-duration`; 0 for a single file."""
 
     @model_validator(mode="before")
     @classmethod
@@ -227,6 +232,11 @@ class NetworkScenario(StrictModel):
         if self.layout == "halls" and self.scanner.count > _MAX_HALLS_SCANNERS:
             raise invalid(
                 "scanner.count", f"halls have places for {_MAX_HALLS_SCANNERS}, got {self.scanner.count}"
+            )
+        if self.layout == "building" and self.scanner.count < MIN_BUILDING_SCANNERS:
+            raise invalid(
+                "scanner.count",
+                f"of a building must be at least {MIN_BUILDING_SCANNERS}, got {self.scanner.count}",
             )
         if self.layout == "ring" and self.ring_diameter < 20:
             raise invalid("ring_diameter", f"must be at least 20, got {self.ring_diameter:g}")
@@ -261,6 +271,13 @@ _LAYOUTS: dict[str, dict[str, Any]] = {
         "people": {"speed": 1.4, "speed_spread": 0.1, "stop_every": 60.0},
     },
     "grid": {"clutter": 60, "scanner": {"count": 30, "resolution": 0.5}, "people": {"count": 12}},
+    "building": {
+        "clutter": 60,
+        "scanner": {"count": 30, "resolution": 0.5},
+        "people": {"count": 12},
+        # A minute of 1000 scanners has 2 GB.
+        "max_file_duration": 20.0,
+    },
 }
 """Defaults of each layout where they differ from the office's."""
 

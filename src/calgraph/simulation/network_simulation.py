@@ -97,7 +97,9 @@ def build_network(scenario: NetworkScenario, seed: int) -> SimulatedNetwork:
         return find_free_space(layout.floor, clear, np.concatenate([near_scanners, near_chairs]))
 
     parties = form_parties(scenario.people, find_space)
-    together = draw_walks(parties, layout.stations, scenario.people, scenario.background, scenario.duration, rng)
+    together = draw_walks(
+        parties, layout.stations, scenario.people, scenario.background, scenario.duration, rng, layout.trip
+    )
     walks = separate_people(scenario.people, together, people_rng)
     if scenario.errors.driving:
         free_space = find_space(scenario.people.reach)
