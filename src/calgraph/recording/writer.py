@@ -14,6 +14,7 @@ from rosbags.typesys.store import Typestore
 from calgraph.errors import InputError
 from calgraph.io import make_temporary_folder, remove_temporary_folder
 from calgraph.recording.images import encode_image
+from calgraph.recording.split_bag import join_bags
 from calgraph.sensors import CameraInfo, Image, LaserScan, Message, PointCloud, Trigger
 
 Encoding = Literal["raw", "png", "jpeg"]
@@ -28,11 +29,13 @@ class RecordingWriter:
     The folder appears under its name only when everything is written; an error or interruption leaves nothing.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, max_file_duration: float = 0.0) -> None:
         """Starts a recording.
 
         Args:
             path: folder to create; its parents are created too.
+            max_file_duration: a message that arrives later than this after the first one in a file begins the next
+                file, s; 0 for a single file.
 
         Raises:
             InputError: it exists already.
@@ -40,12 +43,13 @@ class RecordingWriter:
         if path.exists():
             raise InputError(f"{path}: exists already; remove it or choose another name for the recording")
         self.path = path
+        self._max_duration = _nanoseconds(max_file_duration)
         self._store = get_typestore(Stores.ROS2_HUMBLE)
-        self._connections: dict[str, Connection] = {}
+        self._definitions: dict[str, tuple[str, str]] = {}
         # rosbags names the storage file after its folder, so the unfinished one differs by its parent.
         self._unfinished = make_temporary_folder(path)
-        self._writer = Writer(self._unfinished / path.name, version=8, storage_plugin=StoragePlugin.MCAP)
-        self._writer.open()
+        self._parts: list[Path] = []
+        self._start_file()
 
     def write(
         self, topic: str, message: Message, arrival: float | None = None, *, encoding: Encoding = "raw"
@@ -65,20 +69,53 @@ class RecordingWriter:
             ros_type, data = serialize_message(self._store, message, encoding)
         except InputError as error:
             raise InputError(f"{self.path}: topic {topic}: {error}") from error
+        self.write_serialized(topic, ros_type, data, _nanoseconds(message.stamp if arrival is None else arrival))
+
+    def write_serialized(self, topic: str, ros_type: str, data: bytes | memoryview, arrival: int) -> None:
+        """Appends a message that is serialised already.
+
+        Args:
+            topic: its topic; always the same kind of message on one topic.
+            ros_type: ``package/msg/Name``.
+            data: its CDR.
+            arrival: when it arrived, ns.
+
+        Raises:
+            InputError: the topic has messages of another type.
+        """
+        if self._max_duration and arrival - min(self._writer.min_timestamp, arrival) > self._max_duration:
+            self._writer.close()
+            self._start_file()
         connection = self._connections.get(topic)
         if connection is None:
-            connection = self._writer.add_connection(topic, ros_type, typestore=self._store)
+            definition, digest = self._define(ros_type)
+            connection = self._writer.add_connection(topic, ros_type, msgdef=definition, rihs01=digest)
             self._connections[topic] = connection
         elif connection.msgtype != ros_type:
             raise InputError(f"{self.path}: topic {topic} has {connection.msgtype}, cannot add {ros_type}")
-        time = message.stamp if arrival is None else arrival
-        self._writer.write(connection, _nanoseconds(time), data)
+        self._writer.write(connection, arrival, data)
 
     def close(self) -> None:
         """Finishes the recording and gives it its name."""
         self._writer.close()
+        if self._max_duration:
+            join_bags(self._parts, self._unfinished / self.path.name)
         (self._unfinished / self.path.name).rename(self.path)
         self._unfinished.rmdir()
+
+    def _start_file(self) -> None:
+        part = f"{self.path.name}_{len(self._parts)}" if self._max_duration else self.path.name
+        self._parts.append(self._unfinished / part)
+        self._connections: dict[str, Connection] = {}
+        self._writer = _BagWriter(self._parts[-1], version=8, storage_plugin=StoragePlugin.MCAP)
+        self._writer.open()
+
+    def _define(self, ros_type: str) -> tuple[str, str]:
+        """The definition of a type and its hash; made once, as there may be a thousand topics."""
+        if ros_type not in self._definitions:
+            definition, _ = self._store.generate_msgdef(ros_type, ros_version=2)
+            self._definitions[ros_type] = definition, self._store.hash_rihs01(ros_type)
+        return self._definitions[ros_type]
 
     def __enter__(self) -> Self:
         return self
@@ -93,6 +130,18 @@ class RecordingWriter:
                 self._writer.abort()
         finally:
             remove_temporary_folder(self._unfinished)
+
+
+class _BagWriter(Writer):
+    """rosbags' writer without its search for the topic of each message among all topics."""
+
+    def write(self, connection: Connection, timestamp: int, data: bytes | memoryview) -> None:
+        """Writes a message of a connection that this writer has made, at a time in ns."""
+        assert self.storage is not None
+        self.storage.write(connection, timestamp, data)
+        self.counts[connection.id] += 1
+        self.min_timestamp = min(timestamp, self.min_timestamp)
+        self.max_timestamp = max(timestamp, self.max_timestamp)
 
 
 def serialize_message(store: Typestore, message: Message, encoding: Encoding = "raw") -> tuple[str, memoryview]:

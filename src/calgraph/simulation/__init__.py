@@ -3,6 +3,7 @@
 from calgraph.simulation.ideal_detections import IdealDetectorOptions, simulate_detections
 from calgraph.simulation.model_errors import BoardErrors, Bump, CameraErrors, ModelErrors, ScannerErrors
 from calgraph.simulation.moving_detections import MovingBoardOptions, simulate_moving_detections
+from calgraph.simulation.network_recording import simulate_network
 from calgraph.simulation.network_scanners import StationaryScanner
 from calgraph.simulation.network_scenario import (
     LayoutName,
@@ -16,7 +17,6 @@ from calgraph.simulation.network_simulation import (
     build_network,
     network_rig,
     network_truth,
-    simulate_network,
     simulate_network_scans,
     simulate_scans,
 )

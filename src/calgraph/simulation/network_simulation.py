@@ -4,19 +4,15 @@ Scanners are not synchronised: phases, rate errors and optional clock offsets ar
 separate random generator, so that its scans do not depend on what else is simulated.
 """
 
-import heapq
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 
 from calgraph.config import Capture, Cylinder, Lidar2dSpec, People, RangeNoise, Rig
 from calgraph.geometry import Array, se2, se3
-from calgraph.io import save_yaml
-from calgraph.recording.writer import RecordingWriter
 from calgraph.sensors import LaserScan
 from calgraph.simulation.network_beams import USUAL_MAX_SPEED, ScanPlane, View, build_views, simulate_true_ranges
 from calgraph.simulation.network_floor import Floor, FreeSpace, find_free_space
@@ -27,10 +23,8 @@ from calgraph.simulation.network_scanners import StationaryScanner, build_scanne
 from calgraph.simulation.network_scenario import NetworkScenario, ScannerOptions
 from calgraph.simulation.network_walks import BodyIndex, Party, SimulatedWalk, body_clearance, draw_walks
 from calgraph.simulation.scanners import add_mixed_pixels
-from calgraph.simulation.truth import GroundTruth, PersonTruth, save_truth
+from calgraph.simulation.truth import GroundTruth, PersonTruth
 
-_LATENCY_RANGE = 0.002, 0.02
-"""Bounds of the time from the end of a scan to its arrival at the recorder, s."""
 _BATCH = 500
 """Scans per batch, which bounds memory."""
 _DRIVING_INTERVAL = 0.05
@@ -123,34 +117,6 @@ def simulate_network_scans(
     return scans, network_truth(network)
 
 
-def simulate_network(
-    scenario: NetworkScenario, out: Path, seed: int = 0, progress: Callable[[int, int], None] | None = None
-) -> None:
-    """Writes ``out/recording`` (rosbag2, MCAP), ``out/rig.yaml`` and ``out/truth.yaml``.
-
-    Args:
-        scenario: building, scanners and people.
-        out: folder, created if missing; it must not hold a recording yet.
-        seed: the same seed and scenario give the same files.
-        progress: called with the number of scans written and in total.
-
-    Raises:
-        InputError: the scanners' jitter puts them into walls, the floor is too small for all people, or there is a
-            recording in ``out`` already.
-    """
-    network = build_network(scenario, seed)
-    total = sum(_scan_count(scenario, scanner) for scanner in network.scanners)
-    streams = [_simulate_arrivals(network, scanner) for scanner in network.scanners]
-    with RecordingWriter(out / "recording") as writer:
-        for done, (arrival, name, scan) in enumerate(heapq.merge(*streams, key=lambda item: item[0])):
-            writer.write(_topic(name), scan, arrival)
-            if progress is not None:
-                progress(done + 1, total)
-    rig = network_rig(network)
-    save_yaml(out / "rig.yaml", rig.model_dump(mode="json", exclude_none=True, exclude={"settings"}))
-    save_truth(out / "truth.yaml", network_truth(network))
-
-
 def network_rig(network: SimulatedNetwork) -> Rig:
     """The rig.yaml of a simulated network: what its user would write, without any pose."""
     scenario, people = network.scenario, network.scenario.people
@@ -163,7 +129,7 @@ def network_rig(network: SimulatedNetwork) -> Rig:
         else People(kind="people", axes=people.axes),
         capture=Capture(background=(0.0, scenario.background) if scenario.background else None),
         sensors={
-            name: Lidar2dSpec(kind="lidar2d", topic=_topic(name), frame_id=name, noise=noise)
+            name: Lidar2dSpec(kind="lidar2d", topic=network_topic(name), frame_id=name, noise=noise)
             for name in scenario.names
         },
     )
@@ -187,7 +153,7 @@ def simulate_scans(network: SimulatedNetwork, scanner: StationaryScanner) -> Ite
     scenario, options = network.scenario, scanner.options
     rng = np.random.default_rng((network.seed, 1 + network.scanners.index(scanner)))
     within = scanner.time_increment * np.arange(len(scanner.angles))
-    starts: Array = scanner.phase + scanner.period * np.arange(_scan_count(scenario, scanner), dtype=np.float64)
+    starts: Array = scanner.phase + scanner.period * np.arange(count_scans(scenario, scanner), dtype=np.float64)
     stamps = scenario.start_time + starts + scanner.clock_offset
     stamps += scanner.clock_drift * (starts - scenario.duration / 2)
     before, views = None, tuple[View, ...]()
@@ -255,22 +221,10 @@ def _simulate_measured_ranges(true: Array, options: ScannerOptions, rng: np.rand
     )
 
 
-def _scan_count(scenario: NetworkScenario, scanner: StationaryScanner) -> int:
-    """Number of scans that begin and end within the recording."""
+def count_scans(scenario: NetworkScenario, scanner: StationaryScanner) -> int:
+    """Number of scans of a scanner that begin and end within the recording."""
     last = scanner.time_increment * (len(scanner.angles) - 1)
     return max(0, int((scenario.duration - last - scanner.phase) / scanner.period) + 1)
-
-
-def _simulate_arrivals(
-    network: SimulatedNetwork, scanner: StationaryScanner
-) -> Iterator[tuple[float, str, LaserScan]]:
-    """Scans with their arrival times at the recorder, whose clock is the root's."""
-    delays = np.random.default_rng((network.seed, 1 + network.scanners.index(scanner), 1))
-    latest = 0.0
-    for scan in simulate_scans(network, scanner):
-        done = scan.stamp - scanner.clock_offset + scan.duration
-        latest = max(latest, done + delays.uniform(*_LATENCY_RANGE))
-        yield latest, scanner.name, scan
 
 
 def _person_truth(scenario: NetworkScenario, walk: SimulatedWalk, T_root_world: Array) -> PersonTruth:
@@ -286,5 +240,6 @@ def _person_truth(scenario: NetworkScenario, walk: SimulatedWalk, T_root_world: 
     )
 
 
-def _topic(name: str) -> str:
+def network_topic(name: str) -> str:
+    """The topic of a scanner's scans."""
     return f"/{name}/scan"
