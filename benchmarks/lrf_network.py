@@ -50,10 +50,9 @@ from network_runs import (
     list_cells,
     run,
 )  # fmt: skip
-from network_stages import SIZES, print_stages
 from network_times import print_times
 
-TABLES = ("1", "2", "3", "4", "5", "summary", "time", "stages", "moved")
+TABLES = ("1", "2", "3", "4", "5", "summary", "time", "moved")
 DISCARDED = 0.2
 """Root mean square distance above which a plain threshold discards a pair, m."""
 COMPARED: tuple[Average, ...] = ("l1mc", "spectral", "consensus")
@@ -69,14 +68,11 @@ def main() -> None:
     parser.add_argument("--scenarios", nargs="+", default=list(SCENARIOS), choices=SCENARIOS)
     parser.add_argument("--people", type=int, nargs="+", default=[1, 2, 3, 4], help="in office and lab")
     parser.add_argument("--tables", nargs="+", default=list(TABLES), choices=TABLES)
-    parser.add_argument("--sizes", nargs="+", default=list(SIZES), help="of stages: scanners x minutes")
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     arguments = parser.parse_args()
     seeds = range(arguments.first, arguments.first + arguments.seeds)
     if "time" in arguments.tables:
         print_times()
-    if "stages" in arguments.tables:
-        print_stages(arguments.sizes)
     if "moved" in arguments.tables:
         print_moved(seeds, arguments.jobs)
     cells = [cell for name in arguments.scenarios for cell in list_cells(name, arguments.people)]

@@ -1,79 +1,155 @@
-"""Time and memory of a network's whole calibration, stage by stage, against its scanners and minutes.
+"""Time, memory and errors of whole calibrations of networks, stage by stage, against their scanners and minutes.
 
-Each number of scanners is a grid of them, with two walkers for five, recorded as a rosbag2 folder. Seconds are of
-one processor; memory is the most that the calibrating process ever held.
+Each size, such as 30x1, is a number of scanners and minutes, of a building (corridors, halls and offices) or of a
+grid, with two walkers for five scanners, recorded as a rosbag2 folder. Seconds are of processors, of all processes
+together; memory is the most that any process held, the calibrating one or one that it started. After the table is
+the exponent of the processor time over the number of scanners, for each number of minutes.
 
-    python benchmarks/lrf_network.py --tables stages --sizes 6x1 30x1 100x1 6x10
+Scanners overlap that see the same people for 2 s or longer. Errors are of the relative translation of those pairs. A
+scanner is grossly wrong if it is off by more than 0.1 m or 2 degrees relative to most of its neighbours.
+
+    python benchmarks/network_stages.py --sizes 30x1 100x1 300x1 1000x1 100x10 --layout building --jobs 4
+    python benchmarks/network_stages.py --sizes 100x10 --layout grid --keep before
+    python benchmarks/network_stages.py --sizes 100x10 --layout grid --keep after --recordings before --compare before
+
+``--keep`` writes recordings, calibrations and answers (the poses alone) into a folder; those recordings are not
+simulated again. ``--compare`` states the largest difference of poses from the answers in another such folder.
 """
 
+import argparse
 import multiprocessing
 import tempfile
 import time
 from collections.abc import Iterable
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import ExitStack
 from pathlib import Path
+from typing import NamedTuple, get_args
+
+import numpy as np
 
 from calgraph import calibrate as story
-from calgraph.config import Rig, load_rig
+from calgraph.config import load_rig
+from calgraph.io import save_yaml
 from calgraph.recording import open_recordings
 from calgraph.report import write_report
-from calgraph.result import Calibration, save_calibration, save_captures, save_scene
-from calgraph.simulation import NetworkScenario, simulate_network
-from network_times import WALKERS, measure_peak_memory
+from calgraph.result import save_calibration, save_captures, save_scene
+from calgraph.simulation import LayoutName, NetworkScenario, simulate_network
+from network_measures import (
+    Quality,
+    compare_answers,
+    extract_answer,
+    judge_answer,
+    load_answer,
+    measure_cpu,
+    measure_peak_memories,
+    save_answer,
+)
+from network_overlaps import SEED, find_overlaps
+from network_times import WALKERS
 
-STAGES = ("reading", "following", "pairing", "averaging", "solving", "assembling", "writing")
-SIZES = ("6x1", "30x1", "100x1", "6x10")
-
-
-def print_stages(sizes: Iterable[str]) -> None:
-    """Prints the table of networks such as ``30x1``, scanners and minutes."""
-    print("\nSeconds of one processor by stage, of all, and most memory")
-    print(f"{'':9}{'pairs':>7}{'right':>7}" + "".join(f"{stage:>11}" for stage in (*STAGES, "all", "MB")))
-    for size in sizes:
-        count, minutes = (int(part) for part in size.split("x"))
-        with tempfile.TemporaryDirectory() as folder:
-            place = Path(folder)
-            # Separate processes, so that the peak memory is that of this calibration.
-            for step in (simulate, calibrate):
-                with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
-                    row = pool.submit(step, place, count, minutes).result()
-        print(f"{size:9}{row}", flush=True)
+STAGES = ("reading", "tracking", "pairing", "averaging", "solving", "assembling", "writing")
+SIZES = ("30x1", "100x1", "300x1", "100x10")
+ANSWER = "answer.npz"
 
 
-def simulate(place: Path, count: int, minutes: int) -> str:
-    """Writes the recording."""
+class Row(NamedTuple):
+    """What one calibration took, and its quality."""
+
+    tried: int
+    """Pairs of scanners for which a relative pose was looked for."""
+    right: int
+    """Those that have one that agrees with the result."""
+    seconds: dict[str, float]
+    """Processor time of all processes by stage, s."""
+    wall: float
+    """s."""
+    memories: tuple[float, float]
+    """Most of the calibrating process, and of any that it started, MB."""
+    quality: Quality
+
+
+def main() -> None:
+    """Prints the tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--sizes", nargs="+", default=list(SIZES), help="scanners x minutes")
+    parser.add_argument("--layout", default="building", choices=get_args(LayoutName))
+    parser.add_argument("--jobs", type=int, default=1, help="processes of the simulation and of each calibration")
+    parser.add_argument("--keep", type=Path, help="folder for recordings, calibrations and answers")
+    parser.add_argument("--recordings", type=Path, help="folder of an earlier --keep, whose recordings are taken")
+    parser.add_argument("--compare", type=Path, help="folder of an earlier --keep, with whose answers to compare")
+    options = parser.parse_args()
+    with ExitStack() as stack:
+        keep = options.keep or Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        rows = {}
+        print(HEADER)
+        for size in options.sizes:
+            name = f"{options.layout}_{size}"
+            place, recorded = keep / name, (options.recordings or keep) / name
+            # Separate processes, so that time and memory are those of this calibration.
+            if not (recorded / "truth.yaml").exists():
+                in_process(simulate, recorded, options.layout, size, options.jobs)
+            rows[size] = in_process(calibrate, recorded, place, options.jobs)
+            print(f"{size:9}{format_row(rows[size])}", flush=True)
+            if options.compare:
+                print_comparison(place / ANSWER, options.compare / name / ANSWER)
+    print_exponents(rows)
+
+
+def in_process(function, *arguments):  # type: ignore[no-untyped-def]
+    """Calls a function in another process."""
+    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
+        return pool.submit(function, *arguments).result()
+
+
+def simulate(place: Path, layout: LayoutName, size: str, jobs: int) -> None:
+    """Writes the recording of a network, its rig.yaml, its truth and its scenario."""
+    count, minutes = (int(part) for part in size.split("x"))
     scenario = NetworkScenario(
-        layout="grid",
+        layout=layout,
         clutter=2 * count,
         duration=60.0 * minutes,
         scanner={"count": count},  # type: ignore[arg-type]
         people={"count": max(2, round(WALKERS * count))},  # type: ignore[arg-type]
     )
-    simulate_network(scenario, place)
-    return ""
+    place.mkdir(parents=True, exist_ok=True)
+    save_yaml(place / "scenario.yaml", scenario.model_dump(mode="json", exclude_none=True), f"seed: {SEED}")
+    simulate_network(scenario, place, SEED, jobs=jobs)
 
 
-def calibrate(place: Path, _count: int, _minutes: int) -> str:
-    """Calibrates and writes all files; the row of the table."""
-    rig = load_rig(place / "rig.yaml")
+def calibrate(recorded: Path, place: Path, jobs: int) -> Row:
+    """Calibrates a recording and writes all files into ``place``."""
+    rig = load_rig(recorded / "rig.yaml")
     clock = Stopwatch()
-    with open_recordings([place / "recording"]) as recording:
-        found = story.calibrate_network(rig, recording, story.NetworkOptions(), clock.progress)
+    with open_recordings([recorded / "recording"]) as recording:
+        found = story.calibrate_network(rig, recording, story.NetworkOptions(jobs=jobs), clock.progress)
     clock.lap("assembling")
-    write(found, rig, place)
+    place.mkdir(parents=True, exist_ok=True)
+    save_calibration(found, place / "calibration.yaml")
+    save_captures(found, place / "captures.csv")
+    write_report(found, rig, place / "report.html")
+    save_scene(found.pictures, place / "scene.npz")
     clock.lap("writing")
-    right = sum(edge.inliers > 0 for edge in found.evidence.edges)
-    seconds = [clock.seconds.get(stage, 0.0) for stage in STAGES]
-    numbers = "".join(f"{value:11.1f}" for value in (*seconds, sum(seconds)))
-    return f"{len(found.evidence.edges):7d}{right:7d}{numbers}{measure_peak_memory():11.0f}"
+    wall, memories = clock.wall(), measure_peak_memories()
+    answer = extract_answer(found)
+    save_answer(place / ANSWER, answer)
+    edges = found.evidence.edges
+    return Row(
+        tried=len(edges),
+        right=sum(edge.inliers > 0 for edge in edges),
+        seconds=clock.seconds,
+        wall=wall,
+        memories=memories,
+        quality=judge_answer(answer, find_overlaps(recorded)),
+    )
 
 
 class Stopwatch:
     """Processor seconds by stage; time before the first report of a stage counts for that stage."""
 
     def __init__(self) -> None:
-        self.seconds: dict[str, float] = {}
-        self._last = time.process_time()
+        self.seconds = dict.fromkeys(STAGES, 0.0)
+        self._start, self._last = time.monotonic(), measure_cpu()
 
     def progress(self, stage: str, share: float) -> None:
         """Hears of the calibration's progress; what passes before it begins to solve is averaging."""
@@ -81,14 +157,67 @@ class Stopwatch:
 
     def lap(self, stage: str) -> None:
         """Counts what passed since the last lap for this stage."""
-        now = time.process_time()
-        self.seconds[stage] = self.seconds.get(stage, 0.0) + now - self._last
+        now = measure_cpu()
+        self.seconds[stage] += now - self._last
         self._last = now
 
+    def wall(self) -> float:
+        """Time since the start, s."""
+        return time.monotonic() - self._start
 
-def write(found: Calibration, rig: Rig, place: Path) -> None:
-    """Writes what the command does."""
-    save_calibration(found, place / "calibration.yaml")
-    save_captures(found, place / "captures.csv")
-    write_report(found, rig, place / "report.html")
-    save_scene(found.pictures, place / "scene.npz")
+
+HEADER = (
+    "Seconds of processors by stage and of all, seconds on the clock, most memory of the main process and of any "
+    "other,\nscanners connected of those that can be, grossly wrong ones, those of them called good, and errors of "
+    f"neighbours\n{'':9}{'pairs':>7}{'right':>7}"
+    + "".join(f"{stage:>11}" for stage in (*STAGES, "all"))
+    + f"{'clock':>8}{'MB':>7}{'MB':>7}{'connected':>12}{'gross':>7}{'good':>6}"
+    + "".join(f"{head:>8}" for head in ("rms mm", "95 %", "max"))
+)
+
+
+def format_row(row: Row) -> str:
+    """The row of one size."""
+    seconds = "".join(f"{value:11.1f}" for value in (*row.seconds.values(), sum(row.seconds.values())))
+    memories = "".join(f"{value:7.0f}" for value in row.memories)
+    quality = row.quality
+    connected = f"{quality.connected}/{quality.connectable}"
+    errors = 1000 * quality.errors if len(quality.errors) else np.full(1, np.nan)
+    spread = (np.sqrt(np.mean(errors**2)), np.quantile(errors, 0.95), errors.max())
+    return (
+        f"{row.tried:7d}{row.right:7d}{seconds}{row.wall:8.1f}{memories}{connected:>12}{quality.gross:7d}"
+        f"{quality.confident:6d}" + "".join(f"{value:8.1f}" for value in spread)
+    )
+
+
+def print_comparison(new: Path, old: Path) -> None:
+    """Prints how much an answer differs from an earlier one."""
+    if not old.exists():
+        print(f"{'':9}no answer in {old.parent} to compare with")
+        return
+    sigmas, unlike = compare_answers(load_answer(new), load_answer(old))
+    print(f"{'':9}differs by up to {sigmas:.3f} standard deviations; {unlike} scanners in one of both only")
+
+
+def print_exponents(rows: dict[str, Row]) -> None:
+    """Prints the slope of the logarithm of the processor time over that of the number of scanners, by stage."""
+    by_minutes: dict[str, list[tuple[int, Row]]] = {}
+    for size, row in rows.items():
+        count, minutes = size.split("x")
+        by_minutes.setdefault(minutes, []).append((int(count), row))
+    for minutes, found in by_minutes.items():
+        if len(found) > 1:
+            counts = np.log([count for count, _ in found])
+            exponents = [fit_slope(counts, [row.seconds[stage] for _, row in found]) for stage in STAGES]
+            exponents.append(fit_slope(counts, [sum(row.seconds.values()) for _, row in found]))
+            print(f"exponent, {minutes} min".ljust(23) + "".join(f"{value:11.2f}" for value in exponents))
+
+
+def fit_slope(logarithms: np.ndarray, seconds: Iterable[float]) -> float:
+    """The exponent of processor times over numbers with these logarithms (K,)."""
+    times = np.maximum(np.fromiter(seconds, dtype=np.float64), 1e-2)
+    return float(np.polyfit(logarithms, np.log(times), 1)[0])
+
+
+if __name__ == "__main__":
+    main()
