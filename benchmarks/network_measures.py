@@ -1,4 +1,4 @@
-"""Processor time and memory of this process and of those that it starts, and the quality of a calibrated network."""
+"""Processor time and memory of this process and of those that it starts, and errors of a calibrated network."""
 
 import os
 import resource
@@ -25,7 +25,7 @@ def measure_cpu() -> float:
 
 
 def measure_peak_memories() -> tuple[float, float]:
-    """Most memory that this process held, and the most that any of those that it started and that ended did, MB."""
+    """Most memory that this process held, and that any of those that it started and that have ended did, MB."""
     own, others = (resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
     return own / 1024, others / 1024
 
@@ -129,7 +129,7 @@ def judge_answer(answer: Answer, truth: Overlaps) -> Quality:
 
 
 def compare_answers(answer: Answer, other: Answer) -> tuple[float, int]:
-    """The largest difference of x, y or yaw in standard deviations of ``other``, and scanners that only one has."""
+    """The largest difference of x, y or yaw in standard deviations of ``other``, and scanners of only one."""
     common = [name for name in answer.names if name in set(other.names)]
     here, there = ([one.names.index(name) for name in common] for one in (answer, other))
     off = se2.difference(answer.T_root_scanner[here], other.T_root_scanner[there])

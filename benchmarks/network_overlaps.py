@@ -1,7 +1,7 @@
 """Which scanners of a simulated network see the same people at the same time, from its ground truth.
 
-A person in a scanner's range and field of view is seen where no wall or furniture hides the middle of the body; that
-other people may hide it is left out.
+A person in a scanner's range and field of view is seen where no wall or furniture hides the middle of the body.
+That other people may hide it is left out.
 """
 
 from collections.abc import Iterator

@@ -5,12 +5,12 @@ grid, with two walkers for five scanners, recorded as a rosbag2 folder. Seconds 
 together; memory is the most that any process held, the calibrating one or one that it started. After the table is
 the exponent of the processor time over the number of scanners, for each number of minutes.
 
-Scanners overlap that see the same people for 2 s or longer. Errors are of the relative translation of those pairs. A
-scanner is grossly wrong if it is off by more than 0.1 m or 2 degrees relative to most of its neighbours.
+Scanners overlap that see the same people for 2 s or longer. Errors are of the relative translation of those pairs.
+A scanner is grossly wrong if it is off by more than 0.1 m or 2 degrees relative to most of its neighbours.
 
     python benchmarks/network_stages.py --sizes 30x1 100x1 300x1 1000x1 100x10 --layout building --jobs 4
-    python benchmarks/network_stages.py --sizes 100x10 --layout grid --keep before
-    python benchmarks/network_stages.py --sizes 100x10 --layout grid --keep after --recordings before --compare before
+    python benchmarks/network_stages.py --sizes 100x10 --layout grid --keep old
+    python benchmarks/network_stages.py --sizes 100x10 --layout grid --keep new --recordings old --compare old
 
 ``--keep`` writes recordings, calibrations and answers (the poses alone) into a folder; those recordings are not
 simulated again. ``--compare`` states the largest difference of poses from the answers in another such folder.
@@ -20,11 +20,11 @@ import argparse
 import multiprocessing
 import tempfile
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
-from typing import NamedTuple, get_args
+from typing import NamedTuple, ParamSpec, TypeVar, get_args
 
 import numpy as np
 
@@ -48,6 +48,8 @@ from network_measures import (
 from network_overlaps import SEED, find_overlaps
 from network_times import WALKERS
 
+P = ParamSpec("P")
+Result = TypeVar("Result")
 STAGES = ("reading", "tracking", "pairing", "averaging", "solving", "assembling", "writing")
 SIZES = ("30x1", "100x1", "300x1", "100x10")
 ANSWER = "answer.npz"
@@ -96,10 +98,10 @@ def main() -> None:
     print_exponents(rows)
 
 
-def in_process(function, *arguments):  # type: ignore[no-untyped-def]
+def in_process(function: Callable[P, Result], *arguments: P.args, **named: P.kwargs) -> Result:
     """Calls a function in another process."""
     with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
-        return pool.submit(function, *arguments).result()
+        return pool.submit(function, *arguments, **named).result()
 
 
 def simulate(place: Path, layout: LayoutName, size: str, jobs: int) -> None:
@@ -167,9 +169,9 @@ class Stopwatch:
 
 
 HEADER = (
-    "Seconds of processors by stage and of all, seconds on the clock, most memory of the main process and of any "
-    "other,\nscanners connected of those that can be, grossly wrong ones, those of them called good, and errors of "
-    f"neighbours\n{'':9}{'pairs':>7}{'right':>7}"
+    "Seconds of processors by stage and of all, seconds on the clock, most memory of the main process and of any\n"
+    "other, scanners connected of those that can be, grossly wrong ones, those of them called good, and errors\n"
+    f"of neighbours\n{'':9}{'pairs':>7}{'right':>7}"
     + "".join(f"{stage:>11}" for stage in (*STAGES, "all"))
     + f"{'clock':>8}{'MB':>7}{'MB':>7}{'connected':>12}{'gross':>7}{'good':>6}"
     + "".join(f"{head:>8}" for head in ("rms mm", "95 %", "max"))

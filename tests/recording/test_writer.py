@@ -1,5 +1,6 @@
 import tracemalloc
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -162,3 +163,44 @@ def test_memory_does_not_grow_with_the_recording(tmp_path: Path) -> None:
         tracemalloc.stop()
     assert total == 200e6
     assert peak < 20e6
+
+
+def test_a_recording_in_several_files_is_read_as_one(tmp_path: Path) -> None:
+    stamps = [10.0, 11.0, 12.5, 13.0, 20.0]
+    with RecordingWriter(tmp_path / "split", max_file_duration=2.0) as writer:
+        for k, stamp in enumerate(stamps):
+            writer.write(f"/laser_{k % 2}", replace(SCAN, stamp=stamp))
+    with open_recording(tmp_path / "split") as recording:
+        read = [(record.topic, record.arrival) for record in recording.records()]
+        counts = {topic.name: topic.count for topic in recording.topics}
+    assert read == [(f"/laser_{k % 2}", stamp) for k, stamp in enumerate(stamps)]
+    assert counts == {"/laser_0": 3, "/laser_1": 2}
+    assert len(list((tmp_path / "split").glob("split_*.mcap"))) == 3
+
+
+def test_rosbags_reads_a_recording_in_several_files(tmp_path: Path) -> None:
+    with RecordingWriter(tmp_path / "split", max_file_duration=1.0) as writer:
+        for stamp in (10.0, 12.0, 14.0):
+            writer.write("/laser", replace(SCAN, stamp=stamp))
+    with AnyReader([tmp_path / "split"]) as reader:
+        assert (reader.message_count, reader.start_time, reader.end_time) == (3, 10 * 10**9, 14 * 10**9 + 1)
+        assert [time for _, time, _ in reader.messages()] == [10 * 10**9, 12 * 10**9, 14 * 10**9]
+
+
+def test_a_failed_recording_in_several_files_leaves_nothing(tmp_path: Path) -> None:
+    def fail() -> None:
+        with RecordingWriter(tmp_path / "split", max_file_duration=1.0) as writer:
+            for stamp in (10.0, 12.0):
+                writer.write("/laser", replace(SCAN, stamp=stamp))
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        fail()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_empty_recording_in_several_files_has_no_messages(tmp_path: Path) -> None:
+    with RecordingWriter(tmp_path / "empty", max_file_duration=1.0):
+        pass
+    with open_recording(tmp_path / "empty") as recording:
+        assert list(recording.records()) == []

@@ -13,11 +13,17 @@ from calgraph.simulation.network_beams import (
     cast_segments,
     simulate_true_ranges,
 )
+from calgraph.simulation.network_floor import Floor, rectangle
 from calgraph.simulation.network_walks import SimulatedWalk
 
 HERE = np.zeros(2)
 WALL = np.array([[[3.0, -1.0], [3.0, 1.0]]])
 AXES = np.array([0.25, 0.15])
+
+
+def floor_of(segments: Array) -> Floor:
+    """A floor without an outer wall, with segments (S, 2, 2) as obstacles."""
+    return Floor(rectangle(HERE, (100.0, 100.0)), False, tuple(segments))
 
 
 def to_ellipse(angle: float, center: tuple[float, float], heading: float) -> float:
@@ -157,7 +163,7 @@ def test_beams_along_the_sides_of_a_square_pass_beside_it() -> None:
 def test_a_mirror_shows_the_wall_and_the_body_behind_the_scanner() -> None:
     # The mirror is 2 m ahead, a wall 3 m behind; a body stands 1 m behind the scanner.
     mirror, wall = np.array([[[2.0, -1.0], [2.0, 1.0]]]), np.array([[[-3.0, -1.0], [-3.0, 1.0]]])
-    views = build_views(level(np.zeros(1)), wall, mirror, np.array([np.inf]))
+    views = build_views(level(np.zeros(1)), floor_of(wall), mirror, np.array([np.inf]))
     body = walk(np.tile([-1.0, 0.0], (101, 1)))
     ranges = [simulate_true_ranges(views, np.zeros((1, 1)), bodies, 20.0)[0, 0] for bodies in ([], [body])]
     assert ranges == pytest.approx([7.0, 4.85])
@@ -165,7 +171,7 @@ def test_a_mirror_shows_the_wall_and_the_body_behind_the_scanner() -> None:
 
 def test_a_body_before_the_mirror_hides_it_and_one_behind_it_is_not_measured() -> None:
     mirror = np.array([[[2.0, -1.0], [2.0, 1.0]]])
-    views = build_views(level(np.zeros(1)), WALL, mirror, np.array([np.inf]))
+    views = build_views(level(np.zeros(1)), floor_of(WALL), mirror, np.array([np.inf]))
     bodies = [walk(np.tile([x, 0.0], (101, 1))) for x in (1.0, 2.5)]
     ranges = [simulate_true_ranges(views, np.zeros((1, 1)), [body], 20.0)[0, 0] for body in bodies]
     assert ranges == pytest.approx([0.85, np.inf])

@@ -1,11 +1,14 @@
 """``calgraph simulate network``: scanners and walking people with ground truth; every field is an option."""
 
+from functools import partial
 from pathlib import Path
 from typing import Any, get_args
 
+from calgraph.cli.common_options import JobsOption
 from calgraph.cli.model_options import add_options, apply_options, list_options
 from calgraph.cli.simulate_common import Out, ScenarioFile, Seed, simulate_to
 from calgraph.io.yaml_reading import read_yaml, validate_content
+from calgraph.processes import available_cores
 from calgraph.simulation import LayoutName, NetworkScenario, simulate_network
 
 _PANELS = {
@@ -18,7 +21,9 @@ _PANELS = {
 _MODEL_OPTIONS = {option.parameter: option for option in list_options(NetworkScenario, _PANELS)}
 
 
-def simulate_network_options(out: Out, scenario: ScenarioFile = None, seed: Seed = 0, **options: Any) -> None:
+def simulate_network_options(
+    out: Out, scenario: ScenarioFile = None, seed: Seed = 0, jobs: JobsOption = None, **options: Any
+) -> None:
     """Simulate scanners in a building, and people who walk through; write recording and ground truth.
 
     Defaults are those of the office; another layout has other defaults, which options override.
@@ -29,7 +34,7 @@ def simulate_network_options(out: Out, scenario: ScenarioFile = None, seed: Seed
         content = {**content, "layout": options["layout"]}
     start = validate_content(NetworkScenario, content, scenario or Path("options"))
     chosen = apply_options(start, _MODEL_OPTIONS, options)
-    simulate_to(out, simulate_network, chosen, seed)
+    simulate_to(out, partial(simulate_network, jobs=jobs or available_cores()), chosen, seed)
 
 
 simulate_network_command = add_options(simulate_network_options, _MODEL_OPTIONS, NetworkScenario())

@@ -15,7 +15,7 @@ USUAL_MAX_SPEED = 4.0
 _SEGMENT_BATCH = 32
 """Segments that are cast together, which then fit into the processor's cache."""
 _SEARCH_RADIUS = 8.0
-"""First radius in which walls are searched, m; it doubles for beams that hit none."""
+"""First radius within which walls are searched, m; it doubles for beams that hit none."""
 _SAME_POINT = 1e-6
 """A beam leaves a mirror farther than this from the point where it hit it, m."""
 
@@ -77,15 +77,15 @@ def cast_segments(origin: Array, angles: Array, segments: Array, start: Array | 
 def cast_walls(origin: Array, angles: Array, floor: Floor, start: Array | float = 0.0) -> Array:
     """As :func:`cast_segments`, with the walls of a floor, of which those behind others are not looked at."""
     nearest = np.full(len(angles), np.inf)
-    start = np.broadcast_to(start, len(angles))
-    beams, cast, radius = np.arange(len(angles)), np.zeros(0, dtype=np.intp), _SEARCH_RADIUS
-    while len(beams) and len(cast) < len(floor.segments):
-        near = floor.segment_index.near(origin - radius, origin + radius)
-        new = np.setdiff1d(near, cast, assume_unique=True)
-        found = cast_segments(origin, angles[beams], floor.segments[new], start[beams])
-        nearest[beams] = np.minimum(nearest[beams], found)
-        # What is not near is farther away than the radius.
-        beams, cast, radius = np.flatnonzero(nearest > radius), near, 2 * radius
+    directions, start = np.column_stack([np.cos(angles), np.sin(angles)]), np.broadcast_to(start, len(angles))
+    farthest = floor.reach_from(origin)
+    beams, inner, outer = np.arange(len(angles)), 0.0, _SEARCH_RADIUS
+    while len(beams) and inner < farthest:
+        # Whatever these beams hit between both radii touches the box of their parts between them.
+        ends = np.concatenate([origin + radius * directions[beams] for radius in (inner, outer)])
+        near = floor.segments[floor.segment_index.near(ends.min(axis=0), ends.max(axis=0))]
+        nearest[beams] = np.minimum(nearest[beams], cast_segments(origin, angles[beams], near, start[beams]))
+        beams, inner, outer = np.flatnonzero(nearest > outer), outer, 2 * outer
     return nearest
 
 

@@ -1,7 +1,7 @@
 """A floor plan for any number of scanners: corridors, halls that are open to two of them, and offices.
 
-Corridors run along x, 15 m apart, and between every two of them is a row of blocks of 18 m by 12 m. Halls and blocks
-of six offices take turns like the fields of a chessboard. After every second block a corridor crosses.
+Corridors run along x, 15 m apart, and between every two of them is a row of blocks of 18 m by 12 m. Halls and
+blocks of six offices take turns like the fields of a chessboard. After every second block a corridor crosses.
 """
 
 from dataclasses import dataclass, field
@@ -30,6 +30,8 @@ _POST_SIZE = (0.5, 0.5)
 """Of the columns in halls, m."""
 _DOOR_CLEARANCE = 1.0
 """Free of furniture around a door, beyond half of its width, m."""
+_VIEW_CLEARANCE = 0.5
+"""Free of furniture on either side of the line from an office's scanner to the door, m."""
 _TRIP = 25.0
 """People walk to rooms within this distance along each axis, m: at their speed they reach several in a minute."""
 _CORRIDOR, _HALL, _SECOND_IN_HALL, _OFFICE = range(4)
@@ -48,7 +50,7 @@ class _Plan:
     """Of the mounts."""
     areas: list[tuple[float, float, float, float]] = field(default_factory=list)
     """For furniture, as in the layout."""
-    doors: list[tuple[float, float, float]] = field(default_factory=list)
+    clear: list[tuple[float, float, float]] = field(default_factory=list)
     """Free of furniture: x, y, radius, m."""
 
     def mount(self, rank: int, x: float, y: float, yaw: float) -> None:
@@ -60,7 +62,7 @@ class _Plan:
         """Adds the wall of a block to a corridor, from x on, with doors in it."""
         edges = [0.0, *(door + side * width / 2 for door in doors for side in (-1, 1)), _BLOCK_LENGTH]
         self.walls += [wall((x + a, y), (x + b, y)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
-        self.doors += [(x + door, y, width / 2 + _DOOR_CLEARANCE) for door in doors]
+        self.clear += [(x + door, y, width / 2 + _DOOR_CLEARANCE) for door in doors]
 
 
 def lay_out_building(count: int) -> Layout:
@@ -79,7 +81,7 @@ def lay_out_building(count: int) -> Layout:
         np.array(plan.mounts)[_choose_mounts(plan.ranks, count)],
         np.zeros((0, 2)),
         np.array(plan.areas),
-        np.array(plan.doors),
+        np.array(plan.clear),
         _TRIP,
     )
 
@@ -144,10 +146,10 @@ def _add_block(plan: _Plan, row: int, column: int, columns: int) -> None:
 def _furnish_hall(plan: _Plan, left: float, low: float) -> None:
     middle, high = low + _BLOCK_DEPTH / 2, low + _BLOCK_DEPTH
     plan.walls += [rectangle((left + along, middle), _POST_SIZE) for along in (6.0, 12.0)]
-    plan.mount(_HALL, left + 1.5, low + _WALL_OFFSET, np.radians(60))
-    plan.mount(_HALL, left + 16.5, high - _WALL_OFFSET, np.radians(-120))
-    plan.mount(_SECOND_IN_HALL, left + 10.0, low + _WALL_OFFSET, np.radians(90))
-    plan.mount(_SECOND_IN_HALL, left + 8.0, high - _WALL_OFFSET, np.radians(-90))
+    plan.mount(_SECOND_IN_HALL, left + 1.5, low + _WALL_OFFSET, np.radians(60))
+    plan.mount(_SECOND_IN_HALL, left + 16.5, high - _WALL_OFFSET, np.radians(-120))
+    plan.mount(_HALL, left + 10.0, low + _WALL_OFFSET, np.radians(90))
+    plan.mount(_HALL, left + 8.0, high - _WALL_OFFSET, np.radians(-90))
     # As often as offices for each area.
     edges = np.arange(left, left + _BLOCK_LENGTH + 1, _OFFICE_LENGTH)
     plan.areas += [(a, y, b, y + _BLOCK_DEPTH / 2) for a, b in pairwise(edges) for y in (low, middle)]
@@ -160,9 +162,12 @@ def _divide_into_offices(plan: _Plan, left: float, low: float) -> None:
         plan.walls.append(wall((left + along, low), (left + along, high)))
     for k, door in enumerate(_OFFICE_DOORS):
         a = left + k * _OFFICE_LENGTH
-        for y, side, exit_y in ((low, -1, low), (middle, 1, high)):
-            plan.areas.append((a, y, a + _OFFICE_LENGTH, y + _BLOCK_DEPTH / 2))
+        for bottom, side, exit_y in ((low, -1, low), (middle, 1, high)):
+            plan.areas.append((a, bottom, a + _OFFICE_LENGTH, bottom + _BLOCK_DEPTH / 2))
             # On the wall opposite to the door, which it faces.
             place = np.array([a + 2.0, middle + side * _WALL_OFFSET])
             towards = np.array([left + door, exit_y]) - place
-            plan.mount(_OFFICE, *place, float(np.arctan2(towards[1], towards[0])))
+            x, y = place.tolist()
+            plan.mount(_OFFICE, x, y, float(np.arctan2(towards[1], towards[0])))
+            between = place + np.outer([0.25, 0.5, 0.75], towards)
+            plan.clear += [(x, y, _VIEW_CLEARANCE) for x, y in between.tolist()]

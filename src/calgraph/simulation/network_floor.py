@@ -46,6 +46,17 @@ class Floor:
         """Of ``segments``."""
         return index_polygons(self.segments)
 
+    def reach_from(self, point: Array) -> float:
+        """Upper bound of the distance of walls and obstacles from a point (2,), m; 0 without any."""
+        corners = self._corners
+        return float(np.linalg.norm(np.abs(corners - point).max(axis=0))) if len(corners) else 0.0
+
+    @cached_property
+    def _corners(self) -> Array:
+        """(2, 2) lower left and upper right corner of all segments, or none, m."""
+        ends = self.segments.reshape(-1, 2)
+        return np.stack([ends.min(axis=0), ends.max(axis=0)]) if len(ends) else np.zeros((0, 2))
+
     @cached_property
     def _edges(self) -> Array:
         """(E, 2, 2) sides of the outline and of all obstacles, m."""
@@ -123,7 +134,7 @@ class FreeSpace:
         return np.asarray(self.corner + _CELL * rng.choice(self._free_cells))
 
     def random_place_near(self, point: Array, distance: float, rng: np.random.Generator) -> Array:
-        """(2,) the centre of a free cell that is at most ``distance``, m, away from a free point (2,) in x and y."""
+        """(2,) the centre of a free cell at most ``distance``, m, away from a free point (2,) in x and in y."""
         low, high = self._window(point - distance, point + distance)
         cells = low + np.argwhere(self.free[low[0] : high[0], low[1] : high[1]])
         return np.asarray(self.corner + _CELL * rng.choice(cells))
@@ -198,7 +209,7 @@ def find_free_space(floor: Floor, min_clearance: float, keep_off: Array) -> Free
     clearance, grid = clearance.reshape(shape), centers.reshape(*shape, 2)
     most = float(clearance.max())
     for x, y, radius in keep_off:
-        # A circle acts as a wall at the distance that makes both minimum distances equal; farther than this away it
+        # A circle acts as a wall at the distance that makes both minimum distances equal; beyond the reach it
         # makes no difference.
         reach = most + radius
         near = tuple(

@@ -5,7 +5,7 @@ bag, possibly by a process for each; the recording is then merged from these.
 """
 
 import heapq
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import NamedTuple
@@ -60,7 +60,8 @@ def simulate_network(
         scenario: building, scanners and people.
         out: folder, created if missing; it must not hold a recording yet.
         seed: the same seed and scenario give the same files.
-        progress: called with the number of scans simulated and written, and with that of both in total.
+        progress: called with the number of scans simulated and written, and with that in total. Scans of several
+            groups count twice: when they are simulated, and when they are written.
         jobs: maximum number of processes; files are the same for any number.
 
     Raises:
@@ -69,15 +70,18 @@ def simulate_network(
         CalibrationError: a process was killed or cannot be started.
     """
     network = build_network(scenario, seed)
+    scanners = range(len(network.scanners))
+    groups = [scanners[k : k + _GROUP_SIZE] for k in scanners[::_GROUP_SIZE]]
     scans = sum(count_scans(scenario, scanner) for scanner in network.scanners)
+    total = scans if len(groups) == 1 else 2 * scans
     report = progress or _ignore
     with (
         RecordingWriter(out / "recording", scenario.max_file_duration) as writer,
-        _simulate_groups(network, out / "recording", jobs, lambda done: report(done, 2 * scans)) as streams,
+        _simulate_groups(network, groups, out / "recording", jobs, lambda done: report(done, total)) as streams,
     ):
-        for done, message in enumerate(heapq.merge(*streams, key=lambda message: message.arrival)):
+        for done, message in enumerate(heapq.merge(*streams, key=lambda message: message.arrival), start=1):
             writer.write_serialized(message.topic, message.ros_type, message.data, message.arrival)
-            report(scans + done + 1, 2 * scans)
+            report(total - scans + done, total)
     rig = network_rig(network)
     save_yaml(out / "rig.yaml", rig.model_dump(mode="json", exclude_none=True, exclude={"settings"}))
     save_truth(out / "truth.yaml", network_truth(network))
@@ -85,11 +89,13 @@ def simulate_network(
 
 @contextmanager
 def _simulate_groups(
-    network: SimulatedNetwork, recording: Path, jobs: int, report: Callable[[int], None]
+    network: SimulatedNetwork,
+    groups: Sequence[range],
+    recording: Path,
+    jobs: int,
+    report: Callable[[int], None],
 ) -> Iterator[list[Iterable[_Serialized]]]:
     """The messages of each group of scanners in order; ``report`` hears of the scans simulated before."""
-    every = range(len(network.scanners))
-    groups = [every[k : k + _GROUP_SIZE] for k in every[::_GROUP_SIZE]]
     if len(groups) == 1:
         yield [_simulate_group(network, groups[0])]
         return

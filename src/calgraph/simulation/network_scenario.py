@@ -9,7 +9,8 @@ from calgraph.config.strict_model import StrictModel, invalid
 from calgraph.simulation.rig_scenario import Count, NotNegative, Positive, Probability, Rate, Resolution, Stamp
 
 LayoutName = Literal["ring", "office", "semicircle", "lab", "halls", "grid", "building"]
-AtLeastOne = Annotated[int, Field(ge=1, le=1000)]
+Many = Annotated[int, Field(ge=0, le=100_000)]
+"""Of what a building of many scanners has in all."""
 
 _MAX_HALLS_SCANNERS = 4
 """Mounts of the layout "halls": two in the halls, two in the corridor."""
@@ -67,7 +68,7 @@ class PeopleOptions(StrictModel):
     """People turn with their walk."""
     shape: Literal["ellipse", "legs"] = "ellipse"
     """What a scanner observes of people: an ellipse, as at the hip, or two legs that walk, as below it."""
-    count: Count = 2
+    count: Many = 2
     """Number of simultaneous bodies."""
     axes: tuple[Positive, Positive] = (0.25, 0.15)
     """Radii across and along a person's direction of walk, m."""
@@ -198,7 +199,7 @@ class NetworkScenario(StrictModel):
     """Of the circle of the ring's scanners, m; at 60 the cuboid in its middle is out of a range of 20 m."""
     grid_spacing: Annotated[float, Field(ge=3)] = 7.0
     """Spacing of the scanners of the grid, m."""
-    clutter: Count = 14
+    clutter: Many = 14
     """Pieces of furniture in all."""
     chairs: Count = 0
     """Chairs that are moved sometimes, by up to half a metre."""

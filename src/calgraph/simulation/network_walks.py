@@ -133,7 +133,7 @@ class BodyIndex:
 
     @cached_property
     def _intervals(self) -> list[BoxIndex]:
-        """Where the bodies are in each interval of time, and how far they reach; those that are absent, nowhere."""
+        """Where the bodies are in each interval of time, and how far they reach; absent ones are nowhere."""
         ends = [body.start + SAMPLE_INTERVAL * len(body.positions) for body in self.bodies]
         intervals = [BoxIndex() for _ in range(int(max(ends, default=0.0) / _INDEX_INTERVAL) + 1)]
         for k, interval in enumerate(intervals):

@@ -84,10 +84,11 @@ def save_truth(path: Path, truth: GroundTruth) -> None:
         {"trigger": b.trigger, "end": b.end, "disturbed": b.disturbed, **_pose_entry(b.T_root_board)}
         for b in truth.boards
     ]
-    content = {"format": _FORMAT, "root": truth.root, "sensors": sensors, "captures": captures}
+    content: dict[str, Any] = {"format": _FORMAT, "root": truth.root, "sensors": sensors, "captures": captures}
     if sum(len(person.times) for person in truth.people) > _MAX_SAMPLES:
-        content["people"] = f"{path.stem}_people.npz"
-        _save_people(path.with_name(content["people"]), truth.people)
+        archive = f"{path.stem}_people.npz"
+        content["people"] = archive
+        _save_people(path.with_name(archive), truth.people)
     elif truth.people:
         content["people"] = [
             {**_describe_path(person), "path": _path_samples(person).tolist()} for person in truth.people

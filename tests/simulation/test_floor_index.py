@@ -1,0 +1,46 @@
+"""The index of what is near on a floor."""
+
+import numpy as np
+
+from calgraph.geometry import Array
+from calgraph.simulation.floor_index import BoxIndex, group_by_tile, index_polygons
+
+
+def random_boxes(rng: np.random.Generator) -> tuple[Array, Array]:
+    """Lower left and upper right corners (300, 2) each, some of them long."""
+    low = rng.uniform(-50, 50, (300, 2))
+    return low, low + rng.uniform(0, 1, (300, 2)) * rng.choice([1.0, 30.0], (300, 1))
+
+
+def test_every_box_that_touches_is_found(rng: np.random.Generator) -> None:
+    low, high = random_boxes(rng)
+    index = index_polygons(np.stack([low, high], axis=1))
+    for corner in rng.uniform(-50, 50, (50, 2)):
+        touches = ((low <= corner + 7) & (high >= corner)).all(axis=1)
+        assert set(np.flatnonzero(touches)) <= set(index.near(corner, corner + 7))
+
+
+def test_what_is_found_is_near(rng: np.random.Generator) -> None:
+    low, high = random_boxes(rng)
+    found = index_polygons(np.stack([low, high], axis=1)).near(np.zeros(2), np.ones(2))
+    # Within the cell of 4 m about the query, and one beside it.
+    assert (low[found].max() <= 9, high[found].min() >= -8) == (True, True)
+
+
+def test_a_number_without_a_box_is_never_found() -> None:
+    index = BoxIndex()
+    index.add(np.zeros(2), np.ones(2))
+    index.skip()
+    index.add(np.zeros(2), np.ones(2))
+    assert index.near(np.zeros(2), np.ones(2)).tolist() == [0, 2]
+
+
+def test_tiles_hold_every_point_once_and_only_neighbours(rng: np.random.Generator) -> None:
+    points = rng.uniform(-30, 30, (500, 2))
+    tiles = group_by_tile(points)
+    assert sorted(np.concatenate(tiles)) == list(range(500))
+    assert max(np.ptp(points[tile], axis=0).max() for tile in tiles) <= 4.0
+
+
+def test_no_points_are_in_no_tile() -> None:
+    assert group_by_tile(np.zeros((0, 2))) == []
