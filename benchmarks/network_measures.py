@@ -61,7 +61,7 @@ class Answer(NamedTuple):
 
 
 class Quality(NamedTuple):
-    """Of an answer, against the truth."""
+    """Of an answer, against the ground truth."""
 
     connected: int
     """Scanners that have a pose."""

@@ -1,6 +1,6 @@
-"""Which scanners of a simulated network see the same people at the same time, from its ground truth.
+"""Which scanners of a simulated network observe the same people at the same time, from its ground truth.
 
-A person in a scanner's range and field of view is seen where no wall or furniture hides the middle of the body.
+A person in a scanner's range and field of view is observed where no wall or furniture hides the middle of the body.
 That other people may hide it is left out.
 """
 
@@ -24,9 +24,9 @@ from calgraph.simulation.network_scanners import build_scanners
 SEED = 0
 """Of simulated recordings."""
 MIN_OVERLAP = 2.0
-"""Scanners overlap that see the same people for at least this long, s."""
+"""Scanners overlap that observe the same people for at least this long, s."""
 _EVERY = 5
-"""Samples of the truth from one look at it to the next."""
+"""Every fifth sample of people's paths is examined."""
 
 
 class Overlaps(NamedTuple):
@@ -38,7 +38,7 @@ class Overlaps(NamedTuple):
     pairs: NDArray[np.intp]
     """(P, 2) those that overlap, each once."""
     seconds: Array
-    """(P,) how long both see the same person, summed over people, s."""
+    """(P,) how long both observe the same person, summed over people, s."""
     connectable: NDArray[np.bool_]
     """(S,) whether overlaps lead from the root to the scanner."""
 
@@ -73,7 +73,7 @@ def build_floor(scenario: NetworkScenario) -> tuple[Floor, tuple[StationaryScann
 def see_people(
     floor: Floor, scanners: tuple[StationaryScanner, ...], truth: GroundTruth
 ) -> Iterator[NDArray[np.bool_]]:
-    """For each scanner, whether it sees each person at each time, (samples of all people)."""
+    """For each scanner, whether it observes each person at each time, (samples of all people)."""
     T_world_root = next(one.T_world_scanner for one in scanners if one.name == truth.root)
     paths = np.concatenate([person.positions[::_EVERY] for person in truth.people])
     places = se2.apply(T_world_root, paths)

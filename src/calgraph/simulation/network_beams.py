@@ -81,7 +81,7 @@ def cast_walls(origin: Array, angles: Array, floor: Floor, start: Array | float 
     farthest = floor.reach_from(origin)
     beams, inner, outer = np.arange(len(angles)), 0.0, _SEARCH_RADIUS
     while len(beams) and inner < farthest:
-        # Whatever these beams hit between both radii touches the box of their parts between them.
+        # What these beams hit between both radii touches the box of their parts between them.
         ends = np.concatenate([origin + radius * directions[beams] for radius in (inner, outer)])
         near = floor.segments[floor.segment_index.near(ends.min(axis=0), ends.max(axis=0))]
         nearest[beams] = np.minimum(nearest[beams], cast_segments(origin, angles[beams], near, start[beams]))

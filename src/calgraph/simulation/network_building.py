@@ -87,7 +87,7 @@ def lay_out_building(count: int) -> Layout:
 
 
 def _count_rows(columns: int, count: int) -> int:
-    """Rows of blocks that have places for so many scanners."""
+    """Rows of blocks that have places for all scanners."""
     rows, places = 0, columns * len(_CORRIDOR_MOUNTS)
     while places < count or rows == 0:
         halls = sum(_is_hall(rows, column) for column in range(columns))

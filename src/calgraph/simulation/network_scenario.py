@@ -217,7 +217,7 @@ class NetworkScenario(StrictModel):
     start_time: Stamp = 1_700_000_000.0
     """Stamp at the start of the recording, s."""
     max_file_duration: NotNegative = 0.0
-    """Of one file of the recording, s, as of `ros2 bag record --max-bag-duration`; 0 for a single file."""
+    """Of one file of the recording, s; 0 for a single file."""
 
     @model_validator(mode="before")
     @classmethod
