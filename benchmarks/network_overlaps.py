@@ -1,6 +1,6 @@
-"""Which scanners of a simulated network observe the same people at the same time, from its ground truth.
+"""Which scanners of a simulated network observe the same people simultaneously, from its ground truth.
 
-A person in a scanner's range and field of view is observed where no wall or furniture hides the middle of the body.
+A person in range and field of view is observed where no wall or furniture hides the middle of the body.
 That other people may hide it is left out.
 """
 

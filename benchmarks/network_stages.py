@@ -5,7 +5,8 @@ grid, with two walkers for five scanners, recorded as a rosbag2 folder. Seconds 
 together; memory is the most that any process held, the calibrating one or one that it started. After the table is
 the exponent of the processor time over the number of scanners, for each number of minutes.
 
-Scanners overlap that observe the same people for 2 s or longer. Errors are of the relative translation of those pairs.
+Scanners overlap that observe the same people for 2 s or longer. Errors are those of the relative translation of
+these pairs.
 A scanner is grossly wrong if it is off by more than 0.1 m or 2 degrees relative to most of its neighbours.
 
     python benchmarks/network_stages.py --sizes 30x1 100x1 300x1 1000x1 100x10 --layout building --jobs 4
