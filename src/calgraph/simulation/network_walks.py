@@ -259,7 +259,7 @@ def draw_walks(
     for step in range(steps):
         for k in range(len(parties)):
             _advance(crowd, k, people, step * _DECISION_INTERVAL, rng)
-        places[step] = [walker.position for walker in crowd.walkers]
+        places[step] = np.reshape([walker.position for walker in crowd.walkers], (-1, 2))
     return tuple(_smooth_walk(walker.axes, places[:, k], start) for k, walker in enumerate(crowd.walkers))
 
 
