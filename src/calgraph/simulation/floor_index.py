@@ -18,11 +18,13 @@ class BoxIndex:
         """Without any box."""
         self._count = 0
         self._cells: dict[tuple[int, int], list[int]] = {}
+        self._low, self._high = np.full(2, np.inf), np.full(2, -np.inf)
 
     def add(self, low: Array, high: Array) -> None:
         """Adds a box with corners (2,); its number is how many there were before."""
         for cell in _list_cells(low, high):
             self._cells.setdefault(cell, []).append(self._count)
+        self._low, self._high = np.minimum(self._low, low), np.maximum(self._high, high)
         self._count += 1
 
     def skip(self) -> None:
@@ -32,7 +34,9 @@ class BoxIndex:
     def near(self, low: Array, high: Array) -> NDArray[np.intp]:
         """Numbers, in order, of all boxes that touch the one with corners (2,), and of some beyond it."""
         found: set[int] = set()
-        for cell in _list_cells(low, high):
+        # Where there are boxes, so that a search far away, or in a large box, ends.
+        low, high = np.maximum(low, self._low), np.minimum(high, self._high)
+        for cell in _list_cells(low, high) if (low <= high).all() else ():
             found.update(self._cells.get(cell, ()))
         return np.array(sorted(found), dtype=np.intp)
 
