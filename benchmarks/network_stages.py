@@ -31,6 +31,7 @@ import numpy as np
 
 from calgraph import calibrate as story
 from calgraph.config import load_rig
+from calgraph.engine import Processes
 from calgraph.io import save_yaml
 from calgraph.recording import open_recordings
 from calgraph.report import write_report
@@ -125,7 +126,8 @@ def calibrate(recorded: Path, place: Path, jobs: int) -> Row:
     rig = load_rig(recorded / "rig.yaml")
     clock = Stopwatch()
     with open_recordings([recorded / "recording"]) as recording:
-        found = story.calibrate_network(rig, recording, story.NetworkOptions(jobs=jobs), clock.progress)
+        options = story.NetworkOptions(engine=Processes(jobs))
+        found = story.calibrate_network(rig, recording, options, clock.progress)
     clock.lap("assembling")
     place.mkdir(parents=True, exist_ok=True)
     save_calibration(found, place / "calibration.yaml")
