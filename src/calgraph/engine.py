@@ -10,7 +10,12 @@ Result = TypeVar("Result")
 
 
 class Engine(Protocol):
-    """Evaluates independent calls. Results do not depend on where, nor on how many run at the same time."""
+    """Evaluates independent calls. Results do not depend on where, nor on how many run at the same time.
+
+    Values that several calls take are made available once. A handle then stands for each of them among the
+    arguments of calls, not within other arguments, and the call gets the value. A value is available as long as
+    its handle exists.
+    """
 
     @property
     def jobs(self) -> int:
@@ -31,6 +36,29 @@ class Engine(Protocol):
 
         Returns:
             Results in the order of the work.
+
+        Raises:
+            CalibrationError: the engine cannot go on; or what ``function`` raises.
+        """
+
+    def put(self, values: Sequence[Any]) -> list[Any]:
+        """Makes values available to calls.
+
+        Returns:
+            The handle of each.
+        """
+
+    def map_and_keep(
+        self, function: Callable[..., tuple[Result, Any]], work: Sequence[tuple[Any, ...]]
+    ) -> tuple[list[Result], list[Any]]:
+        """Calls a function that returns a result and a value for later calls, which stays where it is.
+
+        Args:
+            function: as for :meth:`map`; returns the result and the value.
+            work: arguments of each call.
+
+        Returns:
+            Results in the order of the work, and handles of the values.
 
         Raises:
             CalibrationError: the engine cannot go on; or what ``function`` raises.
@@ -57,7 +85,10 @@ class Engine(Protocol):
 
 @dataclass(frozen=True)
 class Processes:
-    """Processes of this machine, see :mod:`calgraph.processes`; all calls run in this one if there is one only."""
+    """Processes of this machine, see :mod:`calgraph.processes`; all calls run in this one if there is one only.
+
+    Handles are the values themselves: a forked process has those of this one.
+    """
 
     jobs: int = 1
 
@@ -69,6 +100,17 @@ class Processes:
     ) -> list[Result]:
         """See :meth:`Engine.map`."""
         return parallel_map(function, work, self.jobs, progress)
+
+    def put(self, values: Sequence[Any]) -> list[Any]:
+        """See :meth:`Engine.put`."""
+        return list(values)
+
+    def map_and_keep(
+        self, function: Callable[..., tuple[Result, Any]], work: Sequence[tuple[Any, ...]]
+    ) -> tuple[list[Result], list[Any]]:
+        """See :meth:`Engine.map_and_keep`."""
+        pairs = self.map(function, work)
+        return [result for result, _ in pairs], [value for _, value in pairs]
 
     def stream(
         self, function: Callable[..., Result], work: Iterable[tuple[Any, ...]], shared: Any

@@ -56,7 +56,8 @@ def parallel_map(
     (elsewhere), and shared memory for semaphores: where the system gives none, all calls run in this process.
 
     Args:
-        function: defined at module level; its arguments and results are pickled.
+        function: defined at module level; its results are pickled, its arguments only where processes are not
+            forked.
         work: arguments of each call.
         jobs: maximum number of processes; with 1 all calls run in this process.
         progress: called with the completed fraction, 0..1.
@@ -64,14 +65,18 @@ def parallel_map(
     Raises:
         CalibrationError: a process was killed or cannot be started; or what ``function`` raises.
     """
-    with _process_pool(min(jobs, len(work))) as pool:
+    forked = _START_METHOD == "fork"
+    with _process_pool(min(jobs, len(work)), (function, work) if forked else None) as pool:
         if pool is None:
             results = []
             for done, arguments in enumerate(work, start=1):
                 results.append(function(*arguments))
                 progress(done / len(work))
             return results
-        futures = [_submit(pool, function, *arguments) for arguments in work]
+        if forked:
+            futures = [_submit(pool, _call_with_shared, _call_nth, (n,)) for n in range(len(work))]
+        else:
+            futures = [_submit(pool, function, *arguments) for arguments in work]
         for done, future in enumerate(as_completed(futures), start=1):
             _get_result(future)
             progress(done / len(work))
@@ -168,6 +173,11 @@ def worker_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
 def _call(shared: tuple[Callable[..., Result], tuple[Any, ...]]) -> Result:
     function, arguments = shared
     return function(*arguments)
+
+
+def _call_nth(shared: tuple[Callable[..., Result], Sequence[tuple[Any, ...]]], n: int) -> Result:
+    function, work = shared
+    return function(*work[n])
 
 
 def _submit_all(
