@@ -41,6 +41,20 @@ class Track:
     hits: Hits = NO_HITS
     """The beams that measured it; none where only positions are given."""
 
+    def select(self, interval: tuple[float, float]) -> "Track":
+        """The same with positions and beams between two stamps only, s."""
+        first, end = np.searchsorted(self.times, interval[0]), np.searchsorted(self.times, interval[1], "right")
+        hits = slice(*np.searchsorted(self.hits.time_index, [first, end]))
+        chosen = slice(first, end)
+        return replace(
+            self,
+            times=self.times[chosen],
+            positions=self.positions[chosen],
+            velocities=self.velocities[chosen],
+            covariances=self.covariances[chosen],
+            hits=Hits(self.hits.points[hits], self.hits.times[hits], self.hits.time_index[hits] - first),
+        )
+
 
 @dataclass(frozen=True)
 class ScannerBump:
@@ -81,7 +95,7 @@ class ScannerTracks:
 
     def select(self, interval: tuple[float, float]) -> "ScannerTracks":
         """The same with positions and beams between two stamps only, s."""
-        tracks = (_select_times(track, interval) for track in self.tracks)
+        tracks = (track.select(interval) for track in self.tracks)
         kept = tuple(track for track in tracks if len(track.times))
         coverage, beams = self.coverage, self.foreground
         if coverage is not None:
@@ -90,17 +104,3 @@ class ScannerTracks:
         if beams is not None:
             beams = beams.select((beams.times >= interval[0]) & (beams.times <= interval[1]))
         return replace(self, tracks=kept, coverage=coverage, foreground=beams, interval=interval)
-
-
-def _select_times(track: Track, interval: tuple[float, float]) -> Track:
-    first, end = np.searchsorted(track.times, interval[0]), np.searchsorted(track.times, interval[1], "right")
-    hits = slice(*np.searchsorted(track.hits.time_index, [first, end]))
-    chosen = slice(first, end)
-    return replace(
-        track,
-        times=track.times[chosen],
-        positions=track.positions[chosen],
-        velocities=track.velocities[chosen],
-        covariances=track.covariances[chosen],
-        hits=Hits(track.hits.points[hits], track.hits.times[hits], track.hits.time_index[hits] - first),
-    )

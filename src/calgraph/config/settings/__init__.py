@@ -62,6 +62,7 @@ from calgraph.config.settings.live import (
     ViewSettings,
 )
 from calgraph.config.settings.network_estimation import (
+    BodyPartSettings,
     BodySettings,
     HeadingSearchSettings,
     ModelErrorSettings,
@@ -112,6 +113,7 @@ __all__ = [
     "BoardPairSettings",
     "BoardPoseSettings",
     "BoardRegistrationSettings",
+    "BodyPartSettings",
     "BodySettings",
     "BumpTestSettings",
     "CameraDetectionSettings",

@@ -12,6 +12,7 @@ from scipy.sparse.csgraph import connected_components
 from calgraph.config import Cylinder, Lidar2dUncertainty, People
 from calgraph.config.settings import NetworkEstimationSettings, ScannerPairSettings, TrackingSettings
 from calgraph.errors import Rejected
+from calgraph.estimation.network.body_parts import cut_bodies
 from calgraph.estimation.network.heading_search import search_headings
 from calgraph.estimation.network.leg_choice import measures_legs
 from calgraph.estimation.network.leg_solution import AddWalls, solve_legs
@@ -136,7 +137,8 @@ def solve_network(
         )
         if inlier
     ]
-    bodies = group_tracks_by_body(tracked, T_root_scanner, pair_settings.resampling.tick_period, settings.grouping)
+    walks = group_tracks_by_body(tracked, T_root_scanner, pair_settings.resampling.tick_period, settings.grouping)
+    bodies = cut_bodies(walks, settings.parts)
     state = NetworkState(
         T_root_scanner,
         np.zeros(len(tracked)),

@@ -138,11 +138,14 @@ def linearize_leg(
         corner_gradient[columns] += flat.T @ b.ravel()
         corner_gradient[own] += b[:, shape_rows].sum(axis=0)
         by_scanner = np.concatenate([A[:, :3, bias_row : bias_row + 1], AG[:, :3]], axis=2)
-        sums = sum_between_knots(terms.first, terms.weights, by_scanner.reshape(len(b), -1), count)
-        sums = sums.reshape(4, count - 3, 3, 1 + SCANNER_UNKNOWNS)
+        # A scanner sees a leg on a part of its path only.
+        begin, end = terms.first[0], terms.first[-1] + 1
+        sums = sum_between_knots(
+            terms.first - begin, terms.weights, by_scanner.reshape(len(b), -1), end - begin + 3
+        ).reshape(4, end - begin, 3, 1 + SCANNER_UNKNOWNS)
         for i in range(4):
-            border[i : count - 3 + i, :, shapes + k] += sums[i, ..., 0]
-            border[i : count - 3 + i, :, columns] += sums[i, ..., 1:]
+            border[begin + i : end + i, :, shapes + k] += sums[i, ..., 0]
+            border[begin + i : end + i, :, columns] += sums[i, ..., 1:]
     # What all scanners share is summed over the scans of all of them.
     first = np.concatenate([terms.first for terms in all_terms])
     order = np.argsort(first, kind="stable")

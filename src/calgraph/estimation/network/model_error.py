@@ -51,6 +51,7 @@ class _ScannerEquations:
     """One scanner's equations of one body, before the model error is marginalised."""
 
     scans: ScanEquations
+    """Over the body's pose only."""
     stride: Index
     """(V,) of each scan."""
 
@@ -110,7 +111,8 @@ def _collect_equations(
         _, _, pose, rate = evaluate_at(network, state, body, path, scans)
         stride = (compute_root_times(network, state, scans) - body.knots.start) / duration
         equations = build_scan_equations(network, state, path, scans, pose, rate)
-        collected.append(_ScannerEquations(equations, np.maximum(stride, 0).astype(np.intp)))
+        of_pose = ScanEquations(equations.information[:, :3, :3], equations.gradient[:, :3], equations.cost)
+        collected.append(_ScannerEquations(of_pose, np.maximum(stride, 0).astype(np.intp)))
     return tuple(collected)
 
 
@@ -125,8 +127,8 @@ def _compare_scanners(body: tuple[_ScannerEquations, ...], variances: Array, com
     A, b = np.zeros((strides, len(body), 3, 3)), np.zeros((strides, len(body), 3))
     for k, scanner in enumerate(body):
         scans = scanner.scans.marginalize_model_error(variances[[0, 0, 1]])
-        np.add.at(A[:, k], scanner.stride, scans.information[:, :3, :3])
-        np.add.at(b[:, k], scanner.stride, scans.gradient[:, :3])
+        np.add.at(A[:, k], scanner.stride, scans.information)
+        np.add.at(b[:, k], scanner.stride, scans.gradient)
     axes, others = component.axes, np.setdiff1d(np.arange(3), component.axes)
     mixed = A[..., axes[:, None], others]
     gain = mixed @ np.linalg.inv(A[..., others[:, None], others] + _RIDGE * np.eye(len(others)))

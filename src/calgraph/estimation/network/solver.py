@@ -248,12 +248,14 @@ def _linearize_body(
         # A scan depends on the four control points about it: terms of each of them, and of each pair.
         by_radii, by_scanner = A[:, :3, 3:5].reshape(-1, 6), AG[:, :3].reshape(len(b), -1)
         terms = np.concatenate([b[:, :3], by_radii, by_scanner], axis=1)
-        sums = sum_between_knots(first, weights, terms, count)
-        singles += sums[..., :9]
+        # A scanner sees a body on a part of its path only.
+        begin, end = first[0], first[-1] + 1
+        sums = sum_between_knots(first - begin, weights, terms, end - begin + 3)
+        singles[:, begin:end] += sums[..., :9]
         for i in range(4):
-            border[i : count - 3 + i, :, columns] += sums[i, :, 9:].reshape(-1, 3, SCANNER_UNKNOWNS)
-        pairs += sum_between_knots(
-            first, weights[:, EARLIER] * weights[:, LATER], A[:, :3, :3].reshape(-1, 9), count
+            border[begin + i : end + i, :, columns] += sums[i, :, 9:].reshape(-1, 3, SCANNER_UNKNOWNS)
+        pairs[:, begin:end] += sum_between_knots(
+            first - begin, weights[:, EARLIER] * weights[:, LATER], A[:, :3, :3].reshape(-1, 9), end - begin + 3
         )
     for i in range(4):
         gradient[i : count - 3 + i] += singles[i, :, :3]
