@@ -6,6 +6,8 @@ from calgraph.config.settings import NetworkEstimationSettings, TrackingSettings
 from calgraph.estimation.network.ellipse_raycast import raycast_ellipses
 from calgraph.estimation.network.problem import BodyPath, BodyScans
 from calgraph.estimation.network.scanner_unknowns import SYSTEMATIC_ERRORS
+from calgraph.estimation.network.schur import BodyEquations
+from calgraph.estimation.network.solver import NetworkEquations
 from calgraph.estimation.network.splines import Knots, evaluate_spline
 from calgraph.estimation.network.tukey_loss import TukeyLoss
 from calgraph.geometry import Array, se2
@@ -40,3 +42,14 @@ def simulate_scans(
     beam = direction @ T[:2, :2]
     start = beams * np.arange(len(times))
     return BodyScans(scanner, times + OFFSET[scanner], start, beam, ranges, np.zeros(len(at)), np.ones(len(at)))
+
+
+def list_body_equations(equations: NetworkEquations) -> list[BodyEquations]:
+    """Of each body."""
+    return [of_body for batch in equations.body_equations.handles for of_body in batch]
+
+
+def eliminate_densely(equations: NetworkEquations) -> Array:
+    """The matrix of what is estimated of the scanners, without bodies."""
+    H, _ = equations.eliminate_bodies()
+    return np.asarray(H.to_dense()[np.ix_(equations.unknowns, equations.unknowns)])

@@ -6,9 +6,10 @@ from dataclasses import replace
 import numpy as np
 
 from calgraph.estimation import SolvedNetwork
+from calgraph.estimation.network.ellipse_equations import compute_residuals, raycast_body
 from calgraph.estimation.network.path_equations import evaluate_at
 from calgraph.estimation.network.problem import BodyObservations, BodyPath, BodyScans, NetworkProblem, NetworkState
-from calgraph.estimation.network.solver import compute_residuals, optimize_network, raycast_body
+from calgraph.estimation.network.solver import optimize_network
 from calgraph.estimation.network.splines import Knots
 from network_scenes import DENSITY, EXACT, LOSS, OFFSET, SETTINGS, SIGMA, T_ROOT, simulate_scans
 

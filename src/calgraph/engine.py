@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar
 
-from calgraph.processes import parallel_map, parallel_stream
+from calgraph.processes import forked_jobs, parallel_map, parallel_stream
 
 Result = TypeVar("Result")
 
@@ -121,3 +121,8 @@ class Processes:
 
 THIS_PROCESS = Processes()
 """No other process."""
+
+
+def for_short_calls(engine: Engine) -> Engine:
+    """The engine for maps of less than a second: no other processes where each imports everything again."""
+    return Processes(forked_jobs(engine.jobs)) if isinstance(engine, Processes) else engine

@@ -25,6 +25,7 @@ from calgraph.diagnostics import (
     merge_calibrations,
     remove_scanners,
 )
+from calgraph.engine import Engine
 from calgraph.errors import CalibrationError, InputError, Rejected
 from calgraph.estimation import NetworkSolution, ScannerPrior, solve_network
 from calgraph.graph import NetworkInitialization, initialize_network
@@ -85,7 +86,7 @@ def calibrate_tracks(
     # A root without connections may have no tracks.
     if options.estimator == "joint" and len(initialization.names) > 1:
         progress("solving", 0.0)
-        joint, prior = _solve_jointly(rig, corrected, initialization, earlier)
+        joint, prior = _solve_jointly(rig, corrected, initialization, earlier, options.engine)
         progress("solving", 1.0)
     log_network(corrected.pairs, initialization, joint)
     if bump := _find_bump(rig, corrected, initialization, joint):
@@ -141,6 +142,7 @@ def _solve_jointly(
     corrected: CorrectedPairs,
     initialization: NetworkInitialization,
     earlier: Calibration | None,
+    engine: Engine,
 ) -> tuple[NetworkSolution, ScannerPrior | None]:
     """The joint solution, and the prior from the poses of an earlier calibration that it agrees with."""
     names = initialization.names
@@ -154,6 +156,7 @@ def _solve_jointly(
         settings=rig.settings.estimation.network,
         acceleration_density=rig.settings.tracking.acceleration_density,
         pair_settings=rig.settings.pairwise.scanners,
+        engine=engine,
     )
     joint = solution()
     if earlier is None:

@@ -16,7 +16,7 @@ from calgraph.diagnostics.network.consistency_tests import (
 from calgraph.estimation import NetworkSolution, SolvedNetwork
 from calgraph.estimation.network.contributions import Contributions, split_contributions
 from calgraph.estimation.network.problem import BodyScans
-from calgraph.estimation.network.solver import optimize_network
+from calgraph.estimation.network.solver import linearize_network, optimize_network
 from calgraph.geometry import se2
 from network_scenes import OFFSET, T_ROOT
 from solved_networks import MIDDLE, Change, no_change, solve_two_walks
@@ -101,12 +101,9 @@ def test_white_noise_scatters_as_expected(seed: int) -> None:
 
 def test_one_body_cannot_be_compared_with_another() -> None:
     solved = solve_two_walks(np.random.default_rng(0))
-    one = replace(
-        solved,
-        problem=replace(solved.problem, bodies=solved.problem.bodies[:1]),
-        state=replace(solved.state, paths=solved.state.paths[:1]),
-        equations=replace(solved.equations, bodies=solved.equations.bodies[:1]),
-    )
+    problem = replace(solved.problem, bodies=solved.problem.bodies[:1])
+    state = replace(solved.state, paths=solved.state.paths[:1])
+    one = SolvedNetwork(problem, state, linearize_network(problem, state))
     parts = split_contributions(one, SETTINGS.interval)
     assert not any("two groups" in found.text for found in find_inconsistent_parts(parts, NAMES, 1.0, SETTINGS))
 

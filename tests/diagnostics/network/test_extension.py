@@ -16,6 +16,7 @@ from calgraph.diagnostics.network.extension import (
 from calgraph.errors import CalibrationError, InputError
 from calgraph.estimation import NetworkSolution
 from calgraph.estimation.network.planar_poses import PlanarPoses, extract_planar_poses
+from calgraph.estimation.network.scanner_matrix import ScannerMatrix, ScannerOrder
 from calgraph.estimation.network.scanner_prior import ScannerPrior, build_scanner_prior
 from calgraph.geometry import Array, se2
 from calgraph.result import Calibration, Edge, Verdict
@@ -23,6 +24,11 @@ from known_networks import calibration, four_scanners
 
 SETTINGS = DiagnosticsSettings()
 REMARK = "its pose is that of the earlier calibration: this recording does not determine it"
+
+
+def empty_matrix() -> ScannerMatrix:
+    """Of four scanners with four unknowns each."""
+    return ScannerMatrix.zeros(ScannerOrder(np.arange(4), 3, 4))
 
 
 def test_the_gradient_of_the_prior_equals_finite_differences() -> None:
@@ -34,13 +40,13 @@ def test_the_gradient_of_the_prior_equals_finite_differences() -> None:
     T = se2.retract(T, rng.normal(0, 0.02, (4, 3)))
 
     def cost(step: Array) -> float:
-        return prior.add_to_equations(se2.retract(T, step.reshape(4, 4)[:, :3]), np.zeros((16, 16)), np.zeros(16))
+        return prior.add_to_equations(se2.retract(T, step.reshape(4, 4)[:, :3]), empty_matrix(), np.zeros(16))
 
-    H, g = np.zeros((16, 16)), np.zeros(16)
+    H, g = empty_matrix(), np.zeros(16)
     prior.add_to_equations(T, H, g)
     numerical = [(cost(h) - cost(-h)) / 2e-6 for h in 1e-6 * np.eye(16)]
     np.testing.assert_allclose(g, numerical, rtol=1e-5, atol=1e-3)
-    np.testing.assert_allclose(H @ np.eye(16)[8], _slope(prior, T, 8), rtol=1e-5, atol=1e-3)
+    np.testing.assert_allclose(H.to_dense()[8], _slope(prior, T, 8), rtol=1e-5, atol=1e-3)
 
 
 def _slope(prior: ScannerPrior, T: Array, column: int) -> Array:
@@ -49,7 +55,7 @@ def _slope(prior: ScannerPrior, T: Array, column: int) -> Array:
     for sign in (1, -1):
         step = sign * 1e-6 * np.eye(16)[column].reshape(4, 4)
         g = np.zeros(16)
-        prior.add_to_equations(se2.retract(T, step[:, :3]), np.zeros((16, 16)), g)
+        prior.add_to_equations(se2.retract(T, step[:, :3]), empty_matrix(), g)
         slopes.append(g)
     return np.asarray((slopes[0] - slopes[1]) / 2e-6)
 

@@ -89,12 +89,8 @@ def test_a_solution_without_its_problem_is_not_tested() -> None:
 
 
 def test_a_solution_without_bodies_is_not_tested() -> None:
-    nothing = replace(
-        solve(),
-        problem=replace(solve().problem, bodies=()),
-        state=replace(solve().state, paths=()),
-        equations=replace(solve().equations, bodies=()),
-    )
+    problem, state = replace(solve().problem, bodies=()), replace(solve().state, paths=())
+    nothing = SolvedNetwork(problem, state, linearize_network(problem, state))
     assert assess(nothing, averaging_error=1.0).findings == ()
 
 

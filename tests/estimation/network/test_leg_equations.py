@@ -10,6 +10,7 @@ from calgraph.estimation.network.scanner_unknowns import SCANNER_UNKNOWNS
 from calgraph.estimation.network.solver import NetworkEquations, apply_step, linearize_network, optimize_network
 from calgraph.geometry import Array, se2
 from leg_scenes import OFFSET, SHAPE, T_ROOT, build_network
+from network_scenes import list_body_equations
 
 
 def move(state: NetworkState, step: list[Array], scanners: Array, size: float) -> NetworkState:
@@ -26,7 +27,7 @@ def random_step(rng: np.random.Generator, state: NetworkState) -> tuple[list[Arr
 
 def slope(equations: NetworkEquations, steps: list[Array], scanners: Array) -> float:
     total = equations.g @ scanners
-    for body, step in zip(equations.bodies, steps, strict=True):
+    for body, step in zip(list_body_equations(equations), steps, strict=True):
         total += body.slope(step, scanners[body.columns])
     return float(total)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calgraph.estimation.network.leg_noise import LegNoise, estimate_noise
-from calgraph.estimation.network.leg_problem import LegObservations, LegPath
+from calgraph.estimation.network.leg_problem import LegObservations
 from calgraph.estimation.network.solver import optimize_network
 from leg_scenes import build_network
 
@@ -28,8 +28,7 @@ def estimate(bias: float) -> LegNoise:
         legs.append(replace(leg, scans=tuple(noisy), bias_variance=1e-4))
     problem = replace(problem, bodies=tuple(legs))
     state, equations = optimize_network(problem, state, iterations=10)
-    observed = [(leg, path) for leg, path in zip(legs, state.paths, strict=True) if isinstance(path, LegPath)]
-    return estimate_noise(problem, state, equations, observed, BACKGROUND)
+    return estimate_noise(problem, state, equations, BACKGROUND)
 
 
 def test_range_noise_is_that_of_the_ranges() -> None:

@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from calgraph.config.settings import NetworkEstimationSettings
+from calgraph.estimation.network.body_batches import BodyBatches, KeptValues
 from calgraph.estimation.network.problem import NetworkProblem, NetworkState
+from calgraph.estimation.network.scanner_matrix import ScannerMatrix, ScannerOrder
 from calgraph.estimation.network.scanner_unknowns import (
     FIRST_SYSTEMATIC,
     RANGE_BIAS,
@@ -44,10 +46,15 @@ def estimate(bias: Array, current: Array, gain: float = 0.3) -> Array:
     state = NetworkState(np.tile(np.eye(3), (COUNT, 1, 1)), np.zeros(COUNT), np.zeros(PRIOR.shape), ())
     state.systematic[:, 0] = estimate
     unknowns = np.sort(np.concatenate([poses, biases]))
-    equations = NetworkEquations(0.0, (), H, g, unknowns, np.zeros(size))
     settings = NetworkEstimationSettings(common_error_share=0.0)
     ones = np.ones(COUNT)
     network = NetworkProblem(COUNT, (), (), ones, np.ones(2), 0.1, current, 0.0, 1.0, settings)
+    matrix = ScannerMatrix.zeros(ScannerOrder(np.arange(COUNT), COUNT - 1, SCANNER_UNKNOWNS))
+    matrix.add(np.arange(size), H)
+    estimated = np.isin(np.arange(size), unknowns)
+    equations = NetworkEquations(
+        0.0, network, state, BodyBatches.place(()), KeptValues(()), matrix, g, estimated, np.zeros(size)
+    )
     return estimate_systematic_sigma(network, state, equations, PRIOR)
 
 

@@ -64,8 +64,8 @@ class BodyPartSettings(StrictModel):
     """
 
     max_duration: float = Field(default=60.0, gt=1)
-    """Maximum duration of a part, s: people walk through the views of a dozen scanners in this time. A cut loses the
-    smoothness of two control points out of 300. Parts of 20 s make standard deviations of clocks 4 % larger."""
+    """Maximum duration of a part, s: people walk through the views of a dozen scanners in this time. A cut loses
+    the smoothness of two control points out of 300. Parts of 20 s make the clocks 4 % less certain."""
     min_scanners: int = Field(default=9, ge=3)
     """Bodies that fewer scanners measured are not cut: they cost little."""
 
@@ -180,6 +180,13 @@ class NetworkEstimationSettings(StrictModel):
     """Error of the joint poses at which the registration of walls starts, m: bounds which walls correspond."""
     wall_rotation_sigma: float = Field(default=0.01, gt=0)
     """The error of the joint poses at which the registration of walls starts, rad."""
+    max_joint_covariance: int = Field(default=100, ge=2)
+    """Networks of more scanners state the covariances of scanners near each other only: the numbers of all pairs
+    grow with the square of the scanners."""
+    systematic_group: int = Field(default=100, ge=2)
+    """Scanners, near each other, whose differences are compared at once for the spread of systematic errors; in
+    larger networks, groups of them count as independent. The comparison takes time with the third power of their
+    number, and 100 determine a standard deviation to 7 %."""
     grouping: TrackGroupingSettings = TrackGroupingSettings()
     body: BodySettings = BodySettings()
     parts: BodyPartSettings = BodyPartSettings()

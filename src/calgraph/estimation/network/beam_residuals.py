@@ -5,11 +5,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calgraph.estimation.network.ellipse_equations import compute_residuals, raycast_body
 from calgraph.estimation.network.leg_equations import compute_leg_residuals, raycast_leg
 from calgraph.estimation.network.leg_problem import LegPath
 from calgraph.estimation.network.path_equations import evaluate_at, index_scans
 from calgraph.estimation.network.problem import BodyScans, NetworkProblem, NetworkState
-from calgraph.estimation.network.solver import compute_residuals, raycast_body
 from calgraph.geometry import Array, Index
 
 

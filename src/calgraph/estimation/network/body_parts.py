@@ -1,4 +1,4 @@
-"""Cuts the walks of bodies through many scanners into parts, which are bodies of their own for the joint solution."""
+"""Cuts the walks of bodies through many scanners into parts, which the joint solution takes as bodies."""
 
 from collections.abc import Iterator, Sequence
 

@@ -5,16 +5,17 @@ derivatives G of a body's pose and shape by the scanners, and B by path and shap
 along ``J = G - B K``: the sum over all scans and the priors of paths is the Schur complement.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
+from calgraph.estimation.network.ellipse_equations import build_scan_equations
 from calgraph.estimation.network.estimate import SolvedNetwork
 from calgraph.estimation.network.leg_problem import LegPath
 from calgraph.estimation.network.path_equations import evaluate_at
-from calgraph.estimation.network.problem import BodyScans
+from calgraph.estimation.network.problem import BodyObservations, BodyPath, BodyScans, NetworkProblem, NetworkState
 from calgraph.estimation.network.scan_equations import SCAN_PARAMETERS
 from calgraph.estimation.network.scanner_unknowns import (
     CLOCK,
@@ -22,8 +23,7 @@ from calgraph.estimation.network.scanner_unknowns import (
     compute_root_times,
     compute_scanner_jacobian,
 )
-from calgraph.estimation.network.schur import eliminate_path
-from calgraph.estimation.network.solver import build_scan_equations
+from calgraph.estimation.network.schur import BodyEquations, eliminate_path
 from calgraph.estimation.network.tukey_loss import TukeyLoss
 from calgraph.geometry import Array, Index
 
@@ -86,12 +86,13 @@ def split_contributions(solved: SolvedNetwork, interval: float) -> Contributions
     """Splits the normal equations of a solution by body and interval of time, s."""
     network, equations = solved.problem, solved.equations
     unknowns = equations.unknowns
-    column = np.full(len(equations.H), -1)
+    column = np.full(len(equations.g), -1)
     column[unknowns] = np.arange(len(unknowns))
     bodies, times, information, gradient = [], [], [], []
-    for index, body in enumerate(equations.bodies):
-        for time, A, b in _split_body(solved, index, interval):
-            own = column[body.columns]
+    split = equations.map(partial(_split_body, interval=interval))
+    for index, (columns, of_body) in enumerate(zip(equations.columns, split, strict=True)):
+        for time, A, b in of_body:
+            own = column[columns]
             kept = own >= 0
             information.append(np.zeros((len(unknowns), len(unknowns))))
             information[-1][np.ix_(own[kept], own[kept])] = A[np.ix_(kept, kept)]
@@ -102,7 +103,7 @@ def split_contributions(solved: SolvedNetwork, interval: float) -> Contributions
     # Gradients of a redescending loss have less variance, and change less with the unknowns, than the information
     # in its weights predicts. Scaled to that information, priors weigh more.
     scale = TukeyLoss(network.settings.beams.tukey_limit).score_to_information ** -0.5
-    prior = (equations.H + np.diag(equations.regularizer))[np.ix_(unknowns, unknowns)]
+    prior = equations.H.add_diagonal(equations.regularizer).to_dense()[np.ix_(unknowns, unknowns)]
     count = len(unknowns)
     return Contributions(
         np.array(bodies, dtype=np.intp),
@@ -115,18 +116,22 @@ def split_contributions(solved: SolvedNetwork, interval: float) -> Contributions
     )
 
 
-def _split_body(solved: SolvedNetwork, index: int, interval: float) -> Iterator[tuple[float, Array, Array]]:
+def _split_body(
+    network: NetworkProblem,
+    state: NetworkState,
+    body: BodyObservations,
+    path: BodyPath,
+    equations: BodyEquations,
+    interval: float,
+) -> list[tuple[float, Array, Array]]:
     """Time, information (UL, UL) and gradient (UL,) of each interval of a body; U, L as for its equations.
 
     A leg is one part: the biases of scanners make its intervals depend on each other.
     """
-    network, state = solved.problem, solved.state
-    body, path, equations = network.bodies[index], state.paths[index], solved.equations.bodies[index]
     size = len(equations.columns)
     H, g, K = eliminate_path(equations, 0.0)
     if isinstance(path, LegPath):
-        yield body.knots.start + (body.knots.count - 3) * body.knots.step / 2, H, g
-        return
+        return [(body.knots.start + (body.knots.count - 3) * body.knots.step / 2, H, g)]
     by_path = K[: 3 * body.knots.count, :-1].reshape(-1, 3, size)
     by_shape = K[3 * body.knots.count :, :-1]
     count = int((body.knots.count - 3) * body.knots.step / interval) + 1
@@ -140,7 +145,7 @@ def _split_body(solved: SolvedNetwork, index: int, interval: float) -> Iterator[
         first, weights, pose, rate = evaluate_at(network, state, body, path, scans)
         sums = build_scan_equations(network, state, path, scans, pose, rate)
         sums = sums.marginalize_model_error(network.model_error_variance[[0, 0, 1]])
-        J = _total_jacobian(solved, scans, k, path.radii, (first, weights, pose, rate), by_path, by_shape)
+        J = _total_jacobian(network, state, scans, k, path.radii, (first, weights, pose, rate), by_path, by_shape)
         part = part_of(compute_root_times(network, state, scans))
         np.add.at(information, part, np.swapaxes(J, 1, 2) @ sums.information @ J)
         np.add.at(gradient, part, np.einsum("vpq,vp->vq", J, sums.gradient))
@@ -154,12 +159,15 @@ def _split_body(solved: SolvedNetwork, index: int, interval: float) -> Iterator[
     share /= share.sum()
     information += share[:, None, None] * (H - information.sum(axis=0))
     gradient += share[:, None] * (g - gradient.sum(axis=0))
-    for n in np.flatnonzero(share).tolist():
-        yield body.knots.start + (n + 0.5) * interval, information[n], gradient[n]
+    return [
+        (body.knots.start + (n + 0.5) * interval, information[n], gradient[n])
+        for n in np.flatnonzero(share).tolist()
+    ]
 
 
 def _total_jacobian(
-    solved: SolvedNetwork,
+    network: NetworkProblem,
+    state: NetworkState,
     scans: BodyScans,
     k: int,
     radii: Array,
@@ -171,7 +179,7 @@ def _total_jacobian(
     first, weights, pose, rate = evaluated
     J = np.zeros((len(pose), SCAN_PARAMETERS, by_shape.shape[1]))
     columns = slice(SCANNER_UNKNOWNS * k, SCANNER_UNKNOWNS * (k + 1))
-    J[..., columns] = compute_scanner_jacobian(solved.problem, solved.state, scans, radii, pose, rate)
+    J[..., columns] = compute_scanner_jacobian(network, state, scans, radii, pose, rate)
     for i in range(4):
         J[:, :3] -= weights[:, i, None, None] * by_path[first + i]
     J[:, 3:5] -= by_shape

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -11,8 +12,11 @@ from scipy.sparse.csgraph import connected_components
 
 from calgraph.config import Cylinder, Lidar2dUncertainty, People
 from calgraph.config.settings import NetworkEstimationSettings, ScannerPairSettings, TrackingSettings
+from calgraph.engine import THIS_PROCESS, Engine, for_short_calls
 from calgraph.errors import Rejected
+from calgraph.estimation.network.body_batches import BodyBatches
 from calgraph.estimation.network.body_parts import cut_bodies
+from calgraph.estimation.network.ellipse_equations import compute_residuals, raycast_body
 from calgraph.estimation.network.heading_search import search_headings
 from calgraph.estimation.network.leg_choice import measures_legs
 from calgraph.estimation.network.leg_solution import AddWalls, solve_legs
@@ -37,13 +41,7 @@ from calgraph.estimation.network.scanner_unknowns import (
     correct_points,
     linearize_beam_errors,
 )
-from calgraph.estimation.network.solver import (
-    NetworkEquations,
-    compute_network_covariance,
-    compute_residuals,
-    optimize_network,
-    raycast_body,
-)
+from calgraph.estimation.network.solver import NetworkEquations, compute_network_covariance, optimize_network
 from calgraph.estimation.network.splines import Knots
 from calgraph.estimation.network.systematic_spread import estimate_systematic_sigma
 from calgraph.estimation.network.track_association import BodyTracks, group_tracks_by_body
@@ -74,7 +72,8 @@ class NetworkSolution:
     clock_offset: Array
     """(S,) scanner clock minus root clock in the middle of the recording, s."""
     covariance: Array
-    """(4S, 4S) of pose in the root's fixed axes and clock offset, scanner by scanner."""
+    """(4S, 4S) of pose in the root's fixed axes and clock offset, scanner by scanner; NaN between scanners of a
+    large network that are far from each other."""
     clocks_estimated: bool
     """Whether clock offsets were estimated."""
     model_error: float
@@ -114,6 +113,7 @@ def solve_network(
     settings: NetworkEstimationSettings = NetworkEstimationSettings(),
     acceleration_density: float = TrackingSettings().acceleration_density,
     pair_settings: ScannerPairSettings = ScannerPairSettings(),
+    engine: Engine = THIS_PROCESS,
 ) -> NetworkSolution:
     """Solves jointly for poses, clocks and systematic errors of scanners, and paths and radii of bodies.
 
@@ -128,8 +128,9 @@ def solve_network(
         settings: of the estimate.
         acceleration_density: spectral density of a body's acceleration, m²/s³.
         pair_settings: of the ICP of static backgrounds, and of the ticks at which tracks are compared.
+        engine: evaluates bodies and walls; does not affect the result.
     """
-    T_root_scanner = averaged.T_root_node
+    engine, T_root_scanner = for_short_calls(engine), averaged.T_root_node
     edges = [
         WallConstraint(int(i), int(j), T, information)
         for (i, j), T, information, inlier in zip(
@@ -165,7 +166,7 @@ def solve_network(
     )
 
     def add_walls(network: NetworkProblem, state: NetworkState) -> NetworkProblem:
-        walls = _register_walls(tracked, network, state, pair_settings)
+        walls = _register_walls(tracked, network, state, pair_settings, engine)
         return replace(network, walls=(*walls, *select_bridges(network, walls, edges)))
 
     foregrounds = [one.foreground for one in tracked if one.foreground is not None]
@@ -174,45 +175,51 @@ def solve_network(
         and len(foregrounds) == len(tracked)
         and measures_legs(target, tracked, settings.legs)
     ):
-        network, state, equations = solve_legs(network, state, foregrounds, add_walls)
+        network, state, equations = solve_legs(network, state, foregrounds, add_walls, engine)
     else:
-        network, state, equations = _solve_bodies(network, state, edges, add_walls)
+        network, state, equations = _solve_bodies(network, state, edges, add_walls, engine)
     covariance = compute_network_covariance(equations)
-    column = np.arange(len(covariance)) % SCANNER_UNKNOWNS
-    placed = column < FIRST_SYSTEMATIC
+    columns = np.arange(SCANNER_UNKNOWNS * len(tracked)).reshape(-1, SCANNER_UNKNOWNS)
+    of_errors = covariance.select(columns[:, FIRST_SYSTEMATIC:].ravel())
     return NetworkSolution(
         state.T_root_scanner,
         state.clock_offset,
-        covariance[np.ix_(placed, placed)],
+        covariance.select(columns[:, :FIRST_SYSTEMATIC].ravel()),
         estimate_clocks,
         float(np.sqrt(network.model_error_variance[0])),
         solved=SolvedNetwork(network, state, equations),
-        systematic=SystematicErrors(state.systematic, covariance[np.ix_(~placed, ~placed)], prior_sigma),
+        systematic=SystematicErrors(state.systematic, np.nan_to_num(of_errors), prior_sigma),
     )
 
 
 def _solve_bodies(
-    network: NetworkProblem, state: NetworkState, edges: Sequence[WallConstraint], add_walls: AddWalls
+    network: NetworkProblem,
+    state: NetworkState,
+    edges: Sequence[WallConstraint],
+    add_walls: AddWalls,
+    engine: Engine,
 ) -> tuple[NetworkProblem, NetworkState, NetworkEquations]:
     """Solves for scanners and ellipses, from the noise of the background and the priors of rig.yaml."""
     settings, background, prior_sigma = network.settings, network.range_sigma, network.systematic_sigma
     network = replace(network, walls=select_bridges(network, (), edges))
     for path_sigma in (settings.first_path_sigma, settings.second_path_sigma):
         network = replace(network, range_sigma=np.hypot(background, path_sigma))
-        network = _update_weights(network, state, settings.beams.initial_near_side_factor)
-        state, equations = optimize_network(network, state, iterations=settings.iterations)
-        state = search_headings(network, state)
+        network = _update_weights(network, state, engine, settings.beams.initial_near_side_factor)
+        batches = BodyBatches.place(network.bodies, engine)
+        state, equations = optimize_network(network, state, iterations=settings.iterations, batches=batches)
+        state = search_headings(network, state, batches)
     previous = np.full(2, np.inf)
     for _ in range(settings.max_rounds):
         range_sigma = estimate_range_noise(network, state, equations, background)
-        network = _update_weights(replace(network, range_sigma=range_sigma), state)
+        network = _update_weights(replace(network, range_sigma=range_sigma), state, engine)
+        batches = BodyBatches.place(network.bodies, engine)
         network = replace(
             network,
-            model_error_variance=estimate_model_error(network, state),
-            systematic_sigma=estimate_systematic_sigma(network, state, equations, prior_sigma),
+            model_error_variance=estimate_model_error(network, state, batches),
+            systematic_sigma=estimate_systematic_sigma(network, state, equations, prior_sigma, engine),
         )
         network = add_walls(network, state)
-        state, equations = optimize_network(network, state, iterations=settings.iterations)
+        state, equations = optimize_network(network, state, iterations=settings.iterations, batches=batches)
         if np.all(np.abs(network.model_error_variance / previous - 1) < settings.model_error.tolerance):
             break
         previous = network.model_error_variance
@@ -299,15 +306,16 @@ def _initialize_path(
     return BodyPath(np.column_stack([control, heading]), _prior_radii(target))
 
 
-def _update_weights(network: NetworkProblem, state: NetworkState, near_side_factor: float = 1.0) -> NetworkProblem:
+def _update_weights(
+    network: NetworkProblem, state: NetworkState, engine: Engine, near_side_factor: float = 1.0
+) -> NetworkProblem:
     """The network with robust weights of beams at a state; ``near_side_factor`` as for the weights."""
+    compute = partial(_compute_weights, near_side_factor=near_side_factor)
+    weights = BodyBatches.place(network.bodies, engine).map(compute, network, state)
     bodies = []
-    for body, path in zip(network.bodies, state.paths, strict=True):
-        scans = tuple(
-            replace(one, weight=_compute_weights(network, state, body, path, one, near_side_factor))
-            for one in body.scans
-        )
-        bodies.append(replace(body, scans=scans))
+    for body, of_scanners in zip(network.bodies, weights, strict=True):
+        scans = (replace(one, weight=weight) for one, weight in zip(body.scans, of_scanners, strict=True))
+        bodies.append(replace(body, scans=tuple(scans)))
     return replace(network, bodies=tuple(bodies))
 
 
@@ -316,16 +324,17 @@ def _compute_weights(
     state: NetworkState,
     body: BodyObservations,
     path: BodyPath,
-    scans: BodyScans,
     near_side_factor: float,
-) -> Array:
-    """(N,)."""
-    _, _, pose, rate = evaluate_at(network, state, body, path, scans)
-    hits = raycast_body(state, path, scans, pose, rate)
-    residual, _ = compute_residuals(network, scans, hits)
-    beams = network.settings.beams
-    used = hits.cos_incidence > beams.min_cos_incidence
-    return TukeyLoss(beams.tukey_limit).compute_weights(residual, used, near_side_factor)
+) -> list[Array]:
+    """Weights (N,) of each scanner's beams on a body."""
+    beams, weights = network.settings.beams, []
+    for scans in body.scans:
+        _, _, pose, rate = evaluate_at(network, state, body, path, scans)
+        hits = raycast_body(state, path, scans, pose, rate)
+        residual, _ = compute_residuals(network, scans, hits)
+        used = hits.cos_incidence > beams.min_cos_incidence
+        weights.append(TukeyLoss(beams.tukey_limit).compute_weights(residual, used, near_side_factor))
+    return weights
 
 
 def _register_walls(
@@ -333,6 +342,7 @@ def _register_walls(
     network: NetworkProblem,
     state: NetworkState,
     pair_settings: ScannerPairSettings,
+    engine: Engine,
 ) -> tuple[WallConstraint, ...]:
     """Registers the static backgrounds of all pairs of scanners that measured a common body."""
     pairs = {
@@ -346,15 +356,19 @@ def _register_walls(
         np.square([settings.wall_position_sigma, settings.wall_position_sigma, settings.wall_rotation_sigma])
     )
     beam_errors, _ = linearize_beam_errors(state.systematic)
-    backgrounds = [
-        icp.StaticBackground(correct_points(scanner.background, errors), pair_settings)
-        for scanner, errors in zip(tracked, state.systematic, strict=True)
-    ]
-    walls = []
+    backgrounds = engine.put(
+        [
+            icp.StaticBackground(correct_points(scanner.background, errors), pair_settings)
+            for scanner, errors in zip(tracked, state.systematic, strict=True)
+        ]
+    )
+    work = []
     for a, b in sorted(pairs):
         T_a_b = se2.inverse(state.T_root_scanner[a]) @ state.T_root_scanner[b]
         sigma = float(np.hypot(tracked[a].sigma, tracked[b].sigma))
-        registered = icp.align_backgrounds(T_a_b, prior_covariance, backgrounds[a], backgrounds[b], sigma)
+        work.append((T_a_b, prior_covariance, backgrounds[a], backgrounds[b], sigma))
+    walls = []
+    for (a, b), registered in zip(sorted(pairs), engine.map(icp.align_backgrounds, work), strict=True):
         if not isinstance(registered, Rejected):
             by_errors = registered.by_beam_errors
             # The pose that exact ranges and angles would have given.

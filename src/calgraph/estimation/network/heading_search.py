@@ -8,24 +8,32 @@ from dataclasses import replace
 
 import numpy as np
 
+from calgraph.estimation.network.body_batches import BodyBatches
+from calgraph.estimation.network.ellipse_equations import compute_heading_offsets
 from calgraph.estimation.network.ellipse_raycast import rotate_by_small_angles
 from calgraph.estimation.network.path_equations import evaluate_at, index_scans
 from calgraph.estimation.network.problem import BodyObservations, BodyPath, BodyScans, NetworkProblem, NetworkState
 from calgraph.estimation.network.scanner_unknowns import RANGE_BIAS, compute_stretches, compute_turns
-from calgraph.estimation.network.solver import compute_heading_offsets
 from calgraph.geometry import Array, Index
 
 
-def search_headings(network: NetworkProblem, state: NetworkState) -> NetworkState:
-    """The state with the best headings of people, given their paths' positions and their radii."""
-    paths = [
-        _search_body(network, state, body, path) if body.faces_forward else path
-        for body, path in zip(network.bodies, state.paths, strict=True)
-    ]
-    return replace(state, paths=tuple(paths))
+def search_headings(
+    network: NetworkProblem, state: NetworkState, batches: BodyBatches | None = None
+) -> NetworkState:
+    """The state with the best headings of people, given their paths' positions and their radii.
+
+    Args:
+        network: the problem.
+        state: with these paths.
+        batches: the bodies, where they have been placed already.
+    """
+    batches = batches or BodyBatches.place(network.bodies)
+    return replace(state, paths=tuple(batches.map(_search_body, network, state)))
 
 
 def _search_body(network: NetworkProblem, state: NetworkState, body: BodyObservations, path: BodyPath) -> BodyPath:
+    if not body.faces_forward:
+        return path
     size = network.settings.heading_search.grid_size
     grid = np.pi * np.arange(size) / size
     cost = np.zeros((body.knots.count, size))

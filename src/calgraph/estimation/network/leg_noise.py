@@ -1,6 +1,5 @@
 """Estimates the noise of ranges and the biases of scanners from the residuals at legs."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,11 +9,14 @@ from calgraph.estimation.network.leg_equations import compute_leg_residuals, ray
 from calgraph.estimation.network.leg_problem import LegObservations, LegPath
 from calgraph.estimation.network.path_equations import evaluate_at, index_scans
 from calgraph.estimation.network.problem import NetworkProblem, NetworkState
-from calgraph.estimation.network.schur import BodyEquations, compute_path_covariance, pack_lower_band
-from calgraph.estimation.network.solver import NetworkEquations
+from calgraph.estimation.network.schur import (
+    BodyEquations,
+    compute_path_covariance,
+    eliminate_path,
+    pack_lower_band,
+)
+from calgraph.estimation.network.solver import NetworkEquations, compute_network_covariance
 from calgraph.geometry import Array, Index, se_n
-
-Legs = Sequence[tuple[LegObservations, LegPath]]
 
 # Standard deviation of Gaussian noise as a multiple of its median absolute value.
 _MEDIAN_TO_SIGMA = 1.4826
@@ -37,68 +39,62 @@ class LegNoise:
 
 
 def estimate_noise(
-    network: NetworkProblem, state: NetworkState, equations: NetworkEquations, legs: Legs, background: Array
+    network: NetworkProblem, state: NetworkState, equations: NetworkEquations, background: Array
 ) -> LegNoise:
-    """Estimates all variances from a solution.
+    """Estimates all variances from a solution of legs.
 
     Args:
         network: with the weights of its last solution.
         state: of that solution.
         equations: of that solution.
-        legs: of that solution.
         background: (S,) noise of each scanner's background, m.
     """
     settings = network.settings.legs.body
     return LegNoise(
-        _estimate_range_noise(network, state, equations, legs, background),
-        _estimate_bias_variance(equations, legs, settings.min_bias_sigma),
-        _estimate_acceleration_density(equations, legs, settings.acceleration_density_range),
+        _estimate_range_noise(network, state, equations, background),
+        _estimate_bias_variance(network, state, equations, settings.min_bias_sigma),
+        _estimate_acceleration_density(network, state, equations, settings.acceleration_density_range),
     )
 
 
-def _estimate_acceleration_density(equations: NetworkEquations, legs: Legs, limits: tuple[float, float]) -> float:
+def _estimate_acceleration_density(
+    network: NetworkProblem, state: NetworkState, equations: NetworkEquations, limits: tuple[float, float]
+) -> float:
     """Squared second differences of the control points, over the number of them that the data determine.
 
     As for the biases, it is a step of the fixed-point iteration for restricted maximum likelihood, for given
     scanners and shapes.
     """
-    squares = determined = 0.0
-    for (leg, path), body in zip(legs, equations.bodies, strict=True):
-        bend = np.diff(path.control[:, :2], 2, axis=0)
-        covariance = np.trace(compute_path_covariance(body.band)[..., :2, :2], axis1=2, axis2=3)
-        at, next_, after = covariance[:, 0], covariance[:, 1], covariance[:, 2]
-        variance = at[:-2] + 4 * at[1:-1] + at[2:] - 4 * next_[:-2] - 4 * next_[1:-1] + 2 * after[:-2]
-        prior = leg.knots.step**3 * leg.acceleration_density
-        squares += float(np.sum(bend**2)) / leg.knots.step**3
-        determined += float(np.sum(2 - np.minimum(variance / prior, 2)))
-    return float(np.clip(squares / max(determined, 1.0), *limits)) if legs else limits[1]
+    of_legs = equations.batches.map(_measure_bends, network, state, equations.body_equations)
+    squares, determined = np.sum(of_legs, axis=0) if of_legs else (0.0, 0.0)
+    return float(np.clip(squares / max(determined, 1.0), *limits)) if of_legs else limits[1]
+
+
+def _measure_bends(
+    _network: NetworkProblem, _state: NetworkState, leg: LegObservations, path: LegPath, equations: BodyEquations
+) -> tuple[float, float]:
+    """Sum of squared second differences of one leg, and how many of them the data determine."""
+    bend = np.diff(path.control[:, :2], 2, axis=0)
+    covariance = np.trace(compute_path_covariance(equations.band)[..., :2, :2], axis1=2, axis2=3)
+    at, next_, after = covariance[:, 0], covariance[:, 1], covariance[:, 2]
+    variance = at[:-2] + 4 * at[1:-1] + at[2:] - 4 * next_[:-2] - 4 * next_[1:-1] + 2 * after[:-2]
+    prior = leg.knots.step**3 * leg.acceleration_density
+    return float(np.sum(bend**2)) / leg.knots.step**3, float(np.sum(2 - np.minimum(variance / prior, 2)))
 
 
 def _estimate_range_noise(
-    network: NetworkProblem, state: NetworkState, equations: NetworkEquations, legs: Legs, background: Array
+    network: NetworkProblem, state: NetworkState, equations: NetworkEquations, background: Array
 ) -> Array:
     """(S,) noise of ranges, m: median absolute residual, each divided by the root of one minus its leverage.
 
-    Args:
-        network: with the weights of its last solution.
-        state: of that solution.
-        equations: of that solution.
-        legs: of that solution.
-        background: (S,) noise of each scanner's background, m; used for scanners with few beams on legs.
+    Scanners with few beams on legs have the noise (S,) of their background.
     """
     settings = network.settings.range_noise
     residuals: list[list[Array]] = [[] for _ in background]
-    for (leg, path), leg_equations in zip(legs, equations.bodies, strict=True):
-        path_covariance = compute_path_covariance(leg_equations.band)[..., :2, :2]
-        for scans, bias in zip(leg.scans, path.bias.tolist(), strict=True):
-            first, weights, pose, rate = evaluate_at(network, state, leg, path, scans)
-            hits = raycast_leg(network, state, path, scans, pose, rate)
-            residual, sigma = compute_leg_residuals(network, scans, hits, bias)
-            covariance = _interpolate_covariance(path_covariance, first, weights)[index_scans(scans)]
-            J = hits.jacobian[:, :2] / sigma[:, None]
-            leverage = scans.weight * np.einsum("ni,nij,nj->n", J, covariance, J)
-            used = (np.abs(hits.slope) < _MAX_SLOPE) & (leverage < _MAX_LEVERAGE)
-            residuals[scans.scanner].append(np.abs(residual * sigma)[used] / np.sqrt(1 - leverage[used]))
+    of_legs = equations.batches.map(_list_residuals, network, state, equations.body_equations)
+    for leg, of_scanners in zip(network.bodies, of_legs, strict=True):
+        for scans, absolute in zip(leg.scans, of_scanners, strict=True):
+            residuals[scans.scanner].append(absolute)
     by_scanner = [np.concatenate([np.zeros(0), *parts]) for parts in residuals]
     estimated = [
         _MEDIAN_TO_SIGMA * np.median(absolute) if len(absolute) >= settings.min_beams else stated
@@ -107,6 +103,24 @@ def _estimate_range_noise(
     return np.asarray(
         np.clip(estimated, settings.min_ratio * background, np.hypot(background, settings.max_excess))
     )
+
+
+def _list_residuals(
+    network: NetworkProblem, state: NetworkState, leg: LegObservations, path: LegPath, equations: BodyEquations
+) -> list[Array]:
+    """Absolute residuals of each scanner's beams on one leg, corrected for their leverage, m."""
+    path_covariance = compute_path_covariance(equations.band)[..., :2, :2]
+    residuals = []
+    for scans, bias in zip(leg.scans, path.bias.tolist(), strict=True):
+        first, weights, pose, rate = evaluate_at(network, state, leg, path, scans)
+        hits = raycast_leg(network, state, path, scans, pose, rate)
+        residual, sigma = compute_leg_residuals(network, scans, hits, bias)
+        covariance = _interpolate_covariance(path_covariance, first, weights)[index_scans(scans)]
+        J = hits.jacobian[:, :2] / sigma[:, None]
+        leverage = scans.weight * np.einsum("ni,nij,nj->n", J, covariance, J)
+        used = (np.abs(hits.slope) < _MAX_SLOPE) & (leverage < _MAX_LEVERAGE)
+        residuals.append(np.abs(residual * sigma)[used] / np.sqrt(1 - leverage[used]))
+    return residuals
 
 
 def _interpolate_covariance(path_covariance: Array, first: Index, weights: Array) -> Array:
@@ -119,24 +133,37 @@ def _interpolate_covariance(path_covariance: Array, first: Index, weights: Array
     return total
 
 
-def _estimate_bias_variance(equations: NetworkEquations, legs: Legs, min_sigma: float) -> float:
+def _estimate_bias_variance(
+    network: NetworkProblem, state: NetworkState, equations: NetworkEquations, min_sigma: float
+) -> float:
     """Variance of the biases, m²: their sum of squares over the number of them that the data determine.
 
     It is a step of the fixed-point iteration for restricted maximum likelihood (Harville, 1977, section 5).
     """
-    H, _, back_substitutions = equations.eliminate_bodies()
-    covariance = np.zeros_like(equations.H)
-    covariance[np.ix_(equations.unknowns, equations.unknowns)] = np.linalg.inv(H)
-    squares = determined = 0.0
-    for (leg, path), body, K in zip(legs, equations.bodies, back_substitutions, strict=True):
-        by_scanners = K[-len(path.bias) :, :-1]
-        variance = _bias_variances(body, len(path.bias))
-        variance += np.einsum(
-            "ij,jk,ik->i", by_scanners, covariance[np.ix_(body.columns, body.columns)], by_scanners
-        )
-        squares += float(path.bias @ path.bias)
-        determined += float(np.sum(1 - np.minimum(variance / leg.bias_variance, 1)))
-    return max(squares / max(determined, 1.0), min_sigma**2)
+    covariance = compute_network_covariance(equations)
+    of_scanners = [covariance.select(columns) for columns in equations.columns]
+    of_legs = equations.batches.map(_measure_biases, network, state, equations.body_equations, of_scanners)
+    squares, determined = np.sum(of_legs, axis=0) if of_legs else (0.0, 0.0)
+    return max(float(squares) / max(float(determined), 1.0), min_sigma**2)
+
+
+def _measure_biases(
+    _network: NetworkProblem,
+    _state: NetworkState,
+    leg: LegObservations,
+    path: LegPath,
+    equations: BodyEquations,
+    covariance: Array,
+) -> tuple[float, float]:
+    """Sum of squared biases of one leg, and how many of them the data determine.
+
+    The covariance (UL, UL) is that of the scanners.
+    """
+    _, _, K = eliminate_path(equations, 0.0)
+    by_scanners = K[-len(path.bias) :, :-1]
+    variance = _bias_variances(equations, len(path.bias))
+    variance += np.einsum("ij,jk,ik->i", by_scanners, covariance, by_scanners)
+    return float(path.bias @ path.bias), float(np.sum(1 - np.minimum(variance / leg.bias_variance, 1)))
 
 
 def _bias_variances(equations: BodyEquations, count: int) -> Array:

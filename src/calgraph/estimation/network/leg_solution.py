@@ -10,9 +10,11 @@ from dataclasses import replace
 import numpy as np
 
 from calgraph.config.settings import LegSettings
+from calgraph.engine import THIS_PROCESS, Engine
+from calgraph.estimation.network.body_batches import BodyBatches
 from calgraph.estimation.network.leg_association import LegCandidate, ScannerBeams, associate_beams
 from calgraph.estimation.network.leg_equations import compute_leg_residuals, raycast_leg
-from calgraph.estimation.network.leg_noise import LegNoise, Legs, estimate_noise
+from calgraph.estimation.network.leg_noise import LegNoise, estimate_noise
 from calgraph.estimation.network.leg_problem import LegObservations, LegPath, compute_shape_prior
 from calgraph.estimation.network.leg_start import initialize_leg, predict_headings
 from calgraph.estimation.network.leg_tracks import track_legs
@@ -29,7 +31,11 @@ AddWalls = Callable[[NetworkProblem, NetworkState], NetworkProblem]
 
 
 def solve_legs(
-    network: NetworkProblem, state: NetworkState, foregrounds: Sequence[Foreground], add_walls: AddWalls
+    network: NetworkProblem,
+    state: NetworkState,
+    foregrounds: Sequence[Foreground],
+    add_walls: AddWalls,
+    engine: Engine = THIS_PROCESS,
 ) -> tuple[NetworkProblem, NetworkState, NetworkEquations]:
     """Solves jointly for the unknowns of scanners, and the paths and shapes of legs.
 
@@ -38,6 +44,7 @@ def solve_legs(
         state: with start poses and clocks.
         foregrounds: of each scanner.
         add_walls: registers the static backgrounds.
+        engine: evaluates legs.
 
     Returns:
         The problem of the last round, with its minimum and the normal equations there.
@@ -61,19 +68,20 @@ def solve_legs(
             # The averaged poses may be too far off for the registration of walls.
             if tracking + round_ > 0:
                 network = add_walls(network, state)
-            state, equations = optimize_network(network, state, iterations=settings.iterations)
-            legs = _list_legs(network, state)
+            batches = BodyBatches.place(network.bodies, engine)
+            state, equations = optimize_network(network, state, iterations=settings.iterations, batches=batches)
             candidates = [
-                replace(candidate, path=path) for candidate, (_, path) in zip(candidates, legs, strict=True)
+                replace(candidate, path=path)
+                for candidate, (_, path) in zip(candidates, _list_legs(network, state), strict=True)
             ]
-            noise = estimate_noise(network, state, equations, legs, background)
-            systematic_sigma = estimate_systematic_sigma(network, state, equations, prior_sigma)
+            noise = estimate_noise(network, state, equations, background)
+            systematic_sigma = estimate_systematic_sigma(network, state, equations, prior_sigma, engine)
         if tracking > 0 and np.abs(state.clock_offset - clocks).max() < settings.clock_tolerance:
             break
     return network, state, equations
 
 
-def _list_legs(network: NetworkProblem, state: NetworkState) -> Legs:
+def _list_legs(network: NetworkProblem, state: NetworkState) -> list[tuple[LegObservations, LegPath]]:
     return [
         (leg, path)
         for leg, path in zip(network.bodies, state.paths, strict=True)

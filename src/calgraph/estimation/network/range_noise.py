@@ -7,11 +7,12 @@ the more so, the greater the leverage of the beams (Huber, "Robust statistics", 
 
 import numpy as np
 
+from calgraph.estimation.network.ellipse_equations import compute_residuals, raycast_body
 from calgraph.estimation.network.path_equations import evaluate_at
-from calgraph.estimation.network.problem import NetworkProblem, NetworkState
+from calgraph.estimation.network.problem import BodyObservations, BodyPath, NetworkProblem, NetworkState
 from calgraph.estimation.network.scan_equations import ScanEquations, sum_over_scans
-from calgraph.estimation.network.schur import compute_path_covariance
-from calgraph.estimation.network.solver import NetworkEquations, compute_residuals, raycast_body
+from calgraph.estimation.network.schur import BodyEquations, compute_path_covariance
+from calgraph.estimation.network.solver import NetworkEquations
 from calgraph.estimation.network.tukey_loss import TukeyLoss
 from calgraph.geometry import Array, Index
 
@@ -32,22 +33,14 @@ def estimate_range_noise(
         equations: of that solution.
         background: (S,) noise of each scanner's background, m; used for scanners with few beams on bodies.
     """
-    settings, beams = network.settings.range_noise, network.settings.beams
-    loss = TukeyLoss(beams.tukey_limit)
+    settings, loss = network.settings.range_noise, TukeyLoss(network.settings.beams.tukey_limit)
     residuals: list[list[Array]] = [[] for _ in background]
     leverage, effective_beams = np.zeros((2, len(background)))
-    for body, path, body_equations in zip(network.bodies, state.paths, equations.bodies, strict=True):
-        path_covariance = compute_path_covariance(body_equations.band)
-        for scans in body.scans:
-            first, weights, pose, rate = evaluate_at(network, state, body, path, scans)
-            hits = raycast_body(state, path, scans, pose, rate)
-            residuals[scans.scanner].append(
-                np.abs(hits.ranges - scans.ranges)[hits.cos_incidence > beams.min_cos_incidence]
-            )
-            scan_equations = sum_over_scans(
-                *compute_residuals(network, scans, hits), scans.weight, scans.first_beam
-            ).marginalize_model_error(network.model_error_variance[[0, 0, 1]])
-            leverage[scans.scanner] += _sum_leverages(weights, first, scan_equations, path_covariance)
+    measured = equations.batches.map(_measure_body, network, state, equations.body_equations)
+    for body, of_scanners in zip(network.bodies, measured, strict=True):
+        for scans, (absolute, of_path) in zip(body.scans, of_scanners, strict=True):
+            residuals[scans.scanner].append(absolute)
+            leverage[scans.scanner] += of_path
             effective_beams[scans.scanner] += scans.weight.sum() / loss.mean_weight
     by_scanner = [np.concatenate([np.zeros(0), *parts]) for parts in residuals]
     shrinkage = loss.median_shrinkage * np.minimum(
@@ -58,6 +51,27 @@ def estimate_range_noise(
         for absolute, shrunk, stated in zip(by_scanner, shrinkage, background, strict=True)
     ]
     return np.asarray(np.clip(sigma, settings.min_ratio * background, np.hypot(background, settings.max_excess)))
+
+
+def _measure_body(
+    network: NetworkProblem,
+    state: NetworkState,
+    body: BodyObservations,
+    path: BodyPath,
+    equations: BodyEquations,
+) -> list[tuple[Array, float]]:
+    """Absolute residuals, m, and the sum of the leverages of each scanner's beams."""
+    beams, path_covariance = network.settings.beams, compute_path_covariance(equations.band)
+    measured = []
+    for scans in body.scans:
+        first, weights, pose, rate = evaluate_at(network, state, body, path, scans)
+        hits = raycast_body(state, path, scans, pose, rate)
+        absolute = np.abs(hits.ranges - scans.ranges)[hits.cos_incidence > beams.min_cos_incidence]
+        scan_equations = sum_over_scans(
+            *compute_residuals(network, scans, hits), scans.weight, scans.first_beam
+        ).marginalize_model_error(network.model_error_variance[[0, 0, 1]])
+        measured.append((absolute, _sum_leverages(weights, first, scan_equations, path_covariance)))
+    return measured
 
 
 def _sum_leverages(weights: Array, first: Index, equations: ScanEquations, path_covariance: Array) -> float:

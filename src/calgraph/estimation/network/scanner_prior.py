@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calgraph.estimation.network.planar_poses import PlanarPoses
+from calgraph.estimation.network.scanner_matrix import ScannerMatrix
 from calgraph.geometry import Array, Index, se2
 
 # Least standard deviation of a prior, m and rad: a covariance of 0 would be singular.
@@ -23,12 +24,12 @@ class ScannerPrior:
     information: Array
     """(3K, 3K) in the root's fixed axes."""
 
-    def add_to_equations(self, T_root_scanner: Array, H: Array, g: Array) -> float:
+    def add_to_equations(self, T_root_scanner: Array, H: ScannerMatrix, g: Array) -> float:
         """Adds the term at poses (S, 3, 3) to normal equations over all scanners (US), in place; its cost."""
         error = se2.difference(T_root_scanner[self.nodes], self.T_root_scanner).ravel()
         gradient = self.information @ error
         columns = (len(g) // len(T_root_scanner) * self.nodes[:, None] + np.arange(3)).ravel()
-        H[np.ix_(columns, columns)] += self.information
+        H.add(columns, self.information)
         g[columns] += gradient
         return 0.5 * float(error @ gradient)
 

@@ -18,7 +18,7 @@ import numpy as np
 from calgraph.config import Lidar2dUncertainty
 from calgraph.estimation.network.problem import BodyScans, NetworkProblem, NetworkState
 from calgraph.estimation.network.scan_equations import AZIMUTH_ERRORS, RANGE_ERROR, SCAN_PARAMETERS
-from calgraph.geometry import Array
+from calgraph.geometry import Array, Index
 from calgraph.result import EstimatedParameter
 
 SYSTEMATIC_ERRORS = (
@@ -81,6 +81,12 @@ class SystematicErrors:
         )
 
 
+def list_columns(scanners: Sequence[int]) -> Index:
+    """(UL,) rows and columns of L scanners in the equations of all scanners."""
+    first = SCANNER_UNKNOWNS * np.array(scanners, dtype=np.intp)
+    return np.asarray((first[:, None] + np.arange(SCANNER_UNKNOWNS)).ravel(), dtype=np.intp)
+
+
 def collect_prior_sigma(uncertainties: Sequence[Lidar2dUncertainty], *, estimate_clocks: bool) -> Array:
     """(S, E) prior standard deviations of ``SYSTEMATIC_ERRORS``; the root's clock is the reference.
 
@@ -107,6 +113,28 @@ def compute_prior_covariance(sigma: Array, common_share: float) -> Array:
     common = (kinds[:, None] == kinds) & (kinds < _COMMON_ERRORS)
     correlation = np.where(np.eye(len(kinds), dtype=np.bool_), 1.0, common_share * common)
     return np.asarray(np.outer(sigma, sigma) * correlation)
+
+
+def compute_prior_information(sigma: Array, common_share: float) -> tuple[Array, Array]:
+    """The inverse of :func:`compute_prior_covariance` as ``D - V Vᵀ`` (Sherman and Morrison, 1950).
+
+    Args:
+        sigma: (S, E) standard deviations; the information of what is exact is 0.
+        common_share: as for :func:`compute_prior_covariance`.
+
+    Returns:
+        The diagonal D (S, E), and V (S, E, r) by what r kinds of errors have in common.
+    """
+    own = np.where(np.arange(sigma.shape[1]) < _COMMON_ERRORS, 1 - common_share, 1.0)
+    exact = sigma == 0
+    stddev = np.where(exact, 1.0, sigma)
+    common = np.zeros((*sigma.shape, _COMMON_ERRORS))
+    for kind in range(_COMMON_ERRORS):
+        estimated = ~exact[:, kind]
+        # 1 / (1 / c + N / (1 - c)) times what the common part adds to each scanner.
+        weight = common_share / (1 + common_share * (estimated.sum() - 1)) / (1 - common_share)
+        common[:, kind, kind] = estimated * np.sqrt(weight) / stddev[:, kind]
+    return np.where(exact, 0.0, 1 / (own * stddev**2)), common
 
 
 def compute_root_times(network: NetworkProblem, state: NetworkState, scans: BodyScans) -> Array:

@@ -76,6 +76,20 @@ def eliminate_path(equations: BodyEquations, damping: float) -> tuple[Array, Arr
     return H, g, np.concatenate([path_by_scanners, shape])
 
 
+def substitute_back(equations: BodyEquations, damping: float, scanner_step: Array) -> Array:
+    """The step (3K + B,) of path and shape after a step (UL,) of the scanners, as of :func:`eliminate_path`."""
+    size, B = 3 * len(equations.band), equations.shape_count
+    factor = cholesky_banded(pack_lower_band(equations.band, damping), lower=True)
+    border = equations.border.reshape(size, -1)
+    by_shape = border[:, :B]
+    right = border[:, B:] @ scanner_step + equations.gradient.ravel()
+    path = cho_solve_banded((factor, True), np.column_stack([by_shape, right]))
+    corner = equations.corner[:B] * (1 + damping * np.eye(B, len(equations.corner)))
+    gradient = corner[:, B:] @ scanner_step + equations.corner_gradient[:B] - by_shape.T @ path[:, -1]
+    shape = np.linalg.solve(corner[:, :B] - by_shape.T @ path[:, :B], gradient)
+    return -np.concatenate([path[:, -1] - path[:, :B] @ shape, shape])
+
+
 def compute_path_covariance(band: Array) -> Array:
     """(K, 4, 3, 3) covariances of each control point with itself and the three after it; zero beyond the last.
 

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calgraph.engine import THIS_PROCESS, Engine
 from calgraph.estimation.network.problem import NetworkProblem, NetworkState
 from calgraph.estimation.network.scanner_unknowns import (
-    CLOCK,
     FIRST_SYSTEMATIC,
     SCANNER_UNKNOWNS,
     compute_prior_covariance,
@@ -37,15 +37,39 @@ class _Likelihood:
     kind: Index
     """(N,) of ``SYSTEMATIC_ERRORS``."""
 
-    def log_evidence(self, covariance: Array) -> float:
-        """Logarithm of the probability of the data for a prior covariance (N, N), up to a constant."""
-        matrix = np.eye(len(covariance)) + covariance @ self.information
-        fitted = np.linalg.solve(matrix, covariance @ self.score)
-        return 0.5 * float(self.score @ fitted - np.linalg.slogdet(matrix)[1])
+    prior: Array
+    """(N, N) largest prior covariance; errors of different kinds are independent."""
+
+    def log_evidence(self, share: Array, varied: int, trials: Array) -> Array:
+        """(n,) logarithm of the probability of the data for trials of the share of one kind, up to a constant.
+
+        Args:
+            share: (E,) of the standard deviation of each kind in the largest one.
+            varied: the kind whose share has other values.
+            trials: (n,) these.
+        """
+        own, others = np.flatnonzero(self.kind == varied), np.flatnonzero(self.kind != varied)
+        scale = share[self.kind[others]]
+        precision = np.linalg.inv(self.prior[np.ix_(others, others)]) / np.outer(scale, scale)
+        mixed = self.information[np.ix_(own, others)]
+        right = np.column_stack([mixed.T, self.score[others]])
+        gain = mixed @ np.linalg.solve(precision + self.information[np.ix_(others, others)], right)
+        root = np.linalg.cholesky(self.prior[np.ix_(own, own)])
+        # Independent unit errors along the axes of their information.
+        values, axes = np.linalg.eigh(root.T @ (self.information[np.ix_(own, own)] - gain[:, :-1]) @ root)
+        score = axes.T @ root.T @ (self.score[own] - gain[:, -1])
+        variance, values = trials[:, None] ** 2, np.maximum(values, 0.0)  # less than 0 by rounding
+        return np.asarray(
+            0.5 * np.sum(variance * score**2 / (1 + variance * values) - np.log1p(variance * values), axis=1)
+        )
 
 
 def estimate_systematic_sigma(
-    network: NetworkProblem, state: NetworkState, equations: NetworkEquations, prior_sigma: Array
+    network: NetworkProblem,
+    state: NetworkState,
+    equations: NetworkEquations,
+    prior_sigma: Array,
+    engine: Engine = THIS_PROCESS,
 ) -> Array:
     """(S, E) standard deviations of systematic errors, from the posterior of their share.
 
@@ -54,19 +78,16 @@ def estimate_systematic_sigma(
         state: of the equations.
         equations: near the minimum.
         prior_sigma: (S, E) the largest standard deviations; 0 for what is exact.
+        engine: evaluates groups of scanners.
     """
-    likelihood, columns = _marginalize_poses(network, state, equations)
-    common_share = network.settings.common_error_share
-    prior_covariance = compute_prior_covariance(prior_sigma, common_share)[np.ix_(columns, columns)]
     octaves = -np.log2(network.settings.min_systematic_share)
     shares = np.exp2(-np.linspace(0, octaves, 1 + int(np.ceil(_SHARES_PER_OCTAVE * octaves))))
     share = np.ones(prior_sigma.shape[1])
-    for kind in np.tile(np.unique(likelihood.kind), _SWEEPS):
-        log_evidence = np.empty(len(shares))
-        for i, trial in enumerate(shares):
-            share[kind] = trial
-            scale = share[likelihood.kind]
-            log_evidence[i] = likelihood.log_evidence(scale[:, None] * prior_covariance * scale)
+    groups = engine.put(_marginalize_poses(network, state, equations, prior_sigma))
+    estimated = np.flatnonzero((prior_sigma > 0).any(axis=0))
+    for kind in np.tile(estimated, _SWEEPS):
+        work = [(group, share.copy(), int(kind), shares) for group in groups]
+        log_evidence = np.sum(engine.map(_Likelihood.log_evidence, work), axis=0)
         weight = np.exp(log_evidence - log_evidence.max())
         # Few scanners leave the share uncertain: its root mean square is safer than its mean.
         share[kind] = np.sqrt(weight @ shares**2 / weight.sum())
@@ -74,20 +95,29 @@ def estimate_systematic_sigma(
 
 
 def _marginalize_poses(
-    network: NetworkProblem, state: NetworkState, equations: NetworkEquations
-) -> tuple[_Likelihood, Index]:
-    """The likelihood of the estimated systematic errors, and their indices among all (ES)."""
-    H, g, _ = equations.eliminate_bodies()
-    column = equations.unknowns % SCANNER_UNKNOWNS
-    systematic = column > CLOCK
-    kind = column[systematic] - FIRST_SYSTEMATIC
-    columns = equations.unknowns[systematic] // SCANNER_UNKNOWNS * network.systematic_sigma.shape[1] + kind
-    values = state.systematic.ravel()[columns]
-    covariance = compute_prior_covariance(network.systematic_sigma, network.settings.common_error_share)
-    prior = np.linalg.inv(covariance[np.ix_(columns, columns)])
-    poses = np.flatnonzero(~systematic)
-    gain = np.linalg.solve(H[np.ix_(poses, poses)], np.column_stack([H[np.ix_(poses, systematic)], g[poses]]))
-    mixed = H[np.ix_(systematic, poses)]
-    information = H[np.ix_(systematic, systematic)] - prior - mixed @ gain[:, :-1]
-    gradient = g[systematic] - prior @ values - mixed @ gain[:, -1]
-    return _Likelihood(information, information @ values - gradient, kind), columns
+    network: NetworkProblem, state: NetworkState, equations: NetworkEquations, prior_sigma: Array
+) -> list[_Likelihood]:
+    """The likelihoods of the estimated systematic errors of groups of scanners near each other.
+
+    That of a group is what its posterior contains beside its prior: information and score of the data.
+    """
+    size, common_share = network.settings.systematic_group, network.settings.common_error_share
+    H, g = equations.eliminate_bodies()
+    factor = H.factor()
+    mean = state.systematic.ravel() - factor.solve(g).reshape(network.count, -1)[:, FIRST_SYSTEMATIC:].ravel()
+    inverse, groups = factor.invert(size), -(-network.count // size)
+    kinds = network.systematic_sigma.shape[1]
+    likelihoods = []
+    for group in np.array_split(np.argsort(H.order.position), groups):
+        scanners = np.sort(group)
+        estimated = network.systematic_sigma[scanners] > 0
+        row, kind = np.nonzero(estimated)
+        of_all = kinds * scanners[row] + kind
+        covariance = inverse.select(SCANNER_UNKNOWNS * scanners[row] + FIRST_SYSTEMATIC + kind)
+        prior, largest = (
+            compute_prior_covariance(sigma[scanners], common_share)[np.ix_(estimated.ravel(), estimated.ravel())]
+            for sigma in (network.systematic_sigma, prior_sigma)
+        )
+        posterior = np.linalg.inv(covariance)
+        likelihoods.append(_Likelihood(posterior - np.linalg.inv(prior), posterior @ mean[of_all], kind, largest))
+    return likelihoods
