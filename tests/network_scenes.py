@@ -52,4 +52,4 @@ def list_body_equations(equations: NetworkEquations) -> list[BodyEquations]:
 def eliminate_densely(equations: NetworkEquations) -> Array:
     """The matrix of what is estimated of the scanners, without bodies."""
     H, _ = equations.eliminate_bodies()
-    return np.asarray(H.to_dense()[np.ix_(equations.unknowns, equations.unknowns)])
+    return H.select(equations.unknowns)

@@ -14,7 +14,7 @@ from calgraph.diagnostics.network.consistency_tests import (
     measure_scatter,
 )
 from calgraph.estimation import NetworkSolution, SolvedNetwork
-from calgraph.estimation.network.contributions import Contributions, split_contributions
+from calgraph.estimation.network.contributions import Contributions, NetworkContributions, split_contributions
 from calgraph.estimation.network.problem import BodyScans
 from calgraph.estimation.network.solver import linearize_network, optimize_network
 from calgraph.geometry import se2
@@ -26,10 +26,16 @@ SETTINGS = NetworkModelSettings()
 
 
 def find(change: Change = no_change, seed: int = 0, variance_factor: float = 1.0) -> list[Finding]:
-    return list(find_inconsistent_parts(split(change, seed), NAMES, variance_factor, SETTINGS))
+    return list(find_inconsistent_parts(join(split(change, seed)), NAMES, variance_factor, SETTINGS))
 
 
-def split(change: Change = no_change, seed: int = 0) -> Contributions:
+def join(parts: NetworkContributions) -> Contributions:
+    """The parts over all scanners."""
+    [joined] = parts.divide(3)
+    return joined
+
+
+def split(change: Change = no_change, seed: int = 0) -> NetworkContributions:
     return split_contributions(solve_two_walks(np.random.default_rng(seed), change), SETTINGS.interval)
 
 
@@ -104,7 +110,7 @@ def test_one_body_cannot_be_compared_with_another() -> None:
     problem = replace(solved.problem, bodies=solved.problem.bodies[:1])
     state = replace(solved.state, paths=solved.state.paths[:1])
     one = SolvedNetwork(problem, state, linearize_network(problem, state))
-    parts = split_contributions(one, SETTINGS.interval)
+    parts = join(split_contributions(one, SETTINGS.interval))
     assert not any("two groups" in found.text for found in find_inconsistent_parts(parts, NAMES, 1.0, SETTINGS))
 
 
@@ -158,7 +164,7 @@ def test_a_scanner_with_data_in_one_half_is_not_compared() -> None:
     )
     network = replace(solved.problem, bodies=bodies)
     state, equations = optimize_network(network, solved.state, iterations=6)
-    parts = split_contributions(SolvedNetwork(network, state, equations), SETTINGS.interval)
+    parts = join(split_contributions(SolvedNetwork(network, state, equations), SETTINGS.interval))
     found = find_inconsistent_parts(parts, NAMES, 1.0, SETTINGS)
     assert not any("the first and the second half" in one.text for one in found)
 

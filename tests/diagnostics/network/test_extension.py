@@ -46,7 +46,7 @@ def test_the_gradient_of_the_prior_equals_finite_differences() -> None:
     prior.add_to_equations(T, H, g)
     numerical = [(cost(h) - cost(-h)) / 2e-6 for h in 1e-6 * np.eye(16)]
     np.testing.assert_allclose(g, numerical, rtol=1e-5, atol=1e-3)
-    np.testing.assert_allclose(H.to_dense()[8], _slope(prior, T, 8), rtol=1e-5, atol=1e-3)
+    np.testing.assert_allclose(H.select(np.arange(16))[8], _slope(prior, T, 8), rtol=1e-5, atol=1e-3)
 
 
 def _slope(prior: ScannerPrior, T: Array, column: int) -> Array:

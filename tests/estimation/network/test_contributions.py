@@ -17,14 +17,20 @@ pytestmark = pytest.mark.without_coverage
 SHRINKAGE = TukeyLoss(SETTINGS.beams.tukey_limit).score_to_information ** 0.5
 
 
+def split(solved: SolvedNetwork, interval: float) -> Contributions:
+    """The parts over all scanners."""
+    [parts] = split_contributions(solved, interval).divide(3)
+    return parts
+
+
 @pytest.fixture(scope="module")
 def parts() -> Contributions:
-    return split_contributions(solve_two_walks(np.random.default_rng(0)), 5.0)
+    return split(solve_two_walks(np.random.default_rng(0)), 5.0)
 
 
 def test_parts_and_priors_add_up_to_the_information_of_the_whole() -> None:
     solved = solve_two_walks(np.random.default_rng(0))
-    parts = split_contributions(solved, 3.0)
+    parts = split(solved, 3.0)
     H = eliminate_densely(solved.equations)
     np.testing.assert_allclose(
         parts.information.sum(axis=0) + parts.prior / SHRINKAGE**-1, H, rtol=1e-9, atol=1e-3
@@ -42,7 +48,7 @@ def test_gradients_scatter_as_their_information_lets_expect() -> None:
     # the unknowns take up is less than the share of one of 48 parts.
     ratios = []
     for seed in range(10):
-        parts = split_contributions(solve_two_walks(np.random.default_rng(seed)), 1.0)
+        parts = split(solve_two_walks(np.random.default_rng(seed)), 1.0)
         C = parts.covariance
         expected = np.sum(np.trace(C @ parts.information, axis1=1, axis2=2))
         ratios.append(np.einsum("ci,ij,cj->", parts.gradient, C, parts.gradient) / expected)
@@ -67,7 +73,7 @@ def test_unknowns_are_named_by_scanner_and_kind(parts: Contributions) -> None:
 def test_a_leg_is_one_part() -> None:
     problem, state = build_network()
     solved = SolvedNetwork(problem, state, linearize_network(problem, state))
-    parts = split_contributions(solved, 1.0)
+    parts = split(solved, 1.0)
     np.testing.assert_array_equal(parts.body, [0, 1])
     H = eliminate_densely(solved.equations)
     np.testing.assert_allclose(parts.information.sum(axis=0) + SHRINKAGE * parts.prior, H, rtol=1e-9, atol=1e-3)
@@ -79,3 +85,16 @@ def test_beams_without_noise_have_no_residuals_at_the_true_state_of_legs() -> No
     for one in beams:
         np.testing.assert_allclose(one.residual, 0, atol=1e-6)
         assert len(one.scan) == len(one.sigma) == len(one.residual)
+
+
+def test_groups_of_scanners_have_the_parts_of_their_unknowns() -> None:
+    contributions = split_contributions(solve_two_walks(np.random.default_rng(0)), 5.0)
+    [whole] = contributions.divide(3)
+    groups = contributions.divide(2)
+    assert sorted(s for group in groups for s in np.unique(group.scanner).tolist()) == [1, 2]
+    for group in groups:
+        rows = np.flatnonzero(np.isin(whole.unknowns, group.unknowns))
+        np.testing.assert_allclose(
+            group.information.sum(axis=0), whole.information.sum(axis=0)[np.ix_(rows, rows)]
+        )
+        np.testing.assert_allclose(group.prior, whole.prior[np.ix_(rows, rows)])

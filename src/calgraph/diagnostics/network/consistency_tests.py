@@ -13,7 +13,7 @@ from scipy.special import chdtrc
 from calgraph.config.settings import NetworkModelSettings
 from calgraph.diagnostics.finding import Finding
 from calgraph.estimation import NetworkSolution
-from calgraph.estimation.network.contributions import Contributions
+from calgraph.estimation.network.contributions import Contributions, NetworkContributions
 from calgraph.geometry import Array, se2
 
 # Information (1/m², 1/rad², 1/s²) that keeps stated differences from growing where the data hardly determine them:
@@ -22,7 +22,11 @@ _DIFFERENCE_RIDGE = 1.0
 
 
 def find_inconsistent_parts(
-    parts: Contributions, names: Sequence[str], variance_factor: float, settings: NetworkModelSettings
+    parts: Contributions,
+    names: Sequence[str],
+    variance_factor: float,
+    settings: NetworkModelSettings,
+    groups: int = 1,
 ) -> Iterator[Finding]:
     """Halves of the recording, or groups of people, that give other poses.
 
@@ -31,13 +35,16 @@ def find_inconsistent_parts(
         names: of its scanners, the root first.
         variance_factor: observed over expected variance of the parts, at least 1.
         settings: probability of a false alarm.
+        groups: number of groups of scanners that are tested.
     """
     halves: Mapping[str, NDArray[np.bool_]] = {
         "the first and the second half of the recording": _split_by_time(parts),
         "two groups of people, each over the whole recording,": _split_by_body(parts),
     }
     for description, first in halves.items():
-        yield from _test_halves(parts, first, description, names, variance_factor, settings)
+        yield from _test_halves(
+            parts, first, description, names, variance_factor, settings, settings.false_alarm_probability / groups
+        )
 
 
 def _split_by_time(parts: Contributions) -> NDArray[np.bool_]:
@@ -67,6 +74,7 @@ def _test_halves(
     names: Sequence[str],
     variance_factor: float,
     settings: NetworkModelSettings,
+    false_alarm_probability: float,
 ) -> Iterator[Finding]:
     """Score tests of a difference of poses and clocks between two halves: of each scanner alone, and of all.
 
@@ -85,13 +93,13 @@ def _test_halves(
     scanners = np.unique(parts.scanner[parts.scanner > 0]).tolist()
     columns = [np.flatnonzero(parts.is_placement & (parts.scanner == s)) for s in scanners]
     p_each = len(scanners) * np.array([test(unknowns) for unknowns in columns])
-    if (p := min(test(np.concatenate(columns)), float(p_each.min()))) >= settings.false_alarm_probability:
+    if (p := min(test(np.concatenate(columns)), float(p_each.min()))) >= false_alarm_probability:
         return
     worst = int(np.argmin(p_each))
     of_worst = information[np.ix_(columns[worst], columns[worst])]
     difference = np.linalg.solve(of_worst + _DIFFERENCE_RIDGE * np.eye(len(of_worst)), -score[columns[worst]])
     mm, degrees = 1000 * np.hypot(difference[0], difference[1]), np.degrees(abs(difference[2]))
-    wrong = tuple(names[scanners[k]] for k in np.flatnonzero(p_each < settings.false_alarm_probability))
+    wrong = tuple(names[scanners[k]] for k in np.flatnonzero(p_each < false_alarm_probability))
     yield Finding(
         f"{description} give poses of {names[scanners[worst]]} that differ by {mm:.1f} mm and {degrees:.2f}°, "
         f"more than noise explains (p = {p:.0e}): it moved, its clock drifts, or people are not as modelled; "
@@ -110,17 +118,20 @@ class Scatter:
     """Probability of a larger ratio."""
 
 
-def measure_scatter(parts: Contributions) -> Scatter:
+def measure_scatter(parts: NetworkContributions) -> Scatter:
     """Compares the scatter of the gradients of parts with their information (White, 1982).
 
     The sum of ``b C b`` over the parts, with the covariance C of the solution, has the mean ``Σ tr(C A)`` and the
     variance ``2 Σ tr(C A C A)``, and about the distribution of a multiple of χ² (Satterthwaite, 1946).
     """
-    C = parts.covariance
-    CA = C @ parts.information
-    mean = float(np.sum(np.trace(CA, axis1=1, axis2=2)))
-    freedom = mean**2 / float(np.einsum("cij,cji->", CA, CA))
-    ratio = float(np.einsum("ci,ij,cj->", parts.gradient, C, parts.gradient)) / mean
+    mean = square = observed = 0.0
+    for columns, A, b in zip(parts.columns, parts.information, parts.gradient, strict=True):
+        C = parts.inverse.select(columns)
+        CA = C @ A
+        mean += float(np.trace(CA))
+        square += float(np.sum(CA * CA.T))
+        observed += float(b @ C @ b)
+    freedom, ratio = mean**2 / square, observed / mean
     return Scatter(ratio, float(chdtrc(freedom, freedom * ratio)))
 
 

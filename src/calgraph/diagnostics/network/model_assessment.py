@@ -81,8 +81,10 @@ def _test_model(
     variance_factor = max(scatter.ratio, 1.0)
     findings = [
         *find_poor_fit(solved, names, np.array([one.sigma for one in tracked]), settings),
-        *find_inconsistent_parts(parts, names, variance_factor, settings),
     ]
+    groups = parts.divide(solved.problem.settings.max_joint_covariance)
+    for group in groups:
+        findings += find_inconsistent_parts(group, names, variance_factor, settings, len(groups))
     joint = joint.scale_covariance(variance_factor)
     if scatter.p < settings.false_alarm_probability and scatter.ratio > settings.max_good_scatter:
         findings.append(_describe_scatter(scatter, names, settings))

@@ -6,7 +6,7 @@ along ``J = G - B K``: the sum over all scans and the priors of paths is the Sch
 """
 
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,11 +17,13 @@ from calgraph.estimation.network.leg_problem import LegPath
 from calgraph.estimation.network.path_equations import evaluate_at
 from calgraph.estimation.network.problem import BodyObservations, BodyPath, BodyScans, NetworkProblem, NetworkState
 from calgraph.estimation.network.scan_equations import SCAN_PARAMETERS
+from calgraph.estimation.network.scanner_matrix import NearInverse, ScannerMatrix
 from calgraph.estimation.network.scanner_unknowns import (
     CLOCK,
     SCANNER_UNKNOWNS,
     compute_root_times,
     compute_scanner_jacobian,
+    list_columns,
 )
 from calgraph.estimation.network.schur import BodyEquations, eliminate_path
 from calgraph.estimation.network.tukey_loss import TukeyLoss
@@ -30,7 +32,7 @@ from calgraph.geometry import Array, Index
 
 @dataclass(frozen=True, eq=False)
 class Contributions:
-    """C parts of normal equations over the n estimated unknowns of all scanners."""
+    """C parts of normal equations over the n estimated unknowns of a group of scanners."""
 
     body: Index
     """(C,) whose scans a part has."""
@@ -45,7 +47,7 @@ class Contributions:
     prior_covariance: Array
     """(n, n) of their gradient."""
     unknowns: Index
-    """(n,) columns among the unknowns of all scanners."""
+    """(n,) columns in the equations of all scanners."""
 
     @property
     def scanner(self) -> Index:
@@ -82,37 +84,97 @@ class Contributions:
         return weight @ self.gradient, covariance - crossed - crossed.T, 0.5 * np.sqrt(np.diag(total))
 
 
-def split_contributions(solved: SolvedNetwork, interval: float) -> Contributions:
+@dataclass(frozen=True, eq=False)
+class NetworkContributions:
+    """C parts of the normal equations of all scanners, each over the unknowns of those that measured its body."""
+
+    body: Index
+    """(C,) whose scans a part has."""
+    time: Array
+    """(C,) s, of the middle of its interval by the root's clock."""
+    columns: tuple[Index, ...]
+    """(m,) of each part, in the equations of all scanners; only estimated ones."""
+    information: tuple[Array, ...]
+    """(m, m) of each part."""
+    gradient: tuple[Array, ...]
+    """(m,) of each part, scaled such that its covariance is the information."""
+    prior: ScannerMatrix
+    """Weight of walls and priors, which all parts share, beside that of the parts; 1 for what is fixed."""
+    prior_scale: float
+    """The covariance of their gradient over their weight."""
+    estimated: NDArray[np.bool_]
+    """(US,)."""
+
+    @cached_property
+    def inverse(self) -> NearInverse:
+        """Of the matrix of all parts and priors."""
+        total = self.prior.copy()
+        for columns, information in zip(self.columns, self.information, strict=True):
+            total.add(columns, information)
+        return total.factor().invert(1)
+
+    def divide(self, max_scanners: int) -> list[Contributions]:
+        """The parts over groups of scanners near each other, given the others; groups without parts are left out.
+
+        Args:
+            max_scanners: in a group; a network of as many is one group.
+        """
+        position = self.prior.order.position
+        groups = np.array_split(np.argsort(position), -(-len(position) // max_scanners))
+        selected = (self._select(np.sort(group)) for group in groups)
+        return [parts for parts in selected if len(parts.body)]
+
+    def _select(self, scanners: Index) -> Contributions:
+        columns = list_columns(scanners.tolist())
+        unknowns = columns[self.estimated[columns]]
+        row = np.full(len(self.estimated), -1)
+        row[unknowns] = np.arange(len(unknowns))
+        inside = [row[of_part] >= 0 for of_part in self.columns]
+        chosen = [c for c, kept in enumerate(inside) if kept.any()]
+        information = np.zeros((len(chosen), len(unknowns), len(unknowns)))
+        gradient = np.zeros((len(chosen), len(unknowns)))
+        for n, c in enumerate(chosen):
+            at, kept = row[self.columns[c][inside[c]]], inside[c]
+            information[n][np.ix_(at, at)] = self.information[c][np.ix_(kept, kept)]
+            gradient[n, at] = self.gradient[c][kept]
+        prior = self.prior.select(unknowns)
+        return Contributions(
+            self.body[chosen],
+            self.time[chosen],
+            information,
+            gradient,
+            prior,
+            self.prior_scale * prior,
+            unknowns,
+        )
+
+
+def split_contributions(solved: SolvedNetwork, interval: float) -> NetworkContributions:
     """Splits the normal equations of a solution by body and interval of time, s."""
     network, equations = solved.problem, solved.equations
-    unknowns = equations.unknowns
-    column = np.full(len(equations.g), -1)
-    column[unknowns] = np.arange(len(unknowns))
-    bodies, times, information, gradient = [], [], [], []
-    split = equations.map(partial(_split_body, interval=interval))
-    for index, (columns, of_body) in enumerate(zip(equations.columns, split, strict=True)):
-        for time, A, b in of_body:
-            own = column[columns]
-            kept = own >= 0
-            information.append(np.zeros((len(unknowns), len(unknowns))))
-            information[-1][np.ix_(own[kept], own[kept])] = A[np.ix_(kept, kept)]
-            gradient.append(np.zeros(len(unknowns)))
-            gradient[-1][own[kept]] = b[kept]
-            bodies.append(index)
-            times.append(time)
     # Gradients of a redescending loss have less variance, and change less with the unknowns, than the information
     # in its weights predicts. Scaled to that information, priors weigh more.
     scale = TukeyLoss(network.settings.beams.tukey_limit).score_to_information ** -0.5
-    prior = equations.H.add_diagonal(equations.regularizer).to_dense()[np.ix_(unknowns, unknowns)]
-    count = len(unknowns)
-    return Contributions(
+    bodies, times, all_columns, information, gradient = [], [], [], [], []
+    split = equations.map(partial(_split_body, interval=interval))
+    for index, (columns, of_body) in enumerate(zip(equations.columns, split, strict=True)):
+        kept = equations.estimated[columns]
+        for time, A, b in of_body:
+            bodies.append(index)
+            times.append(time)
+            all_columns.append(columns[kept])
+            information.append(A[np.ix_(kept, kept)])
+            gradient.append(scale * b[kept])
+    prior = equations.H.add_diagonal(equations.regularizer).scale(scale).fix(~equations.estimated)
+    return NetworkContributions(
         np.array(bodies, dtype=np.intp),
         np.array(times),
-        np.reshape(information, (-1, count, count)),
-        scale * np.reshape(gradient, (-1, count)),
-        scale * prior,
-        scale**2 * prior,
-        unknowns,
+        tuple(all_columns),
+        tuple(information),
+        tuple(gradient),
+        prior,
+        scale,
+        equations.estimated,
     )
 
 

@@ -68,6 +68,14 @@ class ScannerMatrix:
         lower = below >= 0
         self.band[below[lower], np.broadcast_to(place, below.shape)[lower]] += block[lower]
 
+    def copy(self) -> "ScannerMatrix":
+        """The same, for additions in place."""
+        return replace(self, band=self.band.copy())
+
+    def scale(self, factor: float) -> "ScannerMatrix":
+        """The matrix times a positive factor."""
+        return replace(self, band=factor * self.band, common=np.sqrt(factor) * self.common)
+
     @property
     def diagonal(self) -> Array:
         """(US,), scanner by scanner."""
@@ -89,15 +97,13 @@ class ScannerMatrix:
         band[0] += 1 - free
         return replace(self, band=band, common=np.where(fixed[:, None], 0.0, self.common))
 
-    def to_dense(self) -> Array:
-        """(US, US), scanner by scanner."""
-        size = self.band.shape[1]
-        dense = np.zeros((size, size))
-        for below, values in enumerate(self.band):
-            at = np.arange(size - below)
-            dense[at + below, at] = dense[at, at + below] = values[: size - below]
-        place = self.order.place
-        return np.asarray(dense[np.ix_(place, place)] - self.common @ self.common.T)
+    def select(self, columns: Index) -> Array:
+        """The entries (m, m) at rows and columns (m,)."""
+        place = self.order.place[columns]
+        below = np.abs(place[:, None] - place)
+        inside = below < len(self.band)
+        banded = self.band[np.where(inside, below, 0), np.minimum(place[:, None], place)]
+        return np.where(inside, banded, 0.0) - self.common[columns] @ self.common[columns].T
 
     def factor(self) -> "ScannerFactor":
         """The Cholesky factor.
