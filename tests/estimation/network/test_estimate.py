@@ -8,6 +8,8 @@ import pytest
 from scipy.stats import chi2
 
 from calgraph.config import Cylinder, People
+from calgraph.engine import Processes
+from calgraph.estimation.network import body_batches
 from calgraph.estimation.network.ellipse_raycast import raycast_ellipses
 from calgraph.estimation.network.estimate import (
     NetworkSolution,
@@ -341,3 +343,23 @@ def test_the_heading_of_a_body_that_never_walks_is_that_of_its_drift() -> None:
     positions = np.column_stack([np.full_like(times, 2.0), 3 - 0.01 * times])
     path = _initialize_path(build_body(times, positions), PEOPLE, T_ROOT[:1], SETTINGS, DENSITY)
     np.testing.assert_allclose(path.control[:, 2], -np.pi / 2, atol=0.05)
+
+
+def test_the_solution_does_not_depend_on_the_number_of_processes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(body_batches, "_BATCH_BEAMS", 1000)
+    one, two = (solve_network(PEOPLE, *scene(2), engine=Processes(jobs)) for jobs in (1, 2))
+    np.testing.assert_array_equal(one.T_root_scanner, two.T_root_scanner)
+    np.testing.assert_array_equal(one.covariance, two.covariance)
+
+
+def test_a_large_network_has_no_covariance_of_scanners_without_common_bodies() -> None:
+    tracked, averaged, graph = scene(2)
+    # The first body is of the root and the second scanner, the other one of the root and the third.
+    tracked[1], tracked[2] = (replace(tracked[s], tracks=tracked[s].tracks[s - 1 : s]) for s in (1, 2))
+    large = SETTINGS.model_copy(update={"max_joint_covariance": 2})
+    small, solution = (solve_network(PEOPLE, tracked, averaged, graph, settings=s) for s in (SETTINGS, large))
+    known = np.isfinite(solution.covariance)
+    assert not known[4:8, 8:].any()
+    assert known[4:8, 4:8].all()
+    assert known[:4].all()
+    np.testing.assert_allclose(solution.covariance[known], small.covariance[known], rtol=1e-9)

@@ -181,8 +181,8 @@ class NetworkEstimationSettings(StrictModel):
     wall_rotation_sigma: float = Field(default=0.01, gt=0)
     """The error of the joint poses at which the registration of walls starts, rad."""
     max_joint_covariance: int = Field(default=100, ge=2)
-    """Networks of more scanners state the covariances of scanners near each other only: the numbers of all pairs
-    grow with the square of the scanners."""
+    """Networks of more scanners state the covariances of those with common bodies or walls only, as the number of
+    pairs grows with the square of the scanners. Their tests compare groups of at most this many."""
     systematic_group: int = Field(default=100, ge=2)
     """Scanners, near each other, whose differences are compared at once for the spread of systematic errors; in
     larger networks, groups of them count as independent. The comparison takes time with the third power of their

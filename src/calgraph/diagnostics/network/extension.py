@@ -9,7 +9,12 @@ from calgraph.config.settings import DiagnosticsSettings
 from calgraph.diagnostics.network.moved_scanners import find_moved_scanners
 from calgraph.errors import CalibrationError, InputError
 from calgraph.estimation.network.estimate import NetworkSolution
-from calgraph.estimation.network.planar_poses import PlanarPoses, extract_planar_poses, lift_covariance
+from calgraph.estimation.network.planar_poses import (
+    PlanarPoses,
+    complete_covariance,
+    extract_planar_poses,
+    lift_covariance,
+)
 from calgraph.estimation.network.scanner_prior import ScannerPrior, build_scanner_prior
 from calgraph.result import Calibration, SensorPose, Verdict
 
@@ -77,7 +82,8 @@ def build_consistent_prior(
     Raises:
         CalibrationError: scanners have moved since; the message names them with their displacements.
     """
-    found = PlanarPoses(tuple(names), solution.T_root_scanner, solution.pose_covariance)
+    covariance = complete_covariance(solution.pose_covariance)
+    found = PlanarPoses(tuple(names), solution.T_root_scanner, covariance)
     shared = [name for name in names if name in earlier.names]
     reference, moved = find_moved_scanners(earlier.select(shared), found, settings)
     if moved:

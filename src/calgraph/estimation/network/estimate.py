@@ -41,7 +41,12 @@ from calgraph.estimation.network.scanner_unknowns import (
     correct_points,
     linearize_beam_errors,
 )
-from calgraph.estimation.network.solver import NetworkEquations, compute_network_covariance, optimize_network
+from calgraph.estimation.network.solver import (
+    NetworkEquations,
+    compute_network_covariance,
+    list_links,
+    optimize_network,
+)
 from calgraph.estimation.network.splines import Knots
 from calgraph.estimation.network.systematic_spread import estimate_systematic_sigma
 from calgraph.estimation.network.track_association import BodyTracks, group_tracks_by_body
@@ -73,7 +78,7 @@ class NetworkSolution:
     """(S,) scanner clock minus root clock in the middle of the recording, s."""
     covariance: Array
     """(4S, 4S) of pose in the root's fixed axes and clock offset, scanner by scanner; NaN between scanners of a
-    large network that are far from each other."""
+    large network that have no common body or wall."""
     clocks_estimated: bool
     """Whether clock offsets were estimated."""
     model_error: float
@@ -184,12 +189,23 @@ def solve_network(
     return NetworkSolution(
         state.T_root_scanner,
         state.clock_offset,
-        covariance.select(columns[:, :FIRST_SYSTEMATIC].ravel()),
+        _forget_far_pairs(network, covariance.select(columns[:, :FIRST_SYSTEMATIC].ravel())),
         estimate_clocks,
         float(np.sqrt(network.model_error_variance[0])),
         solved=SolvedNetwork(network, state, equations),
         systematic=SystematicErrors(state.systematic, np.nan_to_num(of_errors), prior_sigma),
     )
+
+
+def _forget_far_pairs(network: NetworkProblem, covariance: Array) -> Array:
+    """The covariance (4S, 4S) of poses and clocks; in large networks, NaN for scanners without common bodies."""
+    if network.count <= network.settings.max_joint_covariance:
+        return covariance
+    known = np.eye(network.count, dtype=np.bool_)
+    known[*list_links(network).T] = True
+    known[0] = True  # the root has no error
+    known |= known.T
+    return np.where(np.kron(known, np.ones((4, 4), dtype=np.bool_)), covariance, np.nan)
 
 
 def _solve_bodies(

@@ -65,7 +65,7 @@ def project_to_plane(T: Array) -> Array:
 def extract_planar_poses(calibration: Calibration) -> PlanarPoses:
     """The planar poses of a network's calibration.
 
-    Unknown correlations of scanners are taken as zero.
+    Correlations of scanners are taken as zero where some of them are unknown.
 
     Raises:
         InputError: the calibration is not that of a network of 2-D scanners.
@@ -75,9 +75,21 @@ def extract_planar_poses(calibration: Calibration) -> PlanarPoses:
         raise InputError("needs the calibration of a network of 2-D scanners in one plane")
     count = len(calibration.sensors)
     rows = _planar_rows(count)
-    covariance = np.nan_to_num(calibration.joint_covariance, posinf=_UNOBSERVED_VARIANCE)
     T = project_to_plane(np.array([sensor.T_root_sensor for sensor in calibration.sensors]))
-    return PlanarPoses(tuple(sensor.name for sensor in calibration.sensors), T, covariance[np.ix_(rows, rows)])
+    covariance = complete_covariance(calibration.joint_covariance[np.ix_(rows, rows)])
+    covariance = np.nan_to_num(covariance, posinf=_UNOBSERVED_VARIANCE)
+    return PlanarPoses(tuple(sensor.name for sensor in calibration.sensors), T, covariance)
+
+
+def complete_covariance(covariance: Array) -> Array:
+    """A covariance (3N, 3N) of poses, without correlations of scanners if some of them are unknown, NaN.
+
+    With zeros in the place of those only, it might not be positive definite.
+    """
+    if not np.isnan(covariance).any():
+        return covariance
+    own = np.kron(np.eye(len(covariance) // 3, dtype=np.bool_), np.ones((3, 3), dtype=np.bool_))
+    return np.where(own, covariance, 0.0)
 
 
 def _planar_rows(count: int) -> Index:

@@ -191,14 +191,18 @@ def linearize_network(
     )
 
 
-def order_scanners(network: NetworkProblem) -> ScannerOrder:
-    """The order of a network's scanners in which those with common bodies, walls or priors are near each other."""
+def list_links(network: NetworkProblem) -> Index:
+    """(E, 2) pairs of scanners with common bodies, walls or priors."""
     groups = [{scans.scanner for scans in body.scans} for body in network.bodies]
     if network.prior:
         groups.append(set(network.prior.nodes.tolist()))
     links = {(wall.a, wall.b) for wall in network.walls}.union(*(combinations(sorted(g), 2) for g in groups))
-    pairs = np.array(sorted(links), dtype=np.intp).reshape(-1, 2)
-    return ScannerOrder.from_links(network.count, pairs, SCANNER_UNKNOWNS)
+    return np.array(sorted(links), dtype=np.intp).reshape(-1, 2)
+
+
+def order_scanners(network: NetworkProblem) -> ScannerOrder:
+    """The order of a network's scanners in which linked ones are near each other."""
+    return ScannerOrder.from_links(network.count, list_links(network), SCANNER_UNKNOWNS)
 
 
 def _add_priors(

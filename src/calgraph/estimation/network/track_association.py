@@ -67,8 +67,10 @@ def group_tracks_by_body(
     links = [*_link_simultaneous(sampled, settings), *_link_successive(sampled, tick_period, settings)]
     for _, i, j in sorted(links, key=lambda link: -link[0]):
         a, b = group_of[i], group_of[j]
+        if a == b:
+            continue
         group, other = ([sampled[k] for k in members[one]] for one in (a, b))
-        if a == b or _overlap_in_scanner(group, other, settings.max_overlap):
+        if _overlap_in_scanner(group, other, settings.max_overlap):
             continue
         members[a] += members[b]
         group_of |= dict.fromkeys(members.pop(b), a)
@@ -153,9 +155,11 @@ def _overlap_in_scanner(
     group: Sequence[_SampledTrack], other: Sequence[_SampledTrack], max_overlap: float
 ) -> bool:
     """Whether some scanner tracked both groups at the same time for longer than ``max_overlap``, s."""
+    intervals: dict[int, list[tuple[float, float]]] = {}
+    for one in group:
+        intervals.setdefault(one.scanner, []).append((one.track.times[0], one.track.times[-1]))
     return any(
-        a.scanner == b.scanner
-        and min(a.track.times[-1], b.track.times[-1]) - max(a.track.times[0], b.track.times[0]) > max_overlap
-        for a in group
-        for b in other
+        min(end, one.track.times[-1]) - max(start, one.track.times[0]) > max_overlap
+        for one in other
+        for start, end in intervals.get(one.scanner, ())
     )
