@@ -58,7 +58,7 @@ class BodySettings(StrictModel):
 
 
 class BodyPartSettings(StrictModel):
-    """How the walks of bodies through many scanners are cut into parts, each with a path and radii of its own.
+    """How the walks of bodies through many scanners are cut into parts, with separate paths and radii.
 
     The unknowns of all scanners that measured a part depend on each other.
     """
@@ -184,7 +184,7 @@ class NetworkEstimationSettings(StrictModel):
     """Networks of more scanners state the covariances of those with common bodies or walls only, as the number of
     pairs grows with the square of the scanners. Their tests compare groups of at most this many."""
     systematic_group: int = Field(default=100, ge=2)
-    """Scanners, near each other, whose differences are compared at once for the spread of systematic errors; in
+    """Scanners, near each other, whose differences are compared jointly for the spread of systematic errors; in
     larger networks, groups of them count as independent. The comparison takes time with the third power of their
     number, and 100 determine a standard deviation to 7 %."""
     grouping: TrackGroupingSettings = TrackGroupingSettings()

@@ -1,4 +1,4 @@
-"""Calls for each body of a network, in batches that run where an engine says."""
+"""Calls for each body of a network, in batches that an engine evaluates."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

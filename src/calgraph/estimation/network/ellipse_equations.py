@@ -86,7 +86,7 @@ def linearize_body(
         # A scan depends on the four control points about it: terms of each of them, and of each pair.
         by_radii, by_scanner = A[:, :3, 3:5].reshape(-1, 6), AG[:, :3].reshape(len(b), -1)
         terms = np.concatenate([b[:, :3], by_radii, by_scanner], axis=1)
-        # A scanner sees a body on a part of its path only.
+        # A scanner measures a body on a part of its path only.
         begin, end = first[0], first[-1] + 1
         sums = sum_between_knots(first - begin, weights, terms, end - begin + 3)
         singles[:, begin:end] += sums[..., :9]

@@ -138,7 +138,7 @@ def linearize_leg(
         corner_gradient[columns] += flat.T @ b.ravel()
         corner_gradient[own] += b[:, shape_rows].sum(axis=0)
         by_scanner = np.concatenate([A[:, :3, bias_row : bias_row + 1], AG[:, :3]], axis=2)
-        # A scanner sees a leg on a part of its path only.
+        # A scanner measures a leg on a part of its path only.
         begin, end = terms.first[0], terms.first[-1] + 1
         sums = sum_between_knots(
             terms.first - begin, terms.weights, by_scanner.reshape(len(b), -1), end - begin + 3

@@ -21,8 +21,8 @@ from calgraph.estimation.network.scanner_unknowns import compute_root_times
 from calgraph.estimation.network.tukey_loss import TukeyLoss
 from calgraph.geometry import Array, Index, se_n
 
-# Variances that are tried at once, and how often: between the last of them, 8 % of a standard deviation apart, the
-# logarithm of the discrepancy is linear.
+# Variances that are tried together, and how many times: between the last of them, 8 % of a standard deviation
+# apart, the logarithm of the discrepancy is linear.
 _TRIALS, _REFINEMENTS = 9, 2
 # Ridge (1/m², 1/rad²) that makes matrices invertible where there is no information.
 _RIDGE = 1e-6
@@ -99,13 +99,13 @@ def _find_variance(
 ) -> float:
     """The variance of one component, at which the log ratio is zero; it decreases with the variance.
 
-    Several variances are tried at once, as a call for each would be too short for other processes.
+    Several variances are tried together, as a call for each would be too short for other processes.
     """
     low, high = 2 * np.log([component.min_sigma, component.max_sigma])
-    for _ in range(_REFINEMENTS):
+    for refinement in range(_REFINEMENTS):
         grid = np.linspace(low, high, _TRIALS)
         log_ratio, expected = compute_log_ratios(grid)
-        if expected[0] < component.max_sigma**-2:
+        if refinement == 0 and expected[0] < component.max_sigma**-2:
             return present
         if log_ratio[0] <= 0:
             return float(np.exp(low))
