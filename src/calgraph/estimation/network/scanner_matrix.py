@@ -38,7 +38,7 @@ class ScannerOrder:
         distance = np.abs(np.diff(position[links], axis=1))
         return cls(position, int(distance.max(initial=0)), unknowns)
 
-    @property
+    @cached_property
     def place(self) -> Index:
         """(US,) of each unknown, scanner by scanner, in the order."""
         return np.asarray((self.unknowns * self.position[:, None] + np.arange(self.unknowns)).ravel())

@@ -175,8 +175,7 @@ def linearize_network(
     cost = 0.0
     for body_cost in costs:
         cost += body_cost
-    for wall in network.walls:
-        cost += _add_wall(state, wall, H, g)
+    cost += _add_walls(state, network.walls, H, g)
     if network.prior:
         cost += network.prior.add_to_equations(state.T_root_scanner, H, g)
     estimated = np.ones((network.count, SCANNER_UNKNOWNS), dtype=np.bool_)
@@ -275,21 +274,32 @@ def _linearize(
     return cost, equations
 
 
-def _add_wall(state: NetworkState, wall: WallConstraint, H: ScannerMatrix, g: Array) -> float:
-    """Adds a wall constraint to the equations, in place; returns its cost."""
-    T_a, T_b = state.T_root_scanner[wall.a], state.T_root_scanner[wall.b]
-    errors, by_systematic = linearize_beam_errors(state.systematic[[wall.a, wall.b]])
-    error = se2.difference(se2.inverse(T_a) @ T_b, wall.T_a_b) - wall.by_beam_errors @ errors.ravel()
-    R, arm = T_a[:2, :2], T_b[:2, 2] - T_a[:2, 2]
-    by_a, by_b = np.zeros((2, 3, SCANNER_UNKNOWNS))
-    by_b[:2, :2], by_b[2, 2] = R.T, 1
-    by_a[:2, :2], by_a[2, 2] = -R.T, -1
-    by_a[:2, 2] = -R.T @ np.array([-arm[1], arm[0]])
+def _add_walls(state: NetworkState, walls: Sequence[WallConstraint], H: ScannerMatrix, g: Array) -> float:
+    """Adds wall constraints to the equations, in place; returns their cost."""
+    if not walls:
+        return 0.0
+    pairs = np.array([(wall.a, wall.b) for wall in walls], dtype=np.intp)
+    information = np.stack([wall.information for wall in walls])
+    by_errors = np.stack([wall.by_beam_errors for wall in walls])
+    T_a, T_b = state.T_root_scanner[pairs.T]
+    errors, by_systematic = linearize_beam_errors(state.systematic[pairs])
+    difference = se2.difference(se2.inverse(T_a) @ T_b, np.stack([wall.T_a_b for wall in walls]))
+    error = difference[..., None] - by_errors @ errors.reshape(len(walls), -1, 1)
+    R_transposed, arm = np.swapaxes(T_a[:, :2, :2], 1, 2), T_b[:, :2, 2] - T_a[:, :2, 2]
+    J = np.zeros((len(walls), 3, 2 * SCANNER_UNKNOWNS))
+    by_a, by_b = J[..., :SCANNER_UNKNOWNS], J[..., SCANNER_UNKNOWNS:]
+    by_b[:, :2, :2], by_b[:, 2, 2] = R_transposed, 1
+    by_a[:, :2, :2], by_a[:, 2, 2] = -R_transposed, -1
+    across = np.stack([-arm[:, 1], arm[:, 0]], axis=1)
+    by_a[:, :2, 2] = -(R_transposed @ across[..., None])[..., 0]
     beam_errors = slice(FIRST_SYSTEMATIC, FIRST_SYSTEMATIC + len(BEAM_ERRORS))
-    by_errors_of_a, by_errors_of_b = np.split(-wall.by_beam_errors, 2, axis=1) @ by_systematic
-    by_a[:, beam_errors], by_b[:, beam_errors] = by_errors_of_a, by_errors_of_b
-    J = np.concatenate([by_a, by_b], axis=1)
-    columns = list_columns([wall.a, wall.b])
-    H.add(columns, J.T @ wall.information @ J)
-    g[columns] += J.T @ wall.information @ error
-    return 0.5 * float(error @ wall.information @ error)
+    by_errors_of_a, by_errors_of_b = np.split(-by_errors, 2, axis=2)
+    by_a[..., beam_errors] = by_errors_of_a @ by_systematic[:, 0]
+    by_b[..., beam_errors] = by_errors_of_b @ by_systematic[:, 1]
+    J_transposed = np.swapaxes(J, 1, 2)
+    blocks, gradients = J_transposed @ information @ J, (J_transposed @ information @ error)[..., 0]
+    for pair, block, gradient in zip(pairs.tolist(), blocks, gradients, strict=True):
+        columns = list_columns(pair)
+        H.add(columns, block)
+        g[columns] += gradient
+    return 0.5 * float(np.sum(error * (information @ error)))
