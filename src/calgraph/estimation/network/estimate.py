@@ -44,7 +44,7 @@ from calgraph.estimation.network.scanner_unknowns import (
 from calgraph.estimation.network.solver import (
     NetworkEquations,
     compute_network_covariance,
-    list_links,
+    forget_far_pairs,
     optimize_network,
 )
 from calgraph.estimation.network.splines import Knots
@@ -189,23 +189,12 @@ def solve_network(
     return NetworkSolution(
         state.T_root_scanner,
         state.clock_offset,
-        _forget_far_pairs(network, covariance.select(columns[:, :FIRST_SYSTEMATIC].ravel())),
+        forget_far_pairs(network, covariance.select(columns[:, :FIRST_SYSTEMATIC].ravel())),
         estimate_clocks,
         float(np.sqrt(network.model_error_variance[0])),
         solved=SolvedNetwork(network, state, equations),
         systematic=SystematicErrors(state.systematic, np.nan_to_num(of_errors), prior_sigma),
     )
-
-
-def _forget_far_pairs(network: NetworkProblem, covariance: Array) -> Array:
-    """The covariance (4S, 4S) of poses and clocks; in large networks, NaN for scanners without common bodies."""
-    if network.count <= network.settings.max_joint_covariance:
-        return covariance
-    known = np.eye(network.count, dtype=np.bool_)
-    known[*list_links(network).T] = True
-    known[0] = True  # the root has no error
-    known |= known.T
-    return np.where(np.kron(known, np.ones((4, 4), dtype=np.bool_)), covariance, np.nan)
 
 
 def _solve_bodies(

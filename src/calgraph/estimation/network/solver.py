@@ -127,6 +127,17 @@ def compute_network_covariance(equations: NetworkEquations, near: int = 1) -> Ne
     return NetworkCovariance(H.factor().invert(count if joint else near), equations.estimated)
 
 
+def forget_far_pairs(network: NetworkProblem, covariance: Array) -> Array:
+    """The covariance (4S, 4S) of poses and clocks; in large networks, NaN for scanners without common bodies."""
+    if network.count <= network.settings.max_joint_covariance:
+        return covariance
+    known = np.eye(network.count, dtype=np.bool_)
+    known[*list_links(network).T] = True
+    known[0] = True  # the root has no error
+    known |= known.T
+    return np.where(np.kron(known, np.ones((4, 4), dtype=np.bool_)), covariance, np.nan)
+
+
 def _reduce_body(
     _network: NetworkProblem,
     _state: NetworkState,
