@@ -40,3 +40,15 @@ def test_the_cost_of_a_prior_is_half_the_squared_mahalanobis_distance() -> None:
     assert prior.add_to_equations(moved, H, g) == pytest.approx(2.0, rel=1e-5)
     np.testing.assert_allclose(g, [0, 0, 0, 0, 200, 0, 0, 0], rtol=1e-5, atol=1e-6)
     np.testing.assert_allclose(H.diagonal[4:], [0.01**-2, 0.02**-2, 0.03**-2, 0], rtol=1e-5)
+
+
+def test_a_prior_with_unknown_correlations_is_not_stronger_than_with_any() -> None:
+    """Three scanners whose errors are all the same: their sum is known no better than one of them."""
+    T, sigma = np.tile(np.eye(3), (4, 1, 1)), np.array([0.01, 0.02, 0.003])
+    own = np.kron(np.diag([0, 1, 1, 1]), np.diag(sigma**2))
+    same = np.kron(np.array([[0, 0, 0, 0], *[[0, 1, 1, 1]] * 3]), np.diag(sigma**2))
+    unknown = build_scanner_prior(PlanarPoses(tuple("rabc"), T, own), "rabc").information
+    known = build_scanner_prior(PlanarPoses(tuple("rabc"), T, same), "rabc").information
+    assert np.linalg.eigvalsh(known - unknown).min() > -1e-3 * np.linalg.eigvalsh(unknown).max()
+    together = np.tile(np.eye(3), (3, 1))
+    np.testing.assert_allclose(np.diag(together.T @ unknown @ together), sigma**-2, rtol=1e-3)

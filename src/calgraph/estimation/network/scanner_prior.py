@@ -37,6 +37,8 @@ class ScannerPrior:
 def build_scanner_prior(poses: PlanarPoses, names: Sequence[str]) -> ScannerPrior:
     """The prior of those scanners of a network that have an earlier pose.
 
+    Where the correlations of their errors are unknown (all zero), the prior is weaker than for any correlations.
+
     Args:
         poses: earlier ones, in the frame of the network's root.
         names: of the network, the root first.
@@ -44,6 +46,10 @@ def build_scanner_prior(poses: PlanarPoses, names: Sequence[str]) -> ScannerPrio
     shared = [name for name in names[1:] if name in poses.names]
     selected = poses.select([names[0], *shared])
     covariance = selected.covariance[3:, 3:] + np.diag(np.tile(np.square(_MIN_SIGMA), len(shared)))
+    own = np.kron(np.eye(len(shared), dtype=np.bool_), np.ones((3, 3), dtype=np.bool_))
+    if not covariance[~own].any():
+        # Unknown correlations: no joint covariance with these blocks exceeds their number times them.
+        covariance *= len(shared)
     # Scaled to correlations before the inversion: variances of unobserved directions are up to 1e6 m².
     scale = np.sqrt(np.diag(covariance))
     information = np.linalg.inv(covariance / np.outer(scale, scale)) / np.outer(scale, scale)
