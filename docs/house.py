@@ -26,6 +26,7 @@ PURPOSE = {
     "tracking": "people through time",
     "recording": "bags, folders: streams of messages",
     "result": "Calibration, its files and exports",
+    "cluster": "calls on Dask",
     "config": "rig.yaml and settings",
     "io": "atomic files, YAML, archives",
     "sensors": "camera models, scans, clouds",

@@ -12,6 +12,7 @@ from calgraph.config.settings.captures import (
     MotionDetectionSettings,
     MovingBoardSettings,
 )
+from calgraph.config.settings.dask import DaskSettings
 from calgraph.config.settings.detection import (
     BoardEdgeSettings,
     BoardPoseSettings,
@@ -127,6 +128,7 @@ __all__ = [
     "CloudBackgroundSettings",
     "ClusterSettings",
     "ConnectionSettings",
+    "DaskSettings",
     "DetectionSettings",
     "DiagnosticsSettings",
     "DriftTestSettings",

@@ -2,6 +2,7 @@
 
 from calgraph.config.settings.baselines import BaselineSettings
 from calgraph.config.settings.captures import CaptureSettings
+from calgraph.config.settings.dask import DaskSettings
 from calgraph.config.settings.detection import DetectionSettings
 from calgraph.config.settings.diagnostics import DiagnosticsSettings
 from calgraph.config.settings.estimation import EstimationSettings
@@ -25,4 +26,5 @@ class Settings(StrictModel):
     baselines: BaselineSettings = BaselineSettings()
     diagnostics: DiagnosticsSettings = DiagnosticsSettings()
     limits: LimitSettings = LimitSettings()
+    cluster: DaskSettings = DaskSettings()
     live: LiveSettings = LiveSettings()

@@ -1,0 +1,6 @@
+"""Calls on a cluster of Dask, on this machine or elsewhere (``calgraph[cluster]``)."""
+
+from calgraph.cluster.dask_engine import DaskEngine
+from calgraph.cluster.open_cluster import open_cluster
+
+__all__ = ["DaskEngine", "open_cluster"]
