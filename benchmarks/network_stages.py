@@ -52,7 +52,7 @@ from network_times import WALKERS
 
 P = ParamSpec("P")
 Result = TypeVar("Result")
-STAGES = ("reading", "tracking", "pairing", "averaging", "solving", "assembling", "writing")
+STAGES = ("tracking", "pairing", "averaging", "solving", "assembling", "writing")
 SIZES = ("30x1", "100x1", "300x1", "100x10")
 ANSWER = "answer.npz"
 

@@ -27,6 +27,7 @@ class SimulatedRecording:
     """A recording whose measurements are simulated when they are decoded."""
 
     sources: ClassVar[tuple[Path, ...]] = ()
+    opened_from: ClassVar[tuple[str, ...]] = ()
     path: Path
     topics: tuple[TopicInfo, ...]
     start: float

@@ -21,6 +21,10 @@ class Engine(Protocol):
     def jobs(self) -> int:
         """Processes of this machine that may work at the same time, for calls that the engine does not run."""
 
+    @property
+    def workers(self) -> int:
+        """Calls of the engine that may run at the same time."""
+
     def map(
         self,
         function: Callable[..., Result],
@@ -91,6 +95,11 @@ class Processes:
     """
 
     jobs: int = 1
+
+    @property
+    def workers(self) -> int:
+        """See :attr:`Engine.workers`."""
+        return self.jobs
 
     def map(
         self,

@@ -1,5 +1,6 @@
 """A second run on the recording of a network takes the tracks of scanners from the cache."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from shutil import copytree
@@ -14,6 +15,8 @@ from calgraph.config import Lidar2dSpec, People, RangeNoise, Rig
 from calgraph.config.settings import AssociationSettings, Settings, TrackingSettings
 from calgraph.config.uncertainty import Lidar2dUncertainty
 from calgraph.recording import RecordingCache, RecordingWriter, open_recording
+from calgraph.recording.bags import BagRecording
+from calgraph.sensors import RecordedMessage
 from calgraph.tracking import ScannerTracks
 from walking_scenes import World, walk_in_circle
 
@@ -117,15 +120,15 @@ def test_a_new_scanner_is_the_only_one_that_is_read(
 ) -> None:
     part = RIG.model_copy(update={"sensors": {name: RIG.sensors[name] for name in NAMES[:2]}})
     track(recording, part, tmp_path)
+    original, read = BagRecording.records, set[str]()
+
+    def count(*arguments: Any) -> Iterator[RecordedMessage]:
+        for record in original(*arguments):
+            read.add(record.topic)
+            yield record
+
+    monkeypatch.setattr(BagRecording, "records", count)
     with open_recording(recording) as opened:
-        original, read = opened.records, set[str]()
-
-        def count(*arguments: Any) -> object:
-            for record in original(*arguments):
-                read.add(record.topic)
-                yield record
-
-        monkeypatch.setattr(opened, "records", count)
         tracks, _ = track_people(RIG, opened, NetworkOptions(cache=RecordingCache(tmp_path)))
     assert read == {"/south"}
     assert tuple(tracks) == NAMES

@@ -1,16 +1,20 @@
 """From a recording to what every scanner followed."""
 
-from collections.abc import Collection, Iterator
+import multiprocessing
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
 from calgraph.calibrate import NetworkOptions, track_people, track_recording
 from calgraph.captures import InputMonitor
 from calgraph.config import Lidar2dSpec, People, Rig
-from calgraph.recording import MessageRecording
+from calgraph.engine import Processes
+from calgraph.errors import Rejected
+from calgraph.recording import MessageRecording, Recording, RecordingWriter, open_recording
 from calgraph.sensors import LaserScan, RecordedMessage
-from calgraph.tracking import ScannerTracks
+from calgraph.tracking import ScannerTracks, encode_tracks
 from walking_scenes import World, walk_in_circle
 
 NAMES = ("east", "west", "south")
@@ -27,8 +31,13 @@ class Counted(MessageRecording):
     def records(
         self, topics: Collection[str] | None = None, start: float | None = None, end: float | None = None
     ) -> Iterator[RecordedMessage]:
-        self.read.append(sorted(topics or ()))
-        return super().records(topics, start, end)
+        found = super().records(topics, start, end)
+
+        def read() -> Iterator[RecordedMessage]:
+            self.read.append(sorted(topics or ()))
+            yield from found
+
+        return read()
 
 
 @pytest.fixture
@@ -37,7 +46,7 @@ def recording() -> Counted:
     return Counted({f"/{name}": [replace(scan, frame_id=f"{name}_frame") for scan in scans] for name in NAMES})
 
 
-def test_a_recording_is_read_once(recording: Counted) -> None:
+def test_a_short_recording_is_read_once(recording: Counted) -> None:
     followed, frames = track_people(RIG, recording, NetworkOptions())
     assert recording.read == [["/east", "/south", "/west"]]
     assert frames == {name: f"{name}_frame" for name in NAMES}
@@ -52,7 +61,7 @@ def test_a_long_recording_is_read_in_portions_that_the_memory_holds(
     followed, _ = track_people(RIG, recording, NetworkOptions(), lambda *step: told.append(step))
     assert recording.read == [["/east", "/west"], ["/south"]]
     assert tuple(followed) == NAMES
-    assert [done for step, done in told if step == "tracking"] == pytest.approx([1 / 3, 2 / 3, 1])
+    assert told == [("tracking", pytest.approx(2 / 3)), ("tracking", 1)]
 
 
 def test_scanners_with_the_same_messages_are_found_across_portions(
@@ -62,3 +71,39 @@ def test_scanners_with_the_same_messages_are_found_across_portions(
     monitor = InputMonitor(RIG, recording.start)
     track_people(RIG, recording, NetworkOptions(), monitor=monitor)
     assert [finding.sensors for finding in monitor.findings()] == [("west",), ("south",), ("west", "south")]
+
+
+def serialize(found: Mapping[str, ScannerTracks | Rejected]) -> dict[str, tuple[dict[str, object], list[bytes]]]:
+    encoded = {name: encode_tracks(one) for name, one in found.items()}
+    return {
+        name: (content, [values.tobytes() for values in arrays.values()])
+        for name, (content, arrays) in encoded.items()
+    }
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+@pytest.mark.parametrize("in_memory", [True, False])
+def test_the_number_of_processes_does_not_change_a_bit(
+    recording: Counted, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, jobs: int, in_memory: bool
+) -> None:
+    with RecordingWriter(tmp_path / "recording") as writer:
+        for topic, scans in read_scans(recording).items():
+            for scan in scans:
+                writer.write(topic, scan)
+    with open_recording(tmp_path / "recording") as opened:
+        read = MessageRecording(read_scans(opened)) if in_memory else opened
+        one_batch, frames = track_people(RIG, read, NetworkOptions())
+        monkeypatch.setattr(track_recording, "_MIN_DIVIDED_SCANS", 1)
+        found = track_people(RIG, read, NetworkOptions(engine=Processes(jobs)))
+    assert serialize(found[0]) == serialize(one_batch)
+    assert found[1] == frames
+    assert multiprocessing.active_children() == []
+
+
+def read_scans(recording: Recording) -> dict[str, list[LaserScan]]:
+    scans: dict[str, list[LaserScan]] = {}
+    for record in recording.records():
+        message = record.decode()
+        assert isinstance(message, LaserScan)
+        scans.setdefault(record.topic, []).append(message)
+    return scans

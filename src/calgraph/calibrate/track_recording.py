@@ -1,32 +1,38 @@
-"""Tracking in a recording of a network's scanners: read once, tracked in parallel."""
+"""Tracking in a recording of a network's scanners, in batches that are read and tracked in parallel."""
 
 import logging
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from calgraph.calibrate.options import NetworkOptions, Progress, no_progress
+from calgraph.calibrate.options import CenterFeature, NetworkOptions, Progress, no_progress
 from calgraph.calibrate.step_log import log_tracks
 from calgraph.calibrate.strategies import select_center_estimator
 from calgraph.captures import InputMonitor, to_scans
 from calgraph.captures.input_checks import TopicObservations, decode_observations, encode_observations
 from calgraph.config import Cylinder, Lidar2dSpec, People, Rig, SensorSpec
+from calgraph.engine import THIS_PROCESS
 from calgraph.errors import InputError, Rejected
 from calgraph.io.columns import Arrays
-from calgraph.recording import Recording
+from calgraph.recording import Recording, RecordingReference, refer_to
 from calgraph.tracking import (
     ScannerTracks,
     ScanRun,
     ScanStackBuilder,
     decode_tracks,
     encode_tracks,
-    track_scanners,
+    track_runs,
 )
 
 _log = logging.getLogger("calgraph")
 
 # Scans held in memory together, exceeded only by those of one scanner: 0.8 GB for scans of 1000 beams.
 _MAX_SCANS_IN_MEMORY = 100_000
+# A pass over the messages of others takes 0.5 % of the work on all of them. So few batches cost little, and
+# so many keep workers busy until the end.
+_BATCHES_PER_WORKER = 4
+# Fewer scans than these are tracked faster than other processes start.
+_MIN_DIVIDED_SCANS = 1000
 _TRACKS = "tracks/1"
 
 
@@ -51,8 +57,9 @@ def track_people(
 
     What an earlier run tracked in a scanner is taken from the cache of the options.
     """
-    target = moving_target(rig)
-    noise = {name: scanner_spec(name, spec).noise for name, spec in rig.sensors.items()}
+    moving_target(rig)
+    for name, spec in rig.sensors.items():
+        scanner_spec(name, spec)
     monitor = monitor or InputMonitor(rig, recording.start)
     inputs = {name: _list_inputs(name, rig, options) for name in rig.sensors}
     found = {
@@ -62,30 +69,17 @@ def track_people(
     }
     for name, kept in found.items():
         monitor.restore(rig.topics[name], kept.observations)
+    recording.records(list(rig.topics.values()))  # refuses topics that do not fit together
     if found:
-        recording.records(list(rig.topics.values()))  # refuses topics that do not fit together
         options.cache.reused.update(found)
         _log.info("tracks of %s: from the cache", ", ".join(found))
     unread = [name for name in rig.sensors if name not in found]
-    for names in _memory_batches(unread, rig, recording):
-
-        def tracking(share: float, before: int = len(found), count: int = len(names)) -> None:
-            progress("tracking", (before + share * count) / len(rig.sensors))
-
-        scans, frames = _read_scans(recording, {rig.topics[name]: name for name in names}, monitor, progress)
-        tracks = track_scanners(
-            scans,
-            target,
-            noise,
-            centers=select_center_estimator(options.feature, rig.settings.baselines),
-            settings=rig.settings.tracking,
-            engine=options.engine,
-            progress=tracking,
-        )
-        for name in names:
-            observations = monitor.observations(rig.topics[name])
-            found[name] = _Tracked(tracks[name], frames.get(name), observations)
-            options.cache.write(recording, _TRACKS, inputs[name], *_encode(found[name]))
+    for tracked in _track_unread(rig, recording, unread, options):
+        for name, one in tracked.items():
+            found[name] = one
+            monitor.restore(rig.topics[name], one.observations)
+            options.cache.write(recording, _TRACKS, inputs[name], *_encode(one))
+        progress("tracking", len(found) / len(rig.sensors))
     tracks = {name: found[name].tracks for name in rig.sensors}
     log_tracks(tracks)
     stated = {name: frame for name in rig.sensors if (frame := found[name].frame) is not None}
@@ -128,33 +122,64 @@ def scanner_spec(name: str, spec: SensorSpec) -> Lidar2dSpec:
     return spec
 
 
-def _memory_batches(names: Sequence[str], rig: Rig, recording: Recording) -> Iterator[Sequence[str]]:
-    """Names of the scanners that are read together, so that their scans fit into memory."""
+def _track_unread(
+    rig: Rig, recording: Recording, names: Sequence[str], options: NetworkOptions
+) -> Iterator[dict[str, _Tracked]]:
+    """What is tracked in some scanners, batch by batch in their order.
+
+    Each call reads the recording by itself: its scanners' messages take a hundred times longer to decode and to
+    track in than those of others take to pass over.
+    """
     counts = {topic.name: topic.count for topic in recording.topics}
+    scans = [counts.get(rig.topics[name], 0) for name in names]
+    engine, batches = options.engine, _BATCHES_PER_WORKER * options.engine.workers
+    if sum(scans) < _MIN_DIVIDED_SCANS:
+        engine, batches = THIS_PROCESS, 1
+    limit = min(_MAX_SCANS_IN_MEMORY, -(-sum(scans) // batches))
+    shared = rig, refer_to(recording, rig.settings.limits), options.feature
+    return engine.stream(_track_batch, ((batch,) for batch in _divide(names, scans, limit)), shared)
+
+
+def _divide(names: Sequence[str], scans: Sequence[int], limit: int) -> Iterator[list[str]]:
+    """Batches of scanners with at most ``limit`` scans together, unless one scanner has more."""
     batch: list[str] = []
-    scans = 0
-    for name in names:
-        count = counts.get(rig.topics[name], 0)
-        scans += count
-        if batch and scans > _MAX_SCANS_IN_MEMORY:
+    total = 0
+    for name, count in zip(names, scans, strict=True):
+        total += count
+        if batch and total > limit:
             yield batch
-            batch, scans = [], count
+            batch, total = [], count
         batch.append(name)
     if batch:
         yield batch
 
 
+def _track_batch(
+    shared: tuple[Rig, RecordingReference, CenterFeature], names: Sequence[str]
+) -> dict[str, _Tracked]:
+    """Reads the messages of some scanners, and tracks in each."""
+    rig, reference, feature = shared
+    with reference.open() as recording:
+        monitor = InputMonitor(rig, recording.start)
+        scans, frames = _read_scans(recording, {rig.topics[name]: name for name in names}, monitor)
+    target, centers = moving_target(rig), select_center_estimator(feature, rig.settings.baselines)
+    tracked = {}
+    for name in names:
+        noise = scanner_spec(name, rig.sensors[name]).noise
+        tracks = track_runs(scans.pop(name), target, noise, centers, rig.settings.tracking)
+        tracked[name] = _Tracked(tracks, frames.get(name), monitor.observations(rig.topics[name]))
+    return tracked
+
+
 def _read_scans(
-    recording: Recording, names: Mapping[str, str], monitor: InputMonitor, progress: Progress
+    recording: Recording, names: Mapping[str, str], monitor: InputMonitor
 ) -> tuple[dict[str, tuple[ScanRun, ...]], dict[str, str]]:
     """The scans of some scanners, given by topic, and the frames they state."""
     gathered = {name: ScanStackBuilder() for name in names.values()}
     frames: dict[str, str] = {}
-    length = max(recording.end - recording.start, 1e-9)
     for record in monitor.observe(recording.records(list(names))):
         name = names[record.topic]
         for scan in to_scans([record.decode()]):
             frames.setdefault(name, scan.frame_id)
             gathered[name].add(scan)
-        progress("reading", (record.arrival - recording.start) / length)
-    return {name: stack.runs() for name, stack in gathered.items()}, frames
+    return {name: gathered.pop(name).runs() for name in names.values()}, frames

@@ -15,6 +15,7 @@ from calgraph.cli.common_options import (
     PAPERS,
     RESULT_FILES,
     TUNING,
+    ClusterOption,
     ForceOption,
     JobsOption,
     Results,
@@ -24,6 +25,7 @@ from calgraph.cli.common_options import (
     WholeJson,
     check_not_overwriting,
     list_choices,
+    open_engine,
 )
 from calgraph.cli.printing import print_calibration, print_output_path
 from calgraph.cli.prior_options import DeviationOption, PriorOption, RigidOption, read_priors
@@ -31,10 +33,9 @@ from calgraph.cli.progress import progress_bars
 from calgraph.cli.provenance import describe_run
 from calgraph.cli.setting_options import SetOption, load_rig_with
 from calgraph.config import Rig
-from calgraph.engine import Processes
 from calgraph.errors import CalibrationError, InputError
 from calgraph.io import check_output_path, follow_links, replace_folder_atomically, save_yaml
-from calgraph.processes import available_cores, forked_jobs, parallel_call
+from calgraph.processes import forked_jobs, parallel_call
 from calgraph.recording import open_recordings, resolve_intrinsics
 from calgraph.result import (
     Calibration,
@@ -63,9 +64,10 @@ WeightsChoice = Literal["uniform", "weighted"]
 def calibrate(
     rig_file: RigFile,
     recordings: Annotated[
-        list[Path],
+        list[str],
         typer.Argument(
-            metavar="RECORDING...", help="rosbag2 folder, .mcap, .db3, ROS 1 .bag, videos, or plain folder."
+            metavar="RECORDING...",
+            help="rosbag2 folder, .mcap, .db3, ROS 1 .bag, videos, or plain folder; or its URL.",
         ),
     ],
     out: Results,
@@ -103,6 +105,7 @@ def calibrate(
     ] = 5,
     seed: SeedOption = 0,
     jobs: JobsOption = None,
+    cluster: ClusterOption = None,
     no_cache: NoCacheOption = False,
     dump: Annotated[
         Path | None,
@@ -197,7 +200,10 @@ def calibrate(
     _check_unused(*(("rigs with a board", rig_options) if rig.is_network else ("networks", network_options)))
     prior_poses, groups = read_priors(prior, prior_stddev, rigid)
     cache = open_cache(unused=no_cache)
-    with replace_folder_atomically(out, "calibration.yaml") as folder:
+    with (
+        open_engine(jobs, cluster, rig.settings.cluster) as engine,
+        replace_folder_atomically(out, "calibration.yaml") as folder,
+    ):
         options: story.RigOptions | story.NetworkOptions
         if rig.is_network:
             options = story.NetworkOptions(
@@ -209,7 +215,7 @@ def calibrate(
                 extend=load_calibration(extend) if extend else None,
                 moved=tuple(moved or ()),
                 seed=seed,
-                engine=Processes(jobs or available_cores()),
+                engine=engine,
                 cache=cache,
             )
         else:
@@ -223,7 +229,7 @@ def calibrate(
                 tags=tags,
                 seed=seed,
                 dump=folder / dump.name if dump and _is_in(dump, out) else dump,
-                engine=Processes(jobs or available_cores()),
+                engine=engine,
                 cache=cache,
             )
         with open_recordings(recordings, rig.settings.limits) as recording, progress_bars() as progress:
@@ -231,10 +237,15 @@ def calibrate(
             _log.info("recording: %.1f s, %d messages", recording.end - recording.start, messages)
             rig = resolve_background(rig, recording, cache)
             calibration = story.calibrate(rig, recording, options, _load_meanwhile(progress))
-            read = [rig_file, *recordings, *([prior] if prior else []), *([extend] if extend else [])]
+            read: list[Path | str] = [
+                rig_file,
+                *recordings,
+                *([prior] if prior else []),
+                *([extend] if extend else []),
+            ]
             calibration = replace(calibration, provenance=describe_run(read, recording, cache))
             rig = state_calibrated_intrinsics(resolve_intrinsics(rig, recording), calibration)
-        write_results(calibration, rig, folder, jobs or available_cores())
+        write_results(calibration, rig, folder, engine.jobs)
     show_results(calibration, out, json=json, strict=strict)
 
 

@@ -14,21 +14,22 @@ from calgraph.cli.cache import NoCacheOption, open_cache
 from calgraph.cli.calibrate import write_results
 from calgraph.cli.common_options import (
     RESULT_FILES,
+    ClusterOption,
     ForceOption,
     RigFile,
     SeedOption,
     check_not_overwriting,
+    open_engine,
 )
 from calgraph.cli.console import console
 from calgraph.cli.printing import print_remarks
 from calgraph.cli.progress import progress_bars
 from calgraph.cli.setting_options import SetOption, load_rig_with
 from calgraph.config import Rig, Tolerance
-from calgraph.engine import Processes
+from calgraph.engine import Engine
 from calgraph.errors import InputError
 from calgraph.io import format_json, replace_folder_atomically, write_text
 from calgraph.io.yaml_reading import validate_content
-from calgraph.processes import available_cores
 from calgraph.recording import RecordingCache, open_recordings
 from calgraph.result import Calibration, ExtrinsicsFile, read_extrinsics
 
@@ -44,7 +45,7 @@ _FORMAT = "calgraph-check/1"
 def check(
     rig_file: RigFile,
     recordings: Annotated[
-        list[Path],
+        list[str],
         typer.Argument(metavar="RECORDING...", help="As for calibrate; or what calibrate --dump wrote (.npz)."),
     ],
     against: Annotated[
@@ -65,6 +66,7 @@ def check(
     force: ForceOption = False,
     seed: SeedOption = 0,
     overrides: SetOption = None,
+    cluster: ClusterOption = None,
     no_cache: NoCacheOption = False,
     json: Annotated[bool, typer.Option("--json", help="Print check.json.")] = False,
 ) -> None:
@@ -81,7 +83,9 @@ def check(
         check_not_overwriting(out, [*RESULT_FILES, "check.json"], force=force)
     rig, given = _set_tolerance(load_rig_with(rig_file, overrides), tolerance), read_extrinsics(against)
     with replace_folder_atomically(out, "calibration.yaml") if out else nullcontext() as folder:
-        calibration, audit, rig = _compare(rig, recordings, given, seed, open_cache(unused=no_cache))
+        cache = open_cache(unused=no_cache)
+        with open_engine(None, cluster, rig.settings.cluster) as engine:
+            calibration, audit, rig = _compare(rig, recordings, given, seed, cache, engine)
         content = _content(audit, against, rig.tolerance)
         if folder:
             write_results(calibration, rig, folder)
@@ -108,32 +112,32 @@ def _set_tolerance(rig: Rig, tolerance: tuple[float, float] | None) -> Rig:
 
 
 def _compare(
-    rig: Rig, recordings: list[Path], given: ExtrinsicsFile, seed: int, cache: RecordingCache
+    rig: Rig, recordings: list[str], given: ExtrinsicsFile, seed: int, cache: RecordingCache, engine: Engine
 ) -> tuple[Calibration, "ExtrinsicsComparison", Rig]:
     """The calibration from the recording, the comparison with the given poses, and the resolved rig."""
     from calgraph import calibrate as story
 
     if rig.is_network:
-        options = story.NetworkOptions(seed=seed, engine=Processes(available_cores()), cache=cache)
+        options = story.NetworkOptions(seed=seed, engine=engine, cache=cache)
         with open_recordings(recordings, rig.settings.limits) as recording, progress_bars() as progress:
             return *story.compare_network_extrinsics(rig, recording, given, options, progress), rig
-    problem = _problem(rig, recordings, seed, cache)
+    problem = _problem(rig, recordings, seed, cache, engine)
     return *story.compare_extrinsics(problem, given), problem.rig
 
 
-def _problem(rig: Rig, recordings: list[Path], seed: int, cache: RecordingCache) -> "Problem":
+def _problem(rig: Rig, recordings: list[str], seed: int, cache: RecordingCache, engine: Engine) -> "Problem":
     """The joint problem of a recording, or the one in a dump."""
     from calgraph import calibrate as story
     from calgraph.estimation import check_problem, load_problem
 
-    if any(file.suffix == ".npz" and file.is_file() for file in recordings):
+    if any(Path(file).suffix == ".npz" and Path(file).is_file() for file in recordings):
         if len(recordings) > 1:
             raise InputError(f"{recordings[0]}: a dump is one recording's, got {len(recordings)} files")
-        problem = replace(load_problem(recordings[0], rig.settings.limits), rig=rig)
+        problem = replace(load_problem(Path(recordings[0]), rig.settings.limits), rig=rig)
         check_problem(problem)
         return problem
     with open_recordings(recordings, rig.settings.limits) as recording, progress_bars() as progress:
-        options = story.RigOptions(seed=seed, engine=Processes(available_cores()), cache=cache)
+        options = story.RigOptions(seed=seed, engine=engine, cache=cache)
         return story.build_problem(rig, recording, options, progress)
 
 

@@ -1,12 +1,17 @@
 """Arguments and options that mean the same to several commands."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any, get_args
 
 import typer
 
+from calgraph.cluster import LOCAL, open_cluster
+from calgraph.config.settings import DaskSettings
+from calgraph.engine import Engine, Processes
 from calgraph.errors import InputError
+from calgraph.processes import available_cores
 
 EVERYDAY, EARLIER, TUNING, PAPERS = (
     "Everyday",
@@ -32,7 +37,8 @@ def list_choices(literal: Any) -> str:
 
 
 RigFile = Annotated[Path, typer.Argument(metavar="RIG.yaml", help="Sensors, target and captures.")]
-OneRecording = Annotated[Path, typer.Argument(metavar="RECORDING", help="Anything that calibrate reads.")]
+# A path or a URL, of which Path would remove slashes.
+OneRecording = Annotated[str, typer.Argument(metavar="RECORDING", help="Anything that calibrate reads.")]
 Results = Annotated[
     Path, typer.Option("--out", "-o", metavar="OUT", help="Folder for the results.", rich_help_panel=EVERYDAY)
 ]
@@ -64,6 +70,41 @@ JobsOption = Annotated[
         rich_help_panel=TUNING,
     ),
 ]
+
+ClusterOption = Annotated[
+    str | None,
+    typer.Option(
+        "--cluster",
+        metavar="local | tcp://HOST:PORT",
+        help="Let a cluster of Dask do the work, see docs/scaling.md.",
+        rich_help_panel=TUNING,
+    ),
+]
+
+
+@contextmanager
+def open_engine(jobs: int | None, cluster: str | None, settings: DaskSettings) -> Iterator[Engine]:
+    """What evaluates the calls of a command, for the duration of the block.
+
+    Args:
+        jobs: number of processes of this machine; all its cores if None.
+        cluster: where a cluster does it: see :func:`calgraph.cluster.open_cluster`.
+        settings: of clusters.
+
+    Raises:
+        InputError: both are given, and the workers of the cluster are not processes of this machine; or as
+            :func:`calgraph.cluster.open_cluster`.
+        CalibrationError: as :func:`calgraph.cluster.open_cluster`.
+    """
+    if cluster is None:
+        yield Processes(jobs or available_cores())
+        return
+    if jobs is not None and cluster != LOCAL:
+        raise InputError(
+            "--jobs: the number of workers of a cluster is its own; leave it out, or use --cluster local"
+        )
+    with open_cluster(cluster, jobs or available_cores(), settings) as engine:
+        yield engine
 
 
 def check_not_overwriting(folder: Path, names: Iterable[str], *, force: bool) -> None:

@@ -40,7 +40,7 @@ def init(
         topics = find_topics(opened)
         background = _find_background(opened, topics)
         mode = _find_mode(opened, topics, background.end if background else 0.0)
-        text = draft_rig(topics, str(recording), target, background, mode)
+        text = draft_rig(topics, recording, target, background, mode)
     write_text(out, text)
     todo = "go through its comments" if board else "state your board in it, and go through its comments"
     console(stderr=True).print(f"Wrote {out}: {todo}", markup=False)

@@ -36,15 +36,16 @@ def inspect(
 
     Exit code 2: the recording is damaged; the readable part is shown.
     """
-    if (recording / "calibration.yaml").is_file():
-        show_result(load_calibration(recording / "calibration.yaml"), json=json)
+    result = Path(recording) / "calibration.yaml"
+    if result.is_file():
+        show_result(load_calibration(result), json=json)
         return
     with open_recording(recording, parse_limits(overrides, alone=True)) as opened, progress_bars() as progress:
         inspection = inspect_recording(opened, partial(progress, "reading"))
         mode = None if inspection.damage else _recognize_mode(opened, inspection)
     if json:
         captures = {"captures": {"mode": mode.mode, "reason": mode.reason} if mode else None}
-        typer.echo(format_json({"recording": str(recording), **asdict(inspection), **captures}))
+        typer.echo(format_json({"recording": recording, **asdict(inspection), **captures}))
     else:
         _print(recording, inspection, mode)
     if inspection.damage:
@@ -75,7 +76,7 @@ def _recognize_mode(recording: Recording, inspection: Inspection) -> RecognizedM
     return recognize_recording(recording, [topic.name for topic in sensors], settings=CaptureSettings())
 
 
-def _print(recording: Path, inspection: Inspection, mode: RecognizedMode | None) -> None:
+def _print(recording: str, inspection: Inspection, mode: RecognizedMode | None) -> None:
     output = console()
     duration = f"{inspection.duration:.1f} s, " if any(topic.timing for topic in inspection.topics) else ""
     title = f"{recording}: {duration}{sum(t.count for t in inspection.topics)} messages"

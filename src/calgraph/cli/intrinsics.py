@@ -12,21 +12,21 @@ from rich.table import Table
 
 from calgraph.cli.cache import NoCacheOption, open_cache
 from calgraph.cli.common_options import (
+    ClusterOption,
     ForceOption,
     JobsOption,
     check_not_overwriting,
+    open_engine,
 )
 from calgraph.cli.console import console
 from calgraph.cli.progress import progress_bars
 from calgraph.cli.setting_options import SetOption, load_rig_with, override_settings, parse_limits
 from calgraph.config import CameraSpec, Rig
 from calgraph.config.sensor_names import name_sensors
-from calgraph.engine import Processes
 from calgraph.errors import CalibrationError, InputError, Rejected
 from calgraph.io import format_json, replace_folder_atomically, write_text
 from calgraph.io.yaml_limits import MAX_RIG_VALUES
 from calgraph.io.yaml_reading import read_yaml
-from calgraph.processes import available_cores
 from calgraph.recording import Recording, find_topics, open_recordings
 from calgraph.result.exports.camera_info import to_camera_info
 from calgraph.result.exports.kalibr import to_single_camchain
@@ -45,7 +45,8 @@ def intrinsics(
         typer.Argument(metavar="RIG.yaml", help="The rig; or the target alone, as calgraph board prints it."),
     ],
     recordings: Annotated[
-        list[Path], typer.Argument(metavar="RECORDING...", help="Anything that calibrate reads, with images.")
+        list[str],
+        typer.Argument(metavar="RECORDING...", help="Anything that calibrate reads, with images."),
     ],
     out: Annotated[Path, typer.Option("--out", "-o", metavar="OUT", help="Folder for the results.")],
     camera: Annotated[
@@ -54,6 +55,7 @@ def intrinsics(
     ] = None,
     force: ForceOption = False,
     jobs: JobsOption = None,
+    cluster: ClusterOption = None,
     overrides: SetOption = None,
     no_cache: NoCacheOption = False,
     json: Annotated[bool, typer.Option("--json", help=f"Print {_SUMMARY}.")] = False,
@@ -70,9 +72,8 @@ def intrinsics(
     with replace_folder_atomically(out, _SUMMARY) as folder:
         with open_recordings(recordings, parse_limits(overrides)) as recording, progress_bars() as progress:
             rig = _select_cameras(_read_rig(board, recording, overrides), camera or [])
-            found = story.calibrate_intrinsics(
-                rig, recording, Processes(jobs or available_cores()), progress, open_cache(unused=no_cache)
-            )
+            with open_engine(jobs, cluster, rig.settings.cluster) as engine:
+                found = story.calibrate_intrinsics(rig, recording, engine, progress, open_cache(unused=no_cache))
         content = format_json(_summarize(rig, found), indent=1)
         write_text(folder / _SUMMARY, content + "\n")
         remarks = [*_write_files(rig, found, folder)]

@@ -12,6 +12,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from calgraph.recording import NO_CACHE, Recording, RecordingCache
+from calgraph.recording.remote import find_copy, is_url
 from calgraph.result import InputFile, Provenance
 
 # Bytes of each end of a file that are hashed: recordings have gigabytes.
@@ -19,12 +20,12 @@ _HASHED_BYTES = 2**20
 
 
 def describe_run(
-    inputs: Iterable[Path], recording: Recording | None = None, cache: RecordingCache = NO_CACHE
+    inputs: Iterable[Path | str], recording: Recording | None = None, cache: RecordingCache = NO_CACHE
 ) -> Provenance:
     """The provenance of what the running command computes.
 
     Args:
-        inputs: files and folders that it reads.
+        inputs: files, folders and URLs that it reads.
         recording: the recording among them, open.
         cache: where detections may have been taken from.
     """
@@ -46,11 +47,14 @@ def describe_run(
     )
 
 
-def hash_input(path: Path) -> str:
+def hash_input(place: Path | str) -> str:
     """SHA-256 of the sizes and of both ends of a file, or of all files of a folder in the order of their names.
 
-    Empty for pipes and devices, which cannot be read again.
+    That of a URL is its copy's. Empty for pipes and devices, which cannot be read again.
     """
+    path = find_copy(str(place)) if is_url(place) else Path(place)
+    if path is None:
+        return ""
     if not path.is_file() and not path.is_dir():
         return ""
     digest = hashlib.sha256()

@@ -12,14 +12,13 @@ from rich.table import Table
 
 from calgraph.cli.cache import NoCacheOption, open_cache
 from calgraph.cli.calibrate import fail_if_not_calibrated
+from calgraph.cli.common_options import ClusterOption, open_engine
 from calgraph.cli.console import console
 from calgraph.cli.printing import print_remarks
 from calgraph.cli.progress import progress_bars
 from calgraph.cli.setting_options import SetOption, load_rig_with, override_settings, parse_limits
-from calgraph.engine import Processes
 from calgraph.errors import CalibrationError, InputError
 from calgraph.io import format_json
-from calgraph.processes import available_cores
 from calgraph.recording import RecordingCache, open_recordings
 
 if TYPE_CHECKING:
@@ -34,12 +33,13 @@ _SIGNS = {"honest": "[green]✓[/]", "pessimistic": "[yellow]![/]", "optimistic"
 
 def verify(
     files: Annotated[
-        list[Path],
+        list[str],
         typer.Argument(metavar="DUMP | RIG.yaml RECORDING...", help="As for calibrate; or what --dump wrote."),
     ],
     rounds: Annotated[int, typer.Option(metavar="N", min=20, help="Number of bootstrap rounds.")] = 200,
     seed: Annotated[int, typer.Option(metavar="N", min=0, help="Seed of the draws: same seed, same result.")] = 0,
     overrides: SetOption = None,
+    cluster: ClusterOption = None,
     no_cache: NoCacheOption = False,
     json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
 ) -> None:
@@ -53,7 +53,7 @@ def verify(
     from calgraph.calibrate import bootstrap_covariances  # takes seconds, which --help should not
 
     with progress_bars() as progress:
-        problem = _problem(files, overrides, seed, open_cache(unused=no_cache), progress)
+        problem = _problem(files, overrides, seed, open_cache(unused=no_cache), cluster, progress)
         calibration, scatter = bootstrap_covariances(problem, rounds, np.random.default_rng(seed), progress)
     kinds = {sensor.name: sensor.kind for sensor in calibration.sensors}
     confidence = problem.rig.settings.diagnostics.rig.bootstrap_confidence
@@ -69,20 +69,29 @@ def verify(
 
 
 def _problem(
-    files: list[Path], overrides: list[str] | None, seed: int, cache: RecordingCache, progress: "Progress"
+    files: list[str],
+    overrides: list[str] | None,
+    seed: int,
+    cache: RecordingCache,
+    cluster: str | None,
+    progress: "Progress",
 ) -> "Problem":
     """The joint problem in a dump, or that of a recording."""
     from calgraph import calibrate as story
     from calgraph.estimation import load_problem
 
+    first = Path(files[0])
     if len(files) == 1:
-        if files[0].suffix in (".yaml", ".yml"):
-            raise InputError(f"{files[0]}: a rig needs a recording beside it: verify RIG.yaml RECORDING")
-        problem = load_problem(files[0], parse_limits(overrides))
+        if first.suffix in (".yaml", ".yml"):
+            raise InputError(f"{first}: a rig needs a recording beside it: verify RIG.yaml RECORDING")
+        problem = load_problem(first, parse_limits(overrides))
         return replace(problem, rig=override_settings(problem.rig, overrides))
-    rig = load_rig_with(files[0], overrides)
-    with open_recordings(files[1:], rig.settings.limits) as recording:
-        options = story.RigOptions(seed=seed, engine=Processes(available_cores()), cache=cache)
+    rig = load_rig_with(first, overrides)
+    with (
+        open_recordings(files[1:], rig.settings.limits) as recording,
+        open_engine(None, cluster, rig.settings.cluster) as engine,
+    ):
+        options = story.RigOptions(seed=seed, engine=engine, cache=cache)
         return story.build_problem(rig, recording, options, progress)
 
 

@@ -1,6 +1,6 @@
 """Calls on a cluster of Dask, on this machine or elsewhere (``calgraph[cluster]``)."""
 
 from calgraph.cluster.dask_engine import DaskEngine
-from calgraph.cluster.open_cluster import open_cluster
+from calgraph.cluster.open_cluster import LOCAL, open_cluster
 
-__all__ = ["DaskEngine", "open_cluster"]
+__all__ = ["LOCAL", "DaskEngine", "open_cluster"]

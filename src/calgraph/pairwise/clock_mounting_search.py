@@ -136,8 +136,9 @@ def search_clocks_and_mountings(
     """
     prior = NuisancePrior(clock_sigma, settings.registration.depth_stddev)
     generators = rng.spawn(len(pairs))
+    data = dict(zip(observations, engine.put(list(observations.values())), strict=True))
     work = [
-        (ends, observations[ends[0]], observations[ends[1]], prior, generator, settings)
+        (ends, data[ends[0]], data[ends[1]], prior, generator, settings)
         for ends, generator in zip(pairs, generators, strict=True)
     ]
     return [found for of_pair in engine.map(_search_pair, work) for found in of_pair]

@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -115,9 +116,11 @@ def estimate_scanner_pairs(
     Returns:
         The pairs that were registered, in the order of the scanners.
     """
+    scanners = tuple(_ScannerData.from_tracks(tracks, settings) for tracks in tracked.values())
     batch = _PairBatch(
         tuple(tracked),
-        tuple(_ScannerData.from_tracks(tracks, settings) for tracks in tracked.values()),
+        scanners,
+        tuple(engine.put(scanners)),
         icp,
         _nuisance_prior(clock_sigma, depth_stddev, settings),
         settings,
@@ -138,6 +141,8 @@ class _PairBatch:
 
     names: tuple[str, ...]
     scanners: tuple[_ScannerData, ...]
+    handles: tuple[Any, ...]
+    """Of the scanners, for calls of the engine."""
     icp: bool
     prior: NuisancePrior
     settings: ScannerPairSettings
@@ -147,13 +152,14 @@ class _PairBatch:
         self, pairs: Sequence[Ends], generators: Sequence[np.random.Generator], progress: Callable[[float], None]
     ) -> list[ScannerPairEstimate | Rejected]:
         """Estimates pairs of scanners, given by their indices, each with its random generator."""
+        divided = len(pairs) >= _MIN_PARALLEL_PAIRS
+        engine, data = (self.engine, self.handles) if divided else (THIS_PROCESS, self.scanners)
         work = []
         for (i, j), rng in zip(pairs, generators, strict=True):
-            a, b, ends = self.scanners[i], self.scanners[j], (self.names[i], self.names[j])
             # Random numbers are drawn here, so that results do not depend on the engine.
-            proposals = _propose_hypotheses(a, b, rng, self.settings)
-            work.append((ends, a, b, proposals, self.icp, self.prior, self.settings))
-        engine = self.engine if len(work) >= _MIN_PARALLEL_PAIRS else THIS_PROCESS
+            proposals = _propose_hypotheses(self.scanners[i], self.scanners[j], rng, self.settings)
+            ends = self.names[i], self.names[j]
+            work.append((ends, data[i], data[j], proposals, self.icp, self.prior, self.settings))
         return engine.map(_evaluate_hypotheses, work, progress)
 
 

@@ -12,11 +12,13 @@ from calgraph.recording.inspection import SENSORS, Inspection, Timing, TopicRepo
 from calgraph.recording.opening import open_recording, open_recordings
 from calgraph.recording.pose_recordings import PoseRecordings, separate_poses
 from calgraph.recording.recording import Recording, TopicInfo
+from calgraph.recording.reopening import RecordingReference, refer_to
 from calgraph.recording.writer import Encoding, RecordingWriter
 
 __all__ = [
     "NO_CACHE", "SENSORS", "ClockCorrectedRecording", "Encoding", "Inspection", "MessageRecording",
-    "PoseRecordings", "Recording", "RecordingCache", "RecordingWriter", "Timing", "TopicInfo", "TopicReport",
+    "PoseRecordings", "Recording", "RecordingCache", "RecordingReference", "RecordingWriter",
+    "Timing", "TopicInfo", "TopicReport",
     "find_camera_infos", "find_topics", "inspect_recording", "list_camera_info_topics", "open_recording",
-    "open_recordings", "resolve_intrinsics", "separate_poses",
+    "open_recordings", "refer_to", "resolve_intrinsics", "separate_poses",
 ]  # fmt: skip

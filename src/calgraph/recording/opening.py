@@ -12,8 +12,11 @@ from calgraph.recording.bags import BagRecording
 from calgraph.recording.corners_csv import CornersRecording, is_corners
 from calgraph.recording.folder import FolderRecording
 from calgraph.recording.recording import JoinedRecording, Recording
+from calgraph.recording.remote import fetch_recording, is_url
 from calgraph.recording.takes import separate_takes
 from calgraph.recording.video import VideoRecording, is_video
+
+_Opened = BagRecording | CornersRecording | FolderRecording | JoinedRecording | VideoRecording
 
 
 def open_recording(path: Path | str, limits: LimitSettings = LimitSettings()) -> Recording:
@@ -21,14 +24,21 @@ def open_recording(path: Path | str, limits: LimitSettings = LimitSettings()) ->
 
     Args:
         path: a rosbag2 folder, an ``.mcap``, ``.db3`` or ROS 1 ``.bag`` file, a folder of those, a video, a
-            CSV of detected corners, or a plain folder with one folder of files or one video per sensor.
+            CSV of detected corners, or a plain folder with one folder of files or one video per sensor; or the URL
+            of one, see :mod:`calgraph.recording.remote`.
         limits: of what is read, ``settings.limits`` of rig.yaml.
 
     Raises:
         InputError: the path does not exist, or is not a recording.
         RecordingError: it is damaged.
     """
-    path = Path(path)
+    url = str(path) if is_url(path) else None
+    recording = _open(fetch_recording(url, limits) if url else Path(path), limits)
+    recording.opened_from = (url or str(Path(path).absolute()),)
+    return recording
+
+
+def _open(path: Path, limits: LimitSettings) -> _Opened:
     if not path.exists():
         raise InputError(f"{path}: does not exist{suggest_name(path)}")
     bag = find_bag_files(path)
@@ -49,11 +59,11 @@ def open_recording(path: Path | str, limits: LimitSettings = LimitSettings()) ->
     )
 
 
-def _open_folder(path: Path, limits: LimitSettings) -> Recording:
+def _open_folder(path: Path, limits: LimitSettings) -> _Opened:
     """A plain folder with folders of files, videos, detected corners, or several of these."""
     videos = list(_find_videos(path))
     with ExitStack() as stack:
-        parts: list[Recording] = [CornersRecording(path, limits)] if is_corners(path) else []
+        parts: list[_Opened] = [CornersRecording(path, limits)] if is_corners(path) else []
         parts += [stack.enter_context(VideoRecording(video, limits, topic)) for video, topic in videos]
         try:
             parts.append(stack.enter_context(FolderRecording(path, limits)))
@@ -92,6 +102,11 @@ def open_recordings(paths: Sequence[Path | str], limits: LimitSettings = LimitSe
         raise InputError("no recording is given; at least one is needed")
     with ExitStack() as stack:
         recordings = [stack.enter_context(open_recording(path, limits)) for path in paths]
+        opened_from = tuple(path for one in recordings for path in one.opened_from)
         recordings = separate_takes(recordings)
         stack.pop_all()
-    return recordings[0] if len(recordings) == 1 else JoinedRecording(recordings)
+    if len(recordings) == 1:
+        return recordings[0]
+    joined = JoinedRecording(recordings)
+    joined.opened_from = opened_from
+    return joined

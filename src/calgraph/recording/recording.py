@@ -54,6 +54,10 @@ class Recording(Protocol):
         """All files and folders that messages are read from; empty for messages in memory."""
 
     @property
+    def opened_from(self) -> tuple[str, ...]:
+        """Absolute paths, and URLs, by which :func:`open_recordings` opens it anew; empty where it cannot."""
+
+    @property
     def topics(self) -> tuple[TopicInfo, ...]:
         """All topics, sorted by name."""
 
@@ -94,7 +98,13 @@ class Recording(Protocol):
 
 
 class ClosedOnExit:
-    """A context manager that closes itself at the end."""
+    """A context manager that closes itself at the end.
+
+    Attributes:
+        opened_from: see :attr:`Recording.opened_from`.
+    """
+
+    opened_from: tuple[str, ...] = ()
 
     def close(self) -> None:
         """Does nothing, where no file stays open."""

@@ -29,3 +29,9 @@ class LimitSettings(StrictModel):
     min_free_disk: int = Field(default=2**30, ge=0)
     """Minimum space that a compressed storage file (``.mcap.zstd``, ``.db3.zstd``) leaves on the disk of temporary
     files when it is unpacked there, 1.1 GB: other programs need some."""
+    url_timeout: float = Field(default=60.0, gt=0)
+    """Time without data after which the server of a URL is given up, s: busy stores answer within seconds. For S3
+    and HTTP; other protocols have their own."""
+    max_copy_age: float = Field(default=86400.0, ge=0)
+    """Time after which an unused copy of a recording from a URL is removed from the disk of temporary files, s: a
+    day, in which runs with other options find it."""
