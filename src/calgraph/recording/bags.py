@@ -4,7 +4,6 @@ The storage files are read one by one rather than through rosbags' reader of who
 including their QoS settings and silently drops those whose metadata.yaml differs from the storage.
 """
 
-import logging
 import math
 from collections.abc import Collection, Iterator
 from contextlib import ExitStack
@@ -32,8 +31,6 @@ from calgraph.recording.recording import (
     wrap_errors,
 )
 from calgraph.sensors import RecordedMessage
-
-_log = logging.getLogger(__name__)
 
 _ADVICE = {
     ".bag": "it may be truncated: try `rosbag reindex` and `rosbag check`, or copy it again",
@@ -75,8 +72,6 @@ class BagRecording(ClosedOnExit):
             raise
         filled = [reader for reader in self._readers if reader.message_count]
         self.notices = tuple(_describe_unfinished(reader) for reader in self._readers if not is_finished(reader))
-        for notice in self.notices:
-            _log.warning("%s", notice)
         self.start = min((reader.start_time for reader in filled), default=0) / 1e9
         # The readers' end is one nanosecond after the last message.
         self.end = max((reader.end_time - 1 for reader in filled), default=0) / 1e9

@@ -1,5 +1,6 @@
 """Opening recordings of any supported format."""
 
+import logging
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
@@ -16,10 +17,11 @@ from calgraph.recording.remote import fetch_recording, is_url
 from calgraph.recording.takes import separate_takes
 from calgraph.recording.video import VideoRecording, is_video
 
+_log = logging.getLogger(__name__)
 _Opened = BagRecording | CornersRecording | FolderRecording | JoinedRecording | VideoRecording
 
 
-def open_recording(path: Path | str, limits: LimitSettings = LimitSettings()) -> Recording:
+def open_recording(path: Path | str, limits: LimitSettings = LimitSettings(), *, again: bool = False) -> Recording:
     """Opens a recording; close it, or use it as a context manager.
 
     Args:
@@ -27,6 +29,7 @@ def open_recording(path: Path | str, limits: LimitSettings = LimitSettings()) ->
             CSV of detected corners, or a plain folder with one folder of files or one video per sensor; or the URL
             of one, see :mod:`calgraph.recording.remote`.
         limits: of what is read, ``settings.limits`` of rig.yaml.
+        again: whether what is missing of it has been reported already.
 
     Raises:
         InputError: the path does not exist, or is not a recording.
@@ -35,6 +38,8 @@ def open_recording(path: Path | str, limits: LimitSettings = LimitSettings()) ->
     url = str(path) if is_url(path) else None
     recording = _open(fetch_recording(url, limits) if url else Path(path), limits)
     recording.opened_from = (url or str(Path(path).absolute()),)
+    for notice in recording.notices if isinstance(recording, BagRecording) and not again else ():
+        _log.warning("%s", notice)
     return recording
 
 
@@ -89,10 +94,13 @@ def _find_videos(path: Path) -> Iterator[tuple[Path, str]]:
                 yield inner[0], one.name
 
 
-def open_recordings(paths: Sequence[Path | str], limits: LimitSettings = LimitSettings()) -> Recording:
+def open_recordings(
+    paths: Sequence[Path | str], limits: LimitSettings = LimitSettings(), *, again: bool = False
+) -> Recording:
     """Opens several recordings as one, merged by arrival time.
 
     Those whose stamps count from their own start are one after the other, see :mod:`calgraph.recording.takes`.
+    Arguments are those of :func:`open_recording`.
 
     Raises:
         InputError: no path is given, or one of them is not a recording.
@@ -101,7 +109,7 @@ def open_recordings(paths: Sequence[Path | str], limits: LimitSettings = LimitSe
     if not paths:
         raise InputError("no recording is given; at least one is needed")
     with ExitStack() as stack:
-        recordings = [stack.enter_context(open_recording(path, limits)) for path in paths]
+        recordings = [stack.enter_context(open_recording(path, limits, again=again)) for path in paths]
         opened_from = tuple(path for one in recordings for path in one.opened_from)
         recordings = separate_takes(recordings)
         stack.pop_all()

@@ -34,7 +34,7 @@ class RecordingReference:
             return nullcontext(self.recording)
         here = "" if platform.node() == self.machine else f" on {platform.node()}"
         try:
-            opened = open_recordings(self.opened_from, self.limits)
+            opened = open_recordings(self.opened_from, self.limits, again=True)
         except InputError as error:
             if not here:
                 raise
