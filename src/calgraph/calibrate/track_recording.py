@@ -28,8 +28,8 @@ _log = logging.getLogger("calgraph")
 
 # Scans held in memory together, exceeded only by those of one scanner: 0.8 GB for scans of 1000 beams.
 _MAX_SCANS_IN_MEMORY = 100_000
-# A pass over the messages of others takes 0.5 % of the work on all of them. So few batches cost little, and
-# so many keep workers busy until the end.
+# A pass over the messages of others takes 0.5 % of the work on all of them: four batches for each worker cost
+# little, and keep workers busy until the end.
 _BATCHES_PER_WORKER = 4
 # Fewer scans than these are tracked faster than other processes start.
 _MIN_DIVIDED_SCANS = 1000

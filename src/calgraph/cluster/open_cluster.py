@@ -80,7 +80,7 @@ def open_cluster(
                     local_directory=str(stack.enter_context(temporary_folder())),
                 )
             )
-        client = stack.enter_context(_connect(place, settings))
+        client = stack.enter_context(_connect_client(place, settings))
         engine = DaskEngine(client, settings)
         _check_workers(client)
         _log.info("cluster: %d workers, dashboard %s", engine.workers, client.dashboard_link)
@@ -88,7 +88,7 @@ def open_cluster(
 
 
 @contextmanager
-def _connect(place: Any, settings: DaskSettings) -> "Iterator[Client]":
+def _connect_client(place: Any, settings: DaskSettings) -> "Iterator[Client]":
     """A client of a scheduler with at least one worker."""
     import distributed
 

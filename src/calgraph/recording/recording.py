@@ -55,7 +55,7 @@ class Recording(Protocol):
 
     @property
     def opened_from(self) -> tuple[str, ...]:
-        """Absolute paths, and URLs, by which :func:`open_recordings` opens it anew; empty where it cannot."""
+        """Absolute paths, and URLs, by which :func:`open_recordings` opens it again; empty where it cannot."""
 
     @property
     def topics(self) -> tuple[TopicInfo, ...]:

@@ -23,7 +23,7 @@ from calgraph.io import make_temporary_folder, remove_temporary_folder
 
 _log = logging.getLogger("calgraph")
 
-# What protocols tell of the content of a file, as far as they tell it.
+# What changes with the content of a file; each protocol states some of these.
 _VERSION_KEYS = ("ETag", "etag", "md5Hash", "LastModified", "last_modified", "mtime", "created")
 
 

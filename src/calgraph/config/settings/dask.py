@@ -13,8 +13,8 @@ class DaskSettings(StrictModel):
     worker_timeout: float = Field(default=120.0, gt=0)
     """Time in which the first worker must be there, s: cloud machines and queues of batch systems take minutes."""
     retries: int = Field(default=2, ge=0)
-    """Repetitions of a call that ends with an error, 2: files on networks fail now and then. Calls of workers that
-    are lost do not count."""
+    """Repetitions of a call that ends with an error, 2: reading over networks sometimes fails. Repetitions because
+    a worker was lost do not count."""
     max_lost_workers: int = Field(default=3, ge=0)
     """Workers of this machine that may be lost one after the other by the same call, 3: it probably needs more
     memory than there is. Schedulers elsewhere have this limit as ``distributed.scheduler.allowed-failures``."""
