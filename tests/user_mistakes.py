@@ -144,6 +144,18 @@ RIG_TEXTS: Mapping[str, tuple[str, str, str]] = {
 """What is replaced in the text of rig.yaml, by what, and the message; exit code 2."""
 
 COMMANDS: Mapping[str, tuple[str, str]] = {
+    "a cluster without protocol": (
+        "calibrate {rig} {rec} -o {out} --cluster 10.0.0.5:8786",
+        "--cluster: must be local, or the address of a scheduler such as tcp://10.0.0.5:8786, got '10.0.0.5:8786'",
+    ),
+    "processes of a cluster elsewhere": (
+        "calibrate {rig} {rec} -o {out} --jobs 2 --cluster tcp://10.0.0.5:8786",
+        "--jobs: the number of workers of a cluster is its own; leave it out",
+    ),
+    "a recording of an unknown protocol": (
+        "calibrate {rig} carrier://pigeon -o {out}",
+        "carrier://pigeon: cannot be read .*; check address, network and credentials",
+    ),
     "a rig.yaml that is missing": (
         "calibrate {tmp}/rog.yaml {rec} -o {out}",
         "rog.yaml: does not exist; did you mean '.*/rig.yaml'",

@@ -70,6 +70,12 @@ def calibrate_all(place: Path, engine: Engine) -> str:
         return to_json(calibrate(rig, recording, RigOptions(engine=engine, folds=0)))
 
 
+@pytest.fixture(autouse=True)
+def _divided(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Few scans are enough for several calls of the engine."""
+    monkeypatch.setattr(track_recording, "_MIN_DIVIDED_SCANS", 1)
+
+
 Tracked = dict[str, tuple[dict[str, object], list[bytes]]]
 
 

@@ -1,5 +1,6 @@
 """An engine whose calls run on the workers of a Dask cluster."""
 
+import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -13,6 +14,9 @@ if TYPE_CHECKING:
     from distributed import Client, Future
 
 Result = TypeVar("Result")
+
+# Between two questions how many workers there are, s: each takes milliseconds, and workers take seconds to start.
+_COUNT_INTERVAL = 1.0
 
 
 class DaskEngine:
@@ -79,7 +83,7 @@ class DaskEngine:
         with self._futures() as submitted:
             handle = self._submit(_return, shared)
             unfinished: set[Future] = set()
-            source, limit = iter(work), self._count_ahead()
+            source, limit, counted = iter(work), self._count_ahead(), time.monotonic()
             error: Exception | None = None
             while True:
                 try:
@@ -93,7 +97,8 @@ class DaskEngine:
                 unfinished.add(submitted[-1])
                 if len(unfinished) >= limit:
                     unfinished = set(wait(unfinished, return_when="FIRST_COMPLETED").not_done)
-                    limit = self._count_ahead()
+                    if time.monotonic() - counted > _COUNT_INTERVAL:
+                        limit, counted = self._count_ahead(), time.monotonic()
                 while submitted and submitted[0].done():
                     yield submitted.popleft().result()
             while submitted:
