@@ -25,6 +25,10 @@ class CalibrationError(CalgraphError):
     """
 
 
+class WorkerKilledError(CalibrationError):
+    """A process that worked on a call was killed, as systems do when memory runs out."""
+
+
 @dataclass(frozen=True)
 class Rejected:
     """Returned instead of a result where the data of a step do not suffice, with the reason."""

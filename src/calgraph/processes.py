@@ -15,7 +15,7 @@ from contextlib import contextmanager, suppress
 from functools import partial
 from typing import Any, TypeVar
 
-from calgraph.errors import CalibrationError
+from calgraph.errors import CalibrationError, WorkerKilledError
 from calgraph.termination import SIGNALS, add_cleanup, remove_cleanup
 
 _log = logging.getLogger(__name__)
@@ -63,7 +63,8 @@ def parallel_map(
         progress: called with the completed fraction, 0..1.
 
     Raises:
-        CalibrationError: a process was killed or cannot be started; or what ``function`` raises.
+        WorkerKilledError: a process was killed.
+        CalibrationError: processes cannot be started; or what ``function`` raises.
     """
     forked = _START_METHOD == "fork"
     with _process_pool(min(jobs, len(work)), (function, work) if forked else None) as pool:
@@ -101,7 +102,8 @@ def parallel_stream(
         Results in the order of the work, before an error: that of the first call that fails, else of the stream.
 
     Raises:
-        CalibrationError: a process was killed or cannot be started; or what ``function`` or the stream raises.
+        WorkerKilledError: a process was killed.
+        CalibrationError: processes cannot be started; or what ``function`` or the stream raises.
     """
     with _process_pool(jobs, shared) as pool:
         if pool is None:
@@ -137,7 +139,8 @@ def parallel_call(
         A function that waits for the result and returns it.
 
     Raises:
-        CalibrationError: a process was killed or cannot be started; or what ``function`` raises.
+        WorkerKilledError: a process was killed.
+        CalibrationError: processes cannot be started; or what ``function`` raises.
     """
     with _process_pool(min(jobs, 2), (function, arguments), workers=1) as pool:
         if pool is None:
@@ -198,7 +201,7 @@ def _submit(pool: ProcessPoolExecutor, function: Callable[..., Result], *argumen
         with _postponed_signals():
             return pool.submit(function, *arguments)
     except BrokenProcessPool as error:
-        raise CalibrationError(_KILLED) from error
+        raise WorkerKilledError(_KILLED) from error
     except (OSError, RuntimeError) as error:
         # The latter is how threads fail to start. The executor leaves workers that were started before; the
         # interpreter would wait for them.
@@ -255,7 +258,7 @@ def _get_result(future: Future[Result]) -> Result:
     try:
         return future.result()
     except BrokenProcessPool as error:
-        raise CalibrationError(_KILLED) from error
+        raise WorkerKilledError(_KILLED) from error
 
 
 @contextmanager

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, cast
 
 import typer
 
+from calgraph.calibrate.result_files import write_results
 from calgraph.captures import resolve_background
 from calgraph.cli.cache import NoCacheOption, open_cache
 from calgraph.cli.common_options import (
@@ -32,18 +33,12 @@ from calgraph.cli.prior_options import DeviationOption, PriorOption, RigidOption
 from calgraph.cli.progress import progress_bars
 from calgraph.cli.provenance import describe_run
 from calgraph.cli.setting_options import SetOption, load_rig_with
-from calgraph.config import Rig
 from calgraph.errors import CalibrationError, InputError
-from calgraph.io import check_output_path, follow_links, replace_folder_atomically, save_yaml
-from calgraph.processes import forked_jobs, parallel_call
+from calgraph.io import check_output_path, follow_links, replace_folder_atomically
 from calgraph.recording import open_recordings, resolve_intrinsics
 from calgraph.result import (
     Calibration,
     load_calibration,
-    save_calibration,
-    save_captures,
-    save_residuals,
-    save_scene,
     state_calibrated_intrinsics,
     to_json,
 )
@@ -272,26 +267,6 @@ def _check_unused(target: str, options: Mapping[str, object]) -> None:
 def _is_in(file: Path, folder: Path) -> bool:
     """Whether a file is to be among the results, whose folder appears when they are complete."""
     return follow_links(file).parent == follow_links(folder)
-
-
-def write_results(calibration: Calibration, rig: Rig, folder: Path, jobs: int = 1) -> None:
-    """Writes the files of a calibration into an existing folder, in up to ``jobs`` processes."""
-    from calgraph.report import write_report  # brings plots along, which --help should not wait for
-
-    jobs = forked_jobs(jobs)
-    with parallel_call(_write_tables, (calibration, rig, folder), jobs) as written:
-        write_report(calibration, rig, folder / "report.html", max(jobs - 1, 1))
-        written()
-    _log.info("results: written")
-
-
-def _write_tables(calibration: Calibration, rig: Rig, folder: Path) -> None:
-    """Writes all files but the report, which takes longer than these together."""
-    save_calibration(calibration, folder / "calibration.yaml")
-    save_yaml(folder / "rig.resolved.yaml", rig.to_plain())
-    save_residuals(calibration, folder / "residuals.csv")
-    save_scene(calibration.pictures, folder / "scene.npz")
-    save_captures(calibration, folder / "captures.csv")
 
 
 def show_results(calibration: Calibration, out: Path, *, json: bool, strict: bool = False) -> None:

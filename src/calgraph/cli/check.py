@@ -10,8 +10,8 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
+from calgraph.calibrate.result_files import write_results
 from calgraph.cli.cache import NoCacheOption, open_cache
-from calgraph.cli.calibrate import write_results
 from calgraph.cli.common_options import (
     RESULT_FILES,
     ClusterOption,

@@ -6,7 +6,8 @@ from typing import Annotated
 
 import typer
 
-from calgraph.cli.calibrate import EstimatorChoice, FilterChoice, show_results, write_results
+from calgraph.calibrate.result_files import write_results
+from calgraph.cli.calibrate import EstimatorChoice, FilterChoice, show_results
 from calgraph.cli.common_options import (
     PAPERS,
     RESULT_FILES,

@@ -1,0 +1,31 @@
+"""The files of a result."""
+
+import logging
+from pathlib import Path
+
+from calgraph.config import Rig
+from calgraph.io import save_yaml
+from calgraph.processes import forked_jobs, parallel_call
+from calgraph.result import Calibration, save_calibration, save_captures, save_residuals, save_scene
+
+_log = logging.getLogger("calgraph")
+
+
+def write_results(calibration: Calibration, rig: Rig, folder: Path, jobs: int = 1) -> None:
+    """Writes the files of a calibration into an existing folder, in up to ``jobs`` processes."""
+    from calgraph.report import write_report  # brings plots along, which --help should not wait for
+
+    jobs = forked_jobs(jobs)
+    with parallel_call(_write_tables, (calibration, rig, folder), jobs) as written:
+        write_report(calibration, rig, folder / "report.html", max(jobs - 1, 1))
+        written()
+    _log.info("results: written")
+
+
+def _write_tables(calibration: Calibration, rig: Rig, folder: Path) -> None:
+    """Writes all files but the report, which takes longer than these together."""
+    save_calibration(calibration, folder / "calibration.yaml")
+    save_yaml(folder / "rig.resolved.yaml", rig.to_plain())
+    save_residuals(calibration, folder / "residuals.csv")
+    save_scene(calibration.pictures, folder / "scene.npz")
+    save_captures(calibration, folder / "captures.csv")
