@@ -5,33 +5,27 @@ from dataclasses import replace
 import numpy as np
 
 from calgraph.estimation import RigSolution, SolvedBundle
-from calgraph.estimation.rig.bundle_solver import Bundle, BundleState, pose_jacobian
-from calgraph.estimation.rig.covariances import parameter_covariance
+from calgraph.estimation.rig.bundle_solver import Bundle, BundleState
+from calgraph.estimation.rig.covariances import prior_error_derivatives
 from calgraph.geometry import Array
+from calgraph.result import PriorErrors
 
 
 def cross_covariance(a: RigSolution, b: RigSolution, sensor: str) -> Array:
-    """Cross-covariance (6, 6) of two estimates of one pose, through the priors of systematic parameters.
-
-    An estimate of covariance P has the error ``P (L e + ...)``, with the information L of the priors and their
-    error e, which both estimates share: ``P_a L P_b``.
-    """
-    one, two = a.solved_bundle, b.solved_bundle
-    if one is None or two is None:
+    """Cross-covariance (6, 6) of two estimates of one pose, through the priors of systematic parameters."""
+    if a.solved_bundle is None or b.solved_bundle is None:
         return np.zeros((6, 6))
-    (of_a, names_a), (of_b, names_b) = _pose_and_systematic(one, sensor), _pose_and_systematic(two, sensor)
-    shared = [name for name in names_a if name in names_b]
-    i, j = [names_a.index(name) for name in shared], [names_b.index(name) for name in shared]
-    stddev = one.bundle.prior_stddev[6 * one.bundle.body_count :][i]
-    return np.asarray(of_a[:, i] / stddev**2 @ of_b[:, j].T)
+    return _prior_errors(a.solved_bundle, sensor).cross_covariance(_prior_errors(b.solved_bundle, sensor))
 
 
-def _pose_and_systematic(solved: SolvedBundle, sensor: str) -> tuple[Array, list[tuple[str, str]]]:
-    """Covariance (6, E) of a sensor's pose and the systematic parameters, and the names of these."""
+def _prior_errors(solved: SolvedBundle, sensor: str) -> PriorErrors:
+    """Errors of one sensor's pose."""
     bundle, minimized = solved.bundle, solved.minimized
     row = 6 * bundle.sensors.index(sensor)
-    of_pose = pose_jacobian(bundle, minimized.state)[row : row + 6] @ parameter_covariance(minimized.equations)
-    return of_pose[:, 6 * bundle.body_count :], [(one.of, one.quantity) for one in bundle.extra_parameters]
+    return PriorErrors(
+        tuple((one.of, one.quantity) for one in bundle.extra_parameters),
+        prior_error_derivatives(bundle, minimized.state, minimized.equations)[row : row + 6],
+    )
 
 
 def apply_systematic(solved: SolvedBundle, bundle: Bundle, state: BundleState) -> BundleState:

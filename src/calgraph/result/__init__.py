@@ -19,6 +19,7 @@ from calgraph.result.evidence import (
 from calgraph.result.exports import FORMATS, export, to_json
 from calgraph.result.extrinsics_file import ExtrinsicsFile, read_extrinsics
 from calgraph.result.pictures import BeamView, BoardOutline, BoardView, FloorView, Pictures
+from calgraph.result.prior_errors import PriorErrors
 from calgraph.result.provenance import InputFile, Provenance
 from calgraph.result.residuals_file import save_residuals
 from calgraph.result.scene import load_scene, save_scene
@@ -29,7 +30,7 @@ from calgraph.result.table import to_dataframe
 __all__ = [
     "FORMATS", "BeamView", "BoardOutline", "BoardView", "Calibration", "CaptureRow", "Edge", "EstimatedParameter",
     "Evidence", "ExtrinsicsFile", "FitError", "FloorView", "HeldOutError", "InputFile", "ModelledBodies",
-    "Pictures", "Provenance", "SensorPose", "Snapshot", "StatedPose", "Suggestion", "Verdict",
+    "Pictures", "PriorErrors", "Provenance", "SensorPose", "Snapshot", "StatedPose", "Suggestion", "Verdict",
     "apply_estimates", "calibrated_cameras", "colorize_from_snapshots", "export", "join_covariances",
     "load_calibration", "load_scene", "read_extrinsics", "save_calibration", "save_captures", "save_residuals",
     "save_scene", "state_calibrated_intrinsics", "state_intrinsics", "to_dataframe", "to_json",

@@ -11,6 +11,7 @@ from calgraph.geometry import Array, Index, se3
 from calgraph.result.estimated_parameter import EstimatedParameter
 from calgraph.result.evidence import Evidence
 from calgraph.result.pictures import Pictures
+from calgraph.result.prior_errors import PriorErrors
 from calgraph.result.provenance import Provenance
 from calgraph.result.sensor_pose import SensorPose
 
@@ -35,6 +36,8 @@ class Calibration:
     pictures: Pictures = field(default_factory=Pictures)
     provenance: Provenance | None = None
     """How it was computed; None where it was not computed by a command."""
+    prior_errors: PriorErrors | None = None
+    """Errors that it shares with other recordings of the rig; None where it was read from a file, and of networks."""
 
     def __post_init__(self) -> None:
         count = len(self.sensors)

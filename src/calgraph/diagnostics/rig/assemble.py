@@ -25,6 +25,7 @@ from calgraph.diagnostics.verdict import (
 )
 from calgraph.errors import Rejected
 from calgraph.estimation.rig.board_observations import Node
+from calgraph.estimation.rig.covariances import prior_error_derivatives
 from calgraph.estimation.rig.priors import frame_id
 from calgraph.estimation.rig.problem import Problem
 from calgraph.estimation.rig.solution import RigSolution
@@ -38,6 +39,7 @@ from calgraph.result import (
     Evidence,
     HeldOutError,
     Pictures,
+    PriorErrors,
     SensorPose,
     apply_estimates,
 )
@@ -93,6 +95,7 @@ def assemble_rig(
         ),
         joint_covariance=_reorder_covariance(solution, root_first),
         systematic=solution.systematic,
+        prior_errors=_collect_prior_errors(solution, root_first),
         evidence=Evidence(
             estimator=solution.estimator,
             tolerance=rig.tolerance,
@@ -168,6 +171,20 @@ def _reorder_covariance(solution: RigSolution, names: Sequence[str]) -> Array:
     order = list(solution.T_root_sensor)
     rows = np.concatenate([6 * order.index(name) + np.arange(6) for name in names])
     return np.asarray(solution.joint_covariance[np.ix_(rows, rows)])
+
+
+def _collect_prior_errors(solution: RigSolution, names: Sequence[str]) -> PriorErrors | None:
+    """Errors of the poses by those of the stated values; zero for sensors that no view of the bundle is of."""
+    if solution.solved_bundle is None:
+        return None
+    bundle, minimized = solution.solved_bundle.bundle, solution.solved_bundle.minimized
+    derivatives = prior_error_derivatives(bundle, minimized.state, minimized.equations)
+    of_sensor = dict(zip(bundle.sensors, derivatives.reshape(len(bundle.sensors), 6, -1), strict=True))
+    missing = np.zeros((6, derivatives.shape[1]))
+    return PriorErrors(
+        tuple((one.of, one.quantity) for one in bundle.extra_parameters),
+        np.concatenate([of_sensor.get(name, missing) for name in names]),
+    )
 
 
 def _assemble_edge(

@@ -21,6 +21,17 @@ def pose_covariance(bundle: Bundle, state: BundleState, equations: BundleEquatio
     return np.asarray(J @ parameter_covariance(equations) @ J.T)
 
 
+def prior_error_derivatives(bundle: Bundle, state: BundleState, equations: BundleEquations) -> Array:
+    """Errors (S·6, E) of all poses by errors of the E extra parameters' stated values, in standard deviations.
+
+    See :class:`calgraph.result.PriorErrors`.
+    """
+    systematic = slice(6 * bundle.body_count, None)
+    of_poses = pose_jacobian(bundle, state) @ parameter_covariance(equations)
+    weights = bundle.prior_weights(state.extra)[systematic]
+    return np.asarray(of_poses[:, systematic] * (weights / bundle.prior_stddev[systematic]))
+
+
 def parameter_covariance(equations: BundleEquations) -> Array:
     """Covariance (G, G) of the poses of bodies and of the extra parameters."""
     H, _, _ = equations.eliminate_boards()
