@@ -24,7 +24,13 @@ _LATENCY_RANGE = 0.002, 0.02
 """Bounds of the time from the end of a measurement to its arrival at the recorder, s."""
 
 
-def simulate_rig(scenario: RigScenario, out: Path, seed: int = 0, progress: Progress | None = None) -> None:
+def simulate_rig(
+    scenario: RigScenario,
+    out: Path,
+    seed: int = 0,
+    progress: Progress | None = None,
+    robot: tuple[RobotSensor, ...] = (),
+) -> None:
     """Writes ``out/recording`` (rosbag2, MCAP), ``out/rig.yaml`` and ``out/truth.yaml``.
 
     Args:
@@ -32,11 +38,12 @@ def simulate_rig(scenario: RigScenario, out: Path, seed: int = 0, progress: Prog
         out: folder, created if missing; it must not hold a recording yet.
         seed: the same seed and scenario give the same files.
         progress: called with the number of messages written and in total.
+        robot: see :func:`calgraph.simulation.world.build_world`.
 
     Raises:
         InputError: the scenario contradicts itself, or there is a recording in ``out`` already.
     """
-    world = build_world(scenario, seed)
+    world = build_world(scenario, seed, robot=robot)
     arrivals = _schedule_messages(world)
     with RecordingWriter(out / "recording") as writer:
         for done, (arrival, sensor, index) in enumerate(arrivals):

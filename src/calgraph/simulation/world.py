@@ -79,19 +79,22 @@ class SimulatedCapture:
     """By sensor, the measurements that lie fully in the hold."""
 
 
-def build_world(scenario: RigScenario, seed: int, images: bool = True) -> World:
+def build_world(
+    scenario: RigScenario, seed: int, images: bool = True, robot: tuple[RobotSensor, ...] = ()
+) -> World:
     """Draws robot, room, board poses and disturbances.
 
     Args:
         scenario: robot, board and walk.
         seed: of all that is drawn.
         images: whether cameras can take images; ideal detections need none, and preparing them takes a second.
+        robot: the sensors of a robot that has been recorded before; drawn if there are none.
 
     Raises:
         InputError: the scenario names a root that the robot does not have, or a print that cannot be drawn.
     """
     rng = np.random.default_rng((seed, 0))
-    robot = build_robot(scenario, rng)
+    robot = robot or build_robot(scenario, rng)
     environment = build_room(rng, scenario.clutter, max(scenario.radii) + _CLEARANCE)
     trajectory = _draw_trajectory(scenario, robot, rng)
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from calgraph.config.settings import DiagnosticsSettings, VerdictSettings
-from calgraph.diagnostics.network.moved_scanners import MovedScanner, find_displaced_nodes, find_moved_scanners
+from calgraph.diagnostics.displaced_nodes import find_displaced_nodes
+from calgraph.diagnostics.network.moved_scanners import MovedScanner, find_moved_scanners
 from calgraph.estimation.network.planar_poses import PlanarPoses
 from calgraph.geometry import Array, se2
 
@@ -94,7 +95,7 @@ def test_of_two_scanners_the_root_is_assumed_to_have_stayed() -> None:
 
 
 def test_a_network_of_one_scanner_has_not_moved() -> None:
-    assert find_displaced_nodes(np.eye(3)[None], np.zeros((1, 3)), np.zeros((3, 3)), CHANCE, MAX_SETS) == ()
+    assert find_displaced_nodes(np.eye(3)[None], np.zeros((1, 3)), np.zeros((3, 3)), CHANCE, MAX_SETS) == [()]
 
 
 def test_three_of_thirty_are_found_by_the_incremental_search() -> None:
@@ -104,7 +105,7 @@ def test_three_of_thirty_are_found_by_the_incremental_search() -> None:
     difference = rng.normal(0, (1e-3, 1e-3, 1e-4), (count, 3))
     difference[[4, 9, 20]] += [0.03, 0.02, 0.0]
     spread = np.diag(np.tile([1e-6, 1e-6, 1e-8], count))
-    assert find_displaced_nodes(T, difference, spread, CHANCE, MAX_SETS) == (4, 9, 20)
+    assert find_displaced_nodes(T, difference, spread, CHANCE, MAX_SETS) == [(4, 9, 20)]
 
 
 def test_a_second_node_is_named_by_the_degrees_of_freedom_that_remain() -> None:
@@ -113,7 +114,7 @@ def test_a_second_node_is_named_by_the_degrees_of_freedom_that_remain() -> None:
     T = se2.pose(np.array([0.0, 1.0, 2.0, 3.0]), np.array([[0.0, 0.0], [4.0, 0.0], [0.0, 4.0], [4.0, 4.0]]))
     difference = np.zeros((4, 3))
     difference[1, 0], difference[2, 1] = 20.0, 5.0
-    assert find_displaced_nodes(T, difference, np.eye(12), CHANCE, MAX_SETS) == (1, 2)
+    assert find_displaced_nodes(T, difference, np.eye(12), CHANCE, MAX_SETS) == [(1, 2)]
 
 
 def test_poses_that_agree_exactly_have_not_moved() -> None:
