@@ -10,6 +10,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 PURPOSE = {
     "cli": "commands",
+    "fleet": "many robots, drift over time",
     "live": "sources, recorder, phone page",
     "calibrate": "rigs and networks",
     "report": "page of a result",

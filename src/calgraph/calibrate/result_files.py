@@ -1,13 +1,21 @@
 """The files of a result."""
 
 import logging
+from dataclasses import asdict
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from calgraph.config import Rig
-from calgraph.io import save_yaml
+import numpy as np
+
+from calgraph.config import Rig, Tolerance
+from calgraph.io import format_json, save_yaml
 from calgraph.processes import forked_jobs, parallel_call
 from calgraph.result import Calibration, save_calibration, save_captures, save_residuals, save_scene
 
+if TYPE_CHECKING:
+    from calgraph.diagnostics import ExtrinsicsComparison
+
+_CHECK_FORMAT = "calgraph-check/1"
 _log = logging.getLogger("calgraph")
 
 
@@ -29,3 +37,15 @@ def _write_tables(calibration: Calibration, rig: Rig, folder: Path) -> None:
     save_residuals(calibration, folder / "residuals.csv")
     save_scene(calibration.pictures, folder / "scene.npz")
     save_captures(calibration, folder / "captures.csv")
+
+
+def format_comparison(comparison: "ExtrinsicsComparison", against: Path, tolerance: Tolerance) -> str:
+    """check.json: a comparison with given extrinsics; what is not finite is null."""
+    content: dict[str, Any] = {
+        "format": _CHECK_FORMAT,
+        "against": str(against),
+        "outcome": comparison.outcome,
+        "tolerance": {"position": tolerance.translation, "rotation": float(np.radians(tolerance.rotation))},
+        **asdict(comparison),
+    }
+    return format_json(content, indent=1)

@@ -58,6 +58,8 @@ COMMANDS = {
         "inspect": "Show the topics of a recording, or how a result was computed.",
         "export": "Write a calibration as launch file, tf2 YAML, URDF, Kalibr camchain, ROS camera_info or JSON.",
         "live": "Record a running robot, watch sensors and captures on a phone, and calibrate.",
+        "fleet": "Calibrate or check the recordings of many robots, and report which sensor of which robot moved "
+        "when.",
         "intrinsics": "Estimate the intrinsics of cameras from images of a board, which may move.",
         "cache": "Show where detections are kept for later runs, and their size; or remove them.",
         "view": "Show a calibration in the browser: sensors, measurements, and residuals when one is moved.",

@@ -1,16 +1,16 @@
 """``calgraph check``: whether given extrinsics still hold, by a recording."""
 
 from contextlib import nullcontext
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import typer
 from rich.markup import escape
 from rich.table import Table
 
-from calgraph.calibrate.result_files import write_results
+from calgraph.calibrate.result_files import format_comparison, write_results
 from calgraph.cli.cache import NoCacheOption, open_cache
 from calgraph.cli.common_options import (
     RESULT_FILES,
@@ -28,7 +28,7 @@ from calgraph.cli.setting_options import SetOption, load_rig_with
 from calgraph.config import Rig, Tolerance
 from calgraph.engine import Engine
 from calgraph.errors import InputError
-from calgraph.io import format_json, replace_folder_atomically, write_text
+from calgraph.io import replace_folder_atomically, write_text
 from calgraph.io.yaml_reading import validate_content
 from calgraph.recording import RecordingCache, open_recordings
 from calgraph.result import Calibration, ExtrinsicsFile, read_extrinsics
@@ -39,7 +39,6 @@ if TYPE_CHECKING:
 
 _SIGNS = {"pass": "[green]✓[/]", "warn": "[yellow]![/]", "fail": "[red]✕[/]"}
 """Sign for each outcome: colour is never the only one."""
-_FORMAT = "calgraph-check/1"
 
 
 def check(
@@ -86,7 +85,7 @@ def check(
         cache = open_cache(unused=no_cache)
         with open_engine(None, cluster, rig.settings.cluster) as engine:
             calibration, audit, rig = _compare(rig, recordings, given, seed, cache, engine)
-        content = _content(audit, against, rig.tolerance)
+        content = format_comparison(audit, against, rig.tolerance)
         if folder:
             write_results(calibration, rig, folder)
             write_text(folder / "check.json", content + "\n")
@@ -139,18 +138,6 @@ def _problem(rig: Rig, recordings: list[str], seed: int, cache: RecordingCache, 
     with open_recordings(recordings, rig.settings.limits) as recording, progress_bars() as progress:
         options = story.RigOptions(seed=seed, engine=engine, cache=cache)
         return story.build_problem(rig, recording, options, progress)
-
-
-def _content(audit: "ExtrinsicsComparison", against: Path, tolerance: Tolerance) -> str:
-    """check.json: the audit with its settings; what is not finite is null."""
-    content: dict[str, Any] = {
-        "format": _FORMAT,
-        "against": str(against),
-        "outcome": audit.outcome,
-        "tolerance": {"position": tolerance.translation, "rotation": float(np.radians(tolerance.rotation))},
-        **asdict(audit),
-    }
-    return format_json(content, indent=1)
 
 
 def _print(audit: "ExtrinsicsComparison", against: Path, root: str) -> None:

@@ -37,7 +37,8 @@ class Calibration:
     provenance: Provenance | None = None
     """How it was computed; None where it was not computed by a command."""
     prior_errors: PriorErrors | None = None
-    """Errors that it shares with other recordings of the rig; None where it was read from a file, and of networks."""
+    """Errors that it shares with other recordings of the rig; None where it was read from a file, and of
+    networks."""
 
     def __post_init__(self) -> None:
         count = len(self.sensors)

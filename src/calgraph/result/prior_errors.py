@@ -12,8 +12,8 @@ class PriorErrors:
     """Errors of a calibration's poses by the stated values of systematic parameters.
 
     Estimates of two recordings of one rig with the same board share the errors of what rig.yaml states. With the
-    posterior covariance ``P`` of poses and parameters, and the information ``L`` of the priors, an error ``e`` of the
-    stated values moves the estimates by ``P L e``; the covariance of the errors of two estimates a and b is
+    posterior covariance ``P`` of poses and parameters, and the information ``L`` of the priors, an error ``e`` of
+    the stated values moves the estimates by ``P L e``; the covariance of the errors of two estimates a and b is
     ``P_a L P_b``.
     """
 

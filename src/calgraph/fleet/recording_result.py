@@ -1,0 +1,181 @@
+"""The result of one recording of a fleet, and recording.json, the file in its folder that completes it."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from calgraph.errors import CalibrationError, InputError
+from calgraph.fleet.pose_set import PoseSet
+from calgraph.geometry import Array
+from calgraph.io import format_json, write_text
+from calgraph.result import PriorErrors
+
+FILE_NAME = "recording.json"
+_FORMAT = "calgraph-fleet-recording/1"
+FailureKind = Literal["input", "data", "memory", "killed", "internal"]
+Grade = Literal["good", "weak", "unobservable", "unconnected"]
+Outcome = Literal["pass", "warn", "fail"]
+
+
+@dataclass(frozen=True)
+class Failure:
+    """Why a recording has no calibration."""
+
+    kind: FailureKind
+    """``input``: it cannot be read, or does not fit the rig; ``data``: it determines nothing; ``memory``: memory
+    ran out; ``killed``: its process was killed; ``internal``: an error of calgraph."""
+    message: str
+    traceback: str = ""
+    """Of internal errors."""
+
+    @classmethod
+    def of(cls, error: Exception, traceback: str) -> "Failure":
+        """The failure that an exception reports."""
+        if isinstance(error, InputError):
+            return cls("input", str(error))
+        if isinstance(error, CalibrationError):
+            return cls("data", str(error))
+        if isinstance(error, MemoryError):
+            return cls("memory", "memory ran out; reduce `jobs`, or give a shorter recording")
+        return cls("internal", f"{type(error).__name__}: {error}", traceback)
+
+
+@dataclass(frozen=True)
+class SensorResult:
+    """The verdict on one sensor."""
+
+    name: str
+    kind: str
+    grade: Grade
+    reason: str = ""
+    outcome: Outcome | None = None
+    """Of the comparison with the reference, where it was checked,"""
+    difference: str = ""
+    """and its reason."""
+
+
+@dataclass(frozen=True, eq=False)
+class RecordingResult:
+    """The result of one recording."""
+
+    robot: str
+    recording: str
+    path: str
+    key: str
+    """Hash of everything that the result depends on."""
+    seconds: float
+    """Time that it took."""
+    failure: Failure | None = None
+    start: float | None = None
+    """Of the recording, s."""
+    duration: float | None = None
+    """s."""
+    sensors: tuple[SensorResult, ...] = ()
+    """The root first; also those without a pose."""
+    poses: PoseSet | None = None
+    reference: PoseSet | None = None
+    """The poses of the reference, where there is one."""
+    remarks: tuple[str, ...] = field(default=())
+
+    @property
+    def lost(self) -> tuple[str, ...]:
+        """Sensors without a usable pose."""
+        return tuple(one.name for one in self.sensors if one.grade in ("unobservable", "unconnected"))
+
+    @property
+    def failed_checks(self) -> tuple[str, ...]:
+        """Sensors whose poses differ from the reference."""
+        return tuple(one.name for one in self.sensors if one.outcome == "fail")
+
+    @property
+    def is_weak(self) -> bool:
+        """Whether a sensor is weak, or a comparison does not decide."""
+        return any(one.grade == "weak" or one.outcome == "warn" for one in self.sensors)
+
+
+def save_result(result: RecordingResult, folder: Path) -> None:
+    """Writes recording.json in one step.
+
+    Raises:
+        InputError: the folder cannot be written to.
+    """
+    content: dict[str, Any] = {
+        "format": _FORMAT,
+        "robot": result.robot,
+        "recording": result.recording,
+        "path": result.path,
+        "key": result.key,
+        "seconds": result.seconds,
+        "failure": vars(result.failure) if result.failure else None,
+        "start": result.start,
+        "duration": result.duration,
+        "sensors": [vars(one) for one in result.sensors],
+        "poses": _encode_poses(result.poses),
+        "reference": _encode_poses(result.reference),
+        "remarks": result.remarks,
+    }
+    write_text(folder / FILE_NAME, format_json(content) + "\n")
+
+
+def load_result(folder: Path) -> RecordingResult | None:
+    """The result in a folder; None if there is none, or it is damaged or of another version."""
+    try:
+        content = json.loads((folder / FILE_NAME).read_text(encoding="utf-8"))
+        if content.pop("format") != _FORMAT:
+            return None
+        failure = content.pop("failure")
+        return RecordingResult(
+            failure=Failure(**_checked(failure, "kind", FailureKind)) if failure else None,
+            sensors=tuple(SensorResult(**_checked(one, "grade", Grade)) for one in content.pop("sensors")),
+            poses=_decode_poses(content.pop("poses")),
+            reference=_decode_poses(content.pop("reference")),
+            remarks=tuple(content.pop("remarks")),
+            **content,
+        )
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        return None
+
+
+def _checked(entry: dict[str, Any], key: str, allowed: Any) -> dict[str, Any]:
+    if entry[key] not in get_args(allowed):
+        raise ValueError(f"{key}: {entry[key]}")
+    return entry
+
+
+def _encode_poses(poses: PoseSet | None) -> dict[str, Any] | None:
+    if poses is None:
+        return None
+    errors = poses.prior_errors
+    return {
+        "names": poses.names,
+        "T_root_sensor": poses.T_root_sensor,
+        "covariance": poses.covariance,
+        "prior_errors": {"parameters": errors.parameters, "poses": errors.poses} if errors else None,
+    }
+
+
+def _decode_poses(entry: Mapping[str, Any] | None) -> PoseSet | None:
+    if entry is None:
+        return None
+    names, errors = tuple(entry["names"]), entry["prior_errors"]
+    count = len(names)
+    return PoseSet(
+        names,
+        _array(entry["T_root_sensor"], (count, 4, 4)),
+        _array(entry["covariance"], (6 * count, 6 * count)),
+        PriorErrors(
+            tuple((of, quantity) for of, quantity in errors["parameters"]),
+            _array(errors["poses"], (6 * count, len(errors["parameters"]))),
+        )
+        if errors
+        else None,
+    )
+
+
+def _array(values: Any, shape: tuple[int, ...]) -> Array:
+    """Nested lists as an array; null, which JSON has for NaN, becomes NaN."""
+    return np.array(values, dtype=np.float64).reshape(shape)

@@ -1,0 +1,135 @@
+"""One recording of a fleet, calibrated or checked, with its files: the call that an engine evaluates."""
+
+import shutil
+import time
+import traceback
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from calgraph.calibrate import (
+    NetworkOptions,
+    RigOptions,
+    build_problem,
+    calibrate,
+    compare_extrinsics,
+    compare_network_extrinsics,
+)
+from calgraph.calibrate.provenance import make_provenance
+from calgraph.calibrate.result_files import format_comparison, write_results
+from calgraph.captures import resolve_background
+from calgraph.config import Rig, load_rig
+from calgraph.diagnostics import ExtrinsicsComparison
+from calgraph.fleet.plan import RecordingTask
+from calgraph.fleet.pose_set import PoseSet
+from calgraph.fleet.recording_result import FILE_NAME, Failure, RecordingResult, SensorResult, save_result
+from calgraph.io import replace_folder_atomically, write_text
+from calgraph.io.cache_folder import CacheFolder
+from calgraph.recording import NO_CACHE, RecordingCache, open_recordings, resolve_intrinsics
+from calgraph.result import Calibration, ExtrinsicsFile, read_extrinsics, state_calibrated_intrinsics
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """What all recordings of a run share, and no result depends on."""
+
+    command: str
+    """For the provenance."""
+    cache: CacheFolder | None = None
+    """Of detections."""
+
+
+def analyze_recording(options: RunOptions, task: RecordingTask) -> RecordingResult:
+    """Calibrates or checks one recording, and writes its folder, recording.json last.
+
+    Any error is that of this recording alone: it is part of the result, not raised.
+
+    Raises:
+        InputError: the folder cannot be written to.
+    """
+    began = time.monotonic()
+    try:
+        with replace_folder_atomically(task.folder, FILE_NAME) as folder:
+            result = _analyze(options, task, folder)
+            result = replace(result, seconds=time.monotonic() - began)
+            save_result(result, folder)
+    except Exception as error:  # of one recording, which the others do not depend on
+        failure = Failure.of(error, traceback.format_exc())
+        result = write_failure(task, failure, time.monotonic() - began)
+    return result
+
+
+def write_failure(task: RecordingTask, failure: Failure, seconds: float = 0.0) -> RecordingResult:
+    """Replaces the folder of a recording by one that states its failure.
+
+    Raises:
+        InputError: it cannot be written to.
+    """
+    result = RecordingResult(task.robot, task.recording, str(task.path), task.key, seconds, failure)
+    shutil.rmtree(task.folder, ignore_errors=True)
+    with replace_folder_atomically(task.folder, FILE_NAME) as folder:
+        save_result(result, folder)
+    return result
+
+
+def _analyze(options: RunOptions, task: RecordingTask, folder: Path) -> RecordingResult:
+    rig = load_rig(task.rig)
+    given = read_extrinsics(task.reference) if task.reference else None
+    cache = RecordingCache(options.cache.path, options.cache.max_bytes) if options.cache else NO_CACHE
+    comparison = None
+    with open_recordings([task.path], rig.settings.limits) as recording:
+        if task.action == "check" and given:
+            if rig.is_network:
+                network_options = NetworkOptions(seed=task.seed, cache=cache)
+                calibration, comparison = compare_network_extrinsics(rig, recording, given, network_options)
+            else:
+                problem = build_problem(rig, recording, RigOptions(seed=task.seed, cache=cache))
+                calibration, comparison = compare_extrinsics(problem, given)
+                rig = problem.rig
+        else:
+            rig = resolve_background(rig, recording, cache)
+            kind = NetworkOptions if rig.is_network else RigOptions
+            calibration = calibrate(rig, recording, kind(seed=task.seed, cache=cache))
+            rig = state_calibrated_intrinsics(resolve_intrinsics(rig, recording), calibration)
+        inputs = [task.rig, task.path, *([task.reference] if task.reference else [])]
+        provenance = make_provenance(options.command, inputs, recording, cache)
+    calibration = replace(calibration, provenance=provenance)
+    write_results(calibration, rig, folder)
+    if comparison and task.reference:
+        write_text(folder / "check.json", format_comparison(comparison, task.reference, rig.tolerance) + "\n")
+    return _describe(task, calibration, rig, given, comparison)
+
+
+def _describe(
+    task: RecordingTask,
+    calibration: Calibration,
+    rig: Rig,
+    given: ExtrinsicsFile | None,
+    comparison: ExtrinsicsComparison | None,
+) -> RecordingResult:
+    """What a fleet keeps of a calibration."""
+    compared = {one.sensor: one for one in comparison.sensors} if comparison else {}
+    sensors = [
+        SensorResult(one.name, one.kind, one.verdict.grade, one.verdict.reason) for one in calibration.sensors
+    ] + [
+        SensorResult(name, rig.sensors[name].kind, "unconnected", reason)
+        for name, reason in calibration.evidence.unconnected.items()
+    ]
+    provenance = calibration.provenance
+    return RecordingResult(
+        robot=task.robot,
+        recording=task.recording,
+        path=str(task.path),
+        key=task.key,
+        seconds=0.0,
+        start=provenance.start if provenance else None,
+        duration=provenance.duration if provenance else None,
+        sensors=tuple(
+            replace(one, outcome=compared[one.name].outcome, difference=compared[one.name].reason)
+            if one.name in compared
+            else one
+            for one in sensors
+        ),
+        poses=PoseSet.from_calibration(calibration),
+        reference=PoseSet.from_extrinsics(given, calibration) if given else None,
+        remarks=calibration.evidence.remarks,
+    )
