@@ -4,6 +4,7 @@ Each robot has a camera and two LiDARs, mounted differently, and two recordings 
 different walks in different rooms.
 """
 
+import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -77,15 +78,21 @@ def write_fleet(plan: FleetPlan, folder: Path, seed: int, distance: float) -> No
     for number, robot in enumerate(plan.robots):
         done = folder / robot / "complete"
         if not done.exists():
+            shutil.rmtree(folder / robot, ignore_errors=True)
             _write_robot(folder / robot, robot, plan, [seed, 1, number], distance)
             done.touch()
+    save_fleet(folder / "fleet.yaml", plan.robots)
+
+
+def save_fleet(path: Path, robots: Sequence[str]) -> None:
+    """Writes a fleet.yaml of some of the robots, into their folder."""
     content = {
         "rig": "{robot}/day-0/rig.yaml",
         "recordings": ["{robot}/day-0/recording", "{robot}/day-1/recording"],
         "action": "calibrate",
-        "robots": {robot: {} for robot in plan.robots},
+        "robots": {robot: {} for robot in robots},
     }
-    save_yaml(folder / "fleet.yaml", content)
+    save_yaml(path, content)
 
 
 def _write_robot(folder: Path, name: str, plan: FleetPlan, seed: Sequence[int], distance: float) -> None:

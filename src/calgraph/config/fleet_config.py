@@ -58,9 +58,9 @@ class ChangeSettings(StrictModel):
     robot have in common. The rest differs: refocusing and temperature change a focal length by 0.1 % where its
     prior is 1 %, and ranges by some mm where it is 20 mm. 0 if each recording has another board and other
     sensors."""
-    indistinguishable_ratio: Annotated[float, Field(ge=1)] = 1e3
+    indistinguishable_ratio: Annotated[float, Field(ge=1)] = 100.0
     """Sensors that explain a change with a likelihood smaller than the largest by less than this factor are all
-    named: "a or b"."""
+    named, as "a or b": if each is as likely to move, one alone is wrong in 1 of 100 moves."""
     max_sets: Annotated[int, Field(ge=1)] = 3000
     """Sets of sensors of one size that are all tested, in about a second; where there are more, the best smaller
     set grows by one sensor."""

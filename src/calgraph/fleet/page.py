@@ -104,7 +104,7 @@ def _render_row(robot: RobotResult, scale: float) -> str:
         f'<td data-sort="{_URGENCY.index(robot.states[0])}">{badges}</td>'
         f'<td class="words" data-sort="{len(robot.recordings)}">{_render_links(robot.recordings)}</td>'
         f'<td class="words" data-sort="{_count_sensors(robot)}">{_render_sensors(robot, base)}</td>'
-        f'<td data-sort="{largest.distance if largest else -1:.6f}">{_render_change(largest)}</td>'
+        f'<td data-sort="{largest.distance if largest else -1:.6f}">{_describe_change(largest)}</td>'
         f"<td>{_draw_drift(robot, base, scale)}</td>"
         f'<td class="words">{messages}</td></tr>'
     )
@@ -153,21 +153,21 @@ def _render_sensors(robot: RobotResult, base: Sequence[Comparison]) -> str:
     good = sum(sensor.grade == "good" for sensor in last.sensors)
     changes = {change.sensor: change for change in base[-1].changes} if base else {}
     items = "".join(
-        f"<li>{escape_html(sensor.name)}: {sensor.grade}{_describe_change(changes.get(sensor.name))}</li>"
+        f"<li>{escape_html(sensor.name)}: {sensor.grade}{_append_change(changes.get(sensor.name))}</li>"
         for sensor in last.sensors
     )
     return f"<details><summary>{good} of {len(last.sensors)} good</summary><ul>{items}</ul></details>"
 
 
+def _append_change(change: SensorChange | None) -> str:
+    return f", changed by {_describe_change(change)}" if change else ""
+
+
 def _describe_change(change: SensorChange | None) -> str:
-    return f", changed by {_render_change(change)}" if change else ""
-
-
-def _render_change(change: SensorChange | None) -> str:
     if change is None:
         return "–"
     turn = format_turn(change.angle, change.angle_stddev)
-    return f"{escape_html(format_change(change.distance, change.distance_stddev))}, {escape_html(turn)}"
+    return f"{format_change(change.distance, change.distance_stddev)}, {turn}"
 
 
 def _changes_since_start(robot: RobotResult) -> list[Comparison]:
@@ -196,7 +196,7 @@ def _draw_drift(robot: RobotResult, base: Sequence[Comparison], scale: float) ->
         for name, of_sensor in sorted(points.items(), key=lambda item: item[0] in moved)
     )
     bottom = _HEIGHT - _MARGIN
-    label = escape_html("; ".join(f"{c.sensor} {_render_change(c)}" for c in base[-1].changes))
+    label = escape_html("; ".join(f"{c.sensor} {_describe_change(c)}" for c in base[-1].changes))
     return (
         f'<svg class="drift" viewBox="0 0 {_WIDTH} {_HEIGHT}" role="img"><title>{label}</title>'
         f'<path class="axis" d="M{_MARGIN} {bottom}H{_WIDTH - _MARGIN}"/>{lines}</svg>'

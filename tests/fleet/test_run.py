@@ -1,0 +1,119 @@
+"""Runs over fleets: failures are isolated, killed processes are survived, and results are found again."""
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import calgraph.fleet.recording_task
+from calgraph.engine import THIS_PROCESS, Processes
+from calgraph.errors import CalibrationError, WorkerKilledError
+from calgraph.fleet.plan import RecordingTask
+from calgraph.fleet.recording_result import FILE_NAME, Failure, load_result, save_result
+from calgraph.fleet.recording_task import RunOptions, analyze_recording
+from calgraph.fleet.run import analyze_recordings, find_finished
+from fleet_scenes import draw_poses, make_result, make_task, measure_poses
+
+OPTIONS = RunOptions("calgraph fleet")
+
+
+@dataclass
+class KillingEngine:
+    """Two processes, of which one is killed whenever it works on certain recordings."""
+
+    killing: set[str]
+    jobs: int = 2
+    calls: list[str] = field(default_factory=list)
+
+    def map(self, function: Callable[..., Any], work: Any, progress: Any = None) -> list[Any]:
+        raise NotImplementedError
+
+    def stream(self, function: Callable[..., Any], work: Iterable[tuple[Any, ...]], shared: Any) -> Iterator[Any]:
+        for arguments in work:
+            task: RecordingTask = arguments[0]
+            self.calls.append(task.recording)
+            if task.recording in self.killing:
+                raise WorkerKilledError("a process was killed")
+            yield function(shared, *arguments)
+
+
+def test_each_failure_is_that_of_one_recording(tmp_path: Path) -> None:
+    tasks = [make_task(tmp_path, recording=f"day-{k}") for k in range(3)]
+    found = dict(analyze_recordings(tasks, OPTIONS, THIS_PROCESS))
+    assert [one.failure.kind for one in found.values() if one.failure] == ["input"] * 3
+    assert all("does not exist" in one.failure.message for one in found.values() if one.failure)
+    assert [path.name for path in (tmp_path / "robots" / "a" / "day-1").iterdir()] == [FILE_NAME]
+
+
+@pytest.mark.parametrize(("error", "kind"), [
+    (ZeroDivisionError("no"), "internal"), (MemoryError(), "memory"), (CalibrationError("no board"), "data"),
+])  # fmt: skip
+def test_unexpected_errors_do_not_end_a_fleet(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception, kind: str
+) -> None:
+    def fail(_path: Path) -> None:
+        raise error
+
+    monkeypatch.setattr(calgraph.fleet.recording_task, "load_rig", fail)
+    failure = analyze_recording(OPTIONS, make_task(tmp_path)).failure
+    assert failure is not None
+    assert failure.kind == kind
+    assert ("ZeroDivisionError" in failure.traceback) == (kind == "internal")
+
+
+def test_a_recording_whose_process_is_killed_twice_is_named_and_the_others_go_on(tmp_path: Path) -> None:
+    tasks = [make_task(tmp_path, recording=f"day-{k}") for k in range(5)]
+    engine = KillingEngine({"day-2"})
+    found = dict(analyze_recordings(tasks, OPTIONS, engine))
+    kinds = {task.recording: result.failure.kind for task, result in found.items() if result.failure}
+    assert kinds == {"day-0": "input", "day-1": "input", "day-2": "killed", "day-3": "input", "day-4": "input"}
+    assert engine.calls == ["day-0", "day-1", "day-2", "day-2", "day-3", "day-4"]
+    stored = load_result(tasks[2].folder)
+    assert stored is not None
+    assert stored.failure == found[tasks[2]].failure
+
+
+def test_results_in_folders_are_not_lost_when_a_process_is_killed(tmp_path: Path) -> None:
+    class OutOfOrder(KillingEngine):
+        def stream(
+            self, function: Callable[..., Any], work: Iterable[tuple[Any, ...]], shared: Any
+        ) -> Iterator[Any]:
+            work = list(work)
+            if len(work) > 1:
+                # The second one is complete when the first one's process is killed.
+                function(shared, *work[1])
+            yield from super().stream(function, work, shared)
+
+    tasks = [make_task(tmp_path, recording=f"day-{k}") for k in range(2)]
+    engine = OutOfOrder({"day-0"})
+    found = dict(analyze_recordings(tasks, OPTIONS, engine))
+    assert engine.calls == ["day-0", "day-0"]
+    assert {task.recording: one.failure.kind for task, one in found.items() if one.failure} == {
+        "day-0": "killed", "day-1": "input",
+    }  # fmt: skip
+
+
+def test_several_processes_give_the_same_results(tmp_path: Path) -> None:
+    tasks = [make_task(tmp_path, recording=f"day-{k}") for k in range(4)]
+    alone = dict(analyze_recordings(tasks, OPTIONS, THIS_PROCESS))
+    both = dict(analyze_recordings(tasks, OPTIONS, Processes(2)))
+    assert [one.failure for one in both.values()] == [one.failure for one in alone.values()]
+
+
+def test_a_result_is_found_again_only_for_the_same_inputs(tmp_path: Path) -> None:
+    task = make_task(tmp_path)
+    task.folder.mkdir(parents=True)
+    save_result(make_result(task, measure_poses(draw_poses(), np.random.default_rng(0))), task.folder)
+    assert list(find_finished([task])) == [task]
+    assert find_finished([replace(task, key="another")]) == {}
+
+
+def test_failures_are_results_unless_they_are_to_be_repeated(tmp_path: Path) -> None:
+    task = make_task(tmp_path)
+    failed = replace(analyze_recording(OPTIONS, task))
+    assert failed.failure == Failure("input", f"{task.rig}: does not exist; check the path")
+    assert list(find_finished([task])) == [task]
+    assert find_finished([task], retry_failed=True) == {}
