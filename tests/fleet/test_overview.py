@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calgraph.config import ChangeSettings
+from calgraph.config import ChangeRules
 from calgraph.fleet.page import render_page
 from calgraph.fleet.plan import RobotPlan
 from calgraph.fleet.recording_result import Failure, RecordingResult
@@ -18,7 +18,7 @@ from calgraph.fleet.tables import write_tables
 from fleet_scenes import draw_poses, make_robot, make_task, measure_poses
 
 STEP = np.array([0.0, 0.01, 0.0, 0.0, 0.0, 0.0])
-SETTINGS = ChangeSettings()
+RULES = ChangeRules()
 
 
 @pytest.fixture
@@ -33,7 +33,7 @@ def robots(tmp_path: Path) -> tuple[RobotResult, ...]:
     failure = Failure("input", "x.mcap: is <b>empty</b>")
     failed = RecordingResult("broken", "day-0", "x.mcap", "key", 0.1, failure)
     plans = [good[0], moved[0], RobotPlan("broken", (task,)), RobotPlan("none", problem="no recording matches x")]
-    return collect_robots(plans, good[1] | moved[1] | {task: failed}, SETTINGS)
+    return collect_robots(plans, good[1] | moved[1] | {task: failed}, RULES)
 
 
 def test_states_name_what_needs_attention(robots: tuple[RobotResult, ...]) -> None:
@@ -44,7 +44,7 @@ def test_states_name_what_needs_attention(robots: tuple[RobotResult, ...]) -> No
 
 
 def test_the_page_begins_with_what_is_urgent_and_links_the_reports(robots: tuple[RobotResult, ...]) -> None:
-    page = render_page(robots, SETTINGS, "1.0")
+    page = render_page(robots, RULES, "1.0")
     rows = re.findall(r'<tr data-states="(\w+)"><th scope="row">([\w-]+)', page)
     assert [state for state, _ in rows] == ["failed", "failed", "moved", "good"]
     assert 'href="robots/moved/day-1/report.html"' in page
@@ -53,13 +53,13 @@ def test_the_page_begins_with_what_is_urgent_and_links_the_reports(robots: tuple
 
 
 def test_messages_are_escaped_and_nothing_is_loaded(robots: tuple[RobotResult, ...]) -> None:
-    page = render_page(robots, SETTINGS, "1.0")
+    page = render_page(robots, RULES, "1.0")
     assert "x.mcap: is &lt;b&gt;empty&lt;/b&gt;" in page
     assert not re.findall(r"https?://", page)
 
 
 def test_the_drift_of_a_moved_sensor_is_drawn_above_the_others(robots: tuple[RobotResult, ...]) -> None:
-    row = next(row for row in render_page(robots, SETTINGS, "1.0").split("<tr ") if 'scope="row">moved' in row)
+    row = next(row for row in render_page(robots, RULES, "1.0").split("<tr ") if 'scope="row">moved' in row)
     lines = re.findall(r'<path( class=moved)? d="M4 32L128 ([\d.]+)', row)
     assert [bool(moved) for moved, _ in lines] == [False, True]
     assert float(lines[1][1]) < 10 < 25 < float(lines[0][1])
@@ -71,10 +71,10 @@ def test_the_page_of_a_thousand_robots_opens(tmp_path: Path) -> None:
         make_robot(tmp_path, f"robot-{k}", [measure_poses(draw_poses(), rng) for _ in range(4)]) for k in range(50)
     ]
     results = {task: result for _, of_robot in made for task, result in of_robot.items()}
-    robots = collect_robots([plan for plan, _ in made], results, SETTINGS)
+    robots = collect_robots([plan for plan, _ in made], results, RULES)
     plans = [replace(robot.plan, name=f"{robot.name}-{k}") for robot in robots for k in range(20)]
     thousand = [replace(robots[k // 20], plan=plan) for k, plan in enumerate(plans)]
-    assert len(render_page(thousand, SETTINGS, "1.0").encode()) < 4e6
+    assert len(render_page(thousand, RULES, "1.0").encode()) < 4e6
 
 
 def test_tables_have_poses_changes_and_moves(robots: tuple[RobotResult, ...], tmp_path: Path) -> None:

@@ -21,7 +21,7 @@ _log = logging.getLogger("calgraph")
 
 def write_results(calibration: Calibration, rig: Rig, folder: Path, jobs: int = 1) -> None:
     """Writes the files of a calibration into an existing folder, in up to ``jobs`` processes."""
-    from calgraph.report import write_report  # brings plots along, which --help should not wait for
+    from calgraph.report import write_report  # brings plots along, which take a second
 
     jobs = forked_jobs(jobs)
     with parallel_call(_write_tables, (calibration, rig, folder), jobs) as written:

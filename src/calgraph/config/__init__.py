@@ -2,7 +2,7 @@
 
 from calgraph.config.board_print import PrintedBitmap, black_rectangles, printed_bitmaps
 from calgraph.config.draft import FoundBackground, FoundMode, FoundTopic, Kind, draft_rig, find_triggers
-from calgraph.config.fleet_config import ChangeSettings, FleetConfig, load_fleet
+from calgraph.config.fleet_config import ChangeRules, FleetConfig, load_fleet
 from calgraph.config.markers import FAMILIES, Family, dictionary, marker_count
 from calgraph.config.rig_config import (
     CameraSpec,
@@ -28,7 +28,7 @@ from calgraph.config.uncertainty import (
 
 __all__ = [
     "FAMILIES", "AprilGrid", "Board", "BoardUncertainty", "CameraSpec", "CameraUncertainty", "Capture",
-    "CaptureMode", "ChangeSettings", "Charuco", "Checkerboard", "Cylinder", "Family", "FleetConfig",
+    "CaptureMode", "ChangeRules", "Charuco", "Checkerboard", "Cylinder", "Family", "FleetConfig",
     "FoundBackground", "FoundMode", "FoundTopic", "Intrinsics", "Kind", "Lidar2dSpec", "Lidar2dUncertainty",
     "Lidar3dSpec", "Lidar3dUncertainty", "People", "PixelNoise", "PrintedBitmap", "RangeNoise", "Rig",
     "SensorSpec", "Tag", "Tolerance", "black_rectangles", "dictionary", "draft_rig", "find_triggers",

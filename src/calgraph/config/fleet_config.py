@@ -41,7 +41,7 @@ class RobotEntry(StrictModel):
     """Its reference, instead of that of the fleet."""
 
 
-class ChangeSettings(StrictModel):
+class ChangeRules(StrictModel):
     """When a sensor counts as moved between two recordings."""
 
     false_alarm_probability: Annotated[float, Field(gt=0, lt=1)] = 0.01
@@ -80,7 +80,7 @@ class FleetConfig(StrictModel):
     """Extrinsics of all robots that state no others: calibration.yaml, URDF, or transforms of tf."""
     robots: Annotated[dict[str, RobotEntry], Field(min_length=1, max_length=_MAX_ROBOTS)]
     """The robots by name."""
-    changes: ChangeSettings = ChangeSettings()
+    changes: ChangeRules = ChangeRules()
 
     @model_validator(mode="after")
     def _names_are_of_folders(self) -> "FleetConfig":

@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from calgraph.config import ChangeSettings
+from calgraph.config import ChangeRules
 from calgraph.diagnostics.displaced_nodes import estimate_displacements, find_displaced_nodes
 from calgraph.fleet.pose_set import PoseSet
 from calgraph.fleet.recording_result import RecordingResult
@@ -91,7 +91,7 @@ def pair_recordings(results: Sequence[RecordingResult]) -> list[PosePair]:
     return pairs
 
 
-def compare_poses(pair: PosePair, settings: ChangeSettings, false_alarm_probability: float) -> Comparison:
+def compare_poses(pair: PosePair, rules: ChangeRules, false_alarm_probability: float) -> Comparison:
     """Changes of all sensors that both recordings have poses of, and those that moved.
 
     If the root has moved, all other sensors appear to have moved with it: the fewest sensors are named that
@@ -99,7 +99,7 @@ def compare_poses(pair: PosePair, settings: ChangeSettings, false_alarm_probabil
 
     Args:
         pair: the poses.
-        settings: when a sensor counts as moved.
+        rules: when a sensor counts as moved.
         false_alarm_probability: of naming a sensor although none has moved.
     """
     names = [name for name in pair.before.names if name in pair.after.names]
@@ -107,13 +107,13 @@ def compare_poses(pair: PosePair, settings: ChangeSettings, false_alarm_probabil
         return Comparison(pair.since, pair.earlier, pair.later, (), ())
     before, after = pair.before.select(names), pair.after.select(names)
     difference = se3.difference(after.T_root_sensor, before.T_root_sensor)
-    covariance = _difference_covariance(before, after, settings.common_variance)
+    covariance = _difference_covariance(before, after, rules.common_variance)
     changes = tuple(
         _describe_change(name, difference[k], covariance[6 * k : 6 * k + 6, 6 * k : 6 * k + 6])
         for k, name in enumerate(names)
         if k > 0
     )
-    moves = _find_moves(names, before, difference, covariance, settings, false_alarm_probability)
+    moves = _find_moves(names, before, difference, covariance, rules, false_alarm_probability)
     return Comparison(pair.since, pair.earlier, pair.later, changes, tuple(moves))
 
 
@@ -151,7 +151,7 @@ def _find_moves(
     before: PoseSet,
     difference: Array,
     covariance: Array,
-    settings: ChangeSettings,
+    rules: ChangeRules,
     false_alarm_probability: float,
 ) -> Iterator[Move]:
     """The fewest sensors that explain the difference, if they moved by more than brackets give."""
@@ -167,7 +167,7 @@ def _find_moves(
     if len(axes) == 3:
         T = T[:, [0, 1, 3]][:, :, [0, 1, 3]]
     found = find_displaced_nodes(
-        T, step, used, false_alarm_probability, settings.max_sets, settings.indistinguishable_ratio
+        T, step, used, false_alarm_probability, rules.max_sets, rules.indistinguishable_ratio
     )
     if not found[0]:
         return
@@ -177,6 +177,6 @@ def _find_moves(
     for node, displacement, spread in zip(found[0], steps, spreads, strict=True):
         distance, distance_stddev = _measure_length(displacement[:n], spread[:n, :n])
         angle, angle_stddev = _measure_length(displacement[n:], spread[n:, n:])
-        if distance >= settings.min_translation or np.degrees(angle) >= settings.min_rotation:
+        if distance >= rules.min_translation or np.degrees(angle) >= rules.min_rotation:
             sensors = tuple(names[known[k]] for k in (node, *(k for (k,) in others)))
             yield Move(sensors, distance, distance_stddev, angle, angle_stddev)

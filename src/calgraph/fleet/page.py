@@ -7,7 +7,7 @@ from pathlib import Path
 from string import Template
 from urllib.parse import quote
 
-from calgraph.config import ChangeSettings
+from calgraph.config import ChangeRules
 from calgraph.fleet.changes import Comparison, SensorChange
 from calgraph.fleet.recording_result import RecordingResult
 from calgraph.fleet.run import RobotResult
@@ -34,32 +34,32 @@ _MAX_BARS = 12
 """Recordings up to which standard deviations are drawn."""
 
 
-def write_page(robots: Sequence[RobotResult], settings: ChangeSettings, version: str, path: Path) -> None:
+def write_page(robots: Sequence[RobotResult], rules: ChangeRules, version: str, path: Path) -> None:
     """Writes index.html in one step.
 
     Args:
         robots: results.
-        settings: when a sensor counts as moved.
+        rules: when a sensor counts as moved.
         version: of calgraph.
         path: of the page, beside the folders that it links.
 
     Raises:
         InputError: it cannot be written.
     """
-    write_text(path, render_page(robots, settings, version))
+    write_text(path, render_page(robots, rules, version))
 
 
-def render_page(robots: Sequence[RobotResult], settings: ChangeSettings, version: str) -> str:
+def render_page(robots: Sequence[RobotResult], rules: ChangeRules, version: str) -> str:
     """The text of the page."""
     ordered = sorted(robots, key=lambda robot: _URGENCY.index(robot.states[0]))
     changes = [change.distance for robot in robots for one in robot.comparisons for change in one.changes]
-    scale = min(max([*changes, settings.min_translation]), _MAX_SHOWN_DRIFT)
+    scale = min(max([*changes, rules.min_translation]), _MAX_SHOWN_DRIFT)
     present = {state for robot in robots for state in robot.states}
     return Template(_read_asset("fleet.html")).substitute(
         title=escape_html(f"Fleet of {format_count(len(robots), 'robot')}"),
         headline=escape_html(summarize_fleet(robots)),
         facts=escape_html(_list_facts(robots)),
-        about=escape_html(_explain(settings)),
+        about=escape_html(_explain_moved(rules)),
         states="".join(
             f'<option value="{state}">{STATE_WORDS[state]}</option>' for state in _URGENCY if state in present
         ),
@@ -83,11 +83,11 @@ def _list_facts(robots: Sequence[RobotResult]) -> str:
     return f"{format_count(recordings, 'recording')} · {failed} failed · {seconds / 60:.0f} min of computation"
 
 
-def _explain(settings: ChangeSettings) -> str:
+def _explain_moved(rules: ChangeRules) -> str:
     return (
         "Moved: the poses of two recordings differ by more than their standard deviations explain, with a "
-        f"probability of a false alarm of {100 * settings.false_alarm_probability:g} % for the whole fleet, and "
-        f"by {1000 * settings.min_translation:g} mm or {settings.min_rotation:g}° at least. If the root moved, "
+        f"probability of a false alarm of {100 * rules.false_alarm_probability:g} % for the whole fleet, and "
+        f"by {1000 * rules.min_translation:g} mm or {rules.min_rotation:g}° at least. If the root moved, "
         "all others appear to have moved, and the root is named. ±: one standard deviation. Changes are those of "
         "positions relative to the root, since the reference, or since the first recording."
     )

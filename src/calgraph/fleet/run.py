@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
-from calgraph.config import ChangeSettings
+from calgraph.config import ChangeRules
 from calgraph.engine import Engine
 from calgraph.errors import WorkerKilledError
 from calgraph.fleet.changes import Comparison, Move, compare_poses, pair_recordings
@@ -128,7 +128,7 @@ def _repeat_alone(task: RecordingTask, options: RunOptions, engine: Engine) -> R
 def collect_robots(
     plans: Sequence[RobotPlan],
     results: dict[RecordingTask, RecordingResult],
-    settings: ChangeSettings,
+    rules: ChangeRules,
     progress: Callable[[float], None] = lambda _done: None,
 ) -> tuple[RobotResult, ...]:
     """The results by robot, with the changes from recording to recording.
@@ -137,10 +137,10 @@ def collect_robots(
     """
     done = {plan.name: tuple(results[task] for task in plan.tasks if task in results) for plan in plans}
     pairs = {name: pair_recordings(of_robot) for name, of_robot in done.items()}
-    share = settings.false_alarm_probability / max(sum(map(len, pairs.values())), 1)
+    share = rules.false_alarm_probability / max(sum(map(len, pairs.values())), 1)
     robots = []
     for number, plan in enumerate(plans, start=1):
-        comparisons = tuple(compare_poses(pair, settings, share) for pair in pairs[plan.name])
+        comparisons = tuple(compare_poses(pair, rules, share) for pair in pairs[plan.name])
         robots.append(RobotResult(plan, done[plan.name], comparisons))
         progress(number / len(plans))
     return tuple(robots)
