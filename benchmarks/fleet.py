@@ -1,7 +1,7 @@
 """A fleet of simulated robots: which moved sensors are named, and what a kill and four processes cost.
 
 python benchmarks/fleet.py --keep /tmp/fleet                 # 50 robots; recordings are made once, in 20 minutes
-python benchmarks/fleet.py --keep /tmp/fleet --timed 8       # and the time per robot in one process and in four
+python benchmarks/fleet.py --keep /tmp/fleet --timed 8       # the time per robot in one process and in four
 python benchmarks/fleet.py --keep /tmp/fleet --seed 1 --robots 12 --broken 1 --moved 2
 
 Three recordings are broken, and one sensor of each of five other robots is moved by 10 mm in a random direction
@@ -129,6 +129,7 @@ def main() -> None:
         if arguments.timed:
             sound = [name for name in plan.robots if name not in plan.broken]
             show_times(arguments.keep, sound[: arguments.timed], out / "timed")
+            return
         fleet, count = arguments.keep / "fleet.yaml", 2 * len(plan.robots)
         robots = kill_and_resume(fleet, out / "whole", count, arguments.jobs)
         page = out / "whole" / "index.html"

@@ -82,7 +82,7 @@ def fleet(
         typer.echo(_content(robots))
     else:
         _print(robots, len(tasks) - len(pending), out)
-    fail_if_not_acceptable(robots)
+    _fail_if_not_acceptable(robots)
 
 
 def make_engine(jobs: int | None) -> Engine:
@@ -165,7 +165,7 @@ def _print(robots: "Sequence[RobotResult]", kept: int, out: Path) -> None:
     output.print(f"Results are in {escape(str(out))}; open {escape(str(out / _PAGE))}")
 
 
-def fail_if_not_acceptable(robots: "Sequence[RobotResult]") -> None:
+def _fail_if_not_acceptable(robots: "Sequence[RobotResult]") -> None:
     """Raises CalibrationError if a recording failed, or a sensor is not calibrated, moved, or differs."""
     names = [robot.name for robot in robots if not robot.is_acceptable]
     if names:

@@ -27,6 +27,8 @@ _URGENCY = list(STATE_WORDS)
 _MAX_SHOWN_DRIFT = 0.025
 """Largest change that the drawings of drift show, m."""
 _MAX_LINKS = 6
+_MAX_MESSAGES = 8
+"""Of a robot: others are counted."""
 _MAX_MESSAGE = 400
 """Characters of a message on the page; fleet.sqlite has all of it."""
 _WIDTH, _HEIGHT, _MARGIN = 132, 36, 4
@@ -98,7 +100,11 @@ def _render_row(robot: RobotResult, scale: float) -> str:
     changes = [change for one in robot.comparisons for change in one.changes]
     largest = max(changes, key=lambda change: change.distance, default=None)
     badges = "".join(map(_render_badge, robot.states))
-    messages = "".join(f"<p>{escape_html(_shorten(line))}</p>" for line in describe_robot(robot))
+    lines = describe_robot(robot)
+    shown = [_shorten(line) for line in lines[:_MAX_MESSAGES]]
+    if len(lines) > _MAX_MESSAGES:
+        shown.append(f"and {len(lines) - _MAX_MESSAGES} more")
+    messages = "".join(f"<p>{escape_html(line)}</p>" for line in shown)
     return (
         f'<tr data-states="{" ".join(robot.states)}"><th scope="row">{escape_html(robot.name)}</th>'
         f'<td data-sort="{_URGENCY.index(robot.states[0])}">{badges}</td>'

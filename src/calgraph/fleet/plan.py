@@ -61,6 +61,8 @@ def plan_fleet(config: FleetConfig, folder: Path, out: Path, seed: int) -> tuple
         Plans in the order of fleet.yaml. Robots whose recordings cannot be found state why.
     """
     hash_once = cache(hash_input)
+    # Workers of a cluster have other working directories.
+    folder, out = folder.absolute(), out.absolute()
     return tuple(_plan_robot(config, name, folder, out, seed, hash_once) for name in config.robots)
 
 
