@@ -76,7 +76,8 @@ def show_results(plan: FleetPlan, robots: Mapping[str, Any]) -> int:
         failed = [failure["recording"] for failure in robots[name]["failures"]]
         expected = [plan.moved[name]] if name in plan.moved else []
         named = [" or ".join(move["sensors"]) for move in moved]
-        if named != expected or bool(failed) != (name in plan.broken):
+        warnings = robots[name]["warnings"]
+        if named != expected or bool(failed or warnings) != (name in plan.broken):
             wrong += 1
             print(f"NOT AS EXPECTED: {name}: named {named}, moved {expected}; failed {failed}")
         for move in moved:
@@ -84,6 +85,8 @@ def show_results(plan: FleetPlan, robots: Mapping[str, Any]) -> int:
                 f"{name}: {' or '.join(move['sensors'])} {1000 * move['distance']:.1f} ± "
                 f"{1000 * move['distance_stddev']:.1f} mm; {plan.moved.get(name, 'nothing')} was moved"
             )
+        for of_recording in warnings.values():
+            print(f"{name}: {plan.broken.get(name)}: warning: {of_recording[0]}")
         for failure in robots[name]["failures"]:
             print(f"{name}: {plan.broken.get(name)}: {failure['kind']}: {failure['message'].splitlines()[0]}")
     others = [name for name in plan.robots if name not in plan.moved]

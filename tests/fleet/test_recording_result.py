@@ -21,7 +21,7 @@ def result(tmp_path: Path) -> RecordingResult:
     known = PoseSet(poses.names, poses.T_root_sensor, poses.covariance, errors)
     lost = SensorResult("rear", "camera", "unconnected", "it never detected the board")
     made = make_result(make_task(tmp_path), known)
-    return replace(made, sensors=(*made.sensors, lost), reference=poses, remarks=("a remark",))
+    return replace(made, sensors=(*made.sensors, lost), reference=poses, warnings=("a warning",))
 
 
 def test_a_result_is_read_as_it_was_written(result: RecordingResult, tmp_path: Path) -> None:
@@ -30,8 +30,8 @@ def test_a_result_is_read_as_it_was_written(result: RecordingResult, tmp_path: P
     assert found is not None
     assert found.poses is not None
     assert result.poses is not None
-    assert (found.sensors, found.remarks, found.start, found.key) == (
-        result.sensors, result.remarks, result.start, result.key,
+    assert (found.sensors, found.warnings, found.start, found.key) == (
+        result.sensors, result.warnings, result.start, result.key,
     )  # fmt: skip
     np.testing.assert_array_equal(found.poses.T_root_sensor, result.poses.T_root_sensor)
     np.testing.assert_array_equal(found.poses.covariance, result.poses.covariance)

@@ -1,5 +1,6 @@
 """Runs over fleets: failures are isolated, killed processes are survived, and results are found again."""
 
+import logging
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -12,7 +13,7 @@ import calgraph.fleet.recording_task
 from calgraph.engine import THIS_PROCESS, Processes
 from calgraph.errors import CalibrationError, WorkerKilledError
 from calgraph.fleet.plan import RecordingTask
-from calgraph.fleet.recording_result import FILE_NAME, Failure, load_result, save_result
+from calgraph.fleet.recording_result import FILE_NAME, Failure, RecordingResult, load_result, save_result
 from calgraph.fleet.recording_task import RunOptions, analyze_recording
 from calgraph.fleet.run import analyze_recordings, find_finished
 from fleet_scenes import draw_poses, make_result, make_task, measure_poses
@@ -62,6 +63,19 @@ def test_unexpected_errors_do_not_end_a_fleet(
     assert failure is not None
     assert failure.kind == kind
     assert ("ZeroDivisionError" in failure.traceback) == (kind == "internal")
+
+
+def test_warnings_are_kept_with_the_result(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    task = make_task(tmp_path)
+
+    def warn(_options: RunOptions, task: RecordingTask, _folder: Path) -> RecordingResult:
+        for _ in range(2):
+            logging.getLogger("calgraph.recording").warning("%s: is cut off", "x.mcap")
+        return make_result(task, measure_poses(draw_poses(), np.random.default_rng(0)))
+
+    monkeypatch.setattr(calgraph.fleet.recording_task, "_analyze", warn)
+    analyze_recording(OPTIONS, task)
+    assert find_finished([task])[task].warnings == ("x.mcap: is cut off",)
 
 
 def test_a_recording_whose_process_is_killed_twice_is_named_and_the_others_go_on(tmp_path: Path) -> None:

@@ -134,6 +134,7 @@ def _content(robots: "Sequence[RobotResult]") -> str:
                     one.recording: one.failure.kind if one.failure else {s.name: s.grade for s in one.sensors}
                     for one in robot.recordings
                 },
+                "warnings": {one.recording: one.warnings for one in robot.recordings if one.warnings},
                 "failures": [
                     {"recording": name, "kind": failure.kind, "message": failure.message}
                     for name, failure in robot.failures
@@ -155,9 +156,10 @@ def _print(robots: "Sequence[RobotResult]", kept: int, out: Path) -> None:
 
     output = console()
     output.print(f"[bold]{escape(summarize_fleet(robots))}[/]")
-    listed = [(robot.name, line) for robot in robots for line in describe_robot(robot)]
-    for name, line in listed[:_MAX_LISTED]:
-        output.print(f"[red]✕[/] {escape(f'{name}: {line}')}")
+    listed = [(robot, line) for robot in robots for line in describe_robot(robot)]
+    for robot, line in listed[:_MAX_LISTED]:
+        sign = "[yellow]![/]" if robot.is_acceptable else "[red]✕[/]"
+        output.print(f"{sign} {escape(f'{robot.name}: {line}')}")
     if len(listed) > _MAX_LISTED:
         output.print(f"and {len(listed) - _MAX_LISTED} more")
     if kept:

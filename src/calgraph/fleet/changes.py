@@ -129,7 +129,8 @@ def _difference_covariance(before: PoseSet, after: PoseSet, common_variance: flo
 def _describe_change(name: str, step: Array, covariance: Array) -> SensorChange:
     with np.errstate(invalid="ignore"):
         stddev = np.sqrt(np.diag(covariance))
-    measured = np.where(np.isnan(stddev) | np.isnan(stddev)[:, None], 0.0, covariance)
+    unmeasured = np.isin(np.arange(6), UNMEASURED_IN_PLANE) & np.isnan(stddev)
+    measured = np.where(unmeasured | unmeasured[:, None], 0.0, covariance)
     distance, distance_stddev = _measure_length(step[:3], measured[:3, :3])
     angle, angle_stddev = _measure_length(step[3:], measured[3:, 3:])
     return SensorChange(name, step, stddev, distance, distance_stddev, angle, angle_stddev)

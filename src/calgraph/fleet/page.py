@@ -21,7 +21,15 @@ from calgraph.fleet.wording import (
 from calgraph.io import write_text
 from calgraph.report.formatting import escape_html, format_count
 
-_BADGES = {"failed": "lost", "moved": "lost", "off": "lost", "lost": "lost", "weak": "weak", "pending": "weak"}
+_BADGES = {
+    "failed": "lost",
+    "moved": "lost",
+    "off": "lost",
+    "lost": "lost",
+    "warned": "weak",
+    "weak": "weak",
+    "pending": "weak",
+}
 _SIGNS = {"lost": "✕", "weak": "!", "good": "✓"}
 _URGENCY = list(STATE_WORDS)
 _MAX_SHOWN_DRIFT = 0.025
@@ -137,7 +145,7 @@ def _render_links(recordings: Sequence[RecordingResult]) -> str:
 def _render_link(one: RecordingResult) -> str:
     if one.failure:
         return f"<li>✕ {escape_html(one.recording)}</li>"
-    sign = _SIGNS["lost" if one.lost or one.failed_checks else "weak" if one.is_weak else "good"]
+    sign = _SIGNS["lost" if one.lost or one.failed_checks else "weak" if one.is_weak or one.warnings else "good"]
     address = f"robots/{quote(one.robot)}/{quote(one.recording)}/report.html"
     return f'<li>{sign} <a href="{address}">{escape_html(one.recording)}</a></li>'
 

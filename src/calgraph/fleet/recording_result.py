@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -79,7 +79,8 @@ class RecordingResult:
     poses: PoseSet | None = None
     reference: PoseSet | None = None
     """The poses of the reference, where there is one."""
-    remarks: tuple[str, ...] = field(default=())
+    warnings: tuple[str, ...] = ()
+    """Such as that a file is cut off, and how far it was read."""
 
     @property
     def lost(self) -> tuple[str, ...]:
@@ -116,7 +117,7 @@ def save_result(result: RecordingResult, folder: Path) -> None:
         "sensors": [vars(one) for one in result.sensors],
         "poses": _encode_poses(result.poses),
         "reference": _encode_poses(result.reference),
-        "remarks": result.remarks,
+        "warnings": result.warnings,
     }
     write_text(folder / FILE_NAME, format_json(content) + "\n")
 
@@ -133,7 +134,7 @@ def load_result(folder: Path) -> RecordingResult | None:
             sensors=tuple(SensorResult(**_checked(one, "grade", Grade)) for one in content.pop("sensors")),
             poses=_decode_poses(content.pop("poses")),
             reference=_decode_poses(content.pop("reference")),
-            remarks=tuple(content.pop("remarks")),
+            warnings=tuple(content.pop("warnings")),
             **content,
         )
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):

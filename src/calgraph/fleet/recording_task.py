@@ -1,8 +1,11 @@
 """One recording of a fleet, calibrated or checked, with its files: the call that an engine evaluates."""
 
+import logging
 import shutil
 import time
 import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -48,14 +51,33 @@ def analyze_recording(options: RunOptions, task: RecordingTask) -> RecordingResu
     """
     began = time.monotonic()
     try:
-        with replace_folder_atomically(task.folder, FILE_NAME) as folder:
+        with replace_folder_atomically(task.folder, FILE_NAME) as folder, _collect_warnings() as warnings:
             result = _analyze(options, task, folder)
-            result = replace(result, seconds=time.monotonic() - began)
+            result = replace(result, seconds=time.monotonic() - began, warnings=tuple(warnings))
             save_result(result, folder)
     except Exception as error:  # of one recording, which the others do not depend on
         failure = Failure.of(error, traceback.format_exc())
         result = write_failure(task, failure, time.monotonic() - began)
     return result
+
+
+@contextmanager
+def _collect_warnings() -> Iterator[list[str]]:
+    """The warnings that are logged in the block; they are logged as well."""
+
+    class Collector(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            if record.getMessage() not in found:
+                found.append(record.getMessage())
+
+    found: list[str] = []
+    collector = Collector(logging.WARNING)
+    logger = logging.getLogger("calgraph")
+    logger.addHandler(collector)
+    try:
+        yield found
+    finally:
+        logger.removeHandler(collector)
 
 
 def write_failure(task: RecordingTask, failure: Failure, seconds: float = 0.0) -> RecordingResult:
@@ -131,5 +153,4 @@ def _describe(
         ),
         poses=PoseSet.from_calibration(calibration),
         reference=PoseSet.from_extrinsics(given, calibration) if given else None,
-        remarks=calibration.evidence.remarks,
     )

@@ -52,13 +52,14 @@ class RobotResult:
 
     @property
     def states(self) -> tuple[str, ...]:
-        """What needs attention, the most urgent first: failed, moved, off, lost, weak, pending; or good."""
+        """What needs attention, the most urgent first: failed, moved, off, lost, warned, weak, pending; or good."""
         done = [one for one in self.recordings if not one.failure]
         found = {
             "failed": bool(self.failures),
             "moved": bool(self.moves),
             "off": any(one.failed_checks for one in done),
             "lost": any(one.lost for one in done),
+            "warned": any(one.warnings for one in done),
             "weak": any(one.is_weak for one in done),
             "pending": self.pending > 0,
         }

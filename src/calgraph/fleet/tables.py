@@ -85,11 +85,12 @@ def _recording_rows(robot: RobotResult) -> Iterator[Row]:
     for one in robot.recordings:
         failure = one.failure
         state = "failed" if failure else "off" if one.failed_checks else "lost" if one.lost else ""
+        warnings = "\n".join(one.warnings) or None
         yield (
             one.robot, one.recording, position[one.recording], one.path,
             f"robots/{one.robot}/{one.recording}",
-            state or ("weak" if one.is_weak else "good"),
-            failure.kind if failure else None, failure.message if failure else None,
+            state or ("warned" if warnings else "weak" if one.is_weak else "good"),
+            failure.kind if failure else None, failure.message if failure else warnings,
             one.start, one.duration, one.seconds,
         )  # fmt: skip
 

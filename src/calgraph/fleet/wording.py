@@ -11,6 +11,7 @@ STATE_WORDS = {
     "moved": "moved",
     "off": "differs",
     "lost": "not calibrated",
+    "warned": "warning",
     "weak": "weak",
     "pending": "pending",
     "good": "good",
@@ -26,6 +27,7 @@ def summarize_fleet(robots: Sequence[RobotResult]) -> str:
         "moved": "with a sensor that moved",
         "off": "that differ from their reference",
         "lost": "with sensors that are not calibrated",
+        "warned": "with warnings",
         "weak": "with weak poses",
         "pending": "not complete",
     }
@@ -39,6 +41,7 @@ def describe_robot(robot: RobotResult) -> list[str]:
     lines = [f"{name}: {failure.message}" if name else failure.message for name, failure in robot.failures]
     lines += [describe_move(comparison, move) for comparison, move in robot.moves]
     for one in robot.recordings:
+        lines += [f"{one.recording}: {warning}" for warning in one.warnings]
         for sensor in one.sensors:
             if sensor.outcome == "fail":
                 lines.append(f"{one.recording}: {sensor.name} differs from the reference: {sensor.difference}")
