@@ -52,7 +52,7 @@ class RobotResult:
 
     @property
     def states(self) -> tuple[str, ...]:
-        """What needs attention, the most urgent first: failed, moved, off, lost, warned, weak, pending; or good."""
+        """What needs attention, the most urgent first: keys of ``STATE_WORDS`` of the wording; or good."""
         done = [one for one in self.recordings if not one.failure]
         found = {
             "failed": bool(self.failures),
