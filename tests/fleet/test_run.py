@@ -21,16 +21,13 @@ from fleet_scenes import draw_poses, make_result, make_task, measure_poses
 OPTIONS = RunOptions("calgraph fleet")
 
 
-@dataclass
-class KillingEngine:
+@dataclass(frozen=True)
+class KillingEngine(Processes):
     """Two processes, of which one is killed whenever it works on certain recordings."""
 
-    killing: set[str]
     jobs: int = 2
+    killing: frozenset[str] = frozenset()
     calls: list[str] = field(default_factory=list)
-
-    def map(self, function: Callable[..., Any], work: Any, progress: Any = None) -> list[Any]:
-        raise NotImplementedError
 
     def stream(self, function: Callable[..., Any], work: Iterable[tuple[Any, ...]], shared: Any) -> Iterator[Any]:
         for arguments in work:
@@ -80,7 +77,7 @@ def test_warnings_are_kept_with_the_result(tmp_path: Path, monkeypatch: pytest.M
 
 def test_a_recording_whose_process_is_killed_twice_is_named_and_the_others_go_on(tmp_path: Path) -> None:
     tasks = [make_task(tmp_path, recording=f"day-{k}") for k in range(5)]
-    engine = KillingEngine({"day-2"})
+    engine = KillingEngine(killing=frozenset({"day-2"}))
     found = dict(analyze_recordings(tasks, OPTIONS, engine))
     kinds = {task.recording: result.failure.kind for task, result in found.items() if result.failure}
     assert kinds == {"day-0": "input", "day-1": "input", "day-2": "killed", "day-3": "input", "day-4": "input"}
@@ -102,7 +99,7 @@ def test_results_in_folders_are_not_lost_when_a_process_is_killed(tmp_path: Path
             yield from super().stream(function, work, shared)
 
     tasks = [make_task(tmp_path, recording=f"day-{k}") for k in range(2)]
-    engine = OutOfOrder({"day-0"})
+    engine = OutOfOrder(killing=frozenset({"day-0"}))
     found = dict(analyze_recordings(tasks, OPTIONS, engine))
     assert engine.calls == ["day-0", "day-0"]
     assert {task.recording: one.failure.kind for task, one in found.items() if one.failure} == {

@@ -10,15 +10,14 @@ import typer
 from rich.markup import escape
 
 from calgraph.cli.cache import NoCacheOption, find_cache
-from calgraph.cli.common_options import EVERYDAY, JobsOption, Results, SeedOption
+from calgraph.cli.common_options import EVERYDAY, ClusterOption, JobsOption, Results, SeedOption, open_engine
 from calgraph.cli.console import console
 from calgraph.cli.progress import progress_bars
 from calgraph.cli.provenance import format_command
 from calgraph.config import FleetConfig, load_fleet
-from calgraph.engine import Engine, Processes
+from calgraph.config.settings import DaskSettings
 from calgraph.errors import CalibrationError, InputError
 from calgraph.io import format_json
-from calgraph.processes import available_cores
 
 if TYPE_CHECKING:
     from calgraph.fleet.plan import RecordingTask, RobotPlan
@@ -46,6 +45,7 @@ def fleet(
     ] = False,
     seed: SeedOption = 0,
     jobs: JobsOption = None,
+    cluster: ClusterOption = None,
     no_cache: NoCacheOption = False,
     json: Annotated[
         bool, typer.Option("--json", help="Print the results as JSON.", rich_help_panel=EVERYDAY)
@@ -73,8 +73,8 @@ def fleet(
     pending = [task for task in tasks if task not in results]
     options = RunOptions(format_command(), None if no_cache else find_cache())
     out.mkdir(parents=True, exist_ok=True)
-    with progress_bars() as progress:
-        found = analyze_recordings(pending, options, make_engine(jobs))
+    with progress_bars() as progress, open_engine(jobs, cluster, DaskSettings()) as engine:
+        found = analyze_recordings(pending, options, engine)
         for done, _ in enumerate(_collect(found, results, plans, config, out), start=1):
             progress("recordings", done / len(pending))
     robots = _write_overview(plans, results, config, out)
@@ -83,11 +83,6 @@ def fleet(
     else:
         _print(robots, len(tasks) - len(pending), out)
     _fail_if_not_acceptable(robots)
-
-
-def make_engine(jobs: int | None) -> Engine:
-    """Where recordings are calibrated."""
-    return Processes(jobs or available_cores())
 
 
 def _collect(

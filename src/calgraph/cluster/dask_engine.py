@@ -8,7 +8,7 @@ from operator import itemgetter
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from calgraph.config.settings import DaskSettings
-from calgraph.errors import CalibrationError
+from calgraph.errors import CalibrationError, WorkerKilledError
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -140,7 +140,7 @@ class DaskEngine:
         try:
             yield
         except KilledWorker as error:
-            raise CalibrationError(
+            raise WorkerKilledError(
                 "several workers of the cluster were lost by the same call, perhaps because memory ran out; give "
                 "each worker more"
             ) from error

@@ -113,9 +113,9 @@ def analyze_recordings(
             unfinished = [task for task in remaining if task not in finished]
             yield from finished.items()
             # Calls begin in the order of the work.
-            for task in unfinished[: engine.jobs]:
+            for task in unfinished[: engine.workers]:
                 yield task, _repeat_alone(task, options, engine)
-            remaining = unfinished[engine.jobs :]
+            remaining = unfinished[engine.workers :]
 
 
 def _repeat_alone(task: RecordingTask, options: RunOptions, engine: Engine) -> RecordingResult:
