@@ -39,6 +39,8 @@ class Overlaps(NamedTuple):
     """(P, 2) those that overlap, each once."""
     seconds: Array
     """(P,) how long both observe the same person, summed over people, s."""
+    root: str
+    """The scanner that overlaps most others, of those that overlaps connect with most others."""
     connectable: NDArray[np.bool_]
     """(S,) whether overlaps lead from the root to the scanner."""
 
@@ -59,7 +61,10 @@ def find_overlaps(place: Path) -> Overlaps:
     names = tuple(scanner.name for scanner in scanners)
     rows = np.ix_((0, 1, 3), (0, 1, 3))
     T = np.array([truth.T_root_sensor[name][rows] for name in names])
-    return Overlaps(names, T, pairs, step * together.data[enough], component == component[names.index(truth.root)])
+    connectable = component == np.bincount(component).argmax()
+    partners = np.bincount(pairs.ravel(), minlength=len(names))
+    root = names[int(np.argmax(np.where(connectable, partners, -1)))]
+    return Overlaps(names, T, pairs, step * together.data[enough], root, connectable)
 
 
 def build_floor(scenario: NetworkScenario) -> tuple[Floor, tuple[StationaryScanner, ...]]:

@@ -123,7 +123,8 @@ def simulate(place: Path, layout: LayoutName, size: str, jobs: int) -> None:
 
 def calibrate(recorded: Path, place: Path, jobs: int) -> Row:
     """Calibrates a recording and writes all files into ``place``."""
-    rig = load_rig(recorded / "rig.yaml")
+    overlaps = in_process(find_overlaps, recorded)
+    rig = load_rig(recorded / "rig.yaml").model_copy(update={"root": overlaps.root})
     clock = Stopwatch()
     with open_recordings([recorded / "recording"]) as recording:
         options = story.NetworkOptions(engine=Processes(jobs))
@@ -145,7 +146,7 @@ def calibrate(recorded: Path, place: Path, jobs: int) -> Row:
         seconds=clock.seconds,
         wall=wall,
         memories=memories,
-        quality=judge_answer(answer, find_overlaps(recorded)),
+        quality=judge_answer(answer, overlaps),
     )
 
 
