@@ -50,7 +50,7 @@ def find_inconsistent_parts(
 def _split_by_time(parts: Contributions) -> NDArray[np.bool_]:
     """(C,) the parts of the first half of the information."""
     order = np.argsort(parts.time, kind="stable")
-    share = np.cumsum(np.trace(parts.information[order], axis1=1, axis2=2))
+    share = np.cumsum(parts.amount[order])
     first = np.empty(len(order), dtype=np.bool_)
     first[order] = share <= share[-1] / 2
     return first
@@ -58,7 +58,7 @@ def _split_by_time(parts: Contributions) -> NDArray[np.bool_]:
 
 def _split_by_body(parts: Contributions) -> NDArray[np.bool_]:
     """(C,) the parts of one of two groups of bodies with about the same information."""
-    information = np.bincount(parts.body, np.trace(parts.information, axis1=1, axis2=2))
+    information = np.bincount(parts.body, parts.amount)
     total, in_first = np.zeros(2), np.zeros(len(information), dtype=np.bool_)
     for body in np.argsort(-information, kind="stable"):
         group = int(total[1] < total[0])

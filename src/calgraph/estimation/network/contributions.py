@@ -38,10 +38,12 @@ class Contributions:
     """(C,) whose scans a part has."""
     time: Array
     """(C,) s, of the middle of its interval by the root's clock."""
-    information: Array
-    """(C, n, n)."""
-    gradient: Array
-    """(C, n), scaled such that its covariance is the information."""
+    columns: tuple[Index, ...]
+    """(m,) of each part among the n, those of the scanners that measured its body."""
+    information: tuple[Array, ...]
+    """(m, m) of each part."""
+    gradient: tuple[Array, ...]
+    """(m,) of each part, scaled such that its covariance is the information."""
     prior: Array
     """(n, n) weight of walls and priors, which all parts share, beside that of the parts."""
     prior_covariance: Array
@@ -60,9 +62,28 @@ class Contributions:
         return np.asarray(self.unknowns % SCANNER_UNKNOWNS <= CLOCK)
 
     @property
+    def amount(self) -> Array:
+        """(C,) information of each part, as one number: the trace."""
+        return np.array([np.trace(of_part) for of_part in self.information])
+
+    @property
     def covariance(self) -> Array:
         """(n, n) inverse of the matrix of all parts and priors."""
-        return np.asarray(np.linalg.inv(self.prior + self.information.sum(axis=0)))
+        return np.asarray(np.linalg.inv(self.prior + self.sum_information(np.ones(len(self.body)))))
+
+    def sum_information(self, weight: Array) -> Array:
+        """(n, n) sum of the information of all parts by weights (C,)."""
+        total = np.zeros_like(self.prior)
+        for factor, columns, of_part in zip(weight, self.columns, self.information, strict=True):
+            total[np.ix_(columns, columns)] += factor * of_part
+        return total
+
+    def sum_gradient(self, weight: Array) -> Array:
+        """(n,) sum of the gradients of all parts by weights (C,)."""
+        total = np.zeros(len(self.unknowns))
+        for factor, columns, of_part in zip(weight, self.columns, self.gradient, strict=True):
+            total[columns] += factor * of_part
+        return total
 
     def test_difference(self, first: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
         """Score and information of a difference between two halves of the parts.
@@ -76,12 +97,12 @@ class Contributions:
             mean was given. Where only one half has data, there is no covariance but rounding errors of these.
         """
         weight = np.where(first, -0.5, 0.5)
-        total = self.information.sum(axis=0)
-        difference = np.tensordot(weight, self.information, axes=1)
+        total, difference = self.sum_information(np.ones(len(weight))), self.sum_information(weight)
         by_total = difference @ self.covariance
         covariance = 0.25 * total + by_total @ (total + self.prior_covariance) @ by_total.T
         crossed = by_total @ difference
-        return weight @ self.gradient, covariance - crossed - crossed.T, 0.5 * np.sqrt(np.diag(total))
+        scale = 0.5 * np.sqrt(np.diag(total))
+        return self.sum_gradient(weight), covariance - crossed - crossed.T, scale
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,18 +152,13 @@ class NetworkContributions:
         row[unknowns] = np.arange(len(unknowns))
         inside = [row[of_part] >= 0 for of_part in self.columns]
         chosen = [c for c, kept in enumerate(inside) if kept.any()]
-        information = np.zeros((len(chosen), len(unknowns), len(unknowns)))
-        gradient = np.zeros((len(chosen), len(unknowns)))
-        for n, c in enumerate(chosen):
-            at, kept = row[self.columns[c][inside[c]]], inside[c]
-            information[n][np.ix_(at, at)] = self.information[c][np.ix_(kept, kept)]
-            gradient[n, at] = self.gradient[c][kept]
         prior = self.prior.select(unknowns)
         return Contributions(
             self.body[chosen],
             self.time[chosen],
-            information,
-            gradient,
+            tuple(row[self.columns[c][inside[c]]] for c in chosen),
+            tuple(self.information[c][np.ix_(inside[c], inside[c])] for c in chosen),
+            tuple(self.gradient[c][inside[c]] for c in chosen),
             prior,
             self.prior_scale * prior,
             unknowns,
@@ -209,7 +225,10 @@ def _split_body(
         sums = sums.marginalize_model_error(network.model_error_variance[[0, 0, 1]])
         J = _total_jacobian(network, state, scans, k, path.radii, (first, weights, pose, rate), by_path, by_shape)
         part = part_of(compute_root_times(network, state, scans))
-        np.add.at(information, part, np.swapaxes(J, 1, 2) @ sums.information @ J)
+        WJ = sums.information @ J
+        for n in np.unique(part).tolist():
+            within = part == n
+            information[n] += J[within].reshape(-1, size).T @ WJ[within].reshape(-1, size)
         np.add.at(gradient, part, np.einsum("vpq,vp->vq", J, sums.gradient))
         for i in range(4):
             np.add.at(prior_gradient, first + i, -weights[:, i, None] * sums.gradient[:, :3])
