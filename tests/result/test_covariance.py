@@ -212,6 +212,28 @@ def test_correlations_of_neighbours_come_back(tmp_path: Path) -> None:
         loaded.covariance("s1", "s3")
 
 
+def test_correlations_of_neighbours_in_a_plane_are_of_what_was_measured(tmp_path: Path) -> None:
+    given = neighbours_only(4)
+    joint = np.array(given.joint_covariance)
+    out_of_plane = (6 * np.arange(1, 4)[:, None] + np.array([2, 3, 4])).ravel()
+    joint[out_of_plane] = joint[:, out_of_plane] = np.nan
+    joint[:6] = joint[:, :6] = 0.0  # the root has no error
+    save_calibration(dataclasses.replace(given, joint_covariance=joint), tmp_path / "calibration.yaml")
+    text = (tmp_path / "calibration.yaml").read_text().split("cross_covariances:")[1]
+    assert [len(row.split(",")) for row in text.splitlines() if row.startswith("  - [")] == [3] * 6
+    loaded = load_calibration(tmp_path / "calibration.yaml")
+    np.testing.assert_allclose(loaded.joint_covariance, joint, rtol=1e-8, atol=1e-12)
+
+
+def test_a_cross_covariance_of_another_size_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "calibration.yaml"
+    save_calibration(neighbours_only(4), path)
+    head, tail = path.read_text().split("cross_covariances:")
+    path.write_text(head + "cross_covariances:" + tail.replace("  - [", "  - [0.0, ", 1))
+    with pytest.raises(InputError, match=r"cross_covariances\[0\]\.covariance: must have 6 rows of 6 numbers"):
+        load_calibration(path)
+
+
 def test_json_has_correlations_of_neighbours() -> None:
     given = neighbours_only(4)
     content = json.loads(export(given, "json"))

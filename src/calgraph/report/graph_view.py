@@ -19,6 +19,8 @@ _MAX_UNSCALED_SENSORS = 14
 """With more sensors than this the drawing grows, so that boxes do not overlap."""
 _MAX_LABEL_OVERLAP = 0.1
 """A label that overlaps others by more than this fraction of its area is omitted."""
+_LABEL_PLACES = np.array([0.5, 0.42, 0.58, 0.34, 0.66, 0.27, 0.73, 0.2, 0.8])
+"""Where along its edge a label may be, the best first."""
 _MAX_TABLE_ROWS = 40
 """A table with more pairs than this scrolls separately."""
 
@@ -125,23 +127,26 @@ def _render_edge(edge: Edge, places: dict[str, Array], evidence: str) -> str:
 
 def _place_labels(edges: list[Edge], places: dict[str, Array]) -> list[_Label]:
     """A label for each edge, moved along it to the least overlap with boxes and other labels; omitted at worst."""
-    taken = [(center, _NODE_SIZE) for center in places.values()]
+    count = len(places)
+    centers, sizes = np.zeros((2, count + len(edges), 2))
+    centers[:count], sizes[:count], sizes[count:] = list(places.values()), _NODE_SIZE, _LABEL_SIZE
     labels = []
     for edge in edges:
         a, b = places[edge.sensor_a], places[edge.sensor_b]
-        candidates = [a + t * (b - a) for t in (0.5, 0.42, 0.58, 0.34, 0.66, 0.27, 0.73, 0.2, 0.8)]
-        covered = [sum(_overlap_area(c, *other) for other in taken) for c in candidates]
+        candidates = a + _LABEL_PLACES[:, None] * (b - a)
+        covered = _overlap_areas(candidates, centers[:count], sizes[:count]).sum(axis=1)
         best = int(np.argmin(covered))
         if covered[best] < _MAX_LABEL_OVERLAP * np.prod(_LABEL_SIZE):
-            taken.append((candidates[best], _LABEL_SIZE))
+            centers[count] = candidates[best]
+            count += 1
             labels.append(_Label(candidates[best], _edge_label(edge)))
     return labels
 
 
-def _overlap_area(center: Array, other: Array, size: Array) -> float:
-    """Overlap of a label and another rectangle, pixels²."""
-    sides = (_LABEL_SIZE + size) / 2 - np.abs(center - other)
-    return float(np.prod(np.maximum(sides, 0)))
+def _overlap_areas(labels: Array, others: Array, sizes: Array) -> Array:
+    """(L, M) overlaps of labels (L, 2) and other rectangles (M, 2), pixels²."""
+    sides = (_LABEL_SIZE + sizes) / 2 - np.abs(labels[:, None] - others)
+    return np.asarray(np.prod(np.maximum(sides, 0), axis=-1))
 
 
 def _edge_label(edge: Edge) -> str:

@@ -84,6 +84,12 @@ class Calibration:
         uncertain = np.asarray(variances.any(axis=1))
         return np.argwhere(np.triu(known & uncertain & uncertain[:, None], k=1))
 
+    def cross_covariance(self, a: int, b: int) -> Array:
+        """The block of ``joint_covariance`` of two sensors, of what was measured: (6, 6), in a plane (3, 3)."""
+        rows, columns = (6 * k + np.arange(6) for k in (a, b))
+        measured = ~np.isnan(np.diag(self.joint_covariance))
+        return np.asarray(self.joint_covariance[np.ix_(rows[measured[rows]], columns[measured[columns]])])
+
     @property
     def further_remarks(self) -> tuple[str, ...]:
         """The remarks on the whole result that are not part of the reason of a verdict."""

@@ -224,9 +224,9 @@ def _cross_covariances(calibration: Calibration) -> str:
         return ""
     # Names of sensors are plain in YAML, but for those that JSON's quotes make so.
     names = [json.dumps(sensor.name) for sensor in calibration.sensors]
-    joint = calibration.joint_covariance.reshape(len(names), 6, len(names), 6)
     return "cross_covariances:\n" + "".join(
-        f"- sensors: [{names[a]}, {names[b]}]\n  covariance:\n{_rows(joint[a, :, b])}" for a, b in pairs.tolist()
+        f"- sensors: [{names[a]}, {names[b]}]\n  covariance:\n{_rows(calibration.cross_covariance(a, b))}"
+        for a, b in pairs.tolist()
     )
 
 

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Annotated
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field, Strict, model_validator
 
 from calgraph.config.strict_model import StrictModel, invalid
@@ -55,8 +56,9 @@ class CrossCovariance(StrictModel):
     """Of the errors of two sensors."""
 
     sensors: tuple[str, str]
-    covariance: Matrix6
-    """Rows of the first, columns of the second, in the root's fixed axes, m and rad."""
+    covariance: tuple[tuple[Number, ...], ...]
+    """Rows of the first, columns of the second, in the root's fixed axes, m and rad, without what the covariances
+    of the sensors have as null."""
 
 
 def check_cross_covariances(entries: Sequence[CrossCovariance], own: Mapping[str, Array]) -> None:
@@ -74,8 +76,27 @@ def check_cross_covariances(entries: Sequence[CrossCovariance], own: Mapping[str
         if pair in seen:
             raise invalid(f"{key}.sensors", "has these two sensors again")
         seen.add(pair)
-        (a, b), cross = entry.sensors, to_array(entry.covariance)
+        a, b = entry.sensors
+        shape = tuple(int(measured_axes(own[name]).sum()) for name in entry.sensors)
+        if {len(entry.covariance)} != {shape[0]} or {len(row) for row in entry.covariance} - {shape[1]}:
+            raise invalid(
+                f"{key}.covariance",
+                f"must have {shape[0]} rows of {shape[1]} numbers, those of the sensors that are not null",
+            )
+        cross = expand_cross_covariance(entry, own)
         check_semidefinite(np.block([[own[a], cross], [cross.T, own[b]]]), f"{key}.covariance")
+
+
+def measured_axes(covariance: Array) -> NDArray[np.bool_]:
+    """(6,) which axes of a pose were measured, by its covariance (6, 6)."""
+    return np.asarray(~np.isnan(np.diag(covariance)))
+
+
+def expand_cross_covariance(entry: CrossCovariance, own: Mapping[str, Array]) -> Array:
+    """(6, 6) of a pair; NaN for what was not measured."""
+    cross = np.full((6, 6), np.nan)
+    cross[np.ix_(*(measured_axes(own[name]) for name in entry.sensors))] = np.array(entry.covariance)
+    return cross
 
 
 def join_cross_covariances(own: Mapping[str, Array], entries: Sequence[CrossCovariance]) -> Array:
@@ -89,6 +110,6 @@ def join_cross_covariances(own: Mapping[str, Array], entries: Sequence[CrossCova
     joint = join_covariances(list(own.values())).reshape(len(own), 6, len(own), 6)
     for entry in entries:
         a, b = (place[name] for name in entry.sensors)
-        joint[a, :, b] = to_array(entry.covariance)
+        joint[a, :, b] = expand_cross_covariance(entry, own)
         joint[b, :, a] = joint[a, :, b].T
     return np.asarray(joint.reshape(6 * len(own), -1))

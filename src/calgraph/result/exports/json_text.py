@@ -73,9 +73,8 @@ def _cross_covariances(calibration: Calibration) -> list[dict[str, Any]]:
     if calibration.has_correlations:
         return []
     names = [sensor.name for sensor in calibration.sensors]
-    joint = calibration.joint_covariance.reshape(len(names), 6, len(names), 6)
     return [
-        {"sensors": [names[a], names[b]], "covariance": joint[a, :, b]}
+        {"sensors": [names[a], names[b]], "covariance": calibration.cross_covariance(a, b)}
         for a, b in calibration.correlated_pairs.tolist()
     ]
 
