@@ -57,7 +57,10 @@ def test_the_scenario_written_gives_the_same_network_again(run: Run, tmp_path: P
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--layout", "attic"], "--layout: must be 'ring', 'office', 'semicircle', 'lab', 'halls' or 'grid'"),
+        (
+            ["--layout", "attic"],
+            "--layout: must be 'ring', 'office', 'semicircle', 'lab', 'halls', 'grid' or 'building'",
+        ),
         (["--layout", "halls", "--scanner-count", "5"], "--scanner-count: halls have places for 4, got 5"),
         (["--scanner-count", "1"], "--scanner-count: must be 2 or greater, got 1"),
         (["--scanner-resolution", "400"], "--scanner-resolution: must be at most field_of_view, 270"),
