@@ -68,17 +68,17 @@ def check_cross_covariances(entries: Sequence[CrossCovariance], own: Mapping[str
         entries: of the file.
         own: covariance (6, 6) of each sensor.
     """
-    seen: set[frozenset[str]] = set()
+    stated: set[frozenset[str]] = set()
     for k, entry in enumerate(entries):
         key, pair = f"cross_covariances[{k}]", frozenset(entry.sensors)
         if len(pair) < 2 or not pair <= set(own):
             raise invalid(f"{key}.sensors", f"must be two of the sensors, {', '.join(own)}")
-        if pair in seen:
+        if pair in stated:
             raise invalid(f"{key}.sensors", "has these two sensors again")
-        seen.add(pair)
+        stated.add(pair)
         a, b = entry.sensors
         shape = tuple(int(measured_axes(own[name]).sum()) for name in entry.sensors)
-        if {len(entry.covariance)} != {shape[0]} or {len(row) for row in entry.covariance} - {shape[1]}:
+        if len(entry.covariance) != shape[0] or any(len(row) != shape[1] for row in entry.covariance):
             raise invalid(
                 f"{key}.covariance",
                 f"must have {shape[0]} rows of {shape[1]} numbers, those of the sensors that are not null",
