@@ -181,10 +181,11 @@ class Fisheye:
 def pinhole_lens(distortion: Array) -> Pinhole:
     """Builds the pinhole lens with 0, 4, 5 or 8 coefficients in OpenCV's order."""
     k = np.pad(distortion, (0, 8 - len(distortion)))
-    num, den = np.polynomial.Polynomial([1, k[0], k[1], k[4]]), np.polynomial.Polynomial([1, *k[5:8]])
-    s = np.polynomial.Polynomial([0, 1])
-    # The slope of r * num(r²) / den(r²), times den²; and the pole.
-    slope = num * den + 2 * s * (num.deriv() * den - num * den.deriv())
+    num, den = np.array([1, k[0], k[1], k[4]]), np.array([1, *k[5:8]])
+    # The slope of r * num(s) / den(s) with s = r², times den²: num den + 2 s (num' den - num den'); and the pole.
+    # Bundles build a lens at every state: np.polynomial.Polynomial would take four times as long.
+    powers, slope = np.arange(1, 4), np.convolve(num, den)
+    slope[1:] += 2 * (np.convolve(powers * num[1:], den) - np.convolve(num, powers * den[1:]))
     limit = np.sqrt(min(_first_root(slope), _first_root(den)))
     return Pinhole(k, min(float(limit), float(np.tan(_MAX_PINHOLE_ANGLE))))
 
@@ -192,14 +193,15 @@ def pinhole_lens(distortion: Array) -> Pinhole:
 def fisheye_lens(distortion: Array) -> Fisheye:
     """Builds the fisheye lens with 0 or 4 coefficients."""
     k = np.pad(distortion, (0, 4 - len(distortion)))
-    slope = np.polynomial.Polynomial([1, 3 * k[0], 5 * k[1], 7 * k[2], 9 * k[3]])
+    slope = np.array([1, 3 * k[0], 5 * k[1], 7 * k[2], 9 * k[3]])
     return Fisheye(k, min(float(np.sqrt(_first_root(slope))), _MAX_FISHEYE_ANGLE))
 
 
-def _first_root(polynomial: np.polynomial.Polynomial) -> float:
-    """The smallest positive real root, or infinity."""
+def _first_root(coefficients: Array) -> float:
+    """The smallest positive real root of a polynomial, or infinity; coefficients ascend, and the first is 1."""
     # Coefficients this small have no effect within any field of view, but their roots overflow.
-    roots = polynomial.trim(1e-30).roots()
+    degree = np.flatnonzero(np.abs(coefficients) > 1e-30)[-1]
+    roots = np.polynomial.polynomial.polyroots(coefficients[: degree + 1])
     real = roots[np.abs(roots.imag) < 1e-9 * np.maximum(1, np.abs(roots))].real
     positive = real[real > 0]
     return float(positive.min()) if len(positive) else np.inf
