@@ -107,7 +107,7 @@ def _exact(part: SensorSpec | Board) -> dict[str, object]:
 
 
 def detect_rig(scenario: RigScenario = QUICK, seed: int = 0, errors: ModelErrors | None = None) -> DetectedRig:
-    return detect_rig_on(build_world(scenario, 1), seed, errors)
+    return detect_rig_on(build_world(scenario, 1, images=False), seed, errors)
 
 
 def detect_rig_on(

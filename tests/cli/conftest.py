@@ -16,6 +16,12 @@ _SMALL = (
     "--multibeam-resolution 0.4 --bearings -30,0,30 --radii 1.8 --samples 3 --background 2.5 --hold-time 0.8 "
     "--move-time 0.4 --clutter 2"
 )
+_WITHOUT_BOOTSTRAP = """
+settings:
+  diagnostics:
+    rig:
+      max_bootstrap_captures: 1 # from 15 captures on, as by default, calibrations do without it and its time, too
+"""
 
 
 def invoke(*arguments: object) -> Result:
@@ -34,6 +40,8 @@ def simulated(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("simulated") / "robot"
     result = invoke("simulate", "rig", "-o", out, *_SMALL.split())
     assert result.exit_code == 0, result.output
+    with (out / "rig.yaml").open("a", encoding="utf-8") as rig:
+        rig.write(_WITHOUT_BOOTSTRAP)
     return out
 
 

@@ -27,6 +27,7 @@ from calgraph.simulation import (
 )
 
 pytest.importorskip("starlette", reason="the extra live is not installed")
+pytestmark = pytest.mark.without_coverage
 
 Run = Callable[..., Result]
 PATIENCE = 60.0

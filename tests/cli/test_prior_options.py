@@ -19,6 +19,7 @@ from calgraph.io import save_yaml
 from calgraph.pairwise import select_successful
 from calgraph.result import export, load_calibration, read_extrinsics
 from calgraph.simulation import IdealDetectorOptions, RigScenario, build_world, simulate_detections
+from simulated_rigs import without_bootstrap
 from written_results import read_without_provenance
 
 pytestmark = pytest.mark.without_coverage
@@ -66,8 +67,9 @@ def quaternion(T: Array) -> list[float]:
 @pytest.fixture(scope="module")
 def known(tmp_path_factory: pytest.TempPathFactory) -> Known:
     folder = tmp_path_factory.mktemp("known")
-    stage = build_world(RigScenario.model_validate(_SCENARIO), 1)
+    stage = build_world(RigScenario.model_validate(_SCENARIO), 1, images=False)
     rig, captured, truth = simulate_detections(stage, 1, IdealDetectorOptions(pixel=0.05))
+    rig = without_bootstrap(rig)
     save_yaml(folder / "rig.yaml", rig.to_plain())
     save_problem(
         build_problem_from_captures(rig, captured, RigOptions(), np.random.default_rng(0)), folder / "dump.npz"

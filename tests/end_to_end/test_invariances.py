@@ -29,6 +29,7 @@ from calgraph.simulation import (
 from calgraph.simulation.robot import MountedCamera
 from random_rig_draws import draw_rig
 from random_rig_messages import record
+from simulated_rigs import without_bootstrap
 
 pytestmark = pytest.mark.without_coverage
 
@@ -95,7 +96,7 @@ def snapshots() -> Snapshots:
             messages[name].append(replace(sent[0], stamp=100.0 + STEP * k + 0.01 * i))
     infos = {s.name: CameraInfo(100.0, s.frame_id, s.camera) for s in world.robot if isinstance(s, MountedCamera)}
     rig = rig.model_copy(update={"capture": Capture(), "tolerance": TOLERANCE})
-    return Snapshots(rig, {name: tuple(sent) for name, sent in messages.items()}, infos)
+    return Snapshots(without_bootstrap(rig), {name: tuple(sent) for name, sent in messages.items()}, infos)
 
 
 @pytest.fixture(scope="module")

@@ -28,6 +28,7 @@ from simulated_rigs import (
     alter_messages,
     build_recording,
     calibrate,
+    keep_decoded,
     pose_errors,
     simulate_scenario,
 )
@@ -93,7 +94,8 @@ def assert_true(
 
 @pytest.fixture(scope="module")
 def recorded_rig() -> Staged:
-    return simulate_scenario(SCENARIO)
+    rig, recording, truth = simulate_scenario(SCENARIO)
+    return rig, keep_decoded(recording), truth
 
 
 def test_a_rig_that_starts_from_the_consensus_of_all_pairs_ends_the_same(recorded_rig: Staged) -> None:

@@ -18,7 +18,14 @@ from calgraph.simulation import (
     build_world,
 )
 from calgraph.simulation.robot import MountedCamera
-from simulated_rigs import SimulatedRecording, build_recording, calibrate, pose_errors, simulate_scenario
+from simulated_rigs import (
+    SimulatedRecording,
+    build_recording,
+    calibrate,
+    keep_decoded,
+    pose_errors,
+    simulate_scenario,
+)
 
 pytestmark = pytest.mark.without_coverage
 
@@ -54,9 +61,10 @@ def record(lens: str, **knobs: object) -> Recorded:
         move_time=0.4,
     ).model_copy(update=knobs)
     rig, recording, truth = simulate_scenario(scenario, 3)
-    cameras = [one.camera for one in build_world(scenario, 3).robot if isinstance(one, MountedCamera)]
+    robot = build_world(scenario, 3, images=False).robot
+    cameras = [one.camera for one in robot if isinstance(one, MountedCamera)]
     bare = build_recording(r for r in recording.messages if not r.topic.endswith("camera_info"))
-    return change_camera(rig, camera_info=None), bare, truth, cameras[0]
+    return change_camera(rig, camera_info=None), keep_decoded(bare), truth, cameras[0]
 
 
 def change_camera(rig: Rig, **keys: object) -> Rig:

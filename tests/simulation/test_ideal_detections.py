@@ -44,7 +44,7 @@ NOISELESS = SMALL.model_copy(
 
 @pytest.fixture(scope="module")
 def world() -> World:
-    return build_world(SMALL, 0)
+    return build_world(SMALL, 0, images=False)
 
 
 def ends(captured: CaptureSet, name: str) -> dict[int, Array]:
@@ -108,7 +108,7 @@ def test_corners_have_the_stated_noise(world: World) -> None:
 
 
 def test_angle_noise_adds_to_ranges_on_an_inclined_board() -> None:
-    world = build_world(NOISELESS, 0)
+    world = build_world(NOISELESS, 0, images=False)
     options = IdealDetectorOptions(angle=0.001)
     whitened = []
     for seed in range(3):
@@ -125,7 +125,7 @@ def test_angle_noise_adds_to_ranges_on_an_inclined_board() -> None:
 
 @pytest.mark.parametrize("name", ["lidar", "laser_front"])
 def test_beams_without_noise_end_on_the_board(name: str) -> None:
-    _, captured, truth = simulate_detections(build_world(NOISELESS, 0), 0)
+    _, captured, truth = simulate_detections(build_world(NOISELESS, 0, images=False), 0)
     T_board_sensor = se3.inverse(planes(truth, name))
     on_board = [se3.apply(T_board_sensor[capture], points) for capture, points in ends(captured, name).items()]
     flat = np.concatenate(on_board)
@@ -155,7 +155,7 @@ def test_the_stated_noise_does_not_change_the_measurements(world: World) -> None
 
 
 def test_rigs_calibrate_from_detections_alone() -> None:
-    world = build_world(RigScenario(camera=CAMERA), 1)
+    world = build_world(RigScenario(camera=CAMERA), 1, images=False)
     rig, captured, truth = simulate_detections(world, 0)
     rng = np.random.default_rng(0)
     estimates = select_successful(estimate_pairs(captured.detections, rig.board_size, rng))
@@ -168,7 +168,7 @@ def test_rigs_calibrate_from_detections_alone() -> None:
 
 def test_in_disturbed_captures_some_sensors_measure_the_slipped_board() -> None:
     scenario = SMALL.model_copy(update={"samples": 8, "disturbed": 0.25})
-    _, captured, truth = simulate_detections(build_world(scenario, 0), 0)
+    _, captured, truth = simulate_detections(build_world(scenario, 0, images=False), 0)
     off = {True: 0, False: 0}
     surfaces = plane.from_pose(planes(truth, "lidar"))
     for capture, (detection,) in captured.detections["lidar"].items():
@@ -182,7 +182,7 @@ def test_in_disturbed_captures_some_sensors_measure_the_slipped_board() -> None:
 
 def test_a_slip_does_not_change_other_captures() -> None:
     clean, slipped = (
-        simulate_detections(build_world(SMALL.model_copy(update={"disturbed": share}), 0), 0)
+        simulate_detections(build_world(SMALL.model_copy(update={"disturbed": share}), 0, images=False), 0)
         for share in (0.0, 0.4)
     )
     resting = [i for i, board in enumerate(slipped[2].boards) if not board.disturbed]
@@ -191,16 +191,16 @@ def test_a_slip_does_not_change_other_captures() -> None:
 
 
 def test_detections_need_no_images(world: World) -> None:
-    without = build_world(SMALL, 0, images=False)
-    assert not without.renderers
+    complete = build_world(SMALL, 0)
+    assert not world.renderers
     for name in ("lidar", "laser_front"):
-        a, b = (ends(simulate_detections(one, 0)[1], name) for one in (world, without))
+        a, b = (ends(simulate_detections(one, 0)[1], name) for one in (complete, world))
         assert a.keys() == b.keys()
         assert all(np.array_equal(a[i], b[i]) for i in a)
 
 
 def test_a_board_out_of_view_is_rejected() -> None:
-    world = build_world(SMALL.model_copy(update={"bearings": (0, 180)}), 0)
+    world = build_world(SMALL.model_copy(update={"bearings": (0, 180)}), 0, images=False)
     _, captured, _ = simulate_detections(world, 0)
     behind = range(SMALL.samples, 2 * SMALL.samples)
     assert not set(behind) & set(captured.detections["camera"])
@@ -212,7 +212,7 @@ def test_a_partly_visible_chessboard_is_rejected() -> None:
     board = Board(size=(1.2, 0.9), pattern=pattern)
     narrow = CAMERA.model_copy(update={"field_of_view": 70.0})
     scenario = SMALL.model_copy(update={"board": board, "camera": narrow, "bearings": (-40, 0, 40)})
-    _, captured, truth = simulate_detections(build_world(scenario, 0), 0)
+    _, captured, truth = simulate_detections(build_world(scenario, 0, images=False), 0)
     sizes = {len(found[0].pixels) for found in captured.detections["camera"].values()}  # type: ignore[union-attr]
     assert sizes == {48}
     assert 0 < len(captured.detections["camera"]) < len(truth.boards)
@@ -221,13 +221,13 @@ def test_a_partly_visible_chessboard_is_rejected() -> None:
 def test_two_rings_are_no_plane() -> None:
     few = MultibeamOptions(count=1, rings=2, lowest=-1.0, highest=1.0)
     scenario = SMALL.model_copy(update={"multibeam": few, "spinning": SpinningOptions(count=0)})
-    _, captured, truth = simulate_detections(build_world(scenario, 0), 0)
+    _, captured, truth = simulate_detections(build_world(scenario, 0, images=False), 0)
     missed = [capture for capture, sensor in captured.rejections if sensor == "lidar"]
     assert (len(captured.detections["lidar"]), len(missed)) == (0, len(truth.boards))
 
 
 def test_of_two_beams_at_an_edge_the_first_hits_the_board() -> None:
-    _, captured, truth = simulate_detections(build_world(NOISELESS, 0), 0)
+    _, captured, truth = simulate_detections(build_world(NOISELESS, 0, images=False), 0)
     T_board_sensor, hits = se3.inverse(planes(truth, "laser_front")), []
     for capture, (detection,) in captured.detections["laser_front"].items():
         assert isinstance(detection, Segment)

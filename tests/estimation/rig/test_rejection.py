@@ -184,7 +184,7 @@ TREMBLING = QUICK.model_copy(update={"samples": 1})
 @pytest.mark.parametrize("tremor", [0.0, 0.0005, 0.001])
 def test_a_trembling_board_loses_no_views(tremor: float) -> None:
     """From message to message; images are six times sharper than rig.yaml states."""
-    world, rejected, nees = build_world(TREMBLING, 1), 0, []
+    world, rejected, nees = build_world(TREMBLING, 1, images=False), 0, []
     for seed in range(6):
         one = detect_rig_on(world, seed, ModelErrors(BoardErrors(tremor=tremor)), IdealDetectorOptions(pixel=0.05))
         sensors = {

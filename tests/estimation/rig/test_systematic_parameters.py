@@ -197,7 +197,7 @@ def test_a_focal_length_one_percent_off_moves_no_camera() -> None:
 
 def test_outlines_do_not_bias_the_range_scale() -> None:
     """Noise of edges must not favour nearer boards: residuals are angles, not distances on the board."""
-    scales, world = [], build_world(FINE.model_copy(update={"samples": 1}), 1)
+    scales, world = [], build_world(FINE.model_copy(update={"samples": 1}), 1, images=False)
     for seed in range(20):
         one = detect_rig_on(world, seed)
         rig = exact_rig(one.rig)
@@ -211,7 +211,7 @@ def test_outlines_do_not_bias_the_range_scale() -> None:
 
 def test_covariances_contain_systematic_errors_drawn_from_their_priors() -> None:
     """Every systematic error of sensors and board at once, in 24 worlds."""
-    world = build_world(FINE.model_copy(update={"samples": 1}), 1)
+    world = build_world(FINE.model_copy(update={"samples": 1}), 1, images=False)
     nees = []
     for seed in range(24):
         one = detect_rig_on(world, seed, draw_errors(world, np.random.default_rng(seed)))
