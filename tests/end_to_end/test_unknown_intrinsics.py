@@ -153,6 +153,7 @@ def test_the_covariance_of_the_estimate_is_no_prior(built: Problem) -> None:
     assert prior.principal_point == pytest.approx(200)
 
 
+@pytest.mark.parametrize("recorded", ["pinhole"], indirect=True)
 def test_a_stated_model_is_used_even_if_intrinsics_are_recorded(recorded: Recorded) -> None:
     rig, recording, *_ = recorded
     problem = build_problem(change_camera(rig, intrinsics="estimate fisheye"), recording, OPTIONS)

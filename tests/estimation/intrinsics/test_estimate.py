@@ -68,7 +68,7 @@ def test_a_pinhole_is_that_of_opencv() -> None:
 def test_a_fisheye_is_that_of_opencv() -> None:
     # OpenCV undistorts corners to z = 1 at first, so they must be less than 90 degrees from the axis.
     views = [
-        v for v in simulate_views(FISHEYE, 6, 30, extent=0.5) if np.abs(v.flat_pixels - [655, 470]).max() < 420
+        v for v in simulate_views(FISHEYE, 6, 20, extent=0.5) if np.abs(v.flat_pixels - [655, 470]).max() < 420
     ]
     found = estimate(views)
     corners = [view.flat_corners[None] for view in views]
@@ -119,7 +119,7 @@ def test_too_few_views_are_named_with_what_to_do() -> None:
     )
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("kind", ["pinhole", "fisheye"])
 def test_boards_that_face_the_camera_do_not_determine_a_focal_length(kind: str, seed: int) -> None:
     # Parallel to the image, not across the line of sight: there, perspective shows.

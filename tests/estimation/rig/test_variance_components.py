@@ -56,7 +56,7 @@ def every_view(bundle: Bundle) -> list[NDArray[np.bool_]]:
     return [np.ones(len(views.board), dtype=np.bool_) for views in bundle.all_views]
 
 
-@pytest.mark.parametrize("noise", [0.1, 0.5, 1.0, 2.0])
+@pytest.mark.parametrize("noise", [0.1, 2.0])
 def test_wrongly_stated_noise_is_estimated(noise: float) -> None:
     exact = scene(boards=6)
     found = []
@@ -76,7 +76,7 @@ def test_wrongly_stated_noise_is_estimated(noise: float) -> None:
     assert np.all(np.abs(np.mean(found, axis=0) - noise) < 3 * spread + pull)
 
 
-@pytest.mark.parametrize("noise", [0.3, 1.0, 2.0])
+@pytest.mark.parametrize("noise", [0.3, 2.0])
 def test_noise_is_estimated_from_the_scatter_among_views(noise: float) -> None:
     """Two beams on a board always fit it: noise and view bias are determined together by where the lines are."""
     exact = scene(("lidar", "camera", "laser"), boards=15)
@@ -174,7 +174,7 @@ def test_with_view_bias_errors_are_consistent_with_the_covariance(
     """Also where it is as usual; at three times that, components that are hardly measured are too small."""
     exact = scene(boards=20)
     nees = []
-    for seed in range(2 * SEEDS):
+    for seed in range(SEEDS):
         measured = exact.measured(np.random.default_rng(seed), view_bias=view_bias)
         bundle, solution = settled(exact, with_weight(measured, weight))
         spread = pose_covariance(bundle, solution.state, solution.equations)[6:, 6:]
