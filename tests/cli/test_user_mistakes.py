@@ -45,6 +45,14 @@ def places(simulated: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterato
     assert not (tmp / "result").exists()
 
 
+@pytest.fixture(scope="module")
+def _cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Detections that a mistake does not change are those of an earlier test, which saves their time."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("CALGRAPH_CACHE", str(tmp_path_factory.mktemp("cache")))
+        yield
+
+
 def edited(rig: Path, path: str, value: Any, to: Path) -> Path:
     """The rig with one key set to a value, or left out for None."""
     content = copy.deepcopy(read_yaml(rig))
@@ -104,6 +112,7 @@ def test_in_the_usage(run: Run, places: Mapping[str, Path], mistake: str) -> Non
     assert "--help' for help" in text
 
 
+@pytest.mark.usefixtures("_cache")
 @pytest.mark.parametrize("mistake", RESULTS)
 def test_in_what_rig_yaml_states(run: Run, places: Mapping[str, Path], tmp_path: Path, mistake: str) -> None:
     path, value, code, message = RESULTS[mistake]
