@@ -48,10 +48,10 @@ def walk(tmp_path_factory: pytest.TempPathFactory) -> Path:
         move_time=0.6,
         trigger=False,
         clutter=4,
-        camera=CameraOptions(count=1, width=640, height=480, rate=5.0),
+        camera=CameraOptions(count=1, width=480, height=360, rate=4.0, texels_per_mm=1.0),
         laser=LaserOptions(count=1, rate=10, resolution=0.5),
         spinning=SpinningOptions(count=0),
-        multibeam=MultibeamOptions(count=1, rate=5, resolution=0.5),
+        multibeam=MultibeamOptions(count=1, rate=5, resolution=0.8),
     )
     simulate_rig(scenario, folder, seed=3)
     return folder

@@ -129,6 +129,7 @@ def test_calls_of_a_lost_worker_are_repeated(engine: DaskEngine, tmp_path: Path)
     assert engine.map(add, [(one, 0) for one in kept]) == [0, 10, 20, 30]
 
 
+@pytest.mark.without_coverage
 def test_a_call_that_ends_all_workers_is_reported(engine: DaskEngine) -> None:
     with pytest.raises(CalibrationError, match="several workers of the cluster were lost by the same call"):
         engine.map(end_worker, [(1,)])
