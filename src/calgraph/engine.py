@@ -1,25 +1,25 @@
 """Where the calls of a calibration run: in processes of this machine, or on a cluster."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar
 
 from calgraph.processes import forked_jobs, parallel_map, parallel_stream
+from calgraph.worker_processes import start_workers
 
 Result = TypeVar("Result")
 
 
-class Engine(Protocol):
-    """Evaluates independent calls. Results do not depend on where, nor on how many run at the same time.
+class MapEngine(Protocol):
+    """Evaluates independent calls that are known at once.
+
+    Results do not depend on where calls run, nor on how many run at the same time.
 
     Values that several calls take are made available once. A handle then stands for each of them among the
     arguments of calls, not within other arguments, and the call gets the value. A value is available as long as
     its handle exists.
     """
-
-    @property
-    def jobs(self) -> int:
-        """Processes of this machine that may work at the same time, for calls that the engine does not run."""
 
     @property
     def workers(self) -> int:
@@ -68,6 +68,14 @@ class Engine(Protocol):
             CalibrationError: the engine cannot go on; or what ``function`` raises.
         """
 
+
+class Engine(MapEngine, Protocol):
+    """Evaluates independent calls, also those of a stream."""
+
+    @property
+    def jobs(self) -> int:
+        """Processes of this machine that may work at the same time, for calls that the engine does not run."""
+
     def stream(
         self, function: Callable[..., Result], work: Iterable[tuple[Any, ...]], shared: Any
     ) -> Iterator[Result]:
@@ -85,6 +93,9 @@ class Engine(Protocol):
         Raises:
             CalibrationError: the engine cannot go on; or what ``function`` or the stream raises.
         """
+
+    def keep_workers(self) -> AbstractContextManager[MapEngine]:
+        """Workers for maps that follow each other: until the block ends, they keep values without sending them."""
 
 
 @dataclass(frozen=True)
@@ -127,11 +138,12 @@ class Processes:
         """See :meth:`Engine.stream`."""
         return parallel_stream(function, work, shared, self.jobs)
 
+    def keep_workers(self) -> AbstractContextManager[MapEngine]:
+        """See :meth:`Engine.keep_workers`."""
+        # Elsewhere, each would import everything again.
+        jobs = forked_jobs(self.jobs)
+        return start_workers(jobs) if jobs > 1 else nullcontext(THIS_PROCESS)
+
 
 THIS_PROCESS = Processes()
 """No other process."""
-
-
-def for_short_calls(engine: Engine) -> Engine:
-    """The engine for maps of less than a second: no other processes where each imports everything again."""
-    return Processes(forked_jobs(engine.jobs)) if isinstance(engine, Processes) else engine

@@ -13,7 +13,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, as_
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar
 
 from calgraph.errors import CalibrationError, WorkerKilledError
 from calgraph.termination import SIGNALS, add_cleanup, remove_cleanup
@@ -25,10 +25,12 @@ Result = TypeVar("Result")
 # Calls of a stream that are submitted ahead for each process: enough that short calls behind a long one keep all
 # processes busy, few enough that their arguments fit into memory.
 _SUBMITTED_PER_PROCESS = 4
-_KILLED = "a process was killed, perhaps because memory ran out; reduce `jobs`"
+KILLED_MESSAGE = "a process was killed, perhaps because memory ran out; reduce `jobs`"
+"""What a user is told then."""
 # A forked worker has all imports and needs no importable main module, which a notebook does not have. NumPy
 # supports forking, and no thread of calgraph holds a lock then, which is what Python 3.12 warns about.
-_START_METHOD = "fork" if sys.platform == "linux" else "spawn"
+START_METHOD: Literal["fork", "spawn"] = "fork" if sys.platform == "linux" else "spawn"
+"""Of worker processes."""
 _shared: list[Any] = []
 """In a worker: the one argument that all calls of its pool share."""
 
@@ -41,7 +43,7 @@ def available_cores() -> int:
 
 def forked_jobs(jobs: int) -> int:
     """The number of processes for work of less than a second: 1 where each process imports everything again."""
-    return jobs if _START_METHOD == "fork" else 1
+    return jobs if START_METHOD == "fork" else 1
 
 
 def parallel_map(
@@ -66,7 +68,7 @@ def parallel_map(
         WorkerKilledError: a process was killed.
         CalibrationError: processes cannot be started; or what ``function`` raises.
     """
-    forked = _START_METHOD == "fork"
+    forked = START_METHOD == "fork"
     with _process_pool(min(jobs, len(work)), (function, work) if forked else None) as pool:
         if pool is None:
             results = []
@@ -198,10 +200,10 @@ def _submit_all(
 
 def _submit(pool: ProcessPoolExecutor, function: Callable[..., Result], *arguments: Any) -> Future[Result]:
     try:
-        with _postponed_signals():
+        with postponed_signals():
             return pool.submit(function, *arguments)
     except BrokenProcessPool as error:
-        raise WorkerKilledError(_KILLED) from error
+        raise WorkerKilledError(KILLED_MESSAGE) from error
     except (OSError, RuntimeError) as error:
         # The latter is how threads fail to start. The executor leaves workers that were started before; the
         # interpreter would wait for them.
@@ -211,7 +213,7 @@ def _submit(pool: ProcessPoolExecutor, function: Callable[..., Result], *argumen
 
 
 @contextmanager
-def _postponed_signals() -> Iterator[None]:
+def postponed_signals() -> Iterator[None]:
     """Handles signals that end the program after the block.
 
     An exception from their handlers between the starts of two workers would leave the first one running: the
@@ -258,7 +260,7 @@ def _get_result(future: Future[Result]) -> Result:
     try:
         return future.result()
     except BrokenProcessPool as error:
-        raise WorkerKilledError(_KILLED) from error
+        raise WorkerKilledError(KILLED_MESSAGE) from error
 
 
 @contextmanager
@@ -271,7 +273,7 @@ def _process_pool(
 
     Args:
         count: of processes that are to work.
-        shared: see :func:`_start_worker`.
+        shared: see :func:`start_worker`.
         workers: of which these are in the pool; all if left out, and this process waits.
     """
     pool = _make_pool(workers or count, shared) if count > 1 else None
@@ -291,9 +293,9 @@ def _process_pool(
 
 
 def _make_pool(count: int, shared: object) -> ProcessPoolExecutor | None:
-    context = multiprocessing.get_context(_START_METHOD)
+    context = multiprocessing.get_context(START_METHOD)
     try:
-        return ProcessPoolExecutor(count, mp_context=context, initializer=_start_worker, initargs=(shared,))
+        return ProcessPoolExecutor(count, mp_context=context, initializer=start_worker, initargs=(shared,))
     except (OSError, ImportError, NotImplementedError) as error:
         # Semaphores are in shared memory, which containers may lack.
         reason = getattr(error, "strerror", None) or error
@@ -301,7 +303,7 @@ def _make_pool(count: int, shared: object) -> ProcessPoolExecutor | None:
         return None
 
 
-def _start_worker(shared: object) -> None:
+def start_worker(shared: object) -> None:
     """Keeps what the calls share, ignores signals of terminals, and ends with the parent.
 
     A terminal sends SIGINT and SIGHUP to all processes, and the parent handles them. A parent that is killed does

@@ -25,7 +25,7 @@ from calgraph.diagnostics import (
     merge_calibrations,
     remove_scanners,
 )
-from calgraph.engine import Engine
+from calgraph.engine import MapEngine
 from calgraph.errors import CalibrationError, InputError, Rejected
 from calgraph.estimation import NetworkSolution, ScannerPrior, solve_network
 from calgraph.graph import NetworkInitialization, initialize_network
@@ -82,41 +82,42 @@ def calibrate_tracks(
     rng = np.random.default_rng(options.seed)
     corrected = pair_scanners(rig, tracked, options, rng, progress)
     initialization = _initialize(rig, corrected, options, rng)
-    joint = prior = None
-    # A root without connections may have no tracks.
-    if options.estimator == "joint" and len(initialization.names) > 1:
-        progress("solving", 0.0)
-        joint, prior = _solve_jointly(rig, corrected, initialization, earlier, options.engine)
-        progress("solving", 1.0)
-    log_network(corrected.pairs, initialization, joint)
-    if bump := _find_bump(rig, corrected, initialization, joint):
-        name, step = bump
-        later = {**tracks, name: _select_after(tracks[name], step, rig.settings.tracking.stationarity)}
-        return calibrate_tracks(rig, later, options, progress, frames=frames, start=start, findings=findings)
-    contradictions: Sequence[Finding] = ()
-    if joint is not None:
-        assessment = assess_network_model(
-            moving_target(rig),
-            joint,
-            [corrected.tracked[name] for name in initialization.names],
+    with options.engine.keep_workers() as engine:
+        joint = prior = None
+        # A root without connections may have no tracks.
+        if options.estimator == "joint" and len(initialization.names) > 1:
+            progress("solving", 0.0)
+            joint, prior = _solve_jointly(rig, corrected, initialization, earlier, engine)
+            progress("solving", 1.0)
+        log_network(corrected.pairs, initialization, joint)
+        if bump := _find_bump(rig, corrected, initialization, joint):
+            name, step = bump
+            later = {**tracks, name: _select_after(tracks[name], step, rig.settings.tracking.stationarity)}
+            return calibrate_tracks(rig, later, options, progress, frames=frames, start=start, findings=findings)
+        contradictions: Sequence[Finding] = ()
+        if joint is not None:
+            assessment = assess_network_model(
+                moving_target(rig),
+                joint,
+                [corrected.tracked[name] for name in initialization.names],
+                initialization,
+                rig.settings.diagnostics,
+                replaceable=earlier is None,  # averaged poses do not contain the earlier ones
+            )
+            joint, contradictions = assessment.joint, assessment.findings
+        start = _first_time(corrected.tracked) if start is None else start
+        of_poses = collect_network_findings(tracks, initialization, start, rig.settings.diagnostics.network)
+        calibration = assemble_network(
+            rig,
+            {name: (frames or {}).get(name, "") for name in rig.sensors},
+            {**tracks, **corrected.tracked},
             initialization,
-            rig.settings.diagnostics,
-            replaceable=earlier is None,  # averaged poses do not contain the earlier ones
+            start,
+            joint,
+            (*findings, *corrected.findings, *of_poses, *contradictions),
+            clock_offset=corrected.clock_offset,
+            inverted=corrected.inverted,
         )
-        joint, contradictions = assessment.joint, assessment.findings
-    start = _first_time(corrected.tracked) if start is None else start
-    of_poses = collect_network_findings(tracks, initialization, start, rig.settings.diagnostics.network)
-    calibration = assemble_network(
-        rig,
-        {name: (frames or {}).get(name, "") for name in rig.sensors},
-        {**tracks, **corrected.tracked},
-        initialization,
-        start,
-        joint,
-        (*findings, *corrected.findings, *of_poses, *contradictions),
-        clock_offset=corrected.clock_offset,
-        inverted=corrected.inverted,
-    )
     return _merge_with_earlier(calibration, earlier, prior) if earlier else calibration
 
 
@@ -142,7 +143,7 @@ def _solve_jointly(
     corrected: CorrectedPairs,
     initialization: NetworkInitialization,
     earlier: Calibration | None,
-    engine: Engine,
+    engine: MapEngine,
 ) -> tuple[NetworkSolution, ScannerPrior | None]:
     """The joint solution, and the prior from the poses of an earlier calibration that it agrees with."""
     names = initialization.names

@@ -3,11 +3,12 @@
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from calgraph.config.settings import DaskSettings
+from calgraph.engine import MapEngine
 from calgraph.errors import CalibrationError, WorkerKilledError
 
 if TYPE_CHECKING:
@@ -105,6 +106,10 @@ class DaskEngine:
                 yield submitted.popleft().result()
         if error is not None:
             raise error
+
+    def keep_workers(self) -> AbstractContextManager[MapEngine]:
+        """See :meth:`calgraph.engine.Engine.keep_workers`: the cluster's workers stay anyway."""
+        return nullcontext(self)
 
     def _count_ahead(self) -> int:
         """The number of unfinished calls of a stream; workers may come and go."""

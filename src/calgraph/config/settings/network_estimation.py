@@ -112,6 +112,9 @@ class ModelErrorSettings(StrictModel):
     scanners measure a body together."""
     initial_heading_sigma: float = Field(default=0.05, gt=0)
     """The same of a body's heading, rad."""
+    max_beams: int = Field(default=500_000, ge=20_000)
+    """Beams of the bodies that are compared, evenly among all of larger networks: those of about 1500 strides of 5
+    scanners, which determine a standard deviation to 2 %."""
     stride_duration: float = Field(default=1.0, gt=0)
     """Scanners are compared over this time, s: two steps of a walk, the period in which arms swing and deviations
     are correlated."""
@@ -173,6 +176,12 @@ class NetworkEstimationSettings(StrictModel):
     initial_damping: float = Field(default=1e-3, gt=0)
     """Initial damping of each solution, relative to the diagonal: with few steps, rejected ones are expensive.
     With 1e-5, one of 24 simulated networks, of wrongly stated radii, did not converge."""
+    round_damping: float = Field(default=1e-6, gt=0)
+    """The same in the rounds, which start near their minimum: 1e-3 of the large diagonal of a smooth path makes
+    slow steps of what scanners have in common, such as their range scale."""
+    round_tolerance: float = Field(default=5e-5, ge=0)
+    """Share of the cost that the next step of a round is predicted to gain, at which all but the last round end:
+    about two steps. The changes of weights and noise from one round to the next are several times larger."""
     max_rounds: int = Field(default=5, ge=1)
     """Rounds of noise, weights, model error, walls and solution. Over 21 simulated offices, halls and labs, two
     rounds give a NEES of 0.59, five 0.96, and ten change nothing."""

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
-from calgraph.engine import THIS_PROCESS, Engine
+from calgraph.engine import THIS_PROCESS, MapEngine
 from calgraph.estimation.network.problem import BodyObservations, NetworkProblem, NetworkState
 
 # Beams of a batch: their equations take about 20 ms, of which calls and results are a tenth.
@@ -24,14 +24,14 @@ class KeptValues:
 class BodyBatches:
     """The bodies of a network in batches, which do not depend on the engine."""
 
-    engine: Engine
-    bounds: tuple[int, ...]
-    """First body of each batch, and the number of bodies."""
+    engine: MapEngine
+    bodies: tuple[slice, ...]
+    """Of each batch, among those of the network."""
     handles: tuple[Any, ...]
     """Of the bodies of each batch."""
 
     @classmethod
-    def place(cls, bodies: Sequence[BodyObservations], engine: Engine = THIS_PROCESS) -> "BodyBatches":
+    def place(cls, bodies: Sequence[BodyObservations], engine: MapEngine = THIS_PROCESS) -> "BodyBatches":
         """Hands bodies to an engine."""
         bounds, beams = [0], 0
         for index, body in enumerate(bodies):
@@ -39,7 +39,12 @@ class BodyBatches:
             if beams >= _BATCH_BEAMS or index == len(bodies) - 1:
                 bounds.append(index + 1)
                 beams = 0
-        return cls(engine, tuple(bounds), tuple(engine.put([bodies[a:b] for a, b in pairwise(bounds)])))
+        slices = tuple(slice(*pair) for pair in pairwise(bounds))
+        return cls(engine, slices, tuple(engine.put([bodies[selected] for selected in slices])))
+
+    def thin(self, step: int) -> "BodyBatches":
+        """Every n-th batch."""
+        return replace(self, bodies=self.bodies[::step], handles=self.handles[::step])
 
     def map(
         self, function: Callable[..., Any], network: NetworkProblem, state: NetworkState, *others: Any
@@ -47,7 +52,7 @@ class BodyBatches:
         """Calls a function with the network and the state, one body and its path, and further values of the body.
 
         Args:
-            function: as for :meth:`calgraph.engine.Engine.map`; the network that it gets has no bodies and
+            function: as for :meth:`calgraph.engine.MapEngine.map`; the network that it gets has no bodies and
                 walls, and the state no paths.
             network: with these bodies.
             state: with their paths.
@@ -74,10 +79,10 @@ class BodyBatches:
         [shared] = self.engine.put([(replace(network, bodies=(), walls=(), prior=None), replace(state, paths=()))])
         return [
             (
-                *(function, shared, self.handles[n], state.paths[a:b]),
-                *(other.handles[n] if isinstance(other, KeptValues) else other[a:b] for other in others),
+                *(function, shared, self.handles[n], state.paths[selected]),
+                *(other.handles[n] if isinstance(other, KeptValues) else other[selected] for other in others),
             )
-            for n, (a, b) in enumerate(pairwise(self.bounds))
+            for n, selected in enumerate(self.bodies)
         ]
 
 

@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import connected_components
 
 from calgraph.config import Cylinder, Lidar2dUncertainty, People
 from calgraph.config.settings import NetworkEstimationSettings, ScannerPairSettings, TrackingSettings
-from calgraph.engine import THIS_PROCESS, Engine, for_short_calls
+from calgraph.engine import THIS_PROCESS, MapEngine
 from calgraph.errors import Rejected
 from calgraph.estimation.network.body_batches import BodyBatches
 from calgraph.estimation.network.body_parts import cut_bodies
@@ -118,7 +118,7 @@ def solve_network(
     settings: NetworkEstimationSettings = NetworkEstimationSettings(),
     acceleration_density: float = TrackingSettings().acceleration_density,
     pair_settings: ScannerPairSettings = ScannerPairSettings(),
-    engine: Engine = THIS_PROCESS,
+    engine: MapEngine = THIS_PROCESS,
 ) -> NetworkSolution:
     """Solves jointly for poses, clocks and systematic errors of scanners, and paths and radii of bodies.
 
@@ -135,7 +135,7 @@ def solve_network(
         pair_settings: of the ICP of static backgrounds, and of the ticks at which tracks are compared.
         engine: evaluates bodies and walls; does not affect the result.
     """
-    engine, T_root_scanner = for_short_calls(engine), averaged.T_root_node
+    T_root_scanner = averaged.T_root_node
     edges = [
         WallConstraint(int(i), int(j), T, information)
         for (i, j), T, information, inlier in zip(
@@ -202,30 +202,38 @@ def _solve_bodies(
     state: NetworkState,
     edges: Sequence[WallConstraint],
     add_walls: AddWalls,
-    engine: Engine,
+    engine: MapEngine,
 ) -> tuple[NetworkProblem, NetworkState, NetworkEquations]:
     """Solves for scanners and ellipses, from the noise of the background and the priors of rig.yaml."""
     settings, background, prior_sigma = network.settings, network.range_sigma, network.systematic_sigma
     network = replace(network, walls=select_bridges(network, (), edges))
+    batches = BodyBatches.place(network.bodies, engine)
     for path_sigma in (settings.first_path_sigma, settings.second_path_sigma):
         network = replace(network, range_sigma=np.hypot(background, path_sigma))
-        network = _update_weights(network, state, engine, settings.beams.initial_near_side_factor)
-        batches = BodyBatches.place(network.bodies, engine)
+        network, batches = _update_weights(network, state, batches, settings.beams.initial_near_side_factor)
         state, equations = optimize_network(network, state, iterations=settings.iterations, batches=batches)
         state = search_headings(network, state, batches)
     previous = np.full(2, np.inf)
-    for _ in range(settings.max_rounds):
+    for rounds_left in reversed(range(settings.max_rounds)):
         range_sigma = estimate_range_noise(network, state, equations, background)
-        network = _update_weights(replace(network, range_sigma=range_sigma), state, engine)
-        batches = BodyBatches.place(network.bodies, engine)
+        network, batches = _update_weights(replace(network, range_sigma=range_sigma), state, batches)
         network = replace(
             network,
             model_error_variance=estimate_model_error(network, state, batches),
             systematic_sigma=estimate_systematic_sigma(network, state, equations, prior_sigma, engine),
         )
+        change = np.abs(network.model_error_variance / previous - 1)
+        last = rounds_left == 0 or bool(np.all(change < settings.model_error.tolerance))
         network = add_walls(network, state)
-        state, equations = optimize_network(network, state, iterations=settings.iterations, batches=batches)
-        if np.all(np.abs(network.model_error_variance / previous - 1) < settings.model_error.tolerance):
+        state, equations = optimize_network(
+            network,
+            state,
+            iterations=settings.iterations,
+            relative_tolerance=0.0 if last else settings.round_tolerance,
+            damping=settings.round_damping,
+            batches=batches,
+        )
+        if last:
             break
         previous = network.model_error_variance
     return network, state, equations
@@ -312,16 +320,15 @@ def _initialize_path(
 
 
 def _update_weights(
-    network: NetworkProblem, state: NetworkState, engine: Engine, near_side_factor: float = 1.0
-) -> NetworkProblem:
-    """The network with robust weights of beams at a state; ``near_side_factor`` as for the weights."""
-    compute = partial(_compute_weights, near_side_factor=near_side_factor)
-    weights = BodyBatches.place(network.bodies, engine).map(compute, network, state)
+    network: NetworkProblem, state: NetworkState, batches: BodyBatches, near_side_factor: float = 1.0
+) -> tuple[NetworkProblem, BodyBatches]:
+    """The network with robust weights of beams at a state, and its bodies; the factor is that of the weights."""
+    weights = batches.map(partial(_compute_weights, near_side_factor=near_side_factor), network, state)
     bodies = []
     for body, of_scanners in zip(network.bodies, weights, strict=True):
         scans = (replace(one, weight=weight) for one, weight in zip(body.scans, of_scanners, strict=True))
         bodies.append(replace(body, scans=tuple(scans)))
-    return replace(network, bodies=tuple(bodies))
+    return replace(network, bodies=tuple(bodies)), BodyBatches.place(bodies, batches.engine)
 
 
 def _compute_weights(
@@ -347,7 +354,7 @@ def _register_walls(
     network: NetworkProblem,
     state: NetworkState,
     pair_settings: ScannerPairSettings,
-    engine: Engine,
+    engine: MapEngine,
 ) -> tuple[WallConstraint, ...]:
     """Registers the static backgrounds of all pairs of scanners that measured a common body."""
     pairs = {

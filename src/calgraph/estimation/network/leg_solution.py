@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from calgraph.config.settings import LegSettings
-from calgraph.engine import THIS_PROCESS, Engine
+from calgraph.engine import THIS_PROCESS, MapEngine
 from calgraph.estimation.network.body_batches import BodyBatches
 from calgraph.estimation.network.leg_association import LegCandidate, ScannerBeams, associate_beams
 from calgraph.estimation.network.leg_equations import compute_leg_residuals, raycast_leg
@@ -35,7 +35,7 @@ def solve_legs(
     state: NetworkState,
     foregrounds: Sequence[Foreground],
     add_walls: AddWalls,
-    engine: Engine = THIS_PROCESS,
+    engine: MapEngine = THIS_PROCESS,
 ) -> tuple[NetworkProblem, NetworkState, NetworkEquations]:
     """Solves jointly for the unknowns of scanners, and the paths and shapes of legs.
 

@@ -74,7 +74,9 @@ def estimate_model_error(
         state: near its minimum.
         batches: the bodies, where they have been placed already.
     """
+    beams = sum(len(scans.ranges) for body in network.bodies for scans in body.scans)
     batches = batches or BodyBatches.place(network.bodies)
+    batches = batches.thin(1 + beams // network.settings.model_error.max_beams)
     _, kept = batches.map_and_keep(_collect_equations, network, state)
     score_to_information = TukeyLoss(network.settings.beams.tukey_limit).score_to_information
     variances = network.model_error_variance.copy()

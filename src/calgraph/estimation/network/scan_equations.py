@@ -16,8 +16,6 @@ RANGE_ERROR, AZIMUTH_ERRORS = 5, np.arange(6, 9)
 """Parameters of a scan besides the body's: an error of all its ranges, and those that depend on the azimuth."""
 SCAN_PARAMETERS = 6 + len(AZIMUTH_ERRORS)
 """Number of the parameters of a scan of an ellipse."""
-# Upper triangle of the products of the derivatives and the residual.
-_ROWS, _COLUMNS = np.triu_indices(SCAN_PARAMETERS + 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,8 +68,9 @@ def sum_over_scans(residual: Array, jacobian: Array, weight: Array, first_beam: 
     """
     rows = np.concatenate([jacobian.T, residual[None]])
     weighted = weight * rows
-    # One product at a time over all beams: scans have few beams, and there are many scans.
-    products = [np.add.reduceat(weighted[i] * rows[j], first_beam) for i, j in zip(_ROWS, _COLUMNS, strict=True)]
+    # One row at a time over all beams: scans have few beams, and there are many scans.
+    products = [np.add.reduceat(weighted[i] * rows[i:], first_beam, axis=1) for i in range(len(rows))]
     total = np.empty((len(first_beam), len(rows), len(rows)))
-    total[:, _ROWS, _COLUMNS] = total[:, _COLUMNS, _ROWS] = np.stack(products, axis=1)
+    upper = np.triu_indices(len(rows))
+    total[:, *upper] = total[:, *upper[::-1]] = np.concatenate(products).T
     return ScanEquations(total[:, :-1, :-1], total[:, :-1, -1], 0.5 * total[:, -1, -1])

@@ -239,6 +239,8 @@ def optimize_network(
     *,
     iterations: int,
     tolerance: float = _TOLERANCE,
+    relative_tolerance: float = 0.0,
+    damping: float | None = None,
     batches: BodyBatches | None = None,
 ) -> tuple[NetworkState, NetworkEquations]:
     """Minimises the cost over all unknowns.
@@ -248,6 +250,8 @@ def optimize_network(
         state: start values.
         iterations: steps at most, rejected ones included.
         tolerance: predicted decrease of the cost, in half squared standard deviations, to stop at.
+        relative_tolerance: the same as a share of the cost.
+        damping: initial value, if not that of the settings.
         batches: the bodies, where they have been placed already.
     """
     batches, order = batches or BodyBatches.place(network.bodies), order_scanners(network)
@@ -257,7 +261,8 @@ def optimize_network(
         lambda state, step: apply_step(state, *step),
         iterations=iterations,
         tolerance=tolerance,
-        damping=network.settings.initial_damping,
+        relative_tolerance=relative_tolerance,
+        damping=network.settings.initial_damping if damping is None else damping,
     )
     return minimum.state, minimum.linearization
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calgraph.engine import THIS_PROCESS, Engine
+from calgraph.engine import THIS_PROCESS, MapEngine
 from calgraph.estimation.network.problem import NetworkProblem, NetworkState
 from calgraph.estimation.network.scanner_unknowns import (
     FIRST_SYSTEMATIC,
@@ -69,7 +69,7 @@ def estimate_systematic_sigma(
     state: NetworkState,
     equations: NetworkEquations,
     prior_sigma: Array,
-    engine: Engine = THIS_PROCESS,
+    engine: MapEngine = THIS_PROCESS,
 ) -> Array:
     """(S, E) standard deviations of systematic errors, from the posterior of their share.
 
