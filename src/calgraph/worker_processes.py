@@ -95,7 +95,7 @@ class WorkerProcesses:
         return self._run(function, work, [None] * len(work), progress)
 
     def put(self, values: Sequence[Any]) -> list[Any]:
-        """See :meth:`calgraph.engine.MapEngine.put`; a process is sent a value with its first call that takes it."""
+        """See :meth:`calgraph.engine.MapEngine.put`; processes are sent values with calls that take them."""
         return [self._make_handle(value) for value in values]
 
     def map_and_keep(

@@ -19,8 +19,7 @@ SHRINKAGE = TukeyLoss(SETTINGS.beams.tukey_limit).score_to_information ** 0.5
 
 def split(solved: SolvedNetwork, interval: float) -> Contributions:
     """The parts over all scanners."""
-    [parts] = split_contributions(solved, interval).divide(3)
-    return parts
+    return split_contributions(solved, interval).select(np.arange(3))
 
 
 @pytest.fixture(scope="module")
@@ -91,8 +90,8 @@ def test_beams_without_noise_have_no_residuals_at_the_true_state_of_legs() -> No
 
 def test_groups_of_scanners_have_the_parts_of_their_unknowns() -> None:
     contributions = split_contributions(solve_two_walks(np.random.default_rng(0)), 5.0)
-    [whole] = contributions.divide(3)
-    groups = contributions.divide(2)
+    whole = contributions.select(np.arange(3))
+    groups = [contributions.select(group) for group in contributions.group_scanners(2)]
     assert sorted(s for group in groups for s in np.unique(group.scanner).tolist()) == [1, 2]
     for group in groups:
         rows = np.flatnonzero(np.isin(whole.unknowns, group.unknowns))

@@ -82,9 +82,9 @@ def _test_model(
     findings = [
         *find_poor_fit(solved, names, np.array([one.sigma for one in tracked]), settings),
     ]
-    groups = parts.divide(solved.problem.settings.max_joint_covariance)
+    groups = parts.group_scanners(solved.problem.settings.max_joint_covariance)
     for group in groups:
-        findings += find_inconsistent_parts(group, names, variance_factor, settings, len(groups))
+        findings += find_inconsistent_parts(parts.select(group), names, variance_factor, settings, len(groups))
     joint = joint.scale_covariance(variance_factor)
     if scatter.p < settings.false_alarm_probability and scatter.ratio > settings.max_good_scatter:
         findings.append(_describe_scatter(scatter, names, settings))

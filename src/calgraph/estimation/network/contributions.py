@@ -134,18 +134,20 @@ class NetworkContributions:
             total.add(columns, information)
         return total.factor().invert(1)
 
-    def divide(self, max_scanners: int) -> list[Contributions]:
-        """The parts over groups of scanners near each other, given the others; groups without parts are left out.
+    def group_scanners(self, max_scanners: int) -> list[Index]:
+        """Scanners near each other, of which any measured a body that several scanners did.
 
         Args:
             max_scanners: in a group; a network of as many is one group.
         """
-        position = self.prior.order.position
+        position, measured = self.prior.order.position, np.zeros(len(self.prior.order.position), dtype=np.bool_)
+        for columns in self.columns:
+            measured[columns // SCANNER_UNKNOWNS] = True
         groups = np.array_split(np.argsort(position), -(-len(position) // max_scanners))
-        selected = (self._select(np.sort(group)) for group in groups)
-        return [parts for parts in selected if len(parts.body)]
+        return [np.sort(group) for group in groups if measured[group].any()]
 
-    def _select(self, scanners: Index) -> Contributions:
+    def select(self, scanners: Index) -> Contributions:
+        """The parts over the unknowns of some scanners, given the others."""
         columns = list_columns(scanners.tolist())
         unknowns = columns[self.estimated[columns]]
         row = np.full(len(self.estimated), -1)
