@@ -38,9 +38,9 @@ def test_results_come_in_the_order_of_the_work(jobs: int) -> None:
 
 
 def test_short_work_is_divided_only_where_processes_are_forked(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(processes, "_START_METHOD", "fork")
+    monkeypatch.setattr(processes, "START_METHOD", "fork")
     assert forked_jobs(4) == 4
-    monkeypatch.setattr(processes, "_START_METHOD", "spawn")
+    monkeypatch.setattr(processes, "START_METHOD", "spawn")
     assert forked_jobs(4) == 1
 
 

@@ -12,9 +12,7 @@ Result = TypeVar("Result")
 
 
 class MapEngine(Protocol):
-    """Evaluates independent calls that are known at once.
-
-    Results do not depend on where calls run, nor on how many run at the same time.
+    """Evaluates lists of independent calls. Results do not depend on where, nor on how many run at a time.
 
     Values that several calls take are made available once. A handle then stands for each of them among the
     arguments of calls, not within other arguments, and the call gets the value. A value is available as long as

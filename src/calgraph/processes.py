@@ -26,7 +26,7 @@ Result = TypeVar("Result")
 # processes busy, few enough that their arguments fit into memory.
 _SUBMITTED_PER_PROCESS = 4
 KILLED_MESSAGE = "a process was killed, perhaps because memory ran out; reduce `jobs`"
-"""What a user is told then."""
+"""The message of the error."""
 # A forked worker has all imports and needs no importable main module, which a notebook does not have. NumPy
 # supports forking, and no thread of calgraph holds a lock then, which is what Python 3.12 warns about.
 START_METHOD: Literal["fork", "spawn"] = "fork" if sys.platform == "linux" else "spawn"

@@ -27,7 +27,7 @@ from calgraph.termination import add_cleanup, remove_cleanup
 Result = TypeVar("Result")
 
 
-class _Reference(NamedTuple):
+class _Placeholder(NamedTuple):
     """Stands for a value among the arguments of a call in a process."""
 
     number: int
@@ -38,13 +38,13 @@ class _Request(NamedTuple):
 
     function: Callable[..., Any]
     arguments: tuple[Any, ...]
-    """With references."""
+    """With placeholders."""
     values: dict[int, Any]
-    """Those that the process has not been sent yet, by their references."""
+    """Those that the process has not been sent yet, by their numbers."""
     released: list[int]
-    """References of values that no call takes any more."""
+    """Numbers of values that no call takes any more."""
     keep: int | None
-    """The reference of the second part of the result; None where all of it is sent back."""
+    """The number of the second part of the result; None where all of it is sent back."""
 
 
 @dataclass(eq=False)
@@ -54,7 +54,7 @@ class _Worker:
     process: BaseProcess
     connection: Connection
     released: list[int] = field(default_factory=list)
-    """References that it has not been told to release yet."""
+    """Numbers of values to release, to be sent with the next call."""
 
 
 @dataclass(eq=False)
@@ -71,7 +71,7 @@ class _Handle:
 class WorkerProcesses:
     """A :class:`calgraph.engine.MapEngine` of processes that stay.
 
-    A call runs where the values of its handles are; other calls run in whichever process is free.
+    A call runs where the values of its handles are; other calls run in the next free process.
 
     Args:
         workers: that have been started.
@@ -177,7 +177,7 @@ class WorkerProcesses:
         request = _Request(
             function,
             tuple(
-                _Reference(argument.number) if isinstance(argument, _Handle) else argument
+                _Placeholder(argument.number) if isinstance(argument, _Handle) else argument
                 for argument in arguments
             ),
             {number: handle.value[0] for number, handle in new.items()},
@@ -273,7 +273,7 @@ def _answer(request: _Request, values: dict[int, Any]) -> Any:
     values.update(request.values)
     result = request.function(
         *(
-            values[argument.number] if isinstance(argument, _Reference) else argument
+            values[argument.number] if isinstance(argument, _Placeholder) else argument
             for argument in request.arguments
         )
     )

@@ -77,7 +77,7 @@ def open_cluster(
                     dashboard_address="127.0.0.1:0",
                     scheduler_kwargs={"dashboard": dashboard},
                     silence_logs=logging.CRITICAL,
-                    memory_limit=0,
+                    memory_limit=round(1e9 * (settings.worker_memory or 0.0)),
                     local_directory=str(stack.enter_context(temporary_folder())),
                 )
             )

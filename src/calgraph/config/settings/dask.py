@@ -21,3 +21,7 @@ class DaskSettings(StrictModel):
     calls_ahead: int = Field(default=4, ge=1)
     """Calls of a stream that are submitted for each worker, 4: the arguments of the next ones are sent while it
     works. They are in the memory of the scheduler."""
+    worker_memory: float | None = Field(default=None, gt=0)
+    """Memory of each worker of this machine, 10⁹ bytes: values that calls keep are moved to disk above 60 % of it,
+    and a worker is started again above 95 %. Unlimited by default: values on disk are slow. Workers elsewhere are
+    started with their own limit, ``dask worker --memory-limit``."""

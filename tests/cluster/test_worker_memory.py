@@ -1,0 +1,29 @@
+"""Workers with little memory."""
+
+import os
+
+import numpy as np
+import pytest
+
+from calgraph.cluster import open_cluster
+from calgraph.config.settings import DaskSettings
+from calgraph.geometry import Array
+
+pytestmark = pytest.mark.without_coverage
+
+SIZE = 10_000_000
+
+
+def make_numbers(value: int) -> tuple[int, Array]:
+    return os.getpid(), np.full(SIZE, float(value))
+
+
+def take_last(numbers: Array) -> tuple[int, float]:
+    return os.getpid(), float(numbers[-1])
+
+
+def test_values_beyond_the_memory_of_a_worker_are_kept_on_disk() -> None:
+    with open_cluster("local", 1, DaskSettings(worker_memory=1.0)) as engine:
+        (process, *_), kept = engine.map_and_keep(make_numbers, [(n,) for n in range(20)])
+        # In the same process, which was not ended.
+        assert engine.map(take_last, [(numbers,) for numbers in kept]) == [(process, n) for n in range(20)]
