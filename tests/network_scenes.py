@@ -11,6 +11,8 @@ from calgraph.estimation.network.solver import NetworkEquations
 from calgraph.estimation.network.splines import Knots, evaluate_spline
 from calgraph.estimation.network.tukey_loss import TukeyLoss
 from calgraph.geometry import Array, se2
+from calgraph.tracking import Track
+from calgraph.tracking.track import Hits
 
 SIGMA = 0.01
 SETTINGS = NetworkEstimationSettings()
@@ -23,13 +25,19 @@ EXACT = np.zeros((3, len(SYSTEMATIC_ERRORS)))
 
 
 def simulate_scans(
-    scanner: int, knots: Knots, path: BodyPath, times: Array, rng: np.random.Generator
+    scanner: int,
+    knots: Knots,
+    path: BodyPath,
+    times: Array,
+    rng: np.random.Generator,
+    T_root_scanner: Array = T_ROOT,
+    offset_of_clock: Array = OFFSET,
 ) -> BodyScans:
     """Scans at times (V,) of the root's clock, each with nine noisy beams on the middle of a body."""
     beams = 9
     at = np.repeat(times, beams)
     pose = evaluate_spline(path.control, *knots.basis_at(at)[:2])
-    T = T_ROOT[scanner]
+    T = T_root_scanner[scanner]
     offset = pose[:, :2] - T[:2, 2]
     angle = np.arctan2(offset[:, 1], offset[:, 0]) + np.tile(np.linspace(-0.5, 0.5, beams), len(times)) * (
         0.15 / np.linalg.norm(offset, axis=1)
@@ -41,7 +49,27 @@ def simulate_scans(
     )
     beam = direction @ T[:2, :2]
     start = beams * np.arange(len(times))
-    return BodyScans(scanner, times + OFFSET[scanner], start, beam, ranges, np.zeros(len(at)), np.ones(len(at)))
+    stamps = times + offset_of_clock[scanner]
+    return BodyScans(scanner, stamps, start, beam, ranges, np.zeros(len(at)), np.ones(len(at)))
+
+
+def build_track(
+    scans: BodyScans,
+    knots: Knots,
+    path: BodyPath,
+    rng: np.random.Generator,
+    T_root_scanner: Array = T_ROOT,
+    offset_of_clock: Array = OFFSET,
+) -> Track:
+    """A track with noisy positions, and its beams."""
+    T_scanner_root = se2.inverse(T_root_scanner[scans.scanner])
+    first, weights, slopes = knots.basis_at(scans.times - offset_of_clock[scans.scanner])
+    positions = se2.apply(T_scanner_root, evaluate_spline(path.control, first, weights)[:, :2])
+    velocities = evaluate_spline(path.control, first, slopes)[:, :2] @ T_scanner_root[:2, :2].T
+    owner = np.repeat(np.arange(len(scans.times)), np.diff(scans.first_beam, append=len(scans.ranges)))
+    hits = Hits(scans.ranges[:, None] * scans.direction, scans.times[owner], owner)
+    spread = np.tile(0.02**2 * np.eye(2), (len(positions), 1, 1))
+    return Track(scans.times, positions + rng.normal(0, 0.01, 2), velocities, spread, 0, hits)
 
 
 def list_body_equations(equations: NetworkEquations) -> list[BodyEquations]:

@@ -33,7 +33,7 @@ from calgraph.geometry import Array, se2
 from calgraph.graph import PoseGraph, PoseGraphSolution
 from calgraph.tracking import ScannerTracks, Track
 from calgraph.tracking.track import Hits
-from network_scenes import DENSITY, OFFSET, SETTINGS, SIGMA, T_ROOT, simulate_scans
+from network_scenes import DENSITY, OFFSET, SETTINGS, SIGMA, T_ROOT, build_track, simulate_scans
 
 PEOPLE, ROUND = People(kind="people", axes=(0.25, 0.15)), Cylinder(kind="cylinder", diameter=0.5)
 SECONDS = 12.0
@@ -50,18 +50,6 @@ def simulate_walk(radii: tuple[float, float], phase: float) -> tuple[Knots, Body
     return knots, BodyPath(
         np.column_stack([path, np.unwrap(np.arctan2(slope[:, 1], slope[:, 0]))]), np.array(radii)
     )
-
-
-def build_track(scans: BodyScans, knots: Knots, path: BodyPath, rng: np.random.Generator) -> Track:
-    """A track with noisy positions, and its beams."""
-    T_scanner_root = se2.inverse(T_ROOT[scans.scanner])
-    first, weights, slopes = knots.basis_at(scans.times - OFFSET[scans.scanner])
-    positions = se2.apply(T_scanner_root, evaluate_spline(path.control, first, weights)[:, :2])
-    velocities = evaluate_spline(path.control, first, slopes)[:, :2] @ T_scanner_root[:2, :2].T
-    owner = np.repeat(np.arange(len(scans.times)), np.diff(scans.first_beam, append=len(scans.ranges)))
-    hits = Hits(scans.ranges[:, None] * scans.direction, scans.times[owner], owner)
-    spread = np.tile(0.02**2 * np.eye(2), (len(positions), 1, 1))
-    return Track(scans.times, positions + rng.normal(0, 0.01, 2), velocities, spread, 0, hits)
 
 
 def add_arms(scans: BodyScans, knots: Knots, path: BodyPath, swing: float, rng: np.random.Generator) -> BodyScans:

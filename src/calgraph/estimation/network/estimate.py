@@ -229,6 +229,7 @@ def _solve_bodies(
             network,
             state,
             iterations=settings.iterations,
+            tolerance=settings.final_tolerance,
             relative_tolerance=0.0 if last else settings.round_tolerance,
             damping=settings.round_damping,
             batches=batches,
