@@ -24,4 +24,4 @@ class DaskSettings(StrictModel):
     worker_memory: float | None = Field(default=None, gt=0)
     """Memory of each worker of this machine, 10⁹ bytes: values that calls keep are moved to disk above 60 % of it,
     and a worker is started again above 95 %. Unlimited by default: values on disk are slow. Workers elsewhere are
-    started with their own limit, ``dask worker --memory-limit``."""
+    started with limits of their own."""
