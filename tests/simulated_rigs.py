@@ -28,6 +28,7 @@ class SimulatedRecording:
 
     sources: ClassVar[tuple[Path, ...]] = ()
     opened_from: ClassVar[tuple[str, ...]] = ()
+    divisible: ClassVar[bool] = False
     path: Path
     topics: tuple[TopicInfo, ...]
     start: float

@@ -85,11 +85,13 @@ def _detect_in_timeline(
     """The detections in the holds of a timeline, and what the holds show of the rig."""
     resolved, camera_infos = resolve_intrinsics(rig, recording), find_camera_infos(rig, recording)
     holds = limit_messages(find_holds(timeline, rig.capture, rig.settings.captures), rig)
-    intrinsics = estimate_unknown_intrinsics(resolved, recording, holds, options.engine, progress, options.cache)
+    intrinsics = estimate_unknown_intrinsics(
+        resolved, recording, timeline, holds, options.engine, progress, options.cache
+    )
     cameras = resolved.camera_models() | intrinsics.cameras
     method = DetectionMethod(cameras, draw_seeds(rig, rng), options.tags, select_plane_estimator(options.tags))
     observations = detect_by_sensors(
-        _without(rig, intrinsics.failed), recording, holds, method,
+        _without(rig, intrinsics.failed), recording, timeline, holds, method,
         cache=options.cache, engine=options.engine, progress=partial(progress, "detecting"),
     )  # fmt: skip
     observations += [

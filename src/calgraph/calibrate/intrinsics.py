@@ -7,8 +7,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from calgraph.calibrate.options import Progress, no_progress
-from calgraph.captures import Hold, InputFinding, detect_in_holds, find_views_in_holds
+from calgraph.captures import (
+    Hold,
+    InputFinding,
+    RecordingTimeline,
+    build_timeline,
+    detect_in_holds,
+    find_views_in_holds,
+)
 from calgraph.captures.board_views import decode_views, encode_views
+from calgraph.captures.hold_messages import select_messages
 from calgraph.captures.sensor_detection import list_shared_inputs
 from calgraph.config import CameraSpec, Rig
 from calgraph.detection import BoardCorners, BoardView, BoardViewFinder, CameraDetector
@@ -41,6 +49,7 @@ class EstimatedIntrinsics:
 def estimate_unknown_intrinsics(
     rig: Rig,
     recording: Recording,
+    timeline: RecordingTimeline,
     holds: Sequence[Hold],
     engine: Engine,
     progress: Progress = no_progress,
@@ -51,13 +60,16 @@ def estimate_unknown_intrinsics(
     Args:
         rig: with the intrinsics of all other cameras.
         recording: open recording with the rig's topics.
+        timeline: of the recording.
         holds: the captures.
         engine: searches views.
         progress: called with the step and the fraction done.
         cache: has what earlier runs found in the images of a camera, and gets the others.
     """
     unknown = {name: spec for name, spec in rig.cameras().items() if spec.stated_intrinsics is None}
-    views = _find_views(rig, unknown, recording, holds, engine, lambda done: progress("intrinsics", done), cache)
+    views = _find_views(
+        rig, unknown, recording, timeline, holds, engine, lambda done: progress("intrinsics", done), cache
+    )
     estimates = {
         name: estimate_intrinsics(rig, name, _list_views(views[name]), spec.lens_to_estimate)
         for name, spec in unknown.items()
@@ -74,6 +86,7 @@ def _find_views(
     rig: Rig,
     cameras: Mapping[str, CameraSpec],
     recording: Recording,
+    timeline: RecordingTimeline,
     holds: Sequence[Hold],
     engine: Engine,
     progress: Callable[[float], None],
@@ -91,7 +104,8 @@ def _find_views(
     if not unread:
         return views
     found = find_views_in_holds(
-        recording.records([spec.topic for spec in unread.values()]),
+        select_messages(rig, recording, timeline, engine)
+        or recording.records([spec.topic for spec in unread.values()]),
         holds,
         {name: spec.topic for name, spec in unread.items()},
         {name: BoardViewFinder(rig.boards, spec.noise, settings=settings) for name, spec in unread.items()},
@@ -147,16 +161,17 @@ def _calibrate_camera(
 ) -> IntrinsicsEstimate | Rejected:
     """The intrinsics of one camera; progress is called with the share done."""
     spec, settings = rig.cameras()[name], rig.settings.detection.camera
-    frames = _spread_frames(name, spec.topic, recording, rig.settings.estimation.intrinsics.max_images)
-    by_frame = _find_views(rig, {name: spec}, recording, frames, engine, lambda done: progress(0.5 * done), cache)[
-        name
-    ]
+    timeline = build_timeline(recording.records([spec.topic]), recording.start, {name: spec.topic}, None)
+    frames = _spread_frames(name, timeline, rig.settings.estimation.intrinsics.max_images)
+    by_frame = _find_views(
+        rig, {name: spec}, recording, timeline, frames, engine, lambda done: progress(0.5 * done), cache
+    )[name]
     estimate = estimate_intrinsics(rig, name, _list_views(by_frame), spec.lens_to_estimate)
     if isinstance(estimate, Rejected) or not any(board.tags for board in rig.boards):
         return estimate
     camera = estimate.camera
     captures = detect_in_holds(
-        recording.records([spec.topic]),
+        select_messages(rig, recording, timeline, engine) or recording.records([spec.topic]),
         [frame for frame in frames if frame.index in by_frame],
         {name: spec.topic},
         {name: CameraDetector(rig.boards, camera, spec.noise, settings=settings).find},
@@ -173,9 +188,9 @@ def _calibrate_camera(
     return estimate_intrinsics(rig, name, views, spec.lens_to_estimate)
 
 
-def _spread_frames(name: str, topic: str, recording: Recording, count: int) -> list[Hold]:
+def _spread_frames(name: str, timeline: RecordingTimeline, count: int) -> list[Hold]:
     """Single images of a camera, evenly spread over the recording."""
-    stamps = np.unique([record.stamp for record in recording.records([topic])])
+    stamps = np.unique(timeline.sensors[name].stamps)
     if len(stamps) > count:
         stamps = stamps[np.linspace(0, len(stamps) - 1, count).round().astype(int)]
     return [Hold(i, stamp, stamp, {name: np.array([stamp])}) for i, stamp in enumerate(stamps.tolist())]

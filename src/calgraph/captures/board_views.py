@@ -1,22 +1,22 @@
 """Views of boards by cameras whose intrinsics are not known, from all captures of a recording."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from calgraph.captures.detect import gather_messages
+from calgraph.captures.hold_messages import Messages, search_holds
 from calgraph.captures.holds import Hold
 from calgraph.captures.previews import PreviewSize
 from calgraph.detection import BoardView, BoardViewFinder
 from calgraph.engine import THIS_PROCESS, Engine
 from calgraph.errors import Rejected
 from calgraph.io.columns import Arrays
-from calgraph.sensors import Message, RecordedMessage
+from calgraph.sensors import Message
 
 
 def find_views_in_holds(
-    records: Iterable[RecordedMessage],
+    messages: Messages,
     holds: Sequence[Hold],
     topics: Mapping[str, str],
     finders: Mapping[str, BoardViewFinder],
@@ -27,7 +27,7 @@ def find_views_in_holds(
     """Finds the marks of boards in the images of every hold.
 
     Args:
-        records: all records of the cameras, streamed.
+        messages: of all cameras.
         holds: with the stamps of the messages to use.
         topics: topic by camera.
         finders: by camera.
@@ -38,8 +38,8 @@ def find_views_in_holds(
         The views by camera and capture, in the order of the captures.
     """
     found: dict[str, dict[int, tuple[BoardView, ...]]] = {name: {} for name in topics}
-    work = gather_messages(records, holds, topics, {})
-    for done, (capture, name, views) in enumerate(engine.stream(_find, work, finders), start=1):
+    searched = search_holds(_find, finders, messages, holds, topics, engine=engine)
+    for done, (capture, name, views) in enumerate(searched, start=1):
         if not isinstance(views, Rejected):
             found[name][capture] = views
         if progress:

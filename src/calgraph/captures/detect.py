@@ -1,7 +1,7 @@
 """From holds to detections: the messages of each hold are collected from the stream and searched."""
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from typing import Any
@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from calgraph.captures.camera_noise import scale_by_measured_noise
+from calgraph.captures.hold_messages import Messages, Search, search_holds
 from calgraph.captures.holds import Hold
 from calgraph.captures.input_checks import InputFinding
 from calgraph.captures.misplaced_tags import find_misplaced_tags
@@ -20,7 +21,7 @@ from calgraph.engine import THIS_PROCESS, Engine
 from calgraph.errors import Rejected
 from calgraph.geometry import Array
 from calgraph.result import Snapshot, state_intrinsics
-from calgraph.sensors import CameraModel, Message, RecordedMessage
+from calgraph.sensors import CameraModel, Message
 
 Detector = Callable[[Sequence[Any]], DetectionResult]
 """Finds the board in the messages that one sensor sent during one hold."""
@@ -123,28 +124,29 @@ def state_estimated_intrinsics(rig: Rig, captures: CaptureSet) -> Rig:
 
 
 def detect_in_holds(
-    records: Iterable[RecordedMessage],
+    messages: Messages,
     holds: Sequence[Hold],
     topics: Mapping[str, str],
     detectors: Mapping[str, Detector],
     *,
     preview_sizes: Mapping[int, PreviewSize] | None = None,
+    skipped: Collection[Search] = (),
     engine: Engine = THIS_PROCESS,
     progress: Callable[[float], None] | None = None,
 ) -> Iterator[SensorCapture]:
     """Detects the board for every sensor in every hold, with the messages of few holds in memory at a time.
 
-    One process reads the recording; messages are decoded and searched by the engine, on which the result
-    does not depend.
+    Messages are decoded and searched by the engine, on which the result does not depend.
 
     Args:
-        records: all records of the sensors, streamed.
+        messages: of all sensors.
         holds: with the stamps of the messages to use.
         topics: topic by sensor.
         detectors: by sensor.
         preview_sizes: by capture, the size of the previews of its messages; captures that are not in it have none.
+        skipped: captures and sensors that are left out.
         engine: searches.
-        progress: called with the number of holds and sensors done.
+        progress: called with the number of captures and sensors done.
 
     Yields:
         The detections of every hold and sensor.
@@ -154,8 +156,11 @@ def detect_in_holds(
         CalibrationError: a process was killed.
     """
     engine = engine if len(holds) * len(topics) >= _MIN_PARALLEL_SEARCHES else THIS_PROCESS
-    work = gather_messages(records, holds, topics, preview_sizes or {})
-    for done, found in enumerate(engine.stream(detect_in_hold, work, detectors), start=1):
+    searched = search_holds(
+        detect_in_hold, detectors, messages, holds, topics,
+        engine=engine, preview_sizes=preview_sizes, skipped=skipped,
+    )  # fmt: skip
+    for done, found in enumerate(searched, start=1):
         yield found
         if progress:
             progress(done)
@@ -174,43 +179,6 @@ def detect_in_hold(
     messages = [decode() for decode in decoders]
     snapshot = make_preview(capture, name, messages, size) if size else None
     return SensorCapture(capture, name, detectors[name](messages), snapshot)
-
-
-def gather_messages(
-    records: Iterable[RecordedMessage],
-    holds: Sequence[Hold],
-    topics: Mapping[str, str],
-    preview_sizes: Mapping[int, PreviewSize],
-) -> Iterator[tuple[int, str, list[Callable[[], Message]], PreviewSize | None]]:
-    """Every capture and sensor with functions that decode its messages, as soon as the last one has been read.
-
-    Args:
-        records: all records of the sensors, streamed.
-        holds: with the stamps of the messages to use.
-        topics: topic by sensor.
-        preview_sizes: by capture; see :func:`detect_in_holds`.
-    """
-    sensor_by_topic = {topic: name for name, topic in topics.items()}
-    captures_of_message: dict[tuple[str, float], list[int]] = {}
-    missing_messages: dict[tuple[int, str], int] = {}
-    for hold in holds:
-        for name in topics:
-            chosen = hold.stamps[name]
-            missing_messages[hold.index, name] = len(chosen)
-            for stamp in chosen:
-                captures_of_message.setdefault((name, float(stamp)), []).append(hold.index)
-    received: dict[tuple[int, str], list[Callable[[], Message]]] = {}
-    for record in records:
-        name = sensor_by_topic.get(record.topic, "")
-        for capture in captures_of_message.pop((name, record.stamp), ()):
-            key = capture, name
-            received.setdefault(key, []).append(record.decode)
-            missing_messages[key] -= 1
-            if missing_messages[key] == 0:
-                del missing_messages[key]
-                yield capture, name, received.pop(key), preview_sizes.get(capture)
-    for capture, name in missing_messages:
-        yield capture, name, received.pop((capture, name), []), preview_sizes.get(capture)
 
 
 def limit_messages(holds: Iterable[Hold], rig: Rig) -> tuple[Hold, ...]:

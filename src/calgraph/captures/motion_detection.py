@@ -36,14 +36,30 @@ class ActivityBlock:
 
 def measure_block(settings: MotionDetectionSettings, decoders: Sequence[Callable[[], Message]]) -> ActivityBlock:
     """The changes among messages, from functions that decode them."""
-    meter = ActivityMeter(settings)
-    changes: list[float] = []
-    start = first = None
-    for number, decode in enumerate(decoders):
-        changes.append(meter.measure_change(decode()))
-        if first is None and meter.previous is not None:
-            start, first = number, meter.previous
-    return ActivityBlock(changes, start, first, meter.previous)
+    meter = BlockMeter(settings)
+    for decode in decoders:
+        meter.add(decode())
+    return meter.block()
+
+
+class BlockMeter:
+    """Measures the changes among consecutive messages of one sensor, apart from those before them."""
+
+    def __init__(self, settings: MotionDetectionSettings) -> None:
+        self._meter = ActivityMeter(settings)
+        self._changes: list[float] = []
+        self._start: int | None = None
+        self._first: Signed | None = None
+
+    def add(self, message: Message) -> None:
+        """Compares a message with the one before."""
+        self._changes.append(self._meter.measure_change(message))
+        if self._first is None and self._meter.previous is not None:
+            self._start, self._first = len(self._changes) - 1, self._meter.previous
+
+    def block(self) -> ActivityBlock:
+        """The changes so far."""
+        return ActivityBlock(self._changes, self._start, self._first, self._meter.previous)
 
 
 class ActivityMeter:

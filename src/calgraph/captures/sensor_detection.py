@@ -1,7 +1,7 @@
 """Detection of the board by all sensors; what an earlier run detected is taken from the cache."""
 
 import logging
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -9,8 +9,10 @@ from typing import Any
 from calgraph.captures.capture_encoding import decode_captures, encode_captures
 from calgraph.captures.detect import SensorCapture, detect_in_holds
 from calgraph.captures.detectors import learn_backgrounds, learn_backgrounds_of_captures, make_detectors
+from calgraph.captures.hold_messages import select_messages
 from calgraph.captures.holds import Hold
 from calgraph.captures.previews import PreviewSize, plan_previews
+from calgraph.captures.timeline import RecordingTimeline
 from calgraph.config import CameraSpec, Rig
 from calgraph.detection import PlaneEstimator
 from calgraph.engine import THIS_PROCESS, Engine
@@ -21,7 +23,11 @@ from calgraph.sensors import CameraModel, RecordedMessage
 
 _log = logging.getLogger(__name__)
 
-_DETECTIONS = "detections/3"
+_DETECTIONS = "detections/4"
+# In the cache: a run that is ended loses a few captures, and writing the entries takes little time.
+_ENTRIES_PER_SENSOR = 16
+_Entry = tuple[str, tuple[int, ...]]
+"""A sensor, and captures whose detections are kept together."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +46,7 @@ class DetectionMethod:
 
 @dataclass(frozen=True, eq=False)
 class _SensorDetections:
-    """What one sensor detected in all captures."""
+    """What one sensor detected in the captures of one entry of the cache."""
 
     captures: tuple[SensorCapture, ...]
     no_background: str
@@ -50,6 +56,7 @@ class _SensorDetections:
 def detect_by_sensors(
     rig: Rig,
     recording: Recording,
+    timeline: RecordingTimeline,
     holds: Sequence[Hold],
     method: DetectionMethod,
     *,
@@ -62,53 +69,94 @@ def detect_by_sensors(
     Args:
         rig: the rig.
         recording: to read.
+        timeline: of the recording.
         holds: with the stamps of the messages to use.
         method: of the detection.
-        cache: has what earlier runs detected by sensors, and gets the others.
+        cache: has what earlier runs detected, and gets the others as they are found.
         engine: searches; the result does not depend on it.
         progress: called with the share of the detections that is done.
 
     Returns:
-        The detections, sensor by sensor, each in the order in which its captures were complete.
+        The detections, sensor by sensor, in the order of the holds.
 
     Raises:
         RecordingError: the content of a message is unusable.
         CalibrationError: a process was killed.
     """
     previews = plan_previews([hold for hold in holds if not hold.auxiliary], rig)
-    inputs = {name: _list_inputs(name, rig, holds, method, previews) for name in rig.sensors}
-    found: dict[str, _SensorDetections] = {
-        name: kept
-        for name, given in inputs.items()
-        if (kept := cache.read(recording, _DETECTIONS, given, partial(_decode, name))) is not None
+    of_sensors = {name: _list_inputs(name, rig, holds, method, previews) for name in rig.sensors}
+    inputs = {
+        (name, captures): {**given, "searched": list(captures)}
+        for name, given in of_sensors.items()
+        for captures in _group_captures(holds)
     }
-    if found:
-        cache.reused.update(found)
-        _log.info("detections of %s: from the cache", ", ".join(found))
-    unread = {name: spec for name, spec in rig.sensors.items() if name not in found}
-    if unread:
-        part = rig.model_copy(update={"sensors": unread})
-        backgrounds = learn_backgrounds(_background_records(part, recording), part)
-        models = {name: one for name, one in backgrounds.items() if not isinstance(one, Rejected)}
-        models |= learn_backgrounds_of_captures(part, recording, holds, without=models)
-        detect = make_detectors(part, method.cameras, models, method.plane_estimator, method.seeds)
-        detected: dict[str, list[SensorCapture]] = {name: [] for name in unread}
-        for capture in detect_in_holds(
-            recording.records(part.topics.values()), holds, part.topics, detect, preview_sizes=previews,
-            engine=engine, progress=lambda done: progress(done / (len(holds) * len(unread))),
-        ):  # fmt: skip
-            detected[capture.sensor].append(capture)
-        for name, captures in detected.items():
-            background = backgrounds.get(name)
-            reason = background.reason if isinstance(background, Rejected) else ""
-            found[name] = _SensorDetections(tuple(captures), reason)
-            content, arrays = encode_captures(captures)
-            cache.write(recording, _DETECTIONS, inputs[name], {**content, "no_background": reason}, arrays)
+    found = {
+        entry: kept
+        for entry, given in inputs.items()
+        if (kept := cache.read(recording, _DETECTIONS, given, partial(_decode, entry[0]))) is not None
+    }
+    missing = [entry for entry in inputs if entry not in found]
+    unread = {name for name, _ in missing}
+    if reused := [name for name in rig.sensors if name not in unread]:
+        cache.reused.update(reused)
+        _log.info("detections of %s: from the cache", ", ".join(reused))
+    if missing:
+        part = rig.model_copy(
+            update={"sensors": {name: rig.sensors[name] for name in rig.sensors if name in unread}}
+        )
+        for entry, detected in _detect_missing(
+            part, recording, timeline, holds, method, previews, missing, engine, progress
+        ):
+            found[entry] = detected
+            content, arrays = encode_captures(detected.captures)
+            content["no_background"] = detected.no_background
+            cache.write(recording, _DETECTIONS, inputs[entry], content, arrays)
     for name in rig.sensors:
-        if found[name].no_background:
+        if reason := next((found[entry].no_background for entry in inputs if entry[0] == name), ""):
             # A scanner without measurements does not keep the others from being calibrated.
-            _log.warning("%s: %s; it detects the board by size and shape", name, found[name].no_background)
-    return [capture for name in rig.sensors for capture in found[name].captures]
+            _log.warning("%s: %s; it detects the board by size and shape", name, reason)
+    return [capture for entry in inputs for capture in found[entry].captures]
+
+
+def _group_captures(holds: Sequence[Hold]) -> list[tuple[int, ...]]:
+    """The captures of each entry."""
+    size = max(-(-len(holds) // _ENTRIES_PER_SENSOR), 1)
+    return [tuple(hold.index for hold in holds[k : k + size]) for k in range(0, len(holds), size)]
+
+
+def _detect_missing(
+    rig: Rig,
+    recording: Recording,
+    timeline: RecordingTimeline,
+    holds: Sequence[Hold],
+    method: DetectionMethod,
+    previews: Mapping[int, PreviewSize],
+    missing: Sequence[_Entry],
+    engine: Engine,
+    progress: Callable[[float], None],
+) -> Iterator[tuple[_Entry, _SensorDetections]]:
+    """What the sensors of a rig detect in the captures of the missing entries, as soon as each is complete."""
+    backgrounds = learn_backgrounds(_background_records(rig, recording), rig)
+    models = {name: one for name, one in backgrounds.items() if not isinstance(one, Rejected)}
+    models |= learn_backgrounds_of_captures(rig, recording, holds, without=models)
+    entries = {(capture, name): (name, captures) for name, captures in missing for capture in captures}
+    detected: dict[_Entry, dict[int, SensorCapture]] = {entry: {} for entry in missing}
+    for found in detect_in_holds(
+        select_messages(rig, recording, timeline, engine) or recording.records(rig.topics.values()),
+        holds,
+        rig.topics,
+        make_detectors(rig, method.cameras, models, method.plane_estimator, method.seeds),
+        preview_sizes=previews,
+        skipped={(hold.index, name) for hold in holds for name in rig.sensors} - entries.keys(),
+        engine=engine,
+        progress=lambda done: progress(done / len(entries)),
+    ):
+        entry = entries[found.capture, found.sensor]
+        detected[entry][found.capture] = found
+        if len(detected[entry]) == len(entry[1]):
+            complete, background = detected.pop(entry), backgrounds.get(found.sensor)
+            reason = background.reason if isinstance(background, Rejected) else ""
+            yield entry, _SensorDetections(tuple(complete[capture] for capture in entry[1]), reason)
 
 
 def _decode(name: str, content: Mapping[str, Any], arrays: Arrays) -> _SensorDetections:

@@ -1,7 +1,7 @@
 """When each sensor measured: all that the search for captures keeps of a whole recording."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -24,6 +24,8 @@ class SensorTimes:
     """The frame its messages state."""
     message_type: str = ""
     """Type of its messages: ``Image``, ``LaserScan``, ``PointCloud``, ...; empty where there are none."""
+    arrivals: Array = field(default_factory=lambda: np.zeros(0))
+    """(N,) when the messages of these stamps arrived, s; empty where they are not of a recording."""
 
     @property
     def period(self) -> float:
@@ -68,6 +70,7 @@ def build_timeline(
     """
     by_topic = {topic: name for name, topic in topics.items()}
     stamps: dict[str, list[float]] = {name: [] for name in topics}
+    arrivals: dict[str, list[float]] = {name: [] for name in topics}
     activity: dict[str, list[float]] = {name: [] for name in topics}
     first: dict[str, tuple[float, str, str]] = {}
     measured: set[str] = set()
@@ -81,6 +84,7 @@ def build_timeline(
         if name is None:
             continue
         stamps[name].append(record.stamp)
+        arrivals[name].append(record.arrival)
         meter = (meters or {}).get(name)
         # The duration is taken from one message: decoding all of them would take as long as the detection. Clouds
         # without points, of lost packets, have none.
@@ -93,13 +97,22 @@ def build_timeline(
         activity[name].append(meter.measure_change(message) if meter and message else 0.0)
     return RecordingTimeline(
         start,
-        {name: _sort_times(stamps[name], activity[name], *first.get(name, (0.0, "", ""))) for name in topics},
+        {
+            name: _sort_times(stamps[name], arrivals[name], activity[name], *first.get(name, (0.0, "", "")))
+            for name in topics
+        },
         np.unique(np.array(triggers)),
     )
 
 
 def _sort_times(
-    stamps: list[float], activity: list[float], duration: float, frame_id: str, message: str
+    stamps: list[float],
+    arrivals: list[float],
+    activity: list[float],
+    duration: float,
+    frame_id: str,
+    message: str,
 ) -> SensorTimes:
     order = np.argsort(stamps, kind="stable")
-    return SensorTimes(np.array(stamps)[order], duration, np.array(activity)[order], frame_id, message)
+    by_stamp = [np.array(values)[order] for values in (stamps, activity, arrivals)]
+    return SensorTimes(by_stamp[0], duration, by_stamp[1], frame_id, message, by_stamp[2])

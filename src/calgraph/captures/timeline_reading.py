@@ -7,22 +7,24 @@ from typing import Any
 
 import numpy as np
 
+from calgraph.captures.hold_messages import StoredMessages, count_parts, read_part, select_messages
 from calgraph.captures.input_checks import (
     InputMonitor,
     TopicObservations,
     decode_observations,
     encode_observations,
 )
-from calgraph.captures.motion_detection import ActivityMeter, measure_block
+from calgraph.captures.motion_detection import ActivityBlock, ActivityMeter, BlockMeter, measure_block
 from calgraph.captures.timeline import RecordingTimeline, SensorTimes, build_timeline
 from calgraph.config import Rig
+from calgraph.config.settings import MotionDetectionSettings
 from calgraph.engine import THIS_PROCESS, Engine
 from calgraph.geometry import Array
 from calgraph.io.columns import Arrays
-from calgraph.recording import Recording, RecordingCache
+from calgraph.recording import Recording, RecordingCache, RecordingReference
 from calgraph.sensors import Message
 
-_TOPIC, _ACTIVITY = "topic/1", "activity/1"
+_TOPIC, _ACTIVITY = "topic/2", "activity/1"
 Progress = Callable[[float], None]
 """Called with the arrival time of records, s."""
 
@@ -108,17 +110,21 @@ def measure_activity(
     }
     unread = {name: topic for name, topic in rig.topics.items() if name not in activity}
     if unread:
-        activity |= _measure_unread(rig, recording, unread, progress, engine)
+        stored = select_messages(rig, recording, timeline, engine)
+        if stored is None:
+            activity |= _measure_sent(rig, recording, unread, progress, engine)
+        else:
+            activity |= _measure_stored(rig, stored, unread, progress, engine)
         for name in unread:
             cache.write(recording, _ACTIVITY, inputs[name], {}, {"activity": activity[name]})
     sensors = {name: replace(times, activity=activity[name]) for name, times in timeline.sensors.items()}
     return replace(timeline, sensors=sensors)
 
 
-def _measure_unread(
+def _measure_sent(
     rig: Rig, recording: Recording, topics: Mapping[str, str], progress: Progress, engine: Engine
 ) -> dict[str, Array]:
-    """Changes (N,) of each sensor's messages in the order of their stamps."""
+    """Changes (N,) of each sensor's messages in the order of their stamps, from calls that get the messages."""
     settings = rig.settings.captures.motion
     names = {topic: name for name, topic in topics.items()}
     stamps: dict[str, list[float]] = {name: [] for name in topics}
@@ -144,7 +150,64 @@ def _measure_unread(
     for block in engine.stream(measure_block, gather_blocks(), settings):
         name = order.popleft()
         changes[name] += meters[name].join(block)
-    return {name: np.array(changes[name])[np.argsort(stamps[name], kind="stable")] for name in topics}
+    return {name: _sort_changes(changes[name], stamps[name]) for name in topics}
+
+
+def _measure_stored(
+    rig: Rig, messages: StoredMessages, topics: Mapping[str, str], progress: Progress, engine: Engine
+) -> dict[str, Array]:
+    """The same, from calls that read the messages themselves."""
+    settings = rig.settings.captures.motion
+    meters = {name: ActivityMeter(settings) for name in topics}
+    stamps: dict[str, list[float]] = {name: [] for name in topics}
+    changes: dict[str, list[float]] = {name: [] for name in topics}
+    parts = _divide_time(rig, messages.timeline, topics, count_parts(engine))
+    blocks_of_parts = engine.stream(_measure_part, parts, (messages.reference, topics, settings))
+    for (_, last), blocks in zip(parts, blocks_of_parts, strict=True):
+        progress(last)
+        for name, (of_block, block) in blocks.items():
+            stamps[name] += of_block
+            changes[name] += meters[name].join(block)
+    return {name: _sort_changes(changes[name], stamps[name]) for name in topics}
+
+
+def _divide_time(
+    rig: Rig, timeline: RecordingTimeline, topics: Mapping[str, str], count: int
+) -> list[tuple[float, float]]:
+    """At most ``count`` intervals of nearly equal work: when their first and their last message arrived, s."""
+    arrivals = [timeline.sensors[name].arrivals for name in topics]
+    work = [
+        np.full(len(one), 1 / _MESSAGES_PER_BLOCK[rig.sensors[name].kind])
+        for name, one in zip(topics, arrivals, strict=True)
+    ]
+    times, of_time = np.unique(np.concatenate(arrivals), return_inverse=True)
+    if not len(times):
+        return []
+    done = np.cumsum(np.bincount(of_time, np.concatenate(work)))
+    part = np.minimum((count * done / done[-1]).astype(int), count - 1)
+    first = np.flatnonzero(np.diff(part, prepend=-1))
+    last = np.append(first[1:], len(times)) - 1
+    return list(zip(times[first].tolist(), times[last].tolist(), strict=True))
+
+
+def _measure_part(
+    shared: tuple[RecordingReference, Mapping[str, str], MotionDetectionSettings], first: float, last: float
+) -> dict[str, tuple[list[float], ActivityBlock]]:
+    """Stamps and changes by sensor, of the messages that arrived from ``first`` to ``last``, in this order."""
+    reference, topics, settings = shared
+    names = {topic: name for name, topic in topics.items()}
+    meters = {name: BlockMeter(settings) for name in topics}
+    stamps: dict[str, list[float]] = {name: [] for name in topics}
+    with reference.open() as recording:
+        for record in read_part(recording, topics.values(), first, last):
+            stamps[names[record.topic]].append(record.stamp)
+            meters[names[record.topic]].add(record.decode())
+    return {name: (stamps[name], meter.block()) for name, meter in meters.items()}
+
+
+def _sort_changes(changes: list[float], stamps: list[float]) -> Array:
+    """Changes (N,) in the order of stamps, from those in the order of arrival."""
+    return np.array(changes)[np.argsort(stamps, kind="stable")]
 
 
 def _list_inputs(rig: Rig, monitor: InputMonitor) -> dict[str, dict[str, Any]]:
@@ -167,6 +230,7 @@ def _encode_topic(content: _TopicContent) -> tuple[dict[str, Any], Arrays]:
     arrays |= {
         "stamps": times.stamps,
         "activity": times.activity,
+        "arrivals": times.arrivals,
         "triggers": content.triggers,
         "duration": np.array(times.duration),
     }
@@ -180,5 +244,6 @@ def _decode_topic(plain: Mapping[str, Any], arrays: Arrays) -> _TopicContent:
         arrays["activity"],
         plain["frame_id"],
         plain["message_type"],
+        arrays["arrivals"],
     )
     return _TopicContent(times, arrays["triggers"], decode_observations(plain, arrays))

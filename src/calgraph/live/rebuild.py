@@ -59,6 +59,7 @@ def rebuild_captures(rig: Rig, recording: Recording, seeds: Mapping[str, int], e
     found = detect_by_sensors(
         part.model_copy(update={"sensors": detecting}),
         recording,
+        timeline,
         holds,
         DetectionMethod(cameras, seeds),
         engine=engine,

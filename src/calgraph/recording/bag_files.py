@@ -41,7 +41,7 @@ class BagFiles:
 
 def is_storage(path: Path) -> bool:
     """Whether a file is a bag's storage, by its name."""
-    name = path.with_suffix("") if path.suffix in _ZSTD_SUFFIXES else path
+    name = path.with_suffix("") if is_compressed(path) else path
     return name.suffix in STORAGE_SUFFIXES
 
 
@@ -59,13 +59,18 @@ def find_bag_files(path: Path) -> BagFiles | None:
     return BagFiles(tuple(files), ()) if files else None
 
 
+def is_compressed(file: Path) -> bool:
+    """Whether a storage file is compressed as a whole, by its name."""
+    return file.suffix in _ZSTD_SUFFIXES
+
+
 def decompress_storage(file: Path, stack: ExitStack, limits: LimitSettings) -> Path:
     """The storage file itself, or an uncompressed copy that lives as long as the stack.
 
     Raises:
         RecordingError: the file is damaged, or the disk of temporary files has too little space for the copy.
     """
-    if file.suffix not in _ZSTD_SUFFIXES:
+    if not is_compressed(file):
         return file
     folder = stack.enter_context(temporary_folder())
     copy = folder / file.stem

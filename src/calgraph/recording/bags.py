@@ -16,8 +16,14 @@ from rosbags.rosbag2 import Reader as Reader2
 
 from calgraph.config.settings import LimitSettings
 from calgraph.errors import RecordingError
-from calgraph.recording.bag_files import BagFiles, check_sqlite, decompress_message, decompress_storage
-from calgraph.recording.chunk_limits import is_finished, open_reader
+from calgraph.recording.bag_files import (
+    BagFiles,
+    check_sqlite,
+    decompress_message,
+    decompress_storage,
+    is_compressed,
+)
+from calgraph.recording.chunk_limits import has_index, is_finished, open_reader
 from calgraph.recording.message_types import MessageType, TypeDefinition, message_type
 from calgraph.recording.raw_messages import make_record
 from calgraph.recording.recording import (
@@ -70,6 +76,8 @@ class BagRecording(ClosedOnExit):
         except BaseException:
             self._stack.close()
             raise
+        # A compressed file is unpacked when it is opened, and all of one without an index is read.
+        self.divisible = not any(is_compressed(file) for file in bag.files) and all(map(has_index, self._readers))
         filled = [reader for reader in self._readers if reader.message_count]
         self.notices = tuple(_describe_unfinished(reader) for reader in self._readers if not is_finished(reader))
         self.start = min((reader.start_time for reader in filled), default=0) / 1e9

@@ -148,6 +148,12 @@ def is_finished(reader: Reader1 | Reader2) -> bool:
     return not isinstance(storage, _McapReader) or storage.is_finished
 
 
+def has_index(reader: Reader1 | Reader2) -> bool:
+    """Whether a storage file has an index of its messages; one that is made when it is opened does not count."""
+    storage = reader.storage if isinstance(reader, Reader2) else None
+    return not isinstance(storage, _McapReader) or (storage.is_finished and bool(storage.chunks))
+
+
 def _unpack_bag_chunk(name: str, limits: LimitSettings, data: bytes) -> bytes:
     content = unpack_chunk(data, limits.max_unpacked_bytes, _DECOMPRESSORS[name])
     check_unpacked_size(len(content), limits)

@@ -23,6 +23,7 @@ class ClockCorrectedRecording(ClosedOnExit):
         self._recording = recording
         self.clock_offsets = dict(clock_offsets)
         self.path, self.sources, self.topics = recording.path, recording.sources, recording.topics
+        self.opened_from, self.divisible = recording.opened_from, recording.divisible
         self._arrival_offsets = {
             topic.name: 0.0 if topic.time_base == "clock" else clock_offsets.get(topic.name, 0.0)
             for topic in recording.topics

@@ -86,6 +86,7 @@ class FolderRecording(IndexedRecording):
             time_bases={file.topic: "pose" for file in files if file.counted},
             sources=(path,),
         )
+        self.divisible = True
 
     def records(
         self, topics: Collection[str] | None = None, start: float | None = None, end: float | None = None

@@ -27,6 +27,8 @@ class PoseRecordings(JoinedRecording):
         super().__init__(recordings)
         # What is read with shifted stamps is not what another run reads from the same files.
         self.sources = ()
+        # All stamps are read before the shifts are known; and each of these recordings is short.
+        self.divisible = False
         spans = [_find_span(part, topics) for part in recordings]
         ordered = sorted(span for span in spans if span)
         apart = all(b[0] - a[1] > gap for a, b in pairwise(ordered))

@@ -58,6 +58,10 @@ class Recording(Protocol):
         """Absolute paths, and URLs, by which :func:`open_recordings` opens it again; empty where it cannot."""
 
     @property
+    def divisible(self) -> bool:
+        """Whether opening it again and reading a part takes little time beside reading all of it."""
+
+    @property
     def topics(self) -> tuple[TopicInfo, ...]:
         """All topics, sorted by name."""
 
@@ -102,9 +106,11 @@ class ClosedOnExit:
 
     Attributes:
         opened_from: see :attr:`Recording.opened_from`.
+        divisible: see :attr:`Recording.divisible`.
     """
 
     opened_from: tuple[str, ...] = ()
+    divisible: bool = False
 
     def close(self) -> None:
         """Does nothing, where no file stays open."""
@@ -124,6 +130,7 @@ class JoinedRecording(ClosedOnExit):
         self.path = path or self.parts[0].path
         sources = [part.sources for part in self.parts]
         self.sources = tuple(path for paths in sources for path in paths) if all(sources) else ()
+        self.divisible = all(part.divisible for part in self.parts)
         self.topics = merge_topics(topic for part in self.parts for topic in part.topics)
         self.start = min(part.start for part in self.parts)
         self.end = max(part.end for part in self.parts)

@@ -1,11 +1,13 @@
 """Recordings that calls open where they run: in another process, or on another machine."""
 
 import platform
+from collections.abc import Mapping
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 
 from calgraph.config.settings import LimitSettings
 from calgraph.errors import InputError, RecordingError
+from calgraph.recording.clock_correction import ClockCorrectedRecording
 from calgraph.recording.opening import open_recordings
 from calgraph.recording.recording import Recording
 
@@ -20,6 +22,8 @@ class RecordingReference:
     limits: LimitSettings
     span: tuple[float, float]
     """Its start and end, s, by which it is recognized."""
+    clock_offsets: Mapping[str, float]
+    """By topic, the offset that is subtracted from its stamps, s; empty where the clocks are not corrected."""
     machine: str = field(default_factory=platform.node)
     """On which it was referred to."""
 
@@ -35,6 +39,8 @@ class RecordingReference:
         here = "" if platform.node() == self.machine else f" on {platform.node()}"
         try:
             opened = open_recordings(self.opened_from, self.limits, again=True)
+            if self.clock_offsets:
+                opened = ClockCorrectedRecording(opened, self.clock_offsets)
         except InputError as error:
             if not here:
                 raise
@@ -53,4 +59,5 @@ def refer_to(recording: Recording, limits: LimitSettings) -> RecordingReference:
     """Refers to an open recording; calls with the reference may run anywhere."""
     span = recording.start, recording.end
     in_memory = None if recording.opened_from else recording
-    return RecordingReference(in_memory, recording.opened_from, limits, span)
+    offsets = recording.clock_offsets if isinstance(recording, ClockCorrectedRecording) else {}
+    return RecordingReference(in_memory, recording.opened_from, limits, span, offsets)

@@ -20,6 +20,7 @@ class ShiftedRecording(ClosedOnExit):
         self._recording, self._offset = recording, offset
         self.path, self.sources, self.topics = recording.path, recording.sources, recording.topics
         self.start, self.end = recording.start + offset, recording.end + offset
+        self.divisible = recording.divisible
 
     def records(
         self, topics: Collection[str] | None = None, start: float | None = None, end: float | None = None
