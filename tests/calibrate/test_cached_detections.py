@@ -13,11 +13,13 @@ import numpy as np
 import pytest
 
 from calgraph.calibrate import RigOptions, collect_captures
-from calgraph.captures import CaptureSet
+from calgraph.captures import CaptureSet, detect
 from calgraph.captures.board_views import decode_views, encode_views
 from calgraph.config import Rig, load_rig
 from calgraph.detection import BoardView, BoardViewFinder
-from calgraph.recording import RecordingCache, open_recording
+from calgraph.engine import THIS_PROCESS, Engine
+from calgraph.errors import CalibrationError
+from calgraph.recording import Recording, RecordingCache, open_recording
 from calgraph.simulation import (
     CameraOptions,
     LaserOptions,
@@ -26,6 +28,7 @@ from calgraph.simulation import (
     SpinningOptions,
     simulate_rig,
 )
+from engines import PicklingEngine
 
 SCENARIO = RigScenario(
     camera=CameraOptions(width=320, height=240, texels_per_mm=0.5, rate=4.0),
@@ -231,6 +234,31 @@ def test_options_of_the_detection_count(
     folder: Path, copied: Path, options: RigOptions, concerned: set[str]
 ) -> None:
     assert collect(folder, load_rig(folder / "rig.yaml"), copied, options)[2] == ALL - concerned
+
+
+@pytest.mark.parametrize("engine", [THIS_PROCESS, PicklingEngine()], ids=["this process", "elsewhere"])
+def test_a_run_continues_where_the_one_before_was_ended(
+    engine: Engine, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Every capture of a sensor is kept as soon as it is searched; there are three."""
+    monkeypatch.setattr(detect, "_MIN_PARALLEL_SEARCHES", 1)
+    rig, options = load_rig(folder / "rig.yaml"), RigOptions(engine=engine)
+    kept: list[str] = []
+    write = RecordingCache.write
+
+    def write_or_end(cache: RecordingCache, recording: Recording, kind: str, *rest: Any) -> None:
+        write(cache, recording, kind, *rest)
+        kept.extend([kind] if "detections" in kind else [])
+        if len(kept) == 5:
+            raise CalibrationError("the scheduler was lost")
+
+    monkeypatch.setattr(RecordingCache, "write", write_or_end)
+    with pytest.raises(CalibrationError, match="the scheduler was lost"):
+        collect(folder, rig, tmp_path, options)
+    again = collect(folder, rig, tmp_path, options)
+    assert len(kept) == 3 * len(ALL)
+    assert content(again[:2]) == content(collect(folder, rig, None)[:2])
+    assert again[2] < ALL
 
 
 def test_damaged_entries_are_made_again(folder: Path, tmp_path: Path) -> None:
