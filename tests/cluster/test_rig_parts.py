@@ -94,7 +94,7 @@ def nothing_sent(monkeypatch: pytest.MonkeyPatch) -> None:
     ids=["as it is", "clock offset", "intrinsics"],
 )
 def test_bits_are_the_same_with_one_process_with_four_and_where_workers_read_the_messages(
-    engine: DaskEngine, robot: Path, camera: dict[str, object], request: pytest.FixtureRequest
+    engine: DaskEngine, robot: Path, camera: dict[str, Any], request: pytest.FixtureRequest
 ) -> None:
     rig = load(robot, **camera)
     alone = collect(robot, rig, RigOptions())

@@ -44,12 +44,12 @@ Messages = Iterable[RecordedMessage] | StoredMessages
 def select_messages(
     rig: Rig, recording: Recording, timeline: RecordingTimeline, engine: Engine
 ) -> StoredMessages | None:
-    """Where calls of the engine find the messages of the rig's sensors; None if calls are to get the messages.
+    """Where calls of the engine read the messages of the rig's sensors; None if these are to be sent to them.
 
-    On a cluster, messages that calls get pass through this process and the scheduler. Processes of this machine
-    get them as fast as they would read them. So do all calls where no part of a recording is read without the
-    rest: of videos, which are decoded from a keyframe on, compressed files, files without an index, detected
-    corners, recordings of one pose each, and messages in memory.
+    To a cluster, messages that are sent pass through this process and the scheduler; processes of this machine get
+    them as fast as they would read them. Where reading a part takes as long as reading all, messages are always
+    sent: of videos, which are decoded from a keyframe on, files that are compressed as a whole or have no index,
+    detected corners, recordings of one pose each, and of messages in memory.
     """
     if isinstance(engine, Processes) or not (recording.divisible and recording.opened_from):
         return None
@@ -58,7 +58,7 @@ def select_messages(
 
 def count_parts(engine: Engine) -> int:
     """The number of parts of a recording that calls of the engine read."""
-    return _PARTS_PER_WORKER * engine.workers
+    return _PARTS_PER_WORKER * max(engine.workers, 1)  # a cluster may have lost all for a moment
 
 
 def search_holds(

@@ -124,7 +124,7 @@ def measure_activity(
 def _measure_sent(
     rig: Rig, recording: Recording, topics: Mapping[str, str], progress: Progress, engine: Engine
 ) -> dict[str, Array]:
-    """Changes (N,) of each sensor's messages in the order of their stamps, from calls that get the messages."""
+    """Changes (N,) of each sensor's messages in the order of their stamps, from calls to which they are sent."""
     settings = rig.settings.captures.motion
     names = {topic: name for name, topic in topics.items()}
     stamps: dict[str, list[float]] = {name: [] for name in topics}
