@@ -2,9 +2,10 @@
 
 import pickle
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import AbstractContextManager
 from typing import Any, TypeVar
 
-from calgraph.engine import THIS_PROCESS
+from calgraph.engine import THIS_PROCESS, MapEngine
 
 Result = TypeVar("Result")
 
@@ -42,6 +43,9 @@ class PicklingEngine:
         for arguments in work:
             result = pickle.loads(pickle.dumps(function))(copied, *self._send(arguments))  # noqa: S301
             yield pickle.loads(pickle.dumps(result))  # noqa: S301
+
+    def keep_workers(self) -> AbstractContextManager[MapEngine]:
+        return THIS_PROCESS.keep_workers()
 
     def _send(self, value: Any) -> Any:
         data = pickle.dumps(value)
