@@ -23,5 +23,5 @@ class DaskSettings(StrictModel):
     works. They are in the memory of the scheduler."""
     worker_memory: float | None = Field(default=None, gt=0)
     """Memory of each worker of this machine, 10⁹ bytes: values that calls keep are moved to disk above 60 % of it,
-    and a worker is started again above 95 %. Unlimited by default: values on disk are slow. Other clusters have their own
-    limits."""
+    and a worker is started again above 95 %. Unlimited by default: values on disk are slow. Other clusters have
+    their own limits."""
