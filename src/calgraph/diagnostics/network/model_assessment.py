@@ -76,7 +76,8 @@ def _test_model(
     if (solved := joint.solved) is None or not solved.problem.bodies:
         return ModelAssessment(joint)
     names, averaged = initialization.names, initialization.solution
-    parts = split_contributions(solved, settings.interval)
+    walked = sum(body.knots.duration for body in solved.problem.bodies)
+    parts = split_contributions(solved, max(settings.interval, walked / settings.max_parts))
     scatter = measure_scatter(parts)
     variance_factor = max(scatter.ratio, 1.0)
     findings = [

@@ -159,12 +159,17 @@ class NetworkContributions:
             self.body[chosen],
             self.time[chosen],
             tuple(row[self.columns[c][inside[c]]] for c in chosen),
-            tuple(self.information[c][np.ix_(inside[c], inside[c])] for c in chosen),
+            tuple(_select_block(self.information[c], inside[c]) for c in chosen),
             tuple(self.gradient[c][inside[c]] for c in chosen),
             prior,
             self.prior_scale * prior,
             unknowns,
         )
+
+
+def _select_block(matrix: Array, selected: NDArray[np.bool_]) -> Array:
+    # Those of a small network take much memory, and all of it is selected.
+    return matrix if selected.all() else matrix[np.ix_(selected, selected)]
 
 
 def split_contributions(solved: SolvedNetwork, interval: float) -> NetworkContributions:
@@ -174,15 +179,15 @@ def split_contributions(solved: SolvedNetwork, interval: float) -> NetworkContri
     # in its weights predicts. Scaled to that information, priors weigh more.
     scale = TukeyLoss(network.settings.beams.tukey_limit).score_to_information ** -0.5
     bodies, times, all_columns, information, gradient = [], [], [], [], []
-    split = equations.map(partial(_split_body, interval=interval))
+    estimated = [equations.estimated[columns] for columns in equations.columns]
+    split = equations.map(partial(_split_body, interval=interval), estimated)
     for index, (columns, of_body) in enumerate(zip(equations.columns, split, strict=True)):
-        kept = equations.estimated[columns]
         for time, A, b in of_body:
             bodies.append(index)
             times.append(time)
-            all_columns.append(columns[kept])
-            information.append(A[np.ix_(kept, kept)])
-            gradient.append(scale * b[kept])
+            all_columns.append(columns[estimated[index]])
+            information.append(A)
+            gradient.append(scale * b)
     prior = equations.H.add_diagonal(equations.regularizer).scale(scale).fix(~equations.estimated)
     return NetworkContributions(
         np.array(bodies, dtype=np.intp),
@@ -202,19 +207,21 @@ def _split_body(
     body: BodyObservations,
     path: BodyPath,
     equations: BodyEquations,
+    estimated: NDArray[np.bool_],
     interval: float,
 ) -> list[tuple[float, Array, Array]]:
-    """Time, information (UL, UL) and gradient (UL,) of each interval of a body; U, L as for its equations.
+    """Time, information (m, m) and gradient (m,) of each interval of a body, over its m estimated unknowns.
 
     A leg is one part: the biases of scanners make its intervals depend on each other.
     """
     size = len(equations.columns)
     H, g, K = eliminate_path(equations, 0.0)
     if isinstance(path, LegPath):
-        return [(body.knots.start + (body.knots.count - 3) * body.knots.step / 2, H, g)]
+        middle = body.knots.start + body.knots.duration / 2
+        return [(middle, H[np.ix_(estimated, estimated)], g[estimated])]
     by_path = K[: 3 * body.knots.count, :-1].reshape(-1, 3, size)
     by_shape = K[3 * body.knots.count :, :-1]
-    count = int((body.knots.count - 3) * body.knots.step / interval) + 1
+    count = int(body.knots.duration / interval) + 1
     information, gradient = np.zeros((count, size, size)), np.zeros((count, size))
     prior_gradient = equations.gradient.copy()
 
@@ -243,7 +250,11 @@ def _split_body(
     information += share[:, None, None] * (H - information.sum(axis=0))
     gradient += share[:, None] * (g - gradient.sum(axis=0))
     return [
-        (body.knots.start + (n + 0.5) * interval, information[n], gradient[n])
+        (
+            body.knots.start + (n + 0.5) * interval,
+            information[n][np.ix_(estimated, estimated)],
+            gradient[n, estimated],
+        )
         for n in np.flatnonzero(share).tolist()
     ]
 

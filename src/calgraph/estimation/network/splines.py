@@ -41,6 +41,11 @@ class Knots:
         powers = np.stack([np.ones_like(u), u, u * u, u**3], axis=-1)
         return first, np.asarray(powers @ _BASIS.T), np.asarray(powers[:, :3] @ _BASIS_DERIVATIVE.T / self.step)
 
+    @property
+    def duration(self) -> float:
+        """Of the curve, s."""
+        return self.step * (self.count - 3)
+
     def control_times(self) -> Array:
         """(count,) the times at which the weights of the control points are greatest, s."""
         return np.asarray(self.start + self.step * (np.arange(self.count) - 1.0), dtype=np.float64)
