@@ -127,6 +127,7 @@ def test_continuous_integration_fails_below_95_percent_coverage() -> None:
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["coverage"]
     assert settings["run"]["branch"] is True
     assert settings["report"]["fail_under"] == 95
+    assert 'make test ARGS="--cov --cov-report="' in (ROOT / WORKFLOW).read_text(encoding="utf-8")
 
 
 def test_called_targets_exist() -> None:
