@@ -1,11 +1,12 @@
 """Joint solutions of three scanners and two people, from scans that a test may change."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from calgraph.estimation import SolvedNetwork
+from calgraph.estimation.network.body_batches import BodyBatches
 from calgraph.estimation.network.ellipse_equations import compute_residuals, raycast_body
 from calgraph.estimation.network.path_equations import evaluate_at
 from calgraph.estimation.network.problem import BodyObservations, BodyPath, BodyScans, NetworkProblem, NetworkState
@@ -22,6 +23,14 @@ Change = Callable[[int, BodyScans], BodyScans]
 def no_change(_body: int, scans: BodyScans) -> BodyScans:
     """The scans as they are."""
     return scans
+
+
+def replace_bodies(solved: SolvedNetwork, bodies: Sequence[BodyObservations]) -> SolvedNetwork:
+    """The solution as if it was that of other measurements."""
+    problem = replace(solved.problem, bodies=tuple(bodies))
+    return replace(
+        solved, problem=problem, equations=replace(solved.equations, batches=BodyBatches.place(problem.bodies))
+    )
 
 
 def solve_two_walks(rng: np.random.Generator, change: Change = no_change) -> SolvedNetwork:

@@ -9,7 +9,7 @@ from calgraph.diagnostics.network.beam_views import _MAX_BEAMS, collect_beam_vie
 from calgraph.estimation import NetworkSolution, SolvedNetwork
 from calgraph.estimation.network.problem import BodyScans
 from network_scenes import SIGMA
-from solved_networks import solve_two_walks
+from solved_networks import replace_bodies, solve_two_walks
 
 NAMES = ("west", "east", "north")
 START = 100.0
@@ -42,7 +42,7 @@ def test_a_range_that_is_too_long_has_a_positive_residual(joint: NetworkSolution
 
     problem = joint.solved.problem
     bodies = tuple(replace(body, scans=tuple(map(lengthen, body.scans))) for body in problem.bodies)
-    longer = replace(joint, solved=replace(joint.solved, problem=replace(problem, bodies=bodies)))
+    longer = replace(joint, solved=replace_bodies(joint.solved, bodies))
     views, _ = collect_beam_views(longer, NAMES, START)
     means = {view.sensor: float(np.mean(view.residuals)) for view in views}
     assert means["east"] == pytest.approx(0.1, abs=0.01)
@@ -68,7 +68,7 @@ def test_outliers_are_left_out_and_beams_thinned(joint: NetworkSolution) -> None
 
     problem = joint.solved.problem
     bodies = tuple(replace(body, scans=tuple(map(reject, body.scans))) for body in problem.bodies)
-    half = replace(joint, solved=replace(joint.solved, problem=replace(problem, bodies=bodies)))
+    half = replace(joint, solved=replace_bodies(joint.solved, bodies))
     views, fit = collect_beam_views(half, NAMES, START)
     _, whole = collect_beam_views(joint, NAMES, START)
     for view in views:

@@ -12,7 +12,7 @@ from calgraph.estimation import SolvedNetwork
 from calgraph.estimation.network.problem import BodyScans
 from calgraph.geometry import Array
 from network_scenes import SETTINGS, SIGMA
-from solved_networks import solve_two_walks
+from solved_networks import replace_bodies, solve_two_walks
 
 NAMES = ("west", "east", "north")
 BACKGROUND = np.full(3, SIGMA)
@@ -72,7 +72,7 @@ def test_a_scanner_of_whose_beams_few_have_a_weight_is_weak(solved: SolvedNetwor
     bodies = tuple(
         replace(body, scans=tuple(drop_half(scans) for scans in body.scans)) for body in solved.problem.bodies
     )
-    (found,) = find(replace(solved, problem=replace(solved.problem, bodies=bodies)))
+    (found,) = find(replace_bodies(solved, bodies))
     assert found.text.startswith("only 4")
     assert "beams of north at people agree" in found.text
     assert (found.sensors, found.refutes) == (("north",), False)
@@ -108,5 +108,5 @@ def test_beams_of_different_scans_are_not_adjacent(solved: SolvedNetwork) -> Non
         )
         for body in solved.problem.bodies
     )
-    alone = replace(solved, problem=replace(solved.problem, bodies=bodies))
+    alone = replace_bodies(solved, bodies)
     np.testing.assert_array_equal(correlate_adjacent_beams(alone), 0)

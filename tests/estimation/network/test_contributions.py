@@ -81,7 +81,12 @@ def test_a_leg_is_one_part() -> None:
 
 
 def test_beams_without_noise_have_no_residuals_at_the_true_state_of_legs() -> None:
-    beams = list(list_beam_residuals(*build_network()))
+    network, state = build_network()
+    beams = [
+        one
+        for body, path in zip(network.bodies, state.paths, strict=True)
+        for one in list_beam_residuals(network, state, body, path)
+    ]
     assert [one.scans.scanner for one in beams] == [0, 1, 2, 0, 1, 2]
     for one in beams:
         np.testing.assert_allclose(one.residual, 0, atol=1e-6)

@@ -6,6 +6,7 @@ import numpy as np
 
 from calgraph.estimation.network.beam_residuals import BeamResiduals, list_beam_residuals
 from calgraph.estimation.network.estimate import NetworkSolution
+from calgraph.estimation.network.problem import BodyObservations, BodyPath, NetworkProblem, NetworkState
 from calgraph.geometry import Array
 from calgraph.result import BeamView, FitError
 from calgraph.result.evidence import rms
@@ -27,8 +28,10 @@ def collect_beam_views(
     if joint.solved is None:
         return (), {}
     by_scanner: dict[int, list[Array]] = {}
-    for beams in list_beam_residuals(joint.solved.problem, joint.solved.state):
-        by_scanner.setdefault(beams.scans.scanner, []).append(_inlier_rows(beams))
+    solved = joint.solved
+    for of_body in solved.equations.batches.map(_list_inlier_rows, solved.problem, solved.state):
+        for scanner, rows in of_body:
+            by_scanner.setdefault(scanner, []).append(rows)
     limit = min(_MAX_BEAMS, _MAX_BEAMS_IN_ALL // max(len(by_scanner), 1))
     views, fit = [], {}
     for scanner, parts in sorted(by_scanner.items()):
@@ -41,6 +44,14 @@ def collect_beam_views(
             times = rows[:, 0] - float(joint.clock_offset[scanner]) - start
             views.append(BeamView(names[scanner], times, rows[:, 1:3], rows[:, 3]))
     return tuple(views), fit
+
+
+def _list_inlier_rows(
+    network: NetworkProblem, state: NetworkState, body: BodyObservations, path: BodyPath
+) -> list[tuple[int, Array]]:
+    """The rows of each scanner's inlier beams on a body."""
+    residuals = list_beam_residuals(network, state, body, path)
+    return [(beams.scans.scanner, _inlier_rows(beams)) for beams in residuals]
 
 
 def _inlier_rows(beams: BeamResiduals) -> Array:

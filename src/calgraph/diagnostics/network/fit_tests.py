@@ -10,6 +10,7 @@ from calgraph.config.settings import NetworkModelSettings
 from calgraph.diagnostics.finding import Finding
 from calgraph.estimation import SolvedNetwork
 from calgraph.estimation.network.beam_residuals import list_beam_residuals
+from calgraph.estimation.network.problem import BodyObservations, BodyPath, NetworkProblem, NetworkState
 from calgraph.geometry import Array
 
 
@@ -98,13 +99,25 @@ def _find_correlated_beams(
 def correlate_adjacent_beams(solved: SolvedNetwork) -> Array:
     """(S,) correlation of the weighted residuals of each scanner's adjacent beams on a body; 0 without beams."""
     products, squares = np.zeros((2, solved.problem.count))
-    for beams in list_beam_residuals(solved.problem, solved.state):
-        weights, scanner = beams.scans.weight, beams.scans.scanner
+    for of_body in solved.equations.batches.map(_multiply_adjacent, solved.problem, solved.state):
+        for scanner, product, square in of_body:
+            products[scanner] += product
+            squares[scanner] += square
+    return np.asarray(products / np.maximum(squares, np.finfo(float).tiny))
+
+
+def _multiply_adjacent(
+    network: NetworkProblem, state: NetworkState, body: BodyObservations, path: BodyPath
+) -> list[tuple[int, float, float]]:
+    """Each scanner of a body, with the weighted sums of products and of mean squares of adjacent residuals."""
+    sums = []
+    for beams in list_beam_residuals(network, state, body, path):
+        weights = beams.scans.weight
         weight = np.sqrt(weights[:-1] * weights[1:]) * (beams.scan[:-1] == beams.scan[1:])
         first, second = beams.residual[:-1], beams.residual[1:]
-        products[scanner] += weight @ (first * second)
-        squares[scanner] += weight @ (first**2 + second**2) / 2
-    return np.asarray(products / np.maximum(squares, np.finfo(float).tiny))
+        product, square = weight @ (first * second), weight @ (first**2 + second**2) / 2
+        sums.append((beams.scans.scanner, float(product), float(square)))
+    return sums
 
 
 def _make_weak(scanners: NDArray[np.integer[Any]], names: Sequence[str]) -> tuple[str, ...]:

@@ -9,7 +9,13 @@ from calgraph.estimation.network.ellipse_equations import compute_residuals, ray
 from calgraph.estimation.network.leg_equations import compute_leg_residuals, raycast_leg
 from calgraph.estimation.network.leg_problem import LegPath
 from calgraph.estimation.network.path_equations import evaluate_at, index_scans
-from calgraph.estimation.network.problem import BodyScans, NetworkProblem, NetworkState
+from calgraph.estimation.network.problem import (
+    BodyObservations,
+    BodyPath,
+    BodyScans,
+    NetworkProblem,
+    NetworkState,
+)
 from calgraph.geometry import Array, Index
 
 
@@ -27,15 +33,16 @@ class BeamResiduals:
     """(N,) index of each beam's scan, ascending."""
 
 
-def list_beam_residuals(network: NetworkProblem, state: NetworkState) -> Iterator[BeamResiduals]:
-    """The residuals at a state, by body and scanner."""
-    for body, path in zip(network.bodies, state.paths, strict=True):
-        for k, scans in enumerate(body.scans):
-            _, _, pose, rate = evaluate_at(network, state, body, path, scans)
-            if isinstance(path, LegPath):
-                hits = raycast_leg(network, state, path, scans, pose, rate)
-                residual, sigma = compute_leg_residuals(network, scans, hits, float(path.bias[k]))
-            else:
-                residual, _ = compute_residuals(network, scans, raycast_body(state, path, scans, pose, rate))
-                sigma = np.full(len(residual), network.range_sigma[scans.scanner])
-            yield BeamResiduals(scans, residual, sigma, index_scans(scans))
+def list_beam_residuals(
+    network: NetworkProblem, state: NetworkState, body: BodyObservations, path: BodyPath
+) -> Iterator[BeamResiduals]:
+    """The residuals of a body at a state, by scanner."""
+    for k, scans in enumerate(body.scans):
+        _, _, pose, rate = evaluate_at(network, state, body, path, scans)
+        if isinstance(path, LegPath):
+            hits = raycast_leg(network, state, path, scans, pose, rate)
+            residual, sigma = compute_leg_residuals(network, scans, hits, float(path.bias[k]))
+        else:
+            residual, _ = compute_residuals(network, scans, raycast_body(state, path, scans, pose, rate))
+            sigma = np.full(len(residual), network.range_sigma[scans.scanner])
+        yield BeamResiduals(scans, residual, sigma, index_scans(scans))

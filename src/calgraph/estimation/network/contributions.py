@@ -74,8 +74,11 @@ class Contributions:
     def sum_information(self, weight: Array) -> Array:
         """(n, n) sum of the information of all parts by weights (C,)."""
         total = np.zeros_like(self.prior)
-        for factor, columns, of_part in zip(weight, self.columns, self.information, strict=True):
-            total[np.ix_(columns, columns)] += factor * of_part
+        # Parts of a body have the same columns: plain sums of these take little time.
+        for parts in np.split(np.arange(len(self.body)), 1 + np.flatnonzero(np.diff(self.body))):
+            if len(parts):
+                columns = self.columns[parts[0]]
+                total[np.ix_(columns, columns)] += sum(weight[c] * self.information[c] for c in parts)
         return total
 
     def sum_gradient(self, weight: Array) -> Array:
