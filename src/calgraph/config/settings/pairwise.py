@@ -40,8 +40,7 @@ class BoardPairSettings(StrictModel):
     """Standard deviation of a direction, m and rad, above which refinement does not move it: with weaker data the
     step would be noise, and the pose from RANSAC is closer."""
     ambiguity_margin: Positive = 12.0
-    """Increase of chi-squared up to which another minimum fits equally well: 95 % of six degrees of freedom
-    (12.6)."""
+    """Increase of chi-squared up to which another minimum fits as well: 95 % of 6 degrees of freedom (12.6)."""
     min_alternative_angle: Angle = float(np.radians(5))
     """Angle from which a second minimum counts as another pose, rad (5 degrees): above the error of a pose."""
     max_normal_angle: Angle = float(np.radians(30))
@@ -61,8 +60,7 @@ class BoardPairSettings(StrictModel):
     """Penalty on the rotation from an axis-aligned mounting, m/rad: selects among minima that fit equally well.
     From three upright boards with 3 mm of noise, 98 % of solutions are right with it, and 86 % without."""
     min_rms_slope: Positive = 0.03
-    """Change of the residuals' RMS per unit of a direction (m or rad) below which a sample does not determine
-    it."""
+    """Change of the residuals' RMS per unit of a direction (m or rad) that a sample determines at least."""
     sample_steps: Count = 12
     """Maximum number of least-squares steps for the pose of a sample: bounds the time, and the best pose is
     refined later."""
@@ -285,8 +283,7 @@ class HypothesisSettings(StrictModel):
     max_count: Count = 6
     """Hypotheses of a pair that are kept at most."""
     coincidence_stddev: Positive = 0.15
-    """Standard deviation of the distance between different people on similar trajectories under a wrong pose,
-    m."""
+    """Standard deviation of the distance between different people on similar trajectories, m."""
     track_stddev: Positive = 0.01
     """Standard deviation of the distance between two tracks of one person, m, below which fits do not count
     more."""
@@ -310,8 +307,7 @@ class ClockMountingSettings(StrictModel):
     max_named_offset: Positive = 5.0
     """The same for scanners without any pair, s: offsets up to it are named, but not corrected."""
     clock_step: Positive = 0.2
-    """Step of the search, s: at 1.5 m/s, half a step displaces people by 0.15 m, the registration's largest model
-    error."""
+    """Step of the search, s: at 1.5 m/s, half a step displaces people by 0.15 m, the largest model error."""
     proposals: Count = 10
     """Poses that are scored for each step and mounting: half of them the best, half random."""
     registered: Count = 3
