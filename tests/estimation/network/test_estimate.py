@@ -16,7 +16,6 @@ from calgraph.estimation.network.estimate import (
     _build_observations,
     _initialize_path,
     collect_scans,
-    select_bridges,
     solve_network,
 )
 from calgraph.estimation.network.problem import (
@@ -29,6 +28,7 @@ from calgraph.estimation.network.problem import (
 from calgraph.estimation.network.scanner_unknowns import SYSTEMATIC_ERRORS
 from calgraph.estimation.network.splines import Knots, evaluate_spline
 from calgraph.estimation.network.track_association import BodyTracks
+from calgraph.estimation.network.wall_constraints import select_bridges
 from calgraph.geometry import Array, se2
 from calgraph.graph import PoseGraph, PoseGraphSolution
 from calgraph.tracking import ScannerTracks, Track

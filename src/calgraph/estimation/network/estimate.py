@@ -3,17 +3,13 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import pairwise
 
 import numpy as np
 from scipy.linalg import solveh_banded
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from calgraph.config import Cylinder, Lidar2dUncertainty, People
 from calgraph.config.settings import NetworkEstimationSettings, ScannerPairSettings, TrackingSettings
 from calgraph.engine import THIS_PROCESS, MapEngine
-from calgraph.errors import Rejected
 from calgraph.estimation.network.body_batches import BodyBatches
 from calgraph.estimation.network.body_parts import cut_bodies
 from calgraph.estimation.network.ellipse_equations import compute_residuals, raycast_body
@@ -38,8 +34,6 @@ from calgraph.estimation.network.scanner_unknowns import (
     SYSTEMATIC_ERRORS,
     SystematicErrors,
     collect_prior_sigma,
-    correct_points,
-    linearize_beam_errors,
 )
 from calgraph.estimation.network.solver import (
     NetworkEquations,
@@ -51,9 +45,9 @@ from calgraph.estimation.network.splines import Knots
 from calgraph.estimation.network.systematic_spread import estimate_systematic_sigma
 from calgraph.estimation.network.track_association import BodyTracks, group_tracks_by_body
 from calgraph.estimation.network.tukey_loss import TukeyLoss
+from calgraph.estimation.network.wall_constraints import register_walls, select_bridges
 from calgraph.geometry import Array, se2
 from calgraph.graph import PoseGraph, PoseGraphSolution
-from calgraph.pairwise import icp
 from calgraph.tracking import ScannerTracks, Track
 
 
@@ -171,7 +165,7 @@ def solve_network(
     )
 
     def add_walls(network: NetworkProblem, state: NetworkState) -> NetworkProblem:
-        walls = _register_walls(tracked, network, state, pair_settings, engine)
+        walls = register_walls(tracked, network, state, pair_settings, engine)
         return replace(network, walls=(*walls, *select_bridges(network, walls, edges)))
 
     foregrounds = [one.foreground for one in tracked if one.foreground is not None]
@@ -348,55 +342,3 @@ def _compute_weights(
         used = hits.cos_incidence > beams.min_cos_incidence
         weights.append(TukeyLoss(beams.tukey_limit).compute_weights(residual, used, near_side_factor))
     return weights
-
-
-def _register_walls(
-    tracked: Sequence[ScannerTracks],
-    network: NetworkProblem,
-    state: NetworkState,
-    pair_settings: ScannerPairSettings,
-    engine: MapEngine,
-) -> tuple[WallConstraint, ...]:
-    """Registers the static backgrounds of all pairs of scanners that measured a common body."""
-    pairs = {
-        (a.scanner, b.scanner)
-        for body in network.bodies
-        for k, a in enumerate(body.scans)
-        for b in body.scans[k + 1 :]
-    }
-    settings = network.settings
-    prior_covariance = np.diag(
-        np.square([settings.wall_position_sigma, settings.wall_position_sigma, settings.wall_rotation_sigma])
-    )
-    beam_errors, _ = linearize_beam_errors(state.systematic)
-    backgrounds = engine.put(
-        [
-            icp.StaticBackground(correct_points(scanner.background, errors), pair_settings)
-            for scanner, errors in zip(tracked, state.systematic, strict=True)
-        ]
-    )
-    work = []
-    for a, b in sorted(pairs):
-        T_a_b = se2.inverse(state.T_root_scanner[a]) @ state.T_root_scanner[b]
-        sigma = float(np.hypot(tracked[a].sigma, tracked[b].sigma))
-        work.append((T_a_b, prior_covariance, backgrounds[a], backgrounds[b], sigma))
-    walls = []
-    for (a, b), registered in zip(sorted(pairs), engine.map(icp.align_backgrounds, work), strict=True):
-        if not isinstance(registered, Rejected):
-            by_errors = registered.by_beam_errors
-            # The pose that exact ranges and angles would have given.
-            T_a_b = se2.retract(registered.T_a_b, -by_errors @ beam_errors[[a, b]].ravel())
-            walls.append(WallConstraint(a, b, T_a_b, registered.information, by_errors))
-    return tuple(walls)
-
-
-def select_bridges(
-    network: NetworkProblem, walls: Sequence[WallConstraint], edges: Sequence[WallConstraint]
-) -> tuple[WallConstraint, ...]:
-    """The pairwise edges between parts of the network that neither walls nor beams with a weight connect."""
-    scanners = [[scans.scanner for scans in body.scans if scans.weight.any()] for body in network.bodies]
-    connected = [pair for of_body in scanners for pair in pairwise(of_body)]
-    ends = np.array([*connected, *((wall.a, wall.b) for wall in walls)], dtype=np.intp).reshape(-1, 2)
-    adjacency = coo_array((np.ones(len(ends)), ends.T), shape=(network.count, network.count))
-    part = connected_components(adjacency, directed=False)[1]
-    return tuple(edge for edge in edges if part[edge.a] != part[edge.b])
