@@ -44,8 +44,8 @@ class PicklingEngine:
             result = pickle.loads(pickle.dumps(function))(copied, *self._send(arguments))  # noqa: S301
             yield pickle.loads(pickle.dumps(result))  # noqa: S301
 
-    def keep_workers(self) -> AbstractContextManager[MapEngine]:
-        return THIS_PROCESS.keep_workers()
+    def keep_workers(self, max_kept_bytes: int) -> AbstractContextManager[MapEngine]:
+        return THIS_PROCESS.keep_workers(max_kept_bytes)
 
     def _send(self, value: Any) -> Any:
         data = pickle.dumps(value)

@@ -81,7 +81,7 @@ def end_process(number: int) -> int:
 
 @pytest.fixture
 def workers() -> Iterator[MapEngine]:
-    with Processes(2).keep_workers() as started:
+    with Processes(2).keep_workers(10**6) as started:
         yield started
 
 
@@ -142,12 +142,12 @@ def test_workers_report_a_process_that_was_killed(workers: MapEngine) -> None:
 
 
 def test_workers_end_with_the_block() -> None:
-    with Processes(2).keep_workers() as workers:
+    with Processes(2).keep_workers(10**6) as workers:
         ((process, _), *_) = workers.map(count_copies, [(0,)])
     with pytest.raises(ProcessLookupError):
         os.kill(process, 0)
 
 
 def test_one_process_has_no_workers() -> None:
-    with Processes(1).keep_workers() as workers:
+    with Processes(1).keep_workers(10**6) as workers:
         assert workers.map(compare_process, [(os.getpid(),)]) == [True]

@@ -5,6 +5,7 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar
 
+from calgraph.mapped_arrays import ArrayMemory, KeptValue
 from calgraph.processes import forked_jobs, parallel_map, parallel_stream
 from calgraph.worker_processes import start_workers
 
@@ -92,8 +93,13 @@ class Engine(MapEngine, Protocol):
             CalibrationError: the engine cannot go on; or what ``function`` or the stream raises.
         """
 
-    def keep_workers(self) -> AbstractContextManager[MapEngine]:
-        """Workers for maps that follow each other: until the block ends, they keep values without sending them."""
+    def keep_workers(self, max_kept_bytes: int) -> AbstractContextManager[MapEngine]:
+        """Workers for maps that follow each other: until the block ends, they keep values without sending them.
+
+        Args:
+            max_kept_bytes: of arrays that each process of this machine keeps in memory for calls; further ones are
+                in temporary files.
+        """
 
 
 @dataclass(frozen=True)
@@ -136,11 +142,52 @@ class Processes:
         """See :meth:`Engine.stream`."""
         return parallel_stream(function, work, shared, self.jobs)
 
-    def keep_workers(self) -> AbstractContextManager[MapEngine]:
+    def keep_workers(self, max_kept_bytes: int) -> AbstractContextManager[MapEngine]:
         """See :meth:`Engine.keep_workers`."""
         # Elsewhere, each would import everything again.
         jobs = forked_jobs(self.jobs)
-        return start_workers(jobs) if jobs > 1 else nullcontext(THIS_PROCESS)
+        return start_workers(jobs, max_kept_bytes) if jobs > 1 else nullcontext(_ThisProcess(max_kept_bytes))
+
+
+class _ThisProcess:
+    """This process alone, with limited memory for values; see :class:`MapEngine`."""
+
+    workers = 1
+
+    def __init__(self, max_kept_bytes: int) -> None:
+        self._memory = ArrayMemory(max_kept_bytes)
+
+    def map(
+        self,
+        function: Callable[..., Result],
+        work: Sequence[tuple[Any, ...]],
+        progress: Callable[[float], None] = lambda _done: None,
+    ) -> list[Result]:
+        """See :meth:`MapEngine.map`."""
+        results = []
+        for done, arguments in enumerate(work, start=1):
+            results.append(function(*(self._load(argument) for argument in arguments)))
+            progress(done / len(work))
+        return results
+
+    def put(self, values: Sequence[Any]) -> list[Any]:
+        """See :meth:`MapEngine.put`."""
+        return [self._memory.keep(value) for value in values]
+
+    def map_and_keep(
+        self, function: Callable[..., tuple[Result, Any]], work: Sequence[tuple[Any, ...]]
+    ) -> tuple[list[Result], list[Any]]:
+        """See :meth:`MapEngine.map_and_keep`."""
+        results, handles = [], []
+        for arguments in work:
+            result, value = function(*(self._load(argument) for argument in arguments))
+            results.append(result)
+            handles.append(self._memory.keep(value))
+        return results, handles
+
+    @staticmethod
+    def _load(argument: Any) -> Any:
+        return argument.load() if isinstance(argument, KeptValue) else argument
 
 
 THIS_PROCESS = Processes()

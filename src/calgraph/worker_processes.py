@@ -21,6 +21,7 @@ from typing import Any, NamedTuple, TypeVar
 from weakref import finalize
 
 from calgraph.errors import CalibrationError, WorkerKilledError
+from calgraph.mapped_arrays import ArrayMemory, KeptValue
 from calgraph.processes import KILLED_MESSAGE, postponed_signals, start_worker
 from calgraph.termination import add_cleanup, remove_cleanup
 
@@ -195,8 +196,12 @@ class WorkerProcesses:
 
 
 @contextmanager
-def start_workers(workers: int) -> Iterator[WorkerProcesses]:
+def start_workers(workers: int, max_kept_bytes: int) -> Iterator[WorkerProcesses]:
     """Processes that end with the block, where processes can be forked.
+
+    Args:
+        workers: their number.
+        max_kept_bytes: of arrays that each of them keeps in memory; further ones are in temporary files.
 
     Raises:
         CalibrationError: processes cannot be started.
@@ -211,7 +216,7 @@ def start_workers(workers: int) -> Iterator[WorkerProcesses]:
             for _ in range(workers):
                 with postponed_signals(), warnings.catch_warnings():
                     warnings.filterwarnings("ignore", message=".*fork", category=DeprecationWarning)
-                    started.append(_start(context))
+                    started.append(_start(context, max_kept_bytes))
         except OSError as error:
             reason = error.strerror or error
             raise CalibrationError(f"processes cannot be started ({reason}); reduce `jobs`") from error
@@ -221,9 +226,9 @@ def start_workers(workers: int) -> Iterator[WorkerProcesses]:
         remove_cleanup(key)
 
 
-def _start(context: ForkContext) -> _Worker:
+def _start(context: ForkContext, max_kept_bytes: int) -> _Worker:
     ours, its = context.Pipe()
-    process = context.Process(target=_serve, args=(its,), daemon=True)
+    process = context.Process(target=_serve, args=(its, max_kept_bytes), daemon=True)
     process.start()
     # The last copy is the process's own: its end is the end of what can be received.
     its.close()
@@ -252,34 +257,35 @@ def _release(number: int, holders: Sequence[_Worker]) -> None:
         worker.released.append(number)
 
 
-def _serve(connection: Connection) -> None:
+def _serve(connection: Connection, max_kept_bytes: int) -> None:
     """Answers requests for as long as the process runs."""
     start_worker(None)
-    values: dict[int, Any] = {}
+    memory, values = ArrayMemory(max_kept_bytes), dict[int, KeptValue]()
     while True:
         request: _Request = connection.recv()
         try:
-            content = ForkingPickler.dumps((True, _answer(request, values)))
+            content = ForkingPickler.dumps((True, _answer(request, values, memory)))
         except Exception as error:
             error.add_note(traceback.format_exc())
             content = ForkingPickler.dumps((False, error))
         connection.send_bytes(content)
 
 
-def _answer(request: _Request, values: dict[int, Any]) -> Any:
+def _answer(request: _Request, values: dict[int, KeptValue], memory: ArrayMemory) -> Any:
     """The result of a call; changes the values that the process keeps."""
     for number in request.released:
         values.pop(number, None)
-    values.update(request.values)
+    values.update((number, memory.keep(value)) for number, value in request.values.items())
     result = request.function(
         *(
-            values[argument.number] if isinstance(argument, _Placeholder) else argument
+            values[argument.number].load() if isinstance(argument, _Placeholder) else argument
             for argument in request.arguments
         )
     )
     if request.keep is None:
         return result
-    result, values[request.keep] = result
+    result, kept = result
+    values[request.keep] = memory.keep(kept)
     return result
 
 

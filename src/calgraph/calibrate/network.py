@@ -82,7 +82,7 @@ def calibrate_tracks(
     rng = np.random.default_rng(options.seed)
     corrected = pair_scanners(rig, tracked, options, rng, progress)
     initialization = _initialize(rig, corrected, options, rng)
-    with options.engine.keep_workers() as engine:
+    with options.engine.keep_workers(rig.settings.estimation.network.max_kept_bytes) as engine:
         joint = prior = None
         # A root without connections may have no tracks.
         if options.estimator == "joint" and len(initialization.names) > 1:

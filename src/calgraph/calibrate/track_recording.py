@@ -14,6 +14,7 @@ from calgraph.config import Cylinder, Lidar2dSpec, People, Rig, SensorSpec
 from calgraph.engine import THIS_PROCESS
 from calgraph.errors import InputError, Rejected
 from calgraph.io.columns import Arrays
+from calgraph.mapped_arrays import ArrayMemory
 from calgraph.recording import Recording, RecordingReference, refer_to
 from calgraph.tracking import (
     ScannerTracks,
@@ -62,8 +63,9 @@ def track_people(
         scanner_spec(name, spec)
     monitor = monitor or InputMonitor(rig, recording.start)
     inputs = {name: _list_inputs(name, rig, options) for name in rig.sensors}
+    memory = ArrayMemory(rig.settings.estimation.network.max_kept_bytes)
     found = {
-        name: kept
+        name: memory.limit(kept)
         for name, given in inputs.items()
         if (kept := options.cache.read(recording, _TRACKS, given, _decode)) is not None
     }
@@ -76,7 +78,7 @@ def track_people(
     unread = [name for name in rig.sensors if name not in found]
     for tracked in _track_unread(rig, recording, unread, options):
         for name, one in tracked.items():
-            found[name] = one
+            found[name] = memory.limit(one)
             monitor.restore(rig.topics[name], one.observations)
             options.cache.write(recording, _TRACKS, inputs[name], *_encode(one))
         progress("tracking", len(found) / len(rig.sensors))

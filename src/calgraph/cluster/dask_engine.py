@@ -107,8 +107,8 @@ class DaskEngine:
         if error is not None:
             raise error
 
-    def keep_workers(self) -> AbstractContextManager[MapEngine]:
-        """See :meth:`calgraph.engine.Engine.keep_workers`: the cluster's workers stay anyway."""
+    def keep_workers(self, max_kept_bytes: int) -> AbstractContextManager[MapEngine]:  # noqa: ARG002
+        """See :meth:`calgraph.engine.Engine.keep_workers`: the cluster's workers stay anyway, and have own limits."""
         return nullcontext(self)
 
     def _count_ahead(self) -> int:

@@ -20,6 +20,8 @@ def correct_tracks(tracked: ScannerTracks, *, clock_offset: float = 0.0, inverte
         clock_offset: the scanner's clock minus the other clock, s.
         inverted: whether to mirror everything at the x axis.
     """
+    if not clock_offset and not inverted:
+        return tracked
     signs = np.array([1.0, -1.0 if inverted else 1.0])
     # Static points are in order of angle, which mirroring reverses.
     background = tracked.background[::-1] if inverted else tracked.background

@@ -102,6 +102,9 @@ class RangeNoiseSettings(StrictModel):
     """Maximum noise beyond the background's, m: larger residuals are of other objects than the bodies."""
     max_leverage: float = Field(default=0.3, ge=0, le=0.5)
     """Maximum mean leverage that is corrected for: the correction is an expansion to first order in it."""
+    max_beams: int = Field(default=20_000, ge=300)
+    """Beams of a scanner whose residuals are compared, evenly among all of longer recordings: the median of as
+    many has a relative standard deviation of 0.8 %."""
 
 
 class ModelErrorSettings(StrictModel):
@@ -200,6 +203,10 @@ class NetworkEstimationSettings(StrictModel):
     """Scanners, near each other, whose differences are compared jointly for the spread of systematic errors; in
     larger networks, groups of them count as independent. The comparison takes time with the third power of their
     number, and 100 determine a standard deviation to 7 %."""
+    max_kept_bytes: int = Field(default=2**29, ge=0)
+    """Memory of a process for the beams of tracks, of people, and for people and their equations between the steps
+    of the joint solution, 0.5 GB each; what is beyond it is in temporary files. Influences no result. Workers of a
+    cluster have ``cluster.worker_memory`` for the last of them."""
     grouping: TrackGroupingSettings = TrackGroupingSettings()
     body: BodySettings = BodySettings()
     parts: BodyPartSettings = BodyPartSettings()

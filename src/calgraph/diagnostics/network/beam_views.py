@@ -1,18 +1,20 @@
 """Residuals of the beams of a network's joint solution, for the report."""
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
 from calgraph.estimation.network.beam_residuals import BeamResiduals, list_beam_residuals
 from calgraph.estimation.network.estimate import NetworkSolution
 from calgraph.estimation.network.problem import BodyObservations, BodyPath, NetworkProblem, NetworkState
-from calgraph.geometry import Array
+from calgraph.geometry import Array, Index
 from calgraph.result import BeamView, FitError
-from calgraph.result.evidence import rms
 
 # Beams that are kept of a scanner, and in all: more do not change what a picture shows.
 _MAX_BEAMS, _MAX_BEAMS_IN_ALL = 3000, 60_000
+# That are collected for each of these at least, if a scanner has as many.
+_ROWS_PER_BEAM = 4
 
 
 def collect_beam_views(
@@ -27,19 +29,25 @@ def collect_beam_views(
     """
     if joint.solved is None:
         return (), {}
-    by_scanner: dict[int, list[Array]] = {}
     solved = joint.solved
-    for of_body in solved.equations.batches.map(_list_inlier_rows, solved.problem, solved.state):
-        for scanner, rows in of_body:
-            by_scanner.setdefault(scanner, []).append(rows)
-    limit = min(_MAX_BEAMS, _MAX_BEAMS_IN_ALL // max(len(by_scanner), 1))
+    measured = np.zeros(solved.problem.count, dtype=np.intp)
+    for body in solved.problem.bodies:
+        for scans in body.scans:
+            measured[scans.scanner] += len(scans.ranges)
+    limit = min(_MAX_BEAMS, _MAX_BEAMS_IN_ALL // max(int(np.count_nonzero(measured)), 1))
+    # Rows of one body are in order of time, those of all are not: each scanner's are thinned again.
+    list_rows = partial(_list_inlier_rows, step=1 + measured // (_ROWS_PER_BEAM * limit))
+    by_scanner: dict[int, list[tuple[int, float, Array]]] = {}
+    for of_body in solved.equations.batches.map(list_rows, solved.problem, solved.state):
+        for scanner, *of_scanner in of_body:
+            by_scanner.setdefault(scanner, []).append(of_scanner)
     views, fit = [], {}
     for scanner, parts in sorted(by_scanner.items()):
-        rows = np.concatenate(parts)
-        error = rms(rows[:, 3])
-        if error is not None:
+        counts, squares, thinned = zip(*parts, strict=True)
+        if count := sum(counts):
+            rows = np.concatenate(thinned)
+            fit[names[scanner]] = FitError(count, "m", float(np.sqrt(sum(squares) / count)))
             rows = rows[np.argsort(rows[:, 0], kind="stable")]
-            fit[names[scanner]] = FitError(len(rows), "m", error)
             rows = rows[:: len(rows) // limit + 1]
             times = rows[:, 0] - float(joint.clock_offset[scanner]) - start
             views.append(BeamView(names[scanner], times, rows[:, 1:3], rows[:, 3]))
@@ -47,11 +55,15 @@ def collect_beam_views(
 
 
 def _list_inlier_rows(
-    network: NetworkProblem, state: NetworkState, body: BodyObservations, path: BodyPath
-) -> list[tuple[int, Array]]:
-    """The rows of each scanner's inlier beams on a body."""
-    residuals = list_beam_residuals(network, state, body, path)
-    return [(beams.scans.scanner, _inlier_rows(beams)) for beams in residuals]
+    network: NetworkProblem, state: NetworkState, body: BodyObservations, path: BodyPath, step: Index
+) -> list[tuple[int, int, float, Array]]:
+    """Each scanner's inlier beams on a body: their number, sum of squared residuals, and every n-th (S,) row."""
+    listed = []
+    for beams in list_beam_residuals(network, state, body, path):
+        rows = _inlier_rows(beams)
+        scanner = beams.scans.scanner
+        listed.append((scanner, len(rows), float(rows[:, 3] @ rows[:, 3]), rows[:: step[scanner]].copy()))
+    return listed
 
 
 def _inlier_rows(beams: BeamResiduals) -> Array:

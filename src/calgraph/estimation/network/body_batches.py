@@ -1,6 +1,6 @@
 """Calls for each body of a network, in batches that an engine evaluates."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -10,6 +10,8 @@ from calgraph.estimation.network.problem import BodyObservations, NetworkProblem
 
 # Beams of a batch: their equations take about 20 ms, of which calls and results are a tenth.
 _BATCH_BEAMS = 20_000
+# Batches of a part: enough for many processes, and five million numbers if there is one for each beam.
+_BATCHES_PER_PART = 250
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +43,12 @@ class BodyBatches:
                 beams = 0
         slices = tuple(slice(*pair) for pair in pairwise(bounds))
         return cls(engine, slices, tuple(engine.put([bodies[selected] for selected in slices])))
+
+    def divide(self) -> Iterator["BodyBatches"]:
+        """Parts of successive batches, whose results are in memory together."""
+        for first in range(0, len(self.bodies), _BATCHES_PER_PART):
+            part = slice(first, first + _BATCHES_PER_PART)
+            yield replace(self, bodies=self.bodies[part], handles=self.handles[part])
 
     def thin(self, step: int) -> "BodyBatches":
         """Every n-th batch."""

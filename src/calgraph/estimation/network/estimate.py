@@ -1,6 +1,6 @@
 """The default estimator of a network: one joint robust solution, starting at the averaged poses of its pairs."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -48,7 +48,11 @@ from calgraph.estimation.network.tukey_loss import TukeyLoss
 from calgraph.estimation.network.wall_constraints import register_walls, select_bridges
 from calgraph.geometry import Array, se2
 from calgraph.graph import PoseGraph, PoseGraphSolution
+from calgraph.mapped_arrays import ArrayMemory
 from calgraph.tracking import ScannerTracks, Track
+
+# People whose beams are in one file, if they are not in memory: systems allow tens of thousands of mapped files.
+_BODIES_PER_FILE = 100
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,7 +156,7 @@ def solve_network(
     )
     network = NetworkProblem(
         len(tracked),
-        tuple(_build_observations(body, target, settings) for body in bodies),
+        tuple(_observe_bodies(bodies, target, settings)),
         (),
         range_sigma=background,
         model_error_variance=np.array([errors.initial_position_sigma, errors.initial_heading_sigma]) ** 2,
@@ -187,7 +191,7 @@ def solve_network(
         estimate_clocks,
         float(np.sqrt(network.model_error_variance[0])),
         solved=SolvedNetwork(network, state, equations),
-        systematic=SystematicErrors(state.systematic, np.nan_to_num(of_errors), prior_sigma),
+        systematic=SystematicErrors(state.systematic, np.nan_to_num(of_errors, copy=False), prior_sigma),
     )
 
 
@@ -232,6 +236,16 @@ def _solve_bodies(
             break
         previous = network.model_error_variance
     return network, state, equations
+
+
+def _observe_bodies(
+    bodies: Sequence[BodyTracks], target: People | Cylinder, settings: NetworkEstimationSettings
+) -> Iterator[BodyObservations]:
+    """The beams of all bodies, with limited memory."""
+    memory = ArrayMemory(settings.max_kept_bytes)
+    for first in range(0, len(bodies), _BODIES_PER_FILE):
+        selected = bodies[first : first + _BODIES_PER_FILE]
+        yield from memory.limit([_build_observations(body, target, settings) for body in selected])
 
 
 def _build_observations(
@@ -318,11 +332,13 @@ def _update_weights(
     network: NetworkProblem, state: NetworkState, batches: BodyBatches, near_side_factor: float = 1.0
 ) -> tuple[NetworkProblem, BodyBatches]:
     """The network with robust weights of beams at a state, and its bodies; the factor is that of the weights."""
-    weights = batches.map(partial(_compute_weights, near_side_factor=near_side_factor), network, state)
-    bodies = []
-    for body, of_scanners in zip(network.bodies, weights, strict=True):
-        scans = (replace(one, weight=weight) for one, weight in zip(body.scans, of_scanners, strict=True))
-        bodies.append(replace(body, scans=tuple(scans)))
+    compute_weights = partial(_compute_weights, near_side_factor=near_side_factor)
+    memory, bodies = ArrayMemory(network.settings.max_kept_bytes), list[BodyObservations]()
+    for part in batches.divide():
+        weights = memory.limit(part.map(compute_weights, network, state))
+        for body, of_scanners in zip(network.bodies[len(bodies) :], weights, strict=False):
+            scans = (replace(one, weight=weight) for one, weight in zip(body.scans, of_scanners, strict=True))
+            bodies.append(replace(body, scans=tuple(scans)))
     return replace(network, bodies=tuple(bodies)), BodyBatches.place(bodies, batches.engine)
 
 

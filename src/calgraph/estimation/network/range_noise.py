@@ -5,6 +5,8 @@ clothes scatter more than walls. Residuals, in turn, are smaller than the noise,
 the more so, the greater the leverage of the beams (Huber, "Robust statistics", 1981, section 7.2).
 """
 
+from functools import partial
+
 import numpy as np
 
 from calgraph.estimation.network.ellipse_equations import compute_residuals, raycast_body
@@ -35,8 +37,12 @@ def estimate_range_noise(
     """
     settings, loss = network.settings.range_noise, TukeyLoss(network.settings.beams.tukey_limit)
     residuals: list[list[Array]] = [[] for _ in background]
-    leverage, effective_beams = np.zeros((2, len(background)))
-    measured = equations.batches.map(_measure_body, network, state, equations.body_equations)
+    leverage, effective_beams, beams = np.zeros((3, len(background)))
+    for body in network.bodies:
+        for scans in body.scans:
+            beams[scans.scanner] += len(scans.ranges)
+    measure = partial(_measure_body, step=1 + (beams // settings.max_beams).astype(np.intp))
+    measured = equations.batches.map(measure, network, state, equations.body_equations)
     for body, of_scanners in zip(network.bodies, measured, strict=True):
         for scans, (absolute, of_path) in zip(body.scans, of_scanners, strict=True):
             residuals[scans.scanner].append(absolute)
@@ -59,8 +65,9 @@ def _measure_body(
     body: BodyObservations,
     path: BodyPath,
     equations: BodyEquations,
+    step: Index,
 ) -> list[tuple[Array, float]]:
-    """Absolute residuals, m, and the sum of the leverages of each scanner's beams."""
+    """Every n-th (S,) absolute residual, m, and the sum of the leverages of each scanner's beams."""
     beams, path_covariance = network.settings.beams, compute_path_covariance(equations.band)
     measured = []
     for scans in body.scans:
@@ -70,7 +77,12 @@ def _measure_body(
         scan_equations = sum_over_scans(
             *compute_residuals(network, scans, hits), scans.weight, scans.first_beam
         ).marginalize_model_error(network.model_error_variance[[0, 0, 1]])
-        measured.append((absolute, _sum_leverages(weights, first, scan_equations, path_covariance)))
+        measured.append(
+            (
+                absolute[:: step[scans.scanner]].copy(),
+                _sum_leverages(weights, first, scan_equations, path_covariance),
+            )
+        )
     return measured
 
 

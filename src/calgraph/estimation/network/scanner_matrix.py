@@ -189,17 +189,19 @@ class NearInverse:
     def select(self, columns: Index) -> Array:
         """The inverse (m, m) at rows and columns (m,); NaN between scanners that are not near each other."""
         block, offset = np.divmod(self.order.place[columns], self.width)
-        selected = np.full((len(columns), len(columns)), np.nan)
+        by_common = self.by_common[columns]
+        # In place: those of all scanners of a large network take much memory.
+        selected = by_common @ self.capacitance @ by_common.T
         members = [np.flatnonzero(block == n) for n in range(len(self.diagonal))]
         for n, rows in enumerate(members):
-            selected[np.ix_(rows, rows)] = self.diagonal[n][np.ix_(offset[rows], offset[rows])]
+            selected[np.ix_(rows, np.flatnonzero(np.abs(block - n) > 1))] = np.nan
+            selected[np.ix_(rows, rows)] += self.diagonal[n][np.ix_(offset[rows], offset[rows])]
             if n and len(rows):
                 before = members[n - 1]
                 mixed = self.off_diagonal[n - 1][np.ix_(offset[rows], offset[before])]
-                selected[np.ix_(rows, before)], selected[np.ix_(before, rows)] = mixed, mixed.T
-        by_common = self.by_common[columns]
-        selected += by_common @ self.capacitance @ by_common.T
-        return selected
+                selected[np.ix_(rows, before)] += mixed
+                selected[np.ix_(before, rows)] += mixed.T
+        return np.asarray(selected)
 
 
 def _expand(lower: Array, at: slice) -> Array:

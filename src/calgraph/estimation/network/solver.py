@@ -110,8 +110,9 @@ class NetworkCovariance:
 
     def select(self, columns: Index) -> Array:
         """(m, m) of unknowns (m,); NaN between scanners that are not near each other."""
-        estimated = self.estimated[columns]
-        return np.where(estimated[:, None] & estimated, self.inverse.select(columns), 0.0)
+        selected, exact = self.inverse.select(columns), ~self.estimated[columns]
+        selected[exact] = selected[:, exact] = 0.0
+        return selected
 
 
 def compute_network_covariance(equations: NetworkEquations, near: int = 1) -> NetworkCovariance:
