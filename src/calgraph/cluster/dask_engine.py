@@ -108,7 +108,7 @@ class DaskEngine:
             raise error
 
     def keep_workers(self, max_kept_bytes: int) -> AbstractContextManager[MapEngine]:  # noqa: ARG002
-        """See :meth:`calgraph.engine.Engine.keep_workers`: the cluster's workers stay anyway, and have own limits."""
+        """See :meth:`calgraph.engine.Engine.keep_workers`: workers stay, and have limits of their own."""
         return nullcontext(self)
 
     def _count_ahead(self) -> int:

@@ -16,7 +16,8 @@ from calgraph.diagnostics.network.extension import (
 from calgraph.errors import CalibrationError, InputError
 from calgraph.estimation import NetworkSolution
 from calgraph.estimation.network.planar_poses import PlanarPoses, extract_planar_poses
-from calgraph.estimation.network.scanner_matrix import ScannerMatrix, ScannerOrder
+from calgraph.estimation.network.scanner_matrix import ScannerMatrix
+from calgraph.estimation.network.scanner_order import ScannerOrder
 from calgraph.estimation.network.scanner_prior import ScannerPrior, build_scanner_prior
 from calgraph.geometry import Array, se2
 from calgraph.result import Calibration, Edge, Verdict
@@ -28,7 +29,7 @@ REMARK = "its pose is that of the earlier calibration: this recording does not d
 
 def empty_matrix() -> ScannerMatrix:
     """Of four scanners with four unknowns each."""
-    return ScannerMatrix.zeros(ScannerOrder(np.arange(4), 3, 4))
+    return ScannerMatrix.zeros(ScannerOrder.complete(4, 4))
 
 
 def test_the_gradient_of_the_prior_equals_finite_differences() -> None:

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from calgraph.estimation.network.planar_poses import PlanarPoses
-from calgraph.estimation.network.scanner_matrix import ScannerMatrix, ScannerOrder
+from calgraph.estimation.network.scanner_matrix import ScannerMatrix
+from calgraph.estimation.network.scanner_order import ScannerOrder
 from calgraph.estimation.network.scanner_prior import build_scanner_prior
 from calgraph.geometry import se2
 
@@ -36,7 +37,7 @@ def test_the_cost_of_a_prior_is_half_the_squared_mahalanobis_distance() -> None:
     prior = build_scanner_prior(poses, ("root", "east"))
     moved = T.copy()
     moved[1, 0, 2] += 0.02
-    H, g = ScannerMatrix.zeros(ScannerOrder.from_links(2, np.array([[0, 1]]), 4)), np.zeros(8)
+    H, g = ScannerMatrix.zeros(ScannerOrder.complete(2, 4)), np.zeros(8)
     assert prior.add_to_equations(moved, H, g) == pytest.approx(2.0, rel=1e-5)
     np.testing.assert_allclose(g, [0, 0, 0, 0, 200, 0, 0, 0], rtol=1e-5, atol=1e-6)
     np.testing.assert_allclose(H.diagonal[4:], [0.01**-2, 0.02**-2, 0.03**-2, 0], rtol=1e-5)

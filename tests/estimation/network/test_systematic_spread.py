@@ -6,7 +6,8 @@ import pytest
 from calgraph.config.settings import NetworkEstimationSettings
 from calgraph.estimation.network.body_batches import BodyBatches, KeptValues
 from calgraph.estimation.network.problem import NetworkProblem, NetworkState
-from calgraph.estimation.network.scanner_matrix import ScannerMatrix, ScannerOrder
+from calgraph.estimation.network.scanner_matrix import ScannerMatrix
+from calgraph.estimation.network.scanner_order import ScannerOrder
 from calgraph.estimation.network.scanner_unknowns import (
     FIRST_SYSTEMATIC,
     RANGE_BIAS,
@@ -49,8 +50,8 @@ def estimate(bias: Array, current: Array, gain: float = 0.3) -> Array:
     settings = NetworkEstimationSettings(common_error_share=0.0)
     ones = np.ones(COUNT)
     network = NetworkProblem(COUNT, (), (), ones, np.ones(2), 0.1, current, 0.0, 1.0, settings)
-    matrix = ScannerMatrix.zeros(ScannerOrder(np.arange(COUNT), COUNT - 1, SCANNER_UNKNOWNS))
-    matrix.add(np.arange(size), H)
+    matrix = ScannerMatrix.zeros(ScannerOrder.complete(COUNT, SCANNER_UNKNOWNS))
+    matrix.add(np.arange(COUNT), H)
     estimated = np.isin(np.arange(size), unknowns)
     equations = NetworkEquations(
         0.0, network, state, BodyBatches.place(()), KeptValues(()), matrix, g, estimated, np.zeros(size)

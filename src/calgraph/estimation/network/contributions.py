@@ -134,8 +134,12 @@ class NetworkContributions:
         """Of the matrix of all parts and priors."""
         total = self.prior.copy()
         for columns, information in zip(self.columns, self.information, strict=True):
-            total.add(columns, information)
-        return total.factor().invert(1)
+            scanners = np.unique(columns // SCANNER_UNKNOWNS)
+            at = np.searchsorted(list_columns(scanners.tolist()), columns)
+            block = np.zeros((SCANNER_UNKNOWNS * len(scanners),) * 2)
+            block[np.ix_(at, at)] = information
+            total.add(scanners, block)
+        return total.factor().invert()
 
     def group_scanners(self, max_scanners: int) -> list[Index]:
         """Scanners near each other, of which any measured a body that several scanners did.

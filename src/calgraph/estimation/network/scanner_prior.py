@@ -28,9 +28,11 @@ class ScannerPrior:
         """Adds the term at poses (S, 3, 3) to normal equations over all scanners (US), in place; its cost."""
         error = se2.difference(T_root_scanner[self.nodes], self.T_root_scanner).ravel()
         gradient = self.information @ error
-        columns = (len(g) // len(T_root_scanner) * self.nodes[:, None] + np.arange(3)).ravel()
-        H.add(columns, self.information)
-        g[columns] += gradient
+        K, U = len(self.nodes), H.order.unknowns
+        block = np.zeros((K, U, K, U))
+        block[:, :3, :, :3] = self.information.reshape(K, 3, K, 3)
+        H.add(self.nodes, block.reshape(K * U, K * U))
+        g.reshape(-1, U)[self.nodes, :3] += gradient.reshape(K, 3)
         return 0.5 * float(error @ gradient)
 
 

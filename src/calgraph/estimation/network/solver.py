@@ -24,7 +24,8 @@ from calgraph.estimation.network.problem import (
     NetworkState,
     WallConstraint,
 )
-from calgraph.estimation.network.scanner_matrix import NearInverse, ScannerMatrix, ScannerOrder
+from calgraph.estimation.network.scanner_matrix import NearInverse, ScannerMatrix
+from calgraph.estimation.network.scanner_order import ScannerOrder
 from calgraph.estimation.network.scanner_unknowns import (
     BEAM_ERRORS,
     CLOCK,
@@ -71,9 +72,14 @@ class NetworkEquations:
         return np.flatnonzero(self.estimated)
 
     @property
+    def scanners(self) -> list[Index]:
+        """Those that measured each body."""
+        return [np.array([scans.scanner for scans in body.scans], dtype=np.intp) for body in self.network.bodies]
+
+    @property
     def columns(self) -> list[Index]:
         """Of the scanners that measured each body, in the equations of all scanners."""
-        return [list_columns([scans.scanner for scans in body.scans]) for body in self.network.bodies]
+        return [list_columns(scanners.tolist()) for scanners in self.scanners]
 
     def map(self, function: Callable[..., Any], *others: Any) -> list[Any]:
         """Calls a function for each body with the network, the state, the body, its path and its equations."""
@@ -83,8 +89,8 @@ class NetworkEquations:
         """Schur complement of all bodies: matrix and gradient (US,); what is not estimated is fixed."""
         H, g = self.H.add_diagonal(damping * self.H.diagonal), self.g.copy()
         reduced = self.map(partial(_reduce_body, damping=damping))
-        for columns, (body_H, body_g) in zip(self.columns, reduced, strict=True):
-            H.add(columns, body_H)
+        for scanners, columns, (body_H, body_g) in zip(self.scanners, self.columns, reduced, strict=True):
+            H.add(scanners, body_H)
             g[columns] += body_g
         return H.add_diagonal(self.regularizer).fix(~self.estimated), np.where(self.estimated, g, 0.0)
 
@@ -115,17 +121,10 @@ class NetworkCovariance:
         return selected
 
 
-def compute_network_covariance(equations: NetworkEquations, near: int = 1) -> NetworkCovariance:
-    """Covariances of all pairs of scanners in small networks, and of near ones in others.
-
-    Args:
-        equations: at the minimum.
-        near: all pairs of this many scanners, near each other, have a covariance.
-    """
+def compute_network_covariance(equations: NetworkEquations) -> NetworkCovariance:
+    """Covariances of all pairs of scanners in small networks, and of near ones in others, at the minimum."""
     H, _ = equations.eliminate_bodies()
-    count = equations.network.count
-    joint = count <= equations.network.settings.max_joint_covariance
-    return NetworkCovariance(H.factor().invert(count if joint else near), equations.estimated)
+    return NetworkCovariance(H.factor().invert(), equations.estimated)
 
 
 def forget_far_pairs(network: NetworkProblem, covariance: Array) -> Array:
@@ -212,7 +211,9 @@ def list_links(network: NetworkProblem) -> Index:
 
 
 def order_scanners(network: NetworkProblem) -> ScannerOrder:
-    """The order of a network's scanners in which linked ones are near each other."""
+    """The order of a network's scanners; in small networks, all of them are linked."""
+    if network.count <= network.settings.max_joint_covariance:
+        return ScannerOrder.complete(network.count, SCANNER_UNKNOWNS)
     return ScannerOrder.from_links(network.count, list_links(network), SCANNER_UNKNOWNS)
 
 
@@ -316,7 +317,6 @@ def _add_walls(state: NetworkState, walls: Sequence[WallConstraint], H: ScannerM
     J_transposed = np.swapaxes(J, 1, 2)
     blocks, gradients = J_transposed @ information @ J, (J_transposed @ information @ error)[..., 0]
     for pair, block, gradient in zip(pairs.tolist(), blocks, gradients, strict=True):
-        columns = list_columns(pair)
-        H.add(columns, block)
-        g[columns] += gradient
+        H.add(np.array(pair), block)
+        g[list_columns(pair)] += gradient
     return 0.5 * float(np.sum(error * (information @ error)))

@@ -105,7 +105,7 @@ def _marginalize_poses(
     H, g = equations.eliminate_bodies()
     factor = H.factor()
     mean = state.systematic.ravel() - factor.solve(g).reshape(network.count, -1)[:, FIRST_SYSTEMATIC:].ravel()
-    inverse, groups = factor.invert(size), -(-network.count // size)
+    groups = -(-network.count // size)
     kinds = network.systematic_sigma.shape[1]
     likelihoods = []
     for group in np.array_split(np.argsort(H.order.position), groups):
@@ -113,7 +113,7 @@ def _marginalize_poses(
         estimated = network.systematic_sigma[scanners] > 0
         row, kind = np.nonzero(estimated)
         of_all = kinds * scanners[row] + kind
-        covariance = inverse.select(SCANNER_UNKNOWNS * scanners[row] + FIRST_SYSTEMATIC + kind)
+        covariance = factor.invert_block(SCANNER_UNKNOWNS * scanners[row] + FIRST_SYSTEMATIC + kind)
         prior, largest = (
             compute_prior_covariance(sigma[scanners], common_share)[np.ix_(estimated.ravel(), estimated.ravel())]
             for sigma in (network.systematic_sigma, prior_sigma)
