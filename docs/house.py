@@ -35,6 +35,7 @@ PURPOSE = {
     "levenberg_marquardt": "the one nonlinear solver",
     "geometry": "poses, planes",
     "engine": "where calls run",
+    "mapped_arrays": "arrays in temporary files",
     "worker_processes": "processes that keep values",
     "processes": "parallel work",
     "lazy_names": "exports on first use",

@@ -341,6 +341,18 @@ def test_the_solution_does_not_depend_on_the_number_of_processes(monkeypatch: py
     np.testing.assert_array_equal(one.covariance, two.covariance)
 
 
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_the_solution_does_not_depend_on_the_memory(jobs: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(body_batches, "_BATCH_BEAMS", 1000)
+    solutions = []
+    for settings in (SETTINGS, SETTINGS.model_copy(update={"max_kept_bytes": 0})):
+        with Processes(jobs).keep_workers(settings.max_kept_bytes) as engine:
+            solutions.append(solve_network(PEOPLE, *scene(2), settings=settings, engine=engine))
+    one, other = solutions
+    np.testing.assert_array_equal(one.T_root_scanner, other.T_root_scanner)
+    np.testing.assert_array_equal(one.covariance, other.covariance)
+
+
 def test_a_large_network_has_no_covariance_of_scanners_without_common_bodies() -> None:
     tracked, averaged, graph = scene(2)
     # The first body is of the root and the second scanner, the other one of the root and the third.
