@@ -108,7 +108,7 @@ class DaskEngine:
             raise error
 
     def keep_workers(self, max_kept_bytes: int) -> AbstractContextManager[MapEngine]:  # noqa: ARG002
-        """See :meth:`calgraph.engine.Engine.keep_workers`: a cluster keeps its workers, and they have own limits."""
+        """See :meth:`calgraph.engine.Engine.keep_workers`: the cluster's stay, with limits of their own."""
         return nullcontext(self)
 
     def _count_ahead(self) -> int:

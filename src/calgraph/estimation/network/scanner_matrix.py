@@ -218,5 +218,7 @@ class NearInverse:
             selected[np.ix_(inside, own)], selected[np.ix_(own, inside)] = of_own.T, of_own
             place[front.scanners] = -1
         by_common = self.by_common[columns]
-        selected += by_common @ self.capacitance @ by_common.T
+        # In place, row by row: those of all scanners of a large network take much memory.
+        for row, left in enumerate(by_common @ self.capacitance):
+            selected[row] += by_common @ left
         return selected
