@@ -108,7 +108,7 @@ class DaskEngine:
             raise error
 
     def keep_workers(self, max_kept_bytes: int) -> AbstractContextManager[MapEngine]:  # noqa: ARG002
-        """See :meth:`calgraph.engine.Engine.keep_workers`: the cluster's stay, with limits of their own."""
+        """See :meth:`calgraph.engine.Engine.keep_workers`: workers of a cluster stay, with separate limits."""
         return nullcontext(self)
 
     def _count_ahead(self) -> int:
