@@ -7,6 +7,7 @@ import pytest
 
 from calgraph.calibrate import NetworkEstimator, NetworkOptions, calibrate_tracks, scanner_pairs
 from calgraph.config import Lidar2dSpec, People, Rig
+from calgraph.config.settings import Settings
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se3
 from calgraph.pairwise import ClockMountingHypothesis
@@ -157,3 +158,18 @@ def test_only_clocks_beyond_the_search_are_named_as_distant(
     pairs = {("scanner_1", LATE): Rejected("too little time")}
     findings = scanner_pairs._find_distant_clocks(rig, tracked, pairs, {}, NetworkOptions())
     assert any(f"the clock of {LATE} may differ from that of scanner_1" in one.text for one in findings) == named
+
+
+@pytest.mark.parametrize(("rate", "inverted"), [(1.0, frozenset()), (4e-4, frozenset({LATE}))])
+def test_mirrored_tracks_that_match_by_chance_invert_no_scanner(
+    lab: Network, monkeypatch: pytest.MonkeyPatch, rate: float, inverted: frozenset[str]
+) -> None:
+    """Two scanners have the least evidence, unless a match by chance is expected of every pair."""
+    rig, tracked, _ = lab
+    chance = {"pairwise": {"scanners": {"hypotheses": {"chance": {"rate": rate}}}}}
+    rig = rig.model_copy(update={"settings": Settings.model_validate(chance)})
+    mirrored = ClockMountingHypothesis("scanner_1", LATE, True, 0.0, 0.05, 80.0, 0.0, 1.0)
+    monkeypatch.setattr(scanner_pairs, "search_clocks_and_mountings", lambda *_args, **_options: [mirrored])
+    tracked = {name: tracked[name] for name in ("scanner_1", LATE)}
+    found = scanner_pairs._find_differences(rig, tracked, {}, frozenset(), NetworkOptions())
+    assert found.inverted == inverted

@@ -3,12 +3,13 @@
 from itertools import combinations
 
 import numpy as np
+import pytest
 
 from calgraph.config.settings import CandidateSettings, ScannerPairSettings
 from calgraph.engine import Processes
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2
-from calgraph.pairwise import ScannerPairEstimate, estimate_scanner_pairs
+from calgraph.pairwise import PoseHypothesis, ScannerPairEstimate, estimate_scanner_pairs
 from calgraph.pairwise.candidate_pairs import (
     Ends,
     select_implied_pairs,
@@ -93,6 +94,19 @@ def test_pairs_between_parts_are_those_that_were_not_tried() -> None:
     assert select_separated_pairs(similarity, connected, connected, one) == {(0, 3), (1, 3), (1, 2)}
 
 
+def test_partners_are_doubled_until_some_are_untried() -> None:
+    similarity = np.zeros((40, 40))
+    similarity[-1, :-1] = similarity[:-1, -1] = np.arange(1, 40)
+    connected: list[Ends] = [(k, k + 1) for k in range(38)]
+    few = SETTINGS.model_copy(update={"partners_between_parts": 2, "max_partners_between_parts": 5})
+    tried: set[Ends] = set()
+    for first in (37, 35, 34):
+        untried = select_separated_pairs(similarity, connected, tried, few)
+        assert untried == {(k, 39) for k in range(first, 39)} - tried
+        tried |= untried
+    assert not select_separated_pairs(similarity, connected, tried, few)
+
+
 def test_a_part_selects_its_most_similar_pairs() -> None:
     similarity = np.zeros((6, 6))
     for k, ends in enumerate([(0, 4), (0, 5), (1, 4), (2, 5), (3, 4), (3, 5)]):
@@ -156,6 +170,13 @@ def test_candidates_contain_all_right_pairs_of_a_hall() -> None:
     assert len(candidates) < 50
     assert len(count_right(exhaustive, poses)) > 20
     assert count_right(exhaustive, poses) <= count_right(candidates, poses)
+
+
+def test_further_pairs_are_tried_where_matches_may_be_by_chance(monkeypatch: pytest.MonkeyPatch) -> None:
+    tracked, _ = observe_hall(np.random.default_rng(3))
+    usual = estimate_scanner_pairs(tracked, np.random.default_rng(0))
+    monkeypatch.setattr(PoseHypothesis, "may_be_by_chance", lambda *_: True)
+    assert len(estimate_scanner_pairs(tracked, np.random.default_rng(0))) > len(usual)
 
 
 def test_candidates_do_not_depend_on_the_number_of_processes() -> None:

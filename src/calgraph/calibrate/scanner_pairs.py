@@ -19,6 +19,7 @@ from calgraph.pairwise import (
     describe_difference,
     estimate_scanner_pairs,
     is_firm,
+    may_differ_by_chance,
     search_clocks_and_mountings,
     select_searched_pairs,
 )
@@ -108,7 +109,12 @@ def _find_differences(
 ) -> ClockMountingSolution:
     """Clocks and mountings; searched in pairs between parts of the network that firm pairs do not connect."""
     settings, clock_sigma = rig.settings.pairwise.scanners, rig.settings.estimation.network.clock_sigma
-    estimates = [pair for pair in pairs.values() if isinstance(pair, ScannerPairEstimate)]
+    estimates = [
+        pair
+        for pair in pairs.values()
+        if isinstance(pair, ScannerPairEstimate)
+        and not pair.hypotheses[0].may_be_by_chance(len(tracked), settings.hypotheses)
+    ]
     firm = [is_firm(pair, clock_sigma, settings) for pair in estimates]
     part = _label_parts(tracked, itertools.compress(estimates, firm))
     used = itertools.compress(
@@ -124,9 +130,10 @@ def _find_differences(
         between = select_searched_pairs(observations, np.array(list(part.values())), settings)
         # Other random numbers than those of pairs and trees, which do not depend on the search.
         rng = np.random.default_rng((options.seed, 1))
-        hypotheses += search_clocks_and_mountings(
+        searched = search_clocks_and_mountings(
             between, observations, clock_sigma, rng, engine=options.engine, settings=settings
         )
+        hypotheses += [h for h in searched if not may_differ_by_chance(h, len(tracked), clock_sigma, settings)]
     names = list(dict.fromkeys([rig.root, *tracked]))
     return resolve_clocks_and_mountings(rig.root, names, hypotheses, stated & set(names), settings)
 

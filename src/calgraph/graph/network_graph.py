@@ -4,6 +4,7 @@ from collections import deque
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calgraph.config.settings import GraphSettings, HypothesisSettings
 from calgraph.geometry import Array
@@ -128,6 +129,18 @@ def edge_evidence(
             h.weight_of_evidence(hypothesis_settings) + settings.wall_evidence * h.uses_background
             for h in _hypotheses(names, pairs)
         ]
+    )
+
+
+def edges_by_chance(
+    names: Sequence[str],
+    pairs: Sequence[ScannerPairEstimate],
+    scanners: int,
+    hypothesis_settings: HypothesisSettings = HypothesisSettings(),
+) -> NDArray[np.bool_]:
+    """Which edges (E,) of :func:`build_network_graph` may be by chance in a network of so many scanners."""
+    return np.array(
+        [h.may_be_by_chance(scanners, hypothesis_settings) for h in _hypotheses(names, pairs)], dtype=np.bool_
     )
 
 

@@ -10,6 +10,7 @@ from calgraph.config.settings import GraphSettings, HypothesisSettings, ScannerP
 from calgraph.errors import Rejected
 from calgraph.geometry import Array
 from calgraph.graph.ambiguous_parts import AmbiguousPart, find_ambiguous_parts
+from calgraph.graph.chance_connections import find_chance_connections
 from calgraph.graph.clock_consensus import average_clocks
 from calgraph.graph.conflicting_evidence import find_conflicting_evidence
 from calgraph.graph.network_graph import (
@@ -17,6 +18,7 @@ from calgraph.graph.network_graph import (
     build_network_graph,
     edge_evidence,
     edge_weights,
+    edges_by_chance,
     published_weights,
 )
 from calgraph.graph.pose_graph import PoseAveraging, PoseGraph, PoseGraphSolution
@@ -71,6 +73,7 @@ def initialize_network(
 ) -> NetworkInitialization:
     """Averages a network's pairs, and removes hypotheses and scanners until no contradiction is left.
 
+    Matches that may be by chance do not connect a scanner alone (:func:`find_chance_connections`).
     Hypotheses under which scanners miss people in their open view are removed (:func:`find_visibility_conflict`).
     Where better evidence contradicts the pose of a part of the network (:func:`find_conflicting_evidence`), the
     weaker edges are removed if detections confirm the moved poses; the part is left out otherwise.
@@ -95,6 +98,15 @@ def initialize_network(
                 published_weights(names, estimates, settings) if averaging else edge_weights(evidence, settings)
             )
         solution, graph = average_network(graph, rng, weights, averaging, settings)
+        by_chance = edges_by_chance(names, estimates, len(observations), hypothesis_settings)
+        unsure = find_chance_connections(graph, solution, by_chance)
+        if unsure.any():
+            why = (
+                "the tracks match, but only where people walk straight at one speed, as different people do by "
+                f"chance among {len(observations)} scanners"
+            )
+            pairs = _reject_edges(pairs, names, unsure, Rejected(why))
+            continue
         # A root without any connection may have no observations.
         of_nodes = [observations[name] for name in names if name in observations]
         missed = find_visibility_conflict(graph, of_nodes, solution, evidence)

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
         ClockMountingHypothesis,
         describe_difference,
         is_firm,
+        may_differ_by_chance,
         search_clocks_and_mountings,
         select_searched_pairs,
     )
@@ -61,6 +62,7 @@ __all__ = [
     "estimate_scanner_pairs",
     "evaluate_coplanarity",
     "is_firm",
+    "may_differ_by_chance",
     "reselect_all_inliers",
     "reselect_inliers",
     "search_clocks_and_mountings",

@@ -64,13 +64,19 @@ def select_implied_pairs(
 
 
 def select_separated_pairs(
-    similarity: Array, poses: Collection[Ends], tried: Collection[Ends], settings: CandidateSettings
+    similarity: Array, sure: Collection[Ends], tried: Collection[Ends], settings: CandidateSettings
 ) -> set[Ends]:
-    """Untried pairs of scanners that poses do not connect, of the most similar tracks."""
-    part = label_parts(len(similarity), poses)
-    return select_pairs_between_parts(
-        similarity, part, settings.partners_between_parts, settings.pairs_of_part
-    ) - set(tried)
+    """Untried pairs of scanners that sure pairs (not by chance) do not connect, of the most similar tracks.
+
+    The number of partners of each scanner is doubled up to its maximum until there are untried ones.
+    """
+    part = label_parts(len(similarity), sure)
+    partners, most = settings.partners_between_parts, settings.max_partners_between_parts
+    while True:
+        untried = select_pairs_between_parts(similarity, part, partners, settings.pairs_of_part) - set(tried)
+        if untried or partners >= most:
+            return untried
+        partners = min(2 * partners, most)
 
 
 def label_parts(count: int, connected: Collection[Ends]) -> Indices:

@@ -17,7 +17,12 @@ from calgraph.config.settings import ScannerPairSettings
 from calgraph.engine import THIS_PROCESS, Engine
 from calgraph.geometry import Array, se2
 from calgraph.pairwise.candidate_pairs import select_pairs_between_parts
-from calgraph.pairwise.hypothesis_evidence import PoseHypothesis, build_hypothesis, subsample_pairs
+from calgraph.pairwise.hypothesis_evidence import (
+    PoseHypothesis,
+    build_hypothesis,
+    compute_chance_evidence,
+    subsample_pairs,
+)
 from calgraph.pairwise.pose_hypotheses import propose_poses
 from calgraph.pairwise.scanner_pair import ScannerPairEstimate
 from calgraph.pairwise.synchronized_tracks import Indices, SimultaneousPairs, pair_samples
@@ -79,6 +84,19 @@ def is_firm(pair: ScannerPairEstimate, clock_sigma: float, settings: ScannerPair
         and abs(best.clock_offset) <= clock_sigma
         and best.lateral_spread >= limits.min_lateral_spread
     )
+
+
+def may_differ_by_chance(
+    h: ClockMountingHypothesis, scanners: int, clock_sigma: float, settings: ScannerPairSettings
+) -> bool:
+    """Whether different people may match like this in a search of a network of so many scanners.
+
+    With other clocks, far more alternatives are compared: matches may then be by chance also where they determine
+    the clocks.
+    """
+    limits = settings.hypotheses
+    undetermined = h.clock_stddev > limits.chance.max_clock_stddev or abs(h.clock_offset) > clock_sigma
+    return undetermined and h.evidence < compute_chance_evidence(scanners, limits)
 
 
 def select_searched_pairs(

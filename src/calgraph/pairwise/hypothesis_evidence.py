@@ -73,6 +73,32 @@ class PoseHypothesis:
         lost = self.matched_share * self.observations * float(np.log(ratio))
         return self.weight_of_evidence(settings) - lost
 
+    def may_be_by_chance(self, scanners: int, settings: HypothesisSettings) -> bool:
+        """Whether different people may match like this in a network of so many scanners.
+
+        All of a straight walk at one speed matches all others at that speed, and does not determine the clocks.
+        """
+        limits = settings.chance
+        evidence = self.weight_of_evidence(settings) + limits.wall_evidence * self.uses_background
+        undetermined = self.clock_stddev > limits.max_clock_stddev
+        return undetermined and evidence < compute_chance_evidence(scanners, settings)
+
+
+def compute_chance_evidence(scanners: int, settings: HypothesisSettings) -> float:
+    """Weight of evidence that hardly any two scanners of a network reach by matching different people.
+
+    The number of pairs that match different people decreases exponentially with their evidence, and increases with
+    the number of pairs that are compared.
+
+    Args:
+        scanners: of the network, all pairs of which were compared.
+        settings: of the evidence and of matches by chance.
+    """
+    limits = settings.chance
+    expected = limits.rate * scanners * (scanners - 1) / 2
+    excess = limits.evidence_scale * float(np.log(max(expected / limits.max_expected, 1.0)))
+    return settings.min_weight_of_evidence + excess
+
 
 def is_credible(h: PoseHypothesis, min_observations: int, settings: HypothesisSettings) -> bool:
     """Tests whether matches exceed those by chance and by similar trajectories, and enough expected ones exist."""

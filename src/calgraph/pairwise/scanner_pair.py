@@ -173,6 +173,7 @@ def _estimate_candidates(
     tried: dict[Ends, ScannerPairEstimate | Rejected] = {}
     poses: dict[Ends, Array] = {}
     clear_poses: dict[Ends, Array] = {}
+    sure: set[Ends] = set()
     unclear_tries: Counter[int] = Counter()
     implied: set[Ends] = set()
     wanted = select_similar_pairs(similarity, settings.partners)
@@ -193,13 +194,18 @@ def _estimate_candidates(
             if pair.hypotheses[0].weight_of_evidence(batch.settings.hypotheses) >= settings.clear_evidence
         }
         clear_poses |= clear
+        sure |= {
+            ends
+            for ends, pair in registered.items()
+            if not pair.hypotheses[0].may_be_by_chance(len(batch.names), batch.settings.hypotheses)
+        }
         unclear_tries.update(end for ends in implied - set(clear) for end in ends)
         implied = select_implied_pairs(samples, clear_poses, clear, tried, settings) | {
             ends
             for ends in select_implied_pairs(samples, poses, registered, tried, settings)
             if max(unclear_tries[end] for end in ends) < settings.max_unclear_tries
         }
-        wanted = implied or select_separated_pairs(similarity, poses, tried, settings)
+        wanted = implied or select_separated_pairs(similarity, sure, tried, settings)
     progress(1.0)
     return tried
 

@@ -12,6 +12,7 @@ from calgraph.config.settings.captures import (
     MotionDetectionSettings,
     MovingBoardSettings,
 )
+from calgraph.config.settings.chance_matches import ChanceMatchSettings
 from calgraph.config.settings.dask import DaskSettings
 from calgraph.config.settings.detection import (
     BoardEdgeSettings,
@@ -123,6 +124,7 @@ __all__ = [
     "CaptureBackgroundSettings",
     "CaptureSettings",
     "CentroidSettings",
+    "ChanceMatchSettings",
     "ClockAlignmentSettings",
     "ClockMountingSettings",
     "CloudBackgroundSettings",

@@ -5,6 +5,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
+from calgraph.config.settings.chance_matches import ChanceMatchSettings
 from calgraph.config.strict_model import StrictModel
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -263,8 +264,7 @@ class HypothesisSettings(StrictModel):
     """Minimum share of matches among expected ones: a quarter remains where furniture occludes half of the
     positions from either scanner."""
     min_chance_ratio: Positive = 2.0
-    """Minimum ratio of matches to those by chance, where both scanners track people all the time in one
-    passage."""
+    """Minimum ratio of matches to those by chance, where both always track people in one passage."""
     min_score_ratio: Share = 0.4
     """Minimum ratio of a hypothesis's evidence to the best one's: alternatives below it are not kept."""
     unambiguous_evidence: Positive = 250.0
@@ -276,8 +276,7 @@ class HypothesisSettings(StrictModel):
     couple_count: Count = 12
     """Proposals that are registered in that search: with 8, correct ones were missed in 2 of 44 pairs."""
     min_couple_shift: Positive = 0.2
-    """Distance below which two registered hypotheses are one, if their angle is, too, m: half of the least
-    distance of two people."""
+    """Distance below which two registered hypotheses are one, if their angle is, too, m: half that of a couple."""
     same_turn: Angle = float(np.radians(2))
     """Angle below which two registered hypotheses are one, if their distance is, too, rad (2 degrees)."""
     max_count: Count = 6
@@ -285,8 +284,7 @@ class HypothesisSettings(StrictModel):
     coincidence_stddev: Positive = 0.15
     """Standard deviation of the distance between different people on similar trajectories, m."""
     track_stddev: Positive = 0.01
-    """Standard deviation of the distance between two tracks of one person, m, below which fits do not count
-    more."""
+    """Standard deviation of the distance between two tracks of one person, m: better fits do not count more."""
     min_weight_of_evidence: Positive = 45.0
     """Minimum weight of evidence of a hypothesis, a log likelihood ratio: a perfect fit of 2 s has 52, a fit with
     9 cm needs 9 s for the same. Chosen on benchmarks/short_networks.py."""
@@ -296,6 +294,7 @@ class HypothesisSettings(StrictModel):
     """Distance within which a scanner's other detections show that it detects people at a place, m."""
     min_neighbours: Count = 3
     """Number of detections within that distance for a match to be expected there."""
+    chance: ChanceMatchSettings = ChanceMatchSettings()
 
 
 class ClockMountingSettings(StrictModel):
@@ -330,8 +329,7 @@ class ClockMountingSettings(StrictModel):
     """Standard deviation of errors of a pair's clock offset that its covariance does not contain, s: in those
     pairs, a tenth of the offsets were off by more than 3 ms."""
     same_clock: Positive = 0.1
-    """Difference up to which the clock offsets of two pairs agree, s: people walk 15 cm in it, the registration's
-    largest model error."""
+    """Difference up to which the clock offsets of two pairs agree, s: people walk 15 cm in it."""
     min_clock_offset: Positive = 0.1
     """Offset from which tracks are corrected before poses are estimated, s: smaller ones are within the prior of
     clock offsets, and both estimators find them."""
@@ -353,6 +351,8 @@ class CandidateSettings(StrictModel):
     30 and 100 scanners, 3 connect all that any pairs connect; two more for paths that resemble each other."""
     partners_between_parts: Count = 30
     """Pairs of each scanner with other parts where parts remain unconnected: most have fewer in view."""
+    max_partners_between_parts: Count = 150
+    """Maximum of these, doubled while parts remain: it has right pairs for 10 of 14 such scanners of 1000."""
     pairs_of_part: Count = 300
     """Pairs that all scanners of a part select then: more than all between two halves of 30 scanners."""
     stretch_duration: Positive = 3.0
@@ -367,14 +367,14 @@ class CandidateSettings(StrictModel):
     same_angle: Angle = float(np.radians(20))
     """Angle up to which two alignments agree, rad (20 degrees): the error of that of a stretch of 1 m."""
     clear_evidence: Positive = 90.0
-    """Weight of evidence of a clear pose, twice the least one: in a simulated grid of 100 scanners, 5 of 53 wrong
-    pairs have more, and 395 of 478 right ones."""
+    """Weight of evidence of a clear pose, twice the least: 395 of 478 right pairs of a grid have it, 5 of 53 wrong
+    ones."""
     max_unclear_tries: Count = 10
     """Implied pairs of a scanner without a clear pose, after which only clear poses imply further ones: wrong
     poses imply ever more in large networks. With 10, a grid of 100 loses no pair: 711 are tried, 853 before."""
     common_radius: Positive = 1.0
-    """Distance of simultaneous samples under a pose that two pairs imply up to which both scanners may have
-    tracked one person, m: at 10 m, two angles that are off by 3 degrees displace it by 0.7 m."""
+    """Distance up to which both may have tracked one person under an implied pose, m: at 10 m, two angles that are
+    off by 3 degrees displace it by 0.7 m."""
     min_common_time: Positive = 1.0
     """Duration of such samples from which a pair is registered, s: half of the least duration of matches."""
 
