@@ -1,7 +1,7 @@
 """Parts of a network that only matches by chance connect to the root.
 
 Several such matches of a part are no better than one: where two scanners tracked the same person, both match
-whoever walked alike elsewhere, with poses that agree.
+any other person at the same speed, with poses that agree.
 """
 
 import numpy as np

@@ -138,7 +138,7 @@ def edges_by_chance(
     scanners: int,
     hypothesis_settings: HypothesisSettings = HypothesisSettings(),
 ) -> NDArray[np.bool_]:
-    """Which edges (E,) of :func:`build_network_graph` may be by chance in a network of so many scanners."""
+    """Which edges (E,) of :func:`build_network_graph` may be by chance in a network of this number of scanners."""
     return np.array(
         [h.may_be_by_chance(scanners, hypothesis_settings) for h in _hypotheses(names, pairs)], dtype=np.bool_
     )

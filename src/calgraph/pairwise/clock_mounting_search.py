@@ -89,14 +89,14 @@ def is_firm(pair: ScannerPairEstimate, clock_sigma: float, settings: ScannerPair
 def may_differ_by_chance(
     h: ClockMountingHypothesis, scanners: int, clock_sigma: float, settings: ScannerPairSettings
 ) -> bool:
-    """Whether different people may match like this in a search of a network of so many scanners.
+    """Whether different people may match like this in a search of a network of this number of scanners.
 
     With other clocks, far more alternatives are compared: matches may then be by chance also where they determine
     the clocks.
     """
-    limits = settings.hypotheses
-    undetermined = h.clock_stddev > limits.chance.max_clock_stddev or abs(h.clock_offset) > clock_sigma
-    return undetermined and h.evidence < compute_chance_evidence(scanners, limits)
+    limits = settings.hypotheses.chance
+    undetermined = h.clock_stddev > limits.max_clock_stddev or abs(h.clock_offset) > clock_sigma
+    return undetermined and h.evidence < compute_chance_evidence(scanners, settings.hypotheses)
 
 
 def select_searched_pairs(

@@ -74,7 +74,7 @@ class PoseHypothesis:
         return self.weight_of_evidence(settings) - lost
 
     def may_be_by_chance(self, scanners: int, settings: HypothesisSettings) -> bool:
-        """Whether different people may match like this in a network of so many scanners.
+        """Whether different people may match like this in a network of this number of scanners.
 
         All of a straight walk at one speed matches all others at that speed, and does not determine the clocks.
         """

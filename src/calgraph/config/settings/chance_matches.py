@@ -6,7 +6,7 @@ from calgraph.config.strict_model import StrictModel
 
 
 class ChanceMatchSettings(StrictModel):
-    """Matches of different people who walked alike, and what excludes them.
+    """Matches of different people who walked at the same speed, and what excludes them.
 
     The numbers are those of simulated buildings of 300 and 1000 scanners.
     """
