@@ -214,3 +214,13 @@ def test_bodies_of_the_joint_solution_are_named() -> None:
         joint = NetworkSolution(T_ROOT, OFFSET, np.eye(12), True, 0.005, one)
         assert str(_describe_bodies(target, joint)) == expected
     assert assemble().evidence.bodies is None
+
+
+def test_rare_reasons_come_first_and_of_many_partners_the_first_are_named() -> None:
+    """A scanner of a large network was compared with many others elsewhere, and matches one by chance."""
+    pairs: NetworkPairs = {(f"s{k}", "cellar"): Rejected("elsewhere") for k in range(20)}
+    pairs = {**pairs, ("west", "cellar"): Rejected("by chance")}
+    tracked = dict.fromkeys(("cellar", "west"), build_tracks(0))
+    assert _explain_unconnected("cellar", "west", tracked, pairs) == (
+        "has 1 tracks, but west: by chance; s0, s1, s2, s3, s4, s5, s6, s7 and 12 others: elsewhere"
+    )

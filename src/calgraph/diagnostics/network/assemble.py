@@ -27,6 +27,8 @@ from calgraph.result import Calibration, Edge, Evidence, ModelledBodies, Picture
 from calgraph.tracking import ScannerTracks
 
 _ADVICE = "let people walk farther and in more directions where the views of {name} and other scanners overlap"
+# Partners that a reason names: a scanner of a large network that no pair connects has up to 150.
+_LISTED_PARTNERS = 8
 
 NetworkPairs = Mapping[tuple[str, str], ScannerPairEstimate | Rejected]
 
@@ -245,5 +247,13 @@ def _explain_unconnected(
     for (a, b), found in pairs.items():
         if name in (a, b) and isinstance(found, Rejected):
             partners_by_reason.setdefault(found.reason, []).append(b if a == name else a)
-    reasons = "; ".join(f"{', '.join(partners)}: {reason}" for reason, partners in partners_by_reason.items())
+    # In large networks, most partners have a reason that all scanners elsewhere have: rare reasons come first.
+    by_number = sorted(partners_by_reason.items(), key=lambda item: len(item[1]))
+    reasons = "; ".join(f"{_list_partners(partners)}: {reason}" for reason, partners in by_number)
     return f"has {len(tracks.tracks)} tracks, but {reasons or 'no other scanner has any'}"
+
+
+def _list_partners(names: Sequence[str]) -> str:
+    """Names of scanners; the number of those beyond the first ones."""
+    listed = ", ".join(names[:_LISTED_PARTNERS])
+    return f"{listed} and {len(names) - _LISTED_PARTNERS} others" if len(names) > _LISTED_PARTNERS else listed
