@@ -146,7 +146,7 @@ def test_an_outlier_pair_has_no_inliers() -> None:
 
 
 def test_an_unconnected_scanner_has_the_reasons_of_its_pairs() -> None:
-    assert assemble().evidence.unconnected == {"cellar": "has 1 tracks, but west, east: too few"}
+    assert assemble().evidence.unconnected == {"cellar": "has 1 track, but west, east: too few"}
 
 
 def test_scanners_without_a_pose_have_the_reason_of_a_root_without_tracks() -> None:
@@ -216,11 +216,11 @@ def test_bodies_of_the_joint_solution_are_named() -> None:
     assert assemble().evidence.bodies is None
 
 
-def test_rare_reasons_come_first_and_of_many_partners_the_first_are_named() -> None:
+def test_rare_reasons_come_first_and_those_that_differ_in_numbers_are_one() -> None:
     """A scanner of a large network was compared with many others elsewhere, and matches one by chance."""
-    pairs: NetworkPairs = {(f"s{k}", "cellar"): Rejected("elsewhere") for k in range(20)}
+    pairs: NetworkPairs = {(f"s{k}", "cellar"): Rejected(f"only {0.5 * k} s") for k in range(20)}
     pairs = {**pairs, ("west", "cellar"): Rejected("by chance")}
     tracked = dict.fromkeys(("cellar", "west"), build_tracks(0))
     assert _explain_unconnected("cellar", "west", tracked, pairs) == (
-        "has 1 tracks, but west: by chance; s0, s1, s2, s3, s4, s5, s6, s7 and 12 others: elsewhere"
+        "has 1 track, but west: by chance; s0, s1, s2, s3, s4, s5, s6, s7 and 12 others: only 0.0 s"
     )

@@ -1,5 +1,6 @@
 """Assembles the Calibration of a network: poses lifted to SE(3), with the evidence of every pair."""
 
+import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from heapq import heappop, heappush
@@ -29,6 +30,7 @@ from calgraph.tracking import ScannerTracks
 _ADVICE = "let people walk farther and in more directions where the views of {name} and other scanners overlap"
 # Partners that a reason names: a scanner of a large network that no pair connects has up to 150.
 _LISTED_PARTNERS = 8
+_DIGITS = re.compile(r"[0-9.]+")
 
 NetworkPairs = Mapping[tuple[str, str], ScannerPairEstimate | Rejected]
 
@@ -243,14 +245,17 @@ def _explain_unconnected(
         return tracks.reason
     if isinstance(of_root, Rejected):
         return f"the root {root} is not calibrated: {of_root.reason}"
-    partners_by_reason: dict[str, list[str]] = {}
+    # Reasons that differ in numbers only are one, in the words of the first partner.
+    partners_by_reason: dict[str, tuple[str, list[str]]] = {}
     for (a, b), found in pairs.items():
         if name in (a, b) and isinstance(found, Rejected):
-            partners_by_reason.setdefault(found.reason, []).append(b if a == name else a)
-    # In large networks, most partners have a reason that all scanners elsewhere have: rare reasons come first.
-    by_number = sorted(partners_by_reason.items(), key=lambda item: len(item[1]))
+            _, partners = partners_by_reason.setdefault(_DIGITS.sub("", found.reason), (found.reason, []))
+            partners.append(b if a == name else a)
+    # In large networks, most partners have a reason that all distant scanners have: rare reasons come first.
+    by_number = sorted(partners_by_reason.values(), key=lambda item: len(item[1]))
     reasons = "; ".join(f"{_list_partners(partners)}: {reason}" for reason, partners in by_number)
-    return f"has {len(tracks.tracks)} tracks, but {reasons or 'no other scanner has any'}"
+    count = len(tracks.tracks)
+    return f"has {count} track{'s' * (count != 1)}, but {reasons or 'no other scanner has any'}"
 
 
 def _list_partners(names: Sequence[str]) -> str:
