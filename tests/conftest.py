@@ -1,5 +1,6 @@
 """Fixtures that every room's tests may use."""
 
+import gc
 import os
 from collections.abc import Generator
 from pathlib import Path
@@ -15,6 +16,12 @@ hypothesis.settings.load_profile("calgraph")
 
 # No test takes detections of another one, nor writes into the cache of whoever runs them; commands inherit it.
 os.environ["CALGRAPH_CACHE"] = "off"
+
+
+def pytest_collection_finish() -> None:
+    """Garbage is not looked for among the thousands of tests, which also stay shared with forked processes."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.hookimpl(wrapper=True)

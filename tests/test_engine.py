@@ -1,6 +1,5 @@
 """The engine of processes, and its workers that stay."""
 
-import gc
 import os
 import signal
 from collections.abc import Iterator
@@ -69,7 +68,6 @@ def keep_noted(_number: int) -> tuple[None, Noted]:
 
 
 def count_copies(_number: int) -> tuple[int, int]:
-    gc.collect()
     return os.getpid(), Noted.copies
 
 
@@ -114,7 +112,6 @@ def test_workers_forget_values_without_handles(workers: MapEngine) -> None:
     _, kept = workers.map_and_keep(keep_noted, [(n,) for n in range(8)])
     before = dict(workers.map(count_copies, [(n,) for n in range(40)]))
     del kept
-    gc.collect()
     after = dict(workers.map(count_copies, [(n,) for n in range(40)]))
     assert (sum(before.values()), sum(after.values())) == (8, 0)
 

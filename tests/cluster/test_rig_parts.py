@@ -124,7 +124,8 @@ def test_a_lost_scheduler_ends_the_run_and_the_next_one_resumes(
             scheduler.kill()
             scheduler.wait()
 
-    rig, settings = load(robot), DaskSettings(connect_timeout=30.0, calls_ahead=1)
+    # A client waits as long for a scheduler that it has lost.
+    rig, settings = load(robot), DaskSettings(connect_timeout=4.0, calls_ahead=1)
     try:
         with (
             open_cluster(address, 1, settings) as engine,
