@@ -148,7 +148,7 @@ def test_calibrating_the_recording_gives_the_same_to_the_bit(
 
 
 def test_a_killed_session_goes_on(walk: Path, session: tuple[Path, Live], tmp_path: Path) -> None:
-    # No message is replayed before captures are known: at real time, slow machines had recorded the third one here.
+    # No message is replayed before captures are known. At real time, slow machines had recorded all of them here.
     killed = start(walk, tmp_path / "session", "--set", "live.recorder.max_chunk_duration=0.02")
     killed.wait_for("Capture 2")
     time.sleep(0.3)  # what is not written yet is lost, such as the trigger of the capture

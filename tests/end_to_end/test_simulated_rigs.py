@@ -40,7 +40,7 @@ NO_LASER = LaserOptions(count=0)
 NO_SPINNING = SpinningOptions(count=0)
 CAMERA = CameraOptions(width=560, height=420, texels_per_mm=1.0, rate=2.0)
 LASERS = LaserOptions(count=2, rate=4.0, resolution=0.5)
-MULTIBEAM = MultibeamOptions(count=1, rate=4.0, rings=32, resolution=0.4)
+MULTIBEAM = MultibeamOptions(count=1, rate=4.0, rings=32, resolution=0.8)
 SCENARIO = RigScenario(
     camera=CAMERA,
     laser=LASERS,

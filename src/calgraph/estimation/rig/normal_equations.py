@@ -274,9 +274,10 @@ def _accumulate_unweighted(
     R = residuals.local_jacobian.shape[1] - q
     augmented = np.concatenate([columns, residual[None]])
     products, squares = np.empty((len(groups.count), q + 1, q + 1)), np.empty_like(augmented)
+    begin, some = np.cumsum(groups.count) - groups.count, groups.count > 0
     for i in range(q + 1):
         of_column = np.multiply(augmented[i:], augmented[i], out=squares[i:])
-        products[:, i, i:] = products[:, i:, i] = _sum_by_group(of_column, groups.count).T
+        products[:, i, i:] = products[:, i:, i] = _sum_groups(of_column, begin, some).T
     of_views = groups.sum_by_view(products)
     JtJ, Jtr = np.zeros((views, q + R, q + R)), np.zeros((views, q + R))
     JtJ[:, :q, :q], Jtr[:, :q] = of_views[:, :q, :q], of_views[:, :q, q]
@@ -327,16 +328,19 @@ def _downweight_outliers(
         JtJ=unweighted.JtJ - excess.JtJ,
         Jtr=unweighted.Jtr - excess.Jtr,
         squared_residuals=unweighted.squared_residuals - excess.squared_residuals,
-        robust_cost_offset=groups.sum_by_view(_sum_by_group(offsets, subset.count)),
+        robust_cost_offset=groups.sum_by_view(
+            _sum_groups(offsets, np.cumsum(subset.count) - subset.count, subset.count > 0)
+        ),
     )
 
 
-def _sum_by_group(values: Array, count: Index) -> Array:
-    """(..., M) sums of values (..., n), ``count`` (M,) of each group."""
-    some = count > 0
-    sums = np.zeros((*values.shape[:-1], len(count)))
+def _sum_groups(values: Array, begin: Index, some: NDArray[np.bool_]) -> Array:
+    """(..., M) sums of values (..., n) in groups that ``begin`` (M,) there, if they have ``some`` (M,)."""
+    if some.all():
+        return np.asarray(np.add.reduceat(values, begin, axis=-1))
+    sums = np.zeros((*values.shape[:-1], len(begin)))
     if some.any():
-        sums[..., some] = np.add.reduceat(values, (np.cumsum(count) - count)[some], axis=-1)
+        sums[..., some] = np.add.reduceat(values, begin[some], axis=-1)
     return sums
 
 
