@@ -33,7 +33,7 @@ Network = tuple[Rig, dict[str, ScannerTracks], GroundTruth]
 @pytest.fixture(scope="module")
 def lab() -> Network:
     """Four scanners that are upright, with equal clocks."""
-    scenario = NetworkScenario(layout="lab", duration=30, scanner={"count": 4}, people={"count": 2})  # type: ignore[arg-type]
+    scenario = NetworkScenario(layout="lab", duration=20, scanner={"count": 4}, people={"count": 2})  # type: ignore[arg-type]
     return track(build_network(scenario, 0))
 
 
