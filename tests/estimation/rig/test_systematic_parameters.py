@@ -210,10 +210,10 @@ def test_outlines_do_not_bias_the_range_scale() -> None:
 
 
 def test_covariances_contain_systematic_errors_drawn_from_their_priors() -> None:
-    """Every systematic error of sensors and board at once, in 24 worlds."""
+    """Every systematic error of sensors and board at once, in 16 worlds."""
     world = build_world(FINE.model_copy(update={"samples": 1}), 1, images=False)
     nees = []
-    for seed in range(24):
+    for seed in range(16):
         one = detect_rig_on(world, seed, draw_errors(world, np.random.default_rng(seed)))
         joint = one.solve()
         nees.append([one.mahalanobis(joint, name) for name in ("camera", "laser_front")])
