@@ -51,7 +51,7 @@ def record(lens: str, **knobs: object) -> Recorded:
         camera=LENSES[lens],
         laser=LaserOptions(count=0),
         spinning=SpinningOptions(count=0),
-        multibeam=MultibeamOptions(count=1, rate=4.0, rings=32, resolution=0.8),
+        multibeam=MultibeamOptions(count=1, rate=4.0, rings=32, resolution=0.4),
         bearings=tuple(np.linspace(-bearing, bearing, 10)),
         radii=(radius, 1.5 * radius),
         samples=1,
