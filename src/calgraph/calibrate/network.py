@@ -10,7 +10,7 @@ from calgraph.calibrate.options import NetworkOptions, Progress, no_progress
 from calgraph.calibrate.scanner_pairs import CorrectedPairs, pair_scanners
 from calgraph.calibrate.step_log import log_network
 from calgraph.calibrate.strategies import select_averaging
-from calgraph.calibrate.track_recording import moving_target, scanner_spec, track_people
+from calgraph.calibrate.track_recording import forget_unused_beams, moving_target, scanner_spec, track_people
 from calgraph.captures import InputFinding, InputMonitor
 from calgraph.config import Rig
 from calgraph.config.settings import StationaritySettings
@@ -45,6 +45,7 @@ def calibrate_network(
     _calibration_to_extend(rig, options)  # checked before minutes are spent on tracking
     monitor = InputMonitor(rig, recording.start)
     tracks, frames = track_people(rig, recording, options, progress, monitor)
+    tracks = forget_unused_beams(rig, tracks)
     return calibrate_tracks(
         rig, tracks, options, progress, frames=frames, start=recording.start, findings=monitor.findings()
     )

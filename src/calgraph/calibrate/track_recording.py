@@ -2,7 +2,7 @@
 
 import logging
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from calgraph.calibrate.options import CenterFeature, NetworkOptions, Progress, no_progress
@@ -13,6 +13,7 @@ from calgraph.captures.input_checks import TopicObservations, decode_observation
 from calgraph.config import Cylinder, Lidar2dSpec, People, Rig, SensorSpec
 from calgraph.engine import THIS_PROCESS
 from calgraph.errors import InputError, Rejected
+from calgraph.estimation.network.leg_choice import measures_legs
 from calgraph.io.columns import Arrays
 from calgraph.mapped_arrays import ArrayMemory
 from calgraph.recording import Recording, RecordingReference, refer_to
@@ -65,7 +66,7 @@ def track_people(
     inputs = {name: _list_inputs(name, rig, options) for name in rig.sensors}
     memory = ArrayMemory(rig.settings.estimation.network.max_kept_bytes)
     found = {
-        name: memory.limit(kept)
+        name: _limit_memory(kept, memory)
         for name, given in inputs.items()
         if (kept := options.cache.read(recording, _TRACKS, given, _decode)) is not None
     }
@@ -78,7 +79,7 @@ def track_people(
     unread = [name for name in rig.sensors if name not in found]
     for tracked in _track_unread(rig, recording, unread, options):
         for name, one in tracked.items():
-            found[name] = memory.limit(one)
+            found[name] = _limit_memory(one, memory)
             monitor.restore(rig.topics[name], one.observations)
             options.cache.write(recording, _TRACKS, inputs[name], *_encode(one))
         progress("tracking", len(found) / len(rig.sensors))
@@ -86,6 +87,27 @@ def track_people(
     log_tracks(tracks)
     stated = {name: frame for name in rig.sensors if (frame := found[name].frame) is not None}
     return tracks, stated
+
+
+def forget_unused_beams(
+    rig: Rig, tracks: Mapping[str, ScannerTracks | Rejected]
+) -> dict[str, ScannerTracks | Rejected]:
+    """The tracks of all scanners without the beams beside them, which only measurements of legs need."""
+    target, tracked = moving_target(rig), [one for one in tracks.values() if isinstance(one, ScannerTracks)]
+    if isinstance(target, People) and measures_legs(target, tracked, rig.settings.estimation.network.legs):
+        return dict(tracks)
+    return {
+        name: replace(one, foreground=None) if isinstance(one, ScannerTracks) else one
+        for name, one in tracks.items()
+    }
+
+
+def _limit_memory(tracked: _Tracked, memory: ArrayMemory) -> _Tracked:
+    """The same; beams that may be forgotten have a file for themselves."""
+    if isinstance(tracked.tracks, Rejected):
+        return tracked
+    tracks = memory.limit(replace(tracked.tracks, foreground=None))
+    return replace(tracked, tracks=replace(tracks, foreground=memory.limit(tracked.tracks.foreground)))
 
 
 def _list_inputs(name: str, rig: Rig, options: NetworkOptions) -> dict[str, Any]:

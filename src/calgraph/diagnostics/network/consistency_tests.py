@@ -125,8 +125,8 @@ def measure_scatter(parts: NetworkContributions) -> Scatter:
     variance ``2 Σ tr(C A C A)``, and about the distribution of a multiple of χ² (Satterthwaite, 1946).
     """
     mean = square = observed = 0.0
-    for columns, A, b in zip(parts.columns, parts.information, parts.gradient, strict=True):
-        C = parts.inverse.select(columns)
+    for c, (columns, b) in enumerate(zip(parts.columns, parts.gradient, strict=True)):
+        C, A = parts.inverse.select(columns), parts.expand_information(c)
         CA = C @ A
         mean += float(np.trace(CA))
         square += float(np.sum(CA * CA.T))

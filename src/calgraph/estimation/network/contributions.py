@@ -118,8 +118,8 @@ class NetworkContributions:
     """(C,) s, of the middle of its interval by the root's clock."""
     columns: tuple[Index, ...]
     """(m,) of each part, in the equations of all scanners; only estimated ones."""
-    information: tuple[Array, ...]
-    """(m, m) of each part."""
+    triangle: tuple[Array, ...]
+    """(m (m + 1) / 2,) lower triangle of the information of each part, row by row."""
     gradient: tuple[Array, ...]
     """(m,) of each part, scaled such that its covariance is the information."""
     prior: ScannerMatrix
@@ -133,13 +133,20 @@ class NetworkContributions:
     def inverse(self) -> NearInverse:
         """Of the matrix of all parts and priors."""
         total = self.prior.copy()
-        for columns, information in zip(self.columns, self.information, strict=True):
+        for c, columns in enumerate(self.columns):
             scanners = np.unique(columns // SCANNER_UNKNOWNS)
             at = np.searchsorted(list_columns(scanners.tolist()), columns)
             block = np.zeros((SCANNER_UNKNOWNS * len(scanners),) * 2)
-            block[np.ix_(at, at)] = information
+            block[np.ix_(at, at)] = self.expand_information(c)
             total.add(scanners, block)
         return total.factor().invert()
+
+    def expand_information(self, part: int) -> Array:
+        """(m, m) information of a part."""
+        size = len(self.columns[part])
+        information, lower = np.empty((size, size)), np.tril_indices(size)
+        information[lower] = information[lower[::-1]] = self.triangle[part]
+        return information
 
     def group_scanners(self, max_scanners: int) -> list[Index]:
         """Scanners near each other, of which any measured a body that several scanners did.
@@ -166,7 +173,7 @@ class NetworkContributions:
             self.body[chosen],
             self.time[chosen],
             tuple(row[self.columns[c][inside[c]]] for c in chosen),
-            tuple(_select_block(self.information[c], inside[c]) for c in chosen),
+            tuple(_select_block(self.expand_information(c), inside[c]) for c in chosen),
             tuple(self.gradient[c][inside[c]] for c in chosen),
             prior,
             self.prior_scale * prior,
@@ -185,22 +192,22 @@ def split_contributions(solved: SolvedNetwork, interval: float) -> NetworkContri
     # Gradients of a redescending loss have less variance, and change less with the unknowns, than the information
     # in its weights predicts. Scaled to that information, priors weigh more.
     scale = TukeyLoss(network.settings.beams.tukey_limit).score_to_information ** -0.5
-    bodies, times, all_columns, information, gradient = [], [], [], [], []
+    bodies, times, all_columns, triangles, gradient = [], [], [], [], []
     estimated = [equations.estimated[columns] for columns in equations.columns]
     split = equations.map(partial(_split_body, interval=interval), estimated)
     for index, (columns, of_body) in enumerate(zip(equations.columns, split, strict=True)):
-        for time, A, b in of_body:
+        for time, triangle, b in of_body:
             bodies.append(index)
             times.append(time)
             all_columns.append(columns[estimated[index]])
-            information.append(A)
+            triangles.append(triangle)
             gradient.append(scale * b)
     prior = equations.H.add_diagonal(equations.regularizer).scale(scale).fix(~equations.estimated)
     return NetworkContributions(
         np.array(bodies, dtype=np.intp),
         np.array(times),
         tuple(all_columns),
-        tuple(information),
+        tuple(triangles),
         tuple(gradient),
         prior,
         scale,
@@ -217,7 +224,9 @@ def _split_body(
     estimated: NDArray[np.bool_],
     interval: float,
 ) -> list[tuple[float, Array, Array]]:
-    """Time, information (m, m) and gradient (m,) of each interval of a body, over its m estimated unknowns.
+    """Time, information and gradient (m,) of each interval of a body, over its m estimated unknowns.
+
+    The information is the lower triangle of (m, m), row by row: there are many of them.
 
     A leg is one part: the biases of scanners make its intervals depend on each other.
     """
@@ -225,7 +234,7 @@ def _split_body(
     H, g, K = eliminate_path(equations, 0.0)
     if isinstance(path, LegPath):
         middle = body.knots.start + body.knots.duration / 2
-        return [(middle, H[np.ix_(estimated, estimated)], g[estimated])]
+        return [(middle, _take_triangle(H, estimated), g[estimated])]
     by_path = K[: 3 * body.knots.count, :-1].reshape(-1, 3, size)
     by_shape = K[3 * body.knots.count :, :-1]
     count = int(body.knots.duration / interval) + 1
@@ -259,11 +268,18 @@ def _split_body(
     return [
         (
             body.knots.start + (n + 0.5) * interval,
-            information[n][np.ix_(estimated, estimated)],
+            _take_triangle(information[n], estimated),
             gradient[n, estimated],
         )
         for n in np.flatnonzero(share).tolist()
     ]
+
+
+def _take_triangle(matrix: Array, selected: NDArray[np.bool_]) -> Array:
+    """The lower triangle of the selected rows and columns, row by row."""
+    places = np.flatnonzero(selected)
+    row, column = np.tril_indices(len(places))
+    return matrix[places[row], places[column]]
 
 
 def _total_jacobian(

@@ -14,5 +14,5 @@ def measures_legs(target: People, tracked: Sequence[ScannerTracks], settings: Le
     if target.height is not None:
         return target.height < settings.max_height
     widths = [measure_widths(one.foreground, one.sigma, settings.clusters) for one in tracked if one.foreground]
-    share = float(np.mean(np.concatenate(widths) < settings.max_narrow_width))
-    return share > settings.min_narrow_share
+    narrow = np.concatenate([np.zeros(0), *widths]) < settings.max_narrow_width
+    return bool(np.count_nonzero(narrow) > settings.min_narrow_share * len(narrow))

@@ -63,8 +63,9 @@ class SystematicErrors:
     @property
     def covariance_of_estimated(self) -> Array:
         """Of those that are not exact, in the order of :meth:`summarize`."""
-        estimated = np.flatnonzero(self.prior.ravel() > 0)
-        return self.covariance[np.ix_(estimated, estimated)]
+        estimated = self.prior.ravel() > 0
+        # That of a large network takes much memory, and as a rule all errors are estimated.
+        return self.covariance if estimated.all() else self.covariance[np.ix_(estimated, estimated)]
 
     def summarize(self, names: Sequence[str]) -> tuple[EstimatedParameter, ...]:
         """The estimated parameters of the scanners with these names."""
