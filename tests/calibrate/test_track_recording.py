@@ -8,8 +8,10 @@ from pathlib import Path
 import pytest
 
 from calgraph.calibrate import NetworkOptions, track_people, track_recording
+from calgraph.calibrate.track_recording import forget_unused_beams
 from calgraph.captures import InputMonitor
-from calgraph.config import Lidar2dSpec, People, Rig
+from calgraph.config import Cylinder, Lidar2dSpec, People, Rig
+from calgraph.config.settings import EstimationSettings, NetworkEstimationSettings, Settings
 from calgraph.engine import Processes
 from calgraph.errors import Rejected
 from calgraph.recording import MessageRecording, Recording, RecordingWriter, open_recording
@@ -98,6 +100,32 @@ def test_the_number_of_processes_does_not_change_a_bit(
     assert serialize(found[0]) == serialize(one_batch)
     assert found[1] == frames
     assert multiprocessing.active_children() == []
+
+
+def test_limited_memory_does_not_change_a_bit(recording: Counted) -> None:
+    network = NetworkEstimationSettings(max_kept_bytes=0)
+    limited = RIG.model_copy(update={"settings": Settings(estimation=EstimationSettings(network=network))})
+    found, expected = (track_people(rig, recording, NetworkOptions())[0] for rig in (limited, RIG))
+    east = found["east"]
+    assert isinstance(east, ScannerTracks)
+    assert not east.tracks[0].hits.points.flags.writeable  # mapped
+    assert serialize(found) == serialize(expected)
+
+
+@pytest.mark.parametrize(
+    ("target", "kept"),
+    [(People(), False), (People(height=0.3), True), (People(height=1.0), False), (Cylinder(diameter=0.3), False)],
+    ids=["whole bodies", "at legs", "above legs", "cylinder"],
+)
+def test_beams_are_kept_where_scanners_measure_legs(
+    recording: Counted, target: People | Cylinder, kept: bool
+) -> None:
+    found, _ = track_people(RIG, recording, NetworkOptions())
+    tracks = forget_unused_beams(RIG.model_copy(update={"target": target}), {**found, "west": Rejected("none")})
+    east = tracks["east"]
+    assert isinstance(east, ScannerTracks)
+    assert (east.foreground is not None) == kept
+    assert tracks["west"] == Rejected("none")
 
 
 def read_scans(recording: Recording) -> dict[str, list[LaserScan]]:
