@@ -61,6 +61,16 @@ def test_with_few_beams_the_noise_is_that_of_the_background(rng: np.random.Gener
     np.testing.assert_array_equal(estimate(network, state), BACKGROUND)
 
 
+def test_every_third_beam_gives_the_same_noise_but_for_chance(rng: np.random.Generator) -> None:
+    network, state = simulate_solution(20.0, rng)
+    (beams,) = (len(scans.ranges) for scans in network.bodies[0].scans)
+    limits = network.settings.range_noise.model_copy(update={"max_beams": beams // 2 - 1})
+    fewer = replace(network, settings=network.settings.model_copy(update={"range_noise": limits}))
+    (noise,), (expected,) = estimate(fewer, state), estimate(network, state)
+    # The median of n beams has a relative standard deviation of 1.17 / sqrt(n).
+    assert 0 < abs(noise / expected - 1) < 3 * 1.17 / np.sqrt(beams / 3)
+
+
 def test_noise_is_at_least_half_of_the_background(rng: np.random.Generator) -> None:
     network, state = simulate_solution(20.0, rng)
     background = np.array([3 * SIGMA])
