@@ -10,6 +10,7 @@ from calgraph.diagnostics.verdict import (
     find_ambiguous_poses,
     find_inconsistent_sensors,
     grade_pose,
+    join_reasons,
     max_good_stddev,
 )
 from calgraph.geometry import Array, se3, so3
@@ -197,3 +198,8 @@ def test_of_an_inconsistent_root_all_sensors_are_inconsistent() -> None:
 
 def test_a_small_angle_to_another_pose_makes_a_scanner_ambiguous() -> None:
     assert find_ambiguous_poses({"top": "lidar3d", "low": "lidar2d"}, [pair("top", "low", 0.1)]) == {"low": 0.1}
+
+
+def test_a_sensor_has_each_reason_once_and_in_order() -> None:
+    joined = join_reasons({"top": "moved", "low": "bent"}, {"top": "noisy"}, {"top": "moved"})
+    assert joined == {"top": "moved; noisy", "low": "bent"}

@@ -144,12 +144,12 @@ def find_inconsistent_sensors(
 
 
 def join_reasons(*reasons_by_sensor: Mapping[str, str]) -> dict[str, str]:
-    """The reasons of each sensor, in order, as one text."""
-    joined: dict[str, str] = {}
+    """The reasons of each sensor, in order and each once, as one text."""
+    joined: dict[str, dict[str, None]] = {}
     for reasons in reasons_by_sensor:
         for name, reason in reasons.items():
-            joined[name] = f"{joined[name]}; {reason}" if name in joined else reason
-    return joined
+            joined.setdefault(name, {})[reason] = None
+    return {name: "; ".join(of_sensor) for name, of_sensor in joined.items()}
 
 
 def collect_findings(findings: Sequence[InputFinding | Finding]) -> dict[str, str]:
