@@ -276,7 +276,7 @@ class HypothesisSettings(StrictModel):
     couple_count: Count = 12
     """Proposals that are registered in that search: with 8, correct ones were missed in 2 of 44 pairs."""
     min_couple_shift: Positive = 0.2
-    """Distance below which two registered hypotheses are one, if their angle is, too, m: half that of a couple."""
+    """Distance below which two registered hypotheses are one, if their angle is, too, m: half that of people."""
     same_turn: Angle = float(np.radians(2))
     """Angle below which two registered hypotheses are one, if their distance is, too, rad (2 degrees)."""
     max_count: Count = 6
