@@ -30,10 +30,7 @@ def collect_beam_views(
     if joint.solved is None:
         return (), {}
     solved = joint.solved
-    measured = np.zeros(solved.problem.count, dtype=np.intp)
-    for body in solved.problem.bodies:
-        for scans in body.scans:
-            measured[scans.scanner] += len(scans.ranges)
+    measured = solved.problem.count_beams()
     limit = min(_MAX_BEAMS, _MAX_BEAMS_IN_ALL // max(int(np.count_nonzero(measured)), 1))
     # Rows of one body are in order of time, those of all are not: each scanner's are thinned again.
     list_rows = partial(_list_inlier_rows, step=1 + measured // (_ROWS_PER_BEAM * limit))

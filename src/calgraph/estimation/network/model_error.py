@@ -74,7 +74,7 @@ def estimate_model_error(
         state: near its minimum.
         batches: the bodies, where they have been placed already.
     """
-    beams = sum(len(scans.ranges) for body in network.bodies for scans in body.scans)
+    beams = int(network.count_beams().sum())
     batches = batches or BodyBatches.place(network.bodies)
     batches = batches.thin(1 + beams // network.settings.model_error.max_beams)
     _, kept = batches.map_and_keep(_collect_equations, network, state)

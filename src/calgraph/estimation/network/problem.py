@@ -95,6 +95,14 @@ class NetworkProblem:
     prior: ScannerPrior | None = None
     """Prior of scanner poses."""
 
+    def count_beams(self) -> Index:
+        """(S,) beams of each scanner on bodies."""
+        count = np.zeros(self.count, dtype=np.intp)
+        for body in self.bodies:
+            for scans in body.scans:
+                count[scans.scanner] += len(scans.ranges)
+        return count
+
 
 @dataclass(frozen=True, eq=False)
 class BodyPath:

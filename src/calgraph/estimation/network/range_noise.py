@@ -37,11 +37,8 @@ def estimate_range_noise(
     """
     settings, loss = network.settings.range_noise, TukeyLoss(network.settings.beams.tukey_limit)
     residuals: list[list[Array]] = [[] for _ in background]
-    leverage, effective_beams, beams = np.zeros((3, len(background)))
-    for body in network.bodies:
-        for scans in body.scans:
-            beams[scans.scanner] += len(scans.ranges)
-    measure = partial(_measure_body, step=1 + (beams // settings.max_beams).astype(np.intp))
+    leverage, effective_beams = np.zeros((2, len(background)))
+    measure = partial(_measure_body, step=1 + network.count_beams() // settings.max_beams)
     measured = equations.batches.map(measure, network, state, equations.body_equations)
     for body, of_scanners in zip(network.bodies, measured, strict=True):
         for scans, (absolute, of_path) in zip(body.scans, of_scanners, strict=True):

@@ -66,7 +66,7 @@ class ScannerOrder:
         pairs = np.unique(pairs, axis=0).astype(np.intp)
         later = position[pairs[:, 0]] > position[pairs[:, 1]]
         ends = np.where(later[:, None], pairs, pairs[:, ::-1])
-        ends = ends[np.argsort(ends @ np.array([count, 1]))]
+        ends = ends[np.lexsort((ends[:, 1], ends[:, 0]))]
         return cls(position, _build_fronts(groups, position, ends), ends, unknowns)
 
     @classmethod
