@@ -8,6 +8,7 @@ import pytest
 from calgraph.diagnostics.network.beam_views import _MAX_BEAMS, collect_beam_views
 from calgraph.estimation import NetworkSolution, SolvedNetwork
 from calgraph.estimation.network.problem import BodyScans
+from dense_covariances import relate_all
 from network_scenes import SIGMA
 from solved_networks import replace_bodies, solve_two_walks
 
@@ -23,7 +24,7 @@ def joint() -> NetworkSolution:
 
 def as_solution(solved: SolvedNetwork) -> NetworkSolution:
     state = solved.state
-    return NetworkSolution(state.T_root_scanner, state.clock_offset, np.eye(12), True, 0.0, solved)
+    return NetworkSolution(state.T_root_scanner, state.clock_offset, relate_all(np.eye(12), 3), True, 0.0, solved)
 
 
 def test_the_rms_is_the_noise_of_ranges(joint: NetworkSolution) -> None:

@@ -18,6 +18,7 @@ from calgraph.estimation.network.contributions import Contributions, NetworkCont
 from calgraph.estimation.network.problem import BodyScans
 from calgraph.estimation.network.solver import linearize_network, optimize_network
 from calgraph.geometry import se2
+from dense_covariances import relate_all
 from network_scenes import OFFSET, T_ROOT
 from solved_networks import MIDDLE, Change, no_change, solve_two_walks
 
@@ -120,7 +121,7 @@ def disagree(error: float, sigma: float) -> list[Finding]:
     averaged[2, 0, 2] += error
     of_averaged = np.zeros((9, 9))
     of_averaged[np.arange(3, 9), np.arange(3, 9)] = sigma**2
-    joint = NetworkSolution(T_ROOT, OFFSET, covariance, True, 0.005)
+    joint = NetworkSolution(T_ROOT, OFFSET, relate_all(covariance, 3), True, 0.005)
     return list(find_disagreement(joint, averaged, of_averaged, NAMES, SETTINGS))
 
 

@@ -21,6 +21,7 @@ from calgraph.estimation.network.scanner_order import ScannerOrder
 from calgraph.estimation.network.scanner_prior import ScannerPrior, build_scanner_prior
 from calgraph.geometry import Array, se2
 from calgraph.result import Calibration, Edge, Verdict
+from dense_covariances import relate_all
 from known_networks import calibration, four_scanners
 
 SETTINGS = DiagnosticsSettings()
@@ -131,7 +132,7 @@ def solve(poses: PlanarPoses) -> NetworkSolution:
     count = len(poses.names)
     covariance = np.diag(np.tile([1e-6, 1e-6, 1e-8, 1e-6], count))
     covariance[:4] = 0
-    return NetworkSolution(poses.T_root_scanner, np.zeros(count), covariance, True, 0.005)
+    return NetworkSolution(poses.T_root_scanner, np.zeros(count), relate_all(covariance, count), True, 0.005)
 
 
 def known_to_millimetres(rng: np.random.Generator) -> PlanarPoses:

@@ -15,6 +15,7 @@ from calgraph.estimation.network.solver import linearize_network
 from calgraph.geometry import Array, se2
 from calgraph.graph import NetworkInitialization, PoseGraph, PoseGraphSolution
 from calgraph.tracking import ScannerTracks
+from dense_covariances import relate_all
 from leg_scenes import build_network
 from network_scenes import OFFSET, SETTINGS, SIGMA, T_ROOT
 from solved_networks import no_change, solve_two_walks
@@ -54,7 +55,7 @@ def assess(
     max_good_scatter: float = 2.0,
 ) -> ModelAssessment:
     """With averaged poses of which the last is off by ``averaging_error``, m."""
-    joint = NetworkSolution(T_ROOT, OFFSET, 1e-6 * np.eye(12), True, 0.005, solved)
+    joint = NetworkSolution(T_ROOT, OFFSET, relate_all(1e-6 * np.eye(12), 3), True, 0.005, solved)
     averaged = T_ROOT.copy()
     averaged[2, 0, 2] += averaging_error
     T_i_j = np.array([se2.inverse(averaged[i]) @ averaged[j] for i, j in EDGES])
@@ -73,7 +74,7 @@ def assess(
 
 def covariance_of(assessment: ModelAssessment) -> Array:
     assert assessment.joint is not None
-    return assessment.joint.covariance
+    return assessment.joint.covariance.expand()
 
 
 def test_a_right_solution_stays_as_it_is() -> None:

@@ -23,6 +23,7 @@ from calgraph.graph import NetworkInitialization, PoseGraph, PoseGraphSolution
 from calgraph.pairwise import PoseHypothesis, ScannerPairEstimate
 from calgraph.result import Calibration, StatedPose, Verdict
 from calgraph.tracking import ScannerTracks, Track
+from dense_covariances import relate_all
 from leg_scenes import build_network
 from solved_networks import solve_two_walks
 
@@ -86,7 +87,7 @@ def assemble(
         {**{name: build_tracks(k) for k, name in enumerate(NAMES)}, "cellar": build_tracks(0)},
         NetworkInitialization(pairs, graph, NAMES, PoseGraphSolution(T_ROOT, np.array(inliers))),
         1000.0,
-        NetworkSolution(T_ROOT, OFFSET, covariance, True, 0.005) if joint else None,
+        NetworkSolution(T_ROOT, OFFSET, relate_all(covariance, 3), True, 0.005) if joint else None,
         findings,
     )
 
@@ -211,7 +212,7 @@ def test_bodies_of_the_joint_solution_are_named() -> None:
         (People(), ellipse, "ellipses (2 tracked)"),
         (Cylinder(diameter=0.5), ellipse, "cylinders (2 tracked)"),
     ):
-        joint = NetworkSolution(T_ROOT, OFFSET, np.eye(12), True, 0.005, one)
+        joint = NetworkSolution(T_ROOT, OFFSET, relate_all(np.eye(12), 3), True, 0.005, one)
         assert str(_describe_bodies(target, joint)) == expected
     assert assemble().evidence.bodies is None
 

@@ -5,6 +5,7 @@ import numpy as np
 from calgraph.config.settings import RigDiagnosticsSettings
 from calgraph.diagnostics.network.systematic_tests import find_systematic_errors
 from calgraph.estimation.network.scanner_unknowns import CLOCK_DRIFT, STRETCH_X, SystematicErrors
+from dense_covariances import relate_all
 
 NAMES = ("root", "east")
 PRIOR = np.array([[0.02, 0.003, 0.002, 6e-4, 6e-4, 0.0], [0.02, 0.003, 0.002, 6e-4, 6e-4, 3e-5]])
@@ -14,7 +15,7 @@ def find(scanner: int, kind: int, deviations: float, learned: float = 0.99) -> l
     """Findings for one error, in prior standard deviations, of which the data removed a share of the variance."""
     values = np.zeros(PRIOR.shape)
     values[scanner, kind] = deviations * PRIOR[scanner, kind]
-    errors = SystematicErrors(values, np.diag((1 - learned) * PRIOR.ravel() ** 2), PRIOR)
+    errors = SystematicErrors(values, relate_all(np.diag((1 - learned) * PRIOR.ravel() ** 2), 2), PRIOR)
     found = find_systematic_errors(errors, NAMES, RigDiagnosticsSettings())
     return [(finding.text, finding.sensors) for finding in found]
 
@@ -67,7 +68,9 @@ def find_correlated(correlation: float) -> list[tuple[str, tuple[str, ...]]]:
     covariance = np.diag(0.01 * prior.ravel() ** 2)
     east, west = PRIOR.shape[1] * np.array([1, 2]) + 1
     covariance[east, west] = covariance[west, east] = correlation * covariance[east, east]
-    found = find_systematic_errors(SystematicErrors(values, covariance, prior), names, RigDiagnosticsSettings())
+    found = find_systematic_errors(
+        SystematicErrors(values, relate_all(covariance, 3), prior), names, RigDiagnosticsSettings()
+    )
     return [(finding.text, finding.sensors) for finding in found]
 
 

@@ -78,6 +78,24 @@ def test_entries_of_the_inverse_between_linked_scanners_equal_the_dense_ones(rng
     assert known[np.kron(linked | linked.T, np.ones((UNKNOWNS, UNKNOWNS), dtype=np.bool_))].all()
 
 
+def test_pairs_of_the_inverse_equal_the_dense_ones_in_either_order(rng: np.random.Generator) -> None:
+    matrix, dense = build_corridors(rng)
+    linked = matrix.order.ends
+    pairs = np.concatenate([linked, linked[:, ::-1]])
+    expected = np.linalg.inv(dense).reshape(COUNT, UNKNOWNS, COUNT, UNKNOWNS)[pairs[:, 0], :, pairs[:, 1]]
+    found = matrix.factor().invert().select_pairs(pairs)
+    np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-9 * np.abs(expected).max())
+
+
+def test_pairs_that_no_front_contains_are_unknown(rng: np.random.Generator) -> None:
+    matrix, _ = build_corridors(rng)
+    inverse, pairs = matrix.factor().invert(), np.column_stack(np.triu_indices(COUNT))
+    dense = inverse.select(np.arange(SIZE)).reshape(COUNT, UNKNOWNS, COUNT, UNKNOWNS)
+    unknown = np.isnan(inverse.select_pairs(pairs)).all(axis=(1, 2))
+    assert unknown.any()
+    np.testing.assert_array_equal(unknown, np.isnan(dense[pairs[:, 0], 0, pairs[:, 1], 0]))
+
+
 def test_blocks_of_the_inverse_equal_the_dense_ones(rng: np.random.Generator) -> None:
     matrix, dense = build_corridors(rng)
     columns = rng.permutation(SIZE)[:20]

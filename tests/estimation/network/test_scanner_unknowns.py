@@ -14,6 +14,7 @@ from calgraph.estimation.network.scanner_unknowns import (
     correct_points,
 )
 from calgraph.geometry import so3
+from dense_covariances import relate_all
 
 
 def test_corrected_points_have_true_ranges_and_angles() -> None:
@@ -72,7 +73,9 @@ def test_synchronized_clocks_do_not_drift() -> None:
 
 def test_exact_parameters_are_not_summarized() -> None:
     prior = np.array([[0.02, 0.003, 0.0, 0.0, 0.0, 0.0]])
-    errors = SystematicErrors(np.array([[0.01, -0.001, 0.0, 0.0, 0.0, 0.0]]), np.diag(0.25 * prior[0] ** 2), prior)
+    errors = SystematicErrors(
+        np.array([[0.01, -0.001, 0.0, 0.0, 0.0, 0.0]]), relate_all(np.diag(0.25 * prior[0] ** 2), 1), prior
+    )
     bias, scale = errors.summarize(["east"])
     assert (bias.of, bias.quantity, bias.unit, bias.stated, bias.value) == ("east", "range bias", "m", 0.0, 0.01)
     assert (scale.quantity, scale.unit, scale.stated, scale.value) == ("range scale", "", 1.0, 0.999)

@@ -8,6 +8,7 @@ from calgraph.config.settings import RigDiagnosticsSettings
 from calgraph.diagnostics.finding import Finding
 from calgraph.diagnostics.parameter_estimates import ParameterEstimates
 from calgraph.estimation.network.scanner_unknowns import TILT_ERRORS, SystematicErrors
+from calgraph.geometry import Index
 
 
 def find_systematic_errors(
@@ -15,33 +16,48 @@ def find_systematic_errors(
 ) -> Iterator[Finding]:
     """Systematic errors that are larger than their priors allow, one of each scanner: the largest.
 
-    Those that the data do not distinguish, such as range scales of all scanners, are named together. Stretches
-    grow with the square of the tilt that causes them: a tilt of ``t`` standard deviations stretches ranges by
-    ``t² / 2`` of the prior's, which is compared with the limit of ``t``.
+    Those that the data do not distinguish, such as range scales of all scanners, are named together; in large
+    networks, those of scanners that measured common bodies. Stretches grow with the square of the tilt that causes
+    them: a tilt of ``t`` standard deviations stretches ranges by ``t² / 2`` of the prior's, which is compared with
+    the limit of ``t``.
 
     Args:
         errors: of the joint solution.
         names: of its scanners, the root first.
         settings: the same limits as for rigs.
     """
-    parameters = errors.summarize(names)
+    named = set[tuple[str, str]]()
+    for scanner, name in enumerate(names):
+        alone = _select_estimates(errors, names, np.array([scanner]), settings)
+        ratios = np.abs(alone.normalized)
+        if not len(ratios) or ratios.max() <= settings.max_prior_deviation:
+            continue
+        quantity = alone.parameters[int(np.argmax(ratios))].quantity
+        if (name, quantity) in named:
+            continue
+        estimates = _select_estimates(errors, names, errors.covariance.list_near(scanner), settings)
+        keys = [(one.of, one.quantity) for one in estimates.parameters]
+        i = keys.index((name, quantity))
+        others = estimates.indistinguishable(i, settings.max_parameter_correlation)
+        named.update(keys[j] for j in others)
+        text, causes = estimates.describe(i, others)
+        scanners = {estimates.parameters[j].of for j in causes}
+        # All poses are relative to the root.
+        yield Finding(text, tuple(names) if names[0] in scanners else tuple(n for n in names if n in scanners))
+
+
+def _select_estimates(
+    errors: SystematicErrors, names: Sequence[str], scanners: Index, settings: RigDiagnosticsSettings
+) -> ParameterEstimates:
+    """The estimated errors of some scanners; those of scanners far from each other are independent."""
+    selected = errors.select(scanners)
+    parameters = selected.summarize([names[scanner] for scanner in scanners])
     by_tilt = np.array([one.quantity in TILT_ERRORS for one in parameters])
-    estimates = ParameterEstimates(
+    estimated = np.flatnonzero(selected.prior)
+    return ParameterEstimates(
         parameters,
         np.array([one.value - one.stated for one in parameters]),
         np.array([one.prior for one in parameters]) * np.where(by_tilt, settings.max_prior_deviation / 2, 1),
-        errors.covariance_of_estimated,
+        selected.covariance.expand(0.0)[np.ix_(estimated, estimated)],
         settings.min_learned_share,
     )
-    ratios, named = np.abs(estimates.normalized), set[int]()
-    for name in names:
-        of_scanner = [i for i, one in enumerate(parameters) if one.of == name]
-        i = max(of_scanner, key=lambda i: ratios[i], default=-1)
-        if i < 0 or ratios[i] <= settings.max_prior_deviation or i in named:
-            continue
-        others = estimates.indistinguishable(i, settings.max_parameter_correlation)
-        named.update(others.tolist())
-        text, causes = estimates.describe(i, others)
-        scanners = {parameters[j].of for j in causes}
-        # All poses are relative to the root.
-        yield Finding(text, tuple(names) if names[0] in scanners else tuple(n for n in names if n in scanners))

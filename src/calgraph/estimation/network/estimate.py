@@ -17,6 +17,7 @@ from calgraph.estimation.network.heading_search import search_headings
 from calgraph.estimation.network.leg_choice import measures_legs
 from calgraph.estimation.network.leg_solution import AddWalls, solve_legs
 from calgraph.estimation.network.model_error import estimate_model_error
+from calgraph.estimation.network.near_covariances import NearCovariances
 from calgraph.estimation.network.path_equations import compute_smoothness_information, evaluate_at
 from calgraph.estimation.network.problem import (
     BodyObservations,
@@ -29,8 +30,8 @@ from calgraph.estimation.network.problem import (
 from calgraph.estimation.network.range_noise import estimate_range_noise
 from calgraph.estimation.network.scanner_prior import ScannerPrior
 from calgraph.estimation.network.scanner_unknowns import (
+    CLOCK,
     FIRST_SYSTEMATIC,
-    SCANNER_UNKNOWNS,
     SYSTEMATIC_ERRORS,
     SystematicErrors,
     collect_prior_sigma,
@@ -38,7 +39,7 @@ from calgraph.estimation.network.scanner_unknowns import (
 from calgraph.estimation.network.solver import (
     NetworkEquations,
     compute_network_covariance,
-    forget_far_pairs,
+    list_known_pairs,
     optimize_network,
 )
 from calgraph.estimation.network.splines import Knots
@@ -74,9 +75,9 @@ class NetworkSolution:
     """(S, 3, 3)."""
     clock_offset: Array
     """(S,) scanner clock minus root clock in the middle of the recording, s."""
-    covariance: Array
-    """(4S, 4S) of pose in the root's fixed axes and clock offset, scanner by scanner; NaN between scanners of a
-    large network that have no common body or wall."""
+    covariance: NearCovariances
+    """Of pose in the root's fixed axes and clock offset; unknown between scanners of a large network that have no
+    common body or wall."""
     clocks_estimated: bool
     """Whether clock offsets were estimated."""
     model_error: float
@@ -88,18 +89,19 @@ class NetworkSolution:
 
     @property
     def pose_covariance(self) -> Array:
-        """(3S, 3S) of the poses, in the root's fixed axes; zero for the root."""
-        poses = np.arange(len(self.covariance)) % 4 < 3
-        return self.covariance[np.ix_(poses, poses)]
+        """(3S, 3S) of the poses, in the root's fixed axes; zero for the root, NaN where it is unknown."""
+        covariance = self.covariance.select_errors(np.arange(3)).expand()
+        covariance[:3] = covariance[:, :3] = 0.0
+        return covariance
 
     def scale_covariance(self, factor: float) -> "NetworkSolution":
         """The solution with a covariance that is larger by a factor."""
-        return replace(self, covariance=factor * self.covariance)
+        return replace(self, covariance=self.covariance.scale(factor))
 
     @property
     def clocks(self) -> Array:
         """(S, 2) offsets and their standard deviations, s; NaN where they were not estimated, and for the root."""
-        clocks = np.column_stack([self.clock_offset, np.sqrt(np.diagonal(self.covariance)[3::4])])
+        clocks = np.column_stack([self.clock_offset, self.covariance.stddev[:, CLOCK]])
         clocks[slice(0, 1) if self.clocks_estimated else slice(None)] = np.nan
         return clocks
 
@@ -181,17 +183,17 @@ def solve_network(
         network, state, equations = solve_legs(network, state, foregrounds, add_walls, engine)
     else:
         network, state, equations = _solve_bodies(network, state, edges, add_walls, engine)
-    covariance = compute_network_covariance(equations)
-    columns = np.arange(SCANNER_UNKNOWNS * len(tracked)).reshape(-1, SCANNER_UNKNOWNS)
-    of_errors = covariance.select(columns[:, FIRST_SYSTEMATIC:].ravel())
+    covariance, pairs = compute_network_covariance(equations), list_known_pairs(network)
     return NetworkSolution(
         state.T_root_scanner,
         state.clock_offset,
-        forget_far_pairs(network, covariance.select(columns[:, :FIRST_SYSTEMATIC].ravel())),
+        covariance.select_pairs(pairs, slice(FIRST_SYSTEMATIC)),
         estimate_clocks,
         float(np.sqrt(network.model_error_variance[0])),
         solved=SolvedNetwork(network, state, equations),
-        systematic=SystematicErrors(state.systematic, np.nan_to_num(of_errors, copy=False), prior_sigma),
+        systematic=SystematicErrors(
+            state.systematic, covariance.select_pairs(pairs, slice(FIRST_SYSTEMATIC, None)), prior_sigma
+        ),
     )
 
 

@@ -222,3 +222,23 @@ class NearInverse:
         for row, left in enumerate(by_common @ self.capacitance):
             selected[row] += by_common @ left
         return selected
+
+    def select_pairs(self, pairs: Index) -> Array:
+        """The inverse (E, U, U) of pairs of scanners (E, 2), with the first one's rows; NaN as :meth:`select`."""
+        U, order = self.order.unknowns, self.order
+        swapped = order.position[pairs[:, 0]] > order.position[pairs[:, 1]]
+        earlier, later = np.where(swapped[:, None], pairs[:, ::-1], pairs).T
+        selected, place = np.full((len(pairs), U, U), np.nan), np.full(order.count, -1)
+        front_of = order.front_of[earlier]
+        by_front = np.argsort(front_of, kind="stable")
+        ends = np.searchsorted(front_of[by_front], np.arange(len(order.fronts) + 1))
+        for front, rows, begin, end in zip(order.fronts, self.rows, ends[:-1], ends[1:], strict=True):
+            place[front.scanners] = np.arange(len(front.scanners))
+            chosen = by_front[begin:end]
+            chosen = chosen[place[later[chosen]] >= 0]
+            blocks = rows.reshape(-1, U, len(front.scanners), U)
+            selected[chosen] = blocks[place[earlier[chosen]], :, place[later[chosen]]]
+            place[front.scanners] = -1
+        by_common = self.by_common.reshape(order.count, U, -1)
+        selected += by_common[earlier] @ self.capacitance @ by_common[later].swapaxes(1, 2)
+        return np.where(swapped[:, None, None], selected.swapaxes(1, 2), selected)

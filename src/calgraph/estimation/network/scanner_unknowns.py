@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calgraph.config import Lidar2dUncertainty
+from calgraph.estimation.network.near_covariances import NearCovariances
 from calgraph.estimation.network.problem import BodyScans, NetworkProblem, NetworkState
 from calgraph.estimation.network.scan_equations import AZIMUTH_ERRORS, RANGE_ERROR, SCAN_PARAMETERS
 from calgraph.geometry import Array, Index
@@ -55,26 +56,24 @@ class SystematicErrors:
 
     values: Array
     """(S, E) of the E ``SYSTEMATIC_ERRORS``."""
-    covariance: Array
-    """(ES, ES) given the data and all priors, scanner by scanner."""
+    covariance: NearCovariances
+    """Of the E errors, given the data and all priors."""
     prior: Array
     """(S, E) prior standard deviations; 0 for what is exact."""
 
-    @property
-    def covariance_of_estimated(self) -> Array:
-        """Of those that are not exact, in the order of :meth:`summarize`."""
-        estimated = self.prior.ravel() > 0
-        # That of a large network takes much memory, and as a rule all errors are estimated.
-        return self.covariance if estimated.all() else self.covariance[np.ix_(estimated, estimated)]
+    def select(self, scanners: Index) -> "SystematicErrors":
+        """Those of some scanners, ascending."""
+        return SystematicErrors(
+            self.values[scanners], self.covariance.select_scanners(scanners), self.prior[scanners]
+        )
 
     def summarize(self, names: Sequence[str]) -> tuple[EstimatedParameter, ...]:
         """The estimated parameters of the scanners with these names."""
-        stddev = np.sqrt(np.diagonal(self.covariance)).reshape(self.values.shape)
         return tuple(
             EstimatedParameter(
                 name, quantity, _UNITS[p], _STATED[p], prior, _STATED[p] + float(value), stddev=float(stddev)
             )
-            for name, *of_scanner in zip(names, self.values, stddev, self.prior, strict=True)
+            for name, *of_scanner in zip(names, self.values, self.covariance.stddev, self.prior, strict=True)
             for p, (quantity, value, stddev, prior) in enumerate(
                 zip(SYSTEMATIC_ERRORS, *(numbers.tolist() for numbers in of_scanner), strict=True)
             )

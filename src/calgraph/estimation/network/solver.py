@@ -17,6 +17,7 @@ from calgraph.estimation.network.body_batches import BodyBatches, KeptValues
 from calgraph.estimation.network.ellipse_equations import linearize_body
 from calgraph.estimation.network.leg_equations import linearize_leg
 from calgraph.estimation.network.leg_problem import LegObservations, LegPath
+from calgraph.estimation.network.near_covariances import NearCovariances
 from calgraph.estimation.network.problem import (
     BodyObservations,
     BodyPath,
@@ -120,6 +121,12 @@ class NetworkCovariance:
         selected[exact] = selected[:, exact] = 0.0
         return selected
 
+    def select_pairs(self, pairs: Index, unknowns: slice) -> NearCovariances:
+        """Some unknowns of each scanner, of pairs (E, 2) of scanners as :class:`NearCovariances` has them."""
+        exact = ~self.estimated.reshape(-1, SCANNER_UNKNOWNS)[pairs]
+        blocks = np.where(exact[:, 0, :, None] | exact[:, 1, None], 0.0, self.inverse.select_pairs(pairs))
+        return NearCovariances(len(self.estimated) // SCANNER_UNKNOWNS, pairs, blocks[:, unknowns, unknowns])
+
 
 def compute_network_covariance(equations: NetworkEquations) -> NetworkCovariance:
     """Covariances of all pairs of scanners in small networks, and of near ones in others, at the minimum."""
@@ -127,15 +134,15 @@ def compute_network_covariance(equations: NetworkEquations) -> NetworkCovariance
     return NetworkCovariance(H.factor().invert(), equations.estimated)
 
 
-def forget_far_pairs(network: NetworkProblem, covariance: Array) -> Array:
-    """The covariance (4S, 4S) of poses and clocks; in large networks, NaN for scanners without common bodies."""
+def list_known_pairs(network: NetworkProblem) -> Index:
+    """(E, 2) pairs of scanners whose covariances a solution states.
+
+    All of a small network; of others, those with common bodies, walls or priors, and each scanner with itself.
+    """
     if network.count <= network.settings.max_joint_covariance:
-        return covariance
-    known = np.eye(network.count, dtype=np.bool_)
-    known[*list_links(network).T] = True
-    known[0] = True  # the root has no error
-    known |= known.T
-    return np.where(np.kron(known, np.ones((4, 4), dtype=np.bool_)), covariance, np.nan)
+        return np.column_stack(np.triu_indices(network.count))
+    own = np.repeat(np.arange(network.count)[:, None], 2, axis=1)
+    return np.concatenate([own, list_links(network)])
 
 
 def _reduce_body(
