@@ -25,7 +25,7 @@ from calgraph.estimation.network.scanner_unknowns import (
     compute_scanner_jacobian,
     list_columns,
 )
-from calgraph.estimation.network.schur import BodyEquations, eliminate_path
+from calgraph.estimation.network.schur import BodyEquations, compute_back_substitution, eliminate_path
 from calgraph.estimation.network.tukey_loss import TukeyLoss
 from calgraph.geometry import Array, Index
 
@@ -231,10 +231,11 @@ def _split_body(
     A leg is one part: the biases of scanners make its intervals depend on each other.
     """
     size = len(equations.columns)
-    H, g, K = eliminate_path(equations, 0.0)
+    H, g = eliminate_path(equations, 0.0)
     if isinstance(path, LegPath):
         middle = body.knots.start + body.knots.duration / 2
         return [(middle, _take_triangle(H, estimated), g[estimated])]
+    K = compute_back_substitution(equations)
     by_path = K[: 3 * body.knots.count, :-1].reshape(-1, 3, size)
     by_shape = K[3 * body.knots.count :, :-1]
     count = int(body.knots.duration / interval) + 1

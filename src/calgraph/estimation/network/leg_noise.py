@@ -11,8 +11,8 @@ from calgraph.estimation.network.path_equations import evaluate_at, index_scans
 from calgraph.estimation.network.problem import NetworkProblem, NetworkState
 from calgraph.estimation.network.schur import (
     BodyEquations,
+    compute_back_substitution,
     compute_path_covariance,
-    eliminate_path,
     pack_lower_band,
 )
 from calgraph.estimation.network.solver import NetworkEquations, compute_network_covariance
@@ -159,8 +159,7 @@ def _measure_biases(
 
     The covariance (UL, UL) is that of the scanners.
     """
-    _, _, K = eliminate_path(equations, 0.0)
-    by_scanners = K[-len(path.bias) :, :-1]
+    by_scanners = compute_back_substitution(equations)[-len(path.bias) :, :-1]
     variance = _bias_variances(equations, len(path.bias))
     variance += np.einsum("ij,jk,ik->i", by_scanners, covariance, by_scanners)
     return float(path.bias @ path.bias), float(np.sum(1 - np.minimum(variance / leg.bias_variance, 1)))

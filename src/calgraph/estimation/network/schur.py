@@ -50,30 +50,67 @@ class BodyEquations:
         return float(self.gradient.ravel() @ step[:size] + self.corner_gradient @ corner_step)
 
 
-def eliminate_path(equations: BodyEquations, damping: float) -> tuple[Array, Array, Array]:
-    """Schur complement of a body's path and shape.
+def eliminate_path(equations: BodyEquations, damping: float) -> tuple[Array, Array]:
+    """Schur complement of a body's path and shape: matrix (UL, UL) and gradient (UL,) of the scanners.
 
     Args:
         equations: of the body.
         damping: Levenberg–Marquardt's; the diagonal is multiplied by one plus this.
-
-    Returns:
-        Matrix (UL, UL) and gradient (UL,) of the scanners, and the back substitution ``K`` (3K + B, UL + 1): a
-        step (UL,) of the scanners is followed by the step ``-(K[:, :-1] @ step + K[:, -1])`` of path and shape.
     """
-    count, B = len(equations.band), equations.shape_count
+    B = equations.shape_count
     factor = cholesky_banded(pack_lower_band(equations.band, damping), lower=True)
-    right = np.concatenate([equations.border.reshape(3 * count, -1), equations.gradient.reshape(-1, 1)], axis=1)
-    path = cho_solve_banded((factor, True), right)
-    path_part = right[:, :-1].T @ path
-    corner = equations.corner * (1 + damping * np.eye(len(equations.corner))) - path_part[:, :-1]
-    gradient = equations.corner_gradient - path_part[:, -1]
+    eliminated = _substitute_forward(factor, _join_right_sides(equations))
+    of_path = eliminated.T @ eliminated
+    corner = equations.corner * (1 + damping * np.eye(len(equations.corner))) - of_path[:-1, :-1]
+    gradient = equations.corner_gradient - of_path[:-1, -1]
     shape = np.linalg.solve(corner[:B, :B], np.concatenate([corner[:B, B:], gradient[:B, None]], axis=1))
-    H = corner[B:, B:] - corner[B:, :B] @ shape[:, :-1]
-    g = gradient[B:] - corner[B:, :B] @ shape[:, -1]
+    return corner[B:, B:] - corner[B:, :B] @ shape[:, :-1], gradient[B:] - corner[B:, :B] @ shape[:, -1]
+
+
+def compute_back_substitution(equations: BodyEquations) -> Array:
+    """How path and shape follow the scanners, S (3K + B, UL + 1), without damping.
+
+    A step (UL,) of the scanners is followed by the step ``-(S[:, :-1] @ step + S[:, -1])`` of path and shape.
+    """
+    size, B = 3 * len(equations.band), equations.shape_count
+    factor = cholesky_banded(pack_lower_band(equations.band), lower=True)
+    path = cho_solve_banded((factor, True), _join_right_sides(equations))
+    corner = np.concatenate([equations.corner[:B], equations.corner_gradient[:B, None]], axis=1)
+    corner -= equations.border.reshape(size, -1)[:, :B].T @ path
+    shape = np.linalg.solve(corner[:, :B], corner[:, B:])
     # The path depends on shape and scanners; the shape depends on the scanners.
-    path_by_scanners = np.concatenate([path[:, B:-1], path[:, -1:]], axis=1) - path[:, :B] @ shape
-    return H, g, np.concatenate([path_by_scanners, shape])
+    return np.concatenate([path[:, B:] - path[:, :B] @ shape, shape])
+
+
+def _join_right_sides(equations: BodyEquations) -> Array:
+    """(3K, B + UL + 1) border and gradient of the path."""
+    size = 3 * len(equations.band)
+    return np.concatenate([equations.border.reshape(size, -1), equations.gradient.reshape(size, 1)], axis=1)
+
+
+def _substitute_forward(factor: Array, right: Array) -> Array:
+    """``L⁻¹ R`` (n, m) for the lower band (12, n) of the factor L and R (n, m).
+
+    By blocks as large as the band, that is by products of matrices; LAPACK solves for one column at a time.
+    """
+    width, n = factor.shape
+    blocks = -(-n // width)
+    band = np.zeros((width, blocks * width))
+    band[:, :n], band[0, n:] = factor, 1.0
+    by_block = band.reshape(width, blocks, width)
+    diagonal, below = np.zeros((2, blocks, width, width))
+    for offset in range(width):
+        column = np.arange(width)
+        row, inside = column + offset, column + offset < width
+        diagonal[:, row[inside], column[inside]] = by_block[offset][:, inside]
+        below[:, row[~inside] - width, column[~inside]] = by_block[offset][:, ~inside]
+    inverse = np.linalg.inv(diagonal)
+    solved = np.zeros((blocks, width, right.shape[1]))
+    solved.reshape(blocks * width, -1)[:n] = right
+    solved[0] = inverse[0] @ solved[0]
+    for k in range(1, blocks):
+        solved[k] = inverse[k] @ (solved[k] - below[k - 1] @ solved[k - 1])
+    return np.asarray(solved.reshape(blocks * width, -1)[:n])
 
 
 def substitute_back(equations: BodyEquations, damping: float, scanner_step: Array) -> Array:

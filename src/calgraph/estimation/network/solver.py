@@ -154,8 +154,7 @@ def _reduce_body(
     damping: float,
 ) -> tuple[Array, Array]:
     """Matrix (UL, UL) and gradient (UL,) of the scanners."""
-    H, g, _ = eliminate_path(equations, damping)
-    return H, g
+    return eliminate_path(equations, damping)
 
 
 def _follow_scanners(
