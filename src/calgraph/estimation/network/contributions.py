@@ -1,8 +1,7 @@
 """Parts of a network's normal equations, by body and interval of time: what each contributes to the scanners.
 
-Paths and shapes of bodies are eliminated by the back substitution K of the whole solution. A scan with the
-derivatives G of a body's pose and shape by the scanners, and B by path and shape, has the information of its beams
-along ``J = G - B K``: the sum over all scans and the priors of paths is the Schur complement.
+Paths and shapes of bodies follow the scanners as in the whole solution, by its back substitution: the sum over all
+scans and the priors of paths is the Schur complement.
 """
 
 from dataclasses import dataclass
@@ -11,18 +10,16 @@ from functools import cached_property, partial
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.estimation.network.ellipse_equations import build_scan_equations
+from calgraph.estimation.network.ellipse_equations import linearize_ellipse_scans
 from calgraph.estimation.network.estimate import SolvedNetwork
 from calgraph.estimation.network.leg_problem import LegPath
-from calgraph.estimation.network.path_equations import evaluate_at
-from calgraph.estimation.network.problem import BodyObservations, BodyPath, BodyScans, NetworkProblem, NetworkState
-from calgraph.estimation.network.scan_equations import SCAN_PARAMETERS
+from calgraph.estimation.network.path_equations import add_scans
+from calgraph.estimation.network.problem import BodyObservations, BodyPath, NetworkProblem, NetworkState
 from calgraph.estimation.network.scanner_matrix import NearInverse, ScannerMatrix
 from calgraph.estimation.network.scanner_unknowns import (
     CLOCK,
     SCANNER_UNKNOWNS,
     compute_root_times,
-    compute_scanner_jacobian,
     list_columns,
 )
 from calgraph.estimation.network.schur import BodyEquations, compute_back_substitution, eliminate_path
@@ -236,8 +233,6 @@ def _split_body(
         middle = body.knots.start + body.knots.duration / 2
         return [(middle, _take_triangle(H, estimated), g[estimated])]
     K = compute_back_substitution(equations)
-    by_path = K[: 3 * body.knots.count, :-1].reshape(-1, 3, size)
-    by_shape = K[3 * body.knots.count :, :-1]
     count = int(body.knots.duration / interval) + 1
     information, gradient = np.zeros((count, size, size)), np.zeros((count, size))
     prior_gradient = equations.gradient.copy()
@@ -245,21 +240,28 @@ def _split_body(
     def part_of(times: Array) -> Index:
         return np.clip((times - body.knots.start) / interval, 0, count - 1).astype(np.intp)
 
-    for k, scans in enumerate(body.scans):
-        first, weights, pose, rate = evaluate_at(network, state, body, path, scans)
-        sums = build_scan_equations(network, state, path, scans, pose, rate)
-        sums = sums.marginalize_model_error(network.model_error_variance[[0, 0, 1]])
-        J = _total_jacobian(network, state, scans, k, path.radii, (first, weights, pose, rate), by_path, by_shape)
-        part = part_of(compute_root_times(network, state, scans))
-        WJ = sums.information @ J
-        for n in np.unique(part).tolist():
-            within = part == n
-            information[n] += J[within].reshape(-1, size).T @ WJ[within].reshape(-1, size)
-        np.add.at(gradient, part, np.einsum("vpq,vp->vq", J, sums.gradient))
-        for i in range(4):
-            np.add.at(prior_gradient, first + i, -weights[:, i, None] * sums.gradient[:, :3])
+    all_terms = [linearize_ellipse_scans(network, state, body, path, k) for k in range(len(body.scans))]
+    # Scans of a scanner are in order of time.
+    ends = [
+        np.searchsorted(part_of(compute_root_times(network, state, scans)), np.arange(count + 1))
+        for scans in body.scans
+    ]
+    for n in range(count):
+        measured = [k for k, of_scanner in enumerate(ends) if of_scanner[n] < of_scanner[n + 1]]
+        if not measured:
+            continue
+        scans = {k: slice(ends[k][n], ends[k][n + 1]) for k in measured}
+        begin = min(all_terms[k].first[scans[k].start] for k in measured)
+        end = max(all_terms[k].first[scans[k].stop - 1] for k in measured) + 4
+        terms = [all_terms[k].select(scans[k], begin) for k in measured]
+        sums = BodyEquations.zeros(end - begin, equations.shape_count, equations.columns)
+        add_scans(sums, terms)
+        inner = np.concatenate([K[3 * begin : 3 * end, :-1], K[3 * body.knots.count :, :-1]])
+        information[n], gradient[n] = sums.follow(inner)
+        prior_gradient[begin:end] -= sums.gradient
     # What is left of the gradient of the path is that of its prior.
     of_knot = part_of(body.knots.control_times())
+    by_path = K[: 3 * body.knots.count, :-1].reshape(-1, 3, size)
     np.add.at(gradient, of_knot, -np.einsum("kpq,kp->kq", by_path, prior_gradient))
     # Priors of path and shape are of no scan: intervals share their information, and the rest of their gradient.
     share = np.trace(information, axis1=1, axis2=2)
@@ -281,24 +283,3 @@ def _take_triangle(matrix: Array, selected: NDArray[np.bool_]) -> Array:
     places = np.flatnonzero(selected)
     row, column = np.tril_indices(len(places))
     return matrix[places[row], places[column]]
-
-
-def _total_jacobian(
-    network: NetworkProblem,
-    state: NetworkState,
-    scans: BodyScans,
-    k: int,
-    radii: Array,
-    evaluated: tuple[Index, Array, Array, Array],
-    by_path: Array,
-    by_shape: Array,
-) -> Array:
-    """(V, P, UL) derivatives of the parameters of :class:`ScanEquations` in the scans of a body's k-th scanner."""
-    first, weights, pose, rate = evaluated
-    J = np.zeros((len(pose), SCAN_PARAMETERS, by_shape.shape[1]))
-    columns = slice(SCANNER_UNKNOWNS * k, SCANNER_UNKNOWNS * (k + 1))
-    J[..., columns] = compute_scanner_jacobian(network, state, scans, radii, pose, rate)
-    for i in range(4):
-        J[:, :3] -= weights[:, i, None, None] * by_path[first + i]
-    J[:, 3:5] -= by_shape
-    return J

@@ -12,14 +12,12 @@ from calgraph.estimation.network.ellipse_raycast import (
     rotate_by_small_angles,
 )
 from calgraph.estimation.network.path_equations import (
-    EARLIER,
-    LATER,
+    add_scans,
     add_stretch,
     compute_smoothness_information,
     compute_stretch,
     evaluate_at,
     index_scans,
-    sum_between_knots,
 )
 from calgraph.estimation.network.problem import (
     BodyObservations,
@@ -33,6 +31,7 @@ from calgraph.estimation.network.scan_equations import (
     RANGE_ERROR,
     SCAN_PARAMETERS,
     ScanEquations,
+    ScanTerms,
     sum_over_scans,
 )
 from calgraph.estimation.network.scanner_unknowns import (
@@ -64,44 +63,25 @@ def linearize_body(
     corner[[0, 1], [0, 1]] += radii_information
     corner_gradient[:2] += radii_information * (path.radii - body.radii)
     cost += 0.5 * float(radii_information @ (path.radii - body.radii) ** 2)
-    pairs, singles = np.zeros((10, count - 3, 9)), np.zeros((4, count - 3, 9))
-    for k, scans in enumerate(body.scans):
-        first, weights, pose, rate = evaluate_at(network, state, body, path, scans)
-        equations = build_scan_equations(network, state, path, scans, pose, rate).marginalize_model_error(
-            network.model_error_variance[[0, 0, 1]]
-        )
-        A, b = equations.information, equations.gradient
-        cost += float(equations.cost.sum())
-        G = compute_scanner_jacobian(network, state, scans, path.radii, pose, rate)
-        AG = A @ G
-        columns = slice(2 + SCANNER_UNKNOWNS * k, 2 + SCANNER_UNKNOWNS * (k + 1))
-        flat = G.reshape(-1, SCANNER_UNKNOWNS)
-        corner[columns, columns] += flat.T @ AG.reshape(-1, SCANNER_UNKNOWNS)
-        corner[:2, :2] += A[:, 3:5, 3:5].sum(axis=0)
-        mixed = AG[:, 3:5].sum(axis=0)
-        corner[:2, columns] += mixed
-        corner[columns, :2] += mixed.T
-        corner_gradient[columns] += flat.T @ b.ravel()
-        corner_gradient[:2] += b[:, 3:5].sum(axis=0)
-        # A scan depends on the four control points about it: terms of each of them, and of each pair.
-        by_radii, by_scanner = A[:, :3, 3:5].reshape(-1, 6), AG[:, :3].reshape(len(b), -1)
-        terms = np.concatenate([b[:, :3], by_radii, by_scanner], axis=1)
-        # A scanner measures a body on a part of its path only.
-        begin, end = first[0], first[-1] + 1
-        sums = sum_between_knots(first - begin, weights, terms, end - begin + 3)
-        singles[:, begin:end] += sums[..., :9]
-        for i in range(4):
-            border[begin + i : end + i, :, columns] += sums[i, :, 9:].reshape(-1, 3, SCANNER_UNKNOWNS)
-        pairs[:, begin:end] += sum_between_knots(
-            first - begin, weights[:, EARLIER] * weights[:, LATER], A[:, :3, :3].reshape(-1, 9), end - begin + 3
-        )
-    for i in range(4):
-        gradient[i : count - 3 + i] += singles[i, :, :3]
-        border[i : count - 3 + i, :, :2] += singles[i, :, 3:].reshape(-1, 3, 2)
-    for earlier, later, block in zip(EARLIER, LATER, pairs, strict=True):
-        band[earlier : count - 3 + earlier, later - earlier] += block.reshape(-1, 3, 3)
-    columns_of_scanners = list_columns([scans.scanner for scans in body.scans])
-    return BodyEquations(band, gradient, border, corner, corner_gradient, columns_of_scanners), cost
+    columns = list_columns([scans.scanner for scans in body.scans])
+    equations = BodyEquations(band, gradient, border, corner, corner_gradient, columns)
+    cost += add_scans(
+        equations, (linearize_ellipse_scans(network, state, body, path, k) for k in range(len(body.scans)))
+    )
+    return equations, cost
+
+
+def linearize_ellipse_scans(
+    network: NetworkProblem, state: NetworkState, body: BodyObservations, path: BodyPath, k: int
+) -> ScanTerms:
+    """The equations of the scans of an ellipse's k-th scanner; its shape has two radii."""
+    scans = body.scans[k]
+    first, weights, pose, rate = evaluate_at(network, state, body, path, scans)
+    equations = build_scan_equations(network, state, path, scans, pose, rate).marginalize_model_error(
+        network.model_error_variance[[0, 0, 1]]
+    )
+    G = compute_scanner_jacobian(network, state, scans, path.radii, pose, rate)
+    return ScanTerms(k, first, weights, equations, G, slice(3, 5), np.array([0, 1]))
 
 
 def raycast_body(state: NetworkState, path: BodyPath, scans: BodyScans, pose: Array, rate: Array) -> RaycastHits:

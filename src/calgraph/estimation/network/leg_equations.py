@@ -13,22 +13,20 @@ from calgraph.estimation.network.ellipse_raycast import rotate_by_small_angles
 from calgraph.estimation.network.leg_problem import LegObservations, LegPath, compute_shape_prior
 from calgraph.estimation.network.leg_raycast import LegHits, raycast_legs
 from calgraph.estimation.network.path_equations import (
-    EARLIER,
-    LATER,
+    add_scans,
     add_stretch,
     compute_smoothness_information,
     compute_stretch,
     evaluate_at,
     index_scans,
-    sum_between_knots,
 )
 from calgraph.estimation.network.problem import BodyScans, NetworkProblem, NetworkState
 from calgraph.estimation.network.scan_equations import (
     AZIMUTH_ERRORS,
     RANGE_ERROR,
     SCAN_PARAMETERS,
-    ScanEquations,
     ScanTerms,
+    sum_over_scans,
 )
 from calgraph.estimation.network.scanner_unknowns import (
     FIRST_SYSTEMATIC,
@@ -40,9 +38,10 @@ from calgraph.estimation.network.scanner_unknowns import (
     compute_stretches,
     compute_turns,
     differentiate_by_azimuth_errors,
+    list_columns,
 )
 from calgraph.estimation.network.schur import BodyEquations
-from calgraph.geometry import Array, Index
+from calgraph.geometry import Array
 
 # Zero-gradient information (1/m², 1/rad²) that keeps control points without measurements invertible: 30 m, 10 rad.
 _POSITION_RIDGE, _HEADING_RIDGE = 1e-3, 1e-2
@@ -96,9 +95,9 @@ def linearize_leg_scans(
     hits = raycast_leg(network, state, path, scans, pose, rate)
     residual, sigma = compute_leg_residuals(network, scans, hits, float(path.bias[k]))
     G = _compute_scanner_jacobian(network, state, path, scans, pose, rate)
-    equations = _sum_over_scans(residual, hits.jacobian / sigma[:, None], scans.weight, scans.first_beam)
+    equations = sum_over_scans(residual, hits.jacobian / sigma[:, None], scans.weight, scans.first_beam)
     shape_columns = np.concatenate([np.arange(shapes), [shapes + k]])
-    return ScanTerms(first, weights, equations, G, 3 + np.arange(shapes + 1), shape_columns)
+    return ScanTerms(k, first, weights, equations, G, slice(3, 4 + shapes), shape_columns)
 
 
 def linearize_leg(
@@ -119,62 +118,12 @@ def linearize_leg(
     corner[np.arange(local), np.arange(local)] = information
     corner_gradient[:local] = information * deviation
     cost += 0.5 * float(information @ deviation**2)
-    # The parameters of a scan are pose, shape, bias of the scanner, and errors that depend on the azimuth.
-    bias_row = 3 + shapes
-    shape_rows = slice(3, bias_row + 1)
-    all_terms = [linearize_leg_scans(network, state, leg, path, k) for k in range(len(leg.scans))]
-    for k, terms in enumerate(all_terms):
-        A, b, G = terms.equations.information, terms.equations.gradient, terms.scanner_jacobian
-        cost += float(terms.equations.cost.sum())
-        AG = A @ G
-        columns = slice(local + SCANNER_UNKNOWNS * k, local + SCANNER_UNKNOWNS * (k + 1))
-        own = terms.shape_columns
-        flat = G.reshape(-1, SCANNER_UNKNOWNS)
-        corner[columns, columns] += flat.T @ AG.reshape(-1, SCANNER_UNKNOWNS)
-        corner[np.ix_(own, own)] += A[:, shape_rows, shape_rows].sum(axis=0)
-        mixed = AG[:, shape_rows].sum(axis=0)
-        corner[own, columns] += mixed
-        corner[columns, own] += mixed.T
-        corner_gradient[columns] += flat.T @ b.ravel()
-        corner_gradient[own] += b[:, shape_rows].sum(axis=0)
-        by_scanner = np.concatenate([A[:, :3, bias_row : bias_row + 1], AG[:, :3]], axis=2)
-        # A scanner measures a leg on a part of its path only.
-        begin, end = terms.first[0], terms.first[-1] + 1
-        sums = sum_between_knots(
-            terms.first - begin, terms.weights, by_scanner.reshape(len(b), -1), end - begin + 3
-        ).reshape(4, end - begin, 3, 1 + SCANNER_UNKNOWNS)
-        for i in range(4):
-            border[begin + i : end + i, :, shapes + k] += sums[i, ..., 0]
-            border[begin + i : end + i, :, columns] += sums[i, ..., 1:]
-    # What all scanners share is summed over the scans of all of them.
-    first = np.concatenate([terms.first for terms in all_terms])
-    order = np.argsort(first, kind="stable")
-    first, weights = first[order], np.concatenate([terms.weights for terms in all_terms])[order]
-    A = np.concatenate([terms.equations.information[:, :3] for terms in all_terms])[order]
-    b = np.concatenate([terms.equations.gradient[:, :3] for terms in all_terms])[order]
-    shared = np.concatenate([b, A[:, :, 3:bias_row].reshape(len(b), -1)], axis=1)
-    sums = sum_between_knots(first, weights, shared, count)
-    for i in range(4):
-        gradient[i : count - 3 + i] += sums[i, :, :3]
-        border[i : count - 3 + i, :, :shapes] += sums[i, :, 3:].reshape(-1, 3, shapes)
-    products = sum_between_knots(first, weights[:, EARLIER] * weights[:, LATER], A[:, :, :3].reshape(-1, 9), count)
-    for earlier, later, block in zip(EARLIER, LATER, products, strict=True):
-        band[earlier : count - 3 + earlier, later - earlier] += block.reshape(-1, 3, 3)
-    scanners = np.array([scans.scanner for scans in leg.scans], dtype=np.intp)
-    scanner_columns = (SCANNER_UNKNOWNS * scanners[:, None] + np.arange(SCANNER_UNKNOWNS)).ravel()
-    return BodyEquations(band, gradient, border, corner, corner_gradient, scanner_columns), cost
-
-
-def _sum_over_scans(residual: Array, jacobian: Array, weight: Array, first_beam: Index) -> ScanEquations:
-    """The equations of beams with whitened residuals (N,) and derivatives (N, q)."""
-    rows = np.concatenate([jacobian.T, residual[None]])
-    weighted = weight * rows
-    total = np.empty((len(first_beam), len(rows), len(rows)))
-    # One product at a time over all beams: scans have few beams, and there are many scans.
-    for i in range(len(rows)):
-        sums = np.add.reduceat(weighted[i] * rows[i:], first_beam, axis=1).T
-        total[:, i, i:] = total[:, i:, i] = sums
-    return ScanEquations(total[:, :-1, :-1], total[:, :-1, -1], 0.5 * total[:, -1, -1])
+    columns = list_columns([scans.scanner for scans in leg.scans])
+    equations = BodyEquations(band, gradient, border, corner, corner_gradient, columns)
+    cost += add_scans(
+        equations, (linearize_leg_scans(network, state, leg, path, k) for k in range(len(leg.scans)))
+    )
+    return equations, cost
 
 
 def _compute_scanner_jacobian(

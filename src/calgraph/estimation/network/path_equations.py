@@ -1,5 +1,7 @@
 """Sums over the scans of a body on a spline, and the prior of its path."""
 
+from collections.abc import Iterable
+
 import numpy as np
 from scipy.sparse import csr_array
 
@@ -10,31 +12,69 @@ from calgraph.estimation.network.problem import (
     NetworkProblem,
     NetworkState,
 )
+from calgraph.estimation.network.scan_equations import ScanTerms
 from calgraph.estimation.network.scanner_unknowns import (
     FIRST_SYSTEMATIC,
     RANGE_SCALE,
     SCANNER_UNKNOWNS,
     compute_root_times,
 )
+from calgraph.estimation.network.schur import BodyEquations
 from calgraph.estimation.network.splines import evaluate_spline
 from calgraph.geometry import Array, Index
 
 # Second difference of control points.
 _SECOND_DIFFERENCE = np.array([1.0, -2.0, 1.0])
 
-EARLIER, LATER = np.triu_indices(4)
-"""Pairs of the four control points that a scan depends on."""
+# Pairs of the four control points that a scan depends on.
+_EARLIER, _LATER = np.triu_indices(4)
 
 
-def sum_between_knots(first: Index, weights: Array, values: Array, count: int) -> Array:
-    """(W, K - 3, n) sums of values (V, n) times weights (V, W), over the scans between two knots each."""
+def add_scans(equations: BodyEquations, terms: Iterable[ScanTerms]) -> float:
+    """Adds the terms of scans of each scanner to the equations of a body, in place; returns their cost."""
+    band, gradient, border = equations.band, equations.gradient, equations.border
+    corner, corner_gradient, shapes, cost = equations.corner, equations.corner_gradient, equations.shape_count, 0.0
+    for one in terms:
+        A, b, G = one.equations.information, one.equations.gradient, one.scanner_jacobian
+        cost += float(one.equations.cost.sum())
+        AG, rows, own = A @ G, one.shape_rows, one.shape_columns
+        first_column = shapes + SCANNER_UNKNOWNS * one.place
+        of_scanner = slice(first_column, first_column + SCANNER_UNKNOWNS)
+        flat = G.reshape(-1, SCANNER_UNKNOWNS)
+        corner[of_scanner, of_scanner] += flat.T @ AG.reshape(-1, SCANNER_UNKNOWNS)
+        corner[np.ix_(own, own)] += A[:, rows, rows].sum(axis=0)
+        mixed = AG[:, rows].sum(axis=0)
+        corner[own, of_scanner] += mixed
+        corner[of_scanner, own] += mixed.T
+        corner_gradient[of_scanner] += flat.T @ b.ravel()
+        corner_gradient[own] += b[:, rows].sum(axis=0)
+        # A scan depends on the four control points about it: terms of each of them, and of each pair. A scanner
+        # measures a body on a part of its path only.
+        begin, end = one.first[0], one.first[-1] + 1
+        by_shape, by_scanner = A[:, :3, rows].reshape(len(b), -1), AG[:, :3].reshape(len(b), -1)
+        values = np.concatenate([b[:, :3], by_shape, by_scanner], axis=1)
+        sums = _sum_between_knots(one.first - begin, one.weights, values, end - begin)
+        for i, of_point in enumerate(sums):
+            near = slice(begin + i, end + i)
+            gradient[near] += of_point[:, :3]
+            border[near, :, own] += of_point[:, 3 : 3 + by_shape.shape[1]].reshape(end - begin, 3, -1)
+            border[near, :, of_scanner] += of_point[:, 3 + by_shape.shape[1] :].reshape(end - begin, 3, -1)
+        products = one.weights[:, _EARLIER] * one.weights[:, _LATER]
+        pairs = _sum_between_knots(one.first - begin, products, A[:, :3, :3].reshape(-1, 9), end - begin)
+        for earlier, later, block in zip(_EARLIER, _LATER, pairs, strict=True):
+            band[begin + earlier : end + earlier, later - earlier] += block.reshape(-1, 3, 3)
+    return cost
+
+
+def _sum_between_knots(first: Index, weights: Array, values: Array, intervals: int) -> Array:
+    """(W, intervals, n) sums of values (V, n) times weights (V, W), over the scans between two knots each."""
     scans, kinds = weights.shape
-    ends = np.searchsorted(first, np.arange(1, count - 2)) + scans * np.arange(kinds)[:, None]
+    ends = np.searchsorted(first, np.arange(1, intervals + 1)) + scans * np.arange(kinds)[:, None]
     sums = csr_array(
         (weights.T.ravel(), np.tile(np.arange(scans), kinds), np.concatenate([[0], ends.ravel()])),
-        shape=(kinds * (count - 3), scans),
+        shape=(kinds * intervals, scans),
     )
-    return np.asarray((sums @ values).reshape(kinds, count - 3, -1))
+    return np.asarray((sums @ values).reshape(kinds, intervals, -1))
 
 
 def evaluate_at(

@@ -5,7 +5,7 @@ scan, so that more beams do not average them. Each scan therefore has an unknown
 with a given variance, which is marginalised.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -42,8 +42,10 @@ class ScanEquations:
 class ScanTerms:
     """What V scans of one scanner contribute to the normal equations of a body."""
 
+    place: int
+    """Of the scanner among those that measured the body."""
     first: Index
-    """(V,) the first of the four control points that each scan depends on."""
+    """(V,) the first of the four control points that each scan depends on, ascending."""
     weights: Array
     """(V, 4) of these control points."""
     equations: ScanEquations
@@ -51,10 +53,23 @@ class ScanTerms:
     the errors that depend on the azimuth."""
     scanner_jacobian: Array
     """(V, q, U) of these q parameters, relative to the scanner, by the scanner's unknowns."""
-    shape_rows: Index
+    shape_rows: slice
     """Those of the q parameters that are unknowns of the body's shape."""
     shape_columns: Index
     """Their places among all unknowns of its shape."""
+
+    def select(self, scans: slice, begin: int) -> "ScanTerms":
+        """Those of some scans, with control points numbered from one of them."""
+        equations = ScanEquations(
+            self.equations.information[scans], self.equations.gradient[scans], self.equations.cost[scans]
+        )
+        return replace(
+            self,
+            first=self.first[scans] - begin,
+            weights=self.weights[scans],
+            equations=equations,
+            scanner_jacobian=self.scanner_jacobian[scans],
+        )
 
 
 def sum_over_scans(residual: Array, jacobian: Array, weight: Array, first_beam: Index) -> ScanEquations:

@@ -36,6 +36,47 @@ class BodyEquations:
         """B."""
         return len(self.corner) - len(self.columns)
 
+    @classmethod
+    def zeros(cls, count: int, shape_count: int, columns: Index) -> "BodyEquations":
+        """The equations without terms: K control points, B parameters of shape, scanners with columns (UL,)."""
+        size = shape_count + len(columns)
+        return cls(
+            np.zeros((count, 4, 3, 3)),
+            np.zeros((count, 3)),
+            np.zeros((count, 3, size)),
+            np.zeros((size, size)),
+            np.zeros(size),
+            columns,
+        )
+
+    def follow(self, substitution: Array) -> tuple[Array, Array]:
+        """Information (UL, UL) and gradient (UL,) of the scanners where path and shape follow them.
+
+        Args:
+            substitution: S (3K + B, UL): a step of the scanners is followed by ``-S @ step``. With that of these
+                equations the result is the Schur complement.
+        """
+        B, size = self.shape_count, 3 * len(self.band)
+        border = np.concatenate([self.border[:, :, B:].reshape(size, -1), self.corner[:B, B:]])
+        by_substitution = self._expand_inner() @ substitution - border
+        mixed = border.T @ substitution
+        return (
+            self.corner[B:, B:] - mixed + substitution.T @ by_substitution,
+            self.corner_gradient[B:]
+            - substitution.T @ np.concatenate([self.gradient.ravel(), self.corner_gradient[:B]]),
+        )
+
+    def _expand_inner(self) -> Array:
+        """(3K + B, 3K + B) of path and shape, dense."""
+        B, count = self.shape_count, len(self.band)
+        path, points = np.zeros((count, 3, count, 3)), np.arange(count)
+        for apart in range(min(4, count)):
+            earlier, later = points[: count - apart], points[apart:]
+            path[later, :, earlier] = se_n.transpose(self.band[: count - apart, apart])
+            path[earlier, :, later] = self.band[: count - apart, apart]
+        border = self.border[:, :, :B].reshape(3 * count, B)
+        return np.block([[path.reshape(3 * count, -1), border], [border.T, self.corner[:B, :B]]])
+
     def scaled_norm(self, step: Array, scanner_step: Array) -> float:
         """Squared norm, scaled by the diagonal, of steps (3K + B,) of path and shape and (UL,) of the scanners."""
         size = 3 * len(self.band)
