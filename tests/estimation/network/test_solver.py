@@ -6,9 +6,14 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from calgraph.estimation.network.ellipse_equations import compute_heading_offsets, compute_residuals, raycast_body
+from calgraph.estimation.network.ellipse_equations import (
+    compute_heading_offsets,
+    compute_residuals,
+    linearize_ellipse_scans,
+    raycast_body,
+)
 from calgraph.estimation.network.ellipse_raycast import RaycastHits, raycast_ellipses
-from calgraph.estimation.network.path_equations import evaluate_at, index_scans
+from calgraph.estimation.network.path_equations import add_scans, evaluate_at, index_scans
 from calgraph.estimation.network.problem import (
     BodyObservations,
     BodyPath,
@@ -265,6 +270,42 @@ def test_back_substitution_equals_the_dense_solution(rng: np.random.Generator) -
     expected = -np.linalg.solve(H[:inner, :inner], g[:inner] + H[:inner, inner:] @ scanners)
     K = compute_back_substitution(equations)
     np.testing.assert_allclose(-(K[:, :-1] @ scanners + K[:, -1]), expected, atol=1e-8)
+
+
+def test_scanners_that_a_body_follows_have_the_dense_congruence(rng: np.random.Generator) -> None:
+    net, truth = build_network(rng)
+    [equations] = list_body_equations(linearize_network(net, perturb(truth, rng)))
+    H, g = build_dense_equations(equations)
+    substitution = rng.normal(size=(len(H) - SIZE, SIZE))
+    steps = np.concatenate([-substitution, np.eye(SIZE)])
+    information, gradient = equations.follow(substitution)
+    scale = np.abs(steps).T @ np.abs(H) @ np.abs(steps)
+    np.testing.assert_allclose(information / scale, steps.T @ H @ steps / scale, atol=1e-12)
+    np.testing.assert_allclose(gradient, steps.T @ g, rtol=1e-9)
+
+
+def test_terms_of_all_scans_are_the_sum_of_those_of_intervals(rng: np.random.Generator) -> None:
+    net, truth = build_network(rng)
+    [body], [path] = net.bodies, truth.paths
+    [whole] = list_body_equations(linearize_network(net, truth))
+    shape = len(whole.band), whole.shape_count, whole.columns
+    at_once, in_parts = BodyEquations.zeros(*shape), BodyEquations.zeros(*shape)
+    for k in range(len(body.scans)):
+        terms = linearize_ellipse_scans(net, truth, body, path, k)
+        add_scans(at_once, [terms])
+        middle = len(terms.first) // 3
+        for scans in (slice(middle), slice(middle, None)):
+            begin, end = terms.first[scans][0], terms.first[scans][-1] + 4
+            part = BodyEquations.zeros(end - begin, whole.shape_count, whole.columns)
+            add_scans(part, [terms.select(scans, begin)])
+            for name in ("band", "gradient", "border"):
+                getattr(in_parts, name)[begin:end] += getattr(part, name)
+            for name in ("corner", "corner_gradient"):
+                array = getattr(in_parts, name)
+                array += getattr(part, name)
+    for name in ("band", "gradient", "border", "corner", "corner_gradient"):
+        expected = getattr(at_once, name)
+        np.testing.assert_allclose(getattr(in_parts, name), expected, atol=1e-9 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize("damping", [1e-6, 1.0, 100.0])
