@@ -297,7 +297,7 @@ def test_terms_of_all_scans_are_the_sum_of_those_of_intervals(rng: np.random.Gen
         for scans in (slice(middle), slice(middle, None)):
             begin, end = terms.first[scans][0], terms.first[scans][-1] + 4
             part = BodyEquations.zeros(end - begin, whole.shape_count, whole.columns)
-            add_scans(part, [terms.select(scans, begin)])
+            add_scans(part, [terms.select(scans)], begin)
             for name in ("band", "gradient", "border"):
                 getattr(in_parts, name)[begin:end] += getattr(part, name)
             for name in ("corner", "corner_gradient"):

@@ -232,7 +232,7 @@ def _split_body(
     if isinstance(path, LegPath):
         middle = body.knots.start + body.knots.duration / 2
         return [(middle, _take_triangle(H, estimated), g[estimated])]
-    K = compute_back_substitution(equations)
+    substitution = compute_back_substitution(equations)[:, :-1]
     count = int(body.knots.duration / interval) + 1
     information, gradient = np.zeros((count, size, size)), np.zeros((count, size))
     prior_gradient = equations.gradient.copy()
@@ -247,21 +247,19 @@ def _split_body(
         for scans in body.scans
     ]
     for n in range(count):
-        measured = [k for k, of_scanner in enumerate(ends) if of_scanner[n] < of_scanner[n + 1]]
-        if not measured:
+        measured = [(one, *bounds[n : n + 2]) for one, bounds in zip(all_terms, ends, strict=True)]
+        terms = [one.select(slice(start, stop)) for one, start, stop in measured if start < stop]
+        if not terms:
             continue
-        scans = {k: slice(ends[k][n], ends[k][n + 1]) for k in measured}
-        begin = min(all_terms[k].first[scans[k].start] for k in measured)
-        end = max(all_terms[k].first[scans[k].stop - 1] for k in measured) + 4
-        terms = [all_terms[k].select(scans[k], begin) for k in measured]
+        begin, end = min(one.first[0] for one in terms), max(one.first[-1] for one in terms) + 4
         sums = BodyEquations.zeros(end - begin, equations.shape_count, equations.columns)
-        add_scans(sums, terms)
-        inner = np.concatenate([K[3 * begin : 3 * end, :-1], K[3 * body.knots.count :, :-1]])
-        information[n], gradient[n] = sums.follow(inner)
+        add_scans(sums, terms, begin)
+        rows = np.r_[3 * begin : 3 * end, 3 * body.knots.count : len(substitution)]
+        information[n], gradient[n] = sums.follow(substitution[rows])
         prior_gradient[begin:end] -= sums.gradient
     # What is left of the gradient of the path is that of its prior.
     of_knot = part_of(body.knots.control_times())
-    by_path = K[: 3 * body.knots.count, :-1].reshape(-1, 3, size)
+    by_path = substitution[: 3 * body.knots.count].reshape(-1, 3, size)
     np.add.at(gradient, of_knot, -np.einsum("kpq,kp->kq", by_path, prior_gradient))
     # Priors of path and shape are of no scan: intervals share their information, and the rest of their gradient.
     share = np.trace(information, axis1=1, axis2=2)

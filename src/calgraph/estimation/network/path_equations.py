@@ -30,10 +30,18 @@ _SECOND_DIFFERENCE = np.array([1.0, -2.0, 1.0])
 _EARLIER, _LATER = np.triu_indices(4)
 
 
-def add_scans(equations: BodyEquations, terms: Iterable[ScanTerms]) -> float:
-    """Adds the terms of scans of each scanner to the equations of a body, in place; returns their cost."""
+def add_scans(equations: BodyEquations, terms: Iterable[ScanTerms], first_control: int = 0) -> float:
+    """Adds the terms of scans of each scanner to the equations of a body, in place; returns their cost.
+
+    Args:
+        equations: of the body, or of a part of its path.
+        terms: one for each scanner at most.
+        first_control: the control point at which the part begins.
+    """
     band, gradient, border = equations.band, equations.gradient, equations.border
     corner, corner_gradient, shapes, cost = equations.corner, equations.corner_gradient, equations.shape_count, 0.0
+    intervals = len(band) - 3
+    pairs, points = np.zeros((len(_EARLIER), intervals, 9)), np.zeros((4, intervals, 3))
     for one in terms:
         A, b, G = one.equations.information, one.equations.gradient, one.scanner_jacobian
         cost += float(one.equations.cost.sum())
@@ -50,19 +58,23 @@ def add_scans(equations: BodyEquations, terms: Iterable[ScanTerms]) -> float:
         corner_gradient[own] += b[:, rows].sum(axis=0)
         # A scan depends on the four control points about it: terms of each of them, and of each pair. A scanner
         # measures a body on a part of its path only.
-        begin, end = one.first[0], one.first[-1] + 1
+        first = one.first - first_control
+        begin, end = first[0], first[-1] + 1
         by_shape, by_scanner = A[:, :3, rows].reshape(len(b), -1), AG[:, :3].reshape(len(b), -1)
         values = np.concatenate([b[:, :3], by_shape, by_scanner], axis=1)
-        sums = _sum_between_knots(one.first - begin, one.weights, values, end - begin)
+        sums = _sum_between_knots(first - begin, one.weights, values, end - begin)
+        points[:, begin:end] += sums[..., :3]
         for i, of_point in enumerate(sums):
             near = slice(begin + i, end + i)
-            gradient[near] += of_point[:, :3]
             border[near, :, own] += of_point[:, 3 : 3 + by_shape.shape[1]].reshape(end - begin, 3, -1)
             border[near, :, of_scanner] += of_point[:, 3 + by_shape.shape[1] :].reshape(end - begin, 3, -1)
         products = one.weights[:, _EARLIER] * one.weights[:, _LATER]
-        pairs = _sum_between_knots(one.first - begin, products, A[:, :3, :3].reshape(-1, 9), end - begin)
-        for earlier, later, block in zip(_EARLIER, _LATER, pairs, strict=True):
-            band[begin + earlier : end + earlier, later - earlier] += block.reshape(-1, 3, 3)
+        blocks = A[:, :3, :3].reshape(-1, 9)
+        pairs[:, begin:end] += _sum_between_knots(first - begin, products, blocks, end - begin)
+    for i, of_point in enumerate(points):
+        gradient[i : intervals + i] += of_point
+    for earlier, later, of_pair in zip(_EARLIER, _LATER, pairs, strict=True):
+        band[earlier : intervals + earlier, later - earlier] += of_pair.reshape(-1, 3, 3)
     return cost
 
 

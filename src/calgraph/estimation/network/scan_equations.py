@@ -58,14 +58,14 @@ class ScanTerms:
     shape_columns: Index
     """Their places among all unknowns of its shape."""
 
-    def select(self, scans: slice, begin: int) -> "ScanTerms":
-        """Those of some scans, with control points numbered from one of them."""
+    def select(self, scans: slice) -> "ScanTerms":
+        """Those of some scans."""
         equations = ScanEquations(
             self.equations.information[scans], self.equations.gradient[scans], self.equations.cost[scans]
         )
         return replace(
             self,
-            first=self.first[scans] - begin,
+            first=self.first[scans],
             weights=self.weights[scans],
             equations=equations,
             scanner_jacobian=self.scanner_jacobian[scans],
