@@ -144,8 +144,9 @@ class ProposalSettings(StrictModel):
     """Maximum RMS distance of an aligned stretch, m: twice the registration's max_model_error."""
     noise: Positive = 0.05
     """RMS distance of tracks of one person, m, below which a better fit does not rank higher."""
-    max_count: Count = 200
-    """Number of hypotheses that are scored: half of them the best, half random; bounds the time for crowds."""
+    max_count: Count = 800
+    """Number of hypotheses that are scored: half of them the best, half random; bounds the time for crowds. 200 of
+    2,800 (40 people, ten minutes) contained the right pose in 31 of 40 cases, 800 in all 40."""
 
 
 class RegistrationSettings(StrictModel):
