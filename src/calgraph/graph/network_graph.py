@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import eye_array
 
 from calgraph.config.settings import GraphSettings, HypothesisSettings
 from calgraph.geometry import Array
@@ -171,8 +172,9 @@ def compute_joint_covariance(graph: PoseGraph, T_root_node: Array) -> Array:
     Zero for the root. Unobservable directions get a standard deviation of 1000 m or rad.
     """
     H, _ = build_normal_equations(graph, T_root_node, np.ones(len(graph.edges)))
-    information = np.asarray(H.toarray()) + _MIN_INFORMATION * np.eye(3 * graph.count)
-    free = np.repeat(np.arange(graph.count) != graph.root, 3)
-    covariance = np.zeros_like(information)
-    covariance[np.ix_(free, free)] = np.linalg.inv(information[np.ix_(free, free)])
+    free = np.flatnonzero(np.repeat(np.arange(graph.count) != graph.root, 3))
+    # Dense where it has to be only: that of a large network takes much memory.
+    information = H[free][:, free] + _MIN_INFORMATION * eye_array(len(free))
+    covariance = np.zeros(H.shape)
+    covariance[np.ix_(free, free)] = np.linalg.inv(information.toarray())
     return covariance

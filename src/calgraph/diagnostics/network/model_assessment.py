@@ -76,17 +76,10 @@ def _test_model(
     if (solved := joint.solved) is None or not solved.problem.bodies:
         return ModelAssessment(joint)
     names, averaged = initialization.names, initialization.solution
-    walked = sum(body.knots.duration for body in solved.problem.bodies)
-    parts = split_contributions(solved, max(settings.interval, walked / settings.max_parts))
-    scatter = measure_scatter(parts)
-    variance_factor = max(scatter.ratio, 1.0)
-    findings = [
-        *find_poor_fit(solved, names, np.array([one.sigma for one in tracked]), settings),
-    ]
-    groups = parts.group_scanners(solved.problem.settings.max_joint_covariance)
-    for group in groups:
-        findings += find_inconsistent_parts(parts.select(group), names, variance_factor, settings, len(groups))
-    joint = joint.scale_covariance(variance_factor)
+    findings = [*find_poor_fit(solved, names, np.array([one.sigma for one in tracked]), settings)]
+    scatter, inconsistent = _test_parts(solved, names, settings)
+    findings += inconsistent
+    joint = joint.scale_covariance(max(scatter.ratio, 1.0))
     if scatter.p < settings.false_alarm_probability and scatter.ratio > settings.max_good_scatter:
         findings.append(_describe_scatter(scatter, names, settings))
     refuted = any(finding.refutes for finding in findings)
@@ -109,6 +102,24 @@ def _test_model(
     # One reason is enough for the verdicts; what led to it are remarks.
     causes = [replace(finding, sensors=()) for finding in findings]
     return ModelAssessment(None if replaceable else joint, (summary, *causes))
+
+
+def _test_parts(
+    solved: SolvedNetwork, names: Sequence[str], settings: NetworkModelSettings
+) -> tuple[Scatter, list[Finding]]:
+    """How far parts of the data scatter, and which of them give other poses."""
+    walked = sum(body.knots.duration for body in solved.problem.bodies)
+    parts = split_contributions(solved, max(settings.interval, walked / settings.max_parts))
+    scatter = measure_scatter(parts)
+    groups = parts.group_scanners(solved.problem.settings.max_joint_covariance)
+    findings = [
+        finding
+        for group in groups
+        for finding in find_inconsistent_parts(
+            parts.select(group), names, max(scatter.ratio, 1.0), settings, len(groups)
+        )
+    ]
+    return scatter, findings
 
 
 def _describe_scatter(scatter: Scatter, names: Sequence[str], settings: NetworkModelSettings) -> Finding:
