@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calgraph.estimation.network.schur import compute_path_covariance
+from calgraph.estimation.network.path_covariance import compute_path_covariance
 from calgraph.geometry import Array
 
 

@@ -7,12 +7,12 @@ from scipy.linalg import cho_solve_banded, cholesky_banded
 
 from calgraph.estimation.network.leg_equations import compute_leg_residuals, raycast_leg
 from calgraph.estimation.network.leg_problem import LegObservations, LegPath
+from calgraph.estimation.network.path_covariance import compute_path_covariance
 from calgraph.estimation.network.path_equations import evaluate_at, index_scans
 from calgraph.estimation.network.problem import NetworkProblem, NetworkState
 from calgraph.estimation.network.schur import (
     BodyEquations,
     compute_back_substitution,
-    compute_path_covariance,
     pack_lower_band,
 )
 from calgraph.estimation.network.solver import NetworkEquations, compute_network_covariance

@@ -10,10 +10,11 @@ from functools import partial
 import numpy as np
 
 from calgraph.estimation.network.ellipse_equations import compute_residuals, raycast_body
+from calgraph.estimation.network.path_covariance import compute_path_covariance
 from calgraph.estimation.network.path_equations import evaluate_at
 from calgraph.estimation.network.problem import BodyObservations, BodyPath, NetworkProblem, NetworkState
 from calgraph.estimation.network.scan_equations import ScanEquations, sum_over_scans
-from calgraph.estimation.network.schur import BodyEquations, compute_path_covariance
+from calgraph.estimation.network.schur import BodyEquations
 from calgraph.estimation.network.solver import NetworkEquations
 from calgraph.estimation.network.tukey_loss import TukeyLoss
 from calgraph.geometry import Array, Index
