@@ -6,6 +6,7 @@ gigabytes, and the parser recurses into nested lists.
 
 import re
 from pathlib import Path
+from typing import Any
 
 from ruamel.yaml import YAML
 from ruamel.yaml.events import (
@@ -16,6 +17,7 @@ from ruamel.yaml.events import (
     Event,
     ScalarEvent,
 )
+from ruamel.yaml.parser import Parser
 
 from calgraph.errors import InputError
 
@@ -42,45 +44,76 @@ def check_yaml_limits(path: Path, text: str, max_values: int = MAX_VALUES) -> No
         InputError: the text exceeds a limit, or an anchor contains its own alias.
         ruamel.yaml.error.YAMLError: the text is not YAML.
     """
-    count = 0
-    sizes: dict[str, int] = {}
-    open_collections: list[tuple[str | None, int]] = []
+    limits = _Limits(path, max_values)
     for event in YAML(typ="safe").parse(text):
-        if isinstance(event, DocumentStartEvent):
-            sizes.clear()
-        elif isinstance(event, CollectionStartEvent):
-            open_collections.append((event.anchor, count))
-            count += 1
-        elif isinstance(event, CollectionEndEvent):
-            anchor, before = open_collections.pop()
-            if anchor is not None:
-                sizes[anchor] = count - before
-        elif isinstance(event, AliasEvent):
-            if any(anchor == event.anchor for anchor, _ in open_collections):
-                raise InputError(f"{_place(path, event)}: &{event.anchor} contains itself; write its values out")
-            count += sizes.get(event.anchor, 1)
-        elif isinstance(event, ScalarEvent):
-            count += 1
+        limits.check(event)
+
+
+def create_limited_yaml(path: Path, max_values: int = MAX_VALUES) -> YAML:
+    """A loader of one text that checks the limits as :func:`check_yaml_limits` does, without parsing twice.
+
+    A document is checked before its values are made.
+    """
+    limits = _Limits(path, max_values)
+
+    class LimitedParser(Parser):
+        def get_event(self) -> Any:
+            event = super().get_event()
+            limits.check(event)
+            return event
+
+    yaml = YAML(typ="safe", pure=True)
+    yaml.Parser = LimitedParser
+    return yaml
+
+
+class _Limits:
+    """Counts what the events of a text ask for."""
+
+    def __init__(self, path: Path, max_values: int) -> None:
+        self._path, self._max_values, self._count = path, max_values, 0
+        self._sizes: dict[str, int] = {}
+        self._open: list[tuple[str | None, int]] = []
+
+    def check(self, event: Event) -> None:
+        """Counts an event.
+
+        Raises:
+            InputError: the text exceeds a limit, or an anchor contains its own alias.
+        """
+        if isinstance(event, ScalarEvent):
+            self._count += 1
             if event.anchor is not None:
-                sizes[event.anchor] = 1
-            _check_number(path, event)
-        if len(open_collections) > MAX_DEPTH:
-            raise InputError(f"{_place(path, event)}: nests more than {MAX_DEPTH} levels deep; close brackets")
-        if count > max_values:
+                self._sizes[event.anchor] = 1
+            self._check_number(event)
+        elif isinstance(event, CollectionStartEvent):
+            self._open.append((event.anchor, self._count))
+            self._count += 1
+        elif isinstance(event, CollectionEndEvent):
+            anchor, before = self._open.pop()
+            if anchor is not None:
+                self._sizes[anchor] = self._count - before
+        elif isinstance(event, AliasEvent):
+            if any(anchor == event.anchor for anchor, _ in self._open):
+                raise InputError(f"{self._place(event)}: &{event.anchor} contains itself; write its values out")
+            self._count += self._sizes.get(event.anchor, 1)
+        elif isinstance(event, DocumentStartEvent):
+            self._sizes.clear()
+        if len(self._open) > MAX_DEPTH:
+            raise InputError(f"{self._place(event)}: nests more than {MAX_DEPTH} levels deep; close brackets")
+        if self._count > self._max_values:
             raise InputError(
-                f"{_place(path, event)}: has more than {max_values} values, where aliases count as what they "
+                f"{self._place(event)}: has more than {self._max_values} values, where aliases count as what they "
                 "repeat; give a smaller file"
             )
 
+    def _check_number(self, event: ScalarEvent) -> None:
+        is_plain = event.implicit[0]
+        if is_plain and len(event.value) > MAX_NUMBER_LENGTH and _NUMBER.fullmatch(event.value):
+            raise InputError(
+                f"{self._place(event)}: a number has {len(event.value)} characters, "
+                f"{MAX_NUMBER_LENGTH} are allowed; round it, or put a text in quotes"
+            )
 
-def _check_number(path: Path, event: ScalarEvent) -> None:
-    is_plain = event.implicit[0]
-    if is_plain and len(event.value) > MAX_NUMBER_LENGTH and _NUMBER.fullmatch(event.value):
-        raise InputError(
-            f"{_place(path, event)}: a number has {len(event.value)} characters, "
-            f"{MAX_NUMBER_LENGTH} are allowed; round it, or put a text in quotes"
-        )
-
-
-def _place(path: Path, event: Event) -> str:
-    return f"{path}, line {event.start_mark.line + 1}"
+    def _place(self, event: Event) -> str:
+        return f"{self._path}, line {event.start_mark.line + 1}"

@@ -17,14 +17,13 @@ from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
 import pydantic
 from pydantic import BaseModel
 from pydantic_core import ErrorDetails
-from ruamel.yaml import YAML
 from ruamel.yaml.constructor import DuplicateKeyError
 from ruamel.yaml.error import MarkedYAMLError, ReusedAnchorWarning, YAMLError
 
 from calgraph.errors import InputError
 from calgraph.io.field_docs import describe_field
 from calgraph.io.git_lfs import check_git_lfs
-from calgraph.io.yaml_limits import MAX_TEXT_BYTES, MAX_VALUES, check_yaml_limits
+from calgraph.io.yaml_limits import MAX_TEXT_BYTES, MAX_VALUES, create_limited_yaml
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -68,8 +67,7 @@ def parse_yaml(text: str, source: Path, max_values: int = MAX_VALUES) -> Any:
         InputError: it is not YAML, gives a key twice, or exceeds a limit of :mod:`calgraph.io.yaml_limits`.
     """
     with _wrap_yaml_errors(source):
-        check_yaml_limits(source, text, max_values)
-        return YAML(typ="safe").load(text)
+        return create_limited_yaml(source, max_values).load(text)
 
 
 def read_documents(path: Path) -> list[Any]:
@@ -81,8 +79,7 @@ def read_documents(path: Path) -> list[Any]:
     """
     text = read_text(path)
     with _wrap_yaml_errors(path):
-        check_yaml_limits(path, text)
-        return [content for content in YAML(typ="safe").load_all(text) if content is not None]
+        return [content for content in create_limited_yaml(path).load_all(text) if content is not None]
 
 
 @contextmanager
