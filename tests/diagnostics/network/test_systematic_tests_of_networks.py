@@ -4,6 +4,7 @@ import numpy as np
 
 from calgraph.config.settings import RigDiagnosticsSettings
 from calgraph.diagnostics.network.systematic_tests import find_systematic_errors
+from calgraph.estimation.network.near_covariances import NearCovariances
 from calgraph.estimation.network.scanner_unknowns import CLOCK_DRIFT, STRETCH_X, SystematicErrors
 from dense_covariances import relate_all
 
@@ -60,17 +61,19 @@ def test_estimates_are_tested_by_what_the_data_removed() -> None:
     assert find(1, 1, 1.4, learned=0.25) == []
 
 
-def find_correlated(correlation: float) -> list[tuple[str, tuple[str, ...]]]:
-    """Findings for range scales of two scanners whose estimates are correlated."""
+def find_correlated(correlation: float, *, known: bool = True) -> list[tuple[str, tuple[str, ...]]]:
+    """Findings for range scales of two scanners whose estimates are correlated, which may not be known."""
     values, names = np.zeros((3, PRIOR.shape[1])), ("root", "east", "west")
     prior = PRIOR[[0, 1, 1]]
-    values[1:, 1] = 0.012, 0.006
+    values[1:, 1] = 0.012, 0.006 if known else 0.014
     covariance = np.diag(0.01 * prior.ravel() ** 2)
     east, west = PRIOR.shape[1] * np.array([1, 2]) + 1
     covariance[east, west] = covariance[west, east] = correlation * covariance[east, east]
-    found = find_systematic_errors(
-        SystematicErrors(values, relate_all(covariance, 3), prior), names, RigDiagnosticsSettings()
-    )
+    pairs = relate_all(covariance, 3)
+    if not known:
+        kept = (pairs.pairs != [1, 2]).any(axis=1)
+        pairs = NearCovariances(3, pairs.pairs[kept], pairs.blocks[kept])
+    found = find_systematic_errors(SystematicErrors(values, pairs, prior), names, RigDiagnosticsSettings())
     return [(finding.text, finding.sensors) for finding in found]
 
 
@@ -87,3 +90,11 @@ def test_errors_that_the_data_do_not_distinguish_are_named_together() -> None:
 def test_errors_that_the_data_distinguish_are_named_alone() -> None:
     [(text, scanners)] = find_correlated(0.85)
     assert (text.startswith("ranges of east are 1.2 % longer"), scanners) == (True, ("east",))
+
+
+def test_errors_of_scanners_far_from_each_other_are_named_apart() -> None:
+    found = find_correlated(0.95, known=False)
+    assert [(text.split(" than")[0], scanners) for text, scanners in found] == [
+        ("ranges of east are 1.2 % longer", ("east",)),
+        ("ranges of west are 1.4 % longer", ("west",)),
+    ]

@@ -14,7 +14,7 @@ class NearCovariances:
     count: int
     """S."""
     pairs: Index
-    """(E, 2) scanners, none after the second one of its pair; with each scanner and itself."""
+    """(E, 2) scanners, the first not after the second; each scanner with itself is one of them."""
     blocks: Array
     """(E, n, n), with the first scanner's rows."""
 
