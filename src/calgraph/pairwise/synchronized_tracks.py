@@ -166,24 +166,35 @@ def _join_tracks(tracks: Sequence[Track], settings: ResamplingSettings) -> list[
     begin, end = (np.array([track.times[k] for track in tracks]) for k in (0, -1))
     x_begin, x_end = (np.array([track.positions[k] for track in tracks]) for k in (0, -1))
     v_begin, v_end = (np.array([track.velocities[k] for track in tracks]) for k in (0, -1))
-    gap = begin[None] - end[:, None]
-    predicted = x_end[:, None] + (v_end[:, None] + v_begin[None]) / 2 * gap[..., None]
-    distance = np.linalg.norm(predicted - x_begin[None], axis=-1)
-    fits = (gap > 0) & (gap < settings.max_join_gap)
-    fits &= distance < settings.max_join_distance + settings.max_join_speed * gap
-    distance = np.where(fits, distance, np.inf)
-    next_of, previous_of = np.argmin(distance, axis=1), np.argmin(distance, axis=0)
+    # Only tracks that begin soon after the end of another one: there are many in long recordings.
+    first, last = (np.searchsorted(begin, limit, "right") for limit in (end, end + settings.max_join_gap))
+    count = np.maximum(last - first, 0)
+    before = np.repeat(np.arange(len(tracks)), count)
+    after = np.repeat(first, count) + np.arange(len(before)) - np.repeat(np.cumsum(count) - count, count)
+    gap = begin[after] - end[before]
+    predicted = x_end[before] + (v_end[before] + v_begin[after]) / 2 * gap[:, None]
+    distance = np.linalg.norm(predicted - x_begin[after], axis=1)
+    fits = (gap < settings.max_join_gap) & (distance < settings.max_join_distance + settings.max_join_speed * gap)
+    before, after, distance = before[fits], after[fits], distance[fits]
+    next_of, previous_of = _find_nearest(before, after, distance), _find_nearest(after, before, distance)
     trajectories: list[list[Track]] = []
     trajectory_of: dict[int, list[Track]] = {}
     for i, track in enumerate(tracks):
-        before = int(previous_of[i])
-        if fits[before, i] and next_of[before] == i:
-            trajectory_of[i] = trajectory_of[before]
+        continued = previous_of.get(i)
+        if continued is not None and next_of[continued] == i:
+            trajectory_of[i] = trajectory_of[continued]
         else:
             trajectory_of[i] = []
             trajectories.append(trajectory_of[i])
         trajectory_of[i].append(track)
     return trajectories
+
+
+def _find_nearest(of: Indices, other: Indices, distance: Array) -> dict[int, int]:
+    """For each index in ``of`` (n,) the one of ``other`` (n,) at the least distance (n,)."""
+    order = np.lexsort((other, distance, of))
+    firsts = order[_run_starts(of[order])]
+    return dict(zip(of[firsts].tolist(), other[firsts].tolist(), strict=True))
 
 
 def _interpolate_at_ticks(
