@@ -6,6 +6,8 @@
 .PHONY: help setup demo test coverage mutants fuzz check docs format requirements clean
 
 BIN := .venv/bin
+# calgraph with what a user needs, and with the tools of all other targets.
+RUNTIME := .venv/.calgraph
 READY := .venv/.ready
 # pip asks no questions, and looks for no newer self.
 export PIP_NO_INPUT := 1
@@ -16,7 +18,7 @@ help:  ## list the targets
 
 setup: $(READY)  ## make .venv with calgraph and all tools in it
 
-demo: $(READY)  ## simulate a five-sensor robot and calibrate it; results in demo/
+demo: $(RUNTIME)  ## simulate a five-sensor robot and calibrate it; results in demo/
 	$(BIN)/calgraph demo --out demo --force
 
 # One process per core runs tests, so NumPy needs no more threads. Tests start many commands: they keep bytecode, even
@@ -53,24 +55,28 @@ format: $(READY)  ## put all code into the format that check asks for
 	$(BIN)/ruff format .
 
 requirements: $(READY)  ## pin the newest versions that pyproject.toml allows, with hashes
-	requirements/compile $(BIN)/uv
+	requirements/compile $(BIN)
 
 clean:  ## remove .venv, results of the demo and all caches
 	rm -rf .venv demo build .coverage* docs/_build docs/gallery docs/generated src/*.egg-info .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
 
-# The environment is made again only when what is pinned has changed; a change of pyproject.toml needs no network.
-.venv/.pinned: requirements/dev.txt requirements/install
-	requirements/install .venv
+# The environment is made again only when what users need is pinned anew; a change of pyproject.toml needs no network.
+.venv/.runtime: requirements/runtime.txt requirements/install
+	rm -rf .venv
+	requirements/install .venv requirements/runtime.txt
 	touch $@
 
-$(READY): .venv/.pinned pyproject.toml
+$(RUNTIME): .venv/.runtime pyproject.toml
 	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation --editable .
 	touch $@
 
-.venv/.mutants: requirements/mutants.txt $(READY)
-	$(BIN)/python -m pip install --quiet --require-hashes --requirement requirements/mutants.txt
+.venv/.tools: .venv/.runtime requirements/dev.txt
+	requirements/install .venv requirements/dev.txt
 	touch $@
 
-.venv/.fuzz: requirements/fuzz.txt $(READY)
-	$(BIN)/python -m pip install --quiet --require-hashes --requirement requirements/fuzz.txt
+$(READY): $(RUNTIME) .venv/.tools
+	touch $@
+
+.venv/.mutants .venv/.fuzz: .venv/.%: requirements/%.txt $(READY)
+	requirements/install .venv $<
 	touch $@

@@ -1,8 +1,11 @@
 """What the checkout promises: pages that are true, and an environment that is pinned."""
 
 import doctest
+import json
 import re
 import tomllib
+from collections.abc import Callable
+from importlib.metadata import distributions
 from pathlib import Path
 from typing import Any
 
@@ -55,9 +58,42 @@ def requirements() -> list[tuple[str, Requirement]]:
 def pins(file: str) -> dict[str, list[str]]:
     """Pinned versions by package; several where they differ between Pythons."""
     found: dict[str, list[str]] = {}
-    for name, version in re.findall(r"^([\w.-]+)==([^ ;\\]+)", (ROOT / file).read_text(), re.MULTILINE):
-        found.setdefault(canonicalize_name(name), []).append(version)
+    for pin in pinned(file):
+        found.setdefault(canonicalize_name(pin.name), []).append(str(pin.specifier).removeprefix("=="))
     return found
+
+
+def pinned(file: str) -> list[Requirement]:
+    """The lines of a file of requirements/, without hashes."""
+    lines = (ROOT / file).read_text(encoding="utf-8").splitlines()
+    return [Requirement(line.rstrip("\\")) for line in lines if line[:1].isalnum()]
+
+
+def holds(requirement: Requirement, environment: dict[str, str], extras: set[str]) -> bool:
+    """Whether a requirement is one of an environment, with any of these extras of the package that has it."""
+    marker = requirement.marker
+    return marker is None or any(marker.evaluate({**environment, "extra": extra}) for extra in {"", *extras})
+
+
+def open_requirements(pins: list[Requirement], environment: dict[str, str]) -> list[str]:
+    """What packages installed by some pins require in an environment, and the pins do not install."""
+    required = json.loads((ROOT / "requirements/requires.json").read_text(encoding="utf-8"))
+    chosen = {canonicalize_name(pin.name): pin for pin in pins if holds(pin, environment, set())}
+    left = [
+        f"requires.json lacks {pin}" for name, pin in chosen.items() if f"{name}{pin.specifier}" not in required
+    ]
+    for name, pin in chosen.items():
+        for needed in map(Requirement, required.get(f"{name}{pin.specifier}", [])):
+            if holds(needed, environment, pin.extras):
+                of_needed = chosen.get(canonicalize_name(needed.name))
+                version = str(of_needed.specifier).removeprefix("==") if of_needed else ""
+                if (
+                    of_needed is None
+                    or not needed.specifier.contains(version, prereleases=True)
+                    or not needed.extras <= of_needed.extras
+                ):
+                    left.append(f"{pin.name} requires {needed}")
+    return left
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
@@ -103,6 +139,47 @@ def test_every_pinned_version_has_hashes(file: str) -> None:
     assert all("--hash=sha256:" in entry for entry in entries)
 
 
+@pytest.mark.parametrize("system", ["linux", "darwin", "win32"])
+@pytest.mark.parametrize("python", ["3.11.0", "3.11.15", "3.12.12", "3.13.9", "3.14.0"])
+@pytest.mark.parametrize("file", PINNED)
+def test_a_file_of_pins_leaves_no_requirement_open(file: str, python: str, system: str) -> None:
+    environment = {
+        "python_version": python.rpartition(".")[0],
+        "python_full_version": python,
+        "sys_platform": system,
+        "platform_system": {"linux": "Linux", "darwin": "Darwin", "win32": "Windows"}[system],
+        "os_name": "nt" if system == "win32" else "posix",
+    }
+    assert open_requirements(pinned(file), environment) == []
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (lambda line: None if line.startswith("tornado==") else line, "distributed requires tornado"),
+        (lambda line: line.replace("coverage[toml]", "coverage"), "pytest-cov requires coverage[toml]"),
+        (lambda line: line.replace("botocore==1.", "botocore==0."), "boto3 requires botocore"),
+    ],
+    ids=["missing", "extra", "version"],
+)
+def test_a_requirement_that_pins_leave_open_is_named(spoil: Callable[[str], str | None], message: str) -> None:
+    lines = [spoil(str(pin)) for pin in pinned("requirements/dev.txt")]
+    required = open_requirements([Requirement(line) for line in lines if line], {"python_full_version": "3.12.0"})
+    assert any(line.startswith(message) for line in required)
+
+
+def test_stored_requirements_are_those_of_the_installed_packages() -> None:
+    stored = json.loads((ROOT / "requirements/requires.json").read_text(encoding="utf-8"))
+    compared = 0
+    for package in distributions():
+        lines = stored.get(f"{canonicalize_name(package.name)}=={package.version}")
+        if lines is not None:
+            compared += 1
+            of_package = package.requires or []
+            assert {line for line in of_package if ";" not in line} <= set(lines) <= set(of_package)
+    assert compared > 100
+
+
 @pytest.mark.parametrize("file", PINNED)
 def test_pinned_files_name_no_registry(file: str) -> None:
     assert not re.search(r"https?:|--index|--find-links|--trusted-host", (ROOT / file).read_text())
@@ -120,7 +197,7 @@ def test_workflow_runs_the_targets_of_the_ci_script_and_the_documentation() -> N
     of_script = make_targets((ROOT / ".ci/run").read_text(encoding="utf-8"))
     of_workflow = make_targets((ROOT / WORKFLOW).read_text(encoding="utf-8"))
     assert of_script == {"setup", "check", "test"}
-    assert of_workflow == of_script | {"docs"}
+    assert of_workflow == of_script | {"docs", "demo"}
 
 
 def test_continuous_integration_fails_below_95_percent_coverage() -> None:
@@ -128,6 +205,14 @@ def test_continuous_integration_fails_below_95_percent_coverage() -> None:
     assert settings["run"]["branch"] is True
     assert settings["report"]["fail_under"] == 95
     assert 'make test ARGS="--cov --cov-report="' in (ROOT / WORKFLOW).read_text(encoding="utf-8")
+
+
+def test_nothing_is_resolved_while_it_is_installed() -> None:
+    scripts = [(ROOT / file).read_text(encoding="utf-8") for file in ("Makefile", "requirements/install")]
+    installing = re.findall(r"\bpip install .*", "\n".join(scripts))
+    of_packages = [line for line in installing if "$INSTALLER" not in line]
+    assert len(of_packages) == 2
+    assert all("--no-deps" in line for line in of_packages)
 
 
 def test_called_targets_exist() -> None:
