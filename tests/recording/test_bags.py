@@ -3,6 +3,7 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import lz4.frame
 import numpy as np
@@ -321,9 +322,13 @@ def test_other_file_is_an_error_that_lists_the_formats(tmp_path: Path) -> None:
         open_recording(tmp_path / "notes.txt")
 
 
+def scan_at(ros: SimpleNamespace, stamp: float) -> Any:
+    return ros.scan(header=ros.header(stamp))
+
+
 def test_several_recordings_are_one_in_order_of_arrival(make_bag: MakeBag, ros: SimpleNamespace) -> None:
-    late = make_bag(("/a", ros.scan(), 5.0), ("/a", ros.scan(), 7.0), name="late")
-    early = make_bag(("/a", ros.scan(), 1.0), ("/b", ros.scan(), 6.0), name="early")
+    late = make_bag(("/a", scan_at(ros, 5.0), 5.0), ("/a", scan_at(ros, 7.0), 7.0), name="late")
+    early = make_bag(("/a", scan_at(ros, 1.0), 1.0), ("/b", scan_at(ros, 6.0), 6.0), name="early")
     with open_recordings([late, early]) as recording:
         assert [(r.topic, r.arrival) for r in recording.records()] == [
             ("/a", 1.0),
@@ -334,7 +339,7 @@ def test_several_recordings_are_one_in_order_of_arrival(make_bag: MakeBag, ros: 
 
 
 def test_several_recordings_add_up_their_counts(make_bag: MakeBag, ros: SimpleNamespace) -> None:
-    paths = [make_bag(("/a", ros.scan(), 5.0), name=name) for name in ("first", "second")]
+    paths = [make_bag(("/a", scan_at(ros, t), t), name=f"at_{t}") for t in (5.0, 6.0)]
     with open_recordings(paths) as recording:
         assert [(topic.name, topic.count) for topic in recording.topics] == [("/a", 2)]
 

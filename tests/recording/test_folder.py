@@ -291,11 +291,11 @@ def test_a_link_that_leads_nowhere_is_named(tmp_path: Path, target: str) -> None
 
 
 def test_folders_of_numbered_files_are_takes_one_after_the_other(tmp_path: Path) -> None:
-    for take in ("first", "second"):
+    for gray, take in enumerate(("first", "second")):
         (tmp_path / take).mkdir()
         put(tmp_path / take, "camera/camera_info.yaml", MESSAGE_KEYS)
         for name in ("camera/img_1.png", "camera/img_3.png"):
-            put(tmp_path / take, name, png())
+            put(tmp_path / take, name, png(gray))
     with open_recordings([tmp_path / "first", tmp_path / "second"]) as recording:
         assert [r.stamp for r in recording.records(["camera"])] == [10.0, 30.0, 100.0, 120.0]
         assert [r.stamp for r in recording.records(["camera"], 25.0, 105.0)] == [30.0, 100.0]
@@ -306,8 +306,8 @@ def test_folders_of_numbered_files_are_takes_one_after_the_other(tmp_path: Path)
 def test_a_second_take_beside_stamps_of_a_clock_is_an_error(tmp_path: Path) -> None:
     for name in ("first", "second", "timed"):
         (tmp_path / name).mkdir()
-    for name in ("first/camera/img_1.png", "second/camera/img_1.png", "timed/lidar/1.5.png"):
+    for gray, name in enumerate(("first/camera/img_1.png", "second/camera/img_1.png", "timed/lidar/1.5.png")):
         (tmp_path / name).parent.mkdir()
-        put(tmp_path, name, png())
+        put(tmp_path, name, png(gray))
     with pytest.raises(InputError, match=r"second: has the topic camera, as another recording has, and its time"):
         open_recordings([tmp_path / name for name in ("first", "second", "timed")])

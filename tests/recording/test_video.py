@@ -212,7 +212,8 @@ def test_frames_are_the_same_in_several_processes(tmp_path: Path) -> None:
 
 def test_several_videos_are_one_recording_and_another_of_the_same_name_is_the_next_take(tmp_path: Path) -> None:
     (tmp_path / "b").mkdir()
-    a, b = (write_video(tmp_path / name, GRAYS[:2], [0.0, 0.5]) for name in ("a.mp4", "b/a.mkv"))
+    a = write_video(tmp_path / "a.mp4", GRAYS[:2], [0.0, 0.5])
+    b = write_video(tmp_path / "b/a.mkv", GRAYS[2:4], [0.0, 0.5])
     other = write_video(tmp_path / "b.mp4", GRAYS[:2], [0.0, 0.5])
     with open_recordings([a, other]) as recording:
         assert [topic.name for topic in recording.topics] == ["a", "b"]

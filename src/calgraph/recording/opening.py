@@ -14,7 +14,7 @@ from calgraph.recording.corners_csv import CornersRecording, is_corners
 from calgraph.recording.folder import FolderRecording
 from calgraph.recording.recording import JoinedRecording, Recording
 from calgraph.recording.remote import fetch_recording, is_url
-from calgraph.recording.takes import separate_takes
+from calgraph.recording.takes import describe_takes, separate_takes
 from calgraph.recording.video import VideoRecording, is_video
 
 _log = logging.getLogger(__name__)
@@ -97,13 +97,13 @@ def _find_videos(path: Path) -> Iterator[tuple[Path, str]]:
 def open_recordings(
     paths: Sequence[Path | str], limits: LimitSettings = LimitSettings(), *, again: bool = False
 ) -> Recording:
-    """Opens several recordings as one, merged by arrival time.
+    """Opens several recordings as one, merged by arrival time, and logs which of them were made together.
 
-    Those whose stamps count from their own start are one after the other, see :mod:`calgraph.recording.takes`.
+    Those that repeat a sensor at overlapping stamps are one after the other, see :mod:`calgraph.recording.takes`.
     Arguments are those of :func:`open_recording`.
 
     Raises:
-        InputError: no path is given, or one of them is not a recording.
+        InputError: no path is given, one of them is not a recording, or two have the same messages.
         RecordingError: one of them is damaged.
     """
     if not paths:
@@ -111,10 +111,12 @@ def open_recordings(
     with ExitStack() as stack:
         recordings = [stack.enter_context(open_recording(path, limits, again=again)) for path in paths]
         opened_from = tuple(path for one in recordings for path in one.opened_from)
-        recordings = separate_takes(recordings)
+        takes = separate_takes(recordings)
         stack.pop_all()
     if len(recordings) == 1:
         return recordings[0]
-    joined = JoinedRecording(recordings)
+    if not again:
+        _log.warning("%s", describe_takes(recordings, takes))
+    joined = JoinedRecording(takes)
     joined.opened_from = opened_from
     return joined

@@ -1,23 +1,34 @@
-"""Several takes whose stamps count from the start of each, read one after the other."""
+"""Takes: recordings whose stamps overlap though they were not made together, read one after the other."""
 
-from collections.abc import Callable, Collection, Iterator, Sequence
-from dataclasses import replace
+import filecmp
+import math
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
+from itertools import islice
+from pathlib import Path
 
 from calgraph.errors import InputError
-from calgraph.recording.recording import ClosedOnExit, Recording
+from calgraph.recording.inspection import SENSOR_TYPES
+from calgraph.recording.recording import ClosedOnExit, JoinedRecording, Recording
 from calgraph.sensors import Message, RecordedMessage
 
 TAKE_GAP = 60.0
 """Time between two takes, s: more than messages of one capture may be apart. A rule of the format, documented with
 it."""
+_MAX_SPLIT_OVERLAP = 1.0
+"""Parts of one recording that was split overlap by less, s: the first message of a file may have been stamped a
+little before the last one of the file before it."""
+_COMPARED = 100
+"""Messages without one of equal stamp in the other recording after which two recordings are different: if both
+recorded the same sensor, they share most messages, even where some were lost."""
 
 
 class ShiftedRecording(ClosedOnExit):
     """A recording whose stamps and arrivals are later by an offset, s."""
 
     def __init__(self, recording: Recording, offset: float) -> None:
-        self._recording, self._offset = recording, offset
+        self.recording, self._offset = recording, offset
         self.path, self.sources, self.topics = recording.path, recording.sources, recording.topics
         self.start, self.end = recording.start + offset, recording.end + offset
         self.divisible = recording.divisible
@@ -27,12 +38,12 @@ class ShiftedRecording(ClosedOnExit):
     ) -> Iterator[RecordedMessage]:
         """The records in order of arrival; see :meth:`Recording.records`."""
         first, last = (None if time is None else time - self._offset for time in (start, end))
-        records = self._recording.records(topics, first, last)
+        records = self.recording.records(topics, first, last)
         return (shift_record(record, self._offset, self._offset) for record in records)
 
     def close(self) -> None:
         """Closes the files."""
-        self._recording.close()
+        self.recording.close()
 
 
 def shift_record(record: RecordedMessage, offset: float, arrival_offset: float) -> RecordedMessage:
@@ -50,29 +61,183 @@ def _decode_later(decode: Callable[[], Message], offset: float) -> Message:
     return replace(message, stamp=message.stamp + offset)
 
 
-def separate_takes(recordings: Sequence[Recording]) -> list[Recording]:
-    """The recordings, of which those that repeat a topic whose stamps are not of a clock come later.
+class Take(JoinedRecording):
+    """The recordings of one take, merged by arrival time."""
 
-    Recordings before the first repeated topic are one take, as files of different cameras are; the one with the
-    repeated topic begins the next take.
+
+@dataclass(frozen=True, eq=False)
+class _Timed:
+    """A recording, and when its sensors measured."""
+
+    recording: Recording
+    spans: Mapping[str, tuple[float, float]]
+    """First and last stamp of each topic of a sensor, s."""
+
+    @property
+    def begin(self) -> float:
+        """The first stamp or arrival, s; 0 where stamps count from the start of the recording."""
+        if _counts_from_start(self.recording):
+            return 0.0
+        return min([self.recording.start, *(first for first, _ in self.spans.values())])
+
+    @property
+    def end(self) -> float:
+        """The last stamp or arrival, s."""
+        return max([self.recording.end, *(last for _, last in self.spans.values())])
+
+
+def separate_takes(recordings: Sequence[Recording]) -> list[Recording]:
+    """The takes that recordings belong to, one after the other.
+
+    A recording belongs to the first take in which none of its sensors measured at the same time: recordings of
+    several computers are one take, and so are the parts of a split one. The stamps of each further take are later
+    than all those before by at least :data:`TAKE_GAP`.
+
+    Args:
+        recordings: in the given order.
+
+    Returns:
+        The recordings themselves if they are one take; otherwise one recording a take.
 
     Raises:
-        InputError: a topic repeats, and other stamps are of a clock, so that the time of its take is not known.
+        InputError: two of them have the same messages; or there are several takes of files whose stamps count from
+            their own start beside some with those of a clock, so that it is not known which belong together.
     """
-    taken: set[str] = set()
-    offset = end = 0.0
-    separated: list[Recording] = []
-    timed = any(topic.time_base == "clock" for one in recordings for topic in one.topics)
+    takes: list[list[_Timed]] = []
     for recording in recordings:
-        untimed = {topic.name for topic in recording.topics if topic.time_base != "clock"}
-        if repeated := sorted(untimed & taken):
-            if timed:
-                raise InputError(
-                    f"{recording.path}: has the topic {repeated[0]}, as another recording has, and its time "
-                    "counts from its own start: calibrate from one of them, or name the files of one differently"
-                )
-            offset, taken = end + TAKE_GAP, set()
-        taken |= untimed
-        separated.append(ShiftedRecording(recording, offset) if offset else recording)
-        end = max(end, separated[-1].end)
-    return separated
+        timed = _Timed(recording, _find_stamp_spans(recording))
+        # Of every take, so that none is given twice.
+        free = [not any(_overlap(timed, other) for other in take) for take in takes]
+        if not any(free):
+            takes.append([])
+        takes[free.index(True) if any(free) else -1].append(timed)
+    if len(takes) == 1:
+        return list(recordings)
+    _check_clocks(recordings, takes[1][0].recording)
+    return _place_takes(takes)
+
+
+def _place_takes(takes: Sequence[Sequence[_Timed]]) -> list[Recording]:
+    """The takes, the stamps of each after those of the one before."""
+    placed: list[Recording] = []
+    end = -math.inf
+    for take in takes:
+        offset = end + TAKE_GAP - min(one.begin for one in take) if placed else 0.0
+        whole = Take([one.recording for one in take]) if len(take) > 1 else take[0].recording
+        placed.append(ShiftedRecording(whole, offset) if offset else whole)
+        end = max([end, *(one.end + offset for one in take)])
+    return placed
+
+
+def describe_takes(recordings: Sequence[Recording], takes: Sequence[Recording]) -> str:
+    """Which of the recordings are one take, in words.
+
+    Args:
+        recordings: as given, two or more.
+        takes: what :func:`separate_takes` made of them.
+    """
+    if len(takes) == len(recordings) and not any(isinstance(take, ShiftedRecording) for take in takes):
+        return f"one take: {', '.join(str(one.path) for one in recordings)}"
+    start = takes[0].start
+    lines = [f"{len(takes)} takes, read one after the other, because sensors repeat at overlapping stamps:"]
+    for number, take in enumerate(takes, start=1):
+        files = ", ".join(str(path) for path in _list_paths(take))
+        lines.append(f"  take {number}: {files} ({take.start - start:.1f} to {take.end - start:.1f} s)")
+    return "\n".join(lines)
+
+
+def _list_paths(take: Recording) -> list[Path]:
+    inner = take.recording if isinstance(take, ShiftedRecording) else take
+    return [part.path for part in inner.parts] if isinstance(inner, Take) else [inner.path]
+
+
+def _counts_from_start(recording: Recording) -> bool:
+    return all(topic.time_base != "clock" for topic in recording.topics)
+
+
+def _check_clocks(recordings: Sequence[Recording], second: Recording) -> None:
+    """Raises InputError if the second take counts from its own start, but some recordings are by a clock."""
+    untimed = [topic.name for topic in second.topics if topic.time_base != "clock"]
+    if untimed and any(all(topic.time_base == "clock" for topic in one.topics) for one in recordings):
+        raise InputError(
+            f"{second.path}: has the topic {untimed[0]}, as another recording has, and its time "
+            "counts from its own start: calibrate from one of them, or name the files of one differently"
+        )
+
+
+def _find_stamp_spans(recording: Recording) -> dict[str, tuple[float, float]]:
+    """First and last stamp, s, of each topic of a sensor."""
+    topics = [topic.name for topic in recording.topics if topic.type in SENSOR_TYPES and topic.count]
+    spans = {}
+    for topic in topics:
+        # The first message may be without a stamp: its arrival counts then.
+        first = min((record.stamp for record in islice(recording.records([topic]), 10)), default=None)
+        if first is not None:
+            spans[topic] = first, max(first, _find_last_stamp(recording, topic))
+    return spans
+
+
+def _find_last_stamp(recording: Recording, topic: str) -> float:
+    """The last stamp of a topic, s, without reading all that is before."""
+    window = 1.0
+    while True:
+        start = recording.end - window
+        last = max((record.stamp for record in recording.records([topic], start)), default=None)
+        if last is not None or start < recording.start:
+            return -math.inf if last is None else last
+        window *= 8
+
+
+def _overlap(one: _Timed, other: _Timed) -> bool:
+    """Whether a sensor measured at the same time in two recordings.
+
+    Raises:
+        InputError: it did so with the same messages.
+    """
+    for topic in sorted(one.spans.keys() & other.spans.keys()):
+        (begin, end), (other_begin, other_end) = one.spans[topic], other.spans[topic]
+        shorter = min(end - begin, other_end - other_begin)
+        common = min(end, other_end) - max(begin, other_begin)
+        if _counts_from_start(one.recording) or common >= min(0.5 * shorter, _MAX_SPLIT_OVERLAP):
+            _check_not_the_same(one.recording, other.recording, topic, max(begin, other_begin))
+            return True
+    return False
+
+
+def _check_not_the_same(recording: Recording, other: Recording, topic: str, start: float) -> None:
+    if _are_same_files(recording, other) or _have_same_messages(recording, other, topic, start):
+        raise InputError(
+            f"{recording.path}: has the same messages of {topic} as {other.path}: give one of the two, or record "
+            "this topic in one of them only"
+        )
+
+
+def _are_same_files(recording: Recording, other: Recording) -> bool:
+    """Whether two recordings are read from one file, or from two with the same bytes."""
+    if len(recording.sources) != 1 or len(other.sources) != 1:
+        return False
+    files = recording.sources[0], other.sources[0]
+    return files[0].samefile(files[1]) or (
+        all(file.is_file() for file in files) and filecmp.cmp(*files, shallow=False)
+    )
+
+
+def _have_same_messages(recording: Recording, other: Recording, topic: str, start: float) -> bool:
+    """Whether all messages with equal stamps, from a stamp on, have equal content, and there are some."""
+    streams = [
+        (record for record in one.records([topic]) if record.stamp >= start and record.digest)
+        for one in (recording, other)
+    ]
+    a, b = (next(stream, None) for stream in streams)
+    compared = different = 0
+    while a and b and (compared or different < _COMPARED):
+        if a.stamp == b.stamp:
+            if a.digest is None or b.digest is None or a.digest().content != b.digest().content:
+                return False
+            compared += 1
+        else:
+            different += 1
+        advance_a, advance_b = a.stamp <= b.stamp, b.stamp <= a.stamp
+        a = next(streams[0], None) if advance_a else a
+        b = next(streams[1], None) if advance_b else b
+    return compared > 0
