@@ -118,9 +118,10 @@ def build_problem(
     rng = np.random.default_rng(options.seed)
     recording = separate_snapshots(rig, recording)
     aligned = align_clocks(rig, recording, options, progress)
-    rig, recording = resolve_background(aligned.rig, aligned.recording, options.cache), aligned.recording
+    recording = aligned.recording
+    rig, background = resolve_background(aligned.rig, recording, options.cache)
     captures = collect_captures(rig, recording, options, rng, progress)
-    captures = replace(captures, findings=(*aligned.findings, *captures.findings))
+    captures = replace(captures, findings=(*aligned.findings, *background, *captures.findings))
     rig = state_estimated_intrinsics(resolve_intrinsics(rig, recording), captures)
     return build_problem_from_captures(rig, captures, options, rng, progress)
 

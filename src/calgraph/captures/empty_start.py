@@ -1,18 +1,30 @@
 """The empty start of a recording: the time before the board and its operator enter the views of the scanners."""
 
+from collections import defaultdict
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
-from calgraph.config import CameraSpec, Rig
-from calgraph.config.settings import EmptyStartSettings
+from calgraph.captures.capture_mode import recognize_mode
+from calgraph.captures.input_checks import InputFinding
+from calgraph.captures.timeline import build_timeline
+from calgraph.config import Board, CameraSpec, Capture, Rig
+from calgraph.config.settings import CameraDetectionSettings, CaptureSettings, EmptyStartSettings
 from calgraph.detection.cloud_background import Cells, find_direction_cells, find_local_maxima
+from calgraph.detection.printed_boards import PrintedBoard, make_printed_boards, select_grays
 from calgraph.geometry import Array, measure_lengths
-from calgraph.recording import NO_CACHE, Recording, RecordingCache
-from calgraph.sensors import LaserScan, Message, PointCloud, RecordedMessage
+from calgraph.recording import NO_CACHE, PoseRecordings, Recording, RecordingCache
+from calgraph.sensors import DetectedCorners, Image, LaserScan, Message, PointCloud, RecordedMessage
 
-_EMPTY_START = "empty start/1"
+_EMPTY_START = "empty start/2"
+_MIN_REFERENCE_MESSAGES = 3
+"""Messages of a scanner that show what is static: with two, neither an outlier nor a change is recognized."""
+_MAX_PAUSE = 3.0
+"""Pause of a scanner over its median period after which nobody was observed to enter; one lost message makes 2."""
+_IMAGES = 8
+"""Images of each camera in which the board is searched for, spread over the empty start: a board that enters the view
+of a camera first is in it for seconds."""
 
 
 @dataclass(frozen=True)
@@ -27,54 +39,124 @@ class EmptyStart:
     """Of the scanner that detected it first."""
 
 
-def resolve_background(rig: Rig, recording: Recording, cache: RecordingCache = NO_CACHE) -> Rig:
+def resolve_background(
+    rig: Rig, recording: Recording, cache: RecordingCache = NO_CACHE
+) -> tuple[Rig, tuple[InputFinding, ...]]:
     """The rig with the empty start of the recording as background window, where it has a board and states none.
 
     Args:
         rig: the rig.
         recording: is searched, unless the cache has what was found.
         cache: of earlier runs.
+
+    Returns:
+        The rig, and a finding that states the window if one was found.
     """
-    if rig.is_network or rig.capture.background is not None:
-        return rig
+    if rig.is_network or rig.capture.background is not None or isinstance(recording, PoseRecordings):
+        return rig, ()
     scanners = [spec.topic for spec in rig.sensors.values() if not isinstance(spec, CameraSpec)]
-    settings = rig.settings.captures.empty_start
-    inputs = {"topics": scanners, "settings": settings}
-    end = cache.read(recording, _EMPTY_START, inputs, lambda content, _: float(content["end"]))
-    if end is None:
-        found = find_empty_start(recording, scanners, settings)
-        end = found.end if found else 0.0
-        cache.write(recording, _EMPTY_START, inputs, {"end": end}, {})
-    if not end:
-        return rig
-    return rig.model_copy(update={"capture": rig.capture.model_copy(update={"background": (0.0, end)})})
+    cameras = [spec.topic for spec in rig.sensors.values() if isinstance(spec, CameraSpec)]
+    settings = rig.settings
+    inputs = {
+        "scanners": scanners,
+        "cameras": cameras,
+        "capture": rig.capture,
+        "boards": [board.model_dump(mode="json", exclude={"uncertainty"}) for board in rig.boards],
+        "settings": [settings.captures, settings.detection.camera],
+    }
+    kept = cache.read(recording, _EMPTY_START, inputs, lambda content, _: content)
+    if kept:
+        start = EmptyStart(**kept["found"]) if kept["found"] else None
+    else:
+        start = find_empty_start(
+            recording, scanners, cameras, rig.boards, rig.capture, settings.captures, settings.detection.camera
+        )
+        cache.write(recording, _EMPTY_START, inputs, {"found": asdict(start) if start else None}, {})
+    if start is None:
+        return rig, ()
+    names = [name for name, spec in rig.sensors.items() if not isinstance(spec, CameraSpec)]
+    finding = InputFinding(
+        f"rig.yaml states no capture.background: 0.0 to {start.end:.1f} s from the start were found to be without "
+        f"board and operator, as nothing changes before {start.topic} does at {start.entry:.1f} s; what "
+        f"{', '.join(names)} detect{'s' if len(names) == 1 else ''} depends on it: state this window, or another"
+    )
+    capture = rig.capture.model_copy(update={"background": (0.0, start.end)})
+    return rig.model_copy(update={"capture": capture}), (finding,)
 
 
 def find_empty_start(
-    recording: Recording, topics: Sequence[str], settings: EmptyStartSettings
+    recording: Recording,
+    scanners: Sequence[str],
+    cameras: Sequence[str],
+    boards: Sequence[Board],
+    capture: Capture,
+    settings: CaptureSettings,
+    camera_settings: CameraDetectionSettings,
 ) -> EmptyStart | None:
     """Finds the time before anything enters the view of a scanner.
 
     A scanner's view was empty at the start if something later appears in front of what it measured then, and if
     later measurements do not reach beyond it: a board or person that was in view at the start uncovers the room
-    when it moves.
+    when it moves. It was not empty where a camera detects the board, or from a trigger on. In snapshots, and after
+    a pause of the scanner, nobody is observed to enter.
 
     Args:
         recording: to search.
-        topics: of the scanners.
-        settings: of the search.
+        scanners: topics of the scanners.
+        cameras: topics of the cameras.
+        boards: that cameras can detect; none if they are not known.
+        capture: what is known of the captures.
+        settings: of the search for captures.
+        camera_settings: of the search for boards in images.
 
     Returns:
         The empty start; None if there is none, if it is too short, or if nothing enters.
     """
-    if not topics:
+    numbered = any(topic.time_base == "pose" for topic in recording.topics)
+    if not scanners or numbered or capture.mode == "snapshots":
         return None
+    limits = settings.empty_start
     start = recording.start
-    until = start + settings.max_duration
-    found = _find_entry(recording.records(topics, start, until), start, settings)
-    if found is None or found.end < settings.min_duration or _is_uncovered_later(recording, topics, settings):
+    found = _find_entry(recording.records(scanners, start, start + limits.max_duration), start, limits)
+    if found is None or found.end < limits.min_duration or _is_uncovered_later(recording, scanners, limits):
         return None
-    return found
+    topics = [*scanners, *cameras]
+    stamps = build_timeline(recording.records(topics), start, {topic: topic for topic in topics}, None)
+    if recognize_mode(stamps, capture, settings).mode == "snapshots":
+        return None
+    printed = make_printed_boards(boards, camera_settings)
+    triggers = recording.records([capture.trigger]) if capture.trigger else ()
+    ends = [_find_board_entry(recording, camera, found.end, printed) for camera in cameras]
+    ends += [record.arrival - start for record in triggers]
+    end = min([found.end, *map(_round_down, ends)])
+    return replace(found, end=end) if end >= limits.min_duration else None
+
+
+def _find_board_entry(recording: Recording, camera: str, end: float, printed: Sequence[PrintedBoard]) -> float:
+    """Until when a camera does not detect the board, s from the start of the recording: at most ``end``."""
+    start = recording.start
+    arrivals = [record.arrival for record in recording.records([camera], start, start + end)]
+    chosen = set(np.array(arrivals)[np.unique(np.linspace(0, len(arrivals) - 1, _IMAGES).round().astype(int))])
+    empty_until = 0.0
+    for record in recording.records([camera], start, start + end) if arrivals else ():
+        if record.arrival in chosen:
+            if _shows_board(record.decode(), printed):
+                return empty_until
+            empty_until = record.arrival - start
+    return end
+
+
+def _shows_board(message: Message, printed: Sequence[PrintedBoard]) -> bool:
+    if isinstance(message, DetectedCorners):
+        return len(message.pixels) > 0
+    if not isinstance(message, Image):
+        return False
+    grays = select_grays(printed, [message.gray])
+    return any(
+        np.isin(one.finder.find(gray).ids, one.landmarks.ids).any()
+        for one in printed
+        for gray in grays[one.finder]
+    )
 
 
 class _Reference:
@@ -86,9 +168,15 @@ class _Reference:
         self._nearest = np.full(self._shape, np.inf)
         self._farthest = np.full(self._shape, -np.inf)
         self._around: tuple[Array, Array] | None = None
+        self._messages = 0
+
+    def is_complete(self, time: float) -> bool:
+        """Whether a message at a time, s from the start of the recording, is compared with those before."""
+        return self._messages >= _MIN_REFERENCE_MESSAGES and time >= self._settings.reference_duration
 
     def add(self, message: Message) -> None:
         """Adds a message."""
+        self._messages += 1
         cells, ranges = self._measure(message)
         np.minimum.at(self._nearest, cells, ranges)
         np.maximum.at(self._farthest, cells, ranges)
@@ -144,20 +232,30 @@ def _find_entry(
     records: Iterable[RecordedMessage], start: float, settings: EmptyStartSettings
 ) -> EmptyStart | None:
     """The first entry of something into the view of a scanner, in two successive messages of it."""
-    references: dict[str, _Reference] = {}
+    references: dict[str, _Reference] = defaultdict(lambda: _Reference(settings))
+    times: dict[str, list[float]] = defaultdict(list)
     entered: dict[str, float] = {}
     for record in records:
         time, topic, message = record.arrival - start, record.topic, record.decode()
-        if topic not in references or time < settings.reference_duration:
-            references.setdefault(topic, _Reference(settings)).add(message)
+        times[topic].append(time)
+        if not references[topic].is_complete(time):
+            references[topic].add(message)
         elif references[topic].count_nearer(message) < settings.min_directions:
             entered.pop(topic, None)
         elif topic not in entered:
             entered[topic] = time
         else:
             first = min(entered, key=lambda one: entered[one])
+            if _paused(times[first], entered[first]):
+                return None
             return EmptyStart(_round_down(entered[first] - settings.entry_margin), entered[first], first)
     return None
+
+
+def _paused(times: Sequence[float], until: float) -> bool:
+    """Whether a scanner with messages at these times, s, paused before one of them or earlier."""
+    periods = np.diff(times)
+    return bool((periods[: list(times).index(until)] > _MAX_PAUSE * np.median(periods)).any())
 
 
 def _round_down(time: float) -> float:
@@ -167,14 +265,14 @@ def _round_down(time: float) -> float:
 
 def _is_uncovered_later(recording: Recording, topics: Sequence[str], settings: EmptyStartSettings) -> bool:
     """Whether a scanner later measures beyond what was in its view at the start, in most of the recording."""
-    references: dict[str, _Reference] = {}
+    references: dict[str, _Reference] = defaultdict(lambda: _Reference(settings))
     beyond: dict[str, list[bool]] = {topic: [] for topic in topics}
     interval = (recording.end - recording.start) / settings.later_messages
     due = dict.fromkeys(topics, recording.start + settings.reference_duration)
     for record in recording.records(topics):
         topic = record.topic
-        if topic not in references or record.arrival < recording.start + settings.reference_duration:
-            references.setdefault(topic, _Reference(settings)).add(record.decode())
+        if not references[topic].is_complete(record.arrival - recording.start):
+            references[topic].add(record.decode())
         elif record.arrival >= due[topic]:
             due[topic] = record.arrival + interval
             beyond[topic].append(references[topic].count_beyond(record.decode()) >= settings.min_directions)

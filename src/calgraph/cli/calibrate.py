@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Literal, cast
 import typer
 
 from calgraph.calibrate.result_files import write_results
-from calgraph.captures import resolve_background
 from calgraph.cli.cache import NoCacheOption, open_cache
 from calgraph.cli.common_options import (
     EARLIER,
@@ -230,7 +229,6 @@ def calibrate(
         with open_recordings(recordings, rig.settings.limits) as recording, progress_bars() as progress:
             messages = sum(topic.count for topic in recording.topics)
             _log.info("recording: %.1f s, %d messages", recording.end - recording.start, messages)
-            rig = resolve_background(rig, recording, cache)
             calibration = story.calibrate(rig, recording, options, _load_meanwhile(progress))
             read: list[Path | str] = [
                 rig_file,

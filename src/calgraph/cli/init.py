@@ -10,8 +10,8 @@ from calgraph.captures import find_empty_start, recognize_recording
 from calgraph.cli.common_options import OneRecording
 from calgraph.cli.console import console
 from calgraph.cli.setting_options import SetOption, parse_limits
-from calgraph.config import FoundBackground, FoundMode, FoundTopic, draft_rig, find_triggers
-from calgraph.config.settings import CaptureSettings, EmptyStartSettings
+from calgraph.config import Board, Capture, FoundBackground, FoundMode, FoundTopic, draft_rig, find_triggers
+from calgraph.config.settings import CameraDetectionSettings, CaptureSettings
 from calgraph.errors import InputError
 from calgraph.io import write_text
 from calgraph.printing import format_target, read_boards
@@ -35,10 +35,11 @@ def init(
     """Draft a rig.yaml from the topics of a recording, with comments on what to check and to measure."""
     if out.exists() and not force:
         raise InputError(f"{out}: exists already; choose another FILE, or give --force to overwrite it")
-    target = format_target(read_boards(board)) if board else ""
+    boards = read_boards(board) if board else ()
+    target = format_target(boards) if boards else ""
     with open_recording(recording, parse_limits(overrides, alone=True)) as opened:
         topics = find_topics(opened)
-        background = _find_background(opened, topics)
+        background = _find_background(opened, topics, boards)
         mode = _find_mode(opened, topics, background.end if background else 0.0)
         text = draft_rig(topics, recording, target, background, mode)
     write_text(out, text)
@@ -55,10 +56,19 @@ def _find_mode(recording: Recording, topics: Sequence[FoundTopic], empty_end: fl
     return FoundMode(found.mode, found.reason) if found else None
 
 
-def _find_background(recording: Recording, topics: Sequence[FoundTopic]) -> FoundBackground | None:
+def _find_background(
+    recording: Recording, topics: Sequence[FoundTopic], boards: Sequence[Board]
+) -> FoundBackground | None:
     """The time without board and operator at the start of a recording."""
-    usable = [t.name for t in topics if t.kind in ("lidar2d", "lidar3d") and t.count and not t.problem]
-    found = find_empty_start(recording, usable, settings=EmptyStartSettings())
+    scanners, cameras = (
+        [t.name for t in topics if t.kind in kinds and t.count and not t.problem]
+        for kinds in (("lidar2d", "lidar3d"), ("camera",))
+    )
+    triggers = find_triggers(topics)[0]
+    capture = Capture(trigger=triggers[0].name if triggers else None)
+    found = find_empty_start(
+        recording, scanners, cameras, boards, capture, CaptureSettings(), CameraDetectionSettings()
+    )
     if found is None:
         return None
-    return FoundBackground(found.end, f"{found.topic} changes at {found.entry:.1f} s")
+    return FoundBackground(found.end, f"found automatically, as {found.topic} changes at {found.entry:.1f} s")

@@ -237,7 +237,7 @@ def _capture(
         for t in too_many
     ]
     window = (
-        f"background: [0.0, {background.end:.1f}]      # s from the start, without board and operator: "
+        f"background: [0.0, {background.end:.1f}]      # CHECK: s from the start, without board and operator: "
         f"{_single_line(background.entry)}"
         if background
         else _NO_BACKGROUND

@@ -19,7 +19,6 @@ from calgraph.calibrate import (
 )
 from calgraph.calibrate.provenance import make_provenance
 from calgraph.calibrate.result_files import format_comparison, write_results
-from calgraph.captures import resolve_background
 from calgraph.config import Rig, load_rig
 from calgraph.diagnostics import ExtrinsicsComparison
 from calgraph.fleet.plan import RecordingTask
@@ -108,7 +107,6 @@ def _analyze(options: RunOptions, task: RecordingTask, folder: Path) -> Recordin
                 calibration, comparison = compare_extrinsics(problem, given)
                 rig = problem.rig
         else:
-            rig = resolve_background(rig, recording, cache)
             kind = NetworkOptions if rig.is_network else RigOptions
             calibration = calibrate(rig, recording, kind(seed=task.seed, cache=cache))
             rig = state_calibrated_intrinsics(resolve_intrinsics(rig, recording), calibration)

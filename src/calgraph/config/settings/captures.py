@@ -114,8 +114,8 @@ class EmptyStartSettings(StrictModel):
     """Time at the start that later measurements are compared with, s: several messages of any scanner."""
     min_duration: float = Field(default=1.5, gt=0)
     """Minimum duration of an empty start, s: a background needs several messages of each scanner."""
-    max_duration: float = Field(default=60.0, gt=0)
-    """Time from the start that is searched, s: operators who wait longer state a window in rig.yaml."""
+    max_duration: float = Field(default=60.0, ge=0)
+    """Time from the start that is searched, s: operators who wait longer state a window in rig.yaml. 0: none."""
     entry_margin: float = Field(default=0.3, ge=0)
     """Time between the empty start and the detected entry, s: at 1 m/s, less than half of a person is in view."""
     direction_cell: float = Field(default=0.0174532925199433, gt=0)
