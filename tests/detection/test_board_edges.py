@@ -85,6 +85,35 @@ def test_edges_do_not_span_scan_lines() -> None:
     assert len(edges_of(ranges, line=line)) == 0
 
 
+def edges_of_returns(ranges: Array, beams: Index) -> Array:
+    """Edges as of drivers that publish several returns of a beam, with coordinates in single precision."""
+    points = (ranges[:, None] * directions_of(STEP * beams)).astype(np.float32).astype(float)
+    lengths = np.linalg.norm(points, axis=1)
+    line = np.zeros(len(beams), dtype=np.intp)
+    edges = find_board_edges(points / lengths[:, None], lengths - SHEET, line, 0.05, SETTINGS, 0.0)
+    return np.asarray(angles_of(edges) / STEP)
+
+
+@pytest.mark.parametrize("returns", [2, 3])
+def test_several_returns_of_each_beam_do_not_move_edges(returns: int) -> None:
+    # Returns of one beam that differ by the noise have directions that differ by their rounding.
+    noise = np.random.default_rng(1).normal(0, 0.01, returns * len(BEAMS))
+    edges = edges_of_returns(np.repeat(scene(), returns) + noise, np.repeat(BEAMS, returns))
+    np.testing.assert_allclose(edges, [[10, 9], [29, 30]], atol=1e-3)
+
+
+@pytest.mark.parametrize("returns", [(SHEET, WALL), (WALL, SHEET)], ids=["board first", "wall first"])
+def test_a_beam_with_returns_from_board_and_wall_widens_the_edge_by_one_step(returns: tuple[float, float]) -> None:
+    ranges = np.concatenate([scene()[:30], returns, scene()[31:]])
+    edges = edges_of_returns(ranges, np.insert(BEAMS, 30, 30))
+    np.testing.assert_allclose(edges, [[10, 9], [29, 31]], atol=1e-3)
+
+
+def test_a_beam_with_returns_from_a_hand_and_the_wall_is_no_edge() -> None:
+    ranges, beams = np.insert(scene(), 30, HAND), np.insert(BEAMS, 30, 30)
+    np.testing.assert_allclose(edges_of_returns(ranges, beams), [[10, 9]], atol=1e-3)
+
+
 def test_with_parallax_directions_of_the_background_do_not_count() -> None:
     angles = STEP * BEAMS + np.where(scene() == WALL, 0.6 * STEP, 0.0)
     edges = find_board_edges(

@@ -221,6 +221,27 @@ def test_covariance_is_that_of_repeated_sweeps() -> None:
     assert low < total < high
 
 
+@pytest.mark.parametrize("numbered", [True, False], ids=["rings", "no rings"])
+@pytest.mark.parametrize("blocks", [False, True], ids=["one after the other", "all again"])
+def test_points_that_a_cloud_repeats_change_nothing(numbered: bool, blocks: bool) -> None:
+    """As LiDARs send whose strongest return and last one are the same on a solid surface."""
+    rng = np.random.default_rng(11)
+    rays, rings = multi_beam()
+    clouds = [measure(HELD, rays, rng, rings if numbered else None) for _ in range(2)]
+    repeated = []
+    for cloud in clouds:
+        points = np.arange(len(cloud.points))
+        order = np.tile(points, 2) if blocks else np.repeat(points, 2)
+        rings_of = None if cloud.rings is None else cloud.rings[order]
+        repeated.append(PointCloud(cloud.stamp, cloud.frame_id, cloud.points[order], rings_of))
+    once, twice = (
+        accepted(find_patches(given, [BOARD], NOISE, None, np.random.default_rng(2)))[0]
+        for given in (clouds, repeated)
+    )
+    for name in ("plane", "covariance", "edges"):
+        np.testing.assert_array_equal(getattr(twice, name), getattr(once, name))
+
+
 def test_covariance_grows_if_the_noise_is_understated(rng: np.random.Generator) -> None:
     cloud = sparse(HELD, rng)
     stated = accepted(find_patches([cloud], [BOARD], NOISE, None, rng))[0]

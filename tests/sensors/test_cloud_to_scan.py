@@ -48,8 +48,19 @@ def test_points_farther_off_the_plane_than_a_hundredth_of_the_range_are_refused(
 
 
 def test_gaps_have_no_more_beams_than_a_turn_can_have() -> None:
-    scan = convert_cloud_to_scan(cloud_at([0.0, 1e-9, 2e-9, 3e-9, 1.0], [1, 1, 1, 1, 1]))
+    scan = convert_cloud_to_scan(cloud_at([0.0, 1e-5, 2e-5, 3e-5, 1.0], [1, 1, 1, 1, 1]))
     assert len(scan.angles) == round(20_000 / (2 * np.pi)) - 1 + 5
+
+
+@pytest.mark.parametrize("count", [2, 3])
+def test_several_returns_of_each_beam_are_the_scan_of_the_nearest(count: int) -> None:
+    angles = np.linspace(-1.2, 1.9, 200)
+    nearest = np.random.default_rng(4).uniform(1.0, 9.0, 200)
+    returns = nearest[:, None] + np.arange(count) * 0.3
+    a, r = np.repeat(angles, count), returns.ravel()
+    rounded = np.stack([r * np.cos(a), r * np.sin(a), np.zeros_like(r)], axis=-1).astype(np.float32)
+    scan = convert_cloud_to_scan(PointCloud(5.0, "laser", rounded.astype(float)))
+    np.testing.assert_allclose([scan.angles, scan.ranges], [angles, nearest], atol=1e-5)
 
 
 def test_real_laser_clouds_are_full_turns(data_dir: Path) -> None:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from calgraph.config.settings import ScannerDetectionSettings
 from calgraph.geometry import Array, Index, measure_lengths
+from calgraph.sensors import SAME_DIRECTION
 
 # Bound of ranges before the plane, m: beams that do not intersect it have an infinite one.
 _FAR = 1e3
@@ -30,7 +31,8 @@ def find_board_edges(
     """Pairs of beams between which the board ends.
 
     Args:
-        directions: (N, 3) unit vectors of beams that measured something, line by line, each in order of angle.
+        directions: (N, 3) unit vectors of beams that measured something, line by line, each in order of angle;
+            equal for several returns of one beam.
         excess: (N,) range beyond the board's plane, m; negative where a beam ends before the plane, and where it
             does not intersect it.
         scan_line: (N,) scan line of each beam.
@@ -42,7 +44,9 @@ def find_board_edges(
     Returns:
         (M, 2, 3) unit vectors: the last beam on the board, and the direction of the first one past it.
     """
-    excess = np.maximum(excess, -_FAR)
+    if not len(directions):
+        return np.empty((0, 2, 3))
+    directions, excess, scan_line = _join_returns(directions, np.maximum(excess, -_FAR), scan_line, thickness)
     on_board = np.abs(excess) < thickness
     adjacent = on_board[1:] & on_board[:-1] & (scan_line[1:] == scan_line[:-1])
     steps = measure_lengths(np.diff(directions, axis=0))[adjacent]
@@ -52,6 +56,21 @@ def find_board_edges(
     orders = (slice(None), slice(None, None, -1))
     beams = [(directions[o], excess[o], on_board[o], scan_line[o]) for o in orders]
     return np.concatenate([_find_trailing_edges(*ordered, step, settings, parallax) for ordered in beams])
+
+
+def _join_returns(
+    directions: Array, excess: Array, scan_line: Index, thickness: float
+) -> tuple[Array, Array, Index]:
+    """One beam for each direction: neighbouring beams that differ measure the step, and are where an edge may be.
+
+    A beam with returns from the board and from behind it ends between both, as a mixed pixel does. Of one that hit
+    something nearer than the board, the nearest return counts: it may hide the edge.
+    """
+    starts = measure_lengths(np.diff(directions, axis=0)) > SAME_DIRECTION
+    first = np.append(0, np.flatnonzero(starts | (np.diff(scan_line) != 0)) + 1)
+    nearest = np.minimum.reduceat(excess, first)
+    mean = np.add.reduceat(excess, first) / np.diff(np.append(first, len(excess)))
+    return directions[first], np.where(nearest < -thickness, nearest, mean), scan_line[first]
 
 
 def _find_trailing_edges(
@@ -76,7 +95,7 @@ def _find_trailing_edges(
     step_length = measure_lengths(last_step)
     same_line = (scan_line[previous] == scan_line[last]) & (scan_line[last] == scan_line[next_beam])
     board_ends = same_line & on_board[previous] & on_board[last] & ~on_board[next_beam]
-    board_ends &= (step_length < max_step) & (step_length > 0)
+    board_ends &= step_length < max_step
     # Beams without return between others did not hit the board.
     near = gap < max_step + parallax
     no_return = ~near & (parallax == 0)

@@ -32,6 +32,8 @@ from calgraph.sensors import PointCloud
 
 # Rounding of coordinates, m.
 _ROUNDING = 1e-9
+# Points with equal sums of coordinates times these are equal: no sensible coordinates have this ratio.
+_IRRATIONAL = np.array([1.0, np.sqrt(2.0), np.sqrt(3.0)])
 
 
 def find_patches(
@@ -59,7 +61,7 @@ def find_patches(
         return Rejected("no cloud was measured while the board rested")
     limits = settings.lidar3d
     # Drivers send empty clouds where packets are lost: they hold neither rings nor edges.
-    clouds = [cloud for cloud in clouds if len(cloud.points)] or clouds
+    clouds = [_drop_repeated_points(cloud) for cloud in clouds if len(cloud.points)] or clouds
     scene = np.concatenate([cloud.points for cloud in clouds])
     rings = _join_rings(clouds)
     ranges = measure_lengths(scene)
@@ -368,6 +370,20 @@ def _find_edges(
     scan_line = np.append(0, np.cumsum(ends))
     excess = lines.ranges[near] - predict(near)
     return find_board_edges(lines.directions[near], excess, scan_line, thickness, settings.scanner, lines.parallax)
+
+
+def _drop_repeated_points(cloud: PointCloud) -> PointCloud:
+    """Leaves out points that a cloud contains already, as of LiDARs whose strongest return is the last one, too.
+
+    They are the same measurement: counted twice, they would decrease the standard deviations.
+    """
+    sums = cloud.points @ _IRRATIONAL
+    if len(np.unique(sums)) == len(sums):
+        return cloud
+    kept = np.sort(np.unique(sums, return_index=True)[1])
+    rings = None if cloud.rings is None else cloud.rings[kept]
+    times = None if cloud.times is None else cloud.times[kept]
+    return replace(cloud, points=cloud.points[kept], rings=rings, times=times)
 
 
 def _join_rings(clouds: Sequence[PointCloud]) -> NDArray[np.int32] | None:

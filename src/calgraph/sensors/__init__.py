@@ -1,7 +1,7 @@
 """Models of cameras and scanners, and their messages."""
 
 from calgraph.sensors.camera_model import DISTORTION_NAMES, CameraModel
-from calgraph.sensors.cloud_to_scan import convert_cloud_to_scan
+from calgraph.sensors.cloud_to_scan import SAME_DIRECTION, convert_cloud_to_scan
 from calgraph.sensors.messages import (
     CameraInfo,
     DetectedCorners,
@@ -17,7 +17,7 @@ from calgraph.sensors.point_colors import colorize_points
 from calgraph.sensors.scan_background import ScanBackground, align_ranges, find_nearest_beams
 
 __all__ = [
-    "DISTORTION_NAMES", "CameraInfo", "CameraModel", "DetectedCorners", "Image", "LaserScan", "Message",
-    "MessageDigest", "PointCloud", "RecordedMessage", "ScanBackground", "Trigger", "align_ranges",
+    "DISTORTION_NAMES", "SAME_DIRECTION", "CameraInfo", "CameraModel", "DetectedCorners", "Image", "LaserScan",
+    "Message", "MessageDigest", "PointCloud", "RecordedMessage", "ScanBackground", "Trigger", "align_ranges",
     "colorize_points", "convert_cloud_to_scan", "find_nearest_beams",
 ]  # fmt: skip

@@ -6,6 +6,9 @@ from calgraph.errors import RecordingError
 from calgraph.geometry import Array
 from calgraph.sensors.messages import LaserScan, PointCloud
 
+SAME_DIRECTION = 1e-6
+"""Points whose directions differ by less are returns of one beam, rad: coordinates in single precision round
+directions to 1e-7, and neighbouring beams of scanners are more than 1e-4 apart."""
 # Upper limit on beams per turn, which bounds the number of beams that fill a gap.
 _MAX_BEAMS_PER_TURN = 20_000
 # Maximum distance of points from the plane z = 0: m, plus a fraction of the range. Other clouds are refused: an
@@ -17,8 +20,8 @@ def convert_cloud_to_scan(cloud: PointCloud) -> LaserScan:
     """Converts the cloud of a 2-D scanner, whose driver sends points with z = 0, to a scan.
 
     Beams are sorted by angle. Points at the origin, and gaps between beams (no-returns are often left out), become
-    beams without a measurement, so that neighbours in the scan are neighbours in angle. Times of points are
-    dropped: every beam is taken as measured at the cloud's stamp.
+    beams without a measurement, so that neighbours in the scan are neighbours in angle. Of several returns of one
+    beam the nearest is used. Times of points are dropped: every beam is taken as measured at the cloud's stamp.
 
     Raises:
         RecordingError: the points do not lie in the plane z = 0.
@@ -33,9 +36,16 @@ def convert_cloud_to_scan(cloud: PointCloud) -> LaserScan:
     measured = np.flatnonzero(ranges > 0)
     angles = np.arctan2(cloud.points[measured, 1], cloud.points[measured, 0])
     order = np.argsort(angles, kind="stable")
-    angles, ranges = angles[order], ranges[measured][order]
-    angles, ranges = _fill_gaps(angles, ranges)
+    angles, ranges = _fill_gaps(*_join_returns(angles[order], ranges[measured][order]))
     return LaserScan(cloud.stamp, cloud.frame_id, angles, ranges)
+
+
+def _join_returns(angles: Array, ranges: Array) -> tuple[Array, Array]:
+    """One beam for each of the ascending angles (N,), with the nearest of its ranges (N,)."""
+    if not len(angles):
+        return angles, ranges
+    first = np.append(0, np.flatnonzero(np.diff(angles) > SAME_DIRECTION) + 1)
+    return angles[first], np.minimum.reduceat(ranges, first)
 
 
 def _fill_gaps(angles: Array, ranges: Array) -> tuple[Array, Array]:
