@@ -1,12 +1,16 @@
 """Rigs calibrated with every kind of board, through images, of straight and of bent lines; several boards."""
 
+import csv
 from collections.abc import Mapping
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from calgraph.cli.printing import print_calibration
 from calgraph.config import AprilGrid, Board, Charuco, Checkerboard, Tag
-from calgraph.result import Calibration
+from calgraph.io.yaml_reading import read_yaml
+from calgraph.result import Calibration, save_calibration, save_captures
 from calgraph.simulation import (
     CameraOptions,
     GroundTruth,
@@ -51,6 +55,7 @@ CAMERAS = RigScenario(
     clutter=3,
     move_time=0.4,
 )
+BEARINGS = (-45, -35, -25, -15, -5, 5)
 LIDAR = MultibeamOptions(count=1, rate=4.0, rings=24, resolution=0.5)
 
 
@@ -79,20 +84,42 @@ def test_two_cameras_are_calibrated_with_every_board(board: Board, lens: CameraO
     assert used(calibration, "camera_2") >= 5
 
 
-def test_boards_in_one_capture_are_all_used() -> None:
+@pytest.fixture(scope="module")
+def two_boards() -> tuple[Calibration, GroundTruth]:
     """A camera and a LiDAR see tags, and a grid beside them: nearly as many board poses again."""
-    bearings = (-45, -35, -25, -15, -5, 5)
-    camera = PINHOLE.model_copy(update={"count": 1})
     shown = scenario(
         board=BOARDS["tags"],
         companions=(BOARDS["aprilgrid"],),
-        camera=camera,
+        camera=PINHOLE.model_copy(update={"count": 1}),
         multibeam=LIDAR,
-        bearings=bearings,
+        bearings=BEARINGS,
         radii=(1.8,),
     )
     rig, recording, truth = simulate_scenario(shown, seed=3)
-    calibration = calibrate(rig, recording)
+    return calibrate(rig, recording), truth
+
+
+def test_boards_in_one_capture_are_all_used(two_boards: tuple[Calibration, GroundTruth]) -> None:
+    calibration, truth = two_boards
     assert_true(calibration, truth, 25)
     (edge,) = calibration.evidence.edges
-    assert edge.inliers > len(bearings)
+    assert edge.inliers > len(BEARINGS)
+
+
+@pytest.mark.parametrize("sensor", ["camera", "lidar"])
+def test_terminal_and_files_state_one_number_of_captures(
+    sensor: str, two_boards: tuple[Calibration, GroundTruth], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    calibration, _ = two_boards
+    save_calibration(calibration, tmp_path / "calibration.yaml")
+    save_captures(calibration, tmp_path / "captures.csv")
+    print_calibration(calibration)
+    words = [line.split() for line in capsys.readouterr().out.splitlines()]
+    table = words[next(i for i, row in enumerate(words) if row[:2] == ["sensor", "captures"]) :]
+    printed = next(int(row[1]) for row in table if row[:1] == [sensor])
+    stated = read_yaml(tmp_path / "calibration.yaml")["quality"]["cross_validation"][sensor]["captures"]
+    with (tmp_path / "captures.csv").open(encoding="utf-8", newline="") as file:
+        listed = {
+            row["capture"] for row in csv.DictReader(file) if row["sensor"] == sensor and row["used"] == "yes"
+        }
+    assert (printed, stated) == (len(listed), len(listed))

@@ -101,7 +101,7 @@ def _print_cross_validation(output: Console, calibration: Calibration) -> None:
         table.add_column(head, justify="right", no_wrap=True)
     for name, one in calibration.evidence.cross_validation.items():
         fitted = fit[name].formatted if name in fit else ""
-        table.add_row(escape(name), str(one.views), fitted, *one.formatted, f"{one.ratio:.2f}")
+        table.add_row(escape(name), str(one.captures), fitted, *one.formatted, f"{one.ratio:.2f}")
     output.print(table)
 
 

@@ -25,7 +25,7 @@ def render_cross_validation(calibration: Calibration) -> str:
     heads = ("sensor", "captures", "fitted, RMS", "held out, RMS", "", "median", "along the beam", "tilt", "ratio")
     head = "".join(f"<th>{name}</th>" for name in heads)
     rows = "".join(
-        f"<tr><th scope='row'>{escape_html(name)}</th><td>{one.views}</td>"
+        f"<tr><th scope='row'>{escape_html(name)}</th><td>{one.captures}</td>"
         f"<td>{escape_html(fit[name].formatted) if name in fit else '–'}</td><td>{one.formatted[0]}</td>"
         f"<td>{_draw_bars(fit[name].rms, one.rms) if name in fit else ''}</td>"
         f"{''.join(f'<td>{escape_html(text)}</td>' for text in one.formatted[1:])}"

@@ -146,7 +146,7 @@ def _fit(fit: Mapping[str, FitError]) -> dict[str, Any]:
 def _held_out_error(one: HeldOutError) -> dict[str, Any]:
     numbers = {"rms": one.rms, "median": one.median, "along": one.along, "tilt": one.tilt, "ratio": one.ratio}
     finite = {key: _round_digits([value], 4)[0] for key, value in numbers.items() if value is not None}
-    return {"captures": one.views, "unit": one.unit, **finite}
+    return {"captures": one.captures, "unit": one.unit, **finite}
 
 
 def _suggestion(one: Suggestion) -> dict[str, Any]:

@@ -82,8 +82,8 @@ class FitError:
 class HeldOutError:
     """Cross-validation of a sensor: errors of its measurements on held-out captures, predicted from the others."""
 
-    views: int
-    """Number of predicted captures."""
+    captures: int
+    """Number of predicted captures, each counted once with however many boards."""
     unit: Literal["px", "m"]
     """Of ``rms`` and ``median``: distances between corners, or of beam ends from the board's plane."""
     rms: float

@@ -76,7 +76,7 @@ def test_sensors_alone_with_a_board_are_not_predicted() -> None:
     first = np.arange(20) < 10
     bundle = replace(exact.bundle, views=(lidar.select(first), laser))
     predicted = left_out(exact, bundle)
-    assert {name: p.views for name, p in predicted.items()} == {"lidar": 10, "laser": 10}
+    assert {name: p.captures for name, p in predicted.items()} == {"lidar": 10, "laser": 10}
 
 
 def test_sensors_without_views_in_the_other_captures_are_not_predicted() -> None:
@@ -94,7 +94,15 @@ def test_every_view_is_held_out_once(folds: int) -> None:
     """Also with as many folds as captures, and with more."""
     exact = scene(boards=8)
     predicted = left_out(exact, exact.measured(np.random.default_rng(0)), folds)
-    assert [predicted[name].views for name in exact.bundle.sensors] == [8, 8, 8]
+    assert [predicted[name].captures for name in exact.bundle.sensors] == [8, 8, 8]
+
+
+def test_a_capture_of_two_boards_is_one() -> None:
+    exact = scene(boards=12)
+    bundle = exact.measured(np.random.default_rng(0))
+    captures = np.array([0, 0, 1, 1, 2, 2, 4, 4, 7, 7, 7, 9])
+    predicted = cross_validate(SolvedBundle(bundle, minimize_bundle(bundle, exact.truth), captures), 3)
+    assert [predicted[name].captures for name in exact.bundle.sensors] == [6, 6, 6]
 
 
 @pytest.mark.parametrize(("stddev", "compared"), [(1e-4, False), (0.1, True)])

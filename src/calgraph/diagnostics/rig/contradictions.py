@@ -47,7 +47,7 @@ def _find_poor_predictions(
 ) -> Iterator[Finding]:
     """Sensors that the others predict worse in held-out captures than covariances and noise allow."""
     for name, error in held_out.items():
-        if error.views >= settings.min_held_out_views and error.ratio > settings.max_held_out_ratio:
+        if error.captures >= settings.min_held_out_views and error.ratio > settings.max_held_out_ratio:
             yield Finding(
                 f"measurements of {name} on held-out captures are {error.ratio:.1f} times as far from their "
                 "prediction as expected: record more captures, with the board in more different poses",

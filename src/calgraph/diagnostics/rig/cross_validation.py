@@ -34,7 +34,7 @@ from calgraph.estimation.rig.observations import BoardViews, relative_poses, vel
 from calgraph.estimation.rig.range_observations import RangeObservations
 from calgraph.estimation.rig.relinearization import CachedLinearization
 from calgraph.estimation.rig.solution import SolvedBundle
-from calgraph.geometry import Array, se3, se_n
+from calgraph.geometry import Array, Index, se3, se_n
 from calgraph.processes import forked_jobs, parallel_stream
 from calgraph.result import HeldOutError
 from calgraph.result.evidence import rms
@@ -52,6 +52,8 @@ _RANK_TOLERANCE = 1e-10
 class _PredictionErrors:
     """Errors of some views of a sensor relative to the prediction by the others."""
 
+    board: Index
+    """(V,) board of each view."""
     error: Array
     """(N,) px between corners, or m between beam ends and the board's plane."""
     along: Array
@@ -101,7 +103,7 @@ def cross_validate(
     for found in parallel_stream(_hold_out, work, (solved, settings), forked_jobs(jobs)):
         for name, error in found.items():
             errors[name].append(error)
-    summaries = {name: _summarize(found, units[name]) for name, found in errors.items()}
+    summaries = {name: _summarize(found, units[name], solved.captures) for name, found in errors.items()}
     return {name: summary for name, summary in summaries.items() if summary}
 
 
@@ -203,7 +205,8 @@ def _compare_with_prediction(
     tilted = tested & _observes_tilt(A, T_board, bundle.lever, settings.compared_tilt_stddev)
     error, along = _error_sizes(views.select(tested), T_predicted[tested], extra)
     cosine = np.sum(T_predicted[tilted, :3, 2] * T_own[tilted, :3, 2], axis=-1)
-    return _PredictionErrors(error, along, np.arccos(np.clip(cosine, -1, 1)), squared[tested], dof[tested])
+    tilt = np.arccos(np.clip(cosine, -1, 1))
+    return _PredictionErrors(views.board[tested], error, along, tilt, squared[tested], dof[tested])
 
 
 def _bias_variances(bundle: Bundle, sensor: int) -> Array:
@@ -286,14 +289,16 @@ def _error_sizes(views: BoardViews, T_sensor_board: Array, extra: Array) -> tupl
     return np.abs(along * np.sum(normal * views.directions, axis=1)), np.abs(along)
 
 
-def _summarize(found: Sequence[_PredictionErrors], unit: Literal["px", "m"]) -> HeldOutError | None:
+def _summarize(
+    found: Sequence[_PredictionErrors], unit: Literal["px", "m"], capture_of_board: Index
+) -> HeldOutError | None:
     """All views of one sensor in numbers; None if none was predicted."""
     dof = sum(int(e.dof.sum()) for e in found)
     if not dof:
         return None
     error = np.concatenate([e.error for e in found])
     return HeldOutError(
-        views=sum(len(e.dof) for e in found),
+        captures=len(np.unique(capture_of_board[np.concatenate([e.board for e in found])])),
         unit=unit,
         rms=float(np.sqrt(np.mean(error**2))),
         median=float(np.median(error)),
