@@ -1,6 +1,7 @@
-"""The tables of the page on settings, made from the settings classes while the site is built."""
+"""Writes the tables of the page on settings, from the settings classes: `python docs/settings_tables.py`."""
 
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import annotated_types as limits
@@ -11,6 +12,15 @@ from calgraph.config.settings import Settings
 from calgraph.io.field_docs import describe_field
 
 _SIGNS = {limits.Gt: ">", limits.Ge: "≥", limits.Lt: "<", limits.Le: "≤"}
+
+
+PAGE = Path(__file__).parent / "settings.md"
+_MARK = "<!-- The rest is written by docs/settings_tables.py. -->"
+
+
+def settings_page(text: str) -> str:
+    """The text of the page with the tables of today."""
+    return f"{text.partition(_MARK)[0]}{_MARK}\n\n{settings_tables()}\n"
 
 
 def settings_tables(model: type[BaseModel] = Settings, key: str = "") -> str:
@@ -50,3 +60,7 @@ def _format(value: Any) -> str:
     if isinstance(value, tuple | list):
         return f"[{', '.join(map(_format, value))}]"
     return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+if __name__ == "__main__":
+    PAGE.write_text(settings_page(PAGE.read_text(encoding="utf-8")), encoding="utf-8")

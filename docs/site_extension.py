@@ -1,4 +1,4 @@
-"""Extensions of Sphinx: formulas without scripts, readable signatures, figures in the gallery, tables of settings.
+"""Extensions of Sphinx: formulas without scripts, readable signatures, figures in the gallery.
 
 Formulas become MathML while the site is built, and plotly's script is part of the site: pages work offline.
 """
@@ -11,7 +11,6 @@ import plotly.graph_objects as go
 from docutils import nodes
 from docutils.utils.math.latex2mathml import tex2mathml
 from plotly.offline import get_plotlyjs
-from settings_tables import settings_tables
 from sphinx.application import Sphinx
 from sphinx.writers.html5 import HTML5Translator
 
@@ -29,7 +28,6 @@ def setup(app: Sphinx) -> dict[str, bool]:
     app.connect("autodoc-process-signature", _fields_say_it)
     app.connect("autodoc-process-docstring", _colons_hidden, priority=400)
     app.connect("autodoc-process-docstring", _colons_back, priority=600)
-    app.connect("source-read", _add_settings)
     app.connect("build-finished", _write_script)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
 
@@ -61,11 +59,6 @@ def _colons_hidden(_app: Sphinx, what: str, _name: str, _of: Any, _options: Any,
 def _colons_back(_app: Sphinx, what: str, _name: str, _of: Any, _options: Any, lines: list[str]) -> None:
     if what in _FIELDS:
         lines[:] = [line.replace(_COLON, ":") for line in lines]
-
-
-def _add_settings(_app: Sphinx, page: str, source: list[str]) -> None:
-    if page == "settings":
-        source[0] += f"\n{settings_tables()}\n"
 
 
 def _write_script(app: Sphinx, error: Exception | None) -> None:

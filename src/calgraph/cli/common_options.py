@@ -76,7 +76,7 @@ ClusterOption = Annotated[
     typer.Option(
         "--cluster",
         metavar="local | tcp://HOST:PORT",
-        help="Let a cluster of Dask do the work, see docs/scaling.md.",
+        help="Let a cluster of Dask do the work: processes of this machine, or the address of its scheduler.",
         rich_help_panel=TUNING,
     ),
 ]

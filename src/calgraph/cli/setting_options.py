@@ -35,7 +35,7 @@ SetOption = Annotated[
         "--set",
         metavar="KEY=VALUE",
         autocompletion=_complete,
-        help="Override a setting, such as captures.min_hold=2; repeatable. docs/settings.md lists all.",
+        help="Override a setting, such as captures.min_hold=2; repeatable. rig.resolved.yaml lists all.",
         rich_help_panel=TUNING,
     ),
 ]
