@@ -70,7 +70,7 @@ print("± mm:", (1000 * stddev[:3]).round(2), " ± degrees:", np.degrees(stddev[
 # Cross-validation: errors on held-out captures, predicted by the other sensors. The ratio of observed to
 # expected errors is about 1 if the standard deviations are consistent.
 for name, left_out in calibration.evidence.cross_validation.items():
-    print(f"{name:12} {left_out.views} captures, ratio {left_out.ratio:.2f}")
+    print(f"{name:12} {left_out.captures} captures, ratio {left_out.ratio:.2f}")
 
 # %%
 # Errors against the ground truth of the simulation:
