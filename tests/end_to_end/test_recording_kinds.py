@@ -157,6 +157,26 @@ def test_each_of_several_short_recordings_is_a_pose(poses: Poses, tmp_path: Path
     check_pose(found, poses.truth)
 
 
+def test_two_recordings_of_one_rig_from_the_same_stamp_on_give_the_captures_of_both(tmp_path: Path) -> None:
+    """Overlapping stamps: the captures of the second were dropped without a word."""
+    paths, sigmas, poses = [], [], []
+    for name, bearings in (("first", (-30, -15, 0, 15, 30)), ("second", (-22, -7, 7, 22))):
+        rig, recording, truth = simulate_scenario(SCENARIO.model_copy(update={"bearings": bearings}), seed=11)
+        paths.append(tmp_path / name)
+        with RecordingWriter(paths[-1]) as writer:
+            for record in recording.records():
+                writer.write(record.topic, record.decode(), record.arrival)
+        poses.append(truth)
+    assert poses[0].T_root_sensor["camera"] == pytest.approx(poses[1].T_root_sensor["camera"])
+    for given in (paths[:1], paths):
+        with open_recordings(given) as opened:
+            found = calibrate(rig, opened)
+        assert found.evidence.edges[0].captures == 5 + 4 * (len(given) - 1)
+        check_pose(found, poses[0])
+        sigmas.append(np.sqrt(np.diag(found.covariance("lidar", "camera"))[:3]).max())
+    assert sigmas[1] < 0.9 * sigmas[0]
+
+
 def test_a_video_beside_clouds_is_searched_for_holds(tmp_path: Path) -> None:
     """Its times count from its first frame, as those in the names of the clouds do; there is no trigger."""
     rig, recording, truth = simulate_scenario(SCENARIO.model_copy(update={"hold_time": 1.2}), seed=4)

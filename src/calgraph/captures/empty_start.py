@@ -21,10 +21,10 @@ _EMPTY_START = "empty start/2"
 _MIN_REFERENCE_MESSAGES = 3
 """Messages of a scanner that show what is static: with two, neither an outlier nor a change is recognized."""
 _MAX_PAUSE = 3.0
-"""Pause of a scanner over its median period after which nobody was observed to enter; one lost message makes 2."""
+"""Pause of a scanner over its median period after which it does not show an entry; one lost message makes 2."""
 _IMAGES = 8
-"""Images of each camera in which the board is searched for, spread over the empty start: a board that enters the view
-of a camera first is in it for seconds."""
+"""Images of each camera in which the board is searched for, spread over the empty start: a board that enters the
+view of a camera first is in it for seconds."""
 
 
 @dataclass(frozen=True)
@@ -97,8 +97,8 @@ def find_empty_start(
 
     A scanner's view was empty at the start if something later appears in front of what it measured then, and if
     later measurements do not reach beyond it: a board or person that was in view at the start uncovers the room
-    when it moves. It was not empty where a camera detects the board, or from a trigger on. In snapshots, and after
-    a pause of the scanner, nobody is observed to enter.
+    when it moves. It was not empty where a camera detects the board, or from a trigger on. Snapshots and
+    a scanner that pauses do not show when something entered.
 
     Args:
         recording: to search.
@@ -115,10 +115,12 @@ def find_empty_start(
     numbered = any(topic.time_base == "pose" for topic in recording.topics)
     if not scanners or numbered or capture.mode == "snapshots":
         return None
-    limits = settings.empty_start
-    start = recording.start
-    found = _find_entry(recording.records(scanners, start, start + limits.max_duration), start, limits)
-    if found is None or found.end < limits.min_duration or _is_uncovered_later(recording, scanners, limits):
+    search_settings, start = settings.empty_start, recording.start
+    records = recording.records(scanners, start, start + search_settings.max_duration)
+    found = _find_entry(records, start, search_settings)
+    if found is None or found.end < search_settings.min_duration:
+        return None
+    if _is_uncovered_later(recording, scanners, search_settings):
         return None
     topics = [*scanners, *cameras]
     stamps = build_timeline(recording.records(topics), start, {topic: topic for topic in topics}, None)
@@ -129,7 +131,7 @@ def find_empty_start(
     ends = [_find_board_entry(recording, camera, found.end, printed) for camera in cameras]
     ends += [record.arrival - start for record in triggers]
     end = min([found.end, *map(_round_down, ends)])
-    return replace(found, end=end) if end >= limits.min_duration else None
+    return replace(found, end=end) if end >= search_settings.min_duration else None
 
 
 def _find_board_entry(recording: Recording, camera: str, end: float, printed: Sequence[PrintedBoard]) -> float:

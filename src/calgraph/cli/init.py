@@ -67,8 +67,9 @@ def _find_background(
     triggers = find_triggers(topics)[0]
     capture = Capture(trigger=triggers[0].name if triggers else None)
     found = find_empty_start(
-        recording, scanners, cameras, boards, capture, CaptureSettings(), CameraDetectionSettings()
-    )
+        recording, scanners, cameras, boards, capture,
+        settings=CaptureSettings(), camera_settings=CameraDetectionSettings(),
+    )  # fmt: skip
     if found is None:
         return None
     return FoundBackground(found.end, f"found automatically, as {found.topic} changes at {found.entry:.1f} s")

@@ -2,6 +2,7 @@
 
 import filecmp
 import math
+from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -71,7 +72,7 @@ class _Timed:
 
     recording: Recording
     spans: Mapping[str, tuple[float, float]]
-    """First and last stamp of each topic of a sensor, s."""
+    """First and last stamp of each topic of a sensor that several recordings have, s."""
 
     @property
     def begin(self) -> float:
@@ -103,9 +104,11 @@ def separate_takes(recordings: Sequence[Recording]) -> list[Recording]:
         InputError: two of them have the same messages; or there are several takes of files whose stamps count from
             their own start beside some with those of a clock, so that it is not known which belong together.
     """
+    names = Counter(topic for recording in recordings for topic in _list_sensor_topics(recording))
+    repeated = {topic for topic, count in names.items() if count > 1}
     takes: list[list[_Timed]] = []
     for recording in recordings:
-        timed = _Timed(recording, _find_stamp_spans(recording))
+        timed = _Timed(recording, _find_stamp_spans(recording, repeated))
         # Of every take, so that none is given twice.
         free = [not any(_overlap(timed, other) for other in take) for take in takes]
         if not any(free):
@@ -165,11 +168,14 @@ def _check_clocks(recordings: Sequence[Recording], second: Recording) -> None:
         )
 
 
-def _find_stamp_spans(recording: Recording) -> dict[str, tuple[float, float]]:
-    """First and last stamp, s, of each topic of a sensor."""
-    topics = [topic.name for topic in recording.topics if topic.type in SENSOR_TYPES and topic.count]
+def _list_sensor_topics(recording: Recording) -> set[str]:
+    return {topic.name for topic in recording.topics if topic.type in SENSOR_TYPES and topic.count}
+
+
+def _find_stamp_spans(recording: Recording, topics: Collection[str]) -> dict[str, tuple[float, float]]:
+    """First and last stamp, s, of those of the topics that a recording has."""
     spans = {}
-    for topic in topics:
+    for topic in sorted(_list_sensor_topics(recording).intersection(topics)):
         # The first message may be without a stamp: its arrival counts then.
         first = min((record.stamp for record in islice(recording.records([topic]), 10)), default=None)
         if first is not None:
