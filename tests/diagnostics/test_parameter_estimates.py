@@ -36,3 +36,45 @@ def test_at_most_three_causes_are_named_the_likeliest_first() -> None:
     covariance = np.asarray(np.linalg.inv(np.diag(prior_stddev**-2) + 1e4))
     estimates = ParameterEstimates(parameters, covariance @ np.full(4, 5e4), prior_stddev, covariance, 0.05)
     assert estimates.describe(0, np.array([1, 2, 3]))[1] == [0, 1, 3]
+
+
+@pytest.mark.parametrize(("names", "of"), [("ab", "a and b"), ("abc", "a, b and c")])
+@pytest.mark.parametrize("bias", [0.047, -0.047])
+def test_parameters_that_deviate_together_have_the_deviation_that_they_have_in_common(
+    names: str, of: str, bias: float
+) -> None:
+    """Ranges of scanners of a network: data determine differences to 0.1 mm, and what is common to 10 mm."""
+    parameters = [EstimatedParameter(one, "range bias", "m", 0.0, 0.02, 0.0, 0.02) for one in names]
+    count = len(names)
+    mean = np.full((count, count), 1 / count)
+    information = (np.eye(count) - mean) / 1e-4**2 + mean / 0.01**2 * count
+    covariance = np.linalg.inv(np.eye(count) / 0.02**2 + information)
+    differences = 3e-4 * np.arange(count)
+    deviation = bias + differences - differences.mean()
+    estimates = ParameterEstimates(parameters, deviation, np.full(count, 0.02), covariance, 0.05)
+    others = estimates.indistinguishable(0, 0.9)
+    assert len(others) == count - 1
+    text, causes = estimates.describe(0, others)
+    assert sorted(causes) == list(range(count))
+    longer = "longer" if bias > 0 else "shorter"
+    ratio = abs(float(estimates.normalized[0]))
+    assert ratio == pytest.approx(2.5, abs=0.3)
+    assert text.startswith(
+        f"ranges of {of} are 47 mm {longer} than they should be (these {count} cannot be distinguished here); "
+        f"this is {ratio:.1f} times its uncertainty in rig.yaml (20 mm)"
+    )
+
+
+def test_parameters_of_other_quantities_that_deviate_together_are_named_with_their_own_sizes() -> None:
+    parameters = [
+        EstimatedParameter("a", "range bias", "m", 0.0, 0.02, 0.0, 0.02),
+        EstimatedParameter("board", "width", "m", 0.0, 0.02, 0.0, 0.02),
+    ]
+    information = np.array([[1, -1], [-1, 1]]) / 1e-4**2 + np.eye(2) / 0.02**2
+    covariance = np.linalg.inv(np.eye(2) / 0.02**2 + information)
+    estimates = ParameterEstimates(parameters, np.array([0.05, 0.049]), np.full(2, 0.02), covariance, 0.05)
+    text, causes = estimates.describe(0, np.array([1]))
+    assert causes == [0, 1]
+    assert text.startswith(
+        "ranges of a are 50 mm longer than they should be, and the board is 49 mm wider than stated (these 2 "
+    )

@@ -49,14 +49,15 @@ class DescribedParameter(Protocol):
         """``m``, ``px``, ``rad``, or nothing for ratios."""
 
 
-def describe_deviation(parameter: DescribedParameter, deviation: float) -> str:
+def describe_deviation(parameter: DescribedParameter, deviation: float, of: str = "") -> str:
     """How far a parameter is from the stated value, as a clause.
 
     Args:
         parameter: the parameter.
         deviation: of its value; of a focal length, relative.
+        of: what it is a parameter of, where it stands for several.
     """
-    of, quantity = parameter.of, parameter.quantity
+    of, quantity = of or parameter.of, parameter.quantity
     size = format_size(deviation, parameter)
     if quantity in _MEANINGS:
         sentence, opposite = _MEANINGS[quantity]

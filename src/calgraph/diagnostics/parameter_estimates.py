@@ -16,6 +16,9 @@ from calgraph.geometry import Array, Index
 # Other causes that a finding lists at most: more are no help.
 _MAX_ALTERNATIVES = 2
 
+# Share of a parameter's estimate that is left if others are as stated, from which on it explains the data alone.
+_MIN_ALONE = 0.5
+
 
 @dataclass(frozen=True, eq=False)
 class ParameterEstimates:
@@ -49,7 +52,10 @@ class ParameterEstimates:
         return np.setdiff1d(np.flatnonzero(np.abs(correlation) > min_correlation), [i])
 
     def describe(self, i: int, others: Index) -> tuple[str, list[int]]:
-        """The contradiction of parameter i, or of others that explain the data as well, the most likely first.
+        """The contradiction of parameter i, with those that the data do not distinguish from it.
+
+        Where parameter i explains the data alone as well, if the others are as stated, these are alternatives, the
+        most likely first. Otherwise the data determine differences between them, and all deviate together.
 
         Returns:
             The text, and the parameters that it names.
@@ -57,12 +63,30 @@ class ParameterEstimates:
         named = others.tolist()
         alone = {j: self.deviation_alone(j, np.setdiff1d([i, *named], [j])) for j in (i, *named)}
         named.sort(key=lambda j: abs(alone[j]) / self.prior_stddev[j])
-        causes = [i, *named[:_MAX_ALTERNATIVES]]
-        text = ", or ".join(describe_deviation(self.parameters[j], alone[j]) for j in causes)
+        if abs(alone[i]) >= _MIN_ALONE * abs(self.deviation[i]):
+            causes = [i, *named[:_MAX_ALTERNATIVES]]
+            text = ", or ".join(describe_deviation(self.parameters[j], alone[j]) for j in causes)
+        else:
+            causes, text = self._describe_common(i, named)
         if len(causes) > 1:
             text += f" (these {len(causes)} cannot be distinguished here)"
         prior = format_size(self.prior_stddev[i], self.parameters[i])
         return describe_contradiction(text, abs(float(self.normalized[i])), prior), causes
+
+    def _describe_common(self, i: int, others: Sequence[int]) -> tuple[list[int], str]:
+        """Parameters that deviate together, and their deviations; those of the same quantity are one clause."""
+        quantity = self.parameters[i].quantity
+        same = [j for j in others if self.parameters[j].quantity == quantity and self._deviates_as(j, i)]
+        rest = [j for j in others if j not in same][:_MAX_ALTERNATIVES]
+        names = [self.parameters[j].of for j in (i, *same)]
+        of = f"{', '.join(names[:-1])} and {names[-1]}" if same else names[0]
+        common = float(np.mean(self.deviation[[i, *same]]))
+        clauses = [describe_deviation(self.parameters[i], common, of)]
+        clauses += [describe_deviation(self.parameters[j], float(self.deviation[j])) for j in rest]
+        return [i, *same, *rest], ", and ".join(clauses)
+
+    def _deviates_as(self, j: int, i: int) -> bool:
+        return bool(self.deviation[i] * self.deviation[j] > 0)
 
     def deviation_alone(self, i: int, rest: Index) -> float:
         """The deviation of parameter i if the rest is as stated."""
