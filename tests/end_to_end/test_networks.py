@@ -146,6 +146,8 @@ def test_a_scanner_without_detections_is_named(tmp_path: Path) -> None:
         found = calibrate(load_rig(tmp_path / "empty/rig.yaml"), recording, NetworkOptions())
     assert [sensor.name for sensor in found.sensors] == [found.root]
     assert all("no object of the target's size" in reason for reason in found.evidence.unconnected.values())
+    (root,) = found.sensors
+    assert (root.verdict.grade, root.verdict.reason) == ("unobservable", "no other sensor has a pose relative to it")
 
 
 def calibrate_simulated(out: Path, seed: int, **errors: float) -> tuple[Calibration, GroundTruth]:

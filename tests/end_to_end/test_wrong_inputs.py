@@ -140,7 +140,9 @@ def test_sensors_that_see_nothing_each_say_why(staged_rig: tuple[Rig, SimulatedR
     for topic in (FRONT, CLOUD, CAMERA):
         recording = alter_messages(recording, topic, empty)
     calibration = calibrate(rig, recording)
-    assert [sensor.name for sensor in calibration.sensors] == [rig.root]
+    (root,) = calibration.sensors
+    assert (root.name, root.verdict.grade) == (rig.root, "unobservable")
+    assert root.verdict.reason == "no other sensor has a pose relative to it"
     assert "detected the board in none of 3 captures" in calibration.evidence.unconnected["camera"]
     assert "too dark" in calibration.evidence.unconnected["camera"]
     assert "the root lidar detected the board in none of 3 captures" in calibration.evidence.unconnected["camera"]

@@ -297,9 +297,9 @@ def fail_if_not_calibrated(calibration: Calibration, *, strict: bool = False) ->
     ]
     grades = {sensor.name: sensor.verdict.grade for sensor in calibration.sensors}
     missing += [
-        f"{name} is not calibrated: its pose is not observable"
-        for name in grades
-        if grades[name] == "unobservable"
+        f"{sensor.name} is not calibrated: its pose is not observable"
+        for sensor in calibration.sensors
+        if sensor.verdict.grade == "unobservable" and sensor.parent is not None
     ]
     if strict:
         missing += [f"{name} is weak, which --strict refuses" for name in grades if grades[name] == "weak"]

@@ -24,6 +24,10 @@ _SCANNER_AXES = ("forward (x)", "sideways (y)", "height (z)", "roll (about x)", 
 _CAMERA_AXES = ("sideways (x)", "height (y)", "depth (z)", "pitch (about x)", "yaw (about y)", "roll (about z)")
 
 
+LONE_ROOT = Verdict("unobservable", "no other sensor has a pose relative to it")
+"""Of a root to which nothing is connected: a good one would claim that something was calibrated."""
+
+
 def axis_names(kind: str) -> tuple[str, ...]:
     """Names of the six axes of a sensor: along x, y, z, and about them."""
     return _CAMERA_AXES if kind == "camera" else _SCANNER_AXES

@@ -15,7 +15,7 @@ from calgraph.config.target import Target
 from calgraph.diagnostics.finding import Finding
 from calgraph.diagnostics.network.beam_views import collect_beam_views
 from calgraph.diagnostics.network.walk_report import build_floor_views, build_walk_rows, match_across_scanners
-from calgraph.diagnostics.verdict import collect_findings, grade_pose
+from calgraph.diagnostics.verdict import LONE_ROOT, collect_findings, grade_pose
 from calgraph.errors import Rejected
 from calgraph.estimation.network.estimate import NetworkSolution
 from calgraph.estimation.network.leg_problem import LegObservations
@@ -132,7 +132,9 @@ def _assemble_poses(
             frame_id=rig.sensors[name].frame_id or frames[name] or name,
             kind="lidar2d",
             T_root_sensor=T,
-            verdict=grade_pose(
+            verdict=LONE_ROOT
+            if len(T_root_sensor) == 1
+            else grade_pose(
                 name,
                 "lidar2d",
                 T,

@@ -17,6 +17,7 @@ from calgraph.diagnostics.rig.board_pictures import (
 from calgraph.diagnostics.rig.contradictions import find_contradictions
 from calgraph.diagnostics.rig.prior_tests import find_contradicted_priors
 from calgraph.diagnostics.verdict import (
+    LONE_ROOT,
     collect_findings,
     find_ambiguous_poses,
     find_inconsistent_sensors,
@@ -137,7 +138,9 @@ def _assemble_sensor(
         kind=spec.kind,
         T_root_sensor=T,
         intrinsics=_refine_intrinsics(name, spec, solution),
-        verdict=grade_pose(
+        verdict=LONE_ROOT
+        if len(solution.T_root_sensor) == 1
+        else grade_pose(
             name,
             spec.kind,
             T,
