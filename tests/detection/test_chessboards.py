@@ -1,4 +1,4 @@
-"""Where the fast search of a checkerboard fails or errs, the slower one finds the same corners."""
+"""Where the fast search of a checkerboard fails or errs, the searches by saddle points find the same corners."""
 
 from collections.abc import Callable
 
@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 from calgraph.config import Board, Checkerboard
+from calgraph.detection import chessboards
+from calgraph.detection.checkerboard_regions import take_whole
 from calgraph.detection.chessboards import CheckerboardFinder
 from calgraph.geometry import Array, se3, so3
 from calgraph.sensors import CameraModel
@@ -72,3 +74,101 @@ def test_the_search_by_saddle_points_starts_with_the_same_random_numbers(
         assert len(corners(image)) == 0
     first, second = np.array_split(np.array(drawn), 2)
     np.testing.assert_array_equal(first, second)
+
+
+def only_by_saddles(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cv2, "findChessboardCorners", lambda *_args, **_options: (False, None))
+
+
+def add_glare(image: Gray) -> Gray:
+    """Adds a bright spot in the middle of the board."""
+    y, x = np.mgrid[: image.shape[0], : image.shape[1]]
+    spot = 120 * np.exp(-((x - 330) ** 2 + (y - 240) ** 2) / (2 * 60**2))
+    return np.asarray(np.clip(image + spot, 0, 255), dtype=np.uint8)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_board_with_glare_is_found_without_normalisation(
+    seed: int, render: Callable[..., Gray], expected: Array, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    only_by_saddles(monkeypatch)
+    board, rng = Board(size=(1.0, 0.8), pattern=PATTERN), np.random.default_rng(seed)
+    image = add_glare(render(board, CAMERA, POSE, rng, background=20))
+    assert not cv2.findChessboardCornersSB(image, (8, 5), flags=cv2.CALIB_CB_NORMALIZE_IMAGE)[0]
+    np.testing.assert_allclose(corners(image), expected, atol=0.5)
+
+
+@pytest.mark.parametrize("contrast", [0.05, 0.08])
+def test_a_board_of_low_contrast_is_found_with_normalisation(
+    contrast: float,
+    render: Callable[..., Gray],
+    expected: Array,
+    rng: np.random.Generator,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    only_by_saddles(monkeypatch)
+    image = render(Board(size=(1.0, 0.8), pattern=PATTERN), CAMERA, POSE, rng, contrast=contrast, noise=0.5)
+    assert not cv2.findChessboardCornersSB(image, (8, 5))[0]
+    np.testing.assert_allclose(corners(image), expected, atol=0.3)
+
+
+def test_small_squares_in_a_large_image_are_found(render: Callable[..., Gray], rng: np.random.Generator) -> None:
+    pattern = Checkerboard(kind="checkerboard", columns=28, rows=17, square=0.01)
+    K = np.array([[3200.0, 0, 1999.5], [0, 3200, 1499.5], [0, 0, 1]])
+    camera = CameraModel("pinhole", 4000, 3000, K, np.zeros(0))
+    pose = se3.pose(POSE[:3, :3], np.array([0.1, -0.05, 3.4]))
+    image = render(Board(size=(0.32, 0.21), pattern=pattern), camera, pose, rng)
+    x, y = np.meshgrid(0.01 * (np.arange(28) - 13.5), -0.01 * (np.arange(17) - 8.0))
+    points = np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=-1)
+    found = CheckerboardFinder(pattern).find(image).pixels[:, 0]
+    np.testing.assert_allclose(found, camera.project(se3.apply(pose, points)), atol=0.3)
+
+
+@pytest.fixture
+def searches(image: Gray, monkeypatch: pytest.MonkeyPatch) -> list[tuple[tuple[int, ...], int]]:
+    """Shapes and flags of the searches by saddle points in an image, all of which fail."""
+    tried: list[tuple[tuple[int, ...], int]] = []
+
+    def search(gray: Gray, _shape: tuple[int, int], flags: int) -> tuple[bool, None]:
+        tried.append((gray.shape, flags))
+        return False, None
+
+    only_by_saddles(monkeypatch)
+    monkeypatch.setattr(cv2, "findChessboardCornersSB", search)
+    corners(image)
+    return tried
+
+
+def test_the_first_search_is_without_normalisation(searches: list[tuple[tuple[int, ...], int]]) -> None:
+    assert searches[0][1] == 0
+
+
+def test_the_full_image_is_searched_last(image: Gray, searches: list[tuple[tuple[int, ...], int]]) -> None:
+    assert [shape == image.shape for shape, _ in searches] == [False] * (len(searches) - 1) + [True]
+
+
+def test_an_image_without_saddle_points_is_searched_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    def search(*_args: object, **_options: object) -> tuple[bool, None]:
+        raise AssertionError("the slow search of an image that contains no board")
+
+    monkeypatch.setattr(cv2, "findChessboardCornersSB", search)
+    empty = np.full((480, 640), 90, dtype=np.uint8)
+    cv2.rectangle(empty, (100, 100), (300, 350), (200,), -1)
+    assert len(corners(empty)) == 0
+
+
+def test_saddle_points_that_are_no_lattice_are_not_used(
+    image: Gray, expected: Array, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    wrong = expected.copy()
+    wrong[12] += (20, 0)
+    only_by_saddles(monkeypatch)
+    search_whole_images(monkeypatch)
+    monkeypatch.setattr(cv2, "findChessboardCornersSB", lambda *_args, **_options: (True, wrong[:, None]))
+    monkeypatch.setattr(cv2, "cornerSubPix", lambda _gray, start, *_args: start)
+    assert len(corners(image)) == 0
+
+
+def search_whole_images(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Corners that a test returns from a search are those in the whole image then."""
+    monkeypatch.setattr(chessboards, "find_regions", lambda gray, *_args: iter([take_whole(gray)]))

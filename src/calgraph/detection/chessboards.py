@@ -1,5 +1,6 @@
 """Detection of chessboard corners in an image: plain checkerboards and ChArUco boards, by OpenCV."""
 
+from collections.abc import Iterator
 from typing import Any
 
 import cv2
@@ -8,11 +9,21 @@ from numpy.typing import NDArray
 
 from calgraph.config import Charuco, Checkerboard, dictionary
 from calgraph.config.settings import CameraDetectionSettings
+from calgraph.detection.checkerboard_regions import Region, find_regions, take_whole
 from calgraph.detection.tags import Gray, Marks, empty_marks
 from calgraph.geometry import Array
 
 _CRITERIA = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 40, 1e-3)
 """Steps of sub-pixel refinement end below 1e-3 pixels, a fiftieth of the noise, or after 40."""
+_MAX_BEND = 0.5
+"""Maximum second difference of corners found by saddle points, over the shorter distance between neighbours: a
+board at 64 degrees that fills the image has 0.48, and a corner that is off by half a square 1."""
+_MAX_SURPLUS = 0.1
+"""Largest logarithm of saddle points over corners at which a region contains the board rather than something else:
+then the full image is searched last."""
+_MAX_WHOLE = 1_000_000
+"""Most pixels of images of which all are searched: it takes 0.1 s, and a second for 12 megapixels, in which small
+squares are searched at full resolution, too, but in their region only."""
 
 
 class CheckerboardFinder:
@@ -45,35 +56,56 @@ class CheckerboardFinder:
             corners = _refine_corners(gray, lattice, self._settings)
             if _is_regular(corners, self._settings.max_checkerboard_bend):
                 return corners
-        for attempt, side in enumerate(self._settings.checkerboard_sides):
-            flags = cv2.CALIB_CB_NORMALIZE_IMAGE if attempt else 0
-            small = _reduce(gray, side)
-            # It draws random numbers: with the same seed, an image has the same corners in every run and process.
-            cv2.setRNGSeed(0)
-            found, saddles = cv2.findChessboardCornersSB(small, self._shape, flags=flags)
-            if found:
-                return _refine_corners(gray, self._to_lattice(saddles, gray, small), self._settings)
+        for region, flags in self._list_searches(gray):
+            lattice = self._find_lattice_by_saddles(gray, region, flags)
+            if lattice is not None:
+                corners = _refine_corners(gray, lattice, self._settings)
+                if _is_regular(corners, _MAX_BEND):
+                    return corners
         return None
 
-    def _find_lattice_by_squares(self, gray: Gray) -> Array | None:
-        """Corners (rows, columns, 2) between dark quadrilaterals, a fifth of the time of the search by saddles.
+    def _list_searches(self, gray: Gray) -> Iterator[tuple[Region, int]]:
+        """Parts of an image and flags of searches by saddle points, in the order in which they are tried."""
+        contains_board = False
+        for region in find_regions(
+            gray, self.pattern.columns * self.pattern.rows, self._settings.checkerboard_sides
+        ):
+            contains_board |= region.surplus < _MAX_SURPLUS
+            # Normalisation loses boards where all around them is dark or glares; it is necessary where contrast is
+            # low, or a part of the board is in shadow.
+            yield region, 0
+            yield region, cv2.CALIB_CB_NORMALIZE_IMAGE
+        if contains_board and gray.size <= _MAX_WHOLE:
+            yield take_whole(gray), 0
 
-        It fails in more images: blurred, shaded, or with squares of few pixels.
+    def _find_lattice_by_squares(self, gray: Gray) -> Array | None:
+        """Corners (rows, columns, 2) between dark quadrilaterals.
+
+        It fails in more images than the search by saddles: blurred, shaded, or with squares of few pixels.
         """
-        small = _reduce(gray, self._settings.checkerboard_first_side)
+        whole = take_whole(gray, self._settings.checkerboard_first_side)
+        small = whole.cut(gray)
         flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
         found, corners = cv2.findChessboardCorners(small, self._shape, flags=flags)
-        return self._to_lattice(corners, gray, small) if found else None
+        return self._to_lattice(corners, whole, small) if found else None
+
+    def _find_lattice_by_saddles(self, gray: Gray, region: Region, flags: int) -> Array | None:
+        """Corners (rows, columns, 2) at saddle points of brightness in a part of an image."""
+        small = region.cut(gray)
+        # It draws random numbers: with the same seed, an image has the same corners in every run and process.
+        cv2.setRNGSeed(0)
+        found, corners = cv2.findChessboardCornersSB(small, self._shape, flags=flags)
+        return self._to_lattice(corners, region, small) if found else None
 
     @property
     def _shape(self) -> tuple[int, int]:
         return self.pattern.columns, self.pattern.rows
 
-    def _to_lattice(self, corners: NDArray[Any], gray: Gray, small: Gray) -> Array:
-        """Corners (N, 1, 2) found in the reduced image, as (rows, columns, 2) in the full one."""
+    def _to_lattice(self, corners: NDArray[Any], region: Region, small: Gray) -> Array:
+        """Corners (N, 1, 2) found in a reduced part, as (rows, columns, 2) in the full image."""
         lattice = np.reshape(corners, (self.pattern.rows, self.pattern.columns, 2)).astype(np.float64)
-        ratio = np.array(gray.shape[::-1]) / small.shape[::-1]
-        return np.asarray((lattice + 0.5) * ratio - 0.5)
+        ratio = np.array([region.right - region.left, region.bottom - region.top]) / small.shape[::-1]
+        return np.asarray((lattice + 0.5) * ratio - 0.5 + (region.left, region.top))
 
 
 class CharucoFinder:
@@ -95,14 +127,6 @@ class CharucoFinder:
         if ids is None:
             return empty_marks(1)
         return Marks(np.asarray(ids, dtype=np.intp).ravel(), np.reshape(corners, (-1, 1, 2)).astype(np.float64))
-
-
-def _reduce(gray: Gray, side: int) -> Gray:
-    """The image with a longer side of at most this many pixels."""
-    scale = min(1.0, side / max(gray.shape))
-    if scale == 1:
-        return gray
-    return np.asarray(cv2.resize(gray, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
 def _is_regular(lattice: Array, max_bend: float) -> bool:

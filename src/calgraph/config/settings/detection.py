@@ -73,14 +73,16 @@ class CameraDetectionSettings(StrictModel):
     ``pose.outlier_sigmas`` of it): 1 px of motion is accepted, as averaging halves its effect."""
     checkerboard_first_side: int = Field(default=960, gt=0)
     """Longer side, pixels, to which an image is reduced for the first search of a checkerboard, by its squares: it
-    takes 5 ms, and fails in blurred and shaded images, which the slower search by saddle points then takes."""
+    takes 5 ms to 30 ms, and fails in blurred and shaded images and for small squares, which the search by saddle
+    points then takes."""
     max_checkerboard_bend: float = Field(default=0.2, gt=0, lt=1)
     """Maximum second difference of corners found by squares, over the shorter distance between neighbours: wrong
-    corners are off by half a square; a board at 45° has 0.19 at 1.4 times its width. Beyond it the slower search
-    decides."""
-    checkerboard_sides: tuple[Annotated[int, Field(gt=0)], ...] = (480, 960)
-    """Longer sides, pixels, to which an image is reduced for the search of a checkerboard, one after the other: it
-    takes 0.05 s and 0.15 s then, the full image up to 0.6 s, and corners are refined in the full image."""
+    corners are off by half a square; a board at 45° has 0.19 at 1.4 times its width. Beyond it the search by
+    saddle points decides."""
+    checkerboard_sides: tuple[Annotated[int, Field(gt=0)], ...] = (240, 480, 960, 1920)
+    """Longer sides, pixels, to which an image is reduced to find where a checkerboard may be, one after the other:
+    blurred corners are sharp in small images, those of small squares are apart in large ones. All four take 0.1 s
+    for 12 megapixels. What is found is searched in the full image, or reduced to squares of 15 pixels."""
     max_checkerboard_window: int = Field(default=12, ge=2)
     """Maximum half width of the window of sub-pixel refinement, pixels: larger ones are slow and bend with the
     lens."""
