@@ -74,6 +74,7 @@ class Row(NamedTuple):
 def main() -> None:
     """Measures the images that are not in the table, and prints the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--first", type=int, default=0, help="first seed")
     parser.add_argument("--boards", type=int, default=500)
     parser.add_argument("--empty", type=int, default=100, help="images without the board")
     parser.add_argument("--real", action="store_true", help="real images instead of rendered ones")
@@ -84,7 +85,8 @@ def main() -> None:
     cv2.setNumThreads(1)
     began = time.process_time()
     if not arguments.show:
-        images = _list_real() if arguments.real else _list_rendered(arguments.boards, arguments.empty)
+        rendered = _list_rendered(arguments.first, arguments.boards, arguments.empty)
+        images = _list_real() if arguments.real else rendered
         _measure_missing(images, _load_earlier(arguments.before), arguments.out)
     rows = _read_rows(arguments.out)
     for title, real in (("rendered", False), ("real", True)):
@@ -94,10 +96,10 @@ def main() -> None:
     print(f"\n{time.process_time() - began:.0f} s of a processor")
 
 
-def _list_rendered(boards: int, empty: int) -> Iterator[tuple[str, Callable[[], BoardImage]]]:
-    for seed in range(boards):
+def _list_rendered(first: int, boards: int, empty: int) -> Iterator[tuple[str, Callable[[], BoardImage]]]:
+    for seed in range(first, first + boards):
         yield f"board {seed}", lambda seed=seed: draw_image(seed)  # type: ignore[misc]
-    for seed in range(empty):
+    for seed in range(first, first + empty):
         yield f"empty {seed}", lambda seed=seed: draw_empty_image(seed)  # type: ignore[misc]
 
 

@@ -19,11 +19,11 @@ _MAX_BEND = 0.5
 """Maximum second difference of corners found by saddle points, over the shorter distance between neighbours: a
 board at 64 degrees that fills the image has 0.48, and a corner that is off by half a square 1."""
 _MAX_SURPLUS = 0.1
-"""Largest logarithm of saddle points over corners at which a region contains the board rather than something else:
-then the full image is searched last."""
+"""Largest logarithm of saddle points over corners at which a region contains the board rather than something
+else."""
 _MAX_WHOLE = 1_000_000
-"""Most pixels of images of which all are searched: it takes 0.1 s, and a second for 12 megapixels, in which small
-squares are searched at full resolution, too, but in their region only."""
+"""Most pixels of images that are searched as a whole even if a region contains the board: the search then takes no
+longer than that of a large region."""
 
 
 class CheckerboardFinder:
@@ -59,24 +59,28 @@ class CheckerboardFinder:
         for region, flags in self._list_searches(gray):
             lattice = self._find_lattice_by_saddles(gray, region, flags)
             if lattice is not None:
-                corners = _refine_corners(gray, lattice, self._settings)
-                if _is_regular(corners, _MAX_BEND):
-                    return corners
+                # Refinement fails at blurred corners that are close together; those that were found are good to a
+                # fraction of a pixel, too.
+                for corners in (_refine_corners(gray, lattice, self._settings), lattice):
+                    if _is_regular(corners, _MAX_BEND):
+                        return corners
         return None
 
     def _list_searches(self, gray: Gray) -> Iterator[tuple[Region, int]]:
         """Parts of an image and flags of searches by saddle points, in the order in which they are tried."""
-        contains_board = False
-        for region in find_regions(
-            gray, self.pattern.columns * self.pattern.rows, self._settings.checkerboard_sides
-        ):
-            contains_board |= region.surplus < _MAX_SURPLUS
-            # Normalisation loses boards where all around them is dark or glares; it is necessary where contrast is
-            # low, or a part of the board is in shadow.
+        regions: list[Region] = []
+        corners = self.pattern.columns * self.pattern.rows
+        for region in find_regions(gray, corners, self._settings.checkerboard_sides):
+            regions.append(region)
             yield region, 0
+        # Normalisation loses boards where all around them is dark or glares, and finds those of low contrast or
+        # partly in shadow; it may also find other things.
+        for region in regions:
             yield region, cv2.CALIB_CB_NORMALIZE_IMAGE
-        if contains_board and gray.size <= _MAX_WHOLE:
-            yield take_whole(gray), 0
+        # Saddles of a board may be in no group, as where much of it is in shadow.
+        noticed = any(region.surplus < _MAX_SURPLUS for region in regions)
+        if not noticed or gray.size <= _MAX_WHOLE:
+            yield take_whole(gray, self._settings.checkerboard_first_side), 0
 
     def _find_lattice_by_squares(self, gray: Gray) -> Array | None:
         """Corners (rows, columns, 2) between dark quadrilaterals.
