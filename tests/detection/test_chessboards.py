@@ -139,22 +139,49 @@ def searches(image: Gray, monkeypatch: pytest.MonkeyPatch) -> list[tuple[tuple[i
     return tried
 
 
-def test_the_first_search_is_without_normalisation(searches: list[tuple[tuple[int, ...], int]]) -> None:
-    assert searches[0][1] == 0
+def test_the_first_searches_are_without_normalisation(searches: list[tuple[tuple[int, ...], int]]) -> None:
+    flags = [flag for shape, flag in searches[:-1]]
+    assert flags[0] == 0
+    assert flags == sorted(flags)
 
 
 def test_the_full_image_is_searched_last(image: Gray, searches: list[tuple[tuple[int, ...], int]]) -> None:
     assert [shape == image.shape for shape, _ in searches] == [False] * (len(searches) - 1) + [True]
 
 
-def test_an_image_without_saddle_points_is_searched_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    def search(*_args: object, **_options: object) -> tuple[bool, None]:
-        raise AssertionError("the slow search of an image that contains no board")
+def test_an_image_without_saddle_points_is_searched_once_and_reduced(monkeypatch: pytest.MonkeyPatch) -> None:
+    tried = []
+
+    def search(gray: Gray, _shape: tuple[int, int], flags: int) -> tuple[bool, None]:
+        tried.append((gray.shape, flags))
+        return False, None
 
     monkeypatch.setattr(cv2, "findChessboardCornersSB", search)
-    empty = np.full((480, 640), 90, dtype=np.uint8)
-    cv2.rectangle(empty, (100, 100), (300, 350), (200,), -1)
+    empty = np.full((1440, 1920), 90, dtype=np.uint8)
+    cv2.rectangle(empty, (300, 300), (900, 1050), (200,), -1)
     assert len(corners(empty)) == 0
+    assert tried == [((720, 960), 0)]
+
+
+def test_a_board_whose_saddle_points_are_in_no_group_is_found(
+    image: Gray, expected: Array, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    only_by_saddles(monkeypatch)
+    monkeypatch.setattr(chessboards, "find_regions", lambda *_args: iter([]))
+    np.testing.assert_allclose(corners(image), expected, atol=0.3)
+
+
+def test_corners_that_refinement_moves_away_are_kept_as_they_were_found(
+    image: Gray, expected: Array, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refine(_gray: Gray, start: Array, *_args: object) -> Array:
+        moved = start.copy()
+        moved[12] += (20, 0)
+        return moved
+
+    only_by_saddles(monkeypatch)
+    monkeypatch.setattr(cv2, "cornerSubPix", refine)
+    np.testing.assert_allclose(corners(image), expected, atol=0.5)
 
 
 def test_saddle_points_that_are_no_lattice_are_not_used(

@@ -147,7 +147,10 @@ def test_a_scanner_without_detections_is_named(tmp_path: Path) -> None:
     assert [sensor.name for sensor in found.sensors] == [found.root]
     assert all("no object of the target's size" in reason for reason in found.evidence.unconnected.values())
     (root,) = found.sensors
-    assert (root.verdict.grade, root.verdict.reason) == ("unobservable", "no other sensor has a pose relative to it")
+    assert (root.verdict.grade, root.verdict.reason) == (
+        "unobservable",
+        "no other sensor has a pose relative to it",
+    )
 
 
 def calibrate_simulated(out: Path, seed: int, **errors: float) -> tuple[Calibration, GroundTruth]:

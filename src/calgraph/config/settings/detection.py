@@ -81,7 +81,7 @@ class CameraDetectionSettings(StrictModel):
     saddle points decides."""
     checkerboard_sides: tuple[Annotated[int, Field(gt=0)], ...] = (240, 480, 960, 1920)
     """Longer sides, pixels, to which an image is reduced to find where a checkerboard may be, one after the other:
-    blurred corners are sharp in small images, those of small squares are apart in large ones. All four take 0.1 s
+    blurred corners are sharp in small images, those of small squares are apart in large ones. All four take 0.15 s
     for 12 megapixels. What is found is searched in the full image, or reduced to squares of 15 pixels."""
     max_checkerboard_window: int = Field(default=12, ge=2)
     """Maximum half width of the window of sub-pixel refinement, pixels: larger ones are slow and bend with the
