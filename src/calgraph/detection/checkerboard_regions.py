@@ -18,8 +18,8 @@ the smallest distance of corners, 3 pixels."""
 _MIN_CURVATURE = 0.1
 """Minimum curvature of a saddle, in ranges of brightness around it: corners of boards have 0.1 to 0.2."""
 _MIN_NOISE_RATIO, _MIN_GRAY_CURVATURE = 8.0, 0.3
-"""Minimum curvature over the median of the image, and in grey values besides: of normal noise, one in a million pixels
-has 7.3 times the median, and a contrast of 3 grey values has 0.3."""
+"""Minimum curvature over the median of the image, and in grey values besides: of normal noise, one in a million
+pixels has 7.3 times the median, and a contrast of 3 grey values has 0.3."""
 _MAX_IMBALANCE = 0.8
 """Maximum sum of the two curvatures over the root of their product: 0 at corners of squares, more at
 ends of edges."""
