@@ -92,7 +92,7 @@ def test_each_scanner_learns_from_its_own_messages() -> None:
     assert isinstance(backgrounds["laser"], ScanBackground)
     assert list(backgrounds) == ["lidar", "laser", "flat"]
     assert isinstance(backgrounds["flat"], Rejected)
-    assert backgrounds["flat"].reason.startswith("capture.background: no returns in this window")
+    assert backgrounds["flat"].reason.startswith("no returns in the background window; state a capture.background")
 
 
 def test_no_more_messages_are_decoded_than_a_background_needs() -> None:

@@ -40,7 +40,7 @@ def learn_scan_background(
         InputError: there are no scans, or no scan has a measurement.
     """
     if not any(scan.valid.any() for scan in scans):
-        raise InputError("capture.background: no returns in this window; choose one with measurements")
+        raise InputError("no returns in the background window; state a capture.background with measurements")
     angles = np.sort(max(scans, key=lambda scan: len(scan.angles)).angles)
     ranges = np.concatenate([align_ranges(angles, scan.angles, scan.ranges[None]) for scan in scans])
     depths = _find_nearest_depths(ranges, settings.depth_quantile)
@@ -82,7 +82,7 @@ def learn_cloud_background(
         cells = find_direction_cells(cloud.points, max_range.shape)
         np.maximum.at(max_range, cells, measure_lengths(cloud.points))
     if not len(keys):
-        raise InputError("capture.background: no points in this window; choose one with measurements")
+        raise InputError("no points in the background window; state a capture.background with measurements")
     max_range = find_local_maxima(max_range)
     max_range = np.where(max_range > 0, max_range + settings.scanner.min_depth_jump, np.inf)
     return CloudBackground(voxel, keys, max_range)

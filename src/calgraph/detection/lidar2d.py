@@ -69,7 +69,10 @@ def find_segments(
     if scan is None:
         return Rejected("the scans hold no steady returns")
     if not scan.foreground.any():
-        return Rejected("no foreground beams: the board is not in view, or the background window contains it")
+        return Rejected(
+            "no foreground beams: the board is not in view, or the background window "
+            "(capture.background, or found at the start) contains it"
+        )
     runs = _split_runs(scan, noise, settings)
     lines = [line for run in runs for line in _extract_lines(scan, run, noise, rng, settings)]
     if not lines:

@@ -69,7 +69,8 @@ def find_patches(
     foreground = valid if background is None else valid & background.foreground(scene)
     if foreground.sum() < limits.min_points:
         return Rejected(
-            f"{foreground.sum()} foreground points: the board is not in view, or the background window contains it"
+            f"{foreground.sum()} foreground points: the board is not in view, or the background window "
+            "(capture.background, or found at the start) contains it"
             if background is not None
             else f"the clouds hold {foreground.sum()} points"
         )

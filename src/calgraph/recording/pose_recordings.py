@@ -1,12 +1,11 @@
 """Several short recordings, each of one pose of the board."""
 
-from collections.abc import Callable, Collection, Iterator, Sequence
-from dataclasses import replace
-from functools import partial
+from collections.abc import Collection, Iterator, Sequence
 from itertools import pairwise
 
 from calgraph.recording.recording import JoinedRecording, Recording, select_topics
-from calgraph.sensors import Message, RecordedMessage
+from calgraph.recording.takes import shift_record
+from calgraph.sensors import RecordedMessage
 
 
 class PoseRecordings(JoinedRecording):
@@ -59,7 +58,7 @@ class PoseRecordings(JoinedRecording):
             present = wanted & {topic.name for topic in part.topics}
             window = (None if limit is None else limit - offset for limit in (start, end))
             for record in part.records(present, *window):
-                yield _shift_record(record, offset) if offset else record
+                yield shift_record(record, offset, offset) if offset else record
 
 
 def separate_poses(
@@ -97,17 +96,3 @@ def _find_span(recording: Recording, topics: Collection[str]) -> tuple[float, fl
     present = {topic.name for topic in recording.topics} & set(topics)
     stamps = [record.stamp for record in recording.records(present)]
     return (min(stamps), max(stamps)) if stamps else None
-
-
-def _shift_record(record: RecordedMessage, offset: float) -> RecordedMessage:
-    return replace(
-        record,
-        stamp=record.stamp + offset,
-        arrival=record.arrival + offset,
-        decode=partial(_decode_shifted, record.decode, offset),
-    )
-
-
-def _decode_shifted(decode: Callable[[], Message], offset: float) -> Message:
-    message = decode()
-    return replace(message, stamp=message.stamp + offset)
