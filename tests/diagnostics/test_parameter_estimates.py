@@ -48,7 +48,7 @@ def test_parameters_that_deviate_together_have_the_deviation_that_they_have_in_c
     count = len(names)
     mean = np.full((count, count), 1 / count)
     information = (np.eye(count) - mean) / 1e-4**2 + mean / 0.01**2 * count
-    covariance = np.linalg.inv(np.eye(count) / 0.02**2 + information)
+    covariance = np.asarray(np.linalg.inv(np.eye(count) / 0.02**2 + information))
     differences = 3e-4 * np.arange(count)
     deviation = bias + differences - differences.mean()
     estimates = ParameterEstimates(parameters, deviation, np.full(count, 0.02), covariance, 0.05)
@@ -71,7 +71,7 @@ def test_parameters_of_other_quantities_that_deviate_together_are_named_with_the
         EstimatedParameter("board", "width", "m", 0.0, 0.02, 0.0, 0.02),
     ]
     information = np.array([[1, -1], [-1, 1]]) / 1e-4**2 + np.eye(2) / 0.02**2
-    covariance = np.linalg.inv(np.eye(2) / 0.02**2 + information)
+    covariance = np.asarray(np.linalg.inv(np.eye(2) / 0.02**2 + information))
     estimates = ParameterEstimates(parameters, np.array([0.05, 0.049]), np.full(2, 0.02), covariance, 0.05)
     text, causes = estimates.describe(0, np.array([1]))
     assert causes == [0, 1]
