@@ -65,16 +65,24 @@ def test_parameters_that_deviate_together_have_the_deviation_that_they_have_in_c
     )
 
 
-def test_parameters_of_other_quantities_that_deviate_together_are_named_with_their_own_sizes() -> None:
+@pytest.mark.parametrize(
+    ("of", "quantity", "sign", "text"),
+    [
+        ("board", "width", 1, "the board is 49 mm wider than stated"),
+        ("b", "range bias", -1, "ranges of b are 49 mm shorter than they should be"),
+    ],
+)
+def test_other_quantities_and_opposite_deviations_are_named_with_their_own_sizes(
+    of: str, quantity: str, sign: int, text: str
+) -> None:
     parameters = [
         EstimatedParameter("a", "range bias", "m", 0.0, 0.02, 0.0, 0.02),
-        EstimatedParameter("board", "width", "m", 0.0, 0.02, 0.0, 0.02),
+        EstimatedParameter(of, quantity, "m", 0.0, 0.02, 0.0, 0.02),
     ]
-    information = np.array([[1, -1], [-1, 1]]) / 1e-4**2 + np.eye(2) / 0.02**2
+    information = np.array([[1, -sign], [-sign, 1]]) / 1e-4**2 + np.eye(2) / 0.02**2
     covariance = np.asarray(np.linalg.inv(np.eye(2) / 0.02**2 + information))
-    estimates = ParameterEstimates(parameters, np.array([0.05, 0.049]), np.full(2, 0.02), covariance, 0.05)
-    text, causes = estimates.describe(0, np.array([1]))
+    deviation = np.array([0.05, 0.049 * sign])
+    estimates = ParameterEstimates(parameters, deviation, np.full(2, 0.02), covariance, 0.05)
+    described, causes = estimates.describe(0, np.array([1]))
     assert causes == [0, 1]
-    assert text.startswith(
-        "ranges of a are 50 mm longer than they should be, and the board is 49 mm wider than stated (these 2 "
-    )
+    assert described.startswith(f"ranges of a are 50 mm longer than they should be, and {text} (these 2 cannot")

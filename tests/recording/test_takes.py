@@ -145,6 +145,16 @@ def test_one_recording_under_two_names_is_an_error(tmp_path: Path, write: Write,
         open_recordings([first, second])
 
 
+def test_corners_of_another_program_given_twice_are_an_error(tmp_path: Path) -> None:
+    for name in ("one", "two"):
+        (tmp_path / name).mkdir()
+        rows = ["sync_index,cam_id,point_id,img_loc_x,img_loc_y,obj_loc_x,obj_loc_y,obj_loc_z"]
+        rows += [f"{n},0,{k},{10 * k},{20 + n},{0.1 * k},0,0" for n in range(3) for k in range(4)]
+        (tmp_path / name / "xy.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+    with pytest.raises(InputError, match=r"two.*: has the same messages of cam_0 as"):
+        open_recordings([tmp_path / "one/xy.csv", tmp_path / "two/xy.csv"])
+
+
 def test_messages_that_two_computers_both_recorded_are_an_error_even_where_some_were_lost(write: Write) -> None:
     stamps = np.arange(0, 10, 0.5)
     first = write("left", stamps[stamps != 2.0], ("/a", "/b"))

@@ -112,8 +112,7 @@ def find_empty_start(
     Returns:
         The empty start; None if there is none, if it is too short, or if nothing enters.
     """
-    numbered = any(topic.time_base == "pose" for topic in recording.topics)
-    if not scanners or numbered or capture.mode == "snapshots":
+    if not scanners:
         return None
     search_settings, start = settings.empty_start, recording.start
     records = recording.records(scanners, start, start + search_settings.max_duration)
