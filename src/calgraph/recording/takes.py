@@ -1,6 +1,5 @@
 """Takes: recordings whose stamps overlap though they were not made together, read one after the other."""
 
-import filecmp
 import math
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
@@ -211,21 +210,11 @@ def _overlap(one: _Timed, other: _Timed) -> bool:
 
 
 def _check_not_the_same(recording: Recording, other: Recording, topic: str, start: float) -> None:
-    if _are_same_files(recording, other) or _have_same_messages(recording, other, topic, start):
+    if _have_same_messages(recording, other, topic, start):
         raise InputError(
             f"{recording.path}: has the same messages of {topic} as {other.path}: give one of the two, or record "
             "this topic in one of them only"
         )
-
-
-def _are_same_files(recording: Recording, other: Recording) -> bool:
-    """Whether two recordings are read from one file, or from two with the same bytes."""
-    if len(recording.sources) != 1 or len(other.sources) != 1:
-        return False
-    files = recording.sources[0], other.sources[0]
-    return files[0].samefile(files[1]) or (
-        all(file.is_file() for file in files) and filecmp.cmp(*files, shallow=False)
-    )
 
 
 def _have_same_messages(recording: Recording, other: Recording, topic: str, start: float) -> bool:
