@@ -50,6 +50,18 @@ def test_the_draft_has_the_board_of_the_file(drafted: Path) -> None:
     assert [(tag.id, tag.size) for tag in board.tags] == [(3, 0.3)]
 
 
+def test_without_a_board_an_empty_start_is_a_comment(run: Run, simulated: Path, tmp_path: Path) -> None:
+    """A camera may detect the board in it, and nothing else would notice."""
+    result = run("init", simulated / "recording", "-o", tmp_path / "rig.yaml")
+    assert result.exit_code == 0, result.output
+    lines = [
+        line.strip() for line in (tmp_path / "rig.yaml").read_text("utf-8").splitlines() if "background:" in line
+    ]
+    assert len(lines) == 1
+    assert lines[0].startswith("# background: [0.0, ")
+    assert lines[0].endswith("used unless a camera detects the board in it")
+
+
 def test_the_draft_has_the_empty_start_as_background(drafted: Path, simulated: Path) -> None:
     window, truth = load_rig(drafted).capture.background, load_rig(simulated / "rig.yaml").capture.background
     assert window is not None

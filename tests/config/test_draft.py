@@ -1,5 +1,6 @@
 """Drafts of rig.yaml: what is taken for a sensor, and that every draft loads."""
 
+import re
 from pathlib import Path
 
 import pytest
@@ -109,6 +110,17 @@ def test_an_event_of_another_name_is_no_trigger(tmp_path: Path) -> None:
 def test_an_empty_start_becomes_the_background(tmp_path: Path, topics: tuple[FoundTopic, ...]) -> None:
     rig = drafted(tmp_path, scan("/scan"), *topics, background=FoundBackground(4.7, "/scan changes\nat 5.0 s"))
     assert rig.capture.background == (0.0, 4.7)
+
+
+@pytest.mark.parametrize("topics", [(), (event("/trigger", 10),)], ids=["holds", "triggers"])
+def test_a_background_that_was_not_compared_with_images_is_a_comment(
+    tmp_path: Path, topics: tuple[FoundTopic, ...]
+) -> None:
+    found = FoundBackground(4.7, "/scan changes at 5.0 s", searched=False)
+    assert drafted(tmp_path, scan("/scan"), *topics, background=found).capture.background is None
+    text = (tmp_path / "rig.yaml").read_text(encoding="utf-8")
+    assert re.search(r"^ *# *background: \[0\.0, 4\.7\] ", text, re.MULTILINE)
+    assert "at 5.0 s; used unless a camera detects the board in it" in text
 
 
 @pytest.mark.parametrize("topics", [(), (event("/trigger", 10),)], ids=["holds", "triggers"])

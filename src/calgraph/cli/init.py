@@ -72,4 +72,5 @@ def _find_background(
     )  # fmt: skip
     if found is None:
         return None
-    return FoundBackground(found.end, f"found automatically, as {found.topic} changes at {found.entry:.1f} s")
+    entry = f"found automatically, as {found.topic} changes at {found.entry:.1f} s"
+    return FoundBackground(found.end, entry, searched=bool(boards) or not cameras)

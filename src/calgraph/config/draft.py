@@ -90,6 +90,8 @@ class FoundBackground:
     """s from the start."""
     entry: str
     """What was measured at its end."""
+    searched: bool = True
+    """Whether the board was searched for in the images of cameras, if there are any."""
 
 
 @dataclass(frozen=True)
@@ -242,6 +244,9 @@ def _capture(
         if background
         else _NO_BACKGROUND
     )
+    if background and not background.searched:
+        # A calibration, which has the board, finds the window again and compares it with the images.
+        window, background = f"# {window}; used unless a camera detects the board in it", None
     if not triggers and mode and mode.mode in _MODES:
         lines = [
             f"# CHECK: {_single_line(mode.reason)}: {_MODES[mode.mode]}.",

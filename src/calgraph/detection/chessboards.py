@@ -19,8 +19,8 @@ _MAX_BEND = 0.5
 """Maximum second difference of corners found by saddle points, over the shorter distance between neighbours: a
 board at 64 degrees that fills the image has 0.48, and a corner that is off by half a square 1."""
 _MAX_SURPLUS = 0.1
-"""Largest logarithm of saddle points over corners at which a region contains the board rather than something
-else."""
+"""Largest logarithm of saddle points over corners at which a region contains the board rather than something else:
+10 %, chosen by ``benchmarks/checkerboard_recall.py``."""
 _MAX_WHOLE = 1_000_000
 """Most pixels of images that are searched as a whole even if a region contains the board: the search then takes no
 longer than that of a large region."""
