@@ -27,15 +27,17 @@ import numpy as np
 from pydantic import BaseModel
 from scipy.stats import binomtest, chi2, norm
 
-from calgraph.calibrate import RigOptions, build_problem_from_captures, solve_problem
-from calgraph.captures import CaptureSet
+from calgraph.calibrate.options import RigOptions
+from calgraph.calibrate.rig import build_problem_from_captures, solve_problem
+from calgraph.captures.detect import CaptureSet
 from calgraph.config import CameraSpec, PixelNoise, RangeNoise, Rig, SensorSpec
-from calgraph.detection import BoardCorners
-from calgraph.estimation import Estimator, Problem, SolverOptions, cramer_rao
+from calgraph.detection.detections import BoardCorners
 from calgraph.estimation.rig.board_observations import BoardObservation
 from calgraph.estimation.rig.board_outlines import add_outlines
 from calgraph.estimation.rig.bundle_setup import build_bundle, update_noise
 from calgraph.estimation.rig.bundle_solver import linearize_bundle
+from calgraph.estimation.rig.estimate import cramer_rao
+from calgraph.estimation.rig.problem import Estimator, Problem, SolverOptions
 from calgraph.geometry import Array, se3
 from calgraph.simulation import (
     GroundTruth,

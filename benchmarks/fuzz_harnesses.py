@@ -19,7 +19,7 @@ from calgraph.captures.capture_encoding import decode_captures
 from calgraph.cli.setting_options import override_settings
 from calgraph.config import Rig, draft_rig, load_rig, printed_bitmaps
 from calgraph.config.board_print import black_rectangles
-from calgraph.estimation import load_problem
+from calgraph.estimation.rig.problem_file import load_problem
 from calgraph.io import format_json
 from calgraph.io.yaml_reading import read_yaml, validate_content
 from calgraph.printing.target_block import read_boards

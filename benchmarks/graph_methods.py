@@ -20,9 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import binomtest
 
-from calgraph.baselines import RotationAveraging, average_poses_by_rotations
+from calgraph.baselines.pose_averaging import RotationAveraging, average_poses_by_rotations
 from calgraph.geometry import Array, se_n
-from calgraph.graph import PoseGraph, average_poses
+from calgraph.graph.pose_graph import PoseGraph
+from calgraph.graph.tree_consensus import average_poses
 
 POSITION, ANGLE = 0.05, np.radians(0.7)
 NEAR, TURNED = 0.5, np.radians(5)

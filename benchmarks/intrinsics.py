@@ -20,25 +20,20 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from calgraph.calibrate import RigOptions, build_problem_from_captures, solve_problem
-from calgraph.captures import (
-    CaptureSet,
-    Hold,
-    RecordingTimeline,
-    SensorCapture,
-    SensorTimes,
-    collect_detections,
-    draw_seeds,
-    make_detectors,
-    state_estimated_intrinsics,
-)
+from calgraph.calibrate.options import RigOptions
+from calgraph.calibrate.rig import build_problem_from_captures, solve_problem
+from calgraph.captures.detect import CaptureSet, SensorCapture, collect_detections, state_estimated_intrinsics
+from calgraph.captures.detectors import draw_seeds, make_detectors
+from calgraph.captures.holds import Hold
+from calgraph.captures.timeline import RecordingTimeline, SensorTimes
 from calgraph.config import AprilGrid, Board, Rig
 from calgraph.config.settings import BoardPoseSettings
-from calgraph.detection import BoardCorners, BoardView, BoardViewFinder, CameraDetector
 from calgraph.detection.board_pose import BoardPose, fit_pose
-from calgraph.detection.camera import make_board_corners
+from calgraph.detection.board_views import BoardView, BoardViewFinder
+from calgraph.detection.camera import CameraDetector, make_board_corners
+from calgraph.detection.detections import BoardCorners
 from calgraph.errors import Rejected
-from calgraph.estimation import estimate_intrinsics
+from calgraph.estimation.intrinsics.estimate import estimate_intrinsics
 from calgraph.geometry import Array, se3
 from calgraph.result import Calibration
 from calgraph.sensors import CameraModel, Image, Message

@@ -20,10 +20,10 @@ import numpy as np
 from ruamel.yaml import YAML
 
 from calgraph.config import Rig
-from calgraph.detection import BoardView
 from calgraph.detection.board_pose import fit_pose
+from calgraph.detection.board_views import BoardView
 from calgraph.errors import Rejected
-from calgraph.estimation import IntrinsicsEstimate, estimate_intrinsics
+from calgraph.estimation.intrinsics.estimate import IntrinsicsEstimate, estimate_intrinsics
 from calgraph.recording.camera_info import camera_from_yaml
 from calgraph.sensors import CameraModel
 

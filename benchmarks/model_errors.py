@@ -27,8 +27,9 @@ import numpy as np
 from numpy.linalg import LinAlgError
 from scipy.stats import chi2
 
-from calgraph.calibrate import RigOptions, build_problem_from_captures, solve_problem
-from calgraph.captures import CaptureSet
+from calgraph.calibrate.options import RigOptions
+from calgraph.calibrate.rig import build_problem_from_captures, solve_problem
+from calgraph.captures.detect import CaptureSet
 from calgraph.config import CameraSpec, PixelNoise, Rig
 from calgraph.errors import CalgraphError
 from calgraph.geometry import se3

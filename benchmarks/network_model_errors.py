@@ -27,9 +27,8 @@ import numpy as np
 from numpy.linalg import LinAlgError
 from scipy.stats import chi2
 
-from calgraph.calibrate import NetworkOptions
 from calgraph.calibrate.network import calibrate_network
-from calgraph.calibrate.options import NetworkEstimator
+from calgraph.calibrate.options import NetworkEstimator, NetworkOptions
 from calgraph.config import People, Tolerance
 from calgraph.errors import CalgraphError
 from calgraph.geometry import se3

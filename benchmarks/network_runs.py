@@ -11,20 +11,20 @@ from calgraph.calibrate.options import CenterFeature
 from calgraph.calibrate.strategies import select_averaging, select_center_estimator, select_depth_stddev
 from calgraph.config import Cylinder, Lidar2dSpec, People, Rig
 from calgraph.config.settings import BaselineSettings
-from calgraph.estimation import solve_network
+from calgraph.estimation.network.estimate import solve_network
 from calgraph.geometry import Array, se2
-from calgraph.graph import (
-    PoseGraph,
-    PoseGraphSolution,
+from calgraph.graph.network_graph import (
     average_network,
     build_network_graph,
     compute_joint_covariance,
-    initialize_network,
     published_weights,
 )
+from calgraph.graph.network_initialization import initialize_network
+from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
 from calgraph.graph.random_trees import compute_tree_poses
-from calgraph.pairwise import ScannerObservations, ScannerPairEstimate, estimate_scanner_pairs
+from calgraph.pairwise.scanner_pair import ScannerPairEstimate, estimate_scanner_pairs
 from calgraph.pairwise.synchronized_tracks import pair_samples, resample_tracks
+from calgraph.pairwise.visibility_map import ScannerObservations
 from calgraph.sensors import LaserScan
 from calgraph.simulation import (
     GroundTruth,
@@ -34,7 +34,8 @@ from calgraph.simulation import (
     network_truth,
     simulate_scans,
 )
-from calgraph.tracking import ScannerTracks, track_scanner
+from calgraph.tracking import track_scanner
+from calgraph.tracking.track import ScannerTracks
 
 SCENARIOS: Mapping[str, dict[str, Any]] = {
     "ring": {"layout": "ring", "ring_diameter": 46.0, "duration": 180.0},

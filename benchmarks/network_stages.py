@@ -29,7 +29,8 @@ from typing import NamedTuple, ParamSpec, TypeVar, get_args
 
 import numpy as np
 
-from calgraph import calibrate as story
+from calgraph.calibrate.network import calibrate_network
+from calgraph.calibrate.options import NetworkOptions
 from calgraph.config import load_rig
 from calgraph.engine import Processes
 from calgraph.io import save_yaml
@@ -127,8 +128,8 @@ def calibrate(recorded: Path, place: Path, jobs: int) -> Row:
     rig = load_rig(recorded / "rig.yaml").model_copy(update={"root": overlaps.root})
     clock = Stopwatch()
     with open_recordings([recorded / "recording"]) as recording:
-        options = story.NetworkOptions(engine=Processes(jobs))
-        found = story.calibrate_network(rig, recording, options, clock.progress)
+        options = NetworkOptions(engine=Processes(jobs))
+        found = calibrate_network(rig, recording, options, clock.progress)
     clock.lap("assembling")
     place.mkdir(parents=True, exist_ok=True)
     save_calibration(found, place / "calibration.yaml")

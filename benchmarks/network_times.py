@@ -17,11 +17,12 @@ from typing import NamedTuple
 import numpy as np
 
 from calgraph.config import Lidar2dSpec, People
-from calgraph.estimation import solve_network
+from calgraph.estimation.network.estimate import solve_network
 from calgraph.geometry import se2
-from calgraph.graph import PoseGraph, PoseGraphSolution
+from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
 from calgraph.simulation import NetworkScenario, build_network, network_rig, network_truth, simulate_scans
-from calgraph.tracking import ScannerTracks, track_scanner
+from calgraph.tracking import track_scanner
+from calgraph.tracking.track import ScannerTracks
 
 SCANNERS, MINUTES = (6, 30, 100), (1, 10)
 WALKERS = 0.4

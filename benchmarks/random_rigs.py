@@ -32,7 +32,8 @@ import cv2
 import numpy as np
 from scipy.stats import chi2
 
-from calgraph.calibrate import RigOptions, calibrate_rig
+from calgraph.calibrate.options import RigOptions
+from calgraph.calibrate.rig import calibrate_rig
 from calgraph.errors import CalgraphError
 from calgraph.geometry import se3
 from calgraph.processes import parallel_map

@@ -9,7 +9,8 @@ import time
 
 import numpy as np
 
-from calgraph.calibrate import RigOptions, build_problem_from_captures, solve_problem
+from calgraph.calibrate.options import RigOptions
+from calgraph.calibrate.rig import build_problem_from_captures, solve_problem
 from calgraph.geometry import se3
 from calgraph.result import Calibration
 from calgraph.simulation import GroundTruth, RigScenario

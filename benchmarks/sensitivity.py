@@ -21,7 +21,9 @@ from typing import Any, Literal, get_args
 import numpy as np
 from pydantic import BaseModel, ValidationError
 
-from calgraph.calibrate import NetworkOptions, RigOptions, calibrate_network, calibrate_rig
+from calgraph.calibrate.network import calibrate_network
+from calgraph.calibrate.options import NetworkOptions, RigOptions
+from calgraph.calibrate.rig import calibrate_rig
 from calgraph.config import Rig, load_rig
 from calgraph.config.settings import Settings
 from calgraph.errors import CalgraphError

@@ -5,18 +5,12 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from calgraph.calibrate import RigOptions, collect_captures
-from calgraph.captures import (
-    CaptureSet,
-    Hold,
-    RecordingTimeline,
-    SensorCapture,
-    SensorTimes,
-    collect_detections,
-    draw_seeds,
-    make_detectors,
-)
-from calgraph.captures.detectors import learn_background
+from calgraph.calibrate.capture_collection import collect_captures
+from calgraph.calibrate.options import RigOptions
+from calgraph.captures.detect import CaptureSet, SensorCapture, collect_detections
+from calgraph.captures.detectors import draw_seeds, learn_background, make_detectors
+from calgraph.captures.holds import Hold
+from calgraph.captures.timeline import RecordingTimeline, SensorTimes
 from calgraph.config import CameraSpec, Rig, load_rig
 from calgraph.geometry import Array, se3
 from calgraph.recording import open_recording

@@ -22,14 +22,18 @@ from typing import TypeVar
 import numpy as np
 from scipy.optimize import OptimizeResult, least_squares
 
-from calgraph.calibrate import RigOptions, build_problem_from_captures
-from calgraph.captures import CaptureSet
-from calgraph.detection import BoardCorners
-from calgraph.estimation import Problem, RigSolution, solve_bundle
+from calgraph.calibrate.options import RigOptions
+from calgraph.calibrate.rig import build_problem_from_captures
+from calgraph.captures.detect import CaptureSet
+from calgraph.detection.detections import BoardCorners
 from calgraph.estimation.rig.board_observations import group_detections
 from calgraph.estimation.rig.bundle_setup import build_bundle
 from calgraph.estimation.rig.bundle_solver import minimize_bundle
-from calgraph.pairwise import select_matches, select_successful
+from calgraph.estimation.rig.estimate import solve_bundle
+from calgraph.estimation.rig.problem import Problem
+from calgraph.estimation.rig.solution import RigSolution
+from calgraph.pairwise.board_pair import select_successful
+from calgraph.pairwise.pairwise_estimate import select_matches
 from calgraph.simulation import (
     CameraOptions,
     LaserOptions,

@@ -26,16 +26,19 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2
 
-from calgraph.calibrate import RigOptions, build_problem_from_captures, calibrate_detections, solve_problem
-from calgraph.calibrate.rig import solve_jointly
-from calgraph.captures import captures_from_detections, draw_seeds, make_detectors
+from calgraph.calibrate.options import RigOptions
+from calgraph.calibrate.rig import build_problem_from_captures, calibrate_detections, solve_jointly, solve_problem
+from calgraph.captures.detectors import draw_seeds, make_detectors
+from calgraph.captures.from_detections import captures_from_detections
 from calgraph.config import Rig
-from calgraph.detection import BoardCorners, Detection, DetectionResult, board_corners_from_pixels
+from calgraph.detection.detections import BoardCorners, Detection, DetectionResult
+from calgraph.detection.from_measurements import board_corners_from_pixels
 from calgraph.detection.landmarks import compute_landmarks
 from calgraph.errors import Rejected
-from calgraph.estimation import Problem, RigSolution, SolvedBundle
 from calgraph.estimation.rig.bundle_solver import linearize_bundle, retract_state
 from calgraph.estimation.rig.observations import relative_poses
+from calgraph.estimation.rig.problem import Problem
+from calgraph.estimation.rig.solution import RigSolution, SolvedBundle
 from calgraph.geometry import Array, se3
 from calgraph.processes import parallel_map
 from calgraph.recording import open_recording

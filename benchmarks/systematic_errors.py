@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from calgraph.estimation import RigSolution, SolvedBundle
 from calgraph.estimation.rig.bundle_solver import Bundle, BundleState
 from calgraph.estimation.rig.covariances import prior_error_derivatives
+from calgraph.estimation.rig.solution import RigSolution, SolvedBundle
 from calgraph.geometry import Array
 from calgraph.result import PriorErrors
 

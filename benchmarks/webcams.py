@@ -27,17 +27,19 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.sparse import lil_matrix
 
-from calgraph.calibrate import RigOptions, build_problem_from_captures, solve_problem
-from calgraph.calibrate.rig import solve_jointly
-from calgraph.captures import CaptureSet, captures_from_detections, draw_seeds, make_detectors
+from calgraph.calibrate.options import RigOptions
+from calgraph.calibrate.rig import build_problem_from_captures, solve_jointly, solve_problem
+from calgraph.captures.detect import CaptureSet
+from calgraph.captures.detectors import draw_seeds, make_detectors
+from calgraph.captures.from_detections import captures_from_detections
 from calgraph.config import Rig
-from calgraph.detection import BoardCorners, Detection
 from calgraph.detection.board_pose import plane_covariance
-from calgraph.estimation import RigSolution
+from calgraph.detection.detections import BoardCorners, Detection
 from calgraph.estimation.rig.board_observations import BoardObservation
 from calgraph.estimation.rig.bundle_setup import build_bundle
 from calgraph.estimation.rig.bundle_solver import Bundle, BundleState, linearize_bundle, retract_state
 from calgraph.estimation.rig.observations import relative_poses
+from calgraph.estimation.rig.solution import RigSolution
 from calgraph.geometry import Array, plane, se3
 from calgraph.recording import open_recording
 from calgraph.result import Calibration

@@ -6,12 +6,13 @@ from itertools import combinations
 
 import numpy as np
 
-from calgraph.captures import CaptureSet
+from calgraph.captures.detect import CaptureSet
 from calgraph.config import Board, Rig, SensorSpec
-from calgraph.detection import Detection
-from calgraph.estimation import RigSolution, solve_bundle
+from calgraph.detection.detections import Detection
+from calgraph.estimation.rig.estimate import solve_bundle
+from calgraph.estimation.rig.solution import RigSolution
 from calgraph.geometry import Array, se3
-from calgraph.pairwise import PairwiseEstimate
+from calgraph.pairwise.pairwise_estimate import PairwiseEstimate
 from calgraph.simulation import (
     CameraOptions,
     GroundTruth,

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.geometry import Array, se_n
-from calgraph.graph import PoseGraph
+from calgraph.graph.pose_graph import PoseGraph
 
 POSITION, ANGLE = 0.05, np.radians(0.7)
 

@@ -9,7 +9,8 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from calgraph.calibrate import RigOptions, calibrate_rig
+from calgraph.calibrate.options import RigOptions
+from calgraph.calibrate.rig import calibrate_rig
 from calgraph.config import Rig
 from calgraph.geometry import Array, se3
 from calgraph.recording import Recording

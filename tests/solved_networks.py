@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from calgraph.estimation import SolvedNetwork
 from calgraph.estimation.network.body_batches import BodyBatches
 from calgraph.estimation.network.ellipse_equations import compute_residuals, raycast_body
+from calgraph.estimation.network.estimate import SolvedNetwork
 from calgraph.estimation.network.path_equations import evaluate_at
 from calgraph.estimation.network.problem import BodyObservations, BodyPath, BodyScans, NetworkProblem, NetworkState
 from calgraph.estimation.network.solver import optimize_network

@@ -11,11 +11,15 @@ import pytest
 import scipy.stats
 
 from board_scenes import SIZE, detect_boards, make_boards
-from calgraph.baselines import HypergraphSolution, RotationAveraging, average_poses_by_rotations, solve_hypergraph
+from calgraph.baselines.hypergraph import HypergraphSolution, solve_hypergraph
+from calgraph.baselines.pose_averaging import RotationAveraging, average_poses_by_rotations
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, diagonal_blocks, se3, so3
-from calgraph.graph import Initialization, SpanningTree, find_spanning_tree, initialize_rig
-from calgraph.pairwise import Candidates, PairwiseEstimate, estimate_pair
+from calgraph.graph.rig_initialization import Initialization, initialize_rig
+from calgraph.graph.spanning_tree import SpanningTree, find_spanning_tree
+from calgraph.pairwise.board_matches import Candidates
+from calgraph.pairwise.board_pair import estimate_pair
+from calgraph.pairwise.pairwise_estimate import PairwiseEstimate
 
 World = tuple[dict[str, Array], dict[str, Candidates], list[PairwiseEstimate], SpanningTree]
 KINDS = {"lidar": "plane", "camera": "plane", "front": "line", "left": "line"}

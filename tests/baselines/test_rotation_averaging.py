@@ -15,7 +15,7 @@ from calgraph.baselines.rotation_averaging import (
     find_triangles,
 )
 from calgraph.geometry import Array, se_n
-from calgraph.graph import PoseGraph
+from calgraph.graph.pose_graph import PoseGraph
 from pose_graphs import WHEEL, complete, measured, ring, true_poses, with_wrong
 
 BOTH = pytest.mark.parametrize("n", [2, 3])

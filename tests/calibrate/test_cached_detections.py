@@ -12,11 +12,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calgraph.calibrate import RigOptions, collect_captures
-from calgraph.captures import CaptureSet, detect
+from calgraph.calibrate.capture_collection import collect_captures
+from calgraph.calibrate.options import RigOptions
+from calgraph.captures import detect
 from calgraph.captures.board_views import decode_views, encode_views
+from calgraph.captures.detect import CaptureSet
 from calgraph.config import Rig, load_rig
-from calgraph.detection import BoardView, BoardViewFinder
+from calgraph.detection.board_views import BoardView, BoardViewFinder
 from calgraph.engine import THIS_PROCESS, Engine
 from calgraph.errors import CalibrationError
 from calgraph.recording import Recording, RecordingCache, open_recording

@@ -9,15 +9,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calgraph.calibrate import NetworkOptions, track_people
-from calgraph.captures import InputFinding, InputMonitor
+from calgraph.calibrate.options import NetworkOptions
+from calgraph.calibrate.track_recording import track_people
+from calgraph.captures.input_checks import InputFinding, InputMonitor
 from calgraph.config import Lidar2dSpec, People, RangeNoise, Rig
 from calgraph.config.settings import AssociationSettings, Settings, TrackingSettings
 from calgraph.config.uncertainty import Lidar2dUncertainty
 from calgraph.recording import RecordingCache, RecordingWriter, open_recording
 from calgraph.recording.bags import BagRecording
 from calgraph.sensors import RecordedMessage
-from calgraph.tracking import ScannerTracks
+from calgraph.tracking.track import ScannerTracks
 from walking_scenes import World, walk_in_circle
 
 NAMES = ("east", "west", "south")

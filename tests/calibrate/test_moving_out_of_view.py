@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from calgraph.calibrate import RigOptions, calibrate_rig
+from calgraph.calibrate.options import RigOptions
+from calgraph.calibrate.rig import calibrate_rig
 from calgraph.config import Rig
 from calgraph.geometry import so3
 from calgraph.recording import MessageRecording

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from calgraph.calibrate import NetworkOptions, calibrate
+from calgraph.calibrate.dispatch import calibrate
+from calgraph.calibrate.options import NetworkOptions
 from calgraph.geometry import se3
 from calgraph.recording import MessageRecording
 from calgraph.result import Calibration

@@ -7,16 +7,18 @@ from pathlib import Path
 
 import pytest
 
-from calgraph.calibrate import NetworkOptions, track_people, track_recording
-from calgraph.calibrate.track_recording import forget_unused_beams
-from calgraph.captures import InputMonitor
+from calgraph.calibrate import track_recording
+from calgraph.calibrate.options import NetworkOptions
+from calgraph.calibrate.track_recording import forget_unused_beams, track_people
+from calgraph.captures.input_checks import InputMonitor
 from calgraph.config import Cylinder, Lidar2dSpec, People, Rig
 from calgraph.config.settings import EstimationSettings, NetworkEstimationSettings, Settings
 from calgraph.engine import Processes
 from calgraph.errors import Rejected
 from calgraph.recording import MessageRecording, Recording, RecordingWriter, open_recording
 from calgraph.sensors import LaserScan, RecordedMessage
-from calgraph.tracking import ScannerTracks, encode_tracks
+from calgraph.tracking.track import ScannerTracks
+from calgraph.tracking.track_encoding import encode_tracks
 from walking_scenes import World, walk_in_circle
 
 NAMES = ("east", "west", "south")

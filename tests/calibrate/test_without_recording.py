@@ -7,31 +7,24 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calgraph.calibrate import (
-    NetworkOptions,
-    RigOptions,
-    calibrate_detections,
-    calibrate_network,
-    calibrate_tracks,
-    solve_problem,
-)
+from calgraph.calibrate.network import calibrate_network, calibrate_tracks
+from calgraph.calibrate.options import NetworkOptions, RigOptions
+from calgraph.calibrate.rig import calibrate_detections, solve_problem
 from calgraph.config import Lidar2dSpec, Lidar3dSpec, People, RangeNoise, Rig
-from calgraph.detection import (
-    BoardCorners,
-    Detection,
-    PlanePatch,
+from calgraph.detection.detections import BoardCorners, Detection, PlanePatch
+from calgraph.detection.from_measurements import (
     board_corners_from_pixels,
     plane_patch_from_points,
     segment_from_points,
 )
 from calgraph.errors import InputError, Rejected
-from calgraph.estimation import load_problem
+from calgraph.estimation.rig.problem_file import load_problem
 from calgraph.geometry import Array, se3
 from calgraph.recording import MessageRecording
 from calgraph.result import Calibration
 from calgraph.sensors import LaserScan
 from calgraph.simulation import NetworkScenario, simulate_network_scans
-from calgraph.tracking import ScannerTracks, Track
+from calgraph.tracking.track import ScannerTracks, Track
 from detected_rigs import DetectedRig, detect_rig
 
 SCANNERS = Rig(

@@ -9,7 +9,8 @@ import pytest
 from calgraph.captures.camera_noise import scale_by_measured_noise
 from calgraph.config import PixelNoise
 from calgraph.config.settings import CameraNoiseSettings
-from calgraph.detection import BoardCorners, Detection, Segment, board_corners_from_pixels
+from calgraph.detection.detections import BoardCorners, Detection, Segment
+from calgraph.detection.from_measurements import board_corners_from_pixels
 from calgraph.geometry import se3, so3
 from calgraph.sensors import CameraModel
 

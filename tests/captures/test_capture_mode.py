@@ -5,7 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from calgraph.captures import RecordingTimeline, SensorTimes, find_holds, recognize_mode
+from calgraph.captures.capture_mode import recognize_mode
+from calgraph.captures.holds import find_holds
+from calgraph.captures.timeline import RecordingTimeline, SensorTimes
 from calgraph.config import Capture
 from calgraph.config.settings import CaptureSettings, MovingBoardSettings
 from calgraph.geometry import Array

@@ -6,8 +6,8 @@ from time import process_time
 import numpy as np
 import pytest
 
-from calgraph.captures import RecordingTimeline, SensorTimes, estimate_clock_offsets
-from calgraph.captures.clock_alignment import check_clocks
+from calgraph.captures.clock_alignment import check_clocks, estimate_clock_offsets
+from calgraph.captures.timeline import RecordingTimeline, SensorTimes
 from calgraph.config import Rig
 from calgraph.geometry import Array
 

@@ -6,16 +6,11 @@ from functools import partial
 import numpy as np
 import pytest
 
-from calgraph.captures import (
-    Hold,
-    SensorCapture,
-    build_timeline,
-    collect_detections,
-    detect_in_holds,
-    limit_messages,
-)
+from calgraph.captures.detect import SensorCapture, collect_detections, detect_in_holds, limit_messages
+from calgraph.captures.holds import Hold
+from calgraph.captures.timeline import build_timeline
 from calgraph.config import Board, Lidar2dSpec, Rig
-from calgraph.detection import Segment
+from calgraph.detection.detections import Segment
 from calgraph.engine import Processes
 from calgraph.errors import RecordingError, Rejected
 from calgraph.recording import MessageRecording

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from calgraph.captures import EmptyStart, find_empty_start, resolve_background
+from calgraph.captures.empty_start import EmptyStart, find_empty_start, resolve_background
 from calgraph.config import Board, Capture, Rig, Tag
 from calgraph.config.settings import CameraDetectionSettings, CaptureSettings
 from calgraph.geometry import Array

@@ -11,8 +11,10 @@ from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from calgraph.captures import Hold, RecordingTimeline, build_timeline, measure_activity
 from calgraph.captures.hold_messages import Messages, search_holds, select_messages
+from calgraph.captures.holds import Hold
+from calgraph.captures.timeline import RecordingTimeline, build_timeline
+from calgraph.captures.timeline_reading import measure_activity
 from calgraph.config import Board, Lidar2dSpec, Rig, Tag
 from calgraph.engine import THIS_PROCESS, Processes
 from calgraph.errors import RecordingError

@@ -5,7 +5,9 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import pytest
 
-from calgraph.captures import RecordingTimeline, SensorTimes, find_holds, is_snapshot_recording
+from calgraph.captures.capture_mode import is_snapshot_recording
+from calgraph.captures.holds import find_holds
+from calgraph.captures.timeline import RecordingTimeline, SensorTimes
 from calgraph.config import Capture
 from calgraph.errors import CalibrationError
 from calgraph.geometry import Array

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calgraph.captures import InputFinding, InputMonitor
+from calgraph.captures.input_checks import InputFinding, InputMonitor
 from calgraph.config import Board, CameraSpec, Lidar2dSpec, Rig, Tag
 from calgraph.config.settings import Settings
 from calgraph.errors import RecordingError

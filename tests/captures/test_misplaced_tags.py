@@ -7,7 +7,7 @@ import pytest
 
 from calgraph.captures.misplaced_tags import find_misplaced_tags
 from calgraph.config.settings import MisplacedTagSettings
-from calgraph.detection import BoardCorners, InconsistentTags
+from calgraph.detection.detections import BoardCorners, InconsistentTags
 
 SETTINGS = MisplacedTagSettings(min_captures=3, min_share=0.5)
 

@@ -5,8 +5,9 @@ from itertools import islice
 import numpy as np
 import pytest
 
-from calgraph.captures import ActivityMeter, RecordingTimeline, SensorTimes, measure_activity
-from calgraph.captures.motion_detection import find_still_spans, measure_block
+from calgraph.captures.motion_detection import ActivityMeter, find_still_spans, measure_block
+from calgraph.captures.timeline import RecordingTimeline, SensorTimes
+from calgraph.captures.timeline_reading import measure_activity
 from calgraph.config import Board, Lidar2dSpec, Rig, SensorSpec, Tag
 from calgraph.config.settings import MotionDetectionSettings
 from calgraph.engine import Processes

@@ -6,8 +6,9 @@ from functools import partial
 import numpy as np
 import pytest
 
-from calgraph.captures import Hold, detect_in_holds, plan_previews
-from calgraph.captures.previews import PreviewSize, make_preview
+from calgraph.captures.detect import detect_in_holds
+from calgraph.captures.holds import Hold
+from calgraph.captures.previews import PreviewSize, make_preview, plan_previews
 from calgraph.config import Board, CameraSpec, Checkerboard, Lidar2dSpec, Lidar3dSpec, Rig
 from calgraph.errors import Rejected
 from calgraph.sensors import Image, LaserScan, PointCloud, RecordedMessage

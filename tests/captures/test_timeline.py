@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from calgraph.captures import build_timeline
+from calgraph.captures.timeline import build_timeline
 from calgraph.recording import MessageRecording
 from calgraph.sensors import PointCloud
 

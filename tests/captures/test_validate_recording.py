@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from calgraph.captures import RecordingTimeline, SensorTimes, check_pose_numbers, check_timeline
+from calgraph.captures.timeline import RecordingTimeline, SensorTimes
+from calgraph.captures.validate_recording import check_pose_numbers, check_timeline
 from calgraph.config import Board, Capture, Lidar2dSpec, Lidar3dSpec, Rig, SensorSpec
 from calgraph.errors import InputError
 from calgraph.geometry import Array

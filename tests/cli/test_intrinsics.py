@@ -11,7 +11,7 @@ import pytest
 from ruamel.yaml import YAML
 from typer.testing import Result
 
-from calgraph.calibrate import calibrate_intrinsics
+from calgraph.calibrate.intrinsics import calibrate_intrinsics
 from calgraph.config import AprilGrid, Board, CameraSpec, Rig
 from calgraph.errors import Rejected
 from calgraph.printing import format_target

@@ -9,14 +9,17 @@ import numpy as np
 import pytest
 from typer.testing import Result
 
-from calgraph.calibrate import RigOptions, build_problem_from_captures
+from calgraph.calibrate.options import RigOptions
+from calgraph.calibrate.rig import build_problem_from_captures
 from calgraph.config import load_rig
 from calgraph.errors import Rejected
-from calgraph.estimation import PriorFile, RigidFile, load_problem, save_problem, with_prior_poses
+from calgraph.estimation.rig.priors import PriorFile, RigidFile
+from calgraph.estimation.rig.problem import with_prior_poses
+from calgraph.estimation.rig.problem_file import load_problem, save_problem
 from calgraph.geometry import Array, se3, so3
-from calgraph.graph import find_spanning_tree
+from calgraph.graph.spanning_tree import find_spanning_tree
 from calgraph.io import save_yaml
-from calgraph.pairwise import select_successful
+from calgraph.pairwise.board_pair import select_successful
 from calgraph.result import export, load_calibration, read_extrinsics
 from calgraph.simulation import IdealDetectorOptions, RigScenario, build_world, simulate_detections
 from simulated_rigs import without_bootstrap

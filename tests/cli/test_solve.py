@@ -11,7 +11,7 @@ import pytest
 from typer.testing import Result
 
 from calgraph.errors import Rejected
-from calgraph.estimation import load_problem, save_problem
+from calgraph.estimation.rig.problem_file import load_problem, save_problem
 from calgraph.result import load_calibration
 from written_results import read_without_provenance
 

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calgraph.calibrate import RigOptions, collect_captures
+from calgraph.calibrate.capture_collection import collect_captures
 from calgraph.calibrate.clock_alignment import align_clocks
-from calgraph.calibrate.options import Progress, no_progress
+from calgraph.calibrate.options import Progress, RigOptions, no_progress
 from calgraph.captures import detect, hold_messages, timeline_reading
 from calgraph.cluster import DaskEngine, open_cluster
 from calgraph.config import Rig, load_rig

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calgraph.detection import learn_scan_background
+from calgraph.detection.background_learning import learn_scan_background
 from calgraph.errors import InputError
 from calgraph.geometry import Array
 from calgraph.sensors import LaserScan

@@ -5,8 +5,8 @@ import pytest
 
 from calgraph.config import Board, RangeNoise
 from calgraph.config.settings import ScannerDetectionSettings
-from calgraph.detection import find_segments
 from calgraph.detection.board_edges import find_board_edges, select_beams_with_margin
+from calgraph.detection.lidar2d import find_segments
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, Index
 from calgraph.sensors import LaserScan

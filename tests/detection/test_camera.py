@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from calgraph.baselines import estimate_mean_plane
+from calgraph.baselines.mean_plane import estimate_mean_plane
 from calgraph.config import AprilGrid, Board, Charuco, Checkerboard, PixelNoise, Tag
-from calgraph.detection import BoardCorners, CameraDetector, InconsistentTags, PlaneEstimator
+from calgraph.detection.camera import CameraDetector, PlaneEstimator
+from calgraph.detection.detections import BoardCorners, InconsistentTags
 from calgraph.detection.landmarks import compute_landmarks
 from calgraph.detection.printed_boards import average_marks
 from calgraph.detection.tags import Marks

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from calgraph.config import AprilGrid, Board, Checkerboard, PixelNoise, Tag
-from calgraph.detection import BoardCorners, CameraDetector
+from calgraph.detection.camera import CameraDetector
+from calgraph.detection.detections import BoardCorners
 from calgraph.detection.landmarks import compute_landmarks
 from calgraph.detection.tags import GridFinder, TagFinder
 from calgraph.errors import Rejected

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from calgraph.config import RangeNoise
 from calgraph.config.settings import CaptureBackgroundSettings, DetectionSettings
-from calgraph.detection import CaptureBackground, learn_capture_background
+from calgraph.detection.capture_background import CaptureBackground, learn_capture_background
 from calgraph.geometry import Array
 from calgraph.sensors import PointCloud
 

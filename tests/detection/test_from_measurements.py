@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 
 from calgraph.config import PixelNoise, RangeNoise
-from calgraph.detection import (
-    BoardCorners,
-    PlanePatch,
-    Segment,
+from calgraph.detection.detections import BoardCorners, PlanePatch, Segment
+from calgraph.detection.from_measurements import (
     board_corners_from_pixels,
     plane_patch_from_points,
     segment_from_points,

@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from calgraph.config import Board, RangeNoise
-from calgraph.detection import PlanePatch, find_patches, learn_cloud_background
+from calgraph.detection.background_learning import learn_cloud_background
+from calgraph.detection.detections import PlanePatch
+from calgraph.detection.lidar3d import find_patches
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, plane, se3, so3
 from calgraph.sensors import PointCloud

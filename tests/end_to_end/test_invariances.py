@@ -10,7 +10,8 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from scipy.linalg import eigh
 
-from calgraph.calibrate import RigOptions, calibrate_rig
+from calgraph.calibrate.options import RigOptions
+from calgraph.calibrate.rig import calibrate_rig
 from calgraph.config import Capture, Rig, Tolerance
 from calgraph.geometry import se3
 from calgraph.recording.in_memory import MessageRecording

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from calgraph.calibrate import NetworkEstimator, NetworkOptions, calibrate
+from calgraph.calibrate.dispatch import calibrate
+from calgraph.calibrate.options import NetworkEstimator, NetworkOptions
 from calgraph.config import Rig, load_rig
 from calgraph.errors import InputError
 from calgraph.geometry import se3

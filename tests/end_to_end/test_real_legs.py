@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 
 from calgraph.config import People, RangeNoise
-from calgraph.estimation import solve_network
+from calgraph.estimation.network.estimate import solve_network
 from calgraph.geometry import se2
-from calgraph.graph import PoseGraph, PoseGraphSolution
+from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
 from calgraph.recording import open_recording
 from calgraph.sensors import LaserScan
-from calgraph.tracking import ScannerTracks, track_scanner
+from calgraph.tracking import track_scanner
+from calgraph.tracking.track import ScannerTracks
 
 pytestmark = pytest.mark.without_coverage
 

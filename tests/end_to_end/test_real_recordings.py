@@ -8,7 +8,8 @@ from typer.testing import CliRunner
 
 import real_recordings
 import webcams
-from calgraph.calibrate import RigOptions, calibrate_rig
+from calgraph.calibrate.options import RigOptions
+from calgraph.calibrate.rig import calibrate_rig
 from calgraph.cli.app import app
 from calgraph.geometry import se3
 from calgraph.io import save_yaml

@@ -6,8 +6,9 @@ from functools import partial
 import numpy as np
 import pytest
 
-from calgraph.calibrate import RigOptions, build_problem_from_captures, collect_captures, solve_problem
-from calgraph.calibrate.options import RigStart
+from calgraph.calibrate.capture_collection import collect_captures
+from calgraph.calibrate.options import RigOptions, RigStart
+from calgraph.calibrate.rig import build_problem_from_captures, solve_problem
 from calgraph.config import Board, Checkerboard, Rig
 from calgraph.engine import Processes
 from calgraph.recording import MessageRecording

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from calgraph.calibrate import RigOptions, build_problem, solve_problem
+from calgraph.calibrate.options import RigOptions
+from calgraph.calibrate.rig import build_problem, solve_problem
 from calgraph.config import CameraSpec, Rig
-from calgraph.estimation import Problem
+from calgraph.estimation.rig.problem import Problem
 from calgraph.result import Calibration, state_calibrated_intrinsics
 from calgraph.sensors import CameraModel
 from calgraph.simulation import (

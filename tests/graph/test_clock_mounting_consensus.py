@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from calgraph.config.settings import ScannerPairSettings
-from calgraph.graph import ClockMountingSolution, resolve_clocks_and_mountings
 from calgraph.graph.clock_consensus import average_clocks
-from calgraph.pairwise import ClockMountingHypothesis
+from calgraph.graph.clock_mounting_consensus import ClockMountingSolution, resolve_clocks_and_mountings
+from calgraph.pairwise.clock_mounting_search import ClockMountingHypothesis
 
 NAMES = ("a", "b", "c", "d", "e")
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from calgraph.graph import PoseGraph
 from calgraph.graph.cycles import check_consistency, edge_support, find_cycles_through_edges, incidence_matrix
+from calgraph.graph.pose_graph import PoseGraph
 from pose_graphs import WHEEL, complete, measured, ring, true_poses, with_wrong
 
 

@@ -7,9 +7,9 @@ from scipy.sparse import csc_array, eye_array, random_array
 
 from calgraph.config.settings import GraphSettings
 from calgraph.geometry import Array, se_n
-from calgraph.graph import PoseGraph, graph_optimization
+from calgraph.graph import graph_optimization
 from calgraph.graph.graph_optimization import optimize_poses, optimize_poses_robustly, solve_sparse
-from calgraph.graph.pose_graph import residuals
+from calgraph.graph.pose_graph import PoseGraph, residuals
 from pose_graphs import ANGLE, POSITION, complete, measured, true_poses, with_wrong
 
 BOTH = pytest.mark.parametrize("n", [2, 3])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from calgraph.geometry import Array, diagonal_blocks, se2
-from calgraph.graph import (
+from calgraph.graph.network_graph import (
     average_network,
     build_network_graph,
     compute_joint_covariance,
@@ -13,7 +13,8 @@ from calgraph.graph import (
     published_weights,
 )
 from calgraph.graph.pose_graph import PoseGraph
-from calgraph.pairwise import PoseHypothesis, ScannerPairEstimate
+from calgraph.pairwise.hypothesis_evidence import PoseHypothesis
+from calgraph.pairwise.scanner_pair import ScannerPairEstimate
 
 
 def pose_covariances(graph: PoseGraph, T_root_node: Array) -> Array:

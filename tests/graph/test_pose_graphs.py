@@ -6,7 +6,9 @@ from numpy.testing import assert_allclose
 
 from calgraph.errors import CalibrationError
 from calgraph.geometry import se_n
-from calgraph.graph import PoseGraph, average_poses, find_cycle_basis
+from calgraph.graph.cycles import find_cycle_basis
+from calgraph.graph.pose_graph import PoseGraph
+from calgraph.graph.tree_consensus import average_poses
 from pose_graphs import ANGLE, POSITION, WHEEL, complete, measured, ring, true_poses, with_wrong
 
 BOTH = pytest.mark.parametrize("n", [2, 3])

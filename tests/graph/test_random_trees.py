@@ -6,7 +6,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
 from calgraph.geometry import Array, se_n
-from calgraph.graph import PoseGraph, random_trees
+from calgraph.graph import random_trees
+from calgraph.graph.pose_graph import PoseGraph
 from calgraph.graph.random_trees import compute_tree_poses, improve_by_votes
 from pose_graphs import complete, measured, random_poses, ring, true_poses, with_wrong
 

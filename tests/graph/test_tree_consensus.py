@@ -7,9 +7,10 @@ import pytest
 
 from calgraph.config.settings import GraphSettings
 from calgraph.geometry import Array
-from calgraph.graph import PoseGraph, average_poses, tree_consensus
+from calgraph.graph import tree_consensus
+from calgraph.graph.pose_graph import PoseGraph
 from calgraph.graph.random_trees import compute_tree_poses
-from calgraph.graph.tree_consensus import _draw_edge_costs
+from calgraph.graph.tree_consensus import _draw_edge_costs, average_poses
 from calgraph.graph.tree_cuts import find_minimum_tree
 from pose_graphs import complete, measured, true_poses
 

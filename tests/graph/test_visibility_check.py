@@ -9,16 +9,15 @@ from numpy.typing import NDArray
 from calgraph.config.settings import VisibilitySettings
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2
-from calgraph.graph import (
-    NetworkInitialization,
-    PoseGraphSolution,
-    build_network_graph,
-    initialize_network,
-    visibility_check,
-)
+from calgraph.graph import visibility_check
+from calgraph.graph.network_graph import build_network_graph
+from calgraph.graph.network_initialization import NetworkInitialization, initialize_network
+from calgraph.graph.pose_graph import PoseGraphSolution
 from calgraph.graph.visibility_check import VisibilityConflict, _compare_detections, find_visibility_conflict
-from calgraph.pairwise import PoseHypothesis, ScannerObservations, ScannerPairEstimate
-from calgraph.tracking import ScannerTracks, Track
+from calgraph.pairwise.hypothesis_evidence import PoseHypothesis
+from calgraph.pairwise.scanner_pair import ScannerPairEstimate
+from calgraph.pairwise.visibility_map import ScannerObservations
+from calgraph.tracking.track import ScannerTracks, Track
 
 NAMES = ("a", "b", "c", "d")
 T = {name: se2.pose(0.4 * k, np.array([3.0 * k, -2.0 * (k % 2)])) for k, name in enumerate(NAMES)}

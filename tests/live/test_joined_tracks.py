@@ -9,8 +9,8 @@ from calgraph.errors import Rejected
 from calgraph.live.joined_tracks import join_tracks
 from calgraph.live.tracked_intervals import TrackedInterval, select_intervals
 from calgraph.result import CaptureRow
-from calgraph.tracking import ScannerBump, ScannerTracks, Track
 from calgraph.tracking.clusters import Foreground
+from calgraph.tracking.track import ScannerBump, ScannerTracks, Track
 
 MAX_GAP = 0.5
 

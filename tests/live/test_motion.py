@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from calgraph.captures import ActivityMeter, RecordingTimeline, build_timeline
+from calgraph.captures.motion_detection import ActivityMeter
 from calgraph.captures.stillness import find_rests
+from calgraph.captures.timeline import RecordingTimeline, build_timeline
 from calgraph.config.settings import CaptureSettings, MotionDetectionSettings, RestSettings
 from calgraph.geometry import Array
 from calgraph.live.motion import RestMonitor

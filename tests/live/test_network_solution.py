@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calgraph.calibrate import NetworkOptions, calibrate_network
+from calgraph.calibrate.network import calibrate_network
+from calgraph.calibrate.options import NetworkOptions
 from calgraph.config import Rig, load_rig
 from calgraph.live.network_solution import LiveNetworkSolution, solve_recording
 from calgraph.recording import RecordingWriter, open_recording

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calgraph.calibrate import RigOptions
 from calgraph.calibrate.capture_collection import collect_captures
-from calgraph.captures import CaptureSet
+from calgraph.calibrate.options import RigOptions
+from calgraph.captures.detect import CaptureSet
 from calgraph.config import Capture, Rig
 from calgraph.live.record_reader import RecordReader
 from calgraph.live.rig_session import RigSession, SessionOutputs, SessionPools, count_analysis_processes

@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calgraph.calibrate import RigOptions, build_problem_from_captures, solve_problem
-from calgraph.captures import CaptureSet
+from calgraph.calibrate.options import RigOptions
+from calgraph.calibrate.rig import build_problem_from_captures, solve_problem
+from calgraph.captures.detect import CaptureSet
 from calgraph.config import Rig
 from calgraph.live.rig_solution import LiveSolution, SensorSolution, solve_captures
 from calgraph.result import Calibration

@@ -5,18 +5,18 @@ import pytest
 
 from board_scenes import SIZE, detect_boards, make_boards, make_patch, random_pose, segment_endpoints
 from calgraph.config.settings import BoardPairSettings
-from calgraph.detection import PlanePatch
+from calgraph.detection.detections import PlanePatch
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se3, so3
-from calgraph.pairwise import (
-    PairwiseEstimate,
+from calgraph.pairwise.board_pair import (
     estimate_pair,
     estimate_pairs,
-    evaluate_coplanarity,
     reselect_all_inliers,
     reselect_inliers,
     select_successful,
 )
+from calgraph.pairwise.line_matches import evaluate_coplanarity
+from calgraph.pairwise.pairwise_estimate import PairwiseEstimate
 
 
 def error(T_est: Array, T: Array) -> tuple[float, float]:

@@ -9,7 +9,6 @@ from calgraph.config.settings import CandidateSettings, ScannerPairSettings
 from calgraph.engine import Processes
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2
-from calgraph.pairwise import PoseHypothesis, ScannerPairEstimate, estimate_scanner_pairs
 from calgraph.pairwise.candidate_pairs import (
     Ends,
     select_implied_pairs,
@@ -17,8 +16,10 @@ from calgraph.pairwise.candidate_pairs import (
     select_separated_pairs,
     select_similar_pairs,
 )
+from calgraph.pairwise.hypothesis_evidence import PoseHypothesis
+from calgraph.pairwise.scanner_pair import ScannerPairEstimate, estimate_scanner_pairs
 from calgraph.pairwise.synchronized_tracks import TrackSamples
-from calgraph.tracking import ScannerTracks, Track
+from calgraph.tracking.track import ScannerTracks, Track
 from track_pairs import gather_samples
 
 SETTINGS = CandidateSettings()

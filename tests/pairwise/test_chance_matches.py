@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from calgraph.config.settings import HypothesisSettings, ScannerPairSettings
-from calgraph.pairwise import ClockMountingHypothesis, PoseHypothesis, may_differ_by_chance
-from calgraph.pairwise.hypothesis_evidence import compute_chance_evidence
+from calgraph.pairwise.clock_mounting_search import ClockMountingHypothesis, may_differ_by_chance
+from calgraph.pairwise.hypothesis_evidence import PoseHypothesis, compute_chance_evidence
 
 SETTINGS = HypothesisSettings()
 

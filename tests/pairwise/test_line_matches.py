@@ -7,9 +7,13 @@ import pytest
 from board_scenes import SIZE, make_boards, make_patch, make_segment, random_pose
 from calgraph.config.settings import BoardPairSettings
 from calgraph.geometry import Array, plane, se3, so3
-from calgraph.pairwise import evaluate_coplanarity
 from calgraph.pairwise.least_squares import axis_aligned_rotations
-from calgraph.pairwise.line_matches import LineLineMatches, PlaneLineMatches, _regularized_coplanarity
+from calgraph.pairwise.line_matches import (
+    LineLineMatches,
+    PlaneLineMatches,
+    _regularized_coplanarity,
+    evaluate_coplanarity,
+)
 
 
 def numerical(f: Callable[[Array, Array], Array], x: Array, size: int) -> Array:

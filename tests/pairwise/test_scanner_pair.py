@@ -15,12 +15,7 @@ from calgraph.config import People, RangeNoise
 from calgraph.config.settings import BaselineSettings, HypothesisSettings, ScannerPairSettings
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2
-from calgraph.pairwise import (
-    ScannerPairEstimate,
-    estimate_scanner_pair,
-    estimate_scanner_pairs,
-    hypothesis_evidence,
-)
+from calgraph.pairwise import hypothesis_evidence
 from calgraph.pairwise.hypothesis_evidence import (
     PoseHypothesis,
     _count_by_chance,
@@ -29,11 +24,13 @@ from calgraph.pairwise.hypothesis_evidence import (
     select_distinct,
     subsample_pairs,
 )
+from calgraph.pairwise.scanner_pair import ScannerPairEstimate, estimate_scanner_pair, estimate_scanner_pairs
 from calgraph.pairwise.synchronized_tracks import TrackSamples, pair_samples
 from calgraph.pairwise.track_registration import NuisancePrior, TrackRegistration
 from calgraph.recording import open_recording
 from calgraph.sensors import LaserScan
-from calgraph.tracking import ScannerTracks, Track, track_scanner
+from calgraph.tracking import track_scanner
+from calgraph.tracking.track import ScannerTracks, Track
 from track_pairs import T_A_B, observe_walks, walk_along_curve
 
 STEP = 0.04  # s, of the simulated truth

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from board_scenes import SIZE, make_boards, make_patch, random_pose
-from calgraph.detection import BoardCorners, Detection
+from calgraph.detection.detections import BoardCorners, Detection
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se3
-from calgraph.pairwise import Candidates, estimate_pair, tabulate_matches
+from calgraph.pairwise.board_matches import Candidates, tabulate_matches
+from calgraph.pairwise.board_pair import estimate_pair
 
 CAPTURES = 12
 

@@ -27,7 +27,7 @@ from calgraph.pairwise.track_registration import (
     register_tracks,
     rigid_motion_covariance,
 )
-from calgraph.tracking import ScannerTracks, Track
+from calgraph.tracking.track import ScannerTracks, Track
 
 NEAR_POSE = se2.retract(track_pairs.T_A_B, np.array([0.05, -0.04, 0.02]))
 T_A_B = se2.pose(0.7, np.array([1.5, -0.8]))

@@ -12,7 +12,7 @@ from calgraph.pairwise.visibility_map import (
     find_missed_detections,
     is_free_space,
 )
-from calgraph.tracking import ScannerTracks
+from calgraph.tracking.track import ScannerTracks
 
 NO_SAMPLES = TrackSamples(*(np.zeros(0, dtype=np.intp),) * 2, *(np.zeros((0, 2)),) * 2, np.zeros((0, 2, 2)), 0.1)
 

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from calgraph.config import Board, PixelNoise, Tag
-from calgraph.detection import CameraDetector
+from calgraph.detection.camera import CameraDetector
 from calgraph.detection.landmarks import compute_landmarks
 from calgraph.geometry import Array
 from calgraph.printing import BoardOptions, Page, design_board, layout_pages, parse_paper

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from calgraph.config import Rig
-from calgraph.detection import compute_landmarks
+from calgraph.detection.landmarks import compute_landmarks
 from calgraph.geometry import Array, se2, se3
 from calgraph.result import (
     BoardOutline,

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from calgraph.baselines import solve_hypergraph
-from calgraph.captures import CaptureSet
+from calgraph.baselines.hypergraph import solve_hypergraph
+from calgraph.captures.detect import CaptureSet
 from calgraph.config import Board, Checkerboard, RangeNoise, Rig
-from calgraph.detection import BoardCorners, PlanePatch, Segment
+from calgraph.detection.detections import BoardCorners, PlanePatch, Segment
 from calgraph.geometry import Array, plane, se3
-from calgraph.graph import initialize_rig
-from calgraph.pairwise import estimate_pairs, select_successful
+from calgraph.graph.rig_initialization import initialize_rig
+from calgraph.pairwise.board_pair import estimate_pairs, select_successful
 from calgraph.simulation import (
     CameraOptions,
     GroundTruth,

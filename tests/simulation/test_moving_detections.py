@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 import moving_boards
-from calgraph.calibrate import RigOptions, build_problem_from_captures, solve_problem
+from calgraph.calibrate.options import RigOptions
+from calgraph.calibrate.rig import build_problem_from_captures, solve_problem
 from calgraph.simulation import (
     CameraOptions,
     IdealDetectorOptions,

@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from calgraph.config.settings import LegClusterSettings
-from calgraph.tracking import ScannerTracks, cluster_legs, correct_tracks, measure_widths
+from calgraph.tracking.corrected_tracks import correct_tracks
+from calgraph.tracking.leg_clusters import cluster_legs, measure_widths
+from calgraph.tracking.track import ScannerTracks
 from leg_scenes import OFFSET, build_foreground, scan_times, walk_leg
 
 SETTINGS = LegClusterSettings()

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from calgraph.tracking import Foreground, Hits, ScannerTracks, Track
+from calgraph.tracking.clusters import Foreground
+from calgraph.tracking.track import Hits, ScannerTracks, Track
 
 TIMES = np.arange(5.0)
 HITS = Hits(

@@ -17,9 +17,10 @@ from calgraph.errors import Rejected
 from calgraph.geometry import Array
 from calgraph.recording import open_recording
 from calgraph.sensors import LaserScan
-from calgraph.tracking import ScannerTracks, Track, track_scanner
+from calgraph.tracking import track_scanner
 from calgraph.tracking.clusters import Clusters
 from calgraph.tracking.features import ObjectVelocities, measure_fixed_ellipses
+from calgraph.tracking.track import ScannerTracks, Track
 from walking_scenes import Walk, World, walk_along, walk_in_circle
 
 PEOPLE = People(kind="people")

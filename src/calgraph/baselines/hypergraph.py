@@ -9,10 +9,11 @@ import numpy as np
 from calgraph.baselines import hypergraph_factors as factor_types
 from calgraph.baselines.sparse_lm import Block, Factor, Values, marginal_covariance, minimize_sparse
 from calgraph.config.settings import Settings
-from calgraph.detection import Detection, Segment, plane_of
+from calgraph.detection.detections import Detection, Segment, plane_of
 from calgraph.geometry import Array, plane, se3
-from calgraph.graph import SpanningTree
-from calgraph.pairwise import Candidates, MatchFilter, PairwiseEstimate, select_matches
+from calgraph.graph.spanning_tree import SpanningTree
+from calgraph.pairwise.board_matches import Candidates
+from calgraph.pairwise.pairwise_estimate import MatchFilter, PairwiseEstimate, select_matches
 
 BLOCKS: Mapping[str, Block] = {
     "sensors": Block(6, se3.retract, fixed=(0,)),

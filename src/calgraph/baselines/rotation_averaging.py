@@ -1,6 +1,6 @@
 """Published rotation averaging: L1MC, spectral relaxation, iteratively reweighted L1.
 
-The default is :func:`calgraph.graph.average_poses`, which averages whole poses.
+The default is :func:`calgraph.average_poses`, which averages whole poses.
 """
 
 from dataclasses import replace

@@ -6,12 +6,14 @@ from dataclasses import replace
 import numpy as np
 
 from calgraph.calibrate.options import RigOptions
-from calgraph.captures import CaptureSet, InputFinding
+from calgraph.captures.detect import CaptureSet
+from calgraph.captures.input_checks import InputFinding
 from calgraph.config import Rig
-from calgraph.diagnostics import Bump, find_bumps
+from calgraph.diagnostics.rig.bump_tests import Bump, find_bumps
 from calgraph.errors import CalgraphError
-from calgraph.estimation import Problem, RigSolution
-from calgraph.graph import SpanningTree
+from calgraph.estimation.rig.problem import Problem
+from calgraph.estimation.rig.solution import RigSolution
+from calgraph.graph.spanning_tree import SpanningTree
 
 _EARLIER_CAPTURE = "before the sensor moved"
 

@@ -11,26 +11,17 @@ from calgraph.calibrate.intrinsics import estimate_unknown_intrinsics, find_intr
 from calgraph.calibrate.options import Progress, RigOptions, no_progress
 from calgraph.calibrate.rig_timeline import read_rig_timeline
 from calgraph.calibrate.strategies import select_plane_estimator
-from calgraph.captures import (
-    CaptureSet,
-    DetectionMethod,
-    InputFinding,
-    InputMonitor,
-    RecordingTimeline,
-    SensorCapture,
-    check_background,
-    check_clocks,
-    check_intrinsics,
-    check_pose_numbers,
-    check_timeline,
-    collect_detections,
-    compensate_motion,
-    detect_by_sensors,
-    draw_seeds,
-    find_holds,
-    limit_messages,
-    recognize_mode,
-)
+from calgraph.captures.capture_mode import recognize_mode
+from calgraph.captures.clock_alignment import check_clocks
+from calgraph.captures.detect import CaptureSet, SensorCapture, collect_detections, limit_messages
+from calgraph.captures.detectors import draw_seeds
+from calgraph.captures.holds import find_holds
+from calgraph.captures.input_checks import InputFinding, InputMonitor
+from calgraph.captures.moving_board import compensate_motion
+from calgraph.captures.plausibility import check_background, check_intrinsics
+from calgraph.captures.sensor_detection import DetectionMethod, detect_by_sensors
+from calgraph.captures.timeline import RecordingTimeline
+from calgraph.captures.validate_recording import check_pose_numbers, check_timeline
 from calgraph.config import Rig
 from calgraph.errors import CalibrationError
 from calgraph.recording import (

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 
 from calgraph.calibrate.options import Progress, RigOptions, no_progress
 from calgraph.calibrate.rig_timeline import read_rig_timeline
-from calgraph.captures import ClockOffset, InputFinding, InputMonitor, estimate_clock_offsets
+from calgraph.captures.clock_alignment import ClockOffset, estimate_clock_offsets
+from calgraph.captures.input_checks import InputFinding, InputMonitor
 from calgraph.config import Rig
 from calgraph.recording import ClockCorrectedRecording, Recording
 
@@ -28,7 +29,7 @@ def align_clocks(
 ) -> ClockAlignment:
     """Corrects the stamps of the sensors whose clock offsets rig.yaml states or asks to estimate.
 
-    Arguments are those of :func:`calgraph.calibrate.calibrate_rig`. A clock that cannot be estimated is taken for
+    Arguments are those of :func:`calgraph.calibrate_rig`. A clock that cannot be estimated is taken for
     that of the root, and the sensor's pose is weak.
     """
     offsets = {name: spec.clock_offset for name, spec in rig.sensors.items() if spec.clock_offset is not None}

@@ -12,7 +12,7 @@ def calibrate(
 ) -> Calibration:
     """Calibrates a robot with a board, or a network with people, according to the rig's target.
 
-    Args, Returns and Raises as for :func:`calgraph.calibrate.calibrate_rig`; the options are those of the target.
+    Args, Returns and Raises as for :func:`calgraph.calibrate_rig`; the options are those of the target.
     """
     # Each imports the modules of its kind alone: those of both take half a second.
     if rig.is_network and isinstance(options, NetworkOptions):

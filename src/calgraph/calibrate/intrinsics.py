@@ -7,22 +7,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from calgraph.calibrate.options import Progress, no_progress
-from calgraph.captures import (
-    Hold,
-    InputFinding,
-    RecordingTimeline,
-    build_timeline,
-    detect_in_holds,
-    find_views_in_holds,
-)
-from calgraph.captures.board_views import decode_views, encode_views
+from calgraph.captures.board_views import decode_views, encode_views, find_views_in_holds
+from calgraph.captures.detect import detect_in_holds
 from calgraph.captures.hold_messages import select_messages
+from calgraph.captures.holds import Hold
+from calgraph.captures.input_checks import InputFinding
 from calgraph.captures.sensor_detection import list_shared_inputs
+from calgraph.captures.timeline import RecordingTimeline, build_timeline
 from calgraph.config import CameraSpec, Rig
-from calgraph.detection import BoardCorners, BoardView, BoardViewFinder, CameraDetector
+from calgraph.detection.board_views import BoardView, BoardViewFinder
+from calgraph.detection.camera import CameraDetector
+from calgraph.detection.detections import BoardCorners
 from calgraph.engine import THIS_PROCESS, Engine
 from calgraph.errors import Rejected
-from calgraph.estimation import IntrinsicsEstimate, estimate_intrinsics
+from calgraph.estimation.intrinsics.estimate import IntrinsicsEstimate, estimate_intrinsics
 from calgraph.recording import NO_CACHE, Recording, RecordingCache
 from calgraph.sensors import CameraModel
 

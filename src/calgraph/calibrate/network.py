@@ -11,28 +11,30 @@ from calgraph.calibrate.scanner_pairs import CorrectedPairs, pair_scanners
 from calgraph.calibrate.step_log import log_network
 from calgraph.calibrate.strategies import select_averaging
 from calgraph.calibrate.track_recording import forget_unused_beams, moving_target, scanner_spec, track_people
-from calgraph.captures import InputFinding, InputMonitor
+from calgraph.captures.input_checks import InputFinding, InputMonitor
 from calgraph.config import Rig
 from calgraph.config.settings import StationaritySettings
-from calgraph.diagnostics import (
-    Finding,
-    assemble_network,
-    assess_network_model,
+from calgraph.diagnostics.finding import Finding
+from calgraph.diagnostics.network.assemble import assemble_network
+from calgraph.diagnostics.network.extension import (
     build_consistent_prior,
-    collect_network_findings,
     extract_earlier_poses,
-    find_track_bump,
     merge_calibrations,
     remove_scanners,
 )
+from calgraph.diagnostics.network.findings import collect_network_findings
+from calgraph.diagnostics.network.model_assessment import assess_network_model
+from calgraph.diagnostics.network.track_bumps import find_track_bump
 from calgraph.engine import MapEngine
 from calgraph.errors import CalibrationError, InputError, Rejected
-from calgraph.estimation import NetworkSolution, ScannerPrior, solve_network
-from calgraph.graph import NetworkInitialization, initialize_network
-from calgraph.pairwise import ScannerObservations
+from calgraph.estimation.network.estimate import NetworkSolution, solve_network
+from calgraph.estimation.network.scanner_prior import ScannerPrior
+from calgraph.graph.network_initialization import NetworkInitialization, initialize_network
+from calgraph.pairwise.visibility_map import ScannerObservations
 from calgraph.recording import Recording
 from calgraph.result import Calibration
-from calgraph.tracking import ScannerBump, ScannerTracks, select_interval
+from calgraph.tracking.stationarity import select_interval
+from calgraph.tracking.track import ScannerBump, ScannerTracks
 
 
 def calibrate_network(
@@ -40,7 +42,7 @@ def calibrate_network(
 ) -> Calibration:
     """Calibrates stationary 2-D scanners from people who walk through their views (lrf-network).
 
-    Args, Returns and Raises as for :func:`calgraph.calibrate.calibrate_rig`.
+    Args, Returns and Raises as for :func:`calgraph.calibrate_rig`.
     """
     _calibration_to_extend(rig, options)  # checked before minutes are spent on tracking
     monitor = InputMonitor(rig, recording.start)
@@ -66,7 +68,7 @@ def calibrate_tracks(
     Args:
         rig: the network.
         tracks: by scanner, in its frame and by its clock; scanners may be left out.
-        options: how to calibrate. The joint solution needs the beams (:class:`calgraph.tracking.Hits`) that hit
+        options: how to calibrate. The joint solution needs the beams (:class:`Hits`) that hit
             the tracked objects; averaging uses positions only.
         progress: called with the step and the fraction done.
         frames: frame_id by scanner, where the rig does not state it.

@@ -7,8 +7,9 @@ from typing import Literal, get_args
 
 from calgraph.engine import THIS_PROCESS, Engine
 from calgraph.errors import InputError
-from calgraph.estimation import Estimator, PriorFile, RigidFile, SolverOptions
-from calgraph.pairwise import MatchFilter
+from calgraph.estimation.rig.priors import PriorFile, RigidFile
+from calgraph.estimation.rig.problem import Estimator, SolverOptions
+from calgraph.pairwise.pairwise_estimate import MatchFilter
 from calgraph.recording import NO_CACHE, RecordingCache
 from calgraph.result import Calibration
 

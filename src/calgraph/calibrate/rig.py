@@ -13,39 +13,27 @@ from calgraph.calibrate.clock_alignment import align_clocks
 from calgraph.calibrate.options import Progress, RigOptions, check_estimator, no_progress
 from calgraph.calibrate.step_log import log_captures, log_pairs, log_solution
 from calgraph.calibrate.strategies import select_initialization, solve_baseline
-from calgraph.captures import (
-    CaptureSet,
-    GivenDetections,
-    captures_from_detections,
-    resolve_background,
-    state_estimated_intrinsics,
-)
+from calgraph.captures.detect import CaptureSet, state_estimated_intrinsics
+from calgraph.captures.empty_start import resolve_background
+from calgraph.captures.from_detections import GivenDetections, captures_from_detections
 from calgraph.config import Cylinder, People, Rig
-from calgraph.diagnostics import (
-    add_suggestions,
-    assemble_rig,
-    cross_validate,
-    include_drifts,
-    suggest_board_poses,
-)
+from calgraph.diagnostics.rig.assemble import assemble_rig
+from calgraph.diagnostics.rig.cross_validation import cross_validate
+from calgraph.diagnostics.rig.drift_tests import include_drifts
+from calgraph.diagnostics.rig.next_best_pose import suggest_board_poses
+from calgraph.diagnostics.rig.suggestions import add_suggestions
 from calgraph.errors import CalibrationError, InputError
-from calgraph.estimation import (
-    Problem,
-    RigSolution,
-    SolverOptions,
-    align_symmetric_prints,
-    attach_by_priors,
-    locate_boards,
-    round_trip,
-    save_problem,
-    scale_boards,
-    solve_bundle,
-    solve_poses,
-    with_prior_poses,
-)
+from calgraph.estimation.rig.camera_boards import locate_boards, scale_boards
+from calgraph.estimation.rig.estimate import solve_bundle, solve_poses
+from calgraph.estimation.rig.print_symmetry import align_symmetric_prints
+from calgraph.estimation.rig.priors import attach_by_priors
+from calgraph.estimation.rig.problem import Problem, SolverOptions, with_prior_poses
+from calgraph.estimation.rig.problem_file import round_trip, save_problem
+from calgraph.estimation.rig.solution import RigSolution
 from calgraph.geometry import Array
-from calgraph.graph import SpanningTree, initialize_rig
-from calgraph.pairwise import PairwiseEstimates, estimate_pairs, reselect_all_inliers, select_successful
+from calgraph.graph.rig_initialization import initialize_rig
+from calgraph.graph.spanning_tree import SpanningTree
+from calgraph.pairwise.board_pair import PairwiseEstimates, estimate_pairs, reselect_all_inliers, select_successful
 from calgraph.processes import forked_jobs, parallel_call
 from calgraph.recording import Recording, resolve_intrinsics
 from calgraph.result import Calibration
@@ -85,8 +73,8 @@ def calibrate_detections(
     Args:
         rig: sensors and board; topics and captures do not matter.
         detections: of the board, by sensor and capture; see
-            :func:`calgraph.detection.board_corners_from_pixels`,
-            :func:`calgraph.detection.plane_patch_from_points` and :func:`calgraph.detection.segment_from_points`.
+            :func:`calgraph.board_corners_from_pixels`,
+            :func:`calgraph.plane_patch_from_points` and :func:`calgraph.segment_from_points`.
         options: how to calibrate.
         cameras: intrinsics by camera; those of the rig if left out.
         progress: called with the step and the fraction done.

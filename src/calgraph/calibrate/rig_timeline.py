@@ -3,7 +3,10 @@
 from dataclasses import replace
 
 from calgraph.calibrate.options import Progress, RigOptions
-from calgraph.captures import InputMonitor, RecordingTimeline, measure_activity, read_timeline, recognize_mode
+from calgraph.captures.capture_mode import recognize_mode
+from calgraph.captures.input_checks import InputMonitor
+from calgraph.captures.timeline import RecordingTimeline
+from calgraph.captures.timeline_reading import measure_activity, read_timeline
 from calgraph.config import Rig
 from calgraph.recording import PoseRecordings, Recording
 

@@ -10,22 +10,23 @@ from calgraph.calibrate.options import NetworkOptions, Progress
 from calgraph.calibrate.strategies import select_depth_stddev
 from calgraph.config import Lidar2dSpec, Rig
 from calgraph.config.settings import ScannerPairSettings
-from calgraph.diagnostics import Finding, report_clocks_and_mountings
+from calgraph.diagnostics.finding import Finding
+from calgraph.diagnostics.network.clock_findings import report_clocks_and_mountings
 from calgraph.errors import Rejected
-from calgraph.graph import ClockMountingSolution, resolve_clocks_and_mountings
-from calgraph.pairwise import (
-    ScannerObservations,
-    ScannerPairEstimate,
+from calgraph.graph.clock_mounting_consensus import ClockMountingSolution, resolve_clocks_and_mountings
+from calgraph.pairwise.candidate_pairs import label_parts
+from calgraph.pairwise.clock_mounting_search import (
     describe_difference,
-    estimate_scanner_pairs,
     is_firm,
     may_differ_by_chance,
     search_clocks_and_mountings,
     select_searched_pairs,
 )
-from calgraph.pairwise.candidate_pairs import label_parts
+from calgraph.pairwise.scanner_pair import ScannerPairEstimate, estimate_scanner_pairs
+from calgraph.pairwise.visibility_map import ScannerObservations
 from calgraph.result import Calibration
-from calgraph.tracking import ScannerTracks, correct_tracks
+from calgraph.tracking.corrected_tracks import correct_tracks
+from calgraph.tracking.track import ScannerTracks
 
 
 @dataclass(frozen=True, eq=False)

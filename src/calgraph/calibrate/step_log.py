@@ -5,16 +5,16 @@ from collections import Counter
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
-from calgraph.captures import CaptureSet
+from calgraph.captures.detect import CaptureSet
 from calgraph.errors import Rejected
-from calgraph.estimation import RigSolution
-from calgraph.pairwise import PairwiseEstimate
+from calgraph.estimation.rig.solution import RigSolution
+from calgraph.pairwise.pairwise_estimate import PairwiseEstimate
 
 if TYPE_CHECKING:
-    from calgraph.estimation import NetworkSolution
-    from calgraph.graph import NetworkInitialization
-    from calgraph.pairwise import ScannerPairEstimate
-    from calgraph.tracking import ScannerTracks
+    from calgraph.estimation.network.estimate import NetworkSolution
+    from calgraph.graph.network_initialization import NetworkInitialization
+    from calgraph.pairwise.scanner_pair import ScannerPairEstimate
+    from calgraph.tracking.track import ScannerTracks
 
 _log = logging.getLogger("calgraph")
 

@@ -5,20 +5,23 @@ from typing import TYPE_CHECKING
 
 from calgraph.calibrate.options import AveragingMethod, CenterFeature, PlaneMethod, RigStart
 from calgraph.config.settings import BaselineSettings
-from calgraph.detection import PlaneEstimator
-from calgraph.estimation import Problem, RigSolution
-from calgraph.graph import Initialization, PoseAveraging, SpanningTree
-from calgraph.pairwise import select_successful
+from calgraph.detection.camera import PlaneEstimator
+from calgraph.estimation.rig.problem import Problem
+from calgraph.estimation.rig.solution import RigSolution
+from calgraph.graph.pose_graph import PoseAveraging
+from calgraph.graph.rig_initialization import Initialization
+from calgraph.graph.spanning_tree import SpanningTree
+from calgraph.pairwise.board_pair import select_successful
 
 if TYPE_CHECKING:
-    from calgraph.tracking import CenterEstimator
+    from calgraph.tracking.features import CenterEstimator
 
 
 def select_averaging(method: AveragingMethod, settings: BaselineSettings) -> PoseAveraging | None:
     """The averaging of a network's pairs; None for the consensus."""
     if method == "consensus":
         return None
-    from calgraph.baselines import average_poses_by_rotations
+    from calgraph.baselines.pose_averaging import average_poses_by_rotations
 
     return partial(average_poses_by_rotations, method=method, settings=settings)
 
@@ -34,7 +37,7 @@ def select_plane_estimator(method: PlaneMethod) -> PlaneEstimator | None:
     """The estimator of a board's plane from its tags; None for one PnP over all corners."""
     if method == "pnp":
         return None
-    from calgraph.baselines import estimate_mean_plane
+    from calgraph.baselines.mean_plane import estimate_mean_plane
 
     return estimate_mean_plane
 
@@ -45,11 +48,11 @@ def select_center_estimator(feature: CenterFeature, settings: BaselineSettings) 
         case "nls":
             return None
         case "com":
-            from calgraph.tracking import measure_centroids
+            from calgraph.tracking.features import measure_centroids
 
             return measure_centroids
         case "ellipse":
-            from calgraph.baselines import measure_direct_ellipses
+            from calgraph.baselines.direct_ellipses import measure_direct_ellipses
 
             return partial(measure_direct_ellipses, limits=settings)
 
@@ -67,7 +70,7 @@ def select_depth_stddev(feature: CenterFeature, settings: BaselineSettings) -> f
 
 def solve_baseline(problem: Problem, tree: SpanningTree) -> RigSolution:
     """The solution of a rig by the hypergraph of MSG-Cal."""
-    from calgraph.baselines import solve_hypergraph
+    from calgraph.baselines.hypergraph import solve_hypergraph
 
     solution = solve_hypergraph(
         tree,

@@ -8,8 +8,13 @@ from typing import Any
 from calgraph.calibrate.options import CenterFeature, NetworkOptions, Progress, no_progress
 from calgraph.calibrate.step_log import log_tracks
 from calgraph.calibrate.strategies import select_center_estimator
-from calgraph.captures import InputMonitor, to_scans
-from calgraph.captures.input_checks import TopicObservations, decode_observations, encode_observations
+from calgraph.captures.detectors import to_scans
+from calgraph.captures.input_checks import (
+    InputMonitor,
+    TopicObservations,
+    decode_observations,
+    encode_observations,
+)
 from calgraph.config import Cylinder, Lidar2dSpec, People, Rig, SensorSpec
 from calgraph.engine import THIS_PROCESS
 from calgraph.errors import InputError, Rejected
@@ -17,14 +22,10 @@ from calgraph.estimation.network.leg_choice import measures_legs
 from calgraph.io.columns import Arrays
 from calgraph.mapped_arrays import ArrayMemory
 from calgraph.recording import Recording, RecordingReference, refer_to
-from calgraph.tracking import (
-    ScannerTracks,
-    ScanRun,
-    ScanStackBuilder,
-    decode_tracks,
-    encode_tracks,
-    track_runs,
-)
+from calgraph.tracking.scan_stack import ScanRun, ScanStackBuilder
+from calgraph.tracking.track import ScannerTracks
+from calgraph.tracking.track_encoding import decode_tracks, encode_tracks
+from calgraph.tracking.track_scanner import track_runs
 
 _log = logging.getLogger("calgraph")
 

@@ -8,16 +8,13 @@ from calgraph.calibrate.network import calibrate_network
 from calgraph.calibrate.options import NetworkOptions, Progress, no_progress
 from calgraph.calibrate.rig import solve_jointly
 from calgraph.config import Rig
-from calgraph.diagnostics import (
-    BootstrapScatter,
-    ExtrinsicsComparison,
-    assemble_rig,
-    bootstrap_poses,
-    compare_network_poses,
-    compare_rig_poses,
-)
+from calgraph.diagnostics.comparison import ExtrinsicsComparison
+from calgraph.diagnostics.network.extrinsics_check import compare_network_poses
+from calgraph.diagnostics.rig.assemble import assemble_rig
+from calgraph.diagnostics.rig.bootstrap import BootstrapScatter, bootstrap_poses
+from calgraph.diagnostics.rig.extrinsics_check import compare_rig_poses
 from calgraph.errors import CalibrationError
-from calgraph.estimation import Problem
+from calgraph.estimation.rig.problem import Problem
 from calgraph.recording import Recording
 from calgraph.result import Calibration, ExtrinsicsFile
 

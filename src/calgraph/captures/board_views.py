@@ -8,7 +8,7 @@ import numpy as np
 from calgraph.captures.hold_messages import Messages, search_holds
 from calgraph.captures.holds import Hold
 from calgraph.captures.previews import PreviewSize
-from calgraph.detection import BoardView, BoardViewFinder
+from calgraph.detection.board_views import BoardView, BoardViewFinder
 from calgraph.engine import THIS_PROCESS, Engine
 from calgraph.errors import Rejected
 from calgraph.io.columns import Arrays

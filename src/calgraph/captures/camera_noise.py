@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from calgraph.config.settings import CameraNoiseSettings
-from calgraph.detection import BoardCorners, Detection
+from calgraph.detection.detections import BoardCorners, Detection
 
 
 def scale_by_measured_noise(

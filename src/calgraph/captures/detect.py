@@ -16,7 +16,7 @@ from calgraph.captures.misplaced_tags import find_misplaced_tags
 from calgraph.captures.previews import PreviewSize, make_preview
 from calgraph.captures.timeline import RecordingTimeline
 from calgraph.config import Intrinsics, Rig
-from calgraph.detection import Detection, DetectionResult, InconsistentTags
+from calgraph.detection.detections import Detection, DetectionResult, InconsistentTags
 from calgraph.engine import THIS_PROCESS, Engine
 from calgraph.errors import Rejected
 from calgraph.geometry import Array

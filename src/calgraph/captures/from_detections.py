@@ -9,7 +9,7 @@ from calgraph.captures.holds import Hold
 from calgraph.captures.moving_board import compensate_motion
 from calgraph.captures.timeline import RecordingTimeline, SensorTimes
 from calgraph.config import Rig
-from calgraph.detection import BoardCorners, Detection, DetectionResult, PlanePatch, Segment
+from calgraph.detection.detections import BoardCorners, Detection, DetectionResult, PlanePatch, Segment
 from calgraph.errors import InputError, Rejected
 from calgraph.sensors import CameraModel
 

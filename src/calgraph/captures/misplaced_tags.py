@@ -5,7 +5,7 @@ from collections.abc import Iterable, Iterator, Sequence
 
 from calgraph.captures.input_checks import InputFinding
 from calgraph.config.settings import MisplacedTagSettings
-from calgraph.detection import BoardCorners, Detection, InconsistentTags
+from calgraph.detection.detections import BoardCorners, Detection, InconsistentTags
 
 
 def find_misplaced_tags(

@@ -8,7 +8,7 @@ import numpy as np
 
 from calgraph.captures.detect import CaptureSet
 from calgraph.config.settings import MovingBoardSettings
-from calgraph.detection import BoardCorners, Detection, PlanePatch, Segment
+from calgraph.detection.detections import BoardCorners, Detection, PlanePatch, Segment
 from calgraph.geometry import Array, plane, se3
 from calgraph.sensors import CameraModel
 

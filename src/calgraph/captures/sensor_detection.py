@@ -14,7 +14,7 @@ from calgraph.captures.holds import Hold
 from calgraph.captures.previews import PreviewSize, plan_previews
 from calgraph.captures.timeline import RecordingTimeline
 from calgraph.config import CameraSpec, Rig
-from calgraph.detection import PlaneEstimator
+from calgraph.detection.camera import PlaneEstimator
 from calgraph.engine import THIS_PROCESS, Engine
 from calgraph.errors import Rejected
 from calgraph.io.columns import Arrays

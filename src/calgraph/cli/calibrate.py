@@ -43,7 +43,7 @@ from calgraph.result import (
 )
 
 if TYPE_CHECKING:
-    from calgraph.estimation import Estimator
+    from calgraph.estimation.rig.problem import Estimator
 
 _log = logging.getLogger("calgraph")
 EstimatorChoice = Literal["bundle", "hypergraph", "joint", "averaging"]
@@ -181,7 +181,8 @@ def calibrate(
     Exit code 0: calibrated; 1: a sensor is not calibrated, or is weak and --strict is given (results are written
     nevertheless); 2: invalid input.
     """
-    from calgraph import calibrate as story  # takes seconds, which --help should not
+    from calgraph.calibrate.dispatch import calibrate as calibrate_any  # takes seconds, which --help should not
+    from calgraph.calibrate.options import NetworkEstimator, NetworkOptions, RigOptions
 
     rig = load_rig_with(rig_file, overrides)
     check_not_overwriting(out, RESULT_FILES, force=force)
@@ -198,10 +199,10 @@ def calibrate(
         open_engine(jobs, cluster, rig.settings.cluster) as engine,
         replace_folder_atomically(out, "calibration.yaml") as folder,
     ):
-        options: story.RigOptions | story.NetworkOptions
+        options: RigOptions | NetworkOptions
         if rig.is_network:
-            options = story.NetworkOptions(
-                estimator=cast("story.NetworkEstimator", estimator or "joint"),
+            options = NetworkOptions(
+                estimator=cast("NetworkEstimator", estimator or "joint"),
                 feature=feature,
                 average=average,
                 weights=weights,
@@ -213,7 +214,7 @@ def calibrate(
                 cache=cache,
             )
         else:
-            options = story.RigOptions(
+            options = RigOptions(
                 estimator=cast("Estimator", estimator or "bundle"),
                 prior=prior_poses,
                 rigid=groups,
@@ -229,7 +230,7 @@ def calibrate(
         with open_recordings(recordings, rig.settings.limits) as recording, progress_bars() as progress:
             messages = sum(topic.count for topic in recording.topics)
             _log.info("recording: %.1f s, %d messages", recording.end - recording.start, messages)
-            calibration = story.calibrate(rig, recording, options, _load_meanwhile(progress))
+            calibration = calibrate_any(rig, recording, options, _load_meanwhile(progress))
             read: list[Path | str] = [
                 rig_file,
                 *recordings,

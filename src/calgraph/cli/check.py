@@ -34,8 +34,8 @@ from calgraph.recording import RecordingCache, open_recordings
 from calgraph.result import Calibration, ExtrinsicsFile, read_extrinsics
 
 if TYPE_CHECKING:
-    from calgraph.diagnostics import ExtrinsicsComparison, ResidualComparison
-    from calgraph.estimation import Problem
+    from calgraph.diagnostics.comparison import ExtrinsicsComparison, ResidualComparison
+    from calgraph.estimation.rig.problem import Problem
 
 _SIGNS = {"pass": "[green]✓[/]", "warn": "[yellow]![/]", "fail": "[red]✕[/]"}
 """Sign for each outcome: colour is never the only one."""
@@ -114,20 +114,23 @@ def _compare(
     rig: Rig, recordings: list[str], given: ExtrinsicsFile, seed: int, cache: RecordingCache, engine: Engine
 ) -> tuple[Calibration, "ExtrinsicsComparison", Rig]:
     """The calibration from the recording, the comparison with the given poses, and the resolved rig."""
-    from calgraph import calibrate as story
+    from calgraph.calibrate.options import NetworkOptions
+    from calgraph.calibrate.validate import compare_extrinsics, compare_network_extrinsics
 
     if rig.is_network:
-        options = story.NetworkOptions(seed=seed, engine=engine, cache=cache)
+        options = NetworkOptions(seed=seed, engine=engine, cache=cache)
         with open_recordings(recordings, rig.settings.limits) as recording, progress_bars() as progress:
-            return *story.compare_network_extrinsics(rig, recording, given, options, progress), rig
+            return *compare_network_extrinsics(rig, recording, given, options, progress), rig
     problem = _problem(rig, recordings, seed, cache, engine)
-    return *story.compare_extrinsics(problem, given), problem.rig
+    return *compare_extrinsics(problem, given), problem.rig
 
 
 def _problem(rig: Rig, recordings: list[str], seed: int, cache: RecordingCache, engine: Engine) -> "Problem":
     """The joint problem of a recording, or the one in a dump."""
-    from calgraph import calibrate as story
-    from calgraph.estimation import check_problem, load_problem
+    from calgraph.calibrate.options import RigOptions
+    from calgraph.calibrate.rig import build_problem
+    from calgraph.estimation.rig.problem import check_problem
+    from calgraph.estimation.rig.problem_file import load_problem
 
     if any(Path(file).suffix == ".npz" and Path(file).is_file() for file in recordings):
         if len(recordings) > 1:
@@ -136,8 +139,8 @@ def _problem(rig: Rig, recordings: list[str], seed: int, cache: RecordingCache, 
         check_problem(problem)
         return problem
     with open_recordings(recordings, rig.settings.limits) as recording, progress_bars() as progress:
-        options = story.RigOptions(seed=seed, engine=engine, cache=cache)
-        return story.build_problem(rig, recording, options, progress)
+        options = RigOptions(seed=seed, engine=engine, cache=cache)
+        return build_problem(rig, recording, options, progress)
 
 
 def _print(audit: "ExtrinsicsComparison", against: Path, root: str) -> None:

@@ -6,7 +6,8 @@ from typing import Annotated
 
 import typer
 
-from calgraph.captures import find_empty_start, recognize_recording
+from calgraph.captures.empty_start import find_empty_start
+from calgraph.captures.recognized_recording import recognize_recording
 from calgraph.cli.common_options import OneRecording
 from calgraph.cli.console import console
 from calgraph.cli.setting_options import SetOption, parse_limits

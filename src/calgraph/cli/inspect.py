@@ -10,7 +10,8 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from calgraph.captures import RecognizedMode, recognize_recording
+from calgraph.captures.capture_mode import RecognizedMode
+from calgraph.captures.recognized_recording import recognize_recording
 from calgraph.cli.common_options import OneRecording
 from calgraph.cli.console import console
 from calgraph.cli.printing import print_calibration, print_provenance

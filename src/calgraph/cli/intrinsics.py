@@ -33,7 +33,7 @@ from calgraph.result.exports.kalibr import to_single_camchain
 from calgraph.sensors import DISTORTION_NAMES
 
 if TYPE_CHECKING:
-    from calgraph.estimation import IntrinsicsEstimate
+    from calgraph.estimation.intrinsics.estimate import IntrinsicsEstimate
 
 _FORMAT = "calgraph-intrinsics/1"
 _SUMMARY = "intrinsics.json"
@@ -66,14 +66,14 @@ def intrinsics(
 
     Exit code 0: estimated; 1: the images of a camera do not determine its intrinsics; 2: invalid input.
     """
-    from calgraph import calibrate as story  # takes seconds, which --help should not
+    from calgraph.calibrate.intrinsics import calibrate_intrinsics  # takes seconds, which --help should not
 
     check_not_overwriting(out, [_SUMMARY], force=force)
     with replace_folder_atomically(out, _SUMMARY) as folder:
         with open_recordings(recordings, parse_limits(overrides)) as recording, progress_bars() as progress:
             rig = _select_cameras(_read_rig(board, recording, overrides), camera or [])
             with open_engine(jobs, cluster, rig.settings.cluster) as engine:
-                found = story.calibrate_intrinsics(rig, recording, engine, progress, open_cache(unused=no_cache))
+                found = calibrate_intrinsics(rig, recording, engine, progress, open_cache(unused=no_cache))
         content = format_json(_summarize(rig, found), indent=1)
         write_text(folder / _SUMMARY, content + "\n")
         remarks = [*_write_files(rig, found, folder)]

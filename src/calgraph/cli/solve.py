@@ -71,8 +71,9 @@ def solve(
 
     Exit codes are those of calibrate.
     """
-    from calgraph.calibrate import solve_problem  # takes seconds, which --help should not
-    from calgraph.estimation import load_problem, round_trip, with_prior_poses
+    from calgraph.calibrate.rig import solve_problem
+    from calgraph.estimation.rig.problem import with_prior_poses
+    from calgraph.estimation.rig.problem_file import load_problem, round_trip
 
     check_not_overwriting(out, RESULT_FILES, force=force)
     if file.is_dir() or file.suffix in (".yaml", ".yml"):

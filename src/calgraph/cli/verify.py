@@ -22,9 +22,9 @@ from calgraph.io import format_json
 from calgraph.recording import RecordingCache, open_recordings
 
 if TYPE_CHECKING:
-    from calgraph.calibrate import Progress
-    from calgraph.diagnostics import BootstrapScatter
-    from calgraph.estimation import Problem
+    from calgraph.calibrate.options import Progress
+    from calgraph.diagnostics.rig.bootstrap import BootstrapScatter
+    from calgraph.estimation.rig.problem import Problem
 
 _FORMAT = "calgraph-verify/1"
 _SIGNS = {"honest": "[green]✓[/]", "pessimistic": "[yellow]![/]", "optimistic": "[red]✕[/]"}
@@ -50,7 +50,7 @@ def verify(
 
     Exit code 0: no covariance is optimistic; 1: one is, or a sensor could not be calibrated; 2: invalid input.
     """
-    from calgraph.calibrate import bootstrap_covariances  # takes seconds, which --help should not
+    from calgraph.calibrate.validate import bootstrap_covariances
 
     with progress_bars() as progress:
         problem = _problem(files, overrides, seed, open_cache(unused=no_cache), cluster, progress)
@@ -77,8 +77,9 @@ def _problem(
     progress: "Progress",
 ) -> "Problem":
     """The joint problem in a dump, or that of a recording."""
-    from calgraph import calibrate as story
-    from calgraph.estimation import load_problem
+    from calgraph.calibrate.options import RigOptions
+    from calgraph.calibrate.rig import build_problem
+    from calgraph.estimation.rig.problem_file import load_problem
 
     first = Path(files[0])
     if len(files) == 1:
@@ -91,15 +92,15 @@ def _problem(
         open_recordings(files[1:], rig.settings.limits) as recording,
         open_engine(None, cluster, rig.settings.cluster) as engine,
     ):
-        options = story.RigOptions(seed=seed, engine=engine, cache=cache)
-        return story.build_problem(rig, recording, options, progress)
+        options = RigOptions(seed=seed, engine=engine, cache=cache)
+        return build_problem(rig, recording, options, progress)
 
 
 def _content(
     scatter: "dict[str, BootstrapScatter]", kinds: Mapping[str, str], rounds: int, confidence: float
 ) -> str:
     """All numbers, m and rad."""
-    from calgraph.diagnostics import axis_names
+    from calgraph.diagnostics.verdict import axis_names
 
     sensors: dict[str, Any] = {
         name: {
@@ -124,7 +125,7 @@ def _print(
     scatter: "dict[str, BootstrapScatter]", kinds: Mapping[str, str], rounds: int, confidence: float
 ) -> None:
     """A row per sensor and axis, then the verdicts."""
-    from calgraph.diagnostics import axis_names
+    from calgraph.diagnostics.verdict import axis_names
 
     output = console()
     output.print(f"[bold]Bootstrap over captures, {rounds} rounds: scatter and stated standard deviation[/]")

@@ -5,12 +5,12 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from scipy.special import ndtri
 
-from calgraph.captures import InputFinding
+from calgraph.captures.input_checks import InputFinding
 from calgraph.config import Tolerance
 from calgraph.config.settings import VerdictSettings
 from calgraph.diagnostics.finding import Finding
 from calgraph.geometry import Array
-from calgraph.pairwise import PairwiseEstimate
+from calgraph.pairwise.pairwise_estimate import PairwiseEstimate
 from calgraph.result import Verdict
 
 # Probable causes of inconsistent residuals, by kind of sensor.

@@ -9,18 +9,14 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from calgraph.calibrate import (
-    NetworkOptions,
-    RigOptions,
-    build_problem,
-    calibrate,
-    compare_extrinsics,
-    compare_network_extrinsics,
-)
+from calgraph.calibrate.dispatch import calibrate
+from calgraph.calibrate.options import NetworkOptions, RigOptions
 from calgraph.calibrate.provenance import make_provenance
 from calgraph.calibrate.result_files import format_comparison, write_results
+from calgraph.calibrate.rig import build_problem
+from calgraph.calibrate.validate import compare_extrinsics, compare_network_extrinsics
 from calgraph.config import Rig, load_rig
-from calgraph.diagnostics import ExtrinsicsComparison
+from calgraph.diagnostics.comparison import ExtrinsicsComparison
 from calgraph.fleet.plan import RecordingTask
 from calgraph.fleet.pose_set import PoseSet
 from calgraph.fleet.recording_result import FILE_NAME, Failure, RecordingResult, SensorResult, save_result

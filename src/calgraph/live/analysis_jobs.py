@@ -8,13 +8,13 @@ from functools import lru_cache, partial
 
 import numpy as np
 
-from calgraph.captures import ActivityMeter, Detector, make_detectors
-from calgraph.captures.detect import detect_in_hold
-from calgraph.captures.detectors import Background, learn_background
-from calgraph.captures.motion_detection import Signed
+from calgraph.captures.detect import Detector, detect_in_hold
+from calgraph.captures.detectors import Background, learn_background, make_detectors
+from calgraph.captures.motion_detection import ActivityMeter, Signed
 from calgraph.config import CameraSpec, Rig
 from calgraph.config.settings import MotionDetectionSettings
-from calgraph.detection import BoardViewFinder, DetectionResult
+from calgraph.detection.board_views import BoardViewFinder
+from calgraph.detection.detections import DetectionResult
 from calgraph.errors import CalgraphError, InputError, Rejected
 from calgraph.sensors import CameraModel, Message
 
@@ -63,7 +63,7 @@ def measure_changes(
 
 
 def learn_live_background(rig: Rig, name: str, decoders: Sequence[Decoder]) -> Background | Rejected:
-    """Learns what a scanner measures without target and operator; see :func:`calgraph.captures.learn_backgrounds`.
+    """Learns what a scanner measures without target and operator; see :func:`learn_backgrounds`.
 
     Messages whose content is unusable are left out.
     """
@@ -91,7 +91,7 @@ def encode_detector(
         name: of the sensor.
         camera: intrinsics of a camera; without any it detects no more than :class:`UnprojectedBoard`.
         background: of a scanner, if one was learned.
-        seeds: by sensor; see :func:`calgraph.captures.draw_seeds`.
+        seeds: by sensor; see :func:`calgraph.captures.detectors.draw_seeds`.
     """
     part = rig.model_copy(update={"sensors": {name: rig.sensors[name]}})
     cameras = {name: camera} if camera else {}

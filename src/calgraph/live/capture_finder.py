@@ -4,7 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import median
 
-from calgraph.captures import Hold, find_holds, limit_messages
+from calgraph.captures.detect import limit_messages
+from calgraph.captures.holds import Hold, find_holds
 from calgraph.captures.validate_recording import is_message_of_kind
 from calgraph.config import Rig
 from calgraph.errors import CalibrationError
@@ -22,7 +23,7 @@ class Candidate:
     """A capture that could be taken."""
 
     hold: Hold
-    """As :func:`calgraph.captures.find_holds` finds it of a trigger at its start, with the messages to search."""
+    """As :func:`find_holds` finds it of a trigger at its start, with the messages to search."""
     rest: float | None
     """Start of the rest that it lies in, s; None if the operator did not want to wait for one."""
 

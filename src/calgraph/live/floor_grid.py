@@ -11,7 +11,7 @@ from calgraph.config.settings import LiveNetworkSettings, Settings
 from calgraph.geometry import Array, se3
 from calgraph.live.joined_tracks import Tracked
 from calgraph.result import Calibration
-from calgraph.tracking import ScannerTracks
+from calgraph.tracking.track import ScannerTracks
 
 Cells = NDArray[np.bool_]
 

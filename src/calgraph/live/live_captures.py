@@ -5,10 +5,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calgraph.captures import CaptureSet, Hold, SensorCapture, collect_detections
+from calgraph.captures.detect import CaptureSet, SensorCapture, collect_detections
+from calgraph.captures.holds import Hold
 from calgraph.config import CameraSpec, Rig
 from calgraph.config.settings import LiveCaptureSettings
-from calgraph.detection import BoardCorners, Detection, DetectionResult, Segment
+from calgraph.detection.detections import BoardCorners, Detection, DetectionResult, Segment
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, so3
 from calgraph.live.analysis_jobs import UnprojectedBoard
@@ -44,7 +45,7 @@ def has_board(found: DetectionResult) -> bool:
 def collect_live_captures(
     rig: Rig, timeline: LiveTimeline, captures: Sequence[LiveCapture], cameras: Mapping[str, CameraModel]
 ) -> CaptureSet:
-    """The captures as :func:`calgraph.calibrate.calibrate_rig` has them of the recording."""
+    """The captures as :func:`calgraph.calibrate_rig` has them of the recording."""
     holds = [replace(capture.hold, index=i) for i, capture in enumerate(captures)]
     found = (
         SensorCapture(i, name, capture.detections[name])

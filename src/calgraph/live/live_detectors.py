@@ -4,9 +4,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from calgraph.calibrate import RigOptions
-from calgraph.captures import draw_seeds
-from calgraph.captures.detectors import Background
+from calgraph.calibrate.options import RigOptions
+from calgraph.captures.detectors import Background, draw_seeds
 from calgraph.config import Rig
 from calgraph.errors import Rejected
 from calgraph.live.analysis_jobs import encode_detector, reduce_camera

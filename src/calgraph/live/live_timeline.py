@@ -9,7 +9,7 @@ from statistics import median
 
 import numpy as np
 
-from calgraph.captures import RecordingTimeline, SensorTimes
+from calgraph.captures.timeline import RecordingTimeline, SensorTimes
 from calgraph.geometry import Array
 from calgraph.sensors import LaserScan, PointCloud, RecordedMessage
 
@@ -45,7 +45,7 @@ class _GrowingTimes:
 class LiveTimeline:
     """The stamps of all sensors, and what their first messages state.
 
-    What :func:`calgraph.captures.build_timeline` finds in the recording of the same messages is the same.
+    What :func:`calgraph.captures.timeline.build_timeline` finds in the recording of the same messages is the same.
 
     Args:
         sensors: their names.

@@ -4,8 +4,8 @@ import logging
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 
-from calgraph.captures import RecordingTimeline
 from calgraph.captures.detectors import Background
+from calgraph.captures.timeline import RecordingTimeline
 from calgraph.config import CameraSpec, Rig
 from calgraph.errors import CalgraphError, Rejected
 from calgraph.live.analysis_jobs import MeasuredChanges, learn_live_background, measure_changes

@@ -3,7 +3,7 @@
 from collections.abc import Collection
 from dataclasses import dataclass
 
-from calgraph.captures import CaptureSet
+from calgraph.captures.detect import CaptureSet
 from calgraph.config import Rig
 
 # How well a sensor alone locates the board: a partner that measures its plane needs the fewest shared captures.

@@ -47,7 +47,7 @@ class RestMonitor:
 
     A view moves if it changes more than its noise, which is that of the time without operator at first, and of the
     quietest messages later. When rest and motion have both been measured, Otsu's threshold separates them, as in
-    :func:`calgraph.captures.find_holds`, if it is higher: a board that is held by hand never rests completely.
+    :func:`find_holds`, if it is higher: a board that is held by hand never rests completely.
 
     Args:
         sensors: their names.
@@ -75,7 +75,7 @@ class RestMonitor:
         Args:
             name: of the sensor.
             stamps: of the messages, s.
-            changes: 0..1 of each, as :class:`calgraph.captures.ActivityMeter` measures.
+            changes: 0..1 of each, as :class:`calgraph.captures.motion_detection.ActivityMeter` measures.
             last: what the next message is to be compared with.
             quiet: whether they are of the time without operator.
         """

@@ -12,8 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
-from calgraph.calibrate import NetworkOptions, calibrate_tracks
-from calgraph.captures import InputMonitor
+from calgraph.calibrate.network import calibrate_tracks
+from calgraph.calibrate.options import NetworkOptions
+from calgraph.captures.input_checks import InputMonitor
 from calgraph.config import Rig
 from calgraph.diagnostics.verdict import max_good_stddev
 from calgraph.errors import CalgraphError, Rejected
@@ -29,7 +30,7 @@ from calgraph.live.tracked_intervals import (
 from calgraph.recording import Recording, open_recording
 from calgraph.result import Calibration, SensorPose
 from calgraph.result.calibration import UNMEASURED_IN_PLANE
-from calgraph.tracking import ScannerTracks
+from calgraph.tracking.track import ScannerTracks
 
 # Axes that a network measures: x, y, yaw.
 _MEASURED = np.delete(np.arange(6), UNMEASURED_IN_PLANE)

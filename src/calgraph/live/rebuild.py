@@ -3,17 +3,12 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from calgraph.captures import (
-    DetectionMethod,
-    Hold,
-    RecordingTimeline,
-    build_timeline,
-    detect_by_sensors,
-    find_holds,
-    limit_messages,
-)
+from calgraph.captures.detect import limit_messages
+from calgraph.captures.holds import Hold, find_holds
+from calgraph.captures.sensor_detection import DetectionMethod, detect_by_sensors
+from calgraph.captures.timeline import RecordingTimeline, build_timeline
 from calgraph.config import Rig
-from calgraph.detection import DetectionResult
+from calgraph.detection.detections import DetectionResult
 from calgraph.engine import Engine
 from calgraph.errors import CalibrationError, Rejected
 from calgraph.live.analysis_jobs import NO_INTRINSICS
@@ -38,7 +33,7 @@ def rebuild_captures(rig: Rig, recording: Recording, seeds: Mapping[str, int], e
     Args:
         rig: of the session; see :func:`calgraph.live.live_rig.prepare_live_rig`.
         recording: until the interruption.
-        seeds: of the detectors' samples, by sensor; see :func:`calgraph.captures.draw_seeds`.
+        seeds: of the detectors' samples, by sensor; see :func:`calgraph.captures.detectors.draw_seeds`.
         engine: searches the board.
 
     Raises:

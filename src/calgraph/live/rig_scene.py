@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from calgraph.config import Rig
-from calgraph.detection import BoardCorners
+from calgraph.detection.detections import BoardCorners
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se3
 from calgraph.live.live_captures import LiveCapture

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
 
-from calgraph.captures import CaptureSet
+from calgraph.captures.detect import CaptureSet
 from calgraph.config import Intrinsics, Rig
 from calgraph.engine import THIS_PROCESS, Engine
 from calgraph.live.capture_taker import CaptureTaker
@@ -96,7 +96,7 @@ class RigSession:
         """Continues after what was recorded before, with its captures; called before the first message.
 
         Args:
-            recording: of the session until now; it is read as :func:`calgraph.calibrate.calibrate_rig` does, which
+            recording: of the session until now; it is read as :func:`calgraph.calibrate_rig` does, which
                 takes as long as a calibration.
             engine: searches the board.
 

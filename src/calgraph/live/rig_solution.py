@@ -9,12 +9,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from calgraph.calibrate import RigOptions, build_problem_from_captures
 from calgraph.calibrate.bumps import solve_after_bumps
-from calgraph.calibrate.rig import explain_singular_equations, solve_jointly
-from calgraph.captures import CaptureSet, state_estimated_intrinsics
+from calgraph.calibrate.options import RigOptions
+from calgraph.calibrate.rig import build_problem_from_captures, explain_singular_equations, solve_jointly
+from calgraph.captures.detect import CaptureSet, state_estimated_intrinsics
 from calgraph.config import Rig
-from calgraph.diagnostics import assemble_rig, include_drifts
+from calgraph.diagnostics.rig.assemble import assemble_rig
+from calgraph.diagnostics.rig.drift_tests import include_drifts
 from calgraph.diagnostics.verdict import max_good_stddev
 from calgraph.errors import CalgraphError
 from calgraph.estimation.rig.solution import SolvedBundle

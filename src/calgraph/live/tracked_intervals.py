@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from calgraph.calibrate import NetworkOptions, track_people
-from calgraph.captures import InputMonitor
+from calgraph.calibrate.options import NetworkOptions
+from calgraph.calibrate.track_recording import track_people
+from calgraph.captures.input_checks import InputMonitor
 from calgraph.config import Rig
 from calgraph.errors import Rejected
 from calgraph.io.archive import read_archive, write_archive
@@ -15,7 +16,8 @@ from calgraph.live.joined_tracks import Tracked
 from calgraph.live.recording_window import RecordingWindow
 from calgraph.recording import Recording
 from calgraph.result import CaptureRow
-from calgraph.tracking import ScannerTracks, decode_tracks, encode_tracks
+from calgraph.tracking.track import ScannerTracks
+from calgraph.tracking.track_encoding import decode_tracks, encode_tracks
 
 _FORMAT = "calgraph-live-tracks/1"
 _MEMBER = "tracks.json"

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from calgraph.config import Board
 from calgraph.config.settings import ViewSettings
-from calgraph.detection import BoardCorners, Detection, DetectionResult, PlanePatch, Segment
+from calgraph.detection.detections import BoardCorners, Detection, DetectionResult, PlanePatch, Segment
 from calgraph.errors import CalgraphError, Rejected
 from calgraph.geometry import Array
 from calgraph.live.analysis_jobs import UnprojectedBoard, decode_detector

@@ -45,7 +45,7 @@ from calgraph.pairwise.track_registration import (
 )
 from calgraph.pairwise.track_similarity import compute_track_similarity
 from calgraph.pairwise.visibility_map import ScannerObservations, contradicts_visibility
-from calgraph.tracking import ScannerTracks
+from calgraph.tracking.track import ScannerTracks
 
 # Fewer pairs than these are evaluated faster than other processes start.
 _MIN_PARALLEL_PAIRS = 6

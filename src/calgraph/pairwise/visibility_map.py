@@ -14,7 +14,7 @@ from scipy.ndimage import convolve
 from calgraph.config.settings import ScannerPairSettings, VisibilitySettings
 from calgraph.geometry import Array, se2
 from calgraph.pairwise.synchronized_tracks import SimultaneousPairs, TrackSamples, resample_tracks
-from calgraph.tracking import ScannerTracks
+from calgraph.tracking.track import ScannerTracks
 
 Flags = NDArray[np.bool_]
 

@@ -12,7 +12,7 @@ def resolve_intrinsics(rig: Rig, recording: Recording) -> Rig:
 
     A camera with neither ``intrinsics`` nor ``camera_info`` takes those beside its images: in a plain folder its
     camera_info.yaml, in a bag the topic ``camera_info`` in the namespace of its images. A camera without any, or
-    whose CameraInfo has no focal lengths, stays without: :func:`calgraph.calibrate.calibrate_rig` estimates them.
+    whose CameraInfo has no focal lengths, stays without: :func:`calgraph.calibrate_rig` estimates them.
 
     Raises:
         InputError: the stated topic holds no CameraInfo.

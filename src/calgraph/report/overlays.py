@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calgraph.config import Rig
-from calgraph.detection import compute_landmarks
+from calgraph.detection.landmarks import compute_landmarks
 from calgraph.geometry import Array, se3
 from calgraph.result import BoardOutline, BoardView, Calibration, SensorPose
 from calgraph.sensors import CameraModel

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.config import Board
-from calgraph.detection import compute_landmarks
-from calgraph.detection.landmarks import Landmarks
+from calgraph.detection.landmarks import Landmarks, compute_landmarks
 from calgraph.errors import InputError
 from calgraph.geometry import Array, se3, so3
 from calgraph.sensors import CameraModel

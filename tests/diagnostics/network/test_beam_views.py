@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calgraph.diagnostics.network.beam_views import _MAX_BEAMS, collect_beam_views
-from calgraph.estimation import NetworkSolution, SolvedNetwork
+from calgraph.estimation.network.estimate import NetworkSolution, SolvedNetwork
 from calgraph.estimation.network.problem import BodyScans
 from dense_covariances import relate_all
 from network_scenes import SIGMA

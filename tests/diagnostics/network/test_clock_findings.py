@@ -1,9 +1,9 @@
 """Findings about clocks that differ and scanners that are mounted upside-down."""
 
 from calgraph.config.settings import ClockMountingSettings
-from calgraph.diagnostics import report_clocks_and_mountings
-from calgraph.graph import ClockMountingSolution
-from calgraph.pairwise import ClockMountingHypothesis
+from calgraph.diagnostics.network.clock_findings import report_clocks_and_mountings
+from calgraph.graph.clock_mounting_consensus import ClockMountingSolution
+from calgraph.pairwise.clock_mounting_search import ClockMountingHypothesis
 
 
 def test_a_clock_found_from_people_on_one_line_makes_its_scanners_weak() -> None:

@@ -13,8 +13,8 @@ from calgraph.diagnostics.network.consistency_tests import (
     find_inconsistent_parts,
     measure_scatter,
 )
-from calgraph.estimation import NetworkSolution, SolvedNetwork
 from calgraph.estimation.network.contributions import Contributions, NetworkContributions, split_contributions
+from calgraph.estimation.network.estimate import NetworkSolution, SolvedNetwork
 from calgraph.estimation.network.problem import BodyScans
 from calgraph.estimation.network.solver import linearize_network, optimize_network
 from calgraph.geometry import se2

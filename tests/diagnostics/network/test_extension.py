@@ -14,7 +14,7 @@ from calgraph.diagnostics.network.extension import (
     remove_scanners,
 )
 from calgraph.errors import CalibrationError, InputError
-from calgraph.estimation import NetworkSolution
+from calgraph.estimation.network.estimate import NetworkSolution
 from calgraph.estimation.network.planar_poses import PlanarPoses, extract_planar_poses
 from calgraph.estimation.network.scanner_matrix import ScannerMatrix
 from calgraph.estimation.network.scanner_order import ScannerOrder

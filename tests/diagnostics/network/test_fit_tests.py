@@ -8,7 +8,7 @@ import pytest
 from calgraph.config.settings import NetworkModelSettings
 from calgraph.diagnostics.finding import Finding
 from calgraph.diagnostics.network.fit_tests import correlate_adjacent_beams, find_poor_fit
-from calgraph.estimation import SolvedNetwork
+from calgraph.estimation.network.estimate import SolvedNetwork
 from calgraph.estimation.network.problem import BodyScans
 from calgraph.geometry import Array
 from network_scenes import SETTINGS, SIGMA

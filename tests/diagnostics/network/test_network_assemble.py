@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calgraph.captures import InputFinding
+from calgraph.captures.input_checks import InputFinding
 from calgraph.config import Cylinder, People, Rig
 from calgraph.diagnostics.network.assemble import (
     NetworkPairs,
@@ -16,13 +16,15 @@ from calgraph.diagnostics.network.assemble import (
     assemble_network,
 )
 from calgraph.errors import Rejected
-from calgraph.estimation import NetworkSolution, SolvedNetwork
+from calgraph.estimation.network.estimate import NetworkSolution, SolvedNetwork
 from calgraph.estimation.network.solver import linearize_network
 from calgraph.geometry import se2
-from calgraph.graph import NetworkInitialization, PoseGraph, PoseGraphSolution
-from calgraph.pairwise import PoseHypothesis, ScannerPairEstimate
+from calgraph.graph.network_initialization import NetworkInitialization
+from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
+from calgraph.pairwise.hypothesis_evidence import PoseHypothesis
+from calgraph.pairwise.scanner_pair import ScannerPairEstimate
 from calgraph.result import Calibration, StatedPose, Verdict
-from calgraph.tracking import ScannerTracks, Track
+from calgraph.tracking.track import ScannerTracks, Track
 from dense_covariances import relate_all
 from leg_scenes import build_network
 from solved_networks import solve_two_walks

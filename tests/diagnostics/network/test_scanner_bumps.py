@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from calgraph.captures import InputFinding
+from calgraph.captures.input_checks import InputFinding
 from calgraph.diagnostics.network.scanner_bumps import describe_bumps
 from calgraph.errors import Rejected
-from calgraph.tracking import ScannerBump, ScannerTracks
+from calgraph.tracking.track import ScannerBump, ScannerTracks
 
 START = 1000.0
 BUMP = ScannerBump((START + 30.2, START + 30.4), 0.03, np.radians(1.0), 0.002, np.radians(0.05))

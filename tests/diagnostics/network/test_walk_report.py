@@ -14,7 +14,7 @@ from calgraph.diagnostics.network.walk_report import (
 from calgraph.geometry import Array, se2
 from calgraph.pairwise.synchronized_tracks import TrackSamples, resample_tracks
 from calgraph.result import CaptureRow
-from calgraph.tracking import ScannerTracks, Track
+from calgraph.tracking.track import ScannerTracks, Track
 
 T_ROOT = {
     "west": np.eye(3),

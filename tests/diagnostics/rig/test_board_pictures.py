@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calgraph.detection import BoardCorners
+from calgraph.detection.detections import BoardCorners
 from calgraph.diagnostics.rig.board_pictures import (
     InlierResiduals,
     _subsample_measurements,
@@ -13,7 +13,7 @@ from calgraph.diagnostics.rig.board_pictures import (
     collect_board_views,
     measure_fit,
 )
-from calgraph.estimation import RigSolution
+from calgraph.estimation.rig.solution import RigSolution
 from calgraph.geometry import Array, se3
 from calgraph.result import BoardOutline, BoardView
 from detected_rigs import QUICK, DetectedRig, detect_rig

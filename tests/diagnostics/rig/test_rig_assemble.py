@@ -6,16 +6,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calgraph.captures import CaptureSet, InputFinding
+from calgraph.captures.detect import CaptureSet
+from calgraph.captures.input_checks import InputFinding
 from calgraph.config import Tolerance
 from calgraph.diagnostics.rig.assemble import assemble_rig
 from calgraph.errors import Rejected
-from calgraph.estimation import Problem, RigSolution, SolverOptions
 from calgraph.estimation.rig.bundle_parameters import SensorPrior
 from calgraph.estimation.rig.bundle_solver import minimize_bundle
+from calgraph.estimation.rig.problem import Problem, SolverOptions
+from calgraph.estimation.rig.solution import RigSolution
 from calgraph.geometry import se3
-from calgraph.graph import SpanningTree
-from calgraph.pairwise import PairwiseEstimate
+from calgraph.graph.spanning_tree import SpanningTree
+from calgraph.pairwise.pairwise_estimate import PairwiseEstimate
 from calgraph.result import Calibration, CaptureRow, HeldOutError, Verdict
 from detected_rigs import DetectedRig, detect_rig
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from calgraph.estimation import SolvedNetwork
 from calgraph.estimation.network.beam_residuals import list_beam_residuals
 from calgraph.estimation.network.contributions import Contributions, split_contributions
+from calgraph.estimation.network.estimate import SolvedNetwork
 from calgraph.estimation.network.solver import linearize_network
 from calgraph.estimation.network.tukey_loss import TukeyLoss
 from leg_scenes import build_network

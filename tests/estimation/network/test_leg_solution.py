@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 
 from calgraph.config import Lidar2dSpec, People
-from calgraph.estimation import NetworkSolution, solve_network
+from calgraph.estimation.network.estimate import NetworkSolution, solve_network
 from calgraph.estimation.network.leg_problem import LegObservations
 from calgraph.geometry import Array, se2
-from calgraph.graph import PoseGraph, PoseGraphSolution
+from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
 from calgraph.simulation import NetworkScenario, build_network, network_rig, network_truth, simulate_scans
 from calgraph.simulation.network_scenario import PeopleOptions, ScannerOptions
-from calgraph.tracking import ScannerTracks, track_scanner
+from calgraph.tracking import track_scanner
+from calgraph.tracking.track import ScannerTracks
 
 pytestmark = pytest.mark.without_coverage
 

@@ -8,8 +8,8 @@ from calgraph.estimation.network.estimate import NetworkSolution, solve_network
 from calgraph.estimation.network.problem import BodyPath
 from calgraph.estimation.network.splines import Knots
 from calgraph.geometry import Array, se2
-from calgraph.graph import PoseGraph, PoseGraphSolution
-from calgraph.tracking import ScannerTracks
+from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
+from calgraph.tracking.track import ScannerTracks
 from network_scenes import DENSITY, SETTINGS, SIGMA, build_track, simulate_scans
 
 pytestmark = pytest.mark.without_coverage

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from calgraph.config import Board
-from calgraph.detection import BoardCorners, Detection
-from calgraph.estimation import RigSolution
+from calgraph.detection.detections import BoardCorners, Detection
 from calgraph.estimation.rig.range_observations import RangeObservations
+from calgraph.estimation.rig.solution import RigSolution
 from calgraph.geometry import se3
 from calgraph.result import EstimatedParameter
 from calgraph.simulation import BoardErrors, CameraOptions, LaserOptions, ModelErrors, MultibeamOptions

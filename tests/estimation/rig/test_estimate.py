@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from calgraph.estimation import RigSolution, cramer_rao, solve_bundle
+from calgraph.estimation.rig.estimate import cramer_rao, solve_bundle
+from calgraph.estimation.rig.solution import RigSolution
 from calgraph.geometry import Array, se3
 from calgraph.simulation import CameraOptions, LaserOptions, MultibeamOptions, build_world
 from detected_rigs import QUICK, DetectedRig, detect_rig, detect_rig_on

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from bundles_with_priors import EXACT, PAIR, group_of, grouped, with_prior
-from calgraph.captures import CaptureSet
+from calgraph.captures.detect import CaptureSet
 from calgraph.config import Rig
 from calgraph.errors import InputError
 from calgraph.estimation.rig.bundle_solver import minimize_bundle
@@ -22,8 +22,8 @@ from calgraph.estimation.rig.priors import (
     without_priors,
 )
 from calgraph.geometry import se3
-from calgraph.graph import SpanningTree
-from calgraph.pairwise import PairwiseEstimate
+from calgraph.graph.spanning_tree import SpanningTree
+from calgraph.pairwise.pairwise_estimate import PairwiseEstimate
 from calgraph.result import read_extrinsics
 
 SEEDS = 16

@@ -13,23 +13,19 @@ import numpy as np
 import pytest
 
 from board_scenes import detect_boards, make_boards, random_pose
-from calgraph.captures import CaptureSet, Hold, InputFinding
+from calgraph.captures.detect import CaptureSet
 from calgraph.captures.detection_tables import DETECTIONS
+from calgraph.captures.holds import Hold
+from calgraph.captures.input_checks import InputFinding
 from calgraph.config import Rig
-from calgraph.detection import BoardCorners, Detection, PlanePatch, to_beams
+from calgraph.detection.detections import BoardCorners, Detection, PlanePatch, to_beams
 from calgraph.errors import InputError, Rejected
-from calgraph.estimation import (
-    Problem,
-    SolverOptions,
-    check_problem,
-    load_problem,
-    round_trip,
-    save_problem,
-    with_prior_poses,
-)
 from calgraph.estimation.rig.priors import PosePrior
-from calgraph.graph import SpanningTree, find_spanning_tree
-from calgraph.pairwise import PairwiseEstimate, estimate_pairs, select_successful
+from calgraph.estimation.rig.problem import Problem, SolverOptions, check_problem, with_prior_poses
+from calgraph.estimation.rig.problem_file import load_problem, round_trip, save_problem
+from calgraph.graph.spanning_tree import SpanningTree, find_spanning_tree
+from calgraph.pairwise.board_pair import estimate_pairs, select_successful
+from calgraph.pairwise.pairwise_estimate import PairwiseEstimate
 from calgraph.sensors import CameraModel
 
 RIG = Rig.model_validate(

@@ -8,7 +8,7 @@ import pytest
 from scipy.stats import chi2
 
 from calgraph.config import AprilGrid, Board, Checkerboard
-from calgraph.estimation import RigSolution
+from calgraph.estimation.rig.solution import RigSolution
 from calgraph.result import EstimatedParameter
 from calgraph.simulation import (
     BoardErrors,

@@ -6,12 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calgraph.detection import BoardCorners, Detection, PlanePatch
-from calgraph.detection.detections import to_beams
-from calgraph.estimation import RigSolution, solve_bundle
+from calgraph.detection.detections import BoardCorners, Detection, PlanePatch, to_beams
 from calgraph.estimation.rig.board_observations import BoardObservation
 from calgraph.estimation.rig.bundle_setup import build_bundle
 from calgraph.estimation.rig.bundle_solver import linearize_bundle
+from calgraph.estimation.rig.estimate import solve_bundle
+from calgraph.estimation.rig.solution import RigSolution
 from calgraph.estimation.rig.view_return import _choose_detections, _start_at_detections
 from calgraph.geometry import plane, se3, so3
 from calgraph.simulation import CameraOptions, LaserOptions, MultibeamOptions

@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from calgraph.captures import InputFinding
+from calgraph.captures.input_checks import InputFinding
 from calgraph.config import Cylinder, Lidar2dSpec, Rig
 from calgraph.config.target import Target
 from calgraph.diagnostics.finding import Finding
@@ -21,11 +21,14 @@ from calgraph.estimation.network.estimate import NetworkSolution
 from calgraph.estimation.network.leg_problem import LegObservations
 from calgraph.estimation.network.planar_poses import lift_covariance
 from calgraph.geometry import Array, diagonal_blocks, se2
-from calgraph.graph import NetworkInitialization, PoseGraph, compute_joint_covariance
-from calgraph.pairwise import PoseHypothesis, ScannerPairEstimate
+from calgraph.graph.network_graph import compute_joint_covariance
+from calgraph.graph.network_initialization import NetworkInitialization
+from calgraph.graph.pose_graph import PoseGraph
+from calgraph.pairwise.hypothesis_evidence import PoseHypothesis
+from calgraph.pairwise.scanner_pair import ScannerPairEstimate
 from calgraph.pairwise.synchronized_tracks import resample_tracks
 from calgraph.result import Calibration, Edge, Evidence, ModelledBodies, Pictures, SensorPose, StatedPose
-from calgraph.tracking import ScannerTracks
+from calgraph.tracking.track import ScannerTracks
 
 _ADVICE = "let people walk farther and in more directions where the views of {name} and other scanners overlap"
 # Partners that a reason names: a scanner of a large network that no pair connects has up to 150.

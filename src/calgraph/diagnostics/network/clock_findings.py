@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 from calgraph.config.settings import ClockMountingSettings
 from calgraph.diagnostics.finding import Finding
-from calgraph.graph import ClockMountingSolution
+from calgraph.graph.clock_mounting_consensus import ClockMountingSolution
 
 
 def report_clocks_and_mountings(

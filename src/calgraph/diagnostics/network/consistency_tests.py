@@ -12,8 +12,8 @@ from scipy.special import chdtrc
 
 from calgraph.config.settings import NetworkModelSettings
 from calgraph.diagnostics.finding import Finding
-from calgraph.estimation import NetworkSolution
 from calgraph.estimation.network.contributions import Contributions, NetworkContributions
+from calgraph.estimation.network.estimate import NetworkSolution
 from calgraph.geometry import Array, se2
 
 # Information (1/m², 1/rad², 1/s²) that keeps stated differences from growing where the data hardly determine them:

@@ -2,14 +2,14 @@
 
 from collections.abc import Mapping, Sequence
 
-from calgraph.captures import InputFinding
+from calgraph.captures.input_checks import InputFinding
 from calgraph.config.settings import NetworkDiagnosticsSettings
 from calgraph.diagnostics.finding import Finding
 from calgraph.diagnostics.network.pair_support import describe_ambiguous_parts, find_poorly_supported_parts
 from calgraph.diagnostics.network.scanner_bumps import describe_bumps
 from calgraph.errors import Rejected
-from calgraph.graph import NetworkInitialization
-from calgraph.tracking import ScannerTracks
+from calgraph.graph.network_initialization import NetworkInitialization
+from calgraph.tracking.track import ScannerTracks
 
 
 def collect_network_findings(

@@ -16,12 +16,13 @@ from calgraph.diagnostics.network.consistency_tests import (
 )
 from calgraph.diagnostics.network.fit_tests import find_poor_fit
 from calgraph.diagnostics.network.systematic_tests import find_systematic_errors
-from calgraph.estimation import NetworkSolution, SolvedNetwork
 from calgraph.estimation.network.contributions import split_contributions
+from calgraph.estimation.network.estimate import NetworkSolution, SolvedNetwork
 from calgraph.estimation.network.leg_problem import LegObservations
 from calgraph.geometry import Array
-from calgraph.graph import NetworkInitialization, compute_joint_covariance
-from calgraph.tracking import ScannerTracks
+from calgraph.graph.network_graph import compute_joint_covariance
+from calgraph.graph.network_initialization import NetworkInitialization
+from calgraph.tracking.track import ScannerTracks
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,8 +9,9 @@ from scipy.sparse.csgraph import connected_components
 from calgraph.diagnostics.finding import Finding
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2
-from calgraph.graph import AmbiguousPart, PoseGraph
-from calgraph.pairwise import ScannerPairEstimate
+from calgraph.graph.ambiguous_parts import AmbiguousPart
+from calgraph.graph.pose_graph import PoseGraph
+from calgraph.pairwise.scanner_pair import ScannerPairEstimate
 
 
 def find_poorly_supported_parts(

@@ -4,9 +4,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from calgraph.captures import InputFinding
+from calgraph.captures.input_checks import InputFinding
 from calgraph.errors import Rejected
-from calgraph.tracking import ScannerBump, ScannerTracks
+from calgraph.tracking.track import ScannerBump, ScannerTracks
 
 # Intervals shorter than this are stated as one time, s.
 _MAX_INSTANT = 1.5

@@ -5,7 +5,9 @@ from types import MappingProxyType
 
 import numpy as np
 
-from calgraph.captures import CaptureSet, Hold, InputFinding
+from calgraph.captures.detect import CaptureSet
+from calgraph.captures.holds import Hold
+from calgraph.captures.input_checks import InputFinding
 from calgraph.config import CameraSpec, Intrinsics, Rig, SensorSpec
 from calgraph.diagnostics.finding import Finding
 from calgraph.diagnostics.rig.board_pictures import (
@@ -31,8 +33,9 @@ from calgraph.estimation.rig.priors import frame_id
 from calgraph.estimation.rig.problem import Problem
 from calgraph.estimation.rig.solution import RigSolution
 from calgraph.geometry import Array
-from calgraph.graph import SpanningTree
-from calgraph.pairwise import PairwiseEstimate, PairwiseEstimates, select_successful
+from calgraph.graph.spanning_tree import SpanningTree
+from calgraph.pairwise.board_pair import PairwiseEstimates, select_successful
+from calgraph.pairwise.pairwise_estimate import PairwiseEstimate
 from calgraph.result import (
     Calibration,
     CaptureRow,

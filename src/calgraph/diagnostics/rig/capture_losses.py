@@ -7,7 +7,7 @@ from math import comb
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.captures import CaptureSet
+from calgraph.captures.detect import CaptureSet
 from calgraph.config.settings import RigDiagnosticsSettings
 from calgraph.diagnostics.finding import Finding
 from calgraph.estimation.rig.bundle_solver import Bundle

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from calgraph.captures import CaptureSet
+from calgraph.captures.detect import CaptureSet
 from calgraph.config import Rig
 from calgraph.config.settings import RigDiagnosticsSettings
 from calgraph.diagnostics.finding import Finding

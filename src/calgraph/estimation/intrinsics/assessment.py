@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calgraph.config.settings import IntrinsicsSettings
-from calgraph.detection import BoardCorners
+from calgraph.detection.detections import BoardCorners
 from calgraph.estimation.intrinsics.lens_fit import LensFit
 from calgraph.geometry import Array, so3
 from calgraph.sensors import CameraModel

@@ -24,7 +24,8 @@ from calgraph.estimation.network.solver import NetworkEquations, optimize_networ
 from calgraph.estimation.network.systematic_spread import estimate_systematic_sigma
 from calgraph.estimation.network.tukey_loss import TukeyLoss
 from calgraph.geometry import Array
-from calgraph.tracking import Foreground, cluster_legs
+from calgraph.tracking.clusters import Foreground
+from calgraph.tracking.leg_clusters import cluster_legs
 
 AddWalls = Callable[[NetworkProblem, NetworkState], NetworkProblem]
 """Replaces the wall constraints of a problem by those at a state."""

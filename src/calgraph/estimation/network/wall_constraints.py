@@ -14,7 +14,7 @@ from calgraph.estimation.network.problem import NetworkProblem, NetworkState, Wa
 from calgraph.estimation.network.scanner_unknowns import correct_points, linearize_beam_errors
 from calgraph.geometry import se2
 from calgraph.pairwise import icp
-from calgraph.tracking import ScannerTracks
+from calgraph.tracking.track import ScannerTracks
 
 
 def register_walls(

@@ -8,9 +8,10 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from calgraph.detection import BoardCorners, Detection, PlanePatch
+from calgraph.detection.detections import BoardCorners, Detection, PlanePatch
 from calgraph.geometry import Array, plane, se3, so3
-from calgraph.pairwise import Candidates, PairwiseEstimate
+from calgraph.pairwise.board_matches import Candidates
+from calgraph.pairwise.pairwise_estimate import PairwiseEstimate
 
 Node = tuple[int, str, int]
 """Capture, sensor, and index of its detection."""

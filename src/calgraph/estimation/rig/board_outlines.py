@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.config import Rig
-from calgraph.detection import BoardCorners, PlanePatch, Segment
+from calgraph.detection.detections import BoardCorners, PlanePatch, Segment
 from calgraph.estimation.rig.board_observations import BoardObservation, board_number
 from calgraph.estimation.rig.bundle_solver import Bundle, BundleState
 from calgraph.estimation.rig.observations import relative_poses
@@ -16,7 +16,7 @@ from calgraph.estimation.rig.range_observations import RangeObservations
 from calgraph.estimation.rig.rectangle_registration import register_rectangles
 from calgraph.estimation.rig.systematic_parameters import add_outline_parameters
 from calgraph.geometry import Array, Index
-from calgraph.pairwise import Candidates
+from calgraph.pairwise.board_matches import Candidates
 
 
 def add_outlines(

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calgraph.captures import CaptureSet
+from calgraph.captures.detect import CaptureSet
 from calgraph.config import Rig
 from calgraph.estimation.rig.board_observations import BoardObservation, detected_nodes, group_detections
 from calgraph.estimation.rig.board_outlines import add_outlines
@@ -28,7 +28,7 @@ from calgraph.estimation.rig.systematic_parameters import (
 )
 from calgraph.estimation.rig.view_return import SettledBundle, return_excluded_views
 from calgraph.geometry import Array
-from calgraph.pairwise import MatchFilter, PairwiseEstimate, select_matches
+from calgraph.pairwise.pairwise_estimate import MatchFilter, PairwiseEstimate, select_matches
 
 _OUTLIER_VIEW = "outlier of the joint solution: inconsistent with the board's pose from the other sensors"
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.config.settings import OutlineSettings
-from calgraph.detection import PlanePatch, Segment
+from calgraph.detection.detections import PlanePatch, Segment
 from calgraph.estimation.rig.observations import (
     LinearizedResiduals,
     difference_along_sensor,
@@ -55,7 +55,7 @@ class OutlineObservations:
     first: Index
     """(V,) the first edge of each view."""
     edges: Array
-    """(M, 2, 3) unit vectors in the sensor frame, as :class:`calgraph.detection.Segment` has them."""
+    """(M, 2, 3) unit vectors in the sensor frame, as :class:`calgraph.Segment` has them."""
     half_size: Array
     """(V, 2) half width and half height of each board, m."""
     side: NDArray[np.int8]

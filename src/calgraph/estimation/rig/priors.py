@@ -6,7 +6,7 @@ from itertools import chain
 
 import numpy as np
 
-from calgraph.captures import CaptureSet
+from calgraph.captures.detect import CaptureSet
 from calgraph.config import Rig
 from calgraph.config.settings import BoardPairSettings
 from calgraph.config.strict_model import StrictModel
@@ -15,8 +15,8 @@ from calgraph.estimation.rig.bundle_parameters import SensorPrior
 from calgraph.estimation.rig.bundle_solver import Bundle, BundleState
 from calgraph.estimation.rig.observations import stack_poses
 from calgraph.geometry import Array, Index, se3
-from calgraph.graph import SpanningTree, grow_tree
-from calgraph.pairwise import PairwiseEstimate
+from calgraph.graph.spanning_tree import SpanningTree, grow_tree
+from calgraph.pairwise.pairwise_estimate import PairwiseEstimate
 from calgraph.result import ExtrinsicsFile
 
 # Of a prior along and about any axis, m² and rad²: a picometre, and the circumference of the Earth. Others are

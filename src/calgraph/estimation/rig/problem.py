@@ -8,15 +8,17 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from calgraph.captures import CaptureSet
+from calgraph.captures.detect import CaptureSet
 from calgraph.config import Rig
 from calgraph.config.strict_model import StrictModel
-from calgraph.detection import BoardCorners
+from calgraph.detection.detections import BoardCorners
 from calgraph.errors import InputError
 from calgraph.estimation.rig.priors import PosePrior, PriorFile, RigidFile, RigidGroup, resolve_prior_poses
 from calgraph.estimation.rig.problem_checks import check_numbers
-from calgraph.graph import SpanningTree
-from calgraph.pairwise import Candidates, MatchFilter, PairwiseEstimate, PairwiseEstimates, select_successful
+from calgraph.graph.spanning_tree import SpanningTree
+from calgraph.pairwise.board_matches import Candidates
+from calgraph.pairwise.board_pair import PairwiseEstimates, select_successful
+from calgraph.pairwise.pairwise_estimate import MatchFilter, PairwiseEstimate
 
 Estimator = Literal["bundle", "hypergraph"]
 
@@ -40,7 +42,7 @@ class SolverOptions(StrictModel):
 class Problem:
     """The detections of a rig's sensors, and the start values of a joint solution.
 
-    :func:`calgraph.estimation.save_problem` keeps it to the last bit.
+    :func:`calgraph.save_problem` keeps it to the last bit.
     """
 
     rig: Rig

@@ -6,14 +6,14 @@ import numpy as np
 from pydantic import ValidationError
 from pydantic_core import PydanticCustomError
 
-from calgraph.captures import CaptureSet
+from calgraph.captures.detect import CaptureSet
 from calgraph.captures.detection_tables import DETECTIONS
 from calgraph.config import Intrinsics
 from calgraph.errors import InputError
 from calgraph.estimation.rig.priors import PosePrior, RigidGroup, has_inverse
 from calgraph.geometry import Array
-from calgraph.graph import SpanningTree
-from calgraph.pairwise import PairwiseEstimate
+from calgraph.graph.spanning_tree import SpanningTree
+from calgraph.pairwise.pairwise_estimate import PairwiseEstimate
 from calgraph.result.covariance_checks import check_semidefinite, check_symmetric
 from calgraph.result.frame_tree import MAX_DISTANCE
 from calgraph.sensors import CameraModel

@@ -8,19 +8,22 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.captures import CaptureSet, Hold, InputFinding
+from calgraph.captures.detect import CaptureSet
 from calgraph.captures.detection_tables import pack_detections, unpack_detections
+from calgraph.captures.holds import Hold
+from calgraph.captures.input_checks import InputFinding
 from calgraph.config import Rig
 from calgraph.config.settings import LimitSettings
 from calgraph.config.strict_model import StrictModel
 from calgraph.errors import InputError, Rejected
 from calgraph.estimation.rig.problem import Problem, SolverOptions, check_problem
 from calgraph.geometry import Array
-from calgraph.graph import SpanningTree
+from calgraph.graph.spanning_tree import SpanningTree
 from calgraph.io.archive import read_archive, write_archive
 from calgraph.io.columns import INDEX, NUMBER, Arrays, Column, Table
 from calgraph.io.yaml_reading import validate_content
-from calgraph.pairwise import PairwiseEstimate, PairwiseEstimates, select_successful
+from calgraph.pairwise.board_pair import PairwiseEstimates, select_successful
+from calgraph.pairwise.pairwise_estimate import PairwiseEstimate
 from calgraph.sensors import CameraModel
 
 FORMAT = "calgraph-problem/2"

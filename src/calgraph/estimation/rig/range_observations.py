@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.config import RangeNoise
-from calgraph.detection import PlanePatch, Segment
+from calgraph.detection.detections import PlanePatch, Segment
 from calgraph.estimation.rig.observations import (
     LinearizedResiduals,
     gather_extra,
