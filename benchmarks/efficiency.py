@@ -27,7 +27,6 @@ import numpy as np
 from pydantic import BaseModel
 from scipy.stats import binomtest, chi2, norm
 
-from calgraph.calibrate.options import RigOptions
 from calgraph.calibrate.rig import build_problem_from_captures, solve_problem
 from calgraph.captures.detect import CaptureSet
 from calgraph.config import CameraSpec, PixelNoise, RangeNoise, Rig, SensorSpec
@@ -39,6 +38,7 @@ from calgraph.estimation.rig.bundle_solver import linearize_bundle
 from calgraph.estimation.rig.estimate import cramer_rao
 from calgraph.estimation.rig.problem import Estimator, Problem, SolverOptions
 from calgraph.geometry import Array, se3
+from calgraph.rig.options import RigOptions
 from calgraph.simulation import (
     GroundTruth,
     IdealDetectorOptions,

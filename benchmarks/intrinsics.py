@@ -20,7 +20,6 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from calgraph.calibrate.options import RigOptions
 from calgraph.calibrate.rig import build_problem_from_captures, solve_problem
 from calgraph.captures.detect import CaptureSet, SensorCapture, collect_detections, state_estimated_intrinsics
 from calgraph.captures.detectors import draw_seeds, make_detectors
@@ -36,6 +35,7 @@ from calgraph.errors import Rejected
 from calgraph.estimation.intrinsics.estimate import estimate_intrinsics
 from calgraph.geometry import Array, se3
 from calgraph.result import Calibration
+from calgraph.rig.options import RigOptions
 from calgraph.sensors import CameraModel, Image, Message
 from calgraph.simulation import (
     CameraOptions,

@@ -27,7 +27,6 @@ import numpy as np
 from numpy.linalg import LinAlgError
 from scipy.stats import chi2
 
-from calgraph.calibrate.options import RigOptions
 from calgraph.calibrate.rig import build_problem_from_captures, solve_problem
 from calgraph.captures.detect import CaptureSet
 from calgraph.config import CameraSpec, PixelNoise, Rig
@@ -35,6 +34,7 @@ from calgraph.errors import CalgraphError
 from calgraph.geometry import se3
 from calgraph.processes import parallel_map
 from calgraph.result import Calibration
+from calgraph.rig.options import RigOptions
 from calgraph.simulation import (
     BoardErrors,
     GroundTruth,

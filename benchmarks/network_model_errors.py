@@ -28,10 +28,10 @@ from numpy.linalg import LinAlgError
 from scipy.stats import chi2
 
 from calgraph.calibrate.network import calibrate_network
-from calgraph.calibrate.options import NetworkEstimator, NetworkOptions
 from calgraph.config import People, Tolerance
 from calgraph.errors import CalgraphError
 from calgraph.geometry import se3
+from calgraph.network.options import NetworkEstimator, NetworkOptions
 from calgraph.processes import parallel_map
 from calgraph.recording.in_memory import MessageRecording
 from calgraph.result import Calibration

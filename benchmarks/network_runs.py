@@ -7,12 +7,11 @@ from typing import Any, Literal, NamedTuple, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.calibrate.options import CenterFeature
-from calgraph.calibrate.strategies import select_averaging, select_center_estimator, select_depth_stddev
 from calgraph.config import Cylinder, Lidar2dSpec, People, Rig
 from calgraph.config.settings import BaselineSettings
 from calgraph.estimation.network.estimate import solve_network
 from calgraph.geometry import Array, se2
+from calgraph.graph.averaging import select_averaging
 from calgraph.graph.network_graph import (
     average_network,
     build_network_graph,
@@ -22,6 +21,8 @@ from calgraph.graph.network_graph import (
 from calgraph.graph.network_initialization import initialize_network
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
 from calgraph.graph.random_trees import compute_tree_poses
+from calgraph.network.options import CenterFeature
+from calgraph.network.strategies import select_center_estimator, select_depth_stddev
 from calgraph.pairwise.scanner_pair import ScannerPairEstimate, estimate_scanner_pairs
 from calgraph.pairwise.synchronized_tracks import pair_samples, resample_tracks
 from calgraph.pairwise.visibility_map import ScannerObservations
@@ -34,8 +35,8 @@ from calgraph.simulation import (
     network_truth,
     simulate_scans,
 )
-from calgraph.tracking import track_scanner
 from calgraph.tracking.track import ScannerTracks
+from calgraph.tracking.track_scanner import track_scanner
 
 SCENARIOS: Mapping[str, dict[str, Any]] = {
     "ring": {"layout": "ring", "ring_diameter": 46.0, "duration": 180.0},

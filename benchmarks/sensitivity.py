@@ -22,14 +22,15 @@ import numpy as np
 from pydantic import BaseModel, ValidationError
 
 from calgraph.calibrate.network import calibrate_network
-from calgraph.calibrate.options import NetworkOptions, RigOptions
 from calgraph.calibrate.rig import calibrate_rig
 from calgraph.config import Rig, load_rig
 from calgraph.config.settings import Settings
 from calgraph.errors import CalgraphError
 from calgraph.geometry import Array, se3
+from calgraph.network.options import NetworkOptions
 from calgraph.recording import Recording, open_recording
 from calgraph.result import Calibration
+from calgraph.rig.options import RigOptions
 from calgraph.simulation import (
     GroundTruth,
     NetworkScenario,

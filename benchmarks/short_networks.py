@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from calgraph.calibrate.network import calibrate_tracks
-from calgraph.calibrate.options import NetworkOptions
 from calgraph.geometry import Array, se2
+from calgraph.network.options import NetworkOptions
 from calgraph.simulation import NetworkScenario, build_network, network_rig, network_truth, simulate_scans
 from network_runs import find_gross_errors, project_poses, track_scanners
 

@@ -6,7 +6,6 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from calgraph.calibrate.capture_collection import collect_captures
-from calgraph.calibrate.options import RigOptions
 from calgraph.captures.detect import CaptureSet, SensorCapture, collect_detections
 from calgraph.captures.detectors import draw_seeds, learn_background, make_detectors
 from calgraph.captures.holds import Hold
@@ -15,6 +14,7 @@ from calgraph.config import CameraSpec, Rig, load_rig
 from calgraph.geometry import Array, se3
 from calgraph.recording import open_recording
 from calgraph.result import Calibration
+from calgraph.rig.options import RigOptions
 from calgraph.simulation import (
     GroundTruth,
     RigScenario,

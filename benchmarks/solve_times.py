@@ -22,7 +22,6 @@ from typing import TypeVar
 import numpy as np
 from scipy.optimize import OptimizeResult, least_squares
 
-from calgraph.calibrate.options import RigOptions
 from calgraph.calibrate.rig import build_problem_from_captures
 from calgraph.captures.detect import CaptureSet
 from calgraph.detection.detections import BoardCorners
@@ -34,6 +33,7 @@ from calgraph.estimation.rig.problem import Problem
 from calgraph.estimation.rig.solution import RigSolution
 from calgraph.pairwise.board_pair import select_successful
 from calgraph.pairwise.pairwise_estimate import select_matches
+from calgraph.rig.options import RigOptions
 from calgraph.simulation import (
     CameraOptions,
     LaserOptions,

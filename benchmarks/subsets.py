@@ -26,7 +26,6 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2
 
-from calgraph.calibrate.options import RigOptions
 from calgraph.calibrate.rig import build_problem_from_captures, calibrate_detections, solve_jointly, solve_problem
 from calgraph.captures.detectors import draw_seeds, make_detectors
 from calgraph.captures.from_detections import captures_from_detections
@@ -42,6 +41,7 @@ from calgraph.estimation.rig.solution import RigSolution, SolvedBundle
 from calgraph.geometry import Array, se3
 from calgraph.processes import parallel_map
 from calgraph.recording import open_recording
+from calgraph.rig.options import RigOptions
 from calgraph.sensors import PointCloud
 from real_recordings import VLP16
 from systematic_errors import apply_systematic, cross_covariance

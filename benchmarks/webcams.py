@@ -27,7 +27,6 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.sparse import lil_matrix
 
-from calgraph.calibrate.options import RigOptions
 from calgraph.calibrate.rig import build_problem_from_captures, solve_jointly, solve_problem
 from calgraph.captures.detect import CaptureSet
 from calgraph.captures.detectors import draw_seeds, make_detectors
@@ -43,6 +42,7 @@ from calgraph.estimation.rig.solution import RigSolution
 from calgraph.geometry import Array, plane, se3
 from calgraph.recording import open_recording
 from calgraph.result import Calibration
+from calgraph.rig.options import RigOptions
 from calgraph.sensors import CameraModel
 from systematic_errors import apply_systematic, cross_covariance
 

@@ -13,7 +13,7 @@ PAGE = (ROOT / "docs" / "troubleshooting.md").read_text(encoding="utf-8")
 
 GIVES_MESSAGES = {
     "CalgraphError", "CalibrationError", "InputError", "RecordingError", "Rejected", "warning", "invalid",
-    "InputFinding", "Finding", "InconsistentTags",
+    "Finding", "InconsistentTags",
 }  # fmt: skip
 ELSEWHERE = {
     "estimation/rig/problem.py": "Files that calgraph wrote",

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 from calgraph.calibrate.capture_collection import collect_captures
-from calgraph.calibrate.options import RigOptions
 from calgraph.captures import detect
 from calgraph.captures.board_views import decode_views, encode_views
 from calgraph.captures.detect import CaptureSet
@@ -22,6 +21,7 @@ from calgraph.detection.board_views import BoardView, BoardViewFinder
 from calgraph.engine import THIS_PROCESS, Engine
 from calgraph.errors import CalibrationError
 from calgraph.recording import Recording, RecordingCache, open_recording
+from calgraph.rig.options import RigOptions
 from calgraph.simulation import (
     CameraOptions,
     LaserOptions,

@@ -9,14 +9,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calgraph.calibrate.options import NetworkOptions
 from calgraph.calibrate.track_recording import track_people
-from calgraph.captures.input_checks import InputFinding, InputMonitor
+from calgraph.captures.input_checks import InputMonitor
 from calgraph.config import Lidar2dSpec, People, RangeNoise, Rig
 from calgraph.config.settings import AssociationSettings, Settings, TrackingSettings
 from calgraph.config.uncertainty import Lidar2dUncertainty
+from calgraph.network.options import NetworkOptions
 from calgraph.recording import RecordingCache, RecordingWriter, open_recording
 from calgraph.recording.bags import BagRecording
+from calgraph.result.finding import Finding
 from calgraph.sensors import RecordedMessage
 from calgraph.tracking.track import ScannerTracks
 from walking_scenes import World, walk_in_circle
@@ -50,7 +51,7 @@ def copied(filled: Path, tmp_path: Path) -> Path:
     return Path(copytree(filled, tmp_path / "cache"))
 
 
-Tracked = tuple[dict[str, object], dict[str, str], tuple[InputFinding, ...], set[str]]
+Tracked = tuple[dict[str, object], dict[str, str], tuple[Finding, ...], set[str]]
 
 
 def track(recording: Path, rig: Rig, cache: Path | None, options: NetworkOptions | None = None) -> Tracked:

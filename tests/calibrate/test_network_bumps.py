@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from calgraph.calibrate.dispatch import calibrate
-from calgraph.calibrate.options import NetworkOptions
 from calgraph.geometry import se3
+from calgraph.network.options import NetworkOptions
 from calgraph.recording import MessageRecording
 from calgraph.result import Calibration
 from calgraph.simulation import (

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from calgraph.calibrate.network import calibrate_network, calibrate_tracks
-from calgraph.calibrate.options import NetworkOptions, RigOptions
 from calgraph.calibrate.rig import calibrate_detections, solve_problem
 from calgraph.config import Lidar2dSpec, Lidar3dSpec, People, RangeNoise, Rig
 from calgraph.detection.detections import BoardCorners, Detection, PlanePatch
@@ -20,8 +19,10 @@ from calgraph.detection.from_measurements import (
 from calgraph.errors import InputError, Rejected
 from calgraph.estimation.rig.problem_file import load_problem
 from calgraph.geometry import Array, se3
+from calgraph.network.options import NetworkOptions
 from calgraph.recording import MessageRecording
 from calgraph.result import Calibration
+from calgraph.rig.options import RigOptions
 from calgraph.sensors import LaserScan
 from calgraph.simulation import NetworkScenario, simulate_network_scans
 from calgraph.tracking.track import ScannerTracks, Track

@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from calgraph.captures.detectors import learn_backgrounds, learn_backgrounds_of_captures, make_detectors, to_scans
+from calgraph.captures.detectors import learn_backgrounds, learn_backgrounds_of_captures, make_detectors
 from calgraph.captures.holds import Hold
 from calgraph.config import Board, Capture, Lidar2dSpec, Lidar3dSpec, Rig
 from calgraph.config.settings import CaptureBackgroundSettings, CaptureSettings, DetectionSettings, Settings
@@ -17,6 +17,7 @@ from calgraph.errors import Rejected
 from calgraph.geometry import Array
 from calgraph.recording import MessageRecording
 from calgraph.sensors import LaserScan, Message, PointCloud, RecordedMessage, ScanBackground
+from calgraph.sensors.cloud_to_scan import to_scans
 
 ANGLES = np.radians(np.arange(-60, 60, 0.5))
 RIG = Rig(

@@ -7,11 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calgraph.captures.input_checks import InputFinding, InputMonitor
+from calgraph.captures.input_checks import InputMonitor
 from calgraph.config import Board, CameraSpec, Lidar2dSpec, Rig, Tag
 from calgraph.config.settings import Settings
 from calgraph.errors import RecordingError
 from calgraph.recording import MessageRecording, Recording, RecordingWriter, find_camera_infos, open_recording
+from calgraph.result.finding import Finding
 from calgraph.sensors import CameraInfo, CameraModel, LaserScan, Message, RecordedMessage
 
 START = 100.0
@@ -59,14 +60,14 @@ def recorded(folder: Path, messages: Mapping[str, Sequence[Message]]) -> Recordi
     return open_recording(folder / "recording")
 
 
-Check = Callable[..., tuple[InputFinding, ...]]
+Check = Callable[..., tuple[Finding, ...]]
 
 
 @pytest.fixture(params=["bag", "memory"])
 def findings(request: pytest.FixtureRequest, tmp_path: Path) -> Check:
     """Checks messages, read from a bag or at hand, and passes every record on."""
 
-    def check(messages: Mapping[str, Sequence[Message]], rig: Rig = RIG) -> tuple[InputFinding, ...]:
+    def check(messages: Mapping[str, Sequence[Message]], rig: Rig = RIG) -> tuple[Finding, ...]:
         recording = recorded(tmp_path, messages) if request.param == "bag" else MessageRecording(messages)
         with recording:
             monitor = InputMonitor(rig, recording.start, find_camera_infos(rig, recording))

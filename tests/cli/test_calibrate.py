@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 from typer.testing import Result
 
-from calgraph.calibrate.options import AveragingMethod
 from calgraph.cli.calibrate import StartChoice
 from calgraph.config import load_rig
+from calgraph.graph.averaging import AveragingMethod
 from calgraph.io import save_yaml
 from calgraph.recording import RecordingWriter, open_recording
 from calgraph.result import load_calibration

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from typer.testing import Result
 
-from calgraph.calibrate.options import RigOptions
 from calgraph.calibrate.rig import build_problem_from_captures
 from calgraph.config import load_rig
 from calgraph.errors import Rejected
@@ -21,6 +20,7 @@ from calgraph.graph.spanning_tree import find_spanning_tree
 from calgraph.io import save_yaml
 from calgraph.pairwise.board_pair import select_successful
 from calgraph.result import export, load_calibration, read_extrinsics
+from calgraph.rig.options import RigOptions
 from calgraph.simulation import IdealDetectorOptions, RigScenario, build_world, simulate_detections
 from simulated_rigs import without_bootstrap
 from written_results import read_without_provenance

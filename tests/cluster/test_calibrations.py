@@ -9,15 +9,16 @@ import pytest
 
 from calgraph.calibrate import track_recording
 from calgraph.calibrate.dispatch import calibrate
-from calgraph.calibrate.options import NetworkOptions, RigOptions
 from calgraph.calibrate.track_recording import track_people
 from calgraph.cluster import DaskEngine, open_cluster
 from calgraph.config import load_rig
 from calgraph.config.settings import DaskSettings
 from calgraph.engine import THIS_PROCESS, Engine, Processes
 from calgraph.errors import CalibrationError
+from calgraph.network.options import NetworkOptions
 from calgraph.recording import NO_CACHE, RecordingCache, open_recordings
 from calgraph.result import to_json
+from calgraph.rig.options import RigOptions
 from calgraph.simulation import NetworkScenario, RigScenario, simulate_network, simulate_rig
 from calgraph.tracking.track_encoding import encode_tracks
 from dask_programs import start_scheduler, start_worker, stop

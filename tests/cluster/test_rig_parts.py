@@ -9,14 +9,15 @@ import pytest
 
 from calgraph.calibrate.capture_collection import collect_captures
 from calgraph.calibrate.clock_alignment import align_clocks
-from calgraph.calibrate.options import Progress, RigOptions, no_progress
 from calgraph.captures import detect, hold_messages, timeline_reading
 from calgraph.cluster import DaskEngine, open_cluster
 from calgraph.config import Rig, load_rig
 from calgraph.config.settings import DaskSettings
 from calgraph.engine import Processes
 from calgraph.errors import CalibrationError
+from calgraph.parallel.progress import Progress, no_progress
 from calgraph.recording import RecordingCache, open_recordings
+from calgraph.rig.options import RigOptions
 from calgraph.simulation import RigScenario, simulate_rig
 from dask_programs import start_scheduler, start_worker, stop
 

@@ -7,10 +7,10 @@ import pytest
 from scipy.spatial import cKDTree
 
 from calgraph.calibrate.dispatch import calibrate
-from calgraph.calibrate.options import NetworkEstimator, NetworkOptions
 from calgraph.config import Rig, load_rig
 from calgraph.errors import InputError
 from calgraph.geometry import se3
+from calgraph.network.options import NetworkEstimator, NetworkOptions
 from calgraph.recording import open_recording
 from calgraph.result import Calibration
 from calgraph.simulation import GroundTruth, NetworkScenario, load_truth, simulate_network

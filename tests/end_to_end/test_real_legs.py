@@ -12,8 +12,8 @@ from calgraph.geometry import se2
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
 from calgraph.recording import open_recording
 from calgraph.sensors import LaserScan
-from calgraph.tracking import track_scanner
 from calgraph.tracking.track import ScannerTracks
+from calgraph.tracking.track_scanner import track_scanner
 
 pytestmark = pytest.mark.without_coverage
 

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from calgraph.calibrate.capture_collection import collect_captures
-from calgraph.calibrate.options import RigOptions, RigStart
 from calgraph.calibrate.rig import build_problem_from_captures, solve_problem
 from calgraph.config import Board, Checkerboard, Rig
 from calgraph.engine import Processes
 from calgraph.recording import MessageRecording
 from calgraph.recording.recording import JoinedRecording
 from calgraph.result import Calibration
+from calgraph.rig.options import RigOptions, RigStart
 from calgraph.sensors import LaserScan, Message
 from calgraph.simulation import (
     CameraOptions,

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 from calgraph.calibrate.capture_collection import collect_captures
-from calgraph.calibrate.options import RigOptions
 from calgraph.captures.detect import CaptureSet
 from calgraph.config import Capture, Rig
 from calgraph.live.record_reader import RecordReader
@@ -22,6 +21,7 @@ from calgraph.live.rig_solution import LiveSolution, SensorSolution
 from calgraph.live.source import LiveMessage
 from calgraph.live.state import Command
 from calgraph.processes import worker_pool
+from calgraph.rig.options import RigOptions
 from calgraph.simulation import (
     CameraOptions,
     GroundTruth,

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from calgraph.calibrate.options import CenterFeature
-from calgraph.calibrate.strategies import select_center_estimator
 from calgraph.config import People, RangeNoise
 from calgraph.config.settings import BaselineSettings, HypothesisSettings, ScannerPairSettings
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2
+from calgraph.network.options import CenterFeature
+from calgraph.network.strategies import select_center_estimator
 from calgraph.pairwise import hypothesis_evidence
 from calgraph.pairwise.hypothesis_evidence import (
     PoseHypothesis,
@@ -29,8 +29,8 @@ from calgraph.pairwise.synchronized_tracks import TrackSamples, pair_samples
 from calgraph.pairwise.track_registration import NuisancePrior, TrackRegistration
 from calgraph.recording import open_recording
 from calgraph.sensors import LaserScan
-from calgraph.tracking import track_scanner
 from calgraph.tracking.track import ScannerTracks, Track
+from calgraph.tracking.track_scanner import track_scanner
 from track_pairs import T_A_B, observe_walks, walk_along_curve
 
 STEP = 0.04  # s, of the simulated truth

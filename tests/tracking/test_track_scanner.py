@@ -9,18 +9,18 @@ from time import process_time
 import numpy as np
 import pytest
 
-from calgraph.calibrate.options import CenterFeature
-from calgraph.calibrate.strategies import select_center_estimator
 from calgraph.config import Cylinder, People, RangeNoise
 from calgraph.config.settings import BaselineSettings, EllipseSettings
 from calgraph.errors import Rejected
 from calgraph.geometry import Array
+from calgraph.network.options import CenterFeature
+from calgraph.network.strategies import select_center_estimator
 from calgraph.recording import open_recording
 from calgraph.sensors import LaserScan
-from calgraph.tracking import track_scanner
 from calgraph.tracking.clusters import Clusters
 from calgraph.tracking.features import ObjectVelocities, measure_fixed_ellipses
 from calgraph.tracking.track import ScannerTracks, Track
+from calgraph.tracking.track_scanner import track_scanner
 from walking_scenes import Walk, World, walk_along, walk_in_circle
 
 PEOPLE = People(kind="people")

@@ -5,15 +5,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from calgraph.calibrate.options import RigOptions
 from calgraph.captures.detect import CaptureSet
-from calgraph.captures.input_checks import InputFinding
 from calgraph.config import Rig
 from calgraph.diagnostics.rig.bump_tests import Bump, find_bumps
 from calgraph.errors import CalgraphError
 from calgraph.estimation.rig.problem import Problem
 from calgraph.estimation.rig.solution import RigSolution
 from calgraph.graph.spanning_tree import SpanningTree
+from calgraph.result.finding import Finding
+from calgraph.rig.options import RigOptions
 
 _EARLIER_CAPTURE = "before the sensor moved"
 
@@ -89,9 +89,7 @@ def _discard_earlier(captures: CaptureSet, bumps: Sequence[Bump]) -> CaptureSet:
     return replace(captures, detections=detections, rejections={**captures.rejections, **earlier})
 
 
-def _describe(
-    bump: Bump, rig: Rig, joint: RigSolution, unsteady: Collection[str], *, resolved: bool
-) -> InputFinding:
+def _describe(bump: Bump, rig: Rig, joint: RigSolution, unsteady: Collection[str], *, resolved: bool) -> Finding:
     """What moved, when, and what follows."""
     names, which = (
         " or ".join(bump.sensors),
@@ -106,8 +104,8 @@ def _describe(
     )
     if resolved and not set(bump.sensors) & set(unsteady):
         count = len(bump.after)
-        return InputFinding(f"{moved}: the result is its pose after that, from {count} captures")
+        return Finding(f"{moved}: the result is its pose after that, from {count} captures")
     weak = tuple(joint.T_root_sensor) if rig.root in bump.sensors else bump.sensors
     if resolved:
-        return InputFinding(f"{moved}, and not only then: fix it to the robot, and record again", weak)
-    return InputFinding(f"{moved}, and the captures after that do not suffice: record again", weak)
+        return Finding(f"{moved}, and not only then: fix it to the robot, and record again", weak)
+    return Finding(f"{moved}, and the captures after that do not suffice: record again", weak)

@@ -8,15 +8,13 @@ from functools import partial
 import numpy as np
 
 from calgraph.calibrate.intrinsics import estimate_unknown_intrinsics, find_intrinsics_remarks
-from calgraph.calibrate.options import Progress, RigOptions, no_progress
 from calgraph.calibrate.rig_timeline import read_rig_timeline
-from calgraph.calibrate.strategies import select_plane_estimator
 from calgraph.captures.capture_mode import recognize_mode
 from calgraph.captures.clock_alignment import check_clocks
 from calgraph.captures.detect import CaptureSet, SensorCapture, collect_detections, limit_messages
 from calgraph.captures.detectors import draw_seeds
 from calgraph.captures.holds import find_holds
-from calgraph.captures.input_checks import InputFinding, InputMonitor
+from calgraph.captures.input_checks import InputMonitor
 from calgraph.captures.moving_board import compensate_motion
 from calgraph.captures.plausibility import check_background, check_intrinsics
 from calgraph.captures.sensor_detection import DetectionMethod, detect_by_sensors
@@ -24,12 +22,16 @@ from calgraph.captures.timeline import RecordingTimeline
 from calgraph.captures.validate_recording import check_pose_numbers, check_timeline
 from calgraph.config import Rig
 from calgraph.errors import CalibrationError
+from calgraph.parallel.progress import Progress, no_progress
 from calgraph.recording import (
     Recording,
     find_camera_infos,
     resolve_intrinsics,
     separate_poses,
 )
+from calgraph.result.finding import Finding
+from calgraph.rig.options import RigOptions
+from calgraph.rig.strategies import select_plane_estimator
 
 _log = logging.getLogger("calgraph")
 
@@ -57,7 +59,7 @@ def collect_captures(
         moving = rig.capture.model_copy(update={"mode": "synchronized"})
         rig = rig.model_copy(update={"capture": moving})
         captures = _detect_in_timeline(rig, recording, timeline, options, rng, progress)
-        finding = InputFinding(
+        finding = Finding(
             f"two sensors detect the board in {shared} of {rests} rests of their views: the captures are sets "
             "of frames, in which it moves; if it was meant to rest, hold it still where two sensors detect it"
         )

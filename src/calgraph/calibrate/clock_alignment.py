@@ -3,12 +3,14 @@
 import logging
 from dataclasses import dataclass
 
-from calgraph.calibrate.options import Progress, RigOptions, no_progress
 from calgraph.calibrate.rig_timeline import read_rig_timeline
 from calgraph.captures.clock_alignment import ClockOffset, estimate_clock_offsets
-from calgraph.captures.input_checks import InputFinding, InputMonitor
+from calgraph.captures.input_checks import InputMonitor
 from calgraph.config import Rig
+from calgraph.parallel.progress import Progress, no_progress
 from calgraph.recording import ClockCorrectedRecording, Recording
+from calgraph.result.finding import Finding
+from calgraph.rig.options import RigOptions
 
 _log = logging.getLogger(__name__)
 
@@ -20,7 +22,7 @@ class ClockAlignment:
     rig: Rig
     """With estimated clock offsets as numbers."""
     recording: Recording
-    findings: tuple[InputFinding, ...]
+    findings: tuple[Finding, ...]
     """What was estimated, and whose clock remains unknown."""
 
 
@@ -51,14 +53,14 @@ def align_clocks(
     return ClockAlignment(rig.model_copy(update={"sensors": sensors}), recording, tuple(findings))
 
 
-def _describe(name: str, root: str, found: ClockOffset | None) -> InputFinding:
+def _describe(name: str, root: str, found: ClockOffset | None) -> Finding:
     if found is None:
-        return InputFinding(
+        return Finding(
             f"the clock offset of {name} cannot be estimated: no offset stands out with which its view changes at "
             f"the times of that of {root}; move the board in view of both, at irregular times, or state it",
             (name,),
         )
-    return InputFinding(
+    return Finding(
         f"the clock of {name} minus that of {root} is {found.offset:.3f} s, estimated from the times at which "
         f"their views change (correlation {found.correlation:.2f})"
     )

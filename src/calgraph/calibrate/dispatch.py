@@ -1,10 +1,12 @@
 """The calibration of either kind of rig, chosen by its target."""
 
-from calgraph.calibrate.options import NetworkOptions, Progress, RigOptions, no_progress
 from calgraph.config import Rig
 from calgraph.errors import InputError
+from calgraph.network.options import NetworkOptions
+from calgraph.parallel.progress import Progress, no_progress
 from calgraph.recording import Recording
 from calgraph.result import Calibration
+from calgraph.rig.options import RigOptions
 
 
 def calibrate(

@@ -6,12 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calgraph.calibrate.options import Progress, no_progress
 from calgraph.captures.board_views import decode_views, encode_views, find_views_in_holds
 from calgraph.captures.detect import detect_in_holds
 from calgraph.captures.hold_messages import select_messages
 from calgraph.captures.holds import Hold
-from calgraph.captures.input_checks import InputFinding
 from calgraph.captures.sensor_detection import list_shared_inputs
 from calgraph.captures.timeline import RecordingTimeline, build_timeline
 from calgraph.config import CameraSpec, Rig
@@ -21,7 +19,9 @@ from calgraph.detection.detections import BoardCorners
 from calgraph.engine import THIS_PROCESS, Engine
 from calgraph.errors import Rejected
 from calgraph.estimation.intrinsics.estimate import IntrinsicsEstimate, estimate_intrinsics
+from calgraph.parallel.progress import Progress, no_progress
 from calgraph.recording import NO_CACHE, Recording, RecordingCache
+from calgraph.result.finding import Finding
 from calgraph.sensors import CameraModel
 
 _log = logging.getLogger(__name__)
@@ -206,7 +206,7 @@ def _describe(estimate: IntrinsicsEstimate) -> str:
 
 def find_intrinsics_remarks(
     rig: Rig, camera_infos: Mapping[str, str], intrinsics: EstimatedIntrinsics
-) -> Iterator[InputFinding]:
+) -> Iterator[Finding]:
     """Remarks on the intrinsics that were estimated, or could not be.
 
     Args:
@@ -217,13 +217,13 @@ def find_intrinsics_remarks(
     for name in rig.cameras():
         without = name in intrinsics.estimates or name in intrinsics.failed
         if without and name in camera_infos and rig.cameras()[name].intrinsics is None:
-            yield InputFinding(
+            yield Finding(
                 f"{camera_infos[name]} has no focal lengths, as the driver of {name} knows none: its intrinsics "
                 "are estimated from this recording"
             )
         estimate = intrinsics.estimates.get(name)
         if estimate is None:
             continue
-        yield InputFinding(f"the intrinsics of {name} were estimated from this recording: {_describe(estimate)}")
+        yield Finding(f"the intrinsics of {name} were estimated from this recording: {_describe(estimate)}")
         for shortcoming in estimate.shortcomings:
-            yield InputFinding(f"the intrinsics of {name} are not well determined: {shortcoming}")
+            yield Finding(f"the intrinsics of {name} are not well determined: {shortcoming}")

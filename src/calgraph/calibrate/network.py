@@ -6,15 +6,12 @@ from functools import partial
 
 import numpy as np
 
-from calgraph.calibrate.options import NetworkOptions, Progress, no_progress
 from calgraph.calibrate.scanner_pairs import CorrectedPairs, pair_scanners
-from calgraph.calibrate.step_log import log_network
-from calgraph.calibrate.strategies import select_averaging
 from calgraph.calibrate.track_recording import forget_unused_beams, moving_target, scanner_spec, track_people
-from calgraph.captures.input_checks import InputFinding, InputMonitor
+from calgraph.captures.input_checks import InputMonitor
 from calgraph.config import Rig
 from calgraph.config.settings import StationaritySettings
-from calgraph.diagnostics.finding import Finding
+from calgraph.diagnostics.comparison import ExtrinsicsComparison
 from calgraph.diagnostics.network.assemble import assemble_network
 from calgraph.diagnostics.network.extension import (
     build_consistent_prior,
@@ -22,6 +19,7 @@ from calgraph.diagnostics.network.extension import (
     merge_calibrations,
     remove_scanners,
 )
+from calgraph.diagnostics.network.extrinsics_check import compare_network_poses
 from calgraph.diagnostics.network.findings import collect_network_findings
 from calgraph.diagnostics.network.model_assessment import assess_network_model
 from calgraph.diagnostics.network.track_bumps import find_track_bump
@@ -29,10 +27,15 @@ from calgraph.engine import MapEngine
 from calgraph.errors import CalibrationError, InputError, Rejected
 from calgraph.estimation.network.estimate import NetworkSolution, solve_network
 from calgraph.estimation.network.scanner_prior import ScannerPrior
+from calgraph.graph.averaging import select_averaging
 from calgraph.graph.network_initialization import NetworkInitialization, initialize_network
+from calgraph.network.options import NetworkOptions
+from calgraph.network.step_log import log_network
 from calgraph.pairwise.visibility_map import ScannerObservations
+from calgraph.parallel.progress import Progress, no_progress
 from calgraph.recording import Recording
-from calgraph.result import Calibration
+from calgraph.result import Calibration, ExtrinsicsFile
+from calgraph.result.finding import Finding
 from calgraph.tracking.stationarity import select_interval
 from calgraph.tracking.track import ScannerBump, ScannerTracks
 
@@ -61,7 +64,7 @@ def calibrate_tracks(
     *,
     frames: Mapping[str, str] | None = None,
     start: float | None = None,
-    findings: Sequence[InputFinding] = (),
+    findings: Sequence[Finding] = (),
 ) -> Calibration:
     """Calibrates stationary 2-D scanners from the tracks of each, which may be those of another program.
 
@@ -122,6 +125,18 @@ def calibrate_tracks(
             inverted=corrected.inverted,
         )
     return _merge_with_earlier(calibration, earlier, prior) if earlier else calibration
+
+
+def compare_network_extrinsics(
+    rig: Rig,
+    recording: Recording,
+    given: ExtrinsicsFile,
+    options: NetworkOptions,
+    progress: Progress = no_progress,
+) -> tuple[Calibration, ExtrinsicsComparison]:
+    """Comparison of the given poses of a network with its calibration, by its tolerance."""
+    calibration = calibrate_network(rig, recording, options, progress)
+    return calibration, compare_network_poses(calibration, given, rig.tolerance, settings=rig.settings.diagnostics)
 
 
 def _initialize(

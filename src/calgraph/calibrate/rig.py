@@ -10,9 +10,6 @@ import numpy as np
 from calgraph.calibrate.bumps import solve_after_bumps
 from calgraph.calibrate.capture_collection import collect_captures, separate_snapshots
 from calgraph.calibrate.clock_alignment import align_clocks
-from calgraph.calibrate.options import Progress, RigOptions, check_estimator, no_progress
-from calgraph.calibrate.step_log import log_captures, log_pairs, log_solution
-from calgraph.calibrate.strategies import select_initialization, solve_baseline
 from calgraph.captures.detect import CaptureSet, state_estimated_intrinsics
 from calgraph.captures.empty_start import resolve_background
 from calgraph.captures.from_detections import GivenDetections, captures_from_detections
@@ -34,9 +31,13 @@ from calgraph.geometry import Array
 from calgraph.graph.rig_initialization import initialize_rig
 from calgraph.graph.spanning_tree import SpanningTree
 from calgraph.pairwise.board_pair import PairwiseEstimates, estimate_pairs, reselect_all_inliers, select_successful
+from calgraph.parallel.progress import Progress, no_progress
 from calgraph.processes import forked_jobs, parallel_call
 from calgraph.recording import Recording, resolve_intrinsics
 from calgraph.result import Calibration
+from calgraph.rig.options import RigOptions, check_estimator
+from calgraph.rig.step_log import log_captures, log_pairs, log_solution
+from calgraph.rig.strategies import select_initialization, solve_baseline
 from calgraph.sensors import CameraModel
 
 

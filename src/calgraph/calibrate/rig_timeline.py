@@ -2,13 +2,14 @@
 
 from dataclasses import replace
 
-from calgraph.calibrate.options import Progress, RigOptions
 from calgraph.captures.capture_mode import recognize_mode
 from calgraph.captures.input_checks import InputMonitor
 from calgraph.captures.timeline import RecordingTimeline
 from calgraph.captures.timeline_reading import measure_activity, read_timeline
 from calgraph.config import Rig
+from calgraph.parallel.progress import Progress
 from calgraph.recording import PoseRecordings, Recording
+from calgraph.rig.options import RigOptions
 
 
 def read_rig_timeline(

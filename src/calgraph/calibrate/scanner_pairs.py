@@ -6,14 +6,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from calgraph.calibrate.options import NetworkOptions, Progress
-from calgraph.calibrate.strategies import select_depth_stddev
 from calgraph.config import Lidar2dSpec, Rig
 from calgraph.config.settings import ScannerPairSettings
-from calgraph.diagnostics.finding import Finding
 from calgraph.diagnostics.network.clock_findings import report_clocks_and_mountings
 from calgraph.errors import Rejected
 from calgraph.graph.clock_mounting_consensus import ClockMountingSolution, resolve_clocks_and_mountings
+from calgraph.network.options import NetworkOptions
+from calgraph.network.strategies import select_depth_stddev
 from calgraph.pairwise.candidate_pairs import label_parts
 from calgraph.pairwise.clock_mounting_search import (
     describe_difference,
@@ -24,7 +23,9 @@ from calgraph.pairwise.clock_mounting_search import (
 )
 from calgraph.pairwise.scanner_pair import ScannerPairEstimate, estimate_scanner_pairs
 from calgraph.pairwise.visibility_map import ScannerObservations
+from calgraph.parallel.progress import Progress
 from calgraph.result import Calibration
+from calgraph.result.finding import Finding
 from calgraph.tracking.corrected_tracks import correct_tracks
 from calgraph.tracking.track import ScannerTracks
 

@@ -5,10 +5,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from calgraph.calibrate.options import CenterFeature, NetworkOptions, Progress, no_progress
-from calgraph.calibrate.step_log import log_tracks
-from calgraph.calibrate.strategies import select_center_estimator
-from calgraph.captures.detectors import to_scans
 from calgraph.captures.input_checks import (
     InputMonitor,
     TopicObservations,
@@ -21,7 +17,12 @@ from calgraph.errors import InputError, Rejected
 from calgraph.estimation.network.leg_choice import measures_legs
 from calgraph.io.columns import Arrays
 from calgraph.mapped_arrays import ArrayMemory
+from calgraph.network.options import CenterFeature, NetworkOptions
+from calgraph.network.step_log import log_tracks
+from calgraph.network.strategies import select_center_estimator
+from calgraph.parallel.progress import Progress, no_progress
 from calgraph.recording import Recording, RecordingReference, refer_to
+from calgraph.sensors.cloud_to_scan import to_scans
 from calgraph.tracking.scan_stack import ScanRun, ScanStackBuilder
 from calgraph.tracking.track import ScannerTracks
 from calgraph.tracking.track_encoding import decode_tracks, encode_tracks

@@ -7,11 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft
 
-from calgraph.captures.input_checks import InputFinding
 from calgraph.captures.timeline import RecordingTimeline, SensorTimes
 from calgraph.config import Rig
 from calgraph.config.settings import CaptureSettings, MotionDetectionSettings
 from calgraph.geometry import Array
+from calgraph.result.finding import Finding
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ def estimate_clock_offsets(
     return found
 
 
-def check_clocks(rig: Rig, timeline: RecordingTimeline) -> Iterator[InputFinding]:
+def check_clocks(rig: Rig, timeline: RecordingTimeline) -> Iterator[Finding]:
     """Remarks on sensors whose views change long before or after that of the root, where no offset is stated.
 
     Args:
@@ -69,7 +69,7 @@ def check_clocks(rig: Rig, timeline: RecordingTimeline) -> Iterator[InputFinding
     for name, one in found.items():
         if abs(one.offset) >= settings.clock_alignment.min_remark:
             order = "after" if one.offset > 0 else "before"
-            yield InputFinding(
+            yield Finding(
                 f"by its stamps, the view of {name} changes {abs(one.offset):.2f} s {order} that of {rig.root}: "
                 f"their clocks differ; state sensors.{name}.clock_offset: {one.offset:.3f}, or estimate"
             )

@@ -11,7 +11,6 @@ import numpy as np
 from calgraph.captures.camera_noise import scale_by_measured_noise
 from calgraph.captures.hold_messages import Messages, Search, search_holds
 from calgraph.captures.holds import Hold
-from calgraph.captures.input_checks import InputFinding
 from calgraph.captures.misplaced_tags import find_misplaced_tags
 from calgraph.captures.previews import PreviewSize, make_preview
 from calgraph.captures.timeline import RecordingTimeline
@@ -21,6 +20,7 @@ from calgraph.engine import THIS_PROCESS, Engine
 from calgraph.errors import Rejected
 from calgraph.geometry import Array
 from calgraph.result import Snapshot, state_intrinsics
+from calgraph.result.finding import Finding
 from calgraph.sensors import CameraModel, Message
 
 Detector = Callable[[Sequence[Any]], DetectionResult]
@@ -57,7 +57,7 @@ class CaptureSet:
     """Intrinsics by camera."""
     snapshots: tuple[Snapshot, ...] = ()
     """Previews of the captures for report and viewer; not part of a saved problem."""
-    findings: tuple[InputFinding, ...] = ()
+    findings: tuple[Finding, ...] = ()
     """What does not fit the rig in the messages of the recording."""
     estimated_intrinsics: Mapping[str, Intrinsics] = field(default_factory=dict)
     """By camera whose intrinsics were estimated; the rig of a saved problem has them."""
@@ -73,7 +73,7 @@ def collect_detections(
     holds: Sequence[Hold],
     sensor_captures: Iterable[SensorCapture],
     cameras: Mapping[str, CameraModel],
-    findings: Sequence[InputFinding] = (),
+    findings: Sequence[Finding] = (),
 ) -> CaptureSet:
     """Sorts by detections and rejections; scales covariances of cameras by the noise of all their corners."""
     detections: dict[str, dict[int, tuple[Detection, ...]]] = {name: {} for name in timeline.sensors}

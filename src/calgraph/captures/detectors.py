@@ -26,8 +26,8 @@ from calgraph.sensors import (
     PointCloud,
     RecordedMessage,
     ScanBackground,
-    convert_cloud_to_scan,
 )
+from calgraph.sensors.cloud_to_scan import to_scans
 
 Background = CloudBackground | CaptureBackground | ScanBackground
 
@@ -96,15 +96,6 @@ def learn_backgrounds_of_captures(
         clouds = (message for message in messages if isinstance(message, PointCloud))
         learned[name] = learn_capture_background(clouds, spec.noise, settings)
     return learned
-
-
-def to_scans(messages: Iterable[Message]) -> list[LaserScan]:
-    """Scans of a 2-D scanner, also where its driver sends them as clouds."""
-    return [
-        m if isinstance(m, LaserScan) else convert_cloud_to_scan(m)
-        for m in messages
-        if isinstance(m, LaserScan | PointCloud)
-    ]
 
 
 def draw_seeds(rig: Rig, rng: np.random.Generator) -> dict[str, int]:

@@ -7,7 +7,6 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 
 from calgraph.captures.capture_mode import recognize_mode
-from calgraph.captures.input_checks import InputFinding
 from calgraph.captures.timeline import build_timeline
 from calgraph.config import Board, CameraSpec, Capture, Rig
 from calgraph.config.settings import CameraDetectionSettings, CaptureSettings, EmptyStartSettings
@@ -15,6 +14,7 @@ from calgraph.detection.cloud_background import Cells, find_direction_cells, fin
 from calgraph.detection.printed_boards import PrintedBoard, make_printed_boards, select_grays
 from calgraph.geometry import Array, measure_lengths
 from calgraph.recording import NO_CACHE, PoseRecordings, Recording, RecordingCache
+from calgraph.result.finding import Finding
 from calgraph.sensors import DetectedCorners, Image, LaserScan, Message, PointCloud, RecordedMessage
 
 _EMPTY_START = "empty start/2"
@@ -41,7 +41,7 @@ class EmptyStart:
 
 def resolve_background(
     rig: Rig, recording: Recording, cache: RecordingCache = NO_CACHE
-) -> tuple[Rig, tuple[InputFinding, ...]]:
+) -> tuple[Rig, tuple[Finding, ...]]:
     """The rig with the empty start of the recording as background window, where it has a board and states none.
 
     Args:
@@ -75,7 +75,7 @@ def resolve_background(
     if start is None:
         return rig, ()
     names = [name for name, spec in rig.sensors.items() if not isinstance(spec, CameraSpec)]
-    finding = InputFinding(
+    finding = Finding(
         f"rig.yaml states no capture.background: 0.0 to {start.end:.1f} s from the start were found to be without "
         f"board and operator, as nothing changes before {start.topic} does at {start.entry:.1f} s; what "
         f"{', '.join(names)} detect{'s' if len(names) == 1 else ''} depends on it: state this window, or another"

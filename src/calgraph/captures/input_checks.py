@@ -12,17 +12,8 @@ from numpy.typing import NDArray
 
 from calgraph.config import Rig
 from calgraph.errors import RecordingError
+from calgraph.result.finding import Finding
 from calgraph.sensors import CameraInfo, CameraModel, RecordedMessage
-
-
-@dataclass(frozen=True)
-class InputFinding:
-    """Something in the messages of a recording that does not fit a rig."""
-
-    text: str
-    """What it is and what to do, in one sentence."""
-    sensors: tuple[str, ...] = ()
-    """Sensors whose poses it makes weak."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,46 +113,46 @@ class InputMonitor:
             changed_at=observations.changed_at,
         )
 
-    def findings(self) -> tuple[InputFinding, ...]:
+    def findings(self) -> tuple[Finding, ...]:
         """What does not fit the rig, in the messages observed so far."""
         return (*self._check_frames(), *self._check_duplicates(), *self._check_camera_infos())
 
-    def _check_frames(self) -> Iterator[InputFinding]:
+    def _check_frames(self) -> Iterator[Finding]:
         for name, spec in self._rig.sensors.items():
             stamps = self._observers[spec.topic].frames
             frames = list(stamps)
             if len(frames) > 1:
                 at = stamps[frames[1]] - self._start
-                yield InputFinding(
+                yield Finding(
                     f"messages of {name} state the frame {frames[0]}, and {frames[1]} from {at:.1f} s on: "
                     "give each sensor its own topic, and do not reconfigure drivers while recording"
                 )
             # ROS 1 drivers may write a leading slash, which tf removes.
             elif frames and spec.frame_id and frames[0].lstrip("/") != spec.frame_id.lstrip("/"):
-                yield InputFinding(
+                yield Finding(
                     f"messages of {name} state the frame {frames[0]}, rig.yaml states {spec.frame_id}: correct "
                     "frame_id if it is wrong, as exports use the frame of rig.yaml"
                 )
 
-    def _check_duplicates(self) -> Iterator[InputFinding]:
+    def _check_duplicates(self) -> Iterator[Finding]:
         topics = self._rig.topics.items()
         distinct = {name: np.unique(np.asarray(self._observers[topic].contents)) for name, topic in topics}
         for (a, b), shared in _count_shared(distinct).items():
             share = shared / min(len(distinct[a]), len(distinct[b]))
             if shared >= self._settings.min_identical_messages and share > self._settings.max_identical_share:
-                yield InputFinding(
+                yield Finding(
                     f"{a} and {b} have the same data, {100 * share:.0f} % of their messages are identical: state "
                     "the topic of each sensor, or remove one of them",
                     tuple(name for name in (a, b) if name != self._rig.root),
                 )
 
-    def _check_camera_infos(self) -> Iterator[InputFinding]:
+    def _check_camera_infos(self) -> Iterator[Finding]:
         for name, topic in self._camera_infos.items():
             history = self._observers[topic]
             if not history.change:
                 continue
             others = tuple(other for other in self._rig.sensors if other != self._rig.root)
-            yield InputFinding(
+            yield Finding(
                 f"the intrinsics of {name} on {topic} change at {history.changed_at - self._start:.1f} s "
                 f"({history.change}), those before are used: switch autofocus and zoom off, and record again",
                 others if name == self._rig.root else (name,),

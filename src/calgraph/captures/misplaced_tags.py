@@ -3,9 +3,9 @@
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 
-from calgraph.captures.input_checks import InputFinding
 from calgraph.config.settings import MisplacedTagSettings
 from calgraph.detection.detections import BoardCorners, Detection, InconsistentTags
+from calgraph.result.finding import Finding
 
 
 def find_misplaced_tags(
@@ -13,7 +13,7 @@ def find_misplaced_tags(
     detected: Iterable[Sequence[Detection]],
     inconsistent: Sequence[InconsistentTags],
     settings: MisplacedTagSettings,
-) -> Iterator[InputFinding]:
+) -> Iterator[Finding]:
     """A finding if tags are outliers in most captures of a camera in which it detected more than one.
 
     Args:
@@ -32,7 +32,7 @@ def find_misplaced_tags(
         names = (
             f"tag {tags[0]} is an outlier" if len(tags) == 1 else f"tags {', '.join(map(str, tags))} are outliers"
         )
-        yield InputFinding(
+        yield Finding(
             f"{names} in up to {max(outliers[tag] for tag in tags)} of the {several} captures in which {camera} "
             "detected several tags: the board is not as in rig.yaml; check the tags' ids, centres, orientation "
             "and size there",

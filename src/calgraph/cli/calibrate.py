@@ -182,7 +182,8 @@ def calibrate(
     nevertheless); 2: invalid input.
     """
     from calgraph.calibrate.dispatch import calibrate as calibrate_any  # takes seconds, which --help should not
-    from calgraph.calibrate.options import NetworkEstimator, NetworkOptions, RigOptions
+    from calgraph.network.options import NetworkEstimator, NetworkOptions
+    from calgraph.rig.options import RigOptions
 
     rig = load_rig_with(rig_file, overrides)
     check_not_overwriting(out, RESULT_FILES, force=force)

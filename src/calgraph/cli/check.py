@@ -114,8 +114,9 @@ def _compare(
     rig: Rig, recordings: list[str], given: ExtrinsicsFile, seed: int, cache: RecordingCache, engine: Engine
 ) -> tuple[Calibration, "ExtrinsicsComparison", Rig]:
     """The calibration from the recording, the comparison with the given poses, and the resolved rig."""
-    from calgraph.calibrate.options import NetworkOptions
-    from calgraph.calibrate.validate import compare_extrinsics, compare_network_extrinsics
+    from calgraph.calibrate.network import compare_network_extrinsics
+    from calgraph.network.options import NetworkOptions
+    from calgraph.rig.verification import compare_extrinsics
 
     if rig.is_network:
         options = NetworkOptions(seed=seed, engine=engine, cache=cache)
@@ -127,10 +128,10 @@ def _compare(
 
 def _problem(rig: Rig, recordings: list[str], seed: int, cache: RecordingCache, engine: Engine) -> "Problem":
     """The joint problem of a recording, or the one in a dump."""
-    from calgraph.calibrate.options import RigOptions
     from calgraph.calibrate.rig import build_problem
     from calgraph.estimation.rig.problem import check_problem
     from calgraph.estimation.rig.problem_file import load_problem
+    from calgraph.rig.options import RigOptions
 
     if any(Path(file).suffix == ".npz" and Path(file).is_file() for file in recordings):
         if len(recordings) > 1:

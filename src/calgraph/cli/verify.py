@@ -22,9 +22,9 @@ from calgraph.io import format_json
 from calgraph.recording import RecordingCache, open_recordings
 
 if TYPE_CHECKING:
-    from calgraph.calibrate.options import Progress
     from calgraph.diagnostics.rig.bootstrap import BootstrapScatter
     from calgraph.estimation.rig.problem import Problem
+    from calgraph.parallel.progress import Progress
 
 _FORMAT = "calgraph-verify/1"
 _SIGNS = {"honest": "[green]✓[/]", "pessimistic": "[yellow]![/]", "optimistic": "[red]✕[/]"}
@@ -50,7 +50,7 @@ def verify(
 
     Exit code 0: no covariance is optimistic; 1: one is, or a sensor could not be calibrated; 2: invalid input.
     """
-    from calgraph.calibrate.validate import bootstrap_covariances
+    from calgraph.rig.verification import bootstrap_covariances
 
     with progress_bars() as progress:
         problem = _problem(files, overrides, seed, open_cache(unused=no_cache), cluster, progress)
@@ -77,9 +77,9 @@ def _problem(
     progress: "Progress",
 ) -> "Problem":
     """The joint problem in a dump, or that of a recording."""
-    from calgraph.calibrate.options import RigOptions
     from calgraph.calibrate.rig import build_problem
     from calgraph.estimation.rig.problem_file import load_problem
+    from calgraph.rig.options import RigOptions
 
     first = Path(files[0])
     if len(files) == 1:

@@ -5,13 +5,12 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from scipy.special import ndtri
 
-from calgraph.captures.input_checks import InputFinding
 from calgraph.config import Tolerance
 from calgraph.config.settings import VerdictSettings
-from calgraph.diagnostics.finding import Finding
 from calgraph.geometry import Array
 from calgraph.pairwise.pairwise_estimate import PairwiseEstimate
 from calgraph.result import Verdict
+from calgraph.result.finding import Finding
 
 # Probable causes of inconsistent residuals, by kind of sensor.
 _CAUSES = {
@@ -156,7 +155,7 @@ def join_reasons(*reasons_by_sensor: Mapping[str, str]) -> dict[str, str]:
     return {name: "; ".join(of_sensor) for name, of_sensor in joined.items()}
 
 
-def collect_findings(findings: Sequence[InputFinding | Finding]) -> dict[str, str]:
+def collect_findings(findings: Sequence[Finding]) -> dict[str, str]:
     """By sensor that findings make weak, what they are."""
     return join_reasons(*(dict.fromkeys(finding.sensors, finding.text) for finding in findings))
 

@@ -10,11 +10,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from calgraph.calibrate.dispatch import calibrate
-from calgraph.calibrate.options import NetworkOptions, RigOptions
+from calgraph.calibrate.network import compare_network_extrinsics
 from calgraph.calibrate.provenance import make_provenance
 from calgraph.calibrate.result_files import format_comparison, write_results
 from calgraph.calibrate.rig import build_problem
-from calgraph.calibrate.validate import compare_extrinsics, compare_network_extrinsics
 from calgraph.config import Rig, load_rig
 from calgraph.diagnostics.comparison import ExtrinsicsComparison
 from calgraph.fleet.plan import RecordingTask
@@ -22,8 +21,11 @@ from calgraph.fleet.pose_set import PoseSet
 from calgraph.fleet.recording_result import FILE_NAME, Failure, RecordingResult, SensorResult, save_result
 from calgraph.io import replace_folder_atomically, write_text
 from calgraph.io.cache_folder import CacheFolder
+from calgraph.network.options import NetworkOptions
 from calgraph.recording import NO_CACHE, RecordingCache, open_recordings, resolve_intrinsics
 from calgraph.result import Calibration, ExtrinsicsFile, read_extrinsics, state_calibrated_intrinsics
+from calgraph.rig.options import RigOptions
+from calgraph.rig.verification import compare_extrinsics
 
 
 @dataclass(frozen=True)

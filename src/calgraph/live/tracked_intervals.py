@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from calgraph.calibrate.options import NetworkOptions
 from calgraph.calibrate.track_recording import track_people
 from calgraph.captures.input_checks import InputMonitor
 from calgraph.config import Rig
@@ -14,6 +13,7 @@ from calgraph.errors import Rejected
 from calgraph.io.archive import read_archive, write_archive
 from calgraph.live.joined_tracks import Tracked
 from calgraph.live.recording_window import RecordingWindow
+from calgraph.network.options import NetworkOptions
 from calgraph.recording import Recording
 from calgraph.result import CaptureRow
 from calgraph.tracking.track import ScannerTracks

@@ -1,10 +1,12 @@
 """Conversion of point clouds of 2-D scanners to scans."""
 
+from collections.abc import Iterable
+
 import numpy as np
 
 from calgraph.errors import RecordingError
 from calgraph.geometry import Array
-from calgraph.sensors.messages import LaserScan, PointCloud
+from calgraph.sensors.messages import LaserScan, Message, PointCloud
 
 SAME_DIRECTION = 1e-6
 """Points whose directions differ by less are returns of one beam, rad: coordinates in single precision round
@@ -14,6 +16,15 @@ _MAX_BEAMS_PER_TURN = 20_000
 # Maximum distance of points from the plane z = 0: m, plus a fraction of the range. Other clouds are refused: an
 # error of the input, and without influence on a result.
 _PLANE_TOLERANCE = (0.01, 0.01)
+
+
+def to_scans(messages: Iterable[Message]) -> list[LaserScan]:
+    """Scans of a 2-D scanner, also where its driver sends them as clouds."""
+    return [
+        m if isinstance(m, LaserScan) else convert_cloud_to_scan(m)
+        for m in messages
+        if isinstance(m, LaserScan | PointCloud)
+    ]
 
 
 def convert_cloud_to_scan(cloud: PointCloud) -> LaserScan:

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from calgraph.config.settings import NetworkModelSettings
-from calgraph.diagnostics.finding import Finding
 from calgraph.diagnostics.network.consistency_tests import (
     compute_p_value,
     find_disagreement,
@@ -18,6 +17,7 @@ from calgraph.estimation.network.estimate import NetworkSolution, SolvedNetwork
 from calgraph.estimation.network.problem import BodyScans
 from calgraph.estimation.network.solver import linearize_network, optimize_network
 from calgraph.geometry import se2
+from calgraph.result.finding import Finding
 from dense_covariances import relate_all
 from network_scenes import OFFSET, T_ROOT
 from solved_networks import MIDDLE, Change, no_change, solve_two_walks

@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calgraph.captures.input_checks import InputFinding
 from calgraph.config import Cylinder, People, Rig
 from calgraph.diagnostics.network.assemble import (
     NetworkPairs,
@@ -24,6 +23,7 @@ from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
 from calgraph.pairwise.hypothesis_evidence import PoseHypothesis
 from calgraph.pairwise.scanner_pair import ScannerPairEstimate
 from calgraph.result import Calibration, StatedPose, Verdict
+from calgraph.result.finding import Finding
 from calgraph.tracking.track import ScannerTracks, Track
 from dense_covariances import relate_all
 from leg_scenes import build_network
@@ -63,7 +63,7 @@ def build_pair(k: int, error: float = 0.0) -> ScannerPairEstimate:
 def assemble(
     joint: bool = True,
     inliers: tuple[bool, ...] = (True, True, True),
-    findings: tuple[InputFinding, ...] = (),
+    findings: tuple[Finding, ...] = (),
     stated: Mapping[str, Mapping[str, object]] | None = None,
 ) -> Calibration:
     rig = Rig.model_validate(
@@ -95,7 +95,7 @@ def assemble(
 
 
 def test_findings_in_the_recording_are_remarks_and_make_their_scanners_weak() -> None:
-    found = assemble(findings=(InputFinding("a slip"), InputFinding("the same data", (NAMES[1], "cellar"))))
+    found = assemble(findings=(Finding("a slip"), Finding("the same data", (NAMES[1], "cellar"))))
     assert found.evidence.remarks == ("a slip", "the same data")
     verdicts = {sensor.name: sensor.verdict for sensor in found.sensors}
     assert verdicts == {

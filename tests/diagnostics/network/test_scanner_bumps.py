@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from calgraph.captures.input_checks import InputFinding
 from calgraph.diagnostics.network.scanner_bumps import describe_bumps
 from calgraph.errors import Rejected
+from calgraph.result.finding import Finding
 from calgraph.tracking.track import ScannerBump, ScannerTracks
 
 START = 1000.0
@@ -18,7 +18,7 @@ def tracks(
     return ScannerTracks((), np.zeros((0, 2)), 0.01, None, bumps, interval)
 
 
-def describe(bumped: str, one: ScannerTracks) -> InputFinding:
+def describe(bumped: str, one: ScannerTracks) -> Finding:
     """The finding about a scanner of a network whose root is west."""
     followed: dict[str, ScannerTracks | Rejected] = dict.fromkeys(("west", "east"), tracks())
     followed |= {bumped: one, "north": Rejected("no scan has any beam")}

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from calgraph.captures.detect import CaptureSet
-from calgraph.captures.input_checks import InputFinding
 from calgraph.config import Tolerance
 from calgraph.diagnostics.rig.assemble import assemble_rig
 from calgraph.errors import Rejected
@@ -19,6 +18,7 @@ from calgraph.geometry import se3
 from calgraph.graph.spanning_tree import SpanningTree
 from calgraph.pairwise.pairwise_estimate import PairwiseEstimate
 from calgraph.result import Calibration, CaptureRow, HeldOutError, Verdict
+from calgraph.result.finding import Finding
 from detected_rigs import DetectedRig, detect_rig
 
 CAPTURES = 5
@@ -242,7 +242,7 @@ def test_cross_validation_is_in_the_evidence_and_in_the_verdict(detected: Detect
 
 
 def test_findings_in_the_recording_are_remarks_and_make_their_sensors_weak(detected: DetectedRig) -> None:
-    findings = (InputFinding("a slip"), InputFinding("it zooms", ("camera",)), InputFinding("a copy", ("camera",)))
+    findings = (Finding("a slip"), Finding("it zooms", ("camera",)), Finding("a copy", ("camera",)))
     found = replace(detected, captures=replace(detected.captures, findings=findings))
     calibration = assemble(found, all_pairs(detected, {}), CONNECTED)
     assert calibration.evidence.remarks == ("a slip", "it zooms", "a copy")

@@ -10,8 +10,8 @@ from calgraph.geometry import Array, se2
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
 from calgraph.simulation import NetworkScenario, build_network, network_rig, network_truth, simulate_scans
 from calgraph.simulation.network_scenario import PeopleOptions, ScannerOptions
-from calgraph.tracking import track_scanner
 from calgraph.tracking.track import ScannerTracks
+from calgraph.tracking.track_scanner import track_scanner
 
 pytestmark = pytest.mark.without_coverage
 

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from calgraph.calibrate.options import RigOptions
 from calgraph.calibrate.rig import build_problem_from_captures, solve_jointly
 from calgraph.captures.from_detections import captures_from_detections
 from calgraph.config import Board, CameraSpec, Charuco, Checkerboard, Rig, SensorSpec
@@ -11,6 +10,7 @@ from calgraph.detection.detections import BoardCorners
 from calgraph.detection.from_measurements import board_corners_from_pixels
 from calgraph.estimation.rig.print_symmetry import align_symmetric_prints, symmetry_turns, turn_corners
 from calgraph.geometry import Array, se3, so3
+from calgraph.rig.options import RigOptions
 from calgraph.sensors import CameraModel
 
 CAMERA = CameraModel("pinhole", 640, 480, np.array([[500, 0, 319.5], [0, 500, 239.5], [0, 0, 1]]), np.zeros(0))

@@ -16,7 +16,6 @@ from board_scenes import detect_boards, make_boards, random_pose
 from calgraph.captures.detect import CaptureSet
 from calgraph.captures.detection_tables import DETECTIONS
 from calgraph.captures.holds import Hold
-from calgraph.captures.input_checks import InputFinding
 from calgraph.config import Rig
 from calgraph.detection.detections import BoardCorners, Detection, PlanePatch, to_beams
 from calgraph.errors import InputError, Rejected
@@ -26,6 +25,7 @@ from calgraph.estimation.rig.problem_file import load_problem, round_trip, save_
 from calgraph.graph.spanning_tree import SpanningTree, find_spanning_tree
 from calgraph.pairwise.board_pair import estimate_pairs, select_successful
 from calgraph.pairwise.pairwise_estimate import PairwiseEstimate
+from calgraph.result.finding import Finding
 from calgraph.sensors import CameraModel
 
 RIG = Rig.model_validate(
@@ -81,7 +81,7 @@ def problem() -> Problem:
         detections=detections,
         rejections={(i, n): f"it's “{n}”\n" for n, by in detections.items() for i in range(12) if i not in by},
         cameras={"camera": CameraModel("fisheye", 640, 480, np.diag([500.1, 499.9, 1]), np.array([0.1, 0, 0, 0]))},
-        findings=(InputFinding("laser ä/1 is “odd”", ("laser ä/1", "camera")), InputFinding("no sensor's")),
+        findings=(Finding("laser ä/1 is “odd”", ("laser ä/1", "camera")), Finding("no sensor's")),
     )
     pairs = estimate_pairs({n: detections[n] for n in ("lidar", "laser ä/1")}, (1.2, 0.9), rng)
     assert select_successful(pairs)

@@ -9,10 +9,8 @@ from typing import Literal
 
 import numpy as np
 
-from calgraph.captures.input_checks import InputFinding
 from calgraph.config import Cylinder, Lidar2dSpec, Rig
 from calgraph.config.target import Target
-from calgraph.diagnostics.finding import Finding
 from calgraph.diagnostics.network.beam_views import collect_beam_views
 from calgraph.diagnostics.network.walk_report import build_floor_views, build_walk_rows, match_across_scanners
 from calgraph.diagnostics.verdict import LONE_ROOT, collect_findings, grade_pose
@@ -28,6 +26,7 @@ from calgraph.pairwise.hypothesis_evidence import PoseHypothesis
 from calgraph.pairwise.scanner_pair import ScannerPairEstimate
 from calgraph.pairwise.synchronized_tracks import resample_tracks
 from calgraph.result import Calibration, Edge, Evidence, ModelledBodies, Pictures, SensorPose, StatedPose
+from calgraph.result.finding import Finding
 from calgraph.tracking.track import ScannerTracks
 
 _ADVICE = "let people walk farther and in more directions where the views of {name} and other scanners overlap"
@@ -45,7 +44,7 @@ def assemble_network(
     initialization: NetworkInitialization,
     start: float,
     joint: NetworkSolution | None = None,
-    findings: Sequence[InputFinding | Finding] = (),
+    findings: Sequence[Finding] = (),
     *,
     clock_offset: Mapping[str, float] = MappingProxyType({}),
     inverted: Collection[str] = (),

@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 
 from calgraph.config.settings import ClockMountingSettings
-from calgraph.diagnostics.finding import Finding
 from calgraph.graph.clock_mounting_consensus import ClockMountingSolution
+from calgraph.result.finding import Finding
 
 
 def report_clocks_and_mountings(

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from calgraph.config.settings import NetworkModelSettings
-from calgraph.diagnostics.finding import Finding
 from calgraph.estimation.network.contributions import Contributions, NetworkContributions
 from calgraph.estimation.network.estimate import NetworkSolution
 from calgraph.geometry import Array, se2
+from calgraph.result.finding import Finding
 
 # Information (1/m², 1/rad², 1/s²) that keeps stated differences from growing where the data hardly determine them:
 # standard deviations of 1 m, 1 rad and 1 s.

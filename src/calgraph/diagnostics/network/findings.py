@@ -2,13 +2,12 @@
 
 from collections.abc import Mapping, Sequence
 
-from calgraph.captures.input_checks import InputFinding
 from calgraph.config.settings import NetworkDiagnosticsSettings
-from calgraph.diagnostics.finding import Finding
 from calgraph.diagnostics.network.pair_support import describe_ambiguous_parts, find_poorly_supported_parts
 from calgraph.diagnostics.network.scanner_bumps import describe_bumps
 from calgraph.errors import Rejected
 from calgraph.graph.network_initialization import NetworkInitialization
+from calgraph.result.finding import Finding
 from calgraph.tracking.track import ScannerTracks
 
 
@@ -17,7 +16,7 @@ def collect_network_findings(
     initialization: NetworkInitialization,
     start: float,
     settings: NetworkDiagnosticsSettings,
-) -> Sequence[InputFinding | Finding]:
+) -> Sequence[Finding]:
     """Scanners that were bumped, or may be elsewhere, or rest on a pair that disagrees about most positions.
 
     Args:

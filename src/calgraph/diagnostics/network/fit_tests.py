@@ -7,11 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.config.settings import NetworkModelSettings
-from calgraph.diagnostics.finding import Finding
 from calgraph.estimation.network.beam_residuals import list_beam_residuals
 from calgraph.estimation.network.estimate import SolvedNetwork
 from calgraph.estimation.network.problem import BodyObservations, BodyPath, NetworkProblem, NetworkState
 from calgraph.geometry import Array
+from calgraph.result.finding import Finding
 
 
 def find_poor_fit(

@@ -7,7 +7,6 @@ import numpy as np
 
 from calgraph.config import Cylinder, People
 from calgraph.config.settings import DiagnosticsSettings, NetworkModelSettings
-from calgraph.diagnostics.finding import Finding
 from calgraph.diagnostics.network.consistency_tests import (
     Scatter,
     find_disagreement,
@@ -22,6 +21,7 @@ from calgraph.estimation.network.leg_problem import LegObservations
 from calgraph.geometry import Array
 from calgraph.graph.network_graph import compute_joint_covariance
 from calgraph.graph.network_initialization import NetworkInitialization
+from calgraph.result.finding import Finding
 from calgraph.tracking.track import ScannerTracks
 
 

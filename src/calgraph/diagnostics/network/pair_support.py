@@ -6,12 +6,12 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from calgraph.diagnostics.finding import Finding
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2
 from calgraph.graph.ambiguous_parts import AmbiguousPart
 from calgraph.graph.pose_graph import PoseGraph
 from calgraph.pairwise.scanner_pair import ScannerPairEstimate
+from calgraph.result.finding import Finding
 
 
 def find_poorly_supported_parts(

@@ -4,8 +4,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from calgraph.captures.input_checks import InputFinding
 from calgraph.errors import Rejected
+from calgraph.result.finding import Finding
 from calgraph.tracking.track import ScannerBump, ScannerTracks
 
 # Intervals shorter than this are stated as one time, s.
@@ -14,7 +14,7 @@ _MAX_INSTANT = 1.5
 
 def describe_bumps(
     root: str, followed: Mapping[str, ScannerTracks | Rejected], start: float
-) -> tuple[InputFinding, ...]:
+) -> tuple[Finding, ...]:
     """What moved, when, and from which data each of these scanners is calibrated.
 
     A pose from before the last bump is weak, as the scanner has moved since; if it is the root's, those of all
@@ -34,15 +34,15 @@ def describe_bumps(
 
 def _describe(
     name: str, tracks: ScannerTracks, start: float, depending: tuple[str, ...], *, is_root: bool
-) -> InputFinding:
+) -> Finding:
     """The finding about one scanner; the poses that depend on it are weak unless its last data suffice."""
     moved = f"{name} moved {', and '.join(_describe_step(bump, start) for bump in tracks.bumps)}"
     frame = ", and all poses are in its frame at that time" if is_root else ""
     begin, end = tracks.interval[0] - start, tracks.interval[1] - start
     if np.isinf(end):
         data = f"from its data after {begin:.1f} s"
-        return InputFinding(f"{moved}: the result is its pose after that{frame}, {data}")
-    return InputFinding(
+        return Finding(f"{moved}: the result is its pose after that{frame}, {data}")
+    return Finding(
         f"{moved}: its data after that are too short, the result is its pose between {max(begin, 0.0):.1f} and "
         f"{end:.1f} s{frame}: fix it to its place, and record again",
         depending,

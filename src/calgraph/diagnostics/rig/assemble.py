@@ -7,9 +7,7 @@ import numpy as np
 
 from calgraph.captures.detect import CaptureSet
 from calgraph.captures.holds import Hold
-from calgraph.captures.input_checks import InputFinding
 from calgraph.config import CameraSpec, Intrinsics, Rig, SensorSpec
-from calgraph.diagnostics.finding import Finding
 from calgraph.diagnostics.rig.board_pictures import (
     InlierResiduals,
     collect_board_outlines,
@@ -47,6 +45,7 @@ from calgraph.result import (
     SensorPose,
     apply_estimates,
 )
+from calgraph.result.finding import Finding
 
 
 def assemble_rig(
@@ -70,7 +69,7 @@ def assemble_rig(
     used = {view: r for view, r in _used_residuals(estimates, solution).items() if view not in solution.rejected}
     paired = {name for estimate in estimates for name in (estimate.sensor_a, estimate.sensor_b)}
     kinds = {name: rig.sensors[name].kind for name in connected}
-    findings: list[InputFinding | Finding] = [
+    findings: list[Finding] = [
         *captures.findings,
         *find_contradictions(solution, rig, captures, held_out),
     ]

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from calgraph.captures.detect import CaptureSet
 from calgraph.config.settings import RigDiagnosticsSettings
-from calgraph.diagnostics.finding import Finding
 from calgraph.estimation.rig.bundle_solver import Bundle
 from calgraph.estimation.rig.solution import SolvedBundle
+from calgraph.result.finding import Finding
 
 
 @dataclass(frozen=True, eq=False)

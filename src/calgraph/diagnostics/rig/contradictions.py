@@ -7,7 +7,6 @@ import numpy as np
 from calgraph.captures.detect import CaptureSet
 from calgraph.config import Rig
 from calgraph.config.settings import RigDiagnosticsSettings
-from calgraph.diagnostics.finding import Finding
 from calgraph.diagnostics.rig.bootstrap import bootstrap_poses
 from calgraph.diagnostics.rig.capture_losses import find_lost_captures
 from calgraph.diagnostics.rig.change_tests import find_changes
@@ -16,6 +15,7 @@ from calgraph.diagnostics.rig.systematic_tests import find_systematic_errors
 from calgraph.diagnostics.verdict import axis_names
 from calgraph.estimation.rig.solution import RigSolution, SolvedBundle
 from calgraph.result import HeldOutError
+from calgraph.result.finding import Finding
 
 
 def find_contradictions(

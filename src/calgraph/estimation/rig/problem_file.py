@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from calgraph.captures.detect import CaptureSet
 from calgraph.captures.detection_tables import pack_detections, unpack_detections
 from calgraph.captures.holds import Hold
-from calgraph.captures.input_checks import InputFinding
 from calgraph.config import Rig
 from calgraph.config.settings import LimitSettings
 from calgraph.config.strict_model import StrictModel
@@ -24,6 +23,7 @@ from calgraph.io.columns import INDEX, NUMBER, Arrays, Column, Table
 from calgraph.io.yaml_reading import validate_content
 from calgraph.pairwise.board_pair import PairwiseEstimates, select_successful
 from calgraph.pairwise.pairwise_estimate import PairwiseEstimate
+from calgraph.result.finding import Finding
 from calgraph.sensors import CameraModel
 
 FORMAT = "calgraph-problem/2"
@@ -163,7 +163,7 @@ def _decode(structure: _Structure, arrays: Arrays) -> Problem:
         detections=unpack_detections(arrays, sensors),
         rejections={(miss.capture, miss.sensor): miss.reason for miss in structure.misses},
         cameras=_cameras(structure, arrays),
-        findings=tuple(InputFinding(finding.text, finding.sensors) for finding in structure.findings),
+        findings=tuple(Finding(finding.text, finding.sensors) for finding in structure.findings),
     )
     poses = {row["sensor"]: row["T_root_sensor"] for row in _TREE.unpack_named(arrays, sensors)}
     tree = SpanningTree(structure.rig.root, structure.parents, poses)

@@ -1,20 +1,12 @@
-"""Log of a calibration's steps, with counts; the command line shows it on request."""
+"""Log of the steps of a rig's calibration, with counts; the command line shows it on request."""
 
 import logging
 from collections import Counter
-from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
 from calgraph.captures.detect import CaptureSet
 from calgraph.errors import Rejected
 from calgraph.estimation.rig.solution import RigSolution
-from calgraph.pairwise.pairwise_estimate import PairwiseEstimate
-
-if TYPE_CHECKING:
-    from calgraph.estimation.network.estimate import NetworkSolution
-    from calgraph.graph.network_initialization import NetworkInitialization
-    from calgraph.pairwise.scanner_pair import ScannerPairEstimate
-    from calgraph.tracking.track import ScannerTracks
+from calgraph.pairwise.board_pair import PairwiseEstimates
 
 _log = logging.getLogger("calgraph")
 
@@ -28,15 +20,13 @@ def log_captures(captures: CaptureSet) -> None:
         _log.info("detections of %s: in %d of %d captures%s", name, len(detections), len(captures.holds), missed)
 
 
-def log_pairs(pairs: "Mapping[tuple[str, str], PairwiseEstimate | ScannerPairEstimate | Rejected]") -> None:
+def log_pairs(pairs: PairwiseEstimates) -> None:
     """Logs what each pair of sensors has in common, or why it has no pose."""
     for (a, b), pair in pairs.items():
         if isinstance(pair, Rejected):
             found = f"no pose, {pair.reason}"
-        elif isinstance(pair, PairwiseEstimate):
-            found = f"{pair.inliers.sum()} inliers of {len(pair.inliers)} matches"
         else:
-            found = f"{len(pair.hypotheses)} possible poses"
+            found = f"{pair.inliers.sum()} inliers of {len(pair.inliers)} matches"
         _log.info("pair %s, %s: %s", a, b, found)
 
 
@@ -58,25 +48,3 @@ def log_solution(joint: RigSolution) -> None:
         minimized.iterations,
         "converged" if joint.converged else "not converged",
     )
-
-
-def log_tracks(tracks: "Mapping[str, ScannerTracks | Rejected]") -> None:
-    """Logs the tracks of each scanner, or why it has none."""
-    for name, found in tracks.items():
-        if isinstance(found, Rejected):
-            _log.info("tracks of %s: none, %s", name, found.reason)
-        else:
-            _log.info("tracks of %s: %d", name, len(found.tracks))
-
-
-def log_network(
-    pairs: "Mapping[tuple[str, str], ScannerPairEstimate | Rejected]",
-    start: "NetworkInitialization",
-    joint: "NetworkSolution | None",
-) -> None:
-    """Logs the pairs of a network, and the size of its solution."""
-    log_pairs(pairs)
-    _log.info("start poses: %d scanners from %d poses of pairs", len(start.names), len(start.graph.edges))
-    if joint is not None:
-        clocks = "with clocks" if joint.clocks_estimated else "without clocks"
-        _log.info("joint solution: %d scanners, %s", len(joint.T_root_scanner), clocks)

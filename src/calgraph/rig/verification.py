@@ -1,21 +1,17 @@
-"""Validation of a result: a bootstrap over captures, and comparison with given extrinsics."""
+"""Verification of a rig: a bootstrap over captures, and comparison with given extrinsics."""
 
 from dataclasses import replace
 
 import numpy as np
 
-from calgraph.calibrate.network import calibrate_network
-from calgraph.calibrate.options import NetworkOptions, Progress, no_progress
 from calgraph.calibrate.rig import solve_jointly
-from calgraph.config import Rig
 from calgraph.diagnostics.comparison import ExtrinsicsComparison
-from calgraph.diagnostics.network.extrinsics_check import compare_network_poses
 from calgraph.diagnostics.rig.assemble import assemble_rig
 from calgraph.diagnostics.rig.bootstrap import BootstrapScatter, bootstrap_poses
 from calgraph.diagnostics.rig.extrinsics_check import compare_rig_poses
 from calgraph.errors import CalibrationError
 from calgraph.estimation.rig.problem import Problem
-from calgraph.recording import Recording
+from calgraph.parallel.progress import Progress, no_progress
 from calgraph.result import Calibration, ExtrinsicsFile
 
 
@@ -53,15 +49,3 @@ def compare_extrinsics(problem: Problem, given: ExtrinsicsFile) -> tuple[Calibra
     return calibration, compare_rig_poses(
         calibration, joint.solved_bundle, given, problem.rig.tolerance, problem.rig.settings.diagnostics.verdict
     )
-
-
-def compare_network_extrinsics(
-    rig: Rig,
-    recording: Recording,
-    given: ExtrinsicsFile,
-    options: NetworkOptions,
-    progress: Progress = no_progress,
-) -> tuple[Calibration, ExtrinsicsComparison]:
-    """Comparison of the given poses of a network with its calibration, as :func:`compare_extrinsics` for a rig."""
-    calibration = calibrate_network(rig, recording, options, progress)
-    return calibration, compare_network_poses(calibration, given, rig.tolerance, settings=rig.settings.diagnostics)

@@ -1,0 +1,18 @@
+"""The averaging of pairs that an option chooses by name."""
+
+from functools import partial
+from typing import Literal
+
+from calgraph.config.settings import BaselineSettings
+from calgraph.graph.pose_graph import PoseAveraging
+
+AveragingMethod = Literal["consensus", "l1mc", "triangles", "spectral", "irls"]
+
+
+def select_averaging(method: AveragingMethod, settings: BaselineSettings) -> PoseAveraging | None:
+    """The averaging of pairs; None for the consensus. A published one is imported only where it is chosen."""
+    if method == "consensus":
+        return None
+    from calgraph.baselines.pose_averaging import average_poses_by_rotations
+
+    return partial(average_poses_by_rotations, method=method, settings=settings)

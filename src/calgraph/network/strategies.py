@@ -1,0 +1,36 @@
+"""What options choose by name: the default, or a part of the paper, imported only where it is chosen."""
+
+from functools import partial
+from typing import TYPE_CHECKING
+
+from calgraph.config.settings import BaselineSettings
+from calgraph.network.options import CenterFeature
+
+if TYPE_CHECKING:
+    from calgraph.tracking.features import CenterEstimator
+
+
+def select_center_estimator(feature: CenterFeature, settings: BaselineSettings) -> "CenterEstimator | None":
+    """The estimator of the centres of tracked objects; None for ellipses of fixed radii."""
+    match feature:
+        case "nls":
+            return None
+        case "com":
+            from calgraph.tracking.features import measure_centroids
+
+            return measure_centroids
+        case "ellipse":
+            from calgraph.baselines.direct_ellipses import measure_direct_ellipses
+
+            return partial(measure_direct_ellipses, limits=settings)
+
+
+def select_depth_stddev(feature: CenterFeature, settings: BaselineSettings) -> float | None:
+    """Standard deviation of the distance from tracked to true centres, m; None for ellipses of fixed radii."""
+    match feature:
+        case "nls":
+            return None
+        case "com":
+            return settings.centroid_depth_stddev
+        case "ellipse":
+            return settings.direct_ellipse_depth_stddev

@@ -1,0 +1,1 @@
+"""Calls in this process, in processes of this machine, or on a cluster."""

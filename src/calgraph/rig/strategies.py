@@ -1,0 +1,47 @@
+"""What options choose by name: the default, or a part of the paper, imported only where it is chosen."""
+
+from calgraph.config.settings import BaselineSettings
+from calgraph.detection.camera import PlaneEstimator
+from calgraph.estimation.rig.problem import Problem
+from calgraph.estimation.rig.solution import RigSolution
+from calgraph.graph.averaging import select_averaging
+from calgraph.graph.rig_initialization import Initialization
+from calgraph.graph.spanning_tree import SpanningTree
+from calgraph.pairwise.board_pair import select_successful
+from calgraph.rig.options import PlaneMethod, RigStart
+
+
+def select_initialization(start: RigStart, settings: BaselineSettings) -> Initialization:
+    """How a rig's start poses are computed."""
+    if start == "tree" or start == "identity":
+        return start
+    return select_averaging(start, settings) or "consensus"
+
+
+def select_plane_estimator(method: PlaneMethod) -> PlaneEstimator | None:
+    """The estimator of a board's plane from its tags; None for one PnP over all corners."""
+    if method == "pnp":
+        return None
+    from calgraph.baselines.mean_plane import estimate_mean_plane
+
+    return estimate_mean_plane
+
+
+def solve_baseline(problem: Problem, tree: SpanningTree) -> RigSolution:
+    """The solution of a rig by the hypergraph of MSG-Cal."""
+    from calgraph.baselines.hypergraph import solve_hypergraph
+
+    solution = solve_hypergraph(
+        tree,
+        select_successful(problem.pairs),
+        problem.captures.detections,
+        keep=problem.solver.keep,
+        settings=problem.rig.settings,
+    )
+    return RigSolution(
+        "hypergraph",
+        solution.T_root_sensor,
+        solution.joint_covariance,
+        solution.residuals,
+        converged=solution.converged,
+    )
