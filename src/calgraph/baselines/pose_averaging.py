@@ -14,7 +14,7 @@ from calgraph.baselines.rotation_averaging import (
 from calgraph.config.settings import BaselineSettings
 from calgraph.geometry import Array, se_n
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
-from calgraph.ransac import select_best_of_groups
+from calgraph.solver.ransac import select_best_of_groups
 
 RotationAveraging = Literal["l1mc", "triangles", "spectral", "irls"]
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from calgraph.errors import CalibrationError
 from calgraph.geometry import Array
-from calgraph.levenberg_marquardt import Minimum, minimize
+from calgraph.solver.levenberg_marquardt import Minimum, minimize
 
 Values = Mapping[str, Array]
 """Arrays of variables by block name; the first axis counts the variables of a block."""

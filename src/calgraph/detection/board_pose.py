@@ -11,8 +11,8 @@ from calgraph.config.settings import BoardPoseSettings
 from calgraph.detection.detections import InconsistentTags
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, plane, se3, so3
-from calgraph.levenberg_marquardt import DenseLinearization, minimize
 from calgraph.sensors import CameraModel
+from calgraph.solver.levenberg_marquardt import DenseLinearization, minimize
 
 _RAYLEIGH_MEDIAN = 1.1774
 """Median length of a 2-D normal error, in standard deviations of one coordinate."""

@@ -18,8 +18,8 @@ from calgraph.detection.line_plane_fit import SurfaceFit, fit_line, whiten_line
 from calgraph.detection.scan_averaging import AveragedScan, average_scans
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, find_median
-from calgraph.ransac import find_consensus
 from calgraph.sensors import LaserScan, ScanBackground
+from calgraph.solver.ransac import find_consensus
 
 Indices = NDArray[np.intp]
 

@@ -27,8 +27,8 @@ from calgraph.detection.region_growing import grow_flat_regions
 from calgraph.detection.voxel_normals import Cells, Indices, make_cells
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, measure_lengths, plane
-from calgraph.ransac import find_consensus
 from calgraph.sensors import PointCloud
+from calgraph.solver.ransac import find_consensus
 
 # Rounding of coordinates, m.
 _ROUNDING = 1e-9

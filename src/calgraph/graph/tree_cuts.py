@@ -7,7 +7,7 @@ from scipy.sparse.csgraph import depth_first_order, minimum_spanning_tree
 
 from calgraph.geometry import Array
 from calgraph.graph.pose_graph import PoseGraph
-from calgraph.ransac import select_best_of_groups
+from calgraph.solver.ransac import select_best_of_groups
 
 
 def find_minimum_tree(graph: PoseGraph, costs: Array) -> NDArray[np.bool_]:

@@ -28,7 +28,7 @@ from calgraph.pairwise.pairwise_estimate import (
     resolve_ambiguity,
     squared_residual_function,
 )
-from calgraph.ransac import find_consensus, select_best_of_groups
+from calgraph.solver.ransac import find_consensus, select_best_of_groups
 
 
 def estimate_pair(

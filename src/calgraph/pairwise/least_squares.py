@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calgraph.geometry import Array, se3
-from calgraph.levenberg_marquardt import DenseLinearization, minimize_batch
+from calgraph.solver.levenberg_marquardt import DenseLinearization, minimize_batch
 
 # Relative decrease of the cost at which a problem has converged; initial damping: many starts are far from a
 # minimum.

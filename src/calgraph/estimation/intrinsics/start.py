@@ -17,8 +17,8 @@ from calgraph.config.settings import IntrinsicsSettings
 from calgraph.detection.board_views import BoardView
 from calgraph.errors import InputError
 from calgraph.geometry import Array, se3, so3
-from calgraph.levenberg_marquardt import DenseLinearization, minimize
 from calgraph.sensors import CameraModel
+from calgraph.solver.levenberg_marquardt import DenseLinearization, minimize
 
 LensModel = Literal["pinhole", "fisheye"]
 COEFFICIENTS: dict[LensModel, int] = {"pinhole": 5, "fisheye": 4}

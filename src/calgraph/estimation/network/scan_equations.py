@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calgraph.estimation.marginalization import marginalize_bias
 from calgraph.geometry import Array, Index
+from calgraph.solver.marginalization import marginalize_bias
 
 RANGE_ERROR, AZIMUTH_ERRORS = 5, np.arange(6, 9)
 """Parameters of a scan besides the body's: an error of all its ranges, and those that depend on the azimuth."""

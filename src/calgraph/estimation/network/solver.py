@@ -38,7 +38,7 @@ from calgraph.estimation.network.scanner_unknowns import (
 )
 from calgraph.estimation.network.schur import BodyEquations, eliminate_path, substitute_back
 from calgraph.geometry import Array, Index, se2
-from calgraph.levenberg_marquardt import minimize
+from calgraph.solver.levenberg_marquardt import minimize
 
 # Predicted decrease of the cost (half squared standard deviations) at which the solver stops: no unknown is then
 # off by more than 0.2 % of its standard deviation.

@@ -19,7 +19,7 @@ from calgraph.estimation.rig.corner_observations import CornerObservations
 from calgraph.estimation.rig.observations import BoardViews, relative_poses
 from calgraph.estimation.rig.relinearization import CachedLinearization, linearize_views
 from calgraph.geometry import Array, Index, se3, se_n, so3
-from calgraph.levenberg_marquardt import minimize
+from calgraph.solver.levenberg_marquardt import minimize
 
 # Prior information on a board's pose (m⁻², rad⁻²), 10⁻⁷ of a beam's: makes unmeasured directions invertible.
 BOARD_PRIOR_INFORMATION = 1e-4

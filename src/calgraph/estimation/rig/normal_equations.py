@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtr, chdtrc, gammaln
 
-from calgraph.estimation.marginalization import compute_bias_covariance, marginalize_bias
 from calgraph.estimation.rig.observations import LinearizedResiduals, view_indices
 from calgraph.estimation.rig.whitening import whitening
 from calgraph.geometry import Array, Index, se_n
+from calgraph.solver.marginalization import compute_bias_covariance, marginalize_bias
 
 # Limit on the robust weights' iterations, which hardly ever binds.
 _MAX_REWEIGHTINGS = 3

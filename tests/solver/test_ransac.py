@@ -6,7 +6,7 @@ import pytest
 from numpy.typing import NDArray
 
 from calgraph.geometry import Array
-from calgraph.ransac import Indices, Score, find_consensus, select_best_of_groups
+from calgraph.solver.ransac import Indices, Score, find_consensus, select_best_of_groups
 
 CONFIDENCE = 0.9999
 

@@ -8,7 +8,7 @@ import pytest
 import scipy.optimize
 
 from calgraph.geometry import Array
-from calgraph.levenberg_marquardt import Damping, DenseLinearization, Minimum, minimize, minimize_batch
+from calgraph.solver.levenberg_marquardt import Damping, DenseLinearization, Minimum, minimize, minimize_batch
 
 
 def rosenbrock(x: Array) -> DenseLinearization:

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from calgraph.estimation.marginalization import compute_bias_covariance, marginalize_bias
 from calgraph.geometry import Array
+from calgraph.solver.marginalization import compute_bias_covariance, marginalize_bias
 
 
 def equations(rng: np.random.Generator, q: int) -> tuple[Array, Array, Array]:

@@ -1,0 +1,1 @@
+"""Minimization and sampling that know no sensor."""
