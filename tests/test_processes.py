@@ -264,7 +264,7 @@ def test_a_signal_between_the_starts_of_two_workers_ends_the_program(name: str, 
     if handled == "by calgraph":
         # Background jobs of shells ignore SIGINT.
         handler = (
-            f"import calgraph.termination as one; signal.signal({number}, signal.SIG_DFL); one.handle_signals()"
+            f"import calgraph.io.termination as one; signal.signal({number}, signal.SIG_DFL); one.handle_signals()"
         )
         expected = 128 + getattr(signal, name)
     code = _STOPPED_BETWEEN_WORKERS.replace("{name}", name).replace("{handler}", handler)
@@ -274,7 +274,7 @@ def test_a_signal_between_the_starts_of_two_workers_ends_the_program(name: str, 
 _STOPPED_BY_A_WORKER = """
 import os, signal, time
 from calgraph.processes import parallel_map, parallel_stream
-from calgraph.termination import handle_signals
+from calgraph.io.termination import handle_signals
 signal.signal(signal.SIGINT, signal.default_int_handler)  # background jobs of shells ignore it
 handle_signals()
 def stop_program(seconds):

@@ -16,7 +16,7 @@ from functools import partial
 from typing import Any, Literal, TypeVar
 
 from calgraph.errors import CalibrationError, WorkerKilledError
-from calgraph.termination import SIGNALS, add_cleanup, remove_cleanup
+from calgraph.io.termination import SIGNALS, add_cleanup, remove_cleanup
 
 _log = logging.getLogger(__name__)
 

@@ -21,9 +21,9 @@ from typing import Any, NamedTuple, TypeVar
 from weakref import finalize
 
 from calgraph.errors import CalibrationError, WorkerKilledError
+from calgraph.io.termination import add_cleanup, remove_cleanup
 from calgraph.mapped_arrays import ArrayMemory, KeptValue
 from calgraph.processes import KILLED_MESSAGE, postponed_signals, start_worker
-from calgraph.termination import add_cleanup, remove_cleanup
 
 Result = TypeVar("Result")
 

@@ -94,7 +94,7 @@ PROGRAM = """
 import os, signal, sys, time
 from calgraph.cluster import open_cluster
 from calgraph.config.settings import DaskSettings
-from calgraph.termination import handle_signals
+from calgraph.io.termination import handle_signals
 
 if __name__ == "__main__":
     signal.signal(signal.SIGINT, signal.default_int_handler)  # background jobs of shells ignore it

@@ -2,7 +2,7 @@
 
 import sys
 
-from calgraph.termination import handle_signals
+from calgraph.io.termination import handle_signals
 
 _MIN_ADDRESS_SPACE = 10**9
 """Of all modules of a command and a small recording, which need some 700 MB, with a margin for several processes,

@@ -15,6 +15,7 @@ from calgraph.cli.console import console
 from calgraph.cli.setting_options import SetOption, load_rig_with
 from calgraph.config import Rig, load_rig
 from calgraph.errors import InputError
+from calgraph.io.termination import add_cleanup, allow_interrupts, remove_cleanup
 from calgraph.live.link import format_link
 from calgraph.live.live_rig import prepare_live_rig
 from calgraph.live.live_session import FinalCalibration, LiveOptions, run_session
@@ -24,7 +25,6 @@ from calgraph.live.server import DEFAULT_HOST, DEFAULT_PORT, PageServer, check_p
 from calgraph.live.session_folder import SessionFolder, create_session, resume_session
 from calgraph.live.source import Source
 from calgraph.result import Calibration, load_calibration
-from calgraph.termination import add_cleanup, allow_interrupts, remove_cleanup
 
 _INTERRUPTED = 128 + 2
 """Exit code as shells give it for SIGINT."""

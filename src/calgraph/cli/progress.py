@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
 from calgraph.cli.console import console
-from calgraph.termination import add_cleanup, remove_cleanup
+from calgraph.io.termination import add_cleanup, remove_cleanup
 
 _log = logging.getLogger("calgraph")
 _MIN_DURATION = 2.0

@@ -10,8 +10,8 @@ import typer
 from calgraph.cli.common_options import find_calibration
 from calgraph.config import load_rig
 from calgraph.errors import InputError
+from calgraph.io.termination import allow_interrupts
 from calgraph.result import calibrated_cameras, load_calibration, load_scene
-from calgraph.termination import allow_interrupts
 
 
 def view(

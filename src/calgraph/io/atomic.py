@@ -18,7 +18,7 @@ from functools import partial
 from pathlib import Path
 
 from calgraph.errors import InputError
-from calgraph.termination import add_cleanup, remove_cleanup
+from calgraph.io.termination import add_cleanup, remove_cleanup
 
 
 @contextmanager

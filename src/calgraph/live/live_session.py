@@ -9,6 +9,7 @@ from pathlib import Path
 from calgraph.config import Rig
 from calgraph.engine import Processes
 from calgraph.errors import CalibrationError, RecordingError
+from calgraph.io.termination import handle_interrupt
 from calgraph.live.job_queue import Post
 from calgraph.live.network_session import NetworkSession
 from calgraph.live.operator_view import OperatorView
@@ -23,7 +24,6 @@ from calgraph.live.source import Source
 from calgraph.live.state import Command
 from calgraph.processes import worker_pool
 from calgraph.recording import open_recording
-from calgraph.termination import handle_interrupt
 
 # Exit code of commands that calibrate nothing.
 _NOT_CALIBRATED = 1

@@ -9,6 +9,7 @@ from tempfile import TemporaryDirectory
 
 from calgraph.config import Rig
 from calgraph.errors import RecordingError
+from calgraph.io.termination import add_cleanup, remove_cleanup
 from calgraph.live.floor_plan import draw_floor_plan
 from calgraph.live.job_queue import JobQueue
 from calgraph.live.live_timeline import LiveTimeline
@@ -19,7 +20,6 @@ from calgraph.live.record_reader import RecordReader
 from calgraph.live.rig_session import SessionPools
 from calgraph.live.source import LiveMessage
 from calgraph.live.state import Command, SessionState
-from calgraph.termination import add_cleanup, remove_cleanup
 
 Solve = Callable[[Rig, Path, Path, LiveNetworkSolution | None], LiveNetworkSolution | None]
 """Calibrates from a recording; defined at module level. See :func:`solve_recording`."""

@@ -16,12 +16,12 @@ from mcap.writer import CompressionType, Writer
 
 from calgraph.config.settings import LimitSettings, RecorderSettings
 from calgraph.errors import InputError, RecordingError
+from calgraph.io.termination import add_cleanup, remove_cleanup
 from calgraph.live.cdr import CdrSchema, make_cdr_schema
 from calgraph.live.recorded_files import METADATA, ChunkFile, finish_files, read_files, write_metadata
 from calgraph.live.source import Channel, LiveMessage
 from calgraph.live.state import RecorderState
 from calgraph.recording.unfinished_mcap import finish_mcap
-from calgraph.termination import add_cleanup, remove_cleanup
 
 # Chunks end when they are flushed, and not before.
 _NO_LIMIT = 2**62

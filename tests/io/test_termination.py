@@ -12,7 +12,7 @@ pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 
 _START = """
 import os, signal, sys, time
-from calgraph.termination import add_cleanup, allow_interrupts, handle_signals, remove_cleanup
+from calgraph.io.termination import add_cleanup, allow_interrupts, handle_signals, remove_cleanup
 for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
     signal.signal(number, signal.SIG_DFL)  # background jobs of shells ignore SIGINT
 """
@@ -65,9 +65,7 @@ def test_a_second_signal_does_not_interrupt_cleanups() -> None:
 
 
 def test_a_cleanup_that_waits_for_ever_ends_with_the_program() -> None:
-    waiting = (
-        f"import calgraph.termination as module\nmodule._MAX_CLEANUP_TIME = 0.1\nadd_cleanup(1, lambda: {_WAIT})"
-    )
+    waiting = f"import calgraph.io.termination as module\nmodule._MAX_CLEANUP_TIME = 0.1\nadd_cleanup(1, lambda: {_WAIT})"
     assert run("handle_signals()", waiting, _STOP.format("SIGINT"))[0] == -signal.SIGALRM
 
 
