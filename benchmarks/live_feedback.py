@@ -24,7 +24,7 @@ from calgraph.live.replay import ReplaySource
 from calgraph.live.rig_session import RigSession, SessionOutputs, SessionPools, count_analysis_processes
 from calgraph.live.rig_solution import solve_captures
 from calgraph.live.source import LiveMessage
-from calgraph.processes import worker_pool
+from calgraph.parallel.processes import worker_pool
 from calgraph.simulation import (
     CameraOptions,
     LaserOptions,

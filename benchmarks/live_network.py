@@ -27,7 +27,7 @@ from calgraph.live.recorder import Recorder
 from calgraph.live.replay import ReplaySource
 from calgraph.live.rig_session import SessionPools
 from calgraph.live.source import LiveMessage
-from calgraph.processes import worker_pool
+from calgraph.parallel.processes import worker_pool
 from calgraph.simulation import (
     NetworkScenario,
     PeopleOptions,

@@ -32,7 +32,7 @@ from calgraph.captures.detect import CaptureSet
 from calgraph.config import CameraSpec, PixelNoise, Rig
 from calgraph.errors import CalgraphError
 from calgraph.geometry import se3
-from calgraph.processes import parallel_map
+from calgraph.parallel.processes import parallel_map
 from calgraph.result import Calibration
 from calgraph.rig.options import RigOptions
 from calgraph.simulation import (

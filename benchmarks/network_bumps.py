@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from calgraph.config.settings import StationaritySettings
-from calgraph.processes import parallel_map
+from calgraph.parallel.processes import parallel_map
 from calgraph.recording import open_recording
 from calgraph.sensors.cloud_to_scan import to_scans
 from calgraph.simulation import NetworkScenario, build_network, simulate_scans

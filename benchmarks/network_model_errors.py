@@ -32,7 +32,7 @@ from calgraph.config import People, Tolerance
 from calgraph.errors import CalgraphError
 from calgraph.geometry import se3
 from calgraph.network.options import NetworkEstimator, NetworkOptions
-from calgraph.processes import parallel_map
+from calgraph.parallel.processes import parallel_map
 from calgraph.recording.in_memory import MessageRecording
 from calgraph.result import Calibration
 from calgraph.simulation import GroundTruth, build_network, network_rig, network_truth, simulate_scans

@@ -31,9 +31,9 @@ import numpy as np
 
 from calgraph.calibrate.network import calibrate_network
 from calgraph.config import load_rig
-from calgraph.engine import Processes
 from calgraph.io import save_yaml
 from calgraph.network.options import NetworkOptions
+from calgraph.parallel.engine import Processes
 from calgraph.recording import open_recordings
 from calgraph.report import write_report
 from calgraph.result import save_calibration, save_captures, save_scene

@@ -39,7 +39,7 @@ from calgraph.estimation.rig.observations import relative_poses
 from calgraph.estimation.rig.problem import Problem
 from calgraph.estimation.rig.solution import RigSolution, SolvedBundle
 from calgraph.geometry import Array, se3
-from calgraph.processes import parallel_map
+from calgraph.parallel.processes import parallel_map
 from calgraph.recording import open_recording
 from calgraph.rig.options import RigOptions
 from calgraph.sensors import PointCloud

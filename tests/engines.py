@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from typing import Any, TypeVar
 
-from calgraph.engine import THIS_PROCESS, MapEngine
+from calgraph.parallel.engine import THIS_PROCESS, MapEngine
 
 Result = TypeVar("Result")
 

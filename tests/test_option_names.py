@@ -9,7 +9,7 @@ import calgraph
 
 SOURCE = Path(calgraph.__file__).parent
 OF_OTHER_PROGRAMS = {
-    "cluster/open_cluster.py": "options of dask worker",
+    "parallel/open_cluster.py": "options of dask worker",
     "config/draft.py": "options of ros2 topic pub",
     "report/figures.py": "variables of CSS",
     "result/exports/launch.py": "options of tf2_ros's static_transform_publisher",

@@ -18,8 +18,8 @@ from calgraph.captures.board_views import decode_views, encode_views
 from calgraph.captures.detect import CaptureSet
 from calgraph.config import Rig, load_rig
 from calgraph.detection.board_views import BoardView, BoardViewFinder
-from calgraph.engine import THIS_PROCESS, Engine
 from calgraph.errors import CalibrationError
+from calgraph.parallel.engine import THIS_PROCESS, Engine
 from calgraph.recording import Recording, RecordingCache, open_recording
 from calgraph.rig.options import RigOptions
 from calgraph.simulation import (

@@ -11,8 +11,8 @@ from calgraph.captures.holds import Hold
 from calgraph.captures.timeline import build_timeline
 from calgraph.config import Board, Lidar2dSpec, Rig
 from calgraph.detection.detections import Segment
-from calgraph.engine import Processes
 from calgraph.errors import RecordingError, Rejected
+from calgraph.parallel.engine import Processes
 from calgraph.recording import MessageRecording
 from calgraph.sensors import Image, LaserScan, RecordedMessage, Trigger
 

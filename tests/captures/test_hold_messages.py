@@ -16,8 +16,8 @@ from calgraph.captures.holds import Hold
 from calgraph.captures.timeline import RecordingTimeline, build_timeline
 from calgraph.captures.timeline_reading import measure_activity
 from calgraph.config import Board, Lidar2dSpec, Rig, Tag
-from calgraph.engine import THIS_PROCESS, Processes
 from calgraph.errors import RecordingError
+from calgraph.parallel.engine import THIS_PROCESS, Processes
 from calgraph.recording import (
     NO_CACHE,
     ClockCorrectedRecording,

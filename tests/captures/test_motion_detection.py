@@ -10,8 +10,8 @@ from calgraph.captures.timeline import RecordingTimeline, SensorTimes
 from calgraph.captures.timeline_reading import measure_activity
 from calgraph.config import Board, Lidar2dSpec, Rig, SensorSpec, Tag
 from calgraph.config.settings import MotionDetectionSettings
-from calgraph.engine import Processes
 from calgraph.geometry import Array
+from calgraph.parallel.engine import Processes
 from calgraph.recording import MessageRecording
 from calgraph.recording.cache import NO_CACHE
 from calgraph.sensors import DetectedCorners, Image, LaserScan, PointCloud

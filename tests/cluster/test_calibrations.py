@@ -10,12 +10,13 @@ import pytest
 from calgraph.calibrate import track_recording
 from calgraph.calibrate.dispatch import calibrate
 from calgraph.calibrate.track_recording import track_people
-from calgraph.cluster import DaskEngine, open_cluster
 from calgraph.config import load_rig
 from calgraph.config.settings import DaskSettings
-from calgraph.engine import THIS_PROCESS, Engine, Processes
 from calgraph.errors import CalibrationError
 from calgraph.network.options import NetworkOptions
+from calgraph.parallel import open_cluster
+from calgraph.parallel.dask_engine import DaskEngine
+from calgraph.parallel.engine import THIS_PROCESS, Engine, Processes
 from calgraph.recording import NO_CACHE, RecordingCache, open_recordings
 from calgraph.result import to_json
 from calgraph.rig.options import RigOptions

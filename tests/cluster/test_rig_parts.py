@@ -10,11 +10,12 @@ import pytest
 from calgraph.calibrate.capture_collection import collect_captures
 from calgraph.calibrate.clock_alignment import align_clocks
 from calgraph.captures import detect, hold_messages, timeline_reading
-from calgraph.cluster import DaskEngine, open_cluster
 from calgraph.config import Rig, load_rig
 from calgraph.config.settings import DaskSettings
-from calgraph.engine import Processes
 from calgraph.errors import CalibrationError
+from calgraph.parallel import open_cluster
+from calgraph.parallel.dask_engine import DaskEngine
+from calgraph.parallel.engine import Processes
 from calgraph.parallel.progress import Progress, no_progress
 from calgraph.recording import RecordingCache, open_recordings
 from calgraph.rig.options import RigOptions

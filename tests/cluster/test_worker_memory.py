@@ -5,9 +5,9 @@ import os
 import numpy as np
 import pytest
 
-from calgraph.cluster import open_cluster
 from calgraph.config.settings import DaskSettings
 from calgraph.geometry import Array
+from calgraph.parallel import open_cluster
 
 pytestmark = pytest.mark.without_coverage
 

@@ -9,7 +9,7 @@ import pytest
 from calgraph.calibrate.capture_collection import collect_captures
 from calgraph.calibrate.rig import build_problem_from_captures, solve_problem
 from calgraph.config import Board, Checkerboard, Rig
-from calgraph.engine import Processes
+from calgraph.parallel.engine import Processes
 from calgraph.recording import MessageRecording
 from calgraph.recording.recording import JoinedRecording
 from calgraph.result import Calibration

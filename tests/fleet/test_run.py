@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 import calgraph.fleet.recording_task
-from calgraph.engine import THIS_PROCESS, Processes
 from calgraph.errors import CalibrationError, WorkerKilledError
 from calgraph.fleet.plan import RecordingTask
 from calgraph.fleet.recording_result import FILE_NAME, Failure, RecordingResult, load_result, save_result
 from calgraph.fleet.recording_task import RunOptions, analyze_recording
 from calgraph.fleet.run import analyze_recordings, find_finished
+from calgraph.parallel.engine import THIS_PROCESS, Processes
 from fleet_scenes import draw_poses, make_result, make_task, measure_poses
 
 OPTIONS = RunOptions("calgraph fleet")

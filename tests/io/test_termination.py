@@ -65,7 +65,7 @@ def test_a_second_signal_does_not_interrupt_cleanups() -> None:
 
 
 def test_a_cleanup_that_waits_for_ever_ends_with_the_program() -> None:
-    waiting = f"import calgraph.io.termination as module\nmodule._MAX_CLEANUP_TIME = 0.1\nadd_cleanup(1, lambda: {_WAIT})"
+    waiting = f"import calgraph.io.termination as m\nm._MAX_CLEANUP_TIME = 0.1\nadd_cleanup(1, lambda: {_WAIT})"
     assert run("handle_signals()", waiting, _STOP.format("SIGINT"))[0] == -signal.SIGALRM
 
 

@@ -20,7 +20,7 @@ from calgraph.live.rig_session import RigSession, SessionOutputs, SessionPools, 
 from calgraph.live.rig_solution import LiveSolution, SensorSolution
 from calgraph.live.source import LiveMessage
 from calgraph.live.state import Command
-from calgraph.processes import worker_pool
+from calgraph.parallel.processes import worker_pool
 from calgraph.rig.options import RigOptions
 from calgraph.simulation import (
     CameraOptions,

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from calgraph.config.settings import CandidateSettings, ScannerPairSettings
-from calgraph.engine import Processes
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2
 from calgraph.pairwise.candidate_pairs import (
@@ -19,6 +18,7 @@ from calgraph.pairwise.candidate_pairs import (
 from calgraph.pairwise.hypothesis_evidence import PoseHypothesis
 from calgraph.pairwise.scanner_pair import ScannerPairEstimate, estimate_scanner_pairs
 from calgraph.pairwise.synchronized_tracks import TrackSamples
+from calgraph.parallel.engine import Processes
 from calgraph.tracking.track import ScannerTracks, Track
 from track_pairs import gather_samples
 

@@ -11,7 +11,7 @@ import pytest
 
 from calgraph.config.settings import LimitSettings
 from calgraph.errors import InputError, RecordingError
-from calgraph.processes import parallel_stream
+from calgraph.parallel.processes import parallel_stream
 from calgraph.recording import open_recording, open_recordings, video
 from calgraph.sensors import Image, RecordedMessage
 from videos import write_video

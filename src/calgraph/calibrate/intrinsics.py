@@ -16,9 +16,9 @@ from calgraph.config import CameraSpec, Rig
 from calgraph.detection.board_views import BoardView, BoardViewFinder
 from calgraph.detection.camera import CameraDetector
 from calgraph.detection.detections import BoardCorners
-from calgraph.engine import THIS_PROCESS, Engine
 from calgraph.errors import Rejected
 from calgraph.estimation.intrinsics.estimate import IntrinsicsEstimate, estimate_intrinsics
+from calgraph.parallel.engine import THIS_PROCESS, Engine
 from calgraph.parallel.progress import Progress, no_progress
 from calgraph.recording import NO_CACHE, Recording, RecordingCache
 from calgraph.result.finding import Finding

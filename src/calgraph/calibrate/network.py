@@ -23,7 +23,6 @@ from calgraph.diagnostics.network.extrinsics_check import compare_network_poses
 from calgraph.diagnostics.network.findings import collect_network_findings
 from calgraph.diagnostics.network.model_assessment import assess_network_model
 from calgraph.diagnostics.network.track_bumps import find_track_bump
-from calgraph.engine import MapEngine
 from calgraph.errors import CalibrationError, InputError, Rejected
 from calgraph.estimation.network.estimate import NetworkSolution, solve_network
 from calgraph.estimation.network.scanner_prior import ScannerPrior
@@ -32,6 +31,7 @@ from calgraph.graph.network_initialization import NetworkInitialization, initial
 from calgraph.network.options import NetworkOptions
 from calgraph.network.step_log import log_network
 from calgraph.pairwise.visibility_map import ScannerObservations
+from calgraph.parallel.engine import MapEngine
 from calgraph.parallel.progress import Progress, no_progress
 from calgraph.recording import Recording
 from calgraph.result import Calibration, ExtrinsicsFile

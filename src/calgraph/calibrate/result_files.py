@@ -9,7 +9,7 @@ import numpy as np
 
 from calgraph.config import Rig, Tolerance
 from calgraph.io import format_json, save_yaml
-from calgraph.processes import forked_jobs, parallel_call
+from calgraph.parallel.processes import forked_jobs, parallel_call
 from calgraph.result import Calibration, save_calibration, save_captures, save_residuals, save_scene
 
 if TYPE_CHECKING:

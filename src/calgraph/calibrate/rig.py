@@ -31,8 +31,8 @@ from calgraph.geometry import Array
 from calgraph.graph.rig_initialization import initialize_rig
 from calgraph.graph.spanning_tree import SpanningTree
 from calgraph.pairwise.board_pair import PairwiseEstimates, estimate_pairs, reselect_all_inliers, select_successful
+from calgraph.parallel.processes import forked_jobs, parallel_call
 from calgraph.parallel.progress import Progress, no_progress
-from calgraph.processes import forked_jobs, parallel_call
 from calgraph.recording import Recording, resolve_intrinsics
 from calgraph.result import Calibration
 from calgraph.rig.options import RigOptions, check_estimator
@@ -183,7 +183,7 @@ def solve_problem(problem: Problem, jobs: int = 1) -> Calibration:
 
     Args:
         problem: to solve.
-        jobs: maximum number of processes; see :func:`calgraph.processes.parallel_stream`.
+        jobs: maximum number of processes; see :func:`calgraph.parallel.processes.parallel_stream`.
 
     Raises:
         CalibrationError: its equations are singular.

@@ -12,14 +12,14 @@ from calgraph.captures.input_checks import (
     encode_observations,
 )
 from calgraph.config import Cylinder, Lidar2dSpec, People, Rig, SensorSpec
-from calgraph.engine import THIS_PROCESS
 from calgraph.errors import InputError, Rejected
 from calgraph.estimation.network.leg_choice import measures_legs
 from calgraph.io.columns import Arrays
-from calgraph.mapped_arrays import ArrayMemory
 from calgraph.network.options import CenterFeature, NetworkOptions
 from calgraph.network.step_log import log_tracks
 from calgraph.network.strategies import select_center_estimator
+from calgraph.parallel.engine import THIS_PROCESS
+from calgraph.parallel.mapped_arrays import ArrayMemory
 from calgraph.parallel.progress import Progress, no_progress
 from calgraph.recording import Recording, RecordingReference, refer_to
 from calgraph.sensors.cloud_to_scan import to_scans

@@ -9,9 +9,9 @@ from calgraph.captures.hold_messages import Messages, search_holds
 from calgraph.captures.holds import Hold
 from calgraph.captures.previews import PreviewSize
 from calgraph.detection.board_views import BoardView, BoardViewFinder
-from calgraph.engine import THIS_PROCESS, Engine
 from calgraph.errors import Rejected
 from calgraph.io.columns import Arrays
+from calgraph.parallel.engine import THIS_PROCESS, Engine
 from calgraph.sensors import Message
 
 

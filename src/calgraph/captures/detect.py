@@ -16,9 +16,9 @@ from calgraph.captures.previews import PreviewSize, make_preview
 from calgraph.captures.timeline import RecordingTimeline
 from calgraph.config import Intrinsics, Rig
 from calgraph.detection.detections import Detection, DetectionResult, InconsistentTags
-from calgraph.engine import THIS_PROCESS, Engine
 from calgraph.errors import Rejected
 from calgraph.geometry import Array
+from calgraph.parallel.engine import THIS_PROCESS, Engine
 from calgraph.result import Snapshot, state_intrinsics
 from calgraph.result.finding import Finding
 from calgraph.sensors import CameraModel, Message

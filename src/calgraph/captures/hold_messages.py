@@ -10,8 +10,8 @@ from calgraph.captures.holds import Hold
 from calgraph.captures.previews import PreviewSize
 from calgraph.captures.timeline import RecordingTimeline, SensorTimes
 from calgraph.config import Rig
-from calgraph.engine import Engine, Processes
 from calgraph.geometry import Array
+from calgraph.parallel.engine import Engine, Processes
 from calgraph.recording import Recording, RecordingReference, refer_to
 from calgraph.sensors import Message, RecordedMessage
 

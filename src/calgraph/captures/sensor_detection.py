@@ -15,9 +15,9 @@ from calgraph.captures.previews import PreviewSize, plan_previews
 from calgraph.captures.timeline import RecordingTimeline
 from calgraph.config import CameraSpec, Rig
 from calgraph.detection.camera import PlaneEstimator
-from calgraph.engine import THIS_PROCESS, Engine
 from calgraph.errors import Rejected
 from calgraph.io.columns import Arrays
+from calgraph.parallel.engine import THIS_PROCESS, Engine
 from calgraph.recording import NO_CACHE, Recording, RecordingCache
 from calgraph.sensors import CameraModel, RecordedMessage
 

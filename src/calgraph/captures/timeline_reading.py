@@ -18,9 +18,9 @@ from calgraph.captures.motion_detection import ActivityBlock, ActivityMeter, Blo
 from calgraph.captures.timeline import RecordingTimeline, SensorTimes, build_timeline
 from calgraph.config import Rig
 from calgraph.config.settings import MotionDetectionSettings
-from calgraph.engine import THIS_PROCESS, Engine
 from calgraph.geometry import Array
 from calgraph.io.columns import Arrays
+from calgraph.parallel.engine import THIS_PROCESS, Engine
 from calgraph.recording import Recording, RecordingCache, RecordingReference
 from calgraph.sensors import Message
 

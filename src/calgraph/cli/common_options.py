@@ -7,11 +7,12 @@ from typing import Annotated, Any, get_args
 
 import typer
 
-from calgraph.cluster import LOCAL, open_cluster
 from calgraph.config.settings import DaskSettings
-from calgraph.engine import Engine, Processes
 from calgraph.errors import InputError
-from calgraph.processes import available_cores
+from calgraph.parallel import open_cluster
+from calgraph.parallel.engine import Engine, Processes
+from calgraph.parallel.open_cluster import LOCAL
+from calgraph.parallel.processes import available_cores
 
 EVERYDAY, EARLIER, TUNING, PAPERS = (
     "Everyday",
@@ -88,13 +89,13 @@ def open_engine(jobs: int | None, cluster: str | None, settings: DaskSettings) -
 
     Args:
         jobs: number of processes of this machine; all its cores if None.
-        cluster: where a cluster does it: see :func:`calgraph.cluster.open_cluster`.
+        cluster: where a cluster does it: see :func:`calgraph.parallel.open_cluster`.
         settings: of clusters.
 
     Raises:
         InputError: both are given, and the workers of the cluster are not processes of this machine; or as
-            :func:`calgraph.cluster.open_cluster`.
-        CalibrationError: as :func:`calgraph.cluster.open_cluster`.
+            :func:`calgraph.parallel.open_cluster`.
+        CalibrationError: as :func:`calgraph.parallel.open_cluster`.
     """
     if cluster is None:
         yield Processes(jobs or available_cores())

@@ -14,10 +14,10 @@ from calgraph.cli.progress import progress_bars
 from calgraph.cli.provenance import describe_run
 from calgraph.cli.simulate_common import simulate_into
 from calgraph.config import load_rig
-from calgraph.engine import Processes
 from calgraph.errors import InputError
 from calgraph.io import replace_folder_atomically
-from calgraph.processes import available_cores
+from calgraph.parallel.engine import Processes
+from calgraph.parallel.processes import available_cores
 from calgraph.recording import open_recording, resolve_intrinsics
 from calgraph.simulation import RigScenario, load_truth, simulate_rig
 

@@ -4,12 +4,12 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 from calgraph.config import ChangeRules
-from calgraph.engine import Engine
 from calgraph.errors import WorkerKilledError
 from calgraph.fleet.changes import Comparison, Move, compare_poses, pair_recordings
 from calgraph.fleet.plan import RecordingTask, RobotPlan
 from calgraph.fleet.recording_result import FILE_NAME, Failure, RecordingResult, load_result
 from calgraph.fleet.recording_task import RunOptions, analyze_recording, write_failure
+from calgraph.parallel.engine import Engine
 
 _KILLED_TWICE = "its process was killed twice, perhaps because memory ran out; give a shorter recording"
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from calgraph.config import Rig
-from calgraph.engine import Processes
 from calgraph.errors import CalibrationError, RecordingError
 from calgraph.io.termination import handle_interrupt
 from calgraph.live.job_queue import Post
@@ -22,7 +21,8 @@ from calgraph.live.server import PageServer, serve_page
 from calgraph.live.session_folder import SessionFolder
 from calgraph.live.source import Source
 from calgraph.live.state import Command
-from calgraph.processes import worker_pool
+from calgraph.parallel.engine import Processes
+from calgraph.parallel.processes import worker_pool
 from calgraph.recording import open_recording
 
 # Exit code of commands that calibrate nothing.

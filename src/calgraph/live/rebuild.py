@@ -9,10 +9,10 @@ from calgraph.captures.sensor_detection import DetectionMethod, detect_by_sensor
 from calgraph.captures.timeline import RecordingTimeline, build_timeline
 from calgraph.config import Rig
 from calgraph.detection.detections import DetectionResult
-from calgraph.engine import Engine
 from calgraph.errors import CalibrationError, Rejected
 from calgraph.live.analysis_jobs import NO_INTRINSICS
 from calgraph.live.live_captures import LiveCapture
+from calgraph.parallel.engine import Engine
 from calgraph.recording import Recording, resolve_intrinsics
 from calgraph.sensors import CameraModel
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 
 from calgraph.captures.detect import CaptureSet
 from calgraph.config import Intrinsics, Rig
-from calgraph.engine import THIS_PROCESS, Engine
 from calgraph.live.capture_taker import CaptureTaker
 from calgraph.live.job_queue import JobQueue, Post
 from calgraph.live.live_captures import collect_live_captures
@@ -20,7 +19,8 @@ from calgraph.live.rig_state import describe_rig_session
 from calgraph.live.scene_view import encode_scene
 from calgraph.live.source import LiveMessage
 from calgraph.live.state import Command, SessionState
-from calgraph.processes import available_cores
+from calgraph.parallel.engine import THIS_PROCESS, Engine
+from calgraph.parallel.processes import available_cores
 from calgraph.recording import Recording
 
 Solve = Callable[[Rig, CaptureSet, LiveSolution | None], LiveSolution]
@@ -32,7 +32,7 @@ class SessionPools:
     """Where a session computes."""
 
     analysis: Executor
-    """Detects; forked before threads start, see :func:`calgraph.processes.worker_pool`."""
+    """Detects; forked before threads start, see :func:`calgraph.parallel.processes.worker_pool`."""
     analysis_processes: int
     """Number of its processes."""
     solving: Executor

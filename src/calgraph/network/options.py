@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-from calgraph.engine import THIS_PROCESS, Engine
 from calgraph.errors import InputError
 from calgraph.graph.averaging import AveragingMethod
+from calgraph.parallel.engine import THIS_PROCESS, Engine
 from calgraph.recording import NO_CACHE, RecordingCache
 from calgraph.result import Calibration
 

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.config.settings import ScannerPairSettings
-from calgraph.engine import THIS_PROCESS, Engine
 from calgraph.geometry import Array, se2
 from calgraph.pairwise.candidate_pairs import select_pairs_between_parts
 from calgraph.pairwise.hypothesis_evidence import (
@@ -29,6 +28,7 @@ from calgraph.pairwise.synchronized_tracks import Indices, SimultaneousPairs, pa
 from calgraph.pairwise.track_registration import NuisancePrior, compute_pose_costs, register_tracks
 from calgraph.pairwise.track_similarity import compute_track_similarity
 from calgraph.pairwise.visibility_map import ScannerObservations, contradicts_visibility
+from calgraph.parallel.engine import THIS_PROCESS, Engine
 
 # Most registrations of a hypothesis, each with the samples shifted to the clock offset of the previous one.
 _MAX_SHIFTS = 3

@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.config.settings import HypothesisSettings, NetworkEstimationSettings, ScannerPairSettings
-from calgraph.engine import THIS_PROCESS, Engine
 from calgraph.errors import Rejected
 from calgraph.geometry import Array
 from calgraph.pairwise.candidate_pairs import (
@@ -45,6 +44,7 @@ from calgraph.pairwise.track_registration import (
 )
 from calgraph.pairwise.track_similarity import compute_track_similarity
 from calgraph.pairwise.visibility_map import ScannerObservations, contradicts_visibility
+from calgraph.parallel.engine import THIS_PROCESS, Engine
 from calgraph.tracking.track import ScannerTracks
 
 # Fewer pairs than these are evaluated faster than other processes start.

@@ -10,7 +10,7 @@ from plotly.offline import get_plotlyjs
 
 from calgraph.config import Rig
 from calgraph.io import write_text
-from calgraph.processes import forked_jobs, parallel_call
+from calgraph.parallel.processes import forked_jobs, parallel_call
 from calgraph.report.capture_view import render_captures
 from calgraph.report.coverage_view import render_coverage
 from calgraph.report.diagnostics_view import render_cross_validation, render_suggestions
@@ -45,7 +45,7 @@ def write_report(calibration: Calibration, rig: Rig, path: Path | str, jobs: int
         rig: its configuration. Cameras without intrinsics have no images with overlays;
             :func:`calgraph.recording.resolve_intrinsics` adds them.
         path: the file, e.g. ``OUT/report.html``.
-        jobs: maximum number of processes; see :func:`calgraph.processes.parallel_call`.
+        jobs: maximum number of processes; see :func:`calgraph.parallel.processes.parallel_call`.
 
     Raises:
         InputError: ``path`` cannot be written.

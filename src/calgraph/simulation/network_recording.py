@@ -15,7 +15,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from calgraph.config.settings import LimitSettings
 from calgraph.io import make_temporary_folder, remove_temporary_folder, save_yaml
-from calgraph.processes import parallel_stream
+from calgraph.parallel.processes import parallel_stream
 from calgraph.recording.bag_files import BagFiles
 from calgraph.recording.bags import BagRecording
 from calgraph.recording.writer import RecordingWriter, serialize_message

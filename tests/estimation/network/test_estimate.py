@@ -8,7 +8,6 @@ import pytest
 from scipy.stats import chi2
 
 from calgraph.config import Cylinder, People
-from calgraph.engine import Processes
 from calgraph.estimation.network import body_batches
 from calgraph.estimation.network.ellipse_raycast import raycast_ellipses
 from calgraph.estimation.network.estimate import (
@@ -31,6 +30,7 @@ from calgraph.estimation.network.track_association import BodyTracks
 from calgraph.estimation.network.wall_constraints import select_bridges
 from calgraph.geometry import Array, se2
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
+from calgraph.parallel.engine import Processes
 from calgraph.tracking.track import Hits, ScannerTracks, Track
 from dense_covariances import relate_all
 from network_scenes import DENSITY, OFFSET, SETTINGS, SIGMA, T_ROOT, build_track, simulate_scans

@@ -35,7 +35,7 @@ from calgraph.estimation.rig.range_observations import RangeObservations
 from calgraph.estimation.rig.relinearization import CachedLinearization
 from calgraph.estimation.rig.solution import SolvedBundle
 from calgraph.geometry import Array, Index, se3, se_n
-from calgraph.processes import forked_jobs, parallel_stream
+from calgraph.parallel.processes import forked_jobs, parallel_stream
 from calgraph.result import HeldOutError
 from calgraph.result.evidence import rms
 
@@ -80,7 +80,7 @@ def cross_validate(
         solved: the solution of all captures.
         folds: number of groups of captures; each group is held out as a whole.
         settings: which directions and tilts are compared.
-        jobs: maximum number of processes, see :func:`calgraph.processes.parallel_stream`; they do not change the
+        jobs: maximum number of processes, see :func:`parallel_stream`; they do not change the
             result.
 
     Returns:

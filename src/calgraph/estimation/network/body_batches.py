@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
-from calgraph.engine import THIS_PROCESS, MapEngine
 from calgraph.estimation.network.problem import BodyObservations, NetworkProblem, NetworkState
+from calgraph.parallel.engine import THIS_PROCESS, MapEngine
 
 # Beams of a batch: their equations take about 20 ms, of which calls and results are a tenth.
 _BATCH_BEAMS = 20_000
@@ -60,7 +60,7 @@ class BodyBatches:
         """Calls a function with the network and the state, one body and its path, and further values of the body.
 
         Args:
-            function: as for :meth:`calgraph.engine.MapEngine.map`; the network that it gets has no bodies and
+            function: as for :meth:`MapEngine.map`; the network that it gets has no bodies and
                 walls, and the state no paths.
             network: with these bodies.
             state: with their paths.

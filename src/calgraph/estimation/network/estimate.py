@@ -9,7 +9,6 @@ from scipy.linalg import solveh_banded
 
 from calgraph.config import Cylinder, Lidar2dUncertainty, People
 from calgraph.config.settings import NetworkEstimationSettings, ScannerPairSettings, TrackingSettings
-from calgraph.engine import THIS_PROCESS, MapEngine
 from calgraph.estimation.network.body_batches import BodyBatches
 from calgraph.estimation.network.body_parts import cut_bodies
 from calgraph.estimation.network.ellipse_equations import compute_residuals, raycast_body
@@ -49,7 +48,8 @@ from calgraph.estimation.network.tukey_loss import TukeyLoss
 from calgraph.estimation.network.wall_constraints import register_walls, select_bridges
 from calgraph.geometry import Array, se2
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
-from calgraph.mapped_arrays import ArrayMemory
+from calgraph.parallel.engine import THIS_PROCESS, MapEngine
+from calgraph.parallel.mapped_arrays import ArrayMemory
 from calgraph.tracking.track import ScannerTracks, Track
 
 # People whose beams are in one file, if they are not in memory: systems allow tens of thousands of mapped files.

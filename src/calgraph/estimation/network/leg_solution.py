@@ -10,7 +10,6 @@ from dataclasses import replace
 import numpy as np
 
 from calgraph.config.settings import LegSettings
-from calgraph.engine import THIS_PROCESS, MapEngine
 from calgraph.estimation.network.body_batches import BodyBatches
 from calgraph.estimation.network.leg_association import LegCandidate, ScannerBeams, associate_beams
 from calgraph.estimation.network.leg_equations import compute_leg_residuals, raycast_leg
@@ -24,6 +23,7 @@ from calgraph.estimation.network.solver import NetworkEquations, optimize_networ
 from calgraph.estimation.network.systematic_spread import estimate_systematic_sigma
 from calgraph.estimation.network.tukey_loss import TukeyLoss
 from calgraph.geometry import Array
+from calgraph.parallel.engine import THIS_PROCESS, MapEngine
 from calgraph.tracking.clusters import Foreground
 from calgraph.tracking.leg_clusters import cluster_legs
 

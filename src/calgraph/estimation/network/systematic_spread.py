@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calgraph.engine import THIS_PROCESS, MapEngine
 from calgraph.estimation.network.problem import NetworkProblem, NetworkState
 from calgraph.estimation.network.scanner_unknowns import (
     FIRST_SYSTEMATIC,
@@ -19,6 +18,7 @@ from calgraph.estimation.network.scanner_unknowns import (
 )
 from calgraph.estimation.network.solver import NetworkEquations
 from calgraph.geometry import Array, Index
+from calgraph.parallel.engine import THIS_PROCESS, MapEngine
 
 # Shares per factor of two: the evidence of a standard deviation changes little from one to the next.
 _SHARES_PER_OCTAVE = 2

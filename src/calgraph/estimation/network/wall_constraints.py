@@ -8,12 +8,12 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from calgraph.config.settings import ScannerPairSettings
-from calgraph.engine import MapEngine
 from calgraph.errors import Rejected
 from calgraph.estimation.network.problem import NetworkProblem, NetworkState, WallConstraint
 from calgraph.estimation.network.scanner_unknowns import correct_points, linearize_beam_errors
 from calgraph.geometry import se2
 from calgraph.pairwise import icp
+from calgraph.parallel.engine import MapEngine
 from calgraph.tracking.track import ScannerTracks
 
 

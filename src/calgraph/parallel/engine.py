@@ -5,9 +5,9 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar
 
-from calgraph.mapped_arrays import ArrayMemory, KeptValue
-from calgraph.processes import forked_jobs, parallel_map, parallel_stream
-from calgraph.worker_processes import start_workers
+from calgraph.parallel.mapped_arrays import ArrayMemory, KeptValue
+from calgraph.parallel.processes import forked_jobs, parallel_map, parallel_stream
+from calgraph.parallel.worker_processes import start_workers
 
 Result = TypeVar("Result")
 
@@ -104,7 +104,7 @@ class Engine(MapEngine, Protocol):
 
 @dataclass(frozen=True)
 class Processes:
-    """Processes of this machine, see :mod:`calgraph.processes`; all calls run in this one if there is one only.
+    """Processes of this machine, see :mod:`processes`; all calls run in this one if there is one only.
 
     Handles are the values themselves: a forked process has those of this one.
     """

@@ -6,10 +6,10 @@ from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Any
 
-from calgraph.cluster.dask_engine import DaskEngine
 from calgraph.config.settings import DaskSettings
 from calgraph.errors import CalibrationError, InputError
 from calgraph.io import temporary_folder
+from calgraph.parallel.dask_engine import DaskEngine
 
 if TYPE_CHECKING:
     from distributed import Client

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from calgraph.engine import Engine, MapEngine, Processes
 from calgraph.errors import WorkerKilledError
+from calgraph.parallel.engine import Engine, MapEngine, Processes
 
 
 def double_and_keep(number: int) -> tuple[int, list[int]]:

@@ -9,9 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from calgraph.cluster import DaskEngine, open_cluster
 from calgraph.config.settings import DaskSettings
 from calgraph.errors import CalibrationError, InputError
+from calgraph.parallel import open_cluster
+from calgraph.parallel.dask_engine import DaskEngine
 
 SETTINGS = DaskSettings(max_lost_workers=1)
 

@@ -22,8 +22,8 @@ from weakref import finalize
 
 from calgraph.errors import CalibrationError, WorkerKilledError
 from calgraph.io.termination import add_cleanup, remove_cleanup
-from calgraph.mapped_arrays import ArrayMemory, KeptValue
-from calgraph.processes import KILLED_MESSAGE, postponed_signals, start_worker
+from calgraph.parallel.mapped_arrays import ArrayMemory, KeptValue
+from calgraph.parallel.processes import KILLED_MESSAGE, postponed_signals, start_worker
 
 Result = TypeVar("Result")
 
@@ -70,7 +70,7 @@ class _Handle:
 
 
 class WorkerProcesses:
-    """A :class:`calgraph.engine.MapEngine` of processes that stay.
+    """A :class:`calgraph.parallel.engine.MapEngine` of processes that stay.
 
     A call runs where the values of its handles are; other calls run in the next free process.
 
@@ -83,7 +83,7 @@ class WorkerProcesses:
 
     @property
     def workers(self) -> int:
-        """See :attr:`calgraph.engine.MapEngine.workers`."""
+        """See :attr:`calgraph.parallel.engine.MapEngine.workers`."""
         return len(self._workers)
 
     def map(
@@ -92,17 +92,17 @@ class WorkerProcesses:
         work: Sequence[tuple[Any, ...]],
         progress: Callable[[float], None] = lambda _done: None,
     ) -> list[Result]:
-        """See :meth:`calgraph.engine.MapEngine.map`."""
+        """See :meth:`calgraph.parallel.engine.MapEngine.map`."""
         return self._run(function, work, [None] * len(work), progress)
 
     def put(self, values: Sequence[Any]) -> list[Any]:
-        """See :meth:`calgraph.engine.MapEngine.put`; processes are sent values with calls that take them."""
+        """See :meth:`MapEngine.put`; processes are sent values with calls that take them."""
         return [self._make_handle(value) for value in values]
 
     def map_and_keep(
         self, function: Callable[..., tuple[Result, Any]], work: Sequence[tuple[Any, ...]]
     ) -> tuple[list[Result], list[Any]]:
-        """See :meth:`calgraph.engine.MapEngine.map_and_keep`."""
+        """See :meth:`calgraph.parallel.engine.MapEngine.map_and_keep`."""
         handles = [self._make_handle() for _ in work]
         return self._run(function, work, handles), handles
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calgraph.errors import CalibrationError
-from calgraph.mapped_arrays import ArrayMemory
+from calgraph.parallel.mapped_arrays import ArrayMemory
 
 MEGABYTE = 2**20
 

@@ -16,9 +16,9 @@ from types import FrameType
 
 import pytest
 
-from calgraph import processes
 from calgraph.errors import CalibrationError, InputError
-from calgraph.processes import forked_jobs, parallel_call, parallel_map, parallel_stream, worker_pool
+from calgraph.parallel import processes
+from calgraph.parallel.processes import forked_jobs, parallel_call, parallel_map, parallel_stream, worker_pool
 
 
 def refused(number: int) -> int:
@@ -168,7 +168,7 @@ def test_one_process_does_the_work_where_there_is_no_shared_memory(
     def fail(*_arguments: object, **_options: object) -> None:
         raise error
 
-    monkeypatch.setattr("calgraph.processes.ProcessPoolExecutor", fail)
+    monkeypatch.setattr("calgraph.parallel.processes.ProcessPoolExecutor", fail)
     assert parallel_map(math.factorial, [(k,) for k in range(4)], 3) == [1, 1, 2, 6]
     assert list(parallel_stream(add_unless_three, ((k,) for k in range(10, 13)), partial(sum, ()), 3)) == [
         10,
@@ -191,7 +191,7 @@ def test_processes_that_cannot_be_started_are_reported(
     def fail(*_arguments: object) -> None:
         raise error
 
-    monkeypatch.setattr("calgraph.processes.ProcessPoolExecutor.submit", fail)
+    monkeypatch.setattr("calgraph.parallel.processes.ProcessPoolExecutor.submit", fail)
     message = rf"^processes cannot be started \({reason}\); reduce `jobs`$"
     with pytest.raises(CalibrationError, match=message):
         parallel_map(math.factorial, [(1,), (2,)], 2)
@@ -202,7 +202,7 @@ def test_processes_that_cannot_be_started_are_reported(
 _FEW_FILES = """
 import os, resource, time
 from calgraph.errors import CalibrationError
-from calgraph.processes import parallel_map
+from calgraph.parallel.processes import parallel_map
 used = len(os.listdir("/proc/self/fd"))
 resource.setrlimit(resource.RLIMIT_NOFILE, (used + {free}, used + {free}))
 try:
@@ -222,7 +222,7 @@ def test_workers_end_where_not_all_can_be_started(free: int) -> None:
 
 _WAITING = """
 import os, sys, time
-from calgraph.processes import parallel_map
+from calgraph.parallel.processes import parallel_map
 print(os.getpid(), flush=True)
 parallel_map(time.sleep, [(600,)] * 3, 3)
 """
@@ -242,7 +242,7 @@ def test_workers_end_with_a_parent_that_is_killed() -> None:
 
 _STOPPED_BETWEEN_WORKERS = """
 import os, signal, sys
-from calgraph.processes import parallel_map
+from calgraph.parallel.processes import parallel_map
 {handler}
 forks = []
 def stop_before_second(event, _arguments):
@@ -273,7 +273,7 @@ def test_a_signal_between_the_starts_of_two_workers_ends_the_program(name: str, 
 
 _STOPPED_BY_A_WORKER = """
 import os, signal, time
-from calgraph.processes import parallel_map, parallel_stream
+from calgraph.parallel.processes import parallel_map, parallel_stream
 from calgraph.io.termination import handle_signals
 signal.signal(signal.SIGINT, signal.default_int_handler)  # background jobs of shells ignore it
 handle_signals()

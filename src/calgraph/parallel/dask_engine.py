@@ -8,8 +8,8 @@ from operator import itemgetter
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from calgraph.config.settings import DaskSettings
-from calgraph.engine import MapEngine
 from calgraph.errors import CalibrationError, WorkerKilledError
+from calgraph.parallel.engine import MapEngine
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -21,7 +21,7 @@ _COUNT_INTERVAL = 1.0
 
 
 class DaskEngine:
-    """Calls on the workers of a cluster; see :class:`calgraph.engine.Engine`.
+    """Calls on the workers of a cluster; see :class:`calgraph.parallel.engine.Engine`.
 
     A call of a worker that is lost is repeated on another one, and so are the calls whose results it had. Handles
     are futures, whose values are computed again in the same way: data that are put there are part of a task, and
@@ -50,7 +50,7 @@ class DaskEngine:
         work: Sequence[tuple[Any, ...]],
         progress: Callable[[float], None] = lambda _done: None,
     ) -> list[Result]:
-        """See :meth:`calgraph.engine.Engine.map`."""
+        """See :meth:`calgraph.parallel.engine.Engine.map`."""
         from distributed import as_completed
 
         with self._futures() as submitted:
@@ -62,14 +62,14 @@ class DaskEngine:
             return list(self._client.gather(list(submitted)))
 
     def put(self, values: Sequence[Any]) -> list[Any]:
-        """See :meth:`calgraph.engine.Engine.put`."""
+        """See :meth:`calgraph.parallel.engine.Engine.put`."""
         with self._explained_errors():
             return [self._submit(_return, value) for value in values]
 
     def map_and_keep(
         self, function: Callable[..., tuple[Result, Any]], work: Sequence[tuple[Any, ...]]
     ) -> tuple[list[Result], list[Any]]:
-        """See :meth:`calgraph.engine.Engine.map_and_keep`."""
+        """See :meth:`calgraph.parallel.engine.Engine.map_and_keep`."""
         with self._explained_errors():
             both = [self._submit(function, *arguments) for arguments in work]
             kept = [self._submit(itemgetter(1), pair) for pair in both]
@@ -78,7 +78,7 @@ class DaskEngine:
     def stream(
         self, function: Callable[..., Result], work: Iterable[tuple[Any, ...]], shared: Any
     ) -> Iterator[Result]:
-        """See :meth:`calgraph.engine.Engine.stream`."""
+        """See :meth:`calgraph.parallel.engine.Engine.stream`."""
         from distributed import wait
 
         with self._futures() as submitted:
@@ -108,7 +108,7 @@ class DaskEngine:
             raise error
 
     def keep_workers(self, max_kept_bytes: int) -> AbstractContextManager[MapEngine]:  # noqa: ARG002
-        """See :meth:`calgraph.engine.Engine.keep_workers`: workers of a cluster stay, with separate limits."""
+        """See :meth:`Engine.keep_workers`: workers of a cluster stay, with separate limits."""
         return nullcontext(self)
 
     def _count_ahead(self) -> int:

@@ -13,9 +13,9 @@ import psutil
 import pytest
 from distributed import Client
 
-from calgraph.cluster import open_cluster
 from calgraph.config.settings import DaskSettings
 from calgraph.errors import CalibrationError, InputError
+from calgraph.parallel import open_cluster
 from dask_programs import start_scheduler, start_worker, stop
 
 SETTINGS = DaskSettings(connect_timeout=30.0, worker_timeout=60.0)
@@ -92,7 +92,7 @@ def test_workers_with_other_versions_are_refused(scheduler: str, monkeypatch: py
 
 PROGRAM = """
 import os, signal, sys, time
-from calgraph.cluster import open_cluster
+from calgraph.parallel.open_cluster import open_cluster
 from calgraph.config.settings import DaskSettings
 from calgraph.io.termination import handle_signals
 
