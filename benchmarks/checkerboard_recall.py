@@ -29,10 +29,10 @@ from typing import Final, NamedTuple
 import cv2
 import numpy as np
 
-import calgraph.detection.chessboards as now
+import calgraph.boards.chessboards as now
+from calgraph.boards.chessboards import CheckerboardFinder
 from calgraph.config import Checkerboard
 from calgraph.config.settings import CameraDetectionSettings
-from calgraph.detection.chessboards import CheckerboardFinder
 from checkerboard_images import Array, BoardImage, Gray, draw_empty_image, draw_image, measure_shortest_gap
 
 DATA: Final = Path(os.environ.get("CALGRAPH_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))

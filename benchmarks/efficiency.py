@@ -27,10 +27,10 @@ import numpy as np
 from pydantic import BaseModel
 from scipy.stats import binomtest, chi2, norm
 
+from calgraph.boards.detections import BoardCorners
 from calgraph.calibrate.rig import build_problem_from_captures, solve_problem
 from calgraph.captures.detect import CaptureSet
 from calgraph.config import CameraSpec, PixelNoise, RangeNoise, Rig, SensorSpec
-from calgraph.detection.detections import BoardCorners
 from calgraph.estimation.rig.board_observations import BoardObservation
 from calgraph.estimation.rig.board_outlines import add_outlines
 from calgraph.estimation.rig.bundle_setup import build_bundle, update_noise

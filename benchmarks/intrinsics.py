@@ -20,6 +20,9 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
+from calgraph.boards.board_pose import BoardPose, fit_pose
+from calgraph.boards.camera import CameraDetector, make_board_corners
+from calgraph.boards.detections import BoardCorners
 from calgraph.calibrate.rig import build_problem_from_captures, solve_problem
 from calgraph.captures.detect import CaptureSet, SensorCapture, collect_detections, state_estimated_intrinsics
 from calgraph.captures.detectors import draw_seeds, make_detectors
@@ -27,10 +30,7 @@ from calgraph.captures.holds import Hold
 from calgraph.captures.timeline import RecordingTimeline, SensorTimes
 from calgraph.config import AprilGrid, Board, Rig
 from calgraph.config.settings import BoardPoseSettings
-from calgraph.detection.board_pose import BoardPose, fit_pose
 from calgraph.detection.board_views import BoardView, BoardViewFinder
-from calgraph.detection.camera import CameraDetector, make_board_corners
-from calgraph.detection.detections import BoardCorners
 from calgraph.errors import Rejected
 from calgraph.estimation.intrinsics.estimate import estimate_intrinsics
 from calgraph.geometry import Array, se3

@@ -19,8 +19,8 @@ import cv2
 import numpy as np
 from ruamel.yaml import YAML
 
+from calgraph.boards.board_pose import fit_pose
 from calgraph.config import Rig
-from calgraph.detection.board_pose import fit_pose
 from calgraph.detection.board_views import BoardView
 from calgraph.errors import Rejected
 from calgraph.estimation.intrinsics.estimate import IntrinsicsEstimate, estimate_intrinsics

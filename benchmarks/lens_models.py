@@ -18,9 +18,9 @@ from collections.abc import Callable
 
 import numpy as np
 
+from calgraph.boards.landmarks import compute_landmarks
 from calgraph.config import Rig
 from calgraph.detection.board_views import BoardView
-from calgraph.detection.landmarks import compute_landmarks
 from calgraph.errors import Rejected
 from calgraph.estimation.intrinsics.estimate import estimate_intrinsics
 from calgraph.geometry import Array, se3, so3

@@ -13,8 +13,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from calgraph.boards.chessboards import CharucoFinder
 from calgraph.config import Board, Charuco
-from calgraph.detection.chessboards import CharucoFinder
 from calgraph.io.yaml_reading import read_yaml
 from calgraph.recording import open_recording
 from calgraph.sensors import CameraInfo, CameraModel, Image

@@ -22,9 +22,9 @@ from typing import TypeVar
 import numpy as np
 from scipy.optimize import OptimizeResult, least_squares
 
+from calgraph.boards.detections import BoardCorners
 from calgraph.calibrate.rig import build_problem_from_captures
 from calgraph.captures.detect import CaptureSet
-from calgraph.detection.detections import BoardCorners
 from calgraph.estimation.rig.board_observations import group_detections
 from calgraph.estimation.rig.bundle_setup import build_bundle
 from calgraph.estimation.rig.bundle_solver import minimize_bundle

@@ -26,13 +26,13 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2
 
+from calgraph.boards.detections import BoardCorners, Detection, DetectionResult
+from calgraph.boards.landmarks import compute_landmarks
 from calgraph.calibrate.rig import build_problem_from_captures, calibrate_detections, solve_jointly, solve_problem
 from calgraph.captures.detectors import draw_seeds, make_detectors
 from calgraph.captures.from_detections import captures_from_detections
 from calgraph.config import Rig
-from calgraph.detection.detections import BoardCorners, Detection, DetectionResult
 from calgraph.detection.from_measurements import board_corners_from_pixels
-from calgraph.detection.landmarks import compute_landmarks
 from calgraph.errors import Rejected
 from calgraph.estimation.rig.bundle_solver import linearize_bundle, retract_state
 from calgraph.estimation.rig.observations import relative_poses

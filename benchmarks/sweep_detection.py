@@ -15,10 +15,10 @@ from typing import Final
 
 import numpy as np
 
+from calgraph.boards.detections import PlanePatch
 from calgraph.captures.detectors import make_detectors
 from calgraph.config import Board, CameraSpec, Capture, Checkerboard, Lidar3dSpec, RangeNoise, Rig
 from calgraph.detection.capture_background import learn_capture_background
-from calgraph.detection.detections import PlanePatch
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se3, so3
 from calgraph.sensors import PointCloud

@@ -27,13 +27,13 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.sparse import lil_matrix
 
+from calgraph.boards.board_pose import plane_covariance
+from calgraph.boards.detections import BoardCorners, Detection
 from calgraph.calibrate.rig import build_problem_from_captures, solve_jointly, solve_problem
 from calgraph.captures.detect import CaptureSet
 from calgraph.captures.detectors import draw_seeds, make_detectors
 from calgraph.captures.from_detections import captures_from_detections
 from calgraph.config import Rig
-from calgraph.detection.board_pose import plane_covariance
-from calgraph.detection.detections import BoardCorners, Detection
 from calgraph.estimation.rig.board_observations import BoardObservation
 from calgraph.estimation.rig.bundle_setup import build_bundle
 from calgraph.estimation.rig.bundle_solver import Bundle, BundleState, linearize_bundle, retract_state

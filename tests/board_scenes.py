@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from calgraph.detection.detections import Detection, PlanePatch, Segment, to_beams
+from calgraph.boards.detections import Detection, PlanePatch, Segment, to_beams
 from calgraph.geometry import Array, plane, se3, so3
 
 SIZE = (1.2, 0.9)

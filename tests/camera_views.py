@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from calgraph.boards.landmarks import compute_landmarks
 from calgraph.config import Rig
 from calgraph.detection.board_views import BoardView
-from calgraph.detection.landmarks import compute_landmarks
 from calgraph.geometry import Array, se3, so3
 from calgraph.sensors import CameraModel
 

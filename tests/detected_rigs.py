@@ -6,9 +6,9 @@ from itertools import combinations
 
 import numpy as np
 
+from calgraph.boards.detections import Detection
 from calgraph.captures.detect import CaptureSet
 from calgraph.config import Board, Rig, SensorSpec
-from calgraph.detection.detections import Detection
 from calgraph.estimation.rig.estimate import solve_bundle
 from calgraph.estimation.rig.solution import RigSolution
 from calgraph.geometry import Array, se3

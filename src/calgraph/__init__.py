@@ -17,7 +17,7 @@ _NAMES = {
         "Board CameraSpec Cylinder Intrinsics Lidar2dSpec Lidar3dSpec People PixelNoise RangeNoise Rig Tag "
         "load_rig"
     ),
-    "calgraph.detection.detections": "BoardCorners PlanePatch Segment",
+    "calgraph.boards.detections": "BoardCorners PlanePatch Segment",
     "calgraph.detection.from_measurements": (
         "board_corners_from_pixels plane_patch_from_points segment_from_points"
     ),

@@ -1,5 +1,8 @@
 """The public names; ``__init__.py`` imports them when they are first used."""
 
+from calgraph.boards.detections import BoardCorners as BoardCorners
+from calgraph.boards.detections import PlanePatch as PlanePatch
+from calgraph.boards.detections import Segment as Segment
 from calgraph.calibrate.network import calibrate_network as calibrate_network
 from calgraph.calibrate.network import calibrate_tracks as calibrate_tracks
 from calgraph.calibrate.rig import build_problem as build_problem
@@ -21,9 +24,6 @@ from calgraph.config import RangeNoise as RangeNoise
 from calgraph.config import Rig as Rig
 from calgraph.config import Tag as Tag
 from calgraph.config import load_rig as load_rig
-from calgraph.detection.detections import BoardCorners as BoardCorners
-from calgraph.detection.detections import PlanePatch as PlanePatch
-from calgraph.detection.detections import Segment as Segment
 from calgraph.detection.from_measurements import board_corners_from_pixels as board_corners_from_pixels
 from calgraph.detection.from_measurements import plane_patch_from_points as plane_patch_from_points
 from calgraph.detection.from_measurements import segment_from_points as segment_from_points

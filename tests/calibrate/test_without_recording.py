@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from calgraph.boards.detections import BoardCorners, Detection, PlanePatch
 from calgraph.calibrate.network import calibrate_network, calibrate_tracks
 from calgraph.calibrate.rig import calibrate_detections, solve_problem
 from calgraph.config import Lidar2dSpec, Lidar3dSpec, People, RangeNoise, Rig
-from calgraph.detection.detections import BoardCorners, Detection, PlanePatch
 from calgraph.detection.from_measurements import (
     board_corners_from_pixels,
     plane_patch_from_points,

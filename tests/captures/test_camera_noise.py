@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calgraph.boards.detections import BoardCorners, Detection, Segment
 from calgraph.captures.camera_noise import scale_by_measured_noise
 from calgraph.config import PixelNoise
 from calgraph.config.settings import CameraNoiseSettings
-from calgraph.detection.detections import BoardCorners, Detection, Segment
 from calgraph.detection.from_measurements import board_corners_from_pixels
 from calgraph.geometry import se3, so3
 from calgraph.sensors import CameraModel

@@ -6,11 +6,11 @@ from functools import partial
 import numpy as np
 import pytest
 
+from calgraph.boards.detections import Segment
 from calgraph.captures.detect import SensorCapture, collect_detections, detect_in_holds, limit_messages
 from calgraph.captures.holds import Hold
 from calgraph.captures.timeline import build_timeline
 from calgraph.config import Board, Lidar2dSpec, Rig
-from calgraph.detection.detections import Segment
 from calgraph.errors import RecordingError, Rejected
 from calgraph.parallel.engine import Processes
 from calgraph.recording import MessageRecording

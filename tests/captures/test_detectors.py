@@ -7,12 +7,12 @@ from functools import partial
 import numpy as np
 import pytest
 
+from calgraph.boards.detections import BoardCorners, PlanePatch
 from calgraph.captures.detectors import learn_backgrounds, learn_backgrounds_of_captures, make_detectors
 from calgraph.captures.holds import Hold
 from calgraph.config import Board, Capture, Lidar2dSpec, Lidar3dSpec, Rig
 from calgraph.config.settings import CaptureBackgroundSettings, CaptureSettings, DetectionSettings, Settings
 from calgraph.detection.cloud_background import CloudBackground
-from calgraph.detection.detections import BoardCorners, PlanePatch
 from calgraph.errors import Rejected
 from calgraph.geometry import Array
 from calgraph.recording import MessageRecording

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from calgraph.boards.detections import PlanePatch, Segment
 from calgraph.captures.from_detections import captures_from_detections
 from calgraph.config import Board, CameraSpec, Intrinsics, Lidar2dSpec, Lidar3dSpec, Rig
-from calgraph.detection.detections import PlanePatch, Segment
 from calgraph.detection.from_measurements import plane_patch_from_points, segment_from_points
 from calgraph.errors import InputError, Rejected
 

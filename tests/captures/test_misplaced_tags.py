@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calgraph.boards.detections import BoardCorners, InconsistentTags
 from calgraph.captures.misplaced_tags import find_misplaced_tags
 from calgraph.config.settings import MisplacedTagSettings
-from calgraph.detection.detections import BoardCorners, InconsistentTags
 
 SETTINGS = MisplacedTagSettings(min_captures=3, min_share=0.5)
 

@@ -5,11 +5,11 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
+from calgraph.boards.detections import BoardCorners, PlanePatch, Segment
 from calgraph.captures.detect import CaptureSet
 from calgraph.captures.holds import Hold
 from calgraph.captures.moving_board import compensate_motion
 from calgraph.config.settings import MovingBoardSettings
-from calgraph.detection.detections import BoardCorners, PlanePatch, Segment
 from calgraph.geometry import Array, plane, se3
 from calgraph.sensors import CameraModel
 

@@ -8,11 +8,11 @@ import cv2
 import numpy as np
 import pytest
 
+from calgraph.boards.camera import CameraDetector
+from calgraph.boards.detections import BoardCorners
+from calgraph.boards.landmarks import compute_landmarks
+from calgraph.boards.tags import GridFinder, TagFinder
 from calgraph.config import AprilGrid, Board, Checkerboard, PixelNoise, Tag
-from calgraph.detection.camera import CameraDetector
-from calgraph.detection.detections import BoardCorners
-from calgraph.detection.landmarks import compute_landmarks
-from calgraph.detection.tags import GridFinder, TagFinder
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se3
 from calgraph.sensors import CameraModel, Image

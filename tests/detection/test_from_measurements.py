@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from calgraph.boards.detections import BoardCorners, PlanePatch, Segment
 from calgraph.config import PixelNoise, RangeNoise
-from calgraph.detection.detections import BoardCorners, PlanePatch, Segment
 from calgraph.detection.from_measurements import (
     board_corners_from_pixels,
     plane_patch_from_points,

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from calgraph.boards.detections import Segment
 from calgraph.config import Board, RangeNoise
 from calgraph.detection.background_learning import learn_scan_background
-from calgraph.detection.detections import Segment
 from calgraph.detection.lidar2d import find_segments
 from calgraph.errors import Rejected
 from calgraph.geometry import Array

@@ -10,9 +10,9 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from calgraph.boards.detections import PlanePatch
 from calgraph.config import Board, RangeNoise
 from calgraph.detection.background_learning import learn_cloud_background
-from calgraph.detection.detections import PlanePatch
 from calgraph.detection.lidar3d import find_patches
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, plane, se3, so3

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calgraph.detection.detections import to_beams
+from calgraph.boards.detections import to_beams
 from calgraph.detection.line_plane_fit import fit_line, fit_plane
 from calgraph.geometry import Array, plane
 

@@ -11,8 +11,8 @@ import pytest
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
+from calgraph.boards.chessboards import CharucoFinder
 from calgraph.config import Board, Charuco, Rig
-from calgraph.detection.chessboards import CharucoFinder
 from calgraph.recording import RecordingWriter, open_recording, open_recordings, resolve_intrinsics
 from calgraph.result import Calibration
 from calgraph.sensors import Image, PointCloud, RecordedMessage

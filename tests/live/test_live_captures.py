@@ -5,10 +5,10 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
+from calgraph.boards.detections import BoardCorners, DetectionResult, PlanePatch, Segment
 from calgraph.captures.holds import Hold
 from calgraph.config import Board, CameraSpec, Lidar2dSpec, Lidar3dSpec, Rig, Tag
 from calgraph.config.settings import LiveCaptureSettings
-from calgraph.detection.detections import BoardCorners, DetectionResult, PlanePatch, Segment
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se3, so3
 from calgraph.live.analysis_jobs import reduce_camera

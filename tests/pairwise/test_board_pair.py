@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from board_scenes import SIZE, detect_boards, make_boards, make_patch, random_pose, segment_endpoints
+from calgraph.boards.detections import PlanePatch
 from calgraph.config.settings import BoardPairSettings
-from calgraph.detection.detections import PlanePatch
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se3, so3
 from calgraph.pairwise.board_pair import (

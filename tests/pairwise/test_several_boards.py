@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from board_scenes import SIZE, make_boards, make_patch, random_pose
-from calgraph.detection.detections import BoardCorners, Detection
+from calgraph.boards.detections import BoardCorners, Detection
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se3
 from calgraph.pairwise.board_matches import Candidates, tabulate_matches

@@ -8,9 +8,9 @@ import pypdfium2
 import pytest
 from numpy.typing import NDArray
 
+from calgraph.boards.camera import CameraDetector
+from calgraph.boards.landmarks import compute_landmarks
 from calgraph.config import Board, PixelNoise, Tag
-from calgraph.detection.camera import CameraDetector
-from calgraph.detection.landmarks import compute_landmarks
 from calgraph.geometry import Array
 from calgraph.printing import BoardOptions, Page, design_board, layout_pages, parse_paper
 from calgraph.printing.pdf import describe_board, write_pdf

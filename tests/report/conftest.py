@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
+from calgraph.boards.landmarks import compute_landmarks
 from calgraph.config import Rig
-from calgraph.detection.landmarks import compute_landmarks
 from calgraph.geometry import Array, se2, se3
 from calgraph.result import (
     BoardOutline,

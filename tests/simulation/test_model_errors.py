@@ -5,9 +5,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from calgraph.boards.detections import BoardCorners, PlanePatch, Segment
 from calgraph.captures.detect import CaptureSet
 from calgraph.config import Board
-from calgraph.detection.detections import BoardCorners, PlanePatch, Segment
 from calgraph.errors import InputError
 from calgraph.geometry import Array, Index, se3, so3
 from calgraph.sensors import CameraModel

@@ -8,8 +8,8 @@ import numpy as np
 
 from calgraph.baselines import hypergraph_factors as factor_types
 from calgraph.baselines.sparse_lm import Block, Factor, Values, marginal_covariance, minimize_sparse
+from calgraph.boards.detections import Detection, Segment, plane_of
 from calgraph.config.settings import Settings
-from calgraph.detection.detections import Detection, Segment, plane_of
 from calgraph.geometry import Array, plane, se3
 from calgraph.graph.spanning_tree import SpanningTree
 from calgraph.pairwise.board_matches import Candidates

@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from calgraph.boards.board_pose import fit_pose, plane_covariance
+from calgraph.boards.tags import Marks
 from calgraph.config.settings import BoardPoseSettings
-from calgraph.detection.board_pose import fit_pose, plane_covariance
-from calgraph.detection.tags import Marks
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, plane
 from calgraph.sensors import CameraModel

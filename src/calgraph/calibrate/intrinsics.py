@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calgraph.boards.camera import CameraDetector
+from calgraph.boards.detections import BoardCorners
 from calgraph.captures.board_views import decode_views, encode_views, find_views_in_holds
 from calgraph.captures.detect import detect_in_holds
 from calgraph.captures.hold_messages import select_messages
@@ -14,8 +16,6 @@ from calgraph.captures.sensor_detection import list_shared_inputs
 from calgraph.captures.timeline import RecordingTimeline, build_timeline
 from calgraph.config import CameraSpec, Rig
 from calgraph.detection.board_views import BoardView, BoardViewFinder
-from calgraph.detection.camera import CameraDetector
-from calgraph.detection.detections import BoardCorners
 from calgraph.errors import Rejected
 from calgraph.estimation.intrinsics.estimate import IntrinsicsEstimate, estimate_intrinsics
 from calgraph.parallel.engine import THIS_PROCESS, Engine

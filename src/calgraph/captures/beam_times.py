@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from calgraph.detection.detections import Detection, PlanePatch, Segment
+from calgraph.boards.detections import Detection, PlanePatch, Segment
 from calgraph.geometry import Array, measure_lengths
 from calgraph.sensors import LaserScan, PointCloud
 

@@ -3,8 +3,8 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+from calgraph.boards.detections import BoardCorners, Detection
 from calgraph.config.settings import CameraNoiseSettings
-from calgraph.detection.detections import BoardCorners, Detection
 
 
 def scale_by_measured_noise(

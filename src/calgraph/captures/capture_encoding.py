@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from calgraph.boards.detections import BoardCorners, Detection, InconsistentTags
 from calgraph.captures.detect import SensorCapture
 from calgraph.captures.detection_tables import pack_detections, unpack_detections
-from calgraph.detection.detections import BoardCorners, Detection, InconsistentTags
 from calgraph.errors import Rejected
 from calgraph.io.columns import INDEX, NUMBER, Arrays, Column, Table
 from calgraph.result import Snapshot

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from calgraph.boards.detections import Detection, DetectionResult, InconsistentTags
 from calgraph.captures.camera_noise import scale_by_measured_noise
 from calgraph.captures.hold_messages import Messages, Search, search_holds
 from calgraph.captures.holds import Hold
@@ -15,7 +16,6 @@ from calgraph.captures.misplaced_tags import find_misplaced_tags
 from calgraph.captures.previews import PreviewSize, make_preview
 from calgraph.captures.timeline import RecordingTimeline
 from calgraph.config import Intrinsics, Rig
-from calgraph.detection.detections import Detection, DetectionResult, InconsistentTags
 from calgraph.errors import Rejected
 from calgraph.geometry import Array
 from calgraph.parallel.engine import THIS_PROCESS, Engine

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.detection.detections import BoardCorners, Detection, PlanePatch, Segment, to_beams
+from calgraph.boards.detections import BoardCorners, Detection, PlanePatch, Segment, to_beams
 from calgraph.errors import InputError
 from calgraph.io.columns import INDEX, NUMBER, Arrays, Column, Table
 

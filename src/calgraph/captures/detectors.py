@@ -5,16 +5,16 @@ from functools import partial
 
 import numpy as np
 
+from calgraph.boards.camera import CameraDetector, PlaneEstimator
+from calgraph.boards.detections import DetectionResult, PlanePatch
 from calgraph.captures.beam_times import add_beam_times
 from calgraph.captures.detect import Detector, sample_evenly
 from calgraph.captures.holds import Hold
 from calgraph.config import CameraSpec, Lidar2dSpec, Lidar3dSpec, Rig
 from calgraph.config.settings import DetectionSettings
 from calgraph.detection.background_learning import learn_cloud_background, learn_scan_background
-from calgraph.detection.camera import CameraDetector, PlaneEstimator
 from calgraph.detection.capture_background import CaptureBackground, learn_capture_background
 from calgraph.detection.cloud_background import CloudBackground
-from calgraph.detection.detections import DetectionResult, PlanePatch
 from calgraph.detection.lidar2d import find_segments
 from calgraph.detection.lidar3d import find_patches
 from calgraph.errors import InputError, Rejected

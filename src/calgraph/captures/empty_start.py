@@ -6,12 +6,12 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
+from calgraph.boards.printed_boards import PrintedBoard, make_printed_boards, select_grays
 from calgraph.captures.capture_mode import recognize_mode
 from calgraph.captures.timeline import build_timeline
 from calgraph.config import Board, CameraSpec, Capture, Rig
 from calgraph.config.settings import CameraDetectionSettings, CaptureSettings, EmptyStartSettings
 from calgraph.detection.cloud_background import Cells, find_direction_cells, find_local_maxima
-from calgraph.detection.printed_boards import PrintedBoard, make_printed_boards, select_grays
 from calgraph.geometry import Array, measure_lengths
 from calgraph.recording import NO_CACHE, PoseRecordings, Recording, RecordingCache
 from calgraph.result.finding import Finding

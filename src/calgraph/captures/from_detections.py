@@ -4,12 +4,12 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from calgraph.boards.detections import BoardCorners, Detection, DetectionResult, PlanePatch, Segment
 from calgraph.captures.detect import CaptureSet, SensorCapture, collect_detections
 from calgraph.captures.holds import Hold
 from calgraph.captures.moving_board import compensate_motion
 from calgraph.captures.timeline import RecordingTimeline, SensorTimes
 from calgraph.config import Rig
-from calgraph.detection.detections import BoardCorners, Detection, DetectionResult, PlanePatch, Segment
 from calgraph.errors import InputError, Rejected
 from calgraph.sensors import CameraModel
 

@@ -3,8 +3,8 @@
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 
+from calgraph.boards.detections import BoardCorners, Detection, InconsistentTags
 from calgraph.config.settings import MisplacedTagSettings
-from calgraph.detection.detections import BoardCorners, Detection, InconsistentTags
 from calgraph.result.finding import Finding
 
 

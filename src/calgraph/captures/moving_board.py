@@ -6,9 +6,9 @@ from typing import TypeGuard
 
 import numpy as np
 
+from calgraph.boards.detections import BoardCorners, Detection, PlanePatch, Segment
 from calgraph.captures.detect import CaptureSet
 from calgraph.config.settings import MovingBoardSettings
-from calgraph.detection.detections import BoardCorners, Detection, PlanePatch, Segment
 from calgraph.geometry import Array, plane, se3
 from calgraph.sensors import CameraModel
 

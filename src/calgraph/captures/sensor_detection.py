@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
+from calgraph.boards.camera import PlaneEstimator
 from calgraph.captures.capture_encoding import decode_captures, encode_captures
 from calgraph.captures.detect import SensorCapture, detect_in_holds
 from calgraph.captures.detectors import learn_backgrounds, learn_backgrounds_of_captures, make_detectors
@@ -14,7 +15,6 @@ from calgraph.captures.holds import Hold
 from calgraph.captures.previews import PreviewSize, plan_previews
 from calgraph.captures.timeline import RecordingTimeline
 from calgraph.config import CameraSpec, Rig
-from calgraph.detection.camera import PlaneEstimator
 from calgraph.errors import Rejected
 from calgraph.io.columns import Arrays
 from calgraph.parallel.engine import THIS_PROCESS, Engine

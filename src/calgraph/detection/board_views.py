@@ -7,10 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.config import Board, PixelNoise
-from calgraph.config.settings import CameraDetectionSettings
-from calgraph.detection.detections import BoardCorners
-from calgraph.detection.printed_boards import (
+from calgraph.boards.detections import BoardCorners
+from calgraph.boards.printed_boards import (
     PrintedBoard,
     average_marks,
     explain_exposure,
@@ -18,7 +16,9 @@ from calgraph.detection.printed_boards import (
     make_printed_boards,
     select_grays,
 )
-from calgraph.detection.tags import Marks
+from calgraph.boards.tags import Marks
+from calgraph.config import Board, PixelNoise
+from calgraph.config.settings import CameraDetectionSettings
 from calgraph.errors import InputError, Rejected
 from calgraph.geometry import Array
 from calgraph.sensors import DetectedCorners, Image, Message

@@ -2,11 +2,11 @@
 
 import numpy as np
 
+from calgraph.boards.board_pose import fit_pose
+from calgraph.boards.camera import make_board_corners
+from calgraph.boards.detections import BoardCorners, PlanePatch, Segment, to_beams
 from calgraph.config import PixelNoise, RangeNoise
 from calgraph.config.settings import BoardPoseSettings, SurfaceFitSettings
-from calgraph.detection.board_pose import fit_pose
-from calgraph.detection.camera import make_board_corners
-from calgraph.detection.detections import BoardCorners, PlanePatch, Segment, to_beams
 from calgraph.detection.lidar2d import build_segment
 from calgraph.detection.line_plane_fit import fit_line, fit_plane
 from calgraph.errors import InputError, Rejected

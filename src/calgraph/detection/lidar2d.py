@@ -10,10 +10,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from calgraph.boards.detections import Segment
 from calgraph.config import Board, RangeNoise
 from calgraph.config.settings import DetectionSettings, Lidar2dDetectionSettings
 from calgraph.detection.board_edges import find_board_edges, select_beams_with_margin
-from calgraph.detection.detections import Segment
 from calgraph.detection.line_plane_fit import SurfaceFit, fit_line, whiten_line
 from calgraph.detection.scan_averaging import AveragedScan, average_scans
 from calgraph.errors import Rejected

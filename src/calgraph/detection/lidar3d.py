@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
+from calgraph.boards.detections import PlanePatch, to_beams
 from calgraph.config import Board, RangeNoise
 from calgraph.config.settings import DetectionSettings, Lidar3dDetectionSettings
 from calgraph.detection.board_edges import find_board_edges, select_beams_with_margin
 from calgraph.detection.capture_background import CaptureBackground
 from calgraph.detection.cloud_background import CloudBackground
-from calgraph.detection.detections import PlanePatch, to_beams
 from calgraph.detection.line_plane_fit import fit_plane
 from calgraph.detection.rectangle_fit import (
     BoardRectangle,

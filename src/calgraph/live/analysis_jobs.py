@@ -8,13 +8,13 @@ from functools import lru_cache, partial
 
 import numpy as np
 
+from calgraph.boards.detections import DetectionResult
 from calgraph.captures.detect import Detector, detect_in_hold
 from calgraph.captures.detectors import Background, learn_background, make_detectors
 from calgraph.captures.motion_detection import ActivityMeter, Signed
 from calgraph.config import CameraSpec, Rig
 from calgraph.config.settings import MotionDetectionSettings
 from calgraph.detection.board_views import BoardViewFinder
-from calgraph.detection.detections import DetectionResult
 from calgraph.errors import CalgraphError, InputError, Rejected
 from calgraph.sensors import CameraModel, Message
 

@@ -4,9 +4,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
+from calgraph.boards.detections import DetectionResult
 from calgraph.captures.holds import Hold
 from calgraph.config import Rig
-from calgraph.detection.detections import DetectionResult
 from calgraph.errors import Rejected
 from calgraph.live.analysis_jobs import Decoder, detect_board
 from calgraph.live.capture_finder import Candidate, CaptureFinder, Waiting, limit_hold, name_sensors

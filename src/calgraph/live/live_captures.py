@@ -5,11 +5,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calgraph.boards.detections import BoardCorners, Detection, DetectionResult, Segment
 from calgraph.captures.detect import CaptureSet, SensorCapture, collect_detections
 from calgraph.captures.holds import Hold
 from calgraph.config import CameraSpec, Rig
 from calgraph.config.settings import LiveCaptureSettings
-from calgraph.detection.detections import BoardCorners, Detection, DetectionResult, Segment
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, so3
 from calgraph.live.analysis_jobs import UnprojectedBoard

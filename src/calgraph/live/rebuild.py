@@ -3,12 +3,12 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from calgraph.boards.detections import DetectionResult
 from calgraph.captures.detect import limit_messages
 from calgraph.captures.holds import Hold, find_holds
 from calgraph.captures.sensor_detection import DetectionMethod, detect_by_sensors
 from calgraph.captures.timeline import RecordingTimeline, build_timeline
 from calgraph.config import Rig
-from calgraph.detection.detections import DetectionResult
 from calgraph.errors import CalibrationError, Rejected
 from calgraph.live.analysis_jobs import NO_INTRINSICS
 from calgraph.live.live_captures import LiveCapture

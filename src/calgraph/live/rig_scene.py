@@ -4,8 +4,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from calgraph.boards.detections import BoardCorners
 from calgraph.config import Rig
-from calgraph.detection.detections import BoardCorners
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se3
 from calgraph.live.live_captures import LiveCapture

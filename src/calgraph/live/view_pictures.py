@@ -7,9 +7,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from calgraph.boards.detections import BoardCorners, Detection, DetectionResult, PlanePatch, Segment
 from calgraph.config import Board
 from calgraph.config.settings import ViewSettings
-from calgraph.detection.detections import BoardCorners, Detection, DetectionResult, PlanePatch, Segment
 from calgraph.errors import CalgraphError, Rejected
 from calgraph.geometry import Array
 from calgraph.live.analysis_jobs import UnprojectedBoard, decode_detector

@@ -5,8 +5,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from calgraph.boards.detections import BoardCorners, Detection, PlanePatch, Segment, plane_of
 from calgraph.config.settings import BoardPairSettings
-from calgraph.detection.detections import BoardCorners, Detection, PlanePatch, Segment, plane_of
 from calgraph.geometry import Array
 from calgraph.pairwise.line_matches import LineLineMatches, PlaneLineMatches
 from calgraph.pairwise.pairwise_estimate import Matches

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calgraph.boards.landmarks import compute_landmarks
 from calgraph.config import Rig
-from calgraph.detection.landmarks import compute_landmarks
 from calgraph.geometry import Array, se3
 from calgraph.result import BoardOutline, BoardView, Calibration, SensorPose
 from calgraph.sensors import CameraModel

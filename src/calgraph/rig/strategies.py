@@ -1,7 +1,7 @@
 """What options choose by name: the default, or a part of the paper, imported only where it is chosen."""
 
+from calgraph.boards.camera import PlaneEstimator
 from calgraph.config.settings import BaselineSettings
-from calgraph.detection.camera import PlaneEstimator
 from calgraph.estimation.rig.problem import Problem
 from calgraph.estimation.rig.solution import RigSolution
 from calgraph.graph.averaging import select_averaging

@@ -10,15 +10,15 @@ from functools import partial
 
 import numpy as np
 
+from calgraph.boards.board_pose import fit_pose
+from calgraph.boards.camera import make_board_corners
+from calgraph.boards.detections import DetectionResult, PlanePatch, to_beams
+from calgraph.boards.landmarks import compute_landmarks
 from calgraph.captures.detect import CaptureSet, SensorCapture, collect_detections
 from calgraph.captures.holds import Hold
 from calgraph.captures.timeline import RecordingTimeline, SensorTimes
 from calgraph.config import Board, Checkerboard, PixelNoise, RangeNoise, Rig
 from calgraph.config.settings import DetectionSettings
-from calgraph.detection.board_pose import fit_pose
-from calgraph.detection.camera import make_board_corners
-from calgraph.detection.detections import DetectionResult, PlanePatch, to_beams
-from calgraph.detection.landmarks import compute_landmarks
 from calgraph.detection.lidar2d import build_segment
 from calgraph.detection.line_plane_fit import fit_line, fit_plane
 from calgraph.errors import Rejected

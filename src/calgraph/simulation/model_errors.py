@@ -10,8 +10,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from calgraph.boards.landmarks import Landmarks, compute_landmarks
 from calgraph.config import Board
-from calgraph.detection.landmarks import Landmarks, compute_landmarks
 from calgraph.errors import InputError
 from calgraph.geometry import Array, se3, so3
 from calgraph.sensors import CameraModel

@@ -12,13 +12,13 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation, RotationSpline
 
+from calgraph.boards.detections import BoardCorners, Detection
 from calgraph.captures.detect import CaptureSet, SensorCapture, collect_detections
 from calgraph.captures.holds import Hold, find_holds
 from calgraph.captures.moving_board import compensate_motion
 from calgraph.captures.timeline import RecordingTimeline, SensorTimes
 from calgraph.config import Capture, Rig
 from calgraph.config.settings import BoardPoseSettings
-from calgraph.detection.detections import BoardCorners, Detection
 from calgraph.detection.from_measurements import board_corners_from_pixels
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se3

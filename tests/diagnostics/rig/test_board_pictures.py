@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calgraph.detection.detections import BoardCorners
+from calgraph.boards.detections import BoardCorners
 from calgraph.diagnostics.rig.board_pictures import (
     InlierResiduals,
     _subsample_measurements,

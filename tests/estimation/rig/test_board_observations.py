@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from board_scenes import detect_boards, make_boards
-from calgraph.detection.detections import Detection, Segment
+from calgraph.boards.detections import Detection, Segment
 from calgraph.estimation.rig.board_observations import BoardObservation, board_number, initial_board_pose
 from calgraph.geometry import Array, se3, so3
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calgraph.boards.detections import BoardCorners, Detection
 from calgraph.config import Board
-from calgraph.detection.detections import BoardCorners, Detection
 from calgraph.estimation.rig.range_observations import RangeObservations
 from calgraph.estimation.rig.solution import RigSolution
 from calgraph.geometry import se3

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from calgraph.boards.detections import BoardCorners
+from calgraph.boards.landmarks import compute_landmarks
 from calgraph.captures.detect import CaptureSet
-from calgraph.detection.detections import BoardCorners
-from calgraph.detection.landmarks import compute_landmarks
 from calgraph.errors import CalibrationError
 from calgraph.estimation.rig.board_observations import BoardObservation
 from calgraph.estimation.rig.bundle_setup import build_bundle

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from calgraph.boards.detections import BoardCorners
 from calgraph.calibrate.rig import build_problem_from_captures
 from calgraph.captures.detect import CaptureSet
-from calgraph.detection.detections import BoardCorners
 from calgraph.errors import Rejected
 from calgraph.estimation.rig.camera_boards import locate_boards, scale_boards
 from calgraph.geometry import Array, se3

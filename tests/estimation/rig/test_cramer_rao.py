@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calgraph.boards.detections import BoardCorners
 from calgraph.captures.detect import CaptureSet
 from calgraph.config import CameraSpec, Rig
-from calgraph.detection.detections import BoardCorners
 from calgraph.estimation.rig.estimate import cramer_rao
 from calgraph.geometry import Array, se3
 from calgraph.simulation import CameraOptions, RigScenario, build_world, simulate_detections

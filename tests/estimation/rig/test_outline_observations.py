@@ -7,8 +7,8 @@ import pytest
 from numpy.typing import NDArray
 
 from bundle_scenes import HEIGHT, WIDTH, scene
+from calgraph.boards.detections import PlanePatch
 from calgraph.config.settings import OutlineSettings
-from calgraph.detection.detections import PlanePatch
 from calgraph.estimation.rig.bundle_parameters import SystematicParameter
 from calgraph.estimation.rig.bundle_solver import linearize_bundle, minimize_bundle
 from calgraph.estimation.rig.covariances import pose_covariance

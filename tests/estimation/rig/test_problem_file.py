@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 
 from board_scenes import detect_boards, make_boards, random_pose
+from calgraph.boards.detections import BoardCorners, Detection, PlanePatch, to_beams
 from calgraph.captures.detect import CaptureSet
 from calgraph.captures.detection_tables import DETECTIONS
 from calgraph.captures.holds import Hold
 from calgraph.config import Rig
-from calgraph.detection.detections import BoardCorners, Detection, PlanePatch, to_beams
 from calgraph.errors import InputError, Rejected
 from calgraph.estimation.rig.priors import PosePrior
 from calgraph.estimation.rig.problem import Problem, SolverOptions, check_problem, with_prior_poses

@@ -7,8 +7,8 @@ import pytest
 from numpy.typing import NDArray
 
 from bundle_scenes import LEVER, Scene, bias_variances, remeasured, scene
+from calgraph.boards.detections import BoardCorners
 from calgraph.config import CameraSpec, PixelNoise
-from calgraph.detection.detections import BoardCorners
 from calgraph.estimation.rig.bundle_solver import Bundle, minimize_bundle
 from calgraph.estimation.rig.covariances import view_covariance_factors
 from calgraph.estimation.rig.observations import relative_poses

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calgraph.detection.detections import BoardCorners, Detection, PlanePatch, to_beams
+from calgraph.boards.detections import BoardCorners, Detection, PlanePatch, to_beams
 from calgraph.estimation.rig.board_observations import BoardObservation
 from calgraph.estimation.rig.bundle_setup import build_bundle
 from calgraph.estimation.rig.bundle_solver import linearize_bundle

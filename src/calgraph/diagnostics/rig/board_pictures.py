@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from calgraph.boards.detections import BoardCorners, Detection, PlanePatch
 from calgraph.captures.detect import CaptureSet
 from calgraph.config import Rig
-from calgraph.detection.detections import BoardCorners, Detection, PlanePatch
 from calgraph.estimation.rig.corner_observations import CornerObservations
 from calgraph.estimation.rig.observations import relative_poses
 from calgraph.estimation.rig.range_observations import RangeObservations

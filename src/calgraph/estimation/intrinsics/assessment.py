@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calgraph.boards.detections import BoardCorners
 from calgraph.config.settings import IntrinsicsSettings
-from calgraph.detection.detections import BoardCorners
 from calgraph.estimation.intrinsics.lens_fit import LensFit
 from calgraph.geometry import Array, so3
 from calgraph.sensors import CameraModel

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calgraph.boards.detections import BoardCorners
 from calgraph.config import Intrinsics, Rig
 from calgraph.config.settings import IntrinsicsSettings
 from calgraph.detection.board_views import BoardView
-from calgraph.detection.detections import BoardCorners
 from calgraph.errors import Rejected
 from calgraph.estimation.intrinsics.assessment import ViewCoverage, describe_shortcomings, measure_coverage
 from calgraph.estimation.intrinsics.lens_fit import LensFit, fit_lens, include_model_error

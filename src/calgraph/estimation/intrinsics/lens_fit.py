@@ -9,13 +9,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calgraph.boards.board_pose import fit_pose
+from calgraph.boards.camera import make_board_corners
+from calgraph.boards.detections import BoardCorners
 from calgraph.captures.detect import CaptureSet
 from calgraph.config import Intrinsics, PixelNoise, Rig
 from calgraph.config.settings import IntrinsicsSettings
-from calgraph.detection.board_pose import fit_pose
 from calgraph.detection.board_views import BoardView
-from calgraph.detection.camera import make_board_corners
-from calgraph.detection.detections import BoardCorners
 from calgraph.errors import CalibrationError, InputError, Rejected
 from calgraph.estimation.intrinsics.model_error import FieldEquations, ModelError, estimate_model_error
 from calgraph.estimation.intrinsics.start import IntrinsicsStart

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from calgraph.detection.detections import BoardCorners, Detection, PlanePatch
+from calgraph.boards.detections import BoardCorners, Detection, PlanePatch
 from calgraph.geometry import Array, plane, se3, so3
 from calgraph.pairwise.board_matches import Candidates
 from calgraph.pairwise.pairwise_estimate import PairwiseEstimate

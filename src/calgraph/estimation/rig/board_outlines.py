@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from calgraph.boards.detections import BoardCorners, PlanePatch, Segment
 from calgraph.config import Rig
-from calgraph.detection.detections import BoardCorners, PlanePatch, Segment
 from calgraph.estimation.rig.board_observations import BoardObservation, board_number
 from calgraph.estimation.rig.bundle_solver import Bundle, BundleState
 from calgraph.estimation.rig.observations import relative_poses

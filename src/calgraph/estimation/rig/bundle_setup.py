@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from calgraph.boards.detections import BoardCorners
 from calgraph.captures.detect import CaptureSet
 from calgraph.config import CameraSpec, Rig
-from calgraph.detection.detections import BoardCorners
 from calgraph.estimation.rig.board_observations import BoardObservation, board_number, initial_board_pose
 from calgraph.estimation.rig.bundle_solver import Bundle, BundleState
 from calgraph.estimation.rig.corner_observations import CornerObservations

@@ -12,10 +12,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from calgraph.boards.board_pose import plane_covariance
+from calgraph.boards.detections import BoardCorners, Detection
 from calgraph.captures.detect import CaptureSet
 from calgraph.config import Rig
-from calgraph.detection.board_pose import plane_covariance
-from calgraph.detection.detections import BoardCorners, Detection
 from calgraph.errors import CalibrationError
 from calgraph.estimation.rig.board_observations import BoardObservation
 from calgraph.estimation.rig.bundle_setup import build_bundle

@@ -7,8 +7,8 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from calgraph.boards.detections import BoardCorners
 from calgraph.config import PixelNoise
-from calgraph.detection.detections import BoardCorners
 from calgraph.estimation.rig.observations import (
     LinearizedResiduals,
     difference_along_sensor,

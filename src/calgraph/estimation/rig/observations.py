@@ -12,7 +12,7 @@ from typing import Any, ClassVar, Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.detection.detections import Detection
+from calgraph.boards.detections import Detection
 from calgraph.geometry import Array, Index, se3
 
 

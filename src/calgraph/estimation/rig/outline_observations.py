@@ -11,8 +11,8 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from calgraph.boards.detections import PlanePatch, Segment
 from calgraph.config.settings import OutlineSettings
-from calgraph.detection.detections import PlanePatch, Segment
 from calgraph.estimation.rig.observations import (
     LinearizedResiduals,
     difference_along_sensor,

@@ -11,9 +11,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from calgraph.boards.detections import BoardCorners, Detection
 from calgraph.captures.detect import CaptureSet
 from calgraph.config import Checkerboard, Rig
-from calgraph.detection.detections import BoardCorners, Detection
 from calgraph.geometry import Array, se3, so3
 
 

@@ -8,10 +8,10 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
+from calgraph.boards.detections import BoardCorners
 from calgraph.captures.detect import CaptureSet
 from calgraph.config import Rig
 from calgraph.config.strict_model import StrictModel
-from calgraph.detection.detections import BoardCorners
 from calgraph.errors import InputError
 from calgraph.estimation.rig.priors import PosePrior, PriorFile, RigidFile, RigidGroup, resolve_prior_poses
 from calgraph.estimation.rig.problem_checks import check_numbers

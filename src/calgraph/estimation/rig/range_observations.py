@@ -7,8 +7,8 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from calgraph.boards.detections import PlanePatch, Segment
 from calgraph.config import RangeNoise
-from calgraph.detection.detections import PlanePatch, Segment
 from calgraph.estimation.rig.observations import (
     LinearizedResiduals,
     gather_extra,

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from calgraph.boards.landmarks import compute_landmarks
 from calgraph.config import Board, CameraSpec, Lidar2dSpec, Lidar3dSpec, Rig, SensorSpec
 from calgraph.config.settings import SystematicParameterSettings
-from calgraph.detection.landmarks import compute_landmarks
 from calgraph.estimation.rig.bundle_parameters import SystematicParameter
 from calgraph.estimation.rig.bundle_solver import Bundle, BundleEquations, BundleState
 from calgraph.estimation.rig.corner_observations import TIME_PARAMETERS, CornerObservations, PrintedCorners

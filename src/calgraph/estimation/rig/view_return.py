@@ -10,9 +10,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from calgraph.boards.detections import BoardCorners, PlanePatch
 from calgraph.captures.detect import CaptureSet
 from calgraph.config import Rig
-from calgraph.detection.detections import BoardCorners, PlanePatch
 from calgraph.estimation.rig.board_observations import (
     BoardObservation,
     Node,

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
+from calgraph.boards.detections import InconsistentTags
 from calgraph.config.settings import BoardPoseSettings
-from calgraph.detection.detections import InconsistentTags
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, plane, se3, so3
 from calgraph.sensors import CameraModel

@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
+from calgraph.boards.tags import Gray, TagFinder
 from calgraph.config.settings import TagSettings
-from calgraph.detection.tags import Gray, TagFinder
 from calgraph.geometry import Array
 
 DICTIONARY = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)

@@ -25,7 +25,7 @@ class Marks:
     ids: NDArray[np.intp]
     """(N,)."""
     pixels: Array
-    """(N, k, 2) their corners in the order of :class:`calgraph.detection.landmarks.Landmarks`."""
+    """(N, k, 2) their corners in the order of :class:`calgraph.boards.landmarks.Landmarks`."""
 
     def __len__(self) -> int:
         return len(self.ids)

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from calgraph.boards.tags import Gray
 from calgraph.config.settings import TagSettings
-from calgraph.detection.tags import Gray
 from calgraph.geometry import Array
 from calgraph.sensors import CameraModel
 

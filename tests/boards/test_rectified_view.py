@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
+from calgraph.boards.rectified_view import is_undistorted, rectify_view
 from calgraph.config.settings import TagSettings
-from calgraph.detection.rectified_view import is_undistorted, rectify_view
 from calgraph.geometry import Array
 from calgraph.sensors import CameraModel
 

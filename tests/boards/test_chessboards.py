@@ -6,10 +6,10 @@ import cv2
 import numpy as np
 import pytest
 
+from calgraph.boards import chessboards
+from calgraph.boards.checkerboard_regions import take_whole
+from calgraph.boards.chessboards import CheckerboardFinder
 from calgraph.config import Board, Checkerboard
-from calgraph.detection import chessboards
-from calgraph.detection.checkerboard_regions import take_whole
-from calgraph.detection.chessboards import CheckerboardFinder
 from calgraph.geometry import Array, se3, so3
 from calgraph.sensors import CameraModel
 

@@ -9,12 +9,12 @@ import pytest
 from numpy.typing import NDArray
 
 from calgraph.baselines.mean_plane import estimate_mean_plane
+from calgraph.boards.camera import CameraDetector, PlaneEstimator
+from calgraph.boards.detections import BoardCorners, InconsistentTags
+from calgraph.boards.landmarks import compute_landmarks
+from calgraph.boards.printed_boards import average_marks
+from calgraph.boards.tags import Marks
 from calgraph.config import AprilGrid, Board, Charuco, Checkerboard, PixelNoise, Tag
-from calgraph.detection.camera import CameraDetector, PlaneEstimator
-from calgraph.detection.detections import BoardCorners, InconsistentTags
-from calgraph.detection.landmarks import compute_landmarks
-from calgraph.detection.printed_boards import average_marks
-from calgraph.detection.tags import Marks
 from calgraph.errors import InputError, Rejected
 from calgraph.geometry import Array, plane, se3, so3
 from calgraph.sensors import CameraModel, Image

@@ -7,10 +7,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from calgraph.boards.checkerboard_regions import Region, find_regions, take_whole
+from calgraph.boards.tags import Gray, Marks, empty_marks
 from calgraph.config import Charuco, Checkerboard, dictionary
 from calgraph.config.settings import CameraDetectionSettings
-from calgraph.detection.checkerboard_regions import Region, find_regions, take_whole
-from calgraph.detection.tags import Gray, Marks, empty_marks
 from calgraph.geometry import Array
 
 _CRITERIA = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 40, 1e-3)

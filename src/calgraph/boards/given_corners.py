@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from calgraph.boards.landmarks import Landmarks
+from calgraph.boards.tags import Marks
 from calgraph.config import Board, Charuco, Checkerboard
-from calgraph.detection.landmarks import Landmarks
-from calgraph.detection.tags import Marks
 from calgraph.errors import InputError
 from calgraph.geometry import Array
 from calgraph.sensors import DetectedCorners

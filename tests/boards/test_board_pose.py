@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from calgraph.boards.board_pose import BoardPose, fit_pose, plane_covariance
+from calgraph.boards.landmarks import compute_landmarks
 from calgraph.config import Board, Tag
-from calgraph.detection.board_pose import BoardPose, fit_pose, plane_covariance
-from calgraph.detection.landmarks import compute_landmarks
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, plane, se3, so3
 from calgraph.sensors import CameraModel

@@ -12,7 +12,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
-from calgraph.detection.tags import Gray
+from calgraph.boards.tags import Gray
 from calgraph.geometry import Array
 
 _BLUR = 1.2

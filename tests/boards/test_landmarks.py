@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from calgraph.boards.landmarks import compute_landmarks
 from calgraph.config import AprilGrid, Board, Charuco, Checkerboard, Tag
-from calgraph.detection.landmarks import compute_landmarks
 
 CHECKERBOARD = Checkerboard(kind="checkerboard", columns=7, rows=5, square=0.1, center=(0.02, -0.01))
 CHARUCO = Charuco(kind="charuco", columns=8, rows=6, square=0.1, marker=0.075, dictionary="DICT_5X5_100")

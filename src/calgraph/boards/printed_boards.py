@@ -6,11 +6,11 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from calgraph.boards.chessboards import CharucoFinder, CheckerboardFinder
+from calgraph.boards.landmarks import Landmarks, compute_landmarks
+from calgraph.boards.tags import Gray, GridFinder, Marks, TagFinder
 from calgraph.config import AprilGrid, Board, Charuco, Checkerboard
 from calgraph.config.settings import CameraDetectionSettings
-from calgraph.detection.chessboards import CharucoFinder, CheckerboardFinder
-from calgraph.detection.landmarks import Landmarks, compute_landmarks
-from calgraph.detection.tags import Gray, GridFinder, Marks, TagFinder
 from calgraph.errors import InputError, Rejected
 
 Finder = TagFinder | GridFinder | CheckerboardFinder | CharucoFinder

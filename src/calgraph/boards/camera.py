@@ -8,12 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.config import Board, PixelNoise
-from calgraph.config.settings import BoardPoseSettings, CameraDetectionSettings
-from calgraph.detection.board_pose import BoardPose, fit_pose, plane_covariance
-from calgraph.detection.detections import BoardCorners, InconsistentTags
-from calgraph.detection.given_corners import assign_corners, is_mirrored, mirror, turn_over
-from calgraph.detection.printed_boards import (
+from calgraph.boards.board_pose import BoardPose, fit_pose, plane_covariance
+from calgraph.boards.detections import BoardCorners, InconsistentTags
+from calgraph.boards.given_corners import assign_corners, is_mirrored, mirror, turn_over
+from calgraph.boards.printed_boards import (
     PrintedBoard,
     average_marks,
     explain_exposure,
@@ -21,8 +19,10 @@ from calgraph.detection.printed_boards import (
     make_printed_boards,
     select_grays,
 )
-from calgraph.detection.rectified_view import is_undistorted, rectify_view
-from calgraph.detection.tags import Gray, Marks, TagFinder
+from calgraph.boards.rectified_view import is_undistorted, rectify_view
+from calgraph.boards.tags import Gray, Marks, TagFinder
+from calgraph.config import Board, PixelNoise
+from calgraph.config.settings import BoardPoseSettings, CameraDetectionSettings
 from calgraph.errors import InputError, Rejected
 from calgraph.geometry import Array, plane, se3
 from calgraph.sensors import CameraModel, DetectedCorners, Image
