@@ -31,8 +31,8 @@ from calgraph.estimation.rig.bundle_solver import minimize_bundle
 from calgraph.estimation.rig.estimate import solve_bundle
 from calgraph.estimation.rig.problem import Problem
 from calgraph.estimation.rig.solution import RigSolution
+from calgraph.graph.pairwise_estimate import select_matches
 from calgraph.pairwise.board_pair import select_successful
-from calgraph.pairwise.pairwise_estimate import select_matches
 from calgraph.rig.options import RigOptions
 from calgraph.simulation import (
     CameraOptions,

@@ -12,7 +12,7 @@ from calgraph.config import Board, Rig, SensorSpec
 from calgraph.estimation.rig.estimate import solve_bundle
 from calgraph.estimation.rig.solution import RigSolution
 from calgraph.geometry import Array, se3
-from calgraph.pairwise.pairwise_estimate import PairwiseEstimate
+from calgraph.graph.pairwise_estimate import PairwiseEstimate
 from calgraph.simulation import (
     CameraOptions,
     GroundTruth,

@@ -29,7 +29,7 @@ _NAMES = {
     "calgraph.graph.tree_consensus": "average_poses",
     "calgraph.network.options": "NetworkOptions",
     "calgraph.pairwise.board_pair": "estimate_pair",
-    "calgraph.pairwise.pairwise_estimate": "PairwiseEstimate",
+    "calgraph.graph.pairwise_estimate": "PairwiseEstimate",
     "calgraph.recording": "MessageRecording RecordingCache open_recording open_recordings",
     "calgraph.report": "write_report",
     "calgraph.result": "Calibration SensorPose export load_calibration save_calibration to_dataframe",

@@ -39,12 +39,12 @@ from calgraph.geometry import plane as plane
 from calgraph.geometry import se2 as se2
 from calgraph.geometry import se3 as se3
 from calgraph.geometry import so3 as so3
+from calgraph.graph.pairwise_estimate import PairwiseEstimate as PairwiseEstimate
 from calgraph.graph.pose_graph import PoseGraph as PoseGraph
 from calgraph.graph.pose_graph import PoseGraphSolution as PoseGraphSolution
 from calgraph.graph.tree_consensus import average_poses as average_poses
 from calgraph.network.options import NetworkOptions as NetworkOptions
 from calgraph.pairwise.board_pair import estimate_pair as estimate_pair
-from calgraph.pairwise.pairwise_estimate import PairwiseEstimate as PairwiseEstimate
 from calgraph.recording import MessageRecording as MessageRecording
 from calgraph.recording import RecordingCache as RecordingCache
 from calgraph.recording import open_recording as open_recording

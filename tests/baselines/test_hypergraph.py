@@ -15,11 +15,11 @@ from calgraph.baselines.hypergraph import HypergraphSolution, solve_hypergraph
 from calgraph.baselines.pose_averaging import RotationAveraging, average_poses_by_rotations
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, diagonal_blocks, se3, so3
+from calgraph.graph.pairwise_estimate import PairwiseEstimate
 from calgraph.graph.rig_initialization import Initialization, initialize_rig
 from calgraph.graph.spanning_tree import SpanningTree, find_spanning_tree
 from calgraph.pairwise.board_matches import Candidates
 from calgraph.pairwise.board_pair import estimate_pair
-from calgraph.pairwise.pairwise_estimate import PairwiseEstimate
 
 World = tuple[dict[str, Array], dict[str, Candidates], list[PairwiseEstimate], SpanningTree]
 KINDS = {"lidar": "plane", "camera": "plane", "front": "line", "left": "line"}

@@ -14,7 +14,7 @@ from calgraph.diagnostics.verdict import (
     max_good_stddev,
 )
 from calgraph.geometry import Array, se3, so3
-from calgraph.pairwise.pairwise_estimate import PairwiseEstimate
+from calgraph.graph.pairwise_estimate import PairwiseEstimate
 from calgraph.result import Verdict
 
 TOLERANCE = Tolerance(translation=0.04, rotation=1.0)

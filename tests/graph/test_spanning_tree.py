@@ -5,8 +5,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from calgraph.geometry import Array, se3
+from calgraph.graph.pairwise_estimate import PairwiseEstimate
 from calgraph.graph.spanning_tree import SpanningTree, find_spanning_tree, unobservable_stddev
-from calgraph.pairwise.pairwise_estimate import PairwiseEstimate
 
 TRUTH = {
     name: se3.retract(np.eye(4), np.array(tangent))

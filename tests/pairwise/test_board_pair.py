@@ -8,6 +8,7 @@ from calgraph.boards.detections import PlanePatch
 from calgraph.config.settings import BoardPairSettings
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se3, so3
+from calgraph.graph.pairwise_estimate import PairwiseEstimate
 from calgraph.pairwise.board_pair import (
     estimate_pair,
     estimate_pairs,
@@ -16,7 +17,6 @@ from calgraph.pairwise.board_pair import (
     select_successful,
 )
 from calgraph.pairwise.line_matches import evaluate_coplanarity
-from calgraph.pairwise.pairwise_estimate import PairwiseEstimate
 
 
 def error(T_est: Array, T: Array) -> tuple[float, float]:

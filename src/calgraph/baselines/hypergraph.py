@@ -11,9 +11,9 @@ from calgraph.baselines.sparse_lm import Block, Factor, Values, marginal_covaria
 from calgraph.boards.detections import Detection, Segment, plane_of
 from calgraph.config.settings import Settings
 from calgraph.geometry import Array, plane, se3
+from calgraph.graph.pairwise_estimate import MatchFilter, PairwiseEstimate, select_matches
 from calgraph.graph.spanning_tree import SpanningTree
 from calgraph.pairwise.board_matches import Candidates
-from calgraph.pairwise.pairwise_estimate import MatchFilter, PairwiseEstimate, select_matches
 
 BLOCKS: Mapping[str, Block] = {
     "sensors": Block(6, se3.retract, fixed=(0,)),

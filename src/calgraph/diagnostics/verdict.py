@@ -8,7 +8,7 @@ from scipy.special import ndtri
 from calgraph.config import Tolerance
 from calgraph.config.settings import VerdictSettings
 from calgraph.geometry import Array
-from calgraph.pairwise.pairwise_estimate import PairwiseEstimate
+from calgraph.graph.pairwise_estimate import PairwiseEstimate
 from calgraph.result import Verdict
 from calgraph.result.finding import Finding
 

@@ -7,10 +7,10 @@ from typing import Literal
 import numpy as np
 
 from calgraph.config.settings import BoardPairSettings, GraphSettings
+from calgraph.graph.pairwise_estimate import PairwiseEstimate
 from calgraph.graph.pose_graph import PoseAveraging, PoseGraph
 from calgraph.graph.spanning_tree import SpanningTree, find_spanning_tree, unobservable_stddev
 from calgraph.graph.tree_consensus import average_poses
-from calgraph.pairwise.pairwise_estimate import PairwiseEstimate
 
 Initialization = Literal["tree", "identity", "consensus"] | PoseAveraging
 """Along the minimum spanning tree; all sensors at the root (which MSG-Cal, VII.A, compares); by consensus over

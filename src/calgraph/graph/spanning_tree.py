@@ -7,7 +7,7 @@ import numpy as np
 
 from calgraph.config.settings import BoardPairSettings
 from calgraph.geometry import Array
-from calgraph.pairwise.pairwise_estimate import PairwiseEstimate
+from calgraph.graph.pairwise_estimate import PairwiseEstimate
 
 
 @dataclass(frozen=True, eq=False)

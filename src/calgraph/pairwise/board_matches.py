@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from calgraph.boards.detections import BoardCorners, Detection, PlanePatch, Segment, plane_of
 from calgraph.config.settings import BoardPairSettings
 from calgraph.geometry import Array
+from calgraph.graph.pairwise_estimate import Matches
 from calgraph.pairwise.line_matches import LineLineMatches, PlaneLineMatches
-from calgraph.pairwise.pairwise_estimate import Matches
 from calgraph.pairwise.plane_matches import PlanePlaneMatches
 
 Candidates = Mapping[int, Sequence[Detection]]

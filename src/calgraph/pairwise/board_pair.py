@@ -10,15 +10,7 @@ from numpy.typing import NDArray
 from calgraph.config.settings import BoardPairSettings
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se3
-from calgraph.pairwise.board_matches import (
-    Candidates,
-    build_matches,
-    geometric_kind,
-    group_alternatives,
-    tabulate_matches,
-)
-from calgraph.pairwise.line_matches import PlaneLineMatches
-from calgraph.pairwise.pairwise_estimate import (
+from calgraph.graph.pairwise_estimate import (
     Matches,
     PairwiseEstimate,
     compute_information,
@@ -28,6 +20,14 @@ from calgraph.pairwise.pairwise_estimate import (
     resolve_ambiguity,
     squared_residual_function,
 )
+from calgraph.pairwise.board_matches import (
+    Candidates,
+    build_matches,
+    geometric_kind,
+    group_alternatives,
+    tabulate_matches,
+)
+from calgraph.pairwise.line_matches import PlaneLineMatches
 from calgraph.solver.ransac import find_consensus, select_best_of_groups
 
 

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from calgraph.config.settings import BoardPairSettings
 from calgraph.geometry import Array, plane, se3, se_n
-from calgraph.pairwise.pairwise_estimate import Linearization
+from calgraph.graph.pairwise_estimate import Linearization
 
 
 @dataclass(frozen=True, eq=False)

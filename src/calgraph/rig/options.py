@@ -8,7 +8,7 @@ from calgraph.errors import InputError
 from calgraph.estimation.rig.priors import PriorFile, RigidFile
 from calgraph.estimation.rig.problem import Estimator, SolverOptions
 from calgraph.graph.averaging import AveragingMethod
-from calgraph.pairwise.pairwise_estimate import MatchFilter
+from calgraph.graph.pairwise_estimate import MatchFilter
 from calgraph.parallel.engine import THIS_PROCESS, Engine
 from calgraph.recording import NO_CACHE, RecordingCache
 

@@ -15,8 +15,8 @@ from calgraph.estimation.rig.bundle_solver import minimize_bundle
 from calgraph.estimation.rig.problem import Problem, SolverOptions
 from calgraph.estimation.rig.solution import RigSolution
 from calgraph.geometry import se3
+from calgraph.graph.pairwise_estimate import PairwiseEstimate
 from calgraph.graph.spanning_tree import SpanningTree
-from calgraph.pairwise.pairwise_estimate import PairwiseEstimate
 from calgraph.result import Calibration, CaptureRow, HeldOutError, Verdict
 from calgraph.result.finding import Finding
 from detected_rigs import DetectedRig, detect_rig

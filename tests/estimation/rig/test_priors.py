@@ -22,8 +22,8 @@ from calgraph.estimation.rig.priors import (
     without_priors,
 )
 from calgraph.geometry import se3
+from calgraph.graph.pairwise_estimate import PairwiseEstimate
 from calgraph.graph.spanning_tree import SpanningTree
-from calgraph.pairwise.pairwise_estimate import PairwiseEstimate
 from calgraph.result import read_extrinsics
 
 SEEDS = 16

@@ -22,9 +22,9 @@ from calgraph.errors import InputError, Rejected
 from calgraph.estimation.rig.priors import PosePrior
 from calgraph.estimation.rig.problem import Problem, SolverOptions, check_problem, with_prior_poses
 from calgraph.estimation.rig.problem_file import load_problem, round_trip, save_problem
+from calgraph.graph.pairwise_estimate import PairwiseEstimate
 from calgraph.graph.spanning_tree import SpanningTree, find_spanning_tree
 from calgraph.pairwise.board_pair import estimate_pairs, select_successful
-from calgraph.pairwise.pairwise_estimate import PairwiseEstimate
 from calgraph.result.finding import Finding
 from calgraph.sensors import CameraModel
 

@@ -25,7 +25,7 @@ from calgraph.estimation.rig.observations import BoardViews, LinearizedResiduals
 from calgraph.estimation.rig.range_observations import RangeObservations
 from calgraph.estimation.rig.systematic_parameters import find_rings
 from calgraph.geometry import Array, se3
-from calgraph.pairwise.pairwise_estimate import select_matches
+from calgraph.graph.pairwise_estimate import select_matches
 from calgraph.sensors import CameraModel
 from calgraph.simulation import CameraOptions, LaserOptions, MultibeamOptions
 from detected_rigs import QUICK, detect_rig

@@ -31,9 +31,9 @@ from calgraph.estimation.rig.priors import frame_id
 from calgraph.estimation.rig.problem import Problem
 from calgraph.estimation.rig.solution import RigSolution
 from calgraph.geometry import Array
+from calgraph.graph.pairwise_estimate import PairwiseEstimate
 from calgraph.graph.spanning_tree import SpanningTree
 from calgraph.pairwise.board_pair import PairwiseEstimates, select_successful
-from calgraph.pairwise.pairwise_estimate import PairwiseEstimate
 from calgraph.result import (
     Calibration,
     CaptureRow,

@@ -28,7 +28,7 @@ from calgraph.estimation.rig.systematic_parameters import (
 )
 from calgraph.estimation.rig.view_return import SettledBundle, return_excluded_views
 from calgraph.geometry import Array
-from calgraph.pairwise.pairwise_estimate import MatchFilter, PairwiseEstimate, select_matches
+from calgraph.graph.pairwise_estimate import MatchFilter, PairwiseEstimate, select_matches
 
 _OUTLIER_VIEW = "outlier of the joint solution: inconsistent with the board's pose from the other sensors"
 

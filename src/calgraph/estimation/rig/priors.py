@@ -15,8 +15,8 @@ from calgraph.estimation.rig.bundle_parameters import SensorPrior
 from calgraph.estimation.rig.bundle_solver import Bundle, BundleState
 from calgraph.estimation.rig.observations import stack_poses
 from calgraph.geometry import Array, Index, se3
+from calgraph.graph.pairwise_estimate import PairwiseEstimate
 from calgraph.graph.spanning_tree import SpanningTree, grow_tree
-from calgraph.pairwise.pairwise_estimate import PairwiseEstimate
 from calgraph.result import ExtrinsicsFile
 
 # Of a prior along and about any axis, m² and rad²: a picometre, and the circumference of the Earth. Others are

@@ -15,10 +15,10 @@ from calgraph.config.strict_model import StrictModel
 from calgraph.errors import InputError
 from calgraph.estimation.rig.priors import PosePrior, PriorFile, RigidFile, RigidGroup, resolve_prior_poses
 from calgraph.estimation.rig.problem_checks import check_numbers
+from calgraph.graph.pairwise_estimate import MatchFilter, PairwiseEstimate
 from calgraph.graph.spanning_tree import SpanningTree
 from calgraph.pairwise.board_matches import Candidates
 from calgraph.pairwise.board_pair import PairwiseEstimates, select_successful
-from calgraph.pairwise.pairwise_estimate import MatchFilter, PairwiseEstimate
 
 Estimator = Literal["bundle", "hypergraph"]
 

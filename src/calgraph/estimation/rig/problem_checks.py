@@ -12,8 +12,8 @@ from calgraph.config import Intrinsics
 from calgraph.errors import InputError
 from calgraph.estimation.rig.priors import PosePrior, RigidGroup, has_inverse
 from calgraph.geometry import Array
+from calgraph.graph.pairwise_estimate import PairwiseEstimate
 from calgraph.graph.spanning_tree import SpanningTree
-from calgraph.pairwise.pairwise_estimate import PairwiseEstimate
 from calgraph.result.covariance_checks import check_semidefinite, check_symmetric
 from calgraph.result.frame_tree import MAX_DISTANCE
 from calgraph.sensors import CameraModel

@@ -17,12 +17,12 @@ from calgraph.config.strict_model import StrictModel
 from calgraph.errors import InputError, Rejected
 from calgraph.estimation.rig.problem import Problem, SolverOptions, check_problem
 from calgraph.geometry import Array
+from calgraph.graph.pairwise_estimate import PairwiseEstimate
 from calgraph.graph.spanning_tree import SpanningTree
 from calgraph.io.archive import read_archive, write_archive
 from calgraph.io.columns import INDEX, NUMBER, Arrays, Column, Table
 from calgraph.io.yaml_reading import validate_content
 from calgraph.pairwise.board_pair import PairwiseEstimates, select_successful
-from calgraph.pairwise.pairwise_estimate import PairwiseEstimate
 from calgraph.result.finding import Finding
 from calgraph.sensors import CameraModel
 

@@ -7,7 +7,7 @@ import pytest
 
 from calgraph.config.settings import BoardPairSettings
 from calgraph.geometry import Array, se3, so3
-from calgraph.pairwise.pairwise_estimate import (
+from calgraph.graph.pairwise_estimate import (
     Linearization,
     PairwiseEstimate,
     compute_information,
