@@ -11,7 +11,6 @@ from calgraph.calibrate.track_recording import forget_unused_beams, moving_targe
 from calgraph.captures.input_checks import InputMonitor
 from calgraph.config import Rig
 from calgraph.config.settings import StationaritySettings
-from calgraph.diagnostics.comparison import ExtrinsicsComparison
 from calgraph.diagnostics.network.assemble import assemble_network
 from calgraph.diagnostics.network.extension import (
     build_consistent_prior,
@@ -38,6 +37,7 @@ from calgraph.result import Calibration, ExtrinsicsFile
 from calgraph.result.finding import Finding
 from calgraph.tracking.stationarity import select_interval
 from calgraph.tracking.track import ScannerBump, ScannerTracks
+from calgraph.verdict.comparison import ExtrinsicsComparison
 
 
 def calibrate_network(

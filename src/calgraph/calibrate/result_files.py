@@ -13,7 +13,7 @@ from calgraph.parallel.processes import forked_jobs, parallel_call
 from calgraph.result import Calibration, save_calibration, save_captures, save_residuals, save_scene
 
 if TYPE_CHECKING:
-    from calgraph.diagnostics.comparison import ExtrinsicsComparison
+    from calgraph.verdict.comparison import ExtrinsicsComparison
 
 _CHECK_FORMAT = "calgraph-check/1"
 _log = logging.getLogger("calgraph")

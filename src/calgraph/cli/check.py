@@ -34,8 +34,8 @@ from calgraph.recording import RecordingCache, open_recordings
 from calgraph.result import Calibration, ExtrinsicsFile, read_extrinsics
 
 if TYPE_CHECKING:
-    from calgraph.diagnostics.comparison import ExtrinsicsComparison, ResidualComparison
     from calgraph.estimation.rig.problem import Problem
+    from calgraph.verdict.comparison import ExtrinsicsComparison, ResidualComparison
 
 _SIGNS = {"pass": "[green]✓[/]", "warn": "[yellow]![/]", "fail": "[red]✕[/]"}
 """Sign for each outcome: colour is never the only one."""

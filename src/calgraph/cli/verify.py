@@ -100,7 +100,7 @@ def _content(
     scatter: "dict[str, BootstrapScatter]", kinds: Mapping[str, str], rounds: int, confidence: float
 ) -> str:
     """All numbers, m and rad."""
-    from calgraph.diagnostics.verdict import axis_names
+    from calgraph.verdict.grades import axis_names
 
     sensors: dict[str, Any] = {
         name: {
@@ -125,7 +125,7 @@ def _print(
     scatter: "dict[str, BootstrapScatter]", kinds: Mapping[str, str], rounds: int, confidence: float
 ) -> None:
     """A row per sensor and axis, then the verdicts."""
-    from calgraph.diagnostics.verdict import axis_names
+    from calgraph.verdict.grades import axis_names
 
     output = console()
     output.print(f"[bold]Bootstrap over captures, {rounds} rounds: scatter and stated standard deviation[/]")

@@ -8,11 +8,11 @@ from typing import Literal
 import numpy as np
 
 from calgraph.config import ChangeRules
-from calgraph.diagnostics.displaced_nodes import estimate_displacements, find_displaced_nodes
 from calgraph.fleet.pose_set import PoseSet
 from calgraph.fleet.recording_result import RecordingResult
 from calgraph.geometry import Array, se3
 from calgraph.result.calibration import UNMEASURED_IN_PLANE
+from calgraph.verdict.displaced_nodes import estimate_displacements, find_displaced_nodes
 
 _PLANAR = np.array([0, 1, 5])
 # Standard deviation of the rounding of poses, m and rad; makes covariances regular.

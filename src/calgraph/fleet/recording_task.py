@@ -15,7 +15,6 @@ from calgraph.calibrate.provenance import make_provenance
 from calgraph.calibrate.result_files import format_comparison, write_results
 from calgraph.calibrate.rig import build_problem
 from calgraph.config import Rig, load_rig
-from calgraph.diagnostics.comparison import ExtrinsicsComparison
 from calgraph.fleet.plan import RecordingTask
 from calgraph.fleet.pose_set import PoseSet
 from calgraph.fleet.recording_result import FILE_NAME, Failure, RecordingResult, SensorResult, save_result
@@ -26,6 +25,7 @@ from calgraph.recording import NO_CACHE, RecordingCache, open_recordings, resolv
 from calgraph.result import Calibration, ExtrinsicsFile, read_extrinsics, state_calibrated_intrinsics
 from calgraph.rig.options import RigOptions
 from calgraph.rig.verification import compare_extrinsics
+from calgraph.verdict.comparison import ExtrinsicsComparison
 
 
 @dataclass(frozen=True)

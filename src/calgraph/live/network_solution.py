@@ -15,7 +15,6 @@ import numpy as np
 from calgraph.calibrate.network import calibrate_tracks
 from calgraph.captures.input_checks import InputMonitor
 from calgraph.config import Rig
-from calgraph.diagnostics.verdict import max_good_stddev
 from calgraph.errors import CalgraphError, Rejected
 from calgraph.geometry import Array
 from calgraph.live.floor_grid import FloorGrid, build_floor_grid
@@ -31,6 +30,7 @@ from calgraph.recording import Recording, open_recording
 from calgraph.result import Calibration, SensorPose
 from calgraph.result.calibration import UNMEASURED_IN_PLANE
 from calgraph.tracking.track import ScannerTracks
+from calgraph.verdict.grades import max_good_stddev
 
 # Axes that a network measures: x, y, yaw.
 _MEASURED = np.delete(np.arange(6), UNMEASURED_IN_PLANE)

@@ -15,7 +15,6 @@ from calgraph.captures.detect import CaptureSet, state_estimated_intrinsics
 from calgraph.config import Rig
 from calgraph.diagnostics.rig.assemble import assemble_rig
 from calgraph.diagnostics.rig.drift_tests import include_drifts
-from calgraph.diagnostics.verdict import max_good_stddev
 from calgraph.errors import CalgraphError
 from calgraph.estimation.rig.solution import SolvedBundle
 from calgraph.geometry import Array
@@ -26,6 +25,7 @@ from calgraph.live.state import Advice
 from calgraph.result import Calibration, SensorPose, Suggestion
 from calgraph.rig.options import RigOptions
 from calgraph.sensors import CameraModel
+from calgraph.verdict.grades import max_good_stddev
 
 
 @dataclass(frozen=True, eq=False)

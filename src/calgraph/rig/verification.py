@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 
 from calgraph.calibrate.rig import solve_jointly
-from calgraph.diagnostics.comparison import ExtrinsicsComparison
 from calgraph.diagnostics.rig.assemble import assemble_rig
 from calgraph.diagnostics.rig.bootstrap import BootstrapScatter, bootstrap_poses
 from calgraph.diagnostics.rig.extrinsics_check import compare_rig_poses
@@ -13,6 +12,7 @@ from calgraph.errors import CalibrationError
 from calgraph.estimation.rig.problem import Problem
 from calgraph.parallel.progress import Progress, no_progress
 from calgraph.result import Calibration, ExtrinsicsFile
+from calgraph.verdict.comparison import ExtrinsicsComparison
 
 
 def bootstrap_covariances(

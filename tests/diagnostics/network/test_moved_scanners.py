@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from calgraph.config.settings import DiagnosticsSettings, VerdictSettings
-from calgraph.diagnostics.displaced_nodes import find_displaced_nodes
 from calgraph.diagnostics.network.moved_scanners import MovedScanner, find_moved_scanners
 from calgraph.estimation.network.planar_poses import PlanarPoses
 from calgraph.geometry import Array, se2
+from calgraph.verdict.displaced_nodes import find_displaced_nodes
 
 CHANCE = 1e-3
 SETTINGS = DiagnosticsSettings()

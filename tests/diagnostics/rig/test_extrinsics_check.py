@@ -9,7 +9,6 @@ import pytest
 
 from bundle_scenes import Scene, scene
 from calgraph.config import Tolerance
-from calgraph.diagnostics.comparison import ExtrinsicsComparison
 from calgraph.diagnostics.rig.extrinsics_check import compare_rig_poses
 from calgraph.errors import InputError
 from calgraph.estimation.rig.bundle_solver import minimize_bundle
@@ -19,6 +18,7 @@ from calgraph.estimation.rig.solution import SolvedBundle
 from calgraph.geometry import Array, se3
 from calgraph.result import Calibration, ExtrinsicsFile, SensorPose, Verdict
 from calgraph.result.frame_tree import FrameLink, FrameTree
+from calgraph.verdict.comparison import ExtrinsicsComparison
 
 TOLERANCE = Tolerance()
 SEEDS = 20

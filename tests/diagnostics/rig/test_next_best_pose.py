@@ -11,7 +11,6 @@ from calgraph.config import Tolerance
 from calgraph.config.settings import RigDiagnosticsSettings
 from calgraph.diagnostics.rig.next_best_pose import _draw_candidates, _log_volume, suggest_board_poses
 from calgraph.diagnostics.rig.pose_description import describe_pose
-from calgraph.diagnostics.verdict import axis_names, grade_pose
 from calgraph.estimation.rig.bundle_parameters import SystematicParameter
 from calgraph.estimation.rig.bundle_solver import Bundle, BundleState, minimize_bundle
 from calgraph.estimation.rig.covariances import pose_covariance
@@ -20,6 +19,7 @@ from calgraph.estimation.rig.range_observations import RangeObservations
 from calgraph.estimation.rig.solution import SolvedBundle
 from calgraph.geometry import Array, se3, so3
 from calgraph.result import Suggestion
+from calgraph.verdict.grades import axis_names, grade_pose
 
 NAMES = ("lidar", "camera", "laser")
 KINDS = {"lidar": "lidar3d", "camera": "camera", "laser": "lidar2d"}

@@ -13,7 +13,6 @@ from calgraph.config import Cylinder, Lidar2dSpec, Rig
 from calgraph.config.target import Target
 from calgraph.diagnostics.network.beam_views import collect_beam_views
 from calgraph.diagnostics.network.walk_report import build_floor_views, build_walk_rows, match_across_scanners
-from calgraph.diagnostics.verdict import LONE_ROOT, collect_findings, grade_pose
 from calgraph.errors import Rejected
 from calgraph.estimation.network.estimate import NetworkSolution
 from calgraph.estimation.network.leg_problem import LegObservations
@@ -28,6 +27,7 @@ from calgraph.pairwise.synchronized_tracks import resample_tracks
 from calgraph.result import Calibration, Edge, Evidence, ModelledBodies, Pictures, SensorPose, StatedPose
 from calgraph.result.finding import Finding
 from calgraph.tracking.track import ScannerTracks
+from calgraph.verdict.grades import LONE_ROOT, collect_findings, grade_pose
 
 _ADVICE = "let people walk farther and in more directions where the views of {name} and other scanners overlap"
 # Partners that a reason names: a scanner of a large network that no pair connects has up to 150.

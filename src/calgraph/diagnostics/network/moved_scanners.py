@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from calgraph.config.settings import DiagnosticsSettings
-from calgraph.diagnostics.displaced_nodes import find_displaced_nodes
 from calgraph.estimation.network.planar_poses import PlanarPoses
 from calgraph.geometry import se2
+from calgraph.verdict.displaced_nodes import find_displaced_nodes
 
 
 @dataclass(frozen=True)

@@ -5,10 +5,10 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from calgraph.config.settings import RigDiagnosticsSettings
-from calgraph.diagnostics.parameter_estimates import ParameterEstimates
 from calgraph.estimation.network.scanner_unknowns import TILT_ERRORS, SystematicErrors
 from calgraph.geometry import Index
 from calgraph.result.finding import Finding
+from calgraph.verdict.parameter_estimates import ParameterEstimates
 
 
 def find_systematic_errors(

@@ -16,14 +16,6 @@ from calgraph.diagnostics.rig.board_pictures import (
 )
 from calgraph.diagnostics.rig.contradictions import find_contradictions
 from calgraph.diagnostics.rig.prior_tests import find_contradicted_priors
-from calgraph.diagnostics.verdict import (
-    LONE_ROOT,
-    collect_findings,
-    find_ambiguous_poses,
-    find_inconsistent_sensors,
-    grade_pose,
-    join_reasons,
-)
 from calgraph.errors import Rejected
 from calgraph.estimation.rig.board_observations import Node
 from calgraph.estimation.rig.covariances import prior_error_derivatives
@@ -46,6 +38,14 @@ from calgraph.result import (
     apply_estimates,
 )
 from calgraph.result.finding import Finding
+from calgraph.verdict.grades import (
+    LONE_ROOT,
+    collect_findings,
+    find_ambiguous_poses,
+    find_inconsistent_sensors,
+    grade_pose,
+    join_reasons,
+)
 
 
 def assemble_rig(

@@ -7,7 +7,6 @@ import numpy as np
 
 from calgraph.config import Tolerance
 from calgraph.config.settings import VerdictSettings
-from calgraph.diagnostics.comparison import ExtrinsicsComparison, ResidualComparison, match_poses
 from calgraph.errors import CalibrationError
 from calgraph.estimation.rig.bundle_solver import Bundle, BundleState, minimize_bundle
 from calgraph.estimation.rig.corner_observations import CornerObservations
@@ -16,6 +15,7 @@ from calgraph.estimation.rig.range_observations import RangeObservations
 from calgraph.estimation.rig.solution import SolvedBundle
 from calgraph.geometry import Array
 from calgraph.result import Calibration, ExtrinsicsFile
+from calgraph.verdict.comparison import ExtrinsicsComparison, ResidualComparison, match_poses
 
 
 def compare_rig_poses(

@@ -16,7 +16,6 @@ from calgraph.config import Tolerance
 from calgraph.config.settings import DiagnosticsSettings, RigDiagnosticsSettings
 from calgraph.diagnostics.rig.pose_description import describe_pose
 from calgraph.diagnostics.rig.predicted_observations import predict_observations
-from calgraph.diagnostics.verdict import axis_names, max_good_stddev
 from calgraph.estimation.rig.board_information import information_by_board
 from calgraph.estimation.rig.bundle_solver import Bundle, BundleState, linearize_bundle, pose_jacobian
 from calgraph.estimation.rig.covariances import parameter_covariance
@@ -24,6 +23,7 @@ from calgraph.estimation.rig.observations import relative_poses
 from calgraph.estimation.rig.solution import SolvedBundle
 from calgraph.geometry import Array, se3, so3
 from calgraph.result import Suggestion
+from calgraph.verdict.grades import axis_names, max_good_stddev
 
 
 def suggest_board_poses(

@@ -11,7 +11,6 @@ from scipy.special import ndtr, ndtri
 
 from calgraph.config import CameraSpec, Rig
 from calgraph.config.settings import RigDiagnosticsSettings
-from calgraph.diagnostics.parameter_estimates import ParameterEstimates
 from calgraph.estimation.rig.bundle_solver import Bundle
 from calgraph.estimation.rig.corner_observations import CornerObservations
 from calgraph.estimation.rig.covariances import parameter_covariance
@@ -20,6 +19,7 @@ from calgraph.estimation.rig.systematic_parameters import RESIDUAL_DISTORTION
 from calgraph.geometry import Index
 from calgraph.result.finding import Finding
 from calgraph.sensors import DISTORTION_NAMES
+from calgraph.verdict.parameter_estimates import ParameterEstimates
 
 _COEFFICIENTS = frozenset(name for names in DISTORTION_NAMES.values() for name in names)
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from calgraph.diagnostics.parameter_estimates import ParameterEstimates
 from calgraph.result import EstimatedParameter
+from calgraph.verdict.parameter_estimates import ParameterEstimates
 
 
 def test_parameters_with_the_same_effect_are_alternatives() -> None:

@@ -9,9 +9,9 @@ from scipy.optimize import lsq_linear
 from scipy.special import chdtri, ndtri
 
 from calgraph.config import Tolerance
-from calgraph.diagnostics.verdict import axis_names
 from calgraph.geometry import Array, se3
 from calgraph.result import Calibration, ExtrinsicsFile
+from calgraph.verdict.grades import axis_names
 
 Outcome = Literal["pass", "warn", "fail"]
 _SEVERITY: Sequence[Outcome] = ("pass", "warn", "fail")

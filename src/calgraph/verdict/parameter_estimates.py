@@ -5,13 +5,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calgraph.diagnostics.parameter_description import (
+from calgraph.geometry import Array, Index
+from calgraph.verdict.parameter_description import (
     DescribedParameter,
     describe_contradiction,
     describe_deviation,
     format_size,
 )
-from calgraph.geometry import Array, Index
 
 # Other causes that a finding lists at most: more are no help.
 _MAX_ALTERNATIVES = 2

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from calgraph.diagnostics.displaced_nodes import estimate_displacements, find_displaced_nodes
 from calgraph.geometry import Array, se3, so3
+from calgraph.verdict.displaced_nodes import estimate_displacements, find_displaced_nodes
 
 MAX_SETS = 3000
 STEP = np.array([0.006, -0.008, 0.0, 0.0, 0.0, 0.01])

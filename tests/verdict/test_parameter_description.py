@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from calgraph.diagnostics.parameter_description import describe_deviation
 from calgraph.estimation.rig.bundle_parameters import SystematicParameter
+from calgraph.verdict.parameter_description import describe_deviation
 
 
 @pytest.mark.parametrize(

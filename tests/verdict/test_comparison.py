@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, norm
 
-from calgraph.diagnostics.comparison import SignificanceTest, _grade_axes, format_displacement
+from calgraph.verdict.comparison import SignificanceTest, _grade_axes, format_displacement
 
 
 @pytest.mark.parametrize(

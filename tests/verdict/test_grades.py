@@ -5,7 +5,10 @@ import pytest
 
 from calgraph.config import Tolerance
 from calgraph.config.settings import VerdictSettings
-from calgraph.diagnostics.verdict import (
+from calgraph.geometry import Array, se3, so3
+from calgraph.graph.pairwise_estimate import PairwiseEstimate
+from calgraph.result import Verdict
+from calgraph.verdict.grades import (
     axis_names,
     find_ambiguous_poses,
     find_inconsistent_sensors,
@@ -13,9 +16,6 @@ from calgraph.diagnostics.verdict import (
     join_reasons,
     max_good_stddev,
 )
-from calgraph.geometry import Array, se3, so3
-from calgraph.graph.pairwise_estimate import PairwiseEstimate
-from calgraph.result import Verdict
 
 TOLERANCE = Tolerance(translation=0.04, rotation=1.0)
 GOOD = np.array([0.01, 0.01, 0.01, 0.004, 0.004, 0.004])
