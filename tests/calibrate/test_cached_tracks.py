@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from calgraph.calibrate.track_recording import track_people
-from calgraph.captures.input_checks import InputMonitor
 from calgraph.config import Lidar2dSpec, People, RangeNoise, Rig
 from calgraph.config.settings import AssociationSettings, Settings, TrackingSettings
 from calgraph.config.uncertainty import Lidar2dUncertainty
 from calgraph.network.options import NetworkOptions
 from calgraph.recording import RecordingCache, RecordingWriter, open_recording
 from calgraph.recording.bags import BagRecording
+from calgraph.recording.input_checks import InputMonitor
 from calgraph.result.finding import Finding
 from calgraph.sensors import RecordedMessage
 from calgraph.tracking.track import ScannerTracks

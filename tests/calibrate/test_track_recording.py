@@ -9,13 +9,13 @@ import pytest
 
 from calgraph.calibrate import track_recording
 from calgraph.calibrate.track_recording import forget_unused_beams, track_people
-from calgraph.captures.input_checks import InputMonitor
 from calgraph.config import Cylinder, Lidar2dSpec, People, Rig
 from calgraph.config.settings import EstimationSettings, NetworkEstimationSettings, Settings
 from calgraph.errors import Rejected
 from calgraph.network.options import NetworkOptions
 from calgraph.parallel.engine import Processes
 from calgraph.recording import MessageRecording, Recording, RecordingWriter, open_recording
+from calgraph.recording.input_checks import InputMonitor
 from calgraph.sensors import LaserScan, RecordedMessage
 from calgraph.tracking.track import ScannerTracks
 from calgraph.tracking.track_encoding import encode_tracks

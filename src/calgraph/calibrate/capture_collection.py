@@ -14,7 +14,6 @@ from calgraph.captures.clock_alignment import check_clocks
 from calgraph.captures.detect import CaptureSet, SensorCapture, collect_detections, limit_messages
 from calgraph.captures.detectors import draw_seeds
 from calgraph.captures.holds import find_holds
-from calgraph.captures.input_checks import InputMonitor
 from calgraph.captures.moving_board import compensate_motion
 from calgraph.captures.plausibility import check_background, check_intrinsics
 from calgraph.captures.sensor_detection import DetectionMethod, detect_by_sensors
@@ -29,6 +28,7 @@ from calgraph.recording import (
     resolve_intrinsics,
     separate_poses,
 )
+from calgraph.recording.input_checks import InputMonitor
 from calgraph.result.finding import Finding
 from calgraph.rig.options import RigOptions
 from calgraph.rig.strategies import select_plane_estimator

@@ -8,7 +8,6 @@ import numpy as np
 
 from calgraph.calibrate.scanner_pairs import CorrectedPairs, pair_scanners
 from calgraph.calibrate.track_recording import forget_unused_beams, moving_target, scanner_spec, track_people
-from calgraph.captures.input_checks import InputMonitor
 from calgraph.config import Rig
 from calgraph.config.settings import StationaritySettings
 from calgraph.diagnostics.network.assemble import assemble_network
@@ -33,6 +32,7 @@ from calgraph.pairwise.visibility_map import ScannerObservations
 from calgraph.parallel.engine import MapEngine
 from calgraph.parallel.progress import Progress, no_progress
 from calgraph.recording import Recording
+from calgraph.recording.input_checks import InputMonitor
 from calgraph.result import Calibration, ExtrinsicsFile
 from calgraph.result.finding import Finding
 from calgraph.tracking.stationarity import select_interval

@@ -5,12 +5,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from calgraph.captures.input_checks import (
-    InputMonitor,
-    TopicObservations,
-    decode_observations,
-    encode_observations,
-)
 from calgraph.config import Cylinder, Lidar2dSpec, People, Rig, SensorSpec
 from calgraph.errors import InputError, Rejected
 from calgraph.estimation.network.leg_choice import measures_legs
@@ -22,6 +16,12 @@ from calgraph.parallel.engine import THIS_PROCESS
 from calgraph.parallel.mapped_arrays import ArrayMemory
 from calgraph.parallel.progress import Progress, no_progress
 from calgraph.recording import Recording, RecordingReference, refer_to
+from calgraph.recording.input_checks import (
+    InputMonitor,
+    TopicObservations,
+    decode_observations,
+    encode_observations,
+)
 from calgraph.sensors.cloud_to_scan import to_scans
 from calgraph.tracking.scan_stack import ScanRun, ScanStackBuilder
 from calgraph.tracking.track import ScannerTracks

@@ -8,12 +8,6 @@ from typing import Any
 import numpy as np
 
 from calgraph.captures.hold_messages import StoredMessages, count_parts, read_part, select_messages
-from calgraph.captures.input_checks import (
-    InputMonitor,
-    TopicObservations,
-    decode_observations,
-    encode_observations,
-)
 from calgraph.captures.motion_detection import ActivityBlock, ActivityMeter, BlockMeter, measure_block
 from calgraph.captures.timeline import RecordingTimeline, SensorTimes, build_timeline
 from calgraph.config import Rig
@@ -22,6 +16,12 @@ from calgraph.geometry import Array
 from calgraph.io.columns import Arrays
 from calgraph.parallel.engine import THIS_PROCESS, Engine
 from calgraph.recording import Recording, RecordingCache, RecordingReference
+from calgraph.recording.input_checks import (
+    InputMonitor,
+    TopicObservations,
+    decode_observations,
+    encode_observations,
+)
 from calgraph.sensors import Message
 
 _TOPIC, _ACTIVITY = "topic/2", "activity/1"

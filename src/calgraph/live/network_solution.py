@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 
 from calgraph.calibrate.network import calibrate_tracks
-from calgraph.captures.input_checks import InputMonitor
 from calgraph.config import Rig
 from calgraph.errors import CalgraphError, Rejected
 from calgraph.geometry import Array
@@ -27,6 +26,7 @@ from calgraph.live.tracked_intervals import (
 )
 from calgraph.network.options import NetworkOptions
 from calgraph.recording import Recording, open_recording
+from calgraph.recording.input_checks import InputMonitor
 from calgraph.result import Calibration, SensorPose
 from calgraph.result.calibration import UNMEASURED_IN_PLANE
 from calgraph.tracking.track import ScannerTracks

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from calgraph.calibrate.track_recording import track_people
-from calgraph.captures.input_checks import InputMonitor
 from calgraph.config import Rig
 from calgraph.errors import Rejected
 from calgraph.io.archive import read_archive, write_archive
@@ -15,6 +14,7 @@ from calgraph.live.joined_tracks import Tracked
 from calgraph.live.recording_window import RecordingWindow
 from calgraph.network.options import NetworkOptions
 from calgraph.recording import Recording
+from calgraph.recording.input_checks import InputMonitor
 from calgraph.result import CaptureRow
 from calgraph.tracking.track import ScannerTracks
 from calgraph.tracking.track_encoding import decode_tracks, encode_tracks

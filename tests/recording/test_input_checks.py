@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calgraph.captures.input_checks import InputMonitor
 from calgraph.config import Board, CameraSpec, Lidar2dSpec, Rig, Tag
 from calgraph.config.settings import Settings
 from calgraph.errors import RecordingError
 from calgraph.recording import MessageRecording, Recording, RecordingWriter, find_camera_infos, open_recording
+from calgraph.recording.input_checks import InputMonitor
 from calgraph.result.finding import Finding
 from calgraph.sensors import CameraInfo, CameraModel, LaserScan, Message, RecordedMessage
 
