@@ -9,9 +9,8 @@ import typer
 
 from calgraph.config.settings import DaskSettings
 from calgraph.errors import InputError
-from calgraph.parallel import open_cluster
 from calgraph.parallel.engine import Engine, Processes
-from calgraph.parallel.open_cluster import LOCAL
+from calgraph.parallel.open_cluster import LOCAL, open_cluster
 from calgraph.parallel.processes import available_cores
 
 EVERYDAY, EARLIER, TUNING, PAPERS = (
