@@ -16,12 +16,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from calgraph.config.settings import StationaritySettings
+from calgraph.network.tracking.scan_stack import stack_scans
+from calgraph.network.tracking.stationarity import analyze_stationarity
 from calgraph.parallel.processes import parallel_map
 from calgraph.recording import open_recording
 from calgraph.sensors.cloud_to_scan import to_scans
 from calgraph.simulation import NetworkScenario, build_network, simulate_scans
-from calgraph.tracking.scan_stack import stack_scans
-from calgraph.tracking.stationarity import analyze_stationarity
 
 ROOMS = ("office", "lab", "halls")
 SETTINGS = StationaritySettings()

@@ -23,6 +23,8 @@ from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
 from calgraph.graph.random_trees import compute_tree_poses
 from calgraph.network.options import CenterFeature
 from calgraph.network.strategies import select_center_estimator, select_depth_stddev
+from calgraph.network.tracking.track import ScannerTracks
+from calgraph.network.tracking.track_scanner import track_scanner
 from calgraph.pairwise.scanner_pair import ScannerPairEstimate, estimate_scanner_pairs
 from calgraph.pairwise.synchronized_tracks import pair_samples, resample_tracks
 from calgraph.pairwise.visibility_map import ScannerObservations
@@ -35,8 +37,6 @@ from calgraph.simulation import (
     network_truth,
     simulate_scans,
 )
-from calgraph.tracking.track import ScannerTracks
-from calgraph.tracking.track_scanner import track_scanner
 
 SCENARIOS: Mapping[str, dict[str, Any]] = {
     "ring": {"layout": "ring", "ring_diameter": 46.0, "duration": 180.0},

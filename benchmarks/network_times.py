@@ -20,9 +20,9 @@ from calgraph.config import Lidar2dSpec, People
 from calgraph.estimation.network.estimate import solve_network
 from calgraph.geometry import se2
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
+from calgraph.network.tracking.track import ScannerTracks
+from calgraph.network.tracking.track_scanner import track_scanner
 from calgraph.simulation import NetworkScenario, build_network, network_rig, network_truth, simulate_scans
-from calgraph.tracking.track import ScannerTracks
-from calgraph.tracking.track_scanner import track_scanner
 
 SCANNERS, MINUTES = (6, 30, 100), (1, 10)
 WALKERS = 0.4

@@ -17,10 +17,10 @@ from calgraph.config import People, RangeNoise
 from calgraph.estimation.network.estimate import NetworkSolution, solve_network
 from calgraph.geometry import se2
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
+from calgraph.network.tracking.track import ScannerTracks
+from calgraph.network.tracking.track_scanner import track_scanner
 from calgraph.recording import open_recording
 from calgraph.sensors import LaserScan
-from calgraph.tracking.track import ScannerTracks
-from calgraph.tracking.track_scanner import track_scanner
 
 TOPICS = {
     "positive_1": "right_scan",

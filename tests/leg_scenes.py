@@ -9,7 +9,7 @@ from calgraph.estimation.network.problem import BodyScans, NetworkProblem, Netwo
 from calgraph.estimation.network.scanner_unknowns import SYSTEMATIC_ERRORS
 from calgraph.estimation.network.splines import Knots, evaluate_spline
 from calgraph.geometry import Array, se2
-from calgraph.tracking.clusters import Foreground
+from calgraph.network.tracking.clusters import Foreground
 
 T_ROOT = np.stack([se2.pose(yaw, np.array([x, y])) for yaw, x, y in ((0, 0, 0), (2, 4, 0.5), (-1, 1, 4))])
 OFFSET = np.array([0.0, 0.02, -0.01])

@@ -11,7 +11,7 @@ from calgraph.estimation.network.solver import NetworkEquations
 from calgraph.estimation.network.splines import Knots, evaluate_spline
 from calgraph.estimation.network.tukey_loss import TukeyLoss
 from calgraph.geometry import Array, se2
-from calgraph.tracking.track import Hits, Track
+from calgraph.network.tracking.track import Hits, Track
 
 SIGMA = 0.01
 SETTINGS = NetworkEstimationSettings()

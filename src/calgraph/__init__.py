@@ -36,8 +36,8 @@ _NAMES = {
     "calgraph.rig.options": "RigOptions",
     "calgraph.rig.verification": "bootstrap_covariances",
     "calgraph.sensors": "CameraModel Image LaserScan PointCloud colorize_points",
-    "calgraph.tracking.track_scanner": "track_scanner",
-    "calgraph.tracking.track": "ScannerTracks Track",
+    "calgraph.network.tracking.track_scanner": "track_scanner",
+    "calgraph.network.tracking.track": "ScannerTracks Track",
 }
 """By module, what it offers here."""
 _MODULES = {name: module for module, names in _NAMES.items() for name in names.split()}

@@ -44,6 +44,9 @@ from calgraph.graph.pose_graph import PoseGraph as PoseGraph
 from calgraph.graph.pose_graph import PoseGraphSolution as PoseGraphSolution
 from calgraph.graph.tree_consensus import average_poses as average_poses
 from calgraph.network.options import NetworkOptions as NetworkOptions
+from calgraph.network.tracking.track import ScannerTracks as ScannerTracks
+from calgraph.network.tracking.track import Track as Track
+from calgraph.network.tracking.track_scanner import track_scanner as track_scanner
 from calgraph.pairwise.board_pair import estimate_pair as estimate_pair
 from calgraph.recording import MessageRecording as MessageRecording
 from calgraph.recording import RecordingCache as RecordingCache
@@ -63,8 +66,5 @@ from calgraph.sensors import Image as Image
 from calgraph.sensors import LaserScan as LaserScan
 from calgraph.sensors import PointCloud as PointCloud
 from calgraph.sensors import colorize_points as colorize_points
-from calgraph.tracking.track import ScannerTracks as ScannerTracks
-from calgraph.tracking.track import Track as Track
-from calgraph.tracking.track_scanner import track_scanner as track_scanner
 
 __all__: list[str]

@@ -14,12 +14,12 @@ from calgraph.config import Lidar2dSpec, People, RangeNoise, Rig
 from calgraph.config.settings import AssociationSettings, Settings, TrackingSettings
 from calgraph.config.uncertainty import Lidar2dUncertainty
 from calgraph.network.options import NetworkOptions
+from calgraph.network.tracking.track import ScannerTracks
 from calgraph.recording import RecordingCache, RecordingWriter, open_recording
 from calgraph.recording.bags import BagRecording
 from calgraph.recording.input_checks import InputMonitor
 from calgraph.result.finding import Finding
 from calgraph.sensors import RecordedMessage
-from calgraph.tracking.track import ScannerTracks
 from walking_scenes import World, walk_in_circle
 
 NAMES = ("east", "west", "south")

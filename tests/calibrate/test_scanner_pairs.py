@@ -12,6 +12,9 @@ from calgraph.config.settings import Settings
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se3
 from calgraph.network.options import NetworkEstimator, NetworkOptions
+from calgraph.network.tracking.corrected_tracks import correct_tracks
+from calgraph.network.tracking.track import ScannerTracks
+from calgraph.network.tracking.track_scanner import track_scanner
 from calgraph.pairwise.clock_mounting_search import ClockMountingHypothesis
 from calgraph.result import Calibration
 from calgraph.simulation import (
@@ -23,9 +26,6 @@ from calgraph.simulation import (
     network_truth,
     simulate_scans,
 )
-from calgraph.tracking.corrected_tracks import correct_tracks
-from calgraph.tracking.track import ScannerTracks
-from calgraph.tracking.track_scanner import track_scanner
 
 pytestmark = pytest.mark.without_coverage
 

@@ -13,12 +13,12 @@ from calgraph.config import Cylinder, Lidar2dSpec, People, Rig
 from calgraph.config.settings import EstimationSettings, NetworkEstimationSettings, Settings
 from calgraph.errors import Rejected
 from calgraph.network.options import NetworkOptions
+from calgraph.network.tracking.track import ScannerTracks
+from calgraph.network.tracking.track_encoding import encode_tracks
 from calgraph.parallel.engine import Processes
 from calgraph.recording import MessageRecording, Recording, RecordingWriter, open_recording
 from calgraph.recording.input_checks import InputMonitor
 from calgraph.sensors import LaserScan, RecordedMessage
-from calgraph.tracking.track import ScannerTracks
-from calgraph.tracking.track_encoding import encode_tracks
 from walking_scenes import World, walk_in_circle
 
 NAMES = ("east", "west", "south")

@@ -20,12 +20,12 @@ from calgraph.errors import InputError, Rejected
 from calgraph.estimation.rig.problem_file import load_problem
 from calgraph.geometry import Array, se3
 from calgraph.network.options import NetworkOptions
+from calgraph.network.tracking.track import ScannerTracks, Track
 from calgraph.recording import MessageRecording
 from calgraph.result import Calibration
 from calgraph.rig.options import RigOptions
 from calgraph.sensors import LaserScan
 from calgraph.simulation import NetworkScenario, simulate_network_scans
-from calgraph.tracking.track import ScannerTracks, Track
 from detected_rigs import DetectedRig, detect_rig
 
 SCANNERS = Rig(

@@ -14,6 +14,7 @@ from calgraph.config import load_rig
 from calgraph.config.settings import DaskSettings
 from calgraph.errors import CalibrationError
 from calgraph.network.options import NetworkOptions
+from calgraph.network.tracking.track_encoding import encode_tracks
 from calgraph.parallel import open_cluster
 from calgraph.parallel.dask_engine import DaskEngine
 from calgraph.parallel.engine import THIS_PROCESS, Engine, Processes
@@ -21,7 +22,6 @@ from calgraph.recording import NO_CACHE, RecordingCache, open_recordings
 from calgraph.result import to_json
 from calgraph.rig.options import RigOptions
 from calgraph.simulation import NetworkScenario, RigScenario, simulate_network, simulate_rig
-from calgraph.tracking.track_encoding import encode_tracks
 from dask_programs import start_scheduler, start_worker, stop
 
 pytestmark = pytest.mark.without_coverage

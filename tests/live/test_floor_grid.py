@@ -9,8 +9,8 @@ from calgraph.config.settings import Settings
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2
 from calgraph.live.floor_grid import Cells, FloorGrid, build_floor_grid
+from calgraph.network.tracking.track import ScannerTracks, Track
 from calgraph.result import Calibration, SensorPose, Verdict
-from calgraph.tracking.track import ScannerTracks, Track
 
 # The room is 10 m by 6 m; scanners are in the middle of its left and of its right wall.
 ROOM = (0.0, 10.0, -3.0, 3.0)

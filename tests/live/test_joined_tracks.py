@@ -8,9 +8,9 @@ import pytest
 from calgraph.errors import Rejected
 from calgraph.live.joined_tracks import join_tracks
 from calgraph.live.tracked_intervals import TrackedInterval, select_intervals
+from calgraph.network.tracking.clusters import Foreground
+from calgraph.network.tracking.track import ScannerBump, ScannerTracks, Track
 from calgraph.result import CaptureRow
-from calgraph.tracking.clusters import Foreground
-from calgraph.tracking.track import ScannerBump, ScannerTracks, Track
 
 MAX_GAP = 0.5
 

@@ -8,6 +8,7 @@ import pytest
 from calgraph.config.settings import CandidateSettings, ScannerPairSettings
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2
+from calgraph.network.tracking.track import ScannerTracks, Track
 from calgraph.pairwise.candidate_pairs import (
     Ends,
     select_implied_pairs,
@@ -19,7 +20,6 @@ from calgraph.pairwise.hypothesis_evidence import PoseHypothesis
 from calgraph.pairwise.scanner_pair import ScannerPairEstimate, estimate_scanner_pairs
 from calgraph.pairwise.synchronized_tracks import TrackSamples
 from calgraph.parallel.engine import Processes
-from calgraph.tracking.track import ScannerTracks, Track
 from track_pairs import gather_samples
 
 SETTINGS = CandidateSettings()

@@ -15,6 +15,8 @@ from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2
 from calgraph.network.options import CenterFeature
 from calgraph.network.strategies import select_center_estimator
+from calgraph.network.tracking.track import ScannerTracks, Track
+from calgraph.network.tracking.track_scanner import track_scanner
 from calgraph.pairwise import hypothesis_evidence
 from calgraph.pairwise.hypothesis_evidence import (
     PoseHypothesis,
@@ -29,8 +31,6 @@ from calgraph.pairwise.synchronized_tracks import TrackSamples, pair_samples
 from calgraph.pairwise.track_registration import NuisancePrior, TrackRegistration
 from calgraph.recording import open_recording
 from calgraph.sensors import LaserScan
-from calgraph.tracking.track import ScannerTracks, Track
-from calgraph.tracking.track_scanner import track_scanner
 from track_pairs import T_A_B, observe_walks, walk_along_curve
 
 STEP = 0.04  # s, of the simulated truth

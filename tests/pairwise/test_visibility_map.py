@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from calgraph.geometry import Array, se2
+from calgraph.network.tracking.track import ScannerTracks
 from calgraph.pairwise.synchronized_tracks import TrackSamples, pair_samples
 from calgraph.pairwise.visibility_map import (
     VisibilityMap,
@@ -12,7 +13,6 @@ from calgraph.pairwise.visibility_map import (
     find_missed_detections,
     is_free_space,
 )
-from calgraph.tracking.track import ScannerTracks
 
 NO_SAMPLES = TrackSamples(*(np.zeros(0, dtype=np.intp),) * 2, *(np.zeros((0, 2)),) * 2, np.zeros((0, 2, 2)), 0.1)
 

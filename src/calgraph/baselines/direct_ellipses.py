@@ -5,8 +5,8 @@ import numpy as np
 from calgraph.config import Cylinder, People
 from calgraph.config.settings import BaselineSettings, TrackingSettings
 from calgraph.geometry import ellipse
-from calgraph.tracking.clusters import Clusters
-from calgraph.tracking.features import (
+from calgraph.network.tracking.clusters import Clusters
+from calgraph.network.tracking.features import (
     MeasuredCenters,
     lateral_sigma,
     map_batches,

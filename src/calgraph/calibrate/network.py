@@ -28,6 +28,8 @@ from calgraph.graph.averaging import select_averaging
 from calgraph.graph.network_initialization import NetworkInitialization, initialize_network
 from calgraph.network.options import NetworkOptions
 from calgraph.network.step_log import log_network
+from calgraph.network.tracking.stationarity import select_interval
+from calgraph.network.tracking.track import ScannerBump, ScannerTracks
 from calgraph.pairwise.visibility_map import ScannerObservations
 from calgraph.parallel.engine import MapEngine
 from calgraph.parallel.progress import Progress, no_progress
@@ -35,8 +37,6 @@ from calgraph.recording import Recording
 from calgraph.recording.input_checks import InputMonitor
 from calgraph.result import Calibration, ExtrinsicsFile
 from calgraph.result.finding import Finding
-from calgraph.tracking.stationarity import select_interval
-from calgraph.tracking.track import ScannerBump, ScannerTracks
 from calgraph.verdict.comparison import ExtrinsicsComparison
 
 

@@ -13,6 +13,8 @@ from calgraph.errors import Rejected
 from calgraph.graph.clock_mounting_consensus import ClockMountingSolution, resolve_clocks_and_mountings
 from calgraph.network.options import NetworkOptions
 from calgraph.network.strategies import select_depth_stddev
+from calgraph.network.tracking.corrected_tracks import correct_tracks
+from calgraph.network.tracking.track import ScannerTracks
 from calgraph.pairwise.candidate_pairs import label_parts
 from calgraph.pairwise.clock_mounting_search import (
     describe_difference,
@@ -26,8 +28,6 @@ from calgraph.pairwise.visibility_map import ScannerObservations
 from calgraph.parallel.progress import Progress
 from calgraph.result import Calibration
 from calgraph.result.finding import Finding
-from calgraph.tracking.corrected_tracks import correct_tracks
-from calgraph.tracking.track import ScannerTracks
 
 
 @dataclass(frozen=True, eq=False)

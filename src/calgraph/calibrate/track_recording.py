@@ -12,6 +12,10 @@ from calgraph.io.columns import Arrays
 from calgraph.network.options import CenterFeature, NetworkOptions
 from calgraph.network.step_log import log_tracks
 from calgraph.network.strategies import select_center_estimator
+from calgraph.network.tracking.scan_stack import ScanRun, ScanStackBuilder
+from calgraph.network.tracking.track import ScannerTracks
+from calgraph.network.tracking.track_encoding import decode_tracks, encode_tracks
+from calgraph.network.tracking.track_scanner import track_runs
 from calgraph.parallel.engine import THIS_PROCESS
 from calgraph.parallel.mapped_arrays import ArrayMemory
 from calgraph.parallel.progress import Progress, no_progress
@@ -23,10 +27,6 @@ from calgraph.recording.input_checks import (
     encode_observations,
 )
 from calgraph.sensors.cloud_to_scan import to_scans
-from calgraph.tracking.scan_stack import ScanRun, ScanStackBuilder
-from calgraph.tracking.track import ScannerTracks
-from calgraph.tracking.track_encoding import decode_tracks, encode_tracks
-from calgraph.tracking.track_scanner import track_runs
 
 _log = logging.getLogger("calgraph")
 

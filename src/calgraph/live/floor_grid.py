@@ -10,8 +10,8 @@ from scipy.ndimage import label, uniform_filter
 from calgraph.config.settings import LiveNetworkSettings, Settings
 from calgraph.geometry import Array, se3
 from calgraph.live.joined_tracks import Tracked
+from calgraph.network.tracking.track import ScannerTracks
 from calgraph.result import Calibration
-from calgraph.tracking.track import ScannerTracks
 
 Cells = NDArray[np.bool_]
 

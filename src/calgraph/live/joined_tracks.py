@@ -8,8 +8,8 @@ import numpy as np
 
 from calgraph.errors import Rejected
 from calgraph.geometry import Array
-from calgraph.tracking.clusters import Foreground
-from calgraph.tracking.track import ScannerBump, ScannerTracks
+from calgraph.network.tracking.clusters import Foreground
+from calgraph.network.tracking.track import ScannerBump, ScannerTracks
 
 Tracked = Mapping[str, ScannerTracks | Rejected]
 """The tracks of each scanner, or why it has none."""

@@ -25,11 +25,11 @@ from calgraph.live.tracked_intervals import (
     track_recording,
 )
 from calgraph.network.options import NetworkOptions
+from calgraph.network.tracking.track import ScannerTracks
 from calgraph.recording import Recording, open_recording
 from calgraph.recording.input_checks import InputMonitor
 from calgraph.result import Calibration, SensorPose
 from calgraph.result.calibration import UNMEASURED_IN_PLANE
-from calgraph.tracking.track import ScannerTracks
 from calgraph.verdict.grades import max_good_stddev
 
 # Axes that a network measures: x, y, yaw.

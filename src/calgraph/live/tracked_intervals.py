@@ -13,11 +13,11 @@ from calgraph.io.archive import read_archive, write_archive
 from calgraph.live.joined_tracks import Tracked
 from calgraph.live.recording_window import RecordingWindow
 from calgraph.network.options import NetworkOptions
+from calgraph.network.tracking.track import ScannerTracks
+from calgraph.network.tracking.track_encoding import decode_tracks, encode_tracks
 from calgraph.recording import Recording
 from calgraph.recording.input_checks import InputMonitor
 from calgraph.result import CaptureRow
-from calgraph.tracking.track import ScannerTracks
-from calgraph.tracking.track_encoding import decode_tracks, encode_tracks
 
 _FORMAT = "calgraph-live-tracks/1"
 _MEMBER = "tracks.json"

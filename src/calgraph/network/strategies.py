@@ -7,7 +7,7 @@ from calgraph.config.settings import BaselineSettings
 from calgraph.network.options import CenterFeature
 
 if TYPE_CHECKING:
-    from calgraph.tracking.features import CenterEstimator
+    from calgraph.network.tracking.features import CenterEstimator
 
 
 def select_center_estimator(feature: CenterFeature, settings: BaselineSettings) -> "CenterEstimator | None":
@@ -16,7 +16,7 @@ def select_center_estimator(feature: CenterFeature, settings: BaselineSettings) 
         case "nls":
             return None
         case "com":
-            from calgraph.tracking.features import measure_centroids
+            from calgraph.network.tracking.features import measure_centroids
 
             return measure_centroids
         case "ellipse":

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from calgraph.config.settings import HypothesisSettings, NetworkEstimationSettings, ScannerPairSettings
 from calgraph.errors import Rejected
 from calgraph.geometry import Array
+from calgraph.network.tracking.track import ScannerTracks
 from calgraph.pairwise.candidate_pairs import (
     Ends,
     select_implied_pairs,
@@ -45,7 +46,6 @@ from calgraph.pairwise.track_registration import (
 from calgraph.pairwise.track_similarity import compute_track_similarity
 from calgraph.pairwise.visibility_map import ScannerObservations, contradicts_visibility
 from calgraph.parallel.engine import THIS_PROCESS, Engine
-from calgraph.tracking.track import ScannerTracks
 
 # Fewer pairs than these are evaluated faster than other processes start.
 _MIN_PARALLEL_PAIRS = 6

@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 
 from calgraph.config.settings import ResamplingSettings
 from calgraph.geometry import Array
-from calgraph.tracking.track import ScannerTracks, Track
+from calgraph.network.tracking.track import ScannerTracks, Track
 
 Indices = NDArray[np.intp]
 

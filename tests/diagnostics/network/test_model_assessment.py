@@ -15,7 +15,7 @@ from calgraph.estimation.network.solver import linearize_network
 from calgraph.geometry import Array, se2
 from calgraph.graph.network_initialization import NetworkInitialization
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
-from calgraph.tracking.track import ScannerTracks
+from calgraph.network.tracking.track import ScannerTracks
 from dense_covariances import relate_all
 from leg_scenes import build_network
 from network_scenes import OFFSET, SETTINGS, SIGMA, T_ROOT

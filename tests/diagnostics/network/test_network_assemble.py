@@ -20,11 +20,11 @@ from calgraph.estimation.network.solver import linearize_network
 from calgraph.geometry import se2
 from calgraph.graph.network_initialization import NetworkInitialization
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
+from calgraph.network.tracking.track import ScannerTracks, Track
 from calgraph.pairwise.hypothesis_evidence import PoseHypothesis
 from calgraph.pairwise.scanner_pair import ScannerPairEstimate
 from calgraph.result import Calibration, StatedPose, Verdict
 from calgraph.result.finding import Finding
-from calgraph.tracking.track import ScannerTracks, Track
 from dense_covariances import relate_all
 from leg_scenes import build_network
 from solved_networks import solve_two_walks

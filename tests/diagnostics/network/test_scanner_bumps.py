@@ -5,8 +5,8 @@ import pytest
 
 from calgraph.diagnostics.network.scanner_bumps import describe_bumps
 from calgraph.errors import Rejected
+from calgraph.network.tracking.track import ScannerBump, ScannerTracks
 from calgraph.result.finding import Finding
-from calgraph.tracking.track import ScannerBump, ScannerTracks
 
 START = 1000.0
 BUMP = ScannerBump((START + 30.2, START + 30.4), 0.03, np.radians(1.0), 0.002, np.radians(0.05))

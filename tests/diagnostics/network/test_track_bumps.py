@@ -8,7 +8,7 @@ import pytest
 from calgraph.config.settings import ResamplingSettings, TrackBumpSettings
 from calgraph.diagnostics.network.track_bumps import find_track_bump
 from calgraph.geometry import Array, se2
-from calgraph.tracking.track import ScannerBump, ScannerTracks, Track
+from calgraph.network.tracking.track import ScannerBump, ScannerTracks, Track
 
 NAMES = ("west", "east", "north")
 T_ROOT = se2.pose(np.array([0.0, 2.5, -1.5]), np.array([[0.0, 0.0], [8.0, 1.0], [4.0, 6.0]]))

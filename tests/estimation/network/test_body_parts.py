@@ -6,7 +6,7 @@ import pytest
 from calgraph.config.settings import BodyPartSettings
 from calgraph.estimation.network.body_parts import cut_bodies
 from calgraph.estimation.network.track_association import BodyTracks
-from calgraph.tracking.track import Hits, Track
+from calgraph.network.tracking.track import Hits, Track
 
 SETTINGS = BodyPartSettings(max_duration=10.0, min_scanners=3)
 

@@ -30,8 +30,8 @@ from calgraph.estimation.network.track_association import BodyTracks
 from calgraph.estimation.network.wall_constraints import select_bridges
 from calgraph.geometry import Array, se2
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
+from calgraph.network.tracking.track import Hits, ScannerTracks, Track
 from calgraph.parallel.engine import Processes
-from calgraph.tracking.track import Hits, ScannerTracks, Track
 from dense_covariances import relate_all
 from network_scenes import DENSITY, OFFSET, SETTINGS, SIGMA, T_ROOT, build_track, simulate_scans
 

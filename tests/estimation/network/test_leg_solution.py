@@ -8,10 +8,10 @@ from calgraph.estimation.network.estimate import NetworkSolution, solve_network
 from calgraph.estimation.network.leg_problem import LegObservations
 from calgraph.geometry import Array, se2
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
+from calgraph.network.tracking.track import ScannerTracks
+from calgraph.network.tracking.track_scanner import track_scanner
 from calgraph.simulation import NetworkScenario, build_network, network_rig, network_truth, simulate_scans
 from calgraph.simulation.network_scenario import PeopleOptions, ScannerOptions
-from calgraph.tracking.track import ScannerTracks
-from calgraph.tracking.track_scanner import track_scanner
 
 pytestmark = pytest.mark.without_coverage
 

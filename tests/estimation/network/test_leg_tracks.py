@@ -13,8 +13,8 @@ from calgraph.estimation.network.leg_tracks import track_legs
 from calgraph.estimation.network.scanner_unknowns import RANGE_BIAS, SYSTEMATIC_ERRORS
 from calgraph.estimation.network.splines import evaluate_spline
 from calgraph.geometry import Array
-from calgraph.tracking.leg_clusters import cluster_legs
-from calgraph.tracking.track import ScannerTracks
+from calgraph.network.tracking.leg_clusters import cluster_legs
+from calgraph.network.tracking.track import ScannerTracks
 from leg_scenes import DURATION, OFFSET, T_ROOT, build_foreground, build_path, walk_leg
 
 SETTINGS = LegSettings()

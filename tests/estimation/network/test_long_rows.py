@@ -9,7 +9,7 @@ from calgraph.estimation.network.problem import BodyPath
 from calgraph.estimation.network.splines import Knots
 from calgraph.geometry import Array, se2
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
-from calgraph.tracking.track import ScannerTracks
+from calgraph.network.tracking.track import ScannerTracks
 from network_scenes import DENSITY, SETTINGS, SIGMA, build_track, simulate_scans
 
 pytestmark = pytest.mark.without_coverage

@@ -11,7 +11,7 @@ from calgraph.estimation.network.track_association import (
     group_tracks_by_body,
 )
 from calgraph.geometry import Array, se2
-from calgraph.tracking.track import Hits, ScannerTracks, Track
+from calgraph.network.tracking.track import Hits, ScannerTracks, Track
 
 T_ROOT = np.stack([np.eye(3), se2.pose(2.5, np.array([8.0, 1.0])), se2.pose(-1.5, np.array([4.0, 6.0]))])
 NOISE = 0.02

@@ -21,12 +21,12 @@ from calgraph.geometry import Array, diagonal_blocks, se2
 from calgraph.graph.network_graph import compute_joint_covariance
 from calgraph.graph.network_initialization import NetworkInitialization
 from calgraph.graph.pose_graph import PoseGraph
+from calgraph.network.tracking.track import ScannerTracks
 from calgraph.pairwise.hypothesis_evidence import PoseHypothesis
 from calgraph.pairwise.scanner_pair import ScannerPairEstimate
 from calgraph.pairwise.synchronized_tracks import resample_tracks
 from calgraph.result import Calibration, Edge, Evidence, ModelledBodies, Pictures, SensorPose, StatedPose
 from calgraph.result.finding import Finding
-from calgraph.tracking.track import ScannerTracks
 from calgraph.verdict.grades import LONE_ROOT, collect_findings, grade_pose
 
 _ADVICE = "let people walk farther and in more directions where the views of {name} and other scanners overlap"

@@ -7,8 +7,8 @@ from calgraph.diagnostics.network.pair_support import describe_ambiguous_parts, 
 from calgraph.diagnostics.network.scanner_bumps import describe_bumps
 from calgraph.errors import Rejected
 from calgraph.graph.network_initialization import NetworkInitialization
+from calgraph.network.tracking.track import ScannerTracks
 from calgraph.result.finding import Finding
-from calgraph.tracking.track import ScannerTracks
 
 
 def collect_network_findings(

@@ -21,8 +21,8 @@ from calgraph.estimation.network.leg_problem import LegObservations
 from calgraph.geometry import Array
 from calgraph.graph.network_graph import compute_joint_covariance
 from calgraph.graph.network_initialization import NetworkInitialization
+from calgraph.network.tracking.track import ScannerTracks
 from calgraph.result.finding import Finding
-from calgraph.tracking.track import ScannerTracks
 
 
 @dataclass(frozen=True, eq=False)

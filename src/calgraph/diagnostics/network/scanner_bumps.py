@@ -5,8 +5,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from calgraph.errors import Rejected
+from calgraph.network.tracking.track import ScannerBump, ScannerTracks
 from calgraph.result.finding import Finding
-from calgraph.tracking.track import ScannerBump, ScannerTracks
 
 # Intervals shorter than this are stated as one time, s.
 _MAX_INSTANT = 1.5

@@ -48,9 +48,9 @@ from calgraph.estimation.network.tukey_loss import TukeyLoss
 from calgraph.estimation.network.wall_constraints import register_walls, select_bridges
 from calgraph.geometry import Array, se2
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
+from calgraph.network.tracking.track import ScannerTracks, Track
 from calgraph.parallel.engine import THIS_PROCESS, MapEngine
 from calgraph.parallel.mapped_arrays import ArrayMemory
-from calgraph.tracking.track import ScannerTracks, Track
 
 # People whose beams are in one file, if they are not in memory: systems allow tens of thousands of mapped files.
 _BODIES_PER_FILE = 100

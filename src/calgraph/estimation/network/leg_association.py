@@ -11,7 +11,7 @@ from calgraph.estimation.network.problem import BodyScans
 from calgraph.estimation.network.scanner_unknowns import correct_points
 from calgraph.estimation.network.splines import Knots, evaluate_spline
 from calgraph.geometry import Array, Index, se2
-from calgraph.tracking.clusters import Foreground
+from calgraph.network.tracking.clusters import Foreground
 
 # Distance from a leg where there is none, m: above all limits.
 _FAR = 10.0

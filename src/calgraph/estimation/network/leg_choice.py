@@ -6,8 +6,8 @@ import numpy as np
 
 from calgraph.config import People
 from calgraph.config.settings import LegSettings
-from calgraph.tracking.leg_clusters import measure_widths
-from calgraph.tracking.track import ScannerTracks
+from calgraph.network.tracking.leg_clusters import measure_widths
+from calgraph.network.tracking.track import ScannerTracks
 
 
 def measures_legs(target: People, tracked: Sequence[ScannerTracks], settings: LegSettings) -> bool:

@@ -23,9 +23,9 @@ from calgraph.estimation.network.solver import NetworkEquations, optimize_networ
 from calgraph.estimation.network.systematic_spread import estimate_systematic_sigma
 from calgraph.estimation.network.tukey_loss import TukeyLoss
 from calgraph.geometry import Array
+from calgraph.network.tracking.clusters import Foreground
+from calgraph.network.tracking.leg_clusters import cluster_legs
 from calgraph.parallel.engine import THIS_PROCESS, MapEngine
-from calgraph.tracking.clusters import Foreground
-from calgraph.tracking.leg_clusters import cluster_legs
 
 AddWalls = Callable[[NetworkProblem, NetworkState], NetworkProblem]
 """Replaces the wall constraints of a problem by those at a state."""

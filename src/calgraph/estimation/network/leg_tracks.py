@@ -15,7 +15,7 @@ from scipy.optimize import linear_sum_assignment
 
 from calgraph.config.settings import LegTrackSettings
 from calgraph.geometry import Array, Index, se2
-from calgraph.tracking.leg_clusters import LegClusters
+from calgraph.network.tracking.leg_clusters import LegClusters
 
 # Cost of a pair outside the gate: above any true cost.
 _GATED_COST = 1e6

@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 
 from calgraph.config.settings import TrackGroupingSettings
 from calgraph.geometry import Array, se2
-from calgraph.tracking.track import ScannerTracks, Track
+from calgraph.network.tracking.track import ScannerTracks, Track
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.geometry import Array
-from calgraph.tracking.clusters import Foreground
+from calgraph.network.tracking.clusters import Foreground
 
 
 @dataclass(frozen=True, eq=False)

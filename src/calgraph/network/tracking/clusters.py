@@ -10,8 +10,8 @@ from scipy.sparse.csgraph import connected_components
 
 from calgraph.config.settings import ClusterSettings
 from calgraph.geometry import Array
-from calgraph.tracking.scan_stack import ScanRun
-from calgraph.tracking.static_scene import StaticScene
+from calgraph.network.tracking.scan_stack import ScanRun
+from calgraph.network.tracking.static_scene import StaticScene
 
 
 @dataclass(frozen=True, eq=False)

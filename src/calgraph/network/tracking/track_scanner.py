@@ -9,10 +9,9 @@ from numpy.typing import NDArray
 from calgraph.config import Cylinder, People, RangeNoise
 from calgraph.config.settings import MotionSettings, TrackingSettings
 from calgraph.errors import Rejected
-from calgraph.sensors import LaserScan
-from calgraph.tracking.association import associate
-from calgraph.tracking.clusters import Clusters, cluster_foreground, subtract_background
-from calgraph.tracking.features import (
+from calgraph.network.tracking.association import associate
+from calgraph.network.tracking.clusters import Clusters, cluster_foreground, subtract_background
+from calgraph.network.tracking.features import (
     CenterEstimator,
     MeasuredCenters,
     ObjectVelocities,
@@ -21,12 +20,13 @@ from calgraph.tracking.features import (
     target_radii,
     target_width,
 )
-from calgraph.tracking.periods import TrackSegment, split_into_periods
-from calgraph.tracking.scan_stack import ScanRun, coverage_intervals, select_scans, stack_scans
-from calgraph.tracking.smoothing import add_unmodeled_noise, smooth_segments
-from calgraph.tracking.static_scene import learn_static_scene
-from calgraph.tracking.stationarity import analyze_stationarity, select_interval
-from calgraph.tracking.track import Hits, ScannerTracks, Track
+from calgraph.network.tracking.periods import TrackSegment, split_into_periods
+from calgraph.network.tracking.scan_stack import ScanRun, coverage_intervals, select_scans, stack_scans
+from calgraph.network.tracking.smoothing import add_unmodeled_noise, smooth_segments
+from calgraph.network.tracking.static_scene import learn_static_scene
+from calgraph.network.tracking.stationarity import analyze_stationarity, select_interval
+from calgraph.network.tracking.track import Hits, ScannerTracks, Track
+from calgraph.sensors import LaserScan
 
 _log = logging.getLogger(__name__)
 

@@ -5,8 +5,8 @@ import pytest
 from numpy.typing import NDArray
 
 from calgraph.config.settings import TrackingSettings
-from calgraph.tracking.features import MeasuredCenters
-from calgraph.tracking.smoothing import add_unmodeled_noise, smooth_segments
+from calgraph.network.tracking.features import MeasuredCenters
+from calgraph.network.tracking.smoothing import add_unmodeled_noise, smooth_segments
 
 TIMES = np.arange(300) / 15.0
 WHOLE = [np.arange(300)]

@@ -7,8 +7,8 @@ from scipy.stats import chi2
 
 from calgraph.config.settings import AssociationSettings
 from calgraph.geometry import Array
-from calgraph.tracking.association import associate
-from calgraph.tracking.clusters import Clusters
+from calgraph.network.tracking.association import associate
+from calgraph.network.tracking.clusters import Clusters
 
 RATE = 15.0
 

@@ -3,9 +3,9 @@
 import numpy as np
 
 from calgraph.config import People, RangeNoise
-from calgraph.tracking.corrected_tracks import correct_tracks
-from calgraph.tracking.track import ScannerTracks
-from calgraph.tracking.track_scanner import track_scanner
+from calgraph.network.tracking.corrected_tracks import correct_tracks
+from calgraph.network.tracking.track import ScannerTracks
+from calgraph.network.tracking.track_scanner import track_scanner
 from walking_scenes import World, walk_in_circle
 
 

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from calgraph.config import Cylinder, People
 from calgraph.config.settings import CentroidSettings, EllipseSettings, TrackingSettings
 from calgraph.geometry import Array
-from calgraph.tracking.clusters import Clusters
-from calgraph.tracking.ellipse_fit import OrientationPrior, PointGroups, fit_ellipses
+from calgraph.network.tracking.clusters import Clusters
+from calgraph.network.tracking.ellipse_fit import OrientationPrior, PointGroups, fit_ellipses
 
 # Objects are fitted in batches of similar size, so that padding stays small.
 _BATCH = 2048

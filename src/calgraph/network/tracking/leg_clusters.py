@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from calgraph.config.settings import LegClusterSettings
 from calgraph.geometry import Array, Index
-from calgraph.tracking.clusters import Foreground
+from calgraph.network.tracking.clusters import Foreground
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 
 from calgraph.config.settings import MotionSettings
-from calgraph.tracking.periods import TrackSegment, split_into_periods
+from calgraph.network.tracking.periods import TrackSegment, split_into_periods
 
 
 def split(*detected: NDArray[np.intp]) -> tuple[TrackSegment, ...]:

@@ -5,10 +5,10 @@ import pytest
 
 from calgraph.config.settings import ClusterSettings
 from calgraph.geometry import Array
+from calgraph.network.tracking.clusters import Clusters, cluster_foreground, subtract_background
+from calgraph.network.tracking.scan_stack import stack_scans
+from calgraph.network.tracking.static_scene import StaticScene
 from calgraph.sensors import LaserScan, ScanBackground
-from calgraph.tracking.clusters import Clusters, cluster_foreground, subtract_background
-from calgraph.tracking.scan_stack import stack_scans
-from calgraph.tracking.static_scene import StaticScene
 
 ANGLES = np.radians(np.arange(-90, 90.25, 0.5))
 EMPTY = StaticScene(ScanBackground(ANGLES, np.full(len(ANGLES), 8.0)), np.empty((0, 2)), 0.02)

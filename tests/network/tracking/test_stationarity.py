@@ -7,10 +7,10 @@ import pytest
 
 from calgraph.config.settings import StationaritySettings
 from calgraph.geometry import Array, se2
+from calgraph.network.tracking.scan_stack import stack_scans
+from calgraph.network.tracking.stationarity import Stationarity, analyze_stationarity, select_interval
 from calgraph.sensors import LaserScan
 from calgraph.simulation.network_floor import polygon_sides, rectangle
-from calgraph.tracking.scan_stack import stack_scans
-from calgraph.tracking.stationarity import Stationarity, analyze_stationarity, select_interval
 from static_rooms import CORRIDOR, FURNITURE, ROOM, Motion, scan_room, step
 
 SETTINGS = StationaritySettings()

@@ -15,12 +15,12 @@ from calgraph.errors import Rejected
 from calgraph.geometry import Array
 from calgraph.network.options import CenterFeature
 from calgraph.network.strategies import select_center_estimator
+from calgraph.network.tracking.clusters import Clusters
+from calgraph.network.tracking.features import ObjectVelocities, measure_fixed_ellipses
+from calgraph.network.tracking.track import ScannerTracks, Track
+from calgraph.network.tracking.track_scanner import track_scanner
 from calgraph.recording import open_recording
 from calgraph.sensors import LaserScan
-from calgraph.tracking.clusters import Clusters
-from calgraph.tracking.features import ObjectVelocities, measure_fixed_ellipses
-from calgraph.tracking.track import ScannerTracks, Track
-from calgraph.tracking.track_scanner import track_scanner
 from walking_scenes import Walk, World, walk_along, walk_in_circle
 
 PEOPLE = People(kind="people")

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from calgraph.errors import Rejected
 from calgraph.io.columns import INDEX, NUMBER, Arrays, Column, Table
-from calgraph.tracking.clusters import Foreground
-from calgraph.tracking.track import Hits, ScannerBump, ScannerTracks, Track
+from calgraph.network.tracking.clusters import Foreground
+from calgraph.network.tracking.track import Hits, ScannerBump, ScannerTracks, Track
 
 _TRACKS = Table("tracks", {
     "period": INDEX, "times": Column(ragged=True), "positions": Column((2,), ragged=True),

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from calgraph.tracking.clusters import Foreground
-from calgraph.tracking.track import Hits, ScannerTracks, Track
+from calgraph.network.tracking.clusters import Foreground
+from calgraph.network.tracking.track import Hits, ScannerTracks, Track
 
 TIMES = np.arange(5.0)
 HITS = Hits(

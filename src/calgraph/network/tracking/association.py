@@ -9,8 +9,8 @@ from scipy.optimize import linear_sum_assignment
 
 from calgraph.config.settings import AssociationSettings
 from calgraph.geometry import Array
-from calgraph.tracking.clusters import Clusters
-from calgraph.tracking.filtering import (
+from calgraph.network.tracking.clusters import Clusters
+from calgraph.network.tracking.filtering import (
     Gaussian,
     constant_velocity,
     initial_state,

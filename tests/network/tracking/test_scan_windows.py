@@ -4,9 +4,9 @@ import numpy as np
 
 from calgraph.config.settings import StationaritySettings
 from calgraph.geometry import Array
+from calgraph.network.tracking.scan_stack import stack_scans
+from calgraph.network.tracking.scan_windows import AlignedScans, ScanWindows, compute_window_medians
 from calgraph.sensors import LaserScan
-from calgraph.tracking.scan_stack import stack_scans
-from calgraph.tracking.scan_windows import AlignedScans, ScanWindows, compute_window_medians
 
 ANGLES = np.linspace(-1, 1, 5)
 SETTINGS = StationaritySettings(max_scans_per_window=5)

@@ -7,8 +7,8 @@ import numpy as np
 
 from calgraph.config.settings import StationaritySettings
 from calgraph.geometry import Array, Index
+from calgraph.network.tracking.scan_stack import ScanRun
 from calgraph.sensors import align_ranges
-from calgraph.tracking.scan_stack import ScanRun
 
 # Scans whose medians are computed in one call: bounds memory for recordings of hours.
 _MAX_SCANS_PER_CHUNK = 512

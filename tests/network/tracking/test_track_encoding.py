@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from calgraph.errors import InputError, Rejected
-from calgraph.tracking.clusters import Foreground
-from calgraph.tracking.track import Hits, ScannerBump, ScannerTracks, Track
-from calgraph.tracking.track_encoding import decode_tracks, encode_tracks
+from calgraph.network.tracking.clusters import Foreground
+from calgraph.network.tracking.track import Hits, ScannerBump, ScannerTracks, Track
+from calgraph.network.tracking.track_encoding import decode_tracks, encode_tracks
 
 RNG = np.random.default_rng(0)
 TRACK = Track(

@@ -15,10 +15,15 @@ from scipy.special import chdtri
 
 from calgraph.config.settings import StationaritySettings
 from calgraph.geometry import Array, Index
-from calgraph.tracking.background_registration import ReferenceScan, match_surfaces, register_windows, to_points
-from calgraph.tracking.scan_stack import ScanRun
-from calgraph.tracking.scan_windows import AlignedScans, ScanWindows, compute_window_medians
-from calgraph.tracking.track import ScannerBump
+from calgraph.network.tracking.background_registration import (
+    ReferenceScan,
+    match_surfaces,
+    register_windows,
+    to_points,
+)
+from calgraph.network.tracking.scan_stack import ScanRun
+from calgraph.network.tracking.scan_windows import AlignedScans, ScanWindows, compute_window_medians
+from calgraph.network.tracking.track import ScannerBump
 
 # Median of χ² with three degrees of freedom, and standard deviation over median absolute deviation (normal).
 _MEDIAN_CHI2, _STDDEV_PER_MAD = 2.366, 1.4826

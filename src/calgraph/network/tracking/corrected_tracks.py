@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 
 from calgraph.geometry import Array
-from calgraph.tracking.clusters import Foreground
-from calgraph.tracking.track import ScannerTracks, Track
+from calgraph.network.tracking.clusters import Foreground
+from calgraph.network.tracking.track import ScannerTracks, Track
 
 
 def correct_tracks(tracked: ScannerTracks, *, clock_offset: float = 0.0, inverted: bool = False) -> ScannerTracks:

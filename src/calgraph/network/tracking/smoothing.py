@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from calgraph.config.settings import SmoothingSettings, TrackingSettings
 from calgraph.geometry import Array
-from calgraph.tracking.features import MeasuredCenters
-from calgraph.tracking.filtering import smooth_tracks
+from calgraph.network.tracking.features import MeasuredCenters
+from calgraph.network.tracking.filtering import smooth_tracks
 
 # Segments smoothed in one batch; they are of similar length, so that padding stays small.
 _BATCH = 64

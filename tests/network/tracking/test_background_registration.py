@@ -5,7 +5,7 @@ import pytest
 
 from calgraph.config.settings import StationaritySettings
 from calgraph.geometry import Array
-from calgraph.tracking.background_registration import ReferenceScan, WindowPoses, register_windows
+from calgraph.network.tracking.background_registration import ReferenceScan, WindowPoses, register_windows
 from static_rooms import ANGLES, CORRIDOR, scan_room, step
 
 SETTINGS = StationaritySettings()

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from calgraph.geometry import Array
-from calgraph.tracking.filtering import (
+from calgraph.network.tracking.filtering import (
     Gaussian,
     constant_velocity,
     initial_state,

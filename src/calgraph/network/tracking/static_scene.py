@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from calgraph.config.settings import StaticSceneSettings
 from calgraph.geometry import Array
+from calgraph.network.tracking.scan_stack import ScanRun
 from calgraph.sensors import ScanBackground, align_ranges
-from calgraph.tracking.scan_stack import ScanRun
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,9 +5,9 @@ import pytest
 
 from calgraph.config.settings import StaticSceneSettings
 from calgraph.geometry import Array
+from calgraph.network.tracking.scan_stack import stack_scans
+from calgraph.network.tracking.static_scene import StaticScene, learn_static_scene
 from calgraph.sensors import LaserScan
-from calgraph.tracking.scan_stack import stack_scans
-from calgraph.tracking.static_scene import StaticScene, learn_static_scene
 
 ANGLES = np.linspace(-1, 1, 201)
 SETTINGS = StaticSceneSettings()

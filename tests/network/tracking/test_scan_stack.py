@@ -3,8 +3,8 @@
 import numpy as np
 
 from calgraph.config.settings import MotionSettings
+from calgraph.network.tracking.scan_stack import coverage_intervals, select_scans, stack_scans
 from calgraph.sensors import LaserScan
-from calgraph.tracking.scan_stack import coverage_intervals, select_scans, stack_scans
 
 ANGLES = np.linspace(-1, 1, 5)
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from calgraph.config.settings import EllipseSettings
 from calgraph.geometry import Array
-from calgraph.tracking.ellipse_fit import EllipseFits, OrientationPrior, PointGroups, fit_ellipses
+from calgraph.network.tracking.ellipse_fit import EllipseFits, OrientationPrior, PointGroups, fit_ellipses
 
 PERSON = (0.25, 0.15)
 STEP = np.radians(0.5)
