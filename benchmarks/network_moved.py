@@ -18,7 +18,7 @@ from calgraph.config.settings import DiagnosticsSettings
 from calgraph.diagnostics.network.moved_scanners import find_moved_scanners
 from calgraph.estimation.network.planar_poses import PlanarPoses
 from calgraph.geometry import se2
-from calgraph.pairwise.scanner_pair import ScannerPairEstimate, estimate_scanner_pairs
+from calgraph.network.pairs.scanner_pair import ScannerPairEstimate, estimate_scanner_pairs
 from calgraph.sensors import LaserScan
 from calgraph.simulation import NetworkScenario, build_network, network_rig, simulate_scans
 from network_runs import JOINT, USUAL_PEOPLE, solve_poses, track_scanners

@@ -22,12 +22,12 @@ from calgraph.graph.network_initialization import initialize_network
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
 from calgraph.graph.random_trees import compute_tree_poses
 from calgraph.network.options import CenterFeature
+from calgraph.network.pairs.scanner_pair import ScannerPairEstimate, estimate_scanner_pairs
+from calgraph.network.pairs.synchronized_tracks import pair_samples, resample_tracks
+from calgraph.network.pairs.visibility_map import ScannerObservations
 from calgraph.network.strategies import select_center_estimator, select_depth_stddev
 from calgraph.network.tracking.track import ScannerTracks
 from calgraph.network.tracking.track_scanner import track_scanner
-from calgraph.pairwise.scanner_pair import ScannerPairEstimate, estimate_scanner_pairs
-from calgraph.pairwise.synchronized_tracks import pair_samples, resample_tracks
-from calgraph.pairwise.visibility_map import ScannerObservations
 from calgraph.sensors import LaserScan
 from calgraph.simulation import (
     GroundTruth,

@@ -12,10 +12,10 @@ from calgraph.config.settings import Settings
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se3
 from calgraph.network.options import NetworkEstimator, NetworkOptions
+from calgraph.network.pairs.clock_mounting_search import ClockMountingHypothesis
 from calgraph.network.tracking.corrected_tracks import correct_tracks
 from calgraph.network.tracking.track import ScannerTracks
 from calgraph.network.tracking.track_scanner import track_scanner
-from calgraph.pairwise.clock_mounting_search import ClockMountingHypothesis
 from calgraph.result import Calibration
 from calgraph.simulation import (
     GroundTruth,

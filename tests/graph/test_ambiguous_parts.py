@@ -6,8 +6,8 @@ from calgraph.geometry import Array, se2
 from calgraph.graph.ambiguous_parts import AmbiguousPart, find_ambiguous_parts
 from calgraph.graph.network_graph import build_network_graph
 from calgraph.graph.pose_graph import PoseGraphSolution
-from calgraph.pairwise.hypothesis_evidence import PoseHypothesis
-from calgraph.pairwise.scanner_pair import ScannerPairEstimate
+from calgraph.network.pairs.hypothesis_evidence import PoseHypothesis
+from calgraph.network.pairs.scanner_pair import ScannerPairEstimate
 
 NAMES = ("a", "b", "c", "d")
 T = {name: se2.pose(0.3 * k, np.array([5.0 * k, 1.0])) for k, name in enumerate(NAMES)}

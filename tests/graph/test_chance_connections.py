@@ -12,10 +12,10 @@ from calgraph.geometry import se2
 from calgraph.graph.chance_connections import find_chance_connections
 from calgraph.graph.network_initialization import NetworkInitialization, initialize_network
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
+from calgraph.network.pairs.hypothesis_evidence import PoseHypothesis
+from calgraph.network.pairs.scanner_pair import ScannerPairEstimate
+from calgraph.network.pairs.visibility_map import ScannerObservations
 from calgraph.network.tracking.track import ScannerTracks
-from calgraph.pairwise.hypothesis_evidence import PoseHypothesis
-from calgraph.pairwise.scanner_pair import ScannerPairEstimate
-from calgraph.pairwise.visibility_map import ScannerObservations
 
 LARGE = HypothesisSettings(chance=ChanceMatchSettings(rate=1.0))
 """As if four scanners were many: a weight of evidence of 126 is needed."""

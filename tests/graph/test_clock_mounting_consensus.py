@@ -8,7 +8,7 @@ import pytest
 from calgraph.config.settings import ScannerPairSettings
 from calgraph.graph.clock_consensus import average_clocks
 from calgraph.graph.clock_mounting_consensus import ClockMountingSolution, resolve_clocks_and_mountings
-from calgraph.pairwise.clock_mounting_search import ClockMountingHypothesis
+from calgraph.network.pairs.clock_mounting_search import ClockMountingHypothesis
 
 NAMES = ("a", "b", "c", "d", "e")
 

@@ -13,8 +13,8 @@ from calgraph.graph.network_graph import (
     published_weights,
 )
 from calgraph.graph.pose_graph import PoseGraph
-from calgraph.pairwise.hypothesis_evidence import PoseHypothesis
-from calgraph.pairwise.scanner_pair import ScannerPairEstimate
+from calgraph.network.pairs.hypothesis_evidence import PoseHypothesis
+from calgraph.network.pairs.scanner_pair import ScannerPairEstimate
 
 
 def pose_covariances(graph: PoseGraph, T_root_node: Array) -> Array:

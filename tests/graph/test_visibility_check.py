@@ -14,10 +14,10 @@ from calgraph.graph.network_graph import build_network_graph
 from calgraph.graph.network_initialization import NetworkInitialization, initialize_network
 from calgraph.graph.pose_graph import PoseGraphSolution
 from calgraph.graph.visibility_check import VisibilityConflict, _compare_detections, find_visibility_conflict
+from calgraph.network.pairs.hypothesis_evidence import PoseHypothesis
+from calgraph.network.pairs.scanner_pair import ScannerPairEstimate
+from calgraph.network.pairs.visibility_map import ScannerObservations
 from calgraph.network.tracking.track import ScannerTracks, Track
-from calgraph.pairwise.hypothesis_evidence import PoseHypothesis
-from calgraph.pairwise.scanner_pair import ScannerPairEstimate
-from calgraph.pairwise.visibility_map import ScannerObservations
 
 NAMES = ("a", "b", "c", "d")
 T = {name: se2.pose(0.4 * k, np.array([3.0 * k, -2.0 * (k % 2)])) for k, name in enumerate(NAMES)}

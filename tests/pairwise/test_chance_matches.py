@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from calgraph.config.settings import HypothesisSettings, ScannerPairSettings
-from calgraph.pairwise.clock_mounting_search import ClockMountingHypothesis, may_differ_by_chance
-from calgraph.pairwise.hypothesis_evidence import PoseHypothesis, compute_chance_evidence
+from calgraph.network.pairs.clock_mounting_search import ClockMountingHypothesis, may_differ_by_chance
+from calgraph.network.pairs.hypothesis_evidence import PoseHypothesis, compute_chance_evidence
 
 SETTINGS = HypothesisSettings()
 

@@ -27,10 +27,10 @@ from calgraph.estimation.network.scanner_prior import ScannerPrior
 from calgraph.graph.averaging import select_averaging
 from calgraph.graph.network_initialization import NetworkInitialization, initialize_network
 from calgraph.network.options import NetworkOptions
+from calgraph.network.pairs.visibility_map import ScannerObservations
 from calgraph.network.step_log import log_network
 from calgraph.network.tracking.stationarity import select_interval
 from calgraph.network.tracking.track import ScannerBump, ScannerTracks
-from calgraph.pairwise.visibility_map import ScannerObservations
 from calgraph.parallel.engine import MapEngine
 from calgraph.parallel.progress import Progress, no_progress
 from calgraph.recording import Recording

@@ -12,19 +12,19 @@ from calgraph.diagnostics.network.clock_findings import report_clocks_and_mounti
 from calgraph.errors import Rejected
 from calgraph.graph.clock_mounting_consensus import ClockMountingSolution, resolve_clocks_and_mountings
 from calgraph.network.options import NetworkOptions
-from calgraph.network.strategies import select_depth_stddev
-from calgraph.network.tracking.corrected_tracks import correct_tracks
-from calgraph.network.tracking.track import ScannerTracks
-from calgraph.pairwise.candidate_pairs import label_parts
-from calgraph.pairwise.clock_mounting_search import (
+from calgraph.network.pairs.candidate_pairs import label_parts
+from calgraph.network.pairs.clock_mounting_search import (
     describe_difference,
     is_firm,
     may_differ_by_chance,
     search_clocks_and_mountings,
     select_searched_pairs,
 )
-from calgraph.pairwise.scanner_pair import ScannerPairEstimate, estimate_scanner_pairs
-from calgraph.pairwise.visibility_map import ScannerObservations
+from calgraph.network.pairs.scanner_pair import ScannerPairEstimate, estimate_scanner_pairs
+from calgraph.network.pairs.visibility_map import ScannerObservations
+from calgraph.network.strategies import select_depth_stddev
+from calgraph.network.tracking.corrected_tracks import correct_tracks
+from calgraph.network.tracking.track import ScannerTracks
 from calgraph.parallel.progress import Progress
 from calgraph.result import Calibration
 from calgraph.result.finding import Finding

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
-from calgraph.pairwise.candidate_pairs import label_parts
+from calgraph.network.pairs.candidate_pairs import label_parts
 
 Flags = NDArray[np.bool_]
 

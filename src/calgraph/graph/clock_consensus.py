@@ -16,7 +16,7 @@ from scipy.sparse.linalg import splu
 
 from calgraph.config.settings import ClockMountingSettings
 from calgraph.geometry import Array
-from calgraph.pairwise.clock_mounting_search import ClockMountingHypothesis
+from calgraph.network.pairs.clock_mounting_search import ClockMountingHypothesis
 
 # Rounds of reweighting, after which weights of clock offsets change by less than a percent.
 _ROUNDS = 20

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from calgraph.config.settings import ScannerPairSettings
 from calgraph.geometry import Array
 from calgraph.graph.clock_consensus import resolve_clocks
-from calgraph.pairwise.clock_mounting_search import ClockMountingHypothesis
+from calgraph.network.pairs.clock_mounting_search import ClockMountingHypothesis
 
 
 @dataclass(frozen=True)

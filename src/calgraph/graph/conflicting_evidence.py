@@ -16,7 +16,7 @@ from calgraph.geometry import Array, se2
 from calgraph.graph.network_graph import edge_evidence
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
 from calgraph.graph.tree_cuts import fundamental_cuts
-from calgraph.pairwise.scanner_pair import ScannerPairEstimate
+from calgraph.network.pairs.scanner_pair import ScannerPairEstimate
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,8 +12,8 @@ from calgraph.geometry import Array
 from calgraph.graph.graph_optimization import build_normal_equations, optimize_poses
 from calgraph.graph.pose_graph import PoseAveraging, PoseGraph, PoseGraphSolution, chi_squared
 from calgraph.graph.tree_consensus import average_poses
-from calgraph.pairwise.hypothesis_evidence import PoseHypothesis
-from calgraph.pairwise.scanner_pair import ScannerPairEstimate
+from calgraph.network.pairs.hypothesis_evidence import PoseHypothesis
+from calgraph.network.pairs.scanner_pair import ScannerPairEstimate
 
 # Bisections of the scale of the floor, which give it to 0.01 %.
 _BISECTIONS = 16

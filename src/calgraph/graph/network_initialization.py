@@ -23,9 +23,9 @@ from calgraph.graph.network_graph import (
 )
 from calgraph.graph.pose_graph import PoseAveraging, PoseGraph, PoseGraphSolution
 from calgraph.graph.visibility_check import find_visibility_conflict, is_confirmed_by_visibility
-from calgraph.pairwise.clock_mounting_search import describe_difference
-from calgraph.pairwise.scanner_pair import ScannerPairEstimate
-from calgraph.pairwise.visibility_map import ScannerObservations
+from calgraph.network.pairs.clock_mounting_search import describe_difference
+from calgraph.network.pairs.scanner_pair import ScannerPairEstimate
+from calgraph.network.pairs.visibility_map import ScannerObservations
 
 Pairs = Mapping[tuple[str, str], ScannerPairEstimate | Rejected]
 

@@ -15,8 +15,8 @@ from calgraph.config.settings import VisibilitySettings
 from calgraph.geometry import Array, se2
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
 from calgraph.graph.tree_cuts import fundamental_cuts
-from calgraph.pairwise.synchronized_tracks import pair_samples
-from calgraph.pairwise.visibility_map import ScannerObservations, find_missed_detections
+from calgraph.network.pairs.synchronized_tracks import pair_samples
+from calgraph.network.pairs.visibility_map import ScannerObservations, find_missed_detections
 
 Flags = NDArray[np.bool_]
 

@@ -3,7 +3,7 @@
 from calgraph.config.settings import ClockMountingSettings
 from calgraph.diagnostics.network.clock_findings import report_clocks_and_mountings
 from calgraph.graph.clock_mounting_consensus import ClockMountingSolution
-from calgraph.pairwise.clock_mounting_search import ClockMountingHypothesis
+from calgraph.network.pairs.clock_mounting_search import ClockMountingHypothesis
 
 
 def test_a_clock_found_from_people_on_one_line_makes_its_scanners_weak() -> None:

@@ -20,9 +20,9 @@ from calgraph.estimation.network.solver import linearize_network
 from calgraph.geometry import se2
 from calgraph.graph.network_initialization import NetworkInitialization
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
+from calgraph.network.pairs.hypothesis_evidence import PoseHypothesis
+from calgraph.network.pairs.scanner_pair import ScannerPairEstimate
 from calgraph.network.tracking.track import ScannerTracks, Track
-from calgraph.pairwise.hypothesis_evidence import PoseHypothesis
-from calgraph.pairwise.scanner_pair import ScannerPairEstimate
 from calgraph.result import Calibration, StatedPose, Verdict
 from calgraph.result.finding import Finding
 from dense_covariances import relate_all

@@ -12,8 +12,8 @@ from calgraph.diagnostics.network.walk_report import (
     match_across_scanners,
 )
 from calgraph.geometry import Array, se2
+from calgraph.network.pairs.synchronized_tracks import TrackSamples, resample_tracks
 from calgraph.network.tracking.track import ScannerTracks, Track
-from calgraph.pairwise.synchronized_tracks import TrackSamples, resample_tracks
 from calgraph.result import CaptureRow
 
 T_ROOT = {

@@ -21,10 +21,10 @@ from calgraph.geometry import Array, diagonal_blocks, se2
 from calgraph.graph.network_graph import compute_joint_covariance
 from calgraph.graph.network_initialization import NetworkInitialization
 from calgraph.graph.pose_graph import PoseGraph
+from calgraph.network.pairs.hypothesis_evidence import PoseHypothesis
+from calgraph.network.pairs.scanner_pair import ScannerPairEstimate
+from calgraph.network.pairs.synchronized_tracks import resample_tracks
 from calgraph.network.tracking.track import ScannerTracks
-from calgraph.pairwise.hypothesis_evidence import PoseHypothesis
-from calgraph.pairwise.scanner_pair import ScannerPairEstimate
-from calgraph.pairwise.synchronized_tracks import resample_tracks
 from calgraph.result import Calibration, Edge, Evidence, ModelledBodies, Pictures, SensorPose, StatedPose
 from calgraph.result.finding import Finding
 from calgraph.verdict.grades import LONE_ROOT, collect_findings, grade_pose

@@ -10,7 +10,7 @@ from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2
 from calgraph.graph.ambiguous_parts import AmbiguousPart
 from calgraph.graph.pose_graph import PoseGraph
-from calgraph.pairwise.scanner_pair import ScannerPairEstimate
+from calgraph.network.pairs.scanner_pair import ScannerPairEstimate
 from calgraph.result.finding import Finding
 
 

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.geometry import Array, se2
+from calgraph.network.pairs.synchronized_tracks import SimultaneousPairs, TrackSamples, pair_samples
 from calgraph.network.tracking.track import ScannerTracks
-from calgraph.pairwise.synchronized_tracks import SimultaneousPairs, TrackSamples, pair_samples
 from calgraph.result import CaptureRow, FloorView
 
 # Sizes of the report, for pages of a few megabytes: whitened residuals of the histogram, static points and

@@ -12,8 +12,8 @@ from calgraph.errors import Rejected
 from calgraph.estimation.network.problem import NetworkProblem, NetworkState, WallConstraint
 from calgraph.estimation.network.scanner_unknowns import correct_points, linearize_beam_errors
 from calgraph.geometry import se2
+from calgraph.network.pairs import icp
 from calgraph.network.tracking.track import ScannerTracks
-from calgraph.pairwise import icp
 from calgraph.parallel.engine import MapEngine
 
 

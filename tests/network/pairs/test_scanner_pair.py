@@ -14,11 +14,8 @@ from calgraph.config.settings import BaselineSettings, HypothesisSettings, Scann
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2
 from calgraph.network.options import CenterFeature
-from calgraph.network.strategies import select_center_estimator
-from calgraph.network.tracking.track import ScannerTracks, Track
-from calgraph.network.tracking.track_scanner import track_scanner
-from calgraph.pairwise import hypothesis_evidence
-from calgraph.pairwise.hypothesis_evidence import (
+from calgraph.network.pairs import hypothesis_evidence
+from calgraph.network.pairs.hypothesis_evidence import (
     PoseHypothesis,
     _count_by_chance,
     build_hypothesis,
@@ -26,9 +23,12 @@ from calgraph.pairwise.hypothesis_evidence import (
     select_distinct,
     subsample_pairs,
 )
-from calgraph.pairwise.scanner_pair import ScannerPairEstimate, estimate_scanner_pair, estimate_scanner_pairs
-from calgraph.pairwise.synchronized_tracks import TrackSamples, pair_samples
-from calgraph.pairwise.track_registration import NuisancePrior, TrackRegistration
+from calgraph.network.pairs.scanner_pair import ScannerPairEstimate, estimate_scanner_pair, estimate_scanner_pairs
+from calgraph.network.pairs.synchronized_tracks import TrackSamples, pair_samples
+from calgraph.network.pairs.track_registration import NuisancePrior, TrackRegistration
+from calgraph.network.strategies import select_center_estimator
+from calgraph.network.tracking.track import ScannerTracks, Track
+from calgraph.network.tracking.track_scanner import track_scanner
 from calgraph.recording import open_recording
 from calgraph.sensors import LaserScan
 from track_pairs import T_A_B, observe_walks, walk_along_curve

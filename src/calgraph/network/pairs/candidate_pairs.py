@@ -13,7 +13,7 @@ from scipy.sparse.csgraph import connected_components
 
 from calgraph.config.settings import CandidateSettings
 from calgraph.geometry import Array, se2
-from calgraph.pairwise.synchronized_tracks import Indices, TrackSamples, pair_samples
+from calgraph.network.pairs.synchronized_tracks import Indices, TrackSamples, pair_samples
 
 Ends = tuple[int, int]
 """Indices of two scanners, ascending."""
@@ -23,7 +23,7 @@ def select_similar_pairs(similarity: Array, partners: int) -> set[Ends]:
     """Pairs of each scanner with those of the most similar tracks.
 
     Args:
-        similarity: (N, N) from :func:`calgraph.pairwise.track_similarity.compute_track_similarity`.
+        similarity: (N, N) from :func:`calgraph.network.pairs.track_similarity.compute_track_similarity`.
         partners: number of pairs of each scanner; it may be in more pairs that others select.
     """
     others = ~np.eye(len(similarity), dtype=np.bool_)

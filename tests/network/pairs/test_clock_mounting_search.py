@@ -7,16 +7,16 @@ import pytest
 
 from calgraph.config.settings import NetworkEstimationSettings, ScannerPairSettings
 from calgraph.geometry import Array, se2
-from calgraph.network.tracking.corrected_tracks import correct_tracks
-from calgraph.network.tracking.track import ScannerTracks, Track
-from calgraph.pairwise.clock_mounting_search import (
+from calgraph.network.pairs.clock_mounting_search import (
     ClockMountingHypothesis,
     is_firm,
     search_clocks_and_mountings,
     select_searched_pairs,
 )
-from calgraph.pairwise.scanner_pair import ScannerPairEstimate, estimate_scanner_pair
-from calgraph.pairwise.visibility_map import ScannerObservations
+from calgraph.network.pairs.scanner_pair import ScannerPairEstimate, estimate_scanner_pair
+from calgraph.network.pairs.visibility_map import ScannerObservations
+from calgraph.network.tracking.corrected_tracks import correct_tracks
+from calgraph.network.tracking.track import ScannerTracks, Track
 
 SETTINGS = ScannerPairSettings()
 CLOCK_SIGMA = NetworkEstimationSettings().clock_sigma

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from calgraph.config.settings import IcpSettings, ScannerPairSettings
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2
-from calgraph.pairwise import icp
-from calgraph.pairwise.icp import (
+from calgraph.network.pairs import icp
+from calgraph.network.pairs.icp import (
     IcpResult,
     StaticBackground,
     _build_normal_equations,

@@ -16,8 +16,8 @@ from scipy.spatial import cKDTree
 from calgraph.config.settings import IcpSettings, ScannerPairSettings
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, fit_local_lines, se2
-from calgraph.pairwise.track_registration import rigid_motion_covariance
-from calgraph.pairwise.visibility_map import is_free_space
+from calgraph.network.pairs.track_registration import rigid_motion_covariance
+from calgraph.network.pairs.visibility_map import is_free_space
 
 # Limit on steps; the match distance takes 6 to 8 of them to shrink.
 _MAX_STEPS = 25

@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 
 from calgraph.geometry import Array, se2
-from calgraph.network.tracking.track import ScannerTracks
-from calgraph.pairwise.synchronized_tracks import TrackSamples, pair_samples
-from calgraph.pairwise.visibility_map import (
+from calgraph.network.pairs.synchronized_tracks import TrackSamples, pair_samples
+from calgraph.network.pairs.visibility_map import (
     VisibilityMap,
     build_visibility_map,
     contradicts_visibility,
     find_missed_detections,
     is_free_space,
 )
+from calgraph.network.tracking.track import ScannerTracks
 
 NO_SAMPLES = TrackSamples(*(np.zeros(0, dtype=np.intp),) * 2, *(np.zeros((0, 2)),) * 2, np.zeros((0, 2, 2)), 0.1)
 

@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from calgraph.config.settings import HypothesisSettings, ScannerPairSettings
 from calgraph.geometry import Array, se2
-from calgraph.pairwise.synchronized_tracks import SimultaneousPairs, TrackSamples, pair_samples
-from calgraph.pairwise.track_registration import (
+from calgraph.network.pairs.synchronized_tracks import SimultaneousPairs, TrackSamples, pair_samples
+from calgraph.network.pairs.track_registration import (
     NuisancePrior,
     TrackRegistration,
     compute_pose_costs,

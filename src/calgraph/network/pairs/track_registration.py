@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from calgraph.config.settings import RegistrationSettings
 from calgraph.geometry import Array, invert_2x2, se2
-from calgraph.pairwise.synchronized_tracks import SimultaneousPairs
+from calgraph.network.pairs.synchronized_tracks import SimultaneousPairs
 
 # Median of χ² with two degrees of freedom.
 _CHI2_MEDIAN = 1.386

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from calgraph.config.settings import ProposalSettings
 from calgraph.geometry import Array, se2
-from calgraph.pairwise.synchronized_tracks import SimultaneousPairs
+from calgraph.network.pairs.synchronized_tracks import SimultaneousPairs
 
 
 def propose_poses(pairs: SimultaneousPairs, settings: ProposalSettings, rng: np.random.Generator) -> Array:

@@ -13,8 +13,8 @@ from scipy.ndimage import convolve
 
 from calgraph.config.settings import ScannerPairSettings, VisibilitySettings
 from calgraph.geometry import Array, se2
+from calgraph.network.pairs.synchronized_tracks import SimultaneousPairs, TrackSamples, resample_tracks
 from calgraph.network.tracking.track import ScannerTracks
-from calgraph.pairwise.synchronized_tracks import SimultaneousPairs, TrackSamples, resample_tracks
 
 Flags = NDArray[np.bool_]
 

@@ -8,17 +8,17 @@ import pytest
 from calgraph.config.settings import CandidateSettings, ScannerPairSettings
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2
-from calgraph.network.tracking.track import ScannerTracks, Track
-from calgraph.pairwise.candidate_pairs import (
+from calgraph.network.pairs.candidate_pairs import (
     Ends,
     select_implied_pairs,
     select_pairs_between_parts,
     select_separated_pairs,
     select_similar_pairs,
 )
-from calgraph.pairwise.hypothesis_evidence import PoseHypothesis
-from calgraph.pairwise.scanner_pair import ScannerPairEstimate, estimate_scanner_pairs
-from calgraph.pairwise.synchronized_tracks import TrackSamples
+from calgraph.network.pairs.hypothesis_evidence import PoseHypothesis
+from calgraph.network.pairs.scanner_pair import ScannerPairEstimate, estimate_scanner_pairs
+from calgraph.network.pairs.synchronized_tracks import TrackSamples
+from calgraph.network.tracking.track import ScannerTracks, Track
 from calgraph.parallel.engine import Processes
 from track_pairs import gather_samples
 

@@ -4,8 +4,8 @@ import numpy as np
 
 from calgraph.config.settings import ProposalSettings
 from calgraph.geometry import Array, se2
-from calgraph.pairwise.pose_hypotheses import propose_poses
-from calgraph.pairwise.synchronized_tracks import pair_samples
+from calgraph.network.pairs.pose_hypotheses import propose_poses
+from calgraph.network.pairs.synchronized_tracks import pair_samples
 from track_pairs import T_A_B, gather_samples, observe_walks, walk_along_curve
 
 

@@ -18,14 +18,13 @@ from numpy.typing import NDArray
 from calgraph.config.settings import HypothesisSettings, NetworkEstimationSettings, ScannerPairSettings
 from calgraph.errors import Rejected
 from calgraph.geometry import Array
-from calgraph.network.tracking.track import ScannerTracks
-from calgraph.pairwise.candidate_pairs import (
+from calgraph.network.pairs.candidate_pairs import (
     Ends,
     select_implied_pairs,
     select_separated_pairs,
     select_similar_pairs,
 )
-from calgraph.pairwise.hypothesis_evidence import (
+from calgraph.network.pairs.hypothesis_evidence import (
     PoseHypothesis,
     build_hypothesis,
     count_expected,
@@ -34,17 +33,18 @@ from calgraph.pairwise.hypothesis_evidence import (
     select_distinct_rows,
     subsample_pairs,
 )
-from calgraph.pairwise.icp import StaticBackground, align_backgrounds
-from calgraph.pairwise.pose_hypotheses import propose_poses
-from calgraph.pairwise.synchronized_tracks import SimultaneousPairs, pair_samples
-from calgraph.pairwise.track_registration import (
+from calgraph.network.pairs.icp import StaticBackground, align_backgrounds
+from calgraph.network.pairs.pose_hypotheses import propose_poses
+from calgraph.network.pairs.synchronized_tracks import SimultaneousPairs, pair_samples
+from calgraph.network.pairs.track_registration import (
     NuisancePrior,
     TrackRegistration,
     compute_pose_costs,
     register_tracks,
 )
-from calgraph.pairwise.track_similarity import compute_track_similarity
-from calgraph.pairwise.visibility_map import ScannerObservations, contradicts_visibility
+from calgraph.network.pairs.track_similarity import compute_track_similarity
+from calgraph.network.pairs.visibility_map import ScannerObservations, contradicts_visibility
+from calgraph.network.tracking.track import ScannerTracks
 from calgraph.parallel.engine import THIS_PROCESS, Engine
 
 # Fewer pairs than these are evaluated faster than other processes start.
@@ -100,7 +100,7 @@ def estimate_scanner_pairs(
     """Estimates the relative poses of pairs of scanners, as :func:`estimate_scanner_pair` does.
 
     Pairs of networks with many scanners that cannot have tracked the same people are left out, see
-    :mod:`calgraph.pairwise.candidate_pairs`.
+    :mod:`calgraph.network.pairs.candidate_pairs`.
 
     Args:
         tracked: tracks and background of each scanner, by its name.

@@ -15,19 +15,19 @@ from numpy.typing import NDArray
 
 from calgraph.config.settings import ScannerPairSettings
 from calgraph.geometry import Array, se2
-from calgraph.pairwise.candidate_pairs import select_pairs_between_parts
-from calgraph.pairwise.hypothesis_evidence import (
+from calgraph.network.pairs.candidate_pairs import select_pairs_between_parts
+from calgraph.network.pairs.hypothesis_evidence import (
     PoseHypothesis,
     build_hypothesis,
     compute_chance_evidence,
     subsample_pairs,
 )
-from calgraph.pairwise.pose_hypotheses import propose_poses
-from calgraph.pairwise.scanner_pair import ScannerPairEstimate
-from calgraph.pairwise.synchronized_tracks import Indices, SimultaneousPairs, pair_samples
-from calgraph.pairwise.track_registration import NuisancePrior, compute_pose_costs, register_tracks
-from calgraph.pairwise.track_similarity import compute_track_similarity
-from calgraph.pairwise.visibility_map import ScannerObservations, contradicts_visibility
+from calgraph.network.pairs.pose_hypotheses import propose_poses
+from calgraph.network.pairs.scanner_pair import ScannerPairEstimate
+from calgraph.network.pairs.synchronized_tracks import Indices, SimultaneousPairs, pair_samples
+from calgraph.network.pairs.track_registration import NuisancePrior, compute_pose_costs, register_tracks
+from calgraph.network.pairs.track_similarity import compute_track_similarity
+from calgraph.network.pairs.visibility_map import ScannerObservations, contradicts_visibility
 from calgraph.parallel.engine import THIS_PROCESS, Engine
 
 # Most registrations of a hypothesis, each with the samples shifted to the clock offset of the previous one.

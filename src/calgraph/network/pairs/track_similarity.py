@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from calgraph.config.settings import ScannerPairSettings
 from calgraph.geometry import Array
-from calgraph.pairwise.synchronized_tracks import Indices, TrackSamples
+from calgraph.network.pairs.synchronized_tracks import Indices, TrackSamples
 
 # Pairs of trajectories, of all stretches, that are compared together: their moments take about 100 MB.
 _MAX_COMPARED = 500_000

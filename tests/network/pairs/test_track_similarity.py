@@ -5,8 +5,8 @@ import pytest
 
 from calgraph.config.settings import ScannerPairSettings
 from calgraph.geometry import Array, se2
-from calgraph.pairwise.synchronized_tracks import TrackSamples
-from calgraph.pairwise.track_similarity import compute_track_similarity
+from calgraph.network.pairs.synchronized_tracks import TrackSamples
+from calgraph.network.pairs.track_similarity import compute_track_similarity
 from track_pairs import gather_samples, walk_along_curve
 
 SETTINGS = ScannerPairSettings()
@@ -69,7 +69,7 @@ def test_scanners_in_groups_score_as_all_at_once(
 ) -> None:
     scanners = [observe([k % 3, 3], somewhere(rng), rng) for k in range(6)]
     at_once = compute_track_similarity(scanners, SETTINGS)
-    monkeypatch.setattr("calgraph.pairwise.track_similarity._MAX_COMPARED", 200)
+    monkeypatch.setattr("calgraph.network.pairs.track_similarity._MAX_COMPARED", 200)
     np.testing.assert_allclose(compute_track_similarity(scanners, SETTINGS), at_once, rtol=1e-6)
 
 

@@ -8,16 +8,15 @@ import pytest
 import track_pairs
 from calgraph.config.settings import HypothesisSettings, ProposalSettings, RegistrationSettings, ResamplingSettings
 from calgraph.geometry import Array, invert_2x2, se2
-from calgraph.network.tracking.track import ScannerTracks, Track
-from calgraph.pairwise.hypothesis_evidence import PoseHypothesis
-from calgraph.pairwise.pose_hypotheses import propose_poses
-from calgraph.pairwise.synchronized_tracks import (
+from calgraph.network.pairs.hypothesis_evidence import PoseHypothesis
+from calgraph.network.pairs.pose_hypotheses import propose_poses
+from calgraph.network.pairs.synchronized_tracks import (
     SimultaneousPairs,
     TrackSamples,
     pair_samples,
     resample_tracks,
 )
-from calgraph.pairwise.track_registration import (
+from calgraph.network.pairs.track_registration import (
     NuisancePrior,
     TrackRegistration,
     _associate,
@@ -28,6 +27,7 @@ from calgraph.pairwise.track_registration import (
     register_tracks,
     rigid_motion_covariance,
 )
+from calgraph.network.tracking.track import ScannerTracks, Track
 
 NEAR_POSE = se2.retract(track_pairs.T_A_B, np.array([0.05, -0.04, 0.02]))
 T_A_B = se2.pose(0.7, np.array([1.5, -0.8]))

@@ -1,0 +1,1 @@
+"""Relative poses of two scanners from tracks of people."""
