@@ -12,15 +12,15 @@ from calgraph.config.settings import BaselineSettings
 from calgraph.estimation.network.estimate import solve_network
 from calgraph.geometry import Array, se2
 from calgraph.graph.averaging import select_averaging
-from calgraph.graph.network_graph import (
+from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
+from calgraph.graph.random_trees import compute_tree_poses
+from calgraph.network.graph.network_graph import (
     average_network,
     build_network_graph,
     compute_joint_covariance,
     published_weights,
 )
-from calgraph.graph.network_initialization import initialize_network
-from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
-from calgraph.graph.random_trees import compute_tree_poses
+from calgraph.network.graph.network_initialization import initialize_network
 from calgraph.network.options import CenterFeature
 from calgraph.network.pairs.scanner_pair import ScannerPairEstimate, estimate_scanner_pairs
 from calgraph.network.pairs.synchronized_tracks import pair_samples, resample_tracks

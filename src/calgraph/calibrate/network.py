@@ -25,7 +25,7 @@ from calgraph.errors import CalibrationError, InputError, Rejected
 from calgraph.estimation.network.estimate import NetworkSolution, solve_network
 from calgraph.estimation.network.scanner_prior import ScannerPrior
 from calgraph.graph.averaging import select_averaging
-from calgraph.graph.network_initialization import NetworkInitialization, initialize_network
+from calgraph.network.graph.network_initialization import NetworkInitialization, initialize_network
 from calgraph.network.options import NetworkOptions
 from calgraph.network.pairs.visibility_map import ScannerObservations
 from calgraph.network.step_log import log_network

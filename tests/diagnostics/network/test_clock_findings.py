@@ -2,7 +2,7 @@
 
 from calgraph.config.settings import ClockMountingSettings
 from calgraph.diagnostics.network.clock_findings import report_clocks_and_mountings
-from calgraph.graph.clock_mounting_consensus import ClockMountingSolution
+from calgraph.network.graph.clock_mounting_consensus import ClockMountingSolution
 from calgraph.network.pairs.clock_mounting_search import ClockMountingHypothesis
 
 

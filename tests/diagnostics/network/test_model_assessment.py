@@ -13,8 +13,8 @@ from calgraph.estimation.network.estimate import NetworkSolution, SolvedNetwork
 from calgraph.estimation.network.problem import BodyScans
 from calgraph.estimation.network.solver import linearize_network
 from calgraph.geometry import Array, se2
-from calgraph.graph.network_initialization import NetworkInitialization
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
+from calgraph.network.graph.network_initialization import NetworkInitialization
 from calgraph.network.tracking.track import ScannerTracks
 from dense_covariances import relate_all
 from leg_scenes import build_network

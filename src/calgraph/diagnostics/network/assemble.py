@@ -18,9 +18,9 @@ from calgraph.estimation.network.estimate import NetworkSolution
 from calgraph.estimation.network.leg_problem import LegObservations
 from calgraph.estimation.network.planar_poses import lift_covariance
 from calgraph.geometry import Array, diagonal_blocks, se2
-from calgraph.graph.network_graph import compute_joint_covariance
-from calgraph.graph.network_initialization import NetworkInitialization
 from calgraph.graph.pose_graph import PoseGraph
+from calgraph.network.graph.network_graph import compute_joint_covariance
+from calgraph.network.graph.network_initialization import NetworkInitialization
 from calgraph.network.pairs.hypothesis_evidence import PoseHypothesis
 from calgraph.network.pairs.scanner_pair import ScannerPairEstimate
 from calgraph.network.pairs.synchronized_tracks import resample_tracks

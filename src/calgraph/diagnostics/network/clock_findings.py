@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 
 from calgraph.config.settings import ClockMountingSettings
-from calgraph.graph.clock_mounting_consensus import ClockMountingSolution
+from calgraph.network.graph.clock_mounting_consensus import ClockMountingSolution
 from calgraph.result.finding import Finding
 
 

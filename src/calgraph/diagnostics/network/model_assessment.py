@@ -19,8 +19,8 @@ from calgraph.estimation.network.contributions import split_contributions
 from calgraph.estimation.network.estimate import NetworkSolution, SolvedNetwork
 from calgraph.estimation.network.leg_problem import LegObservations
 from calgraph.geometry import Array
-from calgraph.graph.network_graph import compute_joint_covariance
-from calgraph.graph.network_initialization import NetworkInitialization
+from calgraph.network.graph.network_graph import compute_joint_covariance
+from calgraph.network.graph.network_initialization import NetworkInitialization
 from calgraph.network.tracking.track import ScannerTracks
 from calgraph.result.finding import Finding
 

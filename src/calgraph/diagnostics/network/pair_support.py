@@ -8,8 +8,8 @@ from scipy.sparse.csgraph import connected_components
 
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2
-from calgraph.graph.ambiguous_parts import AmbiguousPart
 from calgraph.graph.pose_graph import PoseGraph
+from calgraph.network.graph.ambiguous_parts import AmbiguousPart
 from calgraph.network.pairs.scanner_pair import ScannerPairEstimate
 from calgraph.result.finding import Finding
 

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 
 from calgraph.geometry import Array, se2
-from calgraph.graph.conflicting_evidence import ConflictingEvidence, find_conflicting_evidence
-from calgraph.graph.network_graph import build_network_graph
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
+from calgraph.network.graph.conflicting_evidence import ConflictingEvidence, find_conflicting_evidence
+from calgraph.network.graph.network_graph import build_network_graph
 from calgraph.network.pairs.hypothesis_evidence import PoseHypothesis
 from calgraph.network.pairs.scanner_pair import ScannerPairEstimate
 

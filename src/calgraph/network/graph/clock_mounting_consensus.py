@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from calgraph.config.settings import ScannerPairSettings
 from calgraph.geometry import Array
-from calgraph.graph.clock_consensus import resolve_clocks
+from calgraph.network.graph.clock_consensus import resolve_clocks
 from calgraph.network.pairs.clock_mounting_search import ClockMountingHypothesis
 
 

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from calgraph.config.settings import GraphSettings, HypothesisSettings
 from calgraph.geometry import Array, se2
-from calgraph.graph.conflicting_evidence import move_part
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
 from calgraph.graph.tree_cuts import fundamental_cuts
+from calgraph.network.graph.conflicting_evidence import move_part
 
 
 @dataclass(frozen=True)

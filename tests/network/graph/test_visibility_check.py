@@ -9,11 +9,15 @@ from numpy.typing import NDArray
 from calgraph.config.settings import VisibilitySettings
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2
-from calgraph.graph import visibility_check
-from calgraph.graph.network_graph import build_network_graph
-from calgraph.graph.network_initialization import NetworkInitialization, initialize_network
 from calgraph.graph.pose_graph import PoseGraphSolution
-from calgraph.graph.visibility_check import VisibilityConflict, _compare_detections, find_visibility_conflict
+from calgraph.network.graph import visibility_check
+from calgraph.network.graph.network_graph import build_network_graph
+from calgraph.network.graph.network_initialization import NetworkInitialization, initialize_network
+from calgraph.network.graph.visibility_check import (
+    VisibilityConflict,
+    _compare_detections,
+    find_visibility_conflict,
+)
 from calgraph.network.pairs.hypothesis_evidence import PoseHypothesis
 from calgraph.network.pairs.scanner_pair import ScannerPairEstimate
 from calgraph.network.pairs.visibility_map import ScannerObservations

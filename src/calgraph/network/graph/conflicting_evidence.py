@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from calgraph.config.settings import GraphSettings, HypothesisSettings
 from calgraph.geometry import Array, se2
-from calgraph.graph.network_graph import edge_evidence
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
 from calgraph.graph.tree_cuts import fundamental_cuts
+from calgraph.network.graph.network_graph import edge_evidence
 from calgraph.network.pairs.scanner_pair import ScannerPairEstimate
 
 

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from calgraph.geometry import Array, diagonal_blocks, se2
-from calgraph.graph.network_graph import (
+from calgraph.graph.pose_graph import PoseGraph
+from calgraph.network.graph.network_graph import (
     average_network,
     build_network_graph,
     compute_joint_covariance,
@@ -12,7 +13,6 @@ from calgraph.graph.network_graph import (
     edge_weights,
     published_weights,
 )
-from calgraph.graph.pose_graph import PoseGraph
 from calgraph.network.pairs.hypothesis_evidence import PoseHypothesis
 from calgraph.network.pairs.scanner_pair import ScannerPairEstimate
 

@@ -1,0 +1,1 @@
+"""From the pairs of scanners to start poses and clocks of all."""
