@@ -17,9 +17,9 @@ from typing import NamedTuple
 import numpy as np
 
 from calgraph.config import Lidar2dSpec, People
-from calgraph.estimation.network.estimate import solve_network
 from calgraph.geometry import se2
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
+from calgraph.network.joint.estimate import solve_network
 from calgraph.network.tracking.track import ScannerTracks
 from calgraph.network.tracking.track_scanner import track_scanner
 from calgraph.simulation import NetworkScenario, build_network, network_rig, network_truth, simulate_scans

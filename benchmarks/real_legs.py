@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 
 from calgraph.config import People, RangeNoise
-from calgraph.estimation.network.estimate import NetworkSolution, solve_network
 from calgraph.geometry import se2
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
+from calgraph.network.joint.estimate import NetworkSolution, solve_network
 from calgraph.network.tracking.track import ScannerTracks
 from calgraph.network.tracking.track_scanner import track_scanner
 from calgraph.recording import open_recording

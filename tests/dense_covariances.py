@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from calgraph.estimation.network.near_covariances import NearCovariances
 from calgraph.geometry import Array
+from calgraph.network.joint.near_covariances import NearCovariances
 
 
 def relate_all(covariance: Array, count: int) -> NearCovariances:

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from calgraph.estimation.network.planar_poses import PlanarPoses, lift_covariance
 from calgraph.geometry import se2
+from calgraph.network.joint.planar_poses import PlanarPoses, lift_covariance
 from calgraph.result import Calibration, SensorPose, Verdict
 
 

@@ -3,12 +3,12 @@
 import numpy as np
 
 from calgraph.config.settings import NetworkEstimationSettings
-from calgraph.estimation.network.leg_problem import LegObservations, LegPath
-from calgraph.estimation.network.leg_raycast import raycast_legs
-from calgraph.estimation.network.problem import BodyScans, NetworkProblem, NetworkState
-from calgraph.estimation.network.scanner_unknowns import SYSTEMATIC_ERRORS
-from calgraph.estimation.network.splines import Knots, evaluate_spline
 from calgraph.geometry import Array, se2
+from calgraph.network.joint.leg_problem import LegObservations, LegPath
+from calgraph.network.joint.leg_raycast import raycast_legs
+from calgraph.network.joint.problem import BodyScans, NetworkProblem, NetworkState
+from calgraph.network.joint.scanner_unknowns import SYSTEMATIC_ERRORS
+from calgraph.network.joint.splines import Knots, evaluate_spline
 from calgraph.network.tracking.clusters import Foreground
 
 T_ROOT = np.stack([se2.pose(yaw, np.array([x, y])) for yaw, x, y in ((0, 0, 0), (2, 4, 0.5), (-1, 1, 4))])

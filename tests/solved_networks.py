@@ -5,13 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from calgraph.estimation.network.body_batches import BodyBatches
-from calgraph.estimation.network.ellipse_equations import compute_residuals, raycast_body
-from calgraph.estimation.network.estimate import SolvedNetwork
-from calgraph.estimation.network.path_equations import evaluate_at
-from calgraph.estimation.network.problem import BodyObservations, BodyPath, BodyScans, NetworkProblem, NetworkState
-from calgraph.estimation.network.solver import optimize_network
-from calgraph.estimation.network.splines import Knots
+from calgraph.network.joint.body_batches import BodyBatches
+from calgraph.network.joint.ellipse_equations import compute_residuals, raycast_body
+from calgraph.network.joint.estimate import SolvedNetwork
+from calgraph.network.joint.path_equations import evaluate_at
+from calgraph.network.joint.problem import BodyObservations, BodyPath, BodyScans, NetworkProblem, NetworkState
+from calgraph.network.joint.solver import optimize_network
+from calgraph.network.joint.splines import Knots
 from network_scenes import DENSITY, EXACT, LOSS, OFFSET, SETTINGS, SIGMA, T_ROOT, simulate_scans
 
 SECONDS = 24.0

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from calgraph.config import People, RangeNoise
-from calgraph.estimation.network.estimate import solve_network
 from calgraph.geometry import se2
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
+from calgraph.network.joint.estimate import solve_network
 from calgraph.network.tracking.track import ScannerTracks
 from calgraph.network.tracking.track_scanner import track_scanner
 from calgraph.recording import open_recording

@@ -22,10 +22,10 @@ from calgraph.diagnostics.network.findings import collect_network_findings
 from calgraph.diagnostics.network.model_assessment import assess_network_model
 from calgraph.diagnostics.network.track_bumps import find_track_bump
 from calgraph.errors import CalibrationError, InputError, Rejected
-from calgraph.estimation.network.estimate import NetworkSolution, solve_network
-from calgraph.estimation.network.scanner_prior import ScannerPrior
 from calgraph.graph.averaging import select_averaging
 from calgraph.network.graph.network_initialization import NetworkInitialization, initialize_network
+from calgraph.network.joint.estimate import NetworkSolution, solve_network
+from calgraph.network.joint.scanner_prior import ScannerPrior
 from calgraph.network.options import NetworkOptions
 from calgraph.network.pairs.visibility_map import ScannerObservations
 from calgraph.network.step_log import log_network

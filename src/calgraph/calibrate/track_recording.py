@@ -7,8 +7,8 @@ from typing import Any
 
 from calgraph.config import Cylinder, Lidar2dSpec, People, Rig, SensorSpec
 from calgraph.errors import InputError, Rejected
-from calgraph.estimation.network.leg_choice import measures_legs
 from calgraph.io.columns import Arrays
+from calgraph.network.joint.leg_choice import measures_legs
 from calgraph.network.options import CenterFeature, NetworkOptions
 from calgraph.network.step_log import log_tracks
 from calgraph.network.strategies import select_center_estimator

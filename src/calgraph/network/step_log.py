@@ -4,8 +4,8 @@ import logging
 from collections.abc import Mapping
 
 from calgraph.errors import Rejected
-from calgraph.estimation.network.estimate import NetworkSolution
 from calgraph.network.graph.network_initialization import NetworkInitialization
+from calgraph.network.joint.estimate import NetworkSolution
 from calgraph.network.pairs.scanner_pair import ScannerPairEstimate
 from calgraph.network.tracking.track import ScannerTracks
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from calgraph.diagnostics.network.beam_views import _MAX_BEAMS, collect_beam_views
-from calgraph.estimation.network.estimate import NetworkSolution, SolvedNetwork
-from calgraph.estimation.network.problem import BodyScans
+from calgraph.network.joint.estimate import NetworkSolution, SolvedNetwork
+from calgraph.network.joint.problem import BodyScans
 from dense_covariances import relate_all
 from network_scenes import SIGMA
 from solved_networks import replace_bodies, solve_two_walks

@@ -12,11 +12,11 @@ from calgraph.diagnostics.network.consistency_tests import (
     find_inconsistent_parts,
     measure_scatter,
 )
-from calgraph.estimation.network.contributions import Contributions, NetworkContributions, split_contributions
-from calgraph.estimation.network.estimate import NetworkSolution, SolvedNetwork
-from calgraph.estimation.network.problem import BodyScans
-from calgraph.estimation.network.solver import linearize_network, optimize_network
 from calgraph.geometry import se2
+from calgraph.network.joint.contributions import Contributions, NetworkContributions, split_contributions
+from calgraph.network.joint.estimate import NetworkSolution, SolvedNetwork
+from calgraph.network.joint.problem import BodyScans
+from calgraph.network.joint.solver import linearize_network, optimize_network
 from calgraph.result.finding import Finding
 from dense_covariances import relate_all
 from network_scenes import OFFSET, T_ROOT

@@ -14,12 +14,12 @@ from calgraph.diagnostics.network.extension import (
     remove_scanners,
 )
 from calgraph.errors import CalibrationError, InputError
-from calgraph.estimation.network.estimate import NetworkSolution
-from calgraph.estimation.network.planar_poses import PlanarPoses, extract_planar_poses
-from calgraph.estimation.network.scanner_matrix import ScannerMatrix
-from calgraph.estimation.network.scanner_order import ScannerOrder
-from calgraph.estimation.network.scanner_prior import ScannerPrior, build_scanner_prior
 from calgraph.geometry import Array, se2
+from calgraph.network.joint.estimate import NetworkSolution
+from calgraph.network.joint.planar_poses import PlanarPoses, extract_planar_poses
+from calgraph.network.joint.scanner_matrix import ScannerMatrix
+from calgraph.network.joint.scanner_order import ScannerOrder
+from calgraph.network.joint.scanner_prior import ScannerPrior, build_scanner_prior
 from calgraph.result import Calibration, Edge, Verdict
 from dense_covariances import relate_all
 from known_networks import calibration, four_scanners

@@ -7,9 +7,9 @@ import pytest
 
 from calgraph.config.settings import NetworkModelSettings
 from calgraph.diagnostics.network.fit_tests import correlate_adjacent_beams, find_poor_fit
-from calgraph.estimation.network.estimate import SolvedNetwork
-from calgraph.estimation.network.problem import BodyScans
 from calgraph.geometry import Array
+from calgraph.network.joint.estimate import SolvedNetwork
+from calgraph.network.joint.problem import BodyScans
 from calgraph.result.finding import Finding
 from network_scenes import SETTINGS, SIGMA
 from solved_networks import replace_bodies, solve_two_walks

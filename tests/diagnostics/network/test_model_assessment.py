@@ -9,12 +9,12 @@ import pytest
 from calgraph.config import People
 from calgraph.config.settings import DiagnosticsSettings, NetworkDiagnosticsSettings, NetworkModelSettings
 from calgraph.diagnostics.network.model_assessment import ModelAssessment, assess_network_model
-from calgraph.estimation.network.estimate import NetworkSolution, SolvedNetwork
-from calgraph.estimation.network.problem import BodyScans
-from calgraph.estimation.network.solver import linearize_network
 from calgraph.geometry import Array, se2
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
 from calgraph.network.graph.network_initialization import NetworkInitialization
+from calgraph.network.joint.estimate import NetworkSolution, SolvedNetwork
+from calgraph.network.joint.problem import BodyScans
+from calgraph.network.joint.solver import linearize_network
 from calgraph.network.tracking.track import ScannerTracks
 from dense_covariances import relate_all
 from leg_scenes import build_network

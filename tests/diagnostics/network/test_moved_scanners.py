@@ -7,8 +7,8 @@ import pytest
 
 from calgraph.config.settings import DiagnosticsSettings, VerdictSettings
 from calgraph.diagnostics.network.moved_scanners import MovedScanner, find_moved_scanners
-from calgraph.estimation.network.planar_poses import PlanarPoses
 from calgraph.geometry import Array, se2
+from calgraph.network.joint.planar_poses import PlanarPoses
 from calgraph.verdict.displaced_nodes import find_displaced_nodes
 
 CHANCE = 1e-3

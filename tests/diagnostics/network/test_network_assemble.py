@@ -15,11 +15,11 @@ from calgraph.diagnostics.network.assemble import (
     assemble_network,
 )
 from calgraph.errors import Rejected
-from calgraph.estimation.network.estimate import NetworkSolution, SolvedNetwork
-from calgraph.estimation.network.solver import linearize_network
 from calgraph.geometry import se2
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
 from calgraph.network.graph.network_initialization import NetworkInitialization
+from calgraph.network.joint.estimate import NetworkSolution, SolvedNetwork
+from calgraph.network.joint.solver import linearize_network
 from calgraph.network.pairs.hypothesis_evidence import PoseHypothesis
 from calgraph.network.pairs.scanner_pair import ScannerPairEstimate
 from calgraph.network.tracking.track import ScannerTracks, Track

@@ -4,8 +4,8 @@ import numpy as np
 
 from calgraph.config.settings import RigDiagnosticsSettings
 from calgraph.diagnostics.network.systematic_tests import find_systematic_errors
-from calgraph.estimation.network.near_covariances import NearCovariances
-from calgraph.estimation.network.scanner_unknowns import CLOCK_DRIFT, STRETCH_X, SystematicErrors
+from calgraph.network.joint.near_covariances import NearCovariances
+from calgraph.network.joint.scanner_unknowns import CLOCK_DRIFT, STRETCH_X, SystematicErrors
 from dense_covariances import relate_all
 
 NAMES = ("root", "east")

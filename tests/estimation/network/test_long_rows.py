@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from calgraph.config import People
-from calgraph.estimation.network.estimate import NetworkSolution, solve_network
-from calgraph.estimation.network.problem import BodyPath
-from calgraph.estimation.network.splines import Knots
 from calgraph.geometry import Array, se2
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
+from calgraph.network.joint.estimate import NetworkSolution, solve_network
+from calgraph.network.joint.problem import BodyPath
+from calgraph.network.joint.splines import Knots
 from calgraph.network.tracking.track import ScannerTracks
 from network_scenes import DENSITY, SETTINGS, SIGMA, build_track, simulate_scans
 

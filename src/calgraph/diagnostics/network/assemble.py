@@ -14,13 +14,13 @@ from calgraph.config.target import Target
 from calgraph.diagnostics.network.beam_views import collect_beam_views
 from calgraph.diagnostics.network.walk_report import build_floor_views, build_walk_rows, match_across_scanners
 from calgraph.errors import Rejected
-from calgraph.estimation.network.estimate import NetworkSolution
-from calgraph.estimation.network.leg_problem import LegObservations
-from calgraph.estimation.network.planar_poses import lift_covariance
 from calgraph.geometry import Array, diagonal_blocks, se2
 from calgraph.graph.pose_graph import PoseGraph
 from calgraph.network.graph.network_graph import compute_joint_covariance
 from calgraph.network.graph.network_initialization import NetworkInitialization
+from calgraph.network.joint.estimate import NetworkSolution
+from calgraph.network.joint.leg_problem import LegObservations
+from calgraph.network.joint.planar_poses import lift_covariance
 from calgraph.network.pairs.hypothesis_evidence import PoseHypothesis
 from calgraph.network.pairs.scanner_pair import ScannerPairEstimate
 from calgraph.network.pairs.synchronized_tracks import resample_tracks

@@ -5,10 +5,10 @@ from functools import partial
 
 import numpy as np
 
-from calgraph.estimation.network.beam_residuals import BeamResiduals, list_beam_residuals
-from calgraph.estimation.network.estimate import NetworkSolution
-from calgraph.estimation.network.problem import BodyObservations, BodyPath, NetworkProblem, NetworkState
 from calgraph.geometry import Array, Index
+from calgraph.network.joint.beam_residuals import BeamResiduals, list_beam_residuals
+from calgraph.network.joint.estimate import NetworkSolution
+from calgraph.network.joint.problem import BodyObservations, BodyPath, NetworkProblem, NetworkState
 from calgraph.result import BeamView, FitError
 
 # Beams that are kept of a scanner, and in all: more do not change what a picture shows.

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from calgraph.config.settings import NetworkModelSettings
-from calgraph.estimation.network.contributions import Contributions, NetworkContributions
-from calgraph.estimation.network.estimate import NetworkSolution
 from calgraph.geometry import Array, se2
+from calgraph.network.joint.contributions import Contributions, NetworkContributions
+from calgraph.network.joint.estimate import NetworkSolution
 from calgraph.result.finding import Finding
 
 # Information (1/m², 1/rad², 1/s²) that keeps stated differences from growing where the data hardly determine them:

@@ -8,14 +8,14 @@ import numpy as np
 from calgraph.config.settings import DiagnosticsSettings
 from calgraph.diagnostics.network.moved_scanners import find_moved_scanners
 from calgraph.errors import CalibrationError, InputError
-from calgraph.estimation.network.estimate import NetworkSolution
-from calgraph.estimation.network.planar_poses import (
+from calgraph.network.joint.estimate import NetworkSolution
+from calgraph.network.joint.planar_poses import (
     PlanarPoses,
     complete_covariance,
     extract_planar_poses,
     lift_covariance,
 )
-from calgraph.estimation.network.scanner_prior import ScannerPrior, build_scanner_prior
+from calgraph.network.joint.scanner_prior import ScannerPrior, build_scanner_prior
 from calgraph.result import Calibration, SensorPose, Verdict
 
 

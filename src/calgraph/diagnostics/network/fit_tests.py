@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.config.settings import NetworkModelSettings
-from calgraph.estimation.network.beam_residuals import list_beam_residuals
-from calgraph.estimation.network.estimate import SolvedNetwork
-from calgraph.estimation.network.problem import BodyObservations, BodyPath, NetworkProblem, NetworkState
 from calgraph.geometry import Array
+from calgraph.network.joint.beam_residuals import list_beam_residuals
+from calgraph.network.joint.estimate import SolvedNetwork
+from calgraph.network.joint.problem import BodyObservations, BodyPath, NetworkProblem, NetworkState
 from calgraph.result.finding import Finding
 
 

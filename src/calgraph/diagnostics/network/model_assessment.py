@@ -15,12 +15,12 @@ from calgraph.diagnostics.network.consistency_tests import (
 )
 from calgraph.diagnostics.network.fit_tests import find_poor_fit
 from calgraph.diagnostics.network.systematic_tests import find_systematic_errors
-from calgraph.estimation.network.contributions import split_contributions
-from calgraph.estimation.network.estimate import NetworkSolution, SolvedNetwork
-from calgraph.estimation.network.leg_problem import LegObservations
 from calgraph.geometry import Array
 from calgraph.network.graph.network_graph import compute_joint_covariance
 from calgraph.network.graph.network_initialization import NetworkInitialization
+from calgraph.network.joint.contributions import split_contributions
+from calgraph.network.joint.estimate import NetworkSolution, SolvedNetwork
+from calgraph.network.joint.leg_problem import LegObservations
 from calgraph.network.tracking.track import ScannerTracks
 from calgraph.result.finding import Finding
 

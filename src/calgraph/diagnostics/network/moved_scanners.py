@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from calgraph.config.settings import DiagnosticsSettings
-from calgraph.estimation.network.planar_poses import PlanarPoses
 from calgraph.geometry import se2
+from calgraph.network.joint.planar_poses import PlanarPoses
 from calgraph.verdict.displaced_nodes import find_displaced_nodes
 
 

@@ -5,8 +5,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from calgraph.config.settings import RigDiagnosticsSettings
-from calgraph.estimation.network.scanner_unknowns import TILT_ERRORS, SystematicErrors
 from calgraph.geometry import Index
+from calgraph.network.joint.scanner_unknowns import TILT_ERRORS, SystematicErrors
 from calgraph.result.finding import Finding
 from calgraph.verdict.parameter_estimates import ParameterEstimates
 

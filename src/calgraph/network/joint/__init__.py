@@ -1,0 +1,1 @@
+"""The joint solution of a network: poses, clocks, paths, bodies and systematic errors."""

@@ -1,0 +1,105 @@
+"""Calls for each body of a network, in batches that an engine evaluates."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any
+
+from calgraph.network.joint.problem import BodyObservations, NetworkProblem, NetworkState
+from calgraph.parallel.engine import THIS_PROCESS, MapEngine
+
+# Beams of a batch: their equations take about 20 ms, of which calls and results are a tenth.
+_BATCH_BEAMS = 20_000
+# Batches of a part: enough for many processes, and five million numbers if there is one for each beam.
+_BATCHES_PER_PART = 250
+
+
+@dataclass(frozen=True, eq=False)
+class KeptValues:
+    """One value for each body, which an engine keeps."""
+
+    handles: tuple[Any, ...]
+    """By batch."""
+
+
+@dataclass(frozen=True, eq=False)
+class BodyBatches:
+    """The bodies of a network in batches, which do not depend on the engine."""
+
+    engine: MapEngine
+    bodies: tuple[slice, ...]
+    """Of each batch, among those of the network."""
+    handles: tuple[Any, ...]
+    """Of the bodies of each batch."""
+
+    @classmethod
+    def place(cls, bodies: Sequence[BodyObservations], engine: MapEngine = THIS_PROCESS) -> "BodyBatches":
+        """Hands bodies to an engine."""
+        bounds, beams = [0], 0
+        for index, body in enumerate(bodies):
+            beams += sum(len(scans.ranges) for scans in body.scans)
+            if beams >= _BATCH_BEAMS or index == len(bodies) - 1:
+                bounds.append(index + 1)
+                beams = 0
+        slices = tuple(slice(*pair) for pair in pairwise(bounds))
+        return cls(engine, slices, tuple(engine.put([bodies[selected] for selected in slices])))
+
+    def divide(self) -> Iterator["BodyBatches"]:
+        """Parts of successive batches, whose results are in memory together."""
+        for first in range(0, len(self.bodies), _BATCHES_PER_PART):
+            part = slice(first, first + _BATCHES_PER_PART)
+            yield replace(self, bodies=self.bodies[part], handles=self.handles[part])
+
+    def thin(self, step: int) -> "BodyBatches":
+        """Every n-th batch."""
+        return replace(self, bodies=self.bodies[::step], handles=self.handles[::step])
+
+    def map(
+        self, function: Callable[..., Any], network: NetworkProblem, state: NetworkState, *others: Any
+    ) -> list[Any]:
+        """Calls a function with the network and the state, one body and its path, and further values of the body.
+
+        Args:
+            function: as for :meth:`MapEngine.map`; the network that it gets has no bodies and
+                walls, and the state no paths.
+            network: with these bodies.
+            state: with their paths.
+            others: one sequence or :class:`KeptValues` for each further argument.
+
+        Returns:
+            Results by body.
+        """
+        results = self.engine.map(_call_each, self._list_work(function, network, state, others))
+        return [result for batch in results for result in batch]
+
+    def map_and_keep(
+        self, function: Callable[..., tuple[Any, Any]], network: NetworkProblem, state: NetworkState, *others: Any
+    ) -> tuple[list[Any], KeptValues]:
+        """Does the same with a function that returns a result and a value to keep."""
+        results, handles = self.engine.map_and_keep(
+            _call_each_and_keep, self._list_work(function, network, state, others)
+        )
+        return [result for batch in results for result in batch], KeptValues(tuple(handles))
+
+    def _list_work(
+        self, function: Callable[..., Any], network: NetworkProblem, state: NetworkState, others: tuple[Any, ...]
+    ) -> list[tuple[Any, ...]]:
+        [shared] = self.engine.put([(replace(network, bodies=(), walls=(), prior=None), replace(state, paths=()))])
+        return [
+            (
+                *(function, shared, self.handles[n], state.paths[selected]),
+                *(other.handles[n] if isinstance(other, KeptValues) else other[selected] for other in others),
+            )
+            for n, selected in enumerate(self.bodies)
+        ]
+
+
+def _call_each(function: Callable[..., Any], shared: tuple[Any, Any], *of_bodies: Sequence[Any]) -> list[Any]:
+    return [function(*shared, *of_body) for of_body in zip(*of_bodies, strict=True)]
+
+
+def _call_each_and_keep(
+    function: Callable[..., tuple[Any, Any]], shared: tuple[Any, Any], *of_bodies: Sequence[Any]
+) -> tuple[list[Any], list[Any]]:
+    pairs = _call_each(function, shared, *of_bodies)
+    return [result for result, _ in pairs], [value for _, value in pairs]

@@ -1,0 +1,180 @@
+"""Normal equations of a body that is an ellipse whose position and heading follow a spline.
+
+Residuals are ranges along the beams, each at its time of measurement.
+"""
+
+import numpy as np
+
+from calgraph.config.settings import BodySettings
+from calgraph.geometry import Array
+from calgraph.network.joint.ellipse_raycast import (
+    RaycastHits,
+    raycast_ellipses_by_axis,
+    rotate_by_small_angles,
+)
+from calgraph.network.joint.path_equations import (
+    add_scans,
+    add_stretch,
+    compute_smoothness_information,
+    compute_stretch,
+    evaluate_at,
+    index_scans,
+)
+from calgraph.network.joint.problem import (
+    BodyObservations,
+    BodyPath,
+    BodyScans,
+    NetworkProblem,
+    NetworkState,
+)
+from calgraph.network.joint.scan_equations import (
+    AZIMUTH_ERRORS,
+    RANGE_ERROR,
+    SCAN_PARAMETERS,
+    ScanEquations,
+    ScanTerms,
+    sum_over_scans,
+)
+from calgraph.network.joint.scanner_unknowns import (
+    RANGE_BIAS,
+    SCANNER_UNKNOWNS,
+    compute_scanner_jacobian,
+    compute_stretches,
+    compute_turns,
+    differentiate_by_azimuth_errors,
+    list_columns,
+)
+from calgraph.network.joint.schur import BodyEquations
+
+# Information (1/rad²) that makes headings invertible of bodies that rest: 1000 rad.
+_HEADING_RIDGE = 1e-6
+
+
+def linearize_body(
+    network: NetworkProblem, state: NetworkState, body: BodyObservations, path: BodyPath
+) -> tuple[BodyEquations, float]:
+    """The equations of an ellipse and its cost."""
+    count, size = body.knots.count, 2 + SCANNER_UNKNOWNS * len(body.scans)
+    stretch = compute_stretch(state, body)
+    band, gradient, cost = _linearize_path_prior(network, body, path, stretch)
+    parts = border, corner, corner_gradient = np.zeros((count, 3, size)), np.zeros((size, size)), np.zeros(size)
+    add_stretch(parts, path.control[:, :2], gradient[:, :2], stretch, len(body.scans))
+    radii_information = body.radii_sigma**-2
+    corner[[0, 1], [0, 1]] += radii_information
+    corner_gradient[:2] += radii_information * (path.radii - body.radii)
+    cost += 0.5 * float(radii_information @ (path.radii - body.radii) ** 2)
+    columns = list_columns([scans.scanner for scans in body.scans])
+    equations = BodyEquations(band, gradient, border, corner, corner_gradient, columns)
+    cost += add_scans(
+        equations, (linearize_ellipse_scans(network, state, body, path, k) for k in range(len(body.scans)))
+    )
+    return equations, cost
+
+
+def linearize_ellipse_scans(
+    network: NetworkProblem, state: NetworkState, body: BodyObservations, path: BodyPath, k: int
+) -> ScanTerms:
+    """The equations of the scans of an ellipse's k-th scanner; its shape has two radii."""
+    scans = body.scans[k]
+    first, weights, pose, rate = evaluate_at(network, state, body, path, scans)
+    equations = build_scan_equations(network, state, path, scans, pose, rate).marginalize_model_error(
+        network.model_error_variance[[0, 0, 1]]
+    )
+    G = compute_scanner_jacobian(network, state, scans, path.radii, pose, rate)
+    return ScanTerms(k, first, weights, equations, G, slice(3, 5), np.array([0, 1]))
+
+
+def raycast_body(state: NetworkState, path: BodyPath, scans: BodyScans, pose: Array, rate: Array) -> RaycastHits:
+    """Predicted measurements of a body with the given pose and rate (V, 3) at the scans' times.
+
+    Their Jacobian (N, P) is by the parameters of :class:`ScanEquations`.
+    """
+    scan = index_scans(scans)
+    T = state.T_root_scanner[scans.scanner]
+    # Components as separate arrays, for speed.
+    x, y, _ = pose.T[:, scan] + scans.beam_delay * rate.T[:, scan]
+    cos, sin = np.cos(pose[:, 2])[scan], np.sin(pose[:, 2])[scan]
+    axis = rotate_by_small_angles(cos, sin, scans.beam_delay * rate[scan, 2])
+    direction = T[:2, :2] @ scans.direction.T
+    systematic = state.systematic[scans.scanner]
+    turn = compute_turns(systematic, scans.azimuth, scans.double_azimuth)
+    if turn.any():
+        direction = rotate_by_small_angles(direction[0], direction[1], turn)
+    hits = raycast_ellipses_by_axis(T[:2, 2], direction.T, np.stack([x, y]).T, axis, path.radii)
+    jacobian, stretch = np.empty((SCAN_PARAMETERS, len(scan))), compute_stretches(systematic, scans.double_azimuth)
+    jacobian[:RANGE_ERROR], jacobian[RANGE_ERROR] = stretch * hits.jacobian.T, 1
+    across = jacobian[1] * direction[0] - jacobian[0] * direction[1]
+    jacobian[AZIMUTH_ERRORS] = differentiate_by_azimuth_errors(
+        systematic, scans, hits.ranges, -hits.ranges * across
+    )
+    ranges = stretch * hits.ranges + systematic[RANGE_BIAS]
+    return RaycastHits(ranges, hits.cos_incidence, jacobian.T)
+
+
+def compute_residuals(network: NetworkProblem, scans: BodyScans, hits: RaycastHits) -> tuple[Array, Array]:
+    """Whitened residuals (N,) of beams, and their derivatives as those of the hits."""
+    sigma = network.range_sigma[scans.scanner]
+    hit = hits.cos_incidence > network.settings.beams.min_hit_cosine
+    residual = np.where(hit, (hits.ranges - scans.ranges) / sigma, network.settings.beams.missed_residual)
+    return residual, np.where(hit[:, None], hits.jacobian / sigma, 0.0)
+
+
+def build_scan_equations(
+    network: NetworkProblem, state: NetworkState, path: BodyPath, scans: BodyScans, pose: Array, rate: Array
+) -> ScanEquations:
+    """Equations of the scans of a body with the given pose and rate (V, 3) at the scans' times."""
+    residual, jacobian = compute_residuals(network, scans, raycast_body(state, path, scans, pose, rate))
+    return sum_over_scans(residual, jacobian, scans.weight, scans.first_beam)
+
+
+def _linearize_path_prior(
+    network: NetworkProblem, body: BodyObservations, path: BodyPath, stretch: float
+) -> tuple[Array, Array, float]:
+    """Smoothness of the path, and people's heading along it: band, gradient and cost.
+
+    Accelerations are those in measured lengths, ``stretch`` times the true ones.
+    """
+    control, step = path.control, body.knots.step
+    band, gradient = np.zeros((len(control), 4, 3, 3)), np.zeros_like(control)
+    smooth = stretch**2 * compute_smoothness_information(step, network.acceleration_density)
+    steady = 1 / (step * network.settings.body.turning_density)
+    bend = control[:-2, :2] - 2 * control[1:-1, :2] + control[2:, :2]
+    for i in range(3):
+        gradient[i : len(control) - 2 + i, :2] += smooth[i, 0] * bend
+        for j in range(i, 3):
+            band[i : len(control) - 2 + i, j - i, [0, 1], [0, 1]] += smooth[i, j]
+    turn = np.diff(control[:, 2])
+    gradient[:-1, 2] -= steady * turn
+    gradient[1:, 2] += steady * turn
+    band[:-1, 0, 2, 2] += steady
+    band[1:, 0, 2, 2] += steady
+    band[:-1, 1, 2, 2] -= steady
+    cost = 0.5 * (smooth[0, 0] * float(np.sum(bend**2)) + steady * float(turn @ turn))
+    if not body.faces_forward:
+        band[:, 0, 2, 2] += 1.0
+        return band, gradient, cost
+    # The direction of motion is taken as exact: the heading would add hardly any information to the path.
+    offset, weight = compute_heading_offsets(body, control[:, :2], control[:, 2:], network.settings.body)
+    gradient[:, 2] += weight * offset[:, 0]
+    band[:, 0, 2, 2] += weight + _HEADING_RIDGE
+    return band, gradient, cost + 0.5 * float(weight @ offset[:, 0] ** 2)
+
+
+def compute_heading_offsets(
+    body: BodyObservations, positions: Array, headings: Array, settings: BodySettings
+) -> tuple[Array, Array]:
+    """Angles between headings and the direction of motion, with the weights of their prior.
+
+    Args:
+        body: whose path it is.
+        positions: (K, 2) control points of the path, m.
+        headings: (K, G) or (G,) at the control points, rad.
+        settings: of the prior.
+
+    Returns:
+        Angles (K, G), modulo π because an ellipse has no front, and weights (K,), 1/rad²; zero where people stand.
+    """
+    velocity = np.gradient(positions, body.knots.step, axis=0)
+    walking = np.linalg.norm(velocity, axis=1) > settings.min_walking_speed
+    offset = headings - np.arctan2(velocity[:, 1], velocity[:, 0])[:, None]
+    return (offset + np.pi / 2) % np.pi - np.pi / 2, walking / settings.heading_sigma**2

@@ -1,0 +1,362 @@
+"""The default estimator of a network: one joint robust solution, starting at the averaged poses of its pairs."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from scipy.linalg import solveh_banded
+
+from calgraph.config import Cylinder, Lidar2dUncertainty, People
+from calgraph.config.settings import NetworkEstimationSettings, ScannerPairSettings, TrackingSettings
+from calgraph.geometry import Array, se2
+from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
+from calgraph.network.joint.body_batches import BodyBatches
+from calgraph.network.joint.body_parts import cut_bodies
+from calgraph.network.joint.ellipse_equations import compute_residuals, raycast_body
+from calgraph.network.joint.heading_search import search_headings
+from calgraph.network.joint.leg_choice import measures_legs
+from calgraph.network.joint.leg_solution import AddWalls, solve_legs
+from calgraph.network.joint.model_error import estimate_model_error
+from calgraph.network.joint.near_covariances import NearCovariances
+from calgraph.network.joint.path_equations import compute_smoothness_information, evaluate_at
+from calgraph.network.joint.problem import (
+    BodyObservations,
+    BodyPath,
+    BodyScans,
+    NetworkProblem,
+    NetworkState,
+    WallConstraint,
+)
+from calgraph.network.joint.range_noise import estimate_range_noise
+from calgraph.network.joint.scanner_prior import ScannerPrior
+from calgraph.network.joint.scanner_unknowns import (
+    CLOCK,
+    FIRST_SYSTEMATIC,
+    SYSTEMATIC_ERRORS,
+    SystematicErrors,
+    collect_prior_sigma,
+)
+from calgraph.network.joint.solver import (
+    NetworkEquations,
+    compute_network_covariance,
+    list_known_pairs,
+    optimize_network,
+)
+from calgraph.network.joint.splines import Knots
+from calgraph.network.joint.systematic_spread import estimate_systematic_sigma
+from calgraph.network.joint.track_association import BodyTracks, group_tracks_by_body
+from calgraph.network.joint.tukey_loss import TukeyLoss
+from calgraph.network.joint.wall_constraints import register_walls, select_bridges
+from calgraph.network.tracking.track import ScannerTracks, Track
+from calgraph.parallel.engine import THIS_PROCESS, MapEngine
+from calgraph.parallel.mapped_arrays import ArrayMemory
+
+# People whose beams are in one file, if they are not in memory: systems allow tens of thousands of mapped files.
+_BODIES_PER_FILE = 100
+
+
+@dataclass(frozen=True, eq=False)
+class SolvedNetwork:
+    """The problem of a joint solution, with its minimum."""
+
+    problem: NetworkProblem
+    """With the noise, model error and robust weights of the last round."""
+    state: NetworkState
+    equations: NetworkEquations
+    """The normal equations at the state, that of the last accepted step."""
+
+
+@dataclass(frozen=True, eq=False)
+class NetworkSolution:
+    """The joint solution of a network of S scanners."""
+
+    T_root_scanner: Array
+    """(S, 3, 3)."""
+    clock_offset: Array
+    """(S,) scanner clock minus root clock in the middle of the recording, s."""
+    covariance: NearCovariances
+    """Of pose in the root's fixed axes and clock offset; unknown between scanners of a large network that have no
+    common body or wall."""
+    clocks_estimated: bool
+    """Whether clock offsets were estimated."""
+    model_error: float
+    """Standard deviation of the position of bodies in a scan about their smooth path, m."""
+    solved: SolvedNetwork | None = None
+    """What was solved, for tests of the solution; None where only the result is given."""
+    systematic: SystematicErrors | None = None
+    """Systematic errors of the scanners."""
+
+    @property
+    def pose_covariance(self) -> Array:
+        """(3S, 3S) of the poses, in the root's fixed axes; zero for the root, NaN where it is unknown."""
+        covariance = self.covariance.select_errors(np.arange(3)).expand()
+        covariance[:3] = covariance[:, :3] = 0.0
+        return covariance
+
+    def scale_covariance(self, factor: float) -> "NetworkSolution":
+        """The solution with a covariance that is larger by a factor."""
+        return replace(self, covariance=self.covariance.scale(factor))
+
+    @property
+    def clocks(self) -> Array:
+        """(S, 2) offsets and their standard deviations, s; NaN where they were not estimated, and for the root."""
+        clocks = np.column_stack([self.clock_offset, self.covariance.stddev[:, CLOCK]])
+        clocks[slice(0, 1) if self.clocks_estimated else slice(None)] = np.nan
+        return clocks
+
+
+def solve_network(
+    target: People | Cylinder,
+    tracked: Sequence[ScannerTracks],
+    averaged: PoseGraphSolution,
+    graph: PoseGraph,
+    *,
+    estimate_clocks: bool = True,
+    uncertainties: Sequence[Lidar2dUncertainty] = (),
+    prior: ScannerPrior | None = None,
+    settings: NetworkEstimationSettings = NetworkEstimationSettings(),
+    acceleration_density: float = TrackingSettings().acceleration_density,
+    pair_settings: ScannerPairSettings = ScannerPairSettings(),
+    engine: MapEngine = THIS_PROCESS,
+) -> NetworkSolution:
+    """Solves jointly for poses, clocks and systematic errors of scanners, and paths and radii of bodies.
+
+    Args:
+        target: the kind of bodies.
+        tracked: the tracks of each scanner, the root's first.
+        averaged: start poses, and the pairs that are inliers.
+        graph: of these pairs.
+        estimate_clocks: whether the scanners' clocks may differ.
+        uncertainties: prior standard deviations of systematic errors of each scanner; the defaults if left out.
+        prior: of scanner poses, from an earlier calibration.
+        settings: of the estimate.
+        acceleration_density: spectral density of a body's acceleration, m²/s³.
+        pair_settings: of the ICP of static backgrounds, and of the ticks at which tracks are compared.
+        engine: evaluates bodies and walls; does not affect the result.
+    """
+    T_root_scanner = averaged.T_root_node
+    edges = [
+        WallConstraint(int(i), int(j), T, information)
+        for (i, j), T, information, inlier in zip(
+            graph.edges, graph.T_i_j, graph.information, averaged.inliers, strict=True
+        )
+        if inlier
+    ]
+    walks = group_tracks_by_body(tracked, T_root_scanner, pair_settings.resampling.tick_period, settings.grouping)
+    bodies = cut_bodies(walks, settings.parts)
+    state = NetworkState(
+        T_root_scanner,
+        np.zeros(len(tracked)),
+        np.zeros((len(tracked), len(SYSTEMATIC_ERRORS))),
+        tuple(_initialize_path(body, target, T_root_scanner, settings, acceleration_density) for body in bodies),
+    )
+    errors = settings.model_error
+    background = np.array([scanner.sigma for scanner in tracked])
+    prior_sigma = collect_prior_sigma(
+        uncertainties or [Lidar2dUncertainty()] * len(tracked), estimate_clocks=estimate_clocks
+    )
+    network = NetworkProblem(
+        len(tracked),
+        tuple(_observe_bodies(bodies, target, settings)),
+        (),
+        range_sigma=background,
+        model_error_variance=np.array([errors.initial_position_sigma, errors.initial_heading_sigma]) ** 2,
+        clock_sigma=settings.clock_sigma if estimate_clocks else 0.0,
+        systematic_sigma=prior_sigma,
+        mid_time=(bodies[0].start + max(body.end for body in bodies)) / 2 if bodies else 0.0,
+        acceleration_density=acceleration_density,
+        settings=settings,
+        prior=prior,
+    )
+
+    def add_walls(network: NetworkProblem, state: NetworkState) -> NetworkProblem:
+        walls = register_walls(tracked, network, state, pair_settings, engine)
+        return replace(network, walls=(*walls, *select_bridges(network, walls, edges)))
+
+    foregrounds = [one.foreground for one in tracked if one.foreground is not None]
+    if (
+        isinstance(target, People)
+        and len(foregrounds) == len(tracked)
+        and measures_legs(target, tracked, settings.legs)
+    ):
+        network, state, equations = solve_legs(network, state, foregrounds, add_walls, engine)
+    else:
+        network, state, equations = _solve_bodies(network, state, edges, add_walls, engine)
+    covariance, pairs = compute_network_covariance(equations), list_known_pairs(network)
+    return NetworkSolution(
+        state.T_root_scanner,
+        state.clock_offset,
+        covariance.select_pairs(pairs, slice(FIRST_SYSTEMATIC)),
+        estimate_clocks,
+        float(np.sqrt(network.model_error_variance[0])),
+        solved=SolvedNetwork(network, state, equations),
+        systematic=SystematicErrors(
+            state.systematic, covariance.select_pairs(pairs, slice(FIRST_SYSTEMATIC, None)), prior_sigma
+        ),
+    )
+
+
+def _solve_bodies(
+    network: NetworkProblem,
+    state: NetworkState,
+    edges: Sequence[WallConstraint],
+    add_walls: AddWalls,
+    engine: MapEngine,
+) -> tuple[NetworkProblem, NetworkState, NetworkEquations]:
+    """Solves for scanners and ellipses, from the noise of the background and the priors of rig.yaml."""
+    settings, background, prior_sigma = network.settings, network.range_sigma, network.systematic_sigma
+    network = replace(network, walls=select_bridges(network, (), edges))
+    batches = BodyBatches.place(network.bodies, engine)
+    for path_sigma in (settings.first_path_sigma, settings.second_path_sigma):
+        network = replace(network, range_sigma=np.hypot(background, path_sigma))
+        network, batches = _update_weights(network, state, batches, settings.beams.initial_near_side_factor)
+        state, equations = optimize_network(network, state, iterations=settings.iterations, batches=batches)
+        state = search_headings(network, state, batches)
+    previous = np.full(2, np.inf)
+    for rounds_left in reversed(range(settings.max_rounds)):
+        range_sigma = estimate_range_noise(network, state, equations, background)
+        network, batches = _update_weights(replace(network, range_sigma=range_sigma), state, batches)
+        network = replace(
+            network,
+            model_error_variance=estimate_model_error(network, state, batches),
+            systematic_sigma=estimate_systematic_sigma(network, state, equations, prior_sigma, engine),
+        )
+        change = np.abs(network.model_error_variance / previous - 1)
+        last = rounds_left == 0 or bool(np.all(change < settings.model_error.tolerance))
+        network = add_walls(network, state)
+        state, equations = optimize_network(
+            network,
+            state,
+            iterations=settings.iterations,
+            tolerance=settings.final_tolerance,
+            relative_tolerance=0.0 if last else settings.round_tolerance,
+            damping=settings.round_damping,
+            batches=batches,
+        )
+        if last:
+            break
+        previous = network.model_error_variance
+    return network, state, equations
+
+
+def _observe_bodies(
+    bodies: Sequence[BodyTracks], target: People | Cylinder, settings: NetworkEstimationSettings
+) -> Iterator[BodyObservations]:
+    """The beams of all bodies, with limited memory."""
+    memory = ArrayMemory(settings.max_kept_bytes)
+    for first in range(0, len(bodies), _BODIES_PER_FILE):
+        selected = bodies[first : first + _BODIES_PER_FILE]
+        yield from memory.limit([_build_observations(body, target, settings) for body in selected])
+
+
+def _build_observations(
+    body: BodyTracks, target: People | Cylinder, settings: NetworkEstimationSettings
+) -> BodyObservations:
+    radii = _prior_radii(target)
+    people = isinstance(target, People)
+    sigma = settings.body.people_radii_sigma * radii if people else np.full(2, settings.body.cylinder_radius_sigma)
+    scans = tuple(collect_scans(scanner, tracks) for scanner, tracks in sorted(body.by_scanner().items()))
+    return BodyObservations(_place_knots(body, settings), scans, radii, sigma, faces_forward=people)
+
+
+def _place_knots(body: BodyTracks, settings: NetworkEstimationSettings) -> Knots:
+    """Knots that cover the body's tracks for clock offsets of up to three standard deviations."""
+    margin = 3 * settings.clock_sigma
+    return Knots.spanning(body.start - margin, body.end + margin, settings.body.knot_interval)
+
+
+def _prior_radii(target: People | Cylinder) -> Array:
+    return np.array(target.axes) if isinstance(target, People) else np.full(2, target.diameter / 2)
+
+
+def collect_scans(scanner: int, tracks: Sequence[Track]) -> BodyScans:
+    """All beams of one scanner on one body, by scan in order of time."""
+    times, points, beam_times, counts = [], [], [], []
+    for track in sorted(tracks, key=lambda track: float(track.times[0])):
+        times.append(track.times)
+        points.append(track.hits.points)
+        beam_times.append(track.hits.times)
+        counts.append(np.bincount(track.hits.time_index, minlength=len(track.times)))
+    scan_time, point, beam_time = (np.concatenate(part) for part in (times, points, beam_times))
+    count = np.concatenate(counts)
+    # Tracks of one body may overlap slightly: scans are sorted by time, with their beams.
+    order = np.argsort(scan_time, kind="stable")
+    start = np.cumsum(count) - count
+    beams = np.concatenate([np.arange(start[i], start[i] + count[i]) for i in order])
+    ranges = np.linalg.norm(point[beams], axis=1)
+    scan = np.repeat(np.arange(len(order)), count[order])
+    return BodyScans(
+        scanner,
+        scan_time[order],
+        np.asarray(np.cumsum(count[order]) - count[order], dtype=np.intp),
+        point[beams] / ranges[:, None],
+        ranges,
+        beam_time[beams] - scan_time[order][scan],
+        np.ones(len(beams)),
+    )
+
+
+def _initialize_path(
+    body: BodyTracks,
+    target: People | Cylinder,
+    T_root_scanner: Array,
+    settings: NetworkEstimationSettings,
+    acceleration_density: float,
+) -> BodyPath:
+    """Smoothing spline through the positions of all tracks, with the heading along the direction of motion."""
+    knots = _place_knots(body, settings)
+    times = np.concatenate([track.times for _, track in body.tracks])
+    positions = np.concatenate([se2.apply(T_root_scanner[s], track.positions) for s, track in body.tracks])
+    first, weights, _ = knots.basis_at(times)
+    band, right = np.zeros((4, knots.count)), np.zeros((knots.count, 2))
+    for i in range(4):
+        np.add.at(right, first + i, weights[:, i, None] * positions / settings.body.track_sigma**2)
+        for j in range(i, 4):
+            np.add.at(band[j - i], first + i, weights[:, i] * weights[:, j] / settings.body.track_sigma**2)
+    smooth = compute_smoothness_information(knots.step, acceleration_density)
+    for i in range(3):
+        for j in range(i, 3):
+            band[j - i, i : knots.count - 2 + i] += smooth[i, j]
+    # Makes knots without positions invertible; the smoothness determines them.
+    band[0] += 1e-9
+    control = solveh_banded(band, right, lower=True)
+    velocity = np.gradient(control, knots.step, axis=0)
+    walking = np.linalg.norm(velocity, axis=1) > settings.body.min_walking_speed
+    heading = np.arctan2(velocity[:, 1], velocity[:, 0])
+    if walking.any():
+        k = np.arange(len(control))
+        heading = np.interp(k, k[walking], np.unwrap(heading[walking]))
+    return BodyPath(np.column_stack([control, heading]), _prior_radii(target))
+
+
+def _update_weights(
+    network: NetworkProblem, state: NetworkState, batches: BodyBatches, near_side_factor: float = 1.0
+) -> tuple[NetworkProblem, BodyBatches]:
+    """The network with robust weights of beams at a state, and its bodies; the factor is that of the weights."""
+    compute_weights = partial(_compute_weights, near_side_factor=near_side_factor)
+    memory, bodies = ArrayMemory(network.settings.max_kept_bytes), list[BodyObservations]()
+    for part in batches.divide():
+        weights = memory.limit(part.map(compute_weights, network, state))
+        for body, of_scanners in zip(network.bodies[len(bodies) :], weights, strict=False):
+            scans = (replace(one, weight=weight) for one, weight in zip(body.scans, of_scanners, strict=True))
+            bodies.append(replace(body, scans=tuple(scans)))
+    return replace(network, bodies=tuple(bodies)), BodyBatches.place(bodies, batches.engine)
+
+
+def _compute_weights(
+    network: NetworkProblem,
+    state: NetworkState,
+    body: BodyObservations,
+    path: BodyPath,
+    near_side_factor: float,
+) -> list[Array]:
+    """Weights (N,) of each scanner's beams on a body."""
+    beams, weights = network.settings.beams, []
+    for scans in body.scans:
+        _, _, pose, rate = evaluate_at(network, state, body, path, scans)
+        hits = raycast_body(state, path, scans, pose, rate)
+        residual, _ = compute_residuals(network, scans, hits)
+        used = hits.cos_incidence > beams.min_cos_incidence
+        weights.append(TukeyLoss(beams.tukey_limit).compute_weights(residual, used, near_side_factor))
+    return weights

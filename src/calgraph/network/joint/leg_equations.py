@@ -1,0 +1,169 @@
+"""Normal equations of one leg over its path, its shape, a bias of each scanner's ranges, and the scanners.
+
+The outline of a leg differs from the model in a way that depends on the side from which a scanner measures it. The
+bias of each scanner and leg stands for that; the elimination of the leg marginalises it.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from calgraph.config.settings import LegSettings
+from calgraph.geometry import Array
+from calgraph.network.joint.ellipse_raycast import rotate_by_small_angles
+from calgraph.network.joint.leg_problem import LegObservations, LegPath, compute_shape_prior
+from calgraph.network.joint.leg_raycast import LegHits, raycast_legs
+from calgraph.network.joint.path_equations import (
+    add_scans,
+    add_stretch,
+    compute_smoothness_information,
+    compute_stretch,
+    evaluate_at,
+    index_scans,
+)
+from calgraph.network.joint.problem import BodyScans, NetworkProblem, NetworkState
+from calgraph.network.joint.scan_equations import (
+    AZIMUTH_ERRORS,
+    RANGE_ERROR,
+    SCAN_PARAMETERS,
+    ScanTerms,
+    sum_over_scans,
+)
+from calgraph.network.joint.scanner_unknowns import (
+    FIRST_SYSTEMATIC,
+    RANGE_BIAS,
+    RANGE_SCALE,
+    SCANNER_UNKNOWNS,
+    compute_scan_stretches,
+    compute_scanner_jacobian,
+    compute_stretches,
+    compute_turns,
+    differentiate_by_azimuth_errors,
+    list_columns,
+)
+from calgraph.network.joint.schur import BodyEquations
+
+# Zero-gradient information (1/m², 1/rad²) that keeps control points without measurements invertible: 30 m, 10 rad.
+_POSITION_RIDGE, _HEADING_RIDGE = 1e-3, 1e-2
+
+
+def raycast_leg(
+    network: NetworkProblem, state: NetworkState, path: LegPath, scans: BodyScans, pose: Array, rate: Array
+) -> LegHits:
+    """Predicted measurements of a leg with the given pose and rate (V, 3) at the scans' times, without its bias.
+
+    Their Jacobian has the columns of :class:`LegHits`, an error of all ranges (m), the angle scale, and the
+    stretches.
+    """
+    scan = index_scans(scans)
+    T = state.T_root_scanner[scans.scanner]
+    x, y, heading = pose.T[:, scan] + scans.beam_delay * rate.T[:, scan]
+    direction = T[:2, :2] @ scans.direction.T
+    systematic = state.systematic[scans.scanner]
+    turn = compute_turns(systematic, scans.azimuth, scans.double_azimuth)
+    direction = rotate_by_small_angles(direction[0], direction[1], turn)
+    body = network.settings.legs.body
+    hits = raycast_legs(
+        T[:2, 2], direction.T, np.stack([x, y], axis=1), heading, path.shape, body.harmonics, body.max_edge_ratio
+    )
+    stretch = compute_stretches(systematic, scans.double_azimuth)
+    jacobian = stretch[:, None] * hits.jacobian
+    # A rotation of the beam acts like the opposite one of the leg about the scanner.
+    by_rotation = (y - T[1, 2]) * jacobian[:, 0] - (x - T[0, 2]) * jacobian[:, 1] - jacobian[:, 2]
+    by_azimuth_errors = differentiate_by_azimuth_errors(systematic, scans, hits.ranges, by_rotation)
+    return replace(
+        hits,
+        ranges=stretch * hits.ranges + systematic[RANGE_BIAS],
+        jacobian=np.column_stack([jacobian, np.ones(len(scan)), by_azimuth_errors.T]),
+    )
+
+
+def compute_leg_residuals(
+    network: NetworkProblem, scans: BodyScans, hits: LegHits, bias: float
+) -> tuple[Array, Array]:
+    """Whitened residuals (N,), and their standard deviations (N,), m: ranges are less certain near the edges."""
+    sigma = np.hypot(network.range_sigma[scans.scanner], network.settings.legs.body.edge_sigma * hits.slope)
+    return (hits.ranges + bias - scans.ranges) / sigma, sigma
+
+
+def linearize_leg_scans(
+    network: NetworkProblem, state: NetworkState, leg: LegObservations, path: LegPath, k: int
+) -> ScanTerms:
+    """The equations of the scans of a leg's k-th scanner; the error of all its ranges is its bias."""
+    scans, shapes = leg.scans[k], len(path.shape)
+    first, weights, pose, rate = evaluate_at(network, state, leg, path, scans)
+    hits = raycast_leg(network, state, path, scans, pose, rate)
+    residual, sigma = compute_leg_residuals(network, scans, hits, float(path.bias[k]))
+    G = _compute_scanner_jacobian(network, state, path, scans, pose, rate)
+    equations = sum_over_scans(residual, hits.jacobian / sigma[:, None], scans.weight, scans.first_beam)
+    shape_columns = np.concatenate([np.arange(shapes), [shapes + k]])
+    return ScanTerms(k, first, weights, equations, G, slice(3, 4 + shapes), shape_columns)
+
+
+def linearize_leg(
+    network: NetworkProblem, state: NetworkState, leg: LegObservations, path: LegPath
+) -> tuple[BodyEquations, float]:
+    """A leg's equations and its cost; the local unknowns are its shape (B,) and the bias of each scanner (L,)."""
+    settings = network.settings.legs
+    count, shapes = leg.knots.count, len(path.shape)
+    local = shapes + len(leg.scans)
+    size = local + SCANNER_UNKNOWNS * len(leg.scans)
+    stretch = compute_stretch(state, leg)
+    band, gradient, cost = _linearize_leg_path(leg, path, settings, stretch)
+    parts = border, corner, corner_gradient = np.zeros((count, 3, size)), np.zeros((size, size)), np.zeros(size)
+    add_stretch(parts, path.control[:, :2], gradient[:, :2], stretch, len(leg.scans))
+    mean, sigma = compute_shape_prior(settings.body)
+    information = np.concatenate([sigma**-2, np.full(len(leg.scans), 1 / leg.bias_variance)])
+    deviation = np.concatenate([path.shape - mean, path.bias])
+    corner[np.arange(local), np.arange(local)] = information
+    corner_gradient[:local] = information * deviation
+    cost += 0.5 * float(information @ deviation**2)
+    columns = list_columns([scans.scanner for scans in leg.scans])
+    equations = BodyEquations(band, gradient, border, corner, corner_gradient, columns)
+    cost += add_scans(
+        equations, (linearize_leg_scans(network, state, leg, path, k) for k in range(len(leg.scans)))
+    )
+    return equations, cost
+
+
+def _compute_scanner_jacobian(
+    network: NetworkProblem, state: NetworkState, path: LegPath, scans: BodyScans, pose: Array, rate: Array
+) -> Array:
+    """(V, n, U) of the columns of :func:`raycast_leg` by the scanner's unknowns."""
+    bias_row = 3 + len(path.shape)
+    rows = [0, 1, 2, *(bias_row + np.arange(1 + len(AZIMUTH_ERRORS)))]
+    G = np.zeros((len(pose), len(path.shape) + SCAN_PARAMETERS - 2, SCANNER_UNKNOWNS))
+    common = compute_scanner_jacobian(network, state, scans, path.radii, pose, rate)
+    G[:, rows] = common[:, [0, 1, 2, RANGE_ERROR, *AZIMUTH_ERRORS]]
+    # All lengths of the shape scale with ranges but the amplitudes of the ellipse, which are relative.
+    lengths = path.shape.copy()
+    lengths[1:3] = 0
+    G[:, 3:bias_row, FIRST_SYSTEMATIC + RANGE_SCALE] = lengths / compute_scan_stretches(state, scans)
+    return G
+
+
+def _linearize_leg_path(
+    leg: LegObservations, path: LegPath, settings: LegSettings, stretch: float
+) -> tuple[Array, Array, float]:
+    """Smoothness of position and heading, and the heading along the walk: band, gradient and cost."""
+    control, step = path.control, leg.knots.step
+    band, gradient = np.zeros((len(control), 4, 3, 3)), np.zeros_like(control)
+    smooth = stretch**2 * compute_smoothness_information(step, leg.acceleration_density)
+    bend = control[:-2, :2] - 2 * control[1:-1, :2] + control[2:, :2]
+    for i in range(3):
+        gradient[i : len(control) - 2 + i, :2] += smooth[i, 0] * bend
+        for j in range(i, 3):
+            band[i : len(control) - 2 + i, j - i, [0, 1], [0, 1]] += smooth[i, j]
+    steady = 1 / (step * settings.body.turning_density)
+    turn = np.diff(control[:, 2])
+    gradient[:-1, 2] -= steady * turn
+    gradient[1:, 2] += steady * turn
+    band[:-1, 0, 2, 2] += steady
+    band[1:, 0, 2, 2] += steady
+    band[:-1, 1, 2, 2] -= steady
+    offset = control[:, 2] - leg.heading
+    gradient[:, 2] += leg.heading_information * offset
+    band[:, 0, 2, 2] += leg.heading_information + _HEADING_RIDGE
+    band[:, 0, [0, 1], [0, 1]] += _POSITION_RIDGE
+    squares = smooth[0, 0] * np.sum(bend**2) + steady * (turn @ turn) + leg.heading_information @ offset**2
+    return band, gradient, 0.5 * float(squares)

@@ -1,0 +1,164 @@
+"""The joint solution of a network whose scanners measure people's legs.
+
+Each leg is a separate body. Legs are tracked through the views of all scanners under approximate poses; in every
+round, beams are associated again with the nearest leg, under the poses and clocks of the round before.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from calgraph.config.settings import LegSettings
+from calgraph.geometry import Array
+from calgraph.network.joint.body_batches import BodyBatches
+from calgraph.network.joint.leg_association import LegCandidate, ScannerBeams, associate_beams
+from calgraph.network.joint.leg_equations import compute_leg_residuals, raycast_leg
+from calgraph.network.joint.leg_noise import LegNoise, estimate_noise
+from calgraph.network.joint.leg_problem import LegObservations, LegPath, compute_shape_prior
+from calgraph.network.joint.leg_start import initialize_leg, predict_headings
+from calgraph.network.joint.leg_tracks import track_legs
+from calgraph.network.joint.path_equations import evaluate_at
+from calgraph.network.joint.problem import BodyScans, NetworkProblem, NetworkState
+from calgraph.network.joint.solver import NetworkEquations, optimize_network
+from calgraph.network.joint.systematic_spread import estimate_systematic_sigma
+from calgraph.network.joint.tukey_loss import TukeyLoss
+from calgraph.network.tracking.clusters import Foreground
+from calgraph.network.tracking.leg_clusters import cluster_legs
+from calgraph.parallel.engine import THIS_PROCESS, MapEngine
+
+AddWalls = Callable[[NetworkProblem, NetworkState], NetworkProblem]
+"""Replaces the wall constraints of a problem by those at a state."""
+
+
+def solve_legs(
+    network: NetworkProblem,
+    state: NetworkState,
+    foregrounds: Sequence[Foreground],
+    add_walls: AddWalls,
+    engine: MapEngine = THIS_PROCESS,
+) -> tuple[NetworkProblem, NetworkState, NetworkEquations]:
+    """Solves jointly for the unknowns of scanners, and the paths and shapes of legs.
+
+    Args:
+        network: whose bodies are replaced, with the noise of the background and the priors of rig.yaml.
+        state: with start poses and clocks.
+        foregrounds: of each scanner.
+        add_walls: registers the static backgrounds.
+        engine: evaluates legs.
+
+    Returns:
+        The problem of the last round, with its minimum and the normal equations there.
+    """
+    settings, background = network.settings.legs, network.range_sigma
+    prior_sigma = systematic_sigma = network.systematic_sigma
+    clusters = [cluster_legs(*pair, settings.clusters) for pair in zip(foregrounds, background, strict=True)]
+    beams = [ScannerBeams.from_foreground(foreground) for foreground in foregrounds]
+    noise = LegNoise(
+        np.hypot(background, network.settings.second_path_sigma),
+        settings.body.initial_bias_sigma**2,
+        settings.tracks.acceleration_density,
+    )
+    for tracking in range(settings.max_trackings):
+        tracks = track_legs(clusters, state.T_root_scanner, state.clock_offset, settings.tracks)
+        candidates = [initialize_leg(track, settings) for track in tracks]
+        clocks = state.clock_offset
+        for round_ in range(settings.rounds):
+            network = replace(network, systematic_sigma=systematic_sigma)
+            network, state, candidates = _associate(network, state, candidates, beams, noise)
+            # The averaged poses may be too far off for the registration of walls.
+            if tracking + round_ > 0:
+                network = add_walls(network, state)
+            batches = BodyBatches.place(network.bodies, engine)
+            state, equations = optimize_network(network, state, iterations=settings.iterations, batches=batches)
+            candidates = [
+                replace(candidate, path=path)
+                for candidate, (_, path) in zip(candidates, _list_legs(network, state), strict=True)
+            ]
+            noise = estimate_noise(network, state, equations, background)
+            systematic_sigma = estimate_systematic_sigma(network, state, equations, prior_sigma, engine)
+        if tracking > 0 and np.abs(state.clock_offset - clocks).max() < settings.clock_tolerance:
+            break
+    return network, state, equations
+
+
+def _list_legs(network: NetworkProblem, state: NetworkState) -> list[tuple[LegObservations, LegPath]]:
+    return [
+        (leg, path)
+        for leg, path in zip(network.bodies, state.paths, strict=True)
+        if isinstance(leg, LegObservations) and isinstance(path, LegPath)
+    ]
+
+
+def _associate(
+    network: NetworkProblem,
+    state: NetworkState,
+    candidates: Sequence[LegCandidate],
+    beams: Sequence[ScannerBeams],
+    noise: LegNoise,
+) -> tuple[NetworkProblem, NetworkState, list[LegCandidate]]:
+    """The problem of the legs that at least two scanners measure, with robust weights, and its start values."""
+    settings, network = network.settings.legs, replace(network, range_sigma=noise.range_sigma)
+    by_scanner = [
+        associate_beams(
+            one,
+            s,
+            state.T_root_scanner[s],
+            float(state.clock_offset[s]),
+            state.systematic[s],
+            float(network.range_sigma[s]),
+            candidates,
+            settings.association,
+        )
+        for s, one in enumerate(beams)
+    ]
+    measured, bodies, paths = [], [], []
+    for candidate, of_scanners in zip(candidates, zip(*by_scanner, strict=True), strict=True):
+        scans = tuple(one for one in of_scanners if one and len(one.ranges) >= settings.association.min_beams)
+        if len(scans) >= 2:
+            leg, path = _observe_leg(candidate, scans, noise, settings)
+            measured.append(candidate)
+            bodies.append(leg)
+            paths.append(path)
+    state = replace(state, paths=tuple(paths))
+    return _update_weights(replace(network, bodies=tuple(bodies)), state), state, measured
+
+
+def _observe_leg(
+    leg: LegCandidate, scans: tuple[BodyScans, ...], noise: LegNoise, settings: LegSettings
+) -> tuple[LegObservations, LegPath]:
+    """A leg with its beams; biases start at zero, as the scanners that measure it change."""
+    heading, information = predict_headings(leg.path.control[:, :2], leg.knots.step, settings.body)
+    # Headings of the path and of its prior differ by whole turns if the person turned while standing.
+    turns = np.round((leg.path.control[:, 2] - heading) / (2 * np.pi))
+    (mean, *_), (sigma, *_) = compute_shape_prior(settings.body)
+    observations = LegObservations(
+        leg.knots,
+        scans,
+        np.full(2, mean),
+        np.full(2, sigma),
+        faces_forward=True,
+        heading=heading + 2 * np.pi * turns,
+        heading_information=information,
+        bias_variance=noise.bias_variance,
+        acceleration_density=noise.acceleration_density,
+    )
+    return observations, LegPath.from_shape(leg.path.control, leg.path.shape, np.zeros(len(scans)))
+
+
+def _update_weights(network: NetworkProblem, state: NetworkState) -> NetworkProblem:
+    """The network with robust weights of beams at a state."""
+    loss = TukeyLoss(network.settings.beams.tukey_limit)
+
+    def compute_weights(leg: LegObservations, path: LegPath, k: int) -> Array:
+        scans = leg.scans[k]
+        _, _, pose, rate = evaluate_at(network, state, leg, path, scans)
+        hits = raycast_leg(network, state, path, scans, pose, rate)
+        residual, _ = compute_leg_residuals(network, scans, hits, float(path.bias[k]))
+        return loss.compute_weights(residual, np.ones(len(residual), dtype=np.bool_))
+
+    bodies = []
+    for leg, path in _list_legs(network, state):
+        scans = [replace(one, weight=compute_weights(leg, path, k)) for k, one in enumerate(leg.scans)]
+        bodies.append(replace(leg, scans=tuple(scans)))
+    return replace(network, bodies=tuple(bodies))

@@ -1,0 +1,176 @@
+"""Estimates how far bodies deviate from ellipses on smooth paths, from discrepancies between scanners.
+
+Arms and shoulders swing with the steps: the errors of consecutive scans are correlated, and those of scanners on
+different sides differ. Scanners are therefore compared stride by stride. The joint estimator treats scans as
+independent, so the variance of a scan is chosen such that the covariance of a whole stride is right.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from calgraph.config.settings import ModelErrorSettings
+from calgraph.geometry import Array, Index, se_n
+from calgraph.network.joint.body_batches import BodyBatches
+from calgraph.network.joint.ellipse_equations import build_scan_equations
+from calgraph.network.joint.path_equations import evaluate_at
+from calgraph.network.joint.problem import BodyObservations, BodyPath, NetworkProblem, NetworkState
+from calgraph.network.joint.scan_equations import ScanEquations
+from calgraph.network.joint.scanner_unknowns import compute_root_times
+from calgraph.network.joint.tukey_loss import TukeyLoss
+
+# Variances that are tried together, and how many times: between the last of them, 8 % of a standard deviation
+# apart, the logarithm of the discrepancy is linear.
+_TRIALS, _REFINEMENTS = 9, 2
+# Ridge (1/m², 1/rad²) that makes matrices invertible where there is no information.
+_RIDGE = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class _Component:
+    """Components of a pose that share one variance."""
+
+    axes: Index
+    """Of the pose."""
+    min_sigma: float
+    """Least standard deviation, m or rad."""
+    max_sigma: float
+    """Greatest standard deviation, m or rad."""
+
+
+def _list_components(settings: ModelErrorSettings) -> tuple[_Component, _Component]:
+    """Position and heading, in the order of :attr:`NetworkProblem.model_error_variance`."""
+    return (
+        _Component(np.array([0, 1]), settings.min_position_sigma, settings.max_position_sigma),
+        _Component(np.array([2]), settings.min_heading_sigma, settings.max_heading_sigma),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _ScanEquations:
+    """The equations of one body's pose, before the model error is marginalised."""
+
+    scans: ScanEquations
+    """Of all scanners, over the body's pose only."""
+    part: Index
+    """(V,) of each scan: a stride of a scanner, whose scanners are numbered one after the other."""
+    scanners: int
+    """Number of scanners, L."""
+
+
+def estimate_model_error(
+    network: NetworkProblem, state: NetworkState, batches: BodyBatches | None = None
+) -> Array:
+    """(2,) variances of position (m²) and heading (rad²) that explain the discrepancies between scanners.
+
+    Each is found as the root of an equation, given the other. Multiplying it repeatedly by the ratio of observed
+    to expected discrepancy has the same fixed point, but converges slowly where the model error is small beside
+    the noise of a scan. Where no two scanners measure a body within one stride, a variance keeps its value.
+
+    Args:
+        network: the problem.
+        state: near its minimum.
+        batches: the bodies, where they have been placed already.
+    """
+    beams = int(network.count_beams().sum())
+    batches = batches or BodyBatches.place(network.bodies)
+    batches = batches.thin(1 + beams // network.settings.model_error.max_beams)
+    _, kept = batches.map_and_keep(_collect_equations, network, state)
+    score_to_information = TukeyLoss(network.settings.beams.tukey_limit).score_to_information
+    variances = network.model_error_variance.copy()
+
+    def compute_log_ratios(index: int, component: _Component, log_variances: Array) -> tuple[Array, Array]:
+        """Logarithms (n,) of observed over expected discrepancies, and the latter, for trials of a variance."""
+        trials = np.tile(variances, (len(log_variances), 1))
+        trials[:, index] = np.exp(log_variances)
+        compare = partial(_compare_scanners, trials=trials, component=component)
+        observed, expected = sum(batches.map(compare, network, state, kept), np.zeros((len(trials), 2))).T
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.log(observed / (score_to_information * expected)), expected
+
+    for index, component in enumerate(_list_components(network.settings.model_error)):
+        log_ratios = partial(compute_log_ratios, index, component)
+        variances[index] = _find_variance(log_ratios, component, float(variances[index]))
+    return variances
+
+
+def _find_variance(
+    compute_log_ratios: Callable[[Array], tuple[Array, Array]], component: _Component, present: float
+) -> float:
+    """The variance of one component, at which the log ratio is zero; it decreases with the variance.
+
+    Several variances are tried together, as a call for each would be too short for other processes.
+    """
+    low, high = 2 * np.log([component.min_sigma, component.max_sigma])
+    for refinement in range(_REFINEMENTS):
+        grid = np.linspace(low, high, _TRIALS)
+        log_ratio, expected = compute_log_ratios(grid)
+        if refinement == 0 and expected[0] < component.max_sigma**-2:
+            return present
+        if log_ratio[0] <= 0:
+            return float(np.exp(low))
+        if log_ratio[-1] >= 0:
+            return float(np.exp(high))
+        below = int(np.argmax(log_ratio < 0))
+        low, high = grid[below - 1 : below + 1]
+        before, after = log_ratio[below - 1 : below + 1]
+    return float(np.exp(low + (high - low) * before / (before - after)))
+
+
+def _collect_equations(
+    network: NetworkProblem, state: NetworkState, body: BodyObservations, path: BodyPath
+) -> tuple[None, _ScanEquations]:
+    """Nothing, and the equations of a body."""
+    duration = network.settings.model_error.stride_duration
+    collected, parts = [], []
+    for k, scans in enumerate(body.scans):
+        _, _, pose, rate = evaluate_at(network, state, body, path, scans)
+        stride = (compute_root_times(network, state, scans) - body.knots.start) / duration
+        collected.append(build_scan_equations(network, state, path, scans, pose, rate))
+        parts.append(np.maximum(stride, 0).astype(np.intp) * len(body.scans) + k)
+    of_pose = ScanEquations(
+        np.concatenate([one.information[:, :3, :3] for one in collected]),
+        np.concatenate([one.gradient[:, :3] for one in collected]),
+        np.concatenate([one.cost for one in collected]),
+    )
+    return None, _ScanEquations(of_pose, np.concatenate(parts), len(body.scans))
+
+
+def _compare_scanners(
+    _network: NetworkProblem,
+    _state: NetworkState,
+    _body: BodyObservations,
+    _path: BodyPath,
+    equations: _ScanEquations,
+    trials: Array,
+    component: _Component,
+) -> Array:
+    """(n, 2) sum of squared discrepancies between scanners about a body, and its expectation, for n trials."""
+    return np.array([_compare_for_variances(equations, variances, component) for variances in trials])
+
+
+def _compare_for_variances(equations: _ScanEquations, variances: Array, component: _Component) -> Array:
+    """(2,) sum of squared discrepancies between scanners about a body, and its expectation.
+
+    The gradients ``b`` of a scanner's beams in a stride have the covariance ``A``, their information. The other
+    component of the pose is free for each scanner. At the pose that balances all scanners, their gradients have
+    the covariance ``A - A (Σ A)⁻¹ A``.
+    """
+    strides = 1 + int(equations.part.max(initial=0)) // equations.scanners
+    A, b = np.zeros((strides, equations.scanners, 3, 3)), np.zeros((strides, equations.scanners, 3))
+    scans = equations.scans.marginalize_model_error(variances[[0, 0, 1]])
+    np.add.at(A, at := np.divmod(equations.part, equations.scanners), scans.information)
+    np.add.at(b, at, scans.gradient)
+    axes, others = component.axes, np.setdiff1d(np.arange(3), component.axes)
+    mixed = A[..., axes[:, None], others]
+    gain = mixed @ np.linalg.inv(A[..., others[:, None], others] + _RIDGE * np.eye(len(others)))
+    A = A[..., axes[:, None], axes] - gain @ se_n.transpose(mixed)
+    b = b[..., axes] - (gain @ b[..., others, None])[..., 0]
+    several = np.sum(np.trace(A, axis1=-2, axis2=-1) > 0, axis=1) > 1
+    A, b = A[several], b[several]
+    pose_covariance = np.linalg.inv(A.sum(axis=1) + _RIDGE * np.eye(len(axes)))
+    discrepancy = b - (A @ (pose_covariance @ b.sum(axis=1)[..., None])[:, None])[..., 0]
+    expected = A - A @ pose_covariance[:, None] @ A
+    return np.array([np.sum(discrepancy**2), np.sum(np.trace(expected, axis1=-2, axis2=-1))])

@@ -1,0 +1,95 @@
+"""Estimates the noise of ranges from the residuals at bodies.
+
+The static background gives a noise as well, but its medians are quantised as coarsely as the ranges are sent, and
+clothes scatter more than walls. Residuals, in turn, are smaller than the noise, because paths are fitted to them:
+the more so, the greater the leverage of the beams (Huber, "Robust statistics", 1981, section 7.2).
+"""
+
+from functools import partial
+
+import numpy as np
+
+from calgraph.geometry import Array, Index
+from calgraph.network.joint.ellipse_equations import compute_residuals, raycast_body
+from calgraph.network.joint.path_covariance import compute_path_covariance
+from calgraph.network.joint.path_equations import evaluate_at
+from calgraph.network.joint.problem import BodyObservations, BodyPath, NetworkProblem, NetworkState
+from calgraph.network.joint.scan_equations import ScanEquations, sum_over_scans
+from calgraph.network.joint.schur import BodyEquations
+from calgraph.network.joint.solver import NetworkEquations
+from calgraph.network.joint.tukey_loss import TukeyLoss
+
+# Standard deviation of Gaussian noise as a multiple of its median absolute value.
+_MEDIAN_TO_SIGMA = 1.4826
+
+
+def estimate_range_noise(
+    network: NetworkProblem, state: NetworkState, equations: NetworkEquations, background: Array
+) -> Array:
+    """(S,) noise of ranges, m: median absolute residual at bodies, corrected for the leverage of the beams.
+
+    It is within the bounds of the settings about the background's noise.
+
+    Args:
+        network: with the weights of its last solution.
+        state: of that solution.
+        equations: of that solution.
+        background: (S,) noise of each scanner's background, m; used for scanners with few beams on bodies.
+    """
+    settings, loss = network.settings.range_noise, TukeyLoss(network.settings.beams.tukey_limit)
+    residuals: list[list[Array]] = [[] for _ in background]
+    leverage, effective_beams = np.zeros((2, len(background)))
+    measure = partial(_measure_body, step=1 + network.count_beams() // settings.max_beams)
+    measured = equations.batches.map(measure, network, state, equations.body_equations)
+    for body, of_scanners in zip(network.bodies, measured, strict=True):
+        for scans, (absolute, of_path) in zip(body.scans, of_scanners, strict=True):
+            residuals[scans.scanner].append(absolute)
+            leverage[scans.scanner] += of_path
+            effective_beams[scans.scanner] += scans.weight.sum() / loss.mean_weight
+    by_scanner = [np.concatenate([np.zeros(0), *parts]) for parts in residuals]
+    shrinkage = loss.median_shrinkage * np.minimum(
+        leverage / np.maximum(effective_beams, 1), settings.max_leverage
+    )
+    sigma = [
+        _MEDIAN_TO_SIGMA * np.median(absolute) / (1 - shrunk) if len(absolute) >= settings.min_beams else stated
+        for absolute, shrunk, stated in zip(by_scanner, shrinkage, background, strict=True)
+    ]
+    return np.asarray(np.clip(sigma, settings.min_ratio * background, np.hypot(background, settings.max_excess)))
+
+
+def _measure_body(
+    network: NetworkProblem,
+    state: NetworkState,
+    body: BodyObservations,
+    path: BodyPath,
+    equations: BodyEquations,
+    step: Index,
+) -> list[tuple[Array, float]]:
+    """Every n-th (S,) absolute residual, m, and the sum of the leverages of each scanner's beams."""
+    beams, path_covariance = network.settings.beams, compute_path_covariance(equations.band)
+    measured = []
+    for scans in body.scans:
+        first, weights, pose, rate = evaluate_at(network, state, body, path, scans)
+        hits = raycast_body(state, path, scans, pose, rate)
+        absolute = np.abs(hits.ranges - scans.ranges)[hits.cos_incidence > beams.min_cos_incidence]
+        scan_equations = sum_over_scans(
+            *compute_residuals(network, scans, hits), scans.weight, scans.first_beam
+        ).marginalize_model_error(network.model_error_variance[[0, 0, 1]])
+        measured.append(
+            (
+                absolute[:: step[scans.scanner]].copy(),
+                _sum_leverages(weights, first, scan_equations, path_covariance),
+            )
+        )
+    return measured
+
+
+def _sum_leverages(weights: Array, first: Index, equations: ScanEquations, path_covariance: Array) -> float:
+    """The sum of the leverages of scans on a path with the given covariance of its control points."""
+    A = equations.information[:, :3, :3]
+    total = 0.0
+    for i in range(4):
+        for j in range(i, 4):
+            trace = np.einsum("vij,vji->v", A, path_covariance[first + i, j - i])
+            total += (1 + (i < j)) * float((weights[:, i] * weights[:, j]) @ trace)
+    return total
