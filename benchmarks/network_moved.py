@@ -15,8 +15,8 @@ import numpy as np
 
 from calgraph.config import Rig
 from calgraph.config.settings import DiagnosticsSettings
-from calgraph.diagnostics.network.moved_scanners import find_moved_scanners
 from calgraph.geometry import se2
+from calgraph.network.checks.moved_scanners import find_moved_scanners
 from calgraph.network.joint.planar_poses import PlanarPoses
 from calgraph.network.pairs.scanner_pair import ScannerPairEstimate, estimate_scanner_pairs
 from calgraph.sensors import LaserScan

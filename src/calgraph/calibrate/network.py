@@ -10,19 +10,19 @@ from calgraph.calibrate.scanner_pairs import CorrectedPairs, pair_scanners
 from calgraph.calibrate.track_recording import forget_unused_beams, moving_target, scanner_spec, track_people
 from calgraph.config import Rig
 from calgraph.config.settings import StationaritySettings
-from calgraph.diagnostics.network.assemble import assemble_network
-from calgraph.diagnostics.network.extension import (
+from calgraph.errors import CalibrationError, InputError, Rejected
+from calgraph.graph.averaging import select_averaging
+from calgraph.network.checks.assemble import assemble_network
+from calgraph.network.checks.extension import (
     build_consistent_prior,
     extract_earlier_poses,
     merge_calibrations,
     remove_scanners,
 )
-from calgraph.diagnostics.network.extrinsics_check import compare_network_poses
-from calgraph.diagnostics.network.findings import collect_network_findings
-from calgraph.diagnostics.network.model_assessment import assess_network_model
-from calgraph.diagnostics.network.track_bumps import find_track_bump
-from calgraph.errors import CalibrationError, InputError, Rejected
-from calgraph.graph.averaging import select_averaging
+from calgraph.network.checks.extrinsics_check import compare_network_poses
+from calgraph.network.checks.findings import collect_network_findings
+from calgraph.network.checks.model_assessment import assess_network_model
+from calgraph.network.checks.track_bumps import find_track_bump
 from calgraph.network.graph.network_initialization import NetworkInitialization, initialize_network
 from calgraph.network.joint.estimate import NetworkSolution, solve_network
 from calgraph.network.joint.scanner_prior import ScannerPrior

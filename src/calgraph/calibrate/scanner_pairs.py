@@ -8,8 +8,8 @@ import numpy as np
 
 from calgraph.config import Lidar2dSpec, Rig
 from calgraph.config.settings import ScannerPairSettings
-from calgraph.diagnostics.network.clock_findings import report_clocks_and_mountings
 from calgraph.errors import Rejected
+from calgraph.network.checks.clock_findings import report_clocks_and_mountings
 from calgraph.network.graph.clock_mounting_consensus import ClockMountingSolution, resolve_clocks_and_mountings
 from calgraph.network.options import NetworkOptions
 from calgraph.network.pairs.candidate_pairs import label_parts

@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 
 from calgraph.config import Cylinder, People, Rig
-from calgraph.diagnostics.network.assemble import (
+from calgraph.errors import Rejected
+from calgraph.geometry import se2
+from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
+from calgraph.network.checks.assemble import (
     NetworkPairs,
     _build_edge,
     _describe_bodies,
     _explain_unconnected,
     assemble_network,
 )
-from calgraph.errors import Rejected
-from calgraph.geometry import se2
-from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
 from calgraph.network.graph.network_initialization import NetworkInitialization
 from calgraph.network.joint.estimate import NetworkSolution, SolvedNetwork
 from calgraph.network.joint.solver import linearize_network

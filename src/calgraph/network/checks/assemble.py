@@ -11,11 +11,11 @@ import numpy as np
 
 from calgraph.config import Cylinder, Lidar2dSpec, Rig
 from calgraph.config.target import Target
-from calgraph.diagnostics.network.beam_views import collect_beam_views
-from calgraph.diagnostics.network.walk_report import build_floor_views, build_walk_rows, match_across_scanners
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, diagonal_blocks, se2
 from calgraph.graph.pose_graph import PoseGraph
+from calgraph.network.checks.beam_views import collect_beam_views
+from calgraph.network.checks.walk_report import build_floor_views, build_walk_rows, match_across_scanners
 from calgraph.network.graph.network_graph import compute_joint_covariance
 from calgraph.network.graph.network_initialization import NetworkInitialization
 from calgraph.network.joint.estimate import NetworkSolution

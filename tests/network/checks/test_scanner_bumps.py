@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from calgraph.diagnostics.network.scanner_bumps import describe_bumps
 from calgraph.errors import Rejected
+from calgraph.network.checks.scanner_bumps import describe_bumps
 from calgraph.network.tracking.track import ScannerBump, ScannerTracks
 from calgraph.result.finding import Finding
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from calgraph.config.settings import ResamplingSettings, TrackBumpSettings
-from calgraph.diagnostics.network.track_bumps import find_track_bump
 from calgraph.geometry import Array, se2
+from calgraph.network.checks.track_bumps import find_track_bump
 from calgraph.network.tracking.track import ScannerBump, ScannerTracks, Track
 
 NAMES = ("west", "east", "north")

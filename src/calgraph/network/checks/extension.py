@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 
 from calgraph.config.settings import DiagnosticsSettings
-from calgraph.diagnostics.network.moved_scanners import find_moved_scanners
 from calgraph.errors import CalibrationError, InputError
+from calgraph.network.checks.moved_scanners import find_moved_scanners
 from calgraph.network.joint.estimate import NetworkSolution
 from calgraph.network.joint.planar_poses import (
     PlanarPoses,

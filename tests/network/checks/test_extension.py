@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 from calgraph.config.settings import DiagnosticsSettings
-from calgraph.diagnostics.network.extension import (
+from calgraph.errors import CalibrationError, InputError
+from calgraph.geometry import Array, se2
+from calgraph.network.checks.extension import (
     _mark_kept,
     build_consistent_prior,
     extract_earlier_poses,
     merge_calibrations,
     remove_scanners,
 )
-from calgraph.errors import CalibrationError, InputError
-from calgraph.geometry import Array, se2
 from calgraph.network.joint.estimate import NetworkSolution
 from calgraph.network.joint.planar_poses import PlanarPoses, extract_planar_poses
 from calgraph.network.joint.scanner_matrix import ScannerMatrix

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from calgraph.config.settings import NetworkModelSettings
-from calgraph.diagnostics.network.fit_tests import correlate_adjacent_beams, find_poor_fit
 from calgraph.geometry import Array
+from calgraph.network.checks.fit_tests import correlate_adjacent_beams, find_poor_fit
 from calgraph.network.joint.estimate import SolvedNetwork
 from calgraph.network.joint.problem import BodyScans
 from calgraph.result.finding import Finding

@@ -1,7 +1,7 @@
 """Findings about clocks that differ and scanners that are mounted upside-down."""
 
 from calgraph.config.settings import ClockMountingSettings
-from calgraph.diagnostics.network.clock_findings import report_clocks_and_mountings
+from calgraph.network.checks.clock_findings import report_clocks_and_mountings
 from calgraph.network.graph.clock_mounting_consensus import ClockMountingSolution
 from calgraph.network.pairs.clock_mounting_search import ClockMountingHypothesis
 

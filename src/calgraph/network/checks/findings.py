@@ -3,9 +3,9 @@
 from collections.abc import Mapping, Sequence
 
 from calgraph.config.settings import NetworkDiagnosticsSettings
-from calgraph.diagnostics.network.pair_support import describe_ambiguous_parts, find_poorly_supported_parts
-from calgraph.diagnostics.network.scanner_bumps import describe_bumps
 from calgraph.errors import Rejected
+from calgraph.network.checks.pair_support import describe_ambiguous_parts, find_poorly_supported_parts
+from calgraph.network.checks.scanner_bumps import describe_bumps
 from calgraph.network.graph.network_initialization import NetworkInitialization
 from calgraph.network.tracking.track import ScannerTracks
 from calgraph.result.finding import Finding

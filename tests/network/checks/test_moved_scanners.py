@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from calgraph.config.settings import DiagnosticsSettings, VerdictSettings
-from calgraph.diagnostics.network.moved_scanners import MovedScanner, find_moved_scanners
 from calgraph.geometry import Array, se2
+from calgraph.network.checks.moved_scanners import MovedScanner, find_moved_scanners
 from calgraph.network.joint.planar_poses import PlanarPoses
 from calgraph.verdict.displaced_nodes import find_displaced_nodes
 

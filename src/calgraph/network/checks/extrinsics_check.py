@@ -6,8 +6,8 @@ import numpy as np
 
 from calgraph.config import Tolerance
 from calgraph.config.settings import DiagnosticsSettings
-from calgraph.diagnostics.network.moved_scanners import MovedScanner, find_moved_scanners
 from calgraph.errors import InputError
+from calgraph.network.checks.moved_scanners import MovedScanner, find_moved_scanners
 from calgraph.network.joint.planar_poses import PlanarPoses, extract_planar_poses, project_to_plane
 from calgraph.result import Calibration, ExtrinsicsFile
 from calgraph.verdict.comparison import ExtrinsicsComparison, SensorComparison, match_poses

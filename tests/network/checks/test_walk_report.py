@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calgraph.diagnostics.network.walk_report import (
+from calgraph.geometry import Array, se2
+from calgraph.network.checks.walk_report import (
     CrossScannerMatches,
     build_floor_views,
     build_walk_rows,
     match_across_scanners,
 )
-from calgraph.geometry import Array, se2
 from calgraph.network.pairs.synchronized_tracks import TrackSamples, resample_tracks
 from calgraph.network.tracking.track import ScannerTracks, Track
 from calgraph.result import CaptureRow

@@ -7,15 +7,15 @@ import numpy as np
 
 from calgraph.config import Cylinder, People
 from calgraph.config.settings import DiagnosticsSettings, NetworkModelSettings
-from calgraph.diagnostics.network.consistency_tests import (
+from calgraph.geometry import Array
+from calgraph.network.checks.consistency_tests import (
     Scatter,
     find_disagreement,
     find_inconsistent_parts,
     measure_scatter,
 )
-from calgraph.diagnostics.network.fit_tests import find_poor_fit
-from calgraph.diagnostics.network.systematic_tests import find_systematic_errors
-from calgraph.geometry import Array
+from calgraph.network.checks.fit_tests import find_poor_fit
+from calgraph.network.checks.systematic_tests import find_systematic_errors
 from calgraph.network.graph.network_graph import compute_joint_covariance
 from calgraph.network.graph.network_initialization import NetworkInitialization
 from calgraph.network.joint.contributions import split_contributions

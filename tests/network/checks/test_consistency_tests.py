@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from calgraph.config.settings import NetworkModelSettings
-from calgraph.diagnostics.network.consistency_tests import (
+from calgraph.geometry import se2
+from calgraph.network.checks.consistency_tests import (
     compute_p_value,
     find_disagreement,
     find_inconsistent_parts,
     measure_scatter,
 )
-from calgraph.geometry import se2
 from calgraph.network.joint.contributions import Contributions, NetworkContributions, split_contributions
 from calgraph.network.joint.estimate import NetworkSolution, SolvedNetwork
 from calgraph.network.joint.problem import BodyScans

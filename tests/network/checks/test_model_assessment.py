@@ -8,9 +8,9 @@ import pytest
 
 from calgraph.config import People
 from calgraph.config.settings import DiagnosticsSettings, NetworkDiagnosticsSettings, NetworkModelSettings
-from calgraph.diagnostics.network.model_assessment import ModelAssessment, assess_network_model
 from calgraph.geometry import Array, se2
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
+from calgraph.network.checks.model_assessment import ModelAssessment, assess_network_model
 from calgraph.network.graph.network_initialization import NetworkInitialization
 from calgraph.network.joint.estimate import NetworkSolution, SolvedNetwork
 from calgraph.network.joint.problem import BodyScans
