@@ -27,11 +27,11 @@ import numpy as np
 from numpy.linalg import LinAlgError
 from scipy.stats import chi2
 
-from calgraph.calibrate.network import calibrate_network
 from calgraph.config import People, Tolerance
 from calgraph.errors import CalgraphError
 from calgraph.geometry import se3
 from calgraph.network.options import NetworkEstimator, NetworkOptions
+from calgraph.network.pipeline import calibrate_network
 from calgraph.parallel.processes import parallel_map
 from calgraph.recording.in_memory import MessageRecording
 from calgraph.result import Calibration

@@ -29,10 +29,10 @@ from typing import NamedTuple, ParamSpec, TypeVar, get_args
 
 import numpy as np
 
-from calgraph.calibrate.network import calibrate_network
 from calgraph.config import load_rig
 from calgraph.io import save_yaml
 from calgraph.network.options import NetworkOptions
+from calgraph.network.pipeline import calibrate_network
 from calgraph.parallel.engine import Processes
 from calgraph.recording import open_recordings
 from calgraph.report import write_report

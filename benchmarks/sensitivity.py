@@ -21,13 +21,13 @@ from typing import Any, Literal, get_args
 import numpy as np
 from pydantic import BaseModel, ValidationError
 
-from calgraph.calibrate.network import calibrate_network
 from calgraph.calibrate.rig import calibrate_rig
 from calgraph.config import Rig, load_rig
 from calgraph.config.settings import Settings
 from calgraph.errors import CalgraphError
 from calgraph.geometry import Array, se3
 from calgraph.network.options import NetworkOptions
+from calgraph.network.pipeline import calibrate_network
 from calgraph.recording import Recording, open_recording
 from calgraph.result import Calibration
 from calgraph.rig.options import RigOptions

@@ -14,9 +14,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from calgraph.calibrate.network import calibrate_tracks
 from calgraph.geometry import Array, se2
 from calgraph.network.options import NetworkOptions
+from calgraph.network.pipeline import calibrate_tracks
 from calgraph.simulation import NetworkScenario, build_network, network_rig, network_truth, simulate_scans
 from network_runs import find_gross_errors, project_poses, track_scanners
 

@@ -7,7 +7,7 @@ no time: a name is imported when it is first used. Type checkers read ``__init__
 from importlib import import_module
 
 _NAMES = {
-    "calgraph.calibrate.network": "calibrate_network calibrate_tracks",
+    "calgraph.network.pipeline": "calibrate_network calibrate_tracks",
     "calgraph.calibrate.rig": (
         "build_problem build_problem_from_captures calibrate_detections calibrate_rig solve_problem"
     ),

@@ -3,8 +3,6 @@
 from calgraph.boards.detections import BoardCorners as BoardCorners
 from calgraph.boards.detections import PlanePatch as PlanePatch
 from calgraph.boards.detections import Segment as Segment
-from calgraph.calibrate.network import calibrate_network as calibrate_network
-from calgraph.calibrate.network import calibrate_tracks as calibrate_tracks
 from calgraph.calibrate.rig import build_problem as build_problem
 from calgraph.calibrate.rig import build_problem_from_captures as build_problem_from_captures
 from calgraph.calibrate.rig import calibrate_detections as calibrate_detections
@@ -44,6 +42,8 @@ from calgraph.graph.pose_graph import PoseGraph as PoseGraph
 from calgraph.graph.pose_graph import PoseGraphSolution as PoseGraphSolution
 from calgraph.graph.tree_consensus import average_poses as average_poses
 from calgraph.network.options import NetworkOptions as NetworkOptions
+from calgraph.network.pipeline import calibrate_network as calibrate_network
+from calgraph.network.pipeline import calibrate_tracks as calibrate_tracks
 from calgraph.network.tracking.track import ScannerTracks as ScannerTracks
 from calgraph.network.tracking.track import Track as Track
 from calgraph.network.tracking.track_scanner import track_scanner as track_scanner

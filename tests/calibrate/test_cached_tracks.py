@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calgraph.calibrate.track_recording import track_people
 from calgraph.config import Lidar2dSpec, People, RangeNoise, Rig
 from calgraph.config.settings import AssociationSettings, Settings, TrackingSettings
 from calgraph.config.uncertainty import Lidar2dUncertainty
 from calgraph.network.options import NetworkOptions
+from calgraph.network.track_recording import track_people
 from calgraph.network.tracking.track import ScannerTracks
 from calgraph.recording import RecordingCache, RecordingWriter, open_recording
 from calgraph.recording.bags import BagRecording

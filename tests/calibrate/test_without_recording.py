@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from calgraph.boards.detections import BoardCorners, Detection, PlanePatch
-from calgraph.calibrate.network import calibrate_network, calibrate_tracks
 from calgraph.calibrate.rig import calibrate_detections, solve_problem
 from calgraph.config import Lidar2dSpec, Lidar3dSpec, People, RangeNoise, Rig
 from calgraph.detection.from_measurements import (
@@ -20,6 +19,7 @@ from calgraph.errors import InputError, Rejected
 from calgraph.estimation.rig.problem_file import load_problem
 from calgraph.geometry import Array, se3
 from calgraph.network.options import NetworkOptions
+from calgraph.network.pipeline import calibrate_network, calibrate_tracks
 from calgraph.network.tracking.track import ScannerTracks, Track
 from calgraph.recording import MessageRecording
 from calgraph.result import Calibration

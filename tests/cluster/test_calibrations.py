@@ -7,13 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from calgraph.calibrate import track_recording
 from calgraph.calibrate.dispatch import calibrate
-from calgraph.calibrate.track_recording import track_people
 from calgraph.config import load_rig
 from calgraph.config.settings import DaskSettings
 from calgraph.errors import CalibrationError
+from calgraph.network import track_recording
 from calgraph.network.options import NetworkOptions
+from calgraph.network.track_recording import track_people
 from calgraph.network.tracking.track_encoding import encode_tracks
 from calgraph.parallel import open_cluster
 from calgraph.parallel.dask_engine import DaskEngine

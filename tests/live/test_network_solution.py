@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calgraph.calibrate.network import calibrate_network
 from calgraph.config import Rig, load_rig
 from calgraph.live.network_solution import LiveNetworkSolution, solve_recording
 from calgraph.network.options import NetworkOptions
+from calgraph.network.pipeline import calibrate_network
 from calgraph.recording import RecordingWriter, open_recording
 from calgraph.result import Calibration
 from calgraph.sensors import LaserScan

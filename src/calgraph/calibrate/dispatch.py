@@ -18,7 +18,7 @@ def calibrate(
     """
     # Each imports the modules of its kind alone: those of both take half a second.
     if rig.is_network and isinstance(options, NetworkOptions):
-        from calgraph.calibrate.network import calibrate_network
+        from calgraph.network.pipeline import calibrate_network
 
         return calibrate_network(rig, recording, options, progress)
     if not rig.is_network and isinstance(options, RigOptions):

@@ -114,8 +114,8 @@ def _compare(
     rig: Rig, recordings: list[str], given: ExtrinsicsFile, seed: int, cache: RecordingCache, engine: Engine
 ) -> tuple[Calibration, "ExtrinsicsComparison", Rig]:
     """The calibration from the recording, the comparison with the given poses, and the resolved rig."""
-    from calgraph.calibrate.network import compare_network_extrinsics
     from calgraph.network.options import NetworkOptions
+    from calgraph.network.pipeline import compare_network_extrinsics
     from calgraph.rig.verification import compare_extrinsics
 
     if rig.is_network:

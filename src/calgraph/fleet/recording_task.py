@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from calgraph.calibrate.dispatch import calibrate
-from calgraph.calibrate.network import compare_network_extrinsics
 from calgraph.calibrate.provenance import make_provenance
 from calgraph.calibrate.result_files import format_comparison, write_results
 from calgraph.calibrate.rig import build_problem
@@ -21,6 +20,7 @@ from calgraph.fleet.recording_result import FILE_NAME, Failure, RecordingResult,
 from calgraph.io import replace_folder_atomically, write_text
 from calgraph.io.cache_folder import CacheFolder
 from calgraph.network.options import NetworkOptions
+from calgraph.network.pipeline import compare_network_extrinsics
 from calgraph.recording import NO_CACHE, RecordingCache, open_recordings, resolve_intrinsics
 from calgraph.result import Calibration, ExtrinsicsFile, read_extrinsics, state_calibrated_intrinsics
 from calgraph.rig.options import RigOptions

@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 
-from calgraph.calibrate.network import calibrate_tracks
 from calgraph.config import Rig
 from calgraph.errors import CalgraphError, Rejected
 from calgraph.geometry import Array
@@ -25,6 +24,7 @@ from calgraph.live.tracked_intervals import (
     track_recording,
 )
 from calgraph.network.options import NetworkOptions
+from calgraph.network.pipeline import calibrate_tracks
 from calgraph.network.tracking.track import ScannerTracks
 from calgraph.recording import Recording, open_recording
 from calgraph.recording.input_checks import InputMonitor

@@ -6,13 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from calgraph.calibrate.track_recording import track_people
 from calgraph.config import Rig
 from calgraph.errors import Rejected
 from calgraph.io.archive import read_archive, write_archive
 from calgraph.live.joined_tracks import Tracked
 from calgraph.live.recording_window import RecordingWindow
 from calgraph.network.options import NetworkOptions
+from calgraph.network.track_recording import track_people
 from calgraph.network.tracking.track import ScannerTracks
 from calgraph.network.tracking.track_encoding import decode_tracks, encode_tracks
 from calgraph.recording import Recording

@@ -5,14 +5,14 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
-from calgraph.calibrate import scanner_pairs
-from calgraph.calibrate.network import calibrate_tracks
 from calgraph.config import Lidar2dSpec, People, Rig
 from calgraph.config.settings import Settings
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se3
+from calgraph.network import scanner_pairs
 from calgraph.network.options import NetworkEstimator, NetworkOptions
 from calgraph.network.pairs.clock_mounting_search import ClockMountingHypothesis
+from calgraph.network.pipeline import calibrate_tracks
 from calgraph.network.tracking.corrected_tracks import correct_tracks
 from calgraph.network.tracking.track import ScannerTracks
 from calgraph.network.tracking.track_scanner import track_scanner

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from calgraph.calibrate import track_recording
-from calgraph.calibrate.track_recording import forget_unused_beams, track_people
 from calgraph.config import Cylinder, Lidar2dSpec, People, Rig
 from calgraph.config.settings import EstimationSettings, NetworkEstimationSettings, Settings
 from calgraph.errors import Rejected
+from calgraph.network import track_recording
 from calgraph.network.options import NetworkOptions
+from calgraph.network.track_recording import forget_unused_beams, track_people
 from calgraph.network.tracking.track import ScannerTracks
 from calgraph.network.tracking.track_encoding import encode_tracks
 from calgraph.parallel.engine import Processes

@@ -6,8 +6,6 @@ from functools import partial
 
 import numpy as np
 
-from calgraph.calibrate.scanner_pairs import CorrectedPairs, pair_scanners
-from calgraph.calibrate.track_recording import forget_unused_beams, moving_target, scanner_spec, track_people
 from calgraph.config import Rig
 from calgraph.config.settings import StationaritySettings
 from calgraph.errors import CalibrationError, InputError, Rejected
@@ -28,7 +26,9 @@ from calgraph.network.joint.estimate import NetworkSolution, solve_network
 from calgraph.network.joint.scanner_prior import ScannerPrior
 from calgraph.network.options import NetworkOptions
 from calgraph.network.pairs.visibility_map import ScannerObservations
+from calgraph.network.scanner_pairs import CorrectedPairs, pair_scanners
 from calgraph.network.step_log import log_network
+from calgraph.network.track_recording import forget_unused_beams, moving_target, scanner_spec, track_people
 from calgraph.network.tracking.stationarity import select_interval
 from calgraph.network.tracking.track import ScannerBump, ScannerTracks
 from calgraph.parallel.engine import MapEngine
