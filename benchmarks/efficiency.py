@@ -29,7 +29,6 @@ from scipy.stats import binomtest, chi2, norm
 
 from calgraph.boards.detections import BoardCorners
 from calgraph.calibrate.rig import build_problem_from_captures, solve_problem
-from calgraph.captures.detect import CaptureSet
 from calgraph.config import CameraSpec, PixelNoise, RangeNoise, Rig, SensorSpec
 from calgraph.estimation.rig.board_observations import BoardObservation
 from calgraph.estimation.rig.board_outlines import add_outlines
@@ -38,6 +37,7 @@ from calgraph.estimation.rig.bundle_solver import linearize_bundle
 from calgraph.estimation.rig.estimate import cramer_rao
 from calgraph.estimation.rig.problem import Estimator, Problem, SolverOptions
 from calgraph.geometry import Array, se3
+from calgraph.rig.captures.detect import CaptureSet
 from calgraph.rig.options import RigOptions
 from calgraph.simulation import (
     GroundTruth,

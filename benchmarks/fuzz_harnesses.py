@@ -15,7 +15,6 @@ from rosbags.interfaces import MessageDefinitionFormat
 
 import fuzz_mutators as mutators
 import fuzz_seeds as seeds
-from calgraph.captures.capture_encoding import decode_captures
 from calgraph.cli.setting_options import override_settings
 from calgraph.config import Rig, draft_rig, load_rig, printed_bitmaps
 from calgraph.config.board_print import black_rectangles
@@ -34,6 +33,7 @@ from calgraph.recording import (
 from calgraph.recording.decoding import decode
 from calgraph.recording.message_types import TypeDefinition, make_message_type
 from calgraph.result import Calibration, export, load_calibration, load_scene, read_extrinsics
+from calgraph.rig.captures.capture_encoding import decode_captures
 from calgraph.sensors import Trigger
 from calgraph.simulation import NetworkScenario, RigScenario, load_truth
 

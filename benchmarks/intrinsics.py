@@ -24,10 +24,6 @@ from calgraph.boards.board_pose import BoardPose, fit_pose
 from calgraph.boards.camera import CameraDetector, make_board_corners
 from calgraph.boards.detections import BoardCorners
 from calgraph.calibrate.rig import build_problem_from_captures, solve_problem
-from calgraph.captures.detect import CaptureSet, SensorCapture, collect_detections, state_estimated_intrinsics
-from calgraph.captures.detectors import draw_seeds, make_detectors
-from calgraph.captures.holds import Hold
-from calgraph.captures.timeline import RecordingTimeline, SensorTimes
 from calgraph.config import AprilGrid, Board, Rig
 from calgraph.config.settings import BoardPoseSettings
 from calgraph.detection.board_views import BoardView, BoardViewFinder
@@ -35,6 +31,10 @@ from calgraph.errors import Rejected
 from calgraph.estimation.intrinsics.estimate import estimate_intrinsics
 from calgraph.geometry import Array, se3
 from calgraph.result import Calibration
+from calgraph.rig.captures.detect import CaptureSet, SensorCapture, collect_detections, state_estimated_intrinsics
+from calgraph.rig.captures.detectors import draw_seeds, make_detectors
+from calgraph.rig.captures.holds import Hold
+from calgraph.rig.captures.timeline import RecordingTimeline, SensorTimes
 from calgraph.rig.options import RigOptions
 from calgraph.sensors import CameraModel, Image, Message
 from calgraph.simulation import (

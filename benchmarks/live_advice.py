@@ -21,12 +21,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calgraph.boards.detections import DetectionResult
-from calgraph.captures.detect import CaptureSet
-from calgraph.captures.from_detections import captures_from_detections
 from calgraph.config import Rig
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se3, so3
 from calgraph.live.rig_solution import LiveSolution, solve_captures
+from calgraph.rig.captures.detect import CaptureSet
+from calgraph.rig.captures.from_detections import captures_from_detections
 from calgraph.simulation import (
     IdealDetectorOptions,
     ModelErrors,

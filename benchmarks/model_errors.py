@@ -28,12 +28,12 @@ from numpy.linalg import LinAlgError
 from scipy.stats import chi2
 
 from calgraph.calibrate.rig import build_problem_from_captures, solve_problem
-from calgraph.captures.detect import CaptureSet
 from calgraph.config import CameraSpec, PixelNoise, Rig
 from calgraph.errors import CalgraphError
 from calgraph.geometry import se3
 from calgraph.parallel.processes import parallel_map
 from calgraph.result import Calibration
+from calgraph.rig.captures.detect import CaptureSet
 from calgraph.rig.options import RigOptions
 from calgraph.simulation import (
     BoardErrors,

@@ -6,14 +6,14 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from calgraph.calibrate.capture_collection import collect_captures
-from calgraph.captures.detect import CaptureSet, SensorCapture, collect_detections
-from calgraph.captures.detectors import draw_seeds, learn_background, make_detectors
-from calgraph.captures.holds import Hold
-from calgraph.captures.timeline import RecordingTimeline, SensorTimes
 from calgraph.config import CameraSpec, Rig, load_rig
 from calgraph.geometry import Array, se3
 from calgraph.recording import open_recording
 from calgraph.result import Calibration
+from calgraph.rig.captures.detect import CaptureSet, SensorCapture, collect_detections
+from calgraph.rig.captures.detectors import draw_seeds, learn_background, make_detectors
+from calgraph.rig.captures.holds import Hold
+from calgraph.rig.captures.timeline import RecordingTimeline, SensorTimes
 from calgraph.rig.options import RigOptions
 from calgraph.simulation import (
     GroundTruth,

@@ -24,7 +24,6 @@ from scipy.optimize import OptimizeResult, least_squares
 
 from calgraph.boards.detections import BoardCorners
 from calgraph.calibrate.rig import build_problem_from_captures
-from calgraph.captures.detect import CaptureSet
 from calgraph.estimation.rig.board_observations import group_detections
 from calgraph.estimation.rig.bundle_setup import build_bundle
 from calgraph.estimation.rig.bundle_solver import minimize_bundle
@@ -33,6 +32,7 @@ from calgraph.estimation.rig.problem import Problem
 from calgraph.estimation.rig.solution import RigSolution
 from calgraph.graph.pairwise_estimate import select_matches
 from calgraph.pairwise.board_pair import select_successful
+from calgraph.rig.captures.detect import CaptureSet
 from calgraph.rig.options import RigOptions
 from calgraph.simulation import (
     CameraOptions,

@@ -11,8 +11,8 @@ _NAMES = {
     "calgraph.calibrate.rig": (
         "build_problem build_problem_from_captures calibrate_detections calibrate_rig solve_problem"
     ),
-    "calgraph.captures.detect": "CaptureSet",
-    "calgraph.captures.from_detections": "captures_from_detections",
+    "calgraph.rig.captures.detect": "CaptureSet",
+    "calgraph.rig.captures.from_detections": "captures_from_detections",
     "calgraph.config": (
         "Board CameraSpec Cylinder Intrinsics Lidar2dSpec Lidar3dSpec People PixelNoise RangeNoise Rig Tag "
         "load_rig"

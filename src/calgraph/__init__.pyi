@@ -8,8 +8,6 @@ from calgraph.calibrate.rig import build_problem_from_captures as build_problem_
 from calgraph.calibrate.rig import calibrate_detections as calibrate_detections
 from calgraph.calibrate.rig import calibrate_rig as calibrate_rig
 from calgraph.calibrate.rig import solve_problem as solve_problem
-from calgraph.captures.detect import CaptureSet as CaptureSet
-from calgraph.captures.from_detections import captures_from_detections as captures_from_detections
 from calgraph.config import Board as Board
 from calgraph.config import CameraSpec as CameraSpec
 from calgraph.config import Cylinder as Cylinder
@@ -59,6 +57,8 @@ from calgraph.result import export as export
 from calgraph.result import load_calibration as load_calibration
 from calgraph.result import save_calibration as save_calibration
 from calgraph.result import to_dataframe as to_dataframe
+from calgraph.rig.captures.detect import CaptureSet as CaptureSet
+from calgraph.rig.captures.from_detections import captures_from_detections as captures_from_detections
 from calgraph.rig.options import RigOptions as RigOptions
 from calgraph.rig.verification import bootstrap_covariances as bootstrap_covariances
 from calgraph.sensors import CameraModel as CameraModel

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from calgraph.boards.detections import BoardCorners, DetectionResult, PlanePatch, Segment
-from calgraph.captures.holds import Hold
 from calgraph.config import Board, CameraSpec, Lidar2dSpec, Lidar3dSpec, Rig, Tag
 from calgraph.config.settings import LiveCaptureSettings
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se3, so3
 from calgraph.live.analysis_jobs import reduce_camera
 from calgraph.live.live_captures import LiveCapture, count_coverage, explain_rejection, find_same_pose
+from calgraph.rig.captures.holds import Hold
 from calgraph.sensors import CameraModel
 
 CAMERA = CameraModel("pinhole", 600, 300, np.array([[300.0, 0, 299.5], [0, 300, 149.5], [0, 0, 1]]), np.zeros(0))

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from calgraph.captures.motion_detection import ActivityMeter
-from calgraph.captures.stillness import find_rests
-from calgraph.captures.timeline import RecordingTimeline, build_timeline
 from calgraph.config.settings import CaptureSettings, MotionDetectionSettings, RestSettings
 from calgraph.geometry import Array
 from calgraph.live.motion import RestMonitor
+from calgraph.rig.captures.motion_detection import ActivityMeter
+from calgraph.rig.captures.stillness import find_rests
+from calgraph.rig.captures.timeline import RecordingTimeline, build_timeline
 from calgraph.simulation import CameraOptions, LaserOptions, MultibeamOptions, RigScenario, SpinningOptions
 from simulated_rigs import simulate_scenario
 

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 from calgraph.calibrate.capture_collection import collect_captures
-from calgraph.captures.detect import CaptureSet
 from calgraph.config import Capture, Rig
 from calgraph.live.record_reader import RecordReader
 from calgraph.live.rig_session import RigSession, SessionOutputs, SessionPools, count_analysis_processes
@@ -21,6 +20,7 @@ from calgraph.live.rig_solution import LiveSolution, SensorSolution
 from calgraph.live.source import LiveMessage
 from calgraph.live.state import Command
 from calgraph.parallel.processes import worker_pool
+from calgraph.rig.captures.detect import CaptureSet
 from calgraph.rig.options import RigOptions
 from calgraph.simulation import (
     CameraOptions,

@@ -6,11 +6,11 @@ from scipy.stats import chi2
 
 from calgraph.baselines.hypergraph import solve_hypergraph
 from calgraph.boards.detections import BoardCorners, PlanePatch, Segment
-from calgraph.captures.detect import CaptureSet
 from calgraph.config import Board, Checkerboard, RangeNoise, Rig
 from calgraph.geometry import Array, plane, se3
 from calgraph.graph.rig_initialization import initialize_rig
 from calgraph.pairwise.board_pair import estimate_pairs, select_successful
+from calgraph.rig.captures.detect import CaptureSet
 from calgraph.simulation import (
     CameraOptions,
     GroundTruth,

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from calgraph.boards.detections import BoardCorners, PlanePatch, Segment
-from calgraph.captures.detect import CaptureSet
 from calgraph.config import Board
 from calgraph.errors import InputError
 from calgraph.geometry import Array, Index, se3, so3
+from calgraph.rig.captures.detect import CaptureSet
 from calgraph.sensors import CameraModel
 from calgraph.simulation import (
     BoardErrors,

@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from calgraph.captures.detect import CaptureSet
 from calgraph.config import Rig
 from calgraph.diagnostics.rig.bump_tests import Bump, find_bumps
 from calgraph.errors import CalgraphError
@@ -13,6 +12,7 @@ from calgraph.estimation.rig.problem import Problem
 from calgraph.estimation.rig.solution import RigSolution
 from calgraph.graph.spanning_tree import SpanningTree
 from calgraph.result.finding import Finding
+from calgraph.rig.captures.detect import CaptureSet
 from calgraph.rig.options import RigOptions
 
 _EARLIER_CAPTURE = "before the sensor moved"

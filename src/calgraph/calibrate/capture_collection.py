@@ -9,16 +9,6 @@ import numpy as np
 
 from calgraph.calibrate.intrinsics import estimate_unknown_intrinsics, find_intrinsics_remarks
 from calgraph.calibrate.rig_timeline import read_rig_timeline
-from calgraph.captures.capture_mode import recognize_mode
-from calgraph.captures.clock_alignment import check_clocks
-from calgraph.captures.detect import CaptureSet, SensorCapture, collect_detections, limit_messages
-from calgraph.captures.detectors import draw_seeds
-from calgraph.captures.holds import find_holds
-from calgraph.captures.moving_board import compensate_motion
-from calgraph.captures.plausibility import check_background, check_intrinsics
-from calgraph.captures.sensor_detection import DetectionMethod, detect_by_sensors
-from calgraph.captures.timeline import RecordingTimeline
-from calgraph.captures.validate_recording import check_pose_numbers, check_timeline
 from calgraph.config import Rig
 from calgraph.errors import CalibrationError
 from calgraph.parallel.progress import Progress, no_progress
@@ -30,6 +20,16 @@ from calgraph.recording import (
 )
 from calgraph.recording.input_checks import InputMonitor
 from calgraph.result.finding import Finding
+from calgraph.rig.captures.capture_mode import recognize_mode
+from calgraph.rig.captures.clock_alignment import check_clocks
+from calgraph.rig.captures.detect import CaptureSet, SensorCapture, collect_detections, limit_messages
+from calgraph.rig.captures.detectors import draw_seeds
+from calgraph.rig.captures.holds import find_holds
+from calgraph.rig.captures.moving_board import compensate_motion
+from calgraph.rig.captures.plausibility import check_background, check_intrinsics
+from calgraph.rig.captures.sensor_detection import DetectionMethod, detect_by_sensors
+from calgraph.rig.captures.timeline import RecordingTimeline
+from calgraph.rig.captures.validate_recording import check_pose_numbers, check_timeline
 from calgraph.rig.options import RigOptions
 from calgraph.rig.strategies import select_plane_estimator
 

@@ -8,12 +8,6 @@ import numpy as np
 
 from calgraph.boards.camera import CameraDetector
 from calgraph.boards.detections import BoardCorners
-from calgraph.captures.board_views import decode_views, encode_views, find_views_in_holds
-from calgraph.captures.detect import detect_in_holds
-from calgraph.captures.hold_messages import select_messages
-from calgraph.captures.holds import Hold
-from calgraph.captures.sensor_detection import list_shared_inputs
-from calgraph.captures.timeline import RecordingTimeline, build_timeline
 from calgraph.config import CameraSpec, Rig
 from calgraph.detection.board_views import BoardView, BoardViewFinder
 from calgraph.errors import Rejected
@@ -22,6 +16,12 @@ from calgraph.parallel.engine import THIS_PROCESS, Engine
 from calgraph.parallel.progress import Progress, no_progress
 from calgraph.recording import NO_CACHE, Recording, RecordingCache
 from calgraph.result.finding import Finding
+from calgraph.rig.captures.board_views import decode_views, encode_views, find_views_in_holds
+from calgraph.rig.captures.detect import detect_in_holds
+from calgraph.rig.captures.hold_messages import select_messages
+from calgraph.rig.captures.holds import Hold
+from calgraph.rig.captures.sensor_detection import list_shared_inputs
+from calgraph.rig.captures.timeline import RecordingTimeline, build_timeline
 from calgraph.sensors import CameraModel
 
 _log = logging.getLogger(__name__)

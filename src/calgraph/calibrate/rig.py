@@ -10,9 +10,6 @@ import numpy as np
 from calgraph.calibrate.bumps import solve_after_bumps
 from calgraph.calibrate.capture_collection import collect_captures, separate_snapshots
 from calgraph.calibrate.clock_alignment import align_clocks
-from calgraph.captures.detect import CaptureSet, state_estimated_intrinsics
-from calgraph.captures.empty_start import resolve_background
-from calgraph.captures.from_detections import GivenDetections, captures_from_detections
 from calgraph.config import Cylinder, People, Rig
 from calgraph.diagnostics.rig.assemble import assemble_rig
 from calgraph.diagnostics.rig.cross_validation import cross_validate
@@ -35,6 +32,9 @@ from calgraph.parallel.processes import forked_jobs, parallel_call
 from calgraph.parallel.progress import Progress, no_progress
 from calgraph.recording import Recording, resolve_intrinsics
 from calgraph.result import Calibration
+from calgraph.rig.captures.detect import CaptureSet, state_estimated_intrinsics
+from calgraph.rig.captures.empty_start import resolve_background
+from calgraph.rig.captures.from_detections import GivenDetections, captures_from_detections
 from calgraph.rig.options import RigOptions, check_estimator
 from calgraph.rig.step_log import log_captures, log_pairs, log_solution
 from calgraph.rig.strategies import select_initialization, solve_baseline

@@ -2,13 +2,13 @@
 
 from dataclasses import replace
 
-from calgraph.captures.capture_mode import recognize_mode
-from calgraph.captures.timeline import RecordingTimeline
-from calgraph.captures.timeline_reading import measure_activity, read_timeline
 from calgraph.config import Rig
 from calgraph.parallel.progress import Progress
 from calgraph.recording import PoseRecordings, Recording
 from calgraph.recording.input_checks import InputMonitor
+from calgraph.rig.captures.capture_mode import recognize_mode
+from calgraph.rig.captures.timeline import RecordingTimeline
+from calgraph.rig.captures.timeline_reading import measure_activity, read_timeline
 from calgraph.rig.options import RigOptions
 
 

@@ -6,8 +6,6 @@ from typing import Annotated
 
 import typer
 
-from calgraph.captures.empty_start import find_empty_start
-from calgraph.captures.recognized_recording import recognize_recording
 from calgraph.cli.common_options import OneRecording
 from calgraph.cli.console import console
 from calgraph.cli.setting_options import SetOption, parse_limits
@@ -17,6 +15,8 @@ from calgraph.errors import InputError
 from calgraph.io import write_text
 from calgraph.printing import format_target, read_boards
 from calgraph.recording import SENSORS, Recording, find_topics, open_recording
+from calgraph.rig.captures.empty_start import find_empty_start
+from calgraph.rig.captures.recognized_recording import recognize_recording
 
 
 def init(

@@ -10,8 +10,6 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from calgraph.captures.capture_mode import RecognizedMode
-from calgraph.captures.recognized_recording import recognize_recording
 from calgraph.cli.common_options import OneRecording
 from calgraph.cli.console import console
 from calgraph.cli.printing import print_calibration, print_provenance
@@ -23,6 +21,8 @@ from calgraph.errors import RecordingError
 from calgraph.io import format_json
 from calgraph.recording import SENSORS, Inspection, Recording, TopicReport, inspect_recording, open_recording
 from calgraph.result import Calibration, load_calibration, to_json
+from calgraph.rig.captures.capture_mode import RecognizedMode
+from calgraph.rig.captures.recognized_recording import recognize_recording
 
 
 def inspect(

@@ -9,13 +9,13 @@ from functools import lru_cache, partial
 import numpy as np
 
 from calgraph.boards.detections import DetectionResult
-from calgraph.captures.detect import Detector, detect_in_hold
-from calgraph.captures.detectors import Background, learn_background, make_detectors
-from calgraph.captures.motion_detection import ActivityMeter, Signed
 from calgraph.config import CameraSpec, Rig
 from calgraph.config.settings import MotionDetectionSettings
 from calgraph.detection.board_views import BoardViewFinder
 from calgraph.errors import CalgraphError, InputError, Rejected
+from calgraph.rig.captures.detect import Detector, detect_in_hold
+from calgraph.rig.captures.detectors import Background, learn_background, make_detectors
+from calgraph.rig.captures.motion_detection import ActivityMeter, Signed
 from calgraph.sensors import CameraModel, Message
 
 NO_INTRINSICS = "its intrinsics are not known: no CameraInfo message with focal lengths has arrived"
@@ -91,7 +91,7 @@ def encode_detector(
         name: of the sensor.
         camera: intrinsics of a camera; without any it detects no more than :class:`UnprojectedBoard`.
         background: of a scanner, if one was learned.
-        seeds: by sensor; see :func:`calgraph.captures.detectors.draw_seeds`.
+        seeds: by sensor; see :func:`calgraph.rig.captures.detectors.draw_seeds`.
     """
     part = rig.model_copy(update={"sensors": {name: rig.sensors[name]}})
     cameras = {name: camera} if camera else {}

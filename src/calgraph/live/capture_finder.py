@@ -4,15 +4,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import median
 
-from calgraph.captures.detect import limit_messages
-from calgraph.captures.holds import Hold, find_holds
-from calgraph.captures.validate_recording import is_message_of_kind
 from calgraph.config import Rig
 from calgraph.errors import CalibrationError
 from calgraph.live.live_timeline import LiveTimeline
 from calgraph.live.message_ring import MessageRing
 from calgraph.live.motion import Rest, RestMonitor
 from calgraph.live.state import Phase
+from calgraph.rig.captures.detect import limit_messages
+from calgraph.rig.captures.holds import Hold, find_holds
+from calgraph.rig.captures.validate_recording import is_message_of_kind
 
 # Stamps as floating-point numbers are apart by 0.2 µs: captures do not share a message.
 _GAP = 1e-6

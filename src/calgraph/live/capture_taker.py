@@ -5,7 +5,6 @@ from dataclasses import dataclass, field
 from functools import partial
 
 from calgraph.boards.detections import DetectionResult
-from calgraph.captures.holds import Hold
 from calgraph.config import Rig
 from calgraph.errors import Rejected
 from calgraph.live.analysis_jobs import Decoder, detect_board
@@ -14,6 +13,7 @@ from calgraph.live.job_queue import JobQueue
 from calgraph.live.live_captures import LiveCapture, explain_rejection, find_same_pose, has_board
 from calgraph.live.message_analysis import MessageAnalysis
 from calgraph.live.state import CaptureEvent
+from calgraph.rig.captures.holds import Hold
 
 # Two sensors that detect the board determine something.
 _MIN_SENSORS = 2

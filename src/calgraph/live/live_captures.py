@@ -6,14 +6,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calgraph.boards.detections import BoardCorners, Detection, DetectionResult, Segment
-from calgraph.captures.detect import CaptureSet, SensorCapture, collect_detections
-from calgraph.captures.holds import Hold
 from calgraph.config import CameraSpec, Rig
 from calgraph.config.settings import LiveCaptureSettings
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, so3
 from calgraph.live.analysis_jobs import UnprojectedBoard
 from calgraph.live.live_timeline import LiveTimeline
+from calgraph.rig.captures.detect import CaptureSet, SensorCapture, collect_detections
+from calgraph.rig.captures.holds import Hold
 from calgraph.sensors import CameraModel
 
 # Regions of an image along each axis, and sectors of azimuth: as the page draws them.

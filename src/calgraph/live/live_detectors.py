@@ -4,12 +4,12 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from calgraph.captures.detectors import Background, draw_seeds
 from calgraph.config import Rig
 from calgraph.errors import Rejected
 from calgraph.live.analysis_jobs import encode_detector, reduce_camera
 from calgraph.live.live_rig import list_intrinsics_topics
 from calgraph.live.view_pictures import find_reduction
+from calgraph.rig.captures.detectors import Background, draw_seeds
 from calgraph.rig.options import RigOptions
 from calgraph.sensors import CameraInfo, CameraModel, RecordedMessage
 

@@ -9,8 +9,8 @@ from statistics import median
 
 import numpy as np
 
-from calgraph.captures.timeline import RecordingTimeline, SensorTimes
 from calgraph.geometry import Array
+from calgraph.rig.captures.timeline import RecordingTimeline, SensorTimes
 from calgraph.sensors import LaserScan, PointCloud, RecordedMessage
 
 # The period of a sensor and its rate are those of its last messages: drivers change them, and connections break.
@@ -45,7 +45,7 @@ class _GrowingTimes:
 class LiveTimeline:
     """The stamps of all sensors, and what their first messages state.
 
-    What :func:`calgraph.captures.timeline.build_timeline` finds in the recording of the same messages is the same.
+    What :func:`build_timeline` finds in the recording of the same messages is the same.
 
     Args:
         sensors: their names.

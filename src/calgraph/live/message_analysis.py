@@ -4,8 +4,6 @@ import logging
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 
-from calgraph.captures.detectors import Background
-from calgraph.captures.timeline import RecordingTimeline
 from calgraph.config import CameraSpec, Rig
 from calgraph.errors import CalgraphError, Rejected
 from calgraph.live.analysis_jobs import MeasuredChanges, learn_live_background, measure_changes
@@ -19,6 +17,8 @@ from calgraph.live.sensor_activity import SensorActivity
 from calgraph.live.source import LiveMessage
 from calgraph.live.view_pictures import SensorView, make_view
 from calgraph.recording.takes import shift_record
+from calgraph.rig.captures.detectors import Background
+from calgraph.rig.captures.timeline import RecordingTimeline
 from calgraph.sensors import CameraModel, RecordedMessage
 
 _log = logging.getLogger(__name__)

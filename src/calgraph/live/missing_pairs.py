@@ -3,8 +3,8 @@
 from collections.abc import Collection
 from dataclasses import dataclass
 
-from calgraph.captures.detect import CaptureSet
 from calgraph.config import Rig
+from calgraph.rig.captures.detect import CaptureSet
 
 # How well a sensor alone locates the board: a partner that measures its plane needs the fewest shared captures.
 _PARTNER_RANK = {"lidar3d": 0, "camera": 1, "lidar2d": 2}

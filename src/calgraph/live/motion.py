@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from calgraph.captures.motion_detection import Signed
 from calgraph.config.settings import MotionDetectionSettings, RestSettings
 from calgraph.geometry import Array
+from calgraph.rig.captures.motion_detection import Signed
 
 # Changes are counted in bins of this width in the logarithm (base 10), a fifth of the scatter of noise.
 _BIN = 0.02
@@ -75,7 +75,7 @@ class RestMonitor:
         Args:
             name: of the sensor.
             stamps: of the messages, s.
-            changes: 0..1 of each, as :class:`calgraph.captures.motion_detection.ActivityMeter` measures.
+            changes: 0..1 of each, as :class:`calgraph.rig.captures.motion_detection.ActivityMeter` measures.
             last: what the next message is to be compared with.
             quiet: whether they are of the time without operator.
         """

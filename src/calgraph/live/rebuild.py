@@ -4,16 +4,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from calgraph.boards.detections import DetectionResult
-from calgraph.captures.detect import limit_messages
-from calgraph.captures.holds import Hold, find_holds
-from calgraph.captures.sensor_detection import DetectionMethod, detect_by_sensors
-from calgraph.captures.timeline import RecordingTimeline, build_timeline
 from calgraph.config import Rig
 from calgraph.errors import CalibrationError, Rejected
 from calgraph.live.analysis_jobs import NO_INTRINSICS
 from calgraph.live.live_captures import LiveCapture
 from calgraph.parallel.engine import Engine
 from calgraph.recording import Recording, resolve_intrinsics
+from calgraph.rig.captures.detect import limit_messages
+from calgraph.rig.captures.holds import Hold, find_holds
+from calgraph.rig.captures.sensor_detection import DetectionMethod, detect_by_sensors
+from calgraph.rig.captures.timeline import RecordingTimeline, build_timeline
 from calgraph.sensors import CameraModel
 
 
@@ -33,7 +33,7 @@ def rebuild_captures(rig: Rig, recording: Recording, seeds: Mapping[str, int], e
     Args:
         rig: of the session; see :func:`calgraph.live.live_rig.prepare_live_rig`.
         recording: until the interruption.
-        seeds: of the detectors' samples, by sensor; see :func:`calgraph.captures.detectors.draw_seeds`.
+        seeds: of the detectors' samples, by sensor; see :func:`calgraph.rig.captures.detectors.draw_seeds`.
         engine: searches the board.
 
     Raises:

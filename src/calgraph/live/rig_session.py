@@ -5,7 +5,6 @@ from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
 
-from calgraph.captures.detect import CaptureSet
 from calgraph.config import Intrinsics, Rig
 from calgraph.live.capture_taker import CaptureTaker
 from calgraph.live.job_queue import JobQueue, Post
@@ -22,6 +21,7 @@ from calgraph.live.state import Command, SessionState
 from calgraph.parallel.engine import THIS_PROCESS, Engine
 from calgraph.parallel.processes import available_cores
 from calgraph.recording import Recording
+from calgraph.rig.captures.detect import CaptureSet
 
 Solve = Callable[[Rig, CaptureSet, LiveSolution | None], LiveSolution]
 """Computes the poses from the captures until now and the last solution; defined at module level."""

@@ -11,7 +11,6 @@ import numpy as np
 
 from calgraph.calibrate.bumps import solve_after_bumps
 from calgraph.calibrate.rig import build_problem_from_captures, explain_singular_equations, solve_jointly
-from calgraph.captures.detect import CaptureSet, state_estimated_intrinsics
 from calgraph.config import Rig
 from calgraph.diagnostics.rig.assemble import assemble_rig
 from calgraph.diagnostics.rig.drift_tests import include_drifts
@@ -23,6 +22,7 @@ from calgraph.live.pose_picture import DrawnSensor, draw_pose
 from calgraph.live.pose_suggestion import estimate_up, suggest_next_pose
 from calgraph.live.state import Advice
 from calgraph.result import Calibration, SensorPose, Suggestion
+from calgraph.rig.captures.detect import CaptureSet, state_estimated_intrinsics
 from calgraph.rig.options import RigOptions
 from calgraph.sensors import CameraModel
 from calgraph.verdict.grades import max_good_stddev

@@ -3,10 +3,10 @@
 import logging
 from collections import Counter
 
-from calgraph.captures.detect import CaptureSet
 from calgraph.errors import Rejected
 from calgraph.estimation.rig.solution import RigSolution
 from calgraph.pairwise.board_pair import PairwiseEstimates
+from calgraph.rig.captures.detect import CaptureSet
 
 _log = logging.getLogger("calgraph")
 

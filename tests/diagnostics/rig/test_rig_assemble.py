@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calgraph.captures.detect import CaptureSet
 from calgraph.config import Tolerance
 from calgraph.diagnostics.rig.assemble import assemble_rig
 from calgraph.errors import Rejected
@@ -19,6 +18,7 @@ from calgraph.graph.pairwise_estimate import PairwiseEstimate
 from calgraph.graph.spanning_tree import SpanningTree
 from calgraph.result import Calibration, CaptureRow, HeldOutError, Verdict
 from calgraph.result.finding import Finding
+from calgraph.rig.captures.detect import CaptureSet
 from detected_rigs import DetectedRig, detect_rig
 
 CAPTURES = 5

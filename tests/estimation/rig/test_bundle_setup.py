@@ -5,13 +5,13 @@ import pytest
 
 from calgraph.boards.detections import BoardCorners
 from calgraph.boards.landmarks import compute_landmarks
-from calgraph.captures.detect import CaptureSet
 from calgraph.errors import CalibrationError
 from calgraph.estimation.rig.board_observations import BoardObservation
 from calgraph.estimation.rig.bundle_setup import build_bundle
 from calgraph.estimation.rig.bundle_solver import Bundle, minimize_bundle
 from calgraph.estimation.rig.corner_observations import CornerObservations
 from calgraph.geometry import plane, se3, so3
+from calgraph.rig.captures.detect import CaptureSet
 from calgraph.sensors import CameraModel
 from camera_views import checkerboard_rig
 

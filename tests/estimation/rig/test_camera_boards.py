@@ -5,10 +5,10 @@ import pytest
 
 from calgraph.boards.detections import BoardCorners
 from calgraph.calibrate.rig import build_problem_from_captures
-from calgraph.captures.detect import CaptureSet
 from calgraph.errors import Rejected
 from calgraph.estimation.rig.camera_boards import locate_boards, scale_boards
 from calgraph.geometry import Array, se3
+from calgraph.rig.captures.detect import CaptureSet
 from calgraph.rig.options import RigOptions
 from calgraph.simulation import BoardErrors, CameraErrors, ModelErrors
 from detected_rigs import DetectedRig, detect_rig

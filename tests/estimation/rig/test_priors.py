@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from bundles_with_priors import EXACT, PAIR, group_of, grouped, with_prior
-from calgraph.captures.detect import CaptureSet
 from calgraph.config import Rig
 from calgraph.errors import InputError
 from calgraph.estimation.rig.bundle_solver import minimize_bundle
@@ -25,6 +24,7 @@ from calgraph.geometry import se3
 from calgraph.graph.pairwise_estimate import PairwiseEstimate
 from calgraph.graph.spanning_tree import SpanningTree
 from calgraph.result import read_extrinsics
+from calgraph.rig.captures.detect import CaptureSet
 
 SEEDS = 16
 

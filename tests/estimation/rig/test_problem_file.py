@@ -14,9 +14,6 @@ import pytest
 
 from board_scenes import detect_boards, make_boards, random_pose
 from calgraph.boards.detections import BoardCorners, Detection, PlanePatch, to_beams
-from calgraph.captures.detect import CaptureSet
-from calgraph.captures.detection_tables import DETECTIONS
-from calgraph.captures.holds import Hold
 from calgraph.config import Rig
 from calgraph.errors import InputError, Rejected
 from calgraph.estimation.rig.priors import PosePrior
@@ -26,6 +23,9 @@ from calgraph.graph.pairwise_estimate import PairwiseEstimate
 from calgraph.graph.spanning_tree import SpanningTree, find_spanning_tree
 from calgraph.pairwise.board_pair import estimate_pairs, select_successful
 from calgraph.result.finding import Finding
+from calgraph.rig.captures.detect import CaptureSet
+from calgraph.rig.captures.detection_tables import DETECTIONS
+from calgraph.rig.captures.holds import Hold
 from calgraph.sensors import CameraModel
 
 RIG = Rig.model_validate(

@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calgraph.captures.detect import CaptureSet
 from calgraph.config import Intrinsics, Rig
 from calgraph.config.settings import RigEstimationSettings, SystematicParameterSettings
 from calgraph.estimation.rig.board_observations import group_detections
@@ -26,6 +25,7 @@ from calgraph.estimation.rig.range_observations import RangeObservations
 from calgraph.estimation.rig.systematic_parameters import find_rings
 from calgraph.geometry import Array, se3
 from calgraph.graph.pairwise_estimate import select_matches
+from calgraph.rig.captures.detect import CaptureSet
 from calgraph.sensors import CameraModel
 from calgraph.simulation import CameraOptions, LaserOptions, MultibeamOptions
 from detected_rigs import QUICK, detect_rig

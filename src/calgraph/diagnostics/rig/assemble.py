@@ -5,8 +5,6 @@ from types import MappingProxyType
 
 import numpy as np
 
-from calgraph.captures.detect import CaptureSet
-from calgraph.captures.holds import Hold
 from calgraph.config import CameraSpec, Intrinsics, Rig, SensorSpec
 from calgraph.diagnostics.rig.board_pictures import (
     InlierResiduals,
@@ -38,6 +36,8 @@ from calgraph.result import (
     apply_estimates,
 )
 from calgraph.result.finding import Finding
+from calgraph.rig.captures.detect import CaptureSet
+from calgraph.rig.captures.holds import Hold
 from calgraph.verdict.grades import (
     LONE_ROOT,
     collect_findings,

@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 
 from calgraph.boards.detections import BoardCorners, Detection, PlanePatch
-from calgraph.captures.detect import CaptureSet
 from calgraph.config import Rig
 from calgraph.estimation.rig.corner_observations import CornerObservations
 from calgraph.estimation.rig.observations import relative_poses
@@ -15,6 +14,7 @@ from calgraph.estimation.rig.solution import RigSolution, SolvedBundle
 from calgraph.geometry import Array, plane, se3
 from calgraph.result import BoardOutline, BoardView, FitError
 from calgraph.result.evidence import rms
+from calgraph.rig.captures.detect import CaptureSet
 
 InlierResiduals = Mapping[tuple[int, str], Mapping[int, Sequence[float]]]
 """By capture and sensor, residuals of its inlier matches, by candidate, m."""

@@ -7,11 +7,11 @@ from math import comb
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.captures.detect import CaptureSet
 from calgraph.config.settings import RigDiagnosticsSettings
 from calgraph.estimation.rig.bundle_solver import Bundle
 from calgraph.estimation.rig.solution import SolvedBundle
 from calgraph.result.finding import Finding
+from calgraph.rig.captures.detect import CaptureSet
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,7 +4,6 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from calgraph.captures.detect import CaptureSet
 from calgraph.config import Rig
 from calgraph.config.settings import RigDiagnosticsSettings
 from calgraph.diagnostics.rig.bootstrap import bootstrap_poses
@@ -15,6 +14,7 @@ from calgraph.diagnostics.rig.systematic_tests import find_systematic_errors
 from calgraph.estimation.rig.solution import RigSolution, SolvedBundle
 from calgraph.result import HeldOutError
 from calgraph.result.finding import Finding
+from calgraph.rig.captures.detect import CaptureSet
 from calgraph.verdict.grades import axis_names
 
 

@@ -12,7 +12,6 @@ import numpy as np
 from calgraph.boards.board_pose import fit_pose
 from calgraph.boards.camera import make_board_corners
 from calgraph.boards.detections import BoardCorners
-from calgraph.captures.detect import CaptureSet
 from calgraph.config import Intrinsics, PixelNoise, Rig
 from calgraph.config.settings import IntrinsicsSettings
 from calgraph.detection.board_views import BoardView
@@ -26,6 +25,7 @@ from calgraph.estimation.rig.corner_observations import CornerObservations, adju
 from calgraph.estimation.rig.covariances import parameter_covariance
 from calgraph.geometry import Array, plane, se3
 from calgraph.result import state_intrinsics
+from calgraph.rig.captures.detect import CaptureSet
 from calgraph.sensors import CameraModel
 
 

@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 
 from calgraph.boards.detections import BoardCorners
-from calgraph.captures.detect import CaptureSet
 from calgraph.config import CameraSpec, Rig
 from calgraph.estimation.rig.board_observations import BoardObservation, board_number, initial_board_pose
 from calgraph.estimation.rig.bundle_solver import Bundle, BundleState
@@ -15,6 +14,7 @@ from calgraph.estimation.rig.observations import BoardViews, relative_poses, sta
 from calgraph.estimation.rig.range_observations import RangeObservations
 from calgraph.estimation.rig.systematic_parameters import add_systematic_parameters
 from calgraph.geometry import Array, se3
+from calgraph.rig.captures.detect import CaptureSet
 from calgraph.sensors import CameraModel
 
 _MIN_CORNERS = 4

@@ -14,13 +14,13 @@ import numpy as np
 
 from calgraph.boards.board_pose import plane_covariance
 from calgraph.boards.detections import BoardCorners, Detection
-from calgraph.captures.detect import CaptureSet
 from calgraph.config import Rig
 from calgraph.errors import CalibrationError
 from calgraph.estimation.rig.board_observations import BoardObservation
 from calgraph.estimation.rig.bundle_setup import build_bundle
 from calgraph.estimation.rig.bundle_solver import COARSE_TOLERANCE, minimize_bundle
 from calgraph.geometry import plane
+from calgraph.rig.captures.detect import CaptureSet
 
 
 def locate_boards(rig: Rig, captured: CaptureSet) -> CaptureSet:

@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calgraph.captures.detect import CaptureSet
 from calgraph.config import Rig
 from calgraph.estimation.rig.board_observations import BoardObservation, detected_nodes, group_detections
 from calgraph.estimation.rig.board_outlines import add_outlines
@@ -29,6 +28,7 @@ from calgraph.estimation.rig.systematic_parameters import (
 from calgraph.estimation.rig.view_return import SettledBundle, return_excluded_views
 from calgraph.geometry import Array
 from calgraph.graph.pairwise_estimate import MatchFilter, PairwiseEstimate, select_matches
+from calgraph.rig.captures.detect import CaptureSet
 
 _OUTLIER_VIEW = "outlier of the joint solution: inconsistent with the board's pose from the other sensors"
 

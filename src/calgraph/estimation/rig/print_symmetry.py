@@ -12,9 +12,9 @@ from dataclasses import replace
 import numpy as np
 
 from calgraph.boards.detections import BoardCorners, Detection
-from calgraph.captures.detect import CaptureSet
 from calgraph.config import Checkerboard, Rig
 from calgraph.geometry import Array, se3, so3
+from calgraph.rig.captures.detect import CaptureSet
 
 
 def align_symmetric_prints(rig: Rig, captured: CaptureSet, T_root_sensor: Mapping[str, Array]) -> CaptureSet:

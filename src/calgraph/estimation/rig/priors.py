@@ -6,7 +6,6 @@ from itertools import chain
 
 import numpy as np
 
-from calgraph.captures.detect import CaptureSet
 from calgraph.config import Rig
 from calgraph.config.settings import BoardPairSettings
 from calgraph.config.strict_model import StrictModel
@@ -18,6 +17,7 @@ from calgraph.geometry import Array, Index, se3
 from calgraph.graph.pairwise_estimate import PairwiseEstimate
 from calgraph.graph.spanning_tree import SpanningTree, grow_tree
 from calgraph.result import ExtrinsicsFile
+from calgraph.rig.captures.detect import CaptureSet
 
 # Of a prior along and about any axis, m² and rad²: a picometre, and the circumference of the Earth. Others are
 # poses that are exact or unknown; their inverses overflow.

@@ -9,7 +9,6 @@ import numpy as np
 from pydantic import Field
 
 from calgraph.boards.detections import BoardCorners
-from calgraph.captures.detect import CaptureSet
 from calgraph.config import Rig
 from calgraph.config.strict_model import StrictModel
 from calgraph.errors import InputError
@@ -19,6 +18,7 @@ from calgraph.graph.pairwise_estimate import MatchFilter, PairwiseEstimate
 from calgraph.graph.spanning_tree import SpanningTree
 from calgraph.pairwise.board_matches import Candidates
 from calgraph.pairwise.board_pair import PairwiseEstimates, select_successful
+from calgraph.rig.captures.detect import CaptureSet
 
 Estimator = Literal["bundle", "hypergraph"]
 

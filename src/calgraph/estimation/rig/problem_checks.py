@@ -6,8 +6,6 @@ import numpy as np
 from pydantic import ValidationError
 from pydantic_core import PydanticCustomError
 
-from calgraph.captures.detect import CaptureSet
-from calgraph.captures.detection_tables import DETECTIONS
 from calgraph.config import Intrinsics
 from calgraph.errors import InputError
 from calgraph.estimation.rig.priors import PosePrior, RigidGroup, has_inverse
@@ -16,6 +14,8 @@ from calgraph.graph.pairwise_estimate import PairwiseEstimate
 from calgraph.graph.spanning_tree import SpanningTree
 from calgraph.result.covariance_checks import check_semidefinite, check_symmetric
 from calgraph.result.frame_tree import MAX_DISTANCE
+from calgraph.rig.captures.detect import CaptureSet
+from calgraph.rig.captures.detection_tables import DETECTIONS
 from calgraph.sensors import CameraModel
 
 # Rounding of unit vectors and rotations that other programs write with seven digits.

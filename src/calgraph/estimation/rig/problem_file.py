@@ -8,9 +8,6 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.captures.detect import CaptureSet
-from calgraph.captures.detection_tables import pack_detections, unpack_detections
-from calgraph.captures.holds import Hold
 from calgraph.config import Rig
 from calgraph.config.settings import LimitSettings
 from calgraph.config.strict_model import StrictModel
@@ -24,6 +21,9 @@ from calgraph.io.columns import INDEX, NUMBER, Arrays, Column, Table
 from calgraph.io.yaml_reading import validate_content
 from calgraph.pairwise.board_pair import PairwiseEstimates, select_successful
 from calgraph.result.finding import Finding
+from calgraph.rig.captures.detect import CaptureSet
+from calgraph.rig.captures.detection_tables import pack_detections, unpack_detections
+from calgraph.rig.captures.holds import Hold
 from calgraph.sensors import CameraModel
 
 FORMAT = "calgraph-problem/2"

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.boards.detections import BoardCorners, PlanePatch
-from calgraph.captures.detect import CaptureSet
 from calgraph.config import Rig
 from calgraph.estimation.rig.board_observations import (
     BoardObservation,
@@ -29,6 +28,7 @@ from calgraph.estimation.rig.bundle_solver import (
 )
 from calgraph.estimation.rig.settling import select_views, settle_variances
 from calgraph.geometry import Index
+from calgraph.rig.captures.detect import CaptureSet
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,1 @@
+"""When and where the board rests, and what the sensors measure then."""

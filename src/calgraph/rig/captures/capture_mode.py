@@ -1,0 +1,154 @@
+"""How a recording shows the board: at rest, in separate snapshots, or in synchronized frames while it moves."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calgraph.config import Capture, CaptureMode
+from calgraph.config.settings import CaptureSettings
+from calgraph.geometry import Array
+from calgraph.rig.captures.stamp_groups import StampGroup, group_bursts, group_frames, measure_spread, split_bursts
+from calgraph.rig.captures.stillness import find_rests
+from calgraph.rig.captures.timeline import RecordingTimeline, SensorTimes
+
+
+@dataclass(frozen=True)
+class RecognizedMode:
+    """How a recording shows the board."""
+
+    mode: CaptureMode
+    """``rest``, ``snapshots`` or ``synchronized``."""
+    reason: str
+    """Why, in one sentence without full stop."""
+    spread: float | None = None
+    """Median time between the first and the last stamp of a set of frames, s, where the stamps show such sets."""
+
+
+def recognize_mode(
+    timeline: RecordingTimeline, capture: Capture, settings: CaptureSettings = CaptureSettings()
+) -> RecognizedMode:
+    """Recognises how a recording shows the board.
+
+    A timeline without activity (built without meters) shows whether the recording consists of snapshots, but not
+    whether the board ever rests: the mode is then ``rest``, and ``spread`` is stated where the stamps show sets of
+    frames.
+
+    Args:
+        timeline: when the sensors measured, and how much their views changed.
+        capture: what rig.yaml states.
+        settings: of the search for captures.
+    """
+    if capture.mode:
+        return RecognizedMode(capture.mode, f"rig.yaml states capture.mode: {capture.mode}")
+    if capture.trigger or len(timeline.triggers):
+        return RecognizedMode("rest", f"each of {len(timeline.triggers)} triggers starts a capture")
+    if timeline.poses:
+        return RecognizedMode("snapshots", f"each of {len(timeline.poses)} recordings is short, and of one pose")
+    if is_snapshot_recording(timeline, settings.max_snapshot_gap) or _has_separate_bursts(timeline, settings):
+        poses = max((len(_bursts(times, settings)) for times in timeline.sensors.values()), default=0)
+        return RecognizedMode("snapshots", f"the sensors measured {poses} times, with pauses in between")
+    frames = find_frame_sets(timeline, capture, settings)
+    spread = measure_spread(frames) if _are_synchronized(frames, timeline, settings) else None
+    if not any(times.activity.any() for times in timeline.sensors.values()):
+        reason = "the sensors measure continuously; how much their views change was not measured"
+        return RecognizedMode("rest", reason, spread)
+    begin = timeline.start
+    rests = [(a, b) for a, b in find_rests(timeline, settings) if capture.allows(a - begin, b - begin)]
+    # A moving board may rest for a moment: when the recording starts and ends, and where it is turned back.
+    share = sum(b - a for a, b in rests) / _duration(timeline)
+    rested = len(rests) >= settings.min_rests or share >= settings.min_rest_share
+    if rests and (spread is None or rested):
+        return RecognizedMode("rest", f"nothing moves in {len(rests)} intervals of the recording", spread)
+    if spread is None:
+        return RecognizedMode("rest", "the sensors measure continuously, and their stamps show no sets of frames")
+    return RecognizedMode(
+        "synchronized",
+        f"the board never rests, and the stamps of {len(frames)} sets of frames lie {1000 * spread:.1f} ms apart "
+        "(median)",
+        spread,
+    )
+
+
+def _duration(timeline: RecordingTimeline) -> float:
+    stamps = np.concatenate([times.stamps for times in timeline.sensors.values()])
+    return max(float(np.ptp(stamps)), 1e-9)
+
+
+def is_snapshot_recording(timeline: RecordingTimeline, max_gap: float) -> bool:
+    """Whether no two messages of a sensor lie within twice ``max_gap``, s: each pose has one of each."""
+    gaps = [np.diff(times.stamps) for times in timeline.sensors.values() if len(times.stamps) > 1]
+    return not gaps or bool(np.min(np.concatenate(gaps)) > 2 * max_gap)
+
+
+def find_frame_sets(
+    timeline: RecordingTimeline, capture: Capture, settings: CaptureSettings = CaptureSettings()
+) -> list[StampGroup]:
+    """The sets of frames of different sensors within ``capture.max_spread``, or a share of the shortest period."""
+    periods = [times.period for times in timeline.sensors.values() if np.isfinite(times.period)]
+    if not periods:
+        return []
+    max_spread = capture.max_spread or settings.max_spread_share * min(periods)
+    return group_frames({name: times.stamps for name, times in timeline.sensors.items()}, max_spread)
+
+
+def find_snapshots(
+    timeline: RecordingTimeline, capture: Capture, settings: CaptureSettings = CaptureSettings()
+) -> list[StampGroup]:
+    """The poses of a recording of snapshots, each with the messages of all sensors.
+
+    Messages of different sensors belong to one pose if at most ``settings.max_snapshot_gap`` lies between them.
+    Where that leaves half of the messages alone, as drivers respond late, the gap is doubled, until it exceeds
+    ``settings.max_snapshot_spread``. A stated ``capture.max_spread`` is the time between the first stamps of the
+    first and of the last sensor of a pose. Where each recording is of one pose, stamps do not matter.
+    """
+    if timeline.poses:
+        return [group for start, end in timeline.poses if (group := _select_between(timeline, start, end))]
+    bursts = {name: _bursts(times, settings) for name, times in timeline.sensors.items()}
+    if capture.max_spread:
+        return group_bursts(bursts, capture.max_spread, capture.max_spread)
+    count = sum(len(one) for one in bursts.values())
+    gap, groups = settings.max_snapshot_gap, group_bursts(bursts, settings.max_snapshot_gap, np.inf)
+    while 2 * sum(len(group.stamps) for group in groups) < count and 2 * gap <= settings.max_snapshot_spread:
+        gap *= 2
+        groups = group_bursts(bursts, gap, np.inf)
+    return groups
+
+
+def _select_between(timeline: RecordingTimeline, start: float, end: float) -> StampGroup | None:
+    """All messages between two stamps; None of fewer than two sensors."""
+    within = {
+        name: times.stamps[(times.stamps >= start) & (times.stamps <= end)]
+        for name, times in timeline.sensors.items()
+    }
+    some = {name: stamps for name, stamps in within.items() if len(stamps)}
+    return StampGroup(some) if len(some) > 1 else None
+
+
+def _are_synchronized(frames: list[StampGroup], timeline: RecordingTimeline, settings: CaptureSettings) -> bool:
+    """Whether the sensors are fast, and half of the messages of the slowest one belong to sets of frames."""
+    sensors = [times for times in timeline.sensors.values() if len(times.stamps)]
+    if any(times.period > settings.max_motion_period for times in sensors):
+        return False
+    counts = [len(np.unique(times.stamps)) for times in sensors]
+    return len(frames) >= settings.min_poses and 2 * len(frames) >= min(counts)
+
+
+def _has_separate_bursts(timeline: RecordingTimeline, settings: CaptureSettings) -> bool:
+    """Whether every sensor measured shortly, with pauses of different lengths in between."""
+    sensors = [times for times in timeline.sensors.values() if len(times.stamps)]
+    bursts = [_bursts(times, settings) for times in sensors]
+    if min((len(one) for one in bursts), default=0) < settings.min_poses:
+        return False
+    if any(burst[-1] - burst[0] >= settings.min_hold for one in bursts for burst in one):
+        return False
+    return not all(_is_periodic(times, settings) for times in sensors)
+
+
+def _bursts(times: SensorTimes, settings: CaptureSettings) -> list[Array]:
+    return split_bursts(times.stamps, settings.max_motion_period)
+
+
+def _is_periodic(times: SensorTimes, settings: CaptureSettings) -> bool:
+    """Whether the pauses of a sensor are equal within a share, as those of a slow driver are."""
+    periods = np.diff(times.stamps)
+    return float(np.median(np.abs(periods - times.period))) < settings.max_period_jitter * times.period

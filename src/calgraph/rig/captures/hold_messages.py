@@ -1,0 +1,202 @@
+"""The messages of holds for calls of an engine: sent with each call, or read by the call itself."""
+
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+import numpy as np
+
+from calgraph.config import Rig
+from calgraph.geometry import Array
+from calgraph.parallel.engine import Engine, Processes
+from calgraph.recording import Recording, RecordingReference, refer_to
+from calgraph.rig.captures.holds import Hold
+from calgraph.rig.captures.previews import PreviewSize
+from calgraph.rig.captures.timeline import RecordingTimeline, SensorTimes
+from calgraph.sensors import Message, RecordedMessage
+
+Result = TypeVar("Result")
+Search = tuple[int, str]
+"""Capture and sensor."""
+SearchMessages = tuple[int, str, list[Callable[[], Message]], PreviewSize | None]
+"""Capture, sensor, functions that decode its messages, and the size of their preview."""
+
+# A worker opens the recording for each part, which takes as long as one message takes to be searched. With four
+# parts for each worker, few wait for the last one.
+_PARTS_PER_WORKER = 4
+# Larger than the error of a time of this century in floating point, s.
+_ROUNDING = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class StoredMessages:
+    """The messages of a recording, for calls that read a part of it themselves."""
+
+    reference: RecordingReference
+    timeline: RecordingTimeline
+    """When they arrived, by sensor."""
+
+
+Messages = Iterable[RecordedMessage] | StoredMessages
+"""Records of sensors, streamed; or where calls find them."""
+
+
+def select_messages(
+    rig: Rig, recording: Recording, timeline: RecordingTimeline, engine: Engine
+) -> StoredMessages | None:
+    """Where calls of the engine read the messages of the rig's sensors; None if these are to be sent to them.
+
+    To a cluster, messages that are sent pass through this process and the scheduler; processes of this machine get
+    them as fast as they would read them. Where reading a part takes as long as reading all, messages are always
+    sent: of videos, which are decoded from a keyframe on, files that are compressed as a whole or have no index,
+    detected corners, recordings of one pose each, and of messages in memory.
+    """
+    if isinstance(engine, Processes) or not (recording.divisible and recording.opened_from):
+        return None
+    return StoredMessages(refer_to(recording, rig.settings.limits), timeline)
+
+
+def count_parts(engine: Engine) -> int:
+    """The number of parts of a recording that calls of the engine read."""
+    return _PARTS_PER_WORKER * max(engine.workers, 1)  # a cluster may have lost all for a moment
+
+
+def search_holds(
+    search: Callable[..., Result],
+    shared: Any,
+    messages: Messages,
+    holds: Sequence[Hold],
+    topics: Mapping[str, str],
+    *,
+    engine: Engine,
+    preview_sizes: Mapping[int, PreviewSize] | None = None,
+    skipped: Collection[Search] = (),
+) -> Iterator[Result]:
+    """Calls a function once per capture and sensor.
+
+    Args:
+        search: defined at module level; called with ``shared`` and the items of :data:`SearchMessages`.
+        shared: first argument of all calls.
+        messages: of all sensors.
+        holds: with the stamps of the messages to use.
+        topics: topic by sensor.
+        engine: runs the calls.
+        preview_sizes: by capture; those that are not in it have none.
+        skipped: captures and sensors that are left out.
+
+    Yields:
+        Results; those of one sensor in the order in which its captures were complete.
+    """
+    sizes = preview_sizes or {}
+    if not isinstance(messages, StoredMessages):
+        yield from engine.stream(search, gather_messages(messages, holds, topics, sizes, skipped), shared)
+        return
+    parts = _divide(messages, holds, topics, skipped, count_parts(engine))
+    given = messages.reference, search, shared, topics, sizes, skipped
+    for results in engine.stream(_search_part, parts, given):
+        yield from results
+
+
+def read_part(
+    recording: Recording, topics: Collection[str], first: float, last: float
+) -> Iterator[RecordedMessage]:
+    """The records of topics that arrived from ``first`` to ``last``, s."""
+    # A recording that shifts arrivals rounds the limits.
+    for record in recording.records(topics, first - _ROUNDING, last + _ROUNDING):
+        if first <= record.arrival <= last:
+            yield record
+
+
+def gather_messages(
+    records: Iterable[RecordedMessage],
+    holds: Sequence[Hold],
+    topics: Mapping[str, str],
+    preview_sizes: Mapping[int, PreviewSize],
+    skipped: Collection[Search] = (),
+) -> Iterator[SearchMessages]:
+    """Every capture and sensor with functions that decode its messages, as soon as the last one has been read.
+
+    Args:
+        records: all records of the sensors, streamed.
+        holds: with the stamps of the messages to use.
+        topics: topic by sensor.
+        preview_sizes: by capture; those that are not in it have none.
+        skipped: captures and sensors that are left out.
+    """
+    sensor_by_topic = {topic: name for name, topic in topics.items()}
+    captures_of_message: dict[tuple[str, float], list[int]] = {}
+    missing_messages: dict[Search, int] = {}
+    for hold in holds:
+        for name in topics:
+            if (hold.index, name) in skipped:
+                continue
+            chosen = hold.stamps[name]
+            missing_messages[hold.index, name] = len(chosen)
+            for stamp in chosen:
+                captures_of_message.setdefault((name, float(stamp)), []).append(hold.index)
+    received: dict[Search, list[Callable[[], Message]]] = {}
+    for record in records:
+        name = sensor_by_topic.get(record.topic, "")
+        for capture in captures_of_message.pop((name, record.stamp), ()):
+            key = capture, name
+            received.setdefault(key, []).append(record.decode)
+            missing_messages[key] -= 1
+            if missing_messages[key] == 0:
+                del missing_messages[key]
+                yield capture, name, received.pop(key), preview_sizes.get(capture)
+    for capture, name in missing_messages:
+        yield capture, name, received.pop((capture, name), []), preview_sizes.get(capture)
+
+
+def _search_part(
+    given: tuple[
+        RecordingReference,
+        Callable[..., Result],
+        Any,
+        Mapping[str, str],
+        Mapping[int, PreviewSize],
+        Collection[Search],
+    ],
+    holds: Sequence[Hold],
+    first: float,
+    last: float,
+) -> list[Result]:
+    """Reads the messages of some holds, which arrived from ``first`` to ``last``, and searches them."""
+    reference, search, shared, topics, sizes, skipped = given
+    with reference.open() as recording:
+        records = read_part(recording, topics.values(), first, last)
+        return [search(shared, *work) for work in gather_messages(records, holds, topics, sizes, skipped)]
+
+
+def _divide(
+    messages: StoredMessages,
+    holds: Sequence[Hold],
+    topics: Mapping[str, str],
+    skipped: Collection[Search],
+    count: int,
+) -> Iterator[tuple[list[Hold], float, float]]:
+    """At most ``count`` parts: holds that follow each other, and when their first and last message arrived, s."""
+    spans: dict[int, tuple[float, float]] = {}
+    for hold in holds:
+        names = [name for name in topics if (hold.index, name) not in skipped]
+        if names:
+            arrivals = np.concatenate(
+                [_find_arrivals(messages.timeline.sensors[name], hold.stamps[name]) for name in names]
+            )
+            spans[hold.index] = _find_span(arrivals, messages.reference.span[1])
+    ordered = sorted((hold for hold in holds if hold.index in spans), key=lambda hold: spans[hold.index])
+    size = max(-(-len(ordered) // count), 1)
+    for k in range(0, len(ordered), size):
+        part = ordered[k : k + size]
+        yield part, spans[part[0].index][0], max(spans[hold.index][1] for hold in part)
+
+
+def _find_arrivals(times: SensorTimes, stamps: Array) -> Array:
+    """When the messages of some stamps (N,) arrived, s; the first one of several with the same stamp."""
+    found: Array = times.arrivals[np.searchsorted(times.stamps, stamps)]
+    return found
+
+
+def _find_span(arrivals: Array, default: float) -> tuple[float, float]:
+    """The first and the last one; the default where there is none."""
+    return (float(arrivals.min()), float(arrivals.max())) if len(arrivals) else (default, default)

@@ -1,0 +1,147 @@
+"""Holds: the times in which the board rests; and which messages of each sensor were measured in them."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+
+import numpy as np
+
+from calgraph.config import Capture
+from calgraph.config.settings import CaptureSettings
+from calgraph.errors import CalibrationError
+from calgraph.geometry import Array
+from calgraph.rig.captures.capture_mode import find_frame_sets, find_snapshots, recognize_mode
+from calgraph.rig.captures.frame_selection import find_neighbours, select_frame_sets
+from calgraph.rig.captures.stamp_groups import StampGroup
+from calgraph.rig.captures.stillness import find_rests
+from calgraph.rig.captures.timeline import RecordingTimeline, SensorTimes
+
+
+@dataclass(frozen=True, eq=False)
+class Hold:
+    """One time in which the board rests."""
+
+    index: int
+    start: float
+    end: float
+    """s, header time."""
+    stamps: Mapping[str, Array] = field(default_factory=dict)
+    """By sensor, the stamps of the messages measured entirely within the hold."""
+    auxiliary: bool = False
+    """Whether it only shows the velocity of the board in another capture, and is none itself."""
+
+
+def find_holds(
+    timeline: RecordingTimeline, capture: Capture, settings: CaptureSettings = CaptureSettings()
+) -> tuple[Hold, ...]:
+    """Finds the holds: by trigger, from separate snapshots, by stillness, or each set of synchronized frames.
+
+    Args:
+        timeline: when the sensors measured, and when captures were triggered.
+        capture: the trigger if there is one, and the windows in which no hold may lie.
+        settings: of the search.
+
+    Returns:
+        The holds in order of time, each with the messages to use; auxiliary ones after all others.
+
+    Raises:
+        CalibrationError: there is none.
+    """
+    mode = recognize_mode(timeline, capture, settings).mode
+    if mode == "synchronized":
+        sets = find_frame_sets(timeline, capture, settings)
+        begin = timeline.start
+        frames = [group for group in sets if capture.allows(group.start - begin, group.end - begin)]
+        if sets and not frames:
+            raise CalibrationError(
+                f"all {len(sets)} sets of frames lie in capture.background or capture.exclude; make these "
+                "shorter, or record longer"
+            )
+        found = _hold_frames(frames, timeline, settings.moving_board.max_captures)
+    else:
+        if capture.trigger:
+            candidates = _select_messages(timeline, _find_spans_by_trigger(timeline))
+        elif mode == "snapshots":
+            candidates = _hold_groups(find_snapshots(timeline, capture, settings), timeline)
+        else:
+            candidates = _select_messages(timeline, find_rests(timeline, settings))
+        begin = timeline.start
+        found = [hold for hold in candidates if capture.allows(hold.start - begin, hold.end - begin)]
+    if not found:
+        raise CalibrationError(_explain_no_holds(timeline, capture, mode))
+    return tuple(replace(hold, index=i) for i, hold in enumerate(found))
+
+
+def _select_messages(timeline: RecordingTimeline, spans: list[tuple[float, float]]) -> list[Hold]:
+    """The holds of some intervals, each with the messages that were measured entirely within it."""
+    sensors = timeline.sensors.items()
+    return [Hold(0, a, b, {name: _select_stamps(times, a, b) for name, times in sensors}) for a, b in spans]
+
+
+def _hold_groups(groups: list[StampGroup], timeline: RecordingTimeline, *, auxiliary: bool = False) -> list[Hold]:
+    """One hold a group, with all of its messages."""
+    none = np.zeros(0)
+    return [
+        Hold(
+            0,
+            group.start,
+            group.end,
+            {name: group.stamps.get(name, none) for name in timeline.sensors},
+            auxiliary=auxiliary,
+        )
+        for group in groups
+    ]
+
+
+def _hold_frames(frames: list[StampGroup], timeline: RecordingTimeline, limit: int) -> list[Hold]:
+    """The sets of frames that are captures, and after them those that show the velocity of the board."""
+    chosen = select_frame_sets(frames, timeline, limit)
+    neighbours = find_neighbours(chosen, timeline)
+    return [*_hold_groups(chosen, timeline), *_hold_groups(neighbours, timeline, auxiliary=True)]
+
+
+def _explain_no_holds(timeline: RecordingTimeline, capture: Capture, mode: str) -> str:
+    if capture.trigger and not len(timeline.triggers):
+        return (
+            f"the topic {capture.trigger} has no message: check capture.trigger, or leave it out to find the "
+            "holds from the data"
+        )
+    if capture.trigger:
+        return (
+            f"all {len(timeline.triggers)} messages of {capture.trigger} lie in capture.background or "
+            "capture.exclude; make these shorter"
+        )
+    if mode == "snapshots":
+        return (
+            "no pose was measured by two sensors: their stamps lie too far apart; state capture.max_spread in "
+            "seconds, or give one recording per pose"
+        )
+    if mode == "synchronized":
+        return (
+            "no two sensors have frames whose stamps are nearly equal: state capture.max_spread in seconds, the "
+            "largest difference that is acceptable, or hold the board still"
+        )
+    return "the board never rests: hold it still twice as long as the slowest sensor takes, or record a trigger"
+
+
+def _find_spans_by_trigger(timeline: RecordingTimeline) -> list[tuple[float, float]]:
+    """From each trigger until every sensor has measured twice (MSG-Cal, III), or until the next trigger."""
+    spans = []
+    for start, next_trigger in pairwise([*timeline.triggers, np.inf]):
+        measured_twice = [start]
+        for times in timeline.sensors.values():
+            after = np.unique(times.stamps[times.stamps >= start])
+            if len(after) >= 2:
+                measured_twice.append(after[1] + times.duration)
+        spans.append((float(start), float(min(max(measured_twice), next_trigger))))
+    return spans
+
+
+def _select_stamps(times: SensorTimes, start: float, end: float) -> Array:
+    """Stamps of the messages that were measured entirely between start and end.
+
+    Where messages do not state how long they took, their stamp may be of the first or of the last point: only a
+    message with another one before it in the hold is then used (MSG-Cal's second measurement).
+    """
+    inside = times.stamps[(times.stamps >= start) & (times.stamps + times.duration <= end + 1e-6)]
+    return inside if times.duration > 0 else inside[1:]

@@ -1,0 +1,124 @@
+"""Checks that a recording fits a rig, before any detection: message types, stamps, trigger and windows."""
+
+from collections.abc import Iterable, Mapping
+
+import numpy as np
+
+from calgraph.config import Rig
+from calgraph.errors import InputError
+from calgraph.recording import TopicInfo
+from calgraph.recording.file_names import describe_unmatched_numbers, find_pose_numbers
+from calgraph.rig.captures.timeline import RecordingTimeline
+
+_MESSAGES_OF_KIND: Mapping[str, tuple[str, ...]] = {
+    "camera": ("Image", "DetectedCorners"),
+    "lidar2d": ("LaserScan", "PointCloud"),
+    "lidar3d": ("PointCloud",),
+}
+_KIND_OF_MESSAGE = {
+    "Image": "camera",
+    "DetectedCorners": "camera",
+    "LaserScan": "lidar2d",
+    "PointCloud": "lidar3d",
+}
+
+
+def check_timeline(rig: Rig, timeline: RecordingTimeline, end: float) -> None:
+    """Checks the messages of a recording against its rig.
+
+    Args:
+        rig: the rig.
+        timeline: of its sensors and triggers.
+        end: end of the recording, s.
+
+    Raises:
+        InputError: no sensor has a message, a sensor's messages are of another kind, their stamps stand still or
+            are of another time than the other sensors', the trigger is a sensor's topic, or the background window
+            lies after the recording.
+    """
+    if not any(len(times.stamps) for times in timeline.sensors.values()):
+        topics = ", ".join(spec.topic for spec in rig.sensors.values())
+        raise InputError(
+            f"the recording holds no message of any sensor ({topics}): were the drivers running while it was "
+            "recorded? `calgraph inspect` lists what it contains"
+        )
+    _check_windows(rig, end - timeline.start)
+    _check_trigger(rig)
+    for name in rig.sensors:
+        _check_messages(name, rig, timeline)
+        _check_stamps(name, timeline, rig.settings.captures.max_snapshot_gap)
+
+
+def check_pose_numbers(rig: Rig, timeline: RecordingTimeline, topics: Iterable[TopicInfo]) -> None:
+    """Checks that files which are numbered by poses belong to poses of other sensors.
+
+    Args:
+        rig: the rig.
+        timeline: of its sensors.
+        topics: of the recording.
+
+    Raises:
+        InputError: no file of a sensor has the number of another one's.
+    """
+    numbered = {topic.name for topic in topics if topic.time_base == "pose"}
+    numbers = {
+        name: find_pose_numbers(timeline.sensors[name].stamps)
+        for name, topic in rig.topics.items()
+        if topic in numbered
+    }
+    for name, reason in describe_unmatched_numbers(numbers).items():
+        raise InputError(f"sensors.{name}: {reason}")
+
+
+def is_message_of_kind(message_type: str, kind: str) -> bool:
+    """Whether sensors of a kind send messages of this type; true of an empty type, before the first message."""
+    return not message_type or message_type in _MESSAGES_OF_KIND[kind]
+
+
+def _check_trigger(rig: Rig) -> None:
+    for name, spec in rig.sensors.items():
+        if spec.topic == rig.capture.trigger:
+            raise InputError(
+                f"capture.trigger: {spec.topic} is the topic of the sensor {name}, not one that marks captures; "
+                "leave the trigger out to find the holds from the data"
+            )
+
+
+def _check_windows(rig: Rig, length: float) -> None:
+    window = rig.capture.background
+    if window and window[0] >= length:
+        raise InputError(
+            f"capture.background: [{window[0]:g}, {window[1]:g}] s lies after the end of the recording, which is "
+            f"{length:.1f} s long"
+        )
+
+
+def _check_messages(name: str, rig: Rig, timeline: RecordingTimeline) -> None:
+    spec, sent = rig.sensors[name], timeline.sensors[name].message_type
+    if not is_message_of_kind(sent, spec.kind):
+        sender = f"; a {_KIND_OF_MESSAGE[sent]} sends those" if sent in _KIND_OF_MESSAGE else ""
+        raise InputError(
+            f"sensors.{name}.topic: {spec.topic} has {sent} messages{sender}, but its kind {spec.kind} needs "
+            f"{' or '.join(_MESSAGES_OF_KIND[spec.kind])}"
+        )
+
+
+def _check_stamps(name: str, timeline: RecordingTimeline, max_gap: float) -> None:
+    """Checks the stamps of a sensor; those of one pose may lie ``max_gap``, s, apart."""
+    stamps = timeline.sensors[name].stamps
+    if len(stamps) > 1 and stamps[0] == stamps[-1]:
+        raise InputError(
+            f"sensors.{name}: all its {len(stamps)} messages have the header stamp {stamps[0]:.3f} s; have its "
+            "driver stamp them, or leave the sensor out"
+        )
+    others = [times.stamps for other, times in timeline.sensors.items() if other != name]
+    other_stamps = np.concatenate([*others, timeline.triggers])
+    if not len(stamps) or not len(other_stamps):
+        return
+    first, last = other_stamps.min(), other_stamps.max()
+    if first - stamps[-1] > max_gap or stamps[0] - last > max_gap:
+        raise InputError(
+            f"sensors.{name}: its header stamps run from {stamps[0]:.3f} to {stamps[-1]:.3f} s, those of the "
+            f"other sensors and triggers from {first:.3f} to {last:.3f} s: their clocks differ; state "
+            f"sensors.{name}.clock_offset, or clock_offset: estimate"
+        )
