@@ -20,10 +20,10 @@ import numpy as np
 
 from calgraph.boards.landmarks import compute_landmarks
 from calgraph.config import Rig
-from calgraph.detection.board_views import BoardView
 from calgraph.errors import Rejected
 from calgraph.estimation.intrinsics.estimate import estimate_intrinsics
 from calgraph.geometry import Array, se3, so3
+from calgraph.rig.detection.board_views import BoardView
 from calgraph.sensors import CameraModel
 
 SIZE, NOISE = (1280, 960), 0.2

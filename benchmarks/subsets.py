@@ -30,7 +30,6 @@ from calgraph.boards.detections import BoardCorners, Detection, DetectionResult
 from calgraph.boards.landmarks import compute_landmarks
 from calgraph.calibrate.rig import build_problem_from_captures, calibrate_detections, solve_jointly, solve_problem
 from calgraph.config import Rig
-from calgraph.detection.from_measurements import board_corners_from_pixels
 from calgraph.errors import Rejected
 from calgraph.estimation.rig.bundle_solver import linearize_bundle, retract_state
 from calgraph.estimation.rig.observations import relative_poses
@@ -41,6 +40,7 @@ from calgraph.parallel.processes import parallel_map
 from calgraph.recording import open_recording
 from calgraph.rig.captures.detectors import draw_seeds, make_detectors
 from calgraph.rig.captures.from_detections import captures_from_detections
+from calgraph.rig.detection.from_measurements import board_corners_from_pixels
 from calgraph.rig.options import RigOptions
 from calgraph.sensors import PointCloud
 from real_recordings import VLP16

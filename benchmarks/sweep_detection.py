@@ -17,10 +17,10 @@ import numpy as np
 
 from calgraph.boards.detections import PlanePatch
 from calgraph.config import Board, CameraSpec, Capture, Checkerboard, Lidar3dSpec, RangeNoise, Rig
-from calgraph.detection.capture_background import learn_capture_background
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se3, so3
 from calgraph.rig.captures.detectors import make_detectors
+from calgraph.rig.detection.capture_background import learn_capture_background
 from calgraph.sensors import PointCloud
 from calgraph.simulation.environment import board_solid, build_room, operator_solids
 from calgraph.simulation.motion import BoardPlacement, pose_from_placement

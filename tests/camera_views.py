@@ -4,8 +4,8 @@ import numpy as np
 
 from calgraph.boards.landmarks import compute_landmarks
 from calgraph.config import Rig
-from calgraph.detection.board_views import BoardView
 from calgraph.geometry import Array, se3, so3
+from calgraph.rig.detection.board_views import BoardView
 from calgraph.sensors import CameraModel
 
 PINHOLE = CameraModel(

@@ -28,7 +28,7 @@ ELSEWHERE = {
     "io/columns.py": "Files that calgraph wrote",
     "rig/captures/detection_tables.py": "Files that calgraph wrote",
     "rig/captures/from_detections.py": "In a program",
-    "detection/from_measurements.py": "In a program",
+    "rig/detection/from_measurements.py": "In a program",
     "recording/in_memory.py": "In a program",
     "recording/writer.py": "In a program",
 }

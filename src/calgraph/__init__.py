@@ -18,7 +18,7 @@ _NAMES = {
         "load_rig"
     ),
     "calgraph.boards.detections": "BoardCorners PlanePatch Segment",
-    "calgraph.detection.from_measurements": (
+    "calgraph.rig.detection.from_measurements": (
         "board_corners_from_pixels plane_patch_from_points segment_from_points"
     ),
     "calgraph.errors": "CalgraphError CalibrationError InputError RecordingError Rejected",

@@ -20,9 +20,6 @@ from calgraph.config import RangeNoise as RangeNoise
 from calgraph.config import Rig as Rig
 from calgraph.config import Tag as Tag
 from calgraph.config import load_rig as load_rig
-from calgraph.detection.from_measurements import board_corners_from_pixels as board_corners_from_pixels
-from calgraph.detection.from_measurements import plane_patch_from_points as plane_patch_from_points
-from calgraph.detection.from_measurements import segment_from_points as segment_from_points
 from calgraph.errors import CalgraphError as CalgraphError
 from calgraph.errors import CalibrationError as CalibrationError
 from calgraph.errors import InputError as InputError
@@ -59,6 +56,9 @@ from calgraph.result import save_calibration as save_calibration
 from calgraph.result import to_dataframe as to_dataframe
 from calgraph.rig.captures.detect import CaptureSet as CaptureSet
 from calgraph.rig.captures.from_detections import captures_from_detections as captures_from_detections
+from calgraph.rig.detection.from_measurements import board_corners_from_pixels as board_corners_from_pixels
+from calgraph.rig.detection.from_measurements import plane_patch_from_points as plane_patch_from_points
+from calgraph.rig.detection.from_measurements import segment_from_points as segment_from_points
 from calgraph.rig.options import RigOptions as RigOptions
 from calgraph.rig.verification import bootstrap_covariances as bootstrap_covariances
 from calgraph.sensors import CameraModel as CameraModel

@@ -7,9 +7,9 @@ from calgraph.boards.camera import CameraDetector
 from calgraph.boards.detections import BoardCorners
 from calgraph.boards.landmarks import compute_landmarks
 from calgraph.config import Board, Charuco, Checkerboard, PixelNoise, Tag
-from calgraph.detection.board_views import BoardViewFinder
 from calgraph.errors import InputError, Rejected
 from calgraph.geometry import Array, plane, se3, so3
+from calgraph.rig.detection.board_views import BoardViewFinder
 from calgraph.sensors import CameraModel, DetectedCorners
 
 CHARUCO = Board(

@@ -10,11 +10,6 @@ import pytest
 from calgraph.boards.detections import BoardCorners, Detection, PlanePatch
 from calgraph.calibrate.rig import calibrate_detections, solve_problem
 from calgraph.config import Lidar2dSpec, Lidar3dSpec, People, RangeNoise, Rig
-from calgraph.detection.from_measurements import (
-    board_corners_from_pixels,
-    plane_patch_from_points,
-    segment_from_points,
-)
 from calgraph.errors import InputError, Rejected
 from calgraph.estimation.rig.problem_file import load_problem
 from calgraph.geometry import Array, se3
@@ -23,6 +18,11 @@ from calgraph.network.pipeline import calibrate_network, calibrate_tracks
 from calgraph.network.tracking.track import ScannerTracks, Track
 from calgraph.recording import MessageRecording
 from calgraph.result import Calibration
+from calgraph.rig.detection.from_measurements import (
+    board_corners_from_pixels,
+    plane_patch_from_points,
+    segment_from_points,
+)
 from calgraph.rig.options import RigOptions
 from calgraph.sensors import LaserScan
 from calgraph.simulation import NetworkScenario, simulate_network_scans

@@ -16,13 +16,13 @@ from calgraph.boards.detections import DetectionResult, PlanePatch, to_beams
 from calgraph.boards.landmarks import compute_landmarks
 from calgraph.config import Board, Checkerboard, PixelNoise, RangeNoise, Rig
 from calgraph.config.settings import DetectionSettings
-from calgraph.detection.lidar2d import build_segment
-from calgraph.detection.line_plane_fit import fit_line, fit_plane
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, plane, se3
 from calgraph.rig.captures.detect import CaptureSet, SensorCapture, collect_detections
 from calgraph.rig.captures.holds import Hold
 from calgraph.rig.captures.timeline import RecordingTimeline, SensorTimes
+from calgraph.rig.detection.lidar2d import build_segment
+from calgraph.rig.detection.line_plane_fit import fit_line, fit_plane
 from calgraph.sensors import CameraModel
 from calgraph.simulation.ideal_beams import IdealBeams
 from calgraph.simulation.model_errors import BoardErrors, CameraErrors, ModelErrors

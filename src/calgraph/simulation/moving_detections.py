@@ -15,13 +15,13 @@ from scipy.spatial.transform import Rotation, RotationSpline
 from calgraph.boards.detections import BoardCorners, Detection
 from calgraph.config import Capture, Rig
 from calgraph.config.settings import BoardPoseSettings
-from calgraph.detection.from_measurements import board_corners_from_pixels
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se3
 from calgraph.rig.captures.detect import CaptureSet, SensorCapture, collect_detections
 from calgraph.rig.captures.holds import Hold, find_holds
 from calgraph.rig.captures.moving_board import compensate_motion
 from calgraph.rig.captures.timeline import RecordingTimeline, SensorTimes
+from calgraph.rig.detection.from_measurements import board_corners_from_pixels
 from calgraph.simulation.ideal_detections import IdealDetectorOptions, make_ideal_detector
 from calgraph.simulation.model_errors import ModelErrors
 from calgraph.simulation.motion import pose_from_placement

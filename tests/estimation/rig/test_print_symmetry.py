@@ -6,10 +6,10 @@ import pytest
 from calgraph.boards.detections import BoardCorners
 from calgraph.calibrate.rig import build_problem_from_captures, solve_jointly
 from calgraph.config import Board, CameraSpec, Charuco, Checkerboard, Rig, SensorSpec
-from calgraph.detection.from_measurements import board_corners_from_pixels
 from calgraph.estimation.rig.print_symmetry import align_symmetric_prints, symmetry_turns, turn_corners
 from calgraph.geometry import Array, se3, so3
 from calgraph.rig.captures.from_detections import captures_from_detections
+from calgraph.rig.detection.from_measurements import board_corners_from_pixels
 from calgraph.rig.options import RigOptions
 from calgraph.sensors import CameraModel
 

@@ -10,12 +10,12 @@ import pytest
 from calgraph.boards.detections import BoardCorners, PlanePatch
 from calgraph.config import Board, Capture, Lidar2dSpec, Lidar3dSpec, Rig
 from calgraph.config.settings import CaptureBackgroundSettings, CaptureSettings, DetectionSettings, Settings
-from calgraph.detection.cloud_background import CloudBackground
 from calgraph.errors import Rejected
 from calgraph.geometry import Array
 from calgraph.recording import MessageRecording
 from calgraph.rig.captures.detectors import learn_backgrounds, learn_backgrounds_of_captures, make_detectors
 from calgraph.rig.captures.holds import Hold
+from calgraph.rig.detection.cloud_background import CloudBackground
 from calgraph.sensors import LaserScan, Message, PointCloud, RecordedMessage, ScanBackground
 from calgraph.sensors.cloud_to_scan import to_scans
 

@@ -5,9 +5,9 @@ import pytest
 
 from calgraph.boards.detections import PlanePatch, Segment
 from calgraph.config import Board, CameraSpec, Intrinsics, Lidar2dSpec, Lidar3dSpec, Rig
-from calgraph.detection.from_measurements import plane_patch_from_points, segment_from_points
 from calgraph.errors import InputError, Rejected
 from calgraph.rig.captures.from_detections import captures_from_detections
+from calgraph.rig.detection.from_measurements import plane_patch_from_points, segment_from_points
 
 RIG = Rig(
     root="lidar",

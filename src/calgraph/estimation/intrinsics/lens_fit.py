@@ -14,7 +14,6 @@ from calgraph.boards.camera import make_board_corners
 from calgraph.boards.detections import BoardCorners
 from calgraph.config import Intrinsics, PixelNoise, Rig
 from calgraph.config.settings import IntrinsicsSettings
-from calgraph.detection.board_views import BoardView
 from calgraph.errors import CalibrationError, InputError, Rejected
 from calgraph.estimation.intrinsics.model_error import FieldEquations, ModelError, estimate_model_error
 from calgraph.estimation.intrinsics.start import IntrinsicsStart
@@ -26,6 +25,7 @@ from calgraph.estimation.rig.covariances import parameter_covariance
 from calgraph.geometry import Array, plane, se3
 from calgraph.result import state_intrinsics
 from calgraph.rig.captures.detect import CaptureSet
+from calgraph.rig.detection.board_views import BoardView
 from calgraph.sensors import CameraModel
 
 

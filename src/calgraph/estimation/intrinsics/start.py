@@ -14,9 +14,9 @@ from typing import Literal
 import numpy as np
 
 from calgraph.config.settings import IntrinsicsSettings
-from calgraph.detection.board_views import BoardView
 from calgraph.errors import InputError
 from calgraph.geometry import Array, se3, so3
+from calgraph.rig.detection.board_views import BoardView
 from calgraph.sensors import CameraModel
 from calgraph.solver.levenberg_marquardt import DenseLinearization, minimize
 

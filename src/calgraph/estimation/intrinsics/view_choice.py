@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from calgraph.config.settings import IntrinsicsSettings
-from calgraph.detection.board_views import BoardView
 from calgraph.geometry import Array
+from calgraph.rig.detection.board_views import BoardView
 
 _MIN_WIDTH_RATIO = 0.05
 """Corners whose extents have a smaller ratio are on one line, which determines no pose."""

@@ -5,13 +5,13 @@ from typing import Any
 
 import numpy as np
 
-from calgraph.detection.board_views import BoardView, BoardViewFinder
 from calgraph.errors import Rejected
 from calgraph.io.columns import Arrays
 from calgraph.parallel.engine import THIS_PROCESS, Engine
 from calgraph.rig.captures.hold_messages import Messages, search_holds
 from calgraph.rig.captures.holds import Hold
 from calgraph.rig.captures.previews import PreviewSize
+from calgraph.rig.detection.board_views import BoardView, BoardViewFinder
 from calgraph.sensors import Message
 
 

@@ -9,16 +9,16 @@ from calgraph.boards.camera import CameraDetector, PlaneEstimator
 from calgraph.boards.detections import DetectionResult, PlanePatch
 from calgraph.config import CameraSpec, Lidar2dSpec, Lidar3dSpec, Rig
 from calgraph.config.settings import DetectionSettings
-from calgraph.detection.background_learning import learn_cloud_background, learn_scan_background
-from calgraph.detection.capture_background import CaptureBackground, learn_capture_background
-from calgraph.detection.cloud_background import CloudBackground
-from calgraph.detection.lidar2d import find_segments
-from calgraph.detection.lidar3d import find_patches
 from calgraph.errors import InputError, Rejected
 from calgraph.recording import Recording
 from calgraph.rig.captures.beam_times import add_beam_times
 from calgraph.rig.captures.detect import Detector, sample_evenly
 from calgraph.rig.captures.holds import Hold
+from calgraph.rig.detection.background_learning import learn_cloud_background, learn_scan_background
+from calgraph.rig.detection.capture_background import CaptureBackground, learn_capture_background
+from calgraph.rig.detection.cloud_background import CloudBackground
+from calgraph.rig.detection.lidar2d import find_segments
+from calgraph.rig.detection.lidar3d import find_patches
 from calgraph.sensors import (
     CameraModel,
     LaserScan,

@@ -9,12 +9,12 @@ import numpy as np
 from calgraph.boards.printed_boards import PrintedBoard, make_printed_boards, select_grays
 from calgraph.config import Board, CameraSpec, Capture, Rig
 from calgraph.config.settings import CameraDetectionSettings, CaptureSettings, EmptyStartSettings
-from calgraph.detection.cloud_background import Cells, find_direction_cells, find_local_maxima
 from calgraph.geometry import Array, measure_lengths
 from calgraph.recording import NO_CACHE, PoseRecordings, Recording, RecordingCache
 from calgraph.result.finding import Finding
 from calgraph.rig.captures.capture_mode import recognize_mode
 from calgraph.rig.captures.timeline import build_timeline
+from calgraph.rig.detection.cloud_background import Cells, find_direction_cells, find_local_maxima
 from calgraph.sensors import DetectedCorners, Image, LaserScan, Message, PointCloud, RecordedMessage
 
 _EMPTY_START = "empty start/2"

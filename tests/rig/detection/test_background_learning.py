@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from calgraph.detection.background_learning import learn_scan_background
 from calgraph.errors import InputError
 from calgraph.geometry import Array
+from calgraph.rig.detection.background_learning import learn_scan_background
 from calgraph.sensors import LaserScan
 
 ANGLES = np.linspace(-1, 1, 201)

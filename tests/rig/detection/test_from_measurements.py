@@ -5,13 +5,13 @@ import pytest
 
 from calgraph.boards.detections import BoardCorners, PlanePatch, Segment
 from calgraph.config import PixelNoise, RangeNoise
-from calgraph.detection.from_measurements import (
+from calgraph.errors import InputError, Rejected
+from calgraph.geometry import Array, plane, se3, so3
+from calgraph.rig.detection.from_measurements import (
     board_corners_from_pixels,
     plane_patch_from_points,
     segment_from_points,
 )
-from calgraph.errors import InputError, Rejected
-from calgraph.geometry import Array, plane, se3, so3
 from calgraph.sensors import CameraModel
 
 CAMERA = CameraModel("pinhole", 1280, 960, np.array([[800.0, 0, 640], [0, 800, 480], [0, 0, 1]]), np.zeros(0))

@@ -5,8 +5,8 @@ import pytest
 
 from calgraph.config import RangeNoise
 from calgraph.config.settings import ScannerDetectionSettings
-from calgraph.detection.scan_averaging import AveragedScan, average_scans
 from calgraph.geometry import Array
+from calgraph.rig.detection.scan_averaging import AveragedScan, average_scans
 from calgraph.sensors import LaserScan
 
 NOISE = RangeNoise(range=0.01, angle=0.002)

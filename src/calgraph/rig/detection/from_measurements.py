@@ -7,10 +7,10 @@ from calgraph.boards.camera import make_board_corners
 from calgraph.boards.detections import BoardCorners, PlanePatch, Segment, to_beams
 from calgraph.config import PixelNoise, RangeNoise
 from calgraph.config.settings import BoardPoseSettings, SurfaceFitSettings
-from calgraph.detection.lidar2d import build_segment
-from calgraph.detection.line_plane_fit import fit_line, fit_plane
 from calgraph.errors import InputError, Rejected
 from calgraph.geometry import Array, plane
+from calgraph.rig.detection.lidar2d import build_segment
+from calgraph.rig.detection.line_plane_fit import fit_line, fit_plane
 from calgraph.sensors import CameraModel
 
 _SAME_BEAM = 1e-5

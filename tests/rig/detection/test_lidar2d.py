@@ -9,10 +9,10 @@ from scipy.stats import chi2
 
 from calgraph.boards.detections import Segment
 from calgraph.config import Board, RangeNoise
-from calgraph.detection.background_learning import learn_scan_background
-from calgraph.detection.lidar2d import find_segments
 from calgraph.errors import Rejected
 from calgraph.geometry import Array
+from calgraph.rig.detection.background_learning import learn_scan_background
+from calgraph.rig.detection.lidar2d import find_segments
 from calgraph.sensors import LaserScan
 
 NOISE = RangeNoise(range=0.015, angle=0.0005)

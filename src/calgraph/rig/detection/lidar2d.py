@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from calgraph.boards.detections import Segment
 from calgraph.config import Board, RangeNoise
 from calgraph.config.settings import DetectionSettings, Lidar2dDetectionSettings
-from calgraph.detection.board_edges import find_board_edges, select_beams_with_margin
-from calgraph.detection.line_plane_fit import SurfaceFit, fit_line, whiten_line
-from calgraph.detection.scan_averaging import AveragedScan, average_scans
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, find_median
+from calgraph.rig.detection.board_edges import find_board_edges, select_beams_with_margin
+from calgraph.rig.detection.line_plane_fit import SurfaceFit, fit_line, whiten_line
+from calgraph.rig.detection.scan_averaging import AveragedScan, average_scans
 from calgraph.sensors import LaserScan, ScanBackground
 from calgraph.solver.ransac import find_consensus
 

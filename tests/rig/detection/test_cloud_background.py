@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calgraph.config.settings import CloudBackgroundSettings, DetectionSettings
-from calgraph.detection.background_learning import learn_cloud_background
-from calgraph.detection.cloud_background import find_direction_cells, find_voxels, pack_voxels
 from calgraph.errors import InputError
+from calgraph.rig.detection.background_learning import learn_cloud_background
+from calgraph.rig.detection.cloud_background import find_direction_cells, find_voxels, pack_voxels
 from calgraph.sensors import PointCloud
 
 

@@ -13,20 +13,20 @@ from scipy.spatial import ConvexHull, QhullError, cKDTree
 from calgraph.boards.detections import PlanePatch, to_beams
 from calgraph.config import Board, RangeNoise
 from calgraph.config.settings import DetectionSettings, Lidar3dDetectionSettings
-from calgraph.detection.board_edges import find_board_edges, select_beams_with_margin
-from calgraph.detection.capture_background import CaptureBackground
-from calgraph.detection.cloud_background import CloudBackground
-from calgraph.detection.line_plane_fit import fit_plane
-from calgraph.detection.rectangle_fit import (
+from calgraph.errors import Rejected
+from calgraph.geometry import Array, measure_lengths, plane
+from calgraph.rig.detection.board_edges import find_board_edges, select_beams_with_margin
+from calgraph.rig.detection.capture_background import CaptureBackground
+from calgraph.rig.detection.cloud_background import CloudBackground
+from calgraph.rig.detection.line_plane_fit import fit_plane
+from calgraph.rig.detection.rectangle_fit import (
     BoardRectangle,
     SceneBeams,
     fit_rectangle,
     measure_solidity_and_isolation,
 )
-from calgraph.detection.region_growing import grow_flat_regions
-from calgraph.detection.voxel_normals import Cells, Indices, make_cells
-from calgraph.errors import Rejected
-from calgraph.geometry import Array, measure_lengths, plane
+from calgraph.rig.detection.region_growing import grow_flat_regions
+from calgraph.rig.detection.voxel_normals import Cells, Indices, make_cells
 from calgraph.sensors import PointCloud
 from calgraph.solver.ransac import find_consensus
 

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.config.settings import RegionSettings
-from calgraph.detection.voxel_normals import Cells, Indices
 from calgraph.geometry import Array, plane
+from calgraph.rig.detection.voxel_normals import Cells, Indices
 
 
 def grow_flat_regions(cells: Cells, thickness: float, settings: RegionSettings) -> list[Indices]:

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from calgraph.config.settings import DetectionSettings
-from calgraph.detection.voxel_normals import make_cells
 from calgraph.geometry import Array
+from calgraph.rig.detection.voxel_normals import make_cells
 
 SETTINGS = DetectionSettings()
 

@@ -12,10 +12,10 @@ from scipy.stats import chi2
 
 from calgraph.boards.detections import PlanePatch
 from calgraph.config import Board, RangeNoise
-from calgraph.detection.background_learning import learn_cloud_background
-from calgraph.detection.lidar3d import find_patches
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, plane, se3, so3
+from calgraph.rig.detection.background_learning import learn_cloud_background
+from calgraph.rig.detection.lidar3d import find_patches
 from calgraph.sensors import PointCloud
 
 Solid = Callable[[Array], Array]

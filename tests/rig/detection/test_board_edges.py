@@ -5,10 +5,10 @@ import pytest
 
 from calgraph.config import Board, RangeNoise
 from calgraph.config.settings import ScannerDetectionSettings
-from calgraph.detection.board_edges import find_board_edges, select_beams_with_margin
-from calgraph.detection.lidar2d import find_segments
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, Index
+from calgraph.rig.detection.board_edges import find_board_edges, select_beams_with_margin
+from calgraph.rig.detection.lidar2d import find_segments
 from calgraph.sensors import LaserScan
 
 STEP = np.radians(0.5)

@@ -11,15 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.config.settings import DetectionSettings, ScanBackgroundSettings
-from calgraph.detection.cloud_background import (
+from calgraph.errors import InputError
+from calgraph.geometry import Array, measure_lengths
+from calgraph.rig.detection.cloud_background import (
     CloudBackground,
     find_direction_cells,
     find_local_maxima,
     find_voxels,
     pack_voxels,
 )
-from calgraph.errors import InputError
-from calgraph.geometry import Array, measure_lengths
 from calgraph.sensors import LaserScan, PointCloud, ScanBackground, align_ranges
 
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from calgraph.boards.detections import to_beams
-from calgraph.detection.line_plane_fit import fit_line, fit_plane
 from calgraph.geometry import Array, plane
+from calgraph.rig.detection.line_plane_fit import fit_line, fit_plane
 
 LINE = np.array([0.9, 2.0])
 BEAMS = np.linspace(-0.2, 0.6, 120)

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from calgraph.config.settings import DetectionSettings
-from calgraph.detection.rectangle_fit import (
+from calgraph.geometry import Array
+from calgraph.rig.detection.rectangle_fit import (
     BoardRectangle,
     SceneBeams,
     fit_rectangle,
     measure_solidity_and_isolation,
 )
-from calgraph.geometry import Array
 
 SIZE = (1.0, 0.6)
 PLANE = np.array([0.0, 0.0, -1.0, 2.0])

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from calgraph.config.settings import DetectionSettings
-from calgraph.detection.region_growing import grow_flat_regions
-from calgraph.detection.voxel_normals import Cells, make_cells
 from calgraph.geometry import Array
+from calgraph.rig.detection.region_growing import grow_flat_regions
+from calgraph.rig.detection.voxel_normals import Cells, make_cells
 
 SETTINGS = DetectionSettings()
 Y, Z = (np.radians(a).ravel() for a in np.meshgrid(np.arange(-20, 20, 0.2), np.arange(-15, 15, 0.2)))

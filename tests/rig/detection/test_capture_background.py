@@ -6,8 +6,8 @@ from numpy.typing import NDArray
 
 from calgraph.config import RangeNoise
 from calgraph.config.settings import CaptureBackgroundSettings, DetectionSettings
-from calgraph.detection.capture_background import CaptureBackground, learn_capture_background
 from calgraph.geometry import Array
+from calgraph.rig.detection.capture_background import CaptureBackground, learn_capture_background
 from calgraph.sensors import PointCloud
 
 NOISE = RangeNoise(range=0.01)

@@ -1,1 +1,0 @@
-"""Detection of the board in the messages of one capture."""

@@ -1,0 +1,1 @@
+"""The board in one capture of a scanner or LiDAR."""
