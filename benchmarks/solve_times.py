@@ -31,9 +31,9 @@ from calgraph.estimation.rig.estimate import solve_bundle
 from calgraph.estimation.rig.problem import Problem
 from calgraph.estimation.rig.solution import RigSolution
 from calgraph.graph.pairwise_estimate import select_matches
-from calgraph.pairwise.board_pair import select_successful
 from calgraph.rig.captures.detect import CaptureSet
 from calgraph.rig.options import RigOptions
+from calgraph.rig.pairs.board_pair import select_successful
 from calgraph.simulation import (
     CameraOptions,
     LaserOptions,

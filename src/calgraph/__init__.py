@@ -28,7 +28,7 @@ _NAMES = {
     "calgraph.graph.pose_graph": "PoseGraph PoseGraphSolution",
     "calgraph.graph.tree_consensus": "average_poses",
     "calgraph.network.options": "NetworkOptions",
-    "calgraph.pairwise.board_pair": "estimate_pair",
+    "calgraph.rig.pairs.board_pair": "estimate_pair",
     "calgraph.graph.pairwise_estimate": "PairwiseEstimate",
     "calgraph.recording": "MessageRecording RecordingCache open_recording open_recordings",
     "calgraph.report": "write_report",

@@ -42,7 +42,6 @@ from calgraph.network.pipeline import calibrate_tracks as calibrate_tracks
 from calgraph.network.tracking.track import ScannerTracks as ScannerTracks
 from calgraph.network.tracking.track import Track as Track
 from calgraph.network.tracking.track_scanner import track_scanner as track_scanner
-from calgraph.pairwise.board_pair import estimate_pair as estimate_pair
 from calgraph.recording import MessageRecording as MessageRecording
 from calgraph.recording import RecordingCache as RecordingCache
 from calgraph.recording import open_recording as open_recording
@@ -60,6 +59,7 @@ from calgraph.rig.detection.from_measurements import board_corners_from_pixels a
 from calgraph.rig.detection.from_measurements import plane_patch_from_points as plane_patch_from_points
 from calgraph.rig.detection.from_measurements import segment_from_points as segment_from_points
 from calgraph.rig.options import RigOptions as RigOptions
+from calgraph.rig.pairs.board_pair import estimate_pair as estimate_pair
 from calgraph.rig.verification import bootstrap_covariances as bootstrap_covariances
 from calgraph.sensors import CameraModel as CameraModel
 from calgraph.sensors import Image as Image

@@ -16,10 +16,10 @@ from calgraph.baselines.pose_averaging import RotationAveraging, average_poses_b
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, diagonal_blocks, se3, so3
 from calgraph.graph.pairwise_estimate import PairwiseEstimate
-from calgraph.graph.rig_initialization import Initialization, initialize_rig
 from calgraph.graph.spanning_tree import SpanningTree, find_spanning_tree
-from calgraph.pairwise.board_matches import Candidates
-from calgraph.pairwise.board_pair import estimate_pair
+from calgraph.rig.pairs.board_matches import Candidates
+from calgraph.rig.pairs.board_pair import estimate_pair
+from calgraph.rig.pairs.rig_initialization import Initialization, initialize_rig
 
 World = tuple[dict[str, Array], dict[str, Candidates], list[PairwiseEstimate], SpanningTree]
 KINDS = {"lidar": "plane", "camera": "plane", "front": "line", "left": "line"}

@@ -18,9 +18,9 @@ from calgraph.estimation.rig.problem_file import load_problem, save_problem
 from calgraph.geometry import Array, se3, so3
 from calgraph.graph.spanning_tree import find_spanning_tree
 from calgraph.io import save_yaml
-from calgraph.pairwise.board_pair import select_successful
 from calgraph.result import export, load_calibration, read_extrinsics
 from calgraph.rig.options import RigOptions
+from calgraph.rig.pairs.board_pair import select_successful
 from calgraph.simulation import IdealDetectorOptions, RigScenario, build_world, simulate_detections
 from simulated_rigs import without_bootstrap
 from written_results import read_without_provenance

@@ -7,8 +7,8 @@ from board_scenes import SIZE, make_boards, make_patch, random_pose
 from calgraph.boards.detections import BoardCorners, Detection
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se3
-from calgraph.pairwise.board_matches import Candidates, tabulate_matches
-from calgraph.pairwise.board_pair import estimate_pair
+from calgraph.rig.pairs.board_matches import Candidates, tabulate_matches
+from calgraph.rig.pairs.board_pair import estimate_pair
 
 CAPTURES = 12
 

@@ -13,7 +13,7 @@ from calgraph.config.settings import Settings
 from calgraph.geometry import Array, plane, se3
 from calgraph.graph.pairwise_estimate import MatchFilter, PairwiseEstimate, select_matches
 from calgraph.graph.spanning_tree import SpanningTree
-from calgraph.pairwise.board_matches import Candidates
+from calgraph.rig.pairs.board_matches import Candidates
 
 BLOCKS: Mapping[str, Block] = {
     "sensors": Block(6, se3.retract, fixed=(0,)),

@@ -13,7 +13,7 @@ import numpy as np
 
 from calgraph.baselines.sparse_lm import Term, Values
 from calgraph.geometry import Array, Index, plane, se3, so3
-from calgraph.pairwise.line_matches import evaluate_coplanarity
+from calgraph.rig.pairs.line_matches import evaluate_coplanarity
 
 
 def whitener(covariance: Array) -> Array:
@@ -169,7 +169,7 @@ class LineLine(_SameBoard):
     blocks = ("lines", "lines")
 
     def evaluate(self, T_a_b: Array, a: Array, b: Array) -> tuple[Array, Array, Array, Array]:
-        """The gap (M, 1) between the lines: :func:`calgraph.pairwise.line_matches.evaluate_coplanarity`."""
+        """The gap (M, 1) between the lines: :func:`calgraph.rig.pairs.line_matches.evaluate_coplanarity`."""
         # Parallel scan planes have no residual (NaN) and get no weight.
         r, by_relative, by_a, by_b = (np.nan_to_num(part)[:, None] for part in evaluate_coplanarity(T_a_b, a, b))
         return r, by_relative, by_a, by_b

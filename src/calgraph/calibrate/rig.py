@@ -25,9 +25,7 @@ from calgraph.estimation.rig.problem import Problem, SolverOptions, with_prior_p
 from calgraph.estimation.rig.problem_file import round_trip, save_problem
 from calgraph.estimation.rig.solution import RigSolution
 from calgraph.geometry import Array
-from calgraph.graph.rig_initialization import initialize_rig
 from calgraph.graph.spanning_tree import SpanningTree
-from calgraph.pairwise.board_pair import PairwiseEstimates, estimate_pairs, reselect_all_inliers, select_successful
 from calgraph.parallel.processes import forked_jobs, parallel_call
 from calgraph.parallel.progress import Progress, no_progress
 from calgraph.recording import Recording, resolve_intrinsics
@@ -36,6 +34,13 @@ from calgraph.rig.captures.detect import CaptureSet, state_estimated_intrinsics
 from calgraph.rig.captures.empty_start import resolve_background
 from calgraph.rig.captures.from_detections import GivenDetections, captures_from_detections
 from calgraph.rig.options import RigOptions, check_estimator
+from calgraph.rig.pairs.board_pair import (
+    PairwiseEstimates,
+    estimate_pairs,
+    reselect_all_inliers,
+    select_successful,
+)
+from calgraph.rig.pairs.rig_initialization import initialize_rig
 from calgraph.rig.step_log import log_captures, log_pairs, log_solution
 from calgraph.rig.strategies import select_initialization, solve_baseline
 from calgraph.sensors import CameraModel

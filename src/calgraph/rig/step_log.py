@@ -5,8 +5,8 @@ from collections import Counter
 
 from calgraph.errors import Rejected
 from calgraph.estimation.rig.solution import RigSolution
-from calgraph.pairwise.board_pair import PairwiseEstimates
 from calgraph.rig.captures.detect import CaptureSet
+from calgraph.rig.pairs.board_pair import PairwiseEstimates
 
 _log = logging.getLogger("calgraph")
 

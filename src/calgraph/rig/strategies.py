@@ -5,10 +5,10 @@ from calgraph.config.settings import BaselineSettings
 from calgraph.estimation.rig.problem import Problem
 from calgraph.estimation.rig.solution import RigSolution
 from calgraph.graph.averaging import select_averaging
-from calgraph.graph.rig_initialization import Initialization
 from calgraph.graph.spanning_tree import SpanningTree
-from calgraph.pairwise.board_pair import select_successful
 from calgraph.rig.options import PlaneMethod, RigStart
+from calgraph.rig.pairs.board_pair import select_successful
+from calgraph.rig.pairs.rig_initialization import Initialization
 
 
 def select_initialization(start: RigStart, settings: BaselineSettings) -> Initialization:

@@ -21,11 +21,11 @@ from calgraph.estimation.rig.problem import Problem, SolverOptions, check_proble
 from calgraph.estimation.rig.problem_file import load_problem, round_trip, save_problem
 from calgraph.graph.pairwise_estimate import PairwiseEstimate
 from calgraph.graph.spanning_tree import SpanningTree, find_spanning_tree
-from calgraph.pairwise.board_pair import estimate_pairs, select_successful
 from calgraph.result.finding import Finding
 from calgraph.rig.captures.detect import CaptureSet
 from calgraph.rig.captures.detection_tables import DETECTIONS
 from calgraph.rig.captures.holds import Hold
+from calgraph.rig.pairs.board_pair import estimate_pairs, select_successful
 from calgraph.sensors import CameraModel
 
 RIG = Rig.model_validate(

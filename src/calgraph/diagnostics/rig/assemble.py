@@ -23,7 +23,6 @@ from calgraph.estimation.rig.solution import RigSolution
 from calgraph.geometry import Array
 from calgraph.graph.pairwise_estimate import PairwiseEstimate
 from calgraph.graph.spanning_tree import SpanningTree
-from calgraph.pairwise.board_pair import PairwiseEstimates, select_successful
 from calgraph.result import (
     Calibration,
     CaptureRow,
@@ -38,6 +37,7 @@ from calgraph.result import (
 from calgraph.result.finding import Finding
 from calgraph.rig.captures.detect import CaptureSet
 from calgraph.rig.captures.holds import Hold
+from calgraph.rig.pairs.board_pair import PairwiseEstimates, select_successful
 from calgraph.verdict.grades import (
     LONE_ROOT,
     collect_findings,

@@ -17,7 +17,7 @@ from calgraph.estimation.rig.priors import without_priors
 from calgraph.estimation.rig.problem import Problem
 from calgraph.estimation.rig.solution import RigSolution, SolvedBundle
 from calgraph.geometry import Index
-from calgraph.pairwise.board_pair import select_successful
+from calgraph.rig.pairs.board_pair import select_successful
 
 
 @dataclass(frozen=True)

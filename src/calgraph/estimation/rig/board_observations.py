@@ -11,7 +11,7 @@ from scipy.sparse.csgraph import connected_components
 from calgraph.boards.detections import BoardCorners, Detection, PlanePatch
 from calgraph.geometry import Array, plane, se3, so3
 from calgraph.graph.pairwise_estimate import PairwiseEstimate
-from calgraph.pairwise.board_matches import Candidates
+from calgraph.rig.pairs.board_matches import Candidates
 
 Node = tuple[int, str, int]
 """Capture, sensor, and index of its detection."""

@@ -16,7 +16,7 @@ from calgraph.estimation.rig.range_observations import RangeObservations
 from calgraph.estimation.rig.rectangle_registration import register_rectangles
 from calgraph.estimation.rig.systematic_parameters import add_outline_parameters
 from calgraph.geometry import Array, Index
-from calgraph.pairwise.board_matches import Candidates
+from calgraph.rig.pairs.board_matches import Candidates
 
 
 def add_outlines(

@@ -16,9 +16,9 @@ from calgraph.estimation.rig.priors import PosePrior, PriorFile, RigidFile, Rigi
 from calgraph.estimation.rig.problem_checks import check_numbers
 from calgraph.graph.pairwise_estimate import MatchFilter, PairwiseEstimate
 from calgraph.graph.spanning_tree import SpanningTree
-from calgraph.pairwise.board_matches import Candidates
-from calgraph.pairwise.board_pair import PairwiseEstimates, select_successful
 from calgraph.rig.captures.detect import CaptureSet
+from calgraph.rig.pairs.board_matches import Candidates
+from calgraph.rig.pairs.board_pair import PairwiseEstimates, select_successful
 
 Estimator = Literal["bundle", "hypergraph"]
 

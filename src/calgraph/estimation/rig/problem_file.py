@@ -19,11 +19,11 @@ from calgraph.graph.spanning_tree import SpanningTree
 from calgraph.io.archive import read_archive, write_archive
 from calgraph.io.columns import INDEX, NUMBER, Arrays, Column, Table
 from calgraph.io.yaml_reading import validate_content
-from calgraph.pairwise.board_pair import PairwiseEstimates, select_successful
 from calgraph.result.finding import Finding
 from calgraph.rig.captures.detect import CaptureSet
 from calgraph.rig.captures.detection_tables import pack_detections, unpack_detections
 from calgraph.rig.captures.holds import Hold
+from calgraph.rig.pairs.board_pair import PairwiseEstimates, select_successful
 from calgraph.sensors import CameraModel
 
 FORMAT = "calgraph-problem/2"

@@ -7,8 +7,8 @@ import pytest
 from board_scenes import SIZE, make_boards, make_patch, make_segment, random_pose
 from calgraph.config.settings import BoardPairSettings
 from calgraph.geometry import Array, plane, se3, so3
-from calgraph.pairwise.least_squares import axis_aligned_rotations
-from calgraph.pairwise.line_matches import (
+from calgraph.rig.pairs.least_squares import axis_aligned_rotations
+from calgraph.rig.pairs.line_matches import (
     LineLineMatches,
     PlaneLineMatches,
     _regularized_coplanarity,

@@ -9,14 +9,14 @@ from calgraph.config.settings import BoardPairSettings
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se3, so3
 from calgraph.graph.pairwise_estimate import PairwiseEstimate
-from calgraph.pairwise.board_pair import (
+from calgraph.rig.pairs.board_pair import (
     estimate_pair,
     estimate_pairs,
     reselect_all_inliers,
     reselect_inliers,
     select_successful,
 )
-from calgraph.pairwise.line_matches import evaluate_coplanarity
+from calgraph.rig.pairs.line_matches import evaluate_coplanarity
 
 
 def error(T_est: Array, T: Array) -> tuple[float, float]:

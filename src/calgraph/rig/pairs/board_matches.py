@@ -9,8 +9,8 @@ from calgraph.boards.detections import BoardCorners, Detection, PlanePatch, Segm
 from calgraph.config.settings import BoardPairSettings
 from calgraph.geometry import Array
 from calgraph.graph.pairwise_estimate import Matches
-from calgraph.pairwise.line_matches import LineLineMatches, PlaneLineMatches
-from calgraph.pairwise.plane_matches import PlanePlaneMatches
+from calgraph.rig.pairs.line_matches import LineLineMatches, PlaneLineMatches
+from calgraph.rig.pairs.plane_matches import PlanePlaneMatches
 
 Candidates = Mapping[int, Sequence[Detection]]
 """Detections of one sensor by capture; several if it is ambiguous which of them is the board."""

@@ -6,7 +6,7 @@ import pytest
 from board_scenes import SIZE, make_boards, make_patch, random_pose
 from calgraph.config.settings import BoardPairSettings
 from calgraph.geometry import Array, plane, se3, so3
-from calgraph.pairwise.plane_matches import PlanePlaneMatches
+from calgraph.rig.pairs.plane_matches import PlanePlaneMatches
 
 RADIUS, DIAGONAL = min(SIZE) / 2, float(np.hypot(*SIZE))
 

@@ -20,14 +20,14 @@ from calgraph.graph.pairwise_estimate import (
     resolve_ambiguity,
     squared_residual_function,
 )
-from calgraph.pairwise.board_matches import (
+from calgraph.rig.pairs.board_matches import (
     Candidates,
     build_matches,
     geometric_kind,
     group_alternatives,
     tabulate_matches,
 )
-from calgraph.pairwise.line_matches import PlaneLineMatches
+from calgraph.rig.pairs.line_matches import PlaneLineMatches
 from calgraph.solver.ransac import find_consensus, select_best_of_groups
 
 

@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 from calgraph.baselines.pose_averaging import RotationAveraging, average_poses_by_rotations
 from calgraph.geometry import Array, se3
 from calgraph.graph.pairwise_estimate import PairwiseEstimate
-from calgraph.graph.rig_initialization import Initialization, build_rig_graph, initialize_rig
+from calgraph.rig.pairs.rig_initialization import Initialization, build_rig_graph, initialize_rig
 
 NAMES = ("lidar", "camera", "laser", "rear", "top")
 TANGENTS = np.random.default_rng(3).uniform(-1, 1, size=(5, 6)) * [1, 1, 1, 2, 2, 2]

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from calgraph.config.settings import BoardPairSettings
 from calgraph.geometry import Array, plane, se3, se_n, so3
 from calgraph.graph.pairwise_estimate import Linearization
-from calgraph.pairwise.coplanar_lines_solver import solve_coplanar_lines
-from calgraph.pairwise.least_squares import axis_aligned_rotations, gauss_newton
+from calgraph.rig.pairs.coplanar_lines_solver import solve_coplanar_lines
+from calgraph.rig.pairs.least_squares import axis_aligned_rotations, gauss_newton
 
 # Singular values of the linear solution are at least this, which keeps its inverse finite; samples of which the
 # least one is below this share of the largest have no solution.

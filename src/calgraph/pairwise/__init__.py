@@ -1,1 +1,0 @@
-"""Relative poses of sensor pairs: RANSAC over captures of a board, or registration of simultaneous tracks."""

@@ -1,0 +1,1 @@
+"""Relative poses of two sensors from captures of the board."""
