@@ -30,13 +30,13 @@ from scipy.stats import binomtest, chi2, norm
 from calgraph.boards.detections import BoardCorners
 from calgraph.calibrate.rig import build_problem_from_captures, solve_problem
 from calgraph.config import CameraSpec, PixelNoise, RangeNoise, Rig, SensorSpec
-from calgraph.estimation.rig.board_observations import BoardObservation
-from calgraph.estimation.rig.board_outlines import add_outlines
-from calgraph.estimation.rig.bundle_setup import build_bundle, update_noise
-from calgraph.estimation.rig.bundle_solver import linearize_bundle
-from calgraph.estimation.rig.estimate import cramer_rao
-from calgraph.estimation.rig.problem import Estimator, Problem, SolverOptions
 from calgraph.geometry import Array, se3
+from calgraph.rig.bundle.board_observations import BoardObservation
+from calgraph.rig.bundle.board_outlines import add_outlines
+from calgraph.rig.bundle.bundle_setup import build_bundle, update_noise
+from calgraph.rig.bundle.bundle_solver import linearize_bundle
+from calgraph.rig.bundle.estimate import cramer_rao
+from calgraph.rig.bundle.problem import Estimator, Problem, SolverOptions
 from calgraph.rig.captures.detect import CaptureSet
 from calgraph.rig.options import RigOptions
 from calgraph.simulation import (

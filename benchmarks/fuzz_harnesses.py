@@ -18,7 +18,6 @@ import fuzz_seeds as seeds
 from calgraph.cli.setting_options import override_settings
 from calgraph.config import Rig, draft_rig, load_rig, printed_bitmaps
 from calgraph.config.board_print import black_rectangles
-from calgraph.estimation.rig.problem_file import load_problem
 from calgraph.io import format_json
 from calgraph.io.yaml_reading import read_yaml, validate_content
 from calgraph.printing.target_block import read_boards
@@ -33,6 +32,7 @@ from calgraph.recording import (
 from calgraph.recording.decoding import decode
 from calgraph.recording.message_types import TypeDefinition, make_message_type
 from calgraph.result import Calibration, export, load_calibration, load_scene, read_extrinsics
+from calgraph.rig.bundle.problem_file import load_problem
 from calgraph.rig.captures.capture_encoding import decode_captures
 from calgraph.sensors import Trigger
 from calgraph.simulation import NetworkScenario, RigScenario, load_truth

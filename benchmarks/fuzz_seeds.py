@@ -22,10 +22,10 @@ from rosbags.typesys.store import Typestore
 from ruamel.yaml import YAML
 
 from calgraph.calibrate.rig import build_problem_from_captures, solve_problem
-from calgraph.estimation.rig.problem_file import save_problem
 from calgraph.io import format_yaml
 from calgraph.io.cache_folder import CacheFolder
 from calgraph.result import export, save_calibration, save_scene
+from calgraph.rig.bundle.problem_file import save_problem
 from calgraph.rig.captures.capture_encoding import encode_captures
 from calgraph.rig.captures.detect import SensorCapture
 from calgraph.rig.options import RigOptions

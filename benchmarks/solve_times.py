@@ -24,13 +24,13 @@ from scipy.optimize import OptimizeResult, least_squares
 
 from calgraph.boards.detections import BoardCorners
 from calgraph.calibrate.rig import build_problem_from_captures
-from calgraph.estimation.rig.board_observations import group_detections
-from calgraph.estimation.rig.bundle_setup import build_bundle
-from calgraph.estimation.rig.bundle_solver import minimize_bundle
-from calgraph.estimation.rig.estimate import solve_bundle
-from calgraph.estimation.rig.problem import Problem
-from calgraph.estimation.rig.solution import RigSolution
 from calgraph.graph.pairwise_estimate import select_matches
+from calgraph.rig.bundle.board_observations import group_detections
+from calgraph.rig.bundle.bundle_setup import build_bundle
+from calgraph.rig.bundle.bundle_solver import minimize_bundle
+from calgraph.rig.bundle.estimate import solve_bundle
+from calgraph.rig.bundle.problem import Problem
+from calgraph.rig.bundle.solution import RigSolution
 from calgraph.rig.captures.detect import CaptureSet
 from calgraph.rig.options import RigOptions
 from calgraph.rig.pairs.board_pair import select_successful

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import csr_array
 
-from calgraph.estimation.rig.bundle_solver import Bundle, BundleState, retract_state
-from calgraph.estimation.rig.observations import LinearizedResiduals, relative_poses
 from calgraph.geometry import Array, Index, so3
 from calgraph.geometry.se3 import relative_pose_jacobians
+from calgraph.rig.bundle.bundle_solver import Bundle, BundleState, retract_state
+from calgraph.rig.bundle.observations import LinearizedResiduals, relative_poses
 
 
 @dataclass(frozen=True, eq=False)

@@ -31,13 +31,13 @@ from calgraph.boards.landmarks import compute_landmarks
 from calgraph.calibrate.rig import build_problem_from_captures, calibrate_detections, solve_jointly, solve_problem
 from calgraph.config import Rig
 from calgraph.errors import Rejected
-from calgraph.estimation.rig.bundle_solver import linearize_bundle, retract_state
-from calgraph.estimation.rig.observations import relative_poses
-from calgraph.estimation.rig.problem import Problem
-from calgraph.estimation.rig.solution import RigSolution, SolvedBundle
 from calgraph.geometry import Array, se3
 from calgraph.parallel.processes import parallel_map
 from calgraph.recording import open_recording
+from calgraph.rig.bundle.bundle_solver import linearize_bundle, retract_state
+from calgraph.rig.bundle.observations import relative_poses
+from calgraph.rig.bundle.problem import Problem
+from calgraph.rig.bundle.solution import RigSolution, SolvedBundle
 from calgraph.rig.captures.detectors import draw_seeds, make_detectors
 from calgraph.rig.captures.from_detections import captures_from_detections
 from calgraph.rig.detection.from_measurements import board_corners_from_pixels

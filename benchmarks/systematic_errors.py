@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from calgraph.estimation.rig.bundle_solver import Bundle, BundleState
-from calgraph.estimation.rig.covariances import prior_error_derivatives
-from calgraph.estimation.rig.solution import RigSolution, SolvedBundle
 from calgraph.geometry import Array
 from calgraph.result import PriorErrors
+from calgraph.rig.bundle.bundle_solver import Bundle, BundleState
+from calgraph.rig.bundle.covariances import prior_error_derivatives
+from calgraph.rig.bundle.solution import RigSolution, SolvedBundle
 
 
 def cross_covariance(a: RigSolution, b: RigSolution, sensor: str) -> Array:

@@ -31,14 +31,14 @@ from calgraph.boards.board_pose import plane_covariance
 from calgraph.boards.detections import BoardCorners, Detection
 from calgraph.calibrate.rig import build_problem_from_captures, solve_jointly, solve_problem
 from calgraph.config import Rig
-from calgraph.estimation.rig.board_observations import BoardObservation
-from calgraph.estimation.rig.bundle_setup import build_bundle
-from calgraph.estimation.rig.bundle_solver import Bundle, BundleState, linearize_bundle, retract_state
-from calgraph.estimation.rig.observations import relative_poses
-from calgraph.estimation.rig.solution import RigSolution
 from calgraph.geometry import Array, plane, se3
 from calgraph.recording import open_recording
 from calgraph.result import Calibration
+from calgraph.rig.bundle.board_observations import BoardObservation
+from calgraph.rig.bundle.bundle_setup import build_bundle
+from calgraph.rig.bundle.bundle_solver import Bundle, BundleState, linearize_bundle, retract_state
+from calgraph.rig.bundle.observations import relative_poses
+from calgraph.rig.bundle.solution import RigSolution
 from calgraph.rig.captures.detect import CaptureSet
 from calgraph.rig.captures.detectors import draw_seeds, make_detectors
 from calgraph.rig.captures.from_detections import captures_from_detections

@@ -7,11 +7,11 @@ import numpy as np
 
 from calgraph.config import PixelNoise, RangeNoise
 from calgraph.config.settings import RigEstimationSettings
-from calgraph.estimation.rig.bundle_solver import Bundle, BundleState
-from calgraph.estimation.rig.corner_observations import CornerObservations, PrintedCorners
-from calgraph.estimation.rig.observations import BoardViews, no_extra, relative_poses
-from calgraph.estimation.rig.range_observations import SCANNER_PARAMETERS, RangeObservations
 from calgraph.geometry import Array, se3, so3
+from calgraph.rig.bundle.bundle_solver import Bundle, BundleState
+from calgraph.rig.bundle.corner_observations import CornerObservations, PrintedCorners
+from calgraph.rig.bundle.observations import BoardViews, no_extra, relative_poses
+from calgraph.rig.bundle.range_observations import SCANNER_PARAMETERS, RangeObservations
 from calgraph.sensors import CameraModel
 
 CAMERA = CameraModel("pinhole", 640, 480, np.array([[400, 0, 319.5], [0, 400, 239.5], [0, 0, 1]]), np.zeros(0))

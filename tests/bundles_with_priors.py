@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 
 from bundle_scenes import Scene, scene
-from calgraph.estimation.rig.bundle_parameters import SensorPrior
-from calgraph.estimation.rig.bundle_solver import Bundle, MinimizedBundle, minimize_bundle
-from calgraph.estimation.rig.priors import RigidGroup, apply_rigid_groups, assign_bodies
 from calgraph.geometry import Array, se3
+from calgraph.rig.bundle.bundle_parameters import SensorPrior
+from calgraph.rig.bundle.bundle_solver import Bundle, MinimizedBundle, minimize_bundle
+from calgraph.rig.bundle.priors import RigidGroup, apply_rigid_groups, assign_bodies
 
 EXACT = scene(("lidar", "camera", "laser", "laser_2"), boards=8)
 PAIR = ("laser", "laser_2")

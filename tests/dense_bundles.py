@@ -3,9 +3,9 @@
 import numpy as np
 
 from bundle_scenes import Scene, scene
-from calgraph.estimation.rig.bundle_solver import Bundle, BundleState, retract_state
-from calgraph.estimation.rig.observations import relative_poses
 from calgraph.geometry import Array
+from calgraph.rig.bundle.bundle_solver import Bundle, BundleState, retract_state
+from calgraph.rig.bundle.observations import relative_poses
 
 
 def unbiased_scene(kinds: tuple[str, ...] = ("lidar", "camera", "laser"), boards: int = 8) -> Scene:

@@ -8,10 +8,10 @@ import numpy as np
 
 from calgraph.boards.detections import Detection
 from calgraph.config import Board, Rig, SensorSpec
-from calgraph.estimation.rig.estimate import solve_bundle
-from calgraph.estimation.rig.solution import RigSolution
 from calgraph.geometry import Array, se3
 from calgraph.graph.pairwise_estimate import PairwiseEstimate
+from calgraph.rig.bundle.estimate import solve_bundle
+from calgraph.rig.bundle.solution import RigSolution
 from calgraph.rig.captures.detect import CaptureSet
 from calgraph.simulation import (
     CameraOptions,

@@ -16,9 +16,9 @@ GIVES_MESSAGES = {
     "Finding", "InconsistentTags",
 }  # fmt: skip
 ELSEWHERE = {
-    "estimation/rig/problem.py": "Files that calgraph wrote",
-    "estimation/rig/problem_checks.py": "Files that calgraph wrote",
-    "estimation/rig/problem_file.py": "Files that calgraph wrote",
+    "rig/bundle/problem.py": "Files that calgraph wrote",
+    "rig/bundle/problem_checks.py": "Files that calgraph wrote",
+    "rig/bundle/problem_file.py": "Files that calgraph wrote",
     "result/calibration_reading.py": "Files that calgraph wrote",
     "result/covariance_reading.py": "Files that calgraph wrote",
     "result/covariance_checks.py": "Files that calgraph wrote",

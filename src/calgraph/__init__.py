@@ -22,8 +22,8 @@ _NAMES = {
         "board_corners_from_pixels plane_patch_from_points segment_from_points"
     ),
     "calgraph.errors": "CalgraphError CalibrationError InputError RecordingError Rejected",
-    "calgraph.estimation.rig.problem": "Problem",
-    "calgraph.estimation.rig.problem_file": "load_problem save_problem",
+    "calgraph.rig.bundle.problem": "Problem",
+    "calgraph.rig.bundle.problem_file": "load_problem save_problem",
     "calgraph.geometry": "plane se2 se3 so3",
     "calgraph.graph.pose_graph": "PoseGraph PoseGraphSolution",
     "calgraph.graph.tree_consensus": "average_poses",

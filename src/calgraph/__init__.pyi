@@ -25,9 +25,6 @@ from calgraph.errors import CalibrationError as CalibrationError
 from calgraph.errors import InputError as InputError
 from calgraph.errors import RecordingError as RecordingError
 from calgraph.errors import Rejected as Rejected
-from calgraph.estimation.rig.problem import Problem as Problem
-from calgraph.estimation.rig.problem_file import load_problem as load_problem
-from calgraph.estimation.rig.problem_file import save_problem as save_problem
 from calgraph.geometry import plane as plane
 from calgraph.geometry import se2 as se2
 from calgraph.geometry import se3 as se3
@@ -53,6 +50,9 @@ from calgraph.result import export as export
 from calgraph.result import load_calibration as load_calibration
 from calgraph.result import save_calibration as save_calibration
 from calgraph.result import to_dataframe as to_dataframe
+from calgraph.rig.bundle.problem import Problem as Problem
+from calgraph.rig.bundle.problem_file import load_problem as load_problem
+from calgraph.rig.bundle.problem_file import save_problem as save_problem
 from calgraph.rig.captures.detect import CaptureSet as CaptureSet
 from calgraph.rig.captures.from_detections import captures_from_detections as captures_from_detections
 from calgraph.rig.detection.from_measurements import board_corners_from_pixels as board_corners_from_pixels

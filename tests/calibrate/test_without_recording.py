@@ -11,13 +11,13 @@ from calgraph.boards.detections import BoardCorners, Detection, PlanePatch
 from calgraph.calibrate.rig import calibrate_detections, solve_problem
 from calgraph.config import Lidar2dSpec, Lidar3dSpec, People, RangeNoise, Rig
 from calgraph.errors import InputError, Rejected
-from calgraph.estimation.rig.problem_file import load_problem
 from calgraph.geometry import Array, se3
 from calgraph.network.options import NetworkOptions
 from calgraph.network.pipeline import calibrate_network, calibrate_tracks
 from calgraph.network.tracking.track import ScannerTracks, Track
 from calgraph.recording import MessageRecording
 from calgraph.result import Calibration
+from calgraph.rig.bundle.problem_file import load_problem
 from calgraph.rig.detection.from_measurements import (
     board_corners_from_pixels,
     plane_patch_from_points,

@@ -12,13 +12,13 @@ from typer.testing import Result
 from calgraph.calibrate.rig import build_problem_from_captures
 from calgraph.config import load_rig
 from calgraph.errors import Rejected
-from calgraph.estimation.rig.priors import PriorFile, RigidFile
-from calgraph.estimation.rig.problem import with_prior_poses
-from calgraph.estimation.rig.problem_file import load_problem, save_problem
 from calgraph.geometry import Array, se3, so3
 from calgraph.graph.spanning_tree import find_spanning_tree
 from calgraph.io import save_yaml
 from calgraph.result import export, load_calibration, read_extrinsics
+from calgraph.rig.bundle.priors import PriorFile, RigidFile
+from calgraph.rig.bundle.problem import with_prior_poses
+from calgraph.rig.bundle.problem_file import load_problem, save_problem
 from calgraph.rig.options import RigOptions
 from calgraph.rig.pairs.board_pair import select_successful
 from calgraph.simulation import IdealDetectorOptions, RigScenario, build_world, simulate_detections

@@ -11,8 +11,8 @@ import pytest
 from typer.testing import Result
 
 from calgraph.errors import Rejected
-from calgraph.estimation.rig.problem_file import load_problem, save_problem
 from calgraph.result import load_calibration
+from calgraph.rig.bundle.problem_file import load_problem, save_problem
 from written_results import read_without_provenance
 
 pytestmark = pytest.mark.without_coverage

@@ -9,7 +9,7 @@ import pytest
 from typer.testing import Result
 
 from calgraph.calibrate.rig import build_problem_from_captures
-from calgraph.estimation.rig.problem_file import save_problem
+from calgraph.rig.bundle.problem_file import save_problem
 from calgraph.rig.options import RigOptions
 from calgraph.simulation import CameraOptions, LaserOptions, RigScenario, build_world, simulate_detections
 

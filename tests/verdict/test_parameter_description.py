@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calgraph.estimation.rig.bundle_parameters import SystematicParameter
+from calgraph.rig.bundle.bundle_parameters import SystematicParameter
 from calgraph.verdict.parameter_description import describe_deviation
 
 

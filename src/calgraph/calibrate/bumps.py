@@ -8,10 +8,10 @@ import numpy as np
 from calgraph.config import Rig
 from calgraph.diagnostics.rig.bump_tests import Bump, find_bumps
 from calgraph.errors import CalgraphError
-from calgraph.estimation.rig.problem import Problem
-from calgraph.estimation.rig.solution import RigSolution
 from calgraph.graph.spanning_tree import SpanningTree
 from calgraph.result.finding import Finding
+from calgraph.rig.bundle.problem import Problem
+from calgraph.rig.bundle.solution import RigSolution
 from calgraph.rig.captures.detect import CaptureSet
 from calgraph.rig.options import RigOptions
 

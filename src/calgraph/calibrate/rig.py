@@ -17,19 +17,19 @@ from calgraph.diagnostics.rig.drift_tests import include_drifts
 from calgraph.diagnostics.rig.next_best_pose import suggest_board_poses
 from calgraph.diagnostics.rig.suggestions import add_suggestions
 from calgraph.errors import CalibrationError, InputError
-from calgraph.estimation.rig.camera_boards import locate_boards, scale_boards
-from calgraph.estimation.rig.estimate import solve_bundle, solve_poses
-from calgraph.estimation.rig.print_symmetry import align_symmetric_prints
-from calgraph.estimation.rig.priors import attach_by_priors
-from calgraph.estimation.rig.problem import Problem, SolverOptions, with_prior_poses
-from calgraph.estimation.rig.problem_file import round_trip, save_problem
-from calgraph.estimation.rig.solution import RigSolution
 from calgraph.geometry import Array
 from calgraph.graph.spanning_tree import SpanningTree
 from calgraph.parallel.processes import forked_jobs, parallel_call
 from calgraph.parallel.progress import Progress, no_progress
 from calgraph.recording import Recording, resolve_intrinsics
 from calgraph.result import Calibration
+from calgraph.rig.bundle.camera_boards import locate_boards, scale_boards
+from calgraph.rig.bundle.estimate import solve_bundle, solve_poses
+from calgraph.rig.bundle.print_symmetry import align_symmetric_prints
+from calgraph.rig.bundle.priors import attach_by_priors
+from calgraph.rig.bundle.problem import Problem, SolverOptions, with_prior_poses
+from calgraph.rig.bundle.problem_file import round_trip, save_problem
+from calgraph.rig.bundle.solution import RigSolution
 from calgraph.rig.captures.detect import CaptureSet, state_estimated_intrinsics
 from calgraph.rig.captures.empty_start import resolve_background
 from calgraph.rig.captures.from_detections import GivenDetections, captures_from_detections

@@ -43,7 +43,7 @@ from calgraph.result import (
 )
 
 if TYPE_CHECKING:
-    from calgraph.estimation.rig.problem import Estimator
+    from calgraph.rig.bundle.problem import Estimator
 
 _log = logging.getLogger("calgraph")
 EstimatorChoice = Literal["bundle", "hypergraph", "joint", "averaging"]

@@ -34,7 +34,7 @@ from calgraph.recording import RecordingCache, open_recordings
 from calgraph.result import Calibration, ExtrinsicsFile, read_extrinsics
 
 if TYPE_CHECKING:
-    from calgraph.estimation.rig.problem import Problem
+    from calgraph.rig.bundle.problem import Problem
     from calgraph.verdict.comparison import ExtrinsicsComparison, ResidualComparison
 
 _SIGNS = {"pass": "[green]✓[/]", "warn": "[yellow]![/]", "fail": "[red]✕[/]"}
@@ -129,8 +129,8 @@ def _compare(
 def _problem(rig: Rig, recordings: list[str], seed: int, cache: RecordingCache, engine: Engine) -> "Problem":
     """The joint problem of a recording, or the one in a dump."""
     from calgraph.calibrate.rig import build_problem
-    from calgraph.estimation.rig.problem import check_problem
-    from calgraph.estimation.rig.problem_file import load_problem
+    from calgraph.rig.bundle.problem import check_problem
+    from calgraph.rig.bundle.problem_file import load_problem
     from calgraph.rig.options import RigOptions
 
     if any(Path(file).suffix == ".npz" and Path(file).is_file() for file in recordings):

@@ -13,7 +13,7 @@ from calgraph.errors import InputError
 from calgraph.result import read_extrinsics
 
 if TYPE_CHECKING:
-    from calgraph.estimation.rig.priors import PriorFile, RigidFile
+    from calgraph.rig.bundle.priors import PriorFile, RigidFile
 
 PriorOption = Annotated[
     Path | None,
@@ -52,7 +52,7 @@ def read_priors(
     Raises:
         InputError: an option, or a file, is wrong.
     """
-    from calgraph.estimation.rig.priors import PriorFile, RigidFile
+    from calgraph.rig.bundle.priors import PriorFile, RigidFile
 
     if stddev is not None and prior is None:
         raise InputError("--prior-stddev: goes with --prior")

@@ -23,8 +23,8 @@ from calgraph.recording import RecordingCache, open_recordings
 
 if TYPE_CHECKING:
     from calgraph.diagnostics.rig.bootstrap import BootstrapScatter
-    from calgraph.estimation.rig.problem import Problem
     from calgraph.parallel.progress import Progress
+    from calgraph.rig.bundle.problem import Problem
 
 _FORMAT = "calgraph-verify/1"
 _SIGNS = {"honest": "[green]✓[/]", "pessimistic": "[yellow]![/]", "optimistic": "[red]✕[/]"}
@@ -78,7 +78,7 @@ def _problem(
 ) -> "Problem":
     """The joint problem in a dump, or that of a recording."""
     from calgraph.calibrate.rig import build_problem
-    from calgraph.estimation.rig.problem_file import load_problem
+    from calgraph.rig.bundle.problem_file import load_problem
     from calgraph.rig.options import RigOptions
 
     first = Path(files[0])

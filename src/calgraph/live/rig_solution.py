@@ -15,13 +15,13 @@ from calgraph.config import Rig
 from calgraph.diagnostics.rig.assemble import assemble_rig
 from calgraph.diagnostics.rig.drift_tests import include_drifts
 from calgraph.errors import CalgraphError
-from calgraph.estimation.rig.solution import SolvedBundle
 from calgraph.geometry import Array
 from calgraph.live.missing_pairs import MissingPair, explain_unconnected, find_missing_pair
 from calgraph.live.pose_picture import DrawnSensor, draw_pose
 from calgraph.live.pose_suggestion import estimate_up, suggest_next_pose
 from calgraph.live.state import Advice
 from calgraph.result import Calibration, SensorPose, Suggestion
+from calgraph.rig.bundle.solution import SolvedBundle
 from calgraph.rig.captures.detect import CaptureSet, state_estimated_intrinsics
 from calgraph.rig.options import RigOptions
 from calgraph.sensors import CameraModel

@@ -5,12 +5,12 @@ from pathlib import Path
 from typing import Literal, get_args
 
 from calgraph.errors import InputError
-from calgraph.estimation.rig.priors import PriorFile, RigidFile
-from calgraph.estimation.rig.problem import Estimator, SolverOptions
 from calgraph.graph.averaging import AveragingMethod
 from calgraph.graph.pairwise_estimate import MatchFilter
 from calgraph.parallel.engine import THIS_PROCESS, Engine
 from calgraph.recording import NO_CACHE, RecordingCache
+from calgraph.rig.bundle.priors import PriorFile, RigidFile
+from calgraph.rig.bundle.problem import Estimator, SolverOptions
 
 PlaneMethod = Literal["pnp", "mean_plane"]
 RigStart = Literal["tree", "identity"] | AveragingMethod

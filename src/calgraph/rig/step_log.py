@@ -4,7 +4,7 @@ import logging
 from collections import Counter
 
 from calgraph.errors import Rejected
-from calgraph.estimation.rig.solution import RigSolution
+from calgraph.rig.bundle.solution import RigSolution
 from calgraph.rig.captures.detect import CaptureSet
 from calgraph.rig.pairs.board_pair import PairwiseEstimates
 

@@ -9,9 +9,9 @@ from calgraph.diagnostics.rig.assemble import assemble_rig
 from calgraph.diagnostics.rig.bootstrap import BootstrapScatter, bootstrap_poses
 from calgraph.diagnostics.rig.extrinsics_check import compare_rig_poses
 from calgraph.errors import CalibrationError
-from calgraph.estimation.rig.problem import Problem
 from calgraph.parallel.progress import Progress, no_progress
 from calgraph.result import Calibration, ExtrinsicsFile
+from calgraph.rig.bundle.problem import Problem
 from calgraph.verdict.comparison import ExtrinsicsComparison
 
 

@@ -13,9 +13,9 @@ from calgraph.diagnostics.rig.board_pictures import (
     collect_board_views,
     measure_fit,
 )
-from calgraph.estimation.rig.solution import RigSolution
 from calgraph.geometry import Array, se3
 from calgraph.result import BoardOutline, BoardView
+from calgraph.rig.bundle.solution import RigSolution
 from detected_rigs import QUICK, DetectedRig, detect_rig
 
 

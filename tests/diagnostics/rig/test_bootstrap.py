@@ -14,9 +14,9 @@ from calgraph.diagnostics.rig.bootstrap import (
     _resample_bundle,
     bootstrap_poses,
 )
-from calgraph.estimation.rig.bundle_solver import Bundle, linearize_bundle, minimize_bundle
-from calgraph.estimation.rig.covariances import pose_covariance
-from calgraph.estimation.rig.solution import SolvedBundle
+from calgraph.rig.bundle.bundle_solver import Bundle, linearize_bundle, minimize_bundle
+from calgraph.rig.bundle.covariances import pose_covariance
+from calgraph.rig.bundle.solution import SolvedBundle
 
 BOARDS, ROUNDS, SEEDS, SWAY = 16, 20, 5, 0.001
 

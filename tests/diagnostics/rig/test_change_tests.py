@@ -8,11 +8,11 @@ import pytest
 from bundle_scenes import LEVER, Scene, bias_variances, remeasured, scene
 from calgraph.config.settings import DiagnosticsSettings
 from calgraph.diagnostics.rig.change_tests import _compare_halves, _squared_distance, find_changes
-from calgraph.estimation.rig.board_information import gradient_by_board, information_by_board
-from calgraph.estimation.rig.bundle_solver import Bundle, minimize_bundle
-from calgraph.estimation.rig.observations import relative_poses
-from calgraph.estimation.rig.solution import SolvedBundle
 from calgraph.geometry import Array, se3
+from calgraph.rig.bundle.board_information import gradient_by_board, information_by_board
+from calgraph.rig.bundle.bundle_solver import Bundle, minimize_bundle
+from calgraph.rig.bundle.observations import relative_poses
+from calgraph.rig.bundle.solution import SolvedBundle
 
 BOARDS, SEEDS = 16, 30
 FIRST = np.arange(BOARDS) < BOARDS // 2

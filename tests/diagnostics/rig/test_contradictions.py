@@ -8,9 +8,9 @@ import pytest
 from bundle_scenes import scene
 from calgraph.diagnostics.rig.contradictions import find_contradictions
 from calgraph.diagnostics.rig.cross_validation import cross_validate
-from calgraph.estimation.rig.bundle_solver import minimize_bundle
-from calgraph.estimation.rig.solution import RigSolution, SolvedBundle
 from calgraph.result import HeldOutError
+from calgraph.rig.bundle.bundle_solver import minimize_bundle
+from calgraph.rig.bundle.solution import RigSolution, SolvedBundle
 from detected_rigs import DetectedRig, detect_rig
 
 pytestmark = pytest.mark.without_coverage

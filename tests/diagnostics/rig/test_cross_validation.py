@@ -10,12 +10,12 @@ from bundle_scenes import LEVER, Scene, remeasured, scene
 from calgraph.config.settings import RigDiagnosticsSettings
 from calgraph.diagnostics.rig.cross_validation import _observes_tilt, _solve_boards, cross_validate
 from calgraph.errors import InputError
-from calgraph.estimation.rig.bundle_solver import Bundle, linearize_bundle, minimize_bundle
-from calgraph.estimation.rig.corner_observations import CornerObservations
-from calgraph.estimation.rig.observations import relative_poses
-from calgraph.estimation.rig.solution import SolvedBundle
 from calgraph.geometry import se3
 from calgraph.result import HeldOutError
+from calgraph.rig.bundle.bundle_solver import Bundle, linearize_bundle, minimize_bundle
+from calgraph.rig.bundle.corner_observations import CornerObservations
+from calgraph.rig.bundle.observations import relative_poses
+from calgraph.rig.bundle.solution import SolvedBundle
 
 SEEDS, SWAY = 12, 0.001
 

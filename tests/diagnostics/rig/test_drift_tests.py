@@ -15,10 +15,10 @@ from calgraph.diagnostics.rig.drift_tests import (
     include_drifts,
     measure_drifts,
 )
-from calgraph.estimation.rig.bundle_solver import Bundle, minimize_bundle
-from calgraph.estimation.rig.covariances import pose_covariance
-from calgraph.estimation.rig.solution import RigSolution, SolvedBundle
 from calgraph.geometry import Array, se3
+from calgraph.rig.bundle.bundle_solver import Bundle, minimize_bundle
+from calgraph.rig.bundle.covariances import pose_covariance
+from calgraph.rig.bundle.solution import RigSolution, SolvedBundle
 
 pytestmark = pytest.mark.without_coverage
 

@@ -11,13 +11,13 @@ from bundle_scenes import Scene, scene
 from calgraph.config import Tolerance
 from calgraph.diagnostics.rig.extrinsics_check import compare_rig_poses
 from calgraph.errors import InputError
-from calgraph.estimation.rig.bundle_solver import minimize_bundle
-from calgraph.estimation.rig.covariances import pose_covariance
-from calgraph.estimation.rig.observations import relative_poses
-from calgraph.estimation.rig.solution import SolvedBundle
 from calgraph.geometry import Array, se3
 from calgraph.result import Calibration, ExtrinsicsFile, SensorPose, Verdict
 from calgraph.result.frame_tree import FrameLink, FrameTree
+from calgraph.rig.bundle.bundle_solver import minimize_bundle
+from calgraph.rig.bundle.covariances import pose_covariance
+from calgraph.rig.bundle.observations import relative_poses
+from calgraph.rig.bundle.solution import SolvedBundle
 from calgraph.verdict.comparison import ExtrinsicsComparison
 
 TOLERANCE = Tolerance()

@@ -11,14 +11,14 @@ from calgraph.config import Tolerance
 from calgraph.config.settings import RigDiagnosticsSettings
 from calgraph.diagnostics.rig.next_best_pose import _draw_candidates, _log_volume, suggest_board_poses
 from calgraph.diagnostics.rig.pose_description import describe_pose
-from calgraph.estimation.rig.bundle_parameters import SystematicParameter
-from calgraph.estimation.rig.bundle_solver import Bundle, BundleState, minimize_bundle
-from calgraph.estimation.rig.covariances import pose_covariance
-from calgraph.estimation.rig.observations import relative_poses
-from calgraph.estimation.rig.range_observations import RangeObservations
-from calgraph.estimation.rig.solution import SolvedBundle
 from calgraph.geometry import Array, se3, so3
 from calgraph.result import Suggestion
+from calgraph.rig.bundle.bundle_parameters import SystematicParameter
+from calgraph.rig.bundle.bundle_solver import Bundle, BundleState, minimize_bundle
+from calgraph.rig.bundle.covariances import pose_covariance
+from calgraph.rig.bundle.observations import relative_poses
+from calgraph.rig.bundle.range_observations import RangeObservations
+from calgraph.rig.bundle.solution import SolvedBundle
 from calgraph.verdict.grades import axis_names, grade_pose
 
 NAMES = ("lidar", "camera", "laser")

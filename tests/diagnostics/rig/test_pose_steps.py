@@ -10,10 +10,10 @@ from bundle_scenes import remeasured, scene
 from calgraph.config.settings import BumpTestSettings, SerialCorrelationSettings
 from calgraph.diagnostics.rig.pose_steps import PoseStep, _select_largest, find_pose_steps
 from calgraph.diagnostics.rig.released_poses import StepStatistics, release_poses
-from calgraph.estimation.rig.bundle_solver import Bundle, minimize_bundle
-from calgraph.estimation.rig.covariances import pose_covariance
-from calgraph.estimation.rig.observations import relative_poses
 from calgraph.geometry import Array, se3
+from calgraph.rig.bundle.bundle_solver import Bundle, minimize_bundle
+from calgraph.rig.bundle.covariances import pose_covariance
+from calgraph.rig.bundle.observations import relative_poses
 
 pytestmark = pytest.mark.without_coverage
 

@@ -6,10 +6,10 @@ import pytest
 from bundle_scenes import CORNERS, HEIGHT, WIDTH, views_of
 from calgraph.config.settings import RigDiagnosticsSettings
 from calgraph.diagnostics.rig.predicted_observations import predict_observations
-from calgraph.estimation.rig.corner_observations import CornerObservations
-from calgraph.estimation.rig.observations import BoardViews
-from calgraph.estimation.rig.range_observations import RangeObservations
 from calgraph.geometry import Array, se3, so3
+from calgraph.rig.bundle.corner_observations import CornerObservations
+from calgraph.rig.bundle.observations import BoardViews
+from calgraph.rig.bundle.range_observations import RangeObservations
 
 SETTINGS = RigDiagnosticsSettings()
 KINDS = {"lidar": "lidar3d", "camera": "camera", "laser": "lidar2d"}

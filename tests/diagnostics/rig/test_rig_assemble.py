@@ -9,15 +9,15 @@ import pytest
 from calgraph.config import Tolerance
 from calgraph.diagnostics.rig.assemble import assemble_rig
 from calgraph.errors import Rejected
-from calgraph.estimation.rig.bundle_parameters import SensorPrior
-from calgraph.estimation.rig.bundle_solver import minimize_bundle
-from calgraph.estimation.rig.problem import Problem, SolverOptions
-from calgraph.estimation.rig.solution import RigSolution
 from calgraph.geometry import se3
 from calgraph.graph.pairwise_estimate import PairwiseEstimate
 from calgraph.graph.spanning_tree import SpanningTree
 from calgraph.result import Calibration, CaptureRow, HeldOutError, Verdict
 from calgraph.result.finding import Finding
+from calgraph.rig.bundle.bundle_parameters import SensorPrior
+from calgraph.rig.bundle.bundle_solver import minimize_bundle
+from calgraph.rig.bundle.problem import Problem, SolverOptions
+from calgraph.rig.bundle.solution import RigSolution
 from calgraph.rig.captures.detect import CaptureSet
 from detected_rigs import DetectedRig, detect_rig
 

@@ -9,9 +9,9 @@ from bundle_scenes import bias_variances, remeasured, scene
 from calgraph.config.settings import BumpTestSettings, SerialCorrelationSettings
 from calgraph.diagnostics.rig.pose_steps import find_pose_steps
 from calgraph.diagnostics.rig.serial_correlation import measure_score_correlation, measure_serial_correlation
-from calgraph.estimation.rig.bundle_solver import Bundle, minimize_bundle
-from calgraph.estimation.rig.observations import relative_poses
 from calgraph.geometry import se3
+from calgraph.rig.bundle.bundle_solver import Bundle, minimize_bundle
+from calgraph.rig.bundle.observations import relative_poses
 
 BOARDS = 40
 SCENE = scene(boards=BOARDS)

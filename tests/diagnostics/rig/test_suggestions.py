@@ -8,10 +8,10 @@ from bundle_scenes import HEIGHT, WIDTH, scene
 from calgraph.config import Tolerance
 from calgraph.diagnostics.rig.next_best_pose import suggest_board_poses
 from calgraph.diagnostics.rig.suggestions import add_suggestions
-from calgraph.estimation.rig.bundle_solver import minimize_bundle
-from calgraph.estimation.rig.covariances import pose_covariance
-from calgraph.estimation.rig.solution import SolvedBundle
 from calgraph.result import Calibration, SensorPose, Verdict
+from calgraph.rig.bundle.bundle_solver import minimize_bundle
+from calgraph.rig.bundle.covariances import pose_covariance
+from calgraph.rig.bundle.solution import SolvedBundle
 
 KINDS: dict[str, Literal["camera", "lidar2d", "lidar3d"]] = {
     "lidar": "lidar3d",

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from calgraph.config import Board, Checkerboard
-from calgraph.estimation.rig.range_observations import bow_shape, round_bow_shape
 from calgraph.geometry import se3
+from calgraph.rig.bundle.range_observations import bow_shape, round_bow_shape
 from calgraph.simulation import (
     BoardErrors,
     CameraOptions,

@@ -8,8 +8,8 @@ import pytest
 
 from calgraph.boards.detections import BoardCorners
 from calgraph.config import CameraSpec, Rig
-from calgraph.estimation.rig.estimate import cramer_rao
 from calgraph.geometry import Array, se3
+from calgraph.rig.bundle.estimate import cramer_rao
 from calgraph.rig.captures.detect import CaptureSet
 from calgraph.simulation import CameraOptions, RigScenario, build_world, simulate_detections
 from detected_rigs import exact_rig

@@ -9,17 +9,17 @@ from numpy.typing import NDArray
 from bundle_scenes import LEVER, Scene, bias_variances, remeasured, scene
 from calgraph.boards.detections import BoardCorners
 from calgraph.config import CameraSpec, PixelNoise
-from calgraph.estimation.rig.bundle_solver import Bundle, minimize_bundle
-from calgraph.estimation.rig.covariances import view_covariance_factors
-from calgraph.estimation.rig.observations import relative_poses
-from calgraph.estimation.rig.settling import settle_variances
-from calgraph.estimation.rig.variance_components import (
+from calgraph.geometry import se3
+from calgraph.rig.bundle.bundle_solver import Bundle, minimize_bundle
+from calgraph.rig.bundle.covariances import view_covariance_factors
+from calgraph.rig.bundle.observations import relative_poses
+from calgraph.rig.bundle.settling import settle_variances
+from calgraph.rig.bundle.variance_components import (
     ViewConsistency,
     measure_consistency,
     select_consistent_views,
     update_variance_components,
 )
-from calgraph.geometry import se3
 from calgraph.simulation import BoardErrors, IdealDetectorOptions, ModelErrors, build_world
 from detected_rigs import QUICK, DetectedRig, detect_rig, detect_rig_on
 
@@ -241,7 +241,7 @@ def test_a_view_that_is_rejected_again_after_its_return_stays_out(monkeypatch: p
         turned[3] = ~turned[3]
         return [turned, kept[1]]
 
-    monkeypatch.setattr("calgraph.estimation.rig.settling._judge_views", judge)
+    monkeypatch.setattr("calgraph.rig.bundle.settling._judge_views", judge)
     _, _, kept = settle_variances(bundle, solution, 9)
     assert judged[:4] == [True, False, True, False]
     assert not any(judged[3:])

@@ -8,23 +8,23 @@ import pytest
 
 from calgraph.config import Intrinsics, Rig
 from calgraph.config.settings import RigEstimationSettings, SystematicParameterSettings
-from calgraph.estimation.rig.board_observations import group_detections
-from calgraph.estimation.rig.board_outlines import add_outlines
-from calgraph.estimation.rig.bundle_setup import build_bundle, update_noise
-from calgraph.estimation.rig.bundle_solver import (
+from calgraph.geometry import Array, se3
+from calgraph.graph.pairwise_estimate import select_matches
+from calgraph.rig.bundle.board_observations import group_detections
+from calgraph.rig.bundle.board_outlines import add_outlines
+from calgraph.rig.bundle.bundle_setup import build_bundle, update_noise
+from calgraph.rig.bundle.bundle_solver import (
     BOARD_PRIOR_INFORMATION,
     Bundle,
     BundleState,
     linearize_bundle,
     view_jacobians,
 )
-from calgraph.estimation.rig.covariances import parameter_covariance
-from calgraph.estimation.rig.normal_equations import accumulate
-from calgraph.estimation.rig.observations import BoardViews, LinearizedResiduals, relative_poses, view_indices
-from calgraph.estimation.rig.range_observations import RangeObservations
-from calgraph.estimation.rig.systematic_parameters import find_rings
-from calgraph.geometry import Array, se3
-from calgraph.graph.pairwise_estimate import select_matches
+from calgraph.rig.bundle.covariances import parameter_covariance
+from calgraph.rig.bundle.normal_equations import accumulate
+from calgraph.rig.bundle.observations import BoardViews, LinearizedResiduals, relative_poses, view_indices
+from calgraph.rig.bundle.range_observations import RangeObservations
+from calgraph.rig.bundle.systematic_parameters import find_rings
 from calgraph.rig.captures.detect import CaptureSet
 from calgraph.sensors import CameraModel
 from calgraph.simulation import CameraOptions, LaserOptions, MultibeamOptions

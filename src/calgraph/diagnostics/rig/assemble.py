@@ -15,11 +15,6 @@ from calgraph.diagnostics.rig.board_pictures import (
 from calgraph.diagnostics.rig.contradictions import find_contradictions
 from calgraph.diagnostics.rig.prior_tests import find_contradicted_priors
 from calgraph.errors import Rejected
-from calgraph.estimation.rig.board_observations import Node
-from calgraph.estimation.rig.covariances import prior_error_derivatives
-from calgraph.estimation.rig.priors import frame_id
-from calgraph.estimation.rig.problem import Problem
-from calgraph.estimation.rig.solution import RigSolution
 from calgraph.geometry import Array
 from calgraph.graph.pairwise_estimate import PairwiseEstimate
 from calgraph.graph.spanning_tree import SpanningTree
@@ -35,6 +30,11 @@ from calgraph.result import (
     apply_estimates,
 )
 from calgraph.result.finding import Finding
+from calgraph.rig.bundle.board_observations import Node
+from calgraph.rig.bundle.covariances import prior_error_derivatives
+from calgraph.rig.bundle.priors import frame_id
+from calgraph.rig.bundle.problem import Problem
+from calgraph.rig.bundle.solution import RigSolution
 from calgraph.rig.captures.detect import CaptureSet
 from calgraph.rig.captures.holds import Hold
 from calgraph.rig.pairs.board_pair import PairwiseEstimates, select_successful

@@ -7,13 +7,13 @@ import numpy as np
 
 from calgraph.boards.detections import BoardCorners, Detection, PlanePatch
 from calgraph.config import Rig
-from calgraph.estimation.rig.corner_observations import CornerObservations
-from calgraph.estimation.rig.observations import relative_poses
-from calgraph.estimation.rig.range_observations import RangeObservations
-from calgraph.estimation.rig.solution import RigSolution, SolvedBundle
 from calgraph.geometry import Array, plane, se3
 from calgraph.result import BoardOutline, BoardView, FitError
 from calgraph.result.evidence import rms
+from calgraph.rig.bundle.corner_observations import CornerObservations
+from calgraph.rig.bundle.observations import relative_poses
+from calgraph.rig.bundle.range_observations import RangeObservations
+from calgraph.rig.bundle.solution import RigSolution, SolvedBundle
 from calgraph.rig.captures.detect import CaptureSet
 
 InlierResiduals = Mapping[tuple[int, str], Mapping[int, Sequence[float]]]

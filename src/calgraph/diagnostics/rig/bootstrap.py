@@ -12,8 +12,9 @@ import numpy as np
 from scipy.special import chdtri
 
 from calgraph.config.settings import RigDiagnosticsSettings
-from calgraph.estimation.rig.board_information import gradient_by_board, information_by_board
-from calgraph.estimation.rig.bundle_solver import (
+from calgraph.geometry import Array, Index, se3
+from calgraph.rig.bundle.board_information import gradient_by_board, information_by_board
+from calgraph.rig.bundle.bundle_solver import (
     COARSE_TOLERANCE,
     Bundle,
     BundleEquations,
@@ -21,10 +22,9 @@ from calgraph.estimation.rig.bundle_solver import (
     minimize_bundle,
     pose_jacobian,
 )
-from calgraph.estimation.rig.covariances import parameter_covariance
-from calgraph.estimation.rig.relinearization import CachedLinearization
-from calgraph.estimation.rig.solution import SolvedBundle
-from calgraph.geometry import Array, Index, se3
+from calgraph.rig.bundle.covariances import parameter_covariance
+from calgraph.rig.bundle.relinearization import CachedLinearization
+from calgraph.rig.bundle.solution import SolvedBundle
 
 CovarianceVerdict = Literal["honest", "optimistic", "pessimistic"]
 

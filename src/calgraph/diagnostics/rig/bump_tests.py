@@ -5,18 +5,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calgraph.diagnostics.rig.pose_steps import PoseStep, find_pose_steps
-from calgraph.estimation.rig.board_observations import add_unambiguous_detections, group_detections
-from calgraph.estimation.rig.bundle_setup import rebuild_bundle
-from calgraph.estimation.rig.bundle_solver import (
+from calgraph.geometry import Index
+from calgraph.rig.bundle.board_observations import add_unambiguous_detections, group_detections
+from calgraph.rig.bundle.bundle_setup import rebuild_bundle
+from calgraph.rig.bundle.bundle_solver import (
     COARSE_TOLERANCE,
     Bundle,
     MinimizedBundle,
     minimize_bundle,
 )
-from calgraph.estimation.rig.priors import without_priors
-from calgraph.estimation.rig.problem import Problem
-from calgraph.estimation.rig.solution import RigSolution, SolvedBundle
-from calgraph.geometry import Index
+from calgraph.rig.bundle.priors import without_priors
+from calgraph.rig.bundle.problem import Problem
+from calgraph.rig.bundle.solution import RigSolution, SolvedBundle
 from calgraph.rig.pairs.board_pair import select_successful
 
 

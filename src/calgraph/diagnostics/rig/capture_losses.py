@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.config.settings import RigDiagnosticsSettings
-from calgraph.estimation.rig.bundle_solver import Bundle
-from calgraph.estimation.rig.solution import SolvedBundle
 from calgraph.result.finding import Finding
+from calgraph.rig.bundle.bundle_solver import Bundle
+from calgraph.rig.bundle.solution import SolvedBundle
 from calgraph.rig.captures.detect import CaptureSet
 
 

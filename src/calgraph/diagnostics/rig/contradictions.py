@@ -11,9 +11,9 @@ from calgraph.diagnostics.rig.capture_losses import find_lost_captures
 from calgraph.diagnostics.rig.change_tests import find_changes
 from calgraph.diagnostics.rig.noise_tests import find_excessive_noise
 from calgraph.diagnostics.rig.systematic_tests import find_systematic_errors
-from calgraph.estimation.rig.solution import RigSolution, SolvedBundle
 from calgraph.result import HeldOutError
 from calgraph.result.finding import Finding
+from calgraph.rig.bundle.solution import RigSolution, SolvedBundle
 from calgraph.rig.captures.detect import CaptureSet
 from calgraph.verdict.grades import axis_names
 

@@ -16,7 +16,11 @@ from numpy.typing import NDArray
 
 from calgraph.config.settings import RigDiagnosticsSettings
 from calgraph.errors import InputError
-from calgraph.estimation.rig.bundle_solver import (
+from calgraph.geometry import Array, Index, se3, se_n
+from calgraph.parallel.processes import forked_jobs, parallel_stream
+from calgraph.result import HeldOutError
+from calgraph.result.evidence import rms
+from calgraph.rig.bundle.bundle_solver import (
     BOARD_PRIOR_INFORMATION,
     COARSE_TOLERANCE,
     Bundle,
@@ -27,17 +31,13 @@ from calgraph.estimation.rig.bundle_solver import (
     retract_state,
     view_jacobians,
 )
-from calgraph.estimation.rig.corner_observations import CornerObservations
-from calgraph.estimation.rig.covariances import parameter_covariance
-from calgraph.estimation.rig.normal_equations import accumulate
-from calgraph.estimation.rig.observations import BoardViews, relative_poses, velocity_along_sensor
-from calgraph.estimation.rig.range_observations import RangeObservations
-from calgraph.estimation.rig.relinearization import CachedLinearization
-from calgraph.estimation.rig.solution import SolvedBundle
-from calgraph.geometry import Array, Index, se3, se_n
-from calgraph.parallel.processes import forked_jobs, parallel_stream
-from calgraph.result import HeldOutError
-from calgraph.result.evidence import rms
+from calgraph.rig.bundle.corner_observations import CornerObservations
+from calgraph.rig.bundle.covariances import parameter_covariance
+from calgraph.rig.bundle.normal_equations import accumulate
+from calgraph.rig.bundle.observations import BoardViews, relative_poses, velocity_along_sensor
+from calgraph.rig.bundle.range_observations import RangeObservations
+from calgraph.rig.bundle.relinearization import CachedLinearization
+from calgraph.rig.bundle.solution import SolvedBundle
 
 # Gauss–Newton steps that locate boards with sensors fixed; they start from the solution of all captures.
 _BOARD_STEPS = 2

@@ -12,8 +12,10 @@ from scipy.special import chdtri, fdtri
 
 from calgraph.config.settings import DiagnosticsSettings, DriftTestSettings
 from calgraph.diagnostics.rig.serial_correlation import measure_serial_correlation
-from calgraph.estimation.rig.bundle_parameters import SystematicParameter
-from calgraph.estimation.rig.bundle_solver import (
+from calgraph.geometry import Array, se3, se_n, so3
+from calgraph.result.finding import Finding
+from calgraph.rig.bundle.bundle_parameters import SystematicParameter
+from calgraph.rig.bundle.bundle_solver import (
     Bundle,
     BundleEquations,
     BundleState,
@@ -22,11 +24,9 @@ from calgraph.estimation.rig.bundle_solver import (
     linearize_bundle,
     pose_jacobian,
 )
-from calgraph.estimation.rig.covariances import view_covariance_factors
-from calgraph.estimation.rig.solution import RigSolution, SolvedBundle
-from calgraph.estimation.rig.variance_components import update_variance_components
-from calgraph.geometry import Array, se3, se_n, so3
-from calgraph.result.finding import Finding
+from calgraph.rig.bundle.covariances import view_covariance_factors
+from calgraph.rig.bundle.solution import RigSolution, SolvedBundle
+from calgraph.rig.bundle.variance_components import update_variance_components
 
 # Prior information (m⁻², rad⁻²) on a drift: makes directions that no view measures invertible.
 _DRIFT_PRIOR_INFORMATION = 1e-3

@@ -8,13 +8,13 @@ import numpy as np
 from calgraph.config import Tolerance
 from calgraph.config.settings import VerdictSettings
 from calgraph.errors import CalibrationError
-from calgraph.estimation.rig.bundle_solver import Bundle, BundleState, minimize_bundle
-from calgraph.estimation.rig.corner_observations import CornerObservations
-from calgraph.estimation.rig.observations import relative_poses
-from calgraph.estimation.rig.range_observations import RangeObservations
-from calgraph.estimation.rig.solution import SolvedBundle
 from calgraph.geometry import Array
 from calgraph.result import Calibration, ExtrinsicsFile
+from calgraph.rig.bundle.bundle_solver import Bundle, BundleState, minimize_bundle
+from calgraph.rig.bundle.corner_observations import CornerObservations
+from calgraph.rig.bundle.observations import relative_poses
+from calgraph.rig.bundle.range_observations import RangeObservations
+from calgraph.rig.bundle.solution import SolvedBundle
 from calgraph.verdict.comparison import ExtrinsicsComparison, ResidualComparison, match_poses
 
 

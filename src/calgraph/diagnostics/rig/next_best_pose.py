@@ -16,13 +16,13 @@ from calgraph.config import Tolerance
 from calgraph.config.settings import DiagnosticsSettings, RigDiagnosticsSettings
 from calgraph.diagnostics.rig.pose_description import describe_pose
 from calgraph.diagnostics.rig.predicted_observations import predict_observations
-from calgraph.estimation.rig.board_information import information_by_board
-from calgraph.estimation.rig.bundle_solver import Bundle, BundleState, linearize_bundle, pose_jacobian
-from calgraph.estimation.rig.covariances import parameter_covariance
-from calgraph.estimation.rig.observations import relative_poses
-from calgraph.estimation.rig.solution import SolvedBundle
 from calgraph.geometry import Array, se3, so3
 from calgraph.result import Suggestion
+from calgraph.rig.bundle.board_information import information_by_board
+from calgraph.rig.bundle.bundle_solver import Bundle, BundleState, linearize_bundle, pose_jacobian
+from calgraph.rig.bundle.covariances import parameter_covariance
+from calgraph.rig.bundle.observations import relative_poses
+from calgraph.rig.bundle.solution import SolvedBundle
 from calgraph.verdict.grades import axis_names, max_good_stddev
 
 

@@ -9,9 +9,9 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from calgraph.config.settings import RigDiagnosticsSettings
-from calgraph.estimation.rig.solution import MeasuredNoise, RigSolution
 from calgraph.result.evidence import rms
 from calgraph.result.finding import Finding
+from calgraph.rig.bundle.solution import MeasuredNoise, RigSolution
 
 # What makes measurements noisier than stated, by kind of sensor.
 _NOISE_CAUSES = {

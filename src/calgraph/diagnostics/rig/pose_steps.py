@@ -10,8 +10,9 @@ from calgraph.config.settings import BumpTestSettings, SerialCorrelationSettings
 from calgraph.diagnostics.rig.released_poses import ReleasedPose, StepStatistics, release_poses
 from calgraph.diagnostics.rig.serial_correlation import measure_score_correlation, measure_serial_correlation
 from calgraph.errors import CalibrationError
-from calgraph.estimation.rig.bundle_setup import set_noise
-from calgraph.estimation.rig.bundle_solver import (
+from calgraph.geometry import Array, Index, se3
+from calgraph.rig.bundle.bundle_setup import set_noise
+from calgraph.rig.bundle.bundle_solver import (
     COARSE_TOLERANCE,
     Bundle,
     BundleState,
@@ -19,11 +20,10 @@ from calgraph.estimation.rig.bundle_solver import (
     linearize_bundle,
     minimize_bundle,
 )
-from calgraph.estimation.rig.covariances import pose_covariance, view_covariance_factors
-from calgraph.estimation.rig.settling import settle_variances
-from calgraph.estimation.rig.variance_components import measure_consistency
-from calgraph.estimation.rig.whitening import whitening
-from calgraph.geometry import Array, Index, se3
+from calgraph.rig.bundle.covariances import pose_covariance, view_covariance_factors
+from calgraph.rig.bundle.settling import settle_variances
+from calgraph.rig.bundle.variance_components import measure_consistency
+from calgraph.rig.bundle.whitening import whitening
 
 
 @dataclass(frozen=True, eq=False)

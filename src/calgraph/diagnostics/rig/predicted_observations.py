@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.config.settings import RigDiagnosticsSettings
-from calgraph.estimation.rig.corner_observations import CornerObservations
-from calgraph.estimation.rig.observations import BoardViews
-from calgraph.estimation.rig.range_observations import RangeObservations
 from calgraph.geometry import Array, Index, se3
+from calgraph.rig.bundle.corner_observations import CornerObservations
+from calgraph.rig.bundle.observations import BoardViews
+from calgraph.rig.bundle.range_observations import RangeObservations
 
 # Points along each side of a board that represent all beams on it; their weights add up to the number of beams.
 _GRID = 7

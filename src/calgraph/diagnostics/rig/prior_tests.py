@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import chdtri
 
-from calgraph.estimation.rig.bundle_solver import Bundle, MinimizedBundle, linearize_bundle
-from calgraph.estimation.rig.covariances import parameter_covariance, pose_covariance
-from calgraph.estimation.rig.priors import RigidGroup
-from calgraph.estimation.rig.whitening import consistency_statistic
 from calgraph.geometry import Array, se3
+from calgraph.rig.bundle.bundle_solver import Bundle, MinimizedBundle, linearize_bundle
+from calgraph.rig.bundle.covariances import parameter_covariance, pose_covariance
+from calgraph.rig.bundle.priors import RigidGroup
+from calgraph.rig.bundle.whitening import consistency_statistic
 
 # Singular values below this belong to directions that the prior alone determines (numerical rank).
 _RANK_TOLERANCE = 1e-3

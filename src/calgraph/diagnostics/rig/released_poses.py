@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calgraph.estimation.rig.bundle_solver import BOARD_PRIOR_INFORMATION, Bundle, BundleEquations, BundleState
 from calgraph.geometry import Array, Index, se_n
+from calgraph.rig.bundle.bundle_solver import BOARD_PRIOR_INFORMATION, Bundle, BundleEquations, BundleState
 
 # Prior information (m⁻², rad⁻²) on a step: makes directions that no view measures invertible.
 _STEP_PRIOR_INFORMATION = 1.0

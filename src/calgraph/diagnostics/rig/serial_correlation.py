@@ -7,9 +7,9 @@ captures, errors of lenses, clocks and shutters are the same in successive captu
 import numpy as np
 
 from calgraph.config.settings import SerialCorrelationSettings
-from calgraph.estimation.rig.board_information import gradient_by_board
-from calgraph.estimation.rig.bundle_solver import Bundle, MinimizedBundle
 from calgraph.geometry import Array, Index
+from calgraph.rig.bundle.board_information import gradient_by_board
+from calgraph.rig.bundle.bundle_solver import Bundle, MinimizedBundle
 
 
 def measure_serial_correlation(

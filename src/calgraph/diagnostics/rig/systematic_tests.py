@@ -11,13 +11,13 @@ from scipy.special import ndtr, ndtri
 
 from calgraph.config import CameraSpec, Rig
 from calgraph.config.settings import RigDiagnosticsSettings
-from calgraph.estimation.rig.bundle_solver import Bundle
-from calgraph.estimation.rig.corner_observations import CornerObservations
-from calgraph.estimation.rig.covariances import parameter_covariance
-from calgraph.estimation.rig.solution import SolvedBundle
-from calgraph.estimation.rig.systematic_parameters import RESIDUAL_DISTORTION
 from calgraph.geometry import Index
 from calgraph.result.finding import Finding
+from calgraph.rig.bundle.bundle_solver import Bundle
+from calgraph.rig.bundle.corner_observations import CornerObservations
+from calgraph.rig.bundle.covariances import parameter_covariance
+from calgraph.rig.bundle.solution import SolvedBundle
+from calgraph.rig.bundle.systematic_parameters import RESIDUAL_DISTORTION
 from calgraph.sensors import DISTORTION_NAMES
 from calgraph.verdict.parameter_estimates import ParameterEstimates
 

@@ -17,13 +17,13 @@ from calgraph.config.settings import IntrinsicsSettings
 from calgraph.errors import CalibrationError, InputError, Rejected
 from calgraph.estimation.intrinsics.model_error import FieldEquations, ModelError, estimate_model_error
 from calgraph.estimation.intrinsics.start import IntrinsicsStart
-from calgraph.estimation.rig.board_observations import BoardObservation
-from calgraph.estimation.rig.bundle_setup import build_bundle
-from calgraph.estimation.rig.bundle_solver import COARSE_TOLERANCE, Bundle, MinimizedBundle, minimize_bundle
-from calgraph.estimation.rig.corner_observations import CornerObservations, adjust_camera
-from calgraph.estimation.rig.covariances import parameter_covariance
 from calgraph.geometry import Array, plane, se3
 from calgraph.result import state_intrinsics
+from calgraph.rig.bundle.board_observations import BoardObservation
+from calgraph.rig.bundle.bundle_setup import build_bundle
+from calgraph.rig.bundle.bundle_solver import COARSE_TOLERANCE, Bundle, MinimizedBundle, minimize_bundle
+from calgraph.rig.bundle.corner_observations import CornerObservations, adjust_camera
+from calgraph.rig.bundle.covariances import parameter_covariance
 from calgraph.rig.captures.detect import CaptureSet
 from calgraph.rig.detection.board_views import BoardView
 from calgraph.sensors import CameraModel

@@ -1,0 +1,1 @@
+"""The joint solution of a rig: poses, boards and systematic errors."""

@@ -1,0 +1,400 @@
+"""Bundle adjustment of a rig: sensor poses, one pose for each board, and extra parameters such as range biases.
+
+Residuals are in the units of the measurements. Boards are conditionally independent given the sensors, so each is
+eliminated (Schur complement), which leaves a small dense problem over the sensors for any number of captures.
+
+Source: Triggs et al., "Bundle adjustment: a modern synthesis", 1999, section 6.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from calgraph.config.settings import RigEstimationSettings
+from calgraph.errors import CalibrationError
+from calgraph.geometry import Array, Index, se3, se_n, so3
+from calgraph.rig.bundle.bundle_parameters import SensorPrior, SystematicParameter
+from calgraph.rig.bundle.corner_observations import CornerObservations
+from calgraph.rig.bundle.observations import BoardViews, relative_poses
+from calgraph.rig.bundle.relinearization import CachedLinearization, linearize_views
+from calgraph.solver.levenberg_marquardt import minimize
+
+# Prior information on a board's pose (m⁻², rad⁻²), 10⁻⁷ of a beam's: makes unmeasured directions invertible.
+BOARD_PRIOR_INFORMATION = 1e-4
+# Predicted decrease of the cost (half squared standard deviations) at which the solver stops: no parameter is then
+# off by more than 5 % of its standard deviation,
+COARSE_TOLERANCE = 1e-3
+# or by more than 0.05 %.
+_FINE_TOLERANCE = 1e-7
+
+
+@dataclass(frozen=True, eq=False)
+class Bundle:
+    """The observations of all boards, and the parameters that they depend on."""
+
+    sensors: tuple[str, ...]
+    """Names, the root first."""
+    views: tuple[BoardViews, ...]
+    """Of each sensor."""
+    body: Index
+    """(S,) index of each sensor's rigid body; 0 is the root's, which does not move."""
+    bias_variance: Array
+    """(K, 4) variances of the view bias: of the displacement (m²) and rotation (rad²) of the board before the
+    sensor along each axis, of the bias of each ring (m²), and of the stamp of a view of a moving board (s²). Of
+    all S sensors' views, then of the outlines."""
+    lever: float
+    """Half the size of a board, m: rotations times it compare with displacements."""
+    priors: tuple[SensorPrior, ...] = ()
+    extra_parameters: tuple[SystematicParameter, ...] = ()
+    """Besides poses. A sensor's views use theirs in this order."""
+    outlines: tuple[BoardViews, ...] = ()
+    """(O,) views of the boards' outlines, with separate noise, bias and extra parameters."""
+    outline_sensor: tuple[int, ...] = ()
+    """(O,) index of each outline's sensor."""
+    settings: RigEstimationSettings = RigEstimationSettings()
+
+    @property
+    def all_views(self) -> tuple[BoardViews, ...]:
+        """(K,) of each sensor, then the outlines; below, ``k`` is an index of this tuple."""
+        return (*self.views, *self.outlines)
+
+    def sensor_of(self, k: int) -> int:
+        """Index of the sensor of views k."""
+        return k if k < len(self.views) else self.outline_sensor[k - len(self.views)]
+
+    def with_views(self, all_views: Sequence[BoardViews]) -> "Bundle":
+        """The bundle with other views (K,)."""
+        sensors = len(self.views)
+        return replace(self, views=tuple(all_views[:sensors]), outlines=tuple(all_views[sensors:]))
+
+    def without_outlines(self) -> "Bundle":
+        """The bundle with observations of the boards' planes and prints only."""
+        return replace(self, outlines=(), outline_sensor=(), bias_variance=self.bias_variance[: len(self.views)])
+
+    def extra_indices(self, k: int) -> Index:
+        """(e,) indices of the extra parameters of views k."""
+        return np.array([i for i, one in enumerate(self.extra_parameters) if k in one.view_sets], dtype=np.intp)
+
+    def columns(self, k: int) -> Index:
+        """(n,) columns of the reduced problem that views k depend on: the pose of a body, and extra parameters."""
+        return np.concatenate([self.pose_columns(self.sensor_of(k)), self.extra_indices(k) + 6 * self.body_count])
+
+    def pose_columns(self, sensor: int) -> Index:
+        """(6,) columns of a sensor's body in the reduced problem; (0,) for the root's."""
+        body = int(self.body[sensor])
+        return np.arange(6 * (body - 1), 6 * body) if body > 0 else np.zeros(0, dtype=np.intp)
+
+    @property
+    def body_count(self) -> int:
+        """Number of bodies besides the root's."""
+        return int(self.body.max())
+
+    @property
+    def parameter_count(self) -> int:
+        """Number G of parameters of the reduced problem."""
+        return 6 * self.body_count + len(self.extra_parameters)
+
+    @property
+    def prior_stddev(self) -> Array:
+        """(G,) prior standard deviations of the reduced problem's parameters."""
+        pose = [self.settings.position_prior_stddev] * 3 + [self.settings.rotation_prior_stddev] * 3
+        return np.array(pose * self.body_count + [one.prior_stddev for one in self.extra_parameters])
+
+    def prior_weights(self, extra: Array) -> Array:
+        """(G,) factors of the priors' information at extra parameters (E,): less than 1 in the tails.
+
+        Beyond some standard deviations, the prior has the tails of a Cauchy distribution: a lens or print that is
+        grossly wrong contradicts it, and is then estimated from the data.
+        """
+        tail = self.settings.systematic.prior_tail * np.array([one.prior_stddev for one in self.extra_parameters])
+        weights = np.ones(self.parameter_count)
+        weights[6 * self.body_count :] = (tail / np.maximum(np.abs(extra), tail)) ** 2
+        return weights
+
+    def bias_components(self, k: int) -> tuple[int, ...]:
+        """Columns of ``bias_variance`` that views k have: a displacement, a rotation, rings, and the stamp."""
+        views = self.all_views[k]
+        return (0, 1, *([2] if views.ring_count else []), *([3] if len(views.twist) else []))
+
+    def least_bias_variance(self, k: int) -> Array:
+        """(4,) least variances of the bias of views k, in the columns of ``bias_variance``."""
+        least = self.settings.outlines.min_view_bias if k >= len(self.views) else 0.0
+        return np.array([least, least / self.lever, least, 0.0]) ** 2
+
+    def bias_variances(self, k: int) -> Array:
+        """(8,) variances of the bias of a view in k: along the sensor's axes, of rings, and of the stamp."""
+        return np.repeat(self.bias_variance[k], [3, 3, 1, 1])
+
+
+@dataclass(frozen=True, eq=False)
+class BundleState:
+    """Values of all parameters."""
+
+    T_root_sensor: Array
+    """(S, 4, 4)."""
+    T_root_board: Array
+    """(C, 4, 4)."""
+    extra: Array
+    """(E,) extra parameters."""
+
+
+@dataclass(frozen=True, eq=False)
+class MarginalizedViews:
+    """Normal equations of one set of views at a state, with the view biases marginalised."""
+
+    information: Array
+    """(V, q, q) on the local parameters."""
+    gradient: Array
+    """(V, q)."""
+    local_jacobian: Array
+    """(V, q, 6 + e) derivatives of the local parameters by the board's pose before the sensor and the extra
+    parameters,"""
+    J_sensor: Array
+    """(V, q, n) by the n columns of the reduced problem that they depend on,"""
+    J_board: Array
+    """(V, q, 6) and by the board's pose."""
+
+
+@dataclass(frozen=True, eq=False)
+class BundleEquations:
+    """Normal equations of the bundle at a state."""
+
+    cost: float
+    views: tuple[MarginalizedViews, ...]
+    H: Array
+    """(G, G) of the sensors and extra parameters."""
+    g: Array
+    """(G,)."""
+    H_board: Array
+    """(C, 6, 6) of the boards."""
+    g_board: Array
+    """(C, 6)."""
+    H_board_sensor: Array
+    """(C, 6, G) between boards and sensors."""
+    cache: tuple[CachedLinearization, ...]
+    """(K,) the linearizations that they are extrapolated from."""
+    extrapolated: float
+    """Decrease of the cost since all of these were at this state, by extrapolation; 0 if they are."""
+
+    def solve(self, damping: float) -> tuple[tuple[Array, Array], float]:
+        """Steps (G,) of the sensors and (C, 6) of the boards, and their predicted decrease of the cost."""
+        H, g, K = self.eliminate_boards(damping)
+        step: Array = np.asarray(-np.linalg.solve(H, g), dtype=np.float64)
+        boards = -(K[..., :-1] @ step + K[..., -1])
+        decrease = damping * np.diagonal(self.H) @ step**2 - self.g @ step
+        damped = damping * np.diagonal(self.H_board, axis1=-2, axis2=-1) * boards
+        decrease += np.sum((damped - self.g_board) * boards)
+        return (step, boards), 0.5 * float(decrease)
+
+    def eliminate_boards(self, damping: float = 0.0) -> tuple[Array, Array, Array]:
+        """Schur complement: matrix (G, G) and gradient (G,) of the reduced problem, and ``K`` (C, 6, G + 1).
+
+        For a step of the sensors, that of the boards is ``-(K[..., :-1] @ step + K[..., -1])``.
+        """
+        right = np.concatenate([self.H_board_sensor, self.g_board[..., None]], axis=-1)
+        K = np.linalg.solve(_damp(self.H_board, damping) + BOARD_PRIOR_INFORMATION * np.eye(6), right)
+        rows, size = K.shape[0] * K.shape[1], len(self.g)
+        both = self.H_board_sensor.reshape(rows, size).T @ K.reshape(rows, size + 1)
+        return _damp(self.H, damping) - both[:, :-1], self.g - both[:, -1], K
+
+
+@dataclass(frozen=True, eq=False)
+class MinimizedBundle:
+    """The result of a minimisation."""
+
+    state: BundleState
+    equations: BundleEquations
+    iterations: int
+    converged: bool
+
+
+def linearize_bundle(
+    bundle: Bundle, state: BundleState, cache: Sequence[CachedLinearization | None] = ()
+) -> BundleEquations:
+    """The normal equations at a state.
+
+    Args:
+        bundle: the observations.
+        state: the linearization point.
+        cache: (K,) earlier linearizations of the same views, or None: extrapolated where they are near enough.
+    """
+    size, boards, settings = bundle.parameter_count, len(state.T_root_board), bundle.settings
+    cost, H, g = _prior_equations(bundle, state)
+    H_board, g_board, H_board_sensor = np.zeros((boards, 6, 6)), np.zeros((boards, 6)), np.zeros((boards, 6, size))
+    equations, linearizations = [], []
+    for k, views in enumerate(bundle.all_views):
+        bias, (T_sensor_board, extra) = bundle.bias_variances(k), _view_state(bundle, state, k)
+        cached = cache[k] if cache else None
+        at = cached.extrapolate(views, T_sensor_board, extra, settings.extrapolation) if cached else None
+        if not (cached and at):
+            cached = linearize_views(views, T_sensor_board, extra, bias, settings.huber_threshold)
+            at = cached.equations
+        linearizations.append(cached)
+        A, b, costs = at.marginalize_bias(bias)
+        J_sensor, J_board = _chain_jacobians(at.local_jacobian, *_pose_jacobians(bundle, state, k))
+        equations.append(MarginalizedViews(A, b, at.local_jacobian, J_sensor, J_board))
+        cost += float(costs.sum())
+        columns, n = bundle.columns(k), J_sensor.shape[-1]
+        J = np.concatenate([J_sensor, J_board], axis=-1)
+        Jt = se_n.transpose(J)
+        both, gradient = Jt @ A @ J, (Jt @ b[..., None])[..., 0]
+        H[np.ix_(columns, columns)] += both[:, :n, :n].sum(axis=0)
+        g[columns] += gradient[:, :n].sum(axis=0)
+        H_board[views.board] += both[:, n:, n:]
+        g_board[views.board] += gradient[:, n:]
+        H_board_sensor[np.ix_(views.board, np.arange(6), columns)] += both[:, n:, :n]
+    for prior in bundle.priors:
+        cost += _add_sensor_prior(bundle, state, prior, H, g)
+    extrapolated = np.inf if any(new is old for new, old in zip(linearizations, cache, strict=False)) else 0.0
+    return BundleEquations(
+        cost, tuple(equations), H, g, H_board, g_board, H_board_sensor, tuple(linearizations), extrapolated
+    )
+
+
+def minimize_bundle(
+    bundle: Bundle,
+    state: BundleState,
+    cache: Sequence[CachedLinearization | None] = (),
+    *,
+    iterations: int | None = None,
+    tolerance: float = _FINE_TOLERANCE,
+    exact: bool = True,
+) -> MinimizedBundle:
+    """Minimises the robust cost of all views and priors.
+
+    Args:
+        bundle: the observations.
+        state: start values.
+        cache: (K,) earlier linearizations of the same views near the solution, or None.
+        iterations: steps at most, rejected ones included; by default as many as the settings allow.
+        tolerance: the solver stops where the next step would gain less, in half squared standard deviations.
+        exact: whether the final state is linearized exactly, instead of by extrapolation where that is near.
+
+    Raises:
+        CalibrationError: the residuals are not finite at the start.
+    """
+
+    def linearize(state: BundleState, near: BundleEquations | None) -> BundleEquations:
+        equations = linearize_bundle(bundle, state, near.cache if near else cache)
+        if near and equations.extrapolated:
+            equations = replace(equations, extrapolated=near.extrapolated + near.cost - equations.cost)
+        return equations
+
+    def refine(state: BundleState, equations: BundleEquations, settled: bool) -> BundleEquations | None:
+        limit = bundle.settings.extrapolation.max_cost_ratio * tolerance if settled else 0.0
+        return linearize_bundle(bundle, state) if equations.extrapolated > limit else None
+
+    run = partial(
+        minimize,
+        state,
+        retract=lambda state, step: retract_state(bundle, state, *step),
+        iterations=bundle.settings.max_steps if iterations is None else iterations,
+        tolerance=tolerance,
+        refine=refine if exact else None,
+    )
+    minimum = run(linearize=linearize)
+    of_cameras = [k for k, views in enumerate(bundle.all_views) if isinstance(views, CornerObservations)]
+    found = (bundle.all_views[k].linearize(*_view_state(bundle, minimum.state, k)) for k in of_cameras)
+    if (exact and not minimum.converged) or not all(np.isfinite(at.residual).all() for at in found):
+        # Extrapolation keeps robust weights: its steps may lead off the minimum, or boards out of a camera's view.
+        minimum = run(linearize=lambda state, _: linearize_bundle(bundle, state))
+    if not np.isfinite(minimum.linearization.cost):
+        raise CalibrationError("the start poses give residuals that are not finite: a board is behind a camera")
+    return MinimizedBundle(minimum.state, minimum.linearization, minimum.iterations, minimum.converged)
+
+
+def _view_state(bundle: Bundle, state: BundleState, k: int) -> tuple[Array, Array]:
+    """The poses (V, 4, 4) of boards before the sensor of views k, and its extra parameters (e,)."""
+    T_root_sensor, board = state.T_root_sensor[bundle.sensor_of(k)], bundle.all_views[k].board
+    return relative_poses(T_root_sensor, state.T_root_board[board]), state.extra[bundle.extra_indices(k)]
+
+
+def view_jacobians(bundle: Bundle, state: BundleState, k: int) -> tuple[Array, Array]:
+    """Derivatives of the boards' poses before a sensor, and of its extra parameters.
+
+    Returns:
+        (V, 6 + e, n) by the parameters ``bundle.columns(k)``, and (V, 6 + e, 6) by the boards' poses.
+    """
+    by_sensor, by_board = _pose_jacobians(bundle, state, k)
+    every = np.eye(6 + bundle.all_views[k].extra_count)
+    return _chain_jacobians(np.broadcast_to(every, (len(by_board), *every.shape)), by_sensor, by_board)
+
+
+def _pose_jacobians(bundle: Bundle, state: BundleState, k: int) -> tuple[Array, Array]:
+    """Derivatives (V, 6, 6) of the boards' poses before a sensor by its body, none if fixed, and by the boards."""
+    views, sensor = bundle.all_views[k], bundle.sensor_of(k)
+    T_root_sensor = np.broadcast_to(state.T_root_sensor[sensor], (len(views.board), 4, 4))
+    by_sensor, by_board = se3.relative_pose_jacobians(T_root_sensor, state.T_root_board[views.board])
+    return by_sensor @ body_jacobian(bundle, state, sensor)[:, : len(bundle.pose_columns(sensor))], by_board
+
+
+def _chain_jacobians(local_jacobian: Array, by_sensor: Array, by_board: Array) -> tuple[Array, Array]:
+    """Derivatives of local parameters by ``bundle.columns(k)`` and by boards, from those of poses (V, 6, n)."""
+    by_pose, by_extra = local_jacobian[..., :6], local_jacobian[..., 6:]
+    return np.concatenate([by_pose @ by_sensor, by_extra], axis=-1), by_pose @ by_board
+
+
+def retract_state(bundle: Bundle, state: BundleState, step: Array, boards: Array) -> BundleState:
+    """The state after steps (G,) of the sensors and (C, 6) of the boards, along the root's fixed axes."""
+    T = state.T_root_sensor.copy()
+    for s in np.flatnonzero(bundle.body > 0):
+        J = body_jacobian(bundle, state, int(s))
+        T[s] = se3.retract(T[s], J @ step[bundle.pose_columns(int(s))])
+    extra = state.extra + step[len(step) - len(state.extra) :]
+    return BundleState(_restore_rigid_groups(bundle, state, T), se3.retract(state.T_root_board, boards), extra)
+
+
+def pose_jacobian(bundle: Bundle, state: BundleState) -> Array:
+    """(S·6, G) derivatives of all poses, in the root's fixed axes, by the reduced problem's parameters."""
+    J = np.zeros((6 * len(bundle.sensors), bundle.parameter_count))
+    for s in np.flatnonzero(bundle.body > 0):
+        J[6 * s : 6 * s + 6, bundle.pose_columns(int(s))] = body_jacobian(bundle, state, int(s))
+    return J
+
+
+def body_jacobian(bundle: Bundle, state: BundleState, sensor: int) -> Array:
+    """(6, 6) derivative of a sensor's pose by that of its body, which is the pose of its first sensor."""
+    first = int(np.flatnonzero(bundle.body == bundle.body[sensor])[0])
+    J = np.eye(6)
+    J[:3, 3:] = -so3.hat(state.T_root_sensor[sensor, :3, 3] - state.T_root_sensor[first, :3, 3])
+    return J
+
+
+def _restore_rigid_groups(bundle: Bundle, before: BundleState, T_root_sensor: Array) -> Array:
+    """The poses with relative poses on one body as before, which a step keeps to first order only."""
+    T = T_root_sensor.copy()
+    for s, body in enumerate(bundle.body):
+        first = int(np.flatnonzero(bundle.body == body)[0])
+        if body > 0 and first != s:
+            T[s] = T[first] @ se3.inverse(before.T_root_sensor[first]) @ before.T_root_sensor[s]
+    return T
+
+
+def _prior_equations(bundle: Bundle, state: BundleState) -> tuple[float, Array, Array]:
+    """Cost, matrix (G, G) and gradient (G,) of the priors of the reduced problem's parameters."""
+    # Zero-gradient regularizer of poses, for unobserved directions.
+    off = np.zeros(bundle.parameter_count)
+    off[6 * bundle.body_count :] = state.extra
+    weights = bundle.prior_weights(state.extra)
+    information = weights * bundle.prior_stddev**-2
+    tails = -np.log(weights) * bundle.settings.systematic.prior_tail**2
+    return 0.5 * float(np.sum(information * off**2 + tails)), np.diag(information), information * off
+
+
+def _add_sensor_prior(bundle: Bundle, state: BundleState, prior: SensorPrior, H: Array, g: Array) -> float:
+    """Adds a sensor's prior to the normal equations, in place; returns its cost."""
+    error = se3.difference(state.T_root_sensor[prior.sensor], prior.T_root_sensor)
+    J = np.eye(6)
+    J[3:, 3:] = so3.left_jacobian_inverse(error[3:])
+    J = J @ body_jacobian(bundle, state, prior.sensor)
+    if len(columns := bundle.pose_columns(prior.sensor)):
+        H[np.ix_(columns, columns)] += J.T @ prior.information @ J
+        g[columns] += J.T @ prior.information @ error
+    return 0.5 * float(error @ prior.information @ error)
+
+
+def _damp(H: Array, damping: float) -> Array:
+    """Matrices (..., n, n) with Marquardt's damping of their diagonals."""
+    return H * (1 + damping * np.eye(H.shape[-1]))

@@ -1,0 +1,256 @@
+"""Printed corners of boards in a camera's images, with the systematic errors of lens and print."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calgraph.boards.detections import BoardCorners
+from calgraph.config import PixelNoise
+from calgraph.geometry import Array, Index, so3
+from calgraph.rig.bundle.observations import (
+    LinearizedResiduals,
+    difference_along_sensor,
+    gather_extra,
+    no_extra,
+    pose_and_extra_jacobian,
+    select_measurements,
+    select_twists,
+    stack_twists,
+    start_indices,
+    velocity_along_sensor,
+    view_indices,
+)
+from calgraph.rig.bundle.residual_distortion import ResidualDistortion
+from calgraph.sensors import CameraModel
+
+BOARD_PARAMETERS = ("print scale", "print aspect", "tag size", "bow along x", "bow along y")
+"""Systematic parameters of a board, in the order of a view's local parameters."""
+TAG_PARAMETERS = ("x", "y", "rotation")
+TIME_PARAMETERS = ("stamp delay", "readout time")
+"""Systematic parameters of an image's times, s: from the stamp to the middle row, and from first to last row."""
+
+
+@dataclass(frozen=True, eq=False)
+class PrintedCorners:
+    """Printed corners (N,), and what their places depend on."""
+
+    nominal: Array
+    """(N, 3) m, in the board's frame, as stated."""
+    tag_center: Array
+    """(N, 2) centre of each corner's tag, m; the corner itself where it belongs to none."""
+    tag: Index
+    """(N,) index of the tag among those of its board; -1 for none."""
+    bow_shape: Array
+    """(N, 2) height of each corner for a bow of 1 m along x and y."""
+
+    @classmethod
+    def from_nominal(cls, nominal: Array) -> "PrintedCorners":
+        """Corners of no tag, on a flat board."""
+        N = len(nominal)
+        return cls(nominal, nominal[:, :2], np.full(N, -1, dtype=np.intp), np.zeros((N, 2)))
+
+    def displace(self, board: Array, tags: Array) -> tuple[Array, Array]:
+        """Corners (N, 3) of an erroneous print, and their derivatives (N, 3, 5 + 3 M).
+
+        Args:
+            board: (N, 5) values of ``BOARD_PARAMETERS``: relative scale, aspect (width over height) and size of
+                tags, and bows, m.
+            tags: (N, M, 3) displacements of the M tags of each corner's board, m and rad.
+        """
+        scale, aspect, tag_size, *bow = board.T
+        each, index = np.arange(len(self.tag)), np.maximum(self.tag, 0)
+        on_tag = self.tag >= 0
+        x, y, angle = (tags[each, index] * on_tag[:, None]).T if tags.shape[1] else np.zeros((3, len(each)))
+        c, s = np.cos(angle), np.sin(angle)
+        dx, dy = (self.nominal[:, :2] - self.tag_center).T
+        arm = np.stack([c * dx - s * dy, s * dx + c * dy], axis=-1)
+        across = np.stack([-arm[:, 1], arm[:, 0]], axis=-1) * (1 + tag_size)[:, None]
+        place = self.tag_center + np.stack([x, y], axis=-1) + (1 + tag_size)[:, None] * arm
+        half = np.array([0.5, -0.5])
+        stretch = 1 + aspect[:, None] * half
+        factor = (1 + scale)[:, None] * stretch
+        height = self.nominal[:, 2] + np.sum(self.bow_shape * np.stack(bow, axis=-1), axis=-1)
+        J = np.zeros((len(each), 3, 5 + 3 * tags.shape[1]))
+        J[:, :2, 0] = stretch * place
+        J[:, :2, 1] = (1 + scale)[:, None] * half * place
+        J[:, :2, 2] = factor * arm
+        J[:, 2, 3:5] = self.bow_shape
+        for axis in range(2):
+            J[each[on_tag], axis, 5 + 3 * index[on_tag] + axis] = factor[on_tag, axis]
+            J[each[on_tag], axis, 7 + 3 * index[on_tag]] = (factor * across)[on_tag, axis]
+        return np.column_stack([factor * place, height]), J
+
+    def select(self, kept: Index) -> "PrintedCorners":
+        """Some of the corners."""
+        return PrintedCorners(self.nominal[kept], self.tag_center[kept], self.tag[kept], self.bow_shape[kept])
+
+
+@dataclass(frozen=True, eq=False)
+class CornerObservations:
+    """Printed corners in a camera's images, through its full model: pixels.
+
+    Implements :class:`calgraph.rig.bundle.observations.BoardViews`. The local parameters are the board's pose,
+    then the camera's relative focal length and pixel aspect, principal point (px) and distortion coefficients,
+    then ``BOARD_PARAMETERS``, three displacements for each tag of the view's board, ``TIME_PARAMETERS`` if boards
+    move, and the coefficients of the residual distortion.
+    """
+
+    board: Index
+    start: Index
+    printed: PrintedCorners
+    pixels: Array
+    """(N, 2)."""
+    camera: CameraModel
+    noise: PixelNoise
+    noise_scale: float = 1.0
+    extra_of_local: Index = field(default_factory=lambda: np.zeros((0, 0), dtype=np.intp))
+    """(V, m) index of the local parameters after the pose in the sensor's extra parameters; -1 for exact ones.
+    m = 0 if all are exact."""
+    extra_count: int = 0
+    timed: bool = False
+    """Whether ``TIME_PARAMETERS`` are among the local parameters."""
+    twist: Array = field(default_factory=lambda: np.zeros((0, 6)))
+    """See :class:`BoardViews`."""
+    residual_distortion: ResidualDistortion | None = None
+    """What the lens displaces beyond its model; None if nothing."""
+    ring_count: ClassVar[int] = 0
+    dimension: ClassVar[int] = 2
+
+    @classmethod
+    def from_detections(
+        cls, board: Sequence[int], detections: Sequence[BoardCorners], camera: CameraModel, noise: PixelNoise
+    ) -> "CornerObservations":
+        """The views of these boards in their detections, with exact lens and prints."""
+        return cls(
+            np.array(board, dtype=np.intp),
+            start_indices([len(d.pixels) for d in detections]),
+            PrintedCorners.from_nominal(
+                np.concatenate([np.empty((0, 3)), *(d.corners_board for d in detections)])
+            ),
+            np.concatenate([np.empty((0, 2)), *(d.pixels for d in detections)]),
+            camera,
+            noise,
+            extra_of_local=no_extra(len(board)),
+            twist=stack_twists(detections),
+        )
+
+    def linearize(self, T_sensor_board: Array, extra: Array) -> LinearizedResiduals:
+        """See :class:`BoardViews`: reprojection errors."""
+        camera, corners, by_print, times = self._displace(extra)
+        points, R, rotated = self._place(corners, T_sensor_board)
+        by_times, turn = np.zeros((len(points), 3, times.shape[1])), None
+        if self.timed and len(self.twist):
+            points, by_times, turn = self._move_points(points, times)
+        pixels, by_point = camera.project_with_jacobian(points)
+        by_times = by_point @ by_times
+        if turn is not None:
+            by_point = by_point + by_point @ turn
+        derivatives = [by_point, -by_point @ so3.hat(rotated)]
+        if self.extra_of_local.shape[1]:
+            by_lens = _project_by_lens(self.camera, camera, points)
+            derivatives += [by_lens, by_point @ R @ by_print, by_times]
+        if self.residual_distortion and len(self.board):
+            coefficients = gather_extra(self.extra_of_local[0, -self.residual_distortion.count :], extra)
+            pixels, by_pixel, by_field = self.residual_distortion.displace(pixels, coefficients)
+            derivatives = [*(by_pixel @ one for one in derivatives), by_field]
+        sigma = self.noise_scale * self.noise.pixel
+        residual, jacobian = (pixels - self.pixels) / sigma, np.concatenate(derivatives, axis=-1) / sigma
+        velocity = velocity_along_sensor(self.twist, T_sensor_board)
+        return LinearizedResiduals(residual, jacobian, self.local_jacobian(T_sensor_board), 6, velocity=velocity)
+
+    def _displace(self, extra: Array) -> tuple[CameraModel, Array, Array, Array]:
+        """The camera, corners (N, 3) and their derivatives (N, 3, n) by errors of the print, and times (V, t)."""
+        local = gather_extra(self.extra_of_local, extra)
+        end = local.shape[1] - (self.residual_distortion.count if self.residual_distortion else 0)
+        first = end - len(TIME_PARAMETERS) * self.timed
+        times = local[:, first:end]
+        if not first:
+            return self.camera, self.printed.nominal, np.zeros((len(self.pixels), 3, 0)), times
+        lens = 4 + len(self.camera.distortion)
+        camera = adjust_camera(self.camera, local[0, :lens]) if len(local) else self.camera
+        of_print = local[view_indices(self.start, len(self.pixels)), lens:first]
+        of_board, of_tags = np.split(of_print, [len(BOARD_PARAMETERS)], axis=1)
+        tags = of_tags.reshape(len(of_tags), of_tags.shape[1] // len(TAG_PARAMETERS), len(TAG_PARAMETERS))
+        return camera, *self.printed.displace(of_board, tags), times
+
+    def _place(self, corners: Array, T_sensor_board: Array) -> tuple[Array, Array, Array]:
+        """Points (N, 3) before the camera, the rotations (N, 3, 3) of their boards, and rotated corners (N, 3)."""
+        T = T_sensor_board[view_indices(self.start, len(self.pixels))]
+        R = T[:, :3, :3]
+        rotated = (R @ corners[..., None])[..., 0]
+        return rotated + T[:, :3, 3], R, rotated
+
+    def is_defined(self, T_sensor_board: Array, extra: Array) -> bool:
+        """See :class:`BoardViews`."""
+        camera, corners, _, times = self._displace(extra)
+        points, _, _ = self._place(corners, T_sensor_board)
+        if self.timed and len(self.twist):
+            points, _, _ = self._move_points(points, times)
+        return bool(np.isfinite(camera.project(points)).all())
+
+    def _move_points(self, points: Array, times: Array) -> tuple[Array, Array, Array]:
+        """Moves points (N, 3) from the time of the stamp to that of their row in the image.
+
+        Args:
+            points: in the camera frame.
+            times: (V, 2) ``TIME_PARAMETERS``.
+
+        Returns:
+            Points (N, 3), and their derivatives by the times (N, 3, 2) and by the points at the time of the stamp
+            (N, 3, 3), minus the identity.
+        """
+        view = view_indices(self.start, len(self.pixels))
+        row = self.pixels[:, 1] / self.camera.height - 0.5
+        share = np.stack([np.ones_like(row), row], axis=-1)
+        delay = np.sum(share * times[view], axis=-1)
+        linear, angular = np.split(self.twist[view], 2, axis=-1)
+        velocity = linear + np.cross(angular, points)
+        by_times = velocity[..., None] * share[:, None]
+        return points + delay[:, None] * velocity, by_times, so3.hat(delay[:, None] * angular)
+
+    def local_jacobian(self, T_sensor_board: Array) -> Array:  # noqa: ARG002
+        """See :class:`BoardViews`: the pose itself, and the extra parameters that each view depends on."""
+        return pose_and_extra_jacobian(self.extra_of_local, self.extra_count)
+
+    def local_difference(self, T_before: Array, T_sensor_board: Array, extra: Array) -> Array:
+        """See :class:`BoardViews`."""
+        return np.concatenate(
+            [difference_along_sensor(T_before, T_sensor_board), gather_extra(self.extra_of_local, extra)], axis=-1
+        )
+
+    def update_noise(self, T_sensor_board: Array, scale: float) -> "CornerObservations":  # noqa: ARG002
+        """See :class:`BoardViews`."""
+        return replace(self, noise_scale=scale)
+
+    def select(self, keep: NDArray[np.bool_] | Index) -> "CornerObservations":
+        """See :class:`BoardViews`."""
+        start, kept = select_measurements(self.start, len(self.pixels), keep)
+        return replace(
+            self,
+            board=self.board[keep],
+            start=start,
+            printed=self.printed.select(kept),
+            pixels=self.pixels[kept],
+            extra_of_local=self.extra_of_local[keep],
+            twist=select_twists(self.twist, keep),
+        )
+
+
+def adjust_camera(camera: CameraModel, change: Array) -> CameraModel:
+    """The camera after changes (4 + n,) of relative focal length and pixel aspect, centre (px) and distortion."""
+    stretch = 1 + change[0] + change[1] * np.array([0.5, -0.5])
+    return camera.with_intrinsics(
+        np.concatenate([
+            camera.focal * stretch, camera.principal_point + change[2:4], camera.distortion + change[4:]
+        ])
+    )  # fmt: skip
+
+
+def _project_by_lens(nominal: CameraModel, camera: CameraModel, points: Array) -> Array:
+    """Derivatives (N, 2, 4 + n) of the pixels of points (N, 3) by the changes of :func:`adjust_camera`."""
+    J = camera.project_by_intrinsics(points)
+    by_focal = J[..., :2] * nominal.focal
+    return np.concatenate([by_focal.sum(axis=-1, keepdims=True), by_focal @ [[0.5], [-0.5]], J[..., 2:]], axis=-1)

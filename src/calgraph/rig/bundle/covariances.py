@@ -1,0 +1,77 @@
+"""Covariances of a bundle's solution: of poses and parameters, and of what each view measures."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from calgraph.geometry import Array
+from calgraph.rig.bundle.bundle_solver import (
+    BOARD_PRIOR_INFORMATION,
+    Bundle,
+    BundleEquations,
+    BundleState,
+    MarginalizedViews,
+    pose_jacobian,
+)
+
+
+def pose_covariance(bundle: Bundle, state: BundleState, equations: BundleEquations) -> Array:
+    """Covariance (S·6, S·6) of all sensors' poses in the root's fixed axes; zero for those that are fixed."""
+    J = pose_jacobian(bundle, state)
+    return np.asarray(J @ parameter_covariance(equations) @ J.T)
+
+
+def prior_error_derivatives(bundle: Bundle, state: BundleState, equations: BundleEquations) -> Array:
+    """Errors (S·6, E) of all poses by errors of the E extra parameters' stated values, in standard deviations.
+
+    See :class:`calgraph.result.PriorErrors`.
+    """
+    systematic = slice(6 * bundle.body_count, None)
+    of_poses = pose_jacobian(bundle, state) @ parameter_covariance(equations)
+    weights = bundle.prior_weights(state.extra)[systematic]
+    return np.asarray(of_poses[:, systematic] * (weights / bundle.prior_stddev[systematic]))
+
+
+def parameter_covariance(equations: BundleEquations) -> Array:
+    """Covariance (G, G) of the poses of bodies and of the extra parameters."""
+    H, _, _ = equations.eliminate_boards()
+    return np.asarray(np.linalg.inv(H))
+
+
+def view_covariance_factors(
+    bundle: Bundle,
+    equations: BundleEquations,
+    linearized: Sequence[MarginalizedViews] | None = None,
+    first: int = 0,
+) -> list[Array]:
+    """By view set, factors ``F`` (V, q, G + 6) of the solution's covariance in the views' local parameters.
+
+    For two views i and j of one board, also of two sensors, ``F_i @ F_j.T`` is the covariance of their errors. The
+    error of a board's pose is ``e - K x``, with x that of the parameters, and e of covariance ``inv(H_board)``.
+
+    Args:
+        bundle: the views, of which some may not be part of the solution.
+        equations: at the solution.
+        linearized: of the bundle's views; those of the solution if left out.
+        first: index of the first view set; those before it are left out.
+    """
+    H, _, K = equations.eliminate_boards()
+    # H is regular by its priors.
+    root = np.linalg.inv(np.linalg.cholesky(H)).T
+    board_root = _inverse_root(equations.H_board + BOARD_PRIOR_INFORMATION * np.eye(6))
+    C, size = len(K), len(root)
+    by_parameters = (K[..., :-1].reshape(-1, size) @ root).reshape(C, 6, size)
+    of_boards = np.concatenate([-by_parameters, board_root], axis=-1)
+    factors = []
+    for k, at in enumerate((linearized or equations.views)[first:], start=first):
+        factor = at.J_board @ of_boards[bundle.all_views[k].board]
+        factor[..., :size] += at.J_sensor @ root[bundle.columns(k)]
+        factors.append(factor)
+    return factors
+
+
+def _inverse_root(A: Array) -> Array:
+    """``R`` (..., n, n) with ``R @ R.T`` the inverse of positive definite A, which may be almost singular."""
+    values, vectors = np.linalg.eigh(A)
+    least = np.finfo(float).eps * values[..., -1:]
+    return np.asarray(vectors / np.sqrt(np.maximum(values, least))[..., None, :])

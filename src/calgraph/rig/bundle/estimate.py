@@ -1,0 +1,182 @@
+"""The default joint estimator of a rig: a bundle over all sensors and boards, with estimated noise."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calgraph.config import Rig
+from calgraph.geometry import Array
+from calgraph.graph.pairwise_estimate import MatchFilter, PairwiseEstimate, select_matches
+from calgraph.rig.bundle.board_observations import BoardObservation, detected_nodes, group_detections
+from calgraph.rig.bundle.board_outlines import add_outlines
+from calgraph.rig.bundle.bundle_setup import build_bundle, update_noise
+from calgraph.rig.bundle.bundle_solver import (
+    COARSE_TOLERANCE,
+    Bundle,
+    MinimizedBundle,
+    linearize_bundle,
+    minimize_bundle,
+)
+from calgraph.rig.bundle.covariances import pose_covariance
+from calgraph.rig.bundle.observations import relative_poses, stack_poses
+from calgraph.rig.bundle.priors import PosePrior, RigidGroup, apply_rigid_groups, with_priors, without_priors
+from calgraph.rig.bundle.settling import settle_variances
+from calgraph.rig.bundle.solution import MeasuredNoise, RigSolution, SolvedBundle
+from calgraph.rig.bundle.systematic_parameters import (
+    estimated_print_scales,
+    summarize_systematic_parameters,
+)
+from calgraph.rig.bundle.view_return import SettledBundle, return_excluded_views
+from calgraph.rig.captures.detect import CaptureSet
+
+_OUTLIER_VIEW = "outlier of the joint solution: inconsistent with the board's pose from the other sensors"
+
+
+def solve_bundle(
+    rig: Rig,
+    captured: CaptureSet,
+    estimates: Sequence[PairwiseEstimate],
+    T_root_sensor: Mapping[str, Array],
+    *,
+    keep: MatchFilter = "ransac",
+    priors: Sequence[PosePrior] = (),
+    groups: Sequence[RigidGroup] = (),
+) -> RigSolution:
+    """Solves for the poses of all connected sensors and boards jointly.
+
+    Systematic errors of sensors and boards, the noise of measurements and the bias of views are estimated, and
+    outlier views rejected.
+
+    Args:
+        rig: the rig.
+        captured: detections, and the cameras' intrinsics.
+        estimates: pairs with their inliers.
+        T_root_sensor: start poses of the connected sensors, the root first.
+        keep: ``ransac`` uses the pairwise inliers only, ``none`` the first candidates of every common capture.
+        priors: of sensors' poses.
+        groups: sensors with exact relative poses.
+    """
+    connected = [e for e in estimates if e.sensor_a in T_root_sensor and e.sensor_b in T_root_sensor]
+    boards = group_detections([(pair, select_matches(pair, keep)) for pair in connected])
+    if len(T_root_sensor) == 1:
+        return RigSolution("bundle", T_root_sensor, np.zeros((6, 6)), {}, converged=True)
+    bundle, state = build_bundle(rig, captured, boards, T_root_sensor)
+    bundle = without_priors(bundle)
+    solution = minimize_bundle(bundle, state, tolerance=COARSE_TOLERANCE, exact=False)
+    bundle, solution, _ = settle_variances(bundle, solution, bundle.settings.variances.max_rounds)
+    settled = SettledBundle(bundle, solution, boards)
+    if keep == "ransac":
+        settled = return_excluded_views(settled, rig, captured)
+    inliers, used = detected_nodes(boards), settled.nodes()
+    bundle, solution = _solve_with_outlines(settled, rig, captured)
+    # Priors enter last: an error of theirs must not increase the estimated noise.
+    bundle = with_priors(bundle, priors, groups)
+    start = apply_rigid_groups(solution.state, bundle.sensors, groups)
+    solution = minimize_bundle(bundle, start, tolerance=COARSE_TOLERANCE)
+    names = bundle.sensors
+    return RigSolution(
+        estimator="bundle",
+        T_root_sensor=dict(zip(names, solution.state.T_root_sensor, strict=True)),
+        joint_covariance=pose_covariance(bundle, solution.state, solution.equations),
+        residuals=dict(_residuals_by_sensor(bundle, solution)),
+        converged=solution.converged,
+        rejected={(capture, name): _OUTLIER_VIEW for capture, name, _ in sorted(inliers - used)},
+        returned=frozenset(used - inliers),
+        noise={
+            name: MeasuredNoise(views.noise_scale, *np.sqrt(variances).tolist())
+            for name, views, variances in zip(names, bundle.views, bundle.bias_variance[: len(names)], strict=True)
+        },
+        systematic=summarize_systematic_parameters(bundle, solution.state, solution.equations),
+        solved_bundle=SolvedBundle(bundle, solution, np.array([board.capture for board in settled.boards])),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class PrintScaledPoses:
+    """Joint poses of sensors, and the scale of the prints that they imply."""
+
+    T_root_sensor: Mapping[str, Array]
+    """(4, 4) by sensor, the root first."""
+    print_scale: Mapping[int, float]
+    """True over stated size by index of the board; boards whose size is exact are left out."""
+
+
+def solve_poses(
+    rig: Rig, captured: CaptureSet, estimates: Sequence[PairwiseEstimate], T_root_sensor: Mapping[str, Array]
+) -> PrintScaledPoses:
+    """Joint poses of all connected sensors with the stated noise, to reselect the inliers of pairs.
+
+    Args:
+        rig: the rig.
+        captured: detections, and the cameras' intrinsics.
+        estimates: pairs with their inliers.
+        T_root_sensor: start poses (4, 4) of the connected sensors, the root first.
+    """
+    connected = [e for e in estimates if e.sensor_a in T_root_sensor and e.sensor_b in T_root_sensor]
+    if not connected:
+        return PrintScaledPoses(T_root_sensor, {})
+    boards = group_detections([(pair, select_matches(pair, "ransac")) for pair in connected])
+    bundle, state = build_bundle(rig, captured, boards, T_root_sensor)
+    solution = minimize_bundle(without_priors(bundle), state, tolerance=COARSE_TOLERANCE, exact=False)
+    return PrintScaledPoses(
+        dict(zip(bundle.sensors, solution.state.T_root_sensor, strict=True)),
+        estimated_print_scales(bundle, solution.state, len(rig.boards)),
+    )
+
+
+def cramer_rao(
+    rig: Rig, captured: CaptureSet, T_root_sensor: Mapping[str, Array], T_root_board: Mapping[int, Array]
+) -> dict[str, Array]:
+    """The Cramér–Rao bound (6, 6) on the covariance of each sensor's pose, in the root's axes.
+
+    Systematic errors have the priors of the rig, and edges of boards their least view bias (Van Trees, "Detection,
+    estimation, and modulation theory", 1968, section 2.4.3).
+
+    Args:
+        rig: the rig, with the true noise of its sensors.
+        captured: detections; of each sensor and capture the first.
+        T_root_sensor: true poses (4, 4), the root first.
+        T_root_board: true poses (4, 4) of the board by capture.
+    """
+    detected = {c: {n: 0 for n in T_root_sensor if c in captured.detections[n]} for c in T_root_board}
+    boards = [BoardObservation(c, by) for c, by in detected.items() if by]
+    bundle, state = build_bundle(rig, captured, boards, T_root_sensor)
+    truth = replace(state, T_root_board=stack_poses([T_root_board[board.capture] for board in boards]))
+    bundle, with_offsets = add_outlines(bundle, truth, rig, captured.detections, boards, 0.0)
+    truth = replace(truth, extra=with_offsets.extra)
+    least = np.array([bundle.least_bias_variance(k) for k in range(len(bundle.all_views))])
+    exact = replace(update_noise(bundle, truth), bias_variance=least)
+    bound = pose_covariance(exact, truth, linearize_bundle(exact, truth))
+    blocks = bound.reshape(len(bundle.sensors), 6, len(bundle.sensors), 6)
+    return {name: blocks[i, :, i] for i, name in enumerate(bundle.sensors)}
+
+
+def _solve_with_outlines(settled: SettledBundle, rig: Rig, captured: CaptureSet) -> tuple[Bundle, MinimizedBundle]:
+    """The bundle with outlines, and its solution.
+
+    Outlines are added to a solution, because sides are assigned at its poses, and so that they do not influence
+    the estimated noise of planes and prints.
+    """
+    bundle, solution = settled.bundle, settled.solution
+    settings = bundle.settings.variances
+    outlined, state = add_outlines(
+        bundle, solution.state, rig, captured.detections, settled.boards, settings.initial_view_bias**2
+    )
+    if not outlined.outlines:
+        return bundle, solution
+    same = [new is old for new, old in zip(outlined.views, bundle.views, strict=True)]
+    cached = [cached if kept else None for cached, kept in zip(solution.equations.cache, same, strict=True)]
+    cache = (*cached, *[None] * len(outlined.outlines))
+    solution = minimize_bundle(
+        outlined, state, cache, iterations=settings.steps_per_round, tolerance=COARSE_TOLERANCE, exact=False
+    )
+    first = len(outlined.views)
+    bundle, solution, _ = settle_variances(outlined, solution, settings.max_outline_rounds, first=first)
+    return bundle, solution
+
+
+def _residuals_by_sensor(bundle: Bundle, solution: MinimizedBundle) -> Iterator[tuple[str, Array]]:
+    for s, (name, views) in enumerate(zip(bundle.sensors, bundle.views, strict=True)):
+        T_sensor_board = relative_poses(solution.state.T_root_sensor[s], solution.state.T_root_board[views.board])
+        yield name, views.linearize(T_sensor_board, solution.state.extra[bundle.extra_indices(s)]).residual

@@ -1,0 +1,269 @@
+"""Observations of the board's outline by scanners: they measure the board's position within its plane.
+
+Ranges measure the board's plane only. The outline runs between the last beam on the board and the first one past
+it; as the board's size is given, each such pair of beams is a measurement across one of the four sides.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calgraph.boards.detections import PlanePatch, Segment
+from calgraph.config.settings import OutlineSettings
+from calgraph.geometry import Array, Index, se3, se_n, so3
+from calgraph.rig.bundle.observations import (
+    LinearizedResiduals,
+    difference_along_sensor,
+    gather_extra,
+    no_extra,
+    pose_and_extra_jacobian,
+    select_measurements,
+    select_twists,
+    stack_twists,
+    start_indices,
+    velocity_along_sensor,
+    view_indices,
+)
+
+# Cosine of incidence at which smaller ones are truncated: keeps intersections finite. Such edges are not used.
+_MIN_COSINE = 1e-3
+
+
+FOOTPRINTS = ("azimuth footprint", "elevation footprint")
+"""Systematic parameters of outlines that also vary from view to view, the last local parameters."""
+OUTLINE_PARAMETERS = ("width", "height", "print x", "print y", "print rotation", "angle scale", *FOOTPRINTS)
+"""Systematic parameters of outlines, in the order of a view's local parameters after the pose: errors of the
+board's size, the position of the print on the board (m, rad), the relative scale of azimuths, and how far outwards
+the scanner measures sides between beams of different azimuth and elevation, which also varies from view to
+view."""
+
+
+@dataclass(frozen=True, eq=False)
+class OutlineObservations:
+    """Pairs of neighbouring beams, on the board and past it: the direction to a side of the board, across it.
+
+    Implements :class:`calgraph.rig.bundle.observations.BoardViews`. :meth:`update_noise` assigns the sides and
+    the points on them, which are constant within a minimisation. Residuals are angles times a constant distance:
+    distances on the board would be reduced by a smaller scale of everything.
+    """
+
+    board: Index
+    """(V,) index of each view's board."""
+    first: Index
+    """(V,) the first edge of each view."""
+    edges: Array
+    """(M, 2, 3) unit vectors in the sensor frame, as :class:`calgraph.Segment` has them."""
+    half_size: Array
+    """(V, 2) half width and half height of each board, m."""
+    side: NDArray[np.int8]
+    """(M,) 0 and 1 for the sides at -x and +x, 2 and 3 for those at -y and +y; -1 for edges that are not used."""
+    sigma: Array
+    """(M,) standard deviation of each edge across its side on the board, m."""
+    across: Array
+    """(M, 3) normal of the plane of sight through the middle of the edge and parallel to its side, sensor frame,
+    scaled so that its product with the direction to the side is the distance on the board."""
+    along: Array
+    """(M,) coordinate of the edge along its side, board frame, m."""
+    settings: OutlineSettings
+    noise_scale: float = 1.0
+    extra_of_local: Index = field(default_factory=lambda: np.zeros((0, 0), dtype=np.intp))
+    """(V, 8) or (V, 0) index of ``OUTLINE_PARAMETERS`` in the scanner's extra parameters; -1 for exact ones."""
+    extra_count: int = 0
+    twist: Array = field(default_factory=lambda: np.zeros((0, 6)))
+    """See :class:`BoardViews`."""
+    dimension: ClassVar[int] = 1
+
+    @classmethod
+    def from_edges(
+        cls,
+        board: Sequence[int],
+        detections: Sequence[PlanePatch | Segment],
+        half: Array,
+        settings: OutlineSettings,
+    ) -> "OutlineObservations":
+        """The views of these boards in their detections; no edge is used before :meth:`update_noise`."""
+        edges = np.concatenate([np.empty((0, 2, 3)), *(d.edges for d in detections)])
+        return cls(
+            np.array(board, dtype=np.intp),
+            start_indices([len(d.edges) for d in detections]),
+            edges,
+            half.reshape(-1, 2),
+            np.full(len(edges), -1, dtype=np.int8),
+            np.ones(len(edges)),
+            np.zeros((len(edges), 3)),
+            np.zeros(len(edges)),
+            settings,
+            extra_of_local=no_extra(len(board)),
+            twist=stack_twists(detections),
+        )
+
+    @property
+    def used(self) -> Index:
+        """(N,) indices of the edges that are measurements."""
+        return np.flatnonzero(self.side >= 0)
+
+    @property
+    def start(self) -> Index:
+        """(V,) the first measurement of each view."""
+        return np.searchsorted(self.used, self.first)
+
+    def linearize(self, T_sensor_board: Array, extra: Array) -> LinearizedResiduals:
+        """See :class:`BoardViews`: the direction to the point of the side relative to the plane of sight."""
+        used = self.used
+        view, axis, sign = self._view[used], self.side[used] // 2, 2.0 * (self.side[used] % 2) - 1
+        local = gather_extra(self.extra_of_local, extra)[view]
+        parameters = local.T if local.shape[1] else np.zeros((8, len(used)))
+        width, height, px, py, turn, angle_scale, azimuth, elevation = parameters
+        upright = self._separates_rings[used]
+        outward = np.where(upright, elevation, azimuth) + np.where(axis == 0, width, height) / 2
+        on_board = np.where(axis[:, None] == [0, 1], 0.0, self.along[used, None])
+        side = sign[:, None] * np.eye(2)[axis]
+        on_board += side * (self.half_size[view, axis] + outward)[:, None]
+        # In the frame of the print, the board is displaced by the opposite of what the print is on the board.
+        c, s = np.cos(turn), -np.sin(turn)
+        turned = np.stack([c * on_board[:, 0] - s * on_board[:, 1], s * on_board[:, 0] + c * on_board[:, 1]], -1)
+        normal = np.stack([c * side[:, 0] - s * side[:, 1], s * side[:, 0] + c * side[:, 1]], axis=-1)
+        R = T_sensor_board[view, :3, :3]
+        rotated = (R[..., :2] @ (turned - np.stack([px, py], axis=-1))[..., None])[..., 0]
+        point = rotated + T_sensor_board[view, :3, 3]
+        distance = np.linalg.norm(point, axis=-1, keepdims=True)
+        direction, sigma = point / distance, self.sigma[used, None]
+        # A scaled azimuth rotates the plane of sight about the scanner's axis.
+        at = self._azimuth[used]
+        across = so3.rotate_z(angle_scale * at, self.across[used])
+        angle = np.sum(across * direction, axis=-1, keepdims=True)
+        by_point = (across - angle * direction) / (distance * sigma)
+        by_local = [by_point, np.cross(rotated, by_point)]
+        if local.shape[1]:
+            by_board = (by_point[:, None] @ R[..., :2])[:, 0]
+            by_outward = np.sum(by_board * normal, axis=-1)
+            by_turn = by_board[:, 0] * turned[:, 1] - by_board[:, 1] * turned[:, 0]
+            by_azimuth = (direction[:, 1] * across[:, 0] - direction[:, 0] * across[:, 1]) * at / sigma[:, 0]
+            by_local.append(np.column_stack([
+                0.5 * by_outward * (axis == 0), 0.5 * by_outward * (axis == 1), -by_board, by_turn, by_azimuth,
+                by_outward * ~upright, by_outward * upright,
+            ]))  # fmt: skip
+        jacobian = np.concatenate(by_local, axis=-1)[:, None]
+        return LinearizedResiduals(
+            angle / sigma,
+            jacobian,
+            self.local_jacobian(T_sensor_board),
+            6,
+            ring_count=self.ring_count,
+            velocity=velocity_along_sensor(self.twist, T_sensor_board),
+        )
+
+    def local_jacobian(self, T_sensor_board: Array) -> Array:  # noqa: ARG002
+        """See :class:`BoardViews`: the pose itself, and the extra parameters of each view."""
+        return pose_and_extra_jacobian(self.extra_of_local, self.extra_count)
+
+    def local_difference(self, T_before: Array, T_sensor_board: Array, extra: Array) -> Array:
+        """See :class:`BoardViews`."""
+        return np.concatenate(
+            [difference_along_sensor(T_before, T_sensor_board), gather_extra(self.extra_of_local, extra)], axis=-1
+        )
+
+    def is_defined(self, T_sensor_board: Array, extra: Array) -> bool:  # noqa: ARG002
+        """See :class:`BoardViews`."""
+        return True
+
+    def update_noise(self, T_sensor_board: Array, noise_scale: float) -> "OutlineObservations":
+        """See :class:`BoardViews`: the outline is uniformly distributed between the two beams, plus blur."""
+        view = self._view
+        T, half = se3.inverse(T_sensor_board)[view], self.half_size[view]
+        facing = (
+            np.abs((T[:, None, :3, :3] @ self.edges[..., None])[..., 2, 0]).min(axis=1) > self.settings.min_cosine
+        )
+        on_board, past_board = (_intersect_boards(T, self.edges[:, i]) for i in (0, 1))
+        across, midpoint = past_board - on_board, (on_board + past_board) / 2
+        axis, sign = np.array([0, 0, 1, 1]), np.array([-1.0, 1.0, -1.0, 1.0])
+        distance = np.abs(sign * midpoint[:, axis] - half[:, axis])
+        outward = sign * across[:, axis]
+        nearest = np.argmin(np.where(outward > 0, distance, np.inf), axis=1)
+        each = np.arange(len(view))
+        used = (
+            facing
+            & (np.linalg.norm(across, axis=1) < self.settings.max_beam_spacing)
+            & (distance[each, nearest] < self.settings.max_side_distance)
+            & (outward[each, nearest] > 0)
+            & (
+                half[each, 1 - nearest // 2] - np.abs(midpoint[each, 1 - nearest // 2])
+                > self.settings.min_corner_distance
+            )
+        )
+        # Standard deviation of a uniform distribution over the beams' distance across the side.
+        spread = outward[each, nearest] / np.sqrt(12)
+        # The side runs between the ends of the two beams on the board: the plane of sight contains their middle.
+        middle = T_sensor_board[view, :3, 3] + (T_sensor_board[view, :3, :2] @ midpoint[..., None])[..., 0]
+        axes = se_n.transpose(T_sensor_board[view, :3, :2])
+        normal = np.cross(middle, axes[each, 1 - nearest // 2])
+        across_side = sign[nearest, None] * axes[each, nearest // 2]
+        scale = np.linalg.norm(middle, axis=-1) / _away_from_zero(np.sum(normal * across_side, axis=-1))
+        return replace(
+            self,
+            side=np.where(used, nearest, -1).astype(np.int8),
+            sigma=noise_scale * np.hypot(spread, self.settings.blur),
+            across=normal * scale[:, None],
+            along=midpoint[each, 1 - nearest // 2],
+            noise_scale=noise_scale,
+        )
+
+    def select(self, keep: NDArray[np.bool_] | Index) -> "OutlineObservations":
+        """See :class:`BoardViews`."""
+        first, kept = select_measurements(self.first, len(self.edges), keep)
+        return replace(
+            self,
+            board=self.board[keep],
+            first=first,
+            edges=self.edges[kept],
+            half_size=self.half_size[keep],
+            side=self.side[kept],
+            sigma=self.sigma[kept],
+            across=self.across[kept],
+            along=self.along[kept],
+            extra_of_local=self.extra_of_local[keep],
+            twist=select_twists(self.twist, keep),
+        )
+
+    def edge_points(self, T_sensor_board: Array) -> tuple[Index, Array]:
+        """Of the edges between close beams, the view of each (N,) and its place in the board's plane (N, 2), m."""
+        T = se3.inverse(T_sensor_board)[self._view]
+        on_board, past_board = (_intersect_boards(T, self.edges[:, i]) for i in (0, 1))
+        dense = np.linalg.norm(past_board - on_board, axis=1) < self.settings.max_beam_spacing
+        return self._view[dense], (on_board + past_board)[dense] / 2
+
+    @property
+    def ring_count(self) -> int:
+        """2, of the footprints, each of which acts on some of the edges as the bias of a ring does on ranges."""
+        return 2 if self.extra_of_local.shape[1] else 0
+
+    @property
+    def _separates_rings(self) -> NDArray[np.bool_]:
+        """(M,) whether the two beams of an edge differ in elevation rather than in azimuth."""
+        apart = np.abs(self.edges[:, 1] - self.edges[:, 0])
+        return np.asarray(apart[:, 2] > np.hypot(apart[:, 0], apart[:, 1]))
+
+    @property
+    def _azimuth(self) -> Array:
+        """(M,) azimuth of the edges, sensor frame, rad."""
+        x, y, _ = self.edges.sum(axis=1).T
+        return np.asarray(np.arctan2(y, x))
+
+    @property
+    def _view(self) -> Index:
+        return view_indices(self.first, len(self.edges))
+
+
+def _intersect_boards(T_board_sensor: Array, directions: Array) -> Array:
+    """(M, 2) intersections of beams (M, 3) with boards (M, 4, 4), board frame."""
+    u, v, w = np.moveaxis((T_board_sensor[:, :3, :3] @ directions[..., None])[..., 0], -1, 0)
+    w = _away_from_zero(w)
+    x, y, z = np.moveaxis(T_board_sensor[:, :3, 3], -1, 0)
+    return np.stack([x - z * u / w, y - z * v / w], axis=-1)
+
+
+def _away_from_zero(cosine: Array) -> Array:
+    return np.copysign(np.maximum(np.abs(cosine), _MIN_COSINE), cosine)

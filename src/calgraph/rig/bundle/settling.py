@@ -1,0 +1,115 @@
+"""Estimates noise and view bias, and rejects outlier views, until both have settled."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calgraph.geometry import Array
+from calgraph.rig.bundle.bundle_solver import (
+    COARSE_TOLERANCE,
+    Bundle,
+    BundleState,
+    MinimizedBundle,
+    linearize_bundle,
+    minimize_bundle,
+)
+from calgraph.rig.bundle.covariances import view_covariance_factors
+from calgraph.rig.bundle.observations import relative_poses
+from calgraph.rig.bundle.variance_components import (
+    measure_consistency,
+    select_consistent_views,
+    update_variance_components,
+)
+
+
+def settle_variances(
+    complete: Bundle,
+    solution: MinimizedBundle,
+    rounds: int,
+    first: int = 0,
+    kept: Sequence[NDArray[np.bool_]] | None = None,
+) -> tuple[Bundle, MinimizedBundle, Sequence[NDArray[np.bool_]]]:
+    """Estimates noise and view bias, and rejects outlier views, until neither changes.
+
+    Variances settle before views are judged: views that scatter as all others do are not outliers. A rejected view
+    returns once it agrees with the others, and does not return a second time.
+
+    Args:
+        complete: all views.
+        solution: of those that are kept at first.
+        rounds: of solving, estimating variances and judging views, at most.
+        first: variances are estimated, and views judged, of these view sets and those after it.
+        kept: (K,) masks (V,) of the views that are kept at first; all if left out.
+
+    Returns:
+        The bundle of the kept views, its solution, and the masks (K,) of the views that are kept.
+    """
+    settings = complete.settings.variances
+    kept = kept or [np.ones(len(views.board), dtype=np.bool_) for views in complete.all_views]
+    bundle = select_views(complete, complete, solution.state, kept)
+    returned = barred = [np.zeros_like(part) for part in kept]
+    for _ in range(rounds):
+        before, factors = bundle, view_covariance_factors(bundle, solution.equations, first=first)
+        bundle, change = update_variance_components(bundle, solution, factors, first)
+        settled = change < settings.max_settled_change
+        selected = _judge_views(complete, before, solution, factors, kept, first, settled=settled)
+        # A view that was rejected again after its return would return in every third round.
+        barred = [
+            bar | (old & ~new & back) for bar, old, new, back in zip(barred, kept, selected, returned, strict=True)
+        ]
+        selected = [new & ~bar for new, bar in zip(selected, barred, strict=True)]
+        returned = [back | (new & ~old) for back, old, new in zip(returned, kept, selected, strict=True)]
+        if any(np.any(new != old) for new, old in zip(selected, kept, strict=True)):
+            bundle, kept = select_views(complete, before, solution.state, selected), selected
+        elif settled:
+            break
+        unchanged = zip(solution.equations.cache, before.all_views, bundle.all_views, strict=True)
+        cache = [cached if new is old else None for cached, old, new in unchanged]
+        solution = minimize_bundle(
+            bundle,
+            solution.state,
+            cache,
+            iterations=settings.steps_per_round,
+            tolerance=COARSE_TOLERANCE,
+            exact=False,
+        )
+    return bundle, solution, kept
+
+
+def _judge_views(
+    complete: Bundle,
+    bundle: Bundle,
+    solution: MinimizedBundle,
+    factors: Sequence[Array],
+    kept: Sequence[NDArray[np.bool_]],
+    first: int,
+    *,
+    settled: bool,
+) -> list[NDArray[np.bool_]]:
+    """(K,) masks of views of the complete bundle to keep, judged by the solution of those that are kept.
+
+    As long as variances have not settled, only gross outliers are rejected, and no view returns.
+    """
+    everything = [np.ones_like(part) for part in kept]
+    scaled, equations = select_views(complete, bundle, solution.state, everything), solution.equations
+    if not all(np.all(part) for part in kept):
+        equations = linearize_bundle(scaled, solution.state)
+        factors = view_covariance_factors(scaled, solution.equations, equations.views, first)
+    consistency = measure_consistency(scaled, equations, factors, kept, first)
+    return select_consistent_views(scaled, consistency, kept, settled=settled, first=first)
+
+
+def select_views(
+    complete: Bundle, bundle: Bundle, state: BundleState, kept: Sequence[NDArray[np.bool_]]
+) -> Bundle:
+    """The bundle with some of the views (K,) of the complete one, with the noise scales that it has."""
+    all_views = []
+    for k, (views, scaled, part) in enumerate(zip(complete.all_views, bundle.all_views, kept, strict=True)):
+        if len(scaled.board) == part.sum() and np.array_equal(views.board[part], scaled.board):
+            all_views.append(scaled)
+            continue
+        some = views.select(part)
+        T_sensor_board = relative_poses(state.T_root_sensor[complete.sensor_of(k)], state.T_root_board[some.board])
+        all_views.append(some.update_noise(T_sensor_board, scaled.noise_scale))
+    return bundle.with_views(all_views)

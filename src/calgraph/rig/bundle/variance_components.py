@@ -1,0 +1,316 @@
+"""Variance components: noise of measurements, bias of views; and the rejection and return of outlier views."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtr, chdtri
+
+from calgraph.config.settings import VarianceComponentSettings
+from calgraph.geometry import Array, Index, se_n
+from calgraph.rig.bundle.bundle_solver import Bundle, BundleEquations, MarginalizedViews, MinimizedBundle
+from calgraph.rig.bundle.normal_equations import huber_variance_factor
+from calgraph.rig.bundle.observations import relative_poses
+from calgraph.rig.bundle.whitening import consistency_statistic
+
+
+def update_variance_components(
+    bundle: Bundle, solution: MinimizedBundle, factors: Sequence[Array], first: int = 0
+) -> tuple[Bundle, float]:
+    """The bundle after one step of Fisher scoring for the variances of noise and view bias (REML).
+
+    Within a view, measurements scatter about its best fit. That determines the noise poorly where views have
+    few measurements, such as the two end points of a line on the board; but views scatter among each other with
+    the noise as well as with the bias, so both are estimated jointly.
+
+    The gradients of views have the covariance ``W = A - A P A`` if noise and bias are right. Views of one board
+    are correlated, so sensors are scored jointly; the correlation between boards, through the sensors' poses, is
+    neglected.
+
+    Source: Patterson and Thompson, "Recovery of inter-block information when block sizes are unequal", Biometrika
+    1971.
+
+    Args:
+        bundle: sensors' and outlines' views.
+        solution: its solution.
+        factors: of :func:`calgraph.rig.bundle.covariances.view_covariance_factors`, from ``first`` on.
+        first: index of the first views whose components are estimated; those before it keep theirs.
+
+    Returns:
+        The bundle, and the largest change of a variance in its standard errors.
+    """
+    statistics = [_view_statistics(bundle, solution.equations, k, F) for k, F in enumerate(factors, start=first)]
+    settings = bundle.settings.variances
+    # Noise and bias of each in turn.
+    score = np.concatenate([one.score for one in statistics])
+    end = np.cumsum([len(one.score) for one in statistics])
+    rows = [slice(e - len(one.score), e) for e, one in zip(end, statistics, strict=True)]
+    fisher = np.zeros((len(score), len(score)))
+    for i, one in enumerate(statistics):
+        fisher[rows[i], rows[i]] = one.fisher
+        for j, other in enumerate(statistics[:i]):
+            _, here, there = np.intersect1d(one.board, other.board, assume_unique=True, return_indices=True)
+            W = one.solution_factors[here] @ se_n.transpose(other.solution_factors[there])
+            between = _sum_squares(W, one.of_variance[here], other.of_variance[there])
+            fisher[rows[i], rows[j]] = between
+            fisher[rows[j], rows[i]] = between.T
+    before = np.concatenate([
+        [1.0, *bundle.bias_variance[k, one.components]] for k, one in enumerate(statistics, start=first)
+    ])  # fmt: skip
+    least, most = np.zeros(len(score)), np.full(len(score), np.inf)
+    least[end - [len(one.score) for one in statistics]] = [one.bounds[0] for one in statistics]
+    most[end - [len(one.score) for one in statistics]] = [one.bounds[1] for one in statistics]
+    _add_prior_of_biases(bundle, statistics, rows, before, score, fisher)
+    after = np.minimum(_fisher_scoring_step(before, score, fisher, least, settings.fisher_ridge), most)
+    state, all_views, bias_variance = solution.state, list(bundle.all_views), bundle.bias_variance.copy()
+    change = np.zeros_like(after)
+    for k, (one, row) in enumerate(zip(statistics, rows, strict=True), start=first):
+        views, (noise, *bias) = bundle.all_views[k], after[row]
+        bias_variance[k, one.components] = np.maximum(bias, bundle.least_bias_variance(k)[one.components])
+        change[row.start + 1 : row.stop] = (bias_variance - bundle.bias_variance)[k, one.components]
+        scale = _shrink_noise_scale(views.noise_scale**2 * noise, one.fisher[0, 0], settings)
+        change[row.start] = 0.0
+        if abs(scale / views.noise_scale - 1) >= settings.min_noise_change:
+            change[row.start] = (scale / views.noise_scale) ** 2 - 1
+            T_root_sensor = state.T_root_sensor[bundle.sensor_of(k)]
+            T_sensor_board = relative_poses(T_root_sensor, state.T_root_board[views.board])
+            all_views[k] = views.update_noise(T_sensor_board, scale)
+    relative = np.abs(change) * np.sqrt(fisher.diagonal() / 2)
+    return replace(bundle.with_views(all_views), bias_variance=bias_variance), float(relative.max(initial=0.0))
+
+
+@dataclass(frozen=True, eq=False)
+class _ViewStatistics:
+    """Likelihood of c variances, of noise relative to the present one and of view biases, for one set of views."""
+
+    board: Index
+    """(V,)."""
+    components: Index
+    """(c - 1,) columns of :attr:`Bundle.bias_variance`."""
+    of_variance: Array
+    """(V, c, m) weights of the squares along m directions for each variance: of those where noise has unit
+    covariance, of displacements and rotations, of rings, and of stamps."""
+    solution_factors: Array
+    """(V, m, r) factors of the reduction of the gradients' covariance by the solution, in these directions."""
+    score: Array
+    """(c,) twice the derivative of the log-likelihood by the variances."""
+    fisher: Array
+    """(c, c) twice their Fisher information."""
+    bounds: tuple[float, float]
+    """Of the noise variance in one step."""
+
+
+def _view_statistics(bundle: Bundle, equations: BundleEquations, k: int, factors: Array) -> _ViewStatistics:
+    """Those of views k, with their ``factors`` of :func:`view_covariance_factors`."""
+    unmarginalized, at, views = equations.cache[k].equations, equations.views[k], bundle.all_views[k]
+    settings, p, R = bundle.settings.variances, unmarginalized.pose_count, views.ring_count
+    squares, freedom = unmarginalized.within_view_scatter()
+    components = np.array(bundle.bias_components(k), dtype=np.intp)
+    by_pose, q = se_n.transpose(at.local_jacobian[..., :6]), at.information.shape[-1]
+    whiten, rings = unmarginalized.whiten_views()[0], np.arange(q - R, q)
+    by_ring = np.broadcast_to(np.eye(q)[rings], (len(views.board), R, q))
+    # A board at rest is not displaced by an error of the stamp.
+    velocity = unmarginalized.velocity
+    by_stamp = np.zeros((len(views.board), 0, q)) if velocity is None else velocity[:, None] @ by_pose
+    directions = np.concatenate([whiten[:, :p], by_pose, by_ring, by_stamp], axis=1)
+    of_variance = np.zeros((len(views.board), 1 + len(components), directions.shape[1]))
+    of_variance[:, 0, :p] = 1
+    # Noise has unit covariance along the rings, too, where these are scaled.
+    of_variance[:, 0, p + 6 : p + 6 + R] = whiten[:, p + np.arange(R), rings] ** 2
+    end = p + 6 + R
+    parts = slice(p, p + 3), slice(p + 3, p + 6), slice(p + 6, end), slice(end, None)
+    for i, component in enumerate(components, 1):
+        of_variance[:, i, parts[component]] = 1
+    weighted = directions @ at.information
+    solution_factors = weighted @ factors
+    W = weighted @ se_n.transpose(directions)
+    W = W - solution_factors @ se_n.transpose(solution_factors)
+    weight = _downweight_views(at, factors, unmarginalized.pose_count, settings)
+    among = weight[:, None] * (directions @ at.gradient[..., None])[..., 0] ** 2
+    expected = np.diagonal(W, axis1=-2, axis2=-1)
+    score = np.einsum("vci,vi->c", of_variance, among - expected)
+    fisher = _sum_squares(W, of_variance, of_variance)
+    within, freedom = (
+        squares.sum() / huber_variance_factor(views.dimension, bundle.settings.huber_threshold),
+        freedom.sum(),
+    )
+    score[0] += within - freedom
+    fisher[0, 0] += freedom
+    expected_among = np.sum(of_variance[:, 0] * expected)
+    max_factor = settings.max_variance_factor
+    low, high = (
+        (within + factor * expected_among) / max(freedom + expected_among, 1.0)
+        for factor in (1 / max_factor, max_factor)
+    )
+    return _ViewStatistics(
+        views.board, components, of_variance, solution_factors, score, fisher, (float(low), float(high))
+    )
+
+
+def _downweight_views(
+    at: MarginalizedViews, factors: Array, pose_count: int, settings: VarianceComponentSettings
+) -> Array:
+    """(V,) weights of the squared gradients of views: those of outliers are truncated at a quantile.
+
+    The mean of a truncated χ² is smaller by a factor that the weights make up for. Source: Huber, "Robust
+    statistics", 1981, section 5.3 (proposal 2).
+    """
+    squared, freedom = _test_poses(at, factors, pose_count, settings.min_redundancy)
+    d = np.maximum(freedom, 1)
+    limit = chdtri(d, settings.truncated_share)
+    mean_share = chdtr(d + 2, limit) + limit / d * settings.truncated_share
+    return np.asarray(np.minimum(1, limit / np.maximum(squared, 1e-12)) / mean_share)
+
+
+def _sum_squares(W: Array, rows: Array, columns: Array) -> Array:
+    """(c, d) weighted sums of the squares of matrices (V, m, n), with weights (V, c, m) and (V, d, n)."""
+    return np.asarray(np.sum(rows @ W**2 @ se_n.transpose(columns), axis=0))
+
+
+def _add_prior_of_biases(
+    bundle: Bundle,
+    statistics: Sequence[_ViewStatistics],
+    rows: Sequence[slice],
+    variances: Array,
+    score: Array,
+    fisher: Array,
+) -> None:
+    """Adds observations of the usual size of view biases to score (n,) and Fisher matrix (n, n), in place.
+
+    Without them, the estimate from few views is zero as often as not, and the poses' covariance too small. Source:
+    Chung et al., "A nondegenerate penalized likelihood estimator for variance parameters", Psychometrika 2013.
+    """
+    settings, weight = bundle.settings.variances, bundle.settings.variances.usual_bias_weight
+    displacement = settings.usual_view_bias
+    # In the columns of ``bias_variance``.
+    usual = np.square([displacement, displacement / bundle.lever, displacement, settings.usual_stamp_error])
+    for one, row in zip(statistics, rows, strict=True):
+        bias = np.arange(row.start + 1, row.stop)
+        at = np.maximum(variances[bias], usual[one.components])
+        score[bias] += weight * (usual[one.components] - variances[bias]) / at**2
+        fisher[bias, bias] += weight / at**2
+
+
+def _shrink_noise_scale(variance: float, freedom: float, settings: VarianceComponentSettings) -> float:
+    """Noise over that stated, shrunk towards 1, from its estimated variance with ``freedom`` degrees of freedom.
+
+    The stated noise is uncertain by a factor, so logarithms are averaged: in a mean of variances, noise stated ten
+    times too large would weigh as a hundred measurements.
+    """
+    least = settings.min_noise_ratio**2
+    return float(np.sqrt(max(variance, least)) ** (freedom / (freedom + settings.stated_noise_weight)))
+
+
+def _fisher_scoring_step(variances: Array, score: Array, fisher: Array, least: Array, ridge: float) -> Array:
+    """Variances after one step of Fisher scoring, none of them below the least."""
+    from scipy.optimize import nnls  # takes as long to import as all of NumPy
+
+    # Two sensors alone determine the sum of their variances only: the ridge keeps the difference.
+    regularized = fisher + np.diag(ridge * np.diag(fisher) + np.finfo(float).tiny)
+    root = np.linalg.cholesky(regularized).T
+    above, _ = nnls(root, root @ (variances - least) + np.linalg.solve(root.T, score))
+    return np.asarray(least + above)
+
+
+@dataclass(frozen=True, eq=False)
+class ViewConsistency:
+    """How well each view of a set agrees with the others."""
+
+    squared: Array
+    """(V,) squared Mahalanobis distance of its gradient."""
+    freedom: NDArray[np.intp]
+    """(V,) its degrees of freedom."""
+
+    def excess(self, significance: float) -> Array:
+        """(V,) the statistic over its limit at a significance level."""
+        return np.asarray(self.squared / chdtri(np.maximum(self.freedom, 1), significance))
+
+
+def measure_consistency(
+    bundle: Bundle,
+    equations: BundleEquations,
+    factors: Sequence[Array],
+    kept: Sequence[NDArray[np.bool_]],
+    first: int = 0,
+) -> list[ViewConsistency]:
+    """The consistency of each view with those that a solution is made of, by view set from ``first`` on.
+
+    Args:
+        bundle: all views.
+        equations: of all views, at the solution of those that are kept.
+        factors: of :func:`calgraph.rig.bundle.covariances.view_covariance_factors` of that solution, from
+            ``first`` on.
+        kept: (K,) masks (V,) of the views that are part of it.
+        first: index of the first view set.
+    """
+    found = []
+    least = bundle.settings.variances.min_redundancy
+    of_views = zip(equations.cache[first:], equations.views[first:], factors, kept[first:], strict=True)
+    for cached, at, F, part in of_views:
+        pose_count = cached.equations.pose_count
+        squared, freedom = _test_poses(at, F, pose_count, least)
+        if not np.all(part):
+            predicted = _test_poses(at, F, pose_count, least, predicted=True)
+            squared, freedom = (np.where(part, a, b) for a, b in zip((squared, freedom), predicted, strict=True))
+        found.append(ViewConsistency(squared, freedom))
+    return found
+
+
+def _test_poses(
+    at: MarginalizedViews, factors: Array, pose_count: int, min_redundancy: float, *, predicted: bool = False
+) -> tuple[Array, NDArray[np.intp]]:
+    """:func:`consistency_statistic` of the pose's local parameters; infinite where residuals are not finite."""
+    # By the others' solution, the board of an outlier view may be behind the camera.
+    finite = np.isfinite(at.gradient).all(axis=-1) & np.isfinite(factors).all(axis=(-2, -1))
+    information, factors, gradient = (
+        values if finite.all() else np.where(finite.reshape(-1, *[1] * (values.ndim - 1)), values, 0.0)
+        for values in (at.information, factors, at.gradient)
+    )
+    by_solution = information[:, :pose_count] @ factors
+    squared, freedom = consistency_statistic(
+        information[:, :pose_count, :pose_count],
+        by_solution @ se_n.transpose(by_solution),
+        gradient[:, :pose_count],
+        min_redundancy,
+        predicted=predicted,
+    )
+    return np.where(finite, squared, np.inf), freedom
+
+
+def select_consistent_views(
+    bundle: Bundle,
+    consistency: Sequence[ViewConsistency],
+    kept: Sequence[NDArray[np.bool_]],
+    *,
+    settled: bool,
+    first: int = 0,
+) -> list[NDArray[np.bool_]]:
+    """By view set, a mask (V,) of the views to keep: outliers are rejected, and views that agree now return.
+
+    Of each board only the worst view is rejected. A gross outlier biases all sensors: views with much smaller
+    statistics are tested after it has been rejected. As long as variances have not settled, gross outliers only
+    are rejected, and no view returns; nor does one of a board that no view locates, with which any would agree.
+    Views before ``first`` stay as they are; ``consistency`` is of the others.
+    """
+    settings, judged = bundle.settings.variances, bundle.all_views[first:]
+    worst: Array = np.zeros(1 + max(int(views.board.max(initial=-1)) for views in bundle.all_views))
+    located = np.zeros(len(worst), dtype=np.bool_)
+    for views, part in zip(bundle.all_views, kept, strict=True):
+        located[views.board[part]] = True
+    excess = [one.excess(settings.outlier_significance) for one in consistency]
+    for views, over, part in zip(judged, excess, kept[first:], strict=True):
+        worst[views.board] = np.maximum(worst[views.board], np.where(part, over, 0.0))
+    least = 1.0 if settled else settings.gross_outlier_ratio
+    limit = max(least, settings.min_share_of_worst * worst.max(initial=0.0))
+    selected = [*kept[:first]]
+    for views, over, part in zip(judged, excess, kept[first:], strict=True):
+        rejected = part & (over > limit) & (over >= worst[views.board])
+        left = part & ~rejected
+        if left.sum() < (1 - settings.max_outlier_share) * len(part):
+            # Its model is wrong instead.
+            left = part
+        # A return waits until the outliers are gone that bias the solution.
+        return_now = settled and worst.max(initial=0.0) <= 1.0
+        selected.append(left | (~part & (over <= 1.0) & located[views.board]) if return_now else left)
+    return selected
