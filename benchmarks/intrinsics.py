@@ -27,7 +27,6 @@ from calgraph.calibrate.rig import build_problem_from_captures, solve_problem
 from calgraph.config import AprilGrid, Board, Rig
 from calgraph.config.settings import BoardPoseSettings
 from calgraph.errors import Rejected
-from calgraph.estimation.intrinsics.estimate import estimate_intrinsics
 from calgraph.geometry import Array, se3
 from calgraph.result import Calibration
 from calgraph.rig.captures.detect import CaptureSet, SensorCapture, collect_detections, state_estimated_intrinsics
@@ -35,6 +34,7 @@ from calgraph.rig.captures.detectors import draw_seeds, make_detectors
 from calgraph.rig.captures.holds import Hold
 from calgraph.rig.captures.timeline import RecordingTimeline, SensorTimes
 from calgraph.rig.detection.board_views import BoardView, BoardViewFinder
+from calgraph.rig.intrinsics.estimate import estimate_intrinsics
 from calgraph.rig.options import RigOptions
 from calgraph.sensors import CameraModel, Image, Message
 from calgraph.simulation import (

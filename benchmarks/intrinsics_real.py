@@ -22,9 +22,9 @@ from ruamel.yaml import YAML
 from calgraph.boards.board_pose import fit_pose
 from calgraph.config import Rig
 from calgraph.errors import Rejected
-from calgraph.estimation.intrinsics.estimate import IntrinsicsEstimate, estimate_intrinsics
 from calgraph.recording.camera_info import camera_from_yaml
 from calgraph.rig.detection.board_views import BoardView
+from calgraph.rig.intrinsics.estimate import IntrinsicsEstimate, estimate_intrinsics
 from calgraph.sensors import CameraModel
 
 DATA = Path(os.environ.get("CALGRAPH_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))

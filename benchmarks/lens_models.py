@@ -21,9 +21,9 @@ import numpy as np
 from calgraph.boards.landmarks import compute_landmarks
 from calgraph.config import Rig
 from calgraph.errors import Rejected
-from calgraph.estimation.intrinsics.estimate import estimate_intrinsics
 from calgraph.geometry import Array, se3, so3
 from calgraph.rig.detection.board_views import BoardView
+from calgraph.rig.intrinsics.estimate import estimate_intrinsics
 from calgraph.sensors import CameraModel
 
 SIZE, NOISE = (1280, 960), 0.2

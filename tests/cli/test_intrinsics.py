@@ -11,11 +11,11 @@ import pytest
 from ruamel.yaml import YAML
 from typer.testing import Result
 
-from calgraph.calibrate.intrinsics import calibrate_intrinsics
 from calgraph.config import AprilGrid, Board, CameraSpec, Rig
 from calgraph.errors import Rejected
 from calgraph.printing import format_target
 from calgraph.recording import RecordingCache, open_recording, resolve_intrinsics
+from calgraph.rig.intrinsics.pipeline import calibrate_intrinsics
 from calgraph.sensors import CameraModel, Image
 from calgraph.simulation import (
     CameraOptions,
@@ -163,5 +163,5 @@ def test_a_second_run_takes_corners_from_the_cache(
         return found.camera
 
     first = calibrate()
-    monkeypatch.delattr("calgraph.calibrate.intrinsics.find_views_in_holds")
+    monkeypatch.delattr("calgraph.rig.intrinsics.pipeline.find_views_in_holds")
     assert np.array_equal(calibrate().intrinsics, first.intrinsics)

@@ -7,7 +7,6 @@ from functools import partial
 
 import numpy as np
 
-from calgraph.calibrate.intrinsics import estimate_unknown_intrinsics, find_intrinsics_remarks
 from calgraph.calibrate.rig_timeline import read_rig_timeline
 from calgraph.config import Rig
 from calgraph.errors import CalibrationError
@@ -30,6 +29,7 @@ from calgraph.rig.captures.plausibility import check_background, check_intrinsic
 from calgraph.rig.captures.sensor_detection import DetectionMethod, detect_by_sensors
 from calgraph.rig.captures.timeline import RecordingTimeline
 from calgraph.rig.captures.validate_recording import check_pose_numbers, check_timeline
+from calgraph.rig.intrinsics.pipeline import estimate_unknown_intrinsics, find_intrinsics_remarks
 from calgraph.rig.options import RigOptions
 from calgraph.rig.strategies import select_plane_estimator
 

@@ -33,7 +33,7 @@ from calgraph.result.exports.kalibr import to_single_camchain
 from calgraph.sensors import DISTORTION_NAMES
 
 if TYPE_CHECKING:
-    from calgraph.estimation.intrinsics.estimate import IntrinsicsEstimate
+    from calgraph.rig.intrinsics.estimate import IntrinsicsEstimate
 
 _FORMAT = "calgraph-intrinsics/1"
 _SUMMARY = "intrinsics.json"
@@ -66,7 +66,7 @@ def intrinsics(
 
     Exit code 0: estimated; 1: the images of a camera do not determine its intrinsics; 2: invalid input.
     """
-    from calgraph.calibrate.intrinsics import calibrate_intrinsics  # takes seconds, which --help should not
+    from calgraph.rig.intrinsics.pipeline import calibrate_intrinsics  # takes seconds, which --help should not
 
     check_not_overwriting(out, [_SUMMARY], force=force)
     with replace_folder_atomically(out, _SUMMARY) as folder:

@@ -7,8 +7,8 @@ import numpy as np
 
 from calgraph.boards.detections import BoardCorners
 from calgraph.config.settings import IntrinsicsSettings
-from calgraph.estimation.intrinsics.lens_fit import LensFit
 from calgraph.geometry import Array, so3
+from calgraph.rig.intrinsics.lens_fit import LensFit
 from calgraph.sensors import CameraModel
 
 _CELLS = (8, 6)

@@ -10,12 +10,12 @@ from calgraph.boards.detections import BoardCorners
 from calgraph.config import Intrinsics, Rig
 from calgraph.config.settings import IntrinsicsSettings
 from calgraph.errors import Rejected
-from calgraph.estimation.intrinsics.assessment import ViewCoverage, describe_shortcomings, measure_coverage
-from calgraph.estimation.intrinsics.lens_fit import LensFit, fit_lens, include_model_error
-from calgraph.estimation.intrinsics.start import LensModel, convert_model, search_focal_length
-from calgraph.estimation.intrinsics.view_choice import choose_views
 from calgraph.geometry import Array
 from calgraph.rig.detection.board_views import BoardView
+from calgraph.rig.intrinsics.assessment import ViewCoverage, describe_shortcomings, measure_coverage
+from calgraph.rig.intrinsics.lens_fit import LensFit, fit_lens, include_model_error
+from calgraph.rig.intrinsics.start import LensModel, convert_model, search_focal_length
+from calgraph.rig.intrinsics.view_choice import choose_views
 from calgraph.sensors import CameraModel
 
 _MODELS: tuple[LensModel, ...] = ("pinhole", "fisheye")

@@ -10,7 +10,6 @@ from calgraph.boards.camera import CameraDetector
 from calgraph.boards.detections import BoardCorners
 from calgraph.config import CameraSpec, Rig
 from calgraph.errors import Rejected
-from calgraph.estimation.intrinsics.estimate import IntrinsicsEstimate, estimate_intrinsics
 from calgraph.parallel.engine import THIS_PROCESS, Engine
 from calgraph.parallel.progress import Progress, no_progress
 from calgraph.recording import NO_CACHE, Recording, RecordingCache
@@ -22,6 +21,7 @@ from calgraph.rig.captures.holds import Hold
 from calgraph.rig.captures.sensor_detection import list_shared_inputs
 from calgraph.rig.captures.timeline import RecordingTimeline, build_timeline
 from calgraph.rig.detection.board_views import BoardView, BoardViewFinder
+from calgraph.rig.intrinsics.estimate import IntrinsicsEstimate, estimate_intrinsics
 from calgraph.sensors import CameraModel
 
 _log = logging.getLogger(__name__)

@@ -6,8 +6,8 @@ import pytest
 
 from calgraph.config import Rig
 from calgraph.errors import Rejected
-from calgraph.estimation.intrinsics.estimate import IntrinsicsEstimate, estimate_intrinsics
 from calgraph.rig.detection.board_views import BoardView
+from calgraph.rig.intrinsics.estimate import IntrinsicsEstimate, estimate_intrinsics
 from calgraph.sensors import CameraModel
 from camera_views import FISHEYE, PINHOLE, WIDE, checkerboard_rig, simulate_views
 

@@ -15,8 +15,6 @@ from calgraph.boards.detections import BoardCorners
 from calgraph.config import Intrinsics, PixelNoise, Rig
 from calgraph.config.settings import IntrinsicsSettings
 from calgraph.errors import CalibrationError, InputError, Rejected
-from calgraph.estimation.intrinsics.model_error import FieldEquations, ModelError, estimate_model_error
-from calgraph.estimation.intrinsics.start import IntrinsicsStart
 from calgraph.geometry import Array, plane, se3
 from calgraph.result import state_intrinsics
 from calgraph.rig.bundle.board_observations import BoardObservation
@@ -26,6 +24,8 @@ from calgraph.rig.bundle.corner_observations import CornerObservations, adjust_c
 from calgraph.rig.bundle.covariances import parameter_covariance
 from calgraph.rig.captures.detect import CaptureSet
 from calgraph.rig.detection.board_views import BoardView
+from calgraph.rig.intrinsics.model_error import FieldEquations, ModelError, estimate_model_error
+from calgraph.rig.intrinsics.start import IntrinsicsStart
 from calgraph.sensors import CameraModel
 
 

@@ -1,1 +1,0 @@
-"""Intrinsics of a camera from the corners of boards in its images alone."""

@@ -1,0 +1,1 @@
+"""Intrinsics of cameras from views of the board."""
