@@ -6,13 +6,13 @@ from dataclasses import replace
 import numpy as np
 
 from calgraph.config import Rig
-from calgraph.diagnostics.rig.bump_tests import Bump, find_bumps
 from calgraph.errors import CalgraphError
 from calgraph.graph.spanning_tree import SpanningTree
 from calgraph.result.finding import Finding
 from calgraph.rig.bundle.problem import Problem
 from calgraph.rig.bundle.solution import RigSolution
 from calgraph.rig.captures.detect import CaptureSet
+from calgraph.rig.checks.bump_tests import Bump, find_bumps
 from calgraph.rig.options import RigOptions
 
 _EARLIER_CAPTURE = "before the sensor moved"

@@ -11,11 +11,6 @@ from calgraph.calibrate.bumps import solve_after_bumps
 from calgraph.calibrate.capture_collection import collect_captures, separate_snapshots
 from calgraph.calibrate.clock_alignment import align_clocks
 from calgraph.config import Cylinder, People, Rig
-from calgraph.diagnostics.rig.assemble import assemble_rig
-from calgraph.diagnostics.rig.cross_validation import cross_validate
-from calgraph.diagnostics.rig.drift_tests import include_drifts
-from calgraph.diagnostics.rig.next_best_pose import suggest_board_poses
-from calgraph.diagnostics.rig.suggestions import add_suggestions
 from calgraph.errors import CalibrationError, InputError
 from calgraph.geometry import Array
 from calgraph.graph.spanning_tree import SpanningTree
@@ -33,6 +28,11 @@ from calgraph.rig.bundle.solution import RigSolution
 from calgraph.rig.captures.detect import CaptureSet, state_estimated_intrinsics
 from calgraph.rig.captures.empty_start import resolve_background
 from calgraph.rig.captures.from_detections import GivenDetections, captures_from_detections
+from calgraph.rig.checks.assemble import assemble_rig
+from calgraph.rig.checks.cross_validation import cross_validate
+from calgraph.rig.checks.drift_tests import include_drifts
+from calgraph.rig.checks.next_best_pose import suggest_board_poses
+from calgraph.rig.checks.suggestions import add_suggestions
 from calgraph.rig.options import RigOptions, check_estimator
 from calgraph.rig.pairs.board_pair import (
     PairwiseEstimates,

@@ -22,9 +22,9 @@ from calgraph.io import format_json
 from calgraph.recording import RecordingCache, open_recordings
 
 if TYPE_CHECKING:
-    from calgraph.diagnostics.rig.bootstrap import BootstrapScatter
     from calgraph.parallel.progress import Progress
     from calgraph.rig.bundle.problem import Problem
+    from calgraph.rig.checks.bootstrap import BootstrapScatter
 
 _FORMAT = "calgraph-verify/1"
 _SIGNS = {"honest": "[green]✓[/]", "pessimistic": "[yellow]![/]", "optimistic": "[red]✕[/]"}

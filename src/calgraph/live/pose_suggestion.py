@@ -7,10 +7,10 @@ from numpy.typing import NDArray
 
 from calgraph.config import Rig
 from calgraph.config.settings import AdviceSettings
-from calgraph.diagnostics.rig.next_best_pose import suggest_board_poses
 from calgraph.geometry import Array
 from calgraph.result import Suggestion
 from calgraph.rig.bundle.solution import SolvedBundle
+from calgraph.rig.checks.next_best_pose import suggest_board_poses
 
 
 def suggest_next_pose(rig: Rig, solved: SolvedBundle, last: Suggestion | None) -> Suggestion | None:

@@ -12,8 +12,6 @@ import numpy as np
 from calgraph.calibrate.bumps import solve_after_bumps
 from calgraph.calibrate.rig import build_problem_from_captures, explain_singular_equations, solve_jointly
 from calgraph.config import Rig
-from calgraph.diagnostics.rig.assemble import assemble_rig
-from calgraph.diagnostics.rig.drift_tests import include_drifts
 from calgraph.errors import CalgraphError
 from calgraph.geometry import Array
 from calgraph.live.missing_pairs import MissingPair, explain_unconnected, find_missing_pair
@@ -23,6 +21,8 @@ from calgraph.live.state import Advice
 from calgraph.result import Calibration, SensorPose, Suggestion
 from calgraph.rig.bundle.solution import SolvedBundle
 from calgraph.rig.captures.detect import CaptureSet, state_estimated_intrinsics
+from calgraph.rig.checks.assemble import assemble_rig
+from calgraph.rig.checks.drift_tests import include_drifts
 from calgraph.rig.options import RigOptions
 from calgraph.sensors import CameraModel
 from calgraph.verdict.grades import max_good_stddev

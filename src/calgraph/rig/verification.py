@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 
 from calgraph.calibrate.rig import solve_jointly
-from calgraph.diagnostics.rig.assemble import assemble_rig
-from calgraph.diagnostics.rig.bootstrap import BootstrapScatter, bootstrap_poses
-from calgraph.diagnostics.rig.extrinsics_check import compare_rig_poses
 from calgraph.errors import CalibrationError
 from calgraph.parallel.progress import Progress, no_progress
 from calgraph.result import Calibration, ExtrinsicsFile
 from calgraph.rig.bundle.problem import Problem
+from calgraph.rig.checks.assemble import assemble_rig
+from calgraph.rig.checks.bootstrap import BootstrapScatter, bootstrap_poses
+from calgraph.rig.checks.extrinsics_check import compare_rig_poses
 from calgraph.verdict.comparison import ExtrinsicsComparison
 
 

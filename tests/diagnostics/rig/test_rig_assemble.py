@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from calgraph.config import Tolerance
-from calgraph.diagnostics.rig.assemble import assemble_rig
 from calgraph.errors import Rejected
 from calgraph.geometry import se3
 from calgraph.graph.pairwise_estimate import PairwiseEstimate
@@ -19,6 +18,7 @@ from calgraph.rig.bundle.bundle_solver import minimize_bundle
 from calgraph.rig.bundle.problem import Problem, SolverOptions
 from calgraph.rig.bundle.solution import RigSolution
 from calgraph.rig.captures.detect import CaptureSet
+from calgraph.rig.checks.assemble import assemble_rig
 from detected_rigs import DetectedRig, detect_rig
 
 CAPTURES = 5

@@ -8,12 +8,12 @@ from scipy.stats import beta, chi2, kstest
 
 from bundle_scenes import remeasured, scene
 from calgraph.config.settings import BumpTestSettings, SerialCorrelationSettings
-from calgraph.diagnostics.rig.pose_steps import PoseStep, _select_largest, find_pose_steps
-from calgraph.diagnostics.rig.released_poses import StepStatistics, release_poses
 from calgraph.geometry import Array, se3
 from calgraph.rig.bundle.bundle_solver import Bundle, minimize_bundle
 from calgraph.rig.bundle.covariances import pose_covariance
 from calgraph.rig.bundle.observations import relative_poses
+from calgraph.rig.checks.pose_steps import PoseStep, _select_largest, find_pose_steps
+from calgraph.rig.checks.released_poses import StepStatistics, release_poses
 
 pytestmark = pytest.mark.without_coverage
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from calgraph.diagnostics.rig.noise_tests import find_excessive_noise
 from calgraph.rig.bundle.solution import MeasuredNoise, RigSolution
+from calgraph.rig.checks.noise_tests import find_excessive_noise
 
 KINDS = {"lidar": "lidar3d", "camera": "camera"}
 RIGHT = MeasuredNoise(1.1, 0.001)

@@ -9,8 +9,6 @@ import pytest
 from bundle_scenes import HEIGHT, LEVER, WIDTH, bias_variances, board_poses, scene, views_of, with_range_bias
 from calgraph.config import Tolerance
 from calgraph.config.settings import RigDiagnosticsSettings
-from calgraph.diagnostics.rig.next_best_pose import _draw_candidates, _log_volume, suggest_board_poses
-from calgraph.diagnostics.rig.pose_description import describe_pose
 from calgraph.geometry import Array, se3, so3
 from calgraph.result import Suggestion
 from calgraph.rig.bundle.bundle_parameters import SystematicParameter
@@ -19,6 +17,8 @@ from calgraph.rig.bundle.covariances import pose_covariance
 from calgraph.rig.bundle.observations import relative_poses
 from calgraph.rig.bundle.range_observations import RangeObservations
 from calgraph.rig.bundle.solution import SolvedBundle
+from calgraph.rig.checks.next_best_pose import _draw_candidates, _log_volume, suggest_board_poses
+from calgraph.rig.checks.pose_description import describe_pose
 from calgraph.verdict.grades import axis_names, grade_pose
 
 NAMES = ("lidar", "camera", "laser")

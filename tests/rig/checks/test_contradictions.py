@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from bundle_scenes import scene
-from calgraph.diagnostics.rig.contradictions import find_contradictions
-from calgraph.diagnostics.rig.cross_validation import cross_validate
 from calgraph.result import HeldOutError
 from calgraph.rig.bundle.bundle_solver import minimize_bundle
 from calgraph.rig.bundle.solution import RigSolution, SolvedBundle
+from calgraph.rig.checks.contradictions import find_contradictions
+from calgraph.rig.checks.cross_validation import cross_validate
 from detected_rigs import DetectedRig, detect_rig
 
 pytestmark = pytest.mark.without_coverage

@@ -11,7 +11,7 @@ def add_suggestions(calibration: Calibration, suggestions: Sequence[Suggestion])
 
     Args:
         calibration: poses and verdicts.
-        suggestions: see :func:`calgraph.diagnostics.rig.next_best_pose.suggest_board_poses`.
+        suggestions: see :func:`calgraph.rig.checks.next_best_pose.suggest_board_poses`.
     """
     return replace(
         calibration,

@@ -6,14 +6,6 @@ from types import MappingProxyType
 import numpy as np
 
 from calgraph.config import CameraSpec, Intrinsics, Rig, SensorSpec
-from calgraph.diagnostics.rig.board_pictures import (
-    InlierResiduals,
-    collect_board_outlines,
-    collect_board_views,
-    measure_fit,
-)
-from calgraph.diagnostics.rig.contradictions import find_contradictions
-from calgraph.diagnostics.rig.prior_tests import find_contradicted_priors
 from calgraph.errors import Rejected
 from calgraph.geometry import Array
 from calgraph.graph.pairwise_estimate import PairwiseEstimate
@@ -37,6 +29,14 @@ from calgraph.rig.bundle.problem import Problem
 from calgraph.rig.bundle.solution import RigSolution
 from calgraph.rig.captures.detect import CaptureSet
 from calgraph.rig.captures.holds import Hold
+from calgraph.rig.checks.board_pictures import (
+    InlierResiduals,
+    collect_board_outlines,
+    collect_board_views,
+    measure_fit,
+)
+from calgraph.rig.checks.contradictions import find_contradictions
+from calgraph.rig.checks.prior_tests import find_contradicted_priors
 from calgraph.rig.pairs.board_pair import PairwiseEstimates, select_successful
 from calgraph.verdict.grades import (
     LONE_ROOT,

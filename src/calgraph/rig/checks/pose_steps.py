@@ -7,8 +7,6 @@ import numpy as np
 from scipy.special import chdtri, fdtri
 
 from calgraph.config.settings import BumpTestSettings, SerialCorrelationSettings
-from calgraph.diagnostics.rig.released_poses import ReleasedPose, StepStatistics, release_poses
-from calgraph.diagnostics.rig.serial_correlation import measure_score_correlation, measure_serial_correlation
 from calgraph.errors import CalibrationError
 from calgraph.geometry import Array, Index, se3
 from calgraph.rig.bundle.bundle_setup import set_noise
@@ -24,6 +22,8 @@ from calgraph.rig.bundle.covariances import pose_covariance, view_covariance_fac
 from calgraph.rig.bundle.settling import settle_variances
 from calgraph.rig.bundle.variance_components import measure_consistency
 from calgraph.rig.bundle.whitening import whitening
+from calgraph.rig.checks.released_poses import ReleasedPose, StepStatistics, release_poses
+from calgraph.rig.checks.serial_correlation import measure_score_correlation, measure_serial_correlation
 
 
 @dataclass(frozen=True, eq=False)

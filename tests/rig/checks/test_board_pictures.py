@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 
 from calgraph.boards.detections import BoardCorners
-from calgraph.diagnostics.rig.board_pictures import (
+from calgraph.geometry import Array, se3
+from calgraph.result import BoardOutline, BoardView
+from calgraph.rig.bundle.solution import RigSolution
+from calgraph.rig.checks.board_pictures import (
     InlierResiduals,
     _subsample_measurements,
     collect_board_outlines,
     collect_board_views,
     measure_fit,
 )
-from calgraph.geometry import Array, se3
-from calgraph.result import BoardOutline, BoardView
-from calgraph.rig.bundle.solution import RigSolution
 from detected_rigs import QUICK, DetectedRig, detect_rig
 
 

@@ -7,16 +7,16 @@ import scipy.stats
 
 from bundle_scenes import bias_variances, scene
 from calgraph.config.settings import RigDiagnosticsSettings
-from calgraph.diagnostics.rig.bootstrap import (
+from calgraph.rig.bundle.bundle_solver import Bundle, linearize_bundle, minimize_bundle
+from calgraph.rig.bundle.covariances import pose_covariance
+from calgraph.rig.bundle.solution import SolvedBundle
+from calgraph.rig.checks.bootstrap import (
     BootstrapScatter,
     _confidence_factors,
     _difference_covariance,
     _resample_bundle,
     bootstrap_poses,
 )
-from calgraph.rig.bundle.bundle_solver import Bundle, linearize_bundle, minimize_bundle
-from calgraph.rig.bundle.covariances import pose_covariance
-from calgraph.rig.bundle.solution import SolvedBundle
 
 BOARDS, ROUNDS, SEEDS, SWAY = 16, 20, 5, 0.001
 

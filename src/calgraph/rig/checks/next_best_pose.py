@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 
 from calgraph.config import Tolerance
 from calgraph.config.settings import DiagnosticsSettings, RigDiagnosticsSettings
-from calgraph.diagnostics.rig.pose_description import describe_pose
-from calgraph.diagnostics.rig.predicted_observations import predict_observations
 from calgraph.geometry import Array, se3, so3
 from calgraph.result import Suggestion
 from calgraph.rig.bundle.board_information import information_by_board
@@ -23,6 +21,8 @@ from calgraph.rig.bundle.bundle_solver import Bundle, BundleState, linearize_bun
 from calgraph.rig.bundle.covariances import parameter_covariance
 from calgraph.rig.bundle.observations import relative_poses
 from calgraph.rig.bundle.solution import SolvedBundle
+from calgraph.rig.checks.pose_description import describe_pose
+from calgraph.rig.checks.predicted_observations import predict_observations
 from calgraph.verdict.grades import axis_names, max_good_stddev
 
 

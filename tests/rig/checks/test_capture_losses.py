@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from calgraph.diagnostics.rig.capture_losses import find_lost_captures
 from calgraph.rig.bundle.solution import SolvedBundle
+from calgraph.rig.checks.capture_losses import find_lost_captures
 from calgraph.simulation import MultibeamOptions
 from detected_rigs import QUICK, DetectedRig, detect_rig
 

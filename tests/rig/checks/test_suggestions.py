@@ -6,12 +6,12 @@ import numpy as np
 
 from bundle_scenes import HEIGHT, WIDTH, scene
 from calgraph.config import Tolerance
-from calgraph.diagnostics.rig.next_best_pose import suggest_board_poses
-from calgraph.diagnostics.rig.suggestions import add_suggestions
 from calgraph.result import Calibration, SensorPose, Verdict
 from calgraph.rig.bundle.bundle_solver import minimize_bundle
 from calgraph.rig.bundle.covariances import pose_covariance
 from calgraph.rig.bundle.solution import SolvedBundle
+from calgraph.rig.checks.next_best_pose import suggest_board_poses
+from calgraph.rig.checks.suggestions import add_suggestions
 
 KINDS: dict[str, Literal["camera", "lidar2d", "lidar3d"]] = {
     "lidar": "lidar3d",

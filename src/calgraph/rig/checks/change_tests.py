@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from scipy.special import fdtri
 
 from calgraph.config.settings import DiagnosticsSettings
-from calgraph.diagnostics.rig.drift_tests import find_drifts, measure_drifts
 from calgraph.geometry import Array
 from calgraph.result.finding import Finding
 from calgraph.rig.bundle.board_information import gradient_by_board, information_by_board
 from calgraph.rig.bundle.bundle_solver import pose_jacobian
 from calgraph.rig.bundle.solution import SolvedBundle
+from calgraph.rig.checks.drift_tests import find_drifts, measure_drifts
 
 # Poses of halves whose differences have a smaller share of the largest eigenvalue of their covariance are equal.
 _RANK_TOLERANCE = 1e-12

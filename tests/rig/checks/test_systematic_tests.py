@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from calgraph.diagnostics.rig.systematic_tests import find_systematic_errors
 from calgraph.result.finding import Finding
+from calgraph.rig.checks.systematic_tests import find_systematic_errors
 from calgraph.simulation import BoardErrors, CameraErrors, ModelErrors, ScannerErrors
 from detected_rigs import detect_rig
 

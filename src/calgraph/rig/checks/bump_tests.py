@@ -4,7 +4,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calgraph.diagnostics.rig.pose_steps import PoseStep, find_pose_steps
 from calgraph.geometry import Index
 from calgraph.rig.bundle.board_observations import add_unambiguous_detections, group_detections
 from calgraph.rig.bundle.bundle_setup import rebuild_bundle
@@ -17,6 +16,7 @@ from calgraph.rig.bundle.bundle_solver import (
 from calgraph.rig.bundle.priors import without_priors
 from calgraph.rig.bundle.problem import Problem
 from calgraph.rig.bundle.solution import RigSolution, SolvedBundle
+from calgraph.rig.checks.pose_steps import PoseStep, find_pose_steps
 from calgraph.rig.pairs.board_pair import select_successful
 
 

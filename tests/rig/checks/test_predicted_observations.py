@@ -5,11 +5,11 @@ import pytest
 
 from bundle_scenes import CORNERS, HEIGHT, WIDTH, views_of
 from calgraph.config.settings import RigDiagnosticsSettings
-from calgraph.diagnostics.rig.predicted_observations import predict_observations
 from calgraph.geometry import Array, se3, so3
 from calgraph.rig.bundle.corner_observations import CornerObservations
 from calgraph.rig.bundle.observations import BoardViews
 from calgraph.rig.bundle.range_observations import RangeObservations
+from calgraph.rig.checks.predicted_observations import predict_observations
 
 SETTINGS = RigDiagnosticsSettings()
 KINDS = {"lidar": "lidar3d", "camera": "camera", "laser": "lidar2d"}

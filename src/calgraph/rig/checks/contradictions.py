@@ -6,15 +6,15 @@ import numpy as np
 
 from calgraph.config import Rig
 from calgraph.config.settings import RigDiagnosticsSettings
-from calgraph.diagnostics.rig.bootstrap import bootstrap_poses
-from calgraph.diagnostics.rig.capture_losses import find_lost_captures
-from calgraph.diagnostics.rig.change_tests import find_changes
-from calgraph.diagnostics.rig.noise_tests import find_excessive_noise
-from calgraph.diagnostics.rig.systematic_tests import find_systematic_errors
 from calgraph.result import HeldOutError
 from calgraph.result.finding import Finding
 from calgraph.rig.bundle.solution import RigSolution, SolvedBundle
 from calgraph.rig.captures.detect import CaptureSet
+from calgraph.rig.checks.bootstrap import bootstrap_poses
+from calgraph.rig.checks.capture_losses import find_lost_captures
+from calgraph.rig.checks.change_tests import find_changes
+from calgraph.rig.checks.noise_tests import find_excessive_noise
+from calgraph.rig.checks.systematic_tests import find_systematic_errors
 from calgraph.verdict.grades import axis_names
 
 

@@ -8,13 +8,13 @@ from scipy.special import chdtrc
 
 from bundle_scenes import Scene, scene, views_of
 from bundles_with_priors import EXACT, PAIR, STDDEV, group_of, grouped, with_prior
-from calgraph.diagnostics.rig.prior_tests import _format_discrepancy, find_contradicted_priors
 from calgraph.geometry import se3
 from calgraph.rig.bundle.bundle_parameters import SensorPrior
 from calgraph.rig.bundle.bundle_solver import minimize_bundle
 from calgraph.rig.bundle.covariances import pose_covariance
 from calgraph.rig.bundle.observations import relative_poses
 from calgraph.rig.bundle.priors import assign_bodies
+from calgraph.rig.checks.prior_tests import _format_discrepancy, find_contradicted_priors
 
 SEEDS = 16
 

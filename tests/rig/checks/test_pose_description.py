@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from calgraph.config.settings import RigDiagnosticsSettings
-from calgraph.diagnostics.rig.pose_description import describe_pose
 from calgraph.geometry import Array, se3, so3
+from calgraph.rig.checks.pose_description import describe_pose
 
 SETTINGS = RigDiagnosticsSettings()
 KINDS = {"laser": "lidar2d", "camera": "camera"}

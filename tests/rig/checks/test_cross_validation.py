@@ -8,7 +8,6 @@ from scipy.stats import t as student
 
 from bundle_scenes import LEVER, Scene, remeasured, scene
 from calgraph.config.settings import RigDiagnosticsSettings
-from calgraph.diagnostics.rig.cross_validation import _observes_tilt, _solve_boards, cross_validate
 from calgraph.errors import InputError
 from calgraph.geometry import se3
 from calgraph.result import HeldOutError
@@ -16,6 +15,7 @@ from calgraph.rig.bundle.bundle_solver import Bundle, linearize_bundle, minimize
 from calgraph.rig.bundle.corner_observations import CornerObservations
 from calgraph.rig.bundle.observations import relative_poses
 from calgraph.rig.bundle.solution import SolvedBundle
+from calgraph.rig.checks.cross_validation import _observes_tilt, _solve_boards, cross_validate
 
 SEEDS, SWAY = 12, 0.001
 

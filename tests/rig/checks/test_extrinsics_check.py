@@ -9,7 +9,6 @@ import pytest
 
 from bundle_scenes import Scene, scene
 from calgraph.config import Tolerance
-from calgraph.diagnostics.rig.extrinsics_check import compare_rig_poses
 from calgraph.errors import InputError
 from calgraph.geometry import Array, se3
 from calgraph.result import Calibration, ExtrinsicsFile, SensorPose, Verdict
@@ -18,6 +17,7 @@ from calgraph.rig.bundle.bundle_solver import minimize_bundle
 from calgraph.rig.bundle.covariances import pose_covariance
 from calgraph.rig.bundle.observations import relative_poses
 from calgraph.rig.bundle.solution import SolvedBundle
+from calgraph.rig.checks.extrinsics_check import compare_rig_poses
 from calgraph.verdict.comparison import ExtrinsicsComparison
 
 TOLERANCE = Tolerance()

@@ -8,17 +8,17 @@ from scipy.stats import chi2, kstest
 
 from bundle_scenes import bias_variances, remeasured, scene
 from calgraph.config.settings import DiagnosticsSettings
-from calgraph.diagnostics.rig.drift_tests import (
+from calgraph.geometry import Array, se3
+from calgraph.rig.bundle.bundle_solver import Bundle, minimize_bundle
+from calgraph.rig.bundle.covariances import pose_covariance
+from calgraph.rig.bundle.solution import RigSolution, SolvedBundle
+from calgraph.rig.checks.drift_tests import (
     DriftStatistics,
     compute_drift_moments,
     find_drifts,
     include_drifts,
     measure_drifts,
 )
-from calgraph.geometry import Array, se3
-from calgraph.rig.bundle.bundle_solver import Bundle, minimize_bundle
-from calgraph.rig.bundle.covariances import pose_covariance
-from calgraph.rig.bundle.solution import RigSolution, SolvedBundle
 
 pytestmark = pytest.mark.without_coverage
 
@@ -182,5 +182,5 @@ def test_variances_stay_where_views_do_not_determine_a_drift(monkeypatch: pytest
     solved = drifting(0, 1, 5 * DIRECTION)
     without = SETTINGS.model_copy(update={"drifts": SETTINGS.drifts.model_copy(update={"max_rounds": 0})})
     expected = measure_drifts(solved, without).drift(1)
-    monkeypatch.setattr("calgraph.diagnostics.rig.drift_tests._update_variances_beside_drifts", fail)
+    monkeypatch.setattr("calgraph.rig.checks.drift_tests._update_variances_beside_drifts", fail)
     assert measure_drifts(solved, SETTINGS).drift(1).squared == expected.squared

@@ -11,7 +11,6 @@ import numpy as np
 from scipy.special import chdtri, fdtri
 
 from calgraph.config.settings import DiagnosticsSettings, DriftTestSettings
-from calgraph.diagnostics.rig.serial_correlation import measure_serial_correlation
 from calgraph.geometry import Array, se3, se_n, so3
 from calgraph.result.finding import Finding
 from calgraph.rig.bundle.bundle_parameters import SystematicParameter
@@ -27,6 +26,7 @@ from calgraph.rig.bundle.bundle_solver import (
 from calgraph.rig.bundle.covariances import view_covariance_factors
 from calgraph.rig.bundle.solution import RigSolution, SolvedBundle
 from calgraph.rig.bundle.variance_components import update_variance_components
+from calgraph.rig.checks.serial_correlation import measure_serial_correlation
 
 # Prior information (m⁻², rad⁻²) on a drift: makes directions that no view measures invertible.
 _DRIFT_PRIOR_INFORMATION = 1e-3

@@ -7,11 +7,11 @@ import pytest
 
 from bundle_scenes import bias_variances, remeasured, scene
 from calgraph.config.settings import BumpTestSettings, SerialCorrelationSettings
-from calgraph.diagnostics.rig.pose_steps import find_pose_steps
-from calgraph.diagnostics.rig.serial_correlation import measure_score_correlation, measure_serial_correlation
 from calgraph.geometry import se3
 from calgraph.rig.bundle.bundle_solver import Bundle, minimize_bundle
 from calgraph.rig.bundle.observations import relative_poses
+from calgraph.rig.checks.pose_steps import find_pose_steps
+from calgraph.rig.checks.serial_correlation import measure_score_correlation, measure_serial_correlation
 
 BOARDS = 40
 SCENE = scene(boards=BOARDS)
