@@ -28,7 +28,6 @@ from pydantic import BaseModel
 from scipy.stats import binomtest, chi2, norm
 
 from calgraph.boards.detections import BoardCorners
-from calgraph.calibrate.rig import build_problem_from_captures, solve_problem
 from calgraph.config import CameraSpec, PixelNoise, RangeNoise, Rig, SensorSpec
 from calgraph.geometry import Array, se3
 from calgraph.rig.bundle.board_observations import BoardObservation
@@ -39,6 +38,7 @@ from calgraph.rig.bundle.estimate import cramer_rao
 from calgraph.rig.bundle.problem import Estimator, Problem, SolverOptions
 from calgraph.rig.captures.detect import CaptureSet
 from calgraph.rig.options import RigOptions
+from calgraph.rig.pipeline import build_problem_from_captures, solve_problem
 from calgraph.simulation import (
     GroundTruth,
     IdealDetectorOptions,

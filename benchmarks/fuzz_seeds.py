@@ -21,7 +21,6 @@ from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 from ruamel.yaml import YAML
 
-from calgraph.calibrate.rig import build_problem_from_captures, solve_problem
 from calgraph.io import format_yaml
 from calgraph.io.cache_folder import CacheFolder
 from calgraph.result import export, save_calibration, save_scene
@@ -29,6 +28,7 @@ from calgraph.rig.bundle.problem_file import save_problem
 from calgraph.rig.captures.capture_encoding import encode_captures
 from calgraph.rig.captures.detect import SensorCapture
 from calgraph.rig.options import RigOptions
+from calgraph.rig.pipeline import build_problem_from_captures, solve_problem
 from calgraph.simulation import (
     CameraOptions,
     LaserOptions,

@@ -23,7 +23,6 @@ import numpy as np
 from calgraph.boards.board_pose import BoardPose, fit_pose
 from calgraph.boards.camera import CameraDetector, make_board_corners
 from calgraph.boards.detections import BoardCorners
-from calgraph.calibrate.rig import build_problem_from_captures, solve_problem
 from calgraph.config import AprilGrid, Board, Rig
 from calgraph.config.settings import BoardPoseSettings
 from calgraph.errors import Rejected
@@ -36,6 +35,7 @@ from calgraph.rig.captures.timeline import RecordingTimeline, SensorTimes
 from calgraph.rig.detection.board_views import BoardView, BoardViewFinder
 from calgraph.rig.intrinsics.estimate import estimate_intrinsics
 from calgraph.rig.options import RigOptions
+from calgraph.rig.pipeline import build_problem_from_captures, solve_problem
 from calgraph.sensors import CameraModel, Image, Message
 from calgraph.simulation import (
     CameraOptions,

@@ -27,7 +27,6 @@ import numpy as np
 from numpy.linalg import LinAlgError
 from scipy.stats import chi2
 
-from calgraph.calibrate.rig import build_problem_from_captures, solve_problem
 from calgraph.config import CameraSpec, PixelNoise, Rig
 from calgraph.errors import CalgraphError
 from calgraph.geometry import se3
@@ -35,6 +34,7 @@ from calgraph.parallel.processes import parallel_map
 from calgraph.result import Calibration
 from calgraph.rig.captures.detect import CaptureSet
 from calgraph.rig.options import RigOptions
+from calgraph.rig.pipeline import build_problem_from_captures, solve_problem
 from calgraph.simulation import (
     BoardErrors,
     GroundTruth,

@@ -16,9 +16,9 @@ import time
 
 import numpy as np
 
-from calgraph.calibrate.rig import build_problem_from_captures, solve_problem
 from calgraph.geometry import se3
 from calgraph.rig.options import RigOptions
+from calgraph.rig.pipeline import build_problem_from_captures, solve_problem
 from calgraph.simulation import (
     CameraOptions,
     IdealDetectorOptions,

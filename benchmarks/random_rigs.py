@@ -32,11 +32,11 @@ import cv2
 import numpy as np
 from scipy.stats import chi2
 
-from calgraph.calibrate.rig import calibrate_rig
 from calgraph.errors import CalgraphError
 from calgraph.geometry import se3
 from calgraph.parallel.processes import parallel_map
 from calgraph.rig.options import RigOptions
+from calgraph.rig.pipeline import calibrate_rig
 from outcome_tables import NAN, grouped, mean, median, share, worst
 from random_rig_draws import draw_rig, true_poses
 from random_rig_messages import record

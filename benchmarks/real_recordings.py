@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
-from calgraph.calibrate.rig import calibrate_rig
 from calgraph.config import Rig
 from calgraph.geometry import Array, se3, so3
 from calgraph.recording import open_recording
 from calgraph.result import Calibration, Edge
 from calgraph.rig.options import RigOptions
+from calgraph.rig.pipeline import calibrate_rig
 
 VLP16: dict[str, object] = {
     "root": "lidar",

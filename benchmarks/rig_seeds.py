@@ -9,10 +9,10 @@ import time
 
 import numpy as np
 
-from calgraph.calibrate.rig import build_problem_from_captures, solve_problem
 from calgraph.geometry import se3
 from calgraph.result import Calibration
 from calgraph.rig.options import RigOptions
+from calgraph.rig.pipeline import build_problem_from_captures, solve_problem
 from calgraph.simulation import GroundTruth, RigScenario
 from simulated import errors, poses_of, recorded
 

@@ -21,7 +21,6 @@ from typing import Any, Literal, get_args
 import numpy as np
 from pydantic import BaseModel, ValidationError
 
-from calgraph.calibrate.rig import calibrate_rig
 from calgraph.config import Rig, load_rig
 from calgraph.config.settings import Settings
 from calgraph.errors import CalgraphError
@@ -31,6 +30,7 @@ from calgraph.network.pipeline import calibrate_network
 from calgraph.recording import Recording, open_recording
 from calgraph.result import Calibration
 from calgraph.rig.options import RigOptions
+from calgraph.rig.pipeline import calibrate_rig
 from calgraph.simulation import (
     GroundTruth,
     NetworkScenario,

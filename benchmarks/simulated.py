@@ -5,11 +5,11 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from calgraph.calibrate.capture_collection import collect_captures
 from calgraph.config import CameraSpec, Rig, load_rig
 from calgraph.geometry import Array, se3
 from calgraph.recording import open_recording
 from calgraph.result import Calibration
+from calgraph.rig.capture_collection import collect_captures
 from calgraph.rig.captures.detect import CaptureSet, SensorCapture, collect_detections
 from calgraph.rig.captures.detectors import draw_seeds, learn_background, make_detectors
 from calgraph.rig.captures.holds import Hold

@@ -23,7 +23,6 @@ import numpy as np
 from scipy.optimize import OptimizeResult, least_squares
 
 from calgraph.boards.detections import BoardCorners
-from calgraph.calibrate.rig import build_problem_from_captures
 from calgraph.graph.pairwise_estimate import select_matches
 from calgraph.rig.bundle.board_observations import group_detections
 from calgraph.rig.bundle.bundle_setup import build_bundle
@@ -34,6 +33,7 @@ from calgraph.rig.bundle.solution import RigSolution
 from calgraph.rig.captures.detect import CaptureSet
 from calgraph.rig.options import RigOptions
 from calgraph.rig.pairs.board_pair import select_successful
+from calgraph.rig.pipeline import build_problem_from_captures
 from calgraph.simulation import (
     CameraOptions,
     LaserOptions,

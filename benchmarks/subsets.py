@@ -28,7 +28,6 @@ from scipy.stats import chi2
 
 from calgraph.boards.detections import BoardCorners, Detection, DetectionResult
 from calgraph.boards.landmarks import compute_landmarks
-from calgraph.calibrate.rig import build_problem_from_captures, calibrate_detections, solve_jointly, solve_problem
 from calgraph.config import Rig
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se3
@@ -42,6 +41,7 @@ from calgraph.rig.captures.detectors import draw_seeds, make_detectors
 from calgraph.rig.captures.from_detections import captures_from_detections
 from calgraph.rig.detection.from_measurements import board_corners_from_pixels
 from calgraph.rig.options import RigOptions
+from calgraph.rig.pipeline import build_problem_from_captures, calibrate_detections, solve_jointly, solve_problem
 from calgraph.sensors import PointCloud
 from real_recordings import VLP16
 from systematic_errors import apply_systematic, cross_covariance

@@ -29,7 +29,6 @@ from scipy.sparse import lil_matrix
 
 from calgraph.boards.board_pose import plane_covariance
 from calgraph.boards.detections import BoardCorners, Detection
-from calgraph.calibrate.rig import build_problem_from_captures, solve_jointly, solve_problem
 from calgraph.config import Rig
 from calgraph.geometry import Array, plane, se3
 from calgraph.recording import open_recording
@@ -43,6 +42,7 @@ from calgraph.rig.captures.detect import CaptureSet
 from calgraph.rig.captures.detectors import draw_seeds, make_detectors
 from calgraph.rig.captures.from_detections import captures_from_detections
 from calgraph.rig.options import RigOptions
+from calgraph.rig.pipeline import build_problem_from_captures, solve_jointly, solve_problem
 from calgraph.sensors import CameraModel
 from systematic_errors import apply_systematic, cross_covariance
 

@@ -9,13 +9,13 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from calgraph.calibrate.rig import calibrate_rig
 from calgraph.config import Rig
 from calgraph.geometry import Array, se3
 from calgraph.recording import Recording
 from calgraph.recording.recording import TopicInfo, select_topics
 from calgraph.result import Calibration
 from calgraph.rig.options import RigOptions
+from calgraph.rig.pipeline import calibrate_rig
 from calgraph.sensors import CameraInfo, Message, RecordedMessage, Trigger
 from calgraph.simulation import GroundTruth, RigScenario, World, build_world, ground_truth, world_rig
 from calgraph.simulation.rig_simulation import TRIGGER_TOPIC, topic_of

@@ -8,7 +8,7 @@ from importlib import import_module
 
 _NAMES = {
     "calgraph.network.pipeline": "calibrate_network calibrate_tracks",
-    "calgraph.calibrate.rig": (
+    "calgraph.rig.pipeline": (
         "build_problem build_problem_from_captures calibrate_detections calibrate_rig solve_problem"
     ),
     "calgraph.rig.captures.detect": "CaptureSet",

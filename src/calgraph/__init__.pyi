@@ -3,11 +3,6 @@
 from calgraph.boards.detections import BoardCorners as BoardCorners
 from calgraph.boards.detections import PlanePatch as PlanePatch
 from calgraph.boards.detections import Segment as Segment
-from calgraph.calibrate.rig import build_problem as build_problem
-from calgraph.calibrate.rig import build_problem_from_captures as build_problem_from_captures
-from calgraph.calibrate.rig import calibrate_detections as calibrate_detections
-from calgraph.calibrate.rig import calibrate_rig as calibrate_rig
-from calgraph.calibrate.rig import solve_problem as solve_problem
 from calgraph.config import Board as Board
 from calgraph.config import CameraSpec as CameraSpec
 from calgraph.config import Cylinder as Cylinder
@@ -60,6 +55,11 @@ from calgraph.rig.detection.from_measurements import plane_patch_from_points as 
 from calgraph.rig.detection.from_measurements import segment_from_points as segment_from_points
 from calgraph.rig.options import RigOptions as RigOptions
 from calgraph.rig.pairs.board_pair import estimate_pair as estimate_pair
+from calgraph.rig.pipeline import build_problem as build_problem
+from calgraph.rig.pipeline import build_problem_from_captures as build_problem_from_captures
+from calgraph.rig.pipeline import calibrate_detections as calibrate_detections
+from calgraph.rig.pipeline import calibrate_rig as calibrate_rig
+from calgraph.rig.pipeline import solve_problem as solve_problem
 from calgraph.rig.verification import bootstrap_covariances as bootstrap_covariances
 from calgraph.sensors import CameraModel as CameraModel
 from calgraph.sensors import Image as Image

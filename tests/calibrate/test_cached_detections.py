@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calgraph.calibrate.capture_collection import collect_captures
 from calgraph.config import Rig, load_rig
 from calgraph.errors import CalibrationError
 from calgraph.parallel.engine import THIS_PROCESS, Engine
 from calgraph.recording import Recording, RecordingCache, open_recording
+from calgraph.rig.capture_collection import collect_captures
 from calgraph.rig.captures import detect
 from calgraph.rig.captures.board_views import decode_views, encode_views
 from calgraph.rig.captures.detect import CaptureSet

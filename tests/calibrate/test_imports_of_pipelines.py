@@ -10,7 +10,7 @@ _UNUSED = (
 
 
 def test_a_rig_is_calibrated_without_modules_of_networks_baselines_and_plots() -> None:
-    code = "import sys, calgraph.cli.calibrate, calgraph.calibrate.rig; print(*sys.modules)"
+    code = "import sys, calgraph.cli.calibrate, calgraph.rig.pipeline; print(*sys.modules)"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     imported = run.stdout.split()
     assert "calgraph.estimation.rig" in imported

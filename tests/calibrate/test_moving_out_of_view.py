@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from calgraph.calibrate.rig import calibrate_rig
 from calgraph.config import Rig
 from calgraph.geometry import so3
 from calgraph.recording import MessageRecording
 from calgraph.rig.options import RigOptions
+from calgraph.rig.pipeline import calibrate_rig
 from calgraph.sensors import CameraModel, DetectedCorners
 
 COLUMNS, ROWS, SQUARE = 8, 6, 0.05

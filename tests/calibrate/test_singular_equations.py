@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from calgraph.calibrate.rig import explain_singular_equations
 from calgraph.errors import CalibrationError
+from calgraph.rig.pipeline import explain_singular_equations
 
 
 @explain_singular_equations()

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from calgraph.boards.detections import BoardCorners, Detection, PlanePatch
-from calgraph.calibrate.rig import calibrate_detections, solve_problem
 from calgraph.config import Lidar2dSpec, Lidar3dSpec, People, RangeNoise, Rig
 from calgraph.errors import InputError, Rejected
 from calgraph.geometry import Array, se3
@@ -24,6 +23,7 @@ from calgraph.rig.detection.from_measurements import (
     segment_from_points,
 )
 from calgraph.rig.options import RigOptions
+from calgraph.rig.pipeline import calibrate_detections, solve_problem
 from calgraph.sensors import LaserScan
 from calgraph.simulation import NetworkScenario, simulate_network_scans
 from detected_rigs import DetectedRig, detect_rig

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from typer.testing import Result
 
-from calgraph.calibrate.rig import build_problem_from_captures
 from calgraph.config import load_rig
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se3, so3
@@ -21,6 +20,7 @@ from calgraph.rig.bundle.problem import with_prior_poses
 from calgraph.rig.bundle.problem_file import load_problem, save_problem
 from calgraph.rig.options import RigOptions
 from calgraph.rig.pairs.board_pair import select_successful
+from calgraph.rig.pipeline import build_problem_from_captures
 from calgraph.simulation import IdealDetectorOptions, RigScenario, build_world, simulate_detections
 from simulated_rigs import without_bootstrap
 from written_results import read_without_provenance

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from typer.testing import Result
 
-from calgraph.calibrate.rig import build_problem_from_captures
 from calgraph.rig.bundle.problem_file import save_problem
 from calgraph.rig.options import RigOptions
+from calgraph.rig.pipeline import build_problem_from_captures
 from calgraph.simulation import CameraOptions, LaserOptions, RigScenario, build_world, simulate_detections
 
 Run = Callable[..., Result]

@@ -7,8 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calgraph.calibrate.capture_collection import collect_captures
-from calgraph.calibrate.clock_alignment import align_clocks
 from calgraph.config import Rig, load_rig
 from calgraph.config.settings import DaskSettings
 from calgraph.errors import CalibrationError
@@ -17,7 +15,9 @@ from calgraph.parallel.dask_engine import DaskEngine
 from calgraph.parallel.engine import Processes
 from calgraph.parallel.progress import Progress, no_progress
 from calgraph.recording import RecordingCache, open_recordings
+from calgraph.rig.capture_collection import collect_captures
 from calgraph.rig.captures import detect, hold_messages, timeline_reading
+from calgraph.rig.clock_alignment import align_clocks
 from calgraph.rig.options import RigOptions
 from calgraph.simulation import RigScenario, simulate_rig
 from dask_programs import start_scheduler, start_worker, stop

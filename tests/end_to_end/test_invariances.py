@@ -10,12 +10,12 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from scipy.linalg import eigh
 
-from calgraph.calibrate.rig import calibrate_rig
 from calgraph.config import Capture, Rig, Tolerance
 from calgraph.geometry import se3
 from calgraph.recording.in_memory import MessageRecording
 from calgraph.result import Calibration
 from calgraph.rig.options import RigOptions
+from calgraph.rig.pipeline import calibrate_rig
 from calgraph.sensors import CameraInfo, LaserScan, Message
 from calgraph.simulation import (
     CameraOptions,

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from calgraph.boards.detections import Detection
-from calgraph.calibrate.rig import build_problem_from_captures, solve_problem
 from calgraph.config import Rig
 from calgraph.geometry import Array, se3
 from calgraph.rig.captures.detect import CaptureSet
 from calgraph.rig.captures.moving_board import BoardMotion, move_detection, surface_pose
 from calgraph.rig.options import RigOptions
+from calgraph.rig.pipeline import build_problem_from_captures, solve_problem
 from calgraph.sensors import Image, RecordedMessage
 from calgraph.simulation import (
     CameraOptions,

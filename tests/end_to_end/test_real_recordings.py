@@ -8,13 +8,13 @@ from typer.testing import CliRunner
 
 import real_recordings
 import webcams
-from calgraph.calibrate.rig import calibrate_rig
 from calgraph.cli.app import app
 from calgraph.geometry import se3
 from calgraph.io import save_yaml
 from calgraph.recording import open_recording
 from calgraph.result import Calibration
 from calgraph.rig.options import RigOptions
+from calgraph.rig.pipeline import calibrate_rig
 
 pytestmark = pytest.mark.without_coverage
 

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from calgraph.calibrate.rig import build_problem, solve_problem
 from calgraph.config import CameraSpec, Rig
 from calgraph.result import Calibration, state_calibrated_intrinsics
 from calgraph.rig.bundle.problem import Problem
 from calgraph.rig.options import RigOptions
+from calgraph.rig.pipeline import build_problem, solve_problem
 from calgraph.sensors import CameraModel
 from calgraph.simulation import (
     CameraOptions,

@@ -5,12 +5,12 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from calgraph.calibrate.rig import build_problem_from_captures, solve_jointly
 from calgraph.config import Rig
 from calgraph.geometry import Array, se3, so3
 from calgraph.live.pose_suggestion import estimate_up, suggest_next_pose
 from calgraph.rig.bundle.solution import SolvedBundle
 from calgraph.rig.options import RigOptions
+from calgraph.rig.pipeline import build_problem_from_captures, solve_jointly
 from calgraph.simulation import LaserOptions, RigScenario, SpinningOptions, build_world, simulate_detections
 
 SCENARIO = RigScenario(

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calgraph.calibrate.capture_collection import collect_captures
 from calgraph.config import Capture, Rig
 from calgraph.live.record_reader import RecordReader
 from calgraph.live.rig_session import RigSession, SessionOutputs, SessionPools, count_analysis_processes
@@ -20,6 +19,7 @@ from calgraph.live.rig_solution import LiveSolution, SensorSolution
 from calgraph.live.source import LiveMessage
 from calgraph.live.state import Command
 from calgraph.parallel.processes import worker_pool
+from calgraph.rig.capture_collection import collect_captures
 from calgraph.rig.captures.detect import CaptureSet
 from calgraph.rig.options import RigOptions
 from calgraph.simulation import (

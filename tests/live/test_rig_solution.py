@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calgraph.calibrate.rig import build_problem_from_captures, solve_problem
 from calgraph.config import Rig
 from calgraph.live.rig_solution import LiveSolution, SensorSolution, solve_captures
 from calgraph.result import Calibration
 from calgraph.rig.captures.detect import CaptureSet
 from calgraph.rig.options import RigOptions
+from calgraph.rig.pipeline import build_problem_from_captures, solve_problem
 from calgraph.simulation import LaserOptions, RigScenario, SpinningOptions, build_world, simulate_detections
 
 SCENARIO = RigScenario(

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import moving_boards
-from calgraph.calibrate.rig import build_problem_from_captures, solve_problem
 from calgraph.rig.options import RigOptions
+from calgraph.rig.pipeline import build_problem_from_captures, solve_problem
 from calgraph.simulation import (
     CameraOptions,
     IdealDetectorOptions,

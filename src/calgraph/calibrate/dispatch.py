@@ -22,7 +22,7 @@ def calibrate(
 
         return calibrate_network(rig, recording, options, progress)
     if not rig.is_network and isinstance(options, RigOptions):
-        from calgraph.calibrate.rig import calibrate_rig
+        from calgraph.rig.pipeline import calibrate_rig
 
         return calibrate_rig(rig, recording, options, progress)
     kind = "NetworkOptions" if rig.is_network else "RigOptions"

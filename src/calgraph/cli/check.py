@@ -128,10 +128,10 @@ def _compare(
 
 def _problem(rig: Rig, recordings: list[str], seed: int, cache: RecordingCache, engine: Engine) -> "Problem":
     """The joint problem of a recording, or the one in a dump."""
-    from calgraph.calibrate.rig import build_problem
     from calgraph.rig.bundle.problem import check_problem
     from calgraph.rig.bundle.problem_file import load_problem
     from calgraph.rig.options import RigOptions
+    from calgraph.rig.pipeline import build_problem
 
     if any(Path(file).suffix == ".npz" and Path(file).is_file() for file in recordings):
         if len(recordings) > 1:

@@ -33,8 +33,8 @@ def demo(
 
     Writes recording, rig.yaml, scenario.yaml, truth.yaml and result/ into OUT.
     """
-    from calgraph.calibrate.rig import calibrate_rig
     from calgraph.rig.options import RigOptions
+    from calgraph.rig.pipeline import calibrate_rig
 
     if (out / "recording").exists() and not (out / "truth.yaml").exists():
         raise InputError(f"{out / 'recording'}: is not of a demo, it is not overwritten; choose another OUT")

@@ -71,9 +71,9 @@ def solve(
 
     Exit codes are those of calibrate.
     """
-    from calgraph.calibrate.rig import solve_problem
     from calgraph.rig.bundle.problem import with_prior_poses
     from calgraph.rig.bundle.problem_file import load_problem, round_trip
+    from calgraph.rig.pipeline import solve_problem
 
     check_not_overwriting(out, RESULT_FILES, force=force)
     if file.is_dir() or file.suffix in (".yaml", ".yml"):

@@ -77,9 +77,9 @@ def _problem(
     progress: "Progress",
 ) -> "Problem":
     """The joint problem in a dump, or that of a recording."""
-    from calgraph.calibrate.rig import build_problem
     from calgraph.rig.bundle.problem_file import load_problem
     from calgraph.rig.options import RigOptions
+    from calgraph.rig.pipeline import build_problem
 
     first = Path(files[0])
     if len(files) == 1:

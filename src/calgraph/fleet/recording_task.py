@@ -12,7 +12,6 @@ from pathlib import Path
 from calgraph.calibrate.dispatch import calibrate
 from calgraph.calibrate.provenance import make_provenance
 from calgraph.calibrate.result_files import format_comparison, write_results
-from calgraph.calibrate.rig import build_problem
 from calgraph.config import Rig, load_rig
 from calgraph.fleet.plan import RecordingTask
 from calgraph.fleet.pose_set import PoseSet
@@ -24,6 +23,7 @@ from calgraph.network.pipeline import compare_network_extrinsics
 from calgraph.recording import NO_CACHE, RecordingCache, open_recordings, resolve_intrinsics
 from calgraph.result import Calibration, ExtrinsicsFile, read_extrinsics, state_calibrated_intrinsics
 from calgraph.rig.options import RigOptions
+from calgraph.rig.pipeline import build_problem
 from calgraph.rig.verification import compare_extrinsics
 from calgraph.verdict.comparison import ExtrinsicsComparison
 

@@ -9,8 +9,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from calgraph.calibrate.bumps import solve_after_bumps
-from calgraph.calibrate.rig import build_problem_from_captures, explain_singular_equations, solve_jointly
 from calgraph.config import Rig
 from calgraph.errors import CalgraphError
 from calgraph.geometry import Array
@@ -19,11 +17,13 @@ from calgraph.live.pose_picture import DrawnSensor, draw_pose
 from calgraph.live.pose_suggestion import estimate_up, suggest_next_pose
 from calgraph.live.state import Advice
 from calgraph.result import Calibration, SensorPose, Suggestion
+from calgraph.rig.bumps import solve_after_bumps
 from calgraph.rig.bundle.solution import SolvedBundle
 from calgraph.rig.captures.detect import CaptureSet, state_estimated_intrinsics
 from calgraph.rig.checks.assemble import assemble_rig
 from calgraph.rig.checks.drift_tests import include_drifts
 from calgraph.rig.options import RigOptions
+from calgraph.rig.pipeline import build_problem_from_captures, explain_singular_equations, solve_jointly
 from calgraph.sensors import CameraModel
 from calgraph.verdict.grades import max_good_stddev
 

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from calgraph.calibrate.rig import solve_jointly
 from calgraph.errors import CalibrationError
 from calgraph.parallel.progress import Progress, no_progress
 from calgraph.result import Calibration, ExtrinsicsFile
@@ -12,6 +11,7 @@ from calgraph.rig.bundle.problem import Problem
 from calgraph.rig.checks.assemble import assemble_rig
 from calgraph.rig.checks.bootstrap import BootstrapScatter, bootstrap_poses
 from calgraph.rig.checks.extrinsics_check import compare_rig_poses
+from calgraph.rig.pipeline import solve_jointly
 from calgraph.verdict.comparison import ExtrinsicsComparison
 
 

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from calgraph.boards.detections import BoardCorners
-from calgraph.calibrate.rig import build_problem_from_captures
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se3
 from calgraph.rig.bundle.camera_boards import locate_boards, scale_boards
 from calgraph.rig.captures.detect import CaptureSet
 from calgraph.rig.options import RigOptions
+from calgraph.rig.pipeline import build_problem_from_captures
 from calgraph.simulation import BoardErrors, CameraErrors, ModelErrors
 from detected_rigs import DetectedRig, detect_rig
 

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from calgraph.boards.detections import BoardCorners
-from calgraph.calibrate.rig import build_problem_from_captures, solve_jointly
 from calgraph.config import Board, CameraSpec, Charuco, Checkerboard, Rig, SensorSpec
 from calgraph.geometry import Array, se3, so3
 from calgraph.rig.bundle.print_symmetry import align_symmetric_prints, symmetry_turns, turn_corners
 from calgraph.rig.captures.from_detections import captures_from_detections
 from calgraph.rig.detection.from_measurements import board_corners_from_pixels
 from calgraph.rig.options import RigOptions
+from calgraph.rig.pipeline import build_problem_from_captures, solve_jointly
 from calgraph.sensors import CameraModel
 
 CAMERA = CameraModel("pinhole", 640, 480, np.array([[500, 0, 319.5], [0, 500, 239.5], [0, 0, 1]]), np.zeros(0))

@@ -7,9 +7,6 @@ from types import MappingProxyType
 
 import numpy as np
 
-from calgraph.calibrate.bumps import solve_after_bumps
-from calgraph.calibrate.capture_collection import collect_captures, separate_snapshots
-from calgraph.calibrate.clock_alignment import align_clocks
 from calgraph.config import Cylinder, People, Rig
 from calgraph.errors import CalibrationError, InputError
 from calgraph.geometry import Array
@@ -18,6 +15,7 @@ from calgraph.parallel.processes import forked_jobs, parallel_call
 from calgraph.parallel.progress import Progress, no_progress
 from calgraph.recording import Recording, resolve_intrinsics
 from calgraph.result import Calibration
+from calgraph.rig.bumps import solve_after_bumps
 from calgraph.rig.bundle.camera_boards import locate_boards, scale_boards
 from calgraph.rig.bundle.estimate import solve_bundle, solve_poses
 from calgraph.rig.bundle.print_symmetry import align_symmetric_prints
@@ -25,6 +23,7 @@ from calgraph.rig.bundle.priors import attach_by_priors
 from calgraph.rig.bundle.problem import Problem, SolverOptions, with_prior_poses
 from calgraph.rig.bundle.problem_file import round_trip, save_problem
 from calgraph.rig.bundle.solution import RigSolution
+from calgraph.rig.capture_collection import collect_captures, separate_snapshots
 from calgraph.rig.captures.detect import CaptureSet, state_estimated_intrinsics
 from calgraph.rig.captures.empty_start import resolve_background
 from calgraph.rig.captures.from_detections import GivenDetections, captures_from_detections
@@ -33,6 +32,7 @@ from calgraph.rig.checks.cross_validation import cross_validate
 from calgraph.rig.checks.drift_tests import include_drifts
 from calgraph.rig.checks.next_best_pose import suggest_board_poses
 from calgraph.rig.checks.suggestions import add_suggestions
+from calgraph.rig.clock_alignment import align_clocks
 from calgraph.rig.options import RigOptions, check_estimator
 from calgraph.rig.pairs.board_pair import (
     PairwiseEstimates,

@@ -7,7 +7,6 @@ from functools import partial
 
 import numpy as np
 
-from calgraph.calibrate.rig_timeline import read_rig_timeline
 from calgraph.config import Rig
 from calgraph.errors import CalibrationError
 from calgraph.parallel.progress import Progress, no_progress
@@ -31,6 +30,7 @@ from calgraph.rig.captures.timeline import RecordingTimeline
 from calgraph.rig.captures.validate_recording import check_pose_numbers, check_timeline
 from calgraph.rig.intrinsics.pipeline import estimate_unknown_intrinsics, find_intrinsics_remarks
 from calgraph.rig.options import RigOptions
+from calgraph.rig.rig_timeline import read_rig_timeline
 from calgraph.rig.strategies import select_plane_estimator
 
 _log = logging.getLogger("calgraph")

@@ -3,7 +3,6 @@
 import logging
 from dataclasses import dataclass
 
-from calgraph.calibrate.rig_timeline import read_rig_timeline
 from calgraph.config import Rig
 from calgraph.parallel.progress import Progress, no_progress
 from calgraph.recording import ClockCorrectedRecording, Recording
@@ -11,6 +10,7 @@ from calgraph.recording.input_checks import InputMonitor
 from calgraph.result.finding import Finding
 from calgraph.rig.captures.clock_alignment import ClockOffset, estimate_clock_offsets
 from calgraph.rig.options import RigOptions
+from calgraph.rig.rig_timeline import read_rig_timeline
 
 _log = logging.getLogger(__name__)
 

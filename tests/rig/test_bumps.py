@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from calgraph.calibrate.rig import build_problem_from_captures, solve_problem
 from calgraph.geometry import se3
 from calgraph.result import Calibration
 from calgraph.rig.options import RigOptions
+from calgraph.rig.pipeline import build_problem_from_captures, solve_problem
 from calgraph.simulation import (
     Bump,
     CameraErrors,
