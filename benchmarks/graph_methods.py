@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import binomtest
 
-from calgraph.baselines.pose_averaging import RotationAveraging, average_poses_by_rotations
 from calgraph.geometry import Array, se_n
+from calgraph.graph.pose_averaging import RotationAveraging, average_poses_by_rotations
 from calgraph.graph.pose_graph import PoseGraph
 from calgraph.graph.tree_consensus import average_poses
 

@@ -13,12 +13,12 @@ import argparse
 
 import numpy as np
 
-from calgraph.baselines.hypergraph import HypergraphSolution, solve_hypergraph
 from calgraph.geometry import Array
 from calgraph.rig.options import RigOptions
 from calgraph.rig.pairs.board_pair import estimate_pairs, select_successful
 from calgraph.rig.pairs.rig_initialization import initialize_rig
 from calgraph.rig.pipeline import build_problem_from_captures, solve_problem
+from calgraph.rig.published.hypergraph import HypergraphSolution, solve_hypergraph
 from calgraph.simulation import RigScenario
 from simulated import detected, errors, poses_of
 

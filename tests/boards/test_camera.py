@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from calgraph.baselines.mean_plane import estimate_mean_plane
 from calgraph.boards.camera import CameraDetector, PlaneEstimator
 from calgraph.boards.detections import BoardCorners, InconsistentTags
 from calgraph.boards.landmarks import compute_landmarks
@@ -17,6 +16,7 @@ from calgraph.boards.tags import Marks
 from calgraph.config import AprilGrid, Board, Charuco, Checkerboard, PixelNoise, Tag
 from calgraph.errors import InputError, Rejected
 from calgraph.geometry import Array, plane, se3, so3
+from calgraph.rig.published.mean_plane import estimate_mean_plane
 from calgraph.sensors import CameraModel, Image
 
 Gray = NDArray[np.uint8]

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from calgraph.baselines.hypergraph import solve_hypergraph
 from calgraph.boards.detections import BoardCorners, PlanePatch, Segment
 from calgraph.config import Board, Checkerboard, RangeNoise, Rig
 from calgraph.geometry import Array, plane, se3
 from calgraph.rig.captures.detect import CaptureSet
 from calgraph.rig.pairs.board_pair import estimate_pairs, select_successful
 from calgraph.rig.pairs.rig_initialization import initialize_rig
+from calgraph.rig.published.hypergraph import solve_hypergraph
 from calgraph.simulation import (
     CameraOptions,
     GroundTruth,

@@ -13,6 +13,6 @@ def select_averaging(method: AveragingMethod, settings: BaselineSettings) -> Pos
     """The averaging of pairs; None for the consensus. A published one is imported only where it is chosen."""
     if method == "consensus":
         return None
-    from calgraph.baselines.pose_averaging import average_poses_by_rotations
+    from calgraph.graph.pose_averaging import average_poses_by_rotations
 
     return partial(average_poses_by_rotations, method=method, settings=settings)

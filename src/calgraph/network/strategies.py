@@ -20,7 +20,7 @@ def select_center_estimator(feature: CenterFeature, settings: BaselineSettings) 
 
             return measure_centroids
         case "ellipse":
-            from calgraph.baselines.direct_ellipses import measure_direct_ellipses
+            from calgraph.network.published.direct_ellipses import measure_direct_ellipses
 
             return partial(measure_direct_ellipses, limits=settings)
 

@@ -22,14 +22,14 @@ def select_plane_estimator(method: PlaneMethod) -> PlaneEstimator | None:
     """The estimator of a board's plane from its tags; None for one PnP over all corners."""
     if method == "pnp":
         return None
-    from calgraph.baselines.mean_plane import estimate_mean_plane
+    from calgraph.rig.published.mean_plane import estimate_mean_plane
 
     return estimate_mean_plane
 
 
 def solve_baseline(problem: Problem, tree: SpanningTree) -> RigSolution:
     """The solution of a rig by the hypergraph of MSG-Cal."""
-    from calgraph.baselines.hypergraph import solve_hypergraph
+    from calgraph.rig.published.hypergraph import solve_hypergraph
 
     solution = solve_hypergraph(
         tree,

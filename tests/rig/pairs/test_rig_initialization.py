@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from calgraph.baselines.pose_averaging import RotationAveraging, average_poses_by_rotations
 from calgraph.geometry import Array, se3
 from calgraph.graph.pairwise_estimate import PairwiseEstimate
+from calgraph.graph.pose_averaging import RotationAveraging, average_poses_by_rotations
 from calgraph.rig.pairs.rig_initialization import Initialization, build_rig_graph, initialize_rig
 
 NAMES = ("lidar", "camera", "laser", "rear", "top")

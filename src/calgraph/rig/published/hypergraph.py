@@ -6,14 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calgraph.baselines import hypergraph_factors as factor_types
-from calgraph.baselines.sparse_lm import Block, Factor, Values, marginal_covariance, minimize_sparse
 from calgraph.boards.detections import Detection, Segment, plane_of
 from calgraph.config.settings import Settings
 from calgraph.geometry import Array, plane, se3
 from calgraph.graph.pairwise_estimate import MatchFilter, PairwiseEstimate, select_matches
 from calgraph.graph.spanning_tree import SpanningTree
 from calgraph.rig.pairs.board_matches import Candidates
+from calgraph.rig.published import hypergraph_factors as factor_types
+from calgraph.rig.published.sparse_lm import Block, Factor, Values, marginal_covariance, minimize_sparse
 
 BLOCKS: Mapping[str, Block] = {
     "sensors": Block(6, se3.retract, fixed=(0,)),

@@ -11,15 +11,15 @@ import pytest
 import scipy.stats
 
 from board_scenes import SIZE, detect_boards, make_boards
-from calgraph.baselines.hypergraph import HypergraphSolution, solve_hypergraph
-from calgraph.baselines.pose_averaging import RotationAveraging, average_poses_by_rotations
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, diagonal_blocks, se3, so3
 from calgraph.graph.pairwise_estimate import PairwiseEstimate
+from calgraph.graph.pose_averaging import RotationAveraging, average_poses_by_rotations
 from calgraph.graph.spanning_tree import SpanningTree, find_spanning_tree
 from calgraph.rig.pairs.board_matches import Candidates
 from calgraph.rig.pairs.board_pair import estimate_pair
 from calgraph.rig.pairs.rig_initialization import Initialization, initialize_rig
+from calgraph.rig.published.hypergraph import HypergraphSolution, solve_hypergraph
 
 World = tuple[dict[str, Array], dict[str, Candidates], list[PairwiseEstimate], SpanningTree]
 KINDS = {"lidar": "plane", "camera": "plane", "front": "line", "left": "line"}

@@ -4,16 +4,16 @@ from typing import Literal
 
 import numpy as np
 
-from calgraph.baselines.rotation_averaging import (
+from calgraph.config.settings import BaselineSettings
+from calgraph.geometry import Array, se_n
+from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
+from calgraph.graph.rotation_averaging import (
     average_rotations_irls,
     average_rotations_l1mc,
     average_rotations_spectral,
     chain_rotations,
     solve_differences,
 )
-from calgraph.config.settings import BaselineSettings
-from calgraph.geometry import Array, se_n
-from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
 from calgraph.solver.ransac import select_best_of_groups
 
 RotationAveraging = Literal["l1mc", "triangles", "spectral", "irls"]

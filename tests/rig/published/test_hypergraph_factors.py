@@ -5,10 +5,10 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from calgraph.baselines import hypergraph_factors as edges
-from calgraph.baselines.hypergraph import BLOCKS
-from calgraph.baselines.sparse_lm import Factor, Values
 from calgraph.geometry import Array, Index, plane, se3, so3
+from calgraph.rig.published import hypergraph_factors as edges
+from calgraph.rig.published.hypergraph import BLOCKS
+from calgraph.rig.published.sparse_lm import Factor, Values
 
 M = 7
 SENSORS, PLANES, LINES = 4, 6, 6

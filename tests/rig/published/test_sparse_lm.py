@@ -7,9 +7,9 @@ import pytest
 import scipy.optimize
 from numpy.typing import NDArray
 
-from calgraph.baselines.sparse_lm import Block, Term, Values, marginal_covariance, minimize_sparse
 from calgraph.errors import CalibrationError
 from calgraph.geometry import Array, se3, so3
+from calgraph.rig.published.sparse_lm import Block, Term, Values, marginal_covariance, minimize_sparse
 
 
 def add(values: Array, delta: Array) -> Array:

@@ -11,9 +11,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from calgraph.baselines.sparse_lm import Term, Values
 from calgraph.geometry import Array, Index, plane, se3, so3
 from calgraph.rig.pairs.line_matches import evaluate_coplanarity
+from calgraph.rig.published.sparse_lm import Term, Values
 
 
 def whitener(covariance: Array) -> Array:
