@@ -2,13 +2,11 @@
 
 import gc
 import os
-from collections.abc import Generator
 from pathlib import Path
 
 import hypothesis
 import numpy as np
 import pytest
-from coverage import Coverage
 
 # How long one example takes says more of what else the machine does than of the code.
 hypothesis.settings.register_profile("calgraph", deadline=None, max_examples=60)
@@ -22,23 +20,6 @@ def pytest_collection_finish() -> None:
     """Garbage is not looked for among the thousands of tests, which also stay shared with forked processes."""
     gc.collect()
     gc.freeze()
-
-
-@pytest.hookimpl(wrapper=True)
-def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, bool | None, bool | None]:
-    """Measures no coverage during tests so marked, their fixtures, and the commands that they start."""
-    if item.get_closest_marker("without_coverage") is None:
-        return (yield)
-    stopped = []
-    while (measurement := Coverage.current()) is not None:
-        measurement.stop()
-        stopped.append(measurement)
-    os.environ.pop("COVERAGE_PROCESS_CONFIG", None)  # set again by start()
-    try:
-        return (yield)
-    finally:
-        for measurement in reversed(stopped):
-            measurement.start()
 
 
 @pytest.fixture

@@ -18,7 +18,7 @@ from calgraph.cli.app import app
 from calgraph.config import load_rig
 from calgraph.result import load_calibration
 
-pytestmark = pytest.mark.without_coverage
+pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).resolve().parents[1]
 BUILT = {"_build", "gallery", "generated"}

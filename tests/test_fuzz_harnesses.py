@@ -8,7 +8,7 @@ import pytest
 import fuzz_harnesses
 from fuzz_readers import Monitor
 
-pytestmark = pytest.mark.without_coverage
+pytestmark = pytest.mark.slow
 
 # Of each reader; the fuzzer tries thousands a second, guided by coverage.
 DAMAGED = 40

@@ -19,7 +19,7 @@ from reliability_recordings import judge_recording
 from reliability_runs import Ending, run
 from reliability_tables import format_section
 
-pytestmark = pytest.mark.without_coverage
+pytestmark = pytest.mark.slow
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "reliability.md"
 PEACEFUL = Ending(0, "", "", 1.0, 2**28, hung=False, orphans=0)

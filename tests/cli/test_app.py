@@ -73,7 +73,7 @@ def test_help_of_calibrate_has_everyday_options_first_and_those_of_the_papers_la
     assert re.findall("--[a-z]+", everyday) == ["--out", "--force", "--strict", "--json", "--verbose", "--help"]
 
 
-@pytest.mark.without_coverage
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("typed", "offered"),
     [

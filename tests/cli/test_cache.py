@@ -10,7 +10,7 @@ from typer.testing import Result
 from calgraph.result import load_calibration
 from written_results import read_without_provenance
 
-pytestmark = pytest.mark.without_coverage
+pytestmark = pytest.mark.slow
 
 Run = Callable[..., Result]
 SENSORS = ("camera", "laser_front", "lidar")

@@ -80,7 +80,7 @@ def test_the_resolved_rig_states_the_intrinsics_of_the_recording(calibrated: tup
     np.testing.assert_allclose(camera.stated_intrinsics.K, (240, 240, 239.5, 179.5))
 
 
-@pytest.mark.without_coverage
+@pytest.mark.slow
 def test_what_is_wrong_with_the_messages_is_remarked_and_makes_sensors_weak(
     simulated: Path, tmp_path: Path, run: Run
 ) -> None:

@@ -26,7 +26,7 @@ from calgraph.simulation import (
     simulate_scans,
 )
 
-pytestmark = pytest.mark.without_coverage
+pytestmark = pytest.mark.slow
 
 Run = Callable[..., Result]
 

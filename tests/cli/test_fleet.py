@@ -119,7 +119,7 @@ def test_an_out_that_is_a_file_is_refused(fleet: Path, run: Run) -> None:
     assert "is a file, a folder is to be written there" in result.stderr
 
 
-@pytest.mark.without_coverage
+@pytest.mark.slow
 def test_a_cluster_gives_the_same_results(first: Result, fleet: Path, run: Run, tmp_path: Path) -> None:
     on_cluster = run(
         "fleet", fleet / "fleet.yaml", "-o", tmp_path / "out", "--cluster", "local", "--jobs", 2, "--json"

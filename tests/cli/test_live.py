@@ -27,7 +27,7 @@ from calgraph.simulation import (
 )
 
 pytest.importorskip("starlette", reason="the extra live is not installed")
-pytestmark = pytest.mark.without_coverage
+pytestmark = pytest.mark.slow
 
 Run = Callable[..., Result]
 PATIENCE = 60.0

@@ -40,7 +40,7 @@ def test_earlier_results_stay_and_the_error_says_what_to_do(
     assert (earlier / "report.html").read_text() == "earlier"
 
 
-@pytest.mark.without_coverage
+@pytest.mark.slow
 def test_with_force_they_are_replaced_and_other_files_stay(run: Run, simulated: Path, earlier: Path) -> None:
     (earlier / "notes.txt").write_text("mine")
     result = run("calibrate", simulated / "rig.yaml", simulated / "recording", "-o", earlier, "--force")

@@ -25,7 +25,7 @@ from calgraph.simulation import IdealDetectorOptions, RigScenario, build_world, 
 from simulated_rigs import without_bootstrap
 from written_results import read_without_provenance
 
-pytestmark = pytest.mark.without_coverage
+pytestmark = pytest.mark.slow
 
 Run = Callable[..., Result]
 

@@ -67,7 +67,7 @@ def test_limits_are_parsed_before_a_rig_is_read() -> None:
         parse_limits(["limits.max_points=0"], alone=True)
 
 
-@pytest.mark.without_coverage
+@pytest.mark.slow
 def test_calibrate_writes_what_it_used(simulated: Path, run: Run, tmp_path: Path) -> None:
     arguments = ("calibrate", simulated / "rig.yaml", simulated / "recording", "-o", tmp_path / "out")
     assert run(*arguments, "--set", "captures.min_hold=0.6").exit_code == 0

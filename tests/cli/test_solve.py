@@ -15,7 +15,7 @@ from calgraph.result import load_calibration
 from calgraph.rig.bundle.problem_file import load_problem, save_problem
 from written_results import read_without_provenance
 
-pytestmark = pytest.mark.without_coverage
+pytestmark = pytest.mark.slow
 
 Run = Callable[..., Result]
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-pytestmark = pytest.mark.without_coverage
+pytestmark = pytest.mark.slow
 
 _RUN = f"{shlex.quote(sys.executable)} -c 'from calgraph.cli import main; main()'"
 _ASCII = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0", "PYTHONIOENCODING": "ascii:strict"}

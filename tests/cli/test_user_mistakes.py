@@ -14,7 +14,7 @@ from typer.testing import Result
 from calgraph.io.yaml_reading import read_yaml
 from user_mistakes import COMMANDS, RESULTS, RIG_KEYS, RIG_TEXTS, USAGE
 
-pytestmark = pytest.mark.without_coverage
+pytestmark = pytest.mark.slow
 
 Run = Callable[..., Result]
 

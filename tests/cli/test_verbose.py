@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from typer.testing import Result
 
-pytestmark = pytest.mark.without_coverage
+pytestmark = pytest.mark.slow
 
 Run = Callable[..., Result]
 

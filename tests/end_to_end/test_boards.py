@@ -21,7 +21,7 @@ from calgraph.simulation import (
 )
 from simulated_rigs import calibrate, pose_errors, simulate_scenario
 
-pytestmark = pytest.mark.without_coverage
+pytestmark = pytest.mark.slow
 
 SHEET = (1.0, 0.8)
 BOARDS: Mapping[str, Board] = {

@@ -32,7 +32,7 @@ from random_rig_draws import draw_rig
 from random_rig_messages import record
 from simulated_rigs import without_bootstrap
 
-pytestmark = pytest.mark.without_coverage
+pytestmark = pytest.mark.slow
 
 FEW = settings(max_examples=2, phases=(Phase.explicit, Phase.reuse, Phase.generate))
 """An example takes a second: none is made smaller."""

@@ -29,7 +29,7 @@ from calgraph.simulation import (
 )
 from simulated_rigs import build_recording, calibrate, pose_errors, simulate_recording
 
-pytestmark = pytest.mark.without_coverage
+pytestmark = pytest.mark.slow
 
 RATE = 8.0
 SCENARIO = RigScenario(

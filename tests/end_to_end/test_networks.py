@@ -15,7 +15,7 @@ from calgraph.recording import open_recording
 from calgraph.result import Calibration
 from calgraph.simulation import GroundTruth, NetworkScenario, load_truth, simulate_network
 
-pytestmark = pytest.mark.without_coverage
+pytestmark = pytest.mark.slow
 
 TWO: dict[str, object] = {
     "root": "front",

@@ -15,7 +15,7 @@ from calgraph.network.tracking.track_scanner import track_scanner
 from calgraph.recording import open_recording
 from calgraph.sensors import LaserScan
 
-pytestmark = pytest.mark.without_coverage
+pytestmark = pytest.mark.slow
 
 TURN = 0.3
 """Rotation of the second scanner, rad."""

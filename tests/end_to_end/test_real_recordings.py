@@ -16,7 +16,7 @@ from calgraph.result import Calibration
 from calgraph.rig.options import RigOptions
 from calgraph.rig.pipeline import calibrate_rig
 
-pytestmark = pytest.mark.without_coverage
+pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")

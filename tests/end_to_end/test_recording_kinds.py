@@ -28,7 +28,7 @@ from calgraph.simulation.rig_simulation import TRIGGER_TOPIC
 from simulated_rigs import SimulatedRecording, build_recording, calibrate, pose_errors, simulate_scenario
 from videos import write_video
 
-pytestmark = pytest.mark.without_coverage
+pytestmark = pytest.mark.slow
 
 CAMERA, LIDAR = "/camera/image_raw/compressed", "/lidar/points"
 SCENARIO = RigScenario(

@@ -12,7 +12,7 @@ from calgraph.result import Calibration
 from calgraph.simulation import RigScenario
 from simulated_rigs import calibrate, simulate_scenario
 
-pytestmark = pytest.mark.without_coverage
+pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")

@@ -34,7 +34,7 @@ from simulated_rigs import (
     simulate_scenario,
 )
 
-pytestmark = pytest.mark.without_coverage
+pytestmark = pytest.mark.slow
 
 NO_CAMERA = CameraOptions(count=0)
 NO_LASER = LaserOptions(count=0)

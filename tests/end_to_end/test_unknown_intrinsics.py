@@ -28,7 +28,7 @@ from simulated_rigs import (
     simulate_scenario,
 )
 
-pytestmark = pytest.mark.without_coverage
+pytestmark = pytest.mark.slow
 
 LENSES = {
     "pinhole": CameraOptions(

@@ -13,7 +13,7 @@ from calgraph.sensors import Image, LaserScan, Message, PointCloud, RecordedMess
 from calgraph.simulation import CameraOptions, LaserOptions, MultibeamOptions, RigScenario, SpinningOptions
 from simulated_rigs import SimulatedRecording, alter_messages, build_recording, calibrate, simulate_scenario
 
-pytestmark = pytest.mark.without_coverage
+pytestmark = pytest.mark.slow
 
 CAMERA, FRONT, CLOUD = "/camera/image_raw/compressed", "/laser_front/scan", "/lidar/points"
 SCENARIO = RigScenario(

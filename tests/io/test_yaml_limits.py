@@ -44,7 +44,7 @@ _LONG = 10_000
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        pytest.param(*case, id=name, marks=[pytest.mark.without_coverage] if len(case[0]) > _LONG else [])
+        pytest.param(*case, id=name, marks=[pytest.mark.slow] if len(case[0]) > _LONG else [])
         for name, case in HOSTILE.items()
     ],
 )
@@ -71,7 +71,7 @@ def test_both_readers_have_limits(tmp_path: Path, read: object) -> None:
         read(path)  # type: ignore[operator]
 
 
-@pytest.mark.without_coverage  # the parser reads 100,000 values
+@pytest.mark.slow  # the parser reads 100,000 values
 def test_limits_are_where_they_are_stated() -> None:
     path = Path("a.yaml")
     check_yaml_limits(path, "[" * MAX_DEPTH + "]" * MAX_DEPTH)

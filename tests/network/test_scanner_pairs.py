@@ -27,7 +27,7 @@ from calgraph.simulation import (
     simulate_scans,
 )
 
-pytestmark = pytest.mark.without_coverage
+pytestmark = pytest.mark.slow
 
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 INVERTED, LATE = "scanner_3", "scanner_2"

@@ -11,7 +11,7 @@ import pytest
 
 from calgraph.config.settings import DaskSettings
 from calgraph.errors import CalibrationError, InputError
-from calgraph.parallel import open_cluster
+from calgraph.parallel.open_cluster import open_cluster
 from calgraph.parallel.dask_engine import DaskEngine
 
 SETTINGS = DaskSettings(max_lost_workers=1)
@@ -130,7 +130,7 @@ def test_calls_of_a_lost_worker_are_repeated(engine: DaskEngine, tmp_path: Path)
     assert engine.map(add, [(one, 0) for one in kept]) == [0, 10, 20, 30]
 
 
-@pytest.mark.without_coverage
+@pytest.mark.slow
 def test_a_call_that_ends_all_workers_is_reported(engine: DaskEngine) -> None:
     with pytest.raises(CalibrationError, match="several workers of the cluster were lost by the same call"):
         engine.map(end_worker, [(1,)])

@@ -15,7 +15,7 @@ from distributed import Client
 
 from calgraph.config.settings import DaskSettings
 from calgraph.errors import CalibrationError, InputError
-from calgraph.parallel import open_cluster
+from calgraph.parallel.open_cluster import open_cluster
 from dask_programs import start_scheduler, start_worker, stop
 
 SETTINGS = DaskSettings(connect_timeout=30.0, worker_timeout=60.0)
@@ -105,7 +105,7 @@ if __name__ == "__main__":
 """
 
 
-@pytest.mark.without_coverage
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
 def test_workers_of_this_machine_end_with_the_program(tmp_path: Path, number: signal.Signals) -> None:
     (tmp_path / "program.py").write_text(PROGRAM)

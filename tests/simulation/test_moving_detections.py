@@ -15,7 +15,7 @@ from calgraph.simulation import (
     simulate_moving_detections,
 )
 
-pytestmark = pytest.mark.without_coverage
+pytestmark = pytest.mark.slow
 
 
 def test_a_rig_is_calibrated_from_a_board_that_never_rests() -> None:

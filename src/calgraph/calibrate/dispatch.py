@@ -1,29 +1,37 @@
 """The calibration of either kind of rig, chosen by its target."""
 
+from typing import TYPE_CHECKING
+
 from calgraph.config import Rig
 from calgraph.errors import InputError
-from calgraph.network.options import NetworkOptions
 from calgraph.parallel.progress import Progress, no_progress
 from calgraph.recording import Recording
 from calgraph.result import Calibration
-from calgraph.rig.options import RigOptions
+
+if TYPE_CHECKING:
+    from calgraph.network.options import NetworkOptions
+    from calgraph.rig.options import RigOptions
 
 
 def calibrate(
-    rig: Rig, recording: Recording, options: RigOptions | NetworkOptions, progress: Progress = no_progress
+    rig: Rig, recording: Recording, options: "RigOptions | NetworkOptions", progress: Progress = no_progress
 ) -> Calibration:
     """Calibrates a robot with a board, or a network with people, according to the rig's target.
 
     Args, Returns and Raises as for :func:`calgraph.calibrate_rig`; the options are those of the target.
     """
-    # Each imports the modules of its kind alone: those of both take half a second.
-    if rig.is_network and isinstance(options, NetworkOptions):
+    # A wing is imported where it is used: both take half a second.
+    if rig.is_network:
+        from calgraph.network.options import NetworkOptions
         from calgraph.network.pipeline import calibrate_network
 
-        return calibrate_network(rig, recording, options, progress)
-    if not rig.is_network and isinstance(options, RigOptions):
+        if isinstance(options, NetworkOptions):
+            return calibrate_network(rig, recording, options, progress)
+    else:
+        from calgraph.rig.options import RigOptions
         from calgraph.rig.pipeline import calibrate_rig
 
-        return calibrate_rig(rig, recording, options, progress)
+        if isinstance(options, RigOptions):
+            return calibrate_rig(rig, recording, options, progress)
     kind = "NetworkOptions" if rig.is_network else "RigOptions"
     raise InputError(f"options: must be {kind} for this target, got {type(options).__name__}")

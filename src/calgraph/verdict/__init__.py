@@ -1,1 +1,1 @@
-"""What a result says of itself: grades, tests of its parameters, and comparison with given poses."""
+"""Grades of a result, tests of its parameters, and comparison with given poses."""

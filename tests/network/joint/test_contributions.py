@@ -12,7 +12,7 @@ from leg_scenes import build_network
 from network_scenes import SETTINGS, eliminate_densely
 from solved_networks import SECONDS, solve_two_walks
 
-pytestmark = pytest.mark.without_coverage
+pytestmark = pytest.mark.slow
 
 SHRINKAGE = TukeyLoss(SETTINGS.beams.tukey_limit).score_to_information ** 0.5
 

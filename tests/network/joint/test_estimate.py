@@ -335,7 +335,7 @@ def test_the_heading_of_a_body_that_never_walks_is_that_of_its_drift() -> None:
     np.testing.assert_allclose(path.control[:, 2], -np.pi / 2, atol=0.05)
 
 
-@pytest.mark.without_coverage
+@pytest.mark.slow
 def test_the_solution_does_not_depend_on_the_number_of_processes(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(body_batches, "_BATCH_BEAMS", 1000)
     one, two = (solve_network(PEOPLE, *scene(2), engine=Processes(jobs)) for jobs in (1, 2))

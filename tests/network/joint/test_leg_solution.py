@@ -13,7 +13,7 @@ from calgraph.network.tracking.track_scanner import track_scanner
 from calgraph.simulation import NetworkScenario, build_network, network_rig, network_truth, simulate_scans
 from calgraph.simulation.network_scenario import PeopleOptions, ScannerOptions
 
-pytestmark = pytest.mark.without_coverage
+pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")

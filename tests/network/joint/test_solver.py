@@ -205,7 +205,7 @@ def converge(net: NetworkProblem, state: NetworkState) -> NetworkState:
     return optimize_network(net, state, iterations=400, tolerance=1e-14)[0]
 
 
-@pytest.mark.without_coverage
+@pytest.mark.slow
 def test_the_solution_equals_that_of_scipy(rng: np.random.Generator) -> None:
     net, truth = build_network(rng)
     found = pack(converge(net, perturb(truth, rng)))

@@ -12,7 +12,7 @@ from calgraph.rig.bundle.solution import RigSolution
 from calgraph.simulation import CameraOptions, LaserOptions, MultibeamOptions, build_world
 from detected_rigs import QUICK, DetectedRig, detect_rig, detect_rig_on
 
-pytestmark = pytest.mark.without_coverage
+pytestmark = pytest.mark.slow
 
 RUNS = 10
 CONFIDENCE = 0.998

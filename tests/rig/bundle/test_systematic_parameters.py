@@ -23,7 +23,7 @@ from calgraph.simulation import (
 from detected_rigs import QUICK, detect_rig, detect_rig_on, exact_rig, with_uncertainty
 from model_error_draws import draw_errors
 
-pytestmark = pytest.mark.without_coverage
+pytestmark = pytest.mark.slow
 
 FINE = QUICK.model_copy(
     update={

@@ -24,7 +24,7 @@ from calgraph.rig.bundle.variance_components import (
     update_variance_components,
 )
 
-pytestmark = pytest.mark.without_coverage
+pytestmark = pytest.mark.slow
 
 SEEDS = 20
 FEW_SEEDS = 12

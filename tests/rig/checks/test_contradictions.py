@@ -13,7 +13,7 @@ from calgraph.rig.checks.contradictions import find_contradictions
 from calgraph.rig.checks.cross_validation import cross_validate
 from detected_rigs import DetectedRig, detect_rig
 
-pytestmark = pytest.mark.without_coverage
+pytestmark = pytest.mark.slow
 
 
 def first_captures(detected: DetectedRig, count: int) -> DetectedRig:

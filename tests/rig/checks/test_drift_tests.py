@@ -20,7 +20,7 @@ from calgraph.rig.checks.drift_tests import (
     measure_drifts,
 )
 
-pytestmark = pytest.mark.without_coverage
+pytestmark = pytest.mark.slow
 
 SETTINGS = DiagnosticsSettings()
 BOARDS = 30

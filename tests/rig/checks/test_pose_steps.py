@@ -15,7 +15,7 @@ from calgraph.rig.bundle.observations import relative_poses
 from calgraph.rig.checks.pose_steps import PoseStep, _select_largest, find_pose_steps
 from calgraph.rig.checks.released_poses import StepStatistics, release_poses
 
-pytestmark = pytest.mark.without_coverage
+pytestmark = pytest.mark.slow
 
 SETTINGS = BumpTestSettings()
 CORRELATION = SerialCorrelationSettings()

@@ -10,7 +10,7 @@ from calgraph.rig.checks.systematic_tests import find_systematic_errors
 from calgraph.simulation import BoardErrors, CameraErrors, ModelErrors, ScannerErrors
 from detected_rigs import detect_rig
 
-pytestmark = pytest.mark.without_coverage
+pytestmark = pytest.mark.slow
 
 ALL = ("lidar", "camera", "laser_front")
 

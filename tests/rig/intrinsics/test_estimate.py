@@ -11,7 +11,7 @@ from calgraph.rig.intrinsics.estimate import IntrinsicsEstimate, estimate_intrin
 from calgraph.sensors import CameraModel
 from camera_views import FISHEYE, PINHOLE, WIDE, checkerboard_rig, simulate_views
 
-pytestmark = pytest.mark.without_coverage
+pytestmark = pytest.mark.slow
 
 CAMERAS = {"pinhole": PINHOLE, "wide": WIDE, "fisheye": FISHEYE}
 RIG = checkerboard_rig()

@@ -12,7 +12,7 @@ from calgraph.network.joint.splines import Knots
 from calgraph.network.tracking.track import ScannerTracks
 from network_scenes import DENSITY, SETTINGS, SIGMA, build_track, simulate_scans
 
-pytestmark = pytest.mark.without_coverage
+pytestmark = pytest.mark.slow
 
 COUNT, SPACING, REACH, SPEED = 30, 3.0, 5.0, 1.2
 DURATION = COUNT * SPACING / SPEED

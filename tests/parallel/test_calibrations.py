@@ -15,7 +15,7 @@ from calgraph.network import track_recording
 from calgraph.network.options import NetworkOptions
 from calgraph.network.track_recording import track_people
 from calgraph.network.tracking.track_encoding import encode_tracks
-from calgraph.parallel import open_cluster
+from calgraph.parallel.open_cluster import open_cluster
 from calgraph.parallel.dask_engine import DaskEngine
 from calgraph.parallel.engine import THIS_PROCESS, Engine, Processes
 from calgraph.recording import NO_CACHE, RecordingCache, open_recordings
@@ -24,7 +24,7 @@ from calgraph.rig.options import RigOptions
 from calgraph.simulation import NetworkScenario, RigScenario, simulate_network, simulate_rig
 from dask_programs import start_scheduler, start_worker, stop
 
-pytestmark = pytest.mark.without_coverage
+pytestmark = pytest.mark.slow
 
 SMALL_RIG = RigScenario.model_validate(
     {

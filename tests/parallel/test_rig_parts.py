@@ -10,7 +10,7 @@ import pytest
 from calgraph.config import Rig, load_rig
 from calgraph.config.settings import DaskSettings
 from calgraph.errors import CalibrationError
-from calgraph.parallel import open_cluster
+from calgraph.parallel.open_cluster import open_cluster
 from calgraph.parallel.dask_engine import DaskEngine
 from calgraph.parallel.engine import Processes
 from calgraph.parallel.progress import Progress, no_progress
@@ -22,7 +22,7 @@ from calgraph.rig.options import RigOptions
 from calgraph.simulation import RigScenario, simulate_rig
 from dask_programs import start_scheduler, start_worker, stop
 
-pytestmark = pytest.mark.without_coverage
+pytestmark = pytest.mark.slow
 
 SCENARIO = RigScenario.model_validate(
     {

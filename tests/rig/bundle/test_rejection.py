@@ -23,7 +23,7 @@ from calgraph.rig.bundle.variance_components import (
 from calgraph.simulation import BoardErrors, IdealDetectorOptions, ModelErrors, build_world
 from detected_rigs import QUICK, DetectedRig, detect_rig, detect_rig_on
 
-pytestmark = pytest.mark.without_coverage
+pytestmark = pytest.mark.slow
 
 Mask = NDArray[np.bool_]
 SENSORS = ("lidar", "camera", "lidar2", "laser")

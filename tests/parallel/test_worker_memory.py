@@ -7,9 +7,9 @@ import pytest
 
 from calgraph.config.settings import DaskSettings
 from calgraph.geometry import Array
-from calgraph.parallel import open_cluster
+from calgraph.parallel.open_cluster import open_cluster
 
-pytestmark = pytest.mark.without_coverage
+pytestmark = pytest.mark.slow
 
 SIZE = 10_000_000
 

@@ -1,1 +1,0 @@
-"""Tests of a result: verdicts, cross-validation, bootstrap, comparisons, suggestions."""

@@ -1,1 +1,0 @@
-"""Joint estimators over all sensors, and the problem that they solve."""

@@ -1,1 +1,0 @@
-"""Networks of 2-D scanners."""

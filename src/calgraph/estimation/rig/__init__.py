@@ -1,1 +1,0 @@
-"""Rigs with a board."""
