@@ -3,7 +3,7 @@
 # Recipes run the tools as modules or by relative path, so that a checkout may lie in a folder with spaces.
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test coverage mutants fuzz check docs format requirements clean
+.PHONY: help setup demo test test-slow coverage mutants fuzz check docs format requirements clean
 
 BIN := .venv/bin
 # calgraph with what a user needs, and with the tools of all other targets.
@@ -14,7 +14,7 @@ export PIP_NO_INPUT := 1
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 help:  ## list the targets
-	@grep -hE '^[a-z]+:.*  ## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*  ## (.*)/make \1\t\2/' | expand -t 20
+	@grep -hE '^[a-z-]+:.*  ## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*  ## (.*)/make \1\t\2/' | expand -t 20
 
 setup: $(READY)  ## make .venv with calgraph and all tools in it
 
@@ -23,11 +23,16 @@ demo: $(RUNTIME)  ## simulate a five-sensor robot and calibrate it; results in d
 
 # One process per core runs tests, so NumPy needs no more threads. Tests start many commands: they keep bytecode, even
 # where the environment forbids it.
-test: $(READY)  ## run the tests (ARGS="-k name" to choose some)
-	OMP_NUM_THREADS=1 PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n auto --dist loadfile $(ARGS)
+PYTEST := OMP_NUM_THREADS=1 PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n auto --dist loadfile
 
-# All tests; settings and the least coverage allowed are in pyproject.toml. --cov-report=html also draws it line by line.
-coverage:  ## run the tests and measure coverage; fails below the limit in pyproject.toml
+test: $(READY)  ## run the tests of the first tier, within minutes (ARGS="-k name" to choose some)
+	$(PYTEST) -m "not slow" $(ARGS)
+
+test-slow: $(READY)  ## run the others: statistics over seeds, whole commands, browsers
+	$(PYTEST) -m slow $(ARGS)
+
+# Settings and the least coverage allowed are in pyproject.toml. --cov-report=html also draws it line by line.
+coverage:  ## run the first tier and measure its coverage; fails below the limit in pyproject.toml
 	$(MAKE) test ARGS="--cov --cov-report= $(ARGS)"
 
 # ROOM may be several, parts of one, or files. The tests of the room run, and those that TESTS names.

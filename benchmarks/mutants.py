@@ -1,6 +1,6 @@
 """Mutation test: which small faults in a room's source do its tests notice?
 
-    make mutants ROOM=pairwise N=100 SEED=1 JOBS=4 TESTS=tests/calibrate
+    make mutants ROOM=rig/pairs N=100 SEED=1 JOBS=4 TESTS=tests/end_to_end
 
 ``N`` places of the source are drawn with a seed, and one mutant of each: an operator, number, condition or loop
 that is changed as cosmic-ray does (``mutation.py``). It is written into a copy of the checkout, where those tests
