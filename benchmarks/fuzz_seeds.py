@@ -21,8 +21,8 @@ from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 from ruamel.yaml import YAML
 
-from calgraph.io import format_yaml
 from calgraph.io.cache_folder import CacheFolder
+from calgraph.io.yaml_writing import format_yaml
 from calgraph.result import export, save_calibration, save_scene
 from calgraph.rig.bundle.problem_file import save_problem
 from calgraph.rig.captures.capture_encoding import encode_captures

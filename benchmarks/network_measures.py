@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from calgraph.geometry import Array, se2
-from calgraph.io import write_atomically
+from calgraph.io.atomic import write_atomically
 from calgraph.result import Calibration
 from network_overlaps import Overlaps
 

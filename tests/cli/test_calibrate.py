@@ -17,7 +17,7 @@ from typer.testing import Result
 from calgraph.cli.calibrate import StartChoice
 from calgraph.config import load_rig
 from calgraph.graph.averaging import AveragingMethod
-from calgraph.io import save_yaml
+from calgraph.io.yaml_writing import save_yaml
 from calgraph.recording import RecordingWriter, open_recording
 from calgraph.result import load_calibration
 from calgraph.sensors import CameraInfo, LaserScan

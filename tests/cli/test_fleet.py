@@ -11,8 +11,10 @@ import pytest
 from typer.testing import Result
 
 from calgraph.geometry import se3
-from calgraph.io import save_yaml
+from calgraph.io.yaml_writing import save_yaml
 from calgraph.result import load_calibration, save_calibration
+
+pytestmark = pytest.mark.slow
 
 Run = Callable[..., Result]
 
@@ -119,7 +121,6 @@ def test_an_out_that_is_a_file_is_refused(fleet: Path, run: Run) -> None:
     assert "is a file, a folder is to be written there" in result.stderr
 
 
-@pytest.mark.slow
 def test_a_cluster_gives_the_same_results(first: Result, fleet: Path, run: Run, tmp_path: Path) -> None:
     on_cluster = run(
         "fleet", fleet / "fleet.yaml", "-o", tmp_path / "out", "--cluster", "local", "--jobs", 2, "--json"

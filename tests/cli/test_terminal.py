@@ -7,6 +7,8 @@ import pytest
 
 from terminal import sent_to_a_terminal
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def sent(simulated: Path, tmp_path_factory: pytest.TempPathFactory) -> str:

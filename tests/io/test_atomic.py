@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from calgraph.errors import InputError
-from calgraph.io import replace_folder_atomically, temporary_folder, write_atomically, write_text
+from calgraph.io.atomic import replace_folder_atomically, temporary_folder, write_atomically, write_text
 
 
 def names(folder: Path) -> list[str]:

@@ -15,6 +15,8 @@ from calgraph.live.source import LiveMessage, Notice
 from collected_sources import messages, notices
 from foxglove_servers import HEADER, ROS2, until
 
+pytestmark = pytest.mark.slow
+
 pytest.importorskip("cyclonedds", reason="cyclonedds has no wheel for this Python")
 
 LOOPBACK = """<CycloneDDS><Domain><General><AllowMulticast>false</AllowMulticast><Interfaces><NetworkInterface

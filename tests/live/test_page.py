@@ -19,7 +19,10 @@ from calgraph.live.state import Advice, CaptureEvent, RecorderState, SensorState
 from live_pages import PATIENCE, GivenSession, ServedPage
 
 CHROMIUM = shutil.which("chromium")
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium to open the page in")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium to open the page in"),
+]
 SMALL, PORTRAIT, LANDSCAPE, WIDE = (360, 640), (390, 844), (844, 390), (1440, 900)
 POSE = '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 360 500"/>'
 HOSTILE = "<img src=x onerror=\"document.title='run'\">"

@@ -17,6 +17,8 @@ from calgraph.simulation import (
     simulate_scans,
 )
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def halls() -> tuple[Calibration, GroundTruth]:

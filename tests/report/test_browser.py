@@ -16,7 +16,10 @@ from calgraph.report import write_report
 from calgraph.result import Calibration
 
 CHROMIUM = shutil.which("chromium")
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium to open reports in")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium to open reports in"),
+]
 # Scenes in space are drawn without a graphics card, which takes seconds each: every page is opened once.
 _ARGUMENTS = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 _PATIENCE = 60_000

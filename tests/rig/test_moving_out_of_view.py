@@ -10,6 +10,8 @@ from calgraph.rig.options import RigOptions
 from calgraph.rig.pipeline import calibrate_rig
 from calgraph.sensors import CameraModel, DetectedCorners
 
+pytestmark = pytest.mark.slow
+
 COLUMNS, ROWS, SQUARE = 8, 6, 0.05
 CAMERA = CameraModel("pinhole", 1280, 960, np.array([[900.0, 0, 640], [0, 900, 480], [0, 0, 1]]), np.zeros(5))
 BASELINE = np.array([0.3, 0.0, 0.0])

@@ -21,6 +21,8 @@ from playwright.sync_api import Browser, ConsoleMessage, Page  # noqa: E402
 from calgraph.viewer import Viewer  # noqa: E402
 from calgraph.viewer.view_state import ViewState  # noqa: E402
 
+pytestmark = pytest.mark.slow
+
 Picture = NDArray[np.int16]
 
 # The browser draws without a graphics card, on the remaining cores.

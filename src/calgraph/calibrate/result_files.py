@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from calgraph.config import Rig, Tolerance
-from calgraph.io import format_json, save_yaml
+from calgraph.io.json_writing import format_json
+from calgraph.io.yaml_writing import save_yaml
 from calgraph.parallel.processes import forked_jobs, parallel_call
 from calgraph.result import Calibration, save_calibration, save_captures, save_residuals, save_scene
 

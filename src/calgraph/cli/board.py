@@ -10,7 +10,7 @@ from calgraph.cli.console import console
 from calgraph.cli.model_options import add_options, apply_options, list_options
 from calgraph.config import Board
 from calgraph.errors import InputError
-from calgraph.io import check_output_path, write_text
+from calgraph.io.atomic import check_output_path, write_text
 from calgraph.printing import (
     DEFAULT_SIZE,
     BoardOptions,

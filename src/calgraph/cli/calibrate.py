@@ -33,7 +33,7 @@ from calgraph.cli.progress import progress_bars
 from calgraph.cli.provenance import describe_run
 from calgraph.cli.setting_options import SetOption, load_rig_with
 from calgraph.errors import CalibrationError, InputError
-from calgraph.io import check_output_path, follow_links, replace_folder_atomically
+from calgraph.io.atomic import check_output_path, follow_links, replace_folder_atomically
 from calgraph.recording import open_recordings, resolve_intrinsics
 from calgraph.result import (
     Calibration,

@@ -27,7 +27,7 @@ from calgraph.cli.progress import progress_bars
 from calgraph.cli.setting_options import SetOption, load_rig_with
 from calgraph.config import Rig, Tolerance
 from calgraph.errors import InputError
-from calgraph.io import replace_folder_atomically, write_text
+from calgraph.io.atomic import replace_folder_atomically, write_text
 from calgraph.io.yaml_reading import validate_content
 from calgraph.parallel.engine import Engine
 from calgraph.recording import RecordingCache, open_recordings

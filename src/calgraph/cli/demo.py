@@ -15,7 +15,7 @@ from calgraph.cli.provenance import describe_run
 from calgraph.cli.simulate_common import simulate_into
 from calgraph.config import load_rig
 from calgraph.errors import InputError
-from calgraph.io import replace_folder_atomically
+from calgraph.io.atomic import replace_folder_atomically
 from calgraph.parallel.engine import Processes
 from calgraph.parallel.processes import available_cores
 from calgraph.recording import open_recording, resolve_intrinsics

@@ -10,7 +10,7 @@ from calgraph.cli.common_options import find_calibration, list_choices
 from calgraph.cli.console import console
 from calgraph.config import Rig, load_rig
 from calgraph.errors import CalibrationError, InputError
-from calgraph.io import write_text
+from calgraph.io.atomic import write_text
 from calgraph.io.yaml_reading import read_text
 from calgraph.result import Calibration, load_calibration
 from calgraph.result import export as export_text

@@ -12,7 +12,7 @@ from calgraph.cli.setting_options import SetOption, parse_limits
 from calgraph.config import Board, Capture, FoundBackground, FoundMode, FoundTopic, draft_rig, find_triggers
 from calgraph.config.settings import CameraDetectionSettings, CaptureSettings
 from calgraph.errors import InputError
-from calgraph.io import write_text
+from calgraph.io.atomic import write_text
 from calgraph.printing import format_target, read_boards
 from calgraph.recording import SENSORS, Recording, find_topics, open_recording
 from calgraph.rig.captures.empty_start import find_empty_start

@@ -18,7 +18,7 @@ from calgraph.cli.setting_options import SetOption, parse_limits
 from calgraph.config import FoundTopic, find_triggers
 from calgraph.config.settings import CaptureSettings
 from calgraph.errors import RecordingError
-from calgraph.io import format_json
+from calgraph.io.json_writing import format_json
 from calgraph.recording import SENSORS, Inspection, Recording, TopicReport, inspect_recording, open_recording
 from calgraph.result import Calibration, load_calibration, to_json
 from calgraph.rig.captures.capture_mode import RecognizedMode

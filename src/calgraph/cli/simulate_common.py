@@ -10,7 +10,8 @@ from pydantic import BaseModel
 from calgraph.cli.console import console
 from calgraph.cli.progress import progress_bars
 from calgraph.errors import InputError
-from calgraph.io import replace_folder_atomically, save_yaml
+from calgraph.io.atomic import replace_folder_atomically
+from calgraph.io.yaml_writing import save_yaml
 
 Out = Annotated[
     Path,

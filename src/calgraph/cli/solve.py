@@ -23,7 +23,7 @@ from calgraph.cli.prior_options import DeviationOption, PriorOption, RigidOption
 from calgraph.cli.provenance import describe_run
 from calgraph.cli.setting_options import SetOption, override_settings, parse_limits
 from calgraph.errors import InputError
-from calgraph.io import replace_folder_atomically
+from calgraph.io.atomic import replace_folder_atomically
 
 
 def solve(

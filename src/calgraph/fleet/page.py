@@ -18,7 +18,7 @@ from calgraph.fleet.wording import (
     format_turn,
     summarize_fleet,
 )
-from calgraph.io import write_text
+from calgraph.io.atomic import write_text
 from calgraph.report.formatting import escape_html, format_count
 
 _BADGES = {

@@ -11,7 +11,8 @@ import numpy as np
 from calgraph.errors import CalibrationError, InputError
 from calgraph.fleet.pose_set import PoseSet
 from calgraph.geometry import Array
-from calgraph.io import format_json, write_text
+from calgraph.io.atomic import write_text
+from calgraph.io.json_writing import format_json
 from calgraph.result import PriorErrors
 
 FILE_NAME = "recording.json"

@@ -16,7 +16,7 @@ from calgraph.config import Rig, load_rig
 from calgraph.fleet.plan import RecordingTask
 from calgraph.fleet.pose_set import PoseSet
 from calgraph.fleet.recording_result import FILE_NAME, Failure, RecordingResult, SensorResult, save_result
-from calgraph.io import replace_folder_atomically, write_text
+from calgraph.io.atomic import replace_folder_atomically, write_text
 from calgraph.io.cache_folder import CacheFolder
 from calgraph.network.options import NetworkOptions
 from calgraph.network.pipeline import compare_network_extrinsics

@@ -10,7 +10,7 @@ import numpy as np
 from calgraph.fleet.recording_result import RecordingResult
 from calgraph.fleet.run import RobotResult
 from calgraph.geometry import Array, so3
-from calgraph.io import write_atomically
+from calgraph.io.atomic import write_atomically
 
 FORMAT = "calgraph-fleet/1"
 _AXES = ("x", "y", "z", "rx", "ry", "rz")

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.errors import InputError
-from calgraph.io import write_atomically
+from calgraph.io.atomic import write_atomically
 from calgraph.io.git_lfs import POINTER_START, check_git_lfs
 
 

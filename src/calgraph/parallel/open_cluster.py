@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from calgraph.config.settings import DaskSettings
 from calgraph.errors import CalibrationError, InputError
-from calgraph.io import temporary_folder
+from calgraph.io.atomic import temporary_folder
 from calgraph.parallel.dask_engine import DaskEngine
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from reportlab.lib.units import mm
 from reportlab.pdfgen.canvas import FILL_EVEN_ODD, Canvas
 
 from calgraph.config import AprilGrid, Board, Charuco, Checkerboard
-from calgraph.io import write_atomically
+from calgraph.io.atomic import write_atomically
 from calgraph.printing.pages import MM_PER_METER, Page, black_rectangles_mm
 
 _HAIRLINE = 0.1

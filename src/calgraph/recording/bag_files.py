@@ -12,7 +12,7 @@ from typing import Any
 
 from calgraph.config.settings import LimitSettings
 from calgraph.errors import InputError, RecordingError
-from calgraph.io import temporary_folder
+from calgraph.io.atomic import temporary_folder
 from calgraph.io.yaml_reading import read_yaml
 from calgraph.recording.limits import check_unpacked_size
 from calgraph.recording.recording import TopicInfo, check_fetched, wrap_errors

@@ -27,7 +27,8 @@ Arrays = Mapping[str, NDArray[Any]]
 
 _FORMAT = "calgraph-cache/1"
 LATER_ROOMS = (
-    "cli", "report", "viewer", "printing", "simulation", "diagnostics", "estimation", "graph", "pairwise",
+    "cli", "report", "viewer", "printing", "simulation", "verdict", "graph",
+    "rig/pairs", "rig/bundle", "rig/checks", "network/pairs", "network/graph", "network/joint", "network/checks",
 )  # fmt: skip
 """Packages that read no recording: results that are kept stay valid when these change."""
 _LIBRARIES = ("calgraph", "numpy", "scipy", "opencv-python-headless", "pupil-apriltags", "rosbags", "av")
@@ -112,8 +113,9 @@ class RecordingCache:
     def _program(self) -> str:
         """The hash of everything that may change a result between two runs with the same arguments."""
         package = Path(__file__).parents[1]
-        files = sorted(package.rglob("*.py"), key=lambda file: file.relative_to(package).as_posix())
-        sources = [file for file in files if file.relative_to(package).parts[0] not in LATER_ROOMS]
+        later = tuple(f"{room}/" for room in LATER_ROOMS)
+        files = sorted((file.relative_to(package).as_posix(), file) for file in package.rglob("*.py"))
+        sources = [file for name, file in files if not name.startswith(later)]
         system = platform.python_version(), platform.system(), platform.machine()
         versions = [_find_version(library) for library in _LIBRARIES]
         return hash_text(repr([system, versions, [hash_text(file.read_text("utf-8")) for file in sources]]))

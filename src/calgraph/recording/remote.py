@@ -19,7 +19,7 @@ from urllib.parse import urlsplit
 
 from calgraph.config.settings import LimitSettings
 from calgraph.errors import CalgraphError, InputError, RecordingError
-from calgraph.io import make_temporary_folder, remove_temporary_folder
+from calgraph.io.atomic import make_temporary_folder, remove_temporary_folder
 
 _log = logging.getLogger("calgraph")
 

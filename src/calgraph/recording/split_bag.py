@@ -5,8 +5,8 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from calgraph.io import save_yaml
 from calgraph.io.yaml_reading import read_yaml
+from calgraph.io.yaml_writing import save_yaml
 
 _INFORMATION = "rosbag2_bagfile_information"
 

@@ -12,7 +12,7 @@ from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
 from calgraph.errors import InputError
-from calgraph.io import make_temporary_folder, remove_temporary_folder
+from calgraph.io.atomic import make_temporary_folder, remove_temporary_folder
 from calgraph.recording.images import encode_image
 from calgraph.recording.split_bag import join_bags
 from calgraph.sensors import CameraInfo, Image, LaserScan, Message, PointCloud, Trigger

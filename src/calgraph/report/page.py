@@ -9,7 +9,7 @@ from string import Template
 from plotly.offline import get_plotlyjs
 
 from calgraph.config import Rig
-from calgraph.io import write_text
+from calgraph.io.atomic import write_text
 from calgraph.parallel.processes import forked_jobs, parallel_call
 from calgraph.report.capture_view import render_captures
 from calgraph.report.coverage_view import render_coverage

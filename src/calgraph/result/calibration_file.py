@@ -12,9 +12,9 @@ from ruamel.yaml.comments import CommentedSeq
 
 from calgraph.config import Intrinsics
 from calgraph.geometry import Array, so3
-from calgraph.io import format_yaml, write_atomically, write_text
+from calgraph.io.atomic import write_atomically, write_text
 from calgraph.io.csv_writing import escape_formula
-from calgraph.io.yaml_writing import flow_sequence, format_yaml_number
+from calgraph.io.yaml_writing import flow_sequence, format_yaml, format_yaml_number
 from calgraph.result.calibration import Calibration
 from calgraph.result.estimated_parameter import EstimatedParameter
 from calgraph.result.evidence import CaptureRow, Edge, FitError, HeldOutError, Suggestion
