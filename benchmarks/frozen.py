@@ -34,7 +34,8 @@ import cv2
 
 from frozen_differences import compare
 from frozen_networks import list_network_problems
-from frozen_recordings import list_recording_problems
+from frozen_options import list_option_problems
+from frozen_recordings import MissingDataError, list_recording_problems
 from frozen_rigs import Make, list_rig_problems
 from frozen_texts import describe, describe_error
 
@@ -68,7 +69,7 @@ def main() -> None:
 def list_problems() -> dict[str, Make]:
     """All problems by name."""
     problems: dict[str, Make] = {}
-    for source in (list_rig_problems, list_network_problems, list_recording_problems):
+    for source in (list_rig_problems, list_option_problems, list_network_problems, list_recording_problems):
         for name, make in source():
             assert name not in problems, name
             problems[name] = make
@@ -85,6 +86,8 @@ def run_all(names: Sequence[str], out: Path, jobs: int, *, force: bool) -> None:
     began, cpu, found = time.monotonic(), 0.0, []
     work = partial(calculate, out=out, force=force)
     for name, digest, seconds in _map(work, names, jobs):
+        if not digest:
+            continue
         found.append(f"{name} {digest}\n")
         cpu += seconds or 0.0
         print(f"{name} {digest[:SHOWN]} {'-' if seconds is None else f'{seconds:.2f}'}", flush=True)
@@ -110,13 +113,19 @@ def _prepare() -> None:
 
 
 def calculate(name: str, out: Path, *, force: bool) -> tuple[str, str, float | None]:
-    """Name, digest and CPU seconds of a problem, None where its text was in the folder; writes the text."""
+    """Name, digest and CPU seconds of a problem, None where its text was in the folder; writes the text.
+
+    The digest is empty where a real recording is missing.
+    """
     path = out / f"{name}.txt"
     if path.exists() and not force:
         return name, hashlib.sha256(path.read_bytes()).hexdigest(), None
     began = time.process_time()
     try:
         text = describe(_problems()[name]())
+    except MissingDataError as error:
+        print(f"{name} skipped: {error}", file=sys.stderr)
+        return name, "", None
     except Exception as error:
         text = describe_error(error)
     seconds = time.process_time() - began

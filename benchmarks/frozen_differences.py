@@ -13,7 +13,7 @@ MAX_LINES = 12
 
 
 def compare(first: Path, second: Path) -> bool:
-    """Prints how many problems are equal, and what changed in the others; whether all in both folders are equal."""
+    """Prints how many problems are equal, and what changed in others; returns whether all are equal."""
     before, after = (sorted(str(one.relative_to(at)) for one in at.rglob("*.txt")) for at in (first, second))
     both = [name for name in before if name in set(after)]
     different = [name for name in both if (first / name).read_bytes() != (second / name).read_bytes()]
@@ -48,7 +48,7 @@ def _kind(path: str) -> str:
     """How a value is shown; nothing for plain values."""
     if "/verdict/" in path or path in ("refusal", "crash", "message") or "unconnected" in path:
         return "text"
-    if path.endswith(("/T_root_sensor", "/covariance")) or path.startswith("correlations/"):
+    if path.endswith(("/T_root_sensor", "/covariance")) or "correlations/" in path:
         return "pose"
     if "captures/" in path:
         return "view"
@@ -73,8 +73,9 @@ def _poses(before: Mapping[str, str], after: Mapping[str, str], changed: list[st
         sigmas = np.max(off[measured] / deviations[measured], initial=0.0)
         ratios = now[measured] / deviations[measured]
         spread = f"{ratios.min():.4g} to {ratios.max():.4g}" if measured.any() else "unknown"
-        yield f"{stem}: moved by {sigmas:.3g} sigma, {1000 * np.linalg.norm(off[:3]):.3g} mm; sigmas times {spread}"
-    if any(path.startswith("correlations/") for path in changed) and not stems:
+        metres = np.linalg.norm(off[:3])
+        yield f"{stem}: moved by {sigmas:.3g} sigma, {1000 * metres:.3g} mm; sigmas times {spread}"
+    if any("correlations/" in path for path in changed) and not stems:
         yield "correlations of poses"
 
 

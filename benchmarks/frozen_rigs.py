@@ -31,9 +31,9 @@ def list_rig_problems() -> Iterator[tuple[str, Make]]:
     yield from _right_worlds()
 
 
-def calibrated(rig: Rig, captured: CaptureSet, seed: int, options: RigOptions = RigOptions()) -> Calibration:
+def calibrated(rig: Rig, captured: CaptureSet, seed: int, options: RigOptions | None = None) -> Calibration:
     """The result from detections."""
-    problem = build_problem_from_captures(rig, captured, options, np.random.default_rng(seed))
+    problem = build_problem_from_captures(rig, captured, options or RigOptions(), np.random.default_rng(seed))
     return solve_problem(problem)
 
 

@@ -16,6 +16,7 @@ from pydantic import BaseModel
 
 from calgraph.errors import CalgraphError, Rejected
 from calgraph.result import Calibration
+from calgraph.result.sensor_pose import SensorPose
 
 LEFT_OUT = frozenset({"pictures", "provenance", "prior_errors", "residuals", "runtime", "seconds", "path"})
 """Fields of results that hold pictures, the version, paths or durations; residuals are given as RMS."""
@@ -31,8 +32,7 @@ KEYS: Mapping[str, Sequence[str]] = {
 
 def describe(result: object) -> str:
     """The text of a result: a calibration, or anything made of dataclasses, arrays and numbers."""
-    values = _calibration(result) if isinstance(result, Calibration) else _lines("", result)
-    return "".join(f"{path or 'value'}\t{value}\n" for path, value in values)
+    return "".join(f"{path or 'value'}\t{value}\n" for path, value in _lines("", result))
 
 
 def describe_error(error: Exception) -> str:
@@ -54,17 +54,15 @@ def parse_array(value: str) -> np.ndarray[Any, np.dtype[np.float64]]:
     return np.array([float.fromhex(one) for one in numbers])
 
 
-def _calibration(found: Calibration) -> Iterator[tuple[str, str]]:
+def _calibration(path: str, found: Calibration) -> Iterator[tuple[str, str]]:
     """The joint covariance block by block: those of sensors are with them, and correlations below."""
-    for path, value in _lines("", found):
-        if path != "joint_covariance":
-            yield path, value
+    yield from ((at, value) for at, value in _fields(path, found) if at != _join(path, "joint_covariance"))
     names, joint = [sensor.name for sensor in found.sensors], found.joint_covariance
     for k, name in enumerate(names):
-        yield f"sensors/{name}/covariance", _array(joint[6 * k : 6 * k + 6, 6 * k : 6 * k + 6])
+        yield _join(path, f"sensors/{name}/covariance"), _array(joint[6 * k : 6 * k + 6, 6 * k : 6 * k + 6])
         rest = joint[6 * k : 6 * k + 6, 6 * k + 6 :]
         if np.nan_to_num(rest, nan=1.0).any():
-            yield f"correlations/{name}", _array(rest)
+            yield _join(path, f"correlations/{name}"), _array(rest)
 
 
 def _lines(path: str, value: object) -> Iterator[tuple[str, str]]:
@@ -72,12 +70,10 @@ def _lines(path: str, value: object) -> Iterator[tuple[str, str]]:
         yield path, f"rejected {json.dumps(value.reason, ensure_ascii=False)}"
     elif isinstance(value, BaseModel):
         yield from _lines(path, value.model_dump(mode="json"))
+    elif isinstance(value, Calibration):
+        yield from _calibration(path, value)
     elif is_dataclass(value) and not isinstance(value, type):
-        names = [one.name for one in fields(value) if one.name not in LEFT_OUT]
-        for name in names:
-            # A view of the joint covariance is in its blocks.
-            if not (name == "covariance" and hasattr(value, "verdict")):
-                yield from _lines(_join(path, name), getattr(value, name))
+        yield from _fields(path, value)
     elif hasattr(value, "_asdict"):
         yield from _lines(path, {key: one for key, one in value._asdict().items() if key not in LEFT_OUT})
     elif isinstance(value, Mapping):
@@ -91,6 +87,13 @@ def _lines(path: str, value: object) -> Iterator[tuple[str, str]]:
         yield from _sequence(path, value)
     else:
         yield path, _scalar(value)
+
+
+def _fields(path: str, value: Any) -> Iterator[tuple[str, str]]:
+    for name in (one.name for one in fields(value) if one.name not in LEFT_OUT):
+        # The covariance of a sensor is among the blocks of the joint one.
+        if not (name == "covariance" and isinstance(value, SensorPose)):
+            yield from _lines(_join(path, name), getattr(value, name))
 
 
 def _sequence(path: str, values: Sequence[object]) -> Iterator[tuple[str, str]]:
