@@ -1,6 +1,6 @@
 """The problems of frozen.py by options: starts, priors, checks, moving boards, lenses, graphs, refusals."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from functools import lru_cache, partial
 from itertools import product
@@ -18,6 +18,7 @@ from calgraph.calibrate import (
     RigOptions,
     bootstrap_covariances,
     build_problem_from_captures,
+    calibrate_detections,
     compare_extrinsics,
     solve_problem,
 )
@@ -174,7 +175,16 @@ def _halves(captured: CaptureSet) -> tuple[CaptureSet, CaptureSet]:
     return _select(captured, lambda capture: capture % 2 == 0), _select(captured, lambda capture: capture % 2 == 1)
 
 
-def _select(captured: CaptureSet, chosen: Any) -> CaptureSet:
+def _leave_out(captured: CaptureSet, silent: Callable[[str, int], bool]) -> CaptureSet:
+    """Some sensors detect nothing in some captures."""
+    gone = {(c, name): "left out" for name, of in captured.detections.items() for c in of if silent(name, c)}
+    found = {
+        name: {c: d for c, d in of.items() if (c, name) not in gone} for name, of in captured.detections.items()
+    }
+    return replace(captured, detections=found, rejections={**captured.rejections, **gone})
+
+
+def _select(captured: CaptureSet, chosen: Callable[[int], bool]) -> CaptureSet:
     found = {name: {c: d for c, d in of.items() if chosen(c)} for name, of in captured.detections.items()}
     holds = tuple(hold for hold in captured.holds if chosen(hold.index))
     rejections = {key: reason for key, reason in captured.rejections.items() if chosen(key[0])}
@@ -245,27 +255,19 @@ def _refused(what: str) -> object:
         rig = rig.model_copy(update={"sensors": {rig.root: rig.sensors[rig.root]}})
         captured = replace(captured, detections={rig.root: captured.detections[rig.root]})
     elif what == "nothing_detected":
-        captured = replace(captured, detections={name: {} for name in names})
+        captured = _leave_out(captured, lambda _name, _capture: True)
     elif what == "one_capture":
         captured = _select(captured, lambda capture: capture == 1)
     elif what == "two_captures":
         captured = _select(captured, lambda capture: capture in (1, 2))
     elif what == "no_common_captures":
-        found = {
-            name: {c: d for c, d in captured.detections[name].items() if c % len(names) == k}
-            for k, name in enumerate(names)
-        }
-        captured = replace(captured, detections=found)
+        captured = _leave_out(captured, lambda name, capture: names[capture % len(names)] != name)
     elif what in ("root_apart", "link_missing"):
         silent = rig.root if what == "root_apart" else next(name for name in names[1:] if name != rig.root)
-        captured = replace(captured, detections={**captured.detections, silent: {}})
+        captured = _leave_out(captured, lambda name, _capture: name == silent)
     elif what == "people":
-        return build_problem_from_captures(
-            rig.model_copy(update={"target": People(kind="people")}),
-            captured,
-            RigOptions(),
-            np.random.default_rng(0),
-        )
+        walkers = rig.model_copy(update={"target": People(kind="people")})
+        return calibrate_detections(walkers, captured.detections, RigOptions(), captured.cameras)
     elif what == "prior_with_hypergraph":
         return RigOptions(prior=PriorFile(given), estimator="hypergraph")
     elif what == "unknown_estimator":

@@ -47,7 +47,7 @@ QUICK = RigScenario(
 RIGS: Mapping[str, tuple[RigScenario, dict[str, Any]]] = {
     "demo": (RigScenario(), {}),
     "quick": (QUICK, {}),
-    "mean_plane": (QUICK, {"tags": "mean_plane"}),
+    "mean_plane": (QUICK, {"tags": "mean_plane", "estimator": "hypergraph"}),
     "hypergraph": (QUICK, {"estimator": "hypergraph"}),
 }
 NETWORKS: Mapping[str, dict[str, Any]] = {
