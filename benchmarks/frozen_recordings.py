@@ -2,7 +2,7 @@
 
 import hashlib
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+import intrinsics_real
 import real_legs
 import real_recordings
 import subsets
@@ -17,6 +18,8 @@ import webcams
 from calgraph.calibrate import NetworkOptions, RigOptions, calibrate, calibrate_intrinsics, solve_problem
 from calgraph.calibrate.result_files import write_results
 from calgraph.config import Rig, load_rig
+from calgraph.detection import BoardView
+from calgraph.estimation import estimate_intrinsics
 from calgraph.recording import open_recording, resolve_intrinsics
 from calgraph.result import Calibration
 from calgraph.simulation import (
@@ -152,7 +155,9 @@ def _real_problems() -> Iterator[tuple[str, Make]]:
     for day in ("2022-11-09_02-44-29", "2022-10-20_07-13-29"):
         yield f"ouster/{day}", partial(_real_folder, OUSTER, f"acfr-ouster64-few-poses/{day}", RigOptions())
     yield "webcams/calibrate", _webcams
-    yield "webcams/intrinsics", _webcam_intrinsics
+    yield "intrinsics/acfr", lambda: _real_intrinsics(*intrinsics_real.read_acfr()[:2])
+    for number in range(4):
+        yield f"intrinsics/webcam_{number}", partial(_webcam_intrinsics, number)
     for name, stamps in (("stamped", True), ("unstamped", False)):
         yield f"webcams/{name}", partial(_webcam_frames, stamps=stamps)
     for name in real_legs.TOPICS:
@@ -187,9 +192,12 @@ def _webcam_frames(*, stamps: bool) -> Calibration:
     return webcams.fit_frames(rig, captures, [hold.index for hold in captures.holds]).calibration
 
 
-def _webcam_intrinsics() -> object:
-    with open_recording(webcams.data_folder()) as recording:
-        return calibrate_intrinsics(webcams.read_rig(), recording)
+def _real_intrinsics(rig: Rig, views: Sequence[BoardView]) -> object:
+    return estimate_intrinsics(rig, "camera", views)
+
+
+def _webcam_intrinsics(number: int) -> object:
+    return _real_intrinsics(*intrinsics_real.read_webcam(number)[:2])
 
 
 def _legs(name: str) -> object:

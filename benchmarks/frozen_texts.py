@@ -81,6 +81,8 @@ def _lines(path: str, value: object) -> Iterator[tuple[str, str]]:
             yield path, "{}"
         for key, one in value.items():
             yield from _lines(_join(path, _word(key)), one)
+    elif isinstance(value, slice):
+        yield path, f"{value.start}:{value.stop}:{value.step}"
     elif isinstance(value, np.ndarray):
         yield path, _array(value)
     elif isinstance(value, Sequence) and not isinstance(value, str):
