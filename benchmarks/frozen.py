@@ -7,10 +7,10 @@ python benchmarks/frozen.py --only 'networks/*' --force   # some problems, again
 python benchmarks/frozen.py --list                        # names alone
 python benchmarks/frozen.py compare build/frozen/before build/frozen/current
 
-Prints a line for each problem: name, SHA-256 of its text, CPU seconds (``-`` where the text was there); then totals:
+Prints a line for each problem: name, SHA-256 of its text, CPU seconds (``-`` where it was there); then totals:
 
     model_errors/five/print_scale/0.01/0 dc1681ddae28 1.94
-    435 problems, digest e86e7db18456, 1097 s of CPU, 1180 s
+    435 problems, digest d8e7b5fceb20, 1097 s of CPU, 1180 s
 
 ``compare`` prints how many problems are equal, and what changed in the others. Its exit code is 1 if any differs:
 

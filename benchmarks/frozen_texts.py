@@ -1,7 +1,7 @@
 """Results of calgraph as text that has every bit of them, for frozen.py.
 
 A text has one line per value: a path, a tab, and the value. Paths consist of names of sensors and fields, so that
-two texts of one problem are compared line by line, whatever the modules of their types are called. Floats are
+two texts of one problem are compared line by line: modules of their types may have any names. Floats are
 hexadecimal and exact. What depends on the machine or the time is left out.
 """
 
