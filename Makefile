@@ -3,7 +3,7 @@
 # Recipes run the tools as modules or by relative path, so that a checkout may lie in a folder with spaces.
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-slow coverage mutants fuzz check docs format requirements clean
+.PHONY: help setup demo test test-slow coverage mutants fuzz frozen check docs format requirements clean
 
 BIN := .venv/bin
 # calgraph with what a user needs, and with the tools of all other targets.
@@ -45,6 +45,10 @@ mutants: .venv/.mutants  ## change N random places of ROOM, one at a time, and l
 SECONDS := 3600
 fuzz: .venv/.fuzz  ## give damaged files to all readers for SECONDS, on Linux; findings in build/fuzz
 	$(BIN)/python benchmarks/fuzz_readers.py --work build/fuzz --seconds $(SECONDS)
+
+# OMP_NUM_THREADS=1: sums of several threads differ from run to run.
+frozen: $(READY)  ## calculate the frozen corpus of problems, to compare bits (ARGS="compare A B" for two folders)
+	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/frozen.py $(ARGS)
 
 check: $(READY)  ## lint, format, types, and who may import whom
 	$(BIN)/ruff check .

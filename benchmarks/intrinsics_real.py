@@ -38,9 +38,9 @@ def main() -> None:
         f"{'rms':>5} "
         f"{'held out':>8} {'opencv':>7} {'publ.':>6} {'fx opencv':>9} {'fx publ.':>8}"
     )
-    _compare("acfr", *_read_acfr())
+    _compare("acfr", *read_acfr())
     for number in range(4):
-        _compare(f"webcam {number}", *_read_webcam(number))
+        _compare(f"webcam {number}", *read_webcam(number))
 
 
 def _compare(name: str, rig: Rig, views: Sequence[BoardView], published: CameraModel) -> None:
@@ -101,7 +101,8 @@ def _rig(pattern: Mapping[str, object], size: tuple[float, float]) -> Rig:
     })  # fmt: skip
 
 
-def _read_acfr() -> tuple[Rig, list[BoardView], CameraModel]:
+def read_acfr() -> tuple[Rig, list[BoardView], CameraModel]:
+    """Rig, views and published intrinsics of the wide fisheye."""
     folder = DATA / "acfr-vlp16-checkerboard"
     camera = camera_from_yaml(YAML(typ="safe").load(folder / "camera_info_first_commit.yaml"))
     rows = np.loadtxt(folder / "corners_all40.csv", delimiter=",", skiprows=1)
@@ -118,7 +119,8 @@ def _read_acfr() -> tuple[Rig, list[BoardView], CameraModel]:
     return _rig(pattern, (0.61, 0.85)), views, camera
 
 
-def _read_webcam(number: int) -> tuple[Rig, list[BoardView], CameraModel]:
+def read_webcam(number: int) -> tuple[Rig, list[BoardView], CameraModel]:
+    """Rig, views and published intrinsics of one of the webcams."""
     folder = DATA / "four-webcams-charuco-corners"
     stated = tomllib.loads((folder / "camera_array.toml").read_text())["cameras"][str(number)]
     width, height = stated["size"]

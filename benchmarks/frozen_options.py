@@ -1,0 +1,277 @@
+"""The problems of frozen.py by options: starts, priors, checks, moving boards, lenses, graphs, refusals."""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
+from functools import lru_cache, partial
+from itertools import product
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, get_args
+
+import numpy as np
+
+import intrinsics
+import lens_models
+import msg_cal
+from calgraph.config import People, Rig
+from calgraph.geometry import Array, se3
+from calgraph.graph.pose_averaging import RotationAveraging, average_poses_by_rotations
+from calgraph.graph.tree_consensus import average_poses
+from calgraph.result import Calibration, ExtrinsicsFile
+from calgraph.result.frame_tree import FrameLink, FrameTree
+from calgraph.rig.bundle.priors import PriorFile, RigidFile
+from calgraph.rig.bundle.problem_file import load_problem, save_problem
+from calgraph.rig.captures.detect import CaptureSet
+from calgraph.rig.intrinsics.estimate import estimate_intrinsics
+from calgraph.rig.options import RigOptions
+from calgraph.rig.pipeline import build_problem_from_captures, calibrate_detections, solve_problem
+from calgraph.rig.verification import bootstrap_covariances, compare_extrinsics
+from calgraph.simulation import (
+    CameraOptions,
+    GroundTruth,
+    IdealDetectorOptions,
+    LaserOptions,
+    MovingBoardOptions,
+    MultibeamOptions,
+    RigScenario,
+    SpinningOptions,
+    build_world,
+    simulate_detections,
+    simulate_moving_detections,
+)
+from efficiency import without_uncertainty
+from frozen_rigs import Make, calibrated
+from graph_methods import random_graph
+from model_error_rigs import rig_world
+from moving_boards import scenario as moving_scenario
+
+NO_CAMERA, NO_LASER, NO_SPINNING = CameraOptions(count=0), LaserOptions(count=0), SpinningOptions(count=0)
+WORLDS: Mapping[str, RigScenario] = {
+    "lasers": RigScenario(camera=NO_CAMERA, spinning=NO_SPINNING),
+    "two_lasers": RigScenario(camera=NO_CAMERA, spinning=NO_SPINNING, laser=LaserOptions(count=2)),
+    "camera_laser": RigScenario(spinning=NO_SPINNING, laser=LaserOptions(count=1)),
+    "camera_spinning": RigScenario(laser=NO_LASER),
+    "two_lidars": RigScenario(camera=NO_CAMERA, laser=NO_LASER, multibeam=MultibeamOptions(count=1)),
+    "fisheye": RigScenario(camera=CameraOptions(model="fisheye", field_of_view=150), laser=NO_LASER),
+    "disturbed": RigScenario(laser=LaserOptions(count=1), disturbed=0.3),
+    "few": RigScenario(bearings=(-20, 20), radii=(2.0,), samples=2),
+    "upright": RigScenario(laser=LaserOptions(count=1), spinning=NO_SPINNING, max_rotation=1.0),
+    "aprilgrid": RigScenario(laser=NO_LASER, board=intrinsics.BOARD),
+}
+"""Rigs that are none of model_error_rigs.py."""
+OPTIONS: Mapping[str, dict[str, Any]] = {
+    "hypergraph": {"estimator": "hypergraph"},
+    "identity": {"start": "identity", "estimator": "hypergraph"},
+    "consensus": {"start": "consensus"},
+    **{name: {"start": name} for name in get_args(RotationAveraging)},
+    "keep_none": {"keep": "none"},
+    "keep_none_hypergraph": {"keep": "none", "estimator": "hypergraph"},
+    "no_folds": {"folds": 0},
+    "three_folds": {"folds": 3},
+}
+"""Options of RigOptions that differ from the defaults."""
+PRIORS: Mapping[str, tuple[tuple[float, float] | None, float]] = {
+    "right": ((0.01, 0.005), 0.0), "exact": ((0.0, 0.0), 0.0), "wrong": ((0.002, 0.001), 0.05),
+    "wide": ((0.5, 0.3), 0.05), "exact_wrong": ((0.0, 0.0), 0.03),
+}  # fmt: skip
+"""Standard deviations of prior poses, m and rad, and by how much one of them is wrong, m."""
+ROUNDS = 10
+
+
+def list_option_problems() -> Iterator[tuple[str, Make]]:
+    """Names and functions of all of them."""
+    for name in WORLDS:
+        yield f"rigs/worlds/{name}/0", partial(_world, name, 0)
+    for rig, (name, options) in product(("five", "chain"), OPTIONS.items()):
+        yield f"rigs/options/{rig}/{name}/3", partial(_with_options, rig, options)
+    for name in ("exact_sensors", "tight", "loose", "dump", "reversed"):
+        yield f"rigs/changes/{name}/3", partial(_changed, name)
+    for rig, name in product(("five", "chain"), PRIORS):
+        yield f"rigs/priors/{rig}/{name}/3", partial(_with_prior, rig, name)
+    for rig in ("five", "chain", "cameras"):
+        yield f"rigs/priors/{rig}/calibration/3", partial(_with_earlier, rig)
+        yield f"rigs/rigid/{rig}/3", partial(_rigid, rig, 0.0)
+        yield f"rigs/bootstrap/{rig}/3", partial(_bootstrap, rig)
+        for offset in (0.0, 0.004, 0.05):
+            yield f"rigs/check/{rig}/{offset:g}/3", partial(_checked, rig, offset)
+    yield "rigs/rigid/five_wrong/3", partial(_rigid, "five", 0.03)
+    for speed, spread, readout in ((0.1, 0.0, 0.0), (0.3, 0.01, 0.02), (0.3, 0.05, 0.0), (1.0, 0.05, 0.02)):
+        motion = MovingBoardOptions(speed=speed, spread=spread, rate=10.0, jitter=0.002, readout=readout)
+        yield f"moving_boards/{speed:g}/{spread:g}/{readout:g}/0", partial(_moving, motion, 0)
+    for k, lens in enumerate(intrinsics.LENSES):
+        warp = 0.3 * (k % 2)
+        yield f"intrinsics/{lens}/{warp:g}/0", partial(intrinsics.measure, lens, 0, warp, rendered=False)
+    for seed, warp in product(range(4), (0.0, 0.3)):
+        yield f"lens_models/{warp:g}/{seed}", partial(_lens, seed, warp)
+    for n, wrong, sparse in product((2, 3), (0.2, 0.4), (False, True)):
+        name = f"graphs/se{n}/{wrong:g}/{'sparse' if sparse else 'complete'}/0"
+        yield name, partial(_graph, n, wrong, sparse=sparse)
+    for disturbed in (0.0, 0.1):
+        scenario = RigScenario(bearings=(-30, -15, 0, 15, 30), samples=3, disturbed=disturbed)
+        yield f"papers/msg_cal/{disturbed:g}/0", partial(msg_cal.run, scenario, 0)
+    for what in REFUSALS:
+        yield f"refusals/rigs/{what}", partial(_refused, what)
+
+
+def _world(name: str, seed: int) -> Calibration:
+    world = build_world(WORLDS[name], seed, images=False)
+    rig, captured, _ = simulate_detections(world, seed)
+    return calibrated(rig, captured, seed)
+
+
+@lru_cache(maxsize=1)
+def _detected(rig: str) -> tuple[Rig, CaptureSet, GroundTruth]:
+    return simulate_detections(rig_world(rig, 3), 3)
+
+
+def _with_options(rig: str, options: dict[str, Any]) -> Calibration:
+    return calibrated(*_detected(rig)[:2], 3, RigOptions(**options))
+
+
+def _changed(what: str) -> Calibration:
+    rig, captured, _ = _detected("five")
+    if what == "exact_sensors":
+        rig = without_uncertainty(rig)
+    elif what == "reversed":
+        sensors = dict(reversed(rig.sensors.items()))
+        captured = replace(captured, detections={name: captured.detections[name] for name in sensors})
+        rig = rig.model_copy(update={"sensors": sensors, "root": next(iter(sensors))})
+    elif what == "dump":
+        problem = build_problem_from_captures(rig, captured, RigOptions(), np.random.default_rng(3))
+        with TemporaryDirectory() as folder:
+            save_problem(problem, Path(folder) / "problem.npz")
+            return solve_problem(load_problem(Path(folder) / "problem.npz"))
+    else:
+        metres, degrees = (0.001, 0.05) if what == "tight" else (0.05, 2.0)
+        tolerance = rig.tolerance.model_copy(update={"translation": metres, "rotation": degrees})
+        rig = rig.model_copy(update={"tolerance": tolerance})
+    return calibrated(rig, captured, 3)
+
+
+def given_poses(root: str, poses: Mapping[str, Array], offset: float) -> ExtrinsicsFile:
+    """A file of these poses, of which the last one is off along x, m."""
+    last = list(poses)[-1]
+    step = se3.retract(np.eye(4), np.array([offset, 0, 0, 0, 0, 0]))
+    links = {n: FrameLink(root, T @ step if n == last else T) for n, T in poses.items() if n != root}
+    return ExtrinsicsFile(Path("given.yaml"), FrameTree("given.yaml", links))
+
+
+def _with_prior(rig: str, name: str) -> Calibration:
+    stated, captured, truth = _detected(rig)
+    deviations, offset = PRIORS[name]
+    prior = PriorFile(given_poses(stated.root, _frames(stated, truth), offset), deviations)
+    return calibrated(stated, captured, 3, RigOptions(prior=prior))
+
+
+def _frames(rig: Rig, truth: GroundTruth) -> dict[str, Array]:
+    return {name: truth.T_root_sensor[name] for name in rig.sensors}
+
+
+def _halves(captured: CaptureSet) -> tuple[CaptureSet, CaptureSet]:
+    """Even and odd captures."""
+    return _select(captured, lambda capture: capture % 2 == 0), _select(captured, lambda capture: capture % 2 == 1)
+
+
+def _leave_out(captured: CaptureSet, silent: Callable[[str, int], bool]) -> CaptureSet:
+    """Some sensors detect nothing in some captures."""
+    gone = {(c, name): "left out" for name, of in captured.detections.items() for c in of if silent(name, c)}
+    found = {
+        name: {c: d for c, d in of.items() if (c, name) not in gone} for name, of in captured.detections.items()
+    }
+    return replace(captured, detections=found, rejections={**captured.rejections, **gone})
+
+
+def _select(captured: CaptureSet, chosen: Callable[[int], bool]) -> CaptureSet:
+    found = {name: {c: d for c, d in of.items() if chosen(c)} for name, of in captured.detections.items()}
+    holds = tuple(hold for hold in captured.holds if chosen(hold.index))
+    rejections = {key: reason for key, reason in captured.rejections.items() if chosen(key[0])}
+    return replace(captured, detections=found, holds=holds, rejections=rejections)
+
+
+def _with_earlier(rig: str) -> Calibration:
+    """The calibration from half of the captures, with covariances, is the prior of the other half."""
+    stated, captured, _ = _detected(rig)
+    first, second = _halves(captured)
+    before = calibrated(stated, first, 3)
+    poses = {sensor.name: sensor.T_root_sensor for sensor in before.sensors}
+    given = replace(given_poses(stated.root, poses, 0.0), calibration=before)
+    return calibrated(stated, second, 3, RigOptions(prior=PriorFile(given)))
+
+
+def _rigid(rig: str, offset: float) -> Calibration:
+    stated, captured, truth = _detected(rig)
+    group = tuple(stated.sensors)[-2:]
+    given = given_poses(stated.root, _frames(stated, truth), offset)
+    return calibrated(stated, captured, 3, RigOptions(rigid=(RigidFile(given, group),)))
+
+
+def _bootstrap(rig: str) -> tuple[object, ...]:
+    problem = build_problem_from_captures(*_detected(rig)[:2], RigOptions(), np.random.default_rng(3))
+    return bootstrap_covariances(problem, ROUNDS, np.random.default_rng(5))
+
+
+def _checked(rig: str, offset: float) -> tuple[object, ...]:
+    stated, captured, truth = _detected(rig)
+    problem = build_problem_from_captures(stated, captured, RigOptions(), np.random.default_rng(3))
+    return compare_extrinsics(problem, given_poses(stated.root, _frames(stated, truth), offset))
+
+
+def _moving(motion: MovingBoardOptions, seed: int) -> Calibration:
+    world = build_world(moving_scenario(), seed, images=False)
+    rig, captured, _ = simulate_moving_detections(world, seed, motion, IdealDetectorOptions(scans_per_hold=1))
+    return calibrated(rig, captured, seed)
+
+
+def _lens(seed: int, warp: float) -> object:
+    """The intrinsics alone."""
+    views = lens_models.simulate_views(lens_models.draw_lens(seed), seed, 12, warp)
+    return estimate_intrinsics(lens_models.RIG, "camera", views)
+
+
+def _graph(n: int, wrong: float, *, sparse: bool) -> dict[str, object]:
+    """Poses by all methods; sparse graphs are cut where edges disagree."""
+    rng = np.random.default_rng([n, round(100 * wrong), int(sparse)])
+    count, edges = (20, 30) if sparse else (7, 21)
+    graph, _, _ = random_graph(count, edges, n, wrong, 10.0, rng)
+    others = {name: average_poses_by_rotations(graph, None, name) for name in get_args(RotationAveraging)}
+    return {"consensus": average_poses(graph, np.random.default_rng(0)), **others}
+
+
+REFUSALS = (
+    "one_sensor", "nothing_detected", "one_capture", "two_captures", "no_common_captures", "root_apart",
+    "link_missing", "people", "prior_with_hypergraph", "unknown_estimator", "other_frames", "lasers_few",
+)  # fmt: skip
+"""What is refused, or leaves sensors without a pose."""
+
+
+def _refused(what: str) -> object:
+    rig, captured, _ = _detected("chain")
+    names = list(rig.sensors)
+    given = given_poses("elsewhere", {"far": np.eye(4), "away": np.eye(4)}, 0.0)
+    if what == "one_sensor":
+        rig = rig.model_copy(update={"sensors": {rig.root: rig.sensors[rig.root]}})
+        captured = replace(captured, detections={rig.root: captured.detections[rig.root]})
+    elif what == "nothing_detected":
+        captured = _leave_out(captured, lambda _name, _capture: True)
+    elif what == "one_capture":
+        captured = _select(captured, lambda capture: capture == 1)
+    elif what == "two_captures":
+        captured = _select(captured, lambda capture: capture in (1, 2))
+    elif what == "no_common_captures":
+        captured = _leave_out(captured, lambda name, capture: names[capture % len(names)] != name)
+    elif what in ("root_apart", "link_missing"):
+        silent = rig.root if what == "root_apart" else next(name for name in names[1:] if name != rig.root)
+        captured = _leave_out(captured, lambda name, _capture: name == silent)
+    elif what == "people":
+        walkers = rig.model_copy(update={"target": People(kind="people")})
+        return calibrate_detections(walkers, captured.detections, RigOptions(), captured.cameras)
+    elif what == "prior_with_hypergraph":
+        return RigOptions(prior=PriorFile(given), estimator="hypergraph")
+    elif what == "unknown_estimator":
+        return RigOptions(estimator="kalman")  # type: ignore[arg-type]
+    elif what == "other_frames":
+        return calibrated(rig, captured, 0, RigOptions(prior=PriorFile(given, (0.01, 0.01))))
+    else:
+        rig, captured, _ = simulate_detections(build_world(WORLDS["lasers"], 0, images=False), 0)
+        captured = _select(captured, lambda capture: capture < 4)
+    return calibrated(rig, captured, 0)

@@ -1,0 +1,89 @@
+"""The problems of frozen.py with a board: rigs, moving boards, intrinsics, graphs of poses."""
+
+from collections.abc import Callable, Iterator, Mapping
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from calgraph.config import CameraSpec, PixelNoise, Rig
+from calgraph.result import Calibration
+from calgraph.rig.captures.detect import CaptureSet
+from calgraph.rig.options import RigOptions
+from calgraph.rig.pipeline import build_problem_from_captures, solve_problem
+from calgraph.simulation import BoardErrors, IdealDetectorOptions, ModelErrors, simulate_detections
+from model_error_draws import draw_errors
+from model_error_kinds import KINDS, Wrong, cases, wrong_world
+from model_error_rigs import SCENARIOS, rig_world
+from model_errors import DRAWN_CAPTURES, SHARP, SMALL_TREMORS, with_captures
+
+Make = Callable[[], object]
+WITHOUT: Mapping[str, tuple[str, ...]] = {
+    "range_bias": ("cameras",), "range_scale": ("cameras",), "footprint": ("cameras",),
+    "angle_scale": ("pair", "cameras"), "ring_bias": ("five", "cameras"), "ring_elevation": ("five", "cameras"),
+}  # fmt: skip
+"""Rigs without a sensor that could be wrong so."""
+RIGS_PER_CASE = 2
+
+
+def list_rig_problems() -> Iterator[tuple[str, Make]]:
+    """Names and functions of all of them."""
+    yield from _wrong_worlds()
+    yield from _right_worlds()
+
+
+def calibrated(rig: Rig, captured: CaptureSet, seed: int, options: RigOptions | None = None) -> Calibration:
+    """The result from detections."""
+    problem = build_problem_from_captures(rig, captured, options or RigOptions(), np.random.default_rng(seed))
+    return solve_problem(problem)
+
+
+def _wrong_worlds() -> Iterator[tuple[str, Make]]:
+    """Every kind and size in some of the rigs, in turn, so that each kind is in all rigs or nearly."""
+    for k, (kind, size) in enumerate(cases(tuple(KINDS))):
+        rigs = [rig for rig in SCENARIOS if rig not in WITHOUT.get(kind, ())]
+        for step in range(min(RIGS_PER_CASE, len(rigs))):
+            rig = rigs[(RIGS_PER_CASE * k + step) % len(rigs)]
+            yield f"model_errors/{rig}/{kind}/{size:.6g}/0", partial(_wrong, rig, kind, size, 0)
+
+
+def _wrong(rig: str, kind: str, size: float, seed: int) -> Calibration:
+    wrong = wrong_world(kind, size, rig, seed)
+    assert wrong is not None
+    world = rig_world(rig, seed, wrong.scenario)
+    stated, captured, _ = simulate_detections(world, seed, wrong.options, wrong.errors)
+    return calibrated(stated, captured, seed)
+
+
+def _right_worlds() -> Iterator[tuple[str, Make]]:
+    for rig in SCENARIOS:
+        for seed in (1, 2):
+            yield f"model_errors/{rig}/right/0/{seed}", partial(_right, rig, seed)
+    for k, rig in enumerate(SCENARIOS):
+        for seed in (0, 1):
+            captures = DRAWN_CAPTURES[(k + seed) % len(DRAWN_CAPTURES)]
+            yield f"model_errors/{rig}/drawn/{captures}/{seed}", partial(_drawn, rig, captures, seed)
+        tremor = SMALL_TREMORS[k % len(SMALL_TREMORS)]
+        yield f"model_errors/{rig}/sharp_tremor/{tremor:.6g}/0", partial(_trembling, rig, tremor, 0)
+
+
+def _right(rig: str, seed: int) -> Calibration:
+    stated, captured, _ = simulate_detections(rig_world(rig, seed), seed, Wrong().options, Wrong().errors)
+    return calibrated(stated, captured, seed)
+
+
+def _drawn(rig: str, captures: int, seed: int) -> Calibration:
+    rng = np.random.default_rng((seed, 15))
+    world = with_captures(rig_world(rig, seed), captures, rng)
+    stated, captured, _ = simulate_detections(world, seed, None, draw_errors(world, rng))
+    return calibrated(stated, captured, seed)
+
+
+def _trembling(rig: str, tremor: float, seed: int) -> Calibration:
+    errors, options = ModelErrors(BoardErrors(tremor=tremor)), IdealDetectorOptions(pixel=SHARP)
+    stated, captured, _ = simulate_detections(rig_world(rig, seed), seed, options, errors)
+    sensors: dict[str, Any] = {
+        name: spec.model_copy(update={"noise": PixelNoise()}) if isinstance(spec, CameraSpec) else spec
+        for name, spec in stated.sensors.items()
+    }
+    return calibrated(stated.model_copy(update={"sensors": sensors}), captured, seed)
