@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.config import Cylinder, Lidar2dSpec, People, Rig
-from calgraph.config.settings import BaselineSettings
+from calgraph.config.settings import BaselineSettings, CenterFeature
 from calgraph.geometry import Array, se2
 from calgraph.graph.averaging import select_averaging
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
@@ -21,7 +21,6 @@ from calgraph.network.graph.network_graph import (
 )
 from calgraph.network.graph.network_initialization import initialize_network
 from calgraph.network.joint.estimate import solve_network
-from calgraph.network.options import CenterFeature
 from calgraph.network.pairs.scanner_pair import ScannerPairEstimate, estimate_scanner_pairs
 from calgraph.network.pairs.synchronized_tracks import pair_samples, resample_tracks
 from calgraph.network.pairs.visibility_map import ScannerObservations

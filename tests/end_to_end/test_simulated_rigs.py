@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 
 from calgraph.config import Board, Checkerboard, Rig
+from calgraph.config.settings import RigStart
 from calgraph.parallel.engine import Processes
 from calgraph.recording import MessageRecording
 from calgraph.recording.recording import JoinedRecording
 from calgraph.result import Calibration
 from calgraph.rig.capture_collection import collect_captures
-from calgraph.rig.options import RigOptions, RigStart
+from calgraph.rig.options import RigOptions
 from calgraph.rig.pipeline import build_problem_from_captures, solve_problem
 from calgraph.sensors import LaserScan, Message
 from calgraph.simulation import (

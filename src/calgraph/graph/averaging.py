@@ -1,12 +1,9 @@
 """The averaging of pairs that an option chooses by name."""
 
 from functools import partial
-from typing import Literal
 
-from calgraph.config.settings import BaselineSettings
+from calgraph.config.settings import AveragingMethod, BaselineSettings
 from calgraph.graph.pose_graph import PoseAveraging
-
-AveragingMethod = Literal["consensus", "l1mc", "triangles", "spectral", "irls"]
 
 
 def select_averaging(method: AveragingMethod, settings: BaselineSettings) -> PoseAveraging | None:

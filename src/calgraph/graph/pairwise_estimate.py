@@ -2,12 +2,12 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.config.settings import BoardPairSettings
+from calgraph.config.settings import BoardPairSettings, MatchFilter
 from calgraph.geometry import Array, se3, so3
 
 # Limit on Gauss-Newton steps from the pose of a minimal sample to that of all inliers: 3 to 5 suffice.
@@ -16,9 +16,6 @@ _MAX_STEPS = 20
 _TOLERANCE = 1e-6
 # Added to the covariances for their information, m: keeps those of exact detections regular.
 _MIN_STDDEV = 1e-4
-
-MatchFilter = Literal["ransac", "none"]
-"""Matches that the joint solution uses: the inliers (``ransac``), or the first candidates of each capture."""
 
 
 @dataclass(frozen=True, eq=False)

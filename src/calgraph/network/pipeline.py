@@ -24,7 +24,7 @@ from calgraph.network.checks.track_bumps import find_track_bump
 from calgraph.network.graph.network_initialization import NetworkInitialization, initialize_network
 from calgraph.network.joint.estimate import NetworkSolution, solve_network
 from calgraph.network.joint.scanner_prior import ScannerPrior
-from calgraph.network.options import NetworkOptions
+from calgraph.network.options import NetworkMethod, NetworkOptions
 from calgraph.network.pairs.visibility_map import ScannerObservations
 from calgraph.network.scanner_pairs import CorrectedPairs, pair_scanners
 from calgraph.network.step_log import log_network
@@ -47,7 +47,9 @@ def calibrate_network(
 
     Args, Returns and Raises as for :func:`calgraph.calibrate_rig`.
     """
-    _calibration_to_extend(rig, options)  # checked before minutes are spent on tracking
+    # Checked before minutes are spent on tracking.
+    options.select_method(rig.settings.published)
+    _calibration_to_extend(rig, options)
     monitor = InputMonitor(rig, recording.start)
     tracks, frames = track_people(rig, recording, options, progress, monitor)
     tracks = forget_unused_beams(rig, tracks)
@@ -82,16 +84,17 @@ def calibrate_tracks(
         InputError: a sensor of the rig is not a 2-D scanner, or tracks are of a scanner that the rig lacks.
         CalibrationError: nothing is connected to the root of a network that is to be extended.
     """
+    method = options.select_method(rig.settings.published)
     earlier = _calibration_to_extend(rig, options)
     tracks = _complete_tracks(rig, tracks)
     tracked = {name: found for name, found in tracks.items() if isinstance(found, ScannerTracks)}
     rng = np.random.default_rng(options.seed)
     corrected = pair_scanners(rig, tracked, options, rng, progress)
-    initialization = _initialize(rig, corrected, options, rng)
+    initialization = _initialize(rig, corrected, method, rng)
     with options.engine.keep_workers(rig.settings.estimation.network.max_kept_bytes) as engine:
         joint = prior = None
         # A root without connections may have no tracks.
-        if options.estimator == "joint" and len(initialization.names) > 1:
+        if method.estimator == "joint" and len(initialization.names) > 1:
             progress("solving", 0.0)
             joint, prior = _solve_jointly(rig, corrected, initialization, earlier, engine)
             progress("solving", 1.0)
@@ -140,7 +143,7 @@ def compare_network_extrinsics(
 
 
 def _initialize(
-    rig: Rig, corrected: CorrectedPairs, options: NetworkOptions, rng: np.random.Generator
+    rig: Rig, corrected: CorrectedPairs, method: NetworkMethod, rng: np.random.Generator
 ) -> NetworkInitialization:
     """Averaged poses of the scanners that pairs connect to the root."""
     settings = rig.settings.pairwise.scanners
@@ -151,8 +154,8 @@ def _initialize(
         rng,
         settings=rig.settings.graph,
         hypothesis_settings=settings.hypotheses,
-        averaging=select_averaging(options.average, rig.settings.baselines),
-        weighted=options.weights == "weighted",
+        averaging=select_averaging(method.average, rig.settings.baselines),
+        weighted=method.weights == "weighted",
     )
 
 

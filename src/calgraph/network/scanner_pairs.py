@@ -82,11 +82,12 @@ def _estimate_pairs(
     rng: np.random.Generator,
     progress: Progress,
 ) -> dict[tuple[str, str], ScannerPairEstimate | Rejected]:
+    method = options.select_method(rig.settings.published)
     return estimate_scanner_pairs(
         tracked,
         rng,
-        icp=options.icp,
-        depth_stddev=select_depth_stddev(options.feature, rig.settings.baselines),
+        icp=method.icp,
+        depth_stddev=select_depth_stddev(method.feature, rig.settings.baselines),
         clock_sigma=rig.settings.estimation.network.clock_sigma,
         engine=options.engine,
         progress=lambda done: progress("pairing", done),

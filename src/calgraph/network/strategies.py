@@ -3,8 +3,7 @@
 from functools import partial
 from typing import TYPE_CHECKING
 
-from calgraph.config.settings import BaselineSettings
-from calgraph.network.options import CenterFeature
+from calgraph.config.settings import BaselineSettings, CenterFeature
 
 if TYPE_CHECKING:
     from calgraph.network.tracking.features import CenterEstimator

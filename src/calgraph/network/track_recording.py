@@ -6,10 +6,11 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from calgraph.config import Cylinder, Lidar2dSpec, People, Rig, SensorSpec
+from calgraph.config.settings import CenterFeature
 from calgraph.errors import InputError, Rejected
 from calgraph.io.columns import Arrays
 from calgraph.network.joint.leg_choice import measures_legs
-from calgraph.network.options import CenterFeature, NetworkOptions
+from calgraph.network.options import NetworkOptions
 from calgraph.network.step_log import log_tracks
 from calgraph.network.strategies import select_center_estimator
 from calgraph.network.tracking.scan_stack import ScanRun, ScanStackBuilder
@@ -118,7 +119,7 @@ def _list_inputs(name: str, rig: Rig, options: NetworkOptions) -> dict[str, Any]
         "topic": rig.topics[name],
         "target": rig.target,
         "noise": rig.sensors[name].noise,
-        "feature": options.feature,
+        "feature": options.select_method(rig.settings.published).feature,
         "baselines": rig.settings.baselines,
         "settings": rig.settings.tracking,
     }
@@ -163,7 +164,8 @@ def _track_unread(
     if sum(scans) < _MIN_DIVIDED_SCANS:
         engine, batches = THIS_PROCESS, 1
     limit = min(_MAX_SCANS_IN_MEMORY, -(-sum(scans) // batches))
-    shared = rig, refer_to(recording, rig.settings.limits), options.feature
+    feature = options.select_method(rig.settings.published).feature
+    shared = rig, refer_to(recording, rig.settings.limits), feature
     return engine.stream(_track_batch, ((batch,) for batch in _divide(names, scans, limit)), shared)
 
 

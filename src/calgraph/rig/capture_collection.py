@@ -82,7 +82,8 @@ def _detect_in_timeline(
         resolved, recording, timeline, holds, options.engine, progress, options.cache
     )
     cameras = resolved.camera_models() | intrinsics.cameras
-    method = DetectionMethod(cameras, draw_seeds(rig, rng), options.tags, select_plane_estimator(options.tags))
+    tags = options.select_method(rig.settings.published).tags
+    method = DetectionMethod(cameras, draw_seeds(rig, rng), tags, select_plane_estimator(tags))
     observations = detect_by_sensors(
         _without(rig, intrinsics.failed), recording, timeline, holds, method,
         cache=options.cache, engine=options.engine, progress=partial(progress, "detecting"),

@@ -2,18 +2,34 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Literal, cast, get_args
 
+from calgraph.config.settings import MatchFilter, PlaneMethod, PublishedSettings, RigStart
 from calgraph.errors import InputError
-from calgraph.graph.averaging import AveragingMethod
-from calgraph.graph.pairwise_estimate import MatchFilter
 from calgraph.parallel.engine import THIS_PROCESS, Engine
 from calgraph.recording import NO_CACHE, RecordingCache
 from calgraph.rig.bundle.priors import PriorFile, RigidFile
 from calgraph.rig.bundle.problem import Estimator, SolverOptions
 
-PlaneMethod = Literal["pnp", "mean_plane"]
-RigStart = Literal["tree", "identity"] | AveragingMethod
+RigEstimator = Literal["joint", "published"] | Estimator
+
+
+@dataclass(frozen=True)
+class RigMethod:
+    """The method of each step of which there are several."""
+
+    estimator: Estimator = "bundle"
+    """The bundle over all sensors and boards, or the paper's hypergraph."""
+    keep: MatchFilter = "ransac"
+    """Matches of two sensors to use: inliers (ransac), or all (none)."""
+    start: RigStart = "tree"
+    """Start poses of the joint solution."""
+    tags: PlaneMethod = "pnp"
+    """A camera's plane: one PnP over all corners of tags, or the mean over tags."""
+
+
+MSG_CAL = RigMethod(estimator="hypergraph", tags="mean_plane")
+"""The method of the paper."""
 
 
 @dataclass(frozen=True)
@@ -24,20 +40,22 @@ class RigOptions:
         InputError: an option does not go with the estimator.
     """
 
-    estimator: Estimator = "bundle"
-    """The joint estimator: bundle, in the measured units, or the paper's hypergraph."""
+    estimator: RigEstimator = "joint"
+    """The system: joint, which solves a bundle in the measured units, or published, all of MSG-Cal. ``bundle`` and
+    ``hypergraph`` name the last step alone."""
     prior: PriorFile | None = None
     """Prior poses of sensors."""
     rigid: tuple[RigidFile, ...] = ()
     """Groups of sensors with fixed relative poses."""
-    keep: MatchFilter = "ransac"
-    """Which matches of two sensors to use: inliers (ransac), or all (none)."""
+    keep: MatchFilter | None = None
+    """Which matches of two sensors to use: inliers (ransac), or all (none). This and ``start`` and ``tags`` follow
+    the settings ``published``, and otherwise the estimator, where they are None."""
     folds: int = SolverOptions().folds
     """Number of folds of the cross-validation over captures; 0 for none."""
-    start: RigStart = "tree"
+    start: RigStart | None = None
     """Initialization of the joint solution: spanning tree, identity, or a method that averages all pairs."""
-    tags: PlaneMethod = "pnp"
-    """A camera's plane: one PnP over all corners of tags, or the paper's average over tags (mean_plane)."""
+    tags: PlaneMethod | None = None
+    """A camera's plane: one PnP over all corners of tags (pnp), or the paper's average over tags (mean_plane)."""
     seed: int = 0
     """Of the random samples; the same seed gives the same result."""
     dump: Path | None = None
@@ -48,13 +66,33 @@ class RigOptions:
     """Keeps detections for later runs; nowhere unless stated."""
 
     def __post_init__(self) -> None:
-        check_estimator(self.estimator, bool(self.prior or self.rigid))
+        self.select_method(PublishedSettings())
+
+    def select_method(self, settings: PublishedSettings) -> RigMethod:
+        """The method of each step: as these options state it, or else the settings, or else the estimator.
+
+        Raises:
+            InputError: no such estimator for a rig, one without priors, or settings of networks.
+        """
+        settings.check_kind(is_network=False)
+        implied = MSG_CAL if self.estimator == "published" else RigMethod()
+        estimator: str = self.estimator
+        if estimator in ("joint", "published"):
+            stated = settings.estimator or implied.estimator
+            estimator = "bundle" if stated == "joint" else stated
+        return RigMethod(
+            check_estimator(estimator, bool(self.prior or self.rigid)),
+            self.keep or settings.keep or implied.keep,
+            self.start or settings.start or implied.start,
+            self.tags or settings.tags or implied.tags,
+        )
 
 
-def check_estimator(estimator: Estimator, has_priors: bool) -> None:
-    """Raises InputError unless there is such an estimator, and it supports the priors."""
+def check_estimator(estimator: str, has_priors: bool) -> Estimator:
+    """The same estimator; raises InputError unless it is one of a rig, and supports the priors."""
     if estimator not in get_args(Estimator):
         available = " or ".join(get_args(Estimator))
         raise InputError(f"`estimator`: must be {available} for this target, got {estimator}")
     if has_priors and estimator != "bundle":
-        raise InputError(f"`prior` and `rigid`: go with `estimator` bundle, got {estimator}")
+        raise InputError(f"`prior` and `rigid`: go with `estimator` joint, got {estimator}")
+    return cast("Estimator", estimator)

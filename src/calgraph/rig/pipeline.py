@@ -109,6 +109,7 @@ def build_problem(
 ) -> Problem:
     """Builds the joint problem from a recording; arguments and errors are those of :func:`calibrate_rig`."""
     _check_board(rig)
+    options.select_method(rig.settings.published)  # checked before minutes are spent on detection
     rng = np.random.default_rng(options.seed)
     recording = separate_snapshots(rig, recording)
     aligned = align_clocks(rig, recording, options, progress)
@@ -158,7 +159,8 @@ def build_problem_from_captures(
     log_captures(captures)
     captures = locate_boards(rig, captures)
     settings = rig.settings.pairwise.board
-    start = select_initialization(options.start, rig.settings.baselines)
+    method = options.select_method(rig.settings.published)
+    start = select_initialization(method.start, rig.settings.baselines)
 
     def span_tree(pairs: PairwiseEstimates) -> SpanningTree:
         return initialize_rig(
@@ -171,14 +173,14 @@ def build_problem_from_captures(
     )  # fmt: skip
     tree = span_tree(pairs)
     captures = align_symmetric_prints(rig, captures, tree.T_root_sensor)
-    if options.keep == "ransac":
+    if method.keep == "ransac":
         # RANSAC selects inliers from minimal samples; select them once more under joint poses of all sensors.
         joint = solve_poses(rig, captures, select_successful(pairs), tree.T_root_sensor)
         captures = scale_boards(captures, joint.print_scale)
         pairs = reselect_all_inliers(pairs, joint.T_root_sensor, captures.detections, rig.board_size, settings)
         tree = span_tree(pairs)
     log_pairs(pairs)
-    solver = SolverOptions(estimator=options.estimator, keep=options.keep, folds=options.folds)
+    solver = SolverOptions(estimator=method.estimator, keep=method.keep, folds=options.folds)
     return round_trip(with_prior_poses(Problem(rig, captures, pairs, tree, solver), options.prior, options.rigid))
 
 

@@ -1,12 +1,11 @@
 """What options choose by name: the default, or a part of the paper, imported only where it is chosen."""
 
 from calgraph.boards.camera import PlaneEstimator
-from calgraph.config.settings import BaselineSettings
+from calgraph.config.settings import BaselineSettings, PlaneMethod, RigStart
 from calgraph.graph.averaging import select_averaging
 from calgraph.graph.spanning_tree import SpanningTree
 from calgraph.rig.bundle.problem import Problem
 from calgraph.rig.bundle.solution import RigSolution
-from calgraph.rig.options import PlaneMethod, RigStart
 from calgraph.rig.pairs.board_pair import select_successful
 from calgraph.rig.pairs.rig_initialization import Initialization
 

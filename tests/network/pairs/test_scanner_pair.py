@@ -10,10 +10,9 @@ import pytest
 from scipy.signal import lfilter
 
 from calgraph.config import People, RangeNoise
-from calgraph.config.settings import BaselineSettings, HypothesisSettings, ScannerPairSettings
+from calgraph.config.settings import BaselineSettings, CenterFeature, HypothesisSettings, ScannerPairSettings
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2
-from calgraph.network.options import CenterFeature
 from calgraph.network.pairs import hypothesis_evidence
 from calgraph.network.pairs.hypothesis_evidence import (
     PoseHypothesis,

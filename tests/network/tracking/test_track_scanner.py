@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 
 from calgraph.config import Cylinder, People, RangeNoise
-from calgraph.config.settings import BaselineSettings, EllipseSettings
+from calgraph.config.settings import BaselineSettings, CenterFeature, EllipseSettings
 from calgraph.errors import Rejected
 from calgraph.geometry import Array
-from calgraph.network.options import CenterFeature
 from calgraph.network.strategies import select_center_estimator
 from calgraph.network.tracking.clusters import Clusters
 from calgraph.network.tracking.features import ObjectVelocities, measure_fixed_ellipses

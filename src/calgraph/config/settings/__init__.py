@@ -85,6 +85,15 @@ from calgraph.config.settings.pairwise import (
     ScannerPairSettings,
     VisibilitySettings,
 )
+from calgraph.config.settings.published import (
+    AveragingMethod,
+    CenterFeature,
+    MatchFilter,
+    PlaneMethod,
+    PublishedSettings,
+    RigStart,
+    Weights,
+)
 from calgraph.config.settings.rig_estimation import (
     BoardRegistrationSettings,
     ExtrapolationSettings,
@@ -110,6 +119,7 @@ from calgraph.config.settings.tracking import (
 __all__ = [
     "AdviceSettings",
     "AssociationSettings",
+    "AveragingMethod",
     "BaselineSettings",
     "BoardEdgeSettings",
     "BoardPairSettings",
@@ -123,6 +133,7 @@ __all__ = [
     "CandidateSettings",
     "CaptureBackgroundSettings",
     "CaptureSettings",
+    "CenterFeature",
     "CentroidSettings",
     "ChanceMatchSettings",
     "ClockAlignmentSettings",
@@ -155,6 +166,7 @@ __all__ = [
     "LiveCaptureSettings",
     "LiveNetworkSettings",
     "LiveSettings",
+    "MatchFilter",
     "MaxMessageSettings",
     "MessageRingSettings",
     "MisplacedTagSettings",
@@ -168,7 +180,9 @@ __all__ = [
     "OutlineSettings",
     "PageSettings",
     "PairwiseSettings",
+    "PlaneMethod",
     "ProposalSettings",
+    "PublishedSettings",
     "RangeNoiseSettings",
     "RecorderSettings",
     "RegionSettings",
@@ -178,6 +192,7 @@ __all__ = [
     "RestSettings",
     "RigDiagnosticsSettings",
     "RigEstimationSettings",
+    "RigStart",
     "ScanBackgroundSettings",
     "ScannerDetectionSettings",
     "ScannerPairSettings",
@@ -196,4 +211,5 @@ __all__ = [
     "VerdictSettings",
     "ViewSettings",
     "VisibilitySettings",
+    "Weights",
 ]  # fmt: skip

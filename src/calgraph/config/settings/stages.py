@@ -10,6 +10,7 @@ from calgraph.config.settings.graph import GraphSettings
 from calgraph.config.settings.limits import LimitSettings
 from calgraph.config.settings.live import LiveSettings
 from calgraph.config.settings.pairwise import PairwiseSettings
+from calgraph.config.settings.published import PublishedSettings
 from calgraph.config.settings.tracking import TrackingSettings
 from calgraph.config.strict_model import StrictModel
 
@@ -23,6 +24,7 @@ class Settings(StrictModel):
     pairwise: PairwiseSettings = PairwiseSettings()
     graph: GraphSettings = GraphSettings()
     estimation: EstimationSettings = EstimationSettings()
+    published: PublishedSettings = PublishedSettings()
     baselines: BaselineSettings = BaselineSettings()
     diagnostics: DiagnosticsSettings = DiagnosticsSettings()
     limits: LimitSettings = LimitSettings()

@@ -6,8 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calgraph.config import Rig
+from calgraph.config.settings import MatchFilter
 from calgraph.geometry import Array
-from calgraph.graph.pairwise_estimate import MatchFilter, PairwiseEstimate, select_matches
+from calgraph.graph.pairwise_estimate import PairwiseEstimate, select_matches
 from calgraph.rig.bundle.board_observations import BoardObservation, detected_nodes, group_detections
 from calgraph.rig.bundle.board_outlines import add_outlines
 from calgraph.rig.bundle.bundle_setup import build_bundle, update_noise

@@ -10,9 +10,10 @@ from pydantic import Field
 
 from calgraph.boards.detections import BoardCorners
 from calgraph.config import Rig
+from calgraph.config.settings import MatchFilter
 from calgraph.config.strict_model import StrictModel
 from calgraph.errors import InputError
-from calgraph.graph.pairwise_estimate import MatchFilter, PairwiseEstimate
+from calgraph.graph.pairwise_estimate import PairwiseEstimate
 from calgraph.graph.spanning_tree import SpanningTree
 from calgraph.rig.bundle.priors import PosePrior, PriorFile, RigidFile, RigidGroup, resolve_prior_poses
 from calgraph.rig.bundle.problem_checks import check_numbers

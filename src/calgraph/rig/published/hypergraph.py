@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from calgraph.boards.detections import Detection, Segment, plane_of
-from calgraph.config.settings import Settings
+from calgraph.config.settings import MatchFilter, Settings
 from calgraph.geometry import Array, plane, se3
-from calgraph.graph.pairwise_estimate import MatchFilter, PairwiseEstimate, select_matches
+from calgraph.graph.pairwise_estimate import PairwiseEstimate, select_matches
 from calgraph.graph.spanning_tree import SpanningTree
 from calgraph.rig.pairs.board_matches import Candidates
 from calgraph.rig.published import hypergraph_factors as factor_types
