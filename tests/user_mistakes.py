@@ -185,8 +185,20 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
     ),
     "earlier results in OUT": ("calibrate {rig} {rec} -o {tmp}/earlier", "choose another OUT, or give --force"),
     "an estimator of networks": (
-        "calibrate {rig} {rec} -o {out} --estimator joint",
+        "calibrate {rig} {rec} -o {out} --estimator averaging",
         "must be bundle or hypergraph",
+    ),
+    "a misspelled step of a method": (
+        "calibrate {rig} {rec} -o {out} --set published.start=trees",
+        "--set: published.start: must be 'tree', 'identity'",
+    ),
+    "a misspelled value of a former option": (
+        "calibrate {rig} {rec} -o {out} --start trees",
+        "--set: published.start: must be 'tree', 'identity'",
+    ),
+    "settings of networks": (
+        "calibrate {rig} {rec} -o {out} --set published.feature=com --no-icp",
+        "published.feature, published.icp: only for networks",
     ),
     "options of networks": ("calibrate {rig} {rec} -o {out} --moved camera", "--moved: only for networks"),
     "deviations without a prior": ("calibrate {rig} {rec} -o {out} --prior-stddev 0.01 0.5", "goes with --prior"),
@@ -257,8 +269,12 @@ USAGE: Mapping[str, tuple[str, str]] = {
     "a misspelled option": ("calibrate {rig} {rec} -o {out} --forse", "No such option: --forse .*--force"),
     "a misspelled command": ("calibrat {rig} {rec}", "No such command 'calibrat'. Did you mean 'calibrate'"),
     "a misspelled choice": (
-        "calibrate {rig} {rec} -o {out} --start trees",
-        "'trees' is not one of 'tree', 'identity'",
+        "calibrate {rig} {rec} -o {out} --estimator publish",
+        "'publish' is not one of 'joint', 'published'",
+    ),
+    "a former option without its value": (
+        "calibrate {rig} {rec} -o {out} --start",
+        "Option '--set' requires an argument",
     ),
     "more processes than any machine has": (
         "calibrate {rig} {rec} -o {out} --jobs 99999999999999999999",

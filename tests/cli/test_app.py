@@ -15,7 +15,7 @@ import typer
 from typer.testing import CliRunner, Result
 
 from calgraph.cli.app import COMMANDS, SIMULATIONS, app, handle_errors
-from calgraph.cli.common_options import EARLIER, EVERYDAY, PAPERS, TUNING
+from calgraph.cli.common_options import EARLIER, EVERYDAY, TUNING
 from calgraph.cli.lazy_commands import LazyCommand
 from calgraph.errors import CalibrationError, InputError, RecordingError
 
@@ -66,9 +66,9 @@ def test_descriptions_have_no_ragged_lines(command: str) -> None:
             assert len(line) + 1 + len(following.split()[0]) > 78, line
 
 
-def test_help_of_calibrate_has_everyday_options_first_and_those_of_the_papers_last() -> None:
+def test_help_of_calibrate_has_everyday_options_first_and_tuning_last() -> None:
     panels = re.findall("^╭─ (.*?) ─", help_of("calibrate"), re.MULTILINE)
-    assert panels == ["Arguments", EVERYDAY, EARLIER, TUNING, PAPERS]
+    assert panels == ["Arguments", EVERYDAY, EARLIER, TUNING]
     everyday = help_of("calibrate").partition(f"─ {EVERYDAY} ")[2].partition("╰")[0]
     assert re.findall("--[a-z]+", everyday) == ["--out", "--force", "--strict", "--json", "--verbose", "--help"]
 
@@ -79,7 +79,7 @@ def test_help_of_calibrate_has_everyday_options_first_and_those_of_the_papers_la
     [
         ("calgraph cal", ["calibrate"]),
         ("calgraph simulate ", ["rig", "network"]),
-        ("calgraph calibrate --estimator h", ["hypergraph"]),
+        ("calgraph calibrate --estimator p", ["published"]),
         ("calgraph calibrate --forc", ["--force"]),
         ("calgraph calibrate --set captures.min_h", ["captures.min_hold="]),
         ("calgraph export --format ", ["launch", "tf", "urdf", "kalibr", "camera_info", "json"]),
@@ -108,6 +108,25 @@ def test_the_list_of_commands_waits_for_none_of_them() -> None:
     )
     assert done.stderr.strip() == ""
     assert "calibrate" in done.stdout
+
+
+@pytest.mark.parametrize("command", ["calibrate", "solve"])
+def test_help_of_long_commands_waits_for_no_calculation(command: str) -> None:
+    """It takes a quarter of a second; models of settings would take as long again, wings a second."""
+    code = f"import sys; from calgraph.cli.app import app; app([{command!r}, '--help'], standalone_mode=False)\n"
+    heavy = "print(*sys.modules, file=sys.stderr)"
+    done = subprocess.run(
+        [sys.executable, "-c", code + heavy], capture_output=True, text=True, timeout=60, check=True
+    )
+    assert "--estimator" in done.stdout
+    slow = ("calgraph.rig", "calgraph.network", "calgraph.recording", "calgraph.config", "scipy", "numpy", "cv2")
+    assert [name for name in done.stderr.split() if f"{name}.".startswith(tuple(f"{one}." for one in slow))] == []
+
+
+def test_calibrate_has_few_parameters_and_hides_former_options() -> None:
+    options = re.findall(r"^│[ *]*(--[a-z-]+)", help_of("calibrate"), re.MULTILINE)
+    assert len({*options} - {"--help", "--verbose"}) == 17
+    assert {"--average", "--feature", "--filter", "--icp", "--start", "--tags", "--weights"} & {*options} == set()
 
 
 @pytest.mark.parametrize(

@@ -14,9 +14,8 @@ import numpy as np
 import pytest
 from typer.testing import Result
 
-from calgraph.cli.calibrate import StartChoice
 from calgraph.config import load_rig
-from calgraph.graph.averaging import AveragingMethod
+from calgraph.config.settings import AveragingMethod, RigStart
 from calgraph.io.yaml_writing import save_yaml
 from calgraph.recording import RecordingWriter, open_recording
 from calgraph.result import load_calibration
@@ -52,7 +51,7 @@ def test_the_files_are_written(calibrated: tuple[Path, Result]) -> None:
 
 
 def test_every_start_can_be_chosen() -> None:
-    assert set(get_args(StartChoice)) == {"tree", "identity", *get_args(AveragingMethod)}
+    assert set(get_args(RigStart)) == {"tree", "identity", *get_args(AveragingMethod)}
 
 
 def test_the_poses_are_those_of_the_robot(calibrated: tuple[Path, Result], simulated: Path) -> None:

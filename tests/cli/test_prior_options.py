@@ -265,7 +265,7 @@ def test_a_sensor_that_no_capture_ties_is_placed_by_its_prior(known: Known, tmp_
         (["--rigid", "POSES:camera,sonar"], "there is no sensor sonar to be in a rigid group"),
         (
             ["--prior", "POSES", "--prior-stddev", "1", "1", "--estimator", "hypergraph"],
-            "--prior and --rigid: go with --estimator bundle, got hypergraph",
+            "--prior and --rigid: go with --estimator joint, got hypergraph",
         ),
     ],
 )

@@ -1,4 +1,4 @@
-"""``calgraph cache``, and the option and environment variables that the other commands' cache has."""
+"""``calgraph cache``, and the environment variables that the other commands' cache has."""
 
 import os
 import re
@@ -8,7 +8,6 @@ from typing import Annotated
 import typer
 from rich.markup import escape
 
-from calgraph.cli.common_options import TUNING
 from calgraph.cli.console import console
 from calgraph.errors import InputError
 from calgraph.io.cache_folder import MAX_BYTES, CacheFolder, default_cache_path
@@ -16,15 +15,6 @@ from calgraph.recording import NO_CACHE, RecordingCache
 
 _UNITS = {"MB": 10**6, "GB": 10**9}
 _QUANTITY = re.compile(r"(\d{1,6}(?:\.\d{1,6})?)\s*(MB|GB)")
-
-NoCacheOption = Annotated[
-    bool,
-    typer.Option(
-        "--no-cache",
-        help="Detect the target again, and keep nothing for later runs.",
-        rich_help_panel=TUNING,
-    ),
-]
 
 
 def cache(

@@ -4,20 +4,19 @@ import logging
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, cast
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from calgraph.calibrate.result_files import write_results
-from calgraph.cli.cache import NoCacheOption, open_cache
 from calgraph.cli.common_options import (
     EARLIER,
-    PAPERS,
     RESULT_FILES,
     TUNING,
     ClusterOption,
+    EstimatorChoice,
     ForceOption,
     JobsOption,
+    NoCacheOption,
     Results,
     RigFile,
     SeedOption,
@@ -27,32 +26,14 @@ from calgraph.cli.common_options import (
     list_choices,
     open_engine,
 )
-from calgraph.cli.printing import print_calibration, print_output_path
 from calgraph.cli.prior_options import DeviationOption, PriorOption, RigidOption, read_priors
-from calgraph.cli.progress import progress_bars
-from calgraph.cli.provenance import describe_run
 from calgraph.cli.setting_options import SetOption, load_rig_with
 from calgraph.errors import CalibrationError, InputError
-from calgraph.io.atomic import check_output_path, follow_links, replace_folder_atomically
-from calgraph.recording import open_recordings, resolve_intrinsics
-from calgraph.result import (
-    Calibration,
-    load_calibration,
-    state_calibrated_intrinsics,
-    to_json,
-)
 
 if TYPE_CHECKING:
-    from calgraph.rig.bundle.problem import Estimator
+    from calgraph.result import Calibration
 
 _log = logging.getLogger("calgraph")
-EstimatorChoice = Literal["bundle", "hypergraph", "joint", "averaging"]
-FilterChoice = Literal["ransac", "none"]
-StartChoice = Literal["tree", "identity", "consensus", "l1mc", "triangles", "spectral", "irls"]
-TagsChoice = Literal["pnp", "mean_plane"]
-FeatureChoice = Literal["com", "ellipse", "nls"]
-AverageChoice = Literal["consensus", "l1mc", "triangles", "spectral", "irls"]
-WeightsChoice = Literal["uniform", "weighted"]
 
 
 def calibrate(
@@ -110,69 +91,14 @@ def calibrate(
         ),
     ] = None,
     estimator: Annotated[
-        EstimatorChoice | None,
+        EstimatorChoice,
         typer.Option(
             "--estimator",
             metavar=list_choices(EstimatorChoice),
-            help="Board: bundle (default) or hypergraph. People: joint (default) or averaging.",
-            rich_help_panel=PAPERS,
+            help="calgraph's method, or all of the paper's; single steps of either: --set published.KEY=VALUE.",
+            rich_help_panel=TUNING,
         ),
-    ] = None,
-    keep: Annotated[
-        FilterChoice,
-        typer.Option(
-            "--filter",
-            metavar=list_choices(FilterChoice),
-            help="Matches of pairs: inliers of RANSAC, or all (compared in the paper).",
-            rich_help_panel=PAPERS,
-        ),
-    ] = "ransac",
-    start: Annotated[
-        StartChoice,
-        typer.Option(
-            metavar=list_choices(StartChoice),
-            help="Board: start poses of the joint solution; all but tree and identity use every pair.",
-            rich_help_panel=PAPERS,
-        ),
-    ] = "tree",
-    tags: Annotated[
-        TagsChoice,
-        typer.Option(
-            metavar=list_choices(TagsChoice),
-            help="Board's plane in a camera: PnP over all corners, or mean over tags (the paper).",
-            rich_help_panel=PAPERS,
-        ),
-    ] = "pnp",
-    feature: Annotated[
-        FeatureChoice,
-        typer.Option(
-            metavar=list_choices(FeatureChoice),
-            help="People: centre of an object: centroid, direct ellipse fit, or ellipse of fixed radii.",
-            rich_help_panel=PAPERS,
-        ),
-    ] = "nls",
-    average: Annotated[
-        AverageChoice,
-        typer.Option(
-            metavar=list_choices(AverageChoice),
-            help="People: averaging of pairwise poses; all but consensus are published methods.",
-            rich_help_panel=PAPERS,
-        ),
-    ] = "consensus",
-    weights: Annotated[
-        WeightsChoice,
-        typer.Option(
-            metavar=list_choices(WeightsChoice),
-            help="People: weight pairs by their information, or uniformly.",
-            rich_help_panel=PAPERS,
-        ),
-    ] = "weighted",
-    icp: Annotated[
-        bool,
-        typer.Option(
-            "--icp/--no-icp", help="People: also register static backgrounds (walls).", rich_help_panel=PAPERS
-        ),
-    ] = True,
+    ] = "joint",
 ) -> None:
     """Estimate the relative poses of all sensors of a rig or network.
 
@@ -181,8 +107,16 @@ def calibrate(
     Exit code 0: calibrated; 1: a sensor is not calibrated, or is weak and --strict is given (results are written
     nevertheless); 2: invalid input.
     """
-    from calgraph.calibrate.dispatch import calibrate as calibrate_any  # takes seconds, which --help should not
-    from calgraph.network.options import NetworkEstimator, NetworkOptions
+    # Modules that read and calibrate take a second, which --help should not.
+    from calgraph.calibrate.dispatch import calibrate as calibrate_any
+    from calgraph.calibrate.result_files import write_results
+    from calgraph.cli.cache import open_cache
+    from calgraph.cli.progress import progress_bars
+    from calgraph.cli.provenance import describe_run
+    from calgraph.io.atomic import check_output_path, replace_folder_atomically
+    from calgraph.network.options import NetworkOptions
+    from calgraph.recording import open_recordings, resolve_intrinsics
+    from calgraph.result import load_calibration, state_calibrated_intrinsics
     from calgraph.rig.options import RigOptions
 
     rig = load_rig_with(rig_file, overrides)
@@ -203,11 +137,7 @@ def calibrate(
         options: RigOptions | NetworkOptions
         if rig.is_network:
             options = NetworkOptions(
-                estimator=cast("NetworkEstimator", estimator or "joint"),
-                feature=feature,
-                average=average,
-                weights=weights,
-                icp=icp,
+                estimator=estimator,
                 extend=load_calibration(extend) if extend else None,
                 moved=tuple(moved or ()),
                 seed=seed,
@@ -216,13 +146,10 @@ def calibrate(
             )
         else:
             options = RigOptions(
-                estimator=cast("Estimator", estimator or "bundle"),
+                estimator=estimator,
                 prior=prior_poses,
                 rigid=groups,
-                keep=keep,
                 folds=folds,
-                start=start,
-                tags=tags,
                 seed=seed,
                 dump=folder / dump.name if dump and _is_in(dump, out) else dump,
                 engine=engine,
@@ -266,15 +193,20 @@ def _check_unused(target: str, options: Mapping[str, object]) -> None:
 
 def _is_in(file: Path, folder: Path) -> bool:
     """Whether a file is to be among the results, whose folder appears when they are complete."""
+    from calgraph.io.atomic import follow_links
+
     return follow_links(file).parent == follow_links(folder)
 
 
-def show_results(calibration: Calibration, out: Path, *, json: bool, strict: bool = False) -> None:
+def show_results(calibration: "Calibration", out: Path, *, json: bool, strict: bool = False) -> None:
     """Prints a calibration, as tables or as JSON.
 
     Raises:
         CalibrationError: as for :func:`fail_if_not_calibrated`.
     """
+    from calgraph.cli.printing import print_calibration, print_output_path
+    from calgraph.result import to_json
+
     if json:
         typer.echo(to_json(calibration))
     else:
@@ -283,7 +215,7 @@ def show_results(calibration: Calibration, out: Path, *, json: bool, strict: boo
     fail_if_not_calibrated(calibration, strict=strict)
 
 
-def fail_if_not_calibrated(calibration: Calibration, *, strict: bool = False) -> None:
+def fail_if_not_calibrated(calibration: "Calibration", *, strict: bool = False) -> None:
     """Names the sensors that are not calibrated: without a pose, or with one that is not observable.
 
     Args:

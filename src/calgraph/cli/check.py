@@ -11,11 +11,12 @@ from rich.markup import escape
 from rich.table import Table
 
 from calgraph.calibrate.result_files import format_comparison, write_results
-from calgraph.cli.cache import NoCacheOption, open_cache
+from calgraph.cli.cache import open_cache
 from calgraph.cli.common_options import (
     RESULT_FILES,
     ClusterOption,
     ForceOption,
+    NoCacheOption,
     RigFile,
     SeedOption,
     check_not_overwriting,

@@ -3,22 +3,17 @@
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 import typer
 
-from calgraph.config.settings import DaskSettings
 from calgraph.errors import InputError
-from calgraph.parallel.engine import Engine, Processes
-from calgraph.parallel.open_cluster import LOCAL, open_cluster
-from calgraph.parallel.processes import available_cores
 
-EVERYDAY, EARLIER, TUNING, PAPERS = (
-    "Everyday",
-    "Prior poses, earlier results",
-    "Tuning",
-    "Methods of the papers, for comparison",
-)
+if TYPE_CHECKING:
+    from calgraph.config.settings import DaskSettings
+    from calgraph.parallel.engine import Engine
+
+EVERYDAY, EARLIER, TUNING = "Everyday", "Prior poses, earlier results", "Tuning"
 """Panels of the help of ``calibrate`` and ``solve``."""
 RESULT_FILES = (
     "calibration.yaml",
@@ -82,8 +77,19 @@ ClusterOption = Annotated[
 ]
 
 
+NoCacheOption = Annotated[
+    bool,
+    typer.Option(
+        "--no-cache",
+        help="Detect the target again, and keep nothing for later runs.",
+        rich_help_panel=TUNING,
+    ),
+]
+EstimatorChoice = Literal["joint", "published"]
+
+
 @contextmanager
-def open_engine(jobs: int | None, cluster: str | None, settings: DaskSettings) -> Iterator[Engine]:
+def open_engine(jobs: int | None, cluster: str | None, settings: "DaskSettings") -> Iterator["Engine"]:
     """What evaluates the calls of a command, for the duration of the block.
 
     Args:
@@ -96,6 +102,10 @@ def open_engine(jobs: int | None, cluster: str | None, settings: DaskSettings) -
             :func:`calgraph.parallel.open_cluster`.
         CalibrationError: as :func:`calgraph.parallel.open_cluster`.
     """
+    from calgraph.parallel.engine import Processes
+    from calgraph.parallel.open_cluster import LOCAL, open_cluster
+    from calgraph.parallel.processes import available_cores
+
     if cluster is None:
         yield Processes(jobs or available_cores())
         return

@@ -9,8 +9,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.markup import escape
 
-from calgraph.cli.cache import NoCacheOption, find_cache
-from calgraph.cli.common_options import EVERYDAY, ClusterOption, JobsOption, Results, SeedOption, open_engine
+from calgraph.cli.cache import find_cache
+from calgraph.cli.common_options import (
+    EVERYDAY,
+    ClusterOption,
+    JobsOption,
+    NoCacheOption,
+    Results,
+    SeedOption,
+    open_engine,
+)
 from calgraph.cli.console import console
 from calgraph.cli.progress import progress_bars
 from calgraph.cli.provenance import format_command

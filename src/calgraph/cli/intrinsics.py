@@ -10,11 +10,12 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from calgraph.cli.cache import NoCacheOption, open_cache
+from calgraph.cli.cache import open_cache
 from calgraph.cli.common_options import (
     ClusterOption,
     ForceOption,
     JobsOption,
+    NoCacheOption,
     check_not_overwriting,
     open_engine,
 )

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
 import typer
 
 from calgraph.cli.common_options import EARLIER
 from calgraph.errors import InputError
-from calgraph.result import read_extrinsics
 
 if TYPE_CHECKING:
     from calgraph.rig.bundle.priors import PriorFile, RigidFile
@@ -52,11 +51,12 @@ def read_priors(
     Raises:
         InputError: an option, or a file, is wrong.
     """
+    from calgraph.result import read_extrinsics
     from calgraph.rig.bundle.priors import PriorFile, RigidFile
 
     if stddev is not None and prior is None:
         raise InputError("--prior-stddev: goes with --prior")
-    if stddev is not None and not (stddev == (0, 0) or (min(stddev) > 0 and np.isfinite(stddev).all())):
+    if stddev is not None and not (stddev == (0, 0) or (min(stddev) > 0 and all(map(math.isfinite, stddev)))):
         raise InputError(
             f"--prior-stddev: must be two numbers above 0, in m and degrees, or 0 0 for poses that are exact, "
             f"got {stddev[0]:g} {stddev[1]:g}"
@@ -67,5 +67,5 @@ def read_priors(
         if not file or not names:
             raise InputError(f"--rigid: must be a file and sensors, as in robot.urdf:camera,laser, got {text!r}")
         groups.append(RigidFile(read_extrinsics(Path(file)), tuple(names.split(","))))
-    deviations = (stddev[0], float(np.radians(stddev[1]))) if stddev else None
+    deviations = (stddev[0], math.radians(stddev[1])) if stddev else None
     return PriorFile(read_extrinsics(prior), deviations) if prior else None, tuple(groups)

@@ -2,21 +2,27 @@
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from pydantic import BaseModel
 
 from calgraph.cli.common_options import TUNING
-from calgraph.config import Rig, load_rig
-from calgraph.config.settings import LimitSettings, Settings
 from calgraph.errors import InputError
-from calgraph.io.yaml_limits import MAX_RIG_VALUES
-from calgraph.io.yaml_reading import parse_yaml, validate_content
+
+if TYPE_CHECKING:
+    from pydantic import BaseModel
+
+    from calgraph.config import Rig
+    from calgraph.config.settings import LimitSettings, PublishedSettings, Settings
 
 
-def list_settings(model: type[BaseModel] = Settings, above: str = "") -> Iterator[str]:
-    """The keys of all settings, such as ``captures.min_hold``."""
+def list_settings(model: "type[BaseModel] | None" = None, above: str = "") -> Iterator[str]:
+    """The keys of all settings, such as ``captures.min_hold``; or of those in a part of them."""
+    from pydantic import BaseModel
+
+    from calgraph.config.settings import Settings
+
+    model = model or Settings
     for name, field in model.model_fields.items():
         if isinstance(field.annotation, type) and issubclass(field.annotation, BaseModel):
             yield from list_settings(field.annotation, f"{above}{name}.")
@@ -41,14 +47,16 @@ SetOption = Annotated[
 ]
 
 
-def load_rig_with(path: Path, assignments: Sequence[str] | None) -> Rig:
+def load_rig_with(path: Path, assignments: Sequence[str] | None) -> "Rig":
     """Reads a rig.yaml, and overrides settings; raises InputError as :func:`override_settings` does."""
+    from calgraph.config import load_rig
+
     if path.is_dir() or path.suffix in (".mcap", ".db3", ".bag"):
         raise InputError(f"{path}: seems to be a recording; give RIG.yaml first, then the recordings")
     return override_settings(load_rig(path), assignments)
 
 
-def parse_limits(assignments: Sequence[str] | None, *, alone: bool = False) -> LimitSettings:
+def parse_limits(assignments: Sequence[str] | None, *, alone: bool = False) -> "LimitSettings":
     """The limits among the assignments, for files that are read before a rig is known.
 
     Args:
@@ -58,6 +66,8 @@ def parse_limits(assignments: Sequence[str] | None, *, alone: bool = False) -> L
     Raises:
         InputError: an assignment of a limit is invalid, or no other is of use.
     """
+    from calgraph.config.settings import Settings
+
     limits = [text for text in assignments or () if text.strip().startswith("limits.")]
     if alone and len(limits) < len(assignments or ()):
         other = next(text for text in assignments or () if text not in limits)
@@ -65,7 +75,15 @@ def parse_limits(assignments: Sequence[str] | None, *, alone: bool = False) -> L
     return _override(Settings(), limits).limits
 
 
-def override_settings(rig: Rig, assignments: Sequence[str] | None) -> Rig:
+def parse_published(assignments: Sequence[str] | None) -> "PublishedSettings":
+    """The settings ``published`` among the assignments; raises InputError as :func:`override_settings` does."""
+    from calgraph.config.settings import Settings
+
+    stated = [text for text in assignments or () if text.partition("=")[0].split(".")[0].strip() == "published"]
+    return _override(Settings(), stated).published
+
+
+def override_settings(rig: "Rig", assignments: Sequence[str] | None) -> "Rig":
     """The rig with some settings replaced.
 
     Args:
@@ -78,7 +96,10 @@ def override_settings(rig: Rig, assignments: Sequence[str] | None) -> Rig:
     return rig.model_copy(update={"settings": _override(rig.settings, assignments)}) if assignments else rig
 
 
-def _override(settings: Settings, assignments: Sequence[str]) -> Settings:
+def _override(settings: "Settings", assignments: Sequence[str]) -> "Settings":
+    from calgraph.config.settings import Settings
+    from calgraph.io.yaml_reading import validate_content
+
     content = settings.model_dump(mode="json", exclude_none=True)
     for assignment in assignments:
         key, equals, text = assignment.partition("=")
@@ -89,6 +110,9 @@ def _override(settings: Settings, assignments: Sequence[str]) -> Settings:
 
 
 def _parse(key: str, text: str) -> Any:
+    from calgraph.io.yaml_limits import MAX_RIG_VALUES
+    from calgraph.io.yaml_reading import parse_yaml
+
     try:
         return parse_yaml(text, Path("--set"), MAX_RIG_VALUES)
     except InputError as error:

@@ -2,16 +2,15 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from calgraph.calibrate.result_files import write_results
-from calgraph.cli.calibrate import EstimatorChoice, FilterChoice, show_results
+from calgraph.cli.calibrate import show_results
 from calgraph.cli.common_options import (
-    PAPERS,
     RESULT_FILES,
     TUNING,
+    EstimatorChoice,
     ForceOption,
     Results,
     StrictOption,
@@ -20,10 +19,11 @@ from calgraph.cli.common_options import (
     list_choices,
 )
 from calgraph.cli.prior_options import DeviationOption, PriorOption, RigidOption, read_priors
-from calgraph.cli.provenance import describe_run
-from calgraph.cli.setting_options import SetOption, override_settings, parse_limits
+from calgraph.cli.setting_options import SetOption, override_settings, parse_limits, parse_published
 from calgraph.errors import InputError
-from calgraph.io.atomic import replace_folder_atomically
+
+if TYPE_CHECKING:
+    from calgraph.rig.bundle.problem import Problem
 
 
 def solve(
@@ -50,17 +50,8 @@ def solve(
         typer.Option(
             "--estimator",
             metavar=list_choices(EstimatorChoice),
-            help="Bundle, or the paper's hypergraph; that of calibrate if left out.",
-            rich_help_panel=PAPERS,
-        ),
-    ] = None,
-    keep: Annotated[
-        FilterChoice | None,
-        typer.Option(
-            "--filter",
-            metavar=list_choices(FilterChoice),
-            help="Inliers of pairs, or all matches; those of calibrate if left out.",
-            rich_help_panel=PAPERS,
+            help="The bundle, or the paper's hypergraph; that of calibrate if left out.",
+            rich_help_panel=TUNING,
         ),
     ] = None,
 ) -> None:
@@ -71,6 +62,9 @@ def solve(
 
     Exit codes are those of calibrate.
     """
+    from calgraph.calibrate.result_files import write_results
+    from calgraph.cli.provenance import describe_run
+    from calgraph.io.atomic import replace_folder_atomically
     from calgraph.rig.bundle.problem import with_prior_poses
     from calgraph.rig.bundle.problem_file import load_problem, round_trip
     from calgraph.rig.pipeline import solve_problem
@@ -80,13 +74,30 @@ def solve(
         raise InputError(f"{file}: is not what calibrate --dump writes, a file .npz")
     prior_poses, groups = read_priors(prior, prior_stddev, rigid)
     problem = load_problem(file, parse_limits(overrides))
-    given = {"estimator": estimator, "keep": keep}
-    chosen = {name: choice for name, choice in given.items() if choice is not None}
-    besides: dict[str, object] = {} if folds is None else {"folds": folds}
-    rig = override_settings(problem.rig, overrides)
-    problem = replace(problem, rig=rig, solver=problem.solver.model_copy(update=chosen | besides))
+    problem = _choose_method(problem, estimator, overrides)
+    if folds is not None:
+        problem = replace(problem, solver=problem.solver.model_copy(update={"folds": folds}))
     problem = round_trip(with_prior_poses(problem, prior_poses, groups))
     with replace_folder_atomically(out, "calibration.yaml") as folder:
         calibration = replace(solve_problem(problem), provenance=describe_run([file, *([prior] if prior else [])]))
         write_results(calibration, problem.rig, folder)
     show_results(calibration, out, json=json, strict=strict)
+
+
+def _choose_method(
+    problem: "Problem", estimator: EstimatorChoice | None, overrides: list[str] | None
+) -> "Problem":
+    """The problem with settings replaced, and with the estimator and the filter that the options state.
+
+    Raises:
+        InputError: a setting is invalid, or is one of networks.
+    """
+    from calgraph.rig.options import RigOptions
+
+    rig, stated = override_settings(problem.rig, overrides), parse_published(overrides)
+    method = RigOptions(estimator=estimator or "joint").select_method(stated)
+    keys = [key for key in ("estimator", "keep") if estimator or getattr(stated, key) is not None]
+    published = rig.settings.published.model_copy(update={key: getattr(stated, key) for key in keys})
+    settings = rig.settings.model_copy(update={"published": published})
+    solver = problem.solver.model_copy(update={key: getattr(method, key) for key in keys})
+    return replace(problem, rig=rig.model_copy(update={"settings": settings}), solver=solver)

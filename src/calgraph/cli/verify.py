@@ -10,9 +10,9 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from calgraph.cli.cache import NoCacheOption, open_cache
+from calgraph.cli.cache import open_cache
 from calgraph.cli.calibrate import fail_if_not_calibrated
-from calgraph.cli.common_options import ClusterOption, open_engine
+from calgraph.cli.common_options import ClusterOption, NoCacheOption, open_engine
 from calgraph.cli.console import console
 from calgraph.cli.printing import print_remarks
 from calgraph.cli.progress import progress_bars

@@ -69,27 +69,27 @@ class NetworkOptions:
             raise InputError("`moved`: goes with `extend`")
         self.select_method(PublishedSettings())
 
-    def select_method(self, settings: PublishedSettings) -> NetworkMethod:
+    def select_method(self, published: PublishedSettings) -> NetworkMethod:
         """The method of each step: as these options state it, or else the settings, or else the estimator.
 
         Raises:
             InputError: no such estimator for a network, one that cannot extend, or settings of rigs.
         """
-        settings.check_kind(is_network=True)
+        published.check_kind(is_network=True)
         implied = QUENZEL if self.estimator == "published" else NetworkMethod()
         estimator: str = self.estimator
         if estimator in ("joint", "published"):
-            estimator = settings.estimator or implied.estimator
+            estimator = published.estimator or implied.estimator
         if estimator not in get_args(NetworkEstimator):
             available = " or ".join(get_args(NetworkEstimator))
             raise InputError(f"`estimator`: must be {available} for this target, got {estimator}")
         if self.extend and estimator != "joint":
             raise InputError(f"`extend`: goes with `estimator` joint, got {estimator}")
-        stated = (one for one in (self.icp, settings.icp) if one is not None)
+        stated = (one for one in (self.icp, published.icp) if one is not None)
         return NetworkMethod(
             cast("NetworkEstimator", estimator),
-            self.feature or settings.feature or implied.feature,
-            self.average or settings.average or implied.average,
-            self.weights or settings.weights or implied.weights,
+            self.feature or published.feature or implied.feature,
+            self.average or published.average or implied.average,
+            self.weights or published.weights or implied.weights,
             next(stated, implied.icp),
         )

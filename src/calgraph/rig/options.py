@@ -68,23 +68,23 @@ class RigOptions:
     def __post_init__(self) -> None:
         self.select_method(PublishedSettings())
 
-    def select_method(self, settings: PublishedSettings) -> RigMethod:
+    def select_method(self, published: PublishedSettings) -> RigMethod:
         """The method of each step: as these options state it, or else the settings, or else the estimator.
 
         Raises:
             InputError: no such estimator for a rig, one without priors, or settings of networks.
         """
-        settings.check_kind(is_network=False)
+        published.check_kind(is_network=False)
         implied = MSG_CAL if self.estimator == "published" else RigMethod()
         estimator: str = self.estimator
         if estimator in ("joint", "published"):
-            stated = settings.estimator or implied.estimator
+            stated = published.estimator or implied.estimator
             estimator = "bundle" if stated == "joint" else stated
         return RigMethod(
             check_estimator(estimator, bool(self.prior or self.rigid)),
-            self.keep or settings.keep or implied.keep,
-            self.start or settings.start or implied.start,
-            self.tags or settings.tags or implied.tags,
+            self.keep or published.keep or implied.keep,
+            self.start or published.start or implied.start,
+            self.tags or published.tags or implied.tags,
         )
 
 
