@@ -147,3 +147,23 @@ def test_bad_usage_is_refused(
     result = run("calibrate", "rig.yaml", "second", "-o", tmp_path / "new", *options)
     assert result.exit_code == 2
     assert message in result.stderr
+
+
+def test_the_published_method_is_that_of_its_steps(halves: Halves, run: Run, tmp_path: Path) -> None:
+    arguments = ("calibrate", halves.folder / "rig.yaml", halves.folder / "first", "-o")
+    steps = "averaging --feature ellipse --average l1mc --weights uniform --icp"
+    assert run(*arguments, tmp_path / "whole", "--estimator", "published").exit_code == 0
+    assert run(*arguments, tmp_path / "steps", "--estimator", *steps.split()).exit_code == 0
+    whole, by_steps = (load_calibration(tmp_path / name / "calibration.yaml") for name in ("whole", "steps"))
+    ours = load_calibration(halves.folder / EARLIER)
+    assert whole.evidence.estimator == "averaging"
+    np.testing.assert_array_equal(whole.joint_covariance, by_steps.joint_covariance)
+    np.testing.assert_array_equal(whole[MOVED].T_root_sensor, by_steps[MOVED].T_root_sensor)
+    assert not np.array_equal(whole[MOVED].T_root_sensor, ours[MOVED].T_root_sensor)
+
+
+def test_settings_of_rigs_are_refused(halves: Halves, run: Run, tmp_path: Path) -> None:
+    result = run("calibrate", halves.folder / "rig.yaml", halves.folder / "first", "-o", tmp_path / "new",
+                 "--tags", "pnp", "--set", "published.keep=none")  # fmt: skip
+    assert result.exit_code == 2
+    assert result.stderr == "calgraph: published.keep, published.tags: only for rigs with a board\n"

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from typer.testing import Result
 
+from calgraph.config import load_rig
 from calgraph.errors import Rejected
 from calgraph.result import load_calibration
 from calgraph.rig.bundle.problem_file import load_problem, save_problem
@@ -167,3 +168,26 @@ def test_systematic_errors_are_estimated_besides_poses(solved: tuple[Path, str])
 
 def test_the_papers_estimator_estimates_poses_only(solved_as_in_the_paper: Path) -> None:
     assert load_calibration(solved_as_in_the_paper / "calibration.yaml").systematic == ()
+
+
+def test_the_published_method_is_solved_again_and_then_by_the_joint_one(
+    simulated: Path, tmp_path: Path, run: Run
+) -> None:
+    """The paper's tags are used in the detections, which solve does not change."""
+    rig, recording, dump = simulated / "rig.yaml", simulated / "recording", tmp_path / "problem.npz"
+    arguments = ("--estimator", "published", "--set", "published.keep=none", "--dump", dump)
+    assert run("calibrate", rig, recording, "-o", tmp_path / "a", *arguments).exit_code == 0
+    solver = load_problem(dump).solver
+    assert (solver.estimator, solver.keep) == ("hypergraph", "none")
+    assert run("solve", dump, "-o", tmp_path / "b").exit_code == 0
+    assert run("solve", dump, "-o", tmp_path / "c", "--estimator", "joint").exit_code == 0
+    first, again, joint = (load_calibration(tmp_path / name / "calibration.yaml") for name in "abc")
+    assert [one.evidence.estimator for one in (first, again, joint)] == ["hypergraph", "hypergraph", "bundle"]
+    np.testing.assert_array_equal(first["camera"].T_root_sensor, again["camera"].T_root_sensor)
+    settings = [load_rig(tmp_path / name / "rig.resolved.yaml").settings.published for name in "abc"]
+    assert [one.keep for one in settings] == ["none", "none", None]
+
+
+def test_settings_of_networks_are_refused(dumped: Path, tmp_path: Path, run: Run) -> None:
+    result = run("solve", dumped / "problem.npz", "-o", tmp_path / "out", "--set", "published.icp=false")
+    assert (result.exit_code, result.stderr) == (2, "calgraph: published.icp: only for networks\n")
