@@ -272,10 +272,6 @@ USAGE: Mapping[str, tuple[str, str]] = {
         "calibrate {rig} {rec} -o {out} --estimator publish",
         "'publish' is not one of 'joint', 'published'",
     ),
-    "a former option without its value": (
-        "calibrate {rig} {rec} -o {out} --start",
-        "Option '--set' requires an argument",
-    ),
     "more processes than any machine has": (
         "calibrate {rig} {rec} -o {out} --jobs 99999999999999999999",
         "'--jobs': .* less than or equal to 256",

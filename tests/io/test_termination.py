@@ -91,7 +91,7 @@ _WRITE = {
 _STOP_AT_EVERY_OPERATION = """
 import numpy as np
 from pathlib import Path
-from calgraph.io import replace_folder_atomically, temporary_folder, write_atomically
+from calgraph.io.atomic import replace_folder_atomically, temporary_folder, write_atomically
 from calgraph.recording import RecordingWriter
 from calgraph.sensors import LaserScan
 def write():
