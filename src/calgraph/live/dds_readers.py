@@ -97,7 +97,7 @@ class DdsReaders:
         quality = Qos(
             Policy.Reliability.Reliable(max_blocking_time=0) if reliable else Policy.Reliability.BestEffort,
             Policy.Durability.TransientLocal if latched else Policy.Durability.Volatile,
-            Policy.HiKeepLast(_MAX_TAKEN),
+            Policy.History.KeepLast(_MAX_TAKEN),
         )
         if channel.topic in self._readers:
             before, asked, _, condition = self._readers[channel.topic]
