@@ -25,8 +25,8 @@ from calgraph.io.cache_folder import CacheFolder
 from calgraph.io.yaml_writing import format_yaml
 from calgraph.result import export, save_calibration, save_scene
 from calgraph.rig.bundle.problem_file import save_problem
-from calgraph.rig.captures.capture_encoding import encode_captures
 from calgraph.rig.captures.detect import SensorCapture
+from calgraph.rig.captures.sensor_detection import encode_captures
 from calgraph.rig.options import RigOptions
 from calgraph.rig.pipeline import build_problem_from_captures, solve_problem
 from calgraph.simulation import (

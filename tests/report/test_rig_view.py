@@ -11,8 +11,7 @@ from scipy.stats import chi2
 
 from calgraph.config import Rig
 from calgraph.geometry import Array, se3, so3
-from calgraph.report.rig_shapes import camera_frustum, ellipsoid_mesh, frame_axes, scan_circle
-from calgraph.report.rig_view import render_rig_view
+from calgraph.report.rig_view import camera_frustum, ellipsoid_mesh, frame_axes, render_rig_view, scan_circle
 from calgraph.result import Calibration
 from calgraph.sensors import CameraModel
 

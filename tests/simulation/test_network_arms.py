@@ -11,7 +11,7 @@ from calgraph.simulation import (
     build_network,
     simulate_network_scans,
 )
-from calgraph.simulation.network_arms import add_arms
+from calgraph.simulation.network_people import add_arms
 from calgraph.simulation.network_walks import SimulatedWalk
 
 AXES = np.array([0.25, 0.15])

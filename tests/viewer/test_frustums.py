@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from calgraph.geometry import se3
 from calgraph.sensors import CameraModel
-from calgraph.viewer.frustums import frustum_shape, rectify_image, sample_beams, uncertainty_ellipsoid
+from calgraph.viewer.scene_display import frustum_shape, rectify_image, sample_beams, uncertainty_ellipsoid
 
 
 def camera(model: str, distortion: tuple[float, ...], center: tuple[float, float] = (319.5, 239.5)) -> CameraModel:

@@ -1,6 +1,7 @@
 """report.html: one self-contained page on the calibration and its reliability."""
 
 from collections.abc import Callable
+from datetime import UTC, datetime
 from functools import partial
 from importlib.resources import files
 from pathlib import Path
@@ -21,7 +22,6 @@ from calgraph.report.gallery import render_gallery
 from calgraph.report.graph_view import render_edge_table, render_graph
 from calgraph.report.image_view import render_camera_images
 from calgraph.report.pose_table import render_pose_table
-from calgraph.report.provenance_view import render_provenance
 from calgraph.report.residual_pictures import render_residual_pictures
 from calgraph.report.residual_view import render_distances, render_histograms
 from calgraph.report.rig_view import render_rig_view
@@ -124,3 +124,23 @@ def _render_facts(calibration: Calibration, words: Vocabulary) -> str:
     if calibration.evidence.bodies:
         facts.append(f"targets: {calibration.evidence.bodies}")
     return " · ".join(map(escape_html, facts))
+
+
+def render_provenance(calibration: Calibration) -> str:
+    """The program, the command and the input files, as HTML; nothing where they are unknown."""
+    provenance = calibration.provenance
+    if provenance is None:
+        return ""
+    rows = [
+        ("calgraph", provenance.version),
+        ("date", provenance.date),
+        ("command", provenance.command),
+        *((one.path, f"SHA-256 {one.sha256}") for one in provenance.inputs),
+    ]
+    if provenance.start is not None and provenance.duration is not None:
+        start = datetime.fromtimestamp(provenance.start, UTC).isoformat(timespec="seconds")
+        rows.append(("recording", f"{provenance.duration:.1f} s from {start}, {provenance.messages} messages"))
+    if provenance.cached:
+        rows.append(("from the cache", f"detections of {', '.join(provenance.cached)}"))
+    cells = "".join(f"<tr><th scope=row>{escape_html(k)}</th><td>{escape_html(v)}</td></tr>" for k, v in rows)
+    return f'<section id="provenance"><h2>Provenance</h2><div class="wide"><table>{cells}</table></div></section>'

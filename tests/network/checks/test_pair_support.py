@@ -5,7 +5,7 @@ import pytest
 
 from calgraph.config.settings import NetworkDiagnosticsSettings
 from calgraph.graph.pose_graph import PoseGraph
-from calgraph.network.checks.pair_support import find_poorly_supported_parts
+from calgraph.network.checks.findings import find_poorly_supported_parts
 from calgraph.network.pairs.hypothesis_evidence import PoseHypothesis
 from calgraph.network.pairs.scanner_pair import ScannerPairEstimate
 from calgraph.result.finding import Finding

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from calgraph.errors import Rejected
-from calgraph.network.checks.scanner_bumps import describe_bumps
+from calgraph.network.checks.findings import describe_bumps
 from calgraph.network.tracking.track import ScannerBump, ScannerTracks
 from calgraph.result.finding import Finding
 

@@ -17,8 +17,7 @@ from calgraph.rig.bundle.covariances import pose_covariance
 from calgraph.rig.bundle.observations import relative_poses
 from calgraph.rig.bundle.range_observations import RangeObservations
 from calgraph.rig.bundle.solution import SolvedBundle
-from calgraph.rig.checks.next_best_pose import _draw_candidates, _log_volume, suggest_board_poses
-from calgraph.rig.checks.pose_description import describe_pose
+from calgraph.rig.checks.next_best_pose import _draw_candidates, _log_volume, describe_pose, suggest_board_poses
 from calgraph.verdict.grades import axis_names, grade_pose
 
 NAMES = ("lidar", "camera", "laser")

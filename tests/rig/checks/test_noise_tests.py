@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from calgraph.rig.bundle.solution import MeasuredNoise, RigSolution
-from calgraph.rig.checks.noise_tests import find_excessive_noise
+from calgraph.rig.checks.contradictions import find_excessive_noise
 
 KINDS = {"lidar": "lidar3d", "camera": "camera"}
 RIGHT = MeasuredNoise(1.1, 0.001)

@@ -5,7 +5,7 @@ import pytest
 
 from calgraph.config.settings import RigDiagnosticsSettings
 from calgraph.geometry import Array, se3, so3
-from calgraph.rig.checks.pose_description import describe_pose
+from calgraph.rig.checks.next_best_pose import describe_pose
 
 SETTINGS = RigDiagnosticsSettings()
 KINDS = {"laser": "lidar2d", "camera": "camera"}

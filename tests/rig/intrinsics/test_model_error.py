@@ -8,7 +8,7 @@ import pytest
 from calgraph.geometry import Array
 from calgraph.rig.detection.board_views import BoardView
 from calgraph.rig.intrinsics.estimate import IntrinsicsEstimate, estimate_intrinsics
-from calgraph.rig.intrinsics.model_error import FieldEquations, estimate_model_error
+from calgraph.rig.intrinsics.lens_fit import FieldEquations, estimate_model_error
 from camera_views import FISHEYE, PINHOLE, WIDE, checkerboard_rig, simulate_views
 
 pytestmark = pytest.mark.slow
