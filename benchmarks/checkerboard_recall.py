@@ -135,6 +135,7 @@ def _load_earlier(commit: str) -> ModuleType:
     source = subprocess.run(
         ["git", "-C", str(root), "show", f"{commit}:{SOURCE}"], capture_output=True, text=True, check=True
     ).stdout
+    source = source.replace("calgraph.detection.", "calgraph.boards.")  # where it imports from today
     module = ModuleType("earlier_chessboards")
     exec(compile(source, f"{commit}:{SOURCE}", "exec"), module.__dict__)
     return module
