@@ -4,7 +4,6 @@ import math
 import zipfile
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
-from math import ceil
 from pathlib import Path
 
 from calgraph.config import Rig
@@ -40,7 +39,7 @@ class RecordingWindow(ClosedOnExit):
         self.last_arrival = start
         """Of the messages that were read so far, s."""
         share = (end - start) / max(recording.end - recording.start, 1e-9)
-        self.topics = tuple(replace(topic, count=ceil(topic.count * share)) for topic in recording.topics)
+        self.topics = tuple(replace(topic, count=math.ceil(topic.count * share)) for topic in recording.topics)
 
     def records(
         self, topics: Collection[str] | None = None, start: float | None = None, end: float | None = None
