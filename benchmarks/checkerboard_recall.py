@@ -23,7 +23,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import product
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 from typing import Final, NamedTuple
 
 import cv2
@@ -32,13 +32,12 @@ import numpy as np
 import calgraph.boards.chessboards as now
 from calgraph.boards.chessboards import CheckerboardFinder
 from calgraph.config import Checkerboard
-from calgraph.config.settings import CameraDetectionSettings
 from checkerboard_images import Array, BoardImage, Gray, draw_empty_image, draw_image, measure_shortest_gap
 
 DATA: Final = Path(os.environ.get("CALGRAPH_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
 SOURCE: Final = "src/calgraph/detection/chessboards.py"
 BEFORE: Final = "59c76d84"
-BEFORE_SETTINGS: Final = CameraDetectionSettings(checkerboard_first_side=960, checkerboard_sides=(480, 960))
+BEFORE_SETTINGS: Final = SimpleNamespace(checkerboard_first_side=960, checkerboard_sides=(480, 960))
 REAL_BOARDS: Final = {
     "acfr-vlp16-checkerboard": (7, 5),
     "acfr-ouster64-few-poses": (7, 5),

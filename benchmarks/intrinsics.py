@@ -24,7 +24,6 @@ from calgraph.boards.board_pose import BoardPose, fit_pose
 from calgraph.boards.camera import CameraDetector, make_board_corners
 from calgraph.boards.detections import BoardCorners
 from calgraph.config import AprilGrid, Board, Rig
-from calgraph.config.settings import BoardPoseSettings
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se3
 from calgraph.result import Calibration
@@ -206,7 +205,7 @@ def _simulate_corners(
             view = views.get(hold.index)
             pose: BoardPose | Rejected = Rejected("outside of the image")
             if view is not None:
-                pose = fit_pose(view.ids, view.corners, view.pixels, camera, NOISE, BoardPoseSettings())
+                pose = fit_pose(view.ids, view.corners, view.pixels, camera, NOISE)
                 if isinstance(pose, BoardPose):
                     located[hold.index] = (make_board_corners(pose, view.corners, view.pixels),)
             if isinstance(pose, Rejected):

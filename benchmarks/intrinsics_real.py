@@ -51,7 +51,7 @@ def _compare(name: str, rig: Rig, views: Sequence[BoardView], published: CameraM
         return
     reference = _calibrate_opencv(even, found)
     camera, stddev = found.camera, found.stddev
-    errors = [_held_out_error(odd, one, rig) for one in (camera, reference, published)]
+    errors = [_held_out_error(odd, one) for one in (camera, reference, published)]
     print(
         f"{name:>10} {len(found.detections):5d} {camera.model:>8} {camera.focal[0]:8.2f} {stddev[0]:5.2f} "
         f"{camera.principal_point[0]:7.2f} {stddev[2]:5.2f} {camera.principal_point[1]:7.2f} {stddev[3]:5.2f} "
@@ -81,13 +81,11 @@ def _calibrate_opencv(views: Sequence[BoardView], found: IntrinsicsEstimate) -> 
     return CameraModel(camera.model, *size, np.asarray(K, dtype=np.float64), np.ravel(D).astype(np.float64))
 
 
-def _held_out_error(views: Sequence[BoardView], camera: CameraModel, rig: Rig) -> float:
+def _held_out_error(views: Sequence[BoardView], camera: CameraModel) -> float:
     """RMS over all corners of the views, px, whose boards are located by them."""
     squares: list[float] = []
     for view in views:
-        pose = fit_pose(
-            view.ids, view.corners, view.pixels, camera, 1.0, settings=rig.settings.detection.camera.pose
-        )
+        pose = fit_pose(view.ids, view.corners, view.pixels, camera, 1.0)
         if not isinstance(pose, Rejected):
             squares += [pose.rms**2] * int(pose.inliers.sum())
     return float(np.sqrt(np.mean(squares)))

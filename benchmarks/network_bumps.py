@@ -17,7 +17,7 @@ import numpy as np
 
 from calgraph.config.settings import StationaritySettings
 from calgraph.network.tracking.scan_stack import stack_scans
-from calgraph.network.tracking.stationarity import analyze_stationarity
+from calgraph.network.tracking.stationarity import MIN_REST_SHARE, analyze_stationarity
 from calgraph.parallel.processes import parallel_map
 from calgraph.recording import open_recording
 from calgraph.sensors.cloud_to_scan import to_scans
@@ -90,7 +90,7 @@ def check(label: str, room: str, seed: int) -> Outcome:
         result = analyze_stationarity(runs, SETTINGS)
         runtime += time.process_time() - began
         found += [(bool(scanner.earlier), bump) for bump in result.bumps]
-        if result.rest_share < SETTINGS.min_rest_share:
+        if result.rest_share < MIN_REST_SHARE:
             return Outcome(False, np.nan, np.nan, np.nan, runtime)
     if label not in BUMPS:
         return Outcome(not found, np.nan, np.nan, np.nan, runtime)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from calgraph.config import Lidar2dUncertainty, People, Rig
-from calgraph.config.settings import NetworkEstimationSettings
+from calgraph.network.joint.solver import COMMON_ERROR_SHARE
 from calgraph.simulation import NetworkScenario
 
 ROOMS = ("office", "lab", "halls")
@@ -71,7 +71,7 @@ _DRAWN: dict[str, Any] = {
     "range_bias": _PRIOR.range_bias / _CUT_OFF,
     "range_scale": _PRIOR.range_scale / _CUT_OFF,
     "angle_scale": _PRIOR.angle_scale / _CUT_OFF,
-    "common_share": NetworkEstimationSettings().common_error_share,
+    "common_share": COMMON_ERROR_SHARE,
     "clock_drift": 1e6 * _PRIOR.clock_drift / _CUT_OFF,
     "tilt": _PRIOR.tilt / _CUT_OFF,
 }

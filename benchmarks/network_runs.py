@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.config import Cylinder, Lidar2dSpec, People, Rig
-from calgraph.config.settings import BaselineSettings, CenterFeature
+from calgraph.config.settings import CenterFeature
 from calgraph.geometry import Array, se2
 from calgraph.graph.averaging import select_averaging
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
@@ -143,9 +143,7 @@ def run(cell: Cell, seed: int, setups: Sequence[Setup]) -> Run:
         tracked = track_scanners(rig, scans, feature)
         for icp in {setup.icp for setup in setups if setup.feature == feature}:
             rng = np.random.default_rng(seed)
-            estimates = estimate_scanner_pairs(
-                tracked, rng, icp=icp, depth_stddev=select_depth_stddev(feature, BaselineSettings())
-            )
+            estimates = estimate_scanner_pairs(tracked, rng, icp=icp, depth_stddev=select_depth_stddev(feature))
             pairs = [pair for pair in estimates.values() if isinstance(pair, ScannerPairEstimate)]
             if feature == "com" and icp:
                 judged = np.array([judge(pair, tracked, truth) for pair in pairs]).reshape(-1, 2)
@@ -189,9 +187,7 @@ def track_scanners(
     tracked: dict[str, ScannerTracks] = {}
     for name, spec in rig.sensors.items():
         assert isinstance(spec, Lidar2dSpec)
-        found = track_scanner(
-            scans[name], rig.target, spec.noise, centers=select_center_estimator(feature, rig.settings.baselines)
-        )
+        found = track_scanner(scans[name], rig.target, spec.noise, centers=select_center_estimator(feature))
         if isinstance(found, ScannerTracks):
             tracked[name] = found
     return tracked
@@ -223,9 +219,7 @@ def solve_poses(
             averaged = chain_pairs(graph, pairs, names)
         else:
             weights = published_weights(names, pairs) if setup.weighted else None
-            averaged, graph = average_network(
-                graph, rng, weights, select_averaging(setup.average, BaselineSettings())
-            )
+            averaged, graph = average_network(graph, rng, weights, select_averaging(setup.average))
     if not setup.joint:
         spread = compute_joint_covariance(graph.select_edges(averaged.inliers), averaged.T_root_node)
         return Solved(names, averaged.T_root_node, spread, np.full(len(names), np.nan))

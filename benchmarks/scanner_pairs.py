@@ -13,18 +13,18 @@ import argparse
 import time
 from collections.abc import Mapping
 from typing import Any
+from unittest import mock
 
 import numpy as np
 
-from calgraph.config.settings import CandidateSettings, ScannerPairSettings
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2
+from calgraph.network.pairs import scanner_pair
 from calgraph.network.pairs.scanner_pair import ScannerPairEstimate, estimate_scanner_pairs
 from calgraph.network.tracking.track import ScannerTracks
 from calgraph.simulation import NetworkScenario, build_network, network_rig, network_truth, simulate_scans
 from network_runs import project_poses, track_scanners
 
-ALL_PAIRS = ScannerPairSettings(candidates=CandidateSettings(max_exhaustive=1000))
 RIGHT = 0.5, np.radians(5)
 """Largest errors of right pairs, m and rad."""
 
@@ -76,9 +76,9 @@ def compare(scenario: NetworkScenario, seed: int) -> str:
     rig, truth = network_rig(network), project_poses(network_truth(network))
     scans = {scanner.name: list(simulate_scans(network, scanner)) for scanner in network.scanners}
     tracked = track_scanners(rig, scans, "nls")
-    every, seconds = register(tracked, ALL_PAIRS, 0)
-    others, _ = register(tracked, ALL_PAIRS, 1)
-    candidates, fewer_seconds = register(tracked, ScannerPairSettings(), 0)
+    every, seconds = register(tracked, 1000, 0)
+    others, _ = register(tracked, 1000, 1)
+    candidates, fewer_seconds = register(tracked, scanner_pair.MAX_EXHAUSTIVE, 0)
     right, again, found = (find_right(pairs, truth) for pairs in (every, others, candidates))
     wrong, still = (count_poses(pairs) - len(good) for pairs, good in ((every, right), (candidates, found)))
     counts = (len(every), len(candidates), len(right), len(right - found), len(found - right))
@@ -87,12 +87,11 @@ def compare(scenario: NetworkScenario, seed: int) -> str:
     return f"{numbers}{seconds:9.1f}{fewer_seconds:9.1f}{difference:9.2f}"
 
 
-def register(
-    tracked: Mapping[str, ScannerTracks], settings: ScannerPairSettings, seed: int
-) -> tuple[Pairs, float]:
-    """The pairs, and the processor time, s."""
+def register(tracked: Mapping[str, ScannerTracks], max_exhaustive: int, seed: int) -> tuple[Pairs, float]:
+    """The pairs, of which all are registered up to a number of scanners, and the processor time, s."""
     begin = time.process_time()
-    pairs = estimate_scanner_pairs(tracked, np.random.default_rng(seed), settings=settings)
+    with mock.patch.object(scanner_pair, "MAX_EXHAUSTIVE", max_exhaustive):
+        pairs = estimate_scanner_pairs(tracked, np.random.default_rng(seed))
     return pairs, time.process_time() - begin
 
 

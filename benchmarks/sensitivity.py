@@ -1,26 +1,34 @@
-"""What halving and doubling each setting changes, on simulated rigs and networks with ground truth.
+"""What halving and doubling each setting and each constant changes, on simulated rigs and networks.
 
-python benchmarks/sensitivity.py --seeds 3 --jobs 4                  # all settings
-python benchmarks/sensitivity.py --only estimation.rig --seeds 1     # those whose names begin so
+python benchmarks/sensitivity.py --seeds 3 --jobs 4                  # all of them
+python benchmarks/sensitivity.py --only rig.bundle --seeds 1         # those whose names begin so
+python benchmarks/sensitivity.py --every 10                          # each tenth
 
-By setting and factor, against the default on the same recordings: sensors placed more or less, how far poses move
-(standard deviations, RMS over sensors and axes), RMSE over that of the default, and NEES per degree of
-freedom. Values that a setting's bounds forbid are left out.
+Constants are the numbers at the top of modules, such as ``rig.bundle.variance_components._MIN_NOISE_RATIO``; every
+module that imports one gets the other value. By name and factor, against the default on the same recordings:
+sensors placed more or less, how far poses move (standard deviations, RMS over sensors and axes), RMSE over that of
+the default, and NEES per degree of freedom. Values that a setting's bounds forbid are left out.
 """
 
 import argparse
+import ast
 import logging
+import pkgutil
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Literal, get_args
+from unittest import mock
 
 import numpy as np
 from pydantic import BaseModel, ValidationError
 
+import calgraph
 from calgraph.config import Rig, load_rig
 from calgraph.config.settings import Settings
 from calgraph.errors import CalgraphError
@@ -43,8 +51,10 @@ from outcome_tables import rms
 
 Story = Literal["rig", "network"]
 FACTORS = (0.5, 2.0)
-NETWORK_ONLY = ("tracking.", "pairwise.scanners.", "estimation.network.", "diagnostics.network.")
-RIG_ONLY = ("captures.", "detection.", "pairwise.board.", "estimation.rig.", "diagnostics.rig.")
+NETWORK_ONLY = ("tracking.", "pairwise.scanners.", "estimation.network.", "network.")
+RIG_ONLY = ("captures.", "detection.", "pairwise.board.", "diagnostics.", "rig.", "boards.")
+ROOMS = ("boards", "graph", "network", "rig", "sensors", "solver", "verdict")
+"""Packages whose constants are varied."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +72,7 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Change:
-    """What one value of one setting changes, over all seeds."""
+    """What one value of one setting or constant changes, over all seeds."""
 
     story: Story
     name: str
@@ -82,7 +92,8 @@ def main() -> None:
     """Prints a line for each setting and factor, the largest changes first."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, default=1)
-    parser.add_argument("--only", default="", help="settings whose names begin so")
+    parser.add_argument("--only", default="", help="settings and constants whose names begin so")
+    parser.add_argument("--every", type=int, default=1, metavar="N", help="each N-th of these")
     parser.add_argument("--jobs", type=int, default=1)
     arguments = parser.parse_args()
     logging.disable(logging.WARNING)
@@ -93,24 +104,26 @@ def main() -> None:
         }
         defaults = {story: default_outcomes(pool, story, places) for story, places in folders.items()}
         tasks = [
-            pool.submit(compare, story, name, value, settings, folders[story], defaults[story])
-            for story, name, value, settings in variations(arguments.only)
+            pool.submit(compare, story, name, value, folders[story], defaults[story])
+            for story, name, value in variations(arguments.only, arguments.every)
         ]
         changes = []
         for done, task in enumerate(tasks, start=1):
             changes.append(task.result())
             print(f"\r{done} of {len(tasks)}", end="", file=sys.stderr, flush=True)
-    print(f"{'target':8} {'setting':55} {'value':>14} {'placed':>6} {'moved':>8} {'RMSE':>6} {'NEES':>6}")
+    print(
+        f"{'target':8} {'setting or constant':65} {'value':>14} {'placed':>6} {'moved':>8} {'RMSE':>6} {'NEES':>6}"
+    )
     for change in sorted(changes, key=lambda c: (abs(c.placed), np.nan_to_num(c.moved)), reverse=True):
         print(
-            f"{change.story:8} {change.name:55} {written(change.value):>14} {change.placed:+6d} "
+            f"{change.story:8} {change.name:65} {written(change.value):>14} {change.placed:+6d} "
             f"{change.moved:8.2f} {change.rmse:6.2f} {change.nees:6.2f} {change.failure}"
         )
 
 
 def default_outcomes(pool: ProcessPoolExecutor, story: Story, folders: Sequence[Path]) -> list[Outcome]:
     """Calibrations of the recordings with default settings, and a line on them."""
-    found = list(pool.map(calibrated, folders, [Settings()] * len(folders)))
+    found = list(pool.map(calibrated, folders))
     outcomes = [outcome for outcome in found if isinstance(outcome, Outcome)]
     if len(outcomes) < len(found):
         raise SystemExit(f"{story}: the default settings fail")
@@ -121,17 +134,49 @@ def default_outcomes(pool: ProcessPoolExecutor, story: Story, folders: Sequence[
     return outcomes
 
 
-def variations(only: str) -> Iterator[tuple[Story, str, Any, Settings]]:
-    """Each number among the settings, halved and doubled, for the targets (rig, network) that use it."""
-    for name, value in numbers(Settings()):
-        if name.startswith(only):
-            for factor in FACTORS:
-                settings = changed(name, scaled(value, factor))
-                if settings is not None:
-                    stories: tuple[Story, ...] = ("rig", "network")
-                    for story in stories:
-                        if not name.startswith(NETWORK_ONLY if story == "rig" else RIG_ONLY):
-                            yield story, name, scaled(value, factor), settings
+def variations(only: str, every: int) -> Iterator[tuple[Story, str, Any]]:
+    """Each number among the settings and constants, halved and doubled, for the targets that use it."""
+    named = [(name, value) for name, value in (*numbers(Settings()), *constants()) if name.startswith(only)]
+    for name, value in named[::every]:
+        for factor in FACTORS:
+            other = scaled(value, factor)
+            stories: tuple[Story, ...] = ("rig", "network")
+            for story in stories:
+                if name.startswith(NETWORK_ONLY if story == "rig" else RIG_ONLY):
+                    continue
+                if name.partition(".")[0] in ROOMS or changed(name, other) is not None:
+                    yield story, name, other
+
+
+def constants() -> Iterator[tuple[str, Any]]:
+    """Each number, or tuple of numbers, that a module defines in capitals, by its dotted name."""
+    source = Path(calgraph.__file__).parent
+    for path in sorted(path for room in ROOMS for path in (source / room).rglob("*.py")):
+        module = ".".join(path.relative_to(source).with_suffix("").parts)
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.Assign) and isinstance(target := node.targets[0], ast.Name):
+                value = getattr(import_module(f"calgraph.{module}"), target.id)
+                several = value if isinstance(value, tuple) else (value,)
+                if target.id.isupper() and all(type(one) in (int, float) for one in several):
+                    yield f"{module}.{target.id}", value
+
+
+@contextmanager
+def replaced(name: str, value: Any) -> Iterator[None]:
+    """Other value of a constant in all modules that have it."""
+    module, _, constant = name.rpartition(".")
+    default = getattr(import_module(f"calgraph.{module}"), constant)
+    for _, room, _ in pkgutil.walk_packages(calgraph.__path__, "calgraph."):
+        if room.split(".")[1] in ROOMS:
+            import_module(room)
+    users = [
+        one for key, one in sys.modules.items()
+        if key.startswith("calgraph.") and vars(one).get(constant) is default
+    ]  # fmt: skip
+    with ExitStack() as stack:
+        for user in users:
+            stack.enter_context(mock.patch.object(user, constant, value))
+        yield
 
 
 def numbers(model: BaseModel, prefix: str = "") -> Iterator[tuple[str, Any]]:
@@ -176,10 +221,10 @@ def simulated(story: Story, folder: Path, seed: int) -> Path:
     return folder
 
 
-def calibrated(folder: Path, settings: Settings) -> Outcome | str:
+def calibrated(folder: Path, settings: Settings | None = None) -> Outcome | str:
     """Calibrates a recording; the message where that fails."""
     rig, truth = load_rig(folder / "rig.yaml"), load_truth(folder / "truth.yaml")
-    rig = rig.model_copy(update={"settings": settings})
+    rig = rig.model_copy(update={"settings": settings or Settings()})
     try:
         with open_recording(folder / "recording") as recording:
             found = calibrate(rig, recording)
@@ -209,11 +254,13 @@ def judged(found: Calibration, truth: GroundTruth) -> Outcome:
     return Outcome(len(poses), poses, rms(errors), float(np.mean(nees)) if nees else float("nan"))
 
 
-def compare(
-    story: Story, name: str, value: Any, settings: Settings, folders: Sequence[Path], defaults: Sequence[Outcome]
-) -> Change:
-    """Calibrates all recordings of rigs, or of networks, with one setting changed."""
-    outcomes = [calibrated(folder, settings) for folder in folders]
+def compare(story: Story, name: str, value: Any, folders: Sequence[Path], defaults: Sequence[Outcome]) -> Change:
+    """Calibrates all recordings of rigs, or of networks, with one setting or constant changed."""
+    if name.partition(".")[0] in ROOMS:
+        with replaced(name, value):
+            outcomes = [calibrated(folder) for folder in folders]
+    else:
+        outcomes = [calibrated(folder, changed(name, value)) for folder in folders]
     failures = [outcome for outcome in outcomes if isinstance(outcome, str)]
     pairs = [(o, d) for o, d in zip(outcomes, defaults, strict=True) if isinstance(o, Outcome)]
     steps = [

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calgraph.config import PixelNoise, RangeNoise
-from calgraph.config.settings import RigEstimationSettings
 from calgraph.geometry import Array, se3, so3
+from calgraph.rig.bundle.bundle_setup import _MIN_INCIDENCE_COSINE
 from calgraph.rig.bundle.bundle_solver import Bundle, BundleState
 from calgraph.rig.bundle.corner_observations import CornerObservations, PrintedCorners
 from calgraph.rig.bundle.observations import BoardViews, no_extra, relative_poses
@@ -114,7 +114,7 @@ def views_of(name: str, T_sensor_board: Array) -> BoardViews:
     start = np.cumsum([0, *[len(points) for points in ends[:-1]]])
     return RangeObservations(
         np.arange(count), start, np.concatenate(ends) / ranges[:, None], ranges, RANGE,
-        np.full(len(ranges), RANGE.range), RigEstimationSettings().min_incidence_cosine,
+        np.full(len(ranges), RANGE.range), _MIN_INCIDENCE_COSINE,
         extra_of_local=no_extra(count),
     )  # fmt: skip
 

@@ -4,7 +4,8 @@ import numpy as np
 
 from calgraph.config.settings import NetworkEstimationSettings
 from calgraph.geometry import Array, se2
-from calgraph.network.joint.leg_problem import LegObservations, LegPath
+from calgraph.network.joint.leg_equations import _MAX_EDGE_RATIO
+from calgraph.network.joint.leg_problem import HARMONICS, LegObservations, LegPath
 from calgraph.network.joint.leg_raycast import raycast_legs
 from calgraph.network.joint.problem import BodyScans, NetworkProblem, NetworkState
 from calgraph.network.joint.scanner_unknowns import SYSTEMATIC_ERRORS
@@ -15,14 +16,6 @@ T_ROOT = np.stack([se2.pose(yaw, np.array([x, y])) for yaw, x, y in ((0, 0, 0), 
 OFFSET = np.array([0.0, 0.02, -0.01])
 SHAPE = np.array([0.06, 0.006, 0.001, -0.002, 0.001])
 SETTINGS = NetworkEstimationSettings()
-EXACT_EDGES = SETTINGS.model_copy(
-    update={
-        "legs": SETTINGS.legs.model_copy(
-            update={"body": SETTINGS.legs.body.model_copy(update={"edge_sigma": 0.0})}
-        )
-    }
-)
-"""The noise of ranges does not depend on the state."""
 DURATION, PERIOD = 3.0, 0.08
 
 
@@ -59,8 +52,8 @@ def cast_beams(scanner: int, side: float, times: Array) -> BodyScans:
             np.tile(pose[:2], (len(direction), 1)),
             np.full(len(direction), pose[2]),
             SHAPE,
-            SETTINGS.legs.body.harmonics,
-            SETTINGS.legs.body.max_edge_ratio,
+            HARMONICS,
+            _MAX_EDGE_RATIO,
         )
         parts.append((direction, hits.ranges))
     count = np.array([len(ranges) for _, ranges in parts])
@@ -111,7 +104,7 @@ def build_network() -> tuple[NetworkProblem, NetworkState]:
         np.zeros((3, len(SYSTEMATIC_ERRORS))),
         1.5,
         0.5,
-        EXACT_EDGES,
+        SETTINGS,
     )
     return problem, NetworkState(T_ROOT, OFFSET, np.zeros((3, len(SYSTEMATIC_ERRORS))), tuple(paths))
 

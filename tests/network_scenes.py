@@ -5,6 +5,7 @@ import numpy as np
 from calgraph.config.settings import NetworkEstimationSettings, TrackingSettings
 from calgraph.geometry import Array, se2
 from calgraph.network.joint.ellipse_raycast import raycast_ellipses
+from calgraph.network.joint.model_error import TUKEY_LIMIT
 from calgraph.network.joint.problem import BodyPath, BodyScans
 from calgraph.network.joint.scanner_unknowns import SYSTEMATIC_ERRORS
 from calgraph.network.joint.schur import BodyEquations
@@ -16,7 +17,7 @@ from calgraph.network.tracking.track import Hits, Track
 SIGMA = 0.01
 SETTINGS = NetworkEstimationSettings()
 DENSITY = TrackingSettings().acceleration_density
-LOSS = TukeyLoss(SETTINGS.beams.tukey_limit)
+LOSS = TukeyLoss(TUKEY_LIMIT)
 T_ROOT = np.stack([np.eye(3), se2.pose(2.5, np.array([6.0, 1.0])), se2.pose(-1.5, np.array([3.0, 5.0]))])
 OFFSET = np.array([0.0, 0.03, -0.02])
 EXACT = np.zeros((3, len(SYSTEMATIC_ERRORS)))

@@ -10,8 +10,10 @@ from calgraph.network.joint.ellipse_equations import compute_residuals, raycast_
 from calgraph.network.joint.estimate import SolvedNetwork
 from calgraph.network.joint.path_equations import evaluate_at
 from calgraph.network.joint.problem import BodyObservations, BodyPath, BodyScans, NetworkProblem, NetworkState
+from calgraph.network.joint.range_noise import MIN_COS_INCIDENCE
 from calgraph.network.joint.solver import optimize_network
 from calgraph.network.joint.splines import Knots
+from calgraph.network.pairs.scanner_pair import NETWORK_ESTIMATION_CLOCK_SIGMA
 from network_scenes import DENSITY, EXACT, LOSS, OFFSET, SETTINGS, SIGMA, T_ROOT, simulate_scans
 
 SECONDS = 24.0
@@ -47,7 +49,7 @@ def solve_two_walks(rng: np.random.Generator, change: Change = no_change) -> Sol
         (),
         np.full(3, SIGMA),
         np.array([0.0005, 0.002]) ** 2,
-        SETTINGS.clock_sigma,
+        NETWORK_ESTIMATION_CLOCK_SIGMA,
         EXACT,
         MIDDLE,
         DENSITY,
@@ -76,7 +78,7 @@ def update_weights(network: NetworkProblem, state: NetworkState) -> list[BodyObs
         for one in body.scans:
             _, _, pose, rate = evaluate_at(network, state, body, path, one)
             hits = raycast_body(state, path, one, pose, rate)
-            used = hits.cos_incidence > SETTINGS.beams.min_cos_incidence
+            used = hits.cos_incidence > MIN_COS_INCIDENCE
             weight = LOSS.compute_weights(compute_residuals(network, one, hits)[0], used)
             scans.append(replace(one, weight=weight))
         bodies.append(replace(body, scans=tuple(scans)))

@@ -1,17 +1,23 @@
-"""Every setting is documented, is used, and reaches the code that uses it."""
+"""Settings are what a user sets: few, documented, read, and accepted from files of earlier versions."""
 
 import ast
+import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 import pytest
 from pydantic import BaseModel
 
 import calgraph
+from calgraph.cli.setting_options import override_settings, set_nested
+from calgraph.config import Rig, load_rig
 from calgraph.config.settings import Settings
+from calgraph.errors import InputError
 from calgraph.io.field_docs import describe_field
 
 SOURCE = Path(calgraph.__file__).parent
+FORMER: dict[str, Any] = json.loads((SOURCE / "config" / "former_settings.json").read_text(encoding="utf-8"))
 Trees = Mapping[Path, ast.Module]
 
 
@@ -31,9 +37,23 @@ def leaves(model: type[BaseModel], prefix: str = "") -> Iterator[tuple[str, str]
             yield prefix + name, describe_field(model, name)
 
 
-@pytest.mark.parametrize(("name", "description"), list(leaves(Settings)))
-def test_a_setting_states_its_meaning_and_reason(name: str, description: str) -> None:
-    assert len(description.split()) >= 6, f"{name}: {description}"
+def values(model: BaseModel, prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Each setting with its value."""
+    for name in type(model).model_fields:
+        value = getattr(model, name)
+        if isinstance(value, BaseModel):
+            yield from values(value, f"{prefix}{name}.")
+        else:
+            yield prefix + name, value
+
+
+def test_settings_are_few_and_single_values() -> None:
+    assert len(list(leaves(Settings))) <= 95
+    assert [name for name, value in values(Settings()) if isinstance(value, tuple | list | dict)] == []
+
+
+def test_settings_state_their_meanings_and_reasons() -> None:
+    assert [name for name, description in leaves(Settings) if len(description.split()) < 6] == []
 
 
 def test_every_setting_is_read_outside_the_configuration(trees: Trees) -> None:
@@ -43,43 +63,60 @@ def test_every_setting_is_read_outside_the_configuration(trees: Trees) -> None:
         if "config" not in path.relative_to(SOURCE).parts
         for node in ast.walk(tree)
         if isinstance(node, ast.Attribute)
-    }
+    } | {name for name, _ in leaves(Settings) if name.startswith("captures.max_messages.")}
     assert [name for name, _ in leaves(Settings) if name.split(".")[-1] not in read] == []
 
 
-def functions_with_settings(trees: Trees) -> set[str]:
-    """Names of functions and methods, and of classes whose constructor, have a parameter ``settings``.
-
-    Commands are not among them: typer calls them, with what ``--set`` states.
-    """
-    names = set()
-    for path, tree in trees.items():
-        if "cli" in path.relative_to(SOURCE).parts:
-            continue
-        functions = {n: n.name for n in ast.walk(tree) if isinstance(n, ast.FunctionDef) and n.name != "__init__"}
-        for node in ast.walk(tree):
-            if isinstance(node, ast.ClassDef):
-                constructors = [n for n in node.body if isinstance(n, ast.FunctionDef) and n.name == "__init__"]
-                functions |= dict.fromkeys(constructors, node.name)
-        for function, name in functions.items():
-            arguments = [*function.args.args, *function.args.kwonlyargs]
-            if any(argument.arg == "settings" for argument in arguments):
-                names.add(name)
-    return names
+def load(folder: Path, settings: dict[str, Any]) -> Rig:
+    (folder / "rig.yaml").write_text(
+        json.dumps({
+            "root": "a",
+            "target": {"kind": "people"},
+            "sensors": {name: {"kind": "lidar2d", "topic": f"/{name}"} for name in "ab"},
+            "settings": settings,
+        })
+    )  # fmt: skip
+    return load_rig(folder / "rig.yaml")
 
 
-def test_every_call_hands_settings_on(trees: Trees) -> None:
-    # A parameter with a default value would silently ignore what the user has set.
-    takers = functions_with_settings(trees)
-    forgetful = [
-        f"{path.relative_to(SOURCE)}:{node.lineno} {name}"
-        for path, tree in trees.items()
-        for node in ast.walk(tree)
-        if isinstance(node, ast.Call)
-        and (name := getattr(node.func, "id", getattr(node.func, "attr", ""))) in takers
-        and not any("settings" in ast.dump(argument) for argument in [*node.args, *node.keywords])
-    ]
-    assert forgetful == []
+def nest(flat: Mapping[str, Any]) -> dict[str, Any]:
+    nested: dict[str, Any] = {}
+    for key, value in flat.items():
+        set_nested(nested, key.split("."), value)
+    return nested
+
+
+def test_a_file_of_an_earlier_version_that_states_all_settings_is_valid(tmp_path: Path) -> None:
+    """As rig.resolved.yaml does: those of today, and those that are constants now."""
+    stated = {key: value for key, value in values(Settings()) if value is not None}
+    rig = load(tmp_path, nest({**stated, "captures.min_hold": 0.7, **FORMER}))
+    assert len(FORMER) == 694
+    assert dict(values(rig.settings)) == {**dict(values(Settings())), "captures.min_hold": 0.7}
+
+
+def test_no_former_setting_has_the_key_of_one_of_today() -> None:
+    assert FORMER.keys() & dict(values(Settings())).keys() == set()
+
+
+def test_another_value_of_a_former_setting_is_an_error_that_names_what_replaces_it(tmp_path: Path) -> None:
+    with pytest.raises(InputError) as caught:
+        load(tmp_path, {"estimation": {"rig": {"huber_threshold": 3.5}}})
+    assert str(caught.value).endswith(
+        "settings.estimation.rig.huber_threshold: is no setting any more and is always 2.5, got 3.5; "
+        "noise and uncertainty of the sensors state what is known about them"
+    )
+
+
+def test_a_former_setting_on_the_command_line_is_an_error(tmp_path: Path) -> None:
+    rig = load(tmp_path, {})
+    assert override_settings(rig, ["graph.min_trees=8"]).settings == rig.settings
+    with pytest.raises(InputError, match=r"graph.min_trees: is no setting any more and is always 8, got 7; "):
+        override_settings(rig, ["graph.min_trees=7"])
+
+
+def test_an_unknown_key_beside_former_ones_is_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"unknown key settings.captures.min_holds.*min_hold"):
+        load(tmp_path, {"captures": {"min_holds": 1, "motion": {"min_gray_change": 12.0}}})
 
 
 DRAWING = {"cli", "fleet", "live", "printing", "report", "simulation", "viewer"}
@@ -110,8 +147,7 @@ def states_reason(lines: list[str], number: int) -> bool:
     return lines[before].startswith("#") or lines[number].startswith('"""')
 
 
-def test_a_constant_that_is_not_a_setting_states_its_reason(trees: Trees) -> None:
-    # What influences a result is a setting; what stays is a numerical tolerance, a buffer, or a fact.
+def test_a_constant_states_its_reason(trees: Trees) -> None:
     unexplained = [
         f"{path.relative_to(SOURCE)}:{number} {name}"
         for path, tree in trees.items()

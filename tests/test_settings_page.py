@@ -35,7 +35,7 @@ def test_every_setting_has_its_row() -> None:
     assert sorted(rows()) == sorted(name for name, _ in leaves(Settings))
 
 
-@pytest.mark.parametrize("name", ["detection.lidar3d.min_points", "captures.motion.min_range_change_ratio"])
+@pytest.mark.parametrize("name", ["detection.lidar3d.min_points", "captures.min_hold"])
 def test_a_row_has_default_limits_and_meaning(name: str) -> None:
     settings: BaseModel = Settings()
     *stages, key = name.split(".")

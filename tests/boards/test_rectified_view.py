@@ -32,7 +32,7 @@ def test_lines_between_corners_are_straight_in_the_view(
     camera: CameraModel, center: tuple[float, float, float]
 ) -> None:
     corners = square(center)
-    view = rectify_view(np.zeros((480, 640), np.uint8), camera, corners, SETTINGS)
+    view = rectify_view(np.zeros((480, 640), np.uint8), camera, corners)
     assert view is not None
     ray = corners[0] @ view.R_camera_view
     pixels = view.focal * (ray[:, :2] / ray[:, 2:] - view.corner)
@@ -46,7 +46,7 @@ def test_lines_between_corners_are_straight_in_the_view(
 
 def test_the_view_is_upright_and_points_at_the_tags() -> None:
     for center in ((0.0, 0.0, 2.0), (0.8, -0.4, 1.5), (-1.0, 0.5, 1.0)):
-        view = rectify_view(np.zeros((480, 640), np.uint8), FISHEYE, square(center), SETTINGS)
+        view = rectify_view(np.zeros((480, 640), np.uint8), FISHEYE, square(center))
         assert view is not None
         R = view.R_camera_view
         np.testing.assert_allclose(R.T @ R, np.eye(3), atol=1e-12)
@@ -58,7 +58,7 @@ def test_the_view_is_upright_and_points_at_the_tags() -> None:
 
 
 def test_scale_and_margin_are_those_of_the_settings() -> None:
-    view = rectify_view(np.zeros((480, 640), np.uint8), PLAIN, square((0.0, 0.0, 2.0)), SETTINGS)
+    view = rectify_view(np.zeros((480, 640), np.uint8), PLAIN, square((0.0, 0.0, 2.0)))
     assert view is not None
     # A tag of 0.3 m at 2 m has 45 px; in the view 67.5 px, and a margin of 0.4 edges on either side.
     assert view.focal == pytest.approx(1.5 * 300)
@@ -69,7 +69,7 @@ def test_scale_and_margin_are_those_of_the_settings() -> None:
 def test_gray_values_are_those_of_the_image(rng: np.random.Generator) -> None:
     noise = rng.integers(0, 255, (480, 640)).astype(np.uint8)
     image = np.asarray(cv2.GaussianBlur(noise, (0, 0), 6), dtype=np.uint8)
-    view = rectify_view(image, BARREL, square((0.6, -0.3, 1.5)), SETTINGS)
+    view = rectify_view(image, BARREL, square((0.6, -0.3, 1.5)))
     assert view is not None
     v, u = (a.ravel() for a in np.indices(view.image.shape))
     x, y = view.to_image(np.column_stack([u, v]).astype(float)).T
@@ -81,6 +81,6 @@ def test_gray_values_are_those_of_the_image(rng: np.random.Generator) -> None:
 
 def test_tags_over_too_wide_an_angle_have_no_view() -> None:
     wide = np.concatenate([square((-3.0, 0.0, 0.5)), square((3.0, 0.0, 0.5))])
-    assert rectify_view(np.zeros((480, 640), np.uint8), FISHEYE, wide, SETTINGS) is None
+    assert rectify_view(np.zeros((480, 640), np.uint8), FISHEYE, wide) is None
     around = np.concatenate([square((-1.0, 0.0, -0.5)), square((1.0, 0.0, 1.0))])
-    assert rectify_view(np.zeros((480, 640), np.uint8), FISHEYE, around, SETTINGS) is None
+    assert rectify_view(np.zeros((480, 640), np.uint8), FISHEYE, around) is None

@@ -37,11 +37,12 @@ def test_predictions_may_be_off_by_a_part_of_the_tags_edge(shift: tuple[float, f
     assert TagFinder("tag36h11").find_within(image, corners + shift).ids.tolist() == [5]
 
 
-def test_predictions_of_small_tags_may_be_off_by_some_pixels() -> None:
+def test_predictions_of_small_tags_may_be_off_by_some_pixels(monkeypatch: pytest.MonkeyPatch) -> None:
     image, corners = draw_tag(24)
     finder = TagFinder("tag36h11")
     assert finder.find_within(image, corners + np.array([13.0, 0.0])).ids.tolist() == [5]
-    narrow = TagFinder("tag36h11", TagSettings(min_search_margin=0))
+    monkeypatch.setattr("calgraph.boards.tags._MIN_SEARCH_MARGIN", 0)
+    narrow = TagFinder("tag36h11")
     assert len(narrow.find_within(image, corners + np.array([13.0, 0.0]))) == 0
 
 

@@ -5,7 +5,6 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.sparse import csc_array, eye_array, random_array
 
-from calgraph.config.settings import GraphSettings
 from calgraph.geometry import Array, se_n
 from calgraph.graph import graph_optimization
 from calgraph.graph.graph_optimization import optimize_poses, optimize_poses_robustly, solve_sparse
@@ -69,17 +68,18 @@ def test_robust_poses_fit_all_but_the_wrong_edges(n: int, rng: np.random.Generat
     offset = 10 * sigma * rng.normal(size=(8, len(sigma)))
     offset[0] = 0
     gate = {2: 16.3, 3: 22.5}[n]  # chi-squared, 99.9 %
-    found = optimize_poses_robustly(graph, se_n.retract(T, offset), gate, GraphSettings())
+    found = optimize_poses_robustly(graph, se_n.retract(T, offset), gate)
     best = optimize_poses(graph, T, np.where(np.isin(np.arange(28), wrong), 0.0, 1.0))
     np.testing.assert_allclose(se_n.difference(found, best) / sigma, 0, atol=0.02)
 
 
-def test_the_last_robust_step_has_geman_mcclure_weights() -> None:
+def test_the_last_robust_step_has_geman_mcclure_weights(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two edges of a pair, 1 m apart: at a squared distance equal to the squared scale, a weight of a quarter."""
+    monkeypatch.setattr("calgraph.graph.graph_optimization._FIRST_ROBUST_SCALE", 0.25)
     T = np.tile(np.eye(3), (2, 1, 1))
     T_i_j = se_n.retract(T, np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]))
     graph = PoseGraph(2, np.array([[0, 1], [0, 1]]), T_i_j, np.tile(np.eye(3), (2, 1, 1)))
-    found = optimize_poses_robustly(graph, T, 4.0, GraphSettings(first_robust_scale=0.25))
+    found = optimize_poses_robustly(graph, T, 4.0)
     np.testing.assert_allclose(found[1, :2, 2], [0.25 / 1.25, 0.0], atol=1e-8)
 
 
@@ -94,5 +94,5 @@ def test_scales_of_the_robust_loss_are_halved_from_64_to_a_quarter(monkeypatch: 
     monkeypatch.setattr(graph_optimization, "gauss_newton_step", record_weight)
     T = np.tile(np.eye(3), (2, 1, 1))
     graph = PoseGraph(2, np.array([[0, 1]]), se_n.retract(T[:1], np.array([[2.0, 0.0, 0.0]])), np.eye(3)[None])
-    optimize_poses_robustly(graph, T, 4.0, GraphSettings())
+    optimize_poses_robustly(graph, T, 4.0)
     np.testing.assert_allclose(used, [(1 + 2.0**-k) ** -2 for k in range(6, -3, -1)])

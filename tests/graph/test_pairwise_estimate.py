@@ -45,16 +45,17 @@ class DirectionMatches:
         return np.full((len(T_a_b), len(self.values)), self._feasible)
 
 
-def test_squared_residuals_are_over_the_gate_and_the_model_error() -> None:
+def test_squared_residuals_are_over_the_gate_and_the_model_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("calgraph.graph.pairwise_estimate._INLIER_GATE", 2.0)
+    monkeypatch.setattr("calgraph.graph.pairwise_estimate.MODEL_ERROR", 0.01)
     matches = DirectionMatches(DIRECTIONS, np.array([0.05, 0, 0, 0, 0, 0]), np.full(6, 0.02**2))
-    settings = BoardPairSettings(inlier_gate=2.0, model_error=0.01)
-    r2 = squared_residual_function(matches, settings)(np.eye(4)[None])
+    r2 = squared_residual_function(matches)(np.eye(4)[None])
     np.testing.assert_allclose(r2[0, :2], [0.05**2 / (0.02**2 + 0.01**2) / 4, 0.0])
 
 
 def test_infeasible_matches_are_never_inliers() -> None:
     matches = DirectionMatches(DIRECTIONS, np.zeros(6), np.ones(6), feasible=False)
-    assert np.isinf(squared_residual_function(matches, BoardPairSettings())(np.eye(4)[None])).all()
+    assert np.isinf(squared_residual_function(matches)(np.eye(4)[None])).all()
 
 
 def test_refinement_weights_inliers_by_their_covariances() -> None:
@@ -109,21 +110,23 @@ def turned(degrees: float) -> Array:
 @pytest.mark.parametrize(("degrees", "stddev", "expected"), [
     (90.0, 0.6, 90.0), (90.0, 0.4, 0.0), (5.5, 0.6, 5.5), (4.5, 0.6, 0.0),
 ])  # fmt: skip
-def test_another_pose_that_fits_equally_well_is_ambiguous(degrees: float, stddev: float, expected: float) -> None:
+def test_another_pose_that_fits_equally_well_is_ambiguous(
+    degrees: float, stddev: float, expected: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("calgraph.graph.pairwise_estimate.FLATNESS", 1e-9)
     # chi-squared of the other pose: (angle / stddev)^2, against a margin of 12; 90 degrees are 1.57 rad.
     gain = 1.57 / np.radians(degrees) / stddev * 1.3
     matches = DirectionMatches(gain * DIRECTIONS, np.zeros(6), np.ones(6))
-    settings = BoardPairSettings(flatness=1e-9)
-    T, angle = resolve_ambiguity(np.eye(4), turned(degrees)[None], matches, np.ones(6, dtype=bool), settings)
+    T, angle = resolve_ambiguity(np.eye(4), turned(degrees)[None], matches, np.ones(6, dtype=bool))
     np.testing.assert_allclose(T, np.eye(4))
     assert np.degrees(angle) == pytest.approx(expected)
 
 
-def test_a_pose_that_fits_clearly_better_is_selected() -> None:
+def test_a_pose_that_fits_clearly_better_is_selected(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("calgraph.graph.pairwise_estimate.FLATNESS", 1e-9)
     matches = DirectionMatches(DIRECTIONS, np.array([0, 0, 0, np.radians(30), 0, 0]), np.full(6, 0.01**2))
     others = np.array([turned(20.0), turned(30.0)])
-    settings = BoardPairSettings(flatness=1e-9)
-    T, angle = resolve_ambiguity(np.eye(4), others, matches, np.ones(6, dtype=bool), settings)
+    T, angle = resolve_ambiguity(np.eye(4), others, matches, np.ones(6, dtype=bool))
     np.testing.assert_allclose(T, turned(30.0))
     assert angle == 0.0
 

@@ -5,7 +5,6 @@ import itertools
 import numpy as np
 import pytest
 
-from calgraph.config.settings import GraphSettings
 from calgraph.geometry import Array
 from calgraph.graph import tree_consensus
 from calgraph.graph.pose_graph import PoseGraph
@@ -32,7 +31,7 @@ def test_the_first_tree_has_the_least_total_cost(seed: int) -> None:
 
 def test_the_first_tree_excludes_the_edge_of_least_weight(rng: np.random.Generator) -> None:
     graph = measured(true_poses(3, 2, rng), complete(3), rng)
-    costs = _draw_edge_costs(graph, np.array([1.0, 0.1, 1.0]), 3, rng, GraphSettings())
+    costs = _draw_edge_costs(graph, np.array([1.0, 0.1, 1.0]), 3, rng)
     assert (costs[0] > 1e8).tolist() == [False, True, False]
 
 
@@ -41,6 +40,9 @@ def test_the_number_of_trees_follows_from_their_edges_within_limits(
     tree_edges: int, expected: int, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Trees of a graph of 15 edges, at least 2 and at most 50."""
+    monkeypatch.setattr("calgraph.graph.tree_consensus._TREE_EDGES", tree_edges)
+    monkeypatch.setattr("calgraph.graph.tree_consensus._MIN_TREES", 2)
+    monkeypatch.setattr("calgraph.graph.tree_consensus._MAX_TREES", 50)
     counts: list[int] = []
 
     def record_count(graph: PoseGraph, costs: Array) -> Array:
@@ -48,8 +50,7 @@ def test_the_number_of_trees_follows_from_their_edges_within_limits(
         return compute_tree_poses(graph, costs)
 
     monkeypatch.setattr(tree_consensus, "compute_tree_poses", record_count)
-    settings = GraphSettings(tree_edges=tree_edges, min_trees=2, max_trees=50)
-    average_poses(measured(true_poses(6, 2, rng), complete(6), rng), rng, settings=settings)
+    average_poses(measured(true_poses(6, 2, rng), complete(6), rng), rng)
     assert counts == [expected]
 
 
@@ -58,7 +59,7 @@ def test_the_weight_of_an_edge_decides_in_the_first_trees_only(rng: np.random.Ge
     edges = complete(30)
     graph = measured(true_poses(30, 2, rng), edges, rng)
     light = np.array([i == 0 for i, _ in edges])
-    costs = _draw_edge_costs(graph, np.where(light, 0.01, 1.0), 40, rng, GraphSettings())
+    costs = _draw_edge_costs(graph, np.where(light, 0.01, 1.0), 40, rng)
     ratio = np.median(costs[:, light], axis=1) / np.median(costs[:, ~light], axis=1)
     assert (ratio[:10] > 10).all()
     assert 0.4 < ratio[-1] < 2.5

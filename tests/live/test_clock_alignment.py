@@ -44,8 +44,14 @@ def scan(topic: str, offset: float, arrival: float = NOW) -> LiveMessage:
     return make_live_message(topic, message, arrival)
 
 
-def arrivals(source: GivenSource, alignment_time: float = 0.01) -> list[float]:
-    given = collect(AlignedSource(source, ConnectionSettings(alignment_time=alignment_time)), ["/scan"])
+@pytest.fixture(autouse=True)
+def align_quickly(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A hundredth of a second of messages decides."""
+    monkeypatch.setattr("calgraph.live.clock_alignment._ALIGNMENT_TIME", 0.01)
+
+
+def arrivals(source: GivenSource) -> list[float]:
+    given = collect(AlignedSource(source, ConnectionSettings()), ["/scan"])
     return [one.arrival / 1e9 for one in messages(given)]
 
 
@@ -55,14 +61,16 @@ def test_arrivals_are_by_the_clock_of_the_stamps(offset: float) -> None:
     assert arrivals(source) == pytest.approx([NOW - offset, NOW + 1 - offset], abs=1e-6)
 
 
-def test_the_difference_is_named() -> None:
-    source = AlignedSource(GivenSource([scan("/scan", -30.0)]), ConnectionSettings(alignment_time=0))
+def test_the_difference_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("calgraph.live.clock_alignment._ALIGNMENT_TIME", 0)
+    source = AlignedSource(GivenSource([scan("/scan", -30.0)]), ConnectionSettings())
     (notice,) = notices(collect(source, ["/scan"]))
     assert "stamps are 30.0 s ahead of the clock of arrivals" in notice.text
 
 
-def test_latencies_change_no_arrival() -> None:
-    source = AlignedSource(GivenSource([scan("/scan", 0.4)]), ConnectionSettings(alignment_time=0))
+def test_latencies_change_no_arrival(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("calgraph.live.clock_alignment._ALIGNMENT_TIME", 0)
+    source = AlignedSource(GivenSource([scan("/scan", 0.4)]), ConnectionSettings())
     given = collect(source, ["/scan"])
     assert [one.arrival for one in messages(given)] == [round(NOW * 1e9)]
     assert notices(given) == []
@@ -78,16 +86,18 @@ def test_of_two_sensors_the_one_nearer_to_the_arrivals_decides() -> None:
     assert arrivals(GivenSource(first, [scan("/b", 0.2, NOW + 1)])) == [NOW, NOW, NOW + 1]
 
 
-def test_messages_without_header_get_the_same_difference_in_their_order() -> None:
+def test_messages_without_header_get_the_same_difference_in_their_order(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("calgraph.live.clock_alignment._ALIGNMENT_TIME", 0)
     trigger = make_live_message("/trigger", Trigger(NOW), NOW)
-    source = AlignedSource(GivenSource([trigger, scan("/scan", 50.0)]), ConnectionSettings(alignment_time=0))
+    source = AlignedSource(GivenSource([trigger, scan("/scan", 50.0)]), ConnectionSettings())
     given = messages(collect(source, ["/scan", "/trigger"]))
     assert [one.channel.topic for one in given] == ["/trigger", "/scan"]
     assert [one.arrival / 1e9 for one in given] == pytest.approx([NOW - 50.0] * 2, abs=1e-6)
 
 
-def test_messages_of_a_source_that_ends_early_are_given_too() -> None:
-    assert arrivals(GivenSource([scan("/scan", 50.0)]), alignment_time=100) == [NOW - 50.0]
+def test_messages_of_a_source_that_ends_early_are_given_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("calgraph.live.clock_alignment._ALIGNMENT_TIME", 100)
+    assert arrivals(GivenSource([scan("/scan", 50.0)])) == [NOW - 50.0]
 
 
 def test_the_connection_is_closed_with_the_stream() -> None:

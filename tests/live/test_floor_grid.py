@@ -5,10 +5,9 @@ from collections.abc import Collection
 import numpy as np
 import pytest
 
-from calgraph.config.settings import Settings
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2
-from calgraph.live.floor_grid import Cells, FloorGrid, build_floor_grid
+from calgraph.live.floor_grid import _MAX_CELLS, Cells, FloorGrid, build_floor_grid
 from calgraph.network.tracking.track import ScannerTracks, Track
 from calgraph.result import Calibration, SensorPose, Verdict
 
@@ -49,7 +48,7 @@ def build(
         for name, T in list(POSES.items())[:connected]
     )
     calibration = Calibration("left", sensors, np.zeros((6 * connected, 6 * connected)))
-    return build_floor_grid(calibration, tracked, unfinished, Settings())
+    return build_floor_grid(calibration, tracked, unfinished)
 
 
 def at(grid: FloorGrid, cells: Cells, x: float, y: float) -> bool:
@@ -120,7 +119,7 @@ def test_a_large_building_has_larger_cells(both: dict[str, ScannerTracks | Rejec
     far = walk(POSES["left"], (0.0, 0.0), (100.0, 0.0))
     grid = build({**both, "left": ScannerTracks((far,), left.background, 0.01)})
     assert grid is not None
-    assert max(grid.walked.shape) <= Settings().live.network.max_cells + 1
+    assert max(grid.walked.shape) <= _MAX_CELLS + 1
 
 
 def test_scanners_that_track_people_far_away_detect_them_there() -> None:

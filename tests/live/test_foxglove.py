@@ -34,7 +34,14 @@ from foxglove_servers import (
 
 OLD_SCAN = "sensor_msgs/LaserScan"
 """As ROS 1 names it."""
-FAST = ConnectionSettings(first_delay=0.01, max_delay=0.02, discovery_time=0.05, notice_interval=0)
+FAST = ConnectionSettings(discovery_time=0.05, notice_interval=0)
+
+
+@pytest.fixture(autouse=True)
+def reconnect_quickly(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Connections are tried again within 20 ms."""
+    monkeypatch.setattr("calgraph.live.foxglove._FIRST_DELAY", 0.01)
+    monkeypatch.setattr("calgraph.live.foxglove._MAX_DELAY", 0.02)
 
 
 def count(kind: str, number: int) -> Any:

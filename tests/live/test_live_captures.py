@@ -85,13 +85,13 @@ def test_without_a_common_sensor_a_pose_is_new() -> None:
 def test_coverage_of_images_counts_the_regions_with_corners() -> None:
     left = make_corners(np.array([-1.4, 0, 2.0]))
     captures = [make_capture(camera=(left,))] * 2 + [make_capture(lidar=(make_patch(AHEAD),))]
-    coverage = np.reshape(count_coverage("camera", RIG, CAMERA, captures, SETTINGS), (3, 3))
+    coverage = np.reshape(count_coverage("camera", RIG, CAMERA, captures), (3, 3))
     np.testing.assert_allclose(coverage, np.array([[0, 0, 0], [2 / 3, 0, 0], [0, 0, 0]]))
 
 
 def test_coverage_of_scanners_counts_sectors_of_azimuth() -> None:
     to_the_left = make_capture(lidar=(make_patch(np.array([0.1, 2.0, 0])),))
-    coverage = count_coverage("lidar", RIG, None, [to_the_left] * 5, SETTINGS)
+    coverage = count_coverage("lidar", RIG, None, [to_the_left] * 5)
     assert coverage == (0.0,) * 8 + (1.0,) + (0.0,) * 3
 
 

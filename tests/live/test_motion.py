@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calgraph.config.settings import CaptureSettings, MotionDetectionSettings, RestSettings
+from calgraph.config.settings import CaptureSettings
 from calgraph.geometry import Array
 from calgraph.live.motion import RestMonitor
 from calgraph.rig.captures.motion_detection import ActivityMeter
@@ -29,7 +29,7 @@ SCENARIO = RigScenario(
 
 
 def make_monitor(*sensors: str) -> RestMonitor:
-    return RestMonitor(sensors, MotionDetectionSettings(), RestSettings())
+    return RestMonitor(sensors)
 
 
 def watch(

@@ -43,8 +43,10 @@ def solve(rig: Rig, path: Path, folder: Path, last: LiveNetworkSolution | None =
     return found
 
 
-def with_intervals(rig: Rig, **changes: float) -> Rig:
-    network = rig.settings.live.network.model_copy(update=changes)
+def with_intervals(rig: Rig, monkeypatch: pytest.MonkeyPatch, interval: float, min_interval: float) -> Rig:
+    """The rig with other lengths of intervals, and of the least that is tracked after them."""
+    monkeypatch.setattr("calgraph.live.tracked_intervals.MIN_INTERVAL", min_interval)
+    network = rig.settings.live.network.model_copy(update={"interval": interval})
     live = rig.settings.live.model_copy(update={"network": network})
     return rig.model_copy(update={"settings": rig.settings.model_copy(update={"live": live})})
 
@@ -79,9 +81,11 @@ def test_standard_deviations_are_along_the_axes_of_the_scanner(
         assert scanner.progress == pytest.approx(min(1, 1 / scanner.uncertainty))
 
 
-def test_poses_of_joined_intervals_agree_with_those_of_the_whole(recorded: Recorded, tmp_path: Path) -> None:
+def test_poses_of_joined_intervals_agree_with_those_of_the_whole(
+    recorded: Recorded, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     rig, path, calibration = recorded
-    found = solve(with_intervals(rig, interval=8, min_interval=4), path, tmp_path)
+    found = solve(with_intervals(rig, monkeypatch, 8, 4), path, tmp_path)
     assert len(found.progress.intervals) == len(list(tmp_path.iterdir())) == 2
     for scanner in found.scanners[1:]:
         assert scanner.T_root_scanner is not None
@@ -90,9 +94,11 @@ def test_poses_of_joined_intervals_agree_with_those_of_the_whole(recorded: Recor
         assert np.all(off < 3 * np.sqrt(np.diag(sensor.covariance)[:2]))
 
 
-def test_intervals_in_files_are_not_tracked_again(recorded: Recorded, tmp_path: Path) -> None:
+def test_intervals_in_files_are_not_tracked_again(
+    recorded: Recorded, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     rig, path, _ = recorded
-    rig = with_intervals(rig, interval=16, min_interval=2)
+    rig = with_intervals(rig, monkeypatch, 16, 2)
     first = solve(rig, path, tmp_path)
     (file,) = tmp_path.iterdir()
     written = file.stat().st_mtime_ns
@@ -103,9 +109,12 @@ def test_intervals_in_files_are_not_tracked_again(recorded: Recorded, tmp_path: 
         np.testing.assert_array_equal(one.T_root_scanner, other.T_root_scanner)
 
 
-def test_a_long_recording_is_tracked_in_several_calls(recorded: Recorded, tmp_path: Path) -> None:
+def test_a_long_recording_is_tracked_in_several_calls(
+    recorded: Recorded, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     rig, path, _ = recorded
-    rig = with_intervals(rig, interval=6, min_interval=4, max_intervals=2)
+    rig = with_intervals(rig, monkeypatch, 6, 4)
+    monkeypatch.setattr("calgraph.live.tracked_intervals._MAX_INTERVALS", 2)
     first = solve(rig, path, tmp_path)
     assert first.end - first.start == pytest.approx(12, abs=0.3)
     second = solve(rig, path, tmp_path, first)
@@ -138,7 +147,9 @@ def test_a_lone_root_has_no_pose(recorded: Recorded, tmp_path: Path) -> None:
     assert found.grid is None
 
 
-def test_the_time_between_two_runs_is_not_tracked(recorded: Recorded, tmp_path: Path) -> None:
+def test_the_time_between_two_runs_is_not_tracked(
+    recorded: Recorded, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     rig, path, _ = recorded
     with open_recording(path) as recording, RecordingWriter(tmp_path / "two runs") as writer:
         for record in recording.records(end=recording.start + 16):
@@ -148,27 +159,33 @@ def test_the_time_between_two_runs_is_not_tracked(recorded: Recorded, tmp_path: 
             writer.write(record.topic, replace(message, stamp=message.stamp + pause), record.arrival + pause)
     folder = tmp_path / "tracks"
     folder.mkdir()
-    found = solve(with_intervals(rig, interval=6, min_interval=2), tmp_path / "two runs", folder)
+    found = solve(with_intervals(rig, monkeypatch, 6, 2), tmp_path / "two runs", folder)
     assert found.recorded == pytest.approx(16, abs=0.5)
     assert found.end - found.start == pytest.approx(86_416, abs=0.5)
     assert [one.duration for one in found.progress.intervals] == pytest.approx([6, 2], abs=0.2)
 
 
-def test_fewer_intervals_are_used_where_a_solution_takes_too_long(recorded: Recorded, tmp_path: Path) -> None:
+def test_fewer_intervals_are_used_where_a_solution_takes_too_long(
+    recorded: Recorded, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     rig, path, _ = recorded
-    rig = with_intervals(rig, interval=6, min_interval=4, max_work=0.001)
+    rig = with_intervals(rig, monkeypatch, 6, 4)
+    monkeypatch.setattr("calgraph.live.network_solution._MAX_WORK", 0.001)
     found = solve(rig, path, tmp_path)
     assert found.used == pytest.approx(24, abs=0.5)
     assert len(found.progress.intervals) == len(list(tmp_path.iterdir())) == 1
     assert found.progress.duration == pytest.approx(18, abs=0.5)
 
 
-def test_a_scanner_moved_between_two_intervals_has_its_pose_after_that(tmp_path: Path) -> None:
+def test_a_scanner_moved_between_two_intervals_has_its_pose_after_that(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     moved = NetworkErrors(bump_shift=0.2, bump_turn=3.0, bump_time=15.5 / 36)
     scanners = ScannerOptions(count=2, resolution=1.0, rate=10.0)
     scenario = NetworkScenario(layout="office", duration=36.0, scanner=scanners, errors=moved)
     simulate_network(scenario, tmp_path / "network", seed=3)
-    rig = with_intervals(load_rig(tmp_path / "network/rig.yaml"), interval=15, min_interval=5, overlap=12)
+    rig = with_intervals(load_rig(tmp_path / "network/rig.yaml"), monkeypatch, 15, 5)
+    monkeypatch.setattr("calgraph.live.tracked_intervals._OVERLAP", 12)
     folder = tmp_path / "tracks"
     folder.mkdir()
     found = solve(rig, tmp_path / "network/recording", folder)

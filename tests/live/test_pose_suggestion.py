@@ -31,12 +31,6 @@ def solved() -> tuple[Rig, SolvedBundle]:
     return rig, bundle
 
 
-def with_advice(rig: Rig, **update: float) -> Rig:
-    live = rig.settings.live
-    live = live.model_copy(update={"advice": live.advice.model_copy(update=update)})
-    return rig.model_copy(update={"settings": rig.settings.model_copy(update={"live": live})})
-
-
 def test_last_suggestion_is_not_repeated(solved: tuple[Rig, SolvedBundle]) -> None:
     first = suggest_next_pose(*solved, None)
     assert first is not None
@@ -45,9 +39,12 @@ def test_last_suggestion_is_not_repeated(solved: tuple[Rig, SolvedBundle]) -> No
     assert np.linalg.norm(again.T_root_board[:3, 3] - first.T_root_board[:3, 3]) >= 0.25
 
 
-def test_height_is_near_that_of_the_boards_until_now(solved: tuple[Rig, SolvedBundle]) -> None:
+def test_height_is_near_that_of_the_boards_until_now(
+    solved: tuple[Rig, SolvedBundle], monkeypatch: pytest.MonkeyPatch
+) -> None:
     rig, bundle = solved
-    found = suggest_next_pose(with_advice(rig, max_height_change=0.05), bundle, None)
+    monkeypatch.setattr("calgraph.live.pose_suggestion._MAX_HEIGHT_CHANGE", 0.05)
+    found = suggest_next_pose(rig, bundle, None)
     assert found is not None
     up = estimate_up({"lidar": "lidar3d"}, {"lidar": np.eye(4)})
     heights = bundle.minimized.state.T_root_board[:, :3, 3] @ up
@@ -60,9 +57,12 @@ def test_board_is_held_upright_but_for_tilt_and_turn(solved: tuple[Rig, SolvedBu
     assert found.T_root_board[2, 1] > 0.3
 
 
-def test_none_is_suggested_where_none_is_reached(solved: tuple[Rig, SolvedBundle]) -> None:
+def test_none_is_suggested_where_none_is_reached(
+    solved: tuple[Rig, SolvedBundle], monkeypatch: pytest.MonkeyPatch
+) -> None:
     rig, bundle = solved
-    assert suggest_next_pose(with_advice(rig, min_distance=50.0), bundle, None) is None
+    monkeypatch.setattr("calgraph.live.pose_suggestion._MIN_DISTANCE", 50.0)
+    assert suggest_next_pose(rig, bundle, None) is None
 
 
 @pytest.mark.parametrize("kind", ["lidar2d", "camera"])

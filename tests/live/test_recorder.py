@@ -117,6 +117,7 @@ def test_no_message_is_lost_at_20_megabytes_a_second_or_more(tmp_path: Path) -> 
 
 def test_messages_wait_while_the_disk_does(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A writer of messages is held up, and no memory fills, until the disk accepts what was queued."""
+    monkeypatch.setattr("calgraph.live.recorder._MAX_CHUNK_BYTES", 20_000)
     accepts = threading.Event()
     sync = os.fsync
 
@@ -128,7 +129,7 @@ def test_messages_wait_while_the_disk_does(tmp_path: Path, monkeypatch: pytest.M
     messages = [block(number, 20_000) for number in range(50)]
 
     async def run() -> int:
-        settings = RecorderSettings(max_queued_bytes=200_000, max_chunk_bytes=20_000)
+        settings = RecorderSettings(max_queued_bytes=200_000)
         recorder = Recorder(tmp_path / "bag", settings, FREE)
         done = 0
 
@@ -211,13 +212,14 @@ def test_a_killed_recorder_leaves_what_it_stated_and_the_next_one_continues(tmp_
 
 
 def test_a_recording_ends_before_the_disk_is_full(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("calgraph.live.recorder._MAX_CHUNK_BYTES", 10_000)
     free = [10**9]
     monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=free[0]))
     messages = [block(number, 2000) for number in range(100)]
     written: list[LiveMessage] = []
 
     async def run() -> RecorderState:
-        settings = RecorderSettings(max_chunk_bytes=10_000)
+        settings = RecorderSettings()
         recorder = Recorder(tmp_path / "bag", settings, LimitSettings(min_free_disk=10**8))
 
         async def write() -> None:
@@ -247,6 +249,7 @@ def test_a_recording_ends_before_the_disk_is_full(tmp_path: Path, monkeypatch: p
 def test_what_was_accepted_before_the_disk_was_full_is_recorded(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr("calgraph.live.recorder._MAX_CHUNK_BYTES", 10_000)
     free, go = [10**9], threading.Event()
 
     def measure(_: Path) -> Any:
@@ -259,9 +262,7 @@ def test_what_was_accepted_before_the_disk_was_full_is_recorded(
     messages = [block(number, 2000) for number in range(100)]
 
     async def run() -> None:
-        recorder = Recorder(
-            tmp_path / "bag", RecorderSettings(max_chunk_bytes=10_000), LimitSettings(min_free_disk=10**8)
-        )
+        recorder = Recorder(tmp_path / "bag", RecorderSettings(), LimitSettings(min_free_disk=10**8))
         for message in messages:
             await recorder.write(message)
         free[0] = 10**7
@@ -275,10 +276,11 @@ def test_what_was_accepted_before_the_disk_was_full_is_recorded(
 
 def test_a_disk_that_cannot_be_written_to_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What was written before can be read."""
+    monkeypatch.setattr("calgraph.live.recorder._MAX_CHUNK_BYTES", 10_000)
     folder = tmp_path / "bag"
 
     async def run() -> int:
-        recorder = Recorder(folder, RecorderSettings(max_chunk_bytes=10_000), FREE)
+        recorder = Recorder(folder, RecorderSettings(), FREE)
         for number in range(5):
             await recorder.write(block(number, 2000))
         while recorder.state.messages < 5:

@@ -91,8 +91,9 @@ def test_a_page_receives_an_empty_message_where_nothing_changes() -> None:
         assert [page.recv(timeout=PATIENCE) for _ in range(3)] == ["{}"] * 3
 
 
-def test_changes_beyond_the_rate_are_merged_and_the_last_one_comes() -> None:
-    with ServedPage(GivenSession(STATE), settings=PageSettings(max_rate=4)) as served, open_socket(served) as page:
+def test_changes_beyond_the_rate_are_merged_and_the_last_one_comes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("calgraph.live.page_app._MAX_RATE", 4)
+    with ServedPage(GivenSession(STATE)) as served, open_socket(served) as page:
         json.loads(page.recv(timeout=PATIENCE))
         for number in range(1, 1001):
             served.session.show(replace(STATE, captures=number))
@@ -103,8 +104,9 @@ def test_changes_beyond_the_rate_are_merged_and_the_last_one_comes() -> None:
     assert served.session.encoded < 40
 
 
-def test_a_page_that_reads_nothing_is_closed_and_delays_no_other() -> None:
-    settings = PageSettings(max_rate=1000, timeout=0.5, max_pages=2)
+def test_a_page_that_reads_nothing_is_closed_and_delays_no_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("calgraph.live.page_app._MAX_RATE", 1000)
+    settings = PageSettings(timeout=0.5, max_pages=2)
     with ServedPage(GivenSession(STATE), settings=settings) as served:
         stuck = socket.create_connection(("127.0.0.1", served.server.port), timeout=PATIENCE)
         stuck.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
@@ -193,9 +195,10 @@ def receive_until_closed(page: Connection) -> None:
         page.recv(timeout=PATIENCE)
 
 
-def test_commands_in_too_fast_succession_are_refused() -> None:
-    settings = PageSettings(command_burst=3, command_rate=1e-3)
-    with ServedPage(GivenSession(STATE), settings=settings) as served, open_socket(served) as page:
+def test_commands_in_too_fast_succession_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("calgraph.live.page_app._COMMAND_BURST", 3)
+    monkeypatch.setattr("calgraph.live.page_app._COMMAND_RATE", 1e-3)
+    with ServedPage(GivenSession(STATE)) as served, open_socket(served) as page:
         for _ in range(3):
             page.send("trigger")
         with pytest.raises(ConnectionClosed):

@@ -21,7 +21,7 @@ def test_large_images_become_small_pictures(rng: np.random.Generator) -> None:
     camera = CameraModel(
         "pinhole", 2561, 1921, np.array([[900.0, 0, 1280], [0, 900, 960], [0, 0, 1]]), np.zeros(0)
     )
-    factor = find_reduction(camera, SETTINGS)
+    factor = find_reduction(camera)
     assert factor == 3
     view = make_view(lambda: Image(0.0, "", pixels), None, None, (), factor, SETTINGS)
     assert decode(view.picture).shape == (360, 480, 3)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from calgraph.config import Lidar2dSpec, People, RangeNoise, Rig
-from calgraph.config.settings import AssociationSettings, Settings, TrackingSettings
+from calgraph.config.settings import ClusterSettings, Settings, TrackingSettings
 from calgraph.config.uncertainty import Lidar2dUncertainty
 from calgraph.network.options import NetworkOptions
 from calgraph.network.track_recording import track_people
@@ -96,7 +96,7 @@ def test_what_tracks_do_not_depend_on_may_change(recording: Path, filled: Path, 
     assert track(recording, rig, filled)[3] == set(NAMES)
 
 
-OTHER_SETTINGS = Settings(tracking=TrackingSettings(association=AssociationSettings(centroid_sigma=0.4)))
+OTHER_SETTINGS = Settings(tracking=TrackingSettings(clusters=ClusterSettings(max_width=0.9)))
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from calgraph.config import Board, CameraSpec, Lidar2dSpec, Rig, Tag
-from calgraph.config.settings import Settings
 from calgraph.errors import RecordingError
 from calgraph.recording import MessageRecording, Recording, RecordingWriter, find_camera_infos, open_recording
 from calgraph.recording.input_checks import InputMonitor
@@ -191,12 +190,6 @@ def test_intrinsics_of_the_root_concern_all_others(findings: Check) -> None:
 )
 def test_intrinsics_that_differ_by_rounding_pass(findings: Check, after: CameraModel) -> None:
     assert findings(three_scanners() | {"/info": infos(CAMERA, after, CAMERA)}, WITH_CAMERA) == ()
-
-
-def test_the_limit_of_rounding_is_a_setting(findings: Check) -> None:
-    settings = Settings.model_validate({"captures": {"input_checks": {"max_intrinsics_change": 1e-7}}})
-    messages = three_scanners() | {"/info": infos(CAMERA, changed(K=CAMERA.K * (1 + 1e-6)))}
-    assert len(findings(messages, WITH_CAMERA.model_copy(update={"settings": settings}))) == 1
 
 
 def test_intrinsics_that_become_unusable_are_a_change() -> None:

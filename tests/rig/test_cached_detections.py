@@ -189,11 +189,11 @@ OTHER: dict[str, tuple[Callable[[Rig], Rig], set[str]]] = {
     "noise of a camera": (lambda rig: changed(rig, sensors__camera__noise__pixel=0.5), {"camera"}),
     "noise of a scanner": (lambda rig: changed(rig, sensors__lidar__noise__range=0.03), {"lidar"}),
     "detection in images": (
-        lambda rig: changed(rig, settings__detection__camera__tags__search_margin=0.6),
+        lambda rig: changed(rig, settings__detection__camera__tags__min_decision_margin=6.0),
         {"camera"},
     ),
     "detection by scanners": (
-        lambda rig: changed(rig, settings__detection__scanner__surroundings=0.2),
+        lambda rig: changed(rig, settings__detection__scanner__min_depth_jump=0.12),
         ALL - {"camera"},
     ),
     "background window": (lambda rig: changed(rig, capture__background=[0.0, 1.2]), ALL - {"camera"}),

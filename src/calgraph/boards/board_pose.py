@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from calgraph.boards.detections import InconsistentTags
-from calgraph.config.settings import BoardPoseSettings
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, plane, se3, so3
 from calgraph.sensors import CameraModel
@@ -52,13 +51,27 @@ class _PoseFit:
     """(6, 6) JᵀJ."""
 
 
+# Maximum number of rounds of solving and rejecting corners: they end where the inliers stay the same.
+_MAX_REJECTION_ROUNDS = 5
+# Corners farther from their prediction, in standard deviations, are outliers: 4e-6 of the right ones are.
+OUTLIER_SIGMAS = 5.0
+# Limit on Levenberg–Marquardt steps from the start values of IPPE: most solutions take 2 to 10; 0.2 % of those in
+# the tests reach it.
+_MAX_STEPS = 30
+# Maximum RMS reprojection error, in stated standard deviations: beyond it size or intrinsics are wrong, as motion
+# blur triples the noise at most.
+_MAX_RMS_SIGMAS = 10.0
+# Both tilts of a planar PnP are rejected as ambiguous if their squared errors differ by fewer variances: a
+# likelihood ratio of exp(4.5) = 90.
+_AMBIGUITY_CHI2 = 9.0
+
+
 def fit_pose(
     ids: NDArray[np.intp],
     corners: Array,
     pixels: Array,
     camera: CameraModel,
     sigma: float,
-    settings: BoardPoseSettings = BoardPoseSettings(),
 ) -> BoardPose | Rejected:
     """One PnP over all corners of all marks, with rejection of outliers.
 
@@ -75,40 +88,39 @@ def fit_pose(
         pixels: (M, k, 2) where they were detected, as measured (distorted).
         camera: the intrinsics.
         sigma: standard deviation of a corner in x and in y, pixels.
-        settings: of the rejection of outliers.
     """
     has_ray = np.isfinite(camera.rays(pixels.reshape(-1, 2)))
     in_view = np.asarray(has_ray.reshape(len(pixels), -1).all(axis=1))
-    consistent = _select_consistent_marks(ids, corners, pixels, in_view, camera, sigma, settings)
+    consistent = _select_consistent_marks(ids, corners, pixels, in_view, camera, sigma)
     if isinstance(consistent, Rejected):
         return consistent
     marks, minima, corners = consistent
     inliers = np.repeat(marks[:, None], pixels.shape[1], axis=1)
     readmittable = in_view & ~np.isin(ids, ids[marks])
-    for _ in range(settings.max_rejection_rounds):
+    for _ in range(_MAX_REJECTION_ROUNDS):
         if not minima:
             return Rejected("the corners detected do not determine a pose: too few of them, or all on one line")
         distance = _compute_reprojection_errors(minima[0].T, corners, pixels, camera)
         # In a blurred image the noise is larger than stated: it is estimated from the residuals.
         noise = max(sigma, float(np.median(distance[inliers])) / _RAYLEIGH_MEDIAN)
-        near = distance < settings.outlier_sigmas * noise
+        near = distance < OUTLIER_SIGMAS * noise
         # A tag with one wrong corner fails as a whole; with three inliers it is readmitted.
         new_inliers = near & (marks | (readmittable & (near.sum(axis=1) >= 3)))[:, None]
         if (new_inliers == inliers).all():
             break
         inliers = new_inliers
-        minima = _find_minima(corners[inliers], pixels[inliers], camera, settings.max_steps)
+        minima = _find_minima(corners[inliers], pixels[inliers], camera, _MAX_STEPS)
     if not minima:
         return Rejected("the corners detected contradict each other")
     best = minima[0]
     rms = float(np.sqrt(best.cost / (2 * inliers.sum())))
-    if rms > settings.max_rms_sigmas * sigma:
+    if rms > _MAX_RMS_SIGMAS * sigma:
         return Rejected(
             f"its corners fit a board of the stated size only to {rms:.1f} px, {sigma:g} px expected: "
             "wrong sizes, or wrong intrinsics"
         )
     variance = max(sigma, rms) ** 2
-    if len(minima) > 1 and _is_ambiguous(best, minima[1], settings.ambiguity_chi2 * variance):
+    if len(minima) > 1 and _is_ambiguous(best, minima[1], _AMBIGUITY_CHI2 * variance):
         tilt = np.degrees(np.arccos(np.clip(minima[1].T[:3, 2] @ best.T[:3, 2], -1, 1)))
         return Rejected(f"too small in the image: two poses {tilt:.0f}° apart fit its corners equally well")
     return BoardPose(best.T, np.asarray(variance * np.linalg.inv(best.information)), rms, inliers)
@@ -130,6 +142,12 @@ def _is_ambiguous(best: _PoseFit, other: _PoseFit, limit: float) -> bool:
     return bool(other.cost - best.cost < limit and not within_covariance)
 
 
+# Probability that a correct tag fails the χ² test against the pose of another tag: one in 10,000 is lost.
+_CONSENSUS_SIGNIFICANCE = 1e-4
+# Noise over the stated one with which tags are compared again if none agree: corners of blurred images.
+_BLUR_NOISE_RATIO = 3.0
+
+
 def _select_consistent_marks(
     ids: NDArray[np.intp],
     corners: Array,
@@ -137,35 +155,32 @@ def _select_consistent_marks(
     in_view: NDArray[np.bool_],
     camera: CameraModel,
     sigma: float,
-    settings: BoardPoseSettings,
 ) -> tuple[NDArray[np.bool_], list[_PoseFit], Array] | Rejected:
     """The largest set of marks (M,) that lie on one plane as printed, the minima of its error, and all corners.
 
     Corners (M, k, 3) are the stated ones, unless all marks agree on another size.
     """
     unique = len(np.unique(ids[in_view])) == in_view.sum()
-    minima = _find_minima(corners[in_view], pixels[in_view], camera, settings.max_steps) if unique else []
+    minima = _find_minima(corners[in_view], pixels[in_view], camera, _MAX_STEPS) if unique else []
     if pixels.shape[1] < 4 or in_view.sum() <= 1:
         return in_view, minima, corners
-    limit = settings.outlier_sigmas * sigma
+    limit = OUTLIER_SIGMAS * sigma
     if minima:
         if _compute_reprojection_errors(minima[0].T, corners[in_view], pixels[in_view], camera).max() < limit:
             return in_view, minima, corners
-        size = _fit_size(minima[0].T, corners[in_view], pixels[in_view], camera, settings.max_steps)
+        size = _fit_size(minima[0].T, corners[in_view], pixels[in_view], camera, _MAX_STEPS)
         resized = _resize_marks(corners, size)
-        minima = _find_minima(resized[in_view], pixels[in_view], camera, settings.max_steps)
+        minima = _find_minima(resized[in_view], pixels[in_view], camera, _MAX_STEPS)
         if minima and (
             _compute_reprojection_errors(minima[0].T, resized[in_view], pixels[in_view], camera).max() < limit
         ):
             return in_view, minima, resized
     # A blurred image has noisier corners than stated; the stated noise is tried first.
-    gate = float(chdtri(2 * pixels.shape[1], settings.consensus_significance))
-    for scale in (1.0, settings.blur_noise_ratio):
-        consensus = _find_largest_consensus(
-            ids, corners, pixels, in_view, camera, scale * sigma, gate, settings.max_steps
-        )
+    gate = float(chdtri(2 * pixels.shape[1], _CONSENSUS_SIGNIFICANCE))
+    for scale in (1.0, _BLUR_NOISE_RATIO):
+        consensus = _find_largest_consensus(ids, corners, pixels, in_view, camera, scale * sigma, gate, _MAX_STEPS)
         if consensus.sum() > 1 or (consensus.any() and len(np.unique(ids[in_view])) == 1):
-            minima = _find_minima(corners[consensus], pixels[consensus], camera, settings.max_steps)
+            minima = _find_minima(corners[consensus], pixels[consensus], camera, _MAX_STEPS)
             return consensus, minima, corners
     tags = tuple(np.unique(ids[in_view]).tolist())
     names = ", ".join(map(str, tags))

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.boards.board_pose import BoardPose, fit_pose, plane_covariance
+from calgraph.boards.board_pose import OUTLIER_SIGMAS, BoardPose, fit_pose, plane_covariance
 from calgraph.boards.detections import BoardCorners, InconsistentTags
 from calgraph.boards.given_corners import assign_corners, is_mirrored, mirror, turn_over
 from calgraph.boards.printed_boards import (
@@ -22,16 +22,21 @@ from calgraph.boards.printed_boards import (
 from calgraph.boards.rectified_view import is_undistorted, rectify_view
 from calgraph.boards.tags import Gray, Marks, TagFinder
 from calgraph.config import Board, PixelNoise
-from calgraph.config.settings import BoardPoseSettings, CameraDetectionSettings
+from calgraph.config.settings import CameraDetectionSettings
 from calgraph.errors import InputError, Rejected
 from calgraph.geometry import Array, plane, se3
 from calgraph.sensors import CameraModel, DetectedCorners, Image
 
-PlaneEstimator = Callable[[Marks, Array, CameraModel, float, BoardPoseSettings], tuple[Array, Array] | None]
+PlaneEstimator = Callable[[Marks, Array, CameraModel, float], tuple[Array, Array] | None]
 """From marks, their corners in the board frame (M, k, 3), camera, noise (px) and settings to the plane (4,) and
 its covariance (3, 3)."""
 
 _log = logging.getLogger(__name__)
+
+
+# Minimum noise of a corner, pixels, in the test whether the board moved between images (by pose.outlier_sigmas of
+# it): 1 px of motion is accepted, as averaging halves its effect.
+MIN_MOTION_NOISE = 0.2
 
 
 class CameraDetector:
@@ -109,8 +114,8 @@ class CameraDetector:
         """The board by corners that another program detected, also in an image of its back."""
         printed = self._printed[0]
         found = [self._check_in_image(assign_corners(one, printed.board, printed.landmarks)) for one in messages]
-        noise = max(self._noise.pixel, self._settings.min_motion_noise)
-        tolerance = self._settings.pose.outlier_sigmas * noise
+        noise = max(self._noise.pixel, MIN_MOTION_NOISE)
+        tolerance = OUTLIER_SIGMAS * noise
         found = [marks for marks in found if len(marks)]
         if not found:
             return Rejected("no corner of the board was detected")
@@ -121,7 +126,7 @@ class CameraDetector:
         mirrored = is_mirrored(corners[:, 0], marks.pixels[:, 0])
         pose = fit_pose(
             marks.ids, mirror(corners) if mirrored else corners, marks.pixels, self._camera, self._noise.pixel,
-            settings=self._settings.pose,
+
         )  # fmt: skip
         if isinstance(pose, Rejected):
             return pose
@@ -167,8 +172,8 @@ class CameraDetector:
         on_board = np.intersect1d(np.concatenate([marks.ids for marks in marks_by_image]), printed.landmarks.ids)
         if len(detected) == 1:
             return self._make_detection(printed, *detected[0], on_board)
-        noise = max(self._noise.pixel, self._settings.min_motion_noise)
-        averaged = average_marks([marks for marks, _ in detected], self._settings.pose.outlier_sigmas * noise)
+        noise = max(self._noise.pixel, MIN_MOTION_NOISE)
+        averaged = average_marks([marks for marks, _ in detected], OUTLIER_SIGMAS * noise)
         if isinstance(averaged, Rejected):
             return averaged
         pose = self._fit(printed, averaged)
@@ -212,7 +217,7 @@ class CameraDetector:
         if undistorted:
             found = finder.find_within(gray, expected[wanted])
         else:
-            view = rectify_view(gray, self._camera, corners.reshape(-1, 4, 3)[wanted], self._settings.tags)
+            view = rectify_view(gray, self._camera, corners.reshape(-1, 4, 3)[wanted])
             if view is None:
                 return marks
             in_view = finder.find(view.image)
@@ -222,9 +227,7 @@ class CameraDetector:
 
     def _fit(self, printed: PrintedBoard, marks: Marks) -> BoardPose | Rejected:
         corners = printed.landmarks.corners_of(marks.ids)
-        return fit_pose(
-            marks.ids, corners, marks.pixels, self._camera, self._noise.pixel, settings=self._settings.pose
-        )
+        return fit_pose(marks.ids, corners, marks.pixels, self._camera, self._noise.pixel)
 
     def _make_detection(
         self, printed: PrintedBoard, marks: Marks, pose: BoardPose, on_board: NDArray[np.intp]
@@ -237,7 +240,7 @@ class CameraDetector:
             detection = replace(detection, outlier_tags=tuple(np.setdiff1d(on_board, used).tolist()))
         if self._plane_estimator and marks.pixels.shape[1] == 4:
             sigma = max(self._noise.pixel, pose.rms)
-            estimate = self._plane_estimator(marks, corners, self._camera, sigma, self._settings.pose)
+            estimate = self._plane_estimator(marks, corners, self._camera, sigma)
             if estimate is not None:
                 detection = replace(detection, plane=estimate[0], plane_covariance=estimate[1])
         return detection

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from calgraph.boards.checkerboard_regions import Region, find_regions, take_whole
 from calgraph.boards.tags import Gray, Marks, empty_marks
 from calgraph.config import Charuco, Checkerboard, dictionary
-from calgraph.config.settings import CameraDetectionSettings
 from calgraph.geometry import Array
 
 _CRITERIA = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 40, 1e-3)
@@ -26,6 +25,20 @@ _MAX_WHOLE = 1_000_000
 longer than that of a large region."""
 
 
+# Maximum second difference of corners found by squares, over the shorter distance between neighbours: wrong
+# corners are off by half a square; a board at 45° has 0.19 at 1.4 times its width. Beyond it the search by saddle
+# points decides.
+_MAX_CHECKERBOARD_BEND = 0.2
+# Longer sides, pixels, to which an image is reduced to find where a checkerboard may be, one after the other:
+# blurred corners are sharp in small images, those of small squares are apart in large ones. All four take 0.15 s
+# for 12 megapixels. What is found is searched in the full image, or reduced to squares of 15 pixels.
+_CHECKERBOARD_SIDES = (240, 480, 960, 1920)
+# Longer side, pixels, to which an image is reduced for the first search of a checkerboard, by its squares: it
+# takes 5 ms to 30 ms, and fails in blurred and shaded images and for small squares, which the search by saddle
+# points then takes.
+_CHECKERBOARD_FIRST_SIDE = 960
+
+
 class CheckerboardFinder:
     """Finds a whole checkerboard and identifies its corners.
 
@@ -34,10 +47,8 @@ class CheckerboardFinder:
     plane is the same either way.
     """
 
-    def __init__(
-        self, pattern: Checkerboard, settings: CameraDetectionSettings = CameraDetectionSettings()
-    ) -> None:
-        self.pattern, self._settings = pattern, settings
+    def __init__(self, pattern: Checkerboard) -> None:
+        self.pattern = pattern
 
     def find(self, gray: Gray) -> Marks:
         """All inner corners of the board in an image (height, width), or none."""
@@ -53,15 +64,15 @@ class CheckerboardFinder:
         """Corners (rows, columns, 2) in some orientation, refined in the full image."""
         lattice = self._find_lattice_by_squares(gray)
         if lattice is not None:
-            corners = _refine_corners(gray, lattice, self._settings)
-            if _is_regular(corners, self._settings.max_checkerboard_bend):
+            corners = _refine_corners(gray, lattice)
+            if _is_regular(corners, _MAX_CHECKERBOARD_BEND):
                 return corners
         for region, flags in self._list_searches(gray):
             lattice = self._find_lattice_by_saddles(gray, region, flags)
             if lattice is not None:
                 # Refinement fails at blurred corners that are close together; those that were found are good to a
                 # fraction of a pixel, too.
-                for corners in (_refine_corners(gray, lattice, self._settings), lattice):
+                for corners in (_refine_corners(gray, lattice), lattice):
                     if _is_regular(corners, _MAX_BEND):
                         return corners
         return None
@@ -70,7 +81,7 @@ class CheckerboardFinder:
         """Parts of an image and flags of searches by saddle points, in the order in which they are tried."""
         regions: list[Region] = []
         corners = self.pattern.columns * self.pattern.rows
-        for region in find_regions(gray, corners, self._settings.checkerboard_sides):
+        for region in find_regions(gray, corners, _CHECKERBOARD_SIDES):
             regions.append(region)
             yield region, 0
         # Normalisation loses boards where all around them is dark or glares, and finds those of low contrast or
@@ -80,14 +91,14 @@ class CheckerboardFinder:
         # Saddles of a board may be in no group, as where much of it is in shadow.
         noticed = any(region.surplus < _MAX_SURPLUS for region in regions)
         if not noticed or gray.size <= _MAX_WHOLE:
-            yield take_whole(gray, self._settings.checkerboard_first_side), 0
+            yield take_whole(gray, _CHECKERBOARD_FIRST_SIDE), 0
 
     def _find_lattice_by_squares(self, gray: Gray) -> Array | None:
         """Corners (rows, columns, 2) between dark quadrilaterals.
 
         It fails in more images than the search by saddles: blurred, shaded, or with squares of few pixels.
         """
-        whole = take_whole(gray, self._settings.checkerboard_first_side)
+        whole = take_whole(gray, _CHECKERBOARD_FIRST_SIDE)
         small = whole.cut(gray)
         flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
         found, corners = cv2.findChessboardCorners(small, self._shape, flags=flags)
@@ -145,11 +156,18 @@ def _is_regular(lattice: Array, max_bend: float) -> bool:
     return True
 
 
-def _refine_corners(gray: Gray, lattice: Array, settings: CameraDetectionSettings) -> Array:
+# Half width of the window of sub-pixel refinement, in squares of the checkerboard: at half a square, it reaches
+# the next corner.
+_CHECKERBOARD_WINDOW = 0.35
+# Maximum half width of the window of sub-pixel refinement, pixels: larger ones are slow and bend with the lens.
+_MAX_CHECKERBOARD_WINDOW = 12
+
+
+def _refine_corners(gray: Gray, lattice: Array) -> Array:
     """Corners (rows, columns, 2) refined to sub-pixel accuracy in the full image."""
     gaps = [np.linalg.norm(np.diff(lattice, axis=axis), axis=-1).min() for axis in (0, 1)]
     # A window of fewer pixels than two to each side holds no edge.
-    reach = int(np.clip(settings.checkerboard_window * min(gaps), 2, settings.max_checkerboard_window))
+    reach = int(np.clip(_CHECKERBOARD_WINDOW * min(gaps), 2, _MAX_CHECKERBOARD_WINDOW))
     start = lattice.reshape(-1, 1, 2).astype(np.float32)
     return np.reshape(cv2.cornerSubPix(gray, start, (reach, reach), (-1, -1), _CRITERIA), lattice.shape).astype(
         np.float64

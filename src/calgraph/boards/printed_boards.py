@@ -44,14 +44,18 @@ def make_printed_boards(boards: Sequence[Board], settings: CameraDetectionSettin
         finder: Finder
         match board.pattern:
             case Checkerboard() as pattern:
-                finder = CheckerboardFinder(pattern, settings)
+                finder = CheckerboardFinder(pattern)
             case Charuco() as pattern:
                 finder = CharucoFinder(pattern)
             case None | AprilGrid():
                 kind = TagFinder if board.pattern is None else GridFinder
                 key = kind, board.family, board.inverted
                 if key not in shared:
-                    shared[key] = kind(board.family, settings.tags)
+                    shared[key] = (
+                        TagFinder(board.family, settings.tags)
+                        if board.pattern is None
+                        else GridFinder(board.family)
+                    )
                 finder = shared[key]
                 for mark in marks.ids.tolist():
                     other = board_of_tag.setdefault((kind, board.family, mark), number)

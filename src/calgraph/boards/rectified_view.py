@@ -10,7 +10,6 @@ import cv2
 import numpy as np
 
 from calgraph.boards.tags import Gray
-from calgraph.config.settings import TagSettings
 from calgraph.geometry import Array
 from calgraph.sensors import CameraModel
 
@@ -43,26 +42,37 @@ def is_undistorted(camera: CameraModel) -> bool:
     return camera.model == "pinhole" and not camera.distortion.any()
 
 
-def rectify_view(gray: Gray, camera: CameraModel, corners: Array, settings: TagSettings) -> RectifiedView | None:
+# Tangent of the largest angle between a corner and the axis of a rectified view (76°): beyond it the view is
+# stretched more than tenfold towards its edge.
+_MAX_VIEW_TANGENT = 4.0
+# Resolution of a rectified view over that of the image: resampling at 1 blurs edges by about half a pixel.
+_VIEW_SCALE = 1.5
+# Margin around the tags in a rectified view, in edges of the largest tag: its white border and the error of the
+# prediction.
+_VIEW_MARGIN = 0.4
+# Maximum number of pixels along an edge of a rectified view: bounds memory and time.
+_MAX_VIEW_SIZE = 2000
+
+
+def rectify_view(gray: Gray, camera: CameraModel, corners: Array) -> RectifiedView | None:
     """Resamples the image of tags; None if they span too wide an angle for one view.
 
     Args:
         gray: image (height, width).
         camera: its intrinsics.
         corners: (M, 4, 3) approximate corners of the tags, camera frame, m.
-        settings: scale, margin and width of the view.
     """
     points = corners.reshape(-1, 3)
     R_camera_view = _compute_look_at(points.mean(axis=0))
     local = points @ R_camera_view
     flat = local[:, :2] / local[:, 2:]
-    if (local[:, 2] <= 0).any() or np.abs(flat).max() > settings.max_view_tangent:
+    if (local[:, 2] <= 0).any() or np.abs(flat).max() > _MAX_VIEW_TANGENT:
         return None
     edges = _edge_lengths(flat.reshape(-1, 4, 2))
-    focal = settings.view_scale * float(np.median(_edge_lengths(camera.project(points).reshape(-1, 4, 2)) / edges))
-    margin = settings.view_margin * edges.max()
+    focal = _VIEW_SCALE * float(np.median(_edge_lengths(camera.project(points).reshape(-1, 4, 2)) / edges))
+    margin = _VIEW_MARGIN * edges.max()
     low, high = flat.min(axis=0) - margin, flat.max(axis=0) + margin
-    focal = min(focal, settings.max_view_size / (high - low).max())
+    focal = min(focal, _MAX_VIEW_SIZE / (high - low).max())
     width, height = np.ceil(focal * (high - low)).astype(int) + 1
     nodes = np.stack(np.meshgrid(_grid_nodes(width), _grid_nodes(height)), axis=-1)
     sparse = _project_to_image(nodes, camera, R_camera_view, focal, low)

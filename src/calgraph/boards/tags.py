@@ -43,6 +43,18 @@ def empty_marks(k: int) -> Marks:
     return Marks(np.zeros(0, dtype=np.intp), np.zeros((0, k, 2)))
 
 
+# Minimum decision margin with one corrected bit, and of any tag of tag16h5, grey values: the 30 codes of tag16h5
+# occur by chance in photographs.
+_MIN_CORRECTED_MARGIN = 15.0
+# Margin around predicted tags in the second search, in edges of a tag: the error of a prediction.
+_SEARCH_MARGIN = 0.5
+# Minimum margin around predicted tags, pixels: a tag's white border must be inside the searched part.
+_MIN_SEARCH_MARGIN = 10.0
+# Standard deviation of the blur of images that are searched at half their resolution, pixels of these: the value
+# that the authors of the AprilTag library recommend for noisy images.
+_HALF_RESOLUTION_BLUR = 0.8
+
+
 class TagFinder:
     """Finds tags of one family with the AprilTag library; not for concurrent use by several threads.
 
@@ -51,7 +63,7 @@ class TagFinder:
 
     def __init__(self, family: Family, settings: TagSettings = TagSettings()) -> None:
         self.family, self._settings = family, settings
-        corrected = settings.min_corrected_margin
+        corrected = _MIN_CORRECTED_MARGIN
         # Least decision margin by the number of corrected bits; tags with more corrections are rejected.
         self._margins = (corrected,) if family == "tag16h5" else (settings.min_decision_margin, corrected)
         self._detector = _make_detector(family)
@@ -63,7 +75,7 @@ class TagFinder:
     def find_within(self, gray: Gray, pixels: Array) -> Marks:
         """Tags at full resolution near their predicted corners (N, 4, 2); small ones too."""
         edge = np.ptp(pixels, axis=(0, 1)).max() / np.sqrt(len(pixels))
-        margin = self._settings.search_margin * edge + self._settings.min_search_margin
+        margin = _SEARCH_MARGIN * edge + _MIN_SEARCH_MARGIN
         low = np.maximum(np.floor(pixels.min(axis=(0, 1)) - margin), 0).astype(int)
         high = np.ceil(pixels.max(axis=(0, 1)) + margin).astype(int)
         found = self._decode(gray[low[1] : high[1], low[0] : high[0]], coarse=False)
@@ -76,7 +88,7 @@ class TagFinder:
         # The library reads these in each search; a second detector would take 25 ms to make.
         options = self._detector.tag_detector_ptr.contents
         options.quad_decimate = 2.0 if coarse else 1.0
-        options.quad_sigma = self._settings.half_resolution_blur if coarse else 0.0
+        options.quad_sigma = _HALF_RESOLUTION_BLUR if coarse else 0.0
         tags = [
             tag
             for tag in self._detector.detect(np.ascontiguousarray(gray))
@@ -92,11 +104,16 @@ class TagFinder:
         return Marks(np.array([tag.tag_id for tag in tags], dtype=np.intp), corners).select(inside)
 
 
+# Half widths of the windows in which corners of Kalibr's tags are moved to saddle points, in edges of a tag: the
+# first one contains the error of OpenCV's quadrilateral, an eighth, and not the next saddle at 0.2.
+_SADDLE_WINDOWS = (0.14, 0.07)
+
+
 class GridFinder:
     """Finds the tags of Kalibr's grids, which have borders two bits wide and squares at their corners."""
 
-    def __init__(self, family: Family, settings: TagSettings = TagSettings()) -> None:
-        self.family, self._windows = family, settings.saddle_windows
+    def __init__(self, family: Family) -> None:
+        self.family, self._windows = family, _SADDLE_WINDOWS
         parameters = cv2.aruco.DetectorParameters()
         parameters.markerBorderBits = 2
         self._detector = cv2.aruco.ArucoDetector(dictionary(FAMILIES[family]), parameters)

@@ -20,6 +20,7 @@ from calgraph.cli.setting_options import SetOption, load_rig_with, override_sett
 from calgraph.errors import CalibrationError, InputError
 from calgraph.io.json_writing import format_json
 from calgraph.recording import RecordingCache, open_recordings
+from calgraph.rig.checks.bootstrap import BOOTSTRAP_CONFIDENCE
 
 if TYPE_CHECKING:
     from calgraph.parallel.progress import Progress
@@ -56,7 +57,7 @@ def verify(
         problem = _problem(files, overrides, seed, open_cache(unused=no_cache), cluster, progress)
         calibration, scatter = bootstrap_covariances(problem, rounds, np.random.default_rng(seed), progress)
     kinds = {sensor.name: sensor.kind for sensor in calibration.sensors}
-    confidence = problem.rig.settings.diagnostics.rig.bootstrap_confidence
+    confidence = BOOTSTRAP_CONFIDENCE
     if json:
         typer.echo(_content(scatter, kinds, rounds, confidence))
     else:

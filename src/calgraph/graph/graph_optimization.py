@@ -5,7 +5,6 @@ from numpy.typing import NDArray
 from scipy.sparse import bsr_array, coo_array, csc_array, eye_array
 from scipy.sparse.linalg import LinearOperator, cg, splu
 
-from calgraph.config.settings import GraphSettings
 from calgraph.geometry import Array, se_n
 from calgraph.graph.pose_graph import PoseGraph, chi_squared, residuals
 
@@ -46,7 +45,15 @@ def optimize_poses(graph: PoseGraph, T_root_node: Array, weights: Array) -> Arra
     return T_root_node
 
 
-def optimize_poses_robustly(graph: PoseGraph, T_root_node: Array, gate: float, settings: GraphSettings) -> Array:
+# Scale of the first robust loss of a refined tree, relative to the gate of squared distances: at eight times the
+# gate's distance, an edge still has a quarter of its weight. Each next scale is half of it (graduated
+# non-convexity).
+_FIRST_ROBUST_SCALE = 64.0
+# Minimum of these scales: an edge at the gate has then a weight of 1/25.
+_LAST_ROBUST_SCALE = 0.25
+
+
+def optimize_poses_robustly(graph: PoseGraph, T_root_node: Array, gate: float) -> Array:
     """Poses (N, n+1, n+1) that fit the edges within the gate, from start poses along a tree.
 
     Graduated non-convexity: Geman–McClure losses of ever smaller scale (Yang, Antonante, Tzoumas, Carlone,
@@ -56,10 +63,9 @@ def optimize_poses_robustly(graph: PoseGraph, T_root_node: Array, gate: float, s
         graph: connected.
         T_root_node: (N, n+1, n+1) start.
         gate: squared Mahalanobis distance of an inlier.
-        settings: scales of the losses, relative to the gate.
     """
-    scale = settings.first_robust_scale
-    while scale >= settings.last_robust_scale:
+    scale = _FIRST_ROBUST_SCALE
+    while scale >= _LAST_ROBUST_SCALE:
         chi2 = chi_squared(graph, T_root_node)
         weights = np.asarray((1 + chi2 / (scale * gate)) ** -2)
         T_root_node = se_n.retract(T_root_node, gauss_newton_step(graph, T_root_node, weights))

@@ -87,13 +87,20 @@ class Matches(Protocol):
         """(K, M) whether both detections can lie on one board of the given size."""
 
 
-def squared_residual_function(matches: Matches, settings: BoardPairSettings) -> Callable[[Array], Array]:
+# Standard deviation of errors that no noise model describes (bend of the board, range bias, stamps), m; added to
+# the detections' covariances for RANSAC, which has to be lenient: its poses come from minimal samples.
+MODEL_ERROR = 0.01
+# Standard deviations up to which two detections of RANSAC agree: 99.7 % of a normal distribution.
+_INLIER_GATE = 3.0
+
+
+def squared_residual_function(matches: Matches) -> Callable[[Array], Array]:
     """Returns the map from poses to squared residuals (K, M) over the squared gate; infinite if not feasible."""
 
     def evaluate(T_a_b: Array) -> Array:
         at = matches.linearize(T_a_b)
-        variance = np.diagonal(at.covariance, axis1=-2, axis2=-1) + settings.model_error**2
-        r2 = np.mean(at.residuals**2 / variance, axis=-1) / settings.inlier_gate**2
+        variance = np.diagonal(at.covariance, axis1=-2, axis2=-1) + MODEL_ERROR**2
+        r2 = np.mean(at.residuals**2 / variance, axis=-1) / _INLIER_GATE**2
         return np.asarray(np.where(matches.feasible(T_a_b), r2, np.inf))
 
     return evaluate
@@ -128,8 +135,16 @@ def refine_pose(
     return T_a_b
 
 
+# Standard deviation of a board's surface from its plane, m: a rigid panel of 1 m bends by 1 to 2 mm.
+FLATNESS = 0.001
+# Increase of chi-squared up to which another minimum fits as well: 95 % of 6 degrees of freedom (12.6).
+_AMBIGUITY_MARGIN = 12.0
+# Angle from which a second minimum counts as another pose, rad (5 degrees): above the error of a pose.
+_MIN_ALTERNATIVE_ANGLE = float(np.radians(5))
+
+
 def resolve_ambiguity(
-    T_a_b: Array, others: Array, matches: Matches, inliers: NDArray[np.bool_], settings: BoardPairSettings
+    T_a_b: Array, others: Array, matches: Matches, inliers: NDArray[np.bool_]
 ) -> tuple[Array, float]:
     """Selects the pose that fits all inliers best, and measures whether another fits equally well.
 
@@ -138,7 +153,6 @@ def resolve_ambiguity(
         others: (K, 4, 4) other minima.
         matches: of the pair.
         inliers: (M,) of T_a_b.
-        settings: flatness, margin and angle of ambiguous poses.
 
     Returns:
         The pose, and the angle (rad) to the farthest other one that fits equally well; 0 if there is none.
@@ -146,15 +160,15 @@ def resolve_ambiguity(
     poses = np.concatenate([T_a_b[None], others])
     at = matches.linearize(poses)
     r, covariance = at.residuals[:, inliers], at.covariance[:, inliers]
-    W = np.linalg.inv(covariance + settings.flatness**2 * np.eye(r.shape[2]))
+    W = np.linalg.inv(covariance + FLATNESS**2 * np.eye(r.shape[2]))
     cost = np.einsum("pmk,pmkl,pml->p", r, W, r)
     cost[~matches.feasible(poses)[:, inliers].all(axis=1)] = np.inf
     best = int(np.argmin(cost))
-    margin = settings.ambiguity_margin * max(1.0, cost[best] / max(r[0].size - 6, 1))
+    margin = _AMBIGUITY_MARGIN * max(1.0, cost[best] / max(r[0].size - 6, 1))
     if cost[0] <= cost[best] + margin:
         best = 0
     angle = np.linalg.norm(so3.log(poses[:, :3, :3] @ poses[best, :3, :3].T), axis=-1)
-    ambiguous = (cost <= cost.min() + margin) & (angle > settings.min_alternative_angle)
+    ambiguous = (cost <= cost.min() + margin) & (angle > _MIN_ALTERNATIVE_ANGLE)
     return poses[best], float(np.max(angle, initial=0.0, where=ambiguous))
 
 

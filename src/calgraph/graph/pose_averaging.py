@@ -4,7 +4,6 @@ from typing import Literal
 
 import numpy as np
 
-from calgraph.config.settings import BaselineSettings
 from calgraph.geometry import Array, se_n
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
 from calgraph.graph.rotation_averaging import (
@@ -22,11 +21,15 @@ RotationAveraging = Literal["l1mc", "triangles", "spectral", "irls"]
 _OUTLIER_WEIGHT = 1e-6
 
 
+# rad (5°); edges that differ more from the averaged rotations are outliers: above the noise of pairs (0.2 to 2°),
+# and small compared with the error of wrong ones.
+_MAX_INLIER_ANGLE = float(np.radians(5))
+
+
 def average_poses_by_rotations(
     graph: PoseGraph,
     weights: Array | None = None,
     method: RotationAveraging = "l1mc",
-    settings: BaselineSettings = BaselineSettings(),
 ) -> PoseGraphSolution:
     """Poses of all nodes: rotations by a published averaging, translations over the edges whose rotations agree.
 
@@ -35,7 +38,6 @@ def average_poses_by_rotations(
         weights: (E,) of the edges, 0..1; uniform if None.
         method: ``l1mc`` over a basis of all cycles, or over ``triangles`` alone as published; ``spectral``;
             ``irls``.
-        settings: the largest angle of an inlier edge.
 
     Raises:
         CalibrationError: some node is not connected to the root; it is named.
@@ -45,10 +47,10 @@ def average_poses_by_rotations(
     elif method == "irls":
         R = average_rotations_irls(graph, chain_rotations(graph), weights)
     else:
-        R = average_rotations_l1mc(graph, weights, "cycles" if method == "l1mc" else "triangles", settings)
+        R = average_rotations_l1mc(graph, weights, "cycles" if method == "l1mc" else "triangles")
     i, j = graph.edges.T
     angle = se_n.rotation_angle(R[i] @ graph.R_i_j @ se_n.transpose(R[j]))
-    inliers = select_best_of_groups((angle / settings.max_inlier_angle) ** 2, graph.pair_of_edge)
+    inliers = select_best_of_groups((angle / _MAX_INLIER_ANGLE) ** 2, graph.pair_of_edge)
     edge_weights = np.where(inliers, 1.0, _OUTLIER_WEIGHT) * (1.0 if weights is None else weights)
     return PoseGraphSolution(se_n.pose(R, solve_translations(graph, R, edge_weights)), inliers)
 

@@ -11,7 +11,6 @@ from scipy.optimize import linprog
 from scipy.sparse import block_array, coo_array, csc_array, csr_array, eye_array
 from scipy.sparse.linalg import eigsh
 
-from calgraph.config.settings import BaselineSettings
 from calgraph.errors import CalibrationError
 from calgraph.geometry import Array, se_n
 from calgraph.graph.cycles import Cycle, find_cycle_basis, incidence_matrix, list_incident_edges
@@ -30,11 +29,15 @@ _MAX_ITERATIONS = 100
 _TOLERANCE = 1e-10
 
 
+# Linearizations of the cycle constraints of rotations in space: each error is of second order in the last
+# correction.
+_LINEARIZATIONS = 4
+
+
 def average_rotations_l1mc(
     graph: PoseGraph,
     weights: Array | None = None,
     transitivity: Literal["cycles", "triangles"] = "cycles",
-    settings: BaselineSettings = BaselineSettings(),
 ) -> Array:
     """Robust rotation averaging without start values (Quenzel, Papenberg, Behnke, 2016, Algorithm 1).
 
@@ -48,7 +51,6 @@ def average_rotations_l1mc(
         weights: (E,) of the edges; uniform if None.
         transitivity: ``triangles`` as published, as soft rows of weight 1; ``cycles`` uses a basis of all
             cycles, which covers rings, as exact constraints.
-        settings: number of linearizations.
 
     Returns:
         (N, n, n) rotations from each node to the root.
@@ -64,7 +66,7 @@ def average_rotations_l1mc(
         cycles, soft = find_triangles(graph.count, graph.edges), True
     d = 1 if graph.dimension == 2 else 3
     corrections, R_i_j = np.zeros((len(graph.edges), d)), graph.R_i_j
-    for _ in range(1 if d == 1 else settings.linearizations):
+    for _ in range(1 if d == 1 else _LINEARIZATIONS):
         A, errors = _linearize_cycles(R_i_j, cycles)
         b = A @ corrections.ravel() - errors
         corrections = _minimize_absolute_sum(A, b, np.repeat(weights, d), soft).reshape(-1, d)

@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from calgraph.config.settings import GraphSettings
 from calgraph.geometry import Array
-from calgraph.graph.cycles import edge_support, find_cycle_basis, find_cycles_through_edges
+from calgraph.graph.cycles import OUTLIER_PROBABILITY, edge_support, find_cycle_basis, find_cycles_through_edges
 from calgraph.graph.graph_optimization import optimize_poses, optimize_poses_robustly
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution, chi_squared
 from calgraph.graph.random_trees import compute_tree_poses, improve_by_votes
@@ -22,11 +21,30 @@ _EXCLUDED = 1e9
 _MAX_ROUNDS = 5
 
 
+# Minimum weight of an edge, which keeps the graph connected: a thousand of them weigh as much as a right edge.
+_MIN_EDGE_WEIGHT = 1e-3
+# Random trees are drawn until they have this number of edges in total, within the limits below; it bounds the
+# time.
+_TREE_EDGES = 100_000
+# Minimum number of random trees, for graphs of more than 12,500 edges.
+_MIN_TREES = 8
+# Maximum number of random trees: with half of the edges wrong, 1 in 130 trees of seven edges has none of them, if
+# drawn without regard to cycles.
+_MAX_TREES = 600
+# The best trees are refined until they have this number of edges in total, within the limits below.
+_REFINED_EDGES = 5_000
+# Minimum number of refined trees, for graphs of more than 5000 edges.
+_MIN_REFINED_TREES = 1
+# Maximum number of refined trees: the score after refinement decides among those before it.
+_MAX_REFINED_TREES = 6
+# Factor of the gate of squared distances before refinement: noise of nine edges in a row along a tree.
+_TREE_GATE_FACTOR = 9.0
+
+
 def average_poses(
     graph: PoseGraph,
     rng: np.random.Generator,
     weights: Array | None = None,
-    settings: GraphSettings = GraphSettings(),
 ) -> PoseGraphSolution:
     """The node poses that most pairs agree with, without start values, optimized over the inliers.
 
@@ -34,7 +52,6 @@ def average_poses(
         graph: connected; several edges of a pair are alternatives, of which the best is scored.
         rng: source of the trees.
         weights: (E,) of the edges, 0..1; uniform if None.
-        settings: of the gates and the number of trees.
 
     Raises:
         CalibrationError: some node is not connected to the root; it is named.
@@ -42,22 +59,20 @@ def average_poses(
     graph.require_connected()
     if graph.count == 1:
         return PoseGraphSolution(np.eye(graph.dimension + 1)[None], np.zeros(len(graph.edges), dtype=np.bool_))
-    weights = np.ones(len(graph.edges)) if weights is None else np.maximum(weights, settings.min_edge_weight)
-    gate = float(chdtri(graph.information.shape[-1], settings.outlier_probability))
+    weights = np.ones(len(graph.edges)) if weights is None else np.maximum(weights, _MIN_EDGE_WEIGHT)
+    gate = float(chdtri(graph.information.shape[-1], OUTLIER_PROBABILITY))
     edges = max(len(graph.edges), 1)
-    count = int(np.clip(settings.tree_edges // edges, settings.min_trees, settings.max_trees))
-    to_refine = int(
-        np.clip(settings.refined_edges // edges, settings.min_refined_trees, settings.max_refined_trees)
-    )
-    starts = compute_tree_poses(graph, _draw_edge_costs(graph, weights, count, rng, settings))
-    scores, inliers_of_tree = _score(graph, weights, starts, gate * settings.tree_gate_factor)
+    count = int(np.clip(_TREE_EDGES // edges, _MIN_TREES, _MAX_TREES))
+    to_refine = int(np.clip(_REFINED_EDGES // edges, _MIN_REFINED_TREES, _MAX_REFINED_TREES))
+    starts = compute_tree_poses(graph, _draw_edge_costs(graph, weights, count, rng))
+    scores, inliers_of_tree = _score(graph, weights, starts, gate * _TREE_GATE_FACTOR)
     best: PoseGraphSolution | None = None
     best_score, refined_inliers = np.inf, set[bytes]()
     for k in np.argsort(scores, kind="stable"):
         if inliers_of_tree[k].tobytes() in refined_inliers:
             continue
         refined_inliers.add(inliers_of_tree[k].tobytes())
-        T = _refine_tree(graph, weights, starts[k], gate, rng, settings)
+        T = _refine_tree(graph, weights, starts[k], gate, rng)
         (score,), (inliers,) = _score(graph, weights, T[None], gate)
         if best is None or score < best_score:
             best, best_score = PoseGraphSolution(T, inliers), float(score)
@@ -67,9 +82,15 @@ def average_poses(
     return best
 
 
-def _draw_edge_costs(
-    graph: PoseGraph, weights: Array, count: int, rng: np.random.Generator, settings: GraphSettings
-) -> Array:
+# Number of shortest cycles through every edge from which its support is computed: six distinguish consistent
+# edges from others.
+_CYCLE_ROUNDS = 6
+# Exponent of the inverse support in the cost of an edge in the first random tree; it falls to 0 in the last,
+# because outliers that agree with each other have support, too.
+_SUPPORT_EXPONENT = 2.0
+
+
+def _draw_edge_costs(graph: PoseGraph, weights: Array, count: int, rng: np.random.Generator) -> Array:
     """(count, E) random costs of edges, which depend on weight and support in the first sets, and not in the last.
 
     Support is biased: outliers that agree with each other in a triangle have more of it than inliers in a long
@@ -77,10 +98,10 @@ def _draw_edge_costs(
     """
     cycles = (
         *find_cycle_basis(graph.count, graph.edges),
-        *find_cycles_through_edges(graph, settings.cycle_rounds, rng),
+        *find_cycles_through_edges(graph, _CYCLE_ROUNDS, rng),
     )
     randomness = np.linspace(0, 1, count)[:, None]
-    cost = (weights * edge_support(graph, cycles, settings)) ** (-settings.support_exponent * (1 - randomness))
+    cost = (weights * edge_support(graph, cycles)) ** (-_SUPPORT_EXPONENT * (1 - randomness))
     costs = np.asarray(cost * (1 - randomness + randomness * rng.exponential(size=(count, len(graph.edges)))))
     costs[0] *= np.where(find_minimum_tree(graph, 1 / weights), 1.0, _EXCLUDED)
     return costs
@@ -92,24 +113,21 @@ def _refine_tree(
     T_root_node: Array,
     gate: float,
     rng: np.random.Generator,
-    settings: GraphSettings,
 ) -> Array:
     """Poses that fit the inliers of a tree, after votes and robust least squares or directly: the better set.
 
     Votes and a robust loss repair the tree of a large graph, but may move the right one of a small graph away.
     """
-    T = improve_by_votes(graph, weights, T_root_node, gate * settings.tree_gate_factor, rng, settings)
-    T = optimize_poses_robustly(graph, T, gate, settings)
-    T = improve_by_votes(graph, weights, T, gate, rng, settings)
-    candidates = np.stack([_fit_inliers(graph, weights, start, gate, settings) for start in (T, T_root_node)])
+    T = improve_by_votes(graph, weights, T_root_node, gate * _TREE_GATE_FACTOR, rng)
+    T = optimize_poses_robustly(graph, T, gate)
+    T = improve_by_votes(graph, weights, T, gate, rng)
+    candidates = np.stack([_fit_inliers(graph, weights, start, gate) for start in (T, T_root_node)])
     return np.asarray(candidates[np.argmin(_score(graph, weights, candidates, gate)[0])])
 
 
-def _fit_inliers(
-    graph: PoseGraph, weights: Array, T_root_node: Array, gate: float, settings: GraphSettings
-) -> Array:
+def _fit_inliers(graph: PoseGraph, weights: Array, T_root_node: Array, gate: float) -> Array:
     """Least-squares poses over the inliers, repeated until the inliers stay the same."""
-    T, inliers = T_root_node, _score(graph, weights, T_root_node[None], gate * settings.tree_gate_factor)[1][0]
+    T, inliers = T_root_node, _score(graph, weights, T_root_node[None], gate * _TREE_GATE_FACTOR)[1][0]
     for _ in range(_MAX_ROUNDS):
         if not graph.select_edges(inliers).find_reachable().all():
             break

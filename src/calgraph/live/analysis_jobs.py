@@ -10,7 +10,6 @@ import numpy as np
 
 from calgraph.boards.detections import DetectionResult
 from calgraph.config import CameraSpec, Rig
-from calgraph.config.settings import MotionDetectionSettings
 from calgraph.errors import CalgraphError, InputError, Rejected
 from calgraph.rig.captures.detect import Detector, detect_in_hold
 from calgraph.rig.captures.detectors import Background, learn_background, make_detectors
@@ -45,11 +44,9 @@ class MeasuredChanges:
     """Why the content of the last of those is unusable."""
 
 
-def measure_changes(
-    settings: MotionDetectionSettings, previous: Signed | None, decoders: Sequence[Decoder]
-) -> MeasuredChanges:
+def measure_changes(previous: Signed | None, decoders: Sequence[Decoder]) -> MeasuredChanges:
     """Measures the changes of messages, compared with ``previous`` and one another."""
-    meter = ActivityMeter(settings)
+    meter = ActivityMeter()
     meter.previous = previous
     changes: list[float | None] = []
     problem = ""

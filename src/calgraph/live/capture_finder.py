@@ -12,6 +12,7 @@ from calgraph.live.motion import Rest, RestMonitor
 from calgraph.live.state import Phase
 from calgraph.rig.captures.detect import limit_messages
 from calgraph.rig.captures.holds import Hold, find_holds
+from calgraph.rig.captures.stillness import MAX_MOTION_PERIOD
 from calgraph.rig.captures.validate_recording import is_message_of_kind
 
 # Stamps as floating-point numbers are apart by 0.2 µs: captures do not share a message.
@@ -39,6 +40,19 @@ class Waiting:
     """Why none can be taken before someone corrects it."""
 
 
+# Time without messages, s, after which a sensor is taken for silent; three periods of slow ones.
+SILENCE = 2.0
+# Maximum difference of a sensor's latency, from the end of a measurement to its arrival, from that of the others,
+# s, that is none of clocks: networks and drivers take some tenths.
+_MAX_CLOCK_DIFFERENCE = 1.0
+# Time from the last motion to the start of a capture, s: 0.1 s before the end of a move by 1 m the board is still
+# 10 mm from its place, and moves no more than noise.
+_SETTLE = 0.2
+# Maximum number of messages of a sensor per second whose change is measured, 1/s: a rest is noticed within 0.1 s,
+# and fast cameras leave time for the detection.
+MAX_RATE = 10.0
+
+
 class CaptureFinder:
     """Finds times at which a trigger gives a capture; the same as later in the recording.
 
@@ -51,13 +65,13 @@ class CaptureFinder:
 
     def __init__(self, rig: Rig, timeline: LiveTimeline, ring: MessageRing, rests: RestMonitor) -> None:
         self._rig, self._timeline, self._ring, self._rests = rig, timeline, ring, rests
-        self._settings = rig.settings.live.rest
+        pass
         self.earliest = float("-inf")
         """No capture begins before it: the end of the last one, s."""
 
     def fast_sensors(self) -> list[str]:
         """Those whose messages show motion."""
-        limit = self._rig.settings.captures.max_motion_period
+        limit = MAX_MOTION_PERIOD
         return [name for name in self._rig.sensors if self._timeline.period(name) <= limit]
 
     def find_problems(self) -> dict[str, str]:
@@ -77,11 +91,11 @@ class CaptureFinder:
         slow = max(period if period < float("inf") else 0.0, timeline.duration(name))
         if age is None:
             return "sends no messages"
-        if age > max(self._settings.silence, 3 * slow):
+        if age > max(SILENCE, 3 * slow):
             return f"has sent no message for {age:.0f} s"
         if not is_message_of_kind(sent, kind):
             return f"sends {sent} messages, and its kind is {kind}"
-        if abs(late) > self._settings.max_clock_difference:
+        if abs(late) > _MAX_CLOCK_DIFFERENCE:
             side = "late" if late > 0 else "early"
             return f"has a clock that is {abs(late):.1f} s {side}: state its clock_offset"
         return ""
@@ -108,7 +122,7 @@ class CaptureFinder:
             return Waiting("waiting", tuple(name for name in fast if self._rests.is_moving(name)))
         if rest is not None and rest.start == judged:
             return Waiting("ready")
-        start = self._choose_start(forced if rest is None else rest.start + self._settings.settle)
+        start = self._choose_start(forced if rest is None else rest.start + _SETTLE)
         measuring = [name for name in self._rig.sensors if len(self._timeline.stamps_from(name, start)) < 2]
         hold = None if measuring else self._find_hold(start)
         if hold is not None:
@@ -149,7 +163,7 @@ class CaptureFinder:
         for name, measured in rest.measured.items():
             stamps = timeline.stamps_from(name, hold.start)
             # Of fast sensors some messages are not measured.
-            skipped = 1 / self._settings.max_rate if timeline.period(name) < 1 / self._settings.max_rate else 0.0
+            skipped = 1 / MAX_RATE if timeline.period(name) < 1 / MAX_RATE else 0.0
             last = stamps[stamps <= end][-1:]
             if (stamps[-1] < end - timeline.period(name) or measured < last - skipped) and name not in unfinished:
                 unfinished.append(name)

@@ -14,6 +14,11 @@ from calgraph.live.topic_watch import StampReader
 _NS_PER_SECOND = 1e9
 
 
+# Time from the first message until the clocks of stamps and arrivals are compared, s: most sensors have sent
+# messages, and one with a wrong clock does not decide alone.
+_ALIGNMENT_TIME = 1.0
+
+
 class AlignedSource:
     """A source whose arrivals are by the clock of the stamps.
 
@@ -48,7 +53,7 @@ class AlignedSource:
                 if isinstance(item, Notice):
                     yield item
                 elif item is not None:
-                    end = end if waiting else now() + self._settings.alignment_time
+                    end = end if waiting else now() + _ALIGNMENT_TIME
                     waiting.append(item)
                     if (stamp := reader.read(item)) is not None:
                         offsets.setdefault(item.channel.topic, item.arrival - stamp)

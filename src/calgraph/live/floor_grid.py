@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import label, uniform_filter
 
-from calgraph.config.settings import LiveNetworkSettings, Settings
 from calgraph.geometry import Array, se3
 from calgraph.live.joined_tracks import Tracked
+from calgraph.network.pairs.visibility_map import BACKGROUND_MARGIN, MAX_BEAM_GAP, MIN_RANGE, RANGE_TAIL
 from calgraph.network.tracking.track import ScannerTracks
 from calgraph.result import Calibration
 
@@ -33,16 +33,21 @@ class FloorGrid:
     """(W, 2) points of the static background, m."""
 
 
-def build_floor_grid(
-    calibration: Calibration, tracked: Tracked, unfinished: Collection[str], settings: Settings
-) -> FloorGrid | None:
+# Width of the cells of the floor plan, m: half of a person's. Large plans have wider ones.
+_CELL = 0.25
+# Maximum number of cells along the longer side of the floor plan: 4 px each on a phone.
+_MAX_CELLS = 80
+# Maximum number of points of the static background in the floor plan: 14 kB.
+_MAX_WALL_POINTS = 1400
+
+
+def build_floor_grid(calibration: Calibration, tracked: Tracked, unfinished: Collection[str]) -> FloorGrid | None:
     """The floor in the views of the connected scanners.
 
     Args:
         calibration: of the network.
         tracked: tracks and background by scanner.
         unfinished: connected scanners that are not within tolerance.
-        settings: sizes and limits.
 
     Returns:
         The cells; None as long as no scanners are connected.
@@ -54,7 +59,7 @@ def build_floor_grid(
     }
     if len(poses) < 2:
         return None
-    live_settings = settings.live.network
+    pass
     walls = np.concatenate([_to_root(T, found.background) for T, found in poses.values()])
     walls = walls[np.isfinite(walls).all(axis=1)]
     positions = np.concatenate(
@@ -63,22 +68,21 @@ def build_floor_grid(
     origins = np.array([T[:2, 3] for T, _ in poses.values()])
     everything = np.concatenate([walls, positions, origins])
     low, high = np.min(everything, axis=0), np.max(everything, axis=0)
-    cell = max(live_settings.cell, float(np.max(high - low)) / live_settings.max_cells)
+    cell = max(_CELL, float(np.max(high - low)) / _MAX_CELLS)
     shape = tuple(int(n) for n in np.ceil((high - low) / cell) + 1)
     seconds = _sum_walking_time(
         [found for _, found in poses.values()], [T for T, _ in poses.values()], low, cell, shape
     )
     x = low + cell * (np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), axis=-1) + 0.5)
     observed = {
-        name: _find_observed_cells(T, found, x.reshape(-1, 2), settings).reshape(shape)
-        for name, (T, found) in poses.items()
+        name: _find_observed_cells(T, found, x.reshape(-1, 2)).reshape(shape) for name, (T, found) in poses.items()
     }
     return FloorGrid(
         low,
         cell,
         seconds > 0,
-        _select_wanted(observed, unfinished, seconds, cell, live_settings, unconnected=len(poses) < len(tracked)),
-        _thin(walls, cell / 2, live_settings.max_wall_points),
+        _select_wanted(observed, unfinished, seconds, cell, unconnected=len(poses) < len(tracked)),
+        _thin(walls, cell / 2, _MAX_WALL_POINTS),
     )
 
 
@@ -101,16 +105,21 @@ def _sum_walking_time(
     return longest
 
 
-def _find_observed_cells(T: Array, tracked: ScannerTracks, x: Array, settings: Settings) -> Cells:
+# Range within which scanners detect people reliably, m: nine beams of 0.5 degrees; more if they have tracked
+# people farther away.
+_WALK_RANGE = 8.0
+
+
+def _find_observed_cells(T: Array, tracked: ScannerTracks, x: Array) -> Cells:
     """(N,) in which of the positions (N, 2) of the root's frame the scanner would detect a person."""
     inside = _to_root(se3.inverse(T), x)
-    visibility = settings.pairwise.scanners.visibility
+    pass
     distance = np.linalg.norm(inside, axis=1)
-    limit = _find_free_range(tracked.background, np.arctan2(inside[:, 1], inside[:, 0]), visibility.max_beam_gap)
+    limit = _find_free_range(tracked.background, np.arctan2(inside[:, 1], inside[:, 0]), MAX_BEAM_GAP)
     ranges = [np.linalg.norm(track.positions, axis=1) for track in tracked.tracks]
-    usual = float(np.quantile(np.concatenate(ranges), 1 - visibility.range_tail)) if ranges else 0.0
-    limit = np.minimum(limit - visibility.background_margin, max(usual, settings.live.network.walk_range))
-    return np.asarray((distance > visibility.min_range) & (distance < limit))
+    usual = float(np.quantile(np.concatenate(ranges), 1 - RANGE_TAIL)) if ranges else 0.0
+    limit = np.minimum(limit - BACKGROUND_MARGIN, max(usual, _WALK_RANGE))
+    return np.asarray((distance > MIN_RANGE) & (distance < limit))
 
 
 def _find_free_range(background: Array, bearing: Array, max_gap: float) -> Array:
@@ -130,12 +139,18 @@ def _find_free_range(background: Array, bearing: Array, max_gap: float) -> Array
     return np.where(in_view, nearest[np.digitize(bearing, bins) - 1], 0.0)
 
 
+# Time that people spend within one cell's width of a cell from which it counts as walked, s: one passage at 1.2
+# m/s takes 0.6 s.
+_MIN_WALKED = 0.5
+# Minimum size of an area where people are asked to walk, m².
+_MIN_AREA = 1.0
+
+
 def _select_wanted(
     observed: Mapping[str, Cells],
     unfinished: Collection[str],
     seconds: Array,
     cell: float,
-    settings: LiveNetworkSettings,
     *,
     unconnected: bool,
 ) -> Cells:
@@ -151,12 +166,12 @@ def _select_wanted(
         shared = observed[name] & others
         if not shared.any():
             continue
-        chosen = shared & (around < settings.min_walked)
-        if np.sum(chosen) * cell**2 < settings.min_area:
+        chosen = shared & (around < _MIN_WALKED)
+        if np.sum(chosen) * cell**2 < _MIN_AREA:
             # All of it has been walked: where that was least.
             chosen = shared & (around <= np.quantile(around[shared], 1 / 3))
         wanted |= chosen
-    return _remove_small_areas(wanted, settings.min_area / cell**2)
+    return _remove_small_areas(wanted, _MIN_AREA / cell**2)
 
 
 def _remove_small_areas(cells: Cells, min_cells: float) -> Cells:

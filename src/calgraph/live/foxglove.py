@@ -28,6 +28,17 @@ _REFUSALS = {
 }
 
 
+# Delay of the first attempt to connect again, s; it doubles with each further one.
+_FIRST_DELAY = 0.5
+# Maximum delay, s: an operator who has put a cable back waits no longer, and an attempt costs nothing.
+_MAX_DELAY = 2.0
+# Time between two questions whether the server is still there, s: without them, a robot that lost its power looks
+# like one that has nothing to send.
+_PING_INTERVAL = 2.0
+# Time for the answer, s; behind the frames that a slow wireless link still carries it may take seconds.
+_PING_TIMEOUT = 10.0
+
+
 class FoxgloveSource:
     """A server of the Foxglove WebSocket protocol.
 
@@ -67,7 +78,7 @@ class FoxgloveSource:
         from websockets.exceptions import ConnectionClosed, WebSocketException
 
         settings, now = self._settings, asyncio.get_running_loop().time
-        delay, problem = settings.first_delay, ""
+        delay, problem = _FIRST_DELAY, ""
         last_receipt: float | None = None
         while True:
             try:
@@ -80,7 +91,7 @@ class FoxgloveSource:
                     while True:
                         frame = await _receive_frame(connection)
                         if frame is not None and (message := client.receive(frame, now())):
-                            delay, last_receipt = settings.first_delay, time.time()
+                            delay, last_receipt = _FIRST_DELAY, time.time()
                             yield message
                         for request in client.take_requests():
                             # A connection that has ended still has frames to read.
@@ -102,7 +113,7 @@ class FoxgloveSource:
                 problem = reason
                 yield Notice("disconnected", clean_text(f"{self._address}: {reason}; trying again"))
             await asyncio.sleep(delay)
-            delay = min(2 * delay, settings.max_delay)
+            delay = min(2 * delay, _MAX_DELAY)
 
     def _connect(self) -> "connect":
         from websockets.asyncio.client import connect
@@ -117,8 +128,8 @@ class FoxgloveSource:
             max_size=settings.max_frame_bytes,
             max_queue=_MAX_QUEUED_FRAMES,
             open_timeout=settings.open_timeout,
-            ping_interval=settings.ping_interval,
-            ping_timeout=settings.ping_timeout,
+            ping_interval=_PING_INTERVAL,
+            ping_timeout=_PING_TIMEOUT,
             # Robots are reached directly, also where the environment names a proxy for the Internet.
             proxy=None,
         )

@@ -52,7 +52,7 @@ class FoxgloveClient:
 
     def __init__(self, topics: Collection[str], settings: ConnectionSettings, now: float) -> None:
         self._topics = tuple(topics)
-        self._settings = settings
+        pass
         self._discovery_end = now + settings.discovery_time
         self._discovered = False
         self._advertised: dict[int, _Advertised] = {}

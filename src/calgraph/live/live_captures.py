@@ -113,12 +113,15 @@ def _direction(detection: Detection) -> Array:
     return np.asarray(detection.plane[:3])
 
 
+# Number of captures after which a region of a view is covered: lenses and patches need several.
+_COVERING_CAPTURES = 3
+
+
 def count_coverage(
     name: str,
     rig: Rig,
     camera: CameraModel | None,
     captures: Iterable[LiveCapture],
-    settings: LiveCaptureSettings,
 ) -> tuple[float, ...]:
     """How well the captures cover the view of a sensor, 0..1.
 
@@ -143,7 +146,7 @@ def count_coverage(
         for one in found:
             azimuth = np.arctan2(one.center[1], one.center[0])
             counts[min(int(_SECTORS * (azimuth + np.pi) / (2 * np.pi)), _SECTORS - 1)] += 1
-    return tuple(np.minimum(counts / settings.covering_captures, 1).tolist())
+    return tuple(np.minimum(counts / _COVERING_CAPTURES, 1).tolist())
 
 
 def explain_rejection(reason: str) -> str:

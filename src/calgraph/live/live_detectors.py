@@ -78,7 +78,7 @@ class LiveDetectors:
     def reduction(self, name: str) -> int:
         """The factor by which images of a camera are reduced for pictures; 1 of scanners."""
         camera = self.cameras.get(name)
-        return find_reduction(camera, self._rig.settings.live.view) if camera else 1
+        return find_reduction(camera) if camera else 1
 
     def reduced_camera(self, name: str) -> CameraModel | None:
         """The intrinsics of a camera's reduced images; None of scanners, and where they are not known."""

@@ -136,7 +136,7 @@ async def _run(
         async with _printing_events(view, options.print_line), _recording(rig, folder, session) as recorder:
             view.show_recorder(recorder)
             options.announce(server)
-            max_lead = _choose_max_lead(source, rig, options)
+            max_lead = _choose_max_lead(source, options)
             await record_session(source, rig, recorder, session, triggers, view, max_lead=max_lead)
         if recorder.state.problem:
             options.print_line(recorder.state.problem)
@@ -158,11 +158,16 @@ async def _run(
     return end.exit_code
 
 
-def _choose_max_lead(source: Source, rig: Rig, options: LiveOptions) -> float:
+# Time by which a replayed recording may be ahead of the detection before it waits, s: no rest of the board begins
+# and ends in it. Robots do not wait.
+_MAX_REPLAY_LEAD = 0.5
+
+
+def _choose_max_lead(source: Source, options: LiveOptions) -> float:
     """Time by which messages may be ahead of the detection, s."""
     if options.wait:
         return 0.0
-    return rig.settings.live.capture.max_replay_lead if isinstance(source, ReplaySource) else float("inf")
+    return _MAX_REPLAY_LEAD if isinstance(source, ReplaySource) else float("inf")
 
 
 @asynccontextmanager

@@ -7,6 +7,7 @@ from functools import partial
 from calgraph.config import CameraSpec, Rig
 from calgraph.errors import CalgraphError, Rejected
 from calgraph.live.analysis_jobs import MeasuredChanges, learn_live_background, measure_changes
+from calgraph.live.capture_finder import MAX_RATE
 from calgraph.live.job_queue import JobQueue
 from calgraph.live.live_detectors import LiveDetectors
 from calgraph.live.live_timeline import LiveTimeline
@@ -18,6 +19,7 @@ from calgraph.live.source import LiveMessage
 from calgraph.live.view_pictures import SensorView, make_view
 from calgraph.recording.takes import shift_record
 from calgraph.rig.captures.detectors import Background
+from calgraph.rig.captures.stillness import MAX_MOTION_PERIOD
 from calgraph.rig.captures.timeline import RecordingTimeline
 from calgraph.sensors import CameraModel, RecordedMessage
 
@@ -25,6 +27,11 @@ _log = logging.getLogger(__name__)
 
 # Messages whose change one call measures: some 0.1 s of work, so that captures and pictures come in between.
 _MESSAGES_PER_CALL = 8
+
+
+# Maximum number of messages of a sensor that wait for it: 2 s; older ones are skipped, and the next is compared
+# with the last one measured.
+_MAX_WAITING = 20
 
 
 class MessageAnalysis:
@@ -46,7 +53,7 @@ class MessageAnalysis:
         self._learning: set[str] = set()
         self.timeline = LiveTimeline(rig.sensors)
         self.ring = MessageRing(rig.settings.live.ring)
-        self.rests = RestMonitor(rig.sensors, rig.settings.captures.motion, rig.settings.live.rest)
+        self.rests = RestMonitor(rig.sensors)
         self.detectors = LiveDetectors(rig)
         self.sensors = {name: SensorActivity(rig.settings.live.view) for name in rig.sensors}
         self._last_queued: dict[str, float] = {}
@@ -118,18 +125,18 @@ class MessageAnalysis:
 
     def _queue(self, name: str, record: RecordedMessage) -> None:
         """Has a message analysed: drawn, measured, and the room learned from it."""
-        sensor, settings = self.sensors[name], self._rig.settings.live.rest
+        sensor = self.sensors[name]
         sensor.latest = record
         if self._is_of_background(record) and not isinstance(self._rig.sensors[name], CameraSpec):
             self._keep_background(name, record)
-        slow = self.timeline.period(name) > self._rig.settings.captures.max_motion_period
+        slow = self.timeline.period(name) > MAX_MOTION_PERIOD
         if slow and len(self.timeline.stamps_from(name, 0.0)) > 1:
             return
         # Periods vary by some percent: of a sensor at the highest rate every message is measured.
-        if abs(record.stamp - self._last_queued.get(name, float("-inf"))) > 0.9 / settings.max_rate:
+        if abs(record.stamp - self._last_queued.get(name, float("-inf"))) > 0.9 / MAX_RATE:
             self._last_queued[name] = record.stamp
             sensor.waiting.append(record)
-            while len(sensor.waiting) > settings.max_waiting:
+            while len(sensor.waiting) > _MAX_WAITING:
                 sensor.waiting.popleft()
 
     def _keep_background(self, name: str, record: RecordedMessage) -> None:
@@ -184,7 +191,7 @@ class MessageAnalysis:
         records = [sensor.waiting.popleft() for _ in range(min(len(sensor.waiting), _MESSAGES_PER_CALL))]
         sensor.measuring = records
         queue.run(
-            measure_changes, self._rig.settings.captures.motion, self.rests.previous(name),
+            measure_changes, self.rests.previous(name),
             [record.decode for record in records],
             done=partial(self._add_changes, name, records),
             failed=partial(self._fail_measuring, name),

@@ -6,9 +6,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from calgraph.config.settings import MotionDetectionSettings, RestSettings
 from calgraph.geometry import Array
-from calgraph.rig.captures.motion_detection import Signed
+from calgraph.rig.captures.motion_detection import MIN_ACTIVITY, Signed
 
 # Changes are counted in bins of this width in the logarithm (base 10), a fifth of the scatter of noise.
 _BIN = 0.02
@@ -42,6 +41,25 @@ class _SensorMotion:
     """Change from which the view moves."""
 
 
+# Least share of a view that is motion: two blocks of an image of 640 x 480 pixels, whose noise changes none.
+_MIN_CHANGE = 5e-4
+# Minimum number of messages of the time without operator that show the noise: 1 s.
+_MIN_QUIET = 10
+# Share of the messages with operator whose changes show the noise: boards rest for a larger share of the time.
+_QUIET_SHARE = 0.25
+# Change over the median change of views at rest from which a view moves: noise of scanners reaches 1.8 times its
+# median, and Otsu's threshold on simulated recordings lies between 2.2 and 2.6 times it.
+_NOISE_RATIO = 2.5
+# Maximum ratio of this noise to that of the time without operator: a board and a person in view of a LiDAR triple
+# it, and a board that moves all the time is no noise.
+_MAX_NOISE_GROWTH = 4.0
+# Minimum number of messages for Otsu's threshold: 6 s of rest and motion.
+_MIN_MESSAGES = 60
+# Minimum difference of the mean logarithms (base 10) of the changes at rest and in motion, from which Otsu's
+# threshold is taken, if it is above the noise: changes of views that only rest, or only move, differ by less.
+_MIN_SEPARATION = 0.7
+
+
 class RestMonitor:
     """Decides from the changes of all views whether the board rests.
 
@@ -55,12 +73,11 @@ class RestMonitor:
         settings: of the decision.
     """
 
-    def __init__(self, sensors: Collection[str], motion: MotionDetectionSettings, settings: RestSettings) -> None:
-        self._motion, self._settings = motion, settings
-        bins = int(np.ceil(-np.log10(motion.min_activity) / _BIN)) + 2
-        self._centers = np.log10(motion.min_activity) + _BIN * np.arange(bins)
+    def __init__(self, sensors: Collection[str]) -> None:
+        bins = int(np.ceil(-np.log10(MIN_ACTIVITY) / _BIN)) + 2
+        self._centers = np.log10(MIN_ACTIVITY) + _BIN * np.arange(bins)
         self._sensors = {
-            name: _SensorMotion(np.zeros(bins), np.zeros(bins), level=settings.min_change) for name in sensors
+            name: _SensorMotion(np.zeros(bins), np.zeros(bins), level=_MIN_CHANGE) for name in sensors
         }
 
     def previous(self, name: str) -> Signed | None:
@@ -84,7 +101,7 @@ class RestMonitor:
         counts = motion.quiet if quiet else motion.others
         for stamp, change in zip(stamps, changes, strict=True):
             motion.recent.append((stamp, change))
-            position = (np.log10(change + self._motion.min_activity) - self._centers[0]) / _BIN
+            position = (np.log10(change + MIN_ACTIVITY) - self._centers[0]) / _BIN
             counts[min(round(float(position)), len(counts) - 1)] += 1
         motion.level = self._compute_level(motion)
 
@@ -124,28 +141,28 @@ class RestMonitor:
         return change > motion.level or change >= 1
 
     def _compute_level(self, motion: _SensorMotion) -> float:
-        settings = self._settings
-        if motion.quiet.sum() < settings.min_quiet:
-            noise = self._find_quantile(motion.quiet + motion.others, settings.quiet_share)
+        pass
+        if motion.quiet.sum() < _MIN_QUIET:
+            noise = self._find_quantile(motion.quiet + motion.others, _QUIET_SHARE)
         else:
             noise = empty = self._find_quantile(motion.quiet, 0.5)
-            if motion.others.sum() >= settings.min_quiet:
-                floor = max(empty, settings.min_change / settings.noise_ratio)
-                held = self._find_quantile(motion.others, settings.quiet_share)
-                noise = min(max(empty, held), settings.max_noise_growth * floor)
-        level = max(settings.noise_ratio * noise, settings.min_change)
-        if motion.others.sum() < settings.min_messages:
+            if motion.others.sum() >= _MIN_QUIET:
+                floor = max(empty, _MIN_CHANGE / _NOISE_RATIO)
+                held = self._find_quantile(motion.others, _QUIET_SHARE)
+                noise = min(max(empty, held), _MAX_NOISE_GROWTH * floor)
+        level = max(_NOISE_RATIO * noise, _MIN_CHANGE)
+        if motion.others.sum() < _MIN_MESSAGES:
             return level
         # What is below the noise is rest, however far: views without any change do not set the threshold.
-        lowest = float(np.log10(level + self._motion.min_activity))
+        lowest = float(np.log10(level + MIN_ACTIVITY))
         otsu, separation = _split(np.maximum(self._centers, lowest), motion.others)
-        if separation < settings.min_separation:
+        if separation < _MIN_SEPARATION:
             return level
-        return max(level, 10**otsu - self._motion.min_activity)
+        return max(level, 10**otsu - MIN_ACTIVITY)
 
     def _find_quantile(self, counts: Array, share: float) -> float:
         at = int(np.searchsorted(np.cumsum(counts), share * counts.sum()))
-        return float(10 ** self._centers[at] - self._motion.min_activity)
+        return float(10 ** self._centers[at] - MIN_ACTIVITY)
 
 
 def _split(centers: Array, counts: Array) -> tuple[float, float]:

@@ -9,6 +9,11 @@ from calgraph.live.network_solution import LiveNetworkSolution
 _MAX_DECAY = 0.5
 
 
+# Least exponent of the decay of standard deviations with the recorded time for which a time to the tolerance is
+# stated: with 0.5 noise is averaged; close to zero more of the same does not help.
+_MIN_DECAY = 0.2
+
+
 class Forecast:
     """Extrapolates the uncertainties of the solutions so far.
 
@@ -58,7 +63,7 @@ class Forecast:
         if earlier:
             then, before = earlier[-1]
             decay = min(math.log(before / uncertainty) / math.log(now / then), _MAX_DECAY)
-        if decay < self._settings.min_decay:
+        if decay < _MIN_DECAY:
             return None
         minutes = now * (uncertainty ** (1 / decay) - 1) / 60
         return minutes if minutes <= self._settings.max_minutes else None

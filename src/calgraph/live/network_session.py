@@ -15,7 +15,7 @@ from calgraph.live.job_queue import JobQueue
 from calgraph.live.live_timeline import LiveTimeline
 from calgraph.live.network_forecast import Forecast
 from calgraph.live.network_solution import LiveNetworkSolution, solve_recording
-from calgraph.live.network_state import ScannerMessages, describe_network_session
+from calgraph.live.network_state import PAUSE, ScannerMessages, describe_network_session
 from calgraph.live.record_reader import RecordReader
 from calgraph.live.rig_session import SessionPools
 from calgraph.live.source import LiveMessage
@@ -23,6 +23,10 @@ from calgraph.live.state import Command, SessionState
 
 Solve = Callable[[Rig, Path, Path, LiveNetworkSolution | None], LiveNetworkSolution | None]
 """Calibrates from a recording; defined at module level. See :func:`solve_recording`."""
+
+
+# Maximum share of the time in which solutions are computed.
+_MAX_LOAD = 0.5
 
 
 class NetworkSession:
@@ -144,7 +148,7 @@ class NetworkSession:
         settings, begin = self.rig.settings.live.network, self.timeline.start
         if begin is None or not self._queue.idle or self._clock() < self._next:
             return
-        until = begin + settings.first if self.solution is None else self.solution.end + settings.pause
+        until = begin + settings.first if self.solution is None else self.solution.end + PAUSE
         if self.timeline.latest_arrival < until:
             return
         self._began = self._clock()
@@ -159,8 +163,8 @@ class NetworkSession:
 
     def _set_next(self) -> None:
         """The process rests as long as it worked, where half of the time is allowed."""
-        settings, now = self.rig.settings.live.network, self._clock()
-        self._next = now + max(settings.pause, (now - self._began) * (1 / settings.max_load - 1))
+        now = self._clock()
+        self._next = now + max(PAUSE, (now - self._began) * (1 / _MAX_LOAD - 1))
 
     def _set_solution(self, solution: LiveNetworkSolution | None) -> None:
         self._set_next()

@@ -26,6 +26,7 @@ from calgraph.live.tracked_intervals import (
 from calgraph.network.options import NetworkOptions
 from calgraph.network.pipeline import calibrate_tracks
 from calgraph.network.tracking.track import ScannerTracks
+from calgraph.network.tracking.track_scanner import MAX_SCAN_GAP
 from calgraph.recording import Recording, open_recording
 from calgraph.recording.input_checks import InputMonitor
 from calgraph.result import Calibration, SensorPose
@@ -122,13 +123,18 @@ def solve_recording(
     return solution
 
 
+# Processor time of a solution, s, above which the next is computed from fewer intervals; those that add least are
+# left out. Five scanners and two people need 2 s for each minute, 8 s where their legs are modelled.
+_MAX_WORK = 20.0
+
+
 def _solve(
     rig: Rig, recording: Recording, folder: Path, last: LiveNetworkSolution | None, begin: float
 ) -> LiveNetworkSolution:
-    settings = rig.settings.live.network
+    pass
     monitor = InputMonitor(rig, recording.start)
     found = track_recording(rig, recording, folder, last.progress if last else TrackingProgress(), monitor)
-    tracked = join_tracks(found.parts, rig.settings.tracking.motion.max_scan_gap)
+    tracked = join_tracks(found.parts, MAX_SCAN_GAP)
     calibration: Calibration | None = None
     problem, work = "", time.process_time()
     try:
@@ -138,12 +144,12 @@ def _solve(
     except CalgraphError as error:
         problem = str(error)
     rows = calibration.evidence.captures if calibration else ()
-    max_positions = found.positions * settings.max_work / max(time.process_time() - work, 1e-3)
+    max_positions = found.positions * _MAX_WORK / max(time.process_time() - work, 1e-3)
     used = select_intervals(found.progress.intervals, rows, recording.start, max_positions)
     scanners = _describe_scanners(rig, tracked, calibration)
     return LiveNetworkSolution(
         scanners,
-        build_floor_grid(calibration, tracked, _find_unfinished(scanners), rig.settings) if calibration else None,
+        build_floor_grid(calibration, tracked, _find_unfinished(scanners)) if calibration else None,
         recording.start,
         found.end,
         found.progress.duration + found.rest,

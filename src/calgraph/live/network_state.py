@@ -8,11 +8,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from calgraph.config import Rig
-from calgraph.live.capture_finder import name_sensors
+from calgraph.live.capture_finder import SILENCE, name_sensors
 from calgraph.live.live_timeline import LiveTimeline
 from calgraph.live.network_forecast import Forecast
 from calgraph.live.network_solution import LiveNetworkSolution, ScannerSolution
 from calgraph.live.state import Advice, Phase, SensorState, SessionState
+from calgraph.live.tracked_intervals import MIN_INTERVAL
 
 # Messages whose delays are compared: a second of the slowest scanners, and more of others.
 _DELAYS = 15
@@ -60,7 +61,7 @@ def describe_network_session(
     solved = {one.name: one for one in solution.scanners} if solution else {}
     done = solution is not None and solution.done
     phase, headline = _describe_phase(rig, timeline, solution, forecast)
-    lag = _describe_lag(rig, timeline, solution)
+    lag = _describe_lag(timeline, solution)
     return SessionState(
         kind="network",
         phase=phase,
@@ -81,7 +82,7 @@ def _describe_phase(
     rig: Rig, timeline: LiveTimeline, solution: LiveNetworkSolution | None, forecast: Forecast
 ) -> tuple[Phase, str]:
     unheard = [name for name in rig.sensors if timeline.age(name) is None]
-    silent = [name for name in rig.sensors if _is_silent(name, rig, timeline)]
+    silent = [name for name in rig.sensors if _is_silent(name, timeline)]
     if unheard:
         return "connecting", f"Waiting for messages of {name_sensors(unheard)}"
     if silent:
@@ -140,14 +141,18 @@ def _advise(solution: LiveNetworkSolution, forecast: Forecast) -> Advice | None:
     return Advice("; ".join(sentences), expected=expected)
 
 
-def _describe_lag(rig: Rig, timeline: LiveTimeline, solution: LiveNetworkSolution | None) -> str:
+# Minimum time from the end of a solution to the next, s, so that there is something new.
+PAUSE = 2.0
+
+
+def _describe_lag(timeline: LiveTimeline, solution: LiveNetworkSolution | None) -> str:
     """That what is shown is old, or of a part of the recording only; empty if it is not."""
     if solution is None or timeline.start is None:
         return ""
     notes = []
     behind = timeline.latest_arrival - solution.end
     # A solution may take as long as the pause after it, and the time in which people would be background.
-    usual = rig.settings.live.network.min_interval + 2 * (solution.seconds + rig.settings.live.network.pause)
+    usual = MIN_INTERVAL + 2 * (solution.seconds + PAUSE)
     if behind > usual:
         notes.append(f"Poses and plan are {behind:.0f} s old: the computer is slower than the scanners")
     whole = solution.recorded
@@ -169,9 +174,9 @@ def _describe_sensor(
     problems = []
     if malformed := messages[name].malformed:
         problems.append(f"{malformed} unusable messages: {messages[name].problem}")
-    if _is_silent(name, rig, timeline):
+    if _is_silent(name, timeline):
         problems.append(f"no messages for {age:.0f} s")
-    if clock := _describe_clock(name, rig, messages):
+    if clock := _describe_clock(name, messages):
         problems.append(clock)
     stddev = None if solved is None or name == rig.root else solved.stddev
     return SensorState(
@@ -189,12 +194,17 @@ def _describe_sensor(
     )
 
 
-def _is_silent(name: str, rig: Rig, timeline: LiveTimeline) -> bool:
+def _is_silent(name: str, timeline: LiveTimeline) -> bool:
     age = timeline.age(name)
-    return age is not None and age > rig.settings.live.rest.silence
+    return age is not None and age > SILENCE
 
 
-def _describe_clock(name: str, rig: Rig, messages: Mapping[str, ScannerMessages]) -> str:
+# Difference of a scanner's clock from the median of all, s, from which it is named: the calibration measures
+# smaller ones.
+_MAX_CLOCK_DIFFERENCE = 1.0
+
+
+def _describe_clock(name: str, messages: Mapping[str, ScannerMessages]) -> str:
     """By how much a scanner's clock differs from those of the others, if it is much; else empty."""
     delays = {one: float(np.median(found.delays)) for one, found in messages.items() if found.delays}
     if name not in delays or len(delays) < 2:
@@ -202,6 +212,6 @@ def _describe_clock(name: str, rig: Rig, messages: Mapping[str, ScannerMessages]
     # Which one of two is right is unknown.
     others: Sequence[float] = [value for one, value in delays.items() if one != name or len(delays) > 2]
     difference = delays[name] - float(np.median(others))
-    if abs(difference) <= rig.settings.live.network.max_clock_difference:
+    if abs(difference) <= _MAX_CLOCK_DIFFERENCE:
         return ""
     return f"its clock is {abs(difference):.1f} s {'ahead of' if difference > 0 else 'behind'} the others"

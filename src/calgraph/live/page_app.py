@@ -34,6 +34,14 @@ _REPORT_POLICY = (
 )
 
 
+# Maximum rate at which a page receives the state, Hz: as fast as a reader follows.
+_MAX_RATE = 10.0
+# Commands that a page may send in fast succession before the rate counts.
+_COMMAND_BURST = 20
+# Commands per second that a page may send on average: no finger is faster for long.
+_COMMAND_RATE = 5.0
+
+
 class PageApp:
     """Answers requests, and gives the state to all pages that are open.
 
@@ -85,7 +93,7 @@ class PageApp:
             self._fields = _encode(state)
             self._changed.set()
             self._changed = asyncio.Event()
-            await asyncio.sleep(1 / self._settings.max_rate)
+            await asyncio.sleep(1 / _MAX_RATE)
             await self._view.wait_for_change(state)
 
     async def _answer_picture(self, request: Request) -> Response:
@@ -147,7 +155,7 @@ class PageApp:
 
     async def _take_commands(self, socket: WebSocket) -> None:
         """Hands commands to the session until the page is closed, or sends one that is refused."""
-        allowed, since = float(self._settings.command_burst), time.monotonic()
+        allowed, since = float(_COMMAND_BURST), time.monotonic()
         while True:
             message = await socket.receive()
             if message["type"] == "websocket.disconnect":
@@ -155,7 +163,7 @@ class PageApp:
                     self._refusals.add(refusal)
                 return
             now = time.monotonic()
-            allowed = min(self._settings.command_burst, allowed + (now - since) * self._settings.command_rate)
+            allowed = min(_COMMAND_BURST, allowed + (now - since) * _COMMAND_RATE)
             since = now
             command = _COMMANDS.get(message.get("text"))
             if command is None or allowed < 1:

@@ -31,6 +31,12 @@ _MAX_TIME = 2**63
 _MAX_CLOSING_TIME = 8.0
 
 
+# Size above which a chunk is written earlier, 4.2 MB: readers unpack a whole chunk for one message.
+_MAX_CHUNK_BYTES = 2**22
+# Time over which the rate is averaged that predicts when the disk is full, s: images vary over seconds.
+_RATE_WINDOW = 30.0
+
+
 class Recorder:
     """Writes messages into the next file of a rosbag2 folder: ``recording_0.mcap``, ``recording_1.mcap``, ...
 
@@ -162,7 +168,7 @@ class Recorder:
         """
         pending, pending_bytes, deadline = 0, 0, 0.0
         # Those who wait for space in the queue wait for the end of the chunk.
-        max_bytes = min(self._settings.max_chunk_bytes, self._settings.max_queued_bytes)
+        max_bytes = min(_MAX_CHUNK_BYTES, self._settings.max_queued_bytes)
         while True:
             wait = max(0.0, deadline - time.monotonic()) if pending else None
             try:
@@ -246,7 +252,7 @@ class Recorder:
     def _update_state(self, now: float, free: int) -> None:
         size = self._file.size
         self._sizes.append((now, size))
-        while now - self._sizes[0][0] > self._settings.rate_window:
+        while now - self._sizes[0][0] > _RATE_WINDOW:
             self._sizes.popleft()
         began, size_then = self._sizes[0]
         rate = (size - size_then) / (now - began) if now > began else 0.0

@@ -122,6 +122,11 @@ def _advise(
     return Advice(reasons[0]) if reasons else None
 
 
+# Smallest angle by which the picture asks for a board that is tilted or turned, rad (5°): a person holds it no
+# more precisely.
+_MIN_ANGLE = float(np.radians(5))
+
+
 def _draw_suggestion(
     rig: Rig, cameras: Mapping[str, CameraModel], sensors: Sequence[SensorSolution], suggestion: Suggestion
 ) -> str:
@@ -132,9 +137,7 @@ def _draw_suggestion(
         if one.T_root_sensor is not None
     ]
     up = estimate_up({one.name: one.kind for one in drawn}, {one.name: one.T_root_sensor for one in drawn})
-    return draw_pose(
-        drawn, suggestion.T_root_board, rig.board_size, up, suggestion.sensor, rig.settings.live.advice.min_angle
-    )
+    return draw_pose(drawn, suggestion.T_root_board, rig.board_size, up, suggestion.sensor, _MIN_ANGLE)
 
 
 def _half_view_angle(camera: CameraModel | None) -> float:

@@ -106,9 +106,7 @@ def _describe_sensor(
         reason=activity.explain_view(),
         moving=analysis.rests.is_moving(name),
         captures=sum(name in capture.sensors for capture in taker.captures),
-        coverage=count_coverage(
-            name, rig, analysis.detectors.cameras.get(name), taker.captures, rig.settings.live.capture
-        ),
+        coverage=count_coverage(name, rig, analysis.detectors.cameras.get(name), taker.captures),
         stddev_mm=1000 * float(stddev[:3].max()) if known and stddev is not None else None,
         stddev_degrees=float(np.degrees(stddev[3:].max())) if known and stddev is not None else None,
         progress=solved.progress if solved else 0.0,

@@ -11,6 +11,12 @@ from calgraph.live.live_captures import explain_rejection
 from calgraph.live.view_pictures import SensorView
 from calgraph.sensors import RecordedMessage
 
+# Number of images that this median is of: 20 s.
+_SHARPNESS_IMAGES = 60
+# Sharpness of an image over its median of late, below which it is blurred: rest and small boards change it by
+# less.
+_SHARPNESS_RATIO = 0.5
+
 
 @dataclass
 class SensorActivity:
@@ -37,7 +43,7 @@ class SensorActivity:
     sharpness: deque[float] = field(init=False)
 
     def __post_init__(self) -> None:
-        self.sharpness = deque(maxlen=self.settings.sharpness_images)
+        self.sharpness = deque(maxlen=_SHARPNESS_IMAGES)
 
     @property
     def oldest_unmeasured(self) -> float | None:
@@ -61,7 +67,7 @@ class SensorActivity:
         """Whether the last image is blurred, compared with those of late."""
         if not self.sharpness:
             return False
-        return self.sharpness[-1] < self.settings.sharpness_ratio * float(np.median(list(self.sharpness)))
+        return self.sharpness[-1] < _SHARPNESS_RATIO * float(np.median(list(self.sharpness)))
 
     def explain_view(self) -> str:
         """Why the sensor does not detect the board now; empty if it does, or if that is not known."""

@@ -26,6 +26,15 @@ class _Topic:
     intervals: deque[int] = field(default_factory=deque)
 
 
+# Number of last messages of a sensor whose stamps state its usual interval: their median.
+_USUAL_INTERVALS = 20
+# Minimum ratio of a time between two stamps to the usual interval for the messages between to count as lost:
+# drivers skip single ones without any fault.
+_GAP_RATIO = 3.5
+# Minimum time between two such stamps, s: stamps of fast sensors vary by the scheduling of computers.
+_MIN_GAP = 0.05
+
+
 class TopicWatch:
     """Watches the topics that a source is subscribed to.
 
@@ -39,7 +48,7 @@ class TopicWatch:
     def start(self, channel: Channel, now: float) -> None:
         """Watches a topic from now on."""
         kind = _find_sensor_type(channel)
-        intervals: deque[int] = deque(maxlen=self._settings.usual_intervals)
+        intervals: deque[int] = deque(maxlen=_USUAL_INTERVALS)
         self._topics[channel.topic] = _Topic(now, kind, intervals=intervals)
 
     def stop(self, topic: str) -> None:
@@ -58,7 +67,7 @@ class TopicWatch:
             return None
         usual = self._usual_interval(topic)
         topic.intervals.append(stamp - before)
-        if usual is None or stamp - before < max(self._settings.gap_ratio * usual, self._settings.min_gap * 1e9):
+        if usual is None or stamp - before < max(_GAP_RATIO * usual, _MIN_GAP * 1e9):
             return None
         missing = round((stamp - before) / usual) - 1
         name = message.channel.topic
@@ -75,7 +84,7 @@ class TopicWatch:
         for name, topic in self._topics.items():
             usual = self._usual_interval(topic)
             regular = not topic.received or usual is not None
-            limit = max(self._settings.silence, self._settings.gap_ratio * (usual or 0) / 1e9)
+            limit = max(self._settings.silence, _GAP_RATIO * (usual or 0) / 1e9)
             if regular and not topic.silent and now - topic.last_time >= limit:
                 topic.silent = True
                 yield Notice("missing", f"{name}: no message for {now - topic.last_time:.0f} s", name)
@@ -85,11 +94,11 @@ class TopicWatch:
 
         One interval may be longer, by messages that are missing.
         """
-        if len(topic.intervals) < self._settings.usual_intervals:
+        if len(topic.intervals) < _USUAL_INTERVALS:
             return None
         ordered = sorted(topic.intervals)
         median = ordered[len(ordered) // 2]
-        return median if ordered[-2] < self._settings.gap_ratio * median else None
+        return median if ordered[-2] < _GAP_RATIO * median else None
 
 
 class StampReader:

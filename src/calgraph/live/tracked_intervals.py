@@ -4,6 +4,7 @@ import math
 import zipfile
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
+from math import ceil
 from pathlib import Path
 
 from calgraph.config import Rig
@@ -39,7 +40,7 @@ class RecordingWindow(ClosedOnExit):
         self.last_arrival = start
         """Of the messages that were read so far, s."""
         share = (end - start) / max(recording.end - recording.start, 1e-9)
-        self.topics = tuple(replace(topic, count=math.ceil(topic.count * share)) for topic in recording.topics)
+        self.topics = tuple(replace(topic, count=ceil(topic.count * share)) for topic in recording.topics)
 
     def records(
         self, topics: Collection[str] | None = None, start: float | None = None, end: float | None = None
@@ -102,6 +103,14 @@ class TrackedRecording:
         return sum(map(_count_positions, self.parts))
 
 
+# Minimum time after the last of these intervals that is tracked, s: with the overlap 25 s, in half of which
+# people do not stand still.
+MIN_INTERVAL = 10.0
+# Maximum number of intervals that are tracked before a solution, of sessions that are resumed: 10 s of work for
+# ten scanners.
+_MAX_INTERVALS = 4
+
+
 def track_recording(
     rig: Rig, recording: Recording, folder: Path, progress: TrackingProgress, monitor: InputMonitor
 ) -> TrackedRecording:
@@ -119,20 +128,20 @@ def track_recording(
     tracked = 0
     while True:
         start = _find_start(recording, progress.until, rig)
-        if recording.end - start < settings.interval + settings.min_interval:
+        if recording.end - start < settings.interval + MIN_INTERVAL:
             break
-        if tracked == settings.max_intervals:
+        if tracked == _MAX_INTERVALS:
             return TrackedRecording(progress, tuple(parts), 0.0, progress.until or start)
-        window = _open_window(recording, start, start + settings.interval, progress.until, rig)
+        window = _open_window(recording, start, start + settings.interval, progress.until)
         parts.append(_track_window(rig, window, monitor))
         interval = TrackedInterval(start, window.last_arrival, _count_positions(parts[-1]))
         _write_tracks(_name_file(folder, interval), parts[-1])
         duration = progress.duration + interval.duration
         progress = TrackingProgress((*progress.intervals, interval), interval.end, duration)
         tracked += 1
-    if progress.until is not None and recording.end - start < settings.min_interval:
+    if progress.until is not None and recording.end - start < MIN_INTERVAL:
         return TrackedRecording(progress, tuple(parts), 0.0, progress.until)
-    window = _open_window(recording, start, recording.end, progress.until, rig)
+    window = _open_window(recording, start, recording.end, progress.until)
     parts.append(_track_window(rig, window, monitor))
     return TrackedRecording(progress, tuple(parts), recording.end - start, recording.end)
 
@@ -146,9 +155,14 @@ def _find_start(recording: Recording, until: float | None, rig: Rig) -> float:
     return recording.end if record is None else record.arrival
 
 
-def _open_window(recording: Recording, start: float, end: float, until: float | None, rig: Rig) -> RecordingWindow:
+# Time before an interval that is tracked with it, s, whose tracks are those of the one before: a scanner that is
+# moved between the two has 10 s at rest before and after it.
+_OVERLAP = 15.0
+
+
+def _open_window(recording: Recording, start: float, end: float, until: float | None) -> RecordingWindow:
     """An interval with the end of the one before, so that scanners that are moved between them are noticed."""
-    first = start if until is None else until - rig.settings.live.network.overlap
+    first = start if until is None else until - _OVERLAP
     return RecordingWindow(recording, max(first, recording.start), end)
 
 

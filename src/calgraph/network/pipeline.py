@@ -99,7 +99,7 @@ def calibrate_tracks(
             joint, prior = _solve_jointly(rig, corrected, initialization, earlier, engine)
             progress("solving", 1.0)
         log_network(corrected.pairs, initialization, joint)
-        if bump := _find_bump(rig, corrected, initialization, joint):
+        if bump := _find_bump(corrected, initialization, joint):
             name, step = bump
             later = {**tracks, name: _select_after(tracks[name], step, rig.settings.tracking.stationarity)}
             return calibrate_tracks(rig, later, options, progress, frames=frames, start=start, findings=findings)
@@ -110,12 +110,11 @@ def calibrate_tracks(
                 joint,
                 [corrected.tracked[name] for name in initialization.names],
                 initialization,
-                rig.settings.diagnostics,
                 replaceable=earlier is None,  # averaged poses do not contain the earlier ones
             )
             joint, contradictions = assessment.joint, assessment.findings
         start = _first_time(corrected.tracked) if start is None else start
-        of_poses = collect_network_findings(tracks, initialization, start, rig.settings.diagnostics.network)
+        of_poses = collect_network_findings(tracks, initialization, start)
         calibration = assemble_network(
             rig,
             {name: (frames or {}).get(name, "") for name in rig.sensors},
@@ -146,15 +145,13 @@ def _initialize(
     rig: Rig, corrected: CorrectedPairs, method: NetworkMethod, rng: np.random.Generator
 ) -> NetworkInitialization:
     """Averaged poses of the scanners that pairs connect to the root."""
-    settings = rig.settings.pairwise.scanners
+    pass
     return initialize_network(
         rig.root,
         corrected.pairs,
-        {name: ScannerObservations.from_tracks(one, settings) for name, one in corrected.tracked.items()},
+        {name: ScannerObservations.from_tracks(one) for name, one in corrected.tracked.items()},
         rng,
-        settings=rig.settings.graph,
-        hypothesis_settings=settings.hypotheses,
-        averaging=select_averaging(method.average, rig.settings.baselines),
+        averaging=select_averaging(method.average),
         weighted=method.weights == "weighted",
     )
 
@@ -177,7 +174,6 @@ def _solve_jointly(
         uncertainties=[scanner_spec(name, rig.sensors[name]).uncertainty for name in names],
         settings=rig.settings.estimation.network,
         acceleration_density=rig.settings.tracking.acceleration_density,
-        pair_settings=rig.settings.pairwise.scanners,
         engine=engine,
     )
     joint = solution()
@@ -189,19 +185,17 @@ def _solve_jointly(
 
 
 def _find_bump(
-    rig: Rig, corrected: CorrectedPairs, initialization: NetworkInitialization, joint: NetworkSolution | None
+    corrected: CorrectedPairs, initialization: NetworkInitialization, joint: NetworkSolution | None
 ) -> tuple[str, ScannerBump] | None:
     """The most significant bump of a scanner with too little background, with stamps of its clock."""
     if len(initialization.names) < 2:
         return None
-    settings = rig.settings.pairwise.scanners
+    pass
     bump = find_track_bump(
         corrected.tracked,
         initialization.names,
         initialization.solution.T_root_node if joint is None else joint.T_root_scanner,
-        np.nan_to_num(initialization.average_clocks(settings)[:, 0]) if joint is None else joint.clock_offset,
-        rig.settings.diagnostics.network.track_bumps,
-        settings.resampling,
+        np.nan_to_num(initialization.average_clocks()[:, 0]) if joint is None else joint.clock_offset,
     )
     if bump is None:
         return None

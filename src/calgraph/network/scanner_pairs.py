@@ -7,20 +7,25 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from calgraph.config import Lidar2dSpec, Rig
-from calgraph.config.settings import ScannerPairSettings
 from calgraph.errors import Rejected
 from calgraph.network.checks.clock_findings import report_clocks_and_mountings
+from calgraph.network.graph.clock_consensus import MAX_EVIDENCE_RATIO, SAME_CLOCK
 from calgraph.network.graph.clock_mounting_consensus import ClockMountingSolution, resolve_clocks_and_mountings
 from calgraph.network.options import NetworkOptions
 from calgraph.network.pairs.candidate_pairs import label_parts
 from calgraph.network.pairs.clock_mounting_search import (
+    FIRM_EVIDENCE,
     describe_difference,
     is_firm,
     may_differ_by_chance,
     search_clocks_and_mountings,
     select_searched_pairs,
 )
-from calgraph.network.pairs.scanner_pair import ScannerPairEstimate, estimate_scanner_pairs
+from calgraph.network.pairs.scanner_pair import (
+    NETWORK_ESTIMATION_CLOCK_SIGMA,
+    ScannerPairEstimate,
+    estimate_scanner_pairs,
+)
 from calgraph.network.pairs.visibility_map import ScannerObservations
 from calgraph.network.strategies import select_depth_stddev
 from calgraph.network.tracking.corrected_tracks import correct_tracks
@@ -67,7 +72,7 @@ def pair_scanners(
             for name, one in tracked.items()
         }
         pairs = _estimate_pairs(rig, tracked, options, rng, progress)
-    pairs = _reject_refused(pairs, solution, settings)
+    pairs = _reject_refused(pairs, solution)
     findings = [
         *report_clocks_and_mountings(rig.root, solution, clocks, settings.clock_mounting),
         *_find_distant_clocks(rig, tracked, pairs, clocks, options),
@@ -87,11 +92,10 @@ def _estimate_pairs(
         tracked,
         rng,
         icp=method.icp,
-        depth_stddev=select_depth_stddev(method.feature, rig.settings.baselines),
-        clock_sigma=rig.settings.estimation.network.clock_sigma,
+        depth_stddev=select_depth_stddev(method.feature),
+        clock_sigma=NETWORK_ESTIMATION_CLOCK_SIGMA,
         engine=options.engine,
         progress=lambda done: progress("pairing", done),
-        settings=rig.settings.pairwise.scanners,
     )
 
 
@@ -111,14 +115,13 @@ def _find_differences(
     options: NetworkOptions,
 ) -> ClockMountingSolution:
     """Clocks and mountings; searched in pairs between parts of the network that firm pairs do not connect."""
-    settings, clock_sigma = rig.settings.pairwise.scanners, rig.settings.estimation.network.clock_sigma
+    settings, clock_sigma = rig.settings.pairwise.scanners, NETWORK_ESTIMATION_CLOCK_SIGMA
     estimates = [
         pair
         for pair in pairs.values()
-        if isinstance(pair, ScannerPairEstimate)
-        and not pair.hypotheses[0].may_be_by_chance(len(tracked), settings.hypotheses)
+        if isinstance(pair, ScannerPairEstimate) and not pair.hypotheses[0].may_be_by_chance(len(tracked))
     ]
-    firm = [is_firm(pair, clock_sigma, settings) for pair in estimates]
+    firm = [is_firm(pair, clock_sigma) for pair in estimates]
     part = _label_parts(tracked, itertools.compress(estimates, firm))
     used = itertools.compress(
         estimates,
@@ -127,16 +130,16 @@ def _find_differences(
             for pair, is_firm_one in zip(estimates, firm, strict=True)
         ),
     )
-    hypotheses = [describe_difference(pair, settings) for pair in used]
+    hypotheses = [describe_difference(pair) for pair in used]
     if len(set(part.values())) > 1:
-        observations = _build_observations(tracked, settings)
+        observations = _build_observations(tracked)
         between = select_searched_pairs(observations, np.array(list(part.values())), settings)
         # Other random numbers than those of pairs and trees, which do not depend on the search.
         rng = np.random.default_rng((options.seed, 1))
         searched = search_clocks_and_mountings(
             between, observations, clock_sigma, rng, engine=options.engine, settings=settings
         )
-        hypotheses += [h for h in searched if not may_differ_by_chance(h, len(tracked), clock_sigma, settings)]
+        hypotheses += [h for h in searched if not may_differ_by_chance(h, len(tracked), clock_sigma)]
     names = list(dict.fromkeys([rig.root, *tracked]))
     return resolve_clocks_and_mountings(rig.root, names, hypotheses, stated & set(names), settings)
 
@@ -148,34 +151,35 @@ def _label_parts(tracked: Mapping[str, ScannerTracks], pairs: Iterable[ScannerPa
     return dict(zip(node, label_parts(len(node), connected).tolist(), strict=True))
 
 
-def _build_observations(
-    tracked: Mapping[str, ScannerTracks], settings: ScannerPairSettings
-) -> dict[str, ScannerObservations]:
-    return {name: ScannerObservations.from_tracks(one, settings) for name, one in tracked.items()}
+def _build_observations(tracked: Mapping[str, ScannerTracks]) -> dict[str, ScannerObservations]:
+    return {name: ScannerObservations.from_tracks(one) for name, one in tracked.items()}
 
 
 def _reject_refused(
     pairs: Mapping[tuple[str, str], ScannerPairEstimate | Rejected],
     solution: ClockMountingSolution,
-    settings: ScannerPairSettings,
 ) -> dict[tuple[str, str], ScannerPairEstimate | Rejected]:
     """Without pairs whose tracks match clearly better with a clock offset that the network refuses."""
     kept = dict(pairs)
-    limits = settings.clock_mounting
+    pass
     for refused in solution.refused:
         ends = refused.sensor_a, refused.sensor_b
         found = kept.get(ends)
         if not isinstance(found, ScannerPairEstimate):
             continue
-        best = describe_difference(found, settings)
+        best = describe_difference(found)
         corrected = solution.clock_offset[refused.sensor_b] - solution.clock_offset[refused.sensor_a]
-        differs = abs(best.clock_offset + corrected - refused.clock_offset) > limits.same_clock
-        if differs and best.evidence <= limits.max_evidence_ratio * refused.evidence:
+        differs = abs(best.clock_offset + corrected - refused.clock_offset) > SAME_CLOCK
+        if differs and best.evidence <= MAX_EVIDENCE_RATIO * refused.evidence:
             kept[ends] = Rejected(
                 f"the tracks match best with a clock offset of {refused.clock_offset:+.2f} s, which other pairs "
                 "do not confirm"
             )
     return kept
+
+
+# The same for scanners without any pair, s: offsets up to it are named, but not corrected.
+_MAX_NAMED_OFFSET = 5.0
 
 
 def _find_distant_clocks(
@@ -192,13 +196,13 @@ def _find_distant_clocks(
     settings = rig.settings.pairwise.scanners
     limits = settings.clock_mounting
     wide_settings = settings.model_copy(
-        update={"clock_mounting": limits.model_copy(update={"max_clock_offset": limits.max_named_offset})}
+        update={"clock_mounting": limits.model_copy(update={"max_clock_offset": _MAX_NAMED_OFFSET})}
     )
     connected = {end for ends, found in pairs.items() if isinstance(found, ScannerPairEstimate) for end in ends}
     unconnected = [name for name in tracked if name not in connected]
     if not unconnected:
         return []
-    observations = _build_observations(tracked, settings)
+    observations = _build_observations(tracked)
     part = np.array([0 if name in connected else 1 + k for k, name in enumerate(tracked)])
     searched = select_searched_pairs(observations, part, wide_settings)
     findings = []
@@ -206,14 +210,14 @@ def _find_distant_clocks(
         found = search_clocks_and_mountings(
             [(b if a == name else a, name) for a, b in searched if name in (a, b)],
             observations,
-            rig.settings.estimation.network.clock_sigma,
+            NETWORK_ESTIMATION_CLOCK_SIGMA,
             np.random.default_rng((options.seed, 2)),
             engine=options.engine,
             settings=wide_settings,
         )
         best = max(found, key=lambda h: h.evidence, default=None)
         distant = best is not None and abs(best.clock_offset) > limits.max_clock_offset
-        if best and distant and best.evidence >= limits.firm_evidence:
+        if best and distant and best.evidence >= FIRM_EVIDENCE:
             offset = best.clock_offset - clocks.get(best.sensor_a, 0.0)
             findings.append(
                 Finding(

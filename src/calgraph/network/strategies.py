@@ -1,15 +1,14 @@
 """What options choose by name: the default, or a part of the paper, imported only where it is chosen."""
 
-from functools import partial
 from typing import TYPE_CHECKING
 
-from calgraph.config.settings import BaselineSettings, CenterFeature
+from calgraph.config.settings import CenterFeature
 
 if TYPE_CHECKING:
     from calgraph.network.tracking.features import CenterEstimator
 
 
-def select_center_estimator(feature: CenterFeature, settings: BaselineSettings) -> "CenterEstimator | None":
+def select_center_estimator(feature: CenterFeature) -> "CenterEstimator | None":
     """The estimator of the centres of tracked objects; None for ellipses of fixed radii."""
     match feature:
         case "nls":
@@ -21,15 +20,22 @@ def select_center_estimator(feature: CenterFeature, settings: BaselineSettings) 
         case "ellipse":
             from calgraph.network.published.direct_ellipses import measure_direct_ellipses
 
-            return partial(measure_direct_ellipses, limits=settings)
+            return measure_direct_ellipses
 
 
-def select_depth_stddev(feature: CenterFeature, settings: BaselineSettings) -> float | None:
+# m; prior standard deviation of the distance from centroids to true centres along the beam: that of a half circle
+# lies 0.6 to 0.8 of the radius before the centre.
+_CENTROID_DEPTH_STDDEV = 0.2
+# m; the same for direct ellipse fits, whose size is unknown.
+_DIRECT_ELLIPSE_DEPTH_STDDEV = 0.05
+
+
+def select_depth_stddev(feature: CenterFeature) -> float | None:
     """Standard deviation of the distance from tracked to true centres, m; None for ellipses of fixed radii."""
     match feature:
         case "nls":
             return None
         case "com":
-            return settings.centroid_depth_stddev
+            return _CENTROID_DEPTH_STDDEV
         case "ellipse":
-            return settings.direct_ellipse_depth_stddev
+            return _DIRECT_ELLIPSE_DEPTH_STDDEV

@@ -120,7 +120,6 @@ def _list_inputs(name: str, rig: Rig, options: NetworkOptions) -> dict[str, Any]
         "target": rig.target,
         "noise": rig.sensors[name].noise,
         "feature": options.select_method(rig.settings.published).feature,
-        "baselines": rig.settings.baselines,
         "settings": rig.settings.tracking,
     }
 
@@ -191,7 +190,7 @@ def _track_batch(
     with reference.open() as recording:
         monitor = InputMonitor(rig, recording.start)
         scans, frames = _read_scans(recording, {rig.topics[name]: name for name in names}, monitor)
-    target, centers = moving_target(rig), select_center_estimator(feature, rig.settings.baselines)
+    target, centers = moving_target(rig), select_center_estimator(feature)
     tracked = {}
     for name in names:
         noise = scanner_spec(name, rig.sensors[name]).noise

@@ -59,6 +59,16 @@ class _Observer:
     changed_at: float = 0.0
 
 
+# Minimum number of different messages that both topics have: a covered scanner, or a dark image, repeats one.
+_MIN_IDENTICAL_MESSAGES = 3
+# Share of identical messages beyond which two topics carry the data of one sensor; of two sensors almost no
+# message is identical, as noise differs, and a relay that drops messages passes most.
+_MAX_IDENTICAL_SHARE = 0.5
+# Maximum change of K over the focal length, and of a distortion coefficient, that is rounding: values with six
+# digits, or single precision; it moves a pixel by 0.01 px.
+MAX_INTRINSICS_CHANGE = 1e-5
+
+
 class InputMonitor:
     """Collects what the checks need while a recording is read, and reports what does not fit the rig.
 
@@ -70,7 +80,7 @@ class InputMonitor:
 
     def __init__(self, rig: Rig, start: float, camera_infos: Mapping[str, str] | None = None) -> None:
         self._rig, self._start = rig, start
-        self._settings = rig.settings.captures.input_checks
+        pass
         self._camera_infos = dict(camera_infos or {})
         self._observers = {topic: _Observer() for topic in (*rig.topics.values(), *self._camera_infos.values())}
 
@@ -139,7 +149,7 @@ class InputMonitor:
         distinct = {name: np.unique(np.asarray(self._observers[topic].contents)) for name, topic in topics}
         for (a, b), shared in _count_shared(distinct).items():
             share = shared / min(len(distinct[a]), len(distinct[b]))
-            if shared >= self._settings.min_identical_messages and share > self._settings.max_identical_share:
+            if shared >= _MIN_IDENTICAL_MESSAGES and share > _MAX_IDENTICAL_SHARE:
                 yield Finding(
                     f"{a} and {b} have the same data, {100 * share:.0f} % of their messages are identical: state "
                     "the topic of each sensor, or remove one of them",
@@ -171,7 +181,7 @@ class InputMonitor:
         elif not isinstance(message, CameraInfo):
             history.change, history.changed_at = "to values that cannot be used", record.stamp
         else:
-            limit = self._settings.max_intrinsics_change
+            limit = MAX_INTRINSICS_CHANGE
             history.change, history.changed_at = (
                 _describe_change(history.first, message.camera, limit),
                 record.stamp,

@@ -3,10 +3,19 @@
 import numpy as np
 
 from calgraph.config import CameraSpec, CameraUncertainty, Intrinsics
-from calgraph.config.settings import IntrinsicsSettings
+
+# Prior standard deviation of an unknown focal length, relative to the start value of the joint solution: no
+# information.
+_FOCAL_LENGTH_STDDEV = 0.5
+# The same of the pixel aspect: sensors have square pixels, but drivers scale images to even sizes.
+_PIXEL_ASPECT_STDDEV = 0.02
+# The same of the principal point along each axis, in diagonals of the image: cropped images.
+_PRINCIPAL_POINT_STDDEV = 0.25
+# The same of each distortion coefficient, in diagonals of the image, at its corner: no information.
+_DISTORTION_STDDEV = 1.0
 
 
-def state_intrinsics(spec: CameraSpec, intrinsics: Intrinsics, settings: IntrinsicsSettings) -> CameraSpec:
+def state_intrinsics(spec: CameraSpec, intrinsics: Intrinsics) -> CameraSpec:
     """A camera of a rig with intrinsics that were estimated from the recording, of which nothing else is known.
 
     Its priors are those of unknown intrinsics: the same views are part of the joint solution, so the covariance of
@@ -15,13 +24,12 @@ def state_intrinsics(spec: CameraSpec, intrinsics: Intrinsics, settings: Intrins
     Args:
         spec: the camera.
         intrinsics: the estimated ones.
-        settings: the priors of unknown intrinsics.
     """
     diagonal = float(np.hypot(intrinsics.width, intrinsics.height))
     unknown = CameraUncertainty(
-        focal_length=settings.focal_length_stddev,
-        pixel_aspect=settings.pixel_aspect_stddev,
-        principal_point=settings.principal_point_stddev * diagonal,
-        distortion=settings.distortion_stddev * diagonal,
+        focal_length=_FOCAL_LENGTH_STDDEV,
+        pixel_aspect=_PIXEL_ASPECT_STDDEV,
+        principal_point=_PRINCIPAL_POINT_STDDEV * diagonal,
+        distortion=_DISTORTION_STDDEV * diagonal,
     )
     return spec.model_copy(update={"camera_info": None, "intrinsics": intrinsics, "uncertainty": unknown})

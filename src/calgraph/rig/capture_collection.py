@@ -36,6 +36,11 @@ from calgraph.rig.strategies import select_plane_estimator
 _log = logging.getLogger("calgraph")
 
 
+# Minimum number of rests in which two sensors detect the board, below which, and below half of the rests, the
+# views rest because the board is out of them, if stamps show sets of frames: fewer calibrate no pair of sensors.
+_MIN_SHARED_RESTS = 5
+
+
 def collect_captures(
     rig: Rig, recording: Recording, options: RigOptions, rng: np.random.Generator, progress: Progress = no_progress
 ) -> CaptureSet:
@@ -53,7 +58,7 @@ def collect_captures(
     captures = _detect_in_timeline(rig, recording, timeline, options, rng, progress)
     recognized = recognize_mode(timeline, rig.capture, rig.settings.captures)
     shared = captures.count_shared()
-    out_of_view = shared < min(rig.settings.captures.min_shared_rests, len(captures.holds) / 2)
+    out_of_view = shared < min(_MIN_SHARED_RESTS, len(captures.holds) / 2)
     if out_of_view and recognized.mode == "rest" and recognized.spread is not None:
         rests = len(captures.holds)
         moving = rig.capture.model_copy(update={"mode": "synchronized"})
@@ -92,7 +97,7 @@ def _detect_in_timeline(
         SensorCapture(hold.index, name, reason) for name, reason in intrinsics.failed.items() for hold in holds
     ]
     findings = [
-        *check_intrinsics(cameras, rig.settings.captures.input_checks),
+        *check_intrinsics(cameras),
         *check_background(rig, timeline),
         *check_clocks(rig, timeline),
         *find_intrinsics_remarks(rig, camera_infos, intrinsics),

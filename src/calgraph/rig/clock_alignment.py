@@ -40,7 +40,7 @@ def align_clocks(
     if wanted:
         monitor = InputMonitor(rig, recording.start)
         timeline = read_rig_timeline(rig, recording, monitor, options, progress)
-        found = estimate_clock_offsets(timeline, rig.root, wanted, rig.settings.captures)
+        found = estimate_clock_offsets(timeline, rig.root, wanted)
         findings = [_describe(name, rig.root, found.get(name)) for name in wanted]
         offsets |= {name: found[name].offset if name in found else 0.0 for name in wanted}
     stated = {name: float(offset) for name, offset in offsets.items()}

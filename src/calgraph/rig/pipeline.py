@@ -160,12 +160,10 @@ def build_problem_from_captures(
     captures = locate_boards(rig, captures)
     settings = rig.settings.pairwise.board
     method = options.select_method(rig.settings.published)
-    start = select_initialization(method.start, rig.settings.baselines)
+    start = select_initialization(method.start)
 
     def span_tree(pairs: PairwiseEstimates) -> SpanningTree:
-        return initialize_rig(
-            rig.root, select_successful(pairs), start, rng, rig.settings.graph, settings.max_stddev
-        )
+        return initialize_rig(rig.root, select_successful(pairs), start, rng, settings.max_stddev)
 
     pairs = estimate_pairs(
         captures.detections, rig.board_size, rng, lambda done: progress("pairing", done),
@@ -177,7 +175,7 @@ def build_problem_from_captures(
         # RANSAC selects inliers from minimal samples; select them once more under joint poses of all sensors.
         joint = solve_poses(rig, captures, select_successful(pairs), tree.T_root_sensor)
         captures = scale_boards(captures, joint.print_scale)
-        pairs = reselect_all_inliers(pairs, joint.T_root_sensor, captures.detections, rig.board_size, settings)
+        pairs = reselect_all_inliers(pairs, joint.T_root_sensor, captures.detections, rig.board_size)
         tree = span_tree(pairs)
     log_pairs(pairs)
     solver = SolverOptions(estimator=method.estimator, keep=method.keep, folds=options.folds)
@@ -206,7 +204,7 @@ def solve_problem(problem: Problem, jobs: int = 1) -> Calibration:
     kinds = {name: rig.sensors[name].kind for name in solved.bundle.sensors}
     suggesting = (solved, kinds, rig.board_size, np.random.default_rng(0), rig.tolerance, settings)
     with parallel_call(suggest_board_poses, suggesting, forked_jobs(jobs)) as suggestions:
-        held_out = cross_validate(solved, folds, settings.rig, max(jobs - 1, 1)) if folds else {}
+        held_out = cross_validate(solved, folds, max(jobs - 1, 1)) if folds else {}
         joint = include_drifts(joint, solved, settings)
         calibration = assemble_rig(problem, tree, joint, held_out)
         return add_suggestions(calibration, suggestions())

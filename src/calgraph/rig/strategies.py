@@ -1,7 +1,7 @@
 """What options choose by name: the default, or a part of the paper, imported only where it is chosen."""
 
 from calgraph.boards.camera import PlaneEstimator
-from calgraph.config.settings import BaselineSettings, PlaneMethod, RigStart
+from calgraph.config.settings import PlaneMethod, RigStart
 from calgraph.graph.averaging import select_averaging
 from calgraph.graph.spanning_tree import SpanningTree
 from calgraph.rig.bundle.problem import Problem
@@ -10,11 +10,11 @@ from calgraph.rig.pairs.board_pair import select_successful
 from calgraph.rig.pairs.rig_initialization import Initialization
 
 
-def select_initialization(start: RigStart, settings: BaselineSettings) -> Initialization:
+def select_initialization(start: RigStart) -> Initialization:
     """How a rig's start poses are computed."""
     if start == "tree" or start == "identity":
         return start
-    return select_averaging(start, settings) or "consensus"
+    return select_averaging(start) or "consensus"
 
 
 def select_plane_estimator(method: PlaneMethod) -> PlaneEstimator | None:

@@ -174,8 +174,8 @@ def _detect_corners(
         return Rejected("no mark of the board lies fully in the image")
     pixels = (true + rng.normal(0.0, options.pixel, true.shape)).reshape(*marks.corners.shape[:2], 2)[in_view]
     corners = compute_landmarks(board).corners[in_view]
-    sigma, settings = options.stated_noise_factor * options.pixel, options.settings.camera.pose
-    pose = fit_pose(marks.ids[in_view], corners, pixels, stated, sigma, settings)
+    sigma = options.stated_noise_factor * options.pixel
+    pose = fit_pose(marks.ids[in_view], corners, pixels, stated, sigma)
     return pose if isinstance(pose, Rejected) else (make_board_corners(pose, corners, pixels),)
 
 
@@ -190,7 +190,7 @@ def _detect_plane(
     _, points = beams.measure(hits, T_sensor_board, rng)
     noise = _range_noise(beams.scanner, options)
     ranges, directions = to_beams(points)
-    fit = fit_plane(ranges, directions, noise.range, noise.angle, start, options.settings.scanner.fit)
+    fit = fit_plane(ranges, directions, noise.range, noise.angle, start)
     if fit is None:
         return Rejected("the beams graze the board")
     middle = points.mean(axis=0)
@@ -213,7 +213,7 @@ def _detect_segment(
     # The cut of the plane n x + d = 0 with z = 0; its normal points at the scanner, the line's away from it.
     start = np.array([np.arctan2(-surface[1], -surface[0]), surface[3] / np.hypot(surface[0], surface[1])])
     sigmas = np.full_like(ranges, noise.range), np.full_like(ranges, noise.angle)
-    fit = fit_line(angles, ranges, *sigmas, start, options.settings.scanner.fit)
+    fit = fit_line(angles, ranges, *sigmas, start)
     if fit is None:
         return Rejected("the beams graze the board")
     spacing = float(np.diff(pattern.angles[:2])[0])

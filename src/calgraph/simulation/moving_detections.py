@@ -14,7 +14,6 @@ from scipy.spatial.transform import Rotation, RotationSpline
 
 from calgraph.boards.detections import BoardCorners, Detection
 from calgraph.config import Capture, Rig
-from calgraph.config.settings import BoardPoseSettings
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se3
 from calgraph.rig.captures.detect import CaptureSet, SensorCapture, collect_detections
@@ -150,7 +149,7 @@ def _detect_all(
         middle = start if isinstance(sensor, MountedCamera) else start + _mean_time(sensor, at, start)
         found = detect(at(np.array([middle])), 0.0, rng)
         if not isinstance(found, Rejected):
-            found = _blur(sensor, found[0], at, start, middle, motion, beams, options.settings.camera.pose)
+            found = _blur(sensor, found[0], at, start, middle, motion, beams)
         yield SensorCapture(hold.index, sensor.name, found)
 
 
@@ -175,7 +174,6 @@ def _blur(
     middle: float,
     motion: MovingBoardOptions,
     beams: cKDTree | None,
-    settings: BoardPoseSettings,
 ) -> tuple[Detection, ...] | Rejected:
     """The detection with every row or beam at its own time."""
     T = at(np.array(middle))
@@ -186,7 +184,7 @@ def _blur(
         rows = found.pixels[:, 1] / sensor.camera.height
         own = _project(sensor, at(start + motion.readout * rows), found.corners_board)
         pixels = found.pixels + own - _project(sensor, np.broadcast_to(T, (len(rows), 4, 4)), found.corners_board)
-        corners = board_corners_from_pixels(found.corners_board, pixels, sensor.camera, settings=settings)
+        corners = board_corners_from_pixels(found.corners_board, pixels, sensor.camera)
         return corners if isinstance(corners, Rejected) else (corners,)
     assert not isinstance(sensor, MountedCamera)
     assert beams is not None

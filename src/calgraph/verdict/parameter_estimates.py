@@ -20,6 +20,17 @@ _MAX_ALTERNATIVES = 2
 _MIN_ALONE = 0.5
 
 
+# Deviation of a systematic parameter from its stated value, in prior standard deviations, beyond which it
+# contradicts rig.yaml: 1 in 370 right values does.
+MAX_PRIOR_DEVIATION = 3.0
+# Posterior correlation of two systematic parameters beyond which the data do not distinguish them: given the
+# other, the standard deviation of each is 2.3 times as small.
+MAX_PARAMETER_CORRELATION = 0.9
+# Minimum share of the prior variance that the data are taken to have removed when a deviation is tested: with
+# less, the deviation and the standard deviation that it may have are both rounding.
+MIN_LEARNED_SHARE = 0.05
+
+
 @dataclass(frozen=True, eq=False)
 class ParameterEstimates:
     """Estimated deviations of E systematic parameters from the stated values, with zero prior means."""

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calgraph.config.settings import NetworkModelSettings
 from calgraph.geometry import se2
 from calgraph.network.checks.consistency_tests import (
     compute_p_value,
@@ -13,6 +12,7 @@ from calgraph.network.checks.consistency_tests import (
     find_inconsistent_parts,
     measure_scatter,
 )
+from calgraph.network.checks.model_assessment import _INTERVAL
 from calgraph.network.joint.contributions import Contributions, NetworkContributions, split_contributions
 from calgraph.network.joint.estimate import NetworkSolution, SolvedNetwork
 from calgraph.network.joint.problem import BodyScans
@@ -23,11 +23,10 @@ from network_scenes import OFFSET, T_ROOT
 from solved_networks import MIDDLE, Change, no_change, solve_two_walks
 
 NAMES = ("west", "east", "north")
-SETTINGS = NetworkModelSettings()
 
 
 def find(change: Change = no_change, seed: int = 0, variance_factor: float = 1.0) -> list[Finding]:
-    return list(find_inconsistent_parts(join(split(change, seed)), NAMES, variance_factor, SETTINGS))
+    return list(find_inconsistent_parts(join(split(change, seed)), NAMES, variance_factor))
 
 
 def join(parts: NetworkContributions) -> Contributions:
@@ -36,7 +35,7 @@ def join(parts: NetworkContributions) -> Contributions:
 
 
 def split(change: Change = no_change, seed: int = 0) -> NetworkContributions:
-    return split_contributions(solve_two_walks(np.random.default_rng(seed), change), SETTINGS.interval)
+    return split_contributions(solve_two_walks(np.random.default_rng(seed), change), _INTERVAL)
 
 
 def turn(scans: BodyScans, angle: float, when: np.ndarray) -> BodyScans:
@@ -110,8 +109,8 @@ def test_one_body_cannot_be_compared_with_another() -> None:
     problem = replace(solved.problem, bodies=solved.problem.bodies[:1])
     state = replace(solved.state, paths=solved.state.paths[:1])
     one = SolvedNetwork(problem, state, linearize_network(problem, state))
-    parts = join(split_contributions(one, SETTINGS.interval))
-    assert not any("two groups" in found.text for found in find_inconsistent_parts(parts, NAMES, 1.0, SETTINGS))
+    parts = join(split_contributions(one, _INTERVAL))
+    assert not any("two groups" in found.text for found in find_inconsistent_parts(parts, NAMES, 1.0))
 
 
 def disagree(error: float, sigma: float) -> list[Finding]:
@@ -122,7 +121,7 @@ def disagree(error: float, sigma: float) -> list[Finding]:
     of_averaged = np.zeros((9, 9))
     of_averaged[np.arange(3, 9), np.arange(3, 9)] = sigma**2
     joint = NetworkSolution(T_ROOT, OFFSET, relate_all(covariance, 3), True, 0.005)
-    return list(find_disagreement(joint, averaged, of_averaged, NAMES, SETTINGS))
+    return list(find_disagreement(joint, averaged, of_averaged, NAMES))
 
 
 def test_a_joint_solution_within_the_covariance_of_averaging_agrees() -> None:
@@ -164,8 +163,8 @@ def test_a_scanner_with_data_in_one_half_is_not_compared() -> None:
     )
     network = replace(solved.problem, bodies=bodies)
     state, equations = optimize_network(network, solved.state, iterations=6)
-    parts = join(split_contributions(SolvedNetwork(network, state, equations), SETTINGS.interval))
-    found = find_inconsistent_parts(parts, NAMES, 1.0, SETTINGS)
+    parts = join(split_contributions(SolvedNetwork(network, state, equations), _INTERVAL))
+    found = find_inconsistent_parts(parts, NAMES, 1.0)
     assert not any("the first and the second half" in one.text for one in found)
 
 

@@ -5,18 +5,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calgraph.config.settings import NetworkModelSettings
 from calgraph.geometry import Array
 from calgraph.network.checks.fit_tests import correlate_adjacent_beams, find_poor_fit
 from calgraph.network.joint.estimate import SolvedNetwork
+from calgraph.network.joint.model_error import MAX_HEADING_SIGMA, MAX_POSITION_SIGMA
 from calgraph.network.joint.problem import BodyScans
+from calgraph.network.joint.range_noise import MAX_EXCESS
 from calgraph.result.finding import Finding
-from network_scenes import SETTINGS, SIGMA
+from network_scenes import SIGMA
 from solved_networks import replace_bodies, solve_two_walks
 
 NAMES = ("west", "east", "north")
 BACKGROUND = np.full(3, SIGMA)
-NOISE_LIMIT = np.hypot(SIGMA, SETTINGS.range_noise.max_excess)
+NOISE_LIMIT = np.hypot(SIGMA, MAX_EXCESS)
 
 
 @pytest.fixture(scope="module")
@@ -25,7 +26,7 @@ def solved() -> SolvedNetwork:
 
 
 def find(solved: SolvedNetwork) -> list[Finding]:
-    return list(find_poor_fit(solved, NAMES, BACKGROUND, NetworkModelSettings()))
+    return list(find_poor_fit(solved, NAMES, BACKGROUND))
 
 
 def with_noise(solved: SolvedNetwork, sigma: Array) -> SolvedNetwork:
@@ -53,13 +54,13 @@ def test_noise_of_the_root_at_its_limit_makes_all_scanners_weak(solved: SolvedNe
 
 
 def test_a_position_error_at_its_limit_refutes_the_model(solved: SolvedNetwork) -> None:
-    (found,) = find(with_model_error(solved, SETTINGS.model_error.max_position_sigma, 0.1))
+    (found,) = find(with_model_error(solved, MAX_POSITION_SIGMA, 0.1))
     assert found.text.startswith("scanners disagree about people by 100 mm in each scan")
     assert (found.sensors, found.refutes) == (NAMES, True)
 
 
 def test_a_heading_error_at_its_limit_does_not_refute_the_model(solved: SolvedNetwork) -> None:
-    (found,) = find(with_model_error(solved, 0.001, SETTINGS.model_error.max_heading_sigma))
+    (found,) = find(with_model_error(solved, 0.001, MAX_HEADING_SIGMA))
     assert found.text.startswith("scanners disagree about people by 29° in each scan")
     assert (found.sensors, found.refutes) == (NAMES, False)
 
@@ -78,7 +79,8 @@ def test_a_scanner_of_whose_beams_few_have_a_weight_is_weak(solved: SolvedNetwor
     assert (found.sensors, found.refutes) == (("north",), False)
 
 
-def test_bodies_of_another_shape_give_correlated_residuals() -> None:
+def test_bodies_of_another_shape_give_correlated_residuals(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("calgraph.network.checks.fit_tests._MAX_BEAM_CORRELATION", 0.1)
     rng = np.random.default_rng(1)
 
     def fold(_body: int, scans: BodyScans) -> BodyScans:
@@ -87,7 +89,7 @@ def test_bodies_of_another_shape_give_correlated_residuals() -> None:
         return replace(scans, ranges=scans.ranges + folds.ravel())
 
     solved = solve_two_walks(rng, fold)
-    (found,) = find_poor_fit(solved, NAMES, BACKGROUND, NetworkModelSettings(max_beam_correlation=0.1))
+    (found,) = find_poor_fit(solved, NAMES, BACKGROUND)
     assert "beams of west, east, north at people have a correlation of 0.2" in found.text
     assert (found.sensors, found.refutes) == (NAMES, False)
 

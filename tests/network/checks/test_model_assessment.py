@@ -7,18 +7,18 @@ import numpy as np
 import pytest
 
 from calgraph.config import People
-from calgraph.config.settings import DiagnosticsSettings, NetworkDiagnosticsSettings, NetworkModelSettings
 from calgraph.geometry import Array, se2
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
 from calgraph.network.checks.model_assessment import ModelAssessment, assess_network_model
 from calgraph.network.graph.network_initialization import NetworkInitialization
 from calgraph.network.joint.estimate import NetworkSolution, SolvedNetwork
 from calgraph.network.joint.problem import BodyScans
+from calgraph.network.joint.range_noise import MAX_EXCESS
 from calgraph.network.joint.solver import linearize_network
 from calgraph.network.tracking.track import ScannerTracks
 from dense_covariances import relate_all
 from leg_scenes import build_network
-from network_scenes import OFFSET, SETTINGS, SIGMA, T_ROOT
+from network_scenes import OFFSET, SIGMA, T_ROOT
 from solved_networks import no_change, solve_two_walks
 
 NAMES = ("west", "east", "north")
@@ -43,7 +43,7 @@ def solve(alternating: bool = False) -> SolvedNetwork:
 
 
 def with_noise_at_limit() -> SolvedNetwork:
-    limit = np.hypot(SIGMA, SETTINGS.range_noise.max_excess)
+    limit = np.hypot(SIGMA, MAX_EXCESS)
     return replace(solve(), problem=replace(solve().problem, range_sigma=np.full(3, limit)))
 
 
@@ -53,7 +53,6 @@ def assess(
     axes: tuple[float, float] = AXES,
     *,
     replaceable: bool = True,
-    max_good_scatter: float = 2.0,
 ) -> ModelAssessment:
     """With averaged poses of which the last is off by ``averaging_error``, m."""
     joint = NetworkSolution(T_ROOT, OFFSET, relate_all(1e-6 * np.eye(12), 3), True, 0.005, solved)
@@ -66,9 +65,6 @@ def assess(
         joint,
         TRACKED,
         NetworkInitialization({}, graph, NAMES, PoseGraphSolution(averaged, np.array([True, True]))),
-        DiagnosticsSettings(
-            network=NetworkDiagnosticsSettings(model=NetworkModelSettings(max_good_scatter=max_good_scatter))
-        ),
         replaceable=replaceable,
     )
 
@@ -120,8 +116,9 @@ def test_scatter_widens_the_covariance_and_makes_all_poses_weak() -> None:
     np.testing.assert_allclose(np.diag(covariance_of(found)), 1e-6 * ratio**2, rtol=0.1)
 
 
-def test_scatter_that_the_covariance_contains_is_no_reason_for_weak_poses() -> None:
-    found = assess(solve(alternating=True), max_good_scatter=100.0)
+def test_scatter_that_the_covariance_contains_is_no_reason_for_weak_poses(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("calgraph.network.checks.model_assessment._MAX_GOOD_SCATTER", 100.0)
+    found = assess(solve(alternating=True))
     assert not any("recording to the poses scatter" in one.text for one in found.findings)
     assert covariance_of(found)[0, 0] > 1.5e-6
 

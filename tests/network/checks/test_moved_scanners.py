@@ -7,13 +7,13 @@ import pytest
 
 from calgraph.config.settings import DiagnosticsSettings, VerdictSettings
 from calgraph.geometry import Array, se2
-from calgraph.network.checks.moved_scanners import MovedScanner, find_moved_scanners
+from calgraph.network.checks.moved_scanners import _MAX_SETS, MovedScanner, find_moved_scanners
 from calgraph.network.joint.planar_poses import PlanarPoses
 from calgraph.verdict.displaced_nodes import find_displaced_nodes
 
 CHANCE = 1e-3
 SETTINGS = DiagnosticsSettings()
-MAX_SETS = SETTINGS.network.max_sets
+MAX_SETS = _MAX_SETS
 NAMES = ("a", "b", "c", "d", "e", "f")
 
 

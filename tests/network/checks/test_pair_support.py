@@ -3,15 +3,14 @@
 import numpy as np
 import pytest
 
-from calgraph.config.settings import NetworkDiagnosticsSettings
 from calgraph.graph.pose_graph import PoseGraph
-from calgraph.network.checks.findings import find_poorly_supported_parts
+from calgraph.network.checks.findings import _MIN_MATCHED_SHARE, find_poorly_supported_parts
 from calgraph.network.pairs.hypothesis_evidence import PoseHypothesis
 from calgraph.network.pairs.scanner_pair import ScannerPairEstimate
 from calgraph.result.finding import Finding
 
 NAMES = ("a", "b", "c", "d")
-LIMIT = NetworkDiagnosticsSettings().min_matched_share
+LIMIT = _MIN_MATCHED_SHARE
 
 
 def find(shares: dict[tuple[int, int], float]) -> list[Finding]:

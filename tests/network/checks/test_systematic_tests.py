@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from calgraph.config.settings import RigDiagnosticsSettings
 from calgraph.network.checks.systematic_tests import find_systematic_errors
 from calgraph.network.joint.near_covariances import NearCovariances
 from calgraph.network.joint.scanner_unknowns import CLOCK_DRIFT, STRETCH_X, SystematicErrors
@@ -17,7 +16,7 @@ def find(scanner: int, kind: int, deviations: float, learned: float = 0.99) -> l
     values = np.zeros(PRIOR.shape)
     values[scanner, kind] = deviations * PRIOR[scanner, kind]
     errors = SystematicErrors(values, relate_all(np.diag((1 - learned) * PRIOR.ravel() ** 2), 2), PRIOR)
-    found = find_systematic_errors(errors, NAMES, RigDiagnosticsSettings())
+    found = find_systematic_errors(errors, NAMES)
     return [(finding.text, finding.sensors) for finding in found]
 
 
@@ -73,7 +72,7 @@ def find_correlated(correlation: float, *, known: bool = True) -> list[tuple[str
     if not known:
         kept = (pairs.pairs != [1, 2]).any(axis=1)
         pairs = NearCovariances(3, pairs.pairs[kept], pairs.blocks[kept])
-    found = find_systematic_errors(SystematicErrors(values, pairs, prior), names, RigDiagnosticsSettings())
+    found = find_systematic_errors(SystematicErrors(values, pairs, prior), names)
     return [(finding.text, finding.sensors) for finding in found]
 
 

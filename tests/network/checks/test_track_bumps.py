@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calgraph.config.settings import ResamplingSettings, TrackBumpSettings
 from calgraph.geometry import Array, se2
 from calgraph.network.checks.track_bumps import find_track_bump
 from calgraph.network.tracking.track import ScannerBump, ScannerTracks, Track
@@ -39,7 +38,12 @@ def observe(
 
 
 def find(tracked: dict[str, ScannerTracks], T_root_scanner: Array = T_ROOT) -> tuple[str, ScannerBump] | None:
-    return find_track_bump(tracked, NAMES, T_root_scanner, np.zeros(3), TrackBumpSettings(), ResamplingSettings())
+    return find_track_bump(
+        tracked,
+        NAMES,
+        T_root_scanner,
+        np.zeros(3),
+    )
 
 
 def network(rng: np.random.Generator, bumped: str, bump: Array, at: float = 30.0) -> dict[str, ScannerTracks]:

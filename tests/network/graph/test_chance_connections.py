@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from calgraph.config.settings import ChanceMatchSettings, HypothesisSettings
 from calgraph.errors import Rejected
 from calgraph.geometry import se2
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
@@ -17,9 +16,13 @@ from calgraph.network.pairs.scanner_pair import ScannerPairEstimate
 from calgraph.network.pairs.visibility_map import ScannerObservations
 from calgraph.network.tracking.track import ScannerTracks
 
-LARGE = HypothesisSettings(chance=ChanceMatchSettings(rate=1.0))
-"""As if four scanners were many: a weight of evidence of 126 is needed."""
 ONE_METRE = se2.pose(0.0, np.array([1.0, 0.0]))
+
+
+@pytest.fixture(autouse=True)
+def count_chances_of_many_scanners(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As if four scanners were many: a weight of evidence of 126 is needed."""
+    monkeypatch.setattr("calgraph.network.pairs.hypothesis_evidence._RATE", 1.0)
 
 
 def found(ends: list[tuple[int, int]], by_chance: list[int], outliers: tuple[int, ...] = ()) -> list[int]:
@@ -57,9 +60,7 @@ def initialized(observations: int, clock_stddev: float = np.inf, walls: bool = F
     last = replace(h, observations=observations, clock_stddev=clock_stddev, uses_background=walls)
     pairs = {(a, b): ScannerPairEstimate(a, b, (last if b == "d" else h,)) for a, b in ("ab", "bc", "cd")}
     nothing = ScannerObservations.from_tracks(ScannerTracks((), np.zeros((0, 2)), 0.01))
-    return initialize_network(
-        "a", pairs, dict.fromkeys("abcd", nothing), np.random.default_rng(0), hypothesis_settings=LARGE
-    )
+    return initialize_network("a", pairs, dict.fromkeys("abcd", nothing), np.random.default_rng(0))
 
 
 def test_a_scanner_that_matches_by_chance_is_left_out_with_the_reason() -> None:

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from calgraph.config.settings import VisibilitySettings
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2
 from calgraph.graph.pose_graph import PoseGraphSolution
@@ -90,8 +89,6 @@ def test_of_several_cuts_the_weakest_is_refuted(monkeypatch: pytest.MonkeyPatch)
     """Also where a stronger one misses more: a wrong edge misplaces whole parts, relative to the others."""
 
     class Detections:
-        settings = VisibilitySettings()
-
         def count_across(self, part: NDArray[np.bool_]) -> tuple[int, int]:
             return 100, 70 if part.tolist() == [False, False, False, True] else 90
 

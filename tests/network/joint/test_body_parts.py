@@ -3,12 +3,16 @@
 import numpy as np
 import pytest
 
-from calgraph.config.settings import BodyPartSettings
 from calgraph.network.joint.body_parts import cut_bodies
 from calgraph.network.joint.track_association import BodyTracks
 from calgraph.network.tracking.track import Hits, Track
 
-SETTINGS = BodyPartSettings(max_duration=10.0, min_scanners=3)
+
+@pytest.fixture(autouse=True)
+def cut_into_short_parts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Parts last at most 10 s, or a half of it from three scanners on."""
+    monkeypatch.setattr("calgraph.network.joint.body_parts._MAX_DURATION", 10.0)
+    monkeypatch.setattr("calgraph.network.joint.body_parts._MIN_SCANNERS", 3)
 
 
 def track(begin: float, end: float) -> Track:
@@ -24,22 +28,22 @@ def body(*tracks: Track) -> BodyTracks:
 
 
 def test_parts_have_equal_durations_and_every_scan_once() -> None:
-    parts = cut_bodies([body(*[track(0.0, 25.0)] * 3)], SETTINGS)
+    parts = cut_bodies([body(*[track(0.0, 25.0)] * 3)])
     assert [part.end - part.start for part in parts] == pytest.approx([8.3] * 3, abs=0.11)
     np.testing.assert_allclose(np.concatenate([part.tracks[1][1].times for part in parts]), track(0.0, 25.0).times)
 
 
 def test_beams_stay_with_their_scans() -> None:
-    for part in cut_bodies([body(*[track(0.0, 25.0)] * 3)], SETTINGS):
+    for part in cut_bodies([body(*[track(0.0, 25.0)] * 3)]):
         one = part.tracks[0][1]
         np.testing.assert_array_equal(one.hits.times, one.times[one.hits.time_index])
 
 
 def test_a_part_that_one_scanner_measured_is_left_out() -> None:
-    parts = cut_bodies([body(track(0.0, 30.0), track(0.0, 9.0), track(21.0, 30.0))], SETTINGS)
+    parts = cut_bodies([body(track(0.0, 30.0), track(0.0, 9.0), track(21.0, 30.0))])
     assert [len(part.by_scanner()) for part in parts] == [2, 2]
 
 
 def test_bodies_of_few_scanners_stay_whole() -> None:
     whole = body(track(0.0, 30.0), track(0.0, 30.0))
-    assert cut_bodies([whole], SETTINGS) == [whole]
+    assert cut_bodies([whole]) == [whole]

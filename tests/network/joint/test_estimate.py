@@ -13,6 +13,8 @@ from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
 from calgraph.network.joint import body_batches
 from calgraph.network.joint.ellipse_raycast import raycast_ellipses
 from calgraph.network.joint.estimate import (
+    _CYLINDER_RADIUS_SIGMA,
+    _PEOPLE_RADII_SIGMA,
     NetworkSolution,
     _build_observations,
     _initialize_path,
@@ -310,28 +312,28 @@ def build_body(times: Array, positions: Array) -> BodyTracks:
 
 @pytest.mark.parametrize(
     ("target", "sigma"),
-    [(PEOPLE, SETTINGS.body.people_radii_sigma * np.array([0.25, 0.15])),
-     (ROUND, np.full(2, SETTINGS.body.cylinder_radius_sigma))],
+    [(PEOPLE, _PEOPLE_RADII_SIGMA * np.array([0.25, 0.15])),
+     (ROUND, np.full(2, _CYLINDER_RADIUS_SIGMA))],
 )  # fmt: skip
 def test_priors_of_radii_are_relative_for_people_and_absolute_for_cylinders(
     target: People | Cylinder, sigma: Array
 ) -> None:
     body = build_body(np.arange(0.0, 2.0, 0.1), np.ones((20, 2)))
-    np.testing.assert_allclose(_build_observations(body, target, SETTINGS).radii_sigma, sigma)
+    np.testing.assert_allclose(_build_observations(body, target).radii_sigma, sigma)
 
 
 def test_the_heading_at_rest_is_that_of_the_motion_before() -> None:
     """Two seconds along y at 1 m/s, then three at rest, with a drift of 1 cm/s along x."""
     times = np.arange(0.0, 5.0, 0.05)
     positions = np.column_stack([2 + 0.01 * times, np.minimum(times, 2.0)])
-    path = _initialize_path(build_body(times, positions), PEOPLE, T_ROOT[:1], SETTINGS, DENSITY)
+    path = _initialize_path(build_body(times, positions), PEOPLE, T_ROOT[:1], DENSITY)
     np.testing.assert_allclose(path.control[:, 2], np.pi / 2, atol=0.15)
 
 
 def test_the_heading_of_a_body_that_never_walks_is_that_of_its_drift() -> None:
     times = np.arange(0.0, 3.0, 0.05)
     positions = np.column_stack([np.full_like(times, 2.0), 3 - 0.01 * times])
-    path = _initialize_path(build_body(times, positions), PEOPLE, T_ROOT[:1], SETTINGS, DENSITY)
+    path = _initialize_path(build_body(times, positions), PEOPLE, T_ROOT[:1], DENSITY)
     np.testing.assert_allclose(path.control[:, 2], -np.pi / 2, atol=0.05)
 
 
@@ -355,12 +357,16 @@ def test_the_solution_does_not_depend_on_the_memory(jobs: int, monkeypatch: pyte
     np.testing.assert_array_equal(one.covariance.blocks, other.covariance.blocks)
 
 
-def test_a_large_network_has_no_covariance_of_scanners_without_common_bodies() -> None:
+def test_a_large_network_has_no_covariance_of_scanners_without_common_bodies(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     tracked, averaged, graph = scene(2)
     # The first body is of the root and the second scanner, the other one of the root and the third.
     tracked[1], tracked[2] = (replace(tracked[s], tracks=tracked[s].tracks[s - 1 : s]) for s in (1, 2))
-    large = SETTINGS.model_copy(update={"max_joint_covariance": 2})
-    small, solution = (solve_network(PEOPLE, tracked, averaged, graph, settings=s) for s in (SETTINGS, large))
+    small = solve_network(PEOPLE, tracked, averaged, graph)
+    for module in ("joint.solver", "checks.model_assessment"):
+        monkeypatch.setattr(f"calgraph.network.{module}.MAX_JOINT_COVARIANCE", 2)
+    solution = solve_network(PEOPLE, tracked, averaged, graph)
     found, expected = (one.pose_covariance for one in (solution, small))
     known = np.isfinite(found)
     assert not known[3:6, 6:].any()

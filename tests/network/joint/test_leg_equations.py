@@ -13,6 +13,12 @@ from leg_scenes import OFFSET, SHAPE, T_ROOT, build_network
 from network_scenes import list_body_equations
 
 
+@pytest.fixture(autouse=True)
+def measure_edges_exactly(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The noise of ranges does not depend on the state."""
+    monkeypatch.setattr("calgraph.network.joint.leg_equations._EDGE_SIGMA", 0.0)
+
+
 def move(state: NetworkState, step: list[Array], scanners: Array, size: float) -> NetworkState:
     return apply_step(state, size * scanners, [size * one for one in step])
 

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from calgraph.config import People
 from calgraph.config.settings import LegSettings
@@ -22,11 +23,11 @@ EXACT = np.zeros(len(SYSTEMATIC_ERRORS))
 
 
 def test_both_legs_are_tracked_through_all_scanners() -> None:
-    clusters = [cluster_legs(build_foreground(s), 0.01, SETTINGS.clusters) for s in range(3)]
-    tracks = track_legs(clusters, T_ROOT, OFFSET, SETTINGS.tracks)
+    clusters = [cluster_legs(build_foreground(s), 0.01) for s in range(3)]
+    tracks = track_legs(clusters, T_ROOT, OFFSET)
     assert len(tracks) == 2
     for track in tracks:
-        leg = initialize_leg(track, SETTINGS)
+        leg = initialize_leg(track)
         times = np.linspace(leg.start, leg.end, 50)
         first, weights, _ = leg.knots.basis_at(times)
         positions = evaluate_spline(leg.path.control[:, :2], first, weights)
@@ -35,10 +36,10 @@ def test_both_legs_are_tracked_through_all_scanners() -> None:
         assert track.times[-1] - track.times[0] > 0.8 * DURATION
 
 
-def test_a_leg_that_stands_is_not_tracked() -> None:
-    clusters = [cluster_legs(build_foreground(s), 0.01, SETTINGS.clusters) for s in range(3)]
-    moved = SETTINGS.tracks.model_copy(update={"min_travel": 5.0})
-    assert track_legs(clusters, T_ROOT, OFFSET, moved) == []
+def test_a_leg_that_stands_is_not_tracked(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("calgraph.network.joint.leg_tracks._MIN_TRAVEL", 5.0)
+    clusters = [cluster_legs(build_foreground(s), 0.01) for s in range(3)]
+    assert track_legs(clusters, T_ROOT, OFFSET) == []
 
 
 def build_legs() -> list[LegCandidate]:
@@ -51,7 +52,7 @@ def build_legs() -> list[LegCandidate]:
 
 def count_beams(beams: ScannerBeams, legs: list[LegCandidate], systematic: Array = EXACT) -> list[int]:
     """Of the first scanner on each leg."""
-    of_legs = associate_beams(beams, 0, T_ROOT[0], 0.0, systematic, 0.01, legs, SETTINGS.association)
+    of_legs = associate_beams(beams, 0, T_ROOT[0], 0.0, systematic, 0.01, legs)
     return [len(scans.ranges) if scans else 0 for scans in of_legs]
 
 
@@ -76,12 +77,12 @@ def test_systematic_errors_are_corrected_before_beams_are_associated() -> None:
 
 def test_heading_is_the_direction_over_a_stride() -> None:
     knots, path = build_path(1.0)
-    heading, information = predict_headings(path.control[:, :2], knots.step, SETTINGS.body)
+    heading, information = predict_headings(path.control[:, :2], knots.step)
     middle = slice(12, -12)
     assert np.abs(heading[middle] - 0.3).max() < 0.1
     assert (information[middle] > 0).all()
     standing = np.tile(path.control[:1, :2], (40, 1))
-    assert not predict_headings(standing, knots.step, SETTINGS.body)[1].any()
+    assert not predict_headings(standing, knots.step)[1].any()
 
 
 def test_narrow_objects_are_legs_unless_a_height_is_stated() -> None:

@@ -8,7 +8,7 @@ import pytest
 from calgraph.geometry import Array, se2
 from calgraph.network.joint.ellipse_raycast import raycast_ellipses
 from calgraph.network.joint.problem import BodyObservations, BodyPath, NetworkProblem, NetworkState
-from calgraph.network.joint.range_noise import estimate_range_noise
+from calgraph.network.joint.range_noise import MIN_COS_INCIDENCE, estimate_range_noise
 from calgraph.network.joint.solver import linearize_network, optimize_network
 from calgraph.network.joint.splines import Knots, evaluate_spline
 from network_scenes import DENSITY, EXACT, LOSS, OFFSET, SETTINGS, SIGMA, T_ROOT, simulate_scans
@@ -40,9 +40,7 @@ def update_weights(body: BodyObservations, state: NetworkState) -> BodyObservati
     at = np.repeat(scans.times - OFFSET[scans.scanner], np.diff(scans.first_beam, append=len(scans.ranges)))
     pose, T = evaluate_spline(body_path.control, *body.knots.basis_at(at)[:2]), T_ROOT[scans.scanner]
     hits = raycast_ellipses(T[:2, 2], scans.direction @ T[:2, :2].T, pose[:, :2], pose[:, 2], body_path.radii)
-    weight = LOSS.compute_weights(
-        (hits.ranges - scans.ranges) / SIGMA, hits.cos_incidence > SETTINGS.beams.min_cos_incidence
-    )
+    weight = LOSS.compute_weights((hits.ranges - scans.ranges) / SIGMA, hits.cos_incidence > MIN_COS_INCIDENCE)
     return replace(body, scans=(replace(scans, weight=weight),))
 
 
@@ -61,12 +59,14 @@ def test_with_few_beams_the_noise_is_that_of_the_background(rng: np.random.Gener
     np.testing.assert_array_equal(estimate(network, state), BACKGROUND)
 
 
-def test_every_third_beam_gives_the_same_noise_but_for_chance(rng: np.random.Generator) -> None:
+def test_every_third_beam_gives_the_same_noise_but_for_chance(
+    rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
     network, state = simulate_solution(20.0, rng)
     (beams,) = (len(scans.ranges) for scans in network.bodies[0].scans)
-    limits = network.settings.range_noise.model_copy(update={"max_beams": beams // 2 - 1})
-    fewer = replace(network, settings=network.settings.model_copy(update={"range_noise": limits}))
-    (noise,), (expected,) = estimate(fewer, state), estimate(network, state)
+    (expected,) = estimate(network, state)
+    monkeypatch.setattr("calgraph.network.joint.range_noise._MAX_BEAMS", beams // 2 - 1)
+    (noise,) = estimate(network, state)
     # The median of n beams has a relative standard deviation of 1.17 / sqrt(n).
     assert 0 < abs(noise / expected - 1) < 3 * 1.17 / np.sqrt(beams / 3)
 

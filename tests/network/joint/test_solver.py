@@ -440,10 +440,10 @@ def test_headings_are_compared_with_the_direction_of_motion_modulo_pi() -> None:
     t = knots.control_times()
     body = BodyObservations(knots, (), RADII, 0.3 * RADII, True)
     walking = np.column_stack([np.cos(0.7) * t, np.sin(0.7) * t])
-    offset, weight = compute_heading_offsets(body, walking, np.array([0.9, 0.5 + np.pi]), SETTINGS.body)
+    offset, weight = compute_heading_offsets(body, walking, np.array([0.9, 0.5 + np.pi]))
     np.testing.assert_allclose(offset, np.tile([0.2, -0.2], (knots.count, 1)))
     np.testing.assert_allclose(weight, 1 / 0.3**2)
-    _, weight = compute_heading_offsets(body, 0.4 * walking, np.zeros(1), SETTINGS.body)
+    _, weight = compute_heading_offsets(body, 0.4 * walking, np.zeros(1))
     np.testing.assert_array_equal(weight, 0.0)
 
 

@@ -47,7 +47,7 @@ def estimate(bias: Array, current: Array, gain: float = 0.3) -> Array:
     state = NetworkState(np.tile(np.eye(3), (COUNT, 1, 1)), np.zeros(COUNT), np.zeros(PRIOR.shape), ())
     state.systematic[:, 0] = estimate
     unknowns = np.sort(np.concatenate([poses, biases]))
-    settings = NetworkEstimationSettings(common_error_share=0.0)
+    settings = NetworkEstimationSettings()
     ones = np.ones(COUNT)
     network = NetworkProblem(COUNT, (), (), ones, np.ones(2), 0.1, current, 0.0, 1.0, settings)
     matrix = ScannerMatrix.zeros(ScannerOrder.complete(COUNT, SCANNER_UNKNOWNS))
@@ -57,6 +57,12 @@ def estimate(bias: Array, current: Array, gain: float = 0.3) -> Array:
         0.0, network, state, BodyBatches.place(()), KeptValues(()), matrix, g, estimated, np.zeros(size)
     )
     return estimate_systematic_sigma(network, state, equations, PRIOR)
+
+
+@pytest.fixture(autouse=True)
+def have_no_common_errors(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All errors are of single scanners."""
+    monkeypatch.setattr("calgraph.network.joint.systematic_spread.COMMON_ERROR_SHARE", 0.0)
 
 
 @pytest.mark.parametrize("share", [0.1, 0.3, 1.0])

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from calgraph.config.settings import TrackGroupingSettings
 from calgraph.geometry import Array, se2
 from calgraph.network.joint.track_association import (
     _link_successive,
@@ -15,7 +14,6 @@ from calgraph.network.tracking.track import Hits, ScannerTracks, Track
 
 T_ROOT = np.stack([np.eye(3), se2.pose(2.5, np.array([8.0, 1.0])), se2.pose(-1.5, np.array([4.0, 6.0]))])
 NOISE = 0.02
-SETTINGS = TrackGroupingSettings()
 
 
 def simulate_path(begin: float, end: float, start: tuple[float, float], speed: tuple[float, float]) -> Array:
@@ -41,7 +39,7 @@ def track_paths(scanner: int, paths: list[Array], rng: np.random.Generator, late
 def group(tracked: list[ScannerTracks]) -> list[list[tuple[int, int]]]:
     """By body: scanner, and index of its tracks."""
     index = {id(track): (s, k) for s, scanner in enumerate(tracked) for k, track in enumerate(scanner.tracks)}
-    found = group_tracks_by_body(tracked, T_ROOT[: len(tracked)], 0.1, SETTINGS)
+    found = group_tracks_by_body(tracked, T_ROOT[: len(tracked)], 0.1)
     return sorted(sorted(index[id(track)] for _, track in walker.tracks) for walker in found)
 
 
@@ -148,13 +146,13 @@ def test_a_body_of_half_a_second_is_left_out(rng: np.random.Generator) -> None:
 
 
 def test_without_tracks_there_are_no_bodies() -> None:
-    assert group_tracks_by_body([ScannerTracks((), np.zeros((0, 2)), 0.01)] * 2, T_ROOT[:2], 0.1, SETTINGS) == []
+    assert group_tracks_by_body([ScannerTracks((), np.zeros((0, 2)), 0.01)] * 2, T_ROOT[:2], 0.1) == []
 
 
 def test_the_tracks_of_a_body_are_grouped_by_scanner(rng: np.random.Generator) -> None:
     whole = simulate_path(0, 9, (0, 1), (1, 0.1))
     tracked = [track_paths(0, [whole], rng), track_paths(1, [whole[:60], whole[62:]], rng)]
-    [one] = group_tracks_by_body(tracked, T_ROOT[:2], 0.1, SETTINGS)
+    [one] = group_tracks_by_body(tracked, T_ROOT[:2], 0.1)
     assert {scanner: len(tracks) for scanner, tracks in one.by_scanner().items()} == {0: 1, 1: 2}
 
 
@@ -162,7 +160,7 @@ def test_a_body_starts_at_its_first_scan(rng: np.random.Generator) -> None:
     """The first scanner misses five scans after its first one, while the second scanner begins."""
     whole = simulate_path(0, 6, (0, 1), (1, 0.1))
     tracked = [track_paths(0, [np.delete(whole, np.arange(1, 6), axis=0)], rng), track_paths(1, [whole[2:]], rng)]
-    [one] = group_tracks_by_body(tracked, T_ROOT[:2], 0.1, SETTINGS)
+    [one] = group_tracks_by_body(tracked, T_ROOT[:2], 0.1)
     assert one.start == 0.0
 
 
@@ -180,13 +178,14 @@ def test_groups_overlap_from_the_first_to_the_last_time_of_their_tracks(
     assert _overlap_in_scanner(groups[earlier], groups[1 - earlier], 0.5) == overlapping
 
 
-def test_the_strength_of_a_continuation_decreases_with_gap_and_jump() -> None:
+def test_the_strength_of_a_continuation_decreases_with_gap_and_jump(monkeypatch: pytest.MonkeyPatch) -> None:
     """A quarter of the largest gap and of the largest jump: 0.75² of the ticks of the largest gap, ten."""
-    settings = TrackGroupingSettings(max_gap=1.0, max_jump=0.4)
+    monkeypatch.setattr("calgraph.network.joint.track_association._MAX_GAP", 1.0)
+    monkeypatch.setattr("calgraph.network.joint.track_association._MAX_JUMP", 0.4)
     still = np.zeros((2, 2))
     earlier = Track(np.array([0.0, 1.0]), still, still, np.zeros((2, 2, 2)), 0)
     later = Track(np.array([1.25, 2.0]), still + np.array([0.1, 0.0]), still, np.zeros((2, 2, 2)), 0)
     sampled = [_SampledTrack(0, track, np.zeros(0), np.zeros((0, 2))) for track in (later, earlier)]
-    ((strength, first, second),) = _link_successive(sampled, 0.1, settings)
+    ((strength, first, second),) = _link_successive(sampled, 0.1)
     assert (first, second) == (1, 0)
     assert strength == pytest.approx(0.75**2 * 10)

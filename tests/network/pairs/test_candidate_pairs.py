@@ -5,7 +5,6 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from calgraph.config.settings import CandidateSettings, ScannerPairSettings
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2
 from calgraph.network.pairs.candidate_pairs import (
@@ -22,7 +21,6 @@ from calgraph.network.tracking.track import ScannerTracks, Track
 from calgraph.parallel.engine import Processes
 from track_pairs import gather_samples
 
-SETTINGS = CandidateSettings()
 PLACES = np.array([[0.0, 0.0], [6.0, 0.0], [12.0, 0.0], [18.0, 0.0]])
 """Of scanners along a corridor."""
 
@@ -60,52 +58,53 @@ def test_a_scanner_without_similar_tracks_has_partners_too() -> None:
 
 def test_pairs_with_a_common_neighbour_and_common_tracks_are_implied() -> None:
     poses = {ends: relative(*ends) for ends in ((0, 1), (1, 2), (2, 3))}
-    implied = select_implied_pairs(observe_corridor(7.0), poses, poses, poses, SETTINGS)
+    implied = select_implied_pairs(observe_corridor(7.0), poses, poses, poses)
     assert implied == {(0, 2), (1, 3)}  # within 12 m both see the middle; (0, 3) has no common neighbour
 
 
 def test_pairs_whose_views_do_not_overlap_are_not_implied() -> None:
     poses = {ends: relative(*ends) for ends in ((0, 1), (1, 2), (2, 3))}
     # 0 and 2 both see 0.8 m of the way, for 0.7 s.
-    assert not select_implied_pairs(observe_corridor(6.4), poses, poses, poses, SETTINGS)
+    assert not select_implied_pairs(observe_corridor(6.4), poses, poses, poses)
 
 
 def test_implied_pairs_survive_an_error_of_the_poses_below_the_radius() -> None:
     poses = {ends: relative(*ends) for ends in ((0, 1), (1, 2))}
     for shift, expected in ((0.8, {(0, 2)}), (1.2, set())):
         wrong = {**poses, (1, 2): se2.retract(poses[1, 2], np.array([0.0, shift, 0.0]))}
-        assert select_implied_pairs(observe_corridor(7.0), wrong, wrong, wrong, SETTINGS) == expected
+        assert select_implied_pairs(observe_corridor(7.0), wrong, wrong, wrong) == expected
 
 
 def test_only_new_poses_imply_pairs() -> None:
     poses = {ends: relative(*ends) for ends in ((0, 1), (1, 2), (2, 3))}
     samples = observe_corridor(7.0)
-    assert select_implied_pairs(samples, poses, [(2, 3)], poses, SETTINGS) == {(1, 3)}
-    assert select_implied_pairs(samples, poses, poses, {*poses, (0, 2)}, SETTINGS) == {(1, 3)}
+    assert select_implied_pairs(samples, poses, [(2, 3)], poses) == {(1, 3)}
+    assert select_implied_pairs(samples, poses, poses, {*poses, (0, 2)}) == {(1, 3)}
 
 
-def test_pairs_between_parts_are_those_that_were_not_tried() -> None:
+def test_pairs_between_parts_are_those_that_were_not_tried(monkeypatch: pytest.MonkeyPatch) -> None:
     similarity = np.arange(16.0).reshape(4, 4)
     connected: list[Ends] = [(0, 1), (2, 3)]
-    assert select_separated_pairs(similarity, connected, [*connected, (0, 3)], SETTINGS) == {
+    assert select_separated_pairs(similarity, connected, [*connected, (0, 3)]) == {
         (0, 2), (1, 2), (1, 3),
     }  # fmt: skip
-    assert not select_separated_pairs(similarity, [*connected, (1, 2)], connected, SETTINGS)
-    one = SETTINGS.model_copy(update={"partners_between_parts": 1})
-    assert select_separated_pairs(similarity, connected, connected, one) == {(0, 3), (1, 3), (1, 2)}
+    assert not select_separated_pairs(similarity, [*connected, (1, 2)], connected)
+    monkeypatch.setattr("calgraph.network.pairs.candidate_pairs._PARTNERS_BETWEEN_PARTS", 1)
+    assert select_separated_pairs(similarity, connected, connected) == {(0, 3), (1, 3), (1, 2)}
 
 
-def test_partners_are_doubled_until_some_are_untried() -> None:
+def test_partners_are_doubled_until_some_are_untried(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("calgraph.network.pairs.candidate_pairs._PARTNERS_BETWEEN_PARTS", 2)
+    monkeypatch.setattr("calgraph.network.pairs.candidate_pairs._MAX_PARTNERS_BETWEEN_PARTS", 5)
     similarity = np.zeros((40, 40))
     similarity[-1, :-1] = similarity[:-1, -1] = np.arange(1, 40)
     connected: list[Ends] = [(k, k + 1) for k in range(38)]
-    few = SETTINGS.model_copy(update={"partners_between_parts": 2, "max_partners_between_parts": 5})
     tried: set[Ends] = set()
     for first in (37, 35, 34):
-        untried = select_separated_pairs(similarity, connected, tried, few)
+        untried = select_separated_pairs(similarity, connected, tried)
         assert untried == {(k, 39) for k in range(first, 39)} - tried
         tried |= untried
-    assert not select_separated_pairs(similarity, connected, tried, few)
+    assert not select_separated_pairs(similarity, connected, tried)
 
 
 def test_a_part_selects_its_most_similar_pairs() -> None:
@@ -162,11 +161,11 @@ def count_right(found: dict[tuple[str, str], ScannerPairEstimate | Rejected], po
     return right
 
 
-def test_candidates_contain_all_right_pairs_of_a_hall() -> None:
+def test_candidates_contain_all_right_pairs_of_a_hall(monkeypatch: pytest.MonkeyPatch) -> None:
     tracked, poses = observe_hall(np.random.default_rng(3))
-    every = ScannerPairSettings(candidates=CandidateSettings(max_exhaustive=12))
-    exhaustive = estimate_scanner_pairs(tracked, np.random.default_rng(0), settings=every)
     candidates = estimate_scanner_pairs(tracked, np.random.default_rng(0))
+    monkeypatch.setattr("calgraph.network.pairs.scanner_pair.MAX_EXHAUSTIVE", 12)
+    exhaustive = estimate_scanner_pairs(tracked, np.random.default_rng(0))
     assert len(exhaustive) == 66
     assert len(candidates) < 50
     assert len(count_right(exhaustive, poses)) > 20
@@ -195,15 +194,14 @@ def test_candidates_do_not_depend_on_the_number_of_processes() -> None:
     assert done[-1] == 1
 
 
-def test_unclear_poses_imply_pairs_of_scanners_without_failures_only() -> None:
+def test_unclear_poses_imply_pairs_of_scanners_without_failures_only(monkeypatch: pytest.MonkeyPatch) -> None:
     tracked, poses = observe_hall(np.random.default_rng(3))
 
     def find(clear_evidence: float, max_unclear_tries: int) -> tuple[int, int]:
-        candidates = CandidateSettings(
-            partners=2, clear_evidence=clear_evidence, max_unclear_tries=max_unclear_tries
-        )
-        settings = ScannerPairSettings(candidates=candidates)
-        found = estimate_scanner_pairs(tracked, np.random.default_rng(0), settings=settings)
+        monkeypatch.setattr("calgraph.network.pairs.scanner_pair._PARTNERS", 2)
+        monkeypatch.setattr("calgraph.network.pairs.scanner_pair._CLEAR_EVIDENCE", clear_evidence)
+        monkeypatch.setattr("calgraph.network.pairs.scanner_pair._MAX_UNCLEAR_TRIES", max_unclear_tries)
+        found = estimate_scanner_pairs(tracked, np.random.default_rng(0))
         return len(found), len(count_right(found, poses))
 
     registered, right = find(clear_evidence=1e9, max_unclear_tries=100)

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from calgraph.config.settings import NetworkEstimationSettings, ScannerPairSettings
+from calgraph.config.settings import ScannerPairSettings
 from calgraph.geometry import Array, se2
 from calgraph.network.pairs.clock_mounting_search import (
     ClockMountingHypothesis,
@@ -13,13 +13,17 @@ from calgraph.network.pairs.clock_mounting_search import (
     search_clocks_and_mountings,
     select_searched_pairs,
 )
-from calgraph.network.pairs.scanner_pair import ScannerPairEstimate, estimate_scanner_pair
+from calgraph.network.pairs.scanner_pair import (
+    NETWORK_ESTIMATION_CLOCK_SIGMA,
+    ScannerPairEstimate,
+    estimate_scanner_pair,
+)
 from calgraph.network.pairs.visibility_map import ScannerObservations
 from calgraph.network.tracking.corrected_tracks import correct_tracks
 from calgraph.network.tracking.track import ScannerTracks, Track
 
 SETTINGS = ScannerPairSettings()
-CLOCK_SIGMA = NetworkEstimationSettings().clock_sigma
+CLOCK_SIGMA = NETWORK_ESTIMATION_CLOCK_SIGMA
 T_A_B = se2.pose(2.1, np.array([5.0, 1.5]))
 STEP = 0.07  # s, between two scans
 
@@ -89,7 +93,7 @@ def test_a_pair_is_firm_if_people_turn(walk: Callable[[np.random.Generator], Arr
     walks = [walk(rng)]
     pair = estimate_scanner_pair("a", "b", observe(walks, np.eye(3), rng), observe(walks, T_A_B, rng), rng)
     assert isinstance(pair, ScannerPairEstimate)
-    assert is_firm(pair, CLOCK_SIGMA, SETTINGS) == firm
+    assert is_firm(pair, CLOCK_SIGMA) == firm
 
 
 def test_a_pair_whose_clocks_differ_by_more_than_the_prior_is_not_firm() -> None:
@@ -98,7 +102,7 @@ def test_a_pair_whose_clocks_differ_by_more_than_the_prior_is_not_firm() -> None
     b = correct_tracks(observe(walks, T_A_B, rng), clock_offset=-0.15)
     pair = estimate_scanner_pair("a", "b", observe(walks, np.eye(3), rng), b, rng)
     assert isinstance(pair, ScannerPairEstimate)
-    assert not is_firm(pair, CLOCK_SIGMA, SETTINGS)
+    assert not is_firm(pair, CLOCK_SIGMA)
 
 
 def test_people_who_were_never_observed_together_have_no_hypothesis() -> None:
@@ -119,11 +123,10 @@ def observe_parts(count: int, rng: np.random.Generator) -> dict[str, ScannerObse
     return found
 
 
-def test_of_many_scanners_those_of_the_same_people_are_searched() -> None:
+def test_of_many_scanners_those_of_the_same_people_are_searched(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("calgraph.network.pairs.clock_mounting_search._PARTNERS", 2)
     observations = observe_parts(12, np.random.default_rng(1))
-    one = SETTINGS.clock_mounting.model_copy(update={"partners": 2})
-    few_partners = SETTINGS.model_copy(update={"clock_mounting": one})
-    found = select_searched_pairs(observations, np.arange(12), few_partners)
+    found = select_searched_pairs(observations, np.arange(12), SETTINGS)
     same_person = {(f"s{a}", f"s{b}") for a in range(12) for b in range(a + 1, 12) if a % 4 == b % 4}
     assert set(found) >= same_person
     assert len(found) <= 24  # of 66

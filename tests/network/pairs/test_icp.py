@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from calgraph.config.settings import IcpSettings, ScannerPairSettings
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2
 from calgraph.network.pairs import icp
@@ -74,7 +73,7 @@ def test_the_gradient_depends_on_errors_of_ranges_and_angles_as_stated(
     """For fixed correspondences and constant weights."""
     scans = [scan(ROOM, T, rng) for T in (A, B)]
     a, b = (one.oriented_points for one in scans)
-    matches = _match_points(T_A_B, a, b, 0.1, IcpSettings())
+    matches = _match_points(T_A_B, a, b, 0.1)
     errors = np.zeros((2, 5))
     errors.flat[error] = 1e-6
 
@@ -122,12 +121,15 @@ def test_information_in_a_room_is_consistent_with_the_errors() -> None:
     assert np.mean(squared) < 4
 
 
-def test_information_of_independent_errors_is_consistent(rng: np.random.Generator) -> None:
+def test_information_of_independent_errors_is_consistent(
+    rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("calgraph.network.pairs.icp._CORRELATED_POINTS", 1.0)
+    monkeypatch.setattr("calgraph.network.pairs.icp._WALL_ERROR", 1e-6)
     # Points without common errors, with the noise of both scanners.
-    independent = ScannerPairSettings(icp=IcpSettings(correlated_points=1.0, wall_error=1e-6))
     squared = []
     for _ in range(40):
-        a, b = (StaticBackground(scan(ROOM, T, rng).points, independent) for T in (A, B))
+        a, b = (StaticBackground(scan(ROOM, T, rng).points) for T in (A, B))
         found = align_backgrounds(T_A_B, LOOSE, a, b, np.sqrt(2) * SIGMA)
         assert isinstance(found, IcpResult), found
         d = se2.difference(found.T_a_b, T_A_B)
@@ -269,11 +271,12 @@ def test_weights_are_halved_at_half_of_the_match_distance(r: float) -> None:
 
 @pytest.mark.parametrize(("stddevs", "contradicts"), [(7.5, False), (9.0, True)])
 def test_walls_contradict_tracks_beyond_eight_standard_deviations(
-    stddevs: float, contradicts: bool, rng: np.random.Generator
+    stddevs: float, contradicts: bool, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The square root of 16.3, of twice the standard deviations of the initial pose; those of walls are small."""
-    walls = ScannerPairSettings(icp=IcpSettings(wall_error=1e-4, correlated_points=1.0))
-    a, b = (StaticBackground(scan(ROOM, T, rng).points, walls) for T in (A, B))
+    monkeypatch.setattr("calgraph.network.pairs.icp._CORRELATED_POINTS", 1.0)
+    monkeypatch.setattr("calgraph.network.pairs.icp._WALL_ERROR", 1e-4)
+    a, b = (StaticBackground(scan(ROOM, T, rng).points) for T in (A, B))
     covariance = np.diag([0.02, 1.0, 1.0]) ** 2
     start = se2.retract(T_A_B, np.array([stddevs * 0.02, 0.0, 0.0]))
     found = align_backgrounds(start, covariance, a, b, SIGMA)
@@ -295,7 +298,7 @@ def test_the_first_match_distance_is_three_standard_deviations_within_limits(
     """Those of a point at the median distance, sqrt(2² + 0.9²) m, in the direction of larger variance."""
     distances: list[float] = []
 
-    def match_none(_T: Array, _a: object, _b: object, distance: float, _settings: object) -> tuple[Array, Array]:
+    def match_none(_T: Array, _a: object, _b: object, distance: float) -> tuple[Array, Array]:
         distances.append(distance)
         return np.zeros(0), np.zeros(0)
 
@@ -313,10 +316,10 @@ def test_the_match_distance_is_reduced_by_a_factor_at_each_step(
     match = icp._match_points
 
     def record_distance(
-        T: Array, a: _SurfacePoints, b: _SurfacePoints, distance: float, settings: IcpSettings
+        T: Array, a: _SurfacePoints, b: _SurfacePoints, distance: float
     ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         distances.append(distance)
-        return match(T, a, b, distance, settings)
+        return match(T, a, b, distance)
 
     monkeypatch.setattr(icp, "_match_points", record_distance)
     align_backgrounds(T_A_B, np.diag([0.2, 0.2, 0.0]) ** 2, scan(ROOM, A, rng), scan(ROOM, B, rng), SIGMA)
@@ -329,14 +332,18 @@ def test_the_match_distance_is_reduced_by_a_factor_at_each_step(
     ((1e-3, 1e-6, 4.0), (1e-3, 1e-6, 8.0), 2.0),
 ])  # fmt: skip
 def test_the_variance_of_points_is_that_of_noise_and_walls_for_all_correlated_points(
-    before: tuple[float, float, float], after: tuple[float, float, float], ratio: float
+    before: tuple[float, float, float],
+    after: tuple[float, float, float],
+    ratio: float,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Of noise and of walls, m, and the number of correlated points: one is doubled."""
     traces = []
     for sigma, wall_error, points in (before, after):
         rng = np.random.default_rng(0)
-        settings = ScannerPairSettings(icp=IcpSettings(wall_error=wall_error, correlated_points=points))
-        a, b = (StaticBackground(scan(ROOM, T, rng).points, settings) for T in (A, B))
+        monkeypatch.setattr("calgraph.network.pairs.icp._WALL_ERROR", wall_error)
+        monkeypatch.setattr("calgraph.network.pairs.icp._CORRELATED_POINTS", points)
+        a, b = (StaticBackground(scan(ROOM, T, rng).points) for T in (A, B))
         found = align_backgrounds(T_A_B, LOOSE, a, b, sigma)
         assert isinstance(found, IcpResult)
         traces.append(np.trace(found.information))

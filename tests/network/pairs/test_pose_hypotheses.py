@@ -1,20 +1,19 @@
 """Pose hypotheses from stretches of trajectories."""
 
 import numpy as np
+import pytest
 
-from calgraph.config.settings import ProposalSettings
 from calgraph.geometry import Array, se2
 from calgraph.network.pairs.pose_hypotheses import propose_poses
 from calgraph.network.pairs.synchronized_tracks import pair_samples
 from track_pairs import T_A_B, gather_samples, observe_walks, walk_along_curve
 
 
-def propose_for(x_a: Array, x_b: Array, settings: ProposalSettings | None = None) -> Array:
+def propose_for(x_a: Array, x_b: Array) -> Array:
     """Proposals from one trajectory of either scanner."""
-    settings = settings or ProposalSettings()
     v = np.zeros_like(x_a)
     pairs = pair_samples(gather_samples([(x_a, v)], 0.02), gather_samples([(x_b, v)], 0.02))
-    return propose_poses(pairs, settings, np.random.default_rng(0))
+    return propose_poses(pairs, np.random.default_rng(0))
 
 
 def walk_straight(length: float, ticks: int = 20) -> Array:
@@ -24,7 +23,7 @@ def walk_straight(length: float, ticks: int = 20) -> Array:
 
 def test_every_stretch_of_an_exact_trajectory_gives_the_pose(rng: np.random.Generator) -> None:
     """20 s are seven stretches of at most 3 s, three of at most 8 s, and the whole."""
-    poses = propose_poses(observe_walks([walk_along_curve(20.0)], rng), ProposalSettings(), rng)
+    poses = propose_poses(observe_walks([walk_along_curve(20.0)], rng), rng)
     assert len(poses) == 7 + 3 + 1
     np.testing.assert_allclose(poses, np.broadcast_to(T_A_B, (11, 3, 3)), atol=1e-6)
 
@@ -32,7 +31,7 @@ def test_every_stretch_of_an_exact_trajectory_gives_the_pose(rng: np.random.Gene
 def test_stretches_of_the_same_person_come_first(rng: np.random.Generator) -> None:
     """Of two people's four combinations of trajectories two are right: 22 stretches."""
     walks = [walk_along_curve(20.0, number) for number in (0, 1)]
-    poses = propose_poses(observe_walks(walks, rng), ProposalSettings(), rng)
+    poses = propose_poses(observe_walks(walks, rng), rng)
     np.testing.assert_allclose(poses[:22], np.broadcast_to(T_A_B, (22, 3, 3)), atol=1e-6)
 
 
@@ -50,21 +49,24 @@ def test_a_stretch_needs_the_least_duration() -> None:
     assert len(propose_for(walk_straight(1.0, 5), walk_straight(1.0, 5))) == 0
 
 
-def test_trajectories_of_another_shape_are_not_aligned() -> None:
+def test_trajectories_of_another_shape_are_not_aligned(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of one line half as long as the other, scaled about their centres, the RMS distance is half the extent."""
     extent = 2.0 / np.sqrt(12) * np.sqrt(21 / 19)  # of 20 evenly spaced positions
     line, half = walk_straight(2.0), walk_straight(1.0)
     for factor, count in ((1.02, 3), (0.98, 0)):
-        assert len(propose_for(line, half, ProposalSettings(max_rms=factor * extent / 2))) == count
+        monkeypatch.setattr("calgraph.network.pairs.pose_hypotheses.MAX_RMS", factor * extent / 2)
+        assert len(propose_for(line, half)) == count
 
 
-def test_proposals_are_limited_to_the_best_and_a_random_rest(rng: np.random.Generator) -> None:
+def test_proposals_are_limited_to_the_best_and_a_random_rest(
+    rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("calgraph.network.pairs.pose_hypotheses.MAX_RMS", 2.0)
     walks = [walk_along_curve(20.0, number) for number in (0, 1)]
     pairs = observe_walks(walks, rng)
-    settings = ProposalSettings(max_count=20, max_rms=2.0)
-    poses = propose_poses(pairs, settings, rng)
+    poses = propose_poses(pairs, rng, max_count=20)
     assert len(poses) == 20
     errors = np.abs(se2.difference(poses, np.broadcast_to(T_A_B, poses.shape))).max(axis=1)
     assert (errors[:10] < 1e-6).all()
-    every = propose_poses(pairs, settings.model_copy(update={"max_count": 1000}), rng)
+    every = propose_poses(pairs, rng, max_count=1000)
     assert len(every) > 30

@@ -10,7 +10,7 @@ import pytest
 from scipy.signal import lfilter
 
 from calgraph.config import People, RangeNoise
-from calgraph.config.settings import BaselineSettings, CenterFeature, HypothesisSettings, ScannerPairSettings
+from calgraph.config.settings import CenterFeature
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2
 from calgraph.network.pairs import hypothesis_evidence
@@ -302,7 +302,7 @@ def test_a_real_pair_is_within_ten_centimetres_of_the_measured_pose(
             of_one,
             People(kind="people"),
             RangeNoise(),
-            centers=select_center_estimator(feature, BaselineSettings()),
+            centers=select_center_estimator(feature),
         )
         assert isinstance(tracks, ScannerTracks)
         tracked.append(tracks)
@@ -380,20 +380,25 @@ def with_matches(observations: int = 100, chance: float = 0.0, share: float = 1.
 
 
 @pytest.mark.parametrize(("chance", "credible"), [(30.0, True), (40.0, False)])
-def test_credible_matches_are_several_times_as_many_as_by_chance(chance: float, credible: bool) -> None:
+def test_credible_matches_are_several_times_as_many_as_by_chance(
+    chance: float, credible: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """100 matches, of which at most a third may be by chance."""
-    settings = HypothesisSettings(min_chance_ratio=3.0)
-    assert is_credible(with_matches(chance=chance), 20, settings) == credible
+    monkeypatch.setattr("calgraph.network.pairs.hypothesis_evidence._MIN_CHANCE_RATIO", 3.0)
+    assert is_credible(with_matches(chance=chance), 20) == credible
 
 
 @pytest.mark.parametrize(("observations", "credible"), [(50, True), (49, False)])
 def test_credible_matches_last_for_the_least_time(observations: int, credible: bool) -> None:
-    assert is_credible(with_matches(observations), 50, HypothesisSettings()) == credible
+    assert is_credible(with_matches(observations), 50) == credible
 
 
 @pytest.mark.parametrize(("share", "credible"), [(0.41, True), (0.39, False)])
-def test_credible_matches_are_the_least_share_of_the_expected_ones(share: float, credible: bool) -> None:
-    assert is_credible(with_matches(share=share), 20, HypothesisSettings(min_matched_share=0.4)) == credible
+def test_credible_matches_are_the_least_share_of_the_expected_ones(
+    share: float, credible: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("calgraph.network.pairs.hypothesis_evidence.MIN_MATCHED_SHARE", 0.4)
+    assert is_credible(with_matches(share=share), 20) == credible
 
 
 @pytest.mark.parametrize(("min_samples", "left"), [(100, 100), (101, 1000)])
@@ -416,18 +421,20 @@ def test_the_matched_share_is_of_the_expected_matches_and_one_at_most(
     monkeypatch.setattr(hypothesis_evidence, "_count_by_chance", lambda *_: 10.0)
     fit = TrackRegistration(T_A_B, np.zeros(3), np.arange(80), 0.07)
     prior = NuisancePrior(0.1, 0.1)
-    found = build_hypothesis(fit, pairs, pairs.a, pairs.b, 2 * len(pairs), prior, ScannerPairSettings())
+    found = build_hypothesis(fit, pairs, pairs.a, pairs.b, 2 * len(pairs), prior)
     assert found.matched_share == share
     assert (found.observations, found.chance_observations) == (160, 20.0)
 
 
-def test_a_pair_without_a_credible_pose_states_the_time_that_its_best_pose_matches() -> None:
+def test_a_pair_without_a_credible_pose_states_the_time_that_its_best_pose_matches(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """Two minutes of tracks, of which the coarse stage takes every n-th tick."""
+    monkeypatch.setattr("calgraph.network.pairs.hypothesis_evidence.MIN_WEIGHT_OF_EVIDENCE", 1e9)
     rng = np.random.default_rng(3)
     walks = [wander(rng, seconds=120)]
     A, B = somewhere(rng, 6.0), somewhere(rng, 6.0)
-    settings = ScannerPairSettings(hypotheses=HypothesisSettings(min_weight_of_evidence=1e9))
-    found = estimate_scanner_pair("a", "b", observe(walks, A, rng), observe(walks, B, rng), rng, settings=settings)
+    found = estimate_scanner_pair("a", "b", observe(walks, A, rng), observe(walks, B, rng), rng)
     assert isinstance(found, Rejected)
     seconds = float(found.reason.split("the best one matches ")[1].split(" s")[0])
     assert 50 < seconds < 120

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import track_pairs
-from calgraph.config.settings import HypothesisSettings, ProposalSettings, RegistrationSettings, ResamplingSettings
 from calgraph.geometry import Array, invert_2x2, se2
 from calgraph.network.pairs.hypothesis_evidence import PoseHypothesis
 from calgraph.network.pairs.pose_hypotheses import propose_poses
@@ -17,6 +16,10 @@ from calgraph.network.pairs.synchronized_tracks import (
     resample_tracks,
 )
 from calgraph.network.pairs.track_registration import (
+    _MAX_LAG,
+    _MIN_LAG_SHARE,
+    _MIN_MODEL_ERROR,
+    MAX_MODEL_ERROR,
     NuisancePrior,
     TrackRegistration,
     _associate,
@@ -31,7 +34,6 @@ from calgraph.network.tracking.track import ScannerTracks, Track
 
 NEAR_POSE = se2.retract(track_pairs.T_A_B, np.array([0.05, -0.04, 0.02]))
 T_A_B = se2.pose(0.7, np.array([1.5, -0.8]))
-SETTINGS = RegistrationSettings()
 PRIOR = NuisancePrior(0.01, 0.03)
 TIGHT = NuisancePrior(1e-6, 1e-6)
 
@@ -62,28 +64,27 @@ def simultaneous(delay: float = 0.0, near: float = 0.0, count: int = 300) -> Sim
     return pair_samples(samples(np.eye(3), ticks, 0.0, near), samples(T_A_B, ticks, delay, near))
 
 
-def test_registration_finds_the_pose() -> None:
+def test_registration_finds_the_pose(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("calgraph.network.pairs.track_registration._STEPS", 6)
     start = se2.retract(T_A_B, np.array([0.1, -0.05, 0.05]))
-    fit = register_tracks(start, simultaneous(), 0.15, PRIOR, replace_steps(6))
+    fit = register_tracks(start, simultaneous(), 0.15, PRIOR)
     assert fit is not None
     np.testing.assert_allclose(se2.difference(fit.T_a_b, T_A_B), 0, atol=1e-6)
     assert len(fit.matches) == 300
-    assert fit.model_error == SETTINGS.min_model_error
+    assert fit.model_error == _MIN_MODEL_ERROR
 
 
-def replace_steps(steps: int) -> RegistrationSettings:
-    return RegistrationSettings(steps=steps)
-
-
-def test_registration_estimates_the_clock_offset() -> None:
-    fit = register_tracks(T_A_B, simultaneous(delay=0.02), 0.15, PRIOR, replace_steps(10))
+def test_registration_estimates_the_clock_offset(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("calgraph.network.pairs.track_registration._STEPS", 10)
+    fit = register_tracks(T_A_B, simultaneous(delay=0.02), 0.15, PRIOR)
     assert fit is not None
     assert fit.nuisance[0] == pytest.approx(0.02, rel=0.05)
     assert np.linalg.norm(fit.T_a_b[:2, 2] - T_A_B[:2, 2]) < 0.002
 
 
-def test_registration_estimates_depths() -> None:
-    fit = register_tracks(T_A_B, simultaneous(near=0.05), 0.15, NuisancePrior(0.01, 0.2), replace_steps(10))
+def test_registration_estimates_depths(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("calgraph.network.pairs.track_registration._STEPS", 10)
+    fit = register_tracks(T_A_B, simultaneous(near=0.05), 0.15, NuisancePrior(0.01, 0.2))
     assert fit is not None
     np.testing.assert_allclose(fit.nuisance[1:], 0.05, rtol=0.1)
     assert np.linalg.norm(fit.T_a_b[:2, 2] - T_A_B[:2, 2]) < 0.005
@@ -94,26 +95,30 @@ def test_model_error_is_what_covariances_do_not_explain(rng: np.random.Generator
     ticks = np.arange(2000.0)
     a, b = samples(np.eye(3), ticks), samples(T_A_B, ticks)
     a, b = (replace(s, positions=s.positions + rng.normal(0, 0.05, s.positions.shape)) for s in (a, b))
-    fit = register_tracks(T_A_B, pair_samples(a, b), 0.15, PRIOR, replace_steps(6))
+    fit = register_tracks(T_A_B, pair_samples(a, b), 0.15, PRIOR)
     assert fit is not None
     assert fit.model_error == pytest.approx(np.sqrt(2 * (0.05**2 - 0.01**2)), rel=0.05)
 
 
 def test_too_few_matches_have_no_registration() -> None:
-    assert register_tracks(T_A_B, simultaneous(count=3), 0.15, PRIOR, SETTINGS) is None
-    assert register_tracks(T_A_B, simultaneous(count=4), 0.15, PRIOR, SETTINGS) is not None
+    assert register_tracks(T_A_B, simultaneous(count=3), 0.15, PRIOR) is None
+    assert register_tracks(T_A_B, simultaneous(count=4), 0.15, PRIOR) is not None
 
 
-def test_information_of_independent_errors_is_that_of_least_squares(rng: np.random.Generator) -> None:
+def test_information_of_independent_errors_is_that_of_least_squares(
+    rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("calgraph.network.pairs.track_registration._STEPS", 6)
+    monkeypatch.setattr("calgraph.network.pairs.track_registration._SYSTEMATIC_STDDEV", 1e-6)
+    monkeypatch.setattr("calgraph.network.pairs.track_registration._MIN_MODEL_ERROR", 1e-6)
     # Noise of 2 cm in a, known clocks and depths: x and y are means of matches that are correlated over 0.5 s.
     ticks = np.arange(3000.0)
     a, b = samples(np.eye(3), ticks, sigma=0.02), samples(T_A_B, ticks, sigma=1e-6)
     a = replace(a, positions=a.positions + rng.normal(0, 0.02, a.positions.shape))
-    settings = RegistrationSettings(steps=6, systematic_stddev=1e-6, min_model_error=1e-6)
     pairs = pair_samples(a, b)
-    fit = register_tracks(T_A_B, pairs, 0.15, TIGHT, settings)
+    fit = register_tracks(T_A_B, pairs, 0.15, TIGHT)
     assert fit is not None
-    covariance = compute_registration_covariance(fit, pairs, TIGHT, settings)[:3, :3]
+    covariance = compute_registration_covariance(fit, pairs, TIGHT)[:3, :3]
     arm = a.positions - T_A_B[:2, 2]
     J = np.zeros((len(ticks), 2, 3))
     J[:, 0, 0] = J[:, 1, 1] = 1
@@ -130,13 +135,13 @@ def test_squared_mahalanobis_distances(rng: np.random.Generator) -> None:
     np.testing.assert_allclose(_mahalanobis2(r, W), np.einsum("pi,pij,pj->p", r, W, r))
 
 
-def test_distant_matches_have_the_weight_of_the_cauchy_loss() -> None:
+def test_distant_matches_have_the_weight_of_the_cauchy_loss(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("calgraph.network.pairs.track_registration._STEPS", 1)
     # A fifth of the positions is 0.3 m off: weights are 1 / (1 + d2 / 6) with d2 of the given model error.
     pairs = simultaneous(count=1000)
     b = replace(pairs.b, positions=pairs.b.positions.copy())
     b.positions[::5] += np.array([0.3, 0.0]) @ T_A_B[:2, :2]
-    settings = RegistrationSettings(steps=1)
-    fit = register_tracks(T_A_B, pair_samples(pairs.a, b), 0.15, TIGHT, settings)
+    fit = register_tracks(T_A_B, pair_samples(pairs.a, b), 0.15, TIGHT)
     assert fit is not None
     weight = 1 / (1 + 0.09 / (0.15**2 + 2 * 0.01**2) / 6)
     expected = [-0.3 * 0.2 * weight / (0.8 + 0.2 * weight), 0.0, 0.0]
@@ -169,9 +174,7 @@ def test_correlation_time_of_an_autoregressive_process(correlation: float, expec
     for k in range(1, len(r)):
         r[k] = correlation * r[k - 1] + noise[k]
     ticks = step * np.tile(np.arange(2000), 10)
-    found = estimate_correlation_time(
-        r, np.repeat(np.arange(10), 2000), ticks, SETTINGS.min_lag_share, SETTINGS.max_lag
-    )
+    found = estimate_correlation_time(r, np.repeat(np.arange(10), 2000), ticks, _MIN_LAG_SHARE, _MAX_LAG)
     assert found == pytest.approx(expected, rel=0.2)
 
 
@@ -179,7 +182,7 @@ def test_correlation_time_does_not_reach_across_series() -> None:
     # Every series is constant: correlated within, independent of the others.
     r = np.repeat(np.random.default_rng(3).normal(size=(400, 2)), 2, axis=0)
     found = estimate_correlation_time(
-        r, np.repeat(np.arange(400), 2), np.tile([0, 1], 400), SETTINGS.min_lag_share, SETTINGS.max_lag
+        r, np.repeat(np.arange(400), 2), np.tile([0, 1], 400), _MIN_LAG_SHARE, _MAX_LAG
     )
     assert found == pytest.approx(3.0, rel=0.1)
 
@@ -195,17 +198,18 @@ def test_covariance_of_a_rigid_motion_about_a_centre() -> None:
 )
 def test_weight_of_evidence_is_a_log_likelihood_ratio(share: float, error: float, expected: float) -> None:
     h = PoseHypothesis(np.eye(3), np.eye(3), 100, 0.0, share, 0.1, error, uses_background=False)
-    found = h.weight_of_evidence(HypothesisSettings())
+    found = h.weight_of_evidence()
     assert found == pytest.approx(expected, abs=0.3)
     assert h.score == 100 * share
 
 
 def test_the_first_proposal_is_the_pose() -> None:
-    poses = propose_poses(simultaneous(), ProposalSettings(), np.random.default_rng(0))
+    poses = propose_poses(simultaneous(), np.random.default_rng(0))
     np.testing.assert_allclose(se2.difference(poses[0], T_A_B), 0, atol=1e-9)
 
 
-def test_proposals_are_limited_to_the_best_and_a_random_selection() -> None:
+def test_proposals_are_limited_to_the_best_and_a_random_selection(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("calgraph.network.pairs.pose_hypotheses.MAX_RMS", 1.0)
     ticks = np.arange(300.0)
     several = [replace(samples(np.eye(3), ticks + 37 * k), tick=ticks.astype(np.intp)) for k in range(6)]
     merged = TrackSamples(
@@ -217,8 +221,8 @@ def test_proposals_are_limited_to_the_best_and_a_random_selection() -> None:
     names = ("tick", "trajectory", "positions", "velocities", "covariances")
     merged = replace(merged, **{name: getattr(merged, name)[order] for name in names})
     pairs = pair_samples(merged, merged)
-    everything = propose_poses(pairs, ProposalSettings(max_rms=1.0), np.random.default_rng(0))
-    limited = propose_poses(pairs, ProposalSettings(max_rms=1.0, max_count=20), np.random.default_rng(0))
+    everything = propose_poses(pairs, np.random.default_rng(0))
+    limited = propose_poses(pairs, np.random.default_rng(0), max_count=20)
     assert len(everything) > 40
     np.testing.assert_allclose(se2.difference(everything[0], np.eye(3)), 0, atol=1e-9)
     assert len(limited) == 20
@@ -234,9 +238,7 @@ def test_short_trajectories_propose_no_pose(extent: float, usable: bool) -> None
     line = TrackSamples(
         ticks, np.zeros(20, np.intp), x + np.array([2, 0]), np.ones((20, 2)), S, track_pairs.TICK_PERIOD
     )
-    assert (
-        len(propose_poses(pair_samples(line, line), ProposalSettings(), np.random.default_rng(0))) > 0
-    ) == usable
+    assert (len(propose_poses(pair_samples(line, line), np.random.default_rng(0))) > 0) == usable
 
 
 def track(times: Array, sigma: float = 0.01, period: int = 0) -> Track:
@@ -254,12 +256,13 @@ def test_tracks_are_interpolated_at_the_ticks() -> None:
     np.testing.assert_allclose(found.covariances[:, 0, 1], 0, atol=1e-12)
 
 
-def test_acceleration_adds_variance_in_the_middle_of_a_gap() -> None:
+def test_acceleration_adds_variance_in_the_middle_of_a_gap(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("calgraph.network.pairs.synchronized_tracks._ACCELERATION", 1.0)
     # h = 0.4 s: a * (u (1 - u) h)^2 with u = 0.5 is 1 cm for 1 m/s^2.
     one = track(np.array([0.0, 0.4, 0.8]))
     one = replace(one, covariances=one.covariances * np.array([1.0, 5.0, 9.0])[:, None, None])
     tracked = ScannerTracks((one,), np.zeros((0, 2)), 0.01)
-    found = resample_tracks(tracked, ResamplingSettings(acceleration=1.0))
+    found = resample_tracks(tracked)
     assert found.tick.tolist() == list(range(9))
     # Linear between the neighbours, 1, 5 and 9 times 1 cm^2, plus (4 u (1 - u))^4 cm^2.
     expected = [1, 2 + 0.75**4, 3 + 1, 4 + 0.75**4, 5, 6 + 0.75**4, 7 + 1, 8 + 0.75**4, 9]
@@ -293,10 +296,8 @@ def test_durations_are_rounded_to_ticks() -> None:
     assert [replace(one, tick_period=0.2).to_ticks(s) for s in (0.6, 2.0)] == [3, 10]
 
 
-def register_walks(
-    pairs: SimultaneousPairs, settings: RegistrationSettings = SETTINGS, prior: NuisancePrior = PRIOR
-) -> TrackRegistration:
-    fit = register_tracks(NEAR_POSE, pairs, settings.max_model_error, prior, settings)
+def register_walks(pairs: SimultaneousPairs, prior: NuisancePrior = PRIOR) -> TrackRegistration:
+    fit = register_tracks(NEAR_POSE, pairs, MAX_MODEL_ERROR, prior)
     assert fit is not None
     return fit
 
@@ -313,25 +314,23 @@ def test_matches_are_mutual_nearest_neighbours(rng: np.random.Generator) -> None
 
 
 @pytest.mark.parametrize("sigma", [0.03, 0.1])
-def test_model_error_is_what_the_covariances_do_not_explain(rng: np.random.Generator, sigma: float) -> None:
+def test_model_error_is_what_the_covariances_do_not_explain(
+    rng: np.random.Generator, sigma: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Both scanners' noise, less the variance 2 x 0.01² m² that the tracks state."""
+    monkeypatch.setattr("calgraph.network.pairs.track_registration.MAX_MODEL_ERROR", 0.5)
     pairs = track_pairs.observe_walks(
         [track_pairs.walk_along_curve(100.0)], rng, sigma=sigma / np.sqrt(2), stated_sigma=0.01
     )
     expected = np.sqrt(sigma**2 - 2 * 0.01**2)
-    settings = RegistrationSettings(max_model_error=0.5)
-    assert register_walks(pairs, settings).model_error == pytest.approx(expected, rel=0.1)
+    assert register_walks(pairs).model_error == pytest.approx(expected, rel=0.1)
 
 
-def test_model_error_is_limited(rng: np.random.Generator) -> None:
+def test_model_error_is_limited(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
     walks = [track_pairs.walk_along_curve(100.0)]
     assert register_walks(track_pairs.observe_walks(walks, rng)).model_error == 0.005
-    assert (
-        register_walks(
-            track_pairs.observe_walks(walks, rng, sigma=0.2), RegistrationSettings(gate=50.0)
-        ).model_error
-        == 0.15
-    )
+    monkeypatch.setattr("calgraph.network.pairs.track_registration.GATE", 50.0)
+    assert register_walks(track_pairs.observe_walks(walks, rng, sigma=0.2)).model_error == 0.15
 
 
 def test_a_cost_takes_the_nearest_of_simultaneous_samples(rng: np.random.Generator) -> None:
@@ -339,11 +338,13 @@ def test_a_cost_takes_the_nearest_of_simultaneous_samples(rng: np.random.Generat
     assert compute_pose_costs(track_pairs.T_A_B[None], pairs, 0.15, 9.21) == pytest.approx([0.0], abs=1e-9)
 
 
-def test_registration_information_matches_the_scatter() -> None:
+def test_registration_information_matches_the_scatter(monkeypatch: pytest.MonkeyPatch) -> None:
     """Mean of a chi-squared with three degrees of freedom: white noise, and nuisances drawn from their priors."""
-    settings = RegistrationSettings(
-        systematic_stddev=1e-6, min_correlation_time=0.1, min_model_error=0.001, cauchy_scale2=1e6, gate=50.0
-    )
+    monkeypatch.setattr("calgraph.network.pairs.track_registration._SYSTEMATIC_STDDEV", 1e-6)
+    monkeypatch.setattr("calgraph.network.pairs.track_registration._MIN_CORRELATION_TIME", 0.1)
+    monkeypatch.setattr("calgraph.network.pairs.track_registration._MIN_MODEL_ERROR", 0.001)
+    monkeypatch.setattr("calgraph.network.pairs.track_registration._CAUCHY_SCALE2", 1e6)
+    monkeypatch.setattr("calgraph.network.pairs.track_registration.GATE", 50.0)
     squared = []
     for seed in range(150):
         rng = np.random.default_rng(seed)
@@ -352,20 +353,20 @@ def test_registration_information_matches_the_scatter() -> None:
             [track_pairs.walk_along_curve(20.0)], rng, sigma=0.01, stated_sigma=0.01, clock_offset=clock_offset,
             depths=(depths[0], depths[1]),
         )  # fmt: skip
-        fit = register_walks(pairs, settings)
+        fit = register_walks(pairs)
         d = se2.difference(fit.T_a_b, track_pairs.T_A_B)
-        squared.append(
-            float(d @ np.linalg.solve(compute_registration_covariance(fit, pairs, PRIOR, settings)[:3, :3], d))
-        )
+        squared.append(float(d @ np.linalg.solve(compute_registration_covariance(fit, pairs, PRIOR)[:3, :3], d)))
     assert np.mean(squared) == pytest.approx(3.0, abs=0.6)  # 3 standard deviations
 
 
-def test_systematic_errors_bound_the_information(rng: np.random.Generator) -> None:
+def test_systematic_errors_bound_the_information(
+    rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Of exact tracks with wide extent: 8 mm of either coordinate of their centre, and 8 mm over the extent."""
+    monkeypatch.setattr("calgraph.network.pairs.track_registration._MIN_MODEL_ERROR", 1e-4)
     pairs = track_pairs.observe_walks([track_pairs.walk_along_curve(100.0)], rng, stated_sigma=1e-4)
-    settings = RegistrationSettings(min_model_error=1e-4)
-    fit = register_walks(pairs, settings, TIGHT)
-    covariance = compute_registration_covariance(fit, pairs, TIGHT, settings)[:3, :3]
+    fit = register_walks(pairs, TIGHT)
+    covariance = compute_registration_covariance(fit, pairs, TIGHT)[:3, :3]
     x = pairs.x_a[fit.matches]
     center, extent = x.mean(axis=0), np.sqrt(np.sum(np.var(x, axis=0)))
     assert np.sqrt(covariance[2, 2]) == pytest.approx(0.008 / extent, rel=0.01)
@@ -382,16 +383,16 @@ def test_alternating_residuals_have_a_correlation_time_of_one_step() -> None:
 
 @pytest.mark.parametrize("speed", [1.0, 2.0])
 def test_priors_of_clock_and_depths_bound_the_information_of_a_straight_walk(
-    rng: np.random.Generator, speed: float
+    rng: np.random.Generator, speed: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Along the walk 10 ms of clock offset are not distinct from 10 ms times the speed."""
+    monkeypatch.setattr("calgraph.network.pairs.track_registration._MIN_MODEL_ERROR", 1e-4)
     y = np.linspace(-2, 2, 81)
     walk = np.column_stack([np.full(81, 4.0), y]), np.tile([0.0, speed], (81, 1))
     pairs = track_pairs.observe_walks([walk], rng, stated_sigma=1e-4)
-    settings = RegistrationSettings(min_model_error=1e-4)
     prior = NuisancePrior(0.01, 1e-6)
-    fit = register_walks(pairs, settings, prior)
-    covariance = compute_registration_covariance(fit, pairs, prior, settings)[:3, :3]
+    fit = register_walks(pairs, prior)
+    covariance = compute_registration_covariance(fit, pairs, prior)[:3, :3]
     at_walk = np.eye(3)
     at_walk[1, 2] = 4.0 - track_pairs.T_A_B[0, 2]
     assert np.sqrt((at_walk @ covariance @ at_walk.T)[1, 1]) == pytest.approx(
@@ -481,14 +482,18 @@ def test_the_prior_is_of_clock_and_depths_and_not_of_the_pose() -> None:
     np.testing.assert_array_equal(prior.mean, [0, 0, 0, 0.3, 0, 0])
 
 
-def test_a_clock_that_is_not_observable_keeps_its_prior(rng: np.random.Generator) -> None:
+def test_a_clock_that_is_not_observable_keeps_its_prior(
+    rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """One person on a straight line at a steady speed: an offset of the clock is one of the pose."""
+    monkeypatch.setattr("calgraph.network.pairs.track_registration._MIN_MODEL_ERROR", 1e-4)
+    monkeypatch.setattr("calgraph.network.pairs.track_registration._STEPS", 6)
     y = np.linspace(-2, 2, 81)
     walk = np.column_stack([np.full(81, 4.0), y]), np.tile([0.0, 0.5], (81, 1))
     pairs = track_pairs.observe_walks([walk], rng, stated_sigma=1e-4)
     prior = NuisancePrior(0.05, 1e-6, clock_mean=0.02)
-    fit = register_walks(pairs, RegistrationSettings(min_model_error=1e-4, steps=6), prior)
-    covariance = compute_registration_covariance(fit, pairs, prior, SETTINGS)
+    fit = register_walks(pairs, prior)
+    covariance = compute_registration_covariance(fit, pairs, prior)
     assert fit.nuisance[0] == pytest.approx(0.02, abs=1e-3)
     assert np.sqrt(covariance[3, 3]) == pytest.approx(0.05, rel=0.01)
 

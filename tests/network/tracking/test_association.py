@@ -5,9 +5,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from calgraph.config.settings import AssociationSettings
 from calgraph.geometry import Array
-from calgraph.network.tracking.association import associate
+from calgraph.network.tracking.association import GATE, associate
 from calgraph.network.tracking.clusters import Clusters
 
 RATE = 15.0
@@ -31,7 +30,7 @@ def identities(*paths: Array, detected: NDArray[np.bool_] | None = None) -> list
     detected = np.ones((len(paths), len(paths[0])), dtype=bool) if detected is None else detected
     scan, path = np.nonzero(detected.T)
     found = one_beam_each(scan, np.stack(paths)[path, scan])
-    return [path[members].tolist() for members in associate(found, 0.1, 0.5, AssociationSettings())]
+    return [path[members].tolist() for members in associate(found, 0.1, 0.5)]
 
 
 def line(start: tuple[float, float], velocity: tuple[float, float], scans: int = 60) -> Array:
@@ -69,10 +68,7 @@ def test_clutter_starts_no_identity(rng: np.random.Generator) -> None:
 
 
 def test_no_objects_give_no_identity() -> None:
-    assert (
-        associate(one_beam_each(np.empty(0, dtype=np.intp), np.empty((0, 2))), 0.1, 0.5, AssociationSettings())
-        == []
-    )
+    assert associate(one_beam_each(np.empty(0, dtype=np.intp), np.empty((0, 2))), 0.1, 0.5) == []
 
 
 def test_a_crowd_keeps_its_identities() -> None:
@@ -87,7 +83,7 @@ def test_five_matches_confirm_an_identity(scans: int, count: int) -> None:
 
 
 def test_the_gate_rejects_one_correct_match_in_a_thousand() -> None:
-    assert AssociationSettings().gate == pytest.approx(chi2.isf(1e-3, 2), abs=0.05)
+    assert pytest.approx(chi2.isf(1e-3, 2), abs=0.05) == GATE
 
 
 def test_an_object_outside_the_gate_is_not_matched() -> None:

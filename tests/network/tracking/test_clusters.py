@@ -27,7 +27,7 @@ def scan(*objects: tuple[float, float, float], stamp: float = 0.0, increment: fl
 
 
 def found(*scans: LaserScan) -> Clusters:
-    return cluster_foreground(subtract_background(stack_scans(scans), EMPTY, SETTINGS), WIDTH, 0.02, SETTINGS)
+    return cluster_foreground(subtract_background(stack_scans(scans), EMPTY), WIDTH, 0.02, SETTINGS)
 
 
 def test_one_object_is_one_cluster() -> None:

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from calgraph.config.settings import MotionSettings
 from calgraph.network.tracking.periods import TrackSegment, split_into_periods
+from calgraph.network.tracking.track_scanner import _MAX_UNDETECTED
 
 
 def split(*detected: NDArray[np.intp]) -> tuple[TrackSegment, ...]:
@@ -13,9 +13,7 @@ def split(*detected: NDArray[np.intp]) -> tuple[TrackSegment, ...]:
     scan = np.concatenate(detected)
     ends = np.cumsum([len(s) for s in detected])
     identities = np.split(np.arange(len(scan)), ends[:-1])
-    return split_into_periods(
-        identities, scan, np.asarray(0.1 * scan, dtype=np.float64), MotionSettings().max_undetected
-    )
+    return split_into_periods(identities, scan, np.asarray(0.1 * scan, dtype=np.float64), _MAX_UNDETECTED)
 
 
 def test_one_object_all_the_time_is_one_period() -> None:

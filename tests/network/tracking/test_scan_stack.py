@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from calgraph.config.settings import MotionSettings
 from calgraph.network.tracking.scan_stack import coverage_intervals, select_scans, stack_scans
+from calgraph.network.tracking.track_scanner import MAX_SCAN_GAP
 from calgraph.sensors import LaserScan
 
 ANGLES = np.linspace(-1, 1, 5)
@@ -15,7 +15,7 @@ def scan(stamp: float, range_: float = 2.0) -> LaserScan:
 
 def test_a_pause_longer_than_half_a_second_splits_the_coverage() -> None:
     stamps = np.concatenate([np.arange(0, 20), np.arange(24, 40), np.arange(46, 60)]) / 10
-    intervals = coverage_intervals(stack_scans(map(scan, stamps)), MotionSettings().max_scan_gap)
+    intervals = coverage_intervals(stack_scans(map(scan, stamps)), MAX_SCAN_GAP)
     np.testing.assert_allclose(intervals, [[0.0, 3.9], [4.6, 5.9]])
 
 

@@ -1,20 +1,25 @@
 """Medians of ranges over windows."""
 
 import numpy as np
+import pytest
 
-from calgraph.config.settings import StationaritySettings
 from calgraph.geometry import Array
 from calgraph.network.tracking.scan_stack import stack_scans
 from calgraph.network.tracking.scan_windows import AlignedScans, ScanWindows, compute_window_medians
 from calgraph.sensors import LaserScan
 
 ANGLES = np.linspace(-1, 1, 5)
-SETTINGS = StationaritySettings(max_scans_per_window=5)
+
+
+@pytest.fixture(autouse=True)
+def take_five_scans_of_a_window(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A window has at most five scans."""
+    monkeypatch.setattr("calgraph.network.tracking.scan_windows._MAX_SCANS_PER_WINDOW", 5)
 
 
 def take_medians(ranges: Array, rate: float = 10.0) -> ScanWindows:
     scans = [LaserScan(k / rate, "laser", ANGLES, row) for k, row in enumerate(ranges)]
-    return compute_window_medians(AlignedScans(stack_scans(scans)), SETTINGS)
+    return compute_window_medians(AlignedScans(stack_scans(scans)))
 
 
 def test_windows_have_the_stated_length() -> None:
@@ -41,5 +46,5 @@ def test_scans_with_other_beams_are_matched_by_angle() -> None:
         LaserScan(k / 10, "laser", ANGLES[::-1], row[::-1]) if k % 2 else LaserScan(k / 10, "laser", ANGLES, row)
         for k, row in enumerate(rows)
     ]
-    windows = compute_window_medians(AlignedScans(stack_scans(scans)), SETTINGS)
+    windows = compute_window_medians(AlignedScans(stack_scans(scans)))
     np.testing.assert_array_equal(windows.ranges, rows[:2])

@@ -3,20 +3,18 @@
 import numpy as np
 import pytest
 
-from calgraph.config.settings import StaticSceneSettings
 from calgraph.geometry import Array
 from calgraph.network.tracking.scan_stack import stack_scans
 from calgraph.network.tracking.static_scene import StaticScene, learn_static_scene
 from calgraph.sensors import LaserScan
 
 ANGLES = np.linspace(-1, 1, 201)
-SETTINGS = StaticSceneSettings()
 
 
 def learn(ranges: Array) -> StaticScene:
     """The scene of one row of ranges (S, 201) a scan."""
     scene = learn_static_scene(
-        stack_scans(LaserScan(0.1 * k, "laser", ANGLES, row) for k, row in enumerate(ranges)), SETTINGS
+        stack_scans(LaserScan(0.1 * k, "laser", ANGLES, row) for k, row in enumerate(ranges))
     )
     assert scene is not None
     return scene
@@ -101,14 +99,14 @@ def test_scans_with_other_beams_are_matched_by_angle(wall: Array) -> None:
             (row, LaserScan(0.1 * k, "laser", ANGLES, row)) for k, row in enumerate(wall)
         )
     ]
-    scene = learn_static_scene(stack_scans(scans), SETTINGS)
+    scene = learn_static_scene(stack_scans(scans))
     assert scene is not None
     assert count_foreground(scene, 2.0) == 201
     assert count_foreground(scene, 4.0) == 0
 
 
 def test_no_scans_make_no_scene() -> None:
-    assert learn_static_scene([], SETTINGS) is None
+    assert learn_static_scene([]) is None
 
 
 def test_without_any_return_everything_is_foreground() -> None:

@@ -8,7 +8,13 @@ import pytest
 from calgraph.config.settings import StationaritySettings
 from calgraph.geometry import Array, se2
 from calgraph.network.tracking.scan_stack import stack_scans
-from calgraph.network.tracking.stationarity import Stationarity, analyze_stationarity, select_interval
+from calgraph.network.tracking.stationarity import (
+    _SETTLING_TIME,
+    MIN_REST_SHARE,
+    Stationarity,
+    analyze_stationarity,
+    select_interval,
+)
 from calgraph.sensors import LaserScan
 from calgraph.simulation.network_floor import polygon_sides, rectangle
 from static_rooms import CORRIDOR, FURNITURE, ROOM, Motion, scan_room, step
@@ -134,7 +140,7 @@ def test_a_moving_scanner_is_never_at_rest(speed: float, turn: float) -> None:
         sway = np.sin(0.3 * time)
         return se2.pose(turn * sway / 0.3, np.array([speed * sway / 0.3, 0.0]))
 
-    assert analyze(scan_room(SECONDS, motion)).rest_share < SETTINGS.min_rest_share
+    assert analyze(scan_room(SECONDS, motion)).rest_share < MIN_REST_SHARE
 
 
 def carry(time: float) -> Array:
@@ -172,11 +178,11 @@ def test_without_bumps_all_data_are_used() -> None:
 
 def test_data_after_the_last_bump_are_used() -> None:
     start, end = interval(step(15.0, degrees=3.0))
-    assert start == pytest.approx(15.0 + SETTINGS.settling_time, abs=0.2)
+    assert start == pytest.approx(15.0 + _SETTLING_TIME, abs=0.2)
     assert end == np.inf
 
 
 def test_the_longest_interval_is_used_if_the_last_one_is_short() -> None:
     start, end = interval(step(25.0, degrees=3.0))
     assert start == 0.0
-    assert end == pytest.approx(25.0 - SETTINGS.settling_time, abs=0.2)
+    assert end == pytest.approx(25.0 - _SETTLING_TIME, abs=0.2)

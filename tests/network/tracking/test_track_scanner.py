@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from calgraph.config import Cylinder, People, RangeNoise
-from calgraph.config.settings import BaselineSettings, CenterFeature, EllipseSettings
+from calgraph.config.settings import CenterFeature
 from calgraph.errors import Rejected
 from calgraph.geometry import Array
 from calgraph.network.strategies import select_center_estimator
@@ -34,9 +34,7 @@ def track_world(
     target: People | Cylinder = PEOPLE,
 ) -> ScannerTracks:
     scans = world.simulate_scans(seconds, seed)
-    result = track_scanner(
-        scans, target, RangeNoise(), centers=select_center_estimator(feature, BaselineSettings())
-    )
+    result = track_scanner(scans, target, RangeNoise(), centers=select_center_estimator(feature))
     assert isinstance(result, ScannerTracks)
     return result
 
@@ -248,9 +246,7 @@ def test_the_person_of_the_real_recording_is_tracked(
     with open_recording(data_dir / "two-static-2d-lidars-moving-object" / "scans_demo.bag") as recording:
         messages = [record.decode() for record in recording.records([topic])]
     scans = [message for message in messages if isinstance(message, LaserScan)]
-    result = track_scanner(
-        scans, PEOPLE, RangeNoise(), centers=select_center_estimator(feature, BaselineSettings())
-    )
+    result = track_scanner(scans, PEOPLE, RangeNoise(), centers=select_center_estimator(feature))
     assert isinstance(result, ScannerTracks)
     # The README counts foreground in 301 rear and 104 front scans, some of it a few stray beams.
     in_view = {"/rear_scan": 301, "/front_scan": 81}[topic]
@@ -291,5 +287,5 @@ def test_what_hides_behind_an_occluder_is_part_of_the_noise() -> None:
             points, one, np.full(1, 21), one, np.zeros(1), np.zeros(21), np.full(1, 0.005), np.array([clipped])
         )
         still = ObjectVelocities(np.zeros((1, 2)), np.full(1, np.inf))
-        noise.append(measure_fixed_ellipses(objects, CYLINDER, still, 0.01, EllipseSettings()).noise[0])
+        noise.append(measure_fixed_ellipses(objects, CYLINDER, still, 0.01).noise[0])
     assert np.sqrt(noise[1][0, 0] - noise[0][0, 0]) == pytest.approx(0.15 * 0.25, rel=0.1)

@@ -9,7 +9,6 @@ import pytest
 import scipy.optimize
 
 from bundle_scenes import scene
-from calgraph.config.settings import ExtrapolationSettings, RigEstimationSettings
 from calgraph.errors import CalibrationError
 from calgraph.geometry import Array, se3, so3
 from calgraph.rig.bundle.bundle_parameters import SensorPrior
@@ -196,17 +195,17 @@ def test_a_start_with_a_board_behind_a_camera_is_refused() -> None:
         minimize_bundle(exact.bundle, replace(exact.truth, T_root_sensor=T))
 
 
-def test_extrapolation_does_not_take_boards_out_of_a_cameras_view() -> None:
+def test_extrapolation_does_not_take_boards_out_of_a_cameras_view(monkeypatch: pytest.MonkeyPatch) -> None:
     """To first order, a board at three times its distance moves behind the camera."""
+    monkeypatch.setattr("calgraph.rig.bundle.relinearization._MAX_RESIDUAL_CHANGE", 1e6)
+    monkeypatch.setattr("calgraph.rig.bundle.relinearization._MAX_ROTATION", 0.99)
     exact = unbiased_scene()
     far = exact.truth.T_root_board.copy()
     camera = exact.truth.T_root_sensor[exact.bundle.sensors.index("camera"), :3, 3]
     far[0, :3, 3] = camera + 3 * (far[0, :3, 3] - camera)
-    limits = ExtrapolationSettings(max_residual_change=1e6, max_rotation=0.99)
-    bundle = replace(exact.bundle, settings=RigEstimationSettings(extrapolation=limits))
-    bundle = bundle.with_views([
+    bundle = exact.bundle.with_views([
         views if name == "camera" else views.select(views.board > 0)
-        for name, views in zip(bundle.sensors, bundle.views, strict=True)
+        for name, views in zip(exact.bundle.sensors, exact.bundle.views, strict=True)
     ])  # fmt: skip
     found = minimize_bundle(bundle, replace(exact.truth, T_root_board=far), tolerance=1e-3, exact=False)
     assert np.isfinite(linearize_bundle(bundle, found.state).cost)

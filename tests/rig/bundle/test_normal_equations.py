@@ -5,18 +5,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calgraph.config.settings import RigEstimationSettings
 from calgraph.geometry import Array, Index
+from calgraph.rig.bundle.bundle_solver import RIG_ESTIMATION_HUBER_THRESHOLD
 from calgraph.rig.bundle.normal_equations import (
     accumulate,
     accumulate_biased,
     huber_variance_factor,
 )
 from calgraph.rig.bundle.observations import LinearizedResiduals
+from calgraph.rig.bundle.variance_components import VARIANCE_COMPONENT_MIN_REDUNDANCY
 from calgraph.rig.bundle.whitening import consistency_statistic
 
-HUBER_THRESHOLD = RigEstimationSettings().huber_threshold
-MIN_REDUNDANCY = RigEstimationSettings().variances.min_redundancy
+HUBER_THRESHOLD = RIG_ESTIMATION_HUBER_THRESHOLD
+MIN_REDUNDANCY = VARIANCE_COMPONENT_MIN_REDUNDANCY
 START = np.array([0, 30, 37])
 COUNTS = [30, 7, 23]
 

@@ -7,8 +7,8 @@ import pytest
 
 from bundle_scenes import CAMERA, CORNERS, PIXEL, scene, views_of, with_range_bias
 from calgraph.config import RangeNoise
-from calgraph.config.settings import RigEstimationSettings
 from calgraph.geometry import Array, se3, so3
+from calgraph.rig.bundle.bundle_setup import _MIN_INCIDENCE_COSINE
 from calgraph.rig.bundle.corner_observations import CornerObservations, PrintedCorners
 from calgraph.rig.bundle.observations import BoardViews, LinearizedResiduals, no_extra, relative_poses
 from calgraph.rig.bundle.range_observations import RangeObservations
@@ -150,7 +150,7 @@ def test_no_views_have_no_residuals(kind: str) -> None:
 def one_beam(direction: Array, measured: float) -> RangeObservations:
     return RangeObservations(
         np.array([0]), np.array([0]), direction[None], np.array([measured]), RangeNoise(range=0.012, angle=1e-5),
-        np.array([0.012]), RigEstimationSettings().min_incidence_cosine, extra_of_local=no_extra(1),
+        np.array([0.012]), _MIN_INCIDENCE_COSINE, extra_of_local=no_extra(1),
     )  # fmt: skip
 
 

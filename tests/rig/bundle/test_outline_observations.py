@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 
 from bundle_scenes import HEIGHT, WIDTH, scene
 from calgraph.boards.detections import PlanePatch
-from calgraph.config.settings import OutlineSettings
 from calgraph.geometry import Array, se3, so3
 from calgraph.rig.bundle.bundle_parameters import SystematicParameter
 from calgraph.rig.bundle.bundle_solver import linearize_bundle, minimize_bundle
@@ -49,7 +48,7 @@ def patch(edges: Array) -> PlanePatch:
 def outline(T_sensor_board: Array, edges: list[Array]) -> OutlineObservations:
     """Of boards (V, 4, 4), with one footprint between all beams."""
     views = OutlineObservations.from_edges(
-        range(len(edges)), [patch(one) for one in edges], np.tile(HALF, (len(edges), 1)), OutlineSettings()
+        range(len(edges)), [patch(one) for one in edges], np.tile(HALF, (len(edges), 1))
     )
     local = np.full((len(edges), len(OUTLINE_PARAMETERS)), -1, dtype=np.intp)
     local[:, OF_FOOTPRINTS] = 0

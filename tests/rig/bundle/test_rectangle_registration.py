@@ -3,11 +3,9 @@
 import numpy as np
 import pytest
 
-from calgraph.config.settings import BoardRegistrationSettings
 from calgraph.geometry import Array, se3, so3
 from calgraph.rig.bundle.rectangle_registration import _limited_mean, _offsets_from_sides, register_rectangles
 
-SETTINGS = BoardRegistrationSettings()
 HALF = np.array([0.42, 0.30])
 
 
@@ -28,7 +26,7 @@ def placed(points: Array, turn: float, shift: Array) -> tuple[Array, Array]:
 def test_rectangles_are_registered_to_their_outlines(rng: np.random.Generator) -> None:
     turns, shifts = rng.uniform(0, np.pi, 50), rng.uniform(-0.2, 0.2, (50, 2))
     moved = [placed(on_outline(rng, HALF, 30), turn, shift) for turn, shift in zip(turns, shifts, strict=True)]
-    found, certain = register_rectangles([points for points, _ in moved], HALF, SETTINGS)
+    found, certain = register_rectangles([points for points, _ in moved], HALF)
     assert certain.mean() > 0.9
     T = np.array([T for _, T in moved])
     off = se3.difference(found, T)
@@ -41,23 +39,23 @@ def test_rectangles_are_registered_to_their_outlines(rng: np.random.Generator) -
 def test_a_square_is_ambiguous(rng: np.random.Generator) -> None:
     square = np.array([0.35, 0.35])
     points, _ = placed(on_outline(rng, square, 40), 0.4, np.zeros(2))
-    assert register_rectangles([points], square, SETTINGS)[1].tolist() == [False]
+    assert register_rectangles([points], square)[1].tolist() == [False]
 
 
 @pytest.mark.parametrize("count", [0, 5])
 def test_few_points_do_not_suffice(rng: np.random.Generator, count: int) -> None:
-    found, certain = register_rectangles([on_outline(rng, HALF, count)], HALF, SETTINGS)
+    found, certain = register_rectangles([on_outline(rng, HALF, count)], HALF)
     np.testing.assert_array_equal(found, np.eye(4)[None])
     assert not certain.any()
 
 
 def test_a_rectangle_of_another_size_is_not_registered(rng: np.random.Generator) -> None:
     points, _ = placed(on_outline(rng, 0.6 * HALF, 40), 1.0, np.zeros(2))
-    assert register_rectangles([points], HALF, SETTINGS)[1].tolist() == [False]
+    assert register_rectangles([points], HALF)[1].tolist() == [False]
 
 
 def test_no_rectangles_are_none() -> None:
-    found, certain = register_rectangles([], HALF, SETTINGS)
+    found, certain = register_rectangles([], HALF)
     assert (found.shape, certain.shape) == ((0, 4, 4), (0,))
 
 
@@ -77,7 +75,7 @@ def draw_sides(*sides: tuple[tuple[float, float], tuple[float, float]]) -> Array
 )
 def test_three_sides_of_a_rectangle_suffice(points: Array) -> None:
     """The middle of the points is 84 or 60 mm from the centre."""
-    found, certain = register_rectangles([points + np.array([0.1, 0.05])], HALF, SETTINGS)
+    found, certain = register_rectangles([points + np.array([0.1, 0.05])], HALF)
     assert certain.all()
     np.testing.assert_allclose(found[0, :3, 3], [0.1, 0.05, 0], atol=1e-3)
 
@@ -85,8 +83,8 @@ def test_three_sides_of_a_rectangle_suffice(points: Array) -> None:
 def test_rectangles_are_registered_independently(rng: np.random.Generator) -> None:
     """One has more points than the other, whose points are padded."""
     points = [placed(on_outline(rng, HALF, count), 0.3, np.array([0.1, 0.0]))[0] for count in (12, 60)]
-    together, _ = register_rectangles(points, HALF, SETTINGS)
-    alone = np.concatenate([register_rectangles([one], HALF, SETTINGS)[0] for one in points])
+    together, _ = register_rectangles(points, HALF)
+    alone = np.concatenate([register_rectangles([one], HALF)[0] for one in points])
     np.testing.assert_allclose(together, alone, atol=1e-9)
 
 

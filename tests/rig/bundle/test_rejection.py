@@ -13,13 +13,15 @@ from calgraph.geometry import se3
 from calgraph.rig.bundle.bundle_solver import Bundle, minimize_bundle
 from calgraph.rig.bundle.covariances import view_covariance_factors
 from calgraph.rig.bundle.observations import relative_poses
-from calgraph.rig.bundle.settling import settle_variances
+from calgraph.rig.bundle.settling import MAX_SETTLED_CHANGE, settle_variances
 from calgraph.rig.bundle.variance_components import (
+    OUTLIER_SIGNIFICANCE,
     ViewConsistency,
     measure_consistency,
     select_consistent_views,
     update_variance_components,
 )
+from calgraph.rig.bundle.view_return import MAX_ROUNDS
 from calgraph.simulation import BoardErrors, IdealDetectorOptions, ModelErrors, build_world
 from detected_rigs import QUICK, DetectedRig, detect_rig, detect_rig_on
 
@@ -41,7 +43,7 @@ def select(
     bundle = scene(SENSORS[: len(excess)], boards=boards).bundle
     found = select_consistent_views(
         bundle,
-        consistent(excess, bundle.settings.variances.outlier_significance),
+        consistent(excess, OUTLIER_SIGNIFICANCE),
         [np.array(one, dtype=np.bool_) for one in kept],
         settled=settled,
     )
@@ -117,7 +119,9 @@ def with_outliers(exact: Scene, bundle: Bundle, sensor: int, share: float, rng: 
 
 
 @pytest.mark.parametrize("sensor", [0, 1])
-def test_a_fifth_of_gross_outliers_changes_robust_variances_less_than_others(sensor: int) -> None:
+def test_a_fifth_of_gross_outliers_changes_robust_variances_less_than_others(
+    sensor: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Outliers are 5 cm off, and kept: their share of the bias is truncated, and noise and other sensors' stay."""
     exact = scene(SENSORS, boards=20)
     robust, plain = np.zeros((2, 4, 4, 2))
@@ -125,14 +129,13 @@ def test_a_fifth_of_gross_outliers_changes_robust_variances_less_than_others(sen
         for seed in range(4):
             rng = np.random.default_rng(seed)
             bundle = with_outliers(exact, exact.measured(rng), sensor, 0.2, rng)
-            variances = bundle.settings.variances.model_copy(update={"truncated_share": truncated})
-            bundle = replace(bundle, settings=bundle.settings.model_copy(update={"variances": variances}))
+            monkeypatch.setattr("calgraph.rig.bundle.variance_components._TRUNCATED_SHARE", truncated)
             solution = minimize_bundle(bundle, exact.truth)
-            for _ in range(variances.max_rounds):
+            for _ in range(MAX_ROUNDS):
                 factors = view_covariance_factors(bundle, solution.equations)
                 bundle, change = update_variance_components(bundle, solution, factors)
                 solution = minimize_bundle(bundle, solution.state, iterations=3)
-                if change < variances.max_settled_change:
+                if change < MAX_SETTLED_CHANGE:
                     break
             found[seed] = np.sqrt(bundle.bias_variance[:, :2]) * [1, LEVER]
             assert [views.noise_scale for views in bundle.views] == pytest.approx([1] * 4, rel=0.25)
@@ -148,7 +151,7 @@ def test_a_fifth_of_gross_outliers_is_rejected_and_variances_are_those_of_the_ot
         rng = np.random.default_rng(seed)
         measured = exact.measured(rng)
         bundle = with_outliers(exact, measured, sensor, 0.2, rng)
-        rounds = bundle.settings.variances.max_rounds
+        rounds = MAX_ROUNDS
         settled, _, kept = settle_variances(bundle, minimize_bundle(bundle, exact.truth), rounds)
         rejected = {
             (board, name) for name, part in zip(SENSORS, kept, strict=True) for board in np.flatnonzero(~part)
@@ -170,10 +173,10 @@ def test_views_that_were_rejected_in_the_first_rounds_return() -> None:
         bundle = replace(exact.measured(rng, view_bias=0.004), bias_variance=bias_variances(4, 2e-4))
         solution, every = minimize_bundle(bundle, exact.truth), [np.ones(20, dtype=np.bool_)] * 4
         factors = view_covariance_factors(bundle, solution.equations)
-        consistency = measure_consistency(bundle, solution.equations, factors, every)
+        consistency = measure_consistency(solution.equations, factors, every)
         kept = select_consistent_views(bundle, consistency, every, settled=False)
         rejected_at_first += sum(int(np.sum(~part)) for part in kept)
-        rounds = bundle.settings.variances.max_rounds
+        rounds = MAX_ROUNDS
         settled, _, last = settle_variances(bundle, solution, rounds)
         assert all(part.all() for part in last)
         assert [len(views.board) for views in settled.views] == [20] * 4

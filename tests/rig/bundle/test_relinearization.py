@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from bundle_scenes import Scene, bias_variances, scene, with_range_bias
-from calgraph.config.settings import ExtrapolationSettings
 from calgraph.geometry import Array, se3, so3
 from calgraph.rig.bundle.bundle_solver import linearize_bundle, minimize_bundle
 from calgraph.rig.bundle.covariances import parameter_covariance
@@ -16,7 +15,6 @@ from calgraph.rig.bundle.range_observations import RangeObservations
 from calgraph.rig.bundle.relinearization import linearize_views
 
 STILL, NO_BIAS = np.zeros(0), np.zeros(8)
-LIMITS = ExtrapolationSettings()
 
 
 def lidar_views(rng: np.random.Generator) -> tuple[RangeObservations, Array]:
@@ -35,7 +33,7 @@ def gradients(equations: ViewNormalEquations) -> Array:
 def test_extrapolation_by_a_solver_step_is_accurate(rng: np.random.Generator) -> None:
     views, T = lidar_views(rng)
     near = se3.retract(T, 3e-4 * rng.normal(size=(6, 6)))
-    extrapolated = linearize_views(views, T, STILL, NO_BIAS, 2.5).extrapolate(views, near, STILL, LIMITS)
+    extrapolated = linearize_views(views, T, STILL, NO_BIAS, 2.5).extrapolate(views, near, STILL)
     exact_equations = linearize_views(views, near, STILL, NO_BIAS, 2.5).equations
     assert extrapolated is not None
     np.testing.assert_allclose(
@@ -51,7 +49,7 @@ def test_the_error_of_extrapolation_shrinks_with_the_step(rng: np.random.Generat
     off = []
     for size in (1e-3, 1e-4):
         near = se3.retract(T, np.full((6, 6), size))
-        extrapolated = linearize_views(views, T, STILL, NO_BIAS, 2.5).extrapolate(views, near, STILL, LIMITS)
+        extrapolated = linearize_views(views, T, STILL, NO_BIAS, 2.5).extrapolate(views, near, STILL)
         assert extrapolated is not None
         off.append(
             np.abs(
@@ -64,7 +62,7 @@ def test_the_error_of_extrapolation_shrinks_with_the_step(rng: np.random.Generat
 def test_motion_within_the_plane_does_not_change_ranges(rng: np.random.Generator) -> None:
     views, T = lidar_views(rng)
     slid = T @ se3.pose(so3.exp(np.array([0, 0, 1.0])), np.array([0.4, -0.3, 0]))
-    extrapolated = linearize_views(views, T, STILL, NO_BIAS, 2.5).extrapolate(views, slid, STILL, LIMITS)
+    extrapolated = linearize_views(views, T, STILL, NO_BIAS, 2.5).extrapolate(views, slid, STILL)
     assert extrapolated is not None
     np.testing.assert_allclose(
         extrapolated.gradient, linearize_views(views, slid, STILL, NO_BIAS, 2.5).equations.gradient, atol=1e-6
@@ -76,13 +74,13 @@ def test_extrapolation_is_limited(step: list[float], rng: np.random.Generator) -
     views, T = lidar_views(rng)
     far = T.copy()
     far[2] = T[2] @ se3.retract(np.eye(4), np.array(step)[[0, 2, 1, 3, 4, 5]])
-    assert linearize_views(views, T, STILL, NO_BIAS, 2.5).extrapolate(views, far, STILL, LIMITS) is None
+    assert linearize_views(views, T, STILL, NO_BIAS, 2.5).extrapolate(views, far, STILL) is None
 
 
 def test_a_range_bias_is_extrapolated(rng: np.random.Generator) -> None:
     views, T = lidar_views(rng)
     views, zero, biased = with_range_bias(views), np.zeros(1), np.array([0.002])
-    extrapolated = linearize_views(views, T, zero, np.zeros(8), 2.5).extrapolate(views, T, biased, LIMITS)
+    extrapolated = linearize_views(views, T, zero, np.zeros(8), 2.5).extrapolate(views, T, biased)
     exact_equations = linearize_views(views, T, biased, np.zeros(8), 2.5).equations
     assert extrapolated is not None
     assert np.abs(gradients(extrapolated) - gradients(exact_equations)).max() < 0.1
@@ -108,11 +106,12 @@ def test_extrapolation_changes_solutions_by_less_than_a_thousandth_of_their_erro
 
 @pytest.mark.parametrize(("share", "extrapolated"), [(0.98, True), (1.02, False)])
 def test_views_are_extrapolated_up_to_the_largest_rotation(
-    share: float, extrapolated: bool, rng: np.random.Generator
+    share: float, extrapolated: bool, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Of 0.1 rad about the board's x axis, with any change of residuals."""
+    monkeypatch.setattr("calgraph.rig.bundle.relinearization._MAX_RESIDUAL_CHANGE", 1e9)
+    monkeypatch.setattr("calgraph.rig.bundle.relinearization._MAX_ROTATION", 0.1)
     views, T = lidar_views(rng)
-    limits = ExtrapolationSettings(max_residual_change=1e9, max_rotation=0.1)
     rotated = T @ se3.pose(so3.exp(np.array([0.1 * share, 0, 0])), np.zeros(3))
-    found = linearize_views(views, T, STILL, NO_BIAS, 2.5).extrapolate(views, rotated, STILL, limits)
+    found = linearize_views(views, T, STILL, NO_BIAS, 2.5).extrapolate(views, rotated, STILL)
     assert (found is not None) == extrapolated

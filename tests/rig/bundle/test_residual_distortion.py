@@ -3,12 +3,11 @@
 import numpy as np
 import pytest
 
-from calgraph.config.settings import ResidualDistortionSettings
 from calgraph.geometry import Array
 from calgraph.rig.bundle.residual_distortion import ResidualDistortion
 from camera_views import PINHOLE
 
-FIELD = ResidualDistortion.over_images(PINHOLE, ResidualDistortionSettings())
+FIELD = ResidualDistortion.over_images(PINHOLE)
 RNG_SEED = 3
 
 

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from calgraph.config import Intrinsics, Rig
-from calgraph.config.settings import RigEstimationSettings, SystematicParameterSettings
 from calgraph.geometry import Array, se3
 from calgraph.graph.pairwise_estimate import select_matches
 from calgraph.rig.bundle.board_observations import group_detections
@@ -15,6 +14,7 @@ from calgraph.rig.bundle.board_outlines import add_outlines
 from calgraph.rig.bundle.bundle_setup import build_bundle, update_noise
 from calgraph.rig.bundle.bundle_solver import (
     BOARD_PRIOR_INFORMATION,
+    RIG_ESTIMATION_HUBER_THRESHOLD,
     Bundle,
     BundleState,
     linearize_bundle,
@@ -24,13 +24,12 @@ from calgraph.rig.bundle.covariances import parameter_covariance
 from calgraph.rig.bundle.normal_equations import accumulate
 from calgraph.rig.bundle.observations import BoardViews, LinearizedResiduals, relative_poses, view_indices
 from calgraph.rig.bundle.range_observations import RangeObservations
-from calgraph.rig.bundle.systematic_parameters import find_rings
+from calgraph.rig.bundle.systematic_parameters import _MAX_RINGS, find_rings
 from calgraph.rig.captures.detect import CaptureSet
 from calgraph.sensors import CameraModel
 from calgraph.simulation import CameraOptions, LaserOptions, MultibeamOptions
 from detected_rigs import QUICK, detect_rig
 
-SETTINGS = SystematicParameterSettings()
 DENSE = QUICK.model_copy(
     update={
         "laser": LaserOptions(count=1, resolution=0.5),
@@ -170,7 +169,7 @@ def test_sums_of_rings_are_those_of_dense_columns(bundle_and_state: tuple[Bundle
         linearized = some.linearize(T, extra)
         dense = one_hot(linearized)
         grouped, single = (
-            accumulate(one, some.start, RigEstimationSettings().huber_threshold, lambda e: 0 * e.Jtr)
+            accumulate(one, some.start, RIG_ESTIMATION_HUBER_THRESHOLD, lambda e: 0 * e.Jtr)
             for one in (linearized, dense)
         )
         scale = np.sqrt(np.maximum(np.diagonal(single.JtJ, axis1=-2, axis2=-1), 1.0))
@@ -185,12 +184,13 @@ def test_sums_of_rings_are_those_of_dense_columns(bundle_and_state: tuple[Bundle
 
 
 def test_the_covariance_is_the_inverse_of_the_dense_information(
-    bundle_and_state: tuple[Bundle, BundleState],
+    bundle_and_state: tuple[Bundle, BundleState], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Of poses, systematic parameters, rings and footprints, with their priors; without view biases."""
+    monkeypatch.setattr("calgraph.rig.bundle.bundle_solver.RIG_ESTIMATION_HUBER_THRESHOLD", 1e6)
+    monkeypatch.setattr("calgraph.rig.bundle.variance_components.RIG_ESTIMATION_HUBER_THRESHOLD", 1e6)
     bundle, state = bundle_and_state
-    settings = bundle.settings.model_copy(update={"huber_threshold": 1e6})
-    bundle = replace(bundle, bias_variance=np.zeros_like(bundle.bias_variance), settings=settings)
+    bundle = replace(bundle, bias_variance=np.zeros_like(bundle.bias_variance))
     G, boards = bundle.parameter_count, len(state.T_root_board)
     H = np.diag(np.concatenate([bundle.prior_stddev**-2, np.full(6 * boards, BOARD_PRIOR_INFORMATION)]))
     for k, views in enumerate(bundle.all_views):
@@ -231,7 +231,7 @@ def beams(elevation_degrees: Array, azimuths: int = 40) -> Array:
 def test_rings_are_found_by_gaps_between_elevations() -> None:
     stated = np.arange(-15.0, 16.0, 2.0)
     directions = beams(stated)
-    elevations, ring = find_rings(directions, SETTINGS)
+    elevations, ring = find_rings(directions)
     np.testing.assert_allclose(np.degrees(elevations), stated, atol=1e-9)
     np.testing.assert_allclose(np.degrees(np.arcsin(directions[:, 2])), stated[ring], atol=1e-9)
 
@@ -240,17 +240,17 @@ def test_elevations_of_a_ring_may_differ_slightly() -> None:
     """As of drivers that correct them by azimuth, by 0.02°."""
     stated = np.arange(-15.0, 16.0, 2.0)
     directions = beams((stated[:, None] + np.linspace(-0.01, 0.01, 5)).ravel())
-    elevations, ring = find_rings(directions, SETTINGS)
+    elevations, ring = find_rings(directions)
     np.testing.assert_allclose(np.degrees(elevations), stated, atol=0.01)
     assert np.abs(np.degrees(np.arcsin(directions[:, 2])) - stated[ring]).max() < 0.02
 
 
 def test_a_scanner_without_gaps_has_no_rings() -> None:
     """As solid-state LiDARs, and spinning 2-D scanners."""
-    elevations, ring = find_rings(beams(np.linspace(-12, 12, 1000)), SETTINGS)
+    elevations, ring = find_rings(beams(np.linspace(-12, 12, 1000)))
     assert len(elevations) == 0
     assert not ring.any()
-    no_beams = find_rings(np.zeros((0, 3)), SETTINGS)
+    no_beams = find_rings(np.zeros((0, 3)))
     assert [len(one) for one in no_beams] == [0, 0]
 
 
@@ -258,8 +258,8 @@ def test_a_scanner_without_gaps_has_no_rings() -> None:
 def test_neighbours_of_many_rings_share_a_bias(count: int) -> None:
     stated = np.linspace(-22.5, 22.5, count)
     directions = beams(stated)
-    elevations, ring = find_rings(directions, SETTINGS)
-    assert len(elevations) == SETTINGS.max_rings
+    elevations, ring = find_rings(directions)
+    assert len(elevations) == _MAX_RINGS
     assert np.all(np.diff(elevations) > 0)
     # Equally many, up to one, of contiguous elevations.
     elevation = np.degrees(np.arcsin(directions[:, 2]))

@@ -10,19 +10,21 @@ from scipy.stats import chi2
 from scipy.stats import t as student_t
 
 from bundle_scenes import LEVER, RANGE, Scene, bias_variances, remeasured, scene
-from calgraph.config.settings import VarianceComponentSettings
 from calgraph.geometry import se3
 from calgraph.rig.bundle.bundle_solver import Bundle, MinimizedBundle, minimize_bundle
 from calgraph.rig.bundle.covariances import pose_covariance, view_covariance_factors
 from calgraph.rig.bundle.observations import BoardViews, relative_poses
 from calgraph.rig.bundle.range_observations import RangeObservations
+from calgraph.rig.bundle.settling import MAX_SETTLED_CHANGE
 from calgraph.rig.bundle.variance_components import (
+    _USUAL_VIEW_BIAS,
     ViewConsistency,
     _shrink_noise_scale,
     measure_consistency,
     select_consistent_views,
     update_variance_components,
 )
+from calgraph.rig.bundle.view_return import MAX_ROUNDS
 
 pytestmark = pytest.mark.slow
 
@@ -33,12 +35,12 @@ FEW_SEEDS = 12
 
 def settled(exact: Scene, bundle: Bundle) -> tuple[Bundle, MinimizedBundle]:
     """The bundle after solving and estimating noise and view bias until they have settled."""
-    solution, settings = minimize_bundle(bundle, exact.truth), bundle.settings.variances
-    for _ in range(settings.max_rounds):
+    solution = minimize_bundle(bundle, exact.truth)
+    for _ in range(MAX_ROUNDS):
         factors = view_covariance_factors(bundle, solution.equations)
         bundle, change = update_variance_components(bundle, solution, factors)
         solution = minimize_bundle(bundle, solution.state, iterations=3)
-        if change < settings.max_settled_change:
+        if change < MAX_SETTLED_CHANGE:
             break
     return bundle, solution
 
@@ -46,7 +48,7 @@ def settled(exact: Scene, bundle: Bundle) -> tuple[Bundle, MinimizedBundle]:
 def consistency(bundle: Bundle, solution: MinimizedBundle) -> list[ViewConsistency]:
     """Of each sensor's views with all views."""
     factors = view_covariance_factors(bundle, solution.equations)
-    return measure_consistency(bundle, solution.equations, factors, every_view(bundle))
+    return measure_consistency(solution.equations, factors, every_view(bundle))
 
 
 def contradicting(bundle: Bundle, solution: MinimizedBundle) -> list[NDArray[np.bool_]]:
@@ -120,18 +122,13 @@ def test_noise_is_attributed_to_its_sensor() -> None:
     assert scales == pytest.approx([1, 3, 1], rel=0.25)
 
 
-def with_weight(bundle: Bundle, weight: float) -> Bundle:
-    """The bundle with a weight of the usual view bias."""
-    variances = bundle.settings.variances.model_copy(update={"usual_bias_weight": weight})
-    return replace(bundle, settings=bundle.settings.model_copy(update={"variances": variances}))
-
-
 @pytest.mark.parametrize("view_bias", [0.003, 0.01])
-def test_view_bias_is_estimated_without_bias(view_bias: float) -> None:
+def test_view_bias_is_estimated_without_bias(view_bias: float, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where the usual one has no weight."""
+    monkeypatch.setattr("calgraph.rig.bundle.variance_components._USUAL_BIAS_WEIGHT", 0.0)
     exact = scene(("lidar", "camera", "laser", "camera"), boards=15)
     measured = [exact.measured(np.random.default_rng(seed), view_bias=view_bias) for seed in range(FEW_SEEDS)]
-    variances = np.array([settled(exact, with_weight(one, 0.0))[0].bias_variance[:, :2] for one in measured])
+    variances = np.array([settled(exact, one)[0].bias_variance[:, :2] for one in measured])
     # Variances of displacement and rotation over the true ones: their means over seeds against their scatter.
     relative_size = variances / bias_variances(4, view_bias)[:, :2]
     standard_error = relative_size.std(axis=0, ddof=1) / np.sqrt(FEW_SEEDS)
@@ -142,10 +139,11 @@ def test_view_bias_is_estimated_without_bias(view_bias: float) -> None:
 
 @pytest.mark.parametrize(("weight", "largest_median", "largest"), [(0.0, 5e-4, 3.5e-3), (2.0, 1.5e-3, 3.0e-3)])
 def test_without_view_bias_its_estimate_is_at_most_the_usual_one(
-    weight: float, largest_median: float, largest: float
+    weight: float, largest_median: float, largest: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr("calgraph.rig.bundle.variance_components._USUAL_BIAS_WEIGHT", weight)
     exact = scene(boards=15)
-    measured = [with_weight(exact.measured(np.random.default_rng(seed)), weight) for seed in range(SEEDS)]
+    measured = [exact.measured(np.random.default_rng(seed)) for seed in range(SEEDS)]
     biases = np.sqrt([settled(exact, one)[0].bias_variance[:, :2] * [1, LEVER**2] for one in measured])
     # Larger by chance for some; still a small part of the noise.
     assert np.median(biases) < largest_median
@@ -154,17 +152,18 @@ def test_without_view_bias_its_estimate_is_at_most_the_usual_one(
 
 def test_few_views_do_not_suffice_for_a_view_bias_of_zero() -> None:
     exact = scene(boards=5)
-    usual = scene().bundle.settings.variances.usual_view_bias
+    usual = _USUAL_VIEW_BIAS
     for seed in range(SEEDS):
         bundle, _ = settled(exact, exact.measured(np.random.default_rng(seed)))
         displacement, rotation, *_ = np.sqrt(bundle.bias_variance).T
         assert min(displacement.min(), LEVER * rotation.min()) > 0.3 * usual
 
 
-def test_the_usual_view_bias_is_assumed_if_its_weight_is_large() -> None:
+def test_the_usual_view_bias_is_assumed_if_its_weight_is_large(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("calgraph.rig.bundle.variance_components._USUAL_BIAS_WEIGHT", 1e6)
     exact = scene(boards=10)
-    bundle, _ = settled(exact, with_weight(exact.measured(np.random.default_rng(0), view_bias=0.005), 1e6))
-    usual = bundle.settings.variances.usual_view_bias
+    bundle, _ = settled(exact, exact.measured(np.random.default_rng(0), view_bias=0.005))
+    usual = _USUAL_VIEW_BIAS
     np.testing.assert_allclose(
         np.sqrt(bundle.bias_variance), np.tile([usual, usual / LEVER, 0, 0], (3, 1)), rtol=0.02
     )
@@ -174,14 +173,15 @@ def test_the_usual_view_bias_is_assumed_if_its_weight_is_large() -> None:
     ("view_bias", "weight", "largest"), [(0.0015, 2.0, 1.2), (0.005, 0.0, 1.2), (0.005, 2.0, 1.5)]
 )
 def test_with_view_bias_errors_are_consistent_with_the_covariance(
-    view_bias: float, weight: float, largest: float
+    view_bias: float, weight: float, largest: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Also where it is as usual; at three times that, components that are hardly measured are too small."""
+    monkeypatch.setattr("calgraph.rig.bundle.variance_components._USUAL_BIAS_WEIGHT", weight)
     exact = scene(boards=20)
     nees = []
     for seed in range(FEW_SEEDS):
         measured = exact.measured(np.random.default_rng(seed), view_bias=view_bias)
-        bundle, solution = settled(exact, with_weight(measured, weight))
+        bundle, solution = settled(exact, measured)
         spread = pose_covariance(bundle, solution.state, solution.equations)[6:, 6:]
         error = se3.difference(solution.state.T_root_sensor, exact.truth.T_root_sensor)[1:].ravel()
         nees.append(error @ np.linalg.solve(spread, error))
@@ -292,18 +292,19 @@ def test_views_are_outliers_beyond_the_significance_level() -> None:
         assert found == [0, int(target > 1), 0, 0]
 
 
-def test_noise_is_at_least_the_least_ratio_of_that_stated() -> None:
+def test_noise_is_at_least_the_least_ratio_of_that_stated(monkeypatch: pytest.MonkeyPatch) -> None:
     """From residuals of zero with many degrees of freedom, which outweigh the noise as stated."""
-    settings = VarianceComponentSettings(min_noise_ratio=0.1)
-    assert _shrink_noise_scale(0.0, 1e9, settings) == pytest.approx(0.1)
+    monkeypatch.setattr("calgraph.rig.bundle.variance_components._MIN_NOISE_RATIO", 0.1)
+    assert _shrink_noise_scale(0.0, 1e9) == pytest.approx(0.1)
 
 
 @pytest.mark.parametrize(("min_noise_change", "kept"), [(0.2, True), (0.0, False)])
-def test_views_whose_noise_hardly_changes_are_kept(min_noise_change: float, kept: bool) -> None:
+def test_views_whose_noise_hardly_changes_are_kept(
+    min_noise_change: float, kept: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("calgraph.rig.bundle.variance_components._MIN_NOISE_CHANGE", min_noise_change)
     exact = scene(boards=12)
     bundle = exact.measured(np.random.default_rng(0), noise=1.02)
-    variances = bundle.settings.variances.model_copy(update={"min_noise_change": min_noise_change})
-    bundle = replace(bundle, settings=bundle.settings.model_copy(update={"variances": variances}))
     solution = minimize_bundle(bundle, exact.truth)
     updated, _ = update_variance_components(bundle, solution, view_covariance_factors(bundle, solution.equations))
     same = [after is before for after, before in zip(updated.views, bundle.views, strict=True)]

@@ -8,7 +8,6 @@ import pytest
 
 from calgraph.boards.detections import BoardCorners, Detection, Segment
 from calgraph.config import PixelNoise
-from calgraph.config.settings import CameraNoiseSettings
 from calgraph.geometry import se3, so3
 from calgraph.rig.captures.camera_noise import scale_by_measured_noise
 from calgraph.rig.detection.from_measurements import board_corners_from_pixels
@@ -58,9 +57,10 @@ def test_too_few_residuals_leave_covariances_as_stated() -> None:
     assert scales([0.1, 0.1], corners=9) == pytest.approx([36 * 0.01 / 24 / STATED**2] * 2)
 
 
-def test_settings_state_the_limits() -> None:
-    settings = CameraNoiseSettings(min_noise=0.2, min_degrees_of_freedom=4)
-    (scaled,) = scale_by_measured_noise({0: (board(0.1, corners=5),)}, STATED, settings)[0]
+def test_the_noise_has_a_minimum(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("calgraph.rig.captures.camera_noise._MIN_NOISE", 0.2)
+    monkeypatch.setattr("calgraph.rig.captures.camera_noise._MIN_DEGREES_OF_FREEDOM", 4)
+    (scaled,) = scale_by_measured_noise({0: (board(0.1, corners=5),)}, STATED)[0]
     assert isinstance(scaled, BoardCorners)
     assert scaled.covariance[0, 0] == pytest.approx(0.2**2 / STATED**2)
 

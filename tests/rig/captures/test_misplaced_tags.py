@@ -6,10 +6,14 @@ import numpy as np
 import pytest
 
 from calgraph.boards.detections import BoardCorners, InconsistentTags
-from calgraph.config.settings import MisplacedTagSettings
 from calgraph.rig.captures.misplaced_tags import find_misplaced_tags
 
-SETTINGS = MisplacedTagSettings(min_captures=3, min_share=0.5)
+
+@pytest.fixture(autouse=True)
+def name_tags_of_three_captures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Tags are named that contradict half of three captures."""
+    monkeypatch.setattr("calgraph.rig.captures.misplaced_tags._MIN_CAPTURES", 3)
+    monkeypatch.setattr("calgraph.rig.captures.misplaced_tags._MIN_SHARE", 0.5)
 
 
 def board(tags: int, outlier_tags: tuple[int, ...] = ()) -> BoardCorners:
@@ -20,7 +24,7 @@ def board(tags: int, outlier_tags: tuple[int, ...] = ()) -> BoardCorners:
 
 def find_texts(boards: list[BoardCorners], inconsistent: int = 0) -> list[str]:
     rejected = [InconsistentTags("no two of them agree", (0, 1))] * inconsistent
-    found = list(find_misplaced_tags("camera", [(one,) for one in boards], rejected, SETTINGS))
+    found = list(find_misplaced_tags("camera", [(one,) for one in boards], rejected))
     assert all(one.sensors == ("camera",) for one in found)
     return [one.text for one in found]
 

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from calgraph.config import Board, Lidar2dSpec, Rig, SensorSpec, Tag
-from calgraph.config.settings import MotionDetectionSettings
 from calgraph.geometry import Array
 from calgraph.parallel.engine import Processes
 from calgraph.recording import MessageRecording
@@ -91,8 +90,8 @@ def test_detected_corners_that_move_or_vanish_are_change_and_noise_is_not(rng: n
 
 def test_a_view_that_changes_as_a_whole_all_the_time_never_rests() -> None:
     stamps = np.linspace(0.0, 2.9, 30)
-    assert len(find_still_spans(stamps, np.ones(30), MotionDetectionSettings())) == 0
-    assert len(find_still_spans(stamps, np.zeros(30), MotionDetectionSettings())) == 1
+    assert len(find_still_spans(stamps, np.ones(30))) == 0
+    assert len(find_still_spans(stamps, np.zeros(30))) == 1
 
 
 @pytest.mark.parametrize("sizes", [[7], [1, 6], [2, 2, 3], [3, 1, 1, 2]])
@@ -108,7 +107,7 @@ def test_blocks_that_are_measured_apart_have_the_changes_of_the_whole(
     ]
     whole, parts = ActivityMeter(), ActivityMeter()
     decoders = iter([partial(copy, cloud) for cloud in clouds])
-    blocks = [measure_block(MotionDetectionSettings(), list(islice(decoders, size))) for size in sizes]
+    blocks = [measure_block(None, list(islice(decoders, size))) for size in sizes]
     changes = [change for block in blocks for change in parts.join(block)]
     assert changes == [whole.measure_change(cloud) for cloud in clouds]
     assert changes[2] > 0.3

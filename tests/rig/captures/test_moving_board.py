@@ -136,11 +136,12 @@ def torn_patch_at(time: float) -> PlanePatch:
     return PlanePatch(plane.fit(points), np.eye(3), measured, u, points.mean(axis=0), times=times)
 
 
-def test_the_plane_of_a_sweep_that_begins_on_the_board_is_freed_from_skew() -> None:
+def test_the_plane_of_a_sweep_that_begins_on_the_board_is_freed_from_skew(monkeypatch: pytest.MonkeyPatch) -> None:
     found = captures_of({"lidar": {t: torn_patch_at(t) for t in FRAMES}})
     angles = []
     for rounds in (0, 2):
-        (patch,) = compensate_motion(found, MovingBoardSettings(skew_rounds=rounds)).detections["lidar"][0]
+        monkeypatch.setattr("calgraph.rig.captures.moving_board._SKEW_ROUNDS", rounds)
+        (patch,) = compensate_motion(found, SETTINGS).detections["lidar"][0]
         assert isinstance(patch, PlanePatch)
         cosine = patch.plane[:3] @ plane.from_pose(board_at(0.0))[:3]
         angles.append(float(np.arccos(np.clip(cosine, -1, 1))))

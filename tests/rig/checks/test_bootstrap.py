@@ -3,10 +3,10 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 import scipy.stats
 
 from bundle_scenes import bias_variances, scene
-from calgraph.config.settings import RigDiagnosticsSettings
 from calgraph.rig.bundle.bundle_solver import Bundle, linearize_bundle, minimize_bundle
 from calgraph.rig.bundle.covariances import pose_covariance
 from calgraph.rig.bundle.solution import SolvedBundle
@@ -122,12 +122,14 @@ def test_stated_deviations_are_along_the_axes_of_the_sensor() -> None:
     np.testing.assert_allclose(found["camera"].stated, np.sqrt(np.diag(covariance)))
 
 
-def test_a_difference_has_at_least_the_smallest_share_of_the_stated_variance() -> None:
+def test_a_difference_has_at_least_the_smallest_share_of_the_stated_variance(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """A share of a million divides ratios, which are about 1, by a thousand."""
+    monkeypatch.setattr("calgraph.rig.checks.bootstrap._BOOTSTRAP_MIN_VARIANCE_SHARE", 1e6)
     exact = scene(boards=BOARDS)
     bundle = exact.measured(np.random.default_rng(0))
     solved = SolvedBundle(bundle, minimize_bundle(bundle, exact.truth), np.arange(BOARDS))
-    settings = RigDiagnosticsSettings(bootstrap_min_variance_share=1e6)
-    found = bootstrap_poses(solved, ROUNDS, np.random.default_rng(0), lambda _: None, settings)
+    found = bootstrap_poses(solved, ROUNDS, np.random.default_rng(0), lambda _: None)
     ratios = np.concatenate([one.ratio for one in found.values()])
     assert 0.3e-3 < ratios.min() < ratios.max() < 3e-3

@@ -7,7 +7,6 @@ import pytest
 from scipy.stats import t as student
 
 from bundle_scenes import LEVER, Scene, remeasured, scene
-from calgraph.config.settings import RigDiagnosticsSettings
 from calgraph.errors import InputError
 from calgraph.geometry import se3
 from calgraph.result import HeldOutError
@@ -106,12 +105,15 @@ def test_a_capture_of_two_boards_is_one() -> None:
 
 
 @pytest.mark.parametrize(("stddev", "compared"), [(1e-4, False), (0.1, True)])
-def test_tilts_are_compared_of_views_that_determine_them(stddev: float, compared: bool) -> None:
+def test_tilts_are_compared_of_views_that_determine_them(
+    stddev: float, compared: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Views of the camera determine the tilt of a board to some milliradians."""
+    monkeypatch.setattr("calgraph.rig.checks.cross_validation._COMPARED_TILT_STDDEV", stddev)
     exact = scene(boards=8)
     bundle = exact.measured(np.random.default_rng(0))
     solved = SolvedBundle(bundle, minimize_bundle(bundle, exact.truth), np.arange(8))
-    found = cross_validate(solved, 4, RigDiagnosticsSettings(compared_tilt_stddev=stddev))
+    found = cross_validate(solved, 4)
     assert (found["camera"].tilt is not None) == compared
 
 

@@ -13,6 +13,8 @@ from calgraph.rig.bundle.bundle_solver import Bundle, minimize_bundle
 from calgraph.rig.bundle.covariances import pose_covariance
 from calgraph.rig.bundle.solution import RigSolution, SolvedBundle
 from calgraph.rig.checks.drift_tests import (
+    _MAX_LARGE_MULTIPLE,
+    _MIN_LARGE_MULTIPLE,
     DriftStatistics,
     compute_drift_moments,
     find_drifts,
@@ -63,19 +65,19 @@ def covariances(solved: SolvedBundle) -> tuple[Array, Array]:
 
 def test_the_statistic_without_a_drift_is_chi_squared() -> None:
     # The camera measures all six parameters.
-    squares = [measure_drifts(drifting(seed), SETTINGS).drift(1).squared for seed in range(60)]
+    squares = [measure_drifts(drifting(seed)).drift(1).squared for seed in range(60)]
     assert kstest(squares, chi2(6).cdf).pvalue > 1e-3
 
 
 def test_right_recordings_have_no_drift() -> None:
-    found = [list(find_drifts(measure_drifts(drifting(seed), SETTINGS), SETTINGS.drifts)) for seed in range(60)]
+    found = [list(find_drifts(measure_drifts(drifting(seed)))) for seed in range(60)]
     assert found.count([]) >= 59
 
 
 @pytest.mark.parametrize("sensor", [0, 1, 2])
 def test_a_drift_is_named(sensor: int) -> None:
-    statistics = measure_drifts(drifting(0, sensor, 5 * DIRECTION), SETTINGS)
-    first, *others = find_drifts(statistics, SETTINGS.drifts)
+    statistics = measure_drifts(drifting(0, sensor, 5 * DIRECTION))
+    first, *others = find_drifts(statistics)
     assert SENSORS[sensor] in first.sensors
     assert not others
     if sensor == 1:
@@ -85,12 +87,12 @@ def test_a_drift_is_named(sensor: int) -> None:
 
 
 def test_a_drift_of_the_root_makes_all_weak() -> None:
-    first, *_ = find_drifts(measure_drifts(drifting(0, 0, 5 * DIRECTION), SETTINGS), SETTINGS.drifts)
+    first, *_ = find_drifts(measure_drifts(drifting(0, 0, 5 * DIRECTION)))
     assert set(first.sensors) == set(SENSORS)
 
 
 def test_beside_a_drift_it_has_no_score() -> None:
-    statistics = measure_drifts(drifting(0, 1, DIRECTION), SETTINGS)
+    statistics = measure_drifts(drifting(0, 1, DIRECTION))
     beside = statistics.beside(1)
     assert beside.drift(1).squared < 1e-6 * statistics.drift(1).squared
     # That of the other sensors is as in a joint solution of both.
@@ -106,7 +108,7 @@ def test_covariances_hold_at_the_end_of_drifts_that_are_not_found() -> None:
         for size in (0.3, 0.6, 1.0):
             for sensor in (0, 1):
                 solved = drifting(seed, sensor, size * DIRECTION)
-                if list(find_drifts(measure_drifts(solved, SETTINGS), SETTINGS.drifts)):
+                if list(find_drifts(measure_drifts(solved))):
                     continue
                 _, covariance = covariances(solved)
                 end = SCENE.truth.T_root_sensor.copy()
@@ -132,7 +134,7 @@ def test_moments_of_drifts_are_those_of_samples_from_the_prior(size: float, seri
     drifts = SETTINGS.drifts
     rng, count = np.random.default_rng(0), 400_000
     small = np.tile(np.repeat([drifts.translation, drifts.rotation], 3), 2)
-    multiple = rng.choice(np.geomspace(drifts.min_large_multiple, drifts.max_large_multiple, 8), count)
+    multiple = rng.choice(np.geomspace(_MIN_LARGE_MULTIPLE, _MAX_LARGE_MULTIPLE, 8), count)
     large = rng.random(count) < 2 / 3
     of_first = rng.random(count) < 0.5
     factor = np.where(large, multiple, 1.0)[:, None] ** np.stack([of_first, ~of_first], axis=1)
@@ -168,7 +170,7 @@ def test_right_recordings_keep_their_covariances() -> None:
 def test_rigid_groups_do_not_drift_apart() -> None:
     solved = drifting(0)
     grouped = solve(replace(solved.bundle, body=np.array([0, 1, 1])))
-    statistics = measure_drifts(grouped, SETTINGS)
+    statistics = measure_drifts(grouped)
     assert statistics.bodies == ((SENSORS[0],), SENSORS[1:])
     _, covariance = covariances(grouped)
     of_camera, of_laser = (covariance[6 * s + 3 : 6 * s + 6, 6 * s + 3 : 6 * s + 6] for s in (1, 2))
@@ -180,7 +182,8 @@ def test_variances_stay_where_views_do_not_determine_a_drift(monkeypatch: pytest
         raise np.linalg.LinAlgError("Matrix is not positive definite")
 
     solved = drifting(0, 1, 5 * DIRECTION)
-    without = SETTINGS.model_copy(update={"drifts": SETTINGS.drifts.model_copy(update={"max_rounds": 0})})
-    expected = measure_drifts(solved, without).drift(1)
+    with monkeypatch.context() as without:
+        without.setattr("calgraph.rig.checks.drift_tests._MAX_ROUNDS", 0)
+        expected = measure_drifts(solved).drift(1)
     monkeypatch.setattr("calgraph.rig.checks.drift_tests._update_variances_beside_drifts", fail)
-    assert measure_drifts(solved, SETTINGS).drift(1).squared == expected.squared
+    assert measure_drifts(solved).drift(1).squared == expected.squared

@@ -8,7 +8,6 @@ import pytest
 
 from bundle_scenes import HEIGHT, LEVER, WIDTH, bias_variances, board_poses, scene, views_of, with_range_bias
 from calgraph.config import Tolerance
-from calgraph.config.settings import RigDiagnosticsSettings
 from calgraph.geometry import Array, se3, so3
 from calgraph.result import Suggestion
 from calgraph.rig.bundle.bundle_parameters import SystematicParameter
@@ -139,20 +138,16 @@ def test_words_say_where_the_board_is_and_how_it_is_tilted() -> None:
         np.column_stack([x, np.cross(z, x), z]), np.array([2 * np.cos(bearing), 2 * np.sin(bearing), 0.5])
     )
     words = "hold the board 2.0 m from laser, 30° to its left, 0.5 m above it, tilted back by 40°"
-    assert describe_pose("laser", KINDS, {"laser": T}, RigDiagnosticsSettings()) == words
+    assert describe_pose("laser", KINDS, {"laser": T}) == words
     camera = se3.inverse(se3.pose(OPTICAL, np.zeros(3))) @ T
-    assert describe_pose("laser", KINDS, {"camera": camera}, RigDiagnosticsSettings()) == words.replace(
-        "laser", "camera"
-    )
+    assert describe_pose("laser", KINDS, {"camera": camera}) == words.replace("laser", "camera")
 
 
 def draw_candidates_before(sensor: int) -> tuple[Array, Array]:
     """Centres (K, 3) and normals (K, 3) of candidates near a board, in the frame of the sensor before it."""
     exact = scene(boards=1)
     views = tuple(v if s == sensor else v.select(np.zeros(1, bool)) for s, v in enumerate(exact.bundle.views))
-    candidates = _draw_candidates(
-        replace(exact.bundle, views=views), exact.truth, np.random.default_rng(0), RigDiagnosticsSettings()
-    )
+    candidates = _draw_candidates(replace(exact.bundle, views=views), exact.truth, np.random.default_rng(0))
     T = relative_poses(exact.truth.T_root_sensor[sensor], candidates)
     return T[:, :3, 3], T[:, :3, 2]
 

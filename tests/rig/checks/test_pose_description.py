@@ -46,12 +46,12 @@ def test_small_heights_and_angles_are_not_mentioned(T: Array, expected: str) -> 
     """Below 0.15 m and 7.5 degrees; angles are rounded to 5 degrees."""
     expected = f"hold the board {expected}" + (" laser" if expected.endswith("of") else "")
     expected += " as viewed from the sensor" if "turned" in expected else ""
-    assert describe_pose("laser", KINDS, {"laser": T}, SETTINGS) == expected
+    assert describe_pose("laser", KINDS, {"laser": T}) == expected
     in_camera = se3.inverse(T_SCANNER_CAMERA) @ T
-    assert describe_pose("camera", KINDS, {"camera": in_camera}, SETTINGS) == expected.replace("laser", "camera")
+    assert describe_pose("camera", KINDS, {"camera": in_camera}) == expected.replace("laser", "camera")
 
 
 def test_a_sensor_that_does_not_detect_the_board_is_replaced_by_the_nearest() -> None:
     poses = {"camera": se3.inverse(T_SCANNER_CAMERA) @ board(3.0), "laser": board(2.0)}
-    assert describe_pose("rear", KINDS, poses, SETTINGS) == "hold the board 2.0 m in front of laser"
-    assert describe_pose("camera", KINDS, poses, SETTINGS) == "hold the board 3.0 m in front of camera"
+    assert describe_pose("rear", KINDS, poses) == "hold the board 2.0 m in front of laser"
+    assert describe_pose("camera", KINDS, poses) == "hold the board 3.0 m in front of camera"

@@ -7,18 +7,15 @@ import pytest
 from scipy.stats import beta, chi2, kstest
 
 from bundle_scenes import remeasured, scene
-from calgraph.config.settings import BumpTestSettings, SerialCorrelationSettings
 from calgraph.geometry import Array, se3
 from calgraph.rig.bundle.bundle_solver import Bundle, minimize_bundle
 from calgraph.rig.bundle.covariances import pose_covariance
 from calgraph.rig.bundle.observations import relative_poses
-from calgraph.rig.checks.pose_steps import PoseStep, _select_largest, find_pose_steps
+from calgraph.rig.checks.pose_steps import _SINGLE_VIEW_PROBABILITY, PoseStep, _select_largest, find_pose_steps
 from calgraph.rig.checks.released_poses import StepStatistics, release_poses
 
 pytestmark = pytest.mark.slow
 
-SETTINGS = BumpTestSettings()
-CORRELATION = SerialCorrelationSettings()
 BOARDS = 20
 SCENE = scene(boards=BOARDS)
 SENSORS = SCENE.bundle.sensors
@@ -43,9 +40,9 @@ def measured(rng: np.random.Generator, sensor: int = 0, step: Array | None = Non
     return replace(bundle, views=tuple(views))
 
 
-def find(bundle: Bundle, settings: BumpTestSettings = SETTINGS) -> list[PoseStep]:
+def find(bundle: Bundle) -> list[PoseStep]:
     """The steps that are found."""
-    return find_pose_steps(bundle, minimize_bundle(bundle, SCENE.truth), settings, CORRELATION)
+    return find_pose_steps(bundle, minimize_bundle(bundle, SCENE.truth))
 
 
 def is_between(step: PoseStep, first: int) -> bool:
@@ -125,7 +122,7 @@ def test_of_two_sensors_either_may_have_moved() -> None:
         bias_variance=bundle.bias_variance[:2],
     )
     state = replace(SCENE.truth, T_root_sensor=SCENE.truth.T_root_sensor[:2])
-    (step,) = find_pose_steps(pair, minimize_bundle(pair, state), SETTINGS, CORRELATION)
+    (step,) = find_pose_steps(pair, minimize_bundle(pair, state))
     assert set(step.sensors) == set(SENSORS[:2])
 
 
@@ -154,7 +151,7 @@ def test_a_bump_does_not_rest_on_one_view() -> None:
     """Either a scanner moved before its last four views, or one of these is of something else than the board."""
     moved = measured(np.random.default_rng(0), 2, np.array([0, 0, 0, 0, 0.03, 0]), BOARDS - 4)
     wrong = [wrong_detection(17), wrong_detection(BOARDS - 1)]
-    limit, least = chi2.isf([0.1 / (3 * BOARDS), SETTINGS.single_view_probability], 6)
+    limit, least = chi2.isf([0.1 / (3 * BOARDS), _SINGLE_VIEW_PROBABILITY], 6)
     ones = [np.ones(BOARDS)] * len(SENSORS)
     for bundle, is_bump in [(moved, True), *((one, False) for one in wrong)]:
         solution = minimize_bundle(bundle, SCENE.truth)
@@ -172,11 +169,10 @@ def wrong_detection(board: int) -> Bundle:
     return replace(bundle, views=(*bundle.views[:2], remeasured(SCENE.bundle.views[2], T, rng, 1.0)))
 
 
-def test_no_search_is_possible_to_choose() -> None:
+def test_a_step_has_the_least_views_on_either_side(monkeypatch: pytest.MonkeyPatch) -> None:
     bundle = measured(np.random.default_rng(0), 1, np.array([0.05, 0, 0, 0, 0, 0]), 10)
-    assert find(bundle, SETTINGS.model_copy(update={"max_bumps": 0})) == []
-    few = SETTINGS.model_copy(update={"min_views": BOARDS})
-    assert find(bundle, few) == []
+    monkeypatch.setattr("calgraph.rig.checks.pose_steps._MIN_VIEWS", BOARDS)
+    assert find(bundle) == []
 
 
 def test_views_without_a_time_for_a_step_are_not_selected() -> None:

@@ -32,7 +32,7 @@ def board(name: str, distance: float = 2.5, bearing: float = 0.0, tilt: float = 
 def predict(name: str, detected: list[Array], candidates: list[Array]) -> BoardViews:
     recorded = views_of(name, np.array(detected))
     poses = np.array(candidates)
-    return predict_observations(recorded, KINDS[name], np.array(detected), poses, (WIDTH, HEIGHT), SETTINGS)
+    return predict_observations(recorded, KINDS[name], np.array(detected), poses, (WIDTH, HEIGHT))
 
 
 def information(views: BoardViews) -> float:
@@ -148,7 +148,7 @@ def test_the_view_with_the_most_corners_is_predicted() -> None:
         both.noise,
         extra_of_local=both.extra_of_local,
     )
-    found = predict_observations(fewer, "camera", detected, detected, (WIDTH, HEIGHT), SETTINGS)
+    found = predict_observations(fewer, "camera", detected, detected, (WIDTH, HEIGHT))
     assert isinstance(found, CornerObservations)
     assert found.start.tolist() == [0, 12]
     np.testing.assert_allclose(found.printed.nominal[:12], CORNERS)
@@ -157,9 +157,7 @@ def test_the_view_with_the_most_corners_is_predicted() -> None:
 @pytest.mark.parametrize("name", KINDS)
 def test_a_sensor_without_views_is_predicted_to_detect_nothing(name: str) -> None:
     views = views_of(name, board(name)[None]).select(np.zeros(1, dtype=np.bool_))
-    found = predict_observations(
-        views, KINDS[name], np.zeros((0, 4, 4)), board(name)[None], (WIDTH, HEIGHT), SETTINGS
-    )
+    found = predict_observations(views, KINDS[name], np.zeros((0, 4, 4)), board(name)[None], (WIDTH, HEIGHT))
     assert len(found.board) == 0
 
 

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from bundle_scenes import bias_variances, remeasured, scene
-from calgraph.config.settings import BumpTestSettings, SerialCorrelationSettings
 from calgraph.geometry import se3
 from calgraph.rig.bundle.bundle_solver import Bundle, minimize_bundle
 from calgraph.rig.bundle.observations import relative_poses
@@ -15,11 +14,10 @@ from calgraph.rig.checks.serial_correlation import measure_score_correlation, me
 
 BOARDS = 40
 SCENE = scene(boards=BOARDS)
-SETTINGS = SerialCorrelationSettings()
 
 
 def measure(bundle: Bundle) -> float:
-    return measure_serial_correlation(bundle, minimize_bundle(bundle, SCENE.truth), np.arange(BOARDS), SETTINGS)
+    return measure_serial_correlation(bundle, minimize_bundle(bundle, SCENE.truth), np.arange(BOARDS))
 
 
 def wandering(seed: int, stddev: float, together: int) -> Bundle:
@@ -65,25 +63,25 @@ def test_the_factor_does_not_depend_on_axes_and_units() -> None:
             for views, columns in zip(equations.views, map(bundle.columns, range(3)), strict=True)
         ),
     )
-    factor = measure_serial_correlation(bundle, solution, order, SETTINGS)
+    factor = measure_serial_correlation(bundle, solution, order)
     assert factor > 1
-    assert measure_serial_correlation(
-        bundle, replace(solution, equations=changed), order, SETTINGS
-    ) == pytest.approx(factor, rel=1e-3)
+    assert measure_serial_correlation(bundle, replace(solution, equations=changed), order) == pytest.approx(
+        factor, rel=1e-3
+    )
 
 
 def test_few_captures_are_not_tested() -> None:
     bundle = SCENE.measured(np.random.default_rng(0))
     few = bundle.with_views([views.select(views.board < 8) for views in bundle.views])
     solution = minimize_bundle(few, SCENE.truth)
-    assert measure_serial_correlation(few, solution, np.arange(8), SETTINGS) == 1.0
+    assert measure_serial_correlation(few, solution, np.arange(8)) == 1.0
 
 
 def test_no_steps_beside_common_errors_of_successive_captures() -> None:
     found = 0
     for seed in range(6):
         bundle = wandering(seed, 0.02, 8)
-        found += bool(find_pose_steps(bundle, minimize_bundle(bundle, SCENE.truth), BumpTestSettings(), SETTINGS))
+        found += bool(find_pose_steps(bundle, minimize_bundle(bundle, SCENE.truth)))
     assert found <= 1
 
 
@@ -91,8 +89,8 @@ def test_the_factor_of_scores_is_that_of_their_most_correlated_direction() -> No
     """Autoregression with 0.8 in one of six directions has a long-run variance of 9; six lags show half."""
     rng = np.random.default_rng(0)
     scores = rng.normal(size=(120, 6))
-    independent = measure_score_correlation(scores, SETTINGS)
+    independent = measure_score_correlation(scores)
     for i in range(1, len(scores)):
         scores[i, 2] = 0.8 * scores[i - 1, 2] + 0.6 * scores[i, 2]
     assert 1 <= independent < 1.6
-    assert 2 < measure_score_correlation(scores, SETTINGS) < 6
+    assert 2 < measure_score_correlation(scores) < 6

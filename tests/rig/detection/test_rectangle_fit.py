@@ -6,6 +6,7 @@ import pytest
 from calgraph.config.settings import DetectionSettings
 from calgraph.geometry import Array
 from calgraph.rig.detection.rectangle_fit import (
+    OUTLINE_BLUR,
     BoardRectangle,
     SceneBeams,
     fit_rectangle,
@@ -15,7 +16,7 @@ from calgraph.rig.detection.rectangle_fit import (
 SIZE = (1.0, 0.6)
 PLANE = np.array([0.0, 0.0, -1.0, 2.0])
 """z = 2, seen from the origin."""
-BLUR = DetectionSettings().lidar3d.outline_blur
+BLUR = OUTLINE_BLUR
 
 
 def grid(width: float, height: float, step: float = 0.02) -> Array:

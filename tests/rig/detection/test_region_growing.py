@@ -22,7 +22,7 @@ def cells(depth: Array) -> Cells:
 def regions(depth: Array, thickness: float = 0.03) -> list[Array]:
     """Points of the cells of each region, the largest first."""
     made = cells(depth)
-    found = grow_flat_regions(made, thickness, SETTINGS.lidar3d.regions)
+    found = grow_flat_regions(made, thickness)
     return sorted((made.points[region] for region in found), key=len, reverse=True)
 
 
@@ -63,16 +63,15 @@ def test_round_things_are_no_region() -> None:
     directions = np.column_stack([np.ones_like(Y), np.tan(Y), np.tan(Z)])[hit]
     made = make_cells(ranges[:, None] * directions / np.linalg.norm(directions, axis=1)[:, None], None, SETTINGS)
     assert made is not None
-    for region in grow_flat_regions(made, 0.03, SETTINGS.lidar3d.regions):
+    for region in grow_flat_regions(made, 0.03):
         assert len(region) < 0.5 * len(made.points)
 
 
-def test_fewer_cells_than_stated_are_no_region() -> None:
+def test_fewer_cells_than_stated_are_no_region(monkeypatch: pytest.MonkeyPatch) -> None:
     small = np.hypot(Y, Z) < np.radians(1.0)
     points = 3.0 * np.column_stack([np.ones_like(Y), np.tan(Y), np.tan(Z)])[small]
     made = make_cells(points, None, SETTINGS)
     assert made is not None
     assert 5 < len(made.points) < 20
-    settings = SETTINGS.lidar3d.regions
-    many = settings.model_copy(update={"min_cells": len(made.points) + 1})
-    assert grow_flat_regions(made, 0.03, many) == []
+    monkeypatch.setattr("calgraph.rig.detection.region_growing._MIN_CELLS", len(made.points) + 1)
+    assert grow_flat_regions(made, 0.03) == []

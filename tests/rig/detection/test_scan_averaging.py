@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from calgraph.config import RangeNoise
-from calgraph.config.settings import ScannerDetectionSettings
 from calgraph.geometry import Array
 from calgraph.rig.detection.scan_averaging import AveragedScan, average_scans
 from calgraph.sensors import LaserScan
@@ -17,7 +16,7 @@ NAN = np.nan
 def average(ranges: Array, foreground: Array | None = None, angles: Array = ANGLES) -> AveragedScan:
     scans = [LaserScan(0.0, "laser", angles, row) for row in ranges]
     marked = np.ones(ranges.shape, dtype=bool) if foreground is None else foreground
-    averaged = average_scans(scans, NOISE, list(marked), ScannerDetectionSettings())
+    averaged = average_scans(scans, NOISE, list(marked))
     assert averaged is not None
     return averaged
 
@@ -38,7 +37,7 @@ def test_ranges_of_precise_scanners_are_averaged_within_the_least_thickness() ->
     ranges[:, 5] = [2.0, 2.0, 2.029]
     scans = [LaserScan(0.0, "laser", ANGLES, row) for row in ranges]
     marked = [np.ones(11, dtype=bool)] * 3
-    precise = average_scans(scans, RangeNoise(range=0.001), marked, ScannerDetectionSettings())
+    precise = average_scans(scans, RangeNoise(range=0.001), marked)
     assert precise is not None
     assert precise.ranges[5] == pytest.approx(2.0 + 0.029 / 3)
 
@@ -92,4 +91,4 @@ def test_less_than_a_full_turn_stays_in_order() -> None:
 def test_scans_without_steady_returns_have_no_average(ranges: Array) -> None:
     scans = [LaserScan(0.0, "laser", ANGLES, row) for row in ranges]
     marked = [np.ones(11, dtype=bool)] * len(scans)
-    assert average_scans(scans, NOISE, marked, ScannerDetectionSettings()) is None
+    assert average_scans(scans, NOISE, marked) is None

@@ -5,7 +5,6 @@ import pytest
 
 from board_scenes import SIZE, detect_boards, make_boards, make_patch, random_pose, segment_endpoints
 from calgraph.boards.detections import PlanePatch
-from calgraph.config.settings import BoardPairSettings
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se3, so3
 from calgraph.graph.pairwise_estimate import PairwiseEstimate
@@ -213,14 +212,12 @@ def test_pairs_without_a_joint_pose_keep_their_inliers(rng: np.random.Generator)
 
 @pytest.mark.parametrize(("kind", "count", "inliers"), [("plane", 3, 3), ("line", 9, 8)])
 def test_pairs_need_more_residuals_than_unknowns(
-    kind: str, count: int, inliers: int, rng: np.random.Generator
+    kind: str, count: int, inliers: int, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr("calgraph.rig.pairs.board_pair._MINORITY_INLIERS", 0)
     a, b = (detect_boards(kind, np.eye(4), make_boards(rng, 40), rng) for _ in range(2))
     common = sorted(set(a) & set(b))[:count]
-    settings = BoardPairSettings(minority_inliers=0)
-    found = estimate_pair(
-        "a", "b", {i: a[i] for i in common}, {i: b[i] for i in common}, SIZE, rng, settings=settings
-    )
+    found = estimate_pair("a", "b", {i: a[i] for i in common}, {i: b[i] for i in common}, SIZE, rng)
     assert isinstance(found, Rejected)
     assert found.reason.startswith(
         f"RANSAC found no relative pose with at least {inliers} inliers among {count} shared captures: "
@@ -254,13 +251,16 @@ def test_a_rejected_pair_states_the_number_of_candidates(rng: np.random.Generato
     assert "among 12 shared captures, with up to 2 candidates for the board in one: " in found.reason
 
 
-def test_the_gate_of_reselection_is_in_standard_deviations(rng: np.random.Generator) -> None:
+def test_the_gate_of_reselection_is_in_standard_deviations(
+    rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("calgraph.rig.pairs.board_pair._RESELECTION_GATE", np.sqrt(0.4549))
     # Half of the squared residuals are below the median, which is 0.4549 standard deviations squared.
     scene, T_a_b = make_boards(rng, 200), random_pose(rng)
     a, b = (detect_boards("plane", T, scene, rng) for T in (np.eye(4), se3.inverse(T_a_b)))
     estimate = estimate_pair("a", "b", a, b, SIZE, rng)
     assert isinstance(estimate, PairwiseEstimate)
-    found = reselect_inliers(estimate, T_a_b, a, b, SIZE, BoardPairSettings(reselection_gate=np.sqrt(0.4549)))
+    found = reselect_inliers(estimate, T_a_b, a, b, SIZE)
     assert isinstance(found, PairwiseEstimate)
     assert found.inliers.mean() == pytest.approx(0.5, abs=0.03)
 

@@ -1,11 +1,9 @@
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from board_scenes import SIZE, make_boards, make_patch, make_segment, random_pose
-from calgraph.config.settings import BoardPairSettings
 from calgraph.geometry import Array, plane, se3, so3
 from calgraph.rig.pairs.least_squares import axis_aligned_rotations
 from calgraph.rig.pairs.line_matches import (
@@ -62,8 +60,7 @@ def plane_line(
     planes, covariances_a, centers, endpoints, covariances_b = (
         np.array(column) for column in zip(*rows, strict=True)
     )
-    settings = BoardPairSettings()
-    return PlaneLineMatches(planes, covariances_a, centers, endpoints, covariances_b, DIAGONAL, settings)
+    return PlaneLineMatches(planes, covariances_a, centers, endpoints, covariances_b, DIAGONAL)
 
 
 def line_line(T_a_b: Array, rng: np.random.Generator, count: int = 200, sigma: float = 1e-12) -> LineLineMatches:
@@ -74,7 +71,7 @@ def line_line(T_a_b: Array, rng: np.random.Generator, count: int = 200, sigma: f
         and (of_b := make_segment(se3.inverse(T_a_b) @ T, rng, sigma)) is not None
     ]
     a, covariances_a, b, covariances_b = (np.array(column) for column in zip(*rows, strict=True))
-    return LineLineMatches(a, covariances_a, b, covariances_b, DIAGONAL, BoardPairSettings())
+    return LineLineMatches(a, covariances_a, b, covariances_b, DIAGONAL)
 
 
 def tilted_pose() -> Array:
@@ -130,7 +127,7 @@ def test_covariance_of_distances_from_a_plane_is_their_scatter(rng: np.random.Ge
     planes = plane.retract(one.planes[:1], rng.multivariate_normal(np.zeros(3), one.covariances_a[0], count))
     drawn = PlaneLineMatches(
         planes, np.zeros((count, 3, 3)), np.zeros((count, 3)), one.endpoints[:1] + ends, np.zeros((count, 6, 6)),
-        DIAGONAL, BoardPairSettings(),
+        DIAGONAL,
     )  # fmt: skip
     stated = one.linearize(T_a_b[None]).covariance[0, 0]
     found = np.cov(drawn.linearize(T_a_b[None]).residuals[0].T)
@@ -236,14 +233,13 @@ def test_a_rotation_by_03_rad_outweighs_a_residual_of_6_mm(
     rms: float, chosen: int, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The penalty is 20 mm/rad; the second solution is exact, the first one has not left its start."""
+    monkeypatch.setattr("calgraph.rig.pairs.line_matches._REFINED_STARTS", 2)
+    monkeypatch.setattr("calgraph.rig.pairs.line_matches._ROTATION_PENALTY", 0.02)
 
     def minimize(_self: object, R: Array, *_: Array) -> tuple[Array, Array]:
         turns = so3.exp(np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.3]]))
         return se3.pose(turns @ R, np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])), np.array([rms**2, 0.0])
 
     monkeypatch.setattr(PlaneLineMatches, "_minimize", minimize)
-    matches = replace(
-        plane_line(np.eye(4), rng, 12, tilt=0.0),
-        settings=BoardPairSettings(refined_starts=2, rotation_penalty=0.02),
-    )
+    matches = plane_line(np.eye(4), rng, 12, tilt=0.0)
     assert matches.solve(np.array([[0, 1, 2]]))[0, 0, 3] == chosen

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from board_scenes import SIZE, make_boards, make_patch, random_pose
-from calgraph.config.settings import BoardPairSettings
 from calgraph.geometry import Array, plane, se3, so3
 from calgraph.rig.pairs.plane_matches import PlanePlaneMatches
 
@@ -20,7 +19,7 @@ def build_matches(
         (np.array([p.plane for p in of]), np.array([p.covariance for p in of]), np.array([p.center for p in of]))
         for of in (a, b)
     ]
-    return PlanePlaneMatches(*columns[0], *columns[1], RADIUS, DIAGONAL, BoardPairSettings())
+    return PlanePlaneMatches(*columns[0], *columns[1], RADIUS, DIAGONAL)
 
 
 def test_three_exact_planes_determine_the_pose(rng: np.random.Generator) -> None:
@@ -40,7 +39,7 @@ def test_nearly_coplanar_normals_have_no_solution(spread: float, solvable: bool)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     planes = np.column_stack([-normals, np.full(3, 2.0)])
     C = np.tile(1e-6 * np.eye(3), (3, 1, 1))
-    matches = PlanePlaneMatches(planes, C, 2 * normals, planes, C, 2 * normals, 0.4, 1.5, BoardPairSettings())
+    matches = PlanePlaneMatches(planes, C, 2 * normals, planes, C, 2 * normals, 0.4, 1.5)
     assert np.isfinite(matches.solve(np.array([[0, 1, 2]]))).all() == solvable
 
 
@@ -48,7 +47,7 @@ def test_residuals_are_distances_of_three_points_around_the_centre() -> None:
     # Plane b is plane a shifted by 0.1 m along the normal, or turned about x by 0.1 rad.
     C = np.zeros((1, 3, 3))
     a, center = np.array([[0.0, 0, -1, 2]]), np.array([[0.0, 0, 2]])
-    matches = PlanePlaneMatches(a, C, center, a, C, center, 0.4, 1.5, BoardPairSettings())
+    matches = PlanePlaneMatches(a, C, center, a, C, center, 0.4, 1.5)
     shifted = matches.linearize(se3.pose(np.eye(3), np.array([0, 0, 0.1]))[None])
     np.testing.assert_allclose(shifted.residuals, [[[-0.1, -0.1, -0.1]]], atol=1e-12)
     turn = so3.exp(np.array([0.1, 0, 0]))
@@ -82,9 +81,7 @@ def test_covariance_is_the_scatter_of_the_residuals(rng: np.random.Generator) ->
     # Points stay at the centre of the board, as distances along the normal are small.
     centers_a, centers_b = (np.broadcast_to(c, (count, 3)) for c in (exact.centers_a, exact.centers_b))
     on_b = centers_b - plane.distance(planes_b, centers_b[:, None]) * planes_b[:, :3]
-    drawn = PlanePlaneMatches(
-        planes_a, zero, centers_a, planes_b, zero, on_b, RADIUS, DIAGONAL, BoardPairSettings()
-    )
+    drawn = PlanePlaneMatches(planes_a, zero, centers_a, planes_b, zero, on_b, RADIUS, DIAGONAL)
     residuals = drawn.linearize(T_a_b[None]).residuals[0]
     covariance = stated.linearize(T_a_b[None]).covariance[0, 0]
     np.testing.assert_allclose(np.cov(residuals.T), covariance, rtol=0.15, atol=0.1 * covariance.max())
@@ -94,7 +91,7 @@ def test_covariance_is_the_scatter_of_the_residuals(rng: np.random.Generator) ->
 def test_planes_at_a_large_angle_are_infeasible(degrees: float, expected: bool) -> None:
     C, center = np.zeros((1, 3, 3)), np.array([[0.0, 0, 2]])
     planes = np.array([[0.0, 0, -1, 2]])
-    matches = PlanePlaneMatches(planes, C, center, planes, C, center, 0.4, 1.5, BoardPairSettings())
+    matches = PlanePlaneMatches(planes, C, center, planes, C, center, 0.4, 1.5)
     turn = so3.exp(np.array([0, np.radians(degrees), 0]))
     about_center = se3.pose(turn, center[0] - turn @ center[0])
     assert matches.feasible(about_center[None]).tolist() == [[expected]]
@@ -104,6 +101,6 @@ def test_planes_at_a_large_angle_are_infeasible(degrees: float, expected: bool) 
 def test_centres_farther_apart_than_a_board_are_infeasible(shift: float, expected: bool) -> None:
     C, center = np.zeros((1, 3, 3)), np.array([[0.0, 0, 2]])
     planes = np.array([[0.0, 0, -1, 2]])
-    matches = PlanePlaneMatches(planes, C, center, planes, C, center, 0.4, 1.5, BoardPairSettings())
+    matches = PlanePlaneMatches(planes, C, center, planes, C, center, 0.4, 1.5)
     T_a_b = se3.pose(np.eye(3), np.array([shift, 0, 0]))
     assert matches.feasible(T_a_b[None]).tolist() == [[expected]]

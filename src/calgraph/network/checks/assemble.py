@@ -21,6 +21,7 @@ from calgraph.network.graph.network_initialization import NetworkInitialization
 from calgraph.network.joint.estimate import NetworkSolution
 from calgraph.network.joint.leg_problem import LegObservations
 from calgraph.network.joint.planar_poses import lift_covariance
+from calgraph.network.joint.track_association import MAX_DISTANCE
 from calgraph.network.pairs.hypothesis_evidence import PoseHypothesis
 from calgraph.network.pairs.scanner_pair import ScannerPairEstimate
 from calgraph.network.pairs.synchronized_tracks import resample_tracks
@@ -35,6 +36,11 @@ _LISTED_PARTNERS = 8
 _DIGITS = re.compile(r"[0-9.]+")
 
 NetworkPairs = Mapping[tuple[str, str], ScannerPairEstimate | Rejected]
+
+
+# Ticks (tick_period of pairs) at which another scanner has to track a walk for the report to call it shared: half
+# a second, one step.
+_MIN_SHARED_TICKS = 5
 
 
 def assemble_network(
@@ -64,16 +70,16 @@ def assemble_network(
     """
     tracked = {name: tracks for name, tracks in followed.items() if isinstance(tracks, ScannerTracks)}
     names, averaged = initialization.names, initialization.solution
-    settings = rig.settings.pairwise.scanners
-    clocks = initialization.average_clocks(settings) if joint is None else joint.clocks
+    pass
+    clocks = initialization.average_clocks() if joint is None else joint.clocks
     remaining_offset = dict(zip(names, np.nan_to_num(clocks[:, 0]).tolist(), strict=True))
     samples = {
-        name: resample_tracks(_correct_clock(one, remaining_offset.get(name, 0.0)), settings.resampling)
+        name: resample_tracks(_correct_clock(one, remaining_offset.get(name, 0.0)))
         for name, one in tracked.items()
     }
     T_root_scanner = averaged.T_root_node if joint is None else joint.T_root_scanner
     planar = dict(zip(names, T_root_scanner, strict=True))
-    matches = match_across_scanners(samples, planar, rig.settings.estimation.network.grouping.max_distance)
+    matches = match_across_scanners(samples, planar, MAX_DISTANCE)
     inliers = initialization.graph.select_edges(averaged.inliers)
     covariance = lift_covariance(
         compute_joint_covariance(inliers, averaged.T_root_node) if joint is None else joint.pose_covariance
@@ -99,7 +105,7 @@ def assemble_network(
             edges=tuple(
                 _build_edge(pair, found, inlier_poses, parents) for pair, found in initialization.pairs.items()
             ),
-            captures=build_walk_rows(samples, matches, start, rig.settings.diagnostics.network.min_shared_ticks),
+            captures=build_walk_rows(samples, matches, start, _MIN_SHARED_TICKS),
             unconnected={
                 name: _explain_unconnected(name, rig.root, followed, initialization.pairs)
                 for name in rig.sensors

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 
 from calgraph.config.settings import ClockMountingSettings
 from calgraph.network.graph.clock_mounting_consensus import ClockMountingSolution
+from calgraph.network.pairs.clock_mounting_search import FIRM_EVIDENCE
 from calgraph.result.finding import Finding
 
 
@@ -42,7 +43,7 @@ def report_clocks_and_mountings(
             tuple(name for name in (h.sensor_a, h.sensor_b) if name != root),
         )
         for h in solution.refused
-        if h.evidence >= settings.firm_evidence
+        if h.evidence >= FIRM_EVIDENCE
     ]
     findings += [
         Finding(

@@ -25,6 +25,16 @@ class MovedScanner:
         return f"{1000 * self.distance:.1f} mm and {round(float(np.degrees(self.rotation)), 2) + 0.0:+.2f}°"
 
 
+# m; error of poses by rounding in files, added before moved scanners are searched: URDF and tf files are often
+# written by hand with four decimals.
+_POSITION_ROUNDING = 1e-4
+# rad; the same of angles, of which files have about five decimals.
+_ROTATION_ROUNDING = 1e-5
+# Sets of one size of moved scanners that are all tested, in about a second; where there are more, the best
+# smaller set grows by one scanner.
+_MAX_SETS = 3000
+
+
 def find_moved_scanners(
     before: PlanarPoses, after: PlanarPoses, settings: DiagnosticsSettings
 ) -> tuple[str, tuple[MovedScanner, ...]]:
@@ -40,12 +50,12 @@ def find_moved_scanners(
     """
     after = after.select(before.names)
     difference = se2.difference(after.T_root_scanner, before.T_root_scanner)
-    network = settings.network
-    rounding = [network.position_rounding, network.position_rounding, network.rotation_rounding]
+    pass
+    rounding = [_POSITION_ROUNDING, _POSITION_ROUNDING, _ROTATION_ROUNDING]
     of_rounding = np.diag(np.tile(np.square(rounding), len(before.names)))
     covariance = before.covariance + after.covariance + of_rounding
     nodes, *_ = find_displaced_nodes(
-        before.T_root_scanner, difference, covariance, settings.verdict.false_alarm_probability, network.max_sets
+        before.T_root_scanner, difference, covariance, settings.verdict.false_alarm_probability, _MAX_SETS
     )
     reference = next(name for k, name in enumerate(before.names) if k not in nodes)
     selected = [reference, *(before.names[k] for k in nodes)]

@@ -4,16 +4,18 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from calgraph.config.settings import RigDiagnosticsSettings
 from calgraph.geometry import Index
 from calgraph.network.joint.scanner_unknowns import TILT_ERRORS, SystematicErrors
 from calgraph.result.finding import Finding
-from calgraph.verdict.parameter_estimates import ParameterEstimates
+from calgraph.verdict.parameter_estimates import (
+    MAX_PARAMETER_CORRELATION,
+    MAX_PRIOR_DEVIATION,
+    MIN_LEARNED_SHARE,
+    ParameterEstimates,
+)
 
 
-def find_systematic_errors(
-    errors: SystematicErrors, names: Sequence[str], settings: RigDiagnosticsSettings
-) -> Iterator[Finding]:
+def find_systematic_errors(errors: SystematicErrors, names: Sequence[str]) -> Iterator[Finding]:
     """Systematic errors that are larger than their priors allow, one of each scanner: the largest.
 
     Those that the data do not distinguish, such as range scales of all scanners, are named together; in large
@@ -24,21 +26,20 @@ def find_systematic_errors(
     Args:
         errors: of the joint solution.
         names: of its scanners, the root first.
-        settings: the same limits as for rigs.
     """
     named = set[tuple[str, str]]()
     for scanner, name in enumerate(names):
-        alone = _select_estimates(errors, names, np.array([scanner]), settings)
+        alone = _select_estimates(errors, names, np.array([scanner]))
         ratios = np.abs(alone.normalized)
-        if not len(ratios) or ratios.max() <= settings.max_prior_deviation:
+        if not len(ratios) or ratios.max() <= MAX_PRIOR_DEVIATION:
             continue
         quantity = alone.parameters[int(np.argmax(ratios))].quantity
         if (name, quantity) in named:
             continue
-        estimates = _select_estimates(errors, names, errors.covariance.list_near(scanner), settings)
+        estimates = _select_estimates(errors, names, errors.covariance.list_near(scanner))
         keys = [(one.of, one.quantity) for one in estimates.parameters]
         i = keys.index((name, quantity))
-        others = estimates.indistinguishable(i, settings.max_parameter_correlation)
+        others = estimates.indistinguishable(i, MAX_PARAMETER_CORRELATION)
         named.update(keys[j] for j in others)
         text, causes = estimates.describe(i, others)
         scanners = {estimates.parameters[j].of for j in causes}
@@ -46,9 +47,7 @@ def find_systematic_errors(
         yield Finding(text, tuple(names) if names[0] in scanners else tuple(n for n in names if n in scanners))
 
 
-def _select_estimates(
-    errors: SystematicErrors, names: Sequence[str], scanners: Index, settings: RigDiagnosticsSettings
-) -> ParameterEstimates:
+def _select_estimates(errors: SystematicErrors, names: Sequence[str], scanners: Index) -> ParameterEstimates:
     """The estimated errors of some scanners; those of scanners far from each other are independent."""
     selected = errors.select(scanners)
     parameters = selected.summarize([names[scanner] for scanner in scanners])
@@ -57,7 +56,7 @@ def _select_estimates(
     return ParameterEstimates(
         parameters,
         np.array([one.value - one.stated for one in parameters]),
-        np.array([one.prior for one in parameters]) * np.where(by_tilt, settings.max_prior_deviation / 2, 1),
+        np.array([one.prior for one in parameters]) * np.where(by_tilt, MAX_PRIOR_DEVIATION / 2, 1),
         selected.covariance.expand(0.0)[np.ix_(estimated, estimated)],
-        settings.min_learned_share,
+        MIN_LEARNED_SHARE,
     )

@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 from scipy.sparse import csc_array, csr_array
 from scipy.sparse.linalg import splu
 
-from calgraph.config.settings import ClockMountingSettings
 from calgraph.geometry import Array
-from calgraph.network.pairs.clock_mounting_search import ClockMountingHypothesis
+from calgraph.network.pairs.clock_mounting_search import FIRM_EVIDENCE, MIN_LATERAL_SPREAD, ClockMountingHypothesis
 
 # Rounds of reweighting, after which weights of clock offsets change by less than a percent.
 _ROUNDS = 20
@@ -38,9 +37,7 @@ class ClockSolution:
     """Hypotheses that are used, and that a clock offset rests on alone though people walked on one line."""
 
 
-def resolve_clocks(
-    node: Mapping[str, int], hypotheses: Sequence[ClockMountingHypothesis], settings: ClockMountingSettings
-) -> ClockSolution:
+def resolve_clocks(node: Mapping[str, int], hypotheses: Sequence[ClockMountingHypothesis]) -> ClockSolution:
     """Averages the clock offsets of pairs, without those that other pairs do not confirm.
 
     Each edge of the maximum spanning tree by evidence defines a fundamental cut. If its clocks differ, more pairs
@@ -50,26 +47,23 @@ def resolve_clocks(
     Args:
         node: index of each scanner, of which 0 is the reference.
         hypotheses: of pairs with the selected mountings, with more evidence than chance.
-        settings: of the search.
     """
     remaining, refused = list(hypotheses), list[ClockMountingHypothesis]()
     while True:
         used = _best_of_pairs(remaining)
         tree = _spanning_tree(len(node), node, used)
-        offset, stddev = _average_clocks(len(node), node, used, tree, settings)
+        offset, stddev = _average_clocks(len(node), node, used, tree)
         unconfirmed = next(
-            (found for h in tree if (found := _unconfirmed(h, tree, node, hypotheses, offset, settings))), None
+            (found for h in tree if (found := _unconfirmed(h, tree, node, hypotheses, offset))), None
         )
         if unconfirmed is None:
-            on_a_line = tuple(h for h in tree if _rests_on_a_line(h, tree, node, used, settings))
+            on_a_line = tuple(h for h in tree if _rests_on_a_line(h, tree, node, used))
             return ClockSolution(offset, stddev, _best_of_pairs(refused), on_a_line)
         refused += [h for h in remaining if h in unconfirmed]
         remaining = [h for h in remaining if h not in unconfirmed]
 
 
-def average_clocks(
-    names: Sequence[str], hypotheses: Sequence[ClockMountingHypothesis], settings: ClockMountingSettings
-) -> Array:
+def average_clocks(names: Sequence[str], hypotheses: Sequence[ClockMountingHypothesis]) -> Array:
     """(N, 2) clock offsets of connected scanners from the first one, and their standard deviations, s.
 
     NaN for the first one, whose clock is the reference, and for those that no clock offset connects to it.
@@ -77,15 +71,19 @@ def average_clocks(
     Args:
         names: of the scanners.
         hypotheses: of pairs that agree with the poses.
-        settings: the noise of clock offsets.
     """
     node = {name: k for k, name in enumerate(names)}
     used = _best_of_pairs([h for h in hypotheses if np.isfinite(h.clock_stddev)])
     tree = _spanning_tree(len(node), node, used)
-    offset, stddev = _average_clocks(len(node), node, used, tree, settings)
-    clocks = np.column_stack([offset, np.sqrt(_variance_factor(node, used, offset, len(tree), settings)) * stddev])
+    offset, stddev = _average_clocks(len(node), node, used, tree)
+    clocks = np.column_stack([offset, np.sqrt(_variance_factor(node, used, offset, len(tree))) * stddev])
     clocks[clocks[:, 1] == 0] = np.nan
     return clocks
+
+
+# Standard deviation of errors of a pair's clock offset that its covariance does not contain, s: in those pairs, a
+# tenth of the offsets were off by more than 3 ms.
+_CLOCK_NOISE = 0.005
 
 
 def _variance_factor(
@@ -93,12 +91,11 @@ def _variance_factor(
     used: Sequence[ClockMountingHypothesis],
     offset: Array,
     unknowns: int,
-    settings: ClockMountingSettings,
 ) -> float:
     """Mean squared residual over its expectation, of offsets that cycles test; at least 1."""
     if len(used) <= unknowns:
         return 1.0
-    residuals = [_residual(h, node, offset) / np.hypot(h.clock_stddev, settings.clock_noise) for h in used]
+    residuals = [_residual(h, node, offset) / np.hypot(h.clock_stddev, _CLOCK_NOISE) for h in used]
     return max(float(np.sum(np.square(residuals))) / (len(used) - unknowns), 1.0)
 
 
@@ -142,27 +139,36 @@ def _beyond(
     return {node[name] for h in tree for name in (h.sensor_a, h.sensor_b)} - reached
 
 
+# Offset from which tracks are corrected before poses are estimated, s: smaller ones are within the prior of clock
+# offsets, and both estimators find them.
+MIN_CLOCK_OFFSET = 0.1
+# Difference up to which the clock offsets of two pairs agree, s: people walk 15 cm in it.
+SAME_CLOCK = 0.1
+# Ratio of the evidence of the other mounting to that of the best one from which a mounting is ambiguous: in those
+# pairs it was below 0.5; it is 1 where all people walk on one line.
+MAX_EVIDENCE_RATIO = 0.7
+
+
 def _unconfirmed(
     edge: ClockMountingHypothesis,
     tree: Sequence[ClockMountingHypothesis],
     node: Mapping[str, int],
     hypotheses: Sequence[ClockMountingHypothesis],
     offset: Array,
-    settings: ClockMountingSettings,
 ) -> list[ClockMountingHypothesis]:
     """The hypotheses across the cut of an edge that agree with its clock offset, if that is not confirmed."""
-    if abs(edge.clock_offset) <= settings.min_clock_offset:
+    if abs(edge.clock_offset) <= MIN_CLOCK_OFFSET:
         return []
     part = _beyond(edge, tree, node)
     across = [h for h in hypotheses if (node[h.sensor_a] in part) != (node[h.sensor_b] in part)]
-    agreeing = [h for h in across if abs(_residual(h, node, offset)) <= settings.same_clock]
+    agreeing = [h for h in across if abs(_residual(h, node, offset)) <= SAME_CLOCK]
     supporting = {(h.sensor_a, h.sensor_b) for h in agreeing}
     contradicting = {(h.sensor_a, h.sensor_b) for h in across} - supporting
     if len(supporting) > max(len(contradicting), 1):
         return []
     others = max((h.evidence for h in across if h not in agreeing), default=0.0)
-    alone_but_firm = not contradicting and edge.evidence >= settings.firm_evidence
-    return [] if alone_but_firm and others <= settings.max_evidence_ratio * edge.evidence else agreeing
+    alone_but_firm = not contradicting and edge.evidence >= FIRM_EVIDENCE
+    return [] if alone_but_firm and others <= MAX_EVIDENCE_RATIO * edge.evidence else agreeing
 
 
 def _rests_on_a_line(
@@ -170,11 +176,10 @@ def _rests_on_a_line(
     tree: Sequence[ClockMountingHypothesis],
     node: Mapping[str, int],
     used: Sequence[ClockMountingHypothesis],
-    settings: ClockMountingSettings,
 ) -> bool:
     """Whether clocks across an edge differ by what no other pair confirms, where people may follow each other."""
-    differs = abs(edge.clock_offset) > settings.min_clock_offset
-    if not differs or edge.lateral_spread >= settings.min_lateral_spread:
+    differs = abs(edge.clock_offset) > MIN_CLOCK_OFFSET
+    if not differs or edge.lateral_spread >= MIN_LATERAL_SPREAD:
         return False
     part = _beyond(edge, tree, node)
     return sum((node[h.sensor_a] in part) != (node[h.sensor_b] in part) for h in used) == 1
@@ -189,7 +194,6 @@ def _average_clocks(
     node: Mapping[str, int],
     used: Sequence[ClockMountingHypothesis],
     tree: Sequence[ClockMountingHypothesis],
-    settings: ClockMountingSettings,
 ) -> tuple[Array, Array]:
     """(N,) offsets from node 0 and their standard deviations, s.
 
@@ -209,7 +213,7 @@ def _average_clocks(
         return offsets, stddev
     ends: NDArray[np.intp] = np.array([(node[h.sensor_a], node[h.sensor_b]) for h in used], dtype=np.intp)
     measured = np.array([h.clock_offset for h in used])
-    sigma = np.hypot([h.clock_stddev for h in used], settings.clock_noise)
+    sigma = np.hypot([h.clock_stddev for h in used], _CLOCK_NOISE)
     signs, rows = np.tile([-1.0, 1.0], len(used)), np.repeat(np.arange(len(used)), 2)
     J_sparse = csr_array((signs, (rows, ends.ravel())), shape=(len(used), count))
     J = (J_sparse.toarray() if count <= _MAX_DENSE else J_sparse)[:, free]

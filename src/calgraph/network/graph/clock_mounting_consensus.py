@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from calgraph.config.settings import ScannerPairSettings
 from calgraph.geometry import Array
-from calgraph.network.graph.clock_consensus import resolve_clocks
+from calgraph.network.graph.clock_consensus import MAX_EVIDENCE_RATIO, MIN_CLOCK_OFFSET, resolve_clocks
 from calgraph.network.pairs.clock_mounting_search import ClockMountingHypothesis
+from calgraph.network.pairs.hypothesis_evidence import MIN_WEIGHT_OF_EVIDENCE
 
 
 @dataclass(frozen=True)
@@ -35,6 +36,11 @@ class ClockMountingSolution:
     """Of each pair the hypothesis of most evidence, where others do not confirm its clock offset."""
     on_a_line: tuple[ClockMountingHypothesis, ...]
     """Hypotheses that a clock offset rests on alone though people walked on one line."""
+
+
+# Offset from which tracks are corrected, in its standard deviations: couples that are matched crosswise fit best
+# with offsets of 0.1 to 0.3 s, which have standard deviations of 0.05 to 0.1 s.
+_MIN_CLOCK_RATIO = 4.0
 
 
 def resolve_clocks_and_mountings(
@@ -61,17 +67,17 @@ def resolve_clocks_and_mountings(
     for h in hypotheses:
         i, j = node[h.sensor_a], node[h.sensor_b]
         for mirrored, weight in ((h.mirrored, h.evidence), (not h.mirrored, h.reflected_evidence)):
-            excess = max(weight - settings.hypotheses.min_weight_of_evidence, 0.0)
+            excess = max(weight - MIN_WEIGHT_OF_EVIDENCE, 0.0)
             evidence[int(mirrored), [i, j], [j, i]] = max(evidence[int(mirrored), i, j], excess)
-    signs, ambiguous = _select_mountings(evidence, fixed, settings.clock_mounting.max_evidence_ratio)
-    freely, unsure = _select_mountings(evidence, {node[root]}, settings.clock_mounting.max_evidence_ratio)
+    signs, ambiguous = _select_mountings(evidence, fixed, MAX_EVIDENCE_RATIO)
+    freely, unsure = _select_mountings(evidence, {node[root]}, MAX_EVIDENCE_RATIO)
     contradicted = (freely < 0) & ~unsure
     used = [h for h in hypotheses if h.mirrored == (signs[node[h.sensor_a]] != signs[node[h.sensor_b]])]
-    used = [h for h in used if h.evidence > settings.hypotheses.min_weight_of_evidence]
+    used = [h for h in used if h.evidence > MIN_WEIGHT_OF_EVIDENCE]
     limits = settings.clock_mounting
-    clocks = resolve_clocks(node, used, settings.clock_mounting)
+    clocks = resolve_clocks(node, used)
     size = np.abs(clocks.offset)
-    differs = (size > limits.min_clock_offset) & (size > limits.min_clock_ratio * clocks.stddev)
+    differs = (size > MIN_CLOCK_OFFSET) & (size > _MIN_CLOCK_RATIO * clocks.stddev)
     clock_offset = {name: float(clocks.offset[k]) if differs[k] else 0.0 for name, k in node.items()}
     return ClockMountingSolution(
         clock_offset,

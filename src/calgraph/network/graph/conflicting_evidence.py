@@ -11,12 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.config.settings import GraphSettings, HypothesisSettings
 from calgraph.geometry import Array, se2
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
 from calgraph.graph.tree_cuts import fundamental_cuts
 from calgraph.network.graph.network_graph import edge_evidence
-from calgraph.network.pairs.scanner_pair import ScannerPairEstimate
+from calgraph.network.pairs.scanner_pair import SAME_ANGLE, SAME_POSITION, ScannerPairEstimate
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,8 +37,6 @@ def find_conflicting_evidence(
     names: Sequence[str],
     pairs: Sequence[ScannerPairEstimate],
     solution: PoseGraphSolution,
-    settings: GraphSettings = GraphSettings(),
-    hypothesis_settings: HypothesisSettings = HypothesisSettings(),
 ) -> ConflictingEvidence | None:
     """The largest part of a network that a hypothesis with more evidence would put elsewhere; None without one.
 
@@ -52,12 +49,13 @@ def find_conflicting_evidence(
         names: its scanners.
         pairs: as given to :func:`build_network_graph`.
         solution: the estimated poses and their inliers.
-        settings: of the evidence.
-        hypothesis_settings: differences up to which two poses are the same.
     """
-    evidence = edge_evidence(names, pairs, settings, hypothesis_settings)
+    evidence = edge_evidence(
+        names,
+        pairs,
+    )
     i, j = graph.edges.T
-    contradicts, distance = _contradicting_edges(graph, solution.T_root_node, hypothesis_settings)
+    contradicts, distance = _contradicting_edges(graph, solution.T_root_node)
     conflicting = ~solution.inliers & contradicts
     cuts = fundamental_cuts(graph, np.where(solution.inliers, evidence, 0.0))
     for tree_edge, part in sorted(cuts, key=lambda cut: -int(cut[1].sum())):
@@ -69,22 +67,18 @@ def find_conflicting_evidence(
         T = move_part(graph, solution.T_root_node, part, int(best))
         against, supporting = (" and ".join(names[int(k)] for k in graph.edges[e]) for e in (best, tree_edge))
         reason = f"{against} put it {distance[best]:.1f} m elsewhere, with better evidence than {supporting} have"
-        weaker = across & _contradicting_edges(graph, T, hypothesis_settings)[0] & (evidence < evidence[best])
+        weaker = across & _contradicting_edges(graph, T)[0] & (evidence < evidence[best])
         weaker[tree_edge] = True  # also where it differs from the moved poses by less than the limits
         return ConflictingEvidence(part, T, weaker, reason)
     return None
 
 
-def _contradicting_edges(
-    graph: PoseGraph, T_root_node: Array, hypothesis_settings: HypothesisSettings
-) -> tuple[NDArray[np.bool_], Array]:
+def _contradicting_edges(graph: PoseGraph, T_root_node: Array) -> tuple[NDArray[np.bool_], Array]:
     """(E,) which edges contradict poses, and by what distance, m."""
     i, j = graph.edges.T
     error = se2.difference(se2.inverse(T_root_node[i]) @ T_root_node[j], graph.T_i_j)
     distance = np.linalg.norm(error[:, :2], axis=1)
-    return (distance > hypothesis_settings.same_position) | (
-        np.abs(error[:, 2]) > hypothesis_settings.same_angle
-    ), distance
+    return (distance > SAME_POSITION) | (np.abs(error[:, 2]) > SAME_ANGLE), distance
 
 
 def move_part(graph: PoseGraph, T_root_node: Array, part: NDArray[np.bool_], edge: int) -> Array:

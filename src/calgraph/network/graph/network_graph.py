@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import eye_array
 
-from calgraph.config.settings import GraphSettings, HypothesisSettings
 from calgraph.geometry import Array
 from calgraph.graph.graph_optimization import build_normal_equations, optimize_poses
 from calgraph.graph.pose_graph import PoseAveraging, PoseGraph, PoseGraphSolution, chi_squared
@@ -40,7 +39,6 @@ def average_network(
     rng: np.random.Generator,
     weights: Array | None = None,
     averaging: PoseAveraging | None = None,
-    settings: GraphSettings = GraphSettings(),
 ) -> tuple[PoseGraphSolution, PoseGraph]:
     """Poses of a network's scanners by :func:`average_poses`, and the graph with the estimated error floor.
 
@@ -52,44 +50,58 @@ def average_network(
         rng: source of the random trees of the consensus.
         weights: (E,) of the edges, 0..1; uniform if None.
         averaging: in place of the consensus; its poses are taken as they are.
-        settings: of the model error and the consensus.
     """
-    initial = _add_error_floor(graph, 1.0, settings)
-    solution = averaging(initial, weights) if averaging else average_poses(initial, rng, weights, settings)
-    scale = _estimate_floor_scale(graph.select_edges(solution.inliers), solution.T_root_node, settings)
-    inflated = _add_error_floor(graph, scale, settings)
+    initial = _add_error_floor(graph, 1.0)
+    solution = averaging(initial, weights) if averaging else average_poses(initial, rng, weights)
+    scale = _estimate_floor_scale(graph.select_edges(solution.inliers), solution.T_root_node)
+    inflated = _add_error_floor(graph, scale)
     if averaging:
         return solution, inflated
     T = optimize_poses(inflated, solution.T_root_node, solution.inliers.astype(np.float64))
     return PoseGraphSolution(T, solution.inliers), inflated
 
 
-def _add_error_floor(graph: PoseGraph, scale: float, settings: GraphSettings) -> PoseGraph:
-    return graph.with_error_floor(
-        scale * settings.network_translation_floor, scale * settings.network_rotation_floor
-    )
+# m; initial model error of a network's pairs (bodies are not ellipses, clocks differ), scaled by the graph.
+_NETWORK_TRANSLATION_FLOOR = 0.02
+# rad (0.2°); the same of rotations: the above over the 5 m that a walk is long.
+_NETWORK_ROTATION_FLOOR = 0.004
 
 
-def _estimate_floor_scale(inliers: PoseGraph, T_root_node: Array, settings: GraphSettings) -> float:
+def _add_error_floor(graph: PoseGraph, scale: float) -> PoseGraph:
+    return graph.with_error_floor(scale * _NETWORK_TRANSLATION_FLOOR, scale * _NETWORK_ROTATION_FLOOR)
+
+
+# Minimum scale of these floors: 1 mm and 0.01°, which no pair reaches.
+_MIN_FLOOR_SCALE = 0.05
+# Maximum scale of these floors: 0.4 m and 5°, with which any pairs agree.
+_MAX_FLOOR_SCALE = 20.0
+# Weight of the prior that these floors are right, in residuals: those of one pair.
+_FLOOR_PRIOR_WEIGHT = 3.0
+
+
+def _estimate_floor_scale(inliers: PoseGraph, T_root_node: Array) -> float:
     """Scale of the error floor at which chi-squared equals the degrees of freedom, those of a prior included.
 
     The prior keeps the scale near 1 where the graph has few cycles.
     """
     degrees_of_freedom = inliers.information.shape[-1] * (len(inliers.edges) - inliers.count + 1)
-    low, high = settings.min_floor_scale, settings.max_floor_scale
+    low, high = _MIN_FLOOR_SCALE, _MAX_FLOOR_SCALE
     for _ in range(_BISECTIONS):
         scale = float(np.sqrt(low * high))
-        chi2 = float(chi_squared(_add_error_floor(inliers, scale, settings), T_root_node).sum())
-        too_small = (
-            chi2 + settings.floor_prior_weight / scale**2 > degrees_of_freedom + settings.floor_prior_weight
-        )
+        chi2 = float(chi_squared(_add_error_floor(inliers, scale), T_root_node).sum())
+        too_small = chi2 + _FLOOR_PRIOR_WEIGHT / scale**2 > degrees_of_freedom + _FLOOR_PRIOR_WEIGHT
         low, high = (scale, high) if too_small else (low, scale)
     return float(np.sqrt(low * high))
 
 
-def published_weights(
-    names: Sequence[str], pairs: Sequence[ScannerPairEstimate], settings: GraphSettings = GraphSettings()
-) -> Array:
+# Positions as which matching walls count there: twice the above.
+_WALL_POSITIONS = 100.0
+# Agreeing positions, times their share, at which a published average gives a pair half the full weight: 5 s of
+# one person.
+_HALF_WEIGHT_POSITIONS = 50.0
+
+
+def published_weights(names: Sequence[str], pairs: Sequence[ScannerPairEstimate]) -> Array:
     """Weights (E,) of the edges of :func:`build_network_graph`, 0..1, for the published averages.
 
     Agreeing positions times the share that agrees, as Quenzel et al. weight after Schenk et al., "Automatic
@@ -99,22 +111,28 @@ def published_weights(
     Args:
         names: the scanners of the graph.
         pairs: as given to :func:`build_network_graph`.
-        settings: of weights.
     """
-    score = np.array([h.score + settings.wall_positions * h.uses_background for h in _hypotheses(names, pairs)])
-    return np.asarray(score / (score + settings.half_weight_positions))
+    score = np.array([h.score + _WALL_POSITIONS * h.uses_background for h in _hypotheses(names, pairs)])
+    return np.asarray(score / (score + _HALF_WEIGHT_POSITIONS))
 
 
-def edge_weights(evidence: Array, settings: GraphSettings = GraphSettings()) -> Array:
+# Weight of evidence at which an edge has half the full weight: a perfect fit of 5 s of one person, as long as
+# people walk side by side; about that of the best wrong pairs in halls with a couple and no other people.
+_HALF_WEIGHT_EVIDENCE = 130.0
+
+
+def edge_weights(evidence: Array) -> Array:
     """Weights (E,), 0..1, of edges with evidence (E,): wrong pairs agree for seconds only, or coarsely."""
-    return np.asarray(evidence / (evidence + settings.half_weight_evidence))
+    return np.asarray(evidence / (evidence + _HALF_WEIGHT_EVIDENCE))
+
+
+# Weight of evidence of matching walls: almost no wrong pose aligns them; twice the above.
+_WALL_EVIDENCE = 260.0
 
 
 def edge_evidence(
     names: Sequence[str],
     pairs: Sequence[ScannerPairEstimate],
-    settings: GraphSettings = GraphSettings(),
-    hypothesis_settings: HypothesisSettings = HypothesisSettings(),
 ) -> Array:
     """Weight of evidence (E,) of the edges of :func:`build_network_graph`.
 
@@ -123,14 +141,9 @@ def edge_evidence(
     Args:
         names: the scanners of the graph.
         pairs: as given to :func:`build_network_graph`.
-        settings: the evidence of walls.
-        hypothesis_settings: of the evidence of matches.
     """
     return np.array(
-        [
-            h.weight_of_evidence(hypothesis_settings) + settings.wall_evidence * h.uses_background
-            for h in _hypotheses(names, pairs)
-        ]
+        [h.weight_of_evidence() + _WALL_EVIDENCE * h.uses_background for h in _hypotheses(names, pairs)]
     )
 
 
@@ -138,12 +151,9 @@ def edges_by_chance(
     names: Sequence[str],
     pairs: Sequence[ScannerPairEstimate],
     scanners: int,
-    hypothesis_settings: HypothesisSettings = HypothesisSettings(),
 ) -> NDArray[np.bool_]:
     """Which edges (E,) of :func:`build_network_graph` may be by chance in a network of this number of scanners."""
-    return np.array(
-        [h.may_be_by_chance(scanners, hypothesis_settings) for h in _hypotheses(names, pairs)], dtype=np.bool_
-    )
+    return np.array([h.may_be_by_chance(scanners) for h in _hypotheses(names, pairs)], dtype=np.bool_)
 
 
 def _hypotheses(names: Sequence[str], pairs: Sequence[ScannerPairEstimate]) -> list[PoseHypothesis]:

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.config.settings import GraphSettings, HypothesisSettings, ScannerPairSettings
 from calgraph.errors import Rejected
 from calgraph.geometry import Array
 from calgraph.graph.pose_graph import PoseAveraging, PoseGraph, PoseGraphSolution
@@ -44,7 +43,7 @@ class NetworkInitialization:
     ambiguous: tuple[AmbiguousPart, ...] = ()
     """Parts that other hypotheses put elsewhere with nearly as much evidence."""
 
-    def average_clocks(self, settings: ScannerPairSettings = ScannerPairSettings()) -> Array:
+    def average_clocks(self) -> Array:
         """(N, 2) clock offsets of the scanners from the root and their standard deviations, s; NaN for the root.
 
         They are averages of those with which the pairs that agree with the poses were registered.
@@ -56,10 +55,8 @@ class NetworkInitialization:
             if isinstance(pair, ScannerPairEstimate) and pair.sensor_a in connected
         )
         agreeing = ((pair, tuple(h for h in pair.hypotheses if next(inlier))) for pair in of_nodes)
-        differences = [
-            describe_difference(replace(pair, hypotheses=kept), settings) for pair, kept in agreeing if kept
-        ]
-        return average_clocks(self.names, differences, settings.clock_mounting)
+        differences = [describe_difference(replace(pair, hypotheses=kept)) for pair, kept in agreeing if kept]
+        return average_clocks(self.names, differences)
 
 
 def initialize_network(
@@ -70,8 +67,6 @@ def initialize_network(
     *,
     averaging: PoseAveraging | None = None,
     weighted: bool = True,
-    settings: GraphSettings = GraphSettings(),
-    hypothesis_settings: HypothesisSettings = HypothesisSettings(),
 ) -> NetworkInitialization:
     """Averages a network's pairs, and removes hypotheses and scanners until no contradiction is left.
 
@@ -87,20 +82,19 @@ def initialize_network(
         rng: source of the random trees of the consensus.
         averaging: in place of the consensus.
         weighted: whether pairs are weighted by their evidence; uniformly otherwise.
-        settings: of weights, evidence and the consensus.
-        hypothesis_settings: differences up to which two poses are the same.
     """
     while True:
         estimates = [pair for pair in pairs.values() if isinstance(pair, ScannerPairEstimate)]
         graph, names = build_network_graph(root, estimates)
-        evidence = edge_evidence(names, estimates, settings, hypothesis_settings)
+        evidence = edge_evidence(
+            names,
+            estimates,
+        )
         weights = None
         if weighted:
-            weights = (
-                published_weights(names, estimates, settings) if averaging else edge_weights(evidence, settings)
-            )
-        solution, graph = average_network(graph, rng, weights, averaging, settings)
-        by_chance = edges_by_chance(names, estimates, len(observations), hypothesis_settings)
+            weights = published_weights(names, estimates) if averaging else edge_weights(evidence)
+        solution, graph = average_network(graph, rng, weights, averaging)
+        by_chance = edges_by_chance(names, estimates, len(observations))
         unsure = find_chance_connections(graph, solution, by_chance)
         if unsure.any():
             why = (
@@ -116,9 +110,18 @@ def initialize_network(
             why = f"under its pose, scanners miss {missed.missed_share:.0%} of the people in their open view"
             pairs = _reject_edges(pairs, names, missed.edges, Rejected(why))
             continue
-        conflict = find_conflicting_evidence(graph, names, estimates, solution, settings, hypothesis_settings)
+        conflict = find_conflicting_evidence(
+            graph,
+            names,
+            estimates,
+            solution,
+        )
         if not conflict:
-            ambiguous = find_ambiguous_parts(graph, evidence, solution, settings, hypothesis_settings)
+            ambiguous = find_ambiguous_parts(
+                graph,
+                evidence,
+                solution,
+            )
             return NetworkInitialization(pairs, graph, names, solution, tuple(ambiguous))
         if is_confirmed_by_visibility(of_nodes, conflict.T_root_node, conflict.part):
             pairs = _reject_edges(pairs, names, conflict.weaker_edges, Rejected("contradicts better evidence"))

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.config.settings import VisibilitySettings
 from calgraph.geometry import Array, se2
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
 from calgraph.graph.tree_cuts import fundamental_cuts
+from calgraph.network.pairs.scanner_pair import DETECTION_RADIUS, MAX_MISSED_SHARE
 from calgraph.network.pairs.synchronized_tracks import pair_samples
 from calgraph.network.pairs.visibility_map import ScannerObservations, find_missed_detections
 
@@ -31,6 +31,10 @@ class VisibilityConflict:
     """(E,) the inlier edges between the part and the rest."""
     missed_share: float
     """Share of the expected detections between the part and the rest that are missing."""
+
+
+# Expected detections, of each scanner at every tick, from which the pose of a part of a network is tested.
+_MIN_EXPECTED_OF_PART = 50
 
 
 def find_visibility_conflict(
@@ -51,10 +55,10 @@ def find_visibility_conflict(
     detections = _compare_detections(observations, solution.T_root_node)
     i, j = graph.edges.T
     conflicts: list[tuple[float, VisibilityConflict]] = []
-    limits = detections.settings
+    pass
     for _, part in fundamental_cuts(graph, np.where(solution.inliers, evidence, 0.0)):
         expected, missed = detections.count_across(part)
-        if expected >= limits.min_expected_of_part and missed > limits.max_missed_share * expected:
+        if expected >= _MIN_EXPECTED_OF_PART and missed > MAX_MISSED_SHARE * expected:
             edges = solution.inliers & (part[i] != part[j])
             conflicts.append((float(evidence[edges].sum()), VisibilityConflict(part, edges, missed / expected)))
     return min(conflicts, key=lambda conflict: conflict[0])[1] if conflicts else None
@@ -72,8 +76,8 @@ def is_confirmed_by_visibility(
     """
     detections = _compare_detections(observations, T_root_node)
     expected, missed = detections.count_across(part)
-    limits = detections.settings
-    return expected >= limits.min_expected_of_part and missed <= limits.max_missed_share * expected
+    pass
+    return expected >= _MIN_EXPECTED_OF_PART and missed <= MAX_MISSED_SHARE * expected
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +92,6 @@ class _MutualDetections:
     """(P, 2) scanners of each pair."""
     pairs: tuple[tuple[NDArray[np.intp], Flags, Flags], ...]
     """Of each pair the indices (M,) of samples, whether the other one should have detected each, and did."""
-    settings: VisibilitySettings
 
     def count_across(self, part: Flags) -> tuple[int, int]:
         """Number of detections expected between a part (N,) and the rest, and number of those that none made."""
@@ -101,10 +104,13 @@ class _MutualDetections:
         return self.step * int(np.count_nonzero(expected)), self.step * int(np.count_nonzero(expected & ~detected))
 
 
+# Longer recordings are subsampled to this number of ticks for the test of a part, which bounds its time.
+_MAX_TICKS = 1000
+
+
 def _compare_detections(observations: Sequence[ScannerObservations], T_root_node: Array) -> _MutualDetections:
     ticks = np.concatenate([np.zeros(0, dtype=np.intp), *(scanner.samples.tick for scanner in observations)])
-    settings = observations[0].visibility.settings if observations else VisibilitySettings()
-    step = max(1, int(np.ptp(ticks)) // settings.max_ticks) if len(ticks) else 1
+    step = max(1, int(np.ptp(ticks)) // _MAX_TICKS) if len(ticks) else 1
     observations = [scanner.subsample(step) for scanner in observations]
     sizes = [len(scanner.samples.tick) for scanner in observations]
     starts = np.cumsum(sizes) - sizes
@@ -117,11 +123,9 @@ def _compare_detections(observations: Sequence[ScannerObservations], T_root_node
         simultaneous = pair_samples(observations[a].samples, observations[b].samples)
         T_a_b = se2.inverse(T_root_node[a]) @ T_root_node[b]
         maps = observations[a].visibility, observations[b].visibility
-        (expected,), (detected,) = find_missed_detections(
-            T_a_b[None], simultaneous, *maps, settings.detection_radius
-        )
+        (expected,), (detected,) = find_missed_detections(T_a_b[None], simultaneous, *maps, DETECTION_RADIUS)
         if expected.any():
             ends.append((a, b))
             pairs.append((np.concatenate([indices[a], indices[b]]), expected, detected))
     of_pairs = np.array(ends, dtype=np.intp).reshape(-1, 2)
-    return _MutualDetections(sum(sizes), step, of_pairs, tuple(pairs), settings)
+    return _MutualDetections(sum(sizes), step, of_pairs, tuple(pairs))

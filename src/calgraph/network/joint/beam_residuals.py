@@ -40,7 +40,7 @@ def list_beam_residuals(
     for k, scans in enumerate(body.scans):
         _, _, pose, rate = evaluate_at(network, state, body, path, scans)
         if isinstance(path, LegPath):
-            hits = raycast_leg(network, state, path, scans, pose, rate)
+            hits = raycast_leg(state, path, scans, pose, rate)
             residual, sigma = compute_leg_residuals(network, scans, hits, float(path.bias[k]))
         else:
             residual, _ = compute_residuals(network, scans, raycast_body(state, path, scans, pose, rate))

@@ -14,6 +14,7 @@ from calgraph.geometry import Array, Index
 from calgraph.network.joint.ellipse_equations import linearize_ellipse_scans
 from calgraph.network.joint.estimate import SolvedNetwork
 from calgraph.network.joint.leg_problem import LegPath
+from calgraph.network.joint.model_error import TUKEY_LIMIT
 from calgraph.network.joint.path_equations import add_scans
 from calgraph.network.joint.problem import BodyObservations, BodyPath, NetworkProblem, NetworkState
 from calgraph.network.joint.scanner_matrix import NearInverse, ScannerMatrix
@@ -185,10 +186,10 @@ def _select_block(matrix: Array, selected: NDArray[np.bool_]) -> Array:
 
 def split_contributions(solved: SolvedNetwork, interval: float) -> NetworkContributions:
     """Splits the normal equations of a solution by body and interval of time, s."""
-    network, equations = solved.problem, solved.equations
+    equations = solved.equations
     # Gradients of a redescending loss have less variance, and change less with the unknowns, than the information
     # in its weights predicts. Scaled to that information, priors weigh more.
-    scale = TukeyLoss(network.settings.beams.tukey_limit).score_to_information ** -0.5
+    scale = TukeyLoss(TUKEY_LIMIT).score_to_information ** -0.5
     bodies, times, all_columns, triangles, gradient = [], [], [], [], []
     estimated = [equations.estimated[columns] for columns in equations.columns]
     split = equations.map(partial(_split_body, interval=interval), estimated)

@@ -5,7 +5,6 @@ Residuals are ranges along the beams, each at its time of measurement.
 
 import numpy as np
 
-from calgraph.config.settings import BodySettings
 from calgraph.geometry import Array
 from calgraph.network.joint.ellipse_raycast import (
     RaycastHits,
@@ -111,11 +110,19 @@ def raycast_body(state: NetworkState, path: BodyPath, scans: BodyScans, pose: Ar
     return RaycastHits(ranges, hits.cos_incidence, jacobian.T)
 
 
+# Beams with a smaller cosine of incidence (87°) count as missing the ellipse during the iteration: the
+# derivatives of their range grow beyond all bounds.
+_MIN_HIT_COSINE = 0.05
+# Whitened residual of a beam that misses the ellipse during the iteration: the cost of a certain outlier, with
+# zero derivative.
+_MISSED_RESIDUAL = 4.0
+
+
 def compute_residuals(network: NetworkProblem, scans: BodyScans, hits: RaycastHits) -> tuple[Array, Array]:
     """Whitened residuals (N,) of beams, and their derivatives as those of the hits."""
     sigma = network.range_sigma[scans.scanner]
-    hit = hits.cos_incidence > network.settings.beams.min_hit_cosine
-    residual = np.where(hit, (hits.ranges - scans.ranges) / sigma, network.settings.beams.missed_residual)
+    hit = hits.cos_incidence > _MIN_HIT_COSINE
+    residual = np.where(hit, (hits.ranges - scans.ranges) / sigma, _MISSED_RESIDUAL)
     return residual, np.where(hit[:, None], hits.jacobian / sigma, 0.0)
 
 
@@ -125,6 +132,11 @@ def build_scan_equations(
     """Equations of the scans of a body with the given pose and rate (V, 3) at the scans' times."""
     residual, jacobian = compute_residuals(network, scans, raycast_body(state, path, scans, pose, rate))
     return sum_over_scans(residual, jacobian, scans.weight, scans.first_beam)
+
+
+# Spectral density of the turning rate, rad²/s: a standard deviation of 2.2 rad in 1 s, in which people can turn
+# round.
+TURNING_DENSITY = 5.0
 
 
 def _linearize_path_prior(
@@ -137,7 +149,7 @@ def _linearize_path_prior(
     control, step = path.control, body.knots.step
     band, gradient = np.zeros((len(control), 4, 3, 3)), np.zeros_like(control)
     smooth = stretch**2 * compute_smoothness_information(step, network.acceleration_density)
-    steady = 1 / (step * network.settings.body.turning_density)
+    steady = 1 / (step * TURNING_DENSITY)
     bend = control[:-2, :2] - 2 * control[1:-1, :2] + control[2:, :2]
     for i in range(3):
         gradient[i : len(control) - 2 + i, :2] += smooth[i, 0] * bend
@@ -154,27 +166,32 @@ def _linearize_path_prior(
         band[:, 0, 2, 2] += 1.0
         return band, gradient, cost
     # The direction of motion is taken as exact: the heading would add hardly any information to the path.
-    offset, weight = compute_heading_offsets(body, control[:, :2], control[:, 2:], network.settings.body)
+    offset, weight = compute_heading_offsets(body, control[:, :2], control[:, 2:])
     gradient[:, 2] += weight * offset[:, 0]
     band[:, 0, 2, 2] += weight + _HEADING_RIDGE
     return band, gradient, cost + 0.5 * float(weight @ offset[:, 0] ** 2)
 
 
-def compute_heading_offsets(
-    body: BodyObservations, positions: Array, headings: Array, settings: BodySettings
-) -> tuple[Array, Array]:
+# Speed above which the direction of motion determines people's heading, m/s: slower ones shuffle sideways or turn
+# on the spot; a walk has 1 to 1.5 m/s.
+MIN_WALKING_SPEED = 0.5
+# Standard deviation of people's heading about their direction of motion, rad: shoulders turn by about 17° with
+# each step.
+_HEADING_SIGMA = 0.3
+
+
+def compute_heading_offsets(body: BodyObservations, positions: Array, headings: Array) -> tuple[Array, Array]:
     """Angles between headings and the direction of motion, with the weights of their prior.
 
     Args:
         body: whose path it is.
         positions: (K, 2) control points of the path, m.
         headings: (K, G) or (G,) at the control points, rad.
-        settings: of the prior.
 
     Returns:
         Angles (K, G), modulo π because an ellipse has no front, and weights (K,), 1/rad²; zero where people stand.
     """
     velocity = np.gradient(positions, body.knots.step, axis=0)
-    walking = np.linalg.norm(velocity, axis=1) > settings.min_walking_speed
+    walking = np.linalg.norm(velocity, axis=1) > MIN_WALKING_SPEED
     offset = headings - np.arctan2(velocity[:, 1], velocity[:, 0])[:, None]
-    return (offset + np.pi / 2) % np.pi - np.pi / 2, walking / settings.heading_sigma**2
+    return (offset + np.pi / 2) % np.pi - np.pi / 2, walking / _HEADING_SIGMA**2

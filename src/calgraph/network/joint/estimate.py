@@ -8,16 +8,16 @@ import numpy as np
 from scipy.linalg import solveh_banded
 
 from calgraph.config import Cylinder, Lidar2dUncertainty, People
-from calgraph.config.settings import NetworkEstimationSettings, ScannerPairSettings, TrackingSettings
+from calgraph.config.settings import NetworkEstimationSettings, TrackingSettings
 from calgraph.geometry import Array, se2
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
 from calgraph.network.joint.body_batches import BodyBatches
 from calgraph.network.joint.body_parts import cut_bodies
-from calgraph.network.joint.ellipse_equations import compute_residuals, raycast_body
+from calgraph.network.joint.ellipse_equations import MIN_WALKING_SPEED, compute_residuals, raycast_body
 from calgraph.network.joint.heading_search import search_headings
 from calgraph.network.joint.leg_choice import measures_legs
-from calgraph.network.joint.leg_solution import AddWalls, solve_legs
-from calgraph.network.joint.model_error import estimate_model_error
+from calgraph.network.joint.leg_solution import SECOND_PATH_SIGMA, AddWalls, solve_legs
+from calgraph.network.joint.model_error import TUKEY_LIMIT, estimate_model_error
 from calgraph.network.joint.near_covariances import NearCovariances
 from calgraph.network.joint.path_equations import compute_smoothness_information, evaluate_at
 from calgraph.network.joint.problem import (
@@ -28,7 +28,7 @@ from calgraph.network.joint.problem import (
     NetworkState,
     WallConstraint,
 )
-from calgraph.network.joint.range_noise import estimate_range_noise
+from calgraph.network.joint.range_noise import MIN_COS_INCIDENCE, estimate_range_noise
 from calgraph.network.joint.scanner_prior import ScannerPrior
 from calgraph.network.joint.scanner_unknowns import (
     CLOCK,
@@ -48,6 +48,8 @@ from calgraph.network.joint.systematic_spread import estimate_systematic_sigma
 from calgraph.network.joint.track_association import BodyTracks, group_tracks_by_body
 from calgraph.network.joint.tukey_loss import TukeyLoss
 from calgraph.network.joint.wall_constraints import register_walls, select_bridges
+from calgraph.network.pairs.scanner_pair import NETWORK_ESTIMATION_CLOCK_SIGMA
+from calgraph.network.pairs.synchronized_tracks import RESAMPLING_TICK_PERIOD
 from calgraph.network.tracking.track import ScannerTracks, Track
 from calgraph.parallel.engine import THIS_PROCESS, MapEngine
 from calgraph.parallel.mapped_arrays import ArrayMemory
@@ -106,6 +108,13 @@ class NetworkSolution:
         return clocks
 
 
+# Standard deviation of a body's position in the first two solutions, m. Later ones estimate it wherever two
+# scanners measure a body together.
+_INITIAL_POSITION_SIGMA = 0.005
+# The same of a body's heading, rad.
+_INITIAL_HEADING_SIGMA = 0.05
+
+
 def solve_network(
     target: People | Cylinder,
     tracked: Sequence[ScannerTracks],
@@ -117,7 +126,6 @@ def solve_network(
     prior: ScannerPrior | None = None,
     settings: NetworkEstimationSettings = NetworkEstimationSettings(),
     acceleration_density: float = TrackingSettings().acceleration_density,
-    pair_settings: ScannerPairSettings = ScannerPairSettings(),
     engine: MapEngine = THIS_PROCESS,
 ) -> NetworkSolution:
     """Solves jointly for poses, clocks and systematic errors of scanners, and paths and radii of bodies.
@@ -132,7 +140,6 @@ def solve_network(
         prior: of scanner poses, from an earlier calibration.
         settings: of the estimate.
         acceleration_density: spectral density of a body's acceleration, m²/s³.
-        pair_settings: of the ICP of static backgrounds, and of the ticks at which tracks are compared.
         engine: evaluates bodies and walls; does not affect the result.
     """
     T_root_scanner = averaged.T_root_node
@@ -143,15 +150,15 @@ def solve_network(
         )
         if inlier
     ]
-    walks = group_tracks_by_body(tracked, T_root_scanner, pair_settings.resampling.tick_period, settings.grouping)
-    bodies = cut_bodies(walks, settings.parts)
+    walks = group_tracks_by_body(tracked, T_root_scanner, RESAMPLING_TICK_PERIOD)
+    bodies = cut_bodies(walks)
     state = NetworkState(
         T_root_scanner,
         np.zeros(len(tracked)),
         np.zeros((len(tracked), len(SYSTEMATIC_ERRORS))),
-        tuple(_initialize_path(body, target, T_root_scanner, settings, acceleration_density) for body in bodies),
+        tuple(_initialize_path(body, target, T_root_scanner, acceleration_density) for body in bodies),
     )
-    errors = settings.model_error
+    pass
     background = np.array([scanner.sigma for scanner in tracked])
     prior_sigma = collect_prior_sigma(
         uncertainties or [Lidar2dUncertainty()] * len(tracked), estimate_clocks=estimate_clocks
@@ -161,8 +168,8 @@ def solve_network(
         tuple(_observe_bodies(bodies, target, settings)),
         (),
         range_sigma=background,
-        model_error_variance=np.array([errors.initial_position_sigma, errors.initial_heading_sigma]) ** 2,
-        clock_sigma=settings.clock_sigma if estimate_clocks else 0.0,
+        model_error_variance=np.array([_INITIAL_POSITION_SIGMA, _INITIAL_HEADING_SIGMA]) ** 2,
+        clock_sigma=NETWORK_ESTIMATION_CLOCK_SIGMA if estimate_clocks else 0.0,
         systematic_sigma=prior_sigma,
         mid_time=(bodies[0].start + max(body.end for body in bodies)) / 2 if bodies else 0.0,
         acceleration_density=acceleration_density,
@@ -171,7 +178,7 @@ def solve_network(
     )
 
     def add_walls(network: NetworkProblem, state: NetworkState) -> NetworkProblem:
-        walls = register_walls(tracked, network, state, pair_settings, engine)
+        walls = register_walls(tracked, network, state, engine)
         return replace(network, walls=(*walls, *select_bridges(network, walls, edges)))
 
     foregrounds = [one.foreground for one in tracked if one.foreground is not None]
@@ -197,6 +204,33 @@ def solve_network(
     )
 
 
+# Error of paths and radii before the first solution, m; added to the noise of ranges. It is that of averaged
+# poses and tracked centres.
+_FIRST_PATH_SIGMA = 0.05
+# In the first rounds, the limit is divided by this for beams that end in front of the outline. Arms are in front
+# of the torso or next to it, never behind, and an outline that is fitted to arms keeps them.
+_INITIAL_NEAR_SIDE_FACTOR = 2.5
+# Levenberg–Marquardt steps of each solution: weights and noise change between solutions, so that none needs to
+# converge.
+_ITERATIONS = 4
+# Rounds of noise, weights, model error, walls and solution. Over 21 simulated offices, halls and labs, two rounds
+# give a NEES of 0.59, five 0.96, and ten change nothing.
+_MAX_ROUNDS = 5
+# Relative change of the variances at which the rounds end: 15 % of a standard deviation, less than its
+# uncertainty from a minute of one person.
+_TOLERANCE = 0.3
+# The gain that the next step is predicted to have, in half squared standard deviations, at which the last round
+# ends: no unknown is then off by more than 4 % of its standard deviation.
+_FINAL_TOLERANCE = 1e-3
+# Share of the cost that the next step of a round is predicted to gain, at which all but the last round end: about
+# two steps. The changes of weights and noise from one round to the next are several times larger.
+_ROUND_TOLERANCE = 5e-5
+# The same in the rounds, which start near their minimum: 1e-3 of the large diagonal of a smooth path slows down
+# what scanners have in common, such as the bend of a long row. With 1e-6, poses of a row of 30 are 0.09 standard
+# deviations from their minimum.
+_ROUND_DAMPING = 1e-8
+
+
 def _solve_bodies(
     network: NetworkProblem,
     state: NetworkState,
@@ -205,16 +239,16 @@ def _solve_bodies(
     engine: MapEngine,
 ) -> tuple[NetworkProblem, NetworkState, NetworkEquations]:
     """Solves for scanners and ellipses, from the noise of the background and the priors of rig.yaml."""
-    settings, background, prior_sigma = network.settings, network.range_sigma, network.systematic_sigma
+    background, prior_sigma = network.range_sigma, network.systematic_sigma
     network = replace(network, walls=select_bridges(network, (), edges))
     batches = BodyBatches.place(network.bodies, engine)
-    for path_sigma in (settings.first_path_sigma, settings.second_path_sigma):
+    for path_sigma in (_FIRST_PATH_SIGMA, SECOND_PATH_SIGMA):
         network = replace(network, range_sigma=np.hypot(background, path_sigma))
-        network, batches = _update_weights(network, state, batches, settings.beams.initial_near_side_factor)
-        state, equations = optimize_network(network, state, iterations=settings.iterations, batches=batches)
+        network, batches = _update_weights(network, state, batches, _INITIAL_NEAR_SIDE_FACTOR)
+        state, equations = optimize_network(network, state, iterations=_ITERATIONS, batches=batches)
         state = search_headings(network, state, batches)
     previous = np.full(2, np.inf)
-    for rounds_left in reversed(range(settings.max_rounds)):
+    for rounds_left in reversed(range(_MAX_ROUNDS)):
         range_sigma = estimate_range_noise(network, state, equations, background)
         network, batches = _update_weights(replace(network, range_sigma=range_sigma), state, batches)
         network = replace(
@@ -223,15 +257,15 @@ def _solve_bodies(
             systematic_sigma=estimate_systematic_sigma(network, state, equations, prior_sigma, engine),
         )
         change = np.abs(network.model_error_variance / previous - 1)
-        last = rounds_left == 0 or bool(np.all(change < settings.model_error.tolerance))
+        last = rounds_left == 0 or bool(np.all(change < _TOLERANCE))
         network = add_walls(network, state)
         state, equations = optimize_network(
             network,
             state,
-            iterations=settings.iterations,
-            tolerance=settings.final_tolerance,
-            relative_tolerance=0.0 if last else settings.round_tolerance,
-            damping=settings.round_damping,
+            iterations=_ITERATIONS,
+            tolerance=_FINAL_TOLERANCE,
+            relative_tolerance=0.0 if last else _ROUND_TOLERANCE,
+            damping=_ROUND_DAMPING,
             batches=batches,
         )
         if last:
@@ -247,23 +281,32 @@ def _observe_bodies(
     memory = ArrayMemory(settings.max_kept_bytes)
     for first in range(0, len(bodies), _BODIES_PER_FILE):
         selected = bodies[first : first + _BODIES_PER_FILE]
-        yield from memory.limit([_build_observations(body, target, settings) for body in selected])
+        yield from memory.limit([_build_observations(body, target) for body in selected])
 
 
-def _build_observations(
-    body: BodyTracks, target: People | Cylinder, settings: NetworkEstimationSettings
-) -> BodyObservations:
+# Prior standard deviation of people's radii, relative to those of rig.yaml: shoulder breadths of adults vary by
+# 15 %, and clothes and the height of the scanning plane as much.
+_PEOPLE_RADII_SIGMA = 0.3
+# Prior standard deviation of a cylinder's radius, m: its diameter is measured with a tape to 0.2 mm.
+_CYLINDER_RADIUS_SIGMA = 1e-4
+
+
+def _build_observations(body: BodyTracks, target: People | Cylinder) -> BodyObservations:
     radii = _prior_radii(target)
     people = isinstance(target, People)
-    sigma = settings.body.people_radii_sigma * radii if people else np.full(2, settings.body.cylinder_radius_sigma)
+    sigma = _PEOPLE_RADII_SIGMA * radii if people else np.full(2, _CYLINDER_RADIUS_SIGMA)
     scans = tuple(collect_scans(scanner, tracks) for scanner, tracks in sorted(body.by_scanner().items()))
-    return BodyObservations(_place_knots(body, settings), scans, radii, sigma, faces_forward=people)
+    return BodyObservations(_place_knots(body), scans, radii, sigma, faces_forward=people)
 
 
-def _place_knots(body: BodyTracks, settings: NetworkEstimationSettings) -> Knots:
+# Interval of a path's control points, s: two or three for a step of half a second, the fastest motion of a torso.
+_KNOT_INTERVAL = 0.2
+
+
+def _place_knots(body: BodyTracks) -> Knots:
     """Knots that cover the body's tracks for clock offsets of up to three standard deviations."""
-    margin = 3 * settings.clock_sigma
-    return Knots.spanning(body.start - margin, body.end + margin, settings.body.knot_interval)
+    margin = 3 * NETWORK_ESTIMATION_CLOCK_SIGMA
+    return Knots.spanning(body.start - margin, body.end + margin, _KNOT_INTERVAL)
 
 
 def _prior_radii(target: People | Cylinder) -> Array:
@@ -297,23 +340,26 @@ def collect_scans(scanner: int, tracks: Sequence[Track]) -> BodyScans:
     )
 
 
+# Noise of tracked positions in the first path, m: that of ellipse centres at a few metres' range.
+_TRACK_SIGMA = 0.03
+
+
 def _initialize_path(
     body: BodyTracks,
     target: People | Cylinder,
     T_root_scanner: Array,
-    settings: NetworkEstimationSettings,
     acceleration_density: float,
 ) -> BodyPath:
     """Smoothing spline through the positions of all tracks, with the heading along the direction of motion."""
-    knots = _place_knots(body, settings)
+    knots = _place_knots(body)
     times = np.concatenate([track.times for _, track in body.tracks])
     positions = np.concatenate([se2.apply(T_root_scanner[s], track.positions) for s, track in body.tracks])
     first, weights, _ = knots.basis_at(times)
     band, right = np.zeros((4, knots.count)), np.zeros((knots.count, 2))
     for i in range(4):
-        np.add.at(right, first + i, weights[:, i, None] * positions / settings.body.track_sigma**2)
+        np.add.at(right, first + i, weights[:, i, None] * positions / _TRACK_SIGMA**2)
         for j in range(i, 4):
-            np.add.at(band[j - i], first + i, weights[:, i] * weights[:, j] / settings.body.track_sigma**2)
+            np.add.at(band[j - i], first + i, weights[:, i] * weights[:, j] / _TRACK_SIGMA**2)
     smooth = compute_smoothness_information(knots.step, acceleration_density)
     for i in range(3):
         for j in range(i, 3):
@@ -322,7 +368,7 @@ def _initialize_path(
     band[0] += 1e-9
     control = solveh_banded(band, right, lower=True)
     velocity = np.gradient(control, knots.step, axis=0)
-    walking = np.linalg.norm(velocity, axis=1) > settings.body.min_walking_speed
+    walking = np.linalg.norm(velocity, axis=1) > MIN_WALKING_SPEED
     heading = np.arctan2(velocity[:, 1], velocity[:, 0])
     if walking.any():
         k = np.arange(len(control))
@@ -352,11 +398,11 @@ def _compute_weights(
     near_side_factor: float,
 ) -> list[Array]:
     """Weights (N,) of each scanner's beams on a body."""
-    beams, weights = network.settings.beams, []
+    weights = []
     for scans in body.scans:
         _, _, pose, rate = evaluate_at(network, state, body, path, scans)
         hits = raycast_body(state, path, scans, pose, rate)
         residual, _ = compute_residuals(network, scans, hits)
-        used = hits.cos_incidence > beams.min_cos_incidence
-        weights.append(TukeyLoss(beams.tukey_limit).compute_weights(residual, used, near_side_factor))
+        used = hits.cos_incidence > MIN_COS_INCIDENCE
+        weights.append(TukeyLoss(TUKEY_LIMIT).compute_weights(residual, used, near_side_factor))
     return weights

@@ -10,7 +10,7 @@ import numpy as np
 
 from calgraph.geometry import Array, Index
 from calgraph.network.joint.body_batches import BodyBatches
-from calgraph.network.joint.ellipse_equations import compute_heading_offsets
+from calgraph.network.joint.ellipse_equations import TURNING_DENSITY, compute_heading_offsets
 from calgraph.network.joint.ellipse_raycast import rotate_by_small_angles
 from calgraph.network.joint.path_equations import evaluate_at, index_scans
 from calgraph.network.joint.problem import BodyObservations, BodyPath, BodyScans, NetworkProblem, NetworkState
@@ -31,23 +31,37 @@ def search_headings(
     return replace(state, paths=tuple(batches.map(_search_body, network, state)))
 
 
+# Headings over a half turn: steps of 10°, of which the half is well below heading_sigma.
+_GRID_SIZE = 18
+
+
 def _search_body(network: NetworkProblem, state: NetworkState, body: BodyObservations, path: BodyPath) -> BodyPath:
     if not body.faces_forward:
         return path
-    size = network.settings.heading_search.grid_size
+    size = _GRID_SIZE
     grid = np.pi * np.arange(size) / size
     cost = np.zeros((body.knots.count, size))
     for scans in body.scans:
         nearest, beam_cost = _compute_beam_costs(network, state, body, path, scans, grid)
         np.add.at(cost, nearest, beam_cost)
-    offset, weight = compute_heading_offsets(body, path.control[:, :2], grid, network.settings.body)
+    offset, weight = compute_heading_offsets(body, path.control[:, :2], grid)
     cost += 0.5 * weight[:, None] * offset**2
-    turning_variance = body.knots.step * network.settings.body.turning_density
+    turning_variance = body.knots.step * TURNING_DENSITY
     best = _find_cheapest_sequence(cost, grid, turning_variance)
     turn = np.diff(grid[best])
     turn = (turn + np.pi / 2) % np.pi - np.pi / 2
     heading = np.concatenate([grid[best[:1]], turn]).cumsum()
     return replace(path, control=np.column_stack([path.control[:, :2], heading]))
+
+
+# Error of paths at this stage, m; added to the noise of ranges.
+_PATH_SIGMA = 0.01
+# Weight of a beam: errors of path and outline are common to the beams of a scan, which count as a fifth of
+# independent ones.
+_BEAM_WEIGHT = 0.2
+# Maximum cost of a beam, half squared standard deviations: three of them; beyond, a beam is of arms or of other
+# people.
+_MAX_BEAM_COST = 4.5
 
 
 def _compute_beam_costs(
@@ -59,7 +73,7 @@ def _compute_beam_costs(
     grid: Array,
 ) -> tuple[Index, Array]:
     """The control point nearest to each beam with a weight (N,), and the beam's cost (N, G) over the grid."""
-    settings = network.settings.heading_search
+    pass
     first, weights, pose, rate = evaluate_at(network, state, body, path, scans)
     used = scans.weight > 0
     scan = index_scans(scans)[used]
@@ -69,11 +83,11 @@ def _compute_beam_costs(
     x, y = T[:2, :2] @ scans.direction[used].T
     systematic, double_azimuth = state.systematic[scans.scanner], scans.double_azimuth[:, used]
     direction = rotate_by_small_angles(x, y, compute_turns(systematic, scans.azimuth[used], double_azimuth)).T
-    sigma = np.hypot(network.range_sigma[scans.scanner], settings.path_sigma)
+    sigma = np.hypot(network.range_sigma[scans.scanner], _PATH_SIGMA)
     ranges = _raycast_grid(T[:2, 2] - centre, direction, path.radii, grid)
     ranges = compute_stretches(systematic, double_azimuth)[:, None] * ranges + systematic[RANGE_BIAS]
     cost = 0.5 * ((ranges - scans.ranges[used, None]) / sigma) ** 2
-    return nearest[scan], settings.beam_weight * np.fmin(cost, settings.max_beam_cost)
+    return nearest[scan], _BEAM_WEIGHT * np.fmin(cost, _MAX_BEAM_COST)
 
 
 def _raycast_grid(start: Array, direction: Array, radii: Array, grid: Array) -> Array:

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calgraph.config.settings import LegAssociationSettings
 from calgraph.geometry import Array, Index, se2
 from calgraph.network.joint.leg_problem import LegPath
 from calgraph.network.joint.problem import BodyScans
@@ -53,6 +52,16 @@ class ScannerBeams:
         return cls(direction, beams.ranges[order], beams.times[order], beams.scan[order])
 
 
+# Maximum distance of a point from the outline of its leg, m, plus the one below: shins are up to 2 cm from
+# circles, and start paths 3 cm off.
+_MAX_DISTANCE = 0.06
+# The same in standard deviations of a range.
+_MAX_DISTANCE_SIGMAS = 2.0
+# Minimum difference between the distances from the outlines of the nearest and the second nearest leg, m:
+# otherwise the beam is not used.
+_MIN_MARGIN = 0.02
+
+
 def associate_beams(
     beams: ScannerBeams,
     scanner: int,
@@ -61,7 +70,6 @@ def associate_beams(
     systematic: Array,
     sigma: float,
     legs: Sequence[LegCandidate],
-    settings: LegAssociationSettings,
 ) -> list[BodyScans | None]:
     """Associates the beams of one scanner with the leg whose outline is nearest to their end points.
 
@@ -75,7 +83,6 @@ def associate_beams(
         systematic: (E,) its ``SYSTEMATIC_ERRORS``, of which those that displace points are corrected.
         sigma: its noise, m.
         legs: with paths in the root frame.
-        settings: of the association.
 
     Returns:
         The scans of each leg; None without beams.
@@ -97,9 +104,7 @@ def associate_beams(
         second[inside] = np.where(closer, nearest[inside], np.minimum(second[inside], distance))
         nearest[inside] = np.where(closer, distance, nearest[inside])
         leg_of[inside][closer] = k
-    used = (nearest < settings.max_distance + settings.max_distance_sigmas * sigma) & (
-        second - nearest > settings.min_margin
-    )
+    used = (nearest < _MAX_DISTANCE + _MAX_DISTANCE_SIGMAS * sigma) & (second - nearest > _MIN_MARGIN)
     return [_select_beams(beams, scanner, np.flatnonzero(used & (leg_of == k))) for k in range(len(legs))]
 
 

@@ -11,6 +11,7 @@ from calgraph.network.joint.leg_problem import LegObservations, LegPath
 from calgraph.network.joint.path_covariance import compute_path_covariance
 from calgraph.network.joint.path_equations import evaluate_at, index_scans
 from calgraph.network.joint.problem import NetworkProblem, NetworkState
+from calgraph.network.joint.range_noise import MAX_EXCESS, MIN_BEAMS, MIN_RATIO
 from calgraph.network.joint.schur import (
     BodyEquations,
     compute_back_substitution,
@@ -38,6 +39,14 @@ class LegNoise:
     """Spectral density of the acceleration of legs, m²/s³."""
 
 
+# Minimum standard deviation of this bias, m: below, it has no effect.
+_MIN_BIAS_SIGMA = 0.0005
+# Minimum and maximum spectral density of a leg's acceleration in the estimate of it, m²/s³. Legs that stand and
+# swing in turns have 2 to 5 in the mean, which smooths swings too much: clocks of real legs are right with 10,
+# and three times that of a fast walk is the limit above.
+_ACCELERATION_DENSITY_RANGE = (10.0, 100.0)
+
+
 def estimate_noise(
     network: NetworkProblem, state: NetworkState, equations: NetworkEquations, background: Array
 ) -> LegNoise:
@@ -49,11 +58,11 @@ def estimate_noise(
         equations: of that solution.
         background: (S,) noise of each scanner's background, m.
     """
-    settings = network.settings.legs.body
+    pass
     return LegNoise(
         _estimate_range_noise(network, state, equations, background),
-        _estimate_bias_variance(network, state, equations, settings.min_bias_sigma),
-        _estimate_acceleration_density(network, state, equations, settings.acceleration_density_range),
+        _estimate_bias_variance(network, state, equations, _MIN_BIAS_SIGMA),
+        _estimate_acceleration_density(network, state, equations, _ACCELERATION_DENSITY_RANGE),
     )
 
 
@@ -89,7 +98,7 @@ def _estimate_range_noise(
 
     Scanners with few beams on legs have the noise (S,) of their background.
     """
-    settings = network.settings.range_noise
+    pass
     residuals: list[list[Array]] = [[] for _ in background]
     of_legs = equations.batches.map(_list_residuals, network, state, equations.body_equations)
     for leg, of_scanners in zip(network.bodies, of_legs, strict=True):
@@ -97,12 +106,10 @@ def _estimate_range_noise(
             residuals[scans.scanner].append(absolute)
     by_scanner = [np.concatenate([np.zeros(0), *parts]) for parts in residuals]
     estimated = [
-        _MEDIAN_TO_SIGMA * np.median(absolute) if len(absolute) >= settings.min_beams else stated
+        _MEDIAN_TO_SIGMA * np.median(absolute) if len(absolute) >= MIN_BEAMS else stated
         for absolute, stated in zip(by_scanner, background, strict=True)
     ]
-    return np.asarray(
-        np.clip(estimated, settings.min_ratio * background, np.hypot(background, settings.max_excess))
-    )
+    return np.asarray(np.clip(estimated, MIN_RATIO * background, np.hypot(background, MAX_EXCESS)))
 
 
 def _list_residuals(
@@ -113,7 +120,7 @@ def _list_residuals(
     residuals = []
     for scans, bias in zip(leg.scans, path.bias.tolist(), strict=True):
         first, weights, pose, rate = evaluate_at(network, state, leg, path, scans)
-        hits = raycast_leg(network, state, path, scans, pose, rate)
+        hits = raycast_leg(state, path, scans, pose, rate)
         residual, sigma = compute_leg_residuals(network, scans, hits, bias)
         covariance = _interpolate_covariance(path_covariance, first, weights)[index_scans(scans)]
         J = hits.jacobian[:, :2] / sigma[:, None]

@@ -10,14 +10,14 @@ from dataclasses import replace
 import numpy as np
 from scipy.linalg import solveh_banded
 
-from calgraph.config.settings import LegBodySettings, LegSettings
 from calgraph.geometry import Array
 from calgraph.network.joint.body_batches import BodyBatches
 from calgraph.network.joint.leg_association import LegCandidate, ScannerBeams, associate_beams
 from calgraph.network.joint.leg_equations import compute_leg_residuals, raycast_leg
 from calgraph.network.joint.leg_noise import LegNoise, estimate_noise
 from calgraph.network.joint.leg_problem import LegObservations, LegPath, compute_shape_prior
-from calgraph.network.joint.leg_tracks import LegTrack, track_legs
+from calgraph.network.joint.leg_tracks import ACCELERATION_DENSITY, LegTrack, track_legs
+from calgraph.network.joint.model_error import TUKEY_LIMIT
 from calgraph.network.joint.path_equations import compute_smoothness_information, evaluate_at
 from calgraph.network.joint.problem import BodyScans, NetworkProblem, NetworkState
 from calgraph.network.joint.solver import NetworkEquations, optimize_network
@@ -30,6 +30,22 @@ from calgraph.parallel.engine import THIS_PROCESS, MapEngine
 
 AddWalls = Callable[[NetworkProblem, NetworkState], NetworkProblem]
 """Replaces the wall constraints of a problem by those at a state."""
+
+
+# The same before the second solution.
+SECOND_PATH_SIGMA = 0.02
+# Standard deviation of the bias of a scanner's ranges to a leg in the first round, m; later rounds estimate it.
+_INITIAL_BIAS_SIGMA = 0.01
+# Maximum number of trackings of legs: the second one is under the poses and clocks of the first solution, further
+# ones follow as long as clocks change.
+_MAX_TRACKINGS = 4
+# Rounds of association, weights, walls, solution and noise for one tracking.
+_ROUNDS = 3
+# Levenberg–Marquardt steps of each round: beams are associated again afterwards.
+_ITERATIONS = 3
+# Change of clock offsets by the solution of a tracking below which it was the last, s: a leg then moves by less
+# than 8 mm.
+_CLOCK_TOLERANCE = 0.002
 
 
 def solve_legs(
@@ -51,34 +67,34 @@ def solve_legs(
     Returns:
         The problem of the last round, with its minimum and the normal equations there.
     """
-    settings, background = network.settings.legs, network.range_sigma
+    background = network.range_sigma
     prior_sigma = systematic_sigma = network.systematic_sigma
-    clusters = [cluster_legs(*pair, settings.clusters) for pair in zip(foregrounds, background, strict=True)]
+    clusters = [cluster_legs(*pair) for pair in zip(foregrounds, background, strict=True)]
     beams = [ScannerBeams.from_foreground(foreground) for foreground in foregrounds]
     noise = LegNoise(
-        np.hypot(background, network.settings.second_path_sigma),
-        settings.body.initial_bias_sigma**2,
-        settings.tracks.acceleration_density,
+        np.hypot(background, SECOND_PATH_SIGMA),
+        _INITIAL_BIAS_SIGMA**2,
+        ACCELERATION_DENSITY,
     )
-    for tracking in range(settings.max_trackings):
-        tracks = track_legs(clusters, state.T_root_scanner, state.clock_offset, settings.tracks)
-        candidates = [initialize_leg(track, settings) for track in tracks]
+    for tracking in range(_MAX_TRACKINGS):
+        tracks = track_legs(clusters, state.T_root_scanner, state.clock_offset)
+        candidates = [initialize_leg(track) for track in tracks]
         clocks = state.clock_offset
-        for round_ in range(settings.rounds):
+        for round_ in range(_ROUNDS):
             network = replace(network, systematic_sigma=systematic_sigma)
             network, state, candidates = _associate(network, state, candidates, beams, noise)
             # The averaged poses may be too far off for the registration of walls.
             if tracking + round_ > 0:
                 network = add_walls(network, state)
             batches = BodyBatches.place(network.bodies, engine)
-            state, equations = optimize_network(network, state, iterations=settings.iterations, batches=batches)
+            state, equations = optimize_network(network, state, iterations=_ITERATIONS, batches=batches)
             candidates = [
                 replace(candidate, path=path)
                 for candidate, (_, path) in zip(candidates, _list_legs(network, state), strict=True)
             ]
             noise = estimate_noise(network, state, equations, background)
             systematic_sigma = estimate_systematic_sigma(network, state, equations, prior_sigma, engine)
-        if tracking > 0 and np.abs(state.clock_offset - clocks).max() < settings.clock_tolerance:
+        if tracking > 0 and np.abs(state.clock_offset - clocks).max() < _CLOCK_TOLERANCE:
             break
     return network, state, equations
 
@@ -91,6 +107,11 @@ def _list_legs(network: NetworkProblem, state: NetworkState) -> list[tuple[LegOb
     ]
 
 
+# Minimum number of beams of a scanner on a leg, otherwise they are not used: they would determine its bias
+# poorly.
+_MIN_BEAMS = 20
+
+
 def _associate(
     network: NetworkProblem,
     state: NetworkState,
@@ -99,7 +120,7 @@ def _associate(
     noise: LegNoise,
 ) -> tuple[NetworkProblem, NetworkState, list[LegCandidate]]:
     """The problem of the legs that at least two scanners measure, with robust weights, and its start values."""
-    settings, network = network.settings.legs, replace(network, range_sigma=noise.range_sigma)
+    network = replace(network, range_sigma=noise.range_sigma)
     by_scanner = [
         associate_beams(
             one,
@@ -109,15 +130,14 @@ def _associate(
             state.systematic[s],
             float(network.range_sigma[s]),
             candidates,
-            settings.association,
         )
         for s, one in enumerate(beams)
     ]
     measured, bodies, paths = [], [], []
     for candidate, of_scanners in zip(candidates, zip(*by_scanner, strict=True), strict=True):
-        scans = tuple(one for one in of_scanners if one and len(one.ranges) >= settings.association.min_beams)
+        scans = tuple(one for one in of_scanners if one and len(one.ranges) >= _MIN_BEAMS)
         if len(scans) >= 2:
-            leg, path = _observe_leg(candidate, scans, noise, settings)
+            leg, path = _observe_leg(candidate, scans, noise)
             measured.append(candidate)
             bodies.append(leg)
             paths.append(path)
@@ -126,13 +146,13 @@ def _associate(
 
 
 def _observe_leg(
-    leg: LegCandidate, scans: tuple[BodyScans, ...], noise: LegNoise, settings: LegSettings
+    leg: LegCandidate, scans: tuple[BodyScans, ...], noise: LegNoise
 ) -> tuple[LegObservations, LegPath]:
     """A leg with its beams; biases start at zero, as the scanners that measure it change."""
-    heading, information = predict_headings(leg.path.control[:, :2], leg.knots.step, settings.body)
+    heading, information = predict_headings(leg.path.control[:, :2], leg.knots.step)
     # Headings of the path and of its prior differ by whole turns if the person turned while standing.
     turns = np.round((leg.path.control[:, 2] - heading) / (2 * np.pi))
-    (mean, *_), (sigma, *_) = compute_shape_prior(settings.body)
+    (mean, *_), (sigma, *_) = compute_shape_prior()
     observations = LegObservations(
         leg.knots,
         scans,
@@ -149,12 +169,12 @@ def _observe_leg(
 
 def _update_weights(network: NetworkProblem, state: NetworkState) -> NetworkProblem:
     """The network with robust weights of beams at a state."""
-    loss = TukeyLoss(network.settings.beams.tukey_limit)
+    loss = TukeyLoss(TUKEY_LIMIT)
 
     def compute_weights(leg: LegObservations, path: LegPath, k: int) -> Array:
         scans = leg.scans[k]
         _, _, pose, rate = evaluate_at(network, state, leg, path, scans)
-        hits = raycast_leg(network, state, path, scans, pose, rate)
+        hits = raycast_leg(state, path, scans, pose, rate)
         residual, _ = compute_leg_residuals(network, scans, hits, float(path.bias[k]))
         return loss.compute_weights(residual, np.ones(len(residual), dtype=np.bool_))
 
@@ -169,9 +189,13 @@ def _update_weights(network: NetworkProblem, state: NetworkState) -> NetworkProb
 _RIDGE = 1e-6
 
 
-def initialize_leg(track: LegTrack, settings: LegSettings) -> LegCandidate:
+# Interval of a path's control points, s: a leg swings from rest to rest in 0.4 s.
+_KNOT_INTERVAL = 0.06
+
+
+def initialize_leg(track: LegTrack) -> LegCandidate:
     """The smoothing spline through the positions of a track, with the shape of the prior."""
-    start, end, interval = float(track.times[0]), float(track.times[-1]), settings.body.knot_interval
+    start, end, interval = float(track.times[0]), float(track.times[-1]), _KNOT_INTERVAL
     knots = Knots.spanning(start - interval, end + interval, interval)
     first, weights, _ = knots.basis_at(track.times)
     band, right = np.zeros((4, knots.count)), np.zeros((knots.count, 2))
@@ -180,37 +204,45 @@ def initialize_leg(track: LegTrack, settings: LegSettings) -> LegCandidate:
         np.add.at(right, first + i, (information * weights[:, i])[:, None] * track.positions)
         for j in range(i, 4):
             np.add.at(band[j - i], first + i, information * weights[:, i] * weights[:, j])
-    smooth = compute_smoothness_information(interval, settings.tracks.acceleration_density)
+    smooth = compute_smoothness_information(interval, ACCELERATION_DENSITY)
     for i in range(3):
         for j in range(i, 3):
             band[j - i, i : knots.count - 2 + i] += smooth[i, j]
     band[0] += _RIDGE
     positions = solveh_banded(band, right, lower=True)
-    heading, _ = predict_headings(positions, interval, settings.body)
-    shape, _ = compute_shape_prior(settings.body)
+    heading, _ = predict_headings(positions, interval)
+    shape, _ = compute_shape_prior()
     return LegCandidate(
         knots, start, end, LegPath.from_shape(np.column_stack([positions, heading]), shape, np.zeros(0))
     )
 
 
-def predict_headings(positions: Array, step: float, settings: LegBodySettings) -> tuple[Array, Array]:
+# Time over which a path is averaged for the direction of the walk, s: a stride, one swing of a leg.
+_STRIDE_DURATION = 1.2
+# Mean speed over a stride above which the direction of the path predicts the heading, m/s.
+_MIN_WALKING_SPEED = 0.5
+# Standard deviation of a leg's heading about the direction of the walk, rad: feet turn outwards by 3 to 10°, and
+# the path over a stride turns.
+_HEADING_SIGMA = 0.2
+
+
+def predict_headings(positions: Array, step: float) -> tuple[Array, Array]:
     """The direction of a path over a stride at its control points.
 
     Args:
         positions: (K, 2) control points, m.
         step: time between two of them, s.
-        settings: of legs.
 
     Returns:
         Headings (K,), rad, and their information (K,), 1/rad²: zero where the person stands. The information of a
         quarter of a stride is that of one heading.
     """
-    half = max(round(settings.stride_duration / 2 / step), 1)
+    half = max(round(_STRIDE_DURATION / 2 / step), 1)
     index = np.arange(len(positions))
     low, high = np.maximum(index - half, 0), np.minimum(index + half, len(positions) - 1)
     x, y = (positions[high] - positions[low]).T
-    walking = np.hypot(x, y) > settings.min_walking_speed * step * (high - low)
+    walking = np.hypot(x, y) > _MIN_WALKING_SPEED * step * (high - low)
     heading = np.arctan2(y, x)
     if walking.any():
         heading = np.interp(index, index[walking], np.unwrap(heading[walking]))
-    return heading, walking * 4 * step / settings.stride_duration / settings.heading_sigma**2
+    return heading, walking * 4 * step / _STRIDE_DURATION / _HEADING_SIGMA**2

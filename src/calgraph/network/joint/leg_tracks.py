@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from calgraph.config.settings import LegTrackSettings
 from calgraph.geometry import Array, Index, se2
 from calgraph.network.tracking.leg_clusters import LegClusters
 
@@ -61,16 +60,21 @@ class _ActiveLegs:
         self.members.extend([int(k)] for k in index)
 
 
-def track_legs(
-    clusters: Sequence[LegClusters], T_root_scanner: Array, clock_offset: Array, settings: LegTrackSettings
-) -> list[LegTrack]:
+# Error of the start poses, m; added to that of centres.
+_POSE_SIGMA = 0.03
+# Longest time without a match, s: a leg is hidden by the other one for a quarter of a stride.
+_MAX_COAST_TIME = 0.4
+# Matches that confirm a leg: half a second at 15 Hz, in which clutter rarely moves like a leg.
+_MIN_MATCHES = 8
+
+
+def track_legs(clusters: Sequence[LegClusters], T_root_scanner: Array, clock_offset: Array) -> list[LegTrack]:
     """Tracks legs over all scanners.
 
     Args:
         clusters: by scanner.
         T_root_scanner: (S, 3, 3) approximate poses.
         clock_offset: (S,) approximate scanner clocks minus the root clock, s.
-        settings: of the tracks.
 
     Returns:
         The legs that moved, in order of time.
@@ -79,7 +83,7 @@ def track_legs(
         [se2.apply(T, one.centers) for T, one in zip(T_root_scanner, clusters, strict=True)]
     )
     times = np.concatenate([one.times - offset for one, offset in zip(clusters, clock_offset, strict=True)])
-    sigma = np.hypot(np.concatenate([one.sigma for one in clusters]), settings.pose_sigma)
+    sigma = np.hypot(np.concatenate([one.sigma for one in clusters]), _POSE_SIGMA)
     before = np.cumsum([0, *(int(one.scan[-1]) + 1 if len(one.scan) else 0 for one in clusters)])
     scan = np.concatenate([one.scan + first for one, first in zip(clusters, before, strict=False)])
     # Scans in order of their mean time, each with its clusters.
@@ -90,29 +94,39 @@ def track_legs(
     finished: list[list[int]] = []
     for low, high in pairwise(bounds):
         index = order[low:high]
-        old = times[index[0]] - active.times > settings.max_coast_time
+        old = times[index[0]] - active.times > _MAX_COAST_TIME
         if old.any():
             finished.extend(members for members, ended in zip(active.members, old, strict=True) if ended)
             active.keep(~old)
-        _match(active, index, times[index], positions[index], sigma[index] ** 2, settings)
+        _match(active, index, times[index], positions[index], sigma[index] ** 2)
     finished.extend(active.members)
     legs = [
         LegTrack(times[members], positions[members], sigma[members])
-        for members in (np.sort(np.array(one)) for one in finished if len(one) >= settings.min_matches)
+        for members in (np.sort(np.array(one)) for one in finished if len(one) >= _MIN_MATCHES)
     ]
     legs = [_sort_by_time(leg) for leg in legs]
-    return sorted((leg for leg in legs if _is_walking(leg, settings)), key=lambda leg: float(leg.times[0]))
+    return sorted((leg for leg in legs if _is_walking(leg)), key=lambda leg: float(leg.times[0]))
 
 
-def _match(
-    active: _ActiveLegs, index: Index, times: Array, positions: Array, variance: Array, settings: LegTrackSettings
-) -> None:
+# Maximum squared Mahalanobis distance of a cluster from a prediction: a correct one exceeds it with probability
+# 1e-3 (χ², two degrees of freedom).
+_GATE = 13.8
+# Spectral density of a leg's acceleration, m²/s³: a shin changes its speed by 3 m/s twice in a stride of a
+# second, with a correlation time of 0.15 s.
+ACCELERATION_DENSITY = 30.0
+# Maximum distance of a cluster from a prediction, m: legs side by side are 12 to 20 cm apart.
+_MAX_DISTANCE = 0.25
+# Prior standard deviation of a new leg's velocity along each axis, m/s: legs swing at up to 4 m/s.
+_INITIAL_SPEED_SIGMA = 1.5
+
+
+def _match(active: _ActiveLegs, index: Index, times: Array, positions: Array, variance: Array) -> None:
     """Updates the legs with the clusters of one scan, and starts new ones with the rest."""
     free = np.ones(len(index), dtype=bool)
     if len(active.times):
         dt = times - active.times[:, None]
         p, c, v = (active.covariance[:, k, None] for k in range(3))
-        q, gap = settings.acceleration_density, np.abs(dt)
+        q, gap = ACCELERATION_DENSITY, np.abs(dt)
         p_ahead, c_ahead, v_ahead = (
             p + 2 * dt * c + dt * dt * v + q * gap**3 / 3,
             c + dt * v + q * dt * gap / 2,
@@ -121,7 +135,7 @@ def _match(
         offset = positions - active.mean[:, None, :2] - dt[..., None] * active.mean[:, None, 2:]
         S = p_ahead + variance
         squared = np.einsum("kcd,kcd->kc", offset, offset)
-        inside = (squared <= settings.gate * S) & (squared <= settings.max_distance**2)
+        inside = (squared <= _GATE * S) & (squared <= _MAX_DISTANCE**2)
         cost = np.where(inside, squared / S + 2 * np.log(S), _GATED_COST)
         rows, columns = linear_sum_assignment(cost)
         good = inside[rows, columns]
@@ -142,7 +156,7 @@ def _match(
             active.members[row].append(int(index[column]))
         free[columns] = False
     if free.any():
-        active.add(times[free], positions[free], variance[free], settings.initial_speed_sigma, index[free])
+        active.add(times[free], positions[free], variance[free], _INITIAL_SPEED_SIGMA, index[free])
 
 
 def _sort_by_time(leg: LegTrack) -> LegTrack:
@@ -150,6 +164,12 @@ def _sort_by_time(leg: LegTrack) -> LegTrack:
     return LegTrack(leg.times[order], leg.positions[order], leg.sigma[order])
 
 
-def _is_walking(leg: LegTrack, settings: LegTrackSettings) -> bool:
+# Shortest track that is used, s: a stride.
+_MIN_DURATION = 1.0
+# Minimum extent of a track that is used, m: chairs that were moved stand still.
+_MIN_TRAVEL = 0.4
+
+
+def _is_walking(leg: LegTrack) -> bool:
     extent = np.ptp(leg.positions, axis=0)
-    return bool(leg.times[-1] - leg.times[0] >= settings.min_duration and np.hypot(*extent) >= settings.min_travel)
+    return bool(leg.times[-1] - leg.times[0] >= _MIN_DURATION and np.hypot(*extent) >= _MIN_TRAVEL)

@@ -11,7 +11,6 @@ from functools import partial
 
 import numpy as np
 
-from calgraph.config.settings import ModelErrorSettings
 from calgraph.geometry import Array, Index, se_n
 from calgraph.network.joint.body_batches import BodyBatches
 from calgraph.network.joint.ellipse_equations import build_scan_equations
@@ -40,11 +39,22 @@ class _Component:
     """Greatest standard deviation, m or rad."""
 
 
-def _list_components(settings: ModelErrorSettings) -> tuple[_Component, _Component]:
+# Minimum standard deviation of a position, m: below a tenth of what the beams of one scan determine, it has no
+# effect.
+_MIN_POSITION_SIGMA = 0.0005
+# Maximum standard deviation of a position, m: half the depth of a person.
+MAX_POSITION_SIGMA = 0.1
+# Minimum standard deviation of a heading, rad; as for positions.
+_MIN_HEADING_SIGMA = 0.002
+# Maximum standard deviation of a heading, rad: about 30°.
+MAX_HEADING_SIGMA = 0.5
+
+
+def _list_components() -> tuple[_Component, _Component]:
     """Position and heading, in the order of :attr:`NetworkProblem.model_error_variance`."""
     return (
-        _Component(np.array([0, 1]), settings.min_position_sigma, settings.max_position_sigma),
-        _Component(np.array([2]), settings.min_heading_sigma, settings.max_heading_sigma),
+        _Component(np.array([0, 1]), _MIN_POSITION_SIGMA, MAX_POSITION_SIGMA),
+        _Component(np.array([2]), _MIN_HEADING_SIGMA, MAX_HEADING_SIGMA),
     )
 
 
@@ -58,6 +68,14 @@ class _ScanEquations:
     """(V,) of each scan: a stride of a scanner, whose scanners are numbered one after the other."""
     scanners: int
     """Number of scanners, L."""
+
+
+# Beams of the bodies that are compared, evenly among all of larger networks: those of about 1500 strides of 5
+# scanners, which determine a standard deviation to 2 %.
+_MAX_BEAMS = 500_000
+# Limit of Tukey's biweight, standard deviations. The textbook's 4.685 has an efficiency of 95 % for Gaussian
+# noise, this one 64 %, but the former takes swinging arms for the torso.
+TUKEY_LIMIT = 2.5
 
 
 def estimate_model_error(
@@ -76,9 +94,9 @@ def estimate_model_error(
     """
     beams = int(network.count_beams().sum())
     batches = batches or BodyBatches.place(network.bodies)
-    batches = batches.thin(1 + beams // network.settings.model_error.max_beams)
+    batches = batches.thin(1 + beams // _MAX_BEAMS)
     _, kept = batches.map_and_keep(_collect_equations, network, state)
-    score_to_information = TukeyLoss(network.settings.beams.tukey_limit).score_to_information
+    score_to_information = TukeyLoss(TUKEY_LIMIT).score_to_information
     variances = network.model_error_variance.copy()
 
     def compute_log_ratios(index: int, component: _Component, log_variances: Array) -> tuple[Array, Array]:
@@ -90,7 +108,7 @@ def estimate_model_error(
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.log(observed / (score_to_information * expected)), expected
 
-    for index, component in enumerate(_list_components(network.settings.model_error)):
+    for index, component in enumerate(_list_components()):
         log_ratios = partial(compute_log_ratios, index, component)
         variances[index] = _find_variance(log_ratios, component, float(variances[index]))
     return variances
@@ -119,11 +137,16 @@ def _find_variance(
     return float(np.exp(low + (high - low) * before / (before - after)))
 
 
+# Scanners are compared over this time, s: two steps of a walk, the period in which arms swing and deviations are
+# correlated.
+_STRIDE_DURATION = 1.0
+
+
 def _collect_equations(
     network: NetworkProblem, state: NetworkState, body: BodyObservations, path: BodyPath
 ) -> tuple[None, _ScanEquations]:
     """Nothing, and the equations of a body."""
-    duration = network.settings.model_error.stride_duration
+    duration = _STRIDE_DURATION
     collected, parts = [], []
     for k, scans in enumerate(body.scans):
         _, _, pose, rate = evaluate_at(network, state, body, path, scans)

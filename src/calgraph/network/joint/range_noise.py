@@ -11,6 +11,7 @@ import numpy as np
 
 from calgraph.geometry import Array, Index
 from calgraph.network.joint.ellipse_equations import compute_residuals, raycast_body
+from calgraph.network.joint.model_error import TUKEY_LIMIT
 from calgraph.network.joint.path_covariance import compute_path_covariance
 from calgraph.network.joint.path_equations import evaluate_at
 from calgraph.network.joint.problem import BodyObservations, BodyPath, NetworkProblem, NetworkState
@@ -21,6 +22,20 @@ from calgraph.network.joint.tukey_loss import TukeyLoss
 
 # Standard deviation of Gaussian noise as a multiple of its median absolute value.
 _MEDIAN_TO_SIGMA = 1.4826
+
+
+# Beams of a scanner whose residuals are compared, evenly among all of longer recordings: the median of as many
+# has a relative standard deviation of 0.8 %.
+_MAX_BEAMS = 20_000
+# Maximum mean leverage that is corrected for: the correction is an expansion to first order in it.
+_MAX_LEVERAGE = 0.3
+# Beams that are needed, otherwise the background's noise is used: the median of 300 has a relative standard
+# deviation of 1.17 / sqrt(300) = 7 %.
+MIN_BEAMS = 300
+# Minimum noise as a ratio to the background's: quantised or simulated ranges may show none.
+MIN_RATIO = 0.5
+# Maximum noise beyond the background's, m: larger residuals are of other objects than the bodies.
+MAX_EXCESS = 0.05
 
 
 def estimate_range_noise(
@@ -36,10 +51,10 @@ def estimate_range_noise(
         equations: of that solution.
         background: (S,) noise of each scanner's background, m; used for scanners with few beams on bodies.
     """
-    settings, loss = network.settings.range_noise, TukeyLoss(network.settings.beams.tukey_limit)
+    loss = TukeyLoss(TUKEY_LIMIT)
     residuals: list[list[Array]] = [[] for _ in background]
     leverage, effective_beams = np.zeros((2, len(background)))
-    measure = partial(_measure_body, step=1 + network.count_beams() // settings.max_beams)
+    measure = partial(_measure_body, step=1 + network.count_beams() // _MAX_BEAMS)
     measured = equations.batches.map(measure, network, state, equations.body_equations)
     for body, of_scanners in zip(network.bodies, measured, strict=True):
         for scans, (absolute, of_path) in zip(body.scans, of_scanners, strict=True):
@@ -47,14 +62,17 @@ def estimate_range_noise(
             leverage[scans.scanner] += of_path
             effective_beams[scans.scanner] += scans.weight.sum() / loss.mean_weight
     by_scanner = [np.concatenate([np.zeros(0), *parts]) for parts in residuals]
-    shrinkage = loss.median_shrinkage * np.minimum(
-        leverage / np.maximum(effective_beams, 1), settings.max_leverage
-    )
+    shrinkage = loss.median_shrinkage * np.minimum(leverage / np.maximum(effective_beams, 1), _MAX_LEVERAGE)
     sigma = [
-        _MEDIAN_TO_SIGMA * np.median(absolute) / (1 - shrunk) if len(absolute) >= settings.min_beams else stated
+        _MEDIAN_TO_SIGMA * np.median(absolute) / (1 - shrunk) if len(absolute) >= MIN_BEAMS else stated
         for absolute, shrunk, stated in zip(by_scanner, shrinkage, background, strict=True)
     ]
-    return np.asarray(np.clip(sigma, settings.min_ratio * background, np.hypot(background, settings.max_excess)))
+    return np.asarray(np.clip(sigma, MIN_RATIO * background, np.hypot(background, MAX_EXCESS)))
+
+
+# Minimum cosine of incidence, 70°: beyond, errors of a beam's direction exceed those of its range (1 mrad at 5 m
+# gives 14 mm), and its width covers more than the outline.
+MIN_COS_INCIDENCE = 0.35
 
 
 def _measure_body(
@@ -66,12 +84,12 @@ def _measure_body(
     step: Index,
 ) -> list[tuple[Array, float]]:
     """Every n-th (S,) absolute residual, m, and the sum of the leverages of each scanner's beams."""
-    beams, path_covariance = network.settings.beams, compute_path_covariance(equations.band)
+    path_covariance = compute_path_covariance(equations.band)
     measured = []
     for scans in body.scans:
         first, weights, pose, rate = evaluate_at(network, state, body, path, scans)
         hits = raycast_body(state, path, scans, pose, rate)
-        absolute = np.abs(hits.ranges - scans.ranges)[hits.cos_incidence > beams.min_cos_incidence]
+        absolute = np.abs(hits.ranges - scans.ranges)[hits.cos_incidence > MIN_COS_INCIDENCE]
         scan_equations = sum_over_scans(
             *compute_residuals(network, scans, hits), scans.weight, scans.first_beam
         ).marginalize_model_error(network.model_error_variance[[0, 0, 1]])

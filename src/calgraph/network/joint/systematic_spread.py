@@ -17,7 +17,7 @@ from calgraph.network.joint.scanner_unknowns import (
     SCANNER_UNKNOWNS,
     compute_prior_covariance,
 )
-from calgraph.network.joint.solver import NetworkEquations
+from calgraph.network.joint.solver import COMMON_ERROR_SHARE, NetworkEquations
 from calgraph.parallel.engine import THIS_PROCESS, MapEngine
 
 # Shares per factor of two: the evidence of a standard deviation changes little from one to the next.
@@ -64,6 +64,11 @@ class _Likelihood:
         )
 
 
+# Minimum standard deviation of systematic errors as a share of uncertainty in rig.yaml, whose share is estimated
+# from the differences between scanners: 0.3 mm of 2 cm, well below what a minute determines.
+_MIN_SYSTEMATIC_SHARE = 1 / 64
+
+
 def estimate_systematic_sigma(
     network: NetworkProblem,
     state: NetworkState,
@@ -80,7 +85,7 @@ def estimate_systematic_sigma(
         prior_sigma: (S, E) the largest standard deviations; 0 for what is exact.
         engine: evaluates groups of scanners.
     """
-    octaves = -np.log2(network.settings.min_systematic_share)
+    octaves = -np.log2(_MIN_SYSTEMATIC_SHARE)
     shares = np.exp2(-np.linspace(0, octaves, 1 + int(np.ceil(_SHARES_PER_OCTAVE * octaves))))
     share = np.ones(prior_sigma.shape[1])
     groups = engine.put(_marginalize_poses(network, state, equations, prior_sigma))
@@ -94,6 +99,12 @@ def estimate_systematic_sigma(
     return prior_sigma * share
 
 
+# Scanners, near each other, whose differences are compared jointly for the spread of systematic errors; in larger
+# networks, groups of them count as independent. The comparison takes time with the third power of their number,
+# and 100 determine a standard deviation to 7 %.
+_SYSTEMATIC_GROUP = 100
+
+
 def _marginalize_poses(
     network: NetworkProblem, state: NetworkState, equations: NetworkEquations, prior_sigma: Array
 ) -> list[_Likelihood]:
@@ -101,7 +112,7 @@ def _marginalize_poses(
 
     That of a group is what its posterior contains beside its prior: information and score of the data.
     """
-    size, common_share = network.settings.systematic_group, network.settings.common_error_share
+    size, common_share = _SYSTEMATIC_GROUP, COMMON_ERROR_SHARE
     H, g = equations.eliminate_bodies()
     factor = H.factor()
     mean = state.systematic.ravel() - factor.solve(g).reshape(network.count, -1)[:, FIRST_SYSTEMATIC:].ravel()

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from calgraph.config.settings import TrackGroupingSettings
 from calgraph.geometry import Array, se2
 from calgraph.network.tracking.track import ScannerTracks, Track
 
@@ -42,8 +41,16 @@ class _SampledTrack:
     """(T, 2) at the ticks, m."""
 
 
+# Tracks of one scanner that overlap longer are of two bodies, s: a cluster may fall into two for about two scans
+# of a scanner with 15 Hz.
+_MAX_OVERLAP = 0.15
+# Bodies that are tracked for a shorter time are not used, s: less than a stride, over which the deviations of a
+# walking person average out.
+_MIN_DURATION = 1.0
+
+
 def group_tracks_by_body(
-    tracked: Sequence[ScannerTracks], T_root_scanner: Array, tick_period: float, settings: TrackGroupingSettings
+    tracked: Sequence[ScannerTracks], T_root_scanner: Array, tick_period: float
 ) -> list[BodyTracks]:
     """Groups the tracks of all scanners by body.
 
@@ -51,7 +58,6 @@ def group_tracks_by_body(
         tracked: by scanner.
         T_root_scanner: (S, 3, 3) approximate poses.
         tick_period: interval at which tracks are compared, s.
-        settings: of the grouping.
 
     Returns:
         Bodies that at least two scanners tracked, in order of time.
@@ -64,13 +70,13 @@ def group_tracks_by_body(
     ]
     group_of = {i: i for i in range(len(sampled))}
     members = {i: [i] for i in range(len(sampled))}
-    links = [*_link_simultaneous(sampled, settings), *_link_successive(sampled, tick_period, settings)]
+    links = [*_link_simultaneous(sampled), *_link_successive(sampled, tick_period)]
     for _, i, j in sorted(links, key=lambda link: -link[0]):
         a, b = group_of[i], group_of[j]
         if a == b:
             continue
         group, other = ([sampled[k] for k in members[one]] for one in (a, b))
-        if _overlap_in_scanner(group, other, settings.max_overlap):
+        if _overlap_in_scanner(group, other, _MAX_OVERLAP):
             continue
         members[a] += members[b]
         group_of |= dict.fromkeys(members.pop(b), a)
@@ -78,7 +84,7 @@ def group_tracks_by_body(
     for indices in members.values():
         tracks = sorted((sampled[k] for k in indices), key=lambda one: float(one.track.times[0]))
         start, end = tracks[0].track.times[0], max(one.track.times[-1] for one in tracks)
-        if len({one.scanner for one in tracks}) >= 2 and end - start >= settings.min_duration:
+        if len({one.scanner for one in tracks}) >= 2 and end - start >= _MIN_DURATION:
             bodies.append(BodyTracks(tuple((one.scanner, one.track) for one in tracks), float(start), float(end)))
     return sorted(bodies, key=lambda body: body.start)
 
@@ -90,9 +96,18 @@ def _sample_track(scanner: int, track: Track, T: Array, tick_period: float) -> _
     return _SampledTrack(scanner, track, ticks, at_ticks)
 
 
-def _link_simultaneous(
-    sampled: Sequence[_SampledTrack], settings: TrackGroupingSettings
-) -> list[tuple[float, int, int]]:
+# Simultaneous positions of one body in two scanners are at most this far apart, m. People keep about half a metre
+# from each other; the errors of start poses, centres and clocks are smaller (50 ms of clock at 1.5 m/s are 8 cm).
+MAX_DISTANCE = 0.5
+# Ticks (tick_period of pairs) at which two tracks have to be this close: two people who pass each other at 2.5
+# m/s relative speed are close for at most 4, and the share below decides then.
+_MIN_TICKS = 3
+# Share of the common ticks at which two tracks have to be close: the majority, so that a track is not linked to
+# two people who walk apart.
+_MIN_SHARE = 0.5
+
+
+def _link_simultaneous(sampled: Sequence[_SampledTrack]) -> list[tuple[float, int, int]]:
     """Links between tracks of two scanners.
 
     Their strength is the number of ticks at which they are close, the closer the more: for a minute, people who
@@ -105,30 +120,34 @@ def _link_simultaneous(
     ticks = np.concatenate([one.ticks for one in sampled])
     positions = np.concatenate([one.positions for one in sampled])
     # Ticks are a third coordinate, scaled so that only samples of one tick are neighbours.
-    tree = cKDTree(np.column_stack([positions, 10 * settings.max_distance * (ticks - ticks.min())]))
-    samples = tree.query_pairs(settings.max_distance, output_type="ndarray").reshape(-1, 2)
+    tree = cKDTree(np.column_stack([positions, 10 * MAX_DISTANCE * (ticks - ticks.min())]))
+    samples = tree.query_pairs(MAX_DISTANCE, output_type="ndarray").reshape(-1, 2)
     samples = samples[scanner[owner[samples[:, 0]]] != scanner[owner[samples[:, 1]]]]
     distances = np.linalg.norm(positions[samples[:, 0]] - positions[samples[:, 1]], axis=1)
     pairs, pair_of_samples, close_ticks = np.unique(
         np.sort(owner[samples], axis=1), axis=0, return_inverse=True, return_counts=True
     )
-    closeness = np.bincount(
-        pair_of_samples.ravel(), 1 - (distances / settings.max_distance) ** 2, minlength=len(pairs)
-    )
+    closeness = np.bincount(pair_of_samples.ravel(), 1 - (distances / MAX_DISTANCE) ** 2, minlength=len(pairs))
     links = []
     for (first, second), count, strength in zip(
         pairs.tolist(), close_ticks.tolist(), closeness.tolist(), strict=True
     ):
         a, b = sampled[first].ticks, sampled[second].ticks
         common = min(a[-1], b[-1]) - max(a[0], b[0]) + 1
-        if count >= settings.min_ticks and count >= settings.min_share * common:
+        if count >= _MIN_TICKS and count >= _MIN_SHARE * common:
             links.append((strength, first, second))
     return links
 
 
-def _link_successive(
-    sampled: Sequence[_SampledTrack], tick_period: float, settings: TrackGroupingSettings
-) -> list[tuple[float, int, int]]:
+# A track continues an earlier one of its scanner after at most this time, s: longer than people hide each other
+# when they pass. After longer ones, a body counts as another one.
+_MAX_GAP = 1.0
+# Distance of a continuing track from the extrapolation, m: one standard deviation of an extrapolation over 1 s at
+# an acceleration density q of 0.5 m²/s³, sqrt(q t³ / 3).
+_MAX_JUMP = 0.4
+
+
+def _link_successive(sampled: Sequence[_SampledTrack], tick_period: float) -> list[tuple[float, int, int]]:
     """Links between tracks of one scanner that continue each other: the closer, the stronger."""
     links = []
     by_scanner: dict[int, list[int]] = {}
@@ -138,16 +157,14 @@ def _link_successive(
         starts = np.array([sampled[i].track.times[0] for i in indices])
         for i in indices:
             earlier = sampled[i].track
-            low, high = np.searchsorted(starts, [earlier.times[-1], earlier.times[-1] + settings.max_gap])
+            low, high = np.searchsorted(starts, [earlier.times[-1], earlier.times[-1] + _MAX_GAP])
             for j in indices[low:high]:
                 later = sampled[j].track
                 gap = later.times[0] - earlier.times[-1]
                 extrapolated = earlier.positions[-1] + gap * (earlier.velocities[-1] + later.velocities[0]) / 2
                 jump = float(np.linalg.norm(later.positions[0] - extrapolated))
-                if jump < settings.max_jump:
-                    links.append(
-                        ((1 - gap / settings.max_gap) / tick_period * (1 - jump / settings.max_jump), i, j)
-                    )
+                if jump < _MAX_JUMP:
+                    links.append(((1 - gap / _MAX_GAP) / tick_period * (1 - jump / _MAX_JUMP), i, j))
     return links
 
 

@@ -7,7 +7,6 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from calgraph.config.settings import ScannerPairSettings
 from calgraph.errors import Rejected
 from calgraph.geometry import se2
 from calgraph.network.joint.problem import NetworkProblem, NetworkState, WallConstraint
@@ -16,12 +15,16 @@ from calgraph.network.pairs import icp
 from calgraph.network.tracking.track import ScannerTracks
 from calgraph.parallel.engine import MapEngine
 
+# Error of the joint poses at which the registration of walls starts, m: bounds which walls correspond.
+_WALL_POSITION_SIGMA = 0.05
+# The error of the joint poses at which the registration of walls starts, rad.
+_WALL_ROTATION_SIGMA = 0.01
+
 
 def register_walls(
     tracked: Sequence[ScannerTracks],
     network: NetworkProblem,
     state: NetworkState,
-    pair_settings: ScannerPairSettings,
     engine: MapEngine,
 ) -> tuple[WallConstraint, ...]:
     """Registers the static backgrounds of all pairs of scanners that measured a common body.
@@ -30,7 +33,6 @@ def register_walls(
         tracked: the tracks of each scanner, with its background.
         network: with the bodies.
         state: whose poses and systematic errors the registration starts from.
-        pair_settings: of the ICP of static backgrounds.
         engine: evaluates pairs.
     """
     pairs = {
@@ -39,14 +41,12 @@ def register_walls(
         for k, a in enumerate(body.scans)
         for b in body.scans[k + 1 :]
     }
-    settings = network.settings
-    prior_covariance = np.diag(
-        np.square([settings.wall_position_sigma, settings.wall_position_sigma, settings.wall_rotation_sigma])
-    )
+    pass
+    prior_covariance = np.diag(np.square([_WALL_POSITION_SIGMA, _WALL_POSITION_SIGMA, _WALL_ROTATION_SIGMA]))
     beam_errors, _ = linearize_beam_errors(state.systematic)
     backgrounds = engine.put(
         [
-            icp.StaticBackground(correct_points(scanner.background, errors), pair_settings)
+            icp.StaticBackground(correct_points(scanner.background, errors))
             for scanner, errors in zip(tracked, state.systematic, strict=True)
         ]
     )

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from calgraph.config.settings import CandidateSettings
 from calgraph.geometry import Array, se2
 from calgraph.network.pairs.synchronized_tracks import Indices, TrackSamples, pair_samples
 
@@ -36,7 +35,6 @@ def select_implied_pairs(
     poses: Mapping[Ends, Array],
     registered: Collection[Ends],
     tried: Collection[Ends],
-    settings: CandidateSettings,
 ) -> set[Ends]:
     """Pairs that tracked the same people under the pose that their pairs with a third scanner imply.
 
@@ -45,7 +43,6 @@ def select_implied_pairs(
         poses: ``T_a_b`` (3, 3) of all pairs with a pose.
         registered: those of them since the last selection: only they imply poses that were not tested before.
         tried: pairs that were registered, with or without a pose.
-        settings: how long and how near their samples have to be.
     """
     neighbours: dict[int, dict[int, Array]] = {}
     for (a, b), T_a_b in poses.items():
@@ -58,22 +55,28 @@ def select_implied_pairs(
                 pair = min(a, b), max(a, b)
                 if a == b or pair in tried or pair in implied:
                     continue
-                if _have_common_tracks(samples[a], samples[b], neighbours[a][via] @ T_via_b, settings):
+                if _have_common_tracks(samples[a], samples[b], neighbours[a][via] @ T_via_b):
                     implied.add(pair)
     return implied
 
 
-def select_separated_pairs(
-    similarity: Array, sure: Collection[Ends], tried: Collection[Ends], settings: CandidateSettings
-) -> set[Ends]:
+# Pairs of each scanner with other parts where parts remain unconnected: most have fewer in view.
+_PARTNERS_BETWEEN_PARTS = 30
+# Maximum of these, doubled while parts remain: it has right pairs for 10 of 14 such scanners of 1000.
+_MAX_PARTNERS_BETWEEN_PARTS = 150
+# Pairs that all scanners of a part select then: more than all between two halves of 30 scanners.
+_PAIRS_OF_PART = 300
+
+
+def select_separated_pairs(similarity: Array, sure: Collection[Ends], tried: Collection[Ends]) -> set[Ends]:
     """Untried pairs of scanners that sure pairs (not by chance) do not connect, of the most similar tracks.
 
     The number of partners of each scanner is doubled up to its maximum until there are untried ones.
     """
     part = label_parts(len(similarity), sure)
-    partners, most = settings.partners_between_parts, settings.max_partners_between_parts
+    partners, most = _PARTNERS_BETWEEN_PARTS, _MAX_PARTNERS_BETWEEN_PARTS
     while True:
-        untried = select_pairs_between_parts(similarity, part, partners, settings.pairs_of_part) - set(tried)
+        untried = select_pairs_between_parts(similarity, part, partners, _PAIRS_OF_PART) - set(tried)
         if untried or partners >= most:
             return untried
         partners = min(2 * partners, most)
@@ -114,9 +117,16 @@ def _rank_partners(similarity: Array, partners: int, allowed: NDArray[np.bool_])
     return [[b for b in of_a if allowed[a, b]] for a, of_a in enumerate(ranked.tolist())]
 
 
-def _have_common_tracks(a: TrackSamples, b: TrackSamples, T_a_b: Array, settings: CandidateSettings) -> bool:
+# Distance up to which both may have tracked one person under an implied pose, m: at 10 m, two angles that are off
+# by 3 degrees displace it by 0.7 m.
+_COMMON_RADIUS = 1.0
+# Duration of such samples from which a pair is registered, s: half of the least duration of matches.
+_MIN_COMMON_TIME = 1.0
+
+
+def _have_common_tracks(a: TrackSamples, b: TrackSamples, T_a_b: Array) -> bool:
     """Whether simultaneous samples of both are near each other under a pose, for long enough."""
     pairs = pair_samples(a, b)
     x, y = (se2.apply(T_a_b, b.positions)[pairs.row_b] - pairs.x_a).T
-    near = a.tick[pairs.row_a[x * x + y * y < settings.common_radius**2]]
-    return len(np.unique(near)) >= a.to_ticks(settings.min_common_time)
+    near = a.tick[pairs.row_a[x * x + y * y < _COMMON_RADIUS**2]]
+    return len(np.unique(near)) >= a.to_ticks(_MIN_COMMON_TIME)

@@ -13,11 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from calgraph.config.settings import IcpSettings, ScannerPairSettings
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, fit_local_lines, se2
 from calgraph.network.pairs.track_registration import rigid_motion_covariance
-from calgraph.network.pairs.visibility_map import is_free_space
+from calgraph.network.pairs.visibility_map import MAX_BEAM_GAP, is_free_space
 
 # Limit on steps; the match distance takes 6 to 8 of them to shrink.
 _MAX_STEPS = 25
@@ -67,18 +66,51 @@ class StaticBackground:
 
     points: Array
     """(N, 2) in order of angle, m, scanner frame; NaN rows are breaks."""
-    settings: ScannerPairSettings = ScannerPairSettings()
 
     @cached_property
     def oriented_points(self) -> _SurfacePoints:
         """The points on lines, with normals."""
-        return _fit_lines(self.points, self.settings.icp)
+        return _fit_lines(self.points)
+
+
+# Minimum number of matches: a wall of 1 m at 2 m and one degree.
+_MIN_MATCHES = 25
+# Match distance of the first step over the standard deviation of points under the initial pose, within the next
+# two limits: 99.7 % of a normal distribution.
+_INITIAL_DISTANCE_FACTOR = 3.0
+# Factor of the match distance from one step to the next.
+_DISTANCE_FACTOR = 0.7
+# Minimum match distance of the first step, m: a smaller one misses walls that contradict the initial pose.
+_MIN_INITIAL_DISTANCE = 0.5
+# Maximum match distance of the first step, m: with a larger one the two walls of a corridor match.
+_MAX_INITIAL_DISTANCE = 0.8
+# Standard deviation of errors common to a wall, m: range bias, plaster, mounting height.
+_WALL_ERROR = 0.01
+# Number of points of one wall with a common error, by which weights are divided.
+_CORRELATED_POINTS = 10.0
+# Distance at which an angle is measured in metres, m: half of a usual room.
+_LEVER_ARM = 3.0
+# Standard deviation above which a direction is not observable from walls, m (for the angle: m at lever_arm):
+# tracks determine most directions to some centimetres.
+_MAX_STDDEV = 0.03
+# Match distance of the last step, m: three standard deviations of noise and walls.
+_FINAL_DISTANCE = 0.06
+# Distance by which a point has to lie before the other scanner's background to contradict it, m.
+_FREE_SPACE_MARGIN = 0.3
+# Minimum share of matches among matching and contradicting points.
+_MIN_MATCH_SHARE = 0.5
+# Factor on the standard deviations of the initial pose in this test: in a few seconds scanners measure one side
+# of people only, which covariances of tracks do not contain.
+_PRIOR_STDDEV_FACTOR = 2.0
+# Squared Mahalanobis distance above which background and tracks contradict each other: chi-squared, three degrees
+# of freedom, 99.9 %.
+_MAX_MAHALANOBIS2 = 16.3
 
 
 def align_backgrounds(
     T_a_b: Array, covariance: Array, background_a: StaticBackground, background_b: StaticBackground, sigma: float
 ) -> IcpResult | Rejected:
-    """Aligns b's static background to a's, from an initial pose, with the settings of a.
+    """Aligns b's static background to a's, from an initial pose.
 
     Args:
         T_a_b: (3, 3) initial pose.
@@ -91,69 +123,78 @@ def align_backgrounds(
         The alignment; rejected if the overlap is too small, if no direction is observable, or if background and
         initial pose contradict each other.
     """
-    settings, max_beam_gap = background_a.settings.icp, background_a.settings.visibility.max_beam_gap
+    max_beam_gap = MAX_BEAM_GAP
     a, b = background_a.oriented_points, background_b.oriented_points
-    if min(len(a.points), len(b.points)) < settings.min_matches:
+    if min(len(a.points), len(b.points)) < _MIN_MATCHES:
         return Rejected("too little static background")
     lever = float(np.median(np.linalg.norm(b.points, axis=1)))
     guess_stddev = np.sqrt(np.max(np.linalg.eigvalsh(covariance[:2, :2])) + lever**2 * covariance[2, 2])
     match_distance = float(
         np.clip(
-            settings.initial_distance_factor * guess_stddev,
-            settings.min_initial_distance,
-            settings.max_initial_distance,
+            _INITIAL_DISTANCE_FACTOR * guess_stddev,
+            _MIN_INITIAL_DISTANCE,
+            _MAX_INITIAL_DISTANCE,
         )
     )
-    noise2 = (sigma**2 + settings.wall_error**2) * settings.correlated_points
-    scale = np.array([1, 1, 1 / settings.lever_arm])
+    noise2 = (sigma**2 + _WALL_ERROR**2) * _CORRELATED_POINTS
+    scale = np.array([1, 1, 1 / _LEVER_ARM])
     scale2 = np.outer(scale, scale)
     T = T_a_b
     for _ in range(_MAX_STEPS):
-        matches = _match_points(T, a, b, match_distance, settings)
-        if len(matches[0]) < settings.min_matches:
+        matches = _match_points(T, a, b, match_distance)
+        if len(matches[0]) < _MIN_MATCHES:
             return Rejected(f"only {len(matches[0])} points of the static background overlap")
         H, g = _build_normal_equations(T, a, b, matches, noise2, match_distance)
-        directions, values = _find_observable_directions(H * scale2, settings.max_stddev)
+        directions, values = _find_observable_directions(H * scale2, _MAX_STDDEV)
         step = np.asarray(-scale * (directions @ ((directions.T @ (scale * g)) / values)), dtype=np.float64)
         T = se2.retract(T, step)
         converged = float(np.max(np.abs(step))) < _STEP_TOLERANCE
-        if converged and match_distance <= settings.final_distance:
+        if converged and match_distance <= _FINAL_DISTANCE:
             break
-        match_distance = max(settings.final_distance, match_distance * settings.distance_factor)
-    matches = _match_points(T, a, b, settings.final_distance, settings)
+        match_distance = max(_FINAL_DISTANCE, match_distance * _DISTANCE_FACTOR)
+    matches = _match_points(T, a, b, _FINAL_DISTANCE)
     b_in_a, a_in_b = se2.apply(T, b.points), se2.apply(se2.inverse(T), a.points)
-    margins = settings.free_space_margin, max_beam_gap
+    margins = _FREE_SPACE_MARGIN, max_beam_gap
     contradicting = int(is_free_space(background_a.points, b_in_a, *margins).sum())
     contradicting += int(is_free_space(background_b.points, a_in_b, *margins).sum())
     count = len(matches[0])
-    if count < settings.min_matches or count < settings.min_match_share * (count + contradicting):
+    if count < _MIN_MATCHES or count < _MIN_MATCH_SHARE * (count + contradicting):
         return Rejected(f"{contradicting} static points of one lie in the free space of the other")
-    H, _ = _build_normal_equations(T, a, b, matches, noise2, settings.final_distance)
-    directions, values = _find_observable_directions(H * scale2, settings.max_stddev)
+    H, _ = _build_normal_equations(T, a, b, matches, noise2, _FINAL_DISTANCE)
+    directions, values = _find_observable_directions(H * scale2, _MAX_STDDEV)
     if not directions.shape[1]:
         return Rejected("the static background determines no direction")
     deviation = directions.T @ (se2.difference(T, T_a_b) / scale)
     prior_covariance = directions.T @ (covariance / scale2) @ directions
-    wall_covariance = _wall_error_covariance(T, a, matches[1], settings.wall_error)
+    wall_covariance = _wall_error_covariance(T, a, matches[1], _WALL_ERROR)
     wall_covariance = directions.T @ (wall_covariance / scale2) @ directions
     icp_covariance = np.diag(1 / values) + wall_covariance
-    total = settings.prior_stddev_factor**2 * prior_covariance + icp_covariance
-    if deviation @ np.linalg.solve(total, deviation) > settings.max_mahalanobis2:
+    total = _PRIOR_STDDEV_FACTOR**2 * prior_covariance + icp_covariance
+    if deviation @ np.linalg.solve(total, deviation) > _MAX_MAHALANOBIS2:
         return Rejected("static background and tracks contradict each other")
     information = directions @ np.linalg.solve(icp_covariance, directions.T) / scale2
-    by_errors = _differentiate_by_beam_errors(T, a, b, matches, noise2, settings.final_distance)
+    by_errors = _differentiate_by_beam_errors(T, a, b, matches, noise2, _FINAL_DISTANCE)
     by_errors = -scale[:, None] * (directions @ ((directions.T @ (scale[:, None] * by_errors)) / values[:, None]))
     return IcpResult(T, information, by_errors)
 
 
-def _fit_lines(background: Array, settings: IcpSettings) -> _SurfacePoints:
+# Distance between neighbours on one wall, m, up to which they are connected.
+_MAX_NEIGHBOUR_DISTANCE = 0.15
+# The same as a fraction of their range: half a degree at 10 degrees of incidence.
+_MAX_NEIGHBOUR_RATIO = 0.05
+# Neighbours on either side of a point to which a line is fitted: seven points average noise, within 0.2 m at 4 m
+# and half a degree.
+_NEIGHBOURS_PER_SIDE = 3
+# Maximum standard deviation of neighbours from their line, m: three times the usual noise of a range.
+_MAX_LINE_STDDEV = 0.03
+# Minimum ratio of the neighbours' variances along and across the line: a standard deviation three times as long.
+_MIN_ELONGATION2 = 9.0
+
+
+def _fit_lines(background: Array) -> _SurfacePoints:
     """Selects the points of (N, 2) whose neighbours in order of angle lie on a line, and fits their normals."""
-    max_gap = np.maximum(
-        settings.max_neighbour_distance, settings.max_neighbour_ratio * np.linalg.norm(background, axis=1)
-    )
-    normals = fit_local_lines(
-        background, settings.neighbours_per_side, max_gap, settings.max_line_stddev, settings.min_elongation2
-    )
+    max_gap = np.maximum(_MAX_NEIGHBOUR_DISTANCE, _MAX_NEIGHBOUR_RATIO * np.linalg.norm(background, axis=1))
+    normals = fit_local_lines(background, _NEIGHBOURS_PER_SIDE, max_gap, _MAX_LINE_STDDEV, _MIN_ELONGATION2)
     straight = np.isfinite(normals[:, 0])
     return _SurfacePoints(background[straight], normals[straight])
 
@@ -161,16 +202,19 @@ def _fit_lines(background: Array, settings: IcpSettings) -> _SurfacePoints:
 _Matches = tuple[NDArray[np.intp], NDArray[np.intp]]
 
 
-def _match_points(
-    T: Array, a: _SurfacePoints, b: _SurfacePoints, match_distance: float, settings: IcpSettings
-) -> _Matches:
+# Angle between the normals of matched points, rad (25 degrees): the error of a line through seven noisy points
+# and of the initial pose; less than half of the angle between two walls of a room.
+_MAX_NORMAL_ANGLE = float(np.radians(25))
+
+
+def _match_points(T: Array, a: _SurfacePoints, b: _SurfacePoints, match_distance: float) -> _Matches:
     """Indices of points of b and of the nearest points of a, with similar normals, within the match distance."""
     x = se2.apply(T, b.points)
-    distance, nearest = a.tree.query(x, distance_upper_bound=match_distance + settings.max_neighbour_distance)
+    distance, nearest = a.tree.query(x, distance_upper_bound=match_distance + _MAX_NEIGHBOUR_DISTANCE)
     of_b = np.flatnonzero(np.isfinite(distance))
     of_a = nearest[of_b]
     normal = a.normals[of_a]
-    matched = np.sum(normal * (b.normals[of_b] @ T[:2, :2].T), axis=1) > np.cos(settings.max_normal_angle)
+    matched = np.sum(normal * (b.normals[of_b] @ T[:2, :2].T), axis=1) > np.cos(_MAX_NORMAL_ANGLE)
     matched &= np.abs(np.sum(normal * (x[of_b] - a.points[of_a]), axis=1)) < match_distance
     return of_b[matched], of_a[matched]
 

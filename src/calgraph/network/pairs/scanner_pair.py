@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.config.settings import HypothesisSettings, NetworkEstimationSettings, ScannerPairSettings
 from calgraph.errors import Rejected
 from calgraph.geometry import Array
 from calgraph.network.pairs.candidate_pairs import (
@@ -25,6 +24,7 @@ from calgraph.network.pairs.candidate_pairs import (
     select_similar_pairs,
 )
 from calgraph.network.pairs.hypothesis_evidence import (
+    MIN_MATCHED_SHARE,
     PoseHypothesis,
     build_hypothesis,
     count_expected,
@@ -37,6 +37,8 @@ from calgraph.network.pairs.icp import StaticBackground, align_backgrounds
 from calgraph.network.pairs.pose_hypotheses import propose_poses
 from calgraph.network.pairs.synchronized_tracks import SimultaneousPairs, pair_samples
 from calgraph.network.pairs.track_registration import (
+    GATE,
+    MAX_MODEL_ERROR,
     NuisancePrior,
     TrackRegistration,
     compute_pose_costs,
@@ -61,9 +63,9 @@ class _ScannerData:
     """Standard deviation of the background's ranges, m."""
 
     @classmethod
-    def from_tracks(cls, tracked: ScannerTracks, settings: ScannerPairSettings) -> "_ScannerData":
-        observations = ScannerObservations.from_tracks(tracked, settings)
-        return cls(observations, StaticBackground(tracked.background, settings), tracked.sigma)
+    def from_tracks(cls, tracked: ScannerTracks) -> "_ScannerData":
+        observations = ScannerObservations.from_tracks(tracked)
+        return cls(observations, StaticBackground(tracked.background), tracked.sigma)
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,16 +88,21 @@ class ScannerPairEstimate:
         return self.hypotheses[0].information
 
 
+# Prior standard deviation of clock offsets, s: clocks set by NTP or by hand of a driver's start time.
+NETWORK_ESTIMATION_CLOCK_SIGMA = 0.1
+# Scanners up to which all pairs are registered: 28 pairs take less than a second.
+MAX_EXHAUSTIVE = 8
+
+
 def estimate_scanner_pairs(
     tracked: Mapping[str, ScannerTracks],
     rng: np.random.Generator,
     *,
     icp: bool = True,
     depth_stddev: float | None = None,
-    clock_sigma: float = NetworkEstimationSettings().clock_sigma,
+    clock_sigma: float = NETWORK_ESTIMATION_CLOCK_SIGMA,
     engine: Engine = THIS_PROCESS,
     progress: Callable[[float], None] = lambda _done: None,
-    settings: ScannerPairSettings = ScannerPairSettings(),
 ) -> dict[tuple[str, str], ScannerPairEstimate | Rejected]:
     """Estimates the relative poses of pairs of scanners, as :func:`estimate_scanner_pair` does.
 
@@ -111,23 +118,21 @@ def estimate_scanner_pairs(
         clock_sigma: prior standard deviation of the clock offset of two scanners, s.
         engine: evaluates pairs; does not affect the result.
         progress: called with the completed fraction, 0..1.
-        settings: gates, priors and limits.
 
     Returns:
         The pairs that were registered, in the order of the scanners.
     """
-    scanners = tuple(_ScannerData.from_tracks(tracks, settings) for tracks in tracked.values())
+    scanners = tuple(_ScannerData.from_tracks(tracks) for tracks in tracked.values())
     batch = _PairBatch(
         tuple(tracked),
         scanners,
         tuple(engine.put(scanners)),
         icp,
-        _nuisance_prior(clock_sigma, depth_stddev, settings),
-        settings,
+        _nuisance_prior(clock_sigma, depth_stddev),
         engine,
     )
     names = batch.names
-    if len(names) <= settings.candidates.max_exhaustive:
+    if len(names) <= MAX_EXHAUSTIVE:
         every = list(itertools.combinations(range(len(names)), 2))
         found = dict(zip(every, batch.estimate(every, [rng] * len(every), progress), strict=True))
     else:
@@ -145,7 +150,6 @@ class _PairBatch:
     """Of the scanners, for calls of the engine."""
     icp: bool
     prior: NuisancePrior
-    settings: ScannerPairSettings
     engine: Engine
 
     def estimate(
@@ -157,10 +161,21 @@ class _PairBatch:
         work = []
         for (i, j), rng in zip(pairs, generators, strict=True):
             # Random numbers are drawn here, so that results do not depend on the engine.
-            proposals = _propose_hypotheses(self.scanners[i], self.scanners[j], rng, self.settings)
+            proposals = _propose_hypotheses(self.scanners[i], self.scanners[j], rng)
             ends = self.names[i], self.names[j]
-            work.append((ends, data[i], data[j], proposals, self.icp, self.prior, self.settings))
+            work.append((ends, data[i], data[j], proposals, self.icp, self.prior))
         return engine.map(_evaluate_hypotheses, work, progress)
+
+
+# Pairs of each scanner that are registered first, those with the most similar tracks. In simulated grids of 30
+# and 100 scanners, 3 connect all that any pairs connect; two more for paths that resemble each other.
+_PARTNERS = 5
+# Weight of evidence of a clear pose, twice the least: 395 of 478 right pairs of a grid have it, 5 of 53 wrong
+# ones.
+_CLEAR_EVIDENCE = 90.0
+# Implied pairs of a scanner without a clear pose, after which only clear poses imply further ones: wrong poses
+# imply ever more in large networks. With 10, a grid of 100 loses no pair: 711 are tried, 853 before.
+_MAX_UNCLEAR_TRIES = 10
 
 
 def _estimate_candidates(
@@ -168,15 +183,15 @@ def _estimate_candidates(
 ) -> dict[Ends, ScannerPairEstimate | Rejected]:
     """Estimates the most similar pairs, those that they imply, and those between parts, until none are left."""
     samples = [scanner.observations.samples for scanner in batch.scanners]
-    settings = batch.settings.candidates
-    similarity = compute_track_similarity(samples, batch.settings)
+    pass
+    similarity = compute_track_similarity(samples)
     tried: dict[Ends, ScannerPairEstimate | Rejected] = {}
     poses: dict[Ends, Array] = {}
     clear_poses: dict[Ends, Array] = {}
     sure: set[Ends] = set()
     unclear_tries: Counter[int] = Counter()
     implied: set[Ends] = set()
-    wanted = select_similar_pairs(similarity, settings.partners)
+    wanted = select_similar_pairs(similarity, _PARTNERS)
     for rounds in itertools.count():
         if not wanted:
             break
@@ -191,21 +206,19 @@ def _estimate_candidates(
         clear = {
             ends: pair.T_a_b
             for ends, pair in registered.items()
-            if pair.hypotheses[0].weight_of_evidence(batch.settings.hypotheses) >= settings.clear_evidence
+            if pair.hypotheses[0].weight_of_evidence() >= _CLEAR_EVIDENCE
         }
         clear_poses |= clear
         sure |= {
-            ends
-            for ends, pair in registered.items()
-            if not pair.hypotheses[0].may_be_by_chance(len(batch.names), batch.settings.hypotheses)
+            ends for ends, pair in registered.items() if not pair.hypotheses[0].may_be_by_chance(len(batch.names))
         }
         unclear_tries.update(end for ends in implied - set(clear) for end in ends)
-        implied = select_implied_pairs(samples, clear_poses, clear, tried, settings) | {
+        implied = select_implied_pairs(samples, clear_poses, clear, tried) | {
             ends
-            for ends in select_implied_pairs(samples, poses, registered, tried, settings)
-            if max(unclear_tries[end] for end in ends) < settings.max_unclear_tries
+            for ends in select_implied_pairs(samples, poses, registered, tried)
+            if max(unclear_tries[end] for end in ends) < _MAX_UNCLEAR_TRIES
         }
-        wanted = implied or select_separated_pairs(similarity, sure, tried, settings)
+        wanted = implied or select_separated_pairs(similarity, sure, tried)
     progress(1.0)
     return tried
 
@@ -224,8 +237,7 @@ def estimate_scanner_pair(
     *,
     icp: bool = True,
     depth_stddev: float | None = None,
-    clock_sigma: float = NetworkEstimationSettings().clock_sigma,
-    settings: ScannerPairSettings = ScannerPairSettings(),
+    clock_sigma: float = NETWORK_ESTIMATION_CLOCK_SIGMA,
 ) -> ScannerPairEstimate | Rejected:
     """Estimates ``T_a_b`` from the people that both scanners tracked.
 
@@ -239,38 +251,86 @@ def estimate_scanner_pair(
         depth_stddev: prior standard deviation of the distance from tracked to true centres along the beam, m; that
             of the settings if None.
         clock_sigma: prior standard deviation of the clock offset of two scanners, s.
-        settings: gates, priors and limits.
 
     Returns:
         The best hypotheses, or the reason why there is none.
     """
-    of_a, of_b = _ScannerData.from_tracks(a, settings), _ScannerData.from_tracks(b, settings)
-    proposals = _propose_hypotheses(of_a, of_b, rng, settings)
-    prior = _nuisance_prior(clock_sigma, depth_stddev, settings)
-    return _evaluate_hypotheses((name_a, name_b), of_a, of_b, proposals, icp, prior, settings)
+    of_a, of_b = _ScannerData.from_tracks(a), _ScannerData.from_tracks(b)
+    proposals = _propose_hypotheses(of_a, of_b, rng)
+    prior = _nuisance_prior(clock_sigma, depth_stddev)
+    return _evaluate_hypotheses((name_a, name_b), of_a, of_b, proposals, icp, prior)
 
 
-def _nuisance_prior(
-    clock_sigma: float, depth_stddev: float | None, settings: ScannerPairSettings
-) -> NuisancePrior:
-    return NuisancePrior(clock_sigma, settings.registration.depth_stddev if depth_stddev is None else depth_stddev)
+# Prior standard deviation of the distance from tracked to true centres along the beam, m, for ellipses of fixed
+# size: bodies differ from it by some centimetres.
+DEPTH_STDDEV = 0.03
 
 
-def _propose_hypotheses(
-    a: _ScannerData, b: _ScannerData, rng: np.random.Generator, settings: ScannerPairSettings
-) -> Array | Rejected:
+def _nuisance_prior(clock_sigma: float, depth_stddev: float | None) -> NuisancePrior:
+    return NuisancePrior(clock_sigma, DEPTH_STDDEV if depth_stddev is None else depth_stddev)
+
+
+# Minimum duration of matches, s: two steps of a person, which determine position and direction.
+MIN_MATCHED_TIME = 2.0
+
+
+def _propose_hypotheses(a: _ScannerData, b: _ScannerData, rng: np.random.Generator) -> Array | Rejected:
     """Proposes poses (K, 3, 3)."""
     pairs = pair_samples(a.observations.samples, b.observations.samples)
-    count, needed = len(np.unique(pairs.a.tick[pairs.row_a])), settings.hypotheses.min_matched_time
+    count, needed = len(np.unique(pairs.a.tick[pairs.row_a])), MIN_MATCHED_TIME
     if count < pairs.a.to_ticks(needed):
         return Rejected(
             f"both tracked people at the same time for {count * pairs.a.tick_period:.1f} s, "
             f"{needed:.1f} s are needed"
         )
-    poses = propose_poses(pairs, settings.proposals, rng)
+    poses = propose_poses(pairs, rng)
     if not len(poses):
         return Rejected("no trajectory of one has the shape of one of the other, or all are too short")
     return poses
+
+
+# Simultaneous pairs on which all proposals are tested for missed detections; bounds the time.
+ROUGH_PAIRS = 300
+# Simultaneous pairs on which proposals are scored and registered coarsely; bounds the time.
+COARSE_PAIRS = 1200
+# Simultaneous pairs on which the best hypotheses are registered; bounds the time.
+_FINE_PAIRS = 6000
+# Samples of a that subsampling leaves at least.
+MIN_SAMPLES = 20
+# Distance within which a detection by the other scanner is of the same object under a correct pose, m: a person's
+# width, errors of clocks and of the pose.
+DETECTION_RADIUS = 0.5
+# Expected detections from which the pose of a pair is tested by missed ones: 2 s of one person.
+MIN_EXPECTED = 20
+# Share of missed detections above which a pose is rejected: under correct poses it is mostly below 0.2, and up to
+# 0.5 where furniture occludes people from one of the two.
+MAX_MISSED_SHARE = 0.5
+# Standard deviation of positions under a proposed pose, whose angle comes from a short stretch, m.
+PROPOSAL_STDDEV = 0.3
+# Proposals that are registered coarsely: with fewer, correct ones are lost in crowds.
+_COARSE_COUNT = 6
+# Distance below which two hypotheses are one if their angle is, too, m.
+SAME_POSITION = 0.5
+# Angle below which two hypotheses are one if their distance is, too, rad (8 degrees).
+SAME_ANGLE = float(np.radians(8))
+# Minimum ratio of a hypothesis's evidence to the best one's: alternatives below it are not kept.
+_MIN_SCORE_RATIO = 0.4
+# Hypotheses that are registered finely, and kept at most.
+_FINE_COUNT = 4
+# The same where the fine stage starts, m: coarse poses have errors of some centimetres.
+FINE_MODEL_ERROR = 0.1
+# Weight of evidence below which hypotheses that match the two people of a couple crosswise are searched, too: in
+# simulated halls with a couple and no other people, wrong ones had up to 136.
+_UNAMBIGUOUS_EVIDENCE = 250.0
+# Standard deviation of positions in that search, m: a tenth of the distance of two people who walk side by side,
+# so that poses between correct and crosswise matches are not the best.
+_COUPLE_STDDEV = 0.06
+# Proposals that are registered in that search: with 8, correct ones were missed in 2 of 44 pairs.
+_COUPLE_COUNT = 12
+# Distance below which two registered hypotheses are one, if their angle is, too, m: half that of people.
+MIN_COUPLE_SHIFT = 0.2
+# Angle below which two registered hypotheses are one, if their distance is, too, rad (2 degrees).
+SAME_TURN = float(np.radians(2))
 
 
 def _evaluate_hypotheses(
@@ -280,34 +340,32 @@ def _evaluate_hypotheses(
     proposals: Array | Rejected,
     icp: bool,
     prior: NuisancePrior,
-    settings: ScannerPairSettings,
 ) -> ScannerPairEstimate | Rejected:
     """Registers and scores proposed poses, coarsely, then finely."""
     if isinstance(proposals, Rejected):
         return proposals
-    limits = settings.hypotheses
     pairs = pair_samples(a.observations.samples, b.observations.samples)
-    wanted = limits.rough_pairs, limits.coarse_pairs, limits.fine_pairs
-    rough, coarse, fine = (subsample_pairs(pairs, count, limits.min_samples) for count in wanted)
+    wanted = ROUGH_PAIRS, COARSE_PAIRS, _FINE_PAIRS
+    rough, coarse, fine = (subsample_pairs(pairs, count, MIN_SAMPLES) for count in wanted)
 
     def contradict(poses: Array, subsampled: SimultaneousPairs, pose_error: float) -> NDArray[np.bool_]:
-        visibility = settings.visibility
+        pass
         return contradicts_visibility(
             poses, subsampled, a.observations.visibility, b.observations.visibility,
-            radius=visibility.detection_radius + pose_error,
-            min_expected=visibility.min_expected * len(subsampled) / len(pairs),
-            max_missed_share=visibility.max_missed_share,
+            radius=DETECTION_RADIUS + pose_error,
+            min_expected=MIN_EXPECTED * len(subsampled) / len(pairs),
+            max_missed_share=MAX_MISSED_SHARE,
         )  # fmt: skip
 
     def register(T: Array, subsampled: SimultaneousPairs, model_error: float) -> TrackRegistration | None:
-        return register_tracks(T, subsampled, model_error, prior, settings.registration)
+        return register_tracks(T, subsampled, model_error, prior)
 
-    proposals = proposals[~contradict(proposals, rough, limits.proposal_stddev)]
-    costs = compute_pose_costs(proposals, coarse, limits.proposal_stddev, settings.registration.gate)
+    proposals = proposals[~contradict(proposals, rough, PROPOSAL_STDDEV)]
+    costs = compute_pose_costs(proposals, coarse, PROPOSAL_STDDEV, GATE)
     registrations = [
         fit
-        for T in select_distinct(proposals, costs, limits.coarse_count, limits.same_position, limits.same_angle)
-        if (fit := register(T, coarse, settings.registration.max_model_error))
+        for T in select_distinct(proposals, costs, _COARSE_COUNT, SAME_POSITION, SAME_ANGLE)
+        if (fit := register(T, coarse, MAX_MODEL_ERROR))
     ]
     refuted = contradict(_stack_poses(registrations), coarse, 0.0)
     registrations = [fit for fit, wrong in zip(registrations, refuted, strict=True) if not wrong]
@@ -315,50 +373,52 @@ def _evaluate_hypotheses(
         return Rejected("under every proposed pose, one does not detect what the other tracks in its view")
     counts = np.array([len(fit.matches) for fit in registrations])
     samples = a.observations.samples, b.observations.samples
-    shares = counts / [count_expected(fit.T_a_b, coarse, *samples, settings.hypotheses) for fit in registrations]
-    promising = shares >= limits.min_matched_share
-    promising &= counts * shares >= limits.min_score_ratio * np.max(counts * shares)
+    shares = counts / [count_expected(fit.T_a_b, coarse, *samples) for fit in registrations]
+    promising = shares >= MIN_MATCHED_SHARE
+    promising &= counts * shares >= _MIN_SCORE_RATIO * np.max(counts * shares)
     poses = _stack_poses(registrations)[promising]
     scores = (counts * shares)[promising]
-    poses = select_distinct(poses, -scores, limits.fine_count, limits.same_position, limits.same_angle)
+    poses = select_distinct(poses, -scores, _FINE_COUNT, SAME_POSITION, SAME_ANGLE)
     hypotheses = [
-        build_hypothesis(fit, fine, *samples, len(pairs), prior, settings)
+        build_hypothesis(fit, fine, *samples, len(pairs), prior)
         for T in poses
-        if (fit := register(T, fine, settings.registration.fine_model_error))
+        if (fit := register(T, fine, FINE_MODEL_ERROR))
     ]
-    least = pairs.a.to_ticks(limits.min_matched_time)
-    kept = [h for h in hypotheses if is_credible(h, least, settings.hypotheses)]
-    best = max((h.weight_of_evidence(settings.hypotheses) for h in kept), default=np.inf)
-    if best < limits.unambiguous_evidence:
+    least = pairs.a.to_ticks(MIN_MATCHED_TIME)
+    kept = [h for h in hypotheses if is_credible(h, least)]
+    best = max((h.weight_of_evidence() for h in kept), default=np.inf)
+    if best < _UNAMBIGUOUS_EVIDENCE:
         # Registrations that start with a large model error settle between the two people of a couple.
-        costs = compute_pose_costs(proposals, coarse, limits.couple_stddev, settings.registration.gate)
-        distinct = select_distinct(
-            proposals, costs, limits.couple_count, limits.min_couple_shift, limits.same_turn
-        )
-        fits = [fit for T in distinct if (fit := register(T, coarse, limits.couple_stddev))]
-        fits = [fine_fit for fit in fits if (fine_fit := register(fit.T_a_b, fine, limits.couple_stddev))]
+        costs = compute_pose_costs(proposals, coarse, _COUPLE_STDDEV, GATE)
+        distinct = select_distinct(proposals, costs, _COUPLE_COUNT, MIN_COUPLE_SHIFT, SAME_TURN)
+        fits = [fit for T in distinct if (fit := register(T, coarse, _COUPLE_STDDEV))]
+        fits = [fine_fit for fit in fits if (fine_fit := register(fit.T_a_b, fine, _COUPLE_STDDEV))]
         refuted = contradict(_stack_poses(fits), fine, 0.0)
         fits = [fit for fit, wrong in zip(fits, refuted, strict=True) if not wrong]
-        others = [build_hypothesis(fit, fine, *samples, len(pairs), prior, settings) for fit in fits]
-        kept += [h for h in others if is_credible(h, least, settings.hypotheses)]
+        others = [build_hypothesis(fit, fine, *samples, len(pairs), prior) for fit in fits]
+        kept += [h for h in others if is_credible(h, least)]
     if not kept:
         seconds = round(max(counts) * len(pairs) / len(coarse)) * pairs.a.tick_period
         return Rejected(
             f"no pose hypothesis is credible: the best one matches {seconds:.1f} s of tracks, which chance or "
             "similar trajectories explain as well"
         )
-    kept = _select_hypotheses(kept, settings.hypotheses)
+    kept = _select_hypotheses(kept)
     if icp:
         kept = [_align_with_background(h, a, b) for h in kept]
     return ScannerPairEstimate(*names, tuple(kept))
 
 
-def _select_hypotheses(hypotheses: Sequence[PoseHypothesis], settings: HypothesisSettings) -> list[PoseHypothesis]:
+# Hypotheses of a pair that are kept at most.
+_MAX_COUNT = 6
+
+
+def _select_hypotheses(hypotheses: Sequence[PoseHypothesis]) -> list[PoseHypothesis]:
     """Those of comparable evidence that differ from each other, best first."""
-    evidence = np.array([h.weight_of_evidence(settings) for h in hypotheses])
+    evidence = np.array([h.weight_of_evidence() for h in hypotheses])
     T = np.array([h.T_a_b for h in hypotheses])
-    kept = select_distinct_rows(T, -evidence, settings.max_count, settings.min_couple_shift, settings.same_turn)
-    return [hypotheses[k] for k in kept if evidence[k] >= settings.min_score_ratio * evidence.max()]
+    kept = select_distinct_rows(T, -evidence, _MAX_COUNT, MIN_COUPLE_SHIFT, SAME_TURN)
+    return [hypotheses[k] for k in kept if evidence[k] >= _MIN_SCORE_RATIO * evidence.max()]
 
 
 def _stack_poses(fits: Sequence[TrackRegistration]) -> Array:

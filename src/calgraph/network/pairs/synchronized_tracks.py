@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from calgraph.config.settings import ResamplingSettings
 from calgraph.geometry import Array
 from calgraph.network.tracking.track import ScannerTracks, Track
 
@@ -143,19 +142,32 @@ def pair_samples(a: TrackSamples, b: TrackSamples) -> SimultaneousPairs:
     return SimultaneousPairs(a, b, row_a, np.repeat(first, count) + within)
 
 
-def resample_tracks(tracked: ScannerTracks, settings: ResamplingSettings = ResamplingSettings()) -> TrackSamples:
+# Time between the ticks, s: smoothed tracks of walking people have a bandwidth below 5 Hz. Matches, expected
+# detections and evidence are counted in ticks: with another period, limits on these have to be scaled.
+RESAMPLING_TICK_PERIOD = 0.1
+
+
+def resample_tracks(tracked: ScannerTracks) -> TrackSamples:
     """Interpolates a scanner's tracks at the ticks of the clock common to all scanners."""
     tracks = [track for track in tracked.tracks if len(track.times)]
-    parts = [_interpolate_at_ticks(joined, i, settings) for i, joined in enumerate(_join_tracks(tracks, settings))]
+    parts = [_interpolate_at_ticks(joined, i) for i, joined in enumerate(_join_tracks(tracks))]
     if not parts:
         none, vectors = np.zeros(0, dtype=np.intp), np.zeros((0, 2))
-        return TrackSamples(none, none, vectors, vectors, np.zeros((0, 2, 2)), settings.tick_period)
+        return TrackSamples(none, none, vectors, vectors, np.zeros((0, 2, 2)), RESAMPLING_TICK_PERIOD)
     tick, trajectory, x, v, S = (np.concatenate(column) for column in zip(*parts, strict=True))
     order = np.argsort(tick, kind="stable")
-    return TrackSamples(tick[order], trajectory[order], x[order], v[order], S[order], settings.tick_period)
+    return TrackSamples(tick[order], trajectory[order], x[order], v[order], S[order], RESAMPLING_TICK_PERIOD)
 
 
-def _join_tracks(tracks: Sequence[Track], settings: ResamplingSettings) -> list[list[Track]]:
+# Longest time between two tracks of one trajectory, s: a new period begins within some scans.
+_MAX_JOIN_GAP = 0.8
+# Distance from the predicted position at which a track continues another, m: half of a person's width.
+_MAX_JOIN_DISTANCE = 0.25
+# Additional distance per second of the gap, m/s: half of a walking speed.
+_MAX_JOIN_SPEED = 0.7
+
+
+def _join_tracks(tracks: Sequence[Track]) -> list[list[Track]]:
     """Joins tracks that continue each other: a new period ends all tracks, but not the motion of the objects.
 
     A wrong join has only local effects, since trajectories are compared in short stretches.
@@ -167,14 +179,14 @@ def _join_tracks(tracks: Sequence[Track], settings: ResamplingSettings) -> list[
     x_begin, x_end = (np.array([track.positions[k] for track in tracks]) for k in (0, -1))
     v_begin, v_end = (np.array([track.velocities[k] for track in tracks]) for k in (0, -1))
     # Only tracks that begin soon after the end of another one: there are many in long recordings.
-    first, last = (np.searchsorted(begin, limit, "right") for limit in (end, end + settings.max_join_gap))
+    first, last = (np.searchsorted(begin, limit, "right") for limit in (end, end + _MAX_JOIN_GAP))
     count = np.maximum(last - first, 0)
     before = np.repeat(np.arange(len(tracks)), count)
     after = np.repeat(first, count) + np.arange(len(before)) - np.repeat(np.cumsum(count) - count, count)
     gap = begin[after] - end[before]
     predicted = x_end[before] + (v_end[before] + v_begin[after]) / 2 * gap[:, None]
     distance = np.linalg.norm(predicted - x_begin[after], axis=1)
-    fits = (gap < settings.max_join_gap) & (distance < settings.max_join_distance + settings.max_join_speed * gap)
+    fits = (gap < _MAX_JOIN_GAP) & (distance < _MAX_JOIN_DISTANCE + _MAX_JOIN_SPEED * gap)
     before, after, distance = before[fits], after[fits], distance[fits]
     next_of, previous_of = _find_nearest(before, after, distance), _find_nearest(after, before, distance)
     trajectories: list[list[Track]] = []
@@ -197,9 +209,15 @@ def _find_nearest(of: Indices, other: Indices, distance: Array) -> dict[int, int
     return dict(zip(of[firsts].tolist(), other[firsts].tolist(), strict=True))
 
 
-def _interpolate_at_ticks(
-    tracks: Sequence[Track], number: int, settings: ResamplingSettings
-) -> tuple[Indices, Indices, Array, Array, Array]:
+# Gap of a track that is interpolated, s: about one step of a person, who seldom turns within it.
+_MAX_GAP = 0.5
+# The same in median intervals of the track, for slow scanners: two missed scans.
+_MAX_GAP_INTERVALS = 2.5
+# Standard deviation of the acceleration within a gap, m/s²: walking people start and turn with 1 to 2 m/s².
+_ACCELERATION = 1.0
+
+
+def _interpolate_at_ticks(tracks: Sequence[Track], number: int) -> tuple[Indices, Indices, Array, Array, Array]:
     """Cubic Hermite interpolation of one trajectory through its positions and velocities, except in long gaps."""
     t = np.concatenate([track.times for track in tracks])
     x = np.concatenate([track.positions for track in tracks])
@@ -210,11 +228,11 @@ def _interpolate_at_ticks(
     t, x, v, S = t[usable], x[usable], v[usable], S[usable]
     if len(t) < 2:
         return np.zeros(0, np.intp), np.zeros(0, np.intp), np.zeros((0, 2)), np.zeros((0, 2)), np.zeros((0, 2, 2))
-    period = settings.tick_period
+    period = RESAMPLING_TICK_PERIOD
     tick = np.arange(np.ceil(t[0] / period), np.floor(t[-1] / period) + 1).astype(np.intp)
     k = np.clip(np.searchsorted(t, tick * period, "right") - 1, 0, len(t) - 2)
     h = np.diff(t)
-    bridged = h[k] <= max(settings.max_gap, settings.max_gap_intervals * float(np.median(h)))
+    bridged = h[k] <= max(_MAX_GAP, _MAX_GAP_INTERVALS * float(np.median(h)))
     tick, k = tick[bridged], k[bridged]
     gap = h[k][:, None]
     u = (tick * period - t[k])[:, None] / gap
@@ -227,7 +245,7 @@ def _interpolate_at_ticks(
     velocities = (1 - u) * v[k] + u * v[k + 1]
     # The errors of neighbouring samples of one smoother are nearly equal and do not average out. The unknown
     # acceleration in between adds most variance in the middle of the gap.
-    acceleration_variance = (settings.acceleration * (u * (1 - u) * gap) ** 2)[..., None] ** 2
+    acceleration_variance = (_ACCELERATION * (u * (1 - u) * gap) ** 2)[..., None] ** 2
     w = u[..., None]
     covariances = (1 - w) * S[k] + w * S[k + 1] + acceleration_variance * np.eye(2)
     return tick, np.full(len(tick), number, dtype=np.intp), positions, velocities, covariances

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.config.settings import RegistrationSettings
 from calgraph.geometry import Array, invert_2x2, se2
 from calgraph.network.pairs.synchronized_tracks import SimultaneousPairs
 
@@ -58,12 +57,21 @@ class TrackRegistration:
     """Standard deviation of the matches' distances beyond the tracks' covariances, m."""
 
 
+# Gauss–Newton steps of each stage, each with new matches: proposals are near enough for matches to settle.
+_STEPS = 3
+# Squared Mahalanobis distance up to which positions match: chi-squared, two degrees of freedom, 99 %.
+GATE = 9.21
+# Minimum number of matches of a registration: eight coordinates for six unknowns.
+_MIN_MATCHES = 4
+# Squared Mahalanobis distance at which the Cauchy loss halves a weight: chi-squared, 95 %.
+_CAUCHY_SCALE2 = 6.0
+
+
 def register_tracks(
     T_a_b: Array,
     pairs: SimultaneousPairs,
     model_error: float,
     prior: NuisancePrior,
-    settings: RegistrationSettings,
 ) -> TrackRegistration | None:
     """Fits pose, clock offset and depths to the matches of simultaneous pairs, with new matches at every step.
 
@@ -72,27 +80,24 @@ def register_tracks(
         pairs: all simultaneous pairs.
         model_error: initial standard deviation of the distance between both scanners' centres of one object, m.
         prior: of clock offset and depths.
-        settings: gate and losses.
 
     Returns:
         The registration, or None if there are too few matches.
     """
     nuisance = np.zeros(3)
-    for _ in range(settings.steps):
-        matches, d2 = _associate(T_a_b, nuisance, pairs, model_error, settings.gate)
-        if len(matches) < settings.min_matches:
+    for _ in range(_STEPS):
+        matches, d2 = _associate(T_a_b, nuisance, pairs, model_error, GATE)
+        if len(matches) < _MIN_MATCHES:
             return None
         r, J, S = _linearize(T_a_b, nuisance, pairs, matches)
-        W = invert_2x2(S + model_error**2 * np.eye(2)) / (1 + d2 / settings.cauchy_scale2)[:, None, None]
+        W = invert_2x2(S + model_error**2 * np.eye(2)) / (1 + d2 / _CAUCHY_SCALE2)[:, None, None]
         H, g = _build_normal_equations(r, J, W, nuisance, prior)
         step = np.asarray(-np.linalg.solve(H, g), dtype=np.float64)
         T_a_b = se2.retract(T_a_b, step[:3])
         nuisance = nuisance + step[3:]
-        model_error = _estimate_model_error(r + J @ step, S, settings)
-    matches, _ = _associate(T_a_b, nuisance, pairs, model_error, settings.gate)
-    return (
-        TrackRegistration(T_a_b, nuisance, matches, model_error) if len(matches) >= settings.min_matches else None
-    )
+        model_error = _estimate_model_error(r + J @ step, S)
+    matches, _ = _associate(T_a_b, nuisance, pairs, model_error, GATE)
+    return TrackRegistration(T_a_b, nuisance, matches, model_error) if len(matches) >= _MIN_MATCHES else None
 
 
 def compute_pose_costs(T_a_b: Array, pairs: SimultaneousPairs, model_error: float, gate: float) -> Array:
@@ -162,16 +167,39 @@ def _build_normal_equations(
     return H + _RIDGE * np.eye(6), g
 
 
-def _estimate_model_error(r: Array, S: Array, settings: RegistrationSettings) -> float:
+# Its lower limit, m: a few matches may coincide by chance.
+_MIN_MODEL_ERROR = 0.005
+# Maximum standard deviation of distances beyond the tracks' covariances, and that of the coarse stage, m: half of
+# a person's depth, as two scanners measure opposite sides.
+MAX_MODEL_ERROR = 0.15
+
+
+def _estimate_model_error(r: Array, S: Array) -> float:
     """Robust standard deviation (m) of the residuals beyond their covariances."""
     observed = float(np.median(np.sum(r**2, axis=1))) / _CHI2_MEDIAN
     expected = float(np.mean(np.trace(S, axis1=1, axis2=2))) / 2
     error = np.sqrt(max(observed - expected, 0.0))
-    return float(np.clip(error, settings.min_model_error, settings.max_model_error))
+    return float(np.clip(error, _MIN_MODEL_ERROR, MAX_MODEL_ERROR))
+
+
+# Minimum share of the residuals with another one at a lag, for it to enter the correlation time: of fewer, the
+# autocorrelation is noise.
+_MIN_LAG_SHARE = 0.1
+# Lag at which the sum of autocorrelations ends at the latest, in steps of the pairs (10 s at every tick):
+# residuals are correlated over some steps of a walk; the sum ends earlier where a pair of terms is negative.
+_MAX_LAG = 100
+# Shortest correlation time of residuals, s: people turn another side to a scanner at every step, which a few
+# seconds of residuals alone understate.
+_MIN_CORRELATION_TIME = 0.5
+# Lower limit of the factor by which covariances are scaled to the residuals: few matches may coincide.
+_MIN_VARIANCE_FACTOR = 0.1
+# Standard deviation of errors that do not average out, m: the sides of a body and its gait as measured from two
+# directions.
+_SYSTEMATIC_STDDEV = 0.008
 
 
 def compute_registration_covariance(
-    fit: TrackRegistration, pairs: SimultaneousPairs, prior: NuisancePrior, settings: RegistrationSettings
+    fit: TrackRegistration, pairs: SimultaneousPairs, prior: NuisancePrior
 ) -> Array:
     """Covariance (4, 4) of the pose's error in the fixed axes of a, and of the clock, marginalized over depths.
 
@@ -185,12 +213,12 @@ def compute_registration_covariance(
     whitened = np.einsum("pij,pj->pi", np.swapaxes(np.linalg.cholesky(W), 1, 2), r)
     ticks = pairs.a.tick[pairs.row_a[rows]]
     series = pairs.trajectories[rows]
-    correlation = estimate_correlation_time(whitened, series, ticks, settings.min_lag_share, settings.max_lag)
-    correlation = max(correlation, pairs.a.to_ticks(settings.min_correlation_time))
+    correlation = estimate_correlation_time(whitened, series, ticks, _MIN_LAG_SHARE, _MAX_LAG)
+    correlation = max(correlation, pairs.a.to_ticks(_MIN_CORRELATION_TIME))
     degrees_of_freedom = max(2 * len(rows) / correlation - 6, 1.0)
-    variance_factor = max(float(np.sum(d2)) / correlation / degrees_of_freedom, settings.min_variance_factor)
+    variance_factor = max(float(np.sum(d2)) / correlation / degrees_of_freedom, _MIN_VARIANCE_FACTOR)
     H, _ = _build_normal_equations(r, J, W / (variance_factor * correlation), fit.nuisance, prior)
-    systematic = _systematic_covariance(fit.T_a_b, pairs.x_a[rows], settings.systematic_stddev)
+    systematic = _systematic_covariance(fit.T_a_b, pairs.x_a[rows], _SYSTEMATIC_STDDEV)
     covariance = np.asarray(np.linalg.inv(H), dtype=np.float64)[:4, :4]
     covariance[:3, :3] += systematic
     return covariance

@@ -14,9 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.config.settings import ScannerPairSettings
 from calgraph.geometry import Array
-from calgraph.network.pairs.synchronized_tracks import Indices, TrackSamples
+from calgraph.network.pairs.synchronized_tracks import RESAMPLING_TICK_PERIOD, Indices, TrackSamples
 
 # Pairs of trajectories, of all stretches, that are compared together: their moments take about 100 MB.
 _MAX_COMPARED = 500_000
@@ -54,7 +53,6 @@ class _Alignments:
 
 def compute_track_similarity(
     samples: Sequence[TrackSamples],
-    settings: ScannerPairSettings,
     *,
     compared: NDArray[np.bool_] | None = None,
     delays: Sequence[int] = (0,),
@@ -70,7 +68,6 @@ def compute_track_similarity(
 
     Args:
         samples: of each scanner.
-        settings: of candidates, and of proposals for the fits.
         compared: (N, N) which a and b to compare; all pairs, once, if None.
         delays: of b, in ticks, and
         mirrored: whether b is mirrored, of which combinations the highest score counts.
@@ -82,25 +79,29 @@ def compute_track_similarity(
     compared = np.triu(np.ones((count, count), dtype=np.bool_), 1) if compared is None else compared
     similarity = np.zeros((count, count))
     origin = min((int(one.tick[0]) for one in samples if len(one.tick)), default=0) + min(delays)
-    of_a = _cut_stretches(samples, np.asarray(compared.any(axis=1)), origin, settings)
+    of_a = _cut_stretches(samples, np.asarray(compared.any(axis=1)), origin)
     for is_mirrored, delay in itertools.product(mirrored, delays):
         moved = [one.transform(is_mirrored, delay) for one in samples]
-        of_b = _cut_stretches(moved, np.asarray(compared.any(axis=0)), origin, settings)
+        of_b = _cut_stretches(moved, np.asarray(compared.any(axis=0)), origin)
         common = [(of_a[block], of_b[block]) for block in sorted(of_a.keys() & of_b.keys())]
         for first, end in _split_scanners(common, count):
-            found = [_align_trajectories(a, b, first, end, compared, settings) for a, b in common]
+            found = [_align_trajectories(a, b, first, end, compared) for a, b in common]
             alignments = _Alignments(
                 *(np.concatenate(column) for column in zip(*map(_columns, found), strict=True))
             )
-            pairs, votes = _count_votes(alignments, settings)
+            pairs, votes = _count_votes(alignments)
             a, b = pairs // count, pairs % count
             similarity[a, b] = np.maximum(similarity[a, b], votes)
     return np.maximum(similarity, similarity.T)
 
 
-def _cut_stretches(
-    samples: Sequence[TrackSamples], wanted: NDArray[np.bool_], origin: int, settings: ScannerPairSettings
-) -> dict[int, _Stretch]:
+# Length of the stretches of trajectories that are compared, s: the shorter one of proposals.
+_STRETCH_DURATION = 3.0
+# Shortest part of a stretch that both tracked, s.
+MIN_DURATION = 0.6
+
+
+def _cut_stretches(samples: Sequence[TrackSamples], wanted: NDArray[np.bool_], origin: int) -> dict[int, _Stretch]:
     """Successive stretches of equal duration by number, of wanted scanners (N,); no trajectory is too short."""
     occupied = [k for k in np.flatnonzero(wanted).tolist() if len(samples[k].tick)]
     if not occupied:
@@ -110,7 +111,7 @@ def _cut_stretches(
     trajectory = np.concatenate([samples[k].trajectory for k in occupied])
     x, y = np.concatenate([samples[k].positions for k in occupied]).T
     to_ticks = samples[0].to_ticks
-    length, least = to_ticks(settings.candidates.stretch_duration), to_ticks(settings.proposals.min_duration)
+    length, least = to_ticks(_STRETCH_DURATION), to_ticks(MIN_DURATION)
     block, column = np.divmod(tick - origin, length)
     # A trajectory within a block is one row.
     order = np.lexsort((trajectory, scanner, block))
@@ -142,21 +143,31 @@ def _split_scanners(stretches: Sequence[tuple[_Stretch, _Stretch]], count: int) 
     return list(zip(starts.tolist(), [*starts[1:].tolist(), count], strict=True))
 
 
+# Maximum RMS distance of an aligned stretch, m: twice the registration's max_model_error.
+MAX_RMS = 0.3
+# RMS distance of tracks of one person, m, below which a better fit does not rank higher.
+NOISE = 0.05
+# Minimum standard deviation of the positions in a stretch, m: a shorter one does not determine the angle.
+MIN_EXTENT = 0.15
+# Best alignments of a stretch with others, which are kept: bounds the time of many scanners. With 4 in a grid of
+# 100, 97 % of the right pairs are selected that are selected with all.
+_KEPT_ALIGNMENTS = 64
+
+
 def _align_trajectories(
     of_a: _Stretch,
     of_b: _Stretch,
     first: int,
     end: int,
     compared: NDArray[np.bool_],
-    settings: ScannerPairSettings,
 ) -> _Alignments:
     """Aligns trajectories of scanners a from ``first`` to ``end`` with those of all b; keeps the best of each."""
     rows = slice(*np.searchsorted(of_a.scanner, [first, end]))
     scanner_a, z_a, in_a = of_a.scanner[rows], of_a.positions[rows], of_a.detected[rows]
     scanner_b, z_b, in_b = of_b.scanner, of_b.positions, of_b.detected
-    limits = settings.proposals
+    pass
     ticks = in_a @ in_b.T
-    least = max(round(limits.min_duration / settings.resampling.tick_period), 1)
+    least = max(round(MIN_DURATION / RESAMPLING_TICK_PERIOD), 1)
     a, b = np.nonzero((ticks >= least) & compared[np.ix_(scanner_a, scanner_b)])
     n = ticks[a, b]
     center_a, center_b = (z_a @ in_b.T)[a, b] / n, (in_a @ z_b.T)[a, b] / n
@@ -165,13 +176,13 @@ def _align_trajectories(
     product = (z_a @ z_b.conj().T)[a, b] / n - center_a * center_b.conj()
     rms = np.sqrt(np.maximum(spread_a + spread_b - 2 * np.abs(product), 0))
     extent = np.sqrt(np.maximum(np.minimum(spread_a, spread_b), 0))
-    weight = n * np.log(np.hypot(limits.max_rms, limits.noise) / np.hypot(rms, limits.noise))
-    usable = (rms < limits.max_rms) & (extent > limits.min_extent)
+    weight = n * np.log(np.hypot(MAX_RMS, NOISE) / np.hypot(rms, NOISE))
+    usable = (rms < MAX_RMS) & (extent > MIN_EXTENT)
     weights = np.zeros(ticks.shape)
     weights[a[usable], b[usable]] = weight[usable]
-    kept = usable & (weight >= _find_least_kept(weights, settings.candidates.kept_alignments)[a])
+    kept = usable & (weight >= _find_least_kept(weights, _KEPT_ALIGNMENTS)[a])
     pair = scanner_a[a] * len(compared) + scanner_b[b]
-    score = extent / (rms + limits.noise)
+    score = extent / (rms + NOISE)
     columns = pair, np.angle(product), center_a, center_b, weight, score
     return _Alignments(*(column[kept] for column in columns))
 
@@ -187,18 +198,26 @@ def _columns(found: _Alignments) -> tuple[NDArray[Any], ...]:
     return found.pair, found.angle, found.center_a, found.center_b, found.weight, found.score
 
 
-def _count_votes(found: _Alignments, settings: ScannerPairSettings) -> tuple[Indices, Array]:
+# Best alignments of a pair, with which all others are compared: with 16, ranks are the same.
+_COMPARED_POSES = 8
+# Distance up to which two alignments agree, m: that of two hypotheses that are one.
+_SAME_POSITION = 0.5
+# Angle up to which two alignments agree, rad (20 degrees): the error of that of a stretch of 1 m.
+_SAME_ANGLE = float(np.radians(20))
+
+
+def _count_votes(found: _Alignments) -> tuple[Indices, Array]:
     """Pairs (P,) and the largest weight (P,) of alignments that agree with one of the best of their pair."""
     order = np.lexsort((-found.score, found.pair))
     pair, angle, center_a, center_b, weight = (column[order] for column in _columns(found)[:-1])
     pairs, start, size = np.unique(pair, return_index=True, return_counts=True)
     group = np.repeat(np.arange(len(pairs)), size)
-    limits = settings.candidates
+    pass
     votes = np.zeros(len(pairs))
-    for k in range(limits.compared_poses):
+    for k in range(_COMPARED_POSES):
         best = (start + np.minimum(k, size - 1))[group]
         turn = np.exp(1j * angle[best])
         off = np.abs(turn * (center_b - center_b[best]) + center_a[best] - center_a)
-        agrees = (off < limits.same_position) & (np.abs(np.angle(np.exp(1j * angle) / turn)) < limits.same_angle)
+        agrees = (off < _SAME_POSITION) & (np.abs(np.angle(np.exp(1j * angle) / turn)) < _SAME_ANGLE)
         votes = np.maximum(votes, np.bincount(group, weight * agrees, len(pairs)))
     return np.asarray(pairs, dtype=np.intp), votes

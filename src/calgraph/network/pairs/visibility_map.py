@@ -11,12 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import convolve
 
-from calgraph.config.settings import ScannerPairSettings, VisibilitySettings
 from calgraph.geometry import Array, se2
 from calgraph.network.pairs.synchronized_tracks import SimultaneousPairs, TrackSamples, resample_tracks
 from calgraph.network.tracking.track import ScannerTracks
 
 Flags = NDArray[np.bool_]
+
+
+# Width of a map's cells, m: half of a person's width, so that paths are covered without gaps.
+_CELL_SIZE = 0.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,19 +30,17 @@ class VisibilityMap:
     """(N, N) by x and y in cells of the scanner's frame, the scanner in the centre; False along the border."""
     coverage_intervals: Array
     """(W, 2) begin and end of the intervals in which the scanner measured, s, ascending."""
-    settings: VisibilitySettings = VisibilitySettings()
-    """Width of the cells, and the limits with which detections are compared."""
 
     def covers(self, x: Array) -> Flags:
         """Tests whether positions (..., 2), m, are visible to the scanner: (...)."""
         size = len(self.visible)
-        cell = np.clip(x * (1 / self.settings.cell_size) + size / 2, 0, size - 1).astype(np.intp)
+        cell = np.clip(x * (1 / _CELL_SIZE) + size / 2, 0, size - 1).astype(np.intp)
         return np.asarray(self.visible.ravel()[cell[..., 0] * size + cell[..., 1]])
 
     @property
     def max_range(self) -> float:
         """Upper bound of the range of visible positions, m."""
-        return float(np.sqrt(0.5) * self.settings.cell_size * len(self.visible))
+        return float(np.sqrt(0.5) * _CELL_SIZE * len(self.visible))
 
     def measures_at(self, times: Array) -> Flags:
         """Tests whether the scanner measured at times (M,), s: (M,)."""
@@ -55,12 +56,10 @@ class ScannerObservations:
     visibility: VisibilityMap
 
     @classmethod
-    def from_tracks(
-        cls, tracked: ScannerTracks, settings: ScannerPairSettings = ScannerPairSettings()
-    ) -> "ScannerObservations":
+    def from_tracks(cls, tracked: ScannerTracks) -> "ScannerObservations":
         """Resamples a scanner's tracks at the common ticks and builds its visibility map."""
-        samples = resample_tracks(tracked, settings.resampling)
-        return cls(samples, build_visibility_map(tracked, samples, settings.visibility))
+        samples = resample_tracks(tracked)
+        return cls(samples, build_visibility_map(tracked, samples))
 
     def transform(self, mirrored: bool, delay: int) -> "ScannerObservations":
         """Everything ``delay`` ticks earlier, and mirrored as that of a scanner mounted upside-down."""
@@ -78,31 +77,41 @@ class ScannerObservations:
         return replace(self, samples=self.samples.subsample(step))
 
 
-def build_visibility_map(
-    tracked: ScannerTracks, samples: TrackSamples, settings: VisibilitySettings = VisibilitySettings()
-) -> VisibilityMap:
+# Share of detections beyond the range up to which all objects are expected to be detected.
+RANGE_TAIL = 0.05
+# Range below which people are not detected reliably, m: they fill the view.
+MIN_RANGE = 0.4
+# Distance before the static background from which an object stands out, m: a person's width.
+BACKGROUND_MARGIN = 0.5
+# Angle between two background points up to which the space between their beams is free, rad (2 degrees): twice
+# the resolution of the coarsest scanners.
+MAX_BEAM_GAP = float(np.radians(2))
+# Detections in a cell and its neighbours that make it visible: one or two may be clutter.
+_MIN_DETECTIONS = 3
+
+
+def build_visibility_map(tracked: ScannerTracks, samples: TrackSamples) -> VisibilityMap:
     """Builds the map: free space before the background up to the usual detection range, and cells with detections.
 
     Args:
         tracked: tracks and background of the scanner.
         samples: the resampled tracks.
-        settings: cells, margins and the numbers of detections.
     """
     ranges = np.linalg.norm(samples.positions, axis=1)
-    max_range = float(np.quantile(ranges, 1 - settings.range_tail)) if len(ranges) else 0.0
-    half = int(np.ceil(max_range / settings.cell_size)) + 1
-    middles = (np.arange(-half, half) + 0.5) * settings.cell_size
+    max_range = float(np.quantile(ranges, 1 - RANGE_TAIL)) if len(ranges) else 0.0
+    half = int(np.ceil(max_range / _CELL_SIZE)) + 1
+    middles = (np.arange(-half, half) + 0.5) * _CELL_SIZE
     x = np.stack(np.meshgrid(middles, middles, indexing="ij"), axis=-1).reshape(-1, 2)
     r = np.linalg.norm(x, axis=1)
-    within = (r > settings.min_range) & (r < max_range)
-    within &= is_free_space(tracked.background, x, settings.background_margin, settings.max_beam_gap)
-    cells = np.clip(samples.positions / settings.cell_size + half, 0, 2 * half - 1).astype(np.intp)
+    within = (r > MIN_RANGE) & (r < max_range)
+    within &= is_free_space(tracked.background, x, BACKGROUND_MARGIN, MAX_BEAM_GAP)
+    cells = np.clip(samples.positions / _CELL_SIZE + half, 0, 2 * half - 1).astype(np.intp)
     counts = np.bincount(cells @ [2 * half, 1], minlength=len(x)).reshape(2 * half, 2 * half)
-    detected = convolve(counts, np.ones((3, 3)), mode="constant") >= settings.min_detections
+    detected = convolve(counts, np.ones((3, 3)), mode="constant") >= _MIN_DETECTIONS
     visible = within.reshape(counts.shape) | detected
     visible[[0, -1]] = visible[:, [0, -1]] = False
     coverage = _sampled_interval(samples) if tracked.coverage is None else tracked.coverage
-    return VisibilityMap(visible, coverage, settings)
+    return VisibilityMap(visible, coverage)
 
 
 def _sampled_interval(samples: TrackSamples) -> Array:

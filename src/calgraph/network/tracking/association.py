@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from calgraph.config.settings import AssociationSettings
 from calgraph.geometry import Array
 from calgraph.network.tracking.clusters import Clusters
 from calgraph.network.tracking.filtering import (
@@ -36,9 +35,13 @@ class _ActiveTracks:
     """Scans since the last match."""
 
 
-def associate(
-    objects: Clusters, center_sigma: float, acceleration_density: float, settings: AssociationSettings
-) -> list[NDArray[np.intp]]:
+# Prior standard deviation of a new object's velocity along each axis, m/s: a person walks at 1 to 1.5 m/s.
+INITIAL_SPEED_SIGMA = 1.5
+# Matches that confirm an identity: clutter rarely appears five times at the predicted place.
+_MIN_MATCHES = 5
+
+
+def associate(objects: Clusters, center_sigma: float, acceleration_density: float) -> list[NDArray[np.intp]]:
     """Associates objects over all scans by their centroids (global nearest neighbour).
 
     In every scan the predicted identities and the objects are matched one to one, at the least total cost. An
@@ -49,14 +52,13 @@ def associate(
         objects: of all scans.
         center_sigma: standard deviation of a centroid about the object's centre, m.
         acceleration_density: spectral density of the acceleration, m²/s³.
-        settings: of the association.
 
     Returns:
         For every identity its clusters, in order of time.
     """
     centroids = objects.centroids
     R = center_sigma**2 * np.eye(2)
-    nothing = initial_state(np.empty((0, 2)), np.empty((0, 2, 2)), settings.initial_speed_sigma)
+    nothing = initial_state(np.empty((0, 2)), np.empty((0, 2, 2)), INITIAL_SPEED_SIGMA)
     active = _ActiveTracks(nothing, np.empty(0))
     finished: list[list[int]] = []
     bounds = np.flatnonzero(np.diff(objects.scan, prepend=-1, append=-1))
@@ -65,10 +67,15 @@ def associate(
     # Scans without any object need no prediction step: one over the whole gap is the same.
     for k, (low, high) in enumerate(pairwise(bounds)):
         active.state = predict(active.state, transitions.at(k))
-        _prune(active, scan_times[k], finished, settings)
-        _match(active, np.arange(low, high), centroids[low:high], R, scan_times[k], settings)
-    finished.extend(members for members in active.members if len(members) >= settings.min_matches)
+        _prune(active, scan_times[k], finished)
+        _match(active, np.arange(low, high), centroids[low:high], R, scan_times[k])
+    finished.extend(members for members in active.members if len(members) >= _MIN_MATCHES)
     return [np.array(members, dtype=np.intp) for members in sorted(finished)]
+
+
+# Maximum squared Mahalanobis distance of a centre from its prediction, in association and smoothing: a correct
+# one exceeds it with probability 1e-3 (χ², two degrees of freedom).
+GATE = 13.8
 
 
 def _match(
@@ -77,14 +84,13 @@ def _match(
     centroids: Array,
     R: Array,
     now: float,
-    settings: AssociationSettings,
 ) -> None:
     """Updates the identities with their objects of this scan, and starts new ones with the rest."""
     squared, determinant = mahalanobis_distance(
         Gaussian(active.state.mean[:, None], active.state.covariance[:, None]), centroids[None], R
     )
     # The likelihood's determinant keeps a vague prediction from taking the object of a sharp one.
-    cost = np.where(squared <= settings.gate, squared + np.log(determinant / np.linalg.det(R)), _GATED_COST)
+    cost = np.where(squared <= GATE, squared + np.log(determinant / np.linalg.det(R)), _GATED_COST)
     rows, columns = linear_sum_assignment(cost)
     matched = cost[rows, columns] < _GATED_COST
     rows, columns = rows[matched], columns[matched]
@@ -104,7 +110,7 @@ def _match(
     unmatched[columns] = False
     if unmatched.any():
         new = np.flatnonzero(unmatched)
-        initial = initial_state(centroids[new], np.broadcast_to(R, (len(new), 2, 2)), settings.initial_speed_sigma)
+        initial = initial_state(centroids[new], np.broadcast_to(R, (len(new), 2, 2)), INITIAL_SPEED_SIGMA)
         active.state = Gaussian(
             np.concatenate([active.state.mean, initial.mean]),
             np.concatenate([active.state.covariance, initial.covariance]),
@@ -114,14 +120,19 @@ def _match(
         active.missed_scans.extend([0] * len(new))
 
 
-def _prune(active: _ActiveTracks, now: float, finished: list[list[int]], settings: AssociationSettings) -> None:
+# Longest prediction of an identity without a match, s: two people who pass hide each other for about 0.7 s.
+_MAX_COAST_TIME = 1.0
+# Maximum number of successive scans that an unconfirmed identity may miss: a person is detected in nearly every
+# scan.
+_MAX_MISSED_SCANS = 2
+
+
+def _prune(active: _ActiveTracks, now: float, finished: list[list[int]]) -> None:
     """Ends identities that were missed for too long, and candidates that were not confirmed."""
     keep = []
     for row, (members, missed_scans) in enumerate(zip(active.members, active.missed_scans, strict=True)):
-        confirmed = len(members) >= settings.min_matches
-        if now - active.last_match[row] <= settings.max_coast_time and (
-            confirmed or missed_scans <= settings.max_missed_scans
-        ):
+        confirmed = len(members) >= _MIN_MATCHES
+        if now - active.last_match[row] <= _MAX_COAST_TIME and (confirmed or missed_scans <= _MAX_MISSED_SCANS):
             keep.append(row)
         elif confirmed:
             finished.append(members)

@@ -31,6 +31,18 @@ _SETTLED_AGREEMENT = 0.9
 _MIN_SHARED_BEAMS = 20
 
 
+# Distance between neighbours on one surface, m, up to which they are connected, plus the next.
+_MAX_NEIGHBOUR_DISTANCE = 0.1
+# The same in beam spacings: neighbouring beams on a wall at a grazing angle of 10° end six spacings apart.
+_MAX_NEIGHBOUR_SPACINGS = 6.0
+# Neighbours on either side of a point to which a line is fitted, as for pairwise.scanners.icp.
+_NEIGHBOURS_PER_SIDE = 3
+# Maximum standard deviation of neighbours from their line, m: three times the usual noise of a range.
+_MAX_LINE_STDDEV = 0.03
+# Minimum ratio of the neighbours' variances along and across the line.
+_MIN_ELONGATION2 = 9.0
+
+
 @dataclass(frozen=True, eq=False)
 class ReferenceScan:
     """Static surfaces around a scanner, by beam."""
@@ -54,14 +66,14 @@ class ReferenceScan:
     @cached_property
     def normals(self) -> Array:
         """(B, 2) of the lines through the neighbours of each point, NaN without one."""
-        settings = self.settings
-        max_gap = settings.max_neighbour_distance + settings.max_neighbour_spacings * self.spacing * self.ranges
+        pass
+        max_gap = _MAX_NEIGHBOUR_DISTANCE + _MAX_NEIGHBOUR_SPACINGS * self.spacing * self.ranges
         return fit_local_lines(
             self.points,
-            settings.neighbours_per_side,
+            _NEIGHBOURS_PER_SIDE,
             max_gap,
-            settings.max_line_stddev,
-            settings.min_elongation2,
+            _MAX_LINE_STDDEV,
+            _MIN_ELONGATION2,
         )
 
 
@@ -123,6 +135,10 @@ def register_windows(reference: ReferenceScan, ranges: Array, noise: float) -> W
     )
 
 
+# Maximum distance of a point from its match along the surface, m: farther along, a wall has other surfaces.
+_MAX_TANGENTIAL = 0.5
+
+
 def match_surfaces(reference: ReferenceScan, points: Array, poses: Array, max_distance: float) -> SurfaceMatches:
     """Matches points (W, B, 2) of windows at poses (W, 3) to the surfaces of a reference, up to a distance, m."""
     c, s = np.cos(poses[:, 2:]), np.sin(poses[:, 2:])
@@ -136,7 +152,7 @@ def match_surfaces(reference: ReferenceScan, points: Array, poses: Array, max_di
     distance = nx * dx + ny * dy
     # Comparisons with NaN are False.
     within = np.abs(direction - reference.angles[beam]) <= reference.spacing
-    beside = np.abs(ny * dx - nx * dy) > reference.settings.max_tangential
+    beside = np.abs(ny * dx - nx * dy) > _MAX_TANGENTIAL
     distance[~within] = np.nan
     # A nearer surface may occlude it; no surface is beyond it if the scanner did not move.
     hidden = distance > max_distance
@@ -145,19 +161,26 @@ def match_surfaces(reference: ReferenceScan, points: Array, poses: Array, max_di
     return SurfaceMatches(distance, jacobian, np.isfinite(distance) & ~hidden)
 
 
+# Points within this many standard deviations lie on the reference's surface; scale of the last step.
+AGREEMENT_SIGMAS = 3.0
+# Distance of points from the reference's surfaces at which the loss has half of its weight in the first step, m:
+# a scanner turned by 3° moves points at 5 m by 0.26 m.
+INITIAL_SCALE = 0.3
+
+
 def _register_part(reference: ReferenceScan, ranges: Array, noise: float) -> WindowPoses:
-    settings = reference.settings
+    pass
     stride = max(1, int(np.isfinite(reference.normals[:, 0]).sum()) // _SUFFICIENT_BEAMS)
     chosen = np.arange(0, len(reference.angles), stride)
     chosen = chosen[np.isfinite(ranges[:, chosen]).any(axis=0)]
     points = to_points(reference.angles[chosen], ranges[:, chosen])
     at_rest = np.zeros((len(ranges), 3))
-    found = _refine(reference, points, at_rest, noise, settings.agreement_sigmas * noise)
+    found = _refine(reference, points, at_rest, noise, AGREEMENT_SIGMAS * noise)
     for guess in (_guess_rest, _search_rotations):
         poor = np.flatnonzero(found.agreement < _SETTLED_AGREEMENT)
         if len(poor):
             initial = guess(reference, ranges[poor])
-            again = _refine(reference, points[poor], initial, noise, settings.initial_scale)
+            again = _refine(reference, points[poor], initial, noise, INITIAL_SCALE)
             better = again.agreeing > found.agreeing[poor]
             found = _replace(found, again, poor, better)
     return found
@@ -177,13 +200,17 @@ def _replace(found: WindowPoses, again: WindowPoses, windows: Index, better: NDA
     return WindowPoses(poses, information, compared, agreeing)
 
 
+# Factor of this distance from one step to the next.
+_SCALE_FACTOR = 0.5
+
+
 def _refine(reference: ReferenceScan, points: Array, poses: Array, noise: float, scale: float) -> WindowPoses:
     """Poses by iteratively reweighted least squares, from poses (W, 3) and a scale, m."""
-    settings = reference.settings
-    final = settings.agreement_sigmas * noise
+    pass
+    final = AGREEMENT_SIGMAS * noise
     scales = [scale]
     while scales[-1] > final:
-        scales.append(max(final, scales[-1] * settings.scale_factor))
+        scales.append(max(final, scales[-1] * _SCALE_FACTOR))
     prior = (noise / _PRIOR_STDDEV) ** 2 * np.eye(3)
     for scale in [*scales, *[final] * _FINAL_STEPS]:
         matches = match_surfaces(reference, points, poses, 3 * scale)
@@ -197,10 +224,17 @@ def _refine(reference: ReferenceScan, points: Array, poses: Array, noise: float,
     return WindowPoses(poses, information, matches.compared.sum(axis=1), agreeing.sum(axis=1))
 
 
+# Step of the search for large rotations, rad (1°).
+_ROTATION_STEP = 0.0175
+# Difference of ranges within which two beams agree in this search, m: a rotation by half a step changes the range
+# of a wall at 4 m and 45° by 35 mm, a translation by as much as itself.
+_ROTATION_TOLERANCE = 0.15
+
+
 def _search_rotations(reference: ReferenceScan, ranges: Array) -> Array:
     """(W, 3) poses of windows (W, B): the rotation under which most ranges agree with the reference's."""
-    settings = reference.settings
-    step = max(1, round(settings.rotation_step / max(reference.spacing, 1e-6)))
+    pass
+    step = max(1, round(_ROTATION_STEP / max(reference.spacing, 1e-6)))
     of_windows, of_reference = ranges[:, ::step], reference.ranges[::step]
     count = len(of_reference)
     best, poses = np.zeros(len(ranges)), np.zeros((len(ranges), 3))
@@ -209,7 +243,7 @@ def _search_rotations(reference: ReferenceScan, ranges: Array) -> Array:
         shifted = of_reference[max(shift, 0) : count - max(-shift, 0)]
         both = np.isfinite(window) & np.isfinite(shifted)
         difference = np.where(both, window, np.inf) - np.where(np.isfinite(shifted), shifted, 0)
-        agreeing = (np.abs(difference) < settings.rotation_tolerance).sum(axis=1)
+        agreeing = (np.abs(difference) < _ROTATION_TOLERANCE).sum(axis=1)
         # The share of agreeing beams and their number have equal weight.
         score = agreeing / np.sqrt(np.maximum(both.sum(axis=1), 1))
         better = score > best

@@ -75,13 +75,12 @@ class Foreground:
         )  # fmt: skip
 
 
-def subtract_background(runs: Sequence[ScanRun], scene: StaticScene, settings: ClusterSettings) -> Foreground:
+def subtract_background(runs: Sequence[ScanRun], scene: StaticScene) -> Foreground:
     """Keeps the beams that end before the static background."""
     before = np.cumsum([0, *map(len, runs)])
     empty_run = ScanRun(np.empty(0), np.empty(0), np.empty(0), np.empty((0, 0)))
     parts = [
-        _foreground_of_run(run, scene, int(first), settings)
-        for run, first in zip((*runs, empty_run), before, strict=True)
+        _foreground_of_run(run, scene, int(first)) for run, first in zip((*runs, empty_run), before, strict=True)
     ]
     return Foreground(
         np.concatenate([part.scan for part in parts]),
@@ -94,7 +93,13 @@ def subtract_background(runs: Sequence[ScanRun], scene: StaticScene, settings: C
     )
 
 
-def _foreground_of_run(run: ScanRun, scene: StaticScene, first: int, settings: ClusterSettings) -> Foreground:
+# Neighbouring points on one surface are at most this far apart, m, plus the two below: folds of clothes.
+_MAX_GAP = 0.12
+# The same in beam spacings: beams at 25° to a surface end that far apart.
+_MAX_GAP_SPACINGS = 2.5
+
+
+def _foreground_of_run(run: ScanRun, scene: StaticScene, first: int) -> Foreground:
     """The foreground of successive scans, of which the first has this index."""
     scan, beam = np.nonzero(scene.background.is_foreground(run.angles, run.ranges))
     field_of_view = abs(run.angles[-1] - run.angles[0]) if len(run.angles) > 1 else 0.0
@@ -105,14 +110,21 @@ def _foreground_of_run(run: ScanRun, scene: StaticScene, first: int, settings: C
     outside = (neighbors < 0) | (neighbors >= len(run.angles))
     neighbor_ranges = run.ranges[scan[:, None], np.clip(neighbors, 0, len(run.angles) - 1)]
     # NaN, no measurement, is not nearer.
-    at_occlusion = outside | (
-        neighbor_ranges < (ranges * (1 - settings.max_gap_spacings * spacing) - settings.max_gap)[:, None]
-    )
+    at_occlusion = outside | (neighbor_ranges < (ranges * (1 - _MAX_GAP_SPACINGS * spacing) - _MAX_GAP)[:, None])
     return Foreground(
         first + scan, beam, run.angles[beam], ranges,
         np.asarray(run.stamps[scan] + beam * run.increments[scan]), at_occlusion.any(axis=1),
         np.full(len(run), spacing),
     )  # fmt: skip
+
+
+# The same in standard deviations of a range: the difference of two ranges exceeds it in 3 % of the cases, and the
+# parts are merged below.
+_MAX_GAP_SIGMAS = 3.0
+# Maximum number of beams without a measurement within one surface: dark clothes return single beams only.
+_MAX_MISSING_BEAMS = 2
+# Allowance for noise in this extent, in standard deviations of a range: one for either end.
+_MAX_MERGED_SIGMAS = 2.0
 
 
 def cluster_foreground(beams: Foreground, width: float, sigma: float, settings: ClusterSettings) -> Clusters:
@@ -132,13 +144,11 @@ def cluster_foreground(beams: Foreground, width: float, sigma: float, settings: 
         return _build_clusters(beams, points, np.empty(0, dtype=np.intp), width, settings)
     step = np.linalg.norm(np.diff(points, axis=0), axis=-1)
     allowed = (
-        settings.max_gap
-        + settings.max_gap_sigmas * sigma
-        + settings.max_gap_spacings * beams.ranges[1:] * beams.spacing[beams.scan[1:]]
+        _MAX_GAP + _MAX_GAP_SIGMAS * sigma + _MAX_GAP_SPACINGS * beams.ranges[1:] * beams.spacing[beams.scan[1:]]
     )
-    apart = (np.diff(beams.scan) != 0) | (np.diff(beams.beam) > 1 + settings.max_missing_beams) | (step > allowed)
+    apart = (np.diff(beams.scan) != 0) | (np.diff(beams.beam) > 1 + _MAX_MISSING_BEAMS) | (step > allowed)
     parts = np.concatenate([[0], np.cumsum(apart)])
-    merged_width = settings.max_merged_width * width + settings.max_merged_sigmas * sigma
+    merged_width = settings.max_merged_width * width + _MAX_MERGED_SIGMAS * sigma
     labels = _merge_parts(beams, points, parts, merged_width)
     return _build_clusters(beams, points, labels, width, settings)
 
@@ -161,6 +171,10 @@ def _merge_parts(beams: Foreground, points: Array, parts: NDArray[np.intp], max_
     return np.asarray(connected_components(graph, directed=False)[1][parts], dtype=np.intp)
 
 
+# Minimum number of beams on an object: one beam is a mixed pixel or noise.
+_MIN_POINTS = 2
+
+
 def _build_clusters(
     beams: Foreground, points: Array, label: NDArray[np.intp], width: float, settings: ClusterSettings
 ) -> Clusters:
@@ -171,9 +185,7 @@ def _build_clusters(
     count = np.diff(first, append=len(cluster_index))
     if len(first):
         extent = np.maximum.reduceat(points[order], first) - np.minimum.reduceat(points[order], first)
-        good = (np.hypot(extent[:, 0], extent[:, 1]) <= settings.max_width * width) & (
-            count >= settings.min_points
-        )
+        good = (np.hypot(extent[:, 0], extent[:, 1]) <= settings.max_width * width) & (count >= _MIN_POINTS)
         order = order[np.repeat(good, count)]
         count = count[good]
         first = np.cumsum(count) - count

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.config.settings import EllipseSettings
 from calgraph.geometry import Array, ellipse
 
 # Mean of a visible half before the centre, in radii: of a start value.
@@ -61,12 +60,23 @@ class OrientationPrior:
     """(C,) standard deviation, rad; infinite where the orientation is unknown."""
 
 
+# Maximum number of Gauss–Newton steps of a fit: from its start value it converges in a few, and short arcs rarely
+# do.
+_MAX_STEPS = 8
+# Huber threshold in standard deviations of a point: arms, and beams at the object's edge, lie beyond it.
+_HUBER_SIGMAS = 2.5
+# Minimum standard deviation of the outline's symmetry, m: bodies are not symmetric to less than a millimetre.
+_MIN_EDGE_SIGMA = 1e-3
+# Maximum change of the orientation in a step, rad (17°): a short arc barely constrains it, and a full step from a
+# poor start may flip it.
+_MAX_TURN = 0.3
+
+
 def fit_ellipses(
     groups: PointGroups,
     radii: tuple[float, float],
     prior: OrientationPrior,
     sigma: float,
-    settings: EllipseSettings,
 ) -> EllipseFits:
     """Fits centre and orientation of ellipses with fixed radii.
 
@@ -80,19 +90,18 @@ def fit_ellipses(
         radii: of the ellipse, m; equal ones make a circle.
         prior: of the orientation; also its start value.
         sigma: noise of a point, m.
-        settings: of the fit.
     """
     fixed_radii = np.broadcast_to(radii, (len(groups.points), 2))
     shape = np.concatenate([_initial_centers(groups, radii, prior), prior.angle[:, None], fixed_radii], axis=-1)
     phases = _initial_phases(shape, groups.points)
     weights = groups.used.astype(float)
-    for _ in range(settings.max_steps):
+    for _ in range(_MAX_STEPS):
         residual, J, tangents, off = _linearize(shape, phases, groups.points)
-        weights = groups.used / np.maximum(1.0, np.abs(residual) / (settings.huber_sigmas * sigma))
-        H, g = _normal_equations(groups, shape, prior, residual, J, weights, sigma, settings.min_edge_sigma)
+        weights = groups.used / np.maximum(1.0, np.abs(residual) / (_HUBER_SIGMAS * sigma))
+        H, g = _normal_equations(groups, shape, prior, residual, J, weights, sigma, _MIN_EDGE_SIGMA)
         step = np.asarray(np.linalg.solve(H, g[..., None])[..., 0])
         # A short arc barely constrains the orientation: a full step from a poor start may flip it.
-        step[:, 2] = np.clip(step[:, 2], -settings.max_turn, settings.max_turn)
+        step[:, 2] = np.clip(step[:, 2], -_MAX_TURN, _MAX_TURN)
         step[:, :2] /= np.maximum(1.0, np.linalg.norm(step[:, :2], axis=-1, keepdims=True) / max(radii))
         shape[:, :3] += step
         moved = off - _point_displacements(shape, phases, step)
@@ -101,11 +110,11 @@ def fit_ellipses(
         if np.abs(step).max(initial=0.0) < _CONVERGED:
             break
     residual, J, _, _ = _linearize(shape, phases, groups.points)
-    H, _ = _normal_equations(groups, shape, prior, residual, J, weights, sigma, settings.min_edge_sigma)
+    H, _ = _normal_equations(groups, shape, prior, residual, J, weights, sigma, _MIN_EDGE_SIGMA)
     freedom = np.maximum(groups.used.sum(axis=1) - 2, 1)
     reduced_chi2 = (weights * residual**2).sum(axis=1) / (sigma**2 * freedom)
     covariance = np.linalg.inv(H)[:, :2, :2] * np.maximum(reduced_chi2, 1.0)[:, None, None]
-    centers, covariances = _discard_implausible(groups, shape[:, :2], covariance, max(radii), settings)
+    centers, covariances = _discard_implausible(groups, shape[:, :2], covariance, max(radii))
     return EllipseFits(centers, covariances, reduced_chi2)
 
 
@@ -187,8 +196,19 @@ def _symmetry_residual(groups: PointGroups, shape: Array, min_sigma: float) -> t
     return distance * (left + right) / 2, across, np.where(groups.clipped, 0.0, 1 / sigma**2)
 
 
+# Maximum standard deviation of a centre, over the largest radius: beyond it the points show only that the object
+# is there.
+_MAX_CENTER_SIGMA = 1.0
+# Maximum distance of a centre from the centroid, over the largest radius: a point on the outline is one radius
+# away at most.
+_MAX_CENTER_DISTANCE = 2.0
+# Maximum distance of a centre in front of the centroid, over the largest radius: the visible side is nearer than
+# the centre, up to noise.
+_MAX_CENTER_LEAD = 0.2
+
+
 def _discard_implausible(
-    groups: PointGroups, centers: Array, covariances: Array, radius: float, settings: EllipseSettings
+    groups: PointGroups, centers: Array, covariances: Array, radius: float
 ) -> tuple[Array, Array]:
     """Replaces fits by NaN whose centre is not near the points and behind them."""
     means = groups.centroids
@@ -196,9 +216,9 @@ def _discard_implausible(
     off = centers - means
     implausible = ~np.isfinite(covariances).all(axis=(1, 2)) | ~np.isfinite(centers).all(axis=1)
     # An uncertainty as large as the object carries no information.
-    implausible |= np.trace(covariances, axis1=1, axis2=2) > (settings.max_center_sigma * radius) ** 2
-    implausible |= (np.linalg.norm(off, axis=-1) > settings.max_center_distance * radius) | (
-        (off * sight).sum(axis=-1) < -settings.max_center_lead * radius
+    implausible |= np.trace(covariances, axis1=1, axis2=2) > (_MAX_CENTER_SIGMA * radius) ** 2
+    implausible |= (np.linalg.norm(off, axis=-1) > _MAX_CENTER_DISTANCE * radius) | (
+        (off * sight).sum(axis=-1) < -_MAX_CENTER_LEAD * radius
     )
     return np.where(implausible[:, None], np.nan, centers), np.where(
         implausible[:, None, None], np.nan, covariances

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calgraph.config.settings import StationaritySettings
 from calgraph.geometry import Array, Index
 from calgraph.network.tracking.scan_stack import ScanRun
 from calgraph.sensors import align_ranges
@@ -59,14 +58,22 @@ class AlignedScans:
         return ranges
 
 
-def compute_window_medians(scans: AlignedScans, settings: StationaritySettings) -> ScanWindows:
+# Length of a window, s, whose median ranges are registered: people pass a beam in less than half of it, and a
+# bump is located to about as much.
+WINDOW = 1.0
+# Maximum number of scans whose median is taken in a window, evenly spaced: medians of more are no better than the
+# systematic errors below.
+_MAX_SCANS_PER_WINDOW = 9
+
+
+def compute_window_medians(scans: AlignedScans) -> ScanWindows:
     """Medians over windows with equal numbers of scans; a shorter rest at the end belongs to no window."""
-    period = float(np.median(np.diff(scans.stamps))) if len(scans.stamps) > 1 else settings.window
-    per_window = max(1, round(settings.window / period))
+    period = float(np.median(np.diff(scans.stamps))) if len(scans.stamps) > 1 else WINDOW
+    per_window = max(1, round(WINDOW / period))
     windows = len(scans.stamps) // per_window
     first = per_window * np.arange(windows)
     # The middle scans of equal parts of the window.
-    used = min(per_window, settings.max_scans_per_window)
+    used = min(per_window, _MAX_SCANS_PER_WINDOW)
     chosen = first[:, None] + ((np.arange(used) + 0.5) * per_window / used).astype(np.intp)
     step = max(1, _MAX_SCANS_PER_CHUNK // used)
     medians = [np.empty((0, len(scans.angles)))]

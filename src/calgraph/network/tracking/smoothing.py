@@ -6,8 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.config.settings import SmoothingSettings, TrackingSettings
+from calgraph.config.settings import TrackingSettings
 from calgraph.geometry import Array
+from calgraph.network.tracking.association import GATE, INITIAL_SPEED_SIGMA
 from calgraph.network.tracking.features import MeasuredCenters
 from calgraph.network.tracking.filtering import smooth_tracks
 
@@ -57,6 +58,13 @@ def smooth_segments(
     return tuple(result)
 
 
+# Minimum number of triples of centres for an estimate: its median is then uncertain by about 30 %.
+_MIN_TRIPLES = 20
+# Share of this variance that counts as bias: it is correlated over a step of the walk, longer than the smoother
+# averages.
+_BIAS_SHARE = 0.5
+
+
 def add_unmodeled_noise(
     segments: Sequence[NDArray[np.intp]], times: Array, measured: MeasuredCenters, settings: TrackingSettings
 ) -> MeasuredCenters:
@@ -68,12 +76,8 @@ def add_unmodeled_noise(
     """
     valid = np.asarray(np.isfinite(measured.positions).all(axis=1))
     kept = [_sort_by_time(members[valid[members]], times) for members in segments]
-    triples = (
-        np.concatenate([_triples(members, times, settings.smoothing) for members in kept])
-        if kept
-        else np.empty((0, 3), int)
-    )
-    if len(triples) < settings.smoothing.min_triples:
+    triples = np.concatenate([_triples(members, times) for members in kept]) if kept else np.empty((0, 3), int)
+    if len(triples) < _MIN_TRIPLES:
         return measured
     before, here, after = triples.T
     dt_before, dt_after = times[here] - times[before], times[after] - times[here]
@@ -90,15 +94,24 @@ def add_unmodeled_noise(
         squared = np.einsum("ni,nij,nj->n", off, np.linalg.inv(V + 1.5 * middle * np.eye(2)), off)
         low, high = (middle, high) if np.median(squared) > _CHI2_MEDIAN else (low, middle)
     excess = low * np.eye(2)
-    return MeasuredCenters(
-        measured.positions, measured.noise + excess, measured.bias + settings.smoothing.bias_share * excess
-    )
+    return MeasuredCenters(measured.positions, measured.noise + excess, measured.bias + _BIAS_SHARE * excess)
 
 
-def _triples(members: NDArray[np.intp], times: Array, settings: SmoothingSettings) -> NDArray[np.intp]:
+# Distance in time of the centres that are compared, s: shorter than half a step, over which a person accelerates
+# little, and two or more scans.
+_LAG = 0.2
+# Minimum and maximum time of the earlier centre before the middle one, in lags: the earliest within it is taken.
+# It holds a scan of every scanner with 7 Hz or more (0.15 s).
+_EARLIER_WINDOW = (0.5, 1.25)
+# Minimum and maximum time of the later centre after the middle one, in lags: the earliest within it is taken, so
+# that with dense scans three centres span two lags.
+_LATER_WINDOW = (0.75, 1.5)
+
+
+def _triples(members: NDArray[np.intp], times: Array) -> NDArray[np.intp]:
     """(N, 3) triples of clusters: about a lag before, at, and about a lag after a time."""
-    t, lag = times[members], settings.lag
-    (least_before, most_before), (least_after, most_after) = settings.earlier_window, settings.later_window
+    t, lag = times[members], _LAG
+    (least_before, most_before), (least_after, most_after) = _EARLIER_WINDOW, _LATER_WINDOW
     before, after = np.searchsorted(t, t - most_before * lag), np.searchsorted(t, t + least_after * lag)
     inside = np.flatnonzero(after < len(t))
     i, j, k = before[inside], inside, after[inside]
@@ -123,8 +136,8 @@ def _smooth_batch(
         z,
         measured.noise[index],
         settings.acceleration_density,
-        settings.association.gate,
-        settings.association.initial_speed_sigma,
+        GATE,
+        INITIAL_SPEED_SIGMA,
     )
     chosen = [np.flatnonzero(row) for row in used]
     return [

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.config.settings import StaticSceneSettings
 from calgraph.geometry import Array
 from calgraph.network.tracking.scan_stack import ScanRun
 from calgraph.sensors import ScanBackground, align_ranges
@@ -28,31 +27,43 @@ class StaticScene:
     """Range noise, the median over the beams with exactly one static depth, m; NaN if there are none."""
 
 
-def learn_static_scene(runs: Sequence[ScanRun], settings: StaticSceneSettings) -> StaticScene | None:
+# Maximum number of scans that the background is learned from, evenly spaced: a static depth of min_hit_ratio then
+# has 51 ± 7 hits, enough to separate it from depths with half as many.
+_MAX_SCANS = 512
+# Ranges within this distance of a beam's most frequent depth, m, determine its noise: twice as far as the three
+# bins, which would cut off the tails of noisy beams.
+_NOISE_WINDOW = 0.15
+# Foreground beams end at least this much before the background, m: half a leg's thickness and four standard
+# deviations of a range (20 mm).
+_MARGIN = 0.08
+# The same in standard deviations of the beam, where that is more: 3e-7 of the background's ranges exceed it.
+_MARGIN_SIGMAS = 5.0
+
+
+def learn_static_scene(runs: Sequence[ScanRun]) -> StaticScene | None:
     """Learns the static background from a whole recording.
 
     Args:
         runs: the scans of one stationary scanner; those with other beams are matched by angle.
-        settings: of the static scene.
 
     Returns:
         The scene, or None if no scan has any beam.
     """
-    kept = _subsample_evenly(runs, settings.max_scans)
+    kept = _subsample_evenly(runs, _MAX_SCANS)
     if not kept:
         return None
     angles = np.sort(max(kept, key=lambda run: len(run.angles)).angles)
     ranges = np.concatenate([align_ranges(angles, run.angles, run.ranges) for run in kept])
-    nearest, usual, single = _static_depths(ranges, settings)
-    off = np.where(np.abs(ranges - usual) < settings.noise_window, ranges - usual, np.nan)
+    nearest, usual, single = _static_depths(ranges)
+    off = np.where(np.abs(ranges - usual) < _NOISE_WINDOW, ranges - usual, np.nan)
     spread = _robust_spread(off)
     mean_range = usual + _column_median(off)
-    margin = np.maximum(settings.margin, settings.margin_sigmas * np.where(np.isfinite(spread), spread, 0.0))
+    margin = np.maximum(_MARGIN, _MARGIN_SIGMAS * np.where(np.isfinite(spread), spread, 0.0))
     clean = single & np.isfinite(mean_range)
     points = np.stack([mean_range * np.cos(angles), mean_range * np.sin(angles)], axis=-1)
     sigma = float(np.median(spread[clean])) if clean.any() else np.nan
     background = ScanBackground.from_depths(angles, nearest, margin)
-    return StaticScene(background, _insert_breaks(points, clean, mean_range, angles, settings), sigma)
+    return StaticScene(background, _insert_breaks(points, clean, mean_range, angles), sigma)
 
 
 def _subsample_evenly(runs: Sequence[ScanRun], max_scans: int) -> list[ScanRun]:
@@ -68,21 +79,35 @@ def _subsample_evenly(runs: Sequence[ScanRun], max_scans: int) -> list[ScanRun]:
     return [run for run in kept if run.ranges.size]
 
 
-def _static_depths(ranges: Array, settings: StaticSceneSettings) -> tuple[Array, Array, NDArray[np.bool_]]:
+# Width of a bin of depth, m; hits are counted over three bins, 0.15 m: ± 3 standard deviations of a noisy scanner
+# (25 mm).
+_DEPTH_BIN = 0.05
+# Equal parts of the recording in which hits at a depth are counted separately: 6 s of a minute, longer than a
+# walking person takes to cross a beam.
+_PARTS = 10
+# Minimum share of all scans with a hit at a static depth: edges and glass return alternately, people pass one
+# beam in a few percent of the scans.
+_MIN_HIT_RATIO = 0.1
+# Minimum share of these parts with hits at a static depth: people may stand in one place for half of a recording
+# without becoming background.
+_MIN_PART_RATIO = 0.6
+
+
+def _static_depths(ranges: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
     """The static depths in each column of (S, B) ranges.
 
     Returns:
         (B,) the nearest static depth, m, and (B,) the most frequent one, NaN where a beam has none; and (B,)
         which beams have one static depth only.
     """
-    depth_bin = settings.depth_bin
+    depth_bin = _DEPTH_BIN
     scan, beams = np.nonzero(np.isfinite(ranges))
     scans, count = ranges.shape
     if not len(scan):
         nothing = np.full(count, np.nan)
         return nothing, nothing, np.zeros(count, dtype=bool)
     bins = (ranges[scan, beams] / depth_bin).astype(np.intp)
-    parts = min(settings.parts, scans)
+    parts = min(_PARTS, scans)
     part = scan * parts // scans
     # hits[t, d, b]: how often beam b ended at depth d in part t; one bin of margin at either end.
     shape = (parts, int(bins.max()) + 3, count)
@@ -90,8 +115,8 @@ def _static_depths(ranges: Array, settings: StaticSceneSettings) -> tuple[Array,
     hits = np.bincount(cell, minlength=int(np.prod(shape))).reshape(shape)
     window_hits = hits[:, :-2] + hits[:, 1:-1] + hits[:, 2:]
     total_hits = window_hits.sum(axis=0)
-    static = (total_hits >= max(settings.min_hit_ratio * scans, 1)) & (
-        (window_hits > 0).sum(axis=0) >= settings.min_part_ratio * parts
+    static = (total_hits >= max(_MIN_HIT_RATIO * scans, 1)) & (
+        (window_hits > 0).sum(axis=0) >= _MIN_PART_RATIO * parts
     )
     depths = (np.arange(len(static)) + 0.5) * depth_bin
     any_static = static.any(axis=0)
@@ -116,9 +141,16 @@ def _robust_spread(values: Array) -> Array:
     return 1.4826 * _column_median(np.abs(values - _column_median(values)))
 
 
-def _insert_breaks(
-    points: Array, clean: NDArray[np.bool_], ranges: Array, angles: Array, settings: StaticSceneSettings
-) -> Array:
+# Neighbouring static points on one surface are at most this far apart, m, plus the spacing below: legs of
+# furniture stand farther from walls.
+_MAX_GAP = 0.10
+# The same in beam spacings: neighbouring beams on a wall at a grazing angle of 10° end six spacings apart.
+_MAX_GAP_SPACINGS = 6.0
+# Maximum number of beams without a static depth within one surface: single dropouts do not end a wall.
+_MAX_MISSING_BEAMS = 2
+
+
+def _insert_breaks(points: Array, clean: NDArray[np.bool_], ranges: Array, angles: Array) -> Array:
     """The clean points of (B, 2), with a NaN row between neighbours that do not lie on one surface."""
     chosen = np.flatnonzero(clean)
     if not len(chosen):
@@ -126,10 +158,7 @@ def _insert_breaks(
     gap = np.linalg.norm(np.diff(points[chosen], axis=0), axis=-1)
     spacing = float(np.median(np.diff(angles))) * ranges[chosen[:-1]] if len(angles) > 1 else np.zeros(len(gap))
     cuts = (
-        np.flatnonzero(
-            (gap > settings.max_gap + settings.max_gap_spacings * spacing)
-            | (np.diff(chosen) > 1 + settings.max_missing_beams)
-        )
+        np.flatnonzero((gap > _MAX_GAP + _MAX_GAP_SPACINGS * spacing) | (np.diff(chosen) > 1 + _MAX_MISSING_BEAMS))
         + 1
     )
     return np.insert(points[chosen], cuts, np.nan, axis=0)

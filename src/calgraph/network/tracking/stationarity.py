@@ -16,13 +16,15 @@ from scipy.special import chdtri
 from calgraph.config.settings import StationaritySettings
 from calgraph.geometry import Array, Index
 from calgraph.network.tracking.background_registration import (
+    AGREEMENT_SIGMAS,
+    INITIAL_SCALE,
     ReferenceScan,
     match_surfaces,
     register_windows,
     to_points,
 )
 from calgraph.network.tracking.scan_stack import ScanRun
-from calgraph.network.tracking.scan_windows import AlignedScans, ScanWindows, compute_window_medians
+from calgraph.network.tracking.scan_windows import WINDOW, AlignedScans, ScanWindows, compute_window_medians
 from calgraph.network.tracking.track import ScannerBump
 
 # Median of χ² with three degrees of freedom, and standard deviation over median absolute deviation (normal).
@@ -67,6 +69,14 @@ class _Registration:
     """(W, 3, 3) for points with a standard deviation of 1 m."""
 
 
+# Minimum number of successive windows with one pose: fewer are disturbances.
+_MIN_WINDOWS = 3
+# Maximum, m: the medians of a moving scanner differ by more from one window to the next.
+_MAX_NOISE = 0.02
+# A scanner that is at rest for a smaller share of the time is on a moving platform.
+MIN_REST_SHARE = 0.5
+
+
 def analyze_stationarity(runs: Sequence[ScanRun], settings: StationaritySettings) -> Stationarity:
     """Finds the times at which a scanner moved.
 
@@ -77,22 +87,26 @@ def analyze_stationarity(runs: Sequence[ScanRun], settings: StationaritySettings
     if not runs:
         return Stationarity()
     scans = AlignedScans(runs)
-    windows = compute_window_medians(scans, settings)
-    if len(windows) < 2 * settings.min_windows:
+    windows = compute_window_medians(scans)
+    if len(windows) < 2 * _MIN_WINDOWS:
         return Stationarity()
     registration = _register(windows, settings)
-    pieces, bumps = _measure_bumps(scans, registration, _find_pieces(registration, settings), settings)
+    pieces, bumps = _measure_bumps(scans, registration, _find_pieces(registration), settings)
     placed = registration.place >= 0
     # Windows that register nowhere are those of a moving scanner only if all ranges change.
-    moving = (registration.place == _NOWHERE) & (registration.unrest > settings.max_noise)
+    moving = (registration.place == _NOWHERE) & (registration.unrest > _MAX_NOISE)
     testable = int(np.sum(placed | moving))
     if not testable:
         return Stationarity()
-    duration = min(settings.min_duration, float(windows.end[-1] - windows.start[0]) / 2) - settings.window
+    duration = min(settings.min_duration, float(windows.end[-1] - windows.start[0]) / 2) - WINDOW
     at_rest = sum(len(piece) for piece in pieces if windows.end[piece[-1]] - windows.start[piece[0]] > duration)
-    tested = bool(np.mean(placed | moving) >= settings.min_rest_share)
-    bumps = _include_motion(windows, pieces, bumps, placed | moving, settings)
+    tested = bool(np.mean(placed | moving) >= MIN_REST_SHARE)
+    bumps = _include_motion(windows, pieces, bumps, placed | moving)
     return Stationarity(tuple(bumps), min(1.0, at_rest / testable), tested)
+
+
+# Data within this time of a bump are not used, s: a scanner that is knocked swings for some periods.
+_SETTLING_TIME = 0.25
 
 
 def select_interval(
@@ -109,11 +123,22 @@ def select_interval(
     """
     if not bumps:
         return -np.inf, np.inf
-    starts = [stamps[0], *(bump.interval[1] + settings.settling_time for bump in bumps)]
-    ends = [*(bump.interval[0] - settings.settling_time for bump in bumps), stamps[1]]
+    starts = [stamps[0], *(bump.interval[1] + _SETTLING_TIME for bump in bumps)]
+    ends = [*(bump.interval[0] - _SETTLING_TIME for bump in bumps), stamps[1]]
     if ends[-1] - starts[-1] >= min(settings.min_duration, (ends[-1] - starts[0]) / 2):
         return starts[-1], np.inf
     return max(zip(starts, ends, strict=True), key=lambda interval: interval[1] - interval[0])
+
+
+# Minimum standard deviation of a median range, m: ranges are quantised to 1 to 10 mm.
+_MIN_NOISE = 0.002
+# Maximum number of places of one scanner that do not register to each other.
+_MAX_REFERENCES = 6
+# Minimum number of compared points for a pose: a wall of 1 m at 2 m and one degree. With less background it is
+# not tested whether the scanner moved.
+_MIN_POINTS = 25
+# Minimum share of the compared points on surfaces of the reference; the rest may be furniture that was moved.
+_MIN_AGREEMENT = 0.6
 
 
 def _register(windows: ScanWindows, settings: StationaritySettings) -> _Registration:
@@ -121,24 +146,22 @@ def _register(windows: ScanWindows, settings: StationaritySettings) -> _Registra
     finite = np.where(np.isfinite(windows.ranges), windows.ranges, np.nan)
     change = np.abs(np.diff(finite, axis=0))
     by_window = np.array([_median(row) for row in change])
-    noise = float(
-        np.clip(_median(by_window) * _STDDEV_PER_MAD / np.sqrt(2), settings.min_noise, settings.max_noise)
-    )
+    noise = float(np.clip(_median(by_window) * _STDDEV_PER_MAD / np.sqrt(2), _MIN_NOISE, _MAX_NOISE))
     # How much a window differs from its neighbours: a reference is one at rest.
     unrest = np.maximum(np.append(by_window, 0.0), np.insert(by_window, 0, 0.0))
     count = len(windows)
     place = np.full(count, _TOO_LITTLE_BACKGROUND, dtype=np.intp)
     poses, information = np.zeros((count, 3)), np.zeros((count, 3, 3))
     pending = np.arange(count)
-    for number in range(settings.max_references):
+    for number in range(_MAX_REFERENCES):
         longest = max(np.split(pending, np.flatnonzero(np.diff(pending) > 1) + 1), key=len)
-        if len(longest) < settings.min_windows:
+        if len(longest) < _MIN_WINDOWS:
             break
         chosen = longest[np.argmin(unrest[longest])]
         reference = ReferenceScan(windows.angles, windows.ranges[chosen], settings)
         found = register_windows(reference, windows.ranges[pending], noise)
-        comparable = found.compared >= settings.min_points
-        agrees = comparable & (found.agreement >= settings.min_agreement)
+        comparable = found.compared >= _MIN_POINTS
+        agrees = comparable & (found.agreement >= _MIN_AGREEMENT)
         place[pending[comparable]] = _NOWHERE
         placed = pending[agrees]
         place[placed], poses[placed], information[placed] = number, found.poses[agrees], found.information[agrees]
@@ -152,18 +175,18 @@ def _median(values: Array) -> float:
     return float(np.median(finite)) if len(finite) else np.inf
 
 
-def _find_pieces(registration: _Registration, settings: StationaritySettings) -> list[Index]:
+def _find_pieces(registration: _Registration) -> list[Index]:
     """Windows of successive times with one pose each, in order of time."""
     label = np.full(len(registration.place), -1)
     for number in range(registration.place.max() + 1):
         members = np.flatnonzero(registration.place == number)
-        if len(members) >= settings.min_windows:
-            for piece in _split_at_steps(registration, members, settings):
+        if len(members) >= _MIN_WINDOWS:
+            for piece in _split_at_steps(registration, members):
                 label[piece] = label.max() + 1
     placed = np.flatnonzero(label >= 0)
     pieces: list[Index] = []
     for piece in np.split(placed, np.flatnonzero(np.diff(label[placed])) + 1):
-        if len(piece) < settings.min_windows:
+        if len(piece) < _MIN_WINDOWS:
             continue
         if pieces and label[pieces[-1][0]] == label[piece[0]]:
             pieces[-1] = np.concatenate([pieces[-1], piece])
@@ -172,22 +195,27 @@ def _find_pieces(registration: _Registration, settings: StationaritySettings) ->
     return pieces
 
 
-def _split_at_steps(registration: _Registration, members: Index, settings: StationaritySettings) -> list[Index]:
+# Maximum factor on the variances of poses for the scatter from window to window, which people who pass increase;
+# a moving scanner has a larger one, which is not noise.
+_MAX_INFLATION = 9.0
+
+
+def _split_at_steps(registration: _Registration, members: Index) -> list[Index]:
     """Splits windows (N,) of one place wherever their poses have a significant step."""
     poses = registration.poses[members]
     covariance = registration.noise**2 * np.linalg.inv(registration.information[members])
     step = np.diff(poses, axis=0)
     squared = np.sum(step * np.linalg.solve(covariance[1:] + covariance[:-1], step[..., None])[..., 0], axis=1)
-    inflation = float(np.clip(np.median(squared) / _MEDIAN_CHI2, 1, settings.max_inflation))
+    inflation = float(np.clip(np.median(squared) / _MEDIAN_CHI2, 1, _MAX_INFLATION))
     weight = np.linalg.inv(inflation * covariance)
     weighted = (weight @ median_filter(poses, (_FILTER_LENGTH, 1), mode="nearest")[..., None])[..., 0]
-    systematic = _systematic_covariance(np.median(registration.information[members], axis=0), settings)
-    threshold = _significance_limit(registration, settings)
+    systematic = _systematic_covariance(np.median(registration.information[members], axis=0))
+    threshold = _significance_limit(registration)
     pieces: list[Index] = []
     stack = [np.arange(len(members))]
     while stack:
         part = stack.pop()
-        cut = _find_largest_step(weight[part], weighted[part], 2 * systematic, threshold, settings.min_windows)
+        cut = _find_largest_step(weight[part], weighted[part], 2 * systematic, threshold, _MIN_WINDOWS)
         if cut is None:
             # The filter hides the end of a motion.
             off = poses[part] - np.median(poses[part], axis=0)
@@ -201,9 +229,14 @@ def _split_at_steps(registration: _Registration, members: Index, settings: Stati
     return pieces
 
 
-def _significance_limit(registration: _Registration, settings: StationaritySettings) -> float:
+# Bound on the probability with which a scanner at rest has a step reported, for all times together (Bonferroni):
+# one in a thousand recordings of ten scanners.
+_FALSE_ALARM_PROBABILITY = 1e-4
+
+
+def _significance_limit(registration: _Registration) -> float:
     """Squared Mahalanobis distance beyond which a step is significant."""
-    return float(chdtri(3, settings.false_alarm_probability / len(registration.place)))
+    return float(chdtri(3, _FALSE_ALARM_PROBABILITY / len(registration.place)))
 
 
 def _find_largest_step(
@@ -221,10 +254,21 @@ def _find_largest_step(
     return int(cuts[best]) if squared[best] > threshold else None
 
 
-def _systematic_covariance(information: Array, settings: StationaritySettings) -> Array:
+# Standard deviation of a pose by systematic errors, m, with any background: steps below 7 mm are not found.
+_TRANSLATION_ERROR = 5e-4
+# The same of its angle, rad (0.03°): steps below 0.2° are not found.
+_ROTATION_ERROR = 3.5e-4
+# Standard deviation of errors of a surface that vary slowly, m: warming up, reflectance, doors ajar, people who
+# lean on walls.
+_SURFACE_ERROR = 0.002
+# Number of neighbouring points with this error in common.
+_CORRELATED_POINTS = 10.0
+
+
+def _systematic_covariance(information: Array) -> Array:
     """Covariance (3, 3) of a pose by errors of the surfaces that no average reduces."""
-    floor = np.diag(np.square([settings.translation_error] * 2 + [settings.rotation_error]))
-    of_points = settings.surface_error**2 * settings.correlated_points
+    floor = np.diag(np.square([_TRANSLATION_ERROR] * 2 + [_ROTATION_ERROR]))
+    of_points = _SURFACE_ERROR**2 * _CORRELATED_POINTS
     return np.asarray(of_points * np.linalg.inv(information) + floor)
 
 
@@ -233,14 +277,13 @@ def _include_motion(
     pieces: Sequence[Index],
     bumps: Sequence[ScannerBump],
     testable: NDArray[np.bool_],
-    settings: StationaritySettings,
 ) -> list[ScannerBump]:
     """The bumps with those of unknown size before the first and after the last piece, where the scanner moves."""
     included = list(bumps)
-    if pieces and testable[: pieces[0][0]].sum() >= settings.min_windows:
+    if pieces and testable[: pieces[0][0]].sum() >= _MIN_WINDOWS:
         interval = float(windows.start[0]), float(windows.start[pieces[0][0]])
         included.insert(0, ScannerBump(interval, np.nan, np.nan, 0.0, 0.0))
-    if pieces and testable[pieces[-1][-1] + 1 :].sum() >= settings.min_windows:
+    if pieces and testable[pieces[-1][-1] + 1 :].sum() >= _MIN_WINDOWS:
         interval = float(windows.end[pieces[-1][-1]]), float(windows.end[-1])
         included.append(ScannerBump(interval, np.nan, np.nan, 0.0, 0.0))
     return included
@@ -263,6 +306,14 @@ def _measure_bumps(
     return kept, bumps
 
 
+# Standard deviation of a step's translation above which its direction is not observable, m, as along a single
+# wall; the size of the step is that in the other direction.
+_MAX_TRANSLATION_STDDEV = 0.05
+# Where no pose explains how the ranges change, the surroundings have changed and not the scanner's place if this
+# share of the ranges is the same.
+_MAX_UNCHANGED = 0.3
+
+
 def _measure_bump(
     registration: _Registration, before: Array, after: Array, settings: StationaritySettings
 ) -> tuple[float, float, float, float] | None:
@@ -274,25 +325,25 @@ def _measure_bump(
     reference = ReferenceScan(registration.windows.angles, before, settings)
     found = register_windows(reference, after[None], registration.noise)
     pose = found.poses[0]
-    if found.compared[0] >= settings.min_points and found.agreement[0] >= settings.min_agreement:
-        if not _is_majority_displaced(reference, after, pose, registration.noise, settings):
+    if found.compared[0] >= _MIN_POINTS and found.agreement[0] >= _MIN_AGREEMENT:
+        if not _is_majority_displaced(reference, after, pose, registration.noise):
             return None
-        covariance = 2 * _systematic_covariance(found.information[0], settings)
+        covariance = 2 * _systematic_covariance(found.information[0])
         # The medians of all windows are less disturbed by people than the poses of single ones.
-        if pose @ np.linalg.solve(covariance, pose) <= _significance_limit(registration, settings):
+        if pose @ np.linalg.solve(covariance, pose) <= _significance_limit(registration):
             return None
         variances, directions = np.linalg.eigh(covariance[:2, :2])
         # Along a wall the displacement is not observable.
-        components = np.where(variances < settings.max_translation_stddev**2, directions.T @ pose[:2], 0.0)
+        components = np.where(variances < _MAX_TRANSLATION_STDDEV**2, directions.T @ pose[:2], 0.0)
         stddev = np.sqrt([variances[-1], covariance[2, 2]])
         return float(np.hypot(*components)), float(pose[2]), float(stddev[0]), float(stddev[1])
     both = np.isfinite(before) & np.isfinite(after)
-    unchanged = np.abs(after[both] - before[both]) < settings.agreement_sigmas * registration.noise
+    unchanged = np.abs(after[both] - before[both]) < AGREEMENT_SIGMAS * registration.noise
     # A scanner that is displaced by far measures longer ranges in some directions, and shorter ones in others.
-    margin = settings.initial_scale
+    margin = INITIAL_SCALE
     longer, shorter = int((after > before + margin).sum()), int((before > after + margin).sum())
     share = unchanged.sum() / max(int(np.isfinite(before).sum()), 1)
-    if share >= settings.max_unchanged or min(longer, shorter) < settings.min_points:
+    if share >= _MAX_UNCHANGED or min(longer, shorter) < _MIN_POINTS:
         return None
     return np.nan, np.nan, 0.0, 0.0
 
@@ -303,22 +354,25 @@ def _median_of_windows(ranges: Array) -> Array:
     return np.asarray(np.partition(chosen, len(chosen) // 2, axis=0)[len(chosen) // 2])
 
 
-def _is_majority_displaced(
-    reference: ReferenceScan, ranges: Array, pose: Array, noise: float, settings: StationaritySettings
-) -> bool:
+# Points that a step moves by at least this from their surfaces, m, vote on it: three standard deviations of a
+# median over ten windows.
+_INFORMATIVE_STEP = 0.003
+
+
+def _is_majority_displaced(reference: ReferenceScan, ranges: Array, pose: Array, noise: float) -> bool:
     """Whether most points that distinguish a step from no step agree better with the step."""
     points, poses = to_points(reference.angles, ranges)[None], np.array([np.zeros(3), pose])
     distances = match_surfaces(
-        reference, np.broadcast_to(points, (2, *points.shape[1:])), poses, settings.initial_scale
+        reference, np.broadcast_to(points, (2, *points.shape[1:])), poses, INITIAL_SCALE
     ).distance
     # A point that meets no surface without the displacement is as far from it as can be.
     at_rest, displaced = np.nan_to_num(np.abs(distances[0]), nan=np.inf), np.abs(distances[1])
-    compared = displaced < 3 * settings.agreement_sigmas * noise
-    compared |= at_rest < 3 * settings.agreement_sigmas * noise
-    differ = compared & ~(np.abs(at_rest - displaced) < settings.informative_step)
+    compared = displaced < 3 * AGREEMENT_SIGMAS * noise
+    compared |= at_rest < 3 * AGREEMENT_SIGMAS * noise
+    differ = compared & ~(np.abs(at_rest - displaced) < _INFORMATIVE_STEP)
     votes = differ & (displaced < at_rest)
     count = int(differ.sum())
-    return count >= settings.min_points and bool(votes.sum() >= settings.min_agreement * count)
+    return count >= _MIN_POINTS and bool(votes.sum() >= _MIN_AGREEMENT * count)
 
 
 def _locate(

@@ -24,7 +24,7 @@ from calgraph.network.tracking.periods import TrackSegment, split_into_periods
 from calgraph.network.tracking.scan_stack import ScanRun, coverage_intervals, select_scans, stack_scans
 from calgraph.network.tracking.smoothing import add_unmodeled_noise, smooth_segments
 from calgraph.network.tracking.static_scene import learn_static_scene
-from calgraph.network.tracking.stationarity import analyze_stationarity, select_interval
+from calgraph.network.tracking.stationarity import MIN_REST_SHARE, analyze_stationarity, select_interval
 from calgraph.network.tracking.track import Hits, ScannerTracks, Track
 from calgraph.sensors import LaserScan
 
@@ -54,6 +54,18 @@ def track_scanner(
     return track_runs(stack_scans(scans), target, noise, centers, settings)
 
 
+# Minimum noise of a range, m: ranges are quantised to 1 to 10 mm, and residuals below are not independent.
+_MIN_RANGE_SIGMA = 0.003
+# Standard deviation of a centroid about the object's centre, over its mean radius: the centroid is on the visible
+# side, and moves as the object turns or is partly hidden.
+_CENTROID_SIGMA = 0.5
+# Longest time between detections within one period, s: about five missed scans of a scanner with 12.5 Hz.
+_MAX_UNDETECTED = 0.4
+# Longest time between two scans within a coverage interval, s: in a longer one a person may cross the view
+# undetected.
+MAX_SCAN_GAP = 0.5
+
+
 def track_runs(
     runs: Sequence[ScanRun],
     target: People | Cylinder,
@@ -63,7 +75,7 @@ def track_runs(
 ) -> ScannerTracks | Rejected:
     """Tracks as :func:`track_scanner` does, from stacked scans."""
     stationarity = analyze_stationarity(runs, settings.stationarity)
-    if stationarity.rest_share < settings.stationarity.min_rest_share:
+    if stationarity.rest_share < MIN_REST_SHARE:
         return Rejected(
             f"it moves: its static background stays in place for {stationarity.rest_share:.0%} of the time only, "
             "but scanners of a network have to be stationary; a robot's are calibrated with a board"
@@ -73,29 +85,29 @@ def track_runs(
         stamps = float(runs[0].stamps[0]), float(runs[-1].stamps[-1])
         interval = select_interval(stamps, stationarity.bumps, settings.stationarity)
         runs = select_scans(runs, interval)
-    scene = learn_static_scene(runs, settings.static_scene)
+    scene = learn_static_scene(runs)
     if scene is None:
         return Rejected("no scan has any beam")
     sigma = scene.sigma if np.isfinite(scene.sigma) else noise.range
-    sigma = max(sigma, settings.min_range_sigma)
-    beams = subtract_background(runs, scene, settings.clusters)
+    sigma = max(sigma, _MIN_RANGE_SIGMA)
+    beams = subtract_background(runs, scene)
     objects = cluster_foreground(beams, target_width(target), sigma, settings.clusters)
     if not len(objects):
         return Rejected(
             "no object of the target's size was detected in front of the static background in any scan"
         )
-    center_sigma = settings.association.centroid_sigma * float(np.mean(target_radii(target)))
+    center_sigma = _CENTROID_SIGMA * float(np.mean(target_radii(target)))
     identities = [
         members
-        for members in associate(objects, center_sigma, settings.acceleration_density, settings.association)
+        for members in associate(objects, center_sigma, settings.acceleration_density)
         if _is_moving_target(objects, members, settings.motion)
     ]
-    segments = split_into_periods(identities, objects.scan, objects.times, settings.motion.max_undetected)
+    segments = split_into_periods(identities, objects.scan, objects.times, _MAX_UNDETECTED)
     velocities = _estimate_velocities(objects, segments, target, sigma, settings)
     if centers:
-        measured = centers(objects, target, sigma, settings)
+        measured = centers(objects, target, sigma)
     else:
-        measured = measure_fixed_ellipses(objects, target, velocities, sigma, settings.ellipse)
+        measured = measure_fixed_ellipses(objects, target, velocities, sigma)
     tracks = _build_tracks(segments, objects, measured, settings)
     if not tracks:
         motion = settings.motion
@@ -104,7 +116,7 @@ def track_runs(
             f"but none could be tracked for {motion.min_duration:g} s and {motion.min_travel:g} m"
         )
     _log.info("%d objects in %d tracks", len(identities), len(tracks))
-    coverage = coverage_intervals(runs, settings.motion.max_scan_gap)
+    coverage = coverage_intervals(runs, MAX_SCAN_GAP)
     return ScannerTracks(
         tracks,
         scene.points,
@@ -117,12 +129,16 @@ def track_runs(
     )
 
 
+# The extent is between this quantile of the positions and its complement: single wrong clusters are ignored.
+_TRAVEL_QUANTILE = 0.05
+
+
 def _is_moving_target(objects: Clusters, members: NDArray[np.intp], settings: MotionSettings) -> bool:
     """Whether an identity moved like a walking person, rather than stood or flickered."""
     duration = objects.times[members[-1]] - objects.times[members[0]]
     if len(members) < settings.min_detections or duration < settings.min_duration:
         return False
-    quantiles = [settings.travel_quantile, 1 - settings.travel_quantile]
+    quantiles = [_TRAVEL_QUANTILE, 1 - _TRAVEL_QUANTILE]
     low, high = np.quantile(objects.centroids[members], quantiles, axis=0)
     return bool(np.hypot(*(high - low)) >= settings.min_travel)
 
@@ -136,7 +152,7 @@ def _estimate_velocities(
 ) -> ObjectVelocities:
     """Velocities of the objects from their smoothed centroids."""
     velocities = ObjectVelocities(np.zeros((len(objects), 2)), np.full(len(objects), np.inf))
-    measured = measure_centroids(objects, target, sigma, settings)
+    measured = measure_centroids(objects, target, sigma)
     for track in smooth_segments([segment.members for segment in segments], objects.times, measured, settings):
         velocities.values[track.members] = track.mean[:, 2:]
         velocities.variances[track.members] = np.trace(track.covariance[:, 2:, 2:], axis1=1, axis2=2) / 2

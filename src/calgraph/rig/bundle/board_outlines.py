@@ -40,7 +40,6 @@ def add_outlines(
         boards: (C,) observed boards.
         bias_variance: initial variance of the outlines' view bias, m².
     """
-    settings = bundle.settings.outlines
     half_sizes = np.array([board.size for board in rig.boards]) / 2
     number = np.array([board_number(board, detections) for board in boards], dtype=np.intp)
     registered, half = number >= 0, half_sizes[np.maximum(number, 0)]
@@ -49,7 +48,6 @@ def add_outlines(
             views.board.tolist(),
             [_surface_of(detections, boards[i], name) for i in views.board],
             half[views.board],
-            settings,
         )
         for s, (name, views) in enumerate(zip(bundle.sensors, bundle.views, strict=True))
         if isinstance(views, RangeObservations)
@@ -58,7 +56,7 @@ def add_outlines(
     if len(half_sizes) == 1:
         unregistered = np.flatnonzero(~registered)
         T_plane_board, registered[unregistered] = register_rectangles(
-            _edge_points(edges, state, unregistered), half_sizes[0], bundle.settings.registration
+            _edge_points(edges, state, unregistered), half_sizes[0]
         )
         T_root_board[unregistered] = T_root_board[unregistered] @ T_plane_board
     outlines = [outline.select(registered[outline.board]) for outline in edges.values()]

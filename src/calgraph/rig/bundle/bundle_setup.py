@@ -21,6 +21,14 @@ _MIN_CORNERS = 4
 """Number of corners that determine the pose of a board."""
 
 
+# Initial standard deviation of a view's displacement, m: larger than that of a flat board and calibrated ranges
+# (1 to 2 mm), so that few views are outliers before noise is estimated.
+INITIAL_VIEW_BIAS = 0.003
+# Initial standard deviation of the stamps of a moving board's views, s: of the size of exposure times and of the
+# delays of drivers, so that few views are outliers before it is estimated.
+_INITIAL_STAMP_ERROR = 0.005
+
+
 def build_bundle(
     rig: Rig, captured: CaptureSet, boards: Sequence[BoardObservation], T_root_sensor: Mapping[str, Array]
 ) -> tuple[Bundle, BundleState]:
@@ -37,9 +45,8 @@ def build_bundle(
         body=np.arange(len(names)),
         bias_variance=np.zeros((len(names), 4)),
         lever=0.5 * max(rig.board_size),
-        settings=rig.settings.estimation.rig,
     )
-    initial, stamp = bundle.settings.variances.initial_view_bias, bundle.settings.variances.initial_stamp_error
+    initial, stamp = INITIAL_VIEW_BIAS, _INITIAL_STAMP_ERROR
     for k in range(len(names)):
         components = list(bundle.bias_components(k))
         of_view = np.array([initial, initial / bundle.lever, initial, stamp])
@@ -63,6 +70,11 @@ def update_noise(bundle: Bundle, state: BundleState) -> Bundle:
     return bundle.with_views(all_views)
 
 
+# Minimum cosine between a beam and the board's normal (87°), at which smaller ones are truncated: ranges at
+# grazing incidence are not linear in the pose.
+_MIN_INCIDENCE_COSINE = 0.05
+
+
 def _select_views(
     rig: Rig, captured: CaptureSet, name: str, boards: Sequence[BoardObservation], T_sensor_board: Array
 ) -> BoardViews:
@@ -83,9 +95,7 @@ def _select_views(
         ]
         return CornerObservations.from_detections(indices, corners, camera, spec.noise)
     surfaces = [d for _, d in detected if not isinstance(d, BoardCorners)]
-    return RangeObservations.from_detections(
-        indices, surfaces, spec.noise, rig.settings.estimation.rig.min_incidence_cosine
-    )
+    return RangeObservations.from_detections(indices, surfaces, spec.noise, _MIN_INCIDENCE_COSINE)
 
 
 def _leave_out_unprojected(detection: BoardCorners, camera: CameraModel, T_camera_board: Array) -> BoardCorners:

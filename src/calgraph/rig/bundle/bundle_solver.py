@@ -6,13 +6,13 @@ eliminated (Schur complement), which leaves a small dense problem over the senso
 Source: Triggs et al., "Bundle adjustment: a modern synthesis", 1999, section 6.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
-from calgraph.config.settings import RigEstimationSettings
 from calgraph.errors import CalibrationError
 from calgraph.geometry import Array, Index, se3, se_n, so3
 from calgraph.rig.bundle.bundle_parameters import SensorPrior, SystematicParameter
@@ -28,6 +28,22 @@ BOARD_PRIOR_INFORMATION = 1e-4
 COARSE_TOLERANCE = 1e-3
 # or by more than 0.05 %.
 _FINE_TOLERANCE = 1e-7
+
+
+# Prior standard deviation of a sensor's position about the present estimate, m: several times the size of any
+# rig, so that it matters only for directions without measurements.
+_POSITION_PRIOR_STDDEV = 10.0
+# The same of its rotation, rad: half a turn is the largest rotation.
+_ROTATION_PRIOR_STDDEV = math.pi
+# Standard deviations of a prior beyond which it is not Gaussian, but has the tails of a Cauchy distribution
+# (Huber, "Robust statistics", 1981, section 4.8): the deviation from which a finding names the error. Priors
+# describe usual hardware, but distortion that is left out, or tags of another size, is ten times as far off.
+_PRIOR_TAIL = 3.0
+# Minimum standard deviation of the bias of a view's edges, m: a scanner measures the board up to anywhere within
+# the footprint of a beam, 9 mm of 3 mrad at 3 m. Edges fit each other better than this within a view; on the real
+# VLP-16 (benchmarks/subsets.py), 2 mm make poses from different captures differ by 1.8 of the stated variance, 5
+# mm by 1.2, 10 mm by 1.0.
+_MIN_VIEW_BIAS = 0.008
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +69,8 @@ class Bundle:
     """(O,) views of the boards' outlines, with separate noise, bias and extra parameters."""
     outline_sensor: tuple[int, ...] = ()
     """(O,) index of each outline's sensor."""
-    settings: RigEstimationSettings = RigEstimationSettings()
+    prior_tail: float = _PRIOR_TAIL
+    """Standard deviations beyond which priors of the extra parameters have tails."""
 
     @property
     def all_views(self) -> tuple[BoardViews, ...]:
@@ -99,7 +116,7 @@ class Bundle:
     @property
     def prior_stddev(self) -> Array:
         """(G,) prior standard deviations of the reduced problem's parameters."""
-        pose = [self.settings.position_prior_stddev] * 3 + [self.settings.rotation_prior_stddev] * 3
+        pose = [_POSITION_PRIOR_STDDEV] * 3 + [_ROTATION_PRIOR_STDDEV] * 3
         return np.array(pose * self.body_count + [one.prior_stddev for one in self.extra_parameters])
 
     def prior_weights(self, extra: Array) -> Array:
@@ -108,7 +125,7 @@ class Bundle:
         Beyond some standard deviations, the prior has the tails of a Cauchy distribution: a lens or print that is
         grossly wrong contradicts it, and is then estimated from the data.
         """
-        tail = self.settings.systematic.prior_tail * np.array([one.prior_stddev for one in self.extra_parameters])
+        tail = self.prior_tail * np.array([one.prior_stddev for one in self.extra_parameters])
         weights = np.ones(self.parameter_count)
         weights[6 * self.body_count :] = (tail / np.maximum(np.abs(extra), tail)) ** 2
         return weights
@@ -120,7 +137,7 @@ class Bundle:
 
     def least_bias_variance(self, k: int) -> Array:
         """(4,) least variances of the bias of views k, in the columns of ``bias_variance``."""
-        least = self.settings.outlines.min_view_bias if k >= len(self.views) else 0.0
+        least = _MIN_VIEW_BIAS if k >= len(self.views) else 0.0
         return np.array([least, least / self.lever, least, 0.0]) ** 2
 
     def bias_variances(self, k: int) -> Array:
@@ -210,6 +227,11 @@ class MinimizedBundle:
     converged: bool
 
 
+# Residuals beyond this many standard deviations are down-weighted (Huber): Gaussian noise loses 0.3 % of its
+# information.
+RIG_ESTIMATION_HUBER_THRESHOLD = 2.5
+
+
 def linearize_bundle(
     bundle: Bundle, state: BundleState, cache: Sequence[CachedLinearization | None] = ()
 ) -> BundleEquations:
@@ -220,16 +242,16 @@ def linearize_bundle(
         state: the linearization point.
         cache: (K,) earlier linearizations of the same views, or None: extrapolated where they are near enough.
     """
-    size, boards, settings = bundle.parameter_count, len(state.T_root_board), bundle.settings
+    size, boards = bundle.parameter_count, len(state.T_root_board)
     cost, H, g = _prior_equations(bundle, state)
     H_board, g_board, H_board_sensor = np.zeros((boards, 6, 6)), np.zeros((boards, 6)), np.zeros((boards, 6, size))
     equations, linearizations = [], []
     for k, views in enumerate(bundle.all_views):
         bias, (T_sensor_board, extra) = bundle.bias_variances(k), _view_state(bundle, state, k)
         cached = cache[k] if cache else None
-        at = cached.extrapolate(views, T_sensor_board, extra, settings.extrapolation) if cached else None
+        at = cached.extrapolate(views, T_sensor_board, extra) if cached else None
         if not (cached and at):
-            cached = linearize_views(views, T_sensor_board, extra, bias, settings.huber_threshold)
+            cached = linearize_views(views, T_sensor_board, extra, bias, RIG_ESTIMATION_HUBER_THRESHOLD)
             at = cached.equations
         linearizations.append(cached)
         A, b, costs = at.marginalize_bias(bias)
@@ -251,6 +273,14 @@ def linearize_bundle(
     return BundleEquations(
         cost, tuple(equations), H, g, H_board, g_board, H_board_sensor, tuple(linearizations), extrapolated
     )
+
+
+# The solution is linearized exactly if the cost fell by more than this multiple of the solver's tolerance since
+# the last exact linearization: extrapolation is exact to second order below.
+_MAX_COST_RATIO = 20.0
+# Limit on steps of a solution, which states whether it converged: most take fewer than 10, and 0.3 % of those in
+# the tests reach it.
+_MAX_STEPS = 50
 
 
 def minimize_bundle(
@@ -283,14 +313,14 @@ def minimize_bundle(
         return equations
 
     def refine(state: BundleState, equations: BundleEquations, settled: bool) -> BundleEquations | None:
-        limit = bundle.settings.extrapolation.max_cost_ratio * tolerance if settled else 0.0
+        limit = _MAX_COST_RATIO * tolerance if settled else 0.0
         return linearize_bundle(bundle, state) if equations.extrapolated > limit else None
 
     run = partial(
         minimize,
         state,
         retract=lambda state, step: retract_state(bundle, state, *step),
-        iterations=bundle.settings.max_steps if iterations is None else iterations,
+        iterations=_MAX_STEPS if iterations is None else iterations,
         tolerance=tolerance,
         refine=refine if exact else None,
     )
@@ -379,7 +409,7 @@ def _prior_equations(bundle: Bundle, state: BundleState) -> tuple[float, Array, 
     off[6 * bundle.body_count :] = state.extra
     weights = bundle.prior_weights(state.extra)
     information = weights * bundle.prior_stddev**-2
-    tails = -np.log(weights) * bundle.settings.systematic.prior_tail**2
+    tails = -np.log(weights) * bundle.prior_tail**2
     return 0.5 * float(np.sum(information * off**2 + tails)), np.diag(information), information * off
 
 

@@ -11,7 +11,7 @@ from calgraph.geometry import Array
 from calgraph.graph.pairwise_estimate import PairwiseEstimate, select_matches
 from calgraph.rig.bundle.board_observations import BoardObservation, detected_nodes, group_detections
 from calgraph.rig.bundle.board_outlines import add_outlines
-from calgraph.rig.bundle.bundle_setup import build_bundle, update_noise
+from calgraph.rig.bundle.bundle_setup import INITIAL_VIEW_BIAS, build_bundle, update_noise
 from calgraph.rig.bundle.bundle_solver import (
     COARSE_TOLERANCE,
     Bundle,
@@ -22,13 +22,13 @@ from calgraph.rig.bundle.bundle_solver import (
 from calgraph.rig.bundle.covariances import pose_covariance
 from calgraph.rig.bundle.observations import relative_poses, stack_poses
 from calgraph.rig.bundle.priors import PosePrior, RigidGroup, apply_rigid_groups, with_priors, without_priors
-from calgraph.rig.bundle.settling import settle_variances
+from calgraph.rig.bundle.settling import STEPS_PER_ROUND, settle_variances
 from calgraph.rig.bundle.solution import MeasuredNoise, RigSolution, SolvedBundle
 from calgraph.rig.bundle.systematic_parameters import (
     estimated_print_scales,
     summarize_systematic_parameters,
 )
-from calgraph.rig.bundle.view_return import SettledBundle, return_excluded_views
+from calgraph.rig.bundle.view_return import MAX_ROUNDS, SettledBundle, return_excluded_views
 from calgraph.rig.captures.detect import CaptureSet
 
 _OUTLIER_VIEW = "outlier of the joint solution: inconsistent with the board's pose from the other sensors"
@@ -65,7 +65,7 @@ def solve_bundle(
     bundle, state = build_bundle(rig, captured, boards, T_root_sensor)
     bundle = without_priors(bundle)
     solution = minimize_bundle(bundle, state, tolerance=COARSE_TOLERANCE, exact=False)
-    bundle, solution, _ = settle_variances(bundle, solution, bundle.settings.variances.max_rounds)
+    bundle, solution, _ = settle_variances(bundle, solution, MAX_ROUNDS)
     settled = SettledBundle(bundle, solution, boards)
     if keep == "ransac":
         settled = return_excluded_views(settled, rig, captured)
@@ -153,6 +153,11 @@ def cramer_rao(
     return {name: blocks[i, :, i] for i, name in enumerate(bundle.sensors)}
 
 
+# Rounds with outlines. Most simulated rigs use all: the few edges of a board determine their noise poorly, and it
+# changes little else.
+_MAX_OUTLINE_ROUNDS = 12
+
+
 def _solve_with_outlines(settled: SettledBundle, rig: Rig, captured: CaptureSet) -> tuple[Bundle, MinimizedBundle]:
     """The bundle with outlines, and its solution.
 
@@ -160,9 +165,9 @@ def _solve_with_outlines(settled: SettledBundle, rig: Rig, captured: CaptureSet)
     the estimated noise of planes and prints.
     """
     bundle, solution = settled.bundle, settled.solution
-    settings = bundle.settings.variances
+    pass
     outlined, state = add_outlines(
-        bundle, solution.state, rig, captured.detections, settled.boards, settings.initial_view_bias**2
+        bundle, solution.state, rig, captured.detections, settled.boards, INITIAL_VIEW_BIAS**2
     )
     if not outlined.outlines:
         return bundle, solution
@@ -170,10 +175,10 @@ def _solve_with_outlines(settled: SettledBundle, rig: Rig, captured: CaptureSet)
     cached = [cached if kept else None for cached, kept in zip(solution.equations.cache, same, strict=True)]
     cache = (*cached, *[None] * len(outlined.outlines))
     solution = minimize_bundle(
-        outlined, state, cache, iterations=settings.steps_per_round, tolerance=COARSE_TOLERANCE, exact=False
+        outlined, state, cache, iterations=STEPS_PER_ROUND, tolerance=COARSE_TOLERANCE, exact=False
     )
     first = len(outlined.views)
-    bundle, solution, _ = settle_variances(outlined, solution, settings.max_outline_rounds, first=first)
+    bundle, solution, _ = settle_variances(outlined, solution, _MAX_OUTLINE_ROUNDS, first=first)
     return bundle, solution
 
 

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.boards.detections import PlanePatch, Segment
-from calgraph.config.settings import OutlineSettings
 from calgraph.geometry import Array, Index, se3, se_n, so3
 from calgraph.rig.bundle.observations import (
     LinearizedResiduals,
@@ -41,6 +40,22 @@ the scanner measures sides between beams of different azimuth and elevation, whi
 view."""
 
 
+# Minimum cosine of incidence (84°) of either beam: an error of 1 mrad moves a flatter one by more than 10 mm a
+# metre of range along the board.
+_OUTLINE_MIN_COSINE = 0.1
+# Maximum distance of the two beams of an edge on the board's plane: their standard deviation is 14 mm, five times
+# that of the usual spacing.
+_MAX_BEAM_SPACING = 0.05
+# Maximum distance of an edge from its side: four standard deviations of the coarsest edge; farther ones are of an
+# arm or a stand.
+_MAX_SIDE_DISTANCE = 0.06
+# Minimum distance of an edge from the corners: three standard deviations of the coarsest edge; nearer, its side
+# is ambiguous.
+_MIN_CORNER_DISTANCE = 0.04
+# Minimum standard deviation of an edge: boards are cut, and beams collimated, no more sharply.
+_BLUR = 0.002
+
+
 @dataclass(frozen=True, eq=False)
 class OutlineObservations:
     """Pairs of neighbouring beams, on the board and past it: the direction to a side of the board, across it.
@@ -67,7 +82,6 @@ class OutlineObservations:
     scaled so that its product with the direction to the side is the distance on the board."""
     along: Array
     """(M,) coordinate of the edge along its side, board frame, m."""
-    settings: OutlineSettings
     noise_scale: float = 1.0
     extra_of_local: Index = field(default_factory=lambda: np.zeros((0, 0), dtype=np.intp))
     """(V, 8) or (V, 0) index of ``OUTLINE_PARAMETERS`` in the scanner's extra parameters; -1 for exact ones."""
@@ -82,7 +96,6 @@ class OutlineObservations:
         board: Sequence[int],
         detections: Sequence[PlanePatch | Segment],
         half: Array,
-        settings: OutlineSettings,
     ) -> "OutlineObservations":
         """The views of these boards in their detections; no edge is used before :meth:`update_noise`."""
         edges = np.concatenate([np.empty((0, 2, 3)), *(d.edges for d in detections)])
@@ -95,7 +108,6 @@ class OutlineObservations:
             np.ones(len(edges)),
             np.zeros((len(edges), 3)),
             np.zeros(len(edges)),
-            settings,
             extra_of_local=no_extra(len(board)),
             twist=stack_twists(detections),
         )
@@ -174,9 +186,7 @@ class OutlineObservations:
         """See :class:`BoardViews`: the outline is uniformly distributed between the two beams, plus blur."""
         view = self._view
         T, half = se3.inverse(T_sensor_board)[view], self.half_size[view]
-        facing = (
-            np.abs((T[:, None, :3, :3] @ self.edges[..., None])[..., 2, 0]).min(axis=1) > self.settings.min_cosine
-        )
+        facing = np.abs((T[:, None, :3, :3] @ self.edges[..., None])[..., 2, 0]).min(axis=1) > _OUTLINE_MIN_COSINE
         on_board, past_board = (_intersect_boards(T, self.edges[:, i]) for i in (0, 1))
         across, midpoint = past_board - on_board, (on_board + past_board) / 2
         axis, sign = np.array([0, 0, 1, 1]), np.array([-1.0, 1.0, -1.0, 1.0])
@@ -186,13 +196,10 @@ class OutlineObservations:
         each = np.arange(len(view))
         used = (
             facing
-            & (np.linalg.norm(across, axis=1) < self.settings.max_beam_spacing)
-            & (distance[each, nearest] < self.settings.max_side_distance)
+            & (np.linalg.norm(across, axis=1) < _MAX_BEAM_SPACING)
+            & (distance[each, nearest] < _MAX_SIDE_DISTANCE)
             & (outward[each, nearest] > 0)
-            & (
-                half[each, 1 - nearest // 2] - np.abs(midpoint[each, 1 - nearest // 2])
-                > self.settings.min_corner_distance
-            )
+            & (half[each, 1 - nearest // 2] - np.abs(midpoint[each, 1 - nearest // 2]) > _MIN_CORNER_DISTANCE)
         )
         # Standard deviation of a uniform distribution over the beams' distance across the side.
         spread = outward[each, nearest] / np.sqrt(12)
@@ -205,7 +212,7 @@ class OutlineObservations:
         return replace(
             self,
             side=np.where(used, nearest, -1).astype(np.int8),
-            sigma=noise_scale * np.hypot(spread, self.settings.blur),
+            sigma=noise_scale * np.hypot(spread, _BLUR),
             across=normal * scale[:, None],
             along=midpoint[each, 1 - nearest // 2],
             noise_scale=noise_scale,
@@ -232,7 +239,7 @@ class OutlineObservations:
         """Of the edges between close beams, the view of each (N,) and its place in the board's plane (N, 2), m."""
         T = se3.inverse(T_sensor_board)[self._view]
         on_board, past_board = (_intersect_boards(T, self.edges[:, i]) for i in (0, 1))
-        dense = np.linalg.norm(past_board - on_board, axis=1) < self.settings.max_beam_spacing
+        dense = np.linalg.norm(past_board - on_board, axis=1) < _MAX_BEAM_SPACING
         return self._view[dense], (on_board + past_board)[dense] / 2
 
     @property

@@ -1,11 +1,11 @@
 """Registers rectangles to points on their outlines, in the plane."""
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.config.settings import BoardRegistrationSettings
 from calgraph.geometry import Array, Index, se3, so3
 
 # Grids of the search over rotations: coarse, then about its minimum, rad. Its result, to half a degree, is a start
@@ -17,36 +17,44 @@ _FINE_ANGLES = np.radians(np.arange(-4.0, 4.5, 1.0))
 _COARSE_ITERATIONS, _FINE_ITERATIONS = 2, 6
 
 
-def register_rectangles(
-    points: Sequence[Array], half: Array, settings: BoardRegistrationSettings
-) -> tuple[Array, NDArray[np.bool_]]:
+# Minimum number of edges of a board: its pose in the plane has three parameters.
+_MIN_POINTS = 6
+# Distances of edges from the outline are truncated at this: three standard deviations of the coarsest.
+_MAX_DISTANCE = 0.05
+# Minimum difference of other rotations, rad (20°): smaller ones belong to the same minimum.
+_MIN_ROTATION_APART = math.radians(20)
+# Maximum mean distance of edges from an accepted outline: edges between beams 5 cm apart have 12 mm.
+_MAX_MEAN_DISTANCE = 0.02
+# Minimum ratio of the mean distances of any other rotation and the best one: outlines of nearly square boards are
+# ambiguous.
+_AMBIGUITY_RATIO = 1.5
+
+
+def register_rectangles(points: Sequence[Array], half: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Poses of rectangles in the plane from points on their outlines.
 
     Args:
         points: (M, 2) of each of n rectangles, in its plane, m.
         half: (2,) half width and half height of all of them, m.
-        settings: limits of an accepted fit.
 
     Returns:
         (n, 4, 4) poses of the rectangles in their planes, and (n,) whether each is certain: it has enough points,
         and one rotation only fits.
     """
     T = np.tile(np.eye(4), (len(points), 1, 1))
-    enough = np.array([len(p) >= settings.min_points for p in points], dtype=np.bool_)
+    enough = np.array([len(p) >= _MIN_POINTS for p in points], dtype=np.bool_)
     if not enough.any():
         return T, enough
     padded, valid = _pad_points([p for p, several in zip(points, enough, strict=True) if several])
     n = np.arange(len(padded))
     angles = np.broadcast_to(_COARSE_ANGLES, (len(padded), len(_COARSE_ANGLES)))
-    _, distances = _register_shifts(padded, valid, angles, half, settings.max_distance, _COARSE_ITERATIONS)
+    _, distances = _register_shifts(padded, valid, angles, half, _MAX_DISTANCE, _COARSE_ITERATIONS)
     best = np.argmin(distances, axis=1)
     apart = np.abs((_COARSE_ANGLES - _COARSE_ANGLES[best, None] + np.pi / 2) % np.pi - np.pi / 2)
-    second = np.where(apart > settings.min_rotation_apart, distances, np.inf).min(axis=1)
-    unique = (distances[n, best] <= settings.max_mean_distance) & (
-        second >= settings.ambiguity_ratio * distances[n, best]
-    )
+    second = np.where(apart > _MIN_ROTATION_APART, distances, np.inf).min(axis=1)
+    unique = (distances[n, best] <= _MAX_MEAN_DISTANCE) & (second >= _AMBIGUITY_RATIO * distances[n, best])
     angles = _COARSE_ANGLES[best, None] + _FINE_ANGLES
-    centers, distances = _register_shifts(padded, valid, angles, half, settings.max_distance, _FINE_ITERATIONS)
+    centers, distances = _register_shifts(padded, valid, angles, half, _MAX_DISTANCE, _FINE_ITERATIONS)
     best = np.argmin(distances, axis=1)
     R = so3.exp(np.column_stack([np.zeros((len(padded), 2)), angles[n, best]]))
     shifts = np.column_stack([centers[n, best], np.zeros(len(padded))])

@@ -10,10 +10,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.config.settings import ExtrapolationSettings
 from calgraph.geometry import Array, Index
 from calgraph.rig.bundle.normal_equations import ViewNormalEquations, accumulate_biased
 from calgraph.rig.bundle.observations import BoardViews
+
+# Maximum root mean square change of the residuals of any view, in standard deviations: the error is of second
+# order in it. 0 linearizes at every state.
+_MAX_RESIDUAL_CHANGE = 0.3
+# Maximum rotation of a board, rad (0.6°): ranges change by its square, 1e-4, beyond first order.
+_MAX_ROTATION = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,17 +31,15 @@ class CachedLinearization:
     """(e,) the sensor's extra parameters."""
     equations: ViewNormalEquations
 
-    def extrapolate(
-        self, views: BoardViews, T_sensor_board: Array, extra: Array, limits: ExtrapolationSettings
-    ) -> ViewNormalEquations | None:
+    def extrapolate(self, views: BoardViews, T_sensor_board: Array, extra: Array) -> ViewNormalEquations | None:
         """The equations at other poses (V, 4, 4) and extra parameters (e,); None beyond the limits."""
         if not views.is_defined(T_sensor_board, extra):
             return None
         cosine = np.sum(self.T_sensor_board[:, :3, 2] * T_sensor_board[:, :3, 2], axis=-1)
         change = views.local_difference(self.T_sensor_board, T_sensor_board, extra - self.extra)
         squared, count = self.equations.squared_change(change), self.equations.residual_count
-        near = squared <= limits.max_residual_change**2 * count
-        if not np.all(near & (cosine >= np.cos(limits.max_rotation))):
+        near = squared <= _MAX_RESIDUAL_CHANGE**2 * count
+        if not np.all(near & (cosine >= np.cos(_MAX_ROTATION))):
             return None
         return self.equations.extrapolate(change, views.local_jacobian(T_sensor_board))
 

@@ -12,9 +12,29 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calgraph.config.settings import ResidualDistortionSettings
 from calgraph.geometry import Array
 from calgraph.sensors import CameraModel
+
+# Distance from the image, in its diagonals, at which the field has no slope: a correlation length, beyond which
+# that has no effect.
+_MARGIN = 0.05
+# Shortest wavelength of the field, in diagonals of the image: boards are rarely smaller, and shorter waves
+# displace all corners of one to and fro. The number of coefficients grows with its inverse square; here 114.
+_MIN_WAVELENGTH = 0.2
+# The same along the radius, where the number of coefficients grows with its inverse alone; here 10. Shorter waves
+# are attributed to the intrinsics: if this is 0.2, waves of 0.3 px and 0.14 to 0.17 diagonals make focal lengths
+# wrong by up to 2 % with 60 views.
+_MIN_RADIAL_WAVELENGTH = 0.1
+# Length over which displacements are correlated, in diagonals of the image: half the spacing of the control
+# points with which splines describe real lenses (Schöps et al., "Why having 10,000 parameters in your camera
+# model is better than twelve", 2020).
+_CORRELATION_LENGTH = 0.05
+# Power by which the variance falls with the squared frequency beyond the correlation length: 1.5 is a Matérn
+# process of smoothness 1/2, the roughest one usual.
+_SPECTRAL_DECAY = 1.5
+# Share of the variance that displacements along the radius have, which are the same in all directions: lenses are
+# made round, and their models are short polynomials of the radius.
+_RADIAL_SHARE = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,13 +53,13 @@ class ResidualDistortion:
     """(2 K + R,) prior standard deviations of the coefficients of a field with an RMS of 1 px along each axis."""
 
     @classmethod
-    def over_images(cls, camera: CameraModel, settings: ResidualDistortionSettings) -> "ResidualDistortion":
+    def over_images(cls, camera: CameraModel) -> "ResidualDistortion":
         """The field over the images of a camera."""
         size = np.array([camera.width, camera.height])
         diagonal = float(np.linalg.norm(size))
-        margin = settings.margin * diagonal
-        highest = 2 * np.pi / (settings.min_wavelength * diagonal)
-        highest_radial = 2 * np.pi / (settings.min_radial_wavelength * diagonal)
+        margin = _MARGIN * diagonal
+        highest = 2 * np.pi / (_MIN_WAVELENGTH * diagonal)
+        highest_radial = 2 * np.pi / (_MIN_RADIAL_WAVELENGTH * diagonal)
         n = np.stack(np.meshgrid(*(_frequencies(side + 2 * margin, highest) for side in size)), axis=-1)
         # A displacement of all pixels is one of the principal point.
         frequency = np.array([one for one in n.reshape(-1, 2) if 0 < np.linalg.norm(one) <= highest])
@@ -47,14 +67,12 @@ class ResidualDistortion:
 
         def share_variance(frequencies: Array, total: float) -> Array:
             """The prior variances of coefficients: those of the spectrum of a Matérn process, with their sum."""
-            spectrum = (
-                1 + (frequencies * settings.correlation_length * diagonal) ** 2
-            ) ** -settings.spectral_decay
+            spectrum = (1 + (frequencies * _CORRELATION_LENGTH * diagonal) ** 2) ** -_SPECTRAL_DECAY
             return np.asarray(total * spectrum / spectrum.sum())
 
-        along_axis = share_variance(np.linalg.norm(frequency, axis=-1), 1 - settings.radial_share)
+        along_axis = share_variance(np.linalg.norm(frequency, axis=-1), 1 - _RADIAL_SHARE)
         # A sine has a mean square of a half, of which either axis has a half.
-        along_radius = share_variance(radial, 4 * settings.radial_share)
+        along_radius = share_variance(radial, 4 * _RADIAL_SHARE)
         stddev = np.sqrt(np.concatenate([along_axis, along_axis, along_radius]))
         return cls(frequency, np.full(2, -margin), radial, camera.principal_point, stddev)
 

@@ -22,6 +22,12 @@ from calgraph.rig.bundle.variance_components import (
     update_variance_components,
 )
 
+# Change of all variances in a round, in their standard errors, at which they have settled: a smaller change is
+# hidden by the chance of the recording.
+MAX_SETTLED_CHANGE = 0.2
+# Levenberg–Marquardt steps in a round: noise changes between rounds, so that none needs to converge alone.
+STEPS_PER_ROUND = 4
+
 
 def settle_variances(
     complete: Bundle,
@@ -45,14 +51,14 @@ def settle_variances(
     Returns:
         The bundle of the kept views, its solution, and the masks (K,) of the views that are kept.
     """
-    settings = complete.settings.variances
+    pass
     kept = kept or [np.ones(len(views.board), dtype=np.bool_) for views in complete.all_views]
     bundle = select_views(complete, complete, solution.state, kept)
     returned = barred = [np.zeros_like(part) for part in kept]
     for _ in range(rounds):
         before, factors = bundle, view_covariance_factors(bundle, solution.equations, first=first)
         bundle, change = update_variance_components(bundle, solution, factors, first)
-        settled = change < settings.max_settled_change
+        settled = change < MAX_SETTLED_CHANGE
         selected = _judge_views(complete, before, solution, factors, kept, first, settled=settled)
         # A view that was rejected again after its return would return in every third round.
         barred = [
@@ -70,7 +76,7 @@ def settle_variances(
             bundle,
             solution.state,
             cache,
-            iterations=settings.steps_per_round,
+            iterations=STEPS_PER_ROUND,
             tolerance=COARSE_TOLERANCE,
             exact=False,
         )
@@ -96,7 +102,7 @@ def _judge_views(
     if not all(np.all(part) for part in kept):
         equations = linearize_bundle(scaled, solution.state)
         factors = view_covariance_factors(scaled, solution.equations, equations.views, first)
-    consistency = measure_consistency(scaled, equations, factors, kept, first)
+    consistency = measure_consistency(equations, factors, kept, first)
     return select_consistent_views(scaled, consistency, kept, settled=settled, first=first)
 
 

@@ -3,6 +3,7 @@
 What the data do not determine, the prior does: its standard deviation is part of the covariance of all poses.
 """
 
+import math
 from collections.abc import Hashable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -10,7 +11,6 @@ import numpy as np
 
 from calgraph.boards.landmarks import compute_landmarks
 from calgraph.config import Board, CameraSpec, Lidar2dSpec, Lidar3dSpec, Rig, SensorSpec
-from calgraph.config.settings import SystematicParameterSettings
 from calgraph.geometry import Array, Index
 from calgraph.result import EstimatedParameter
 from calgraph.rig.bundle.bundle_parameters import SystematicParameter
@@ -104,19 +104,24 @@ def add_systematic_parameters(
     """
     table = ParameterTable()
     all_views: list[BoardViews] = []
-    settings = bundle.settings.systematic
+    pass
     prints = [_print_of(board, i, len(rig.boards)) for i, board in enumerate(rig.boards)]
     for k, (name, views) in enumerate(zip(bundle.sensors, bundle.views, strict=True)):
         spec, number = rig.sensors[name], board_number[views.board]
         if isinstance(views, CornerObservations):
             assert isinstance(spec, CameraSpec)
-            all_views.append(_add_to_camera(table, k, name, views, spec, prints, number, settings))
+            all_views.append(_add_to_camera(table, k, name, views, spec, prints, number))
         else:
             assert isinstance(views, RangeObservations)
             assert not isinstance(spec, CameraSpec)
-            all_views.append(_add_to_scanner(table, k, name, views, spec, rig, number, settings))
+            all_views.append(_add_to_scanner(table, k, name, views, spec, rig, number))
     extended = replace(bundle, views=tuple(all_views), extra_parameters=tuple(table.parameters))
     return extended, replace(state, extra=np.zeros(len(table.parameters)))
+
+
+# Prior standard deviation of the offset by which a scanner measures sides too far out: half the footprint of a
+# beam of 3 mrad at 6 m.
+_OFFSET_STDDEV = 0.01
 
 
 def add_outline_parameters(
@@ -135,8 +140,7 @@ def add_outline_parameters(
     found = []
     for i, (outline, sensor) in enumerate(zip(outlines, scanners, strict=True)):
         footprints: list[_Candidate | None] = [
-            _Candidate(bundle.sensors[sensor], quantity, "m", bundle.settings.outlines.offset_stddev)
-            for quantity in FOOTPRINTS
+            _Candidate(bundle.sensors[sensor], quantity, "m", _OFFSET_STDDEV) for quantity in FOOTPRINTS
         ]
         azimuths: _Candidate | None = None
         if isinstance(spec := rig.sensors[bundle.sensors[sensor]], Lidar2dSpec):
@@ -200,7 +204,6 @@ def _add_to_camera(
     spec: CameraSpec,
     prints: Sequence["_Print"],
     number: Index,
-    settings: SystematicParameterSettings,
 ) -> CornerObservations:
     camera = _with_estimated_distortion(views.camera)
     lens: list[_Candidate | None] = list(_lens_parameters(name, camera, spec))
@@ -210,7 +213,7 @@ def _add_to_camera(
     of_times = [_stamp_delay(k, name, spec), _readout_time(name, spec)] if timed else []
     # Of lenses whose intrinsics were estimated; others, and those like their models, have none.
     size = spec.stated_intrinsics.model_error if spec.stated_intrinsics else None
-    field = ResidualDistortion.over_images(camera, settings.residual_distortion) if size else None
+    field = ResidualDistortion.over_images(camera) if size else None
     coefficients = [
         _Candidate(name, f"{RESIDUAL_DISTORTION} {i + 1}", "px", stddev)
         for i, stddev in enumerate((size * field.stddev).tolist() if size and field else ())
@@ -344,7 +347,6 @@ def _add_to_scanner(
     spec: Lidar2dSpec | Lidar3dSpec,
     rig: Rig,
     number: Index,
-    settings: SystematicParameterSettings,
 ) -> RangeObservations:
     prior = spec.uncertainty
     shared: list[_Candidate | None] = [
@@ -359,7 +361,7 @@ def _add_to_scanner(
         last = [_Candidate(name, "angle scale", "", spec.uncertainty.angle_scale, 1.0), *delay]
     else:
         last = [*delay]
-        elevations, ring = find_rings(views.directions, settings)
+        elevations, ring = find_rings(views.directions)
         if len(elevations):
             views = views.with_rings(ring, len(elevations))
             last += [
@@ -376,12 +378,19 @@ def _add_to_scanner(
     return replace(views, extra_of_local=extra_of_local, extra_count=count)
 
 
-def find_rings(directions: Array, settings: SystematicParameterSettings) -> tuple[Array, Index]:
+# Minimum gap between the elevations of two rings of a 3-D scanner, rad (0.1°): the closest rings of scanners with
+# 128 of them are 0.11° apart, and the elevations of one ring have no gaps.
+_MIN_RING_GAP = math.radians(0.1)
+# Maximum number of ring biases of a scanner; neighbouring rings of scanners with more share one. The mean bias of
+# m rings is smaller by the root of m, and the time of a solution grows with the square of the number.
+_MAX_RINGS = 32
+
+
+def find_rings(directions: Array) -> tuple[Array, Index]:
     """Rings of a multi-beam scanner, by their elevations.
 
     Args:
         directions: (N, 3) unit vectors of beams, sensor frame.
-        settings: the gap between rings, and their largest number.
 
     Returns:
         Mean elevations (R,) of the rings, rad, ascending, and the ring (N,) of each beam; none where elevations
@@ -389,12 +398,12 @@ def find_rings(directions: Array, settings: SystematicParameterSettings) -> tupl
     """
     elevation = np.arcsin(np.clip(directions[:, 2], -1, 1))
     order = np.argsort(elevation)
-    first = np.diff(elevation[order], prepend=-np.inf) > settings.min_ring_gap
+    first = np.diff(elevation[order], prepend=-np.inf) > _MIN_RING_GAP
     ring = np.empty(len(order), dtype=np.intp)
     ring[order] = np.cumsum(first) - 1
     count = int(first.sum())
     if count < 2:
         return np.zeros(0), np.zeros(len(directions), dtype=np.intp)
-    if count > settings.max_rings:
-        ring, count = ring * settings.max_rings // count, settings.max_rings
+    if count > _MAX_RINGS:
+        ring, count = ring * _MAX_RINGS // count, _MAX_RINGS
     return np.bincount(ring, elevation, count) / np.bincount(ring, minlength=count), ring

@@ -7,12 +7,24 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtr, chdtri
 
-from calgraph.config.settings import VarianceComponentSettings
 from calgraph.geometry import Array, Index, se_n
-from calgraph.rig.bundle.bundle_solver import Bundle, BundleEquations, MarginalizedViews, MinimizedBundle
+from calgraph.rig.bundle.bundle_solver import (
+    RIG_ESTIMATION_HUBER_THRESHOLD,
+    Bundle,
+    BundleEquations,
+    MarginalizedViews,
+    MinimizedBundle,
+)
 from calgraph.rig.bundle.normal_equations import huber_variance_factor
 from calgraph.rig.bundle.observations import relative_poses
 from calgraph.rig.bundle.whitening import consistency_statistic
+
+# Relative ridge on the Fisher matrix: two sensors determine the sum of their variances only, and the step along
+# the difference is zero.
+_FISHER_RIDGE = 0.01
+# Smaller relative changes of a noise are not applied: they would only cost a linearization, and are a quarter of
+# noise_tolerance.
+_MIN_NOISE_CHANGE = 5e-3
 
 
 def update_variance_components(
@@ -41,7 +53,7 @@ def update_variance_components(
         The bundle, and the largest change of a variance in its standard errors.
     """
     statistics = [_view_statistics(bundle, solution.equations, k, F) for k, F in enumerate(factors, start=first)]
-    settings = bundle.settings.variances
+    pass
     # Noise and bias of each in turn.
     score = np.concatenate([one.score for one in statistics])
     end = np.cumsum([len(one.score) for one in statistics])
@@ -62,16 +74,16 @@ def update_variance_components(
     least[end - [len(one.score) for one in statistics]] = [one.bounds[0] for one in statistics]
     most[end - [len(one.score) for one in statistics]] = [one.bounds[1] for one in statistics]
     _add_prior_of_biases(bundle, statistics, rows, before, score, fisher)
-    after = np.minimum(_fisher_scoring_step(before, score, fisher, least, settings.fisher_ridge), most)
+    after = np.minimum(_fisher_scoring_step(before, score, fisher, least, _FISHER_RIDGE), most)
     state, all_views, bias_variance = solution.state, list(bundle.all_views), bundle.bias_variance.copy()
     change = np.zeros_like(after)
     for k, (one, row) in enumerate(zip(statistics, rows, strict=True), start=first):
         views, (noise, *bias) = bundle.all_views[k], after[row]
         bias_variance[k, one.components] = np.maximum(bias, bundle.least_bias_variance(k)[one.components])
         change[row.start + 1 : row.stop] = (bias_variance - bundle.bias_variance)[k, one.components]
-        scale = _shrink_noise_scale(views.noise_scale**2 * noise, one.fisher[0, 0], settings)
+        scale = _shrink_noise_scale(views.noise_scale**2 * noise, one.fisher[0, 0])
         change[row.start] = 0.0
-        if abs(scale / views.noise_scale - 1) >= settings.min_noise_change:
+        if abs(scale / views.noise_scale - 1) >= _MIN_NOISE_CHANGE:
             change[row.start] = (scale / views.noise_scale) ** 2 - 1
             T_root_sensor = state.T_root_sensor[bundle.sensor_of(k)]
             T_sensor_board = relative_poses(T_root_sensor, state.T_root_board[views.board])
@@ -101,10 +113,15 @@ class _ViewStatistics:
     """Of the noise variance in one step."""
 
 
+# Factor that bounds the change of a noise variance by the scatter among views in one round: before outliers are
+# rejected, it is too large.
+_MAX_VARIANCE_FACTOR = 4.0
+
+
 def _view_statistics(bundle: Bundle, equations: BundleEquations, k: int, factors: Array) -> _ViewStatistics:
     """Those of views k, with their ``factors`` of :func:`view_covariance_factors`."""
     unmarginalized, at, views = equations.cache[k].equations, equations.views[k], bundle.all_views[k]
-    settings, p, R = bundle.settings.variances, unmarginalized.pose_count, views.ring_count
+    p, R = unmarginalized.pose_count, views.ring_count
     squares, freedom = unmarginalized.within_view_scatter()
     components = np.array(bundle.bias_components(k), dtype=np.intp)
     by_pose, q = se_n.transpose(at.local_jacobian[..., :6]), at.information.shape[-1]
@@ -126,19 +143,19 @@ def _view_statistics(bundle: Bundle, equations: BundleEquations, k: int, factors
     solution_factors = weighted @ factors
     W = weighted @ se_n.transpose(directions)
     W = W - solution_factors @ se_n.transpose(solution_factors)
-    weight = _downweight_views(at, factors, unmarginalized.pose_count, settings)
+    weight = _downweight_views(at, factors, unmarginalized.pose_count)
     among = weight[:, None] * (directions @ at.gradient[..., None])[..., 0] ** 2
     expected = np.diagonal(W, axis1=-2, axis2=-1)
     score = np.einsum("vci,vi->c", of_variance, among - expected)
     fisher = _sum_squares(W, of_variance, of_variance)
     within, freedom = (
-        squares.sum() / huber_variance_factor(views.dimension, bundle.settings.huber_threshold),
+        squares.sum() / huber_variance_factor(views.dimension, RIG_ESTIMATION_HUBER_THRESHOLD),
         freedom.sum(),
     )
     score[0] += within - freedom
     fisher[0, 0] += freedom
     expected_among = np.sum(of_variance[:, 0] * expected)
-    max_factor = settings.max_variance_factor
+    max_factor = _MAX_VARIANCE_FACTOR
     low, high = (
         (within + factor * expected_among) / max(freedom + expected_among, 1.0)
         for factor in (1 / max_factor, max_factor)
@@ -148,24 +165,40 @@ def _view_statistics(bundle: Bundle, equations: BundleEquations, k: int, factors
     )
 
 
-def _downweight_views(
-    at: MarginalizedViews, factors: Array, pose_count: int, settings: VarianceComponentSettings
-) -> Array:
+# Directions that the other views check with less than this redundancy number (Baarda) do not enter the test for
+# outliers, nor that of priors: an error there has little effect, and the statistic would amplify rounding.
+VARIANCE_COMPONENT_MIN_REDUNDANCY = 1e-3
+# Share of correct views whose statistics are truncated when variances are estimated: variances stay bounded with
+# up to half of outlier views.
+_TRUNCATED_SHARE = 0.1
+
+
+def _downweight_views(at: MarginalizedViews, factors: Array, pose_count: int) -> Array:
     """(V,) weights of the squared gradients of views: those of outliers are truncated at a quantile.
 
     The mean of a truncated χ² is smaller by a factor that the weights make up for. Source: Huber, "Robust
     statistics", 1981, section 5.3 (proposal 2).
     """
-    squared, freedom = _test_poses(at, factors, pose_count, settings.min_redundancy)
+    squared, freedom = _test_poses(at, factors, pose_count, VARIANCE_COMPONENT_MIN_REDUNDANCY)
     d = np.maximum(freedom, 1)
-    limit = chdtri(d, settings.truncated_share)
-    mean_share = chdtr(d + 2, limit) + limit / d * settings.truncated_share
+    limit = chdtri(d, _TRUNCATED_SHARE)
+    mean_share = chdtr(d + 2, limit) + limit / d * _TRUNCATED_SHARE
     return np.asarray(np.minimum(1, limit / np.maximum(squared, 1e-12)) / mean_share)
 
 
 def _sum_squares(W: Array, rows: Array, columns: Array) -> Array:
     """(c, d) weighted sums of the squares of matrices (V, m, n), with weights (V, c, m) and (V, d, n)."""
     return np.asarray(np.sum(rows @ W**2 @ se_n.transpose(columns), axis=0))
+
+
+# Weight of the usual view bias, in degrees of freedom: as much as one or two views.
+_USUAL_BIAS_WEIGHT = 2.0
+# Usual standard deviation of a view's displacement, of its edges' by a tilt, and of a ring's ranges, m: boards
+# are flat, and ranges of one material right, to 1 to 2 mm. Estimates from few views are drawn towards it.
+_USUAL_VIEW_BIAS = 0.0015
+# Usual standard deviation of the stamps of a moving board's views, s: half of an exposure. Estimates from few
+# views are drawn towards it.
+_USUAL_STAMP_ERROR = 0.002
 
 
 def _add_prior_of_biases(
@@ -181,10 +214,10 @@ def _add_prior_of_biases(
     Without them, the estimate from few views is zero as often as not, and the poses' covariance too small. Source:
     Chung et al., "A nondegenerate penalized likelihood estimator for variance parameters", Psychometrika 2013.
     """
-    settings, weight = bundle.settings.variances, bundle.settings.variances.usual_bias_weight
-    displacement = settings.usual_view_bias
+    weight = _USUAL_BIAS_WEIGHT
+    displacement = _USUAL_VIEW_BIAS
     # In the columns of ``bias_variance``.
-    usual = np.square([displacement, displacement / bundle.lever, displacement, settings.usual_stamp_error])
+    usual = np.square([displacement, displacement / bundle.lever, displacement, _USUAL_STAMP_ERROR])
     for one, row in zip(statistics, rows, strict=True):
         bias = np.arange(row.start + 1, row.stop)
         at = np.maximum(variances[bias], usual[one.components])
@@ -192,14 +225,20 @@ def _add_prior_of_biases(
         fisher[bias, bias] += weight / at**2
 
 
-def _shrink_noise_scale(variance: float, freedom: float, settings: VarianceComponentSettings) -> float:
+# Minimum noise over the stated one: a noise of zero, as of detections without noise, would be singular.
+_MIN_NOISE_RATIO = 0.01
+# Weight of the stated noise, in degrees of freedom: rig.yaml is right to a factor of about 1.5.
+STATED_NOISE_WEIGHT = 3.0
+
+
+def _shrink_noise_scale(variance: float, freedom: float) -> float:
     """Noise over that stated, shrunk towards 1, from its estimated variance with ``freedom`` degrees of freedom.
 
     The stated noise is uncertain by a factor, so logarithms are averaged: in a mean of variances, noise stated ten
     times too large would weigh as a hundred measurements.
     """
-    least = settings.min_noise_ratio**2
-    return float(np.sqrt(max(variance, least)) ** (freedom / (freedom + settings.stated_noise_weight)))
+    least = _MIN_NOISE_RATIO**2
+    return float(np.sqrt(max(variance, least)) ** (freedom / (freedom + STATED_NOISE_WEIGHT)))
 
 
 def _fisher_scoring_step(variances: Array, score: Array, fisher: Array, least: Array, ridge: float) -> Array:
@@ -228,7 +267,6 @@ class ViewConsistency:
 
 
 def measure_consistency(
-    bundle: Bundle,
     equations: BundleEquations,
     factors: Sequence[Array],
     kept: Sequence[NDArray[np.bool_]],
@@ -237,7 +275,6 @@ def measure_consistency(
     """The consistency of each view with those that a solution is made of, by view set from ``first`` on.
 
     Args:
-        bundle: all views.
         equations: of all views, at the solution of those that are kept.
         factors: of :func:`calgraph.rig.bundle.covariances.view_covariance_factors` of that solution, from
             ``first`` on.
@@ -245,7 +282,7 @@ def measure_consistency(
         first: index of the first view set.
     """
     found = []
-    least = bundle.settings.variances.min_redundancy
+    least = VARIANCE_COMPONENT_MIN_REDUNDANCY
     of_views = zip(equations.cache[first:], equations.views[first:], factors, kept[first:], strict=True)
     for cached, at, F, part in of_views:
         pose_count = cached.equations.pose_count
@@ -278,6 +315,20 @@ def _test_poses(
     return np.where(finite, squared, np.inf), freedom
 
 
+# Probability that a correct view fails the χ² test for outliers: with 1,000 views, one recording in 100 loses
+# one.
+OUTLIER_SIGNIFICANCE = 1e-5
+# Test statistic over its limit beyond which a view is rejected before variances have settled: the displacement is
+# 1.7 times that of the limit, and the initial variances are larger than usual ones.
+_GROSS_OUTLIER_RATIO = 3.0
+# Views with a smaller share of the largest test statistic wait for the next round: a gross outlier biases the
+# statistics of all others.
+_MIN_SHARE_OF_WORST = 0.25
+# A sensor that would lose a larger share of its views keeps them: where most views are outliers, the model of the
+# sensor is wrong instead.
+_MAX_OUTLIER_SHARE = 0.5
+
+
 def select_consistent_views(
     bundle: Bundle,
     consistency: Sequence[ViewConsistency],
@@ -293,21 +344,21 @@ def select_consistent_views(
     are rejected, and no view returns; nor does one of a board that no view locates, with which any would agree.
     Views before ``first`` stay as they are; ``consistency`` is of the others.
     """
-    settings, judged = bundle.settings.variances, bundle.all_views[first:]
+    judged = bundle.all_views[first:]
     worst: Array = np.zeros(1 + max(int(views.board.max(initial=-1)) for views in bundle.all_views))
     located = np.zeros(len(worst), dtype=np.bool_)
     for views, part in zip(bundle.all_views, kept, strict=True):
         located[views.board[part]] = True
-    excess = [one.excess(settings.outlier_significance) for one in consistency]
+    excess = [one.excess(OUTLIER_SIGNIFICANCE) for one in consistency]
     for views, over, part in zip(judged, excess, kept[first:], strict=True):
         worst[views.board] = np.maximum(worst[views.board], np.where(part, over, 0.0))
-    least = 1.0 if settled else settings.gross_outlier_ratio
-    limit = max(least, settings.min_share_of_worst * worst.max(initial=0.0))
+    least = 1.0 if settled else _GROSS_OUTLIER_RATIO
+    limit = max(least, _MIN_SHARE_OF_WORST * worst.max(initial=0.0))
     selected = [*kept[:first]]
     for views, over, part in zip(judged, excess, kept[first:], strict=True):
         rejected = part & (over > limit) & (over >= worst[views.board])
         left = part & ~rejected
-        if left.sum() < (1 - settings.max_outlier_share) * len(part):
+        if left.sum() < (1 - _MAX_OUTLIER_SHARE) * len(part):
             # Its model is wrong instead.
             left = part
         # A return waits until the outliers are gone that bias the solution.

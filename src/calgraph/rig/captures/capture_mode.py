@@ -8,7 +8,7 @@ from calgraph.config import Capture, CaptureMode
 from calgraph.config.settings import CaptureSettings
 from calgraph.geometry import Array
 from calgraph.rig.captures.stamp_groups import StampGroup, group_bursts, group_frames, measure_spread, split_bursts
-from calgraph.rig.captures.stillness import find_rests
+from calgraph.rig.captures.stillness import MAX_MOTION_PERIOD, find_rests
 from calgraph.rig.captures.timeline import RecordingTimeline, SensorTimes
 
 
@@ -22,6 +22,15 @@ class RecognizedMode:
     """Why, in one sentence without full stop."""
     spread: float | None = None
     """Median time between the first and the last stamp of a set of frames, s, where the stamps show such sets."""
+
+
+# Number of rests from which the captures are rests although the stamps show sets of frames of a moving board: a
+# dozen poses calibrate a sensor, and frames of a board at rest are the better ones.
+_MIN_RESTS = 12
+# Share of the recording in which nothing moves, below which fewer rests than min_rests are those of a moving
+# board, at start and end or where it is turned back: operators who hold the board still do so for half of the
+# time.
+_MIN_REST_SHARE = 0.2
 
 
 def recognize_mode(
@@ -45,9 +54,9 @@ def recognize_mode(
     if timeline.poses:
         return RecognizedMode("snapshots", f"each of {len(timeline.poses)} recordings is short, and of one pose")
     if is_snapshot_recording(timeline, settings.max_snapshot_gap) or _has_separate_bursts(timeline, settings):
-        poses = max((len(_bursts(times, settings)) for times in timeline.sensors.values()), default=0)
+        poses = max((len(_bursts(times)) for times in timeline.sensors.values()), default=0)
         return RecognizedMode("snapshots", f"the sensors measured {poses} times, with pauses in between")
-    frames = find_frame_sets(timeline, capture, settings)
+    frames = find_frame_sets(timeline, capture)
     spread = measure_spread(frames) if _are_synchronized(frames, timeline, settings) else None
     if not any(times.activity.any() for times in timeline.sensors.values()):
         reason = "the sensors measure continuously; how much their views change was not measured"
@@ -56,7 +65,7 @@ def recognize_mode(
     rests = [(a, b) for a, b in find_rests(timeline, settings) if capture.allows(a - begin, b - begin)]
     # A moving board may rest for a moment: when the recording starts and ends, and where it is turned back.
     share = sum(b - a for a, b in rests) / _duration(timeline)
-    rested = len(rests) >= settings.min_rests or share >= settings.min_rest_share
+    rested = len(rests) >= _MIN_RESTS or share >= _MIN_REST_SHARE
     if rests and (spread is None or rested):
         return RecognizedMode("rest", f"nothing moves in {len(rests)} intervals of the recording", spread)
     if spread is None:
@@ -80,14 +89,18 @@ def is_snapshot_recording(timeline: RecordingTimeline, max_gap: float) -> bool:
     return not gaps or bool(np.min(np.concatenate(gaps)) > 2 * max_gap)
 
 
-def find_frame_sets(
-    timeline: RecordingTimeline, capture: Capture, settings: CaptureSettings = CaptureSettings()
-) -> list[StampGroup]:
+# Maximum time between the stamps of a set of frames, where rig.yaml states none, over the shortest period of a
+# sensor: sets of consecutive frames do not overlap, and triggers of cameras and drivers that read one camera
+# after the other stay within it.
+_MAX_SPREAD_SHARE = 0.35
+
+
+def find_frame_sets(timeline: RecordingTimeline, capture: Capture) -> list[StampGroup]:
     """The sets of frames of different sensors within ``capture.max_spread``, or a share of the shortest period."""
     periods = [times.period for times in timeline.sensors.values() if np.isfinite(times.period)]
     if not periods:
         return []
-    max_spread = capture.max_spread or settings.max_spread_share * min(periods)
+    max_spread = capture.max_spread or _MAX_SPREAD_SHARE * min(periods)
     return group_frames({name: times.stamps for name, times in timeline.sensors.items()}, max_spread)
 
 
@@ -103,7 +116,7 @@ def find_snapshots(
     """
     if timeline.poses:
         return [group for start, end in timeline.poses if (group := _select_between(timeline, start, end))]
-    bursts = {name: _bursts(times, settings) for name, times in timeline.sensors.items()}
+    bursts = {name: _bursts(times) for name, times in timeline.sensors.items()}
     if capture.max_spread:
         return group_bursts(bursts, capture.max_spread, capture.max_spread)
     count = sum(len(one) for one in bursts.values())
@@ -127,7 +140,7 @@ def _select_between(timeline: RecordingTimeline, start: float, end: float) -> St
 def _are_synchronized(frames: list[StampGroup], timeline: RecordingTimeline, settings: CaptureSettings) -> bool:
     """Whether the sensors are fast, and half of the messages of the slowest one belong to sets of frames."""
     sensors = [times for times in timeline.sensors.values() if len(times.stamps)]
-    if any(times.period > settings.max_motion_period for times in sensors):
+    if any(times.period > MAX_MOTION_PERIOD for times in sensors):
         return False
     counts = [len(np.unique(times.stamps)) for times in sensors]
     return len(frames) >= settings.min_poses and 2 * len(frames) >= min(counts)
@@ -136,19 +149,24 @@ def _are_synchronized(frames: list[StampGroup], timeline: RecordingTimeline, set
 def _has_separate_bursts(timeline: RecordingTimeline, settings: CaptureSettings) -> bool:
     """Whether every sensor measured shortly, with pauses of different lengths in between."""
     sensors = [times for times in timeline.sensors.values() if len(times.stamps)]
-    bursts = [_bursts(times, settings) for times in sensors]
+    bursts = [_bursts(times) for times in sensors]
     if min((len(one) for one in bursts), default=0) < settings.min_poses:
         return False
     if any(burst[-1] - burst[0] >= settings.min_hold for one in bursts for burst in one):
         return False
-    return not all(_is_periodic(times, settings) for times in sensors)
+    return not all(_is_periodic(times) for times in sensors)
 
 
-def _bursts(times: SensorTimes, settings: CaptureSettings) -> list[Array]:
-    return split_bursts(times.stamps, settings.max_motion_period)
+def _bursts(times: SensorTimes) -> list[Array]:
+    return split_bursts(times.stamps, MAX_MOTION_PERIOD)
 
 
-def _is_periodic(times: SensorTimes, settings: CaptureSettings) -> bool:
+# Maximum median deviation of the pauses of a sensor over their median in a periodic stream: drivers keep their
+# period within some percent; operators who take snapshots do not.
+_MAX_PERIOD_JITTER = 0.05
+
+
+def _is_periodic(times: SensorTimes) -> bool:
     """Whether the pauses of a sensor are equal within a share, as those of a slow driver are."""
     periods = np.diff(times.stamps)
-    return float(np.median(np.abs(periods - times.period))) < settings.max_period_jitter * times.period
+    return float(np.median(np.abs(periods - times.period))) < _MAX_PERIOD_JITTER * times.period

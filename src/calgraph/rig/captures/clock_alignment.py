@@ -8,9 +8,10 @@ from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft
 
 from calgraph.config import Rig
-from calgraph.config.settings import CaptureSettings, MotionDetectionSettings
 from calgraph.geometry import Array
 from calgraph.result.finding import Finding
+from calgraph.rig.captures.motion_detection import MIN_ACTIVITY
+from calgraph.rig.captures.stillness import MAX_MOTION_PERIOD
 from calgraph.rig.captures.timeline import RecordingTimeline, SensorTimes
 
 
@@ -28,7 +29,6 @@ def estimate_clock_offsets(
     timeline: RecordingTimeline,
     root: str,
     wanted: Collection[str],
-    settings: CaptureSettings = CaptureSettings(),
 ) -> Mapping[str, ClockOffset]:
     """Estimates clock offsets from the motion of the board, which starts and stops in all views at the same times.
 
@@ -40,7 +40,6 @@ def estimate_clock_offsets(
         timeline: with the activity of the sensors.
         root: the sensor whose clock counts.
         wanted: the other sensors to estimate the offset of; those left out have the root's clock.
-        settings: of the correlation, and of the activity.
 
     Returns:
         The offset of each sensor for which one offset stands out.
@@ -50,10 +49,15 @@ def estimate_clock_offsets(
     for other in reference:
         for name in wanted:
             if name not in found:
-                offset = _compare(timeline.sensors[other], timeline.sensors[name], settings)
+                offset = _compare(timeline.sensors[other], timeline.sensors[name])
                 if offset:
                     found[name] = offset
     return found
+
+
+# Minimum offset, s, that is remarked on where rig.yaml states none: smaller ones leave captures within rests, and
+# views from different sides differ by them.
+_MIN_REMARK = 0.5
 
 
 def check_clocks(rig: Rig, timeline: RecordingTimeline) -> Iterator[Finding]:
@@ -63,11 +67,11 @@ def check_clocks(rig: Rig, timeline: RecordingTimeline) -> Iterator[Finding]:
         rig: the rig.
         timeline: with the activity of the sensors.
     """
-    settings = rig.settings.captures
+    pass
     unstated = [name for name, spec in rig.sensors.items() if name != rig.root and spec.clock_offset is None]
-    found = estimate_clock_offsets(timeline, rig.root, unstated, settings)
+    found = estimate_clock_offsets(timeline, rig.root, unstated)
     for name, one in found.items():
-        if abs(one.offset) >= settings.clock_alignment.min_remark:
+        if abs(one.offset) >= _MIN_REMARK:
             order = "after" if one.offset > 0 else "before"
             yield Finding(
                 f"by its stamps, the view of {name} changes {abs(one.offset):.2f} s {order} that of {rig.root}: "
@@ -75,35 +79,57 @@ def check_clocks(rig: Rig, timeline: RecordingTimeline) -> Iterator[Finding]:
             )
 
 
-def _compare(reference: SensorTimes, other: SensorTimes, captures: CaptureSettings) -> ClockOffset | None:
+# Minimum number of messages of a sensor: fewer changes of a view agree with others by chance.
+_MIN_MESSAGES = 20
+# Minimum time between samples of the activity, s; half of the shortest period above it. The offset is
+# interpolated to a fraction of it.
+_MIN_STEP = 0.005
+# Maximum number of samples of a view: two hours at 30 Hz. Views of a longer time, or with a stamp that is far
+# from all others, are not compared.
+_MAX_SAMPLES = 500_000
+# Minimum share of the shorter view that lies within the other with an offset: recordings of cameras that are
+# started one after the other overlap for most of their time, and short overlaps agree by chance.
+_MIN_OVERLAP = 0.5
+# Time to both sides of an offset, s, within which larger correlations are of the same maximum: moves of a board
+# take a second.
+_PEAK_WIDTH = 1.0
+# Minimum correlation: views from different sides change differently, and share starts and stops.
+_MIN_CORRELATION = 0.5
+# Minimum difference to the correlation with any other offset: moves at equal intervals repeat themselves, and
+# those of a hand nearly do.
+_MIN_DISTINCTION = 0.25
+# Minimum correlation over its standard deviation by chance: the largest of some thousand offsets reaches four in
+# views that have nothing in common.
+_MIN_SIGNIFICANCE = 5.0
+# Offsets below it, s, are taken for zero: the estimate is no better, and a device that starts its recordings
+# together gives them one clock.
+_RESOLUTION = 0.02
+
+
+def _compare(reference: SensorTimes, other: SensorTimes) -> ClockOffset | None:
     """The offset of the other's clock; None if no offset stands out."""
-    settings = captures.clock_alignment
     pair = (reference, other)
-    if any(len(times.stamps) < settings.min_messages or np.ptp(times.stamps) == 0 for times in pair):
+    if any(len(times.stamps) < _MIN_MESSAGES or np.ptp(times.stamps) == 0 for times in pair):
         return None
-    if any(times.period > captures.max_motion_period for times in pair):
+    if any(times.period > MAX_MOTION_PERIOD for times in pair):
         return None
-    step = max(min(times.period for times in pair) / 2, settings.min_step)
-    if any(np.ptp(times.stamps) > step * settings.max_samples for times in pair):
+    step = max(min(times.period for times in pair) / 2, _MIN_STEP)
+    if any(np.ptp(times.stamps) > step * _MAX_SAMPLES for times in pair):
         return None
-    first, second = (_sample_activity(times, step, captures.motion) for times in pair)
-    lags, correlation = _correlate(first, second, settings.min_overlap)
+    first, second = (_sample_activity(times, step) for times in pair)
+    lags, correlation = _correlate(first, second, _MIN_OVERLAP)
     if not len(lags):
         return None
     best = int(np.argmax(correlation))
-    apart = np.abs(lags - lags[best]) * step > settings.peak_width
+    apart = np.abs(lags - lags[best]) * step > _PEAK_WIDTH
     rival = float(correlation[apart].max(initial=0.0))
     peak = float(correlation[best])
     significance = peak * np.sqrt(_count_independent(first, second))
-    if (
-        peak < settings.min_correlation
-        or peak - rival < settings.min_distinction
-        or significance < settings.min_significance
-    ):
+    if peak < _MIN_CORRELATION or peak - rival < _MIN_DISTINCTION or significance < _MIN_SIGNIFICANCE:
         return None
     lag = lags[best] + _refine_peak(correlation, best)
     offset = float(_center(other) - _center(reference) - step * lag)
-    return ClockOffset(0.0 if abs(offset) < settings.resolution else offset, peak)
+    return ClockOffset(0.0 if abs(offset) < _RESOLUTION else offset, peak)
 
 
 def _center(times: SensorTimes) -> float:
@@ -111,10 +137,10 @@ def _center(times: SensorTimes) -> float:
     return float(times.stamps[0] - times.period / 2)
 
 
-def _sample_activity(times: SensorTimes, step: float, motion: MotionDetectionSettings) -> Array:
+def _sample_activity(times: SensorTimes, step: float) -> Array:
     """The logarithm of the activity at equal steps, s."""
     grid = np.arange(times.stamps[0], times.stamps[-1], step)
-    return np.interp(grid, times.stamps, np.log10(times.activity + motion.min_activity))
+    return np.interp(grid, times.stamps, np.log10(times.activity + MIN_ACTIVITY))
 
 
 def _correlate(first: Array, second: Array, min_overlap: float) -> tuple[NDArray[np.int64], Array]:

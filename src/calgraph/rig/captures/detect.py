@@ -90,16 +90,12 @@ def collect_detections(
         else:
             detections[sensor_capture.sensor][sensor_capture.capture] = sensor_capture.detections
     for name, spec in rig.cameras().items():
-        detections[name] = scale_by_measured_noise(
-            detections[name], spec.noise.pixel, rig.settings.captures.camera_noise
-        )
+        detections[name] = scale_by_measured_noise(detections[name], spec.noise.pixel)
     frames = {name: times.frame_id for name, times in timeline.sensors.items()}
     misplaced = [
         finding
         for name in cameras
-        for finding in find_misplaced_tags(
-            name, detections[name].values(), inconsistent.get(name, ()), rig.settings.captures.misplaced_tags
-        )
+        for finding in find_misplaced_tags(name, detections[name].values(), inconsistent.get(name, ()))
     ]
     return CaptureSet(
         timeline.start,
@@ -115,9 +111,9 @@ def collect_detections(
 
 def state_estimated_intrinsics(rig: Rig, captures: CaptureSet) -> Rig:
     """The rig with the intrinsics that were estimated from its captures."""
-    settings = rig.settings.estimation.intrinsics
+    pass
     estimated = {
-        name: state_intrinsics(rig.cameras()[name], intrinsics, settings)
+        name: state_intrinsics(rig.cameras()[name], intrinsics)
         for name, intrinsics in captures.estimated_intrinsics.items()
     }
     return rig.model_copy(update={"sensors": {**rig.sensors, **estimated}})

@@ -65,8 +65,12 @@ def learn_background(
 ) -> Background:
     """The background model of one scanner."""
     if isinstance(spec, Lidar2dSpec):
-        return learn_scan_background(to_scans(messages), settings.scan_background)
+        return learn_scan_background(to_scans(messages))
     return learn_cloud_background([m for m in messages if isinstance(m, PointCloud)], settings)
+
+
+# Maximum number of captures that it is learned from, evenly chosen: bounds time and memory.
+_MAX_CAPTURES = 32
 
 
 def learn_backgrounds_of_captures(
@@ -92,7 +96,7 @@ def learn_backgrounds_of_captures(
         stamps = [hold.stamps[name][0] for hold in holds if not hold.auxiliary and len(hold.stamps[name])]
         if len(stamps) < settings.capture_background.min_captures:
             continue
-        chosen = set(sample_evenly(np.array(stamps), settings.capture_background.max_captures).tolist())
+        chosen = set(sample_evenly(np.array(stamps), _MAX_CAPTURES).tolist())
         messages = (record.decode() for record in recording.records([spec.topic]) if record.stamp in chosen)
         clouds = (message for message in messages if isinstance(message, PointCloud))
         learned[name] = learn_capture_background(clouds, spec.noise, settings)
@@ -136,6 +140,11 @@ def make_detectors(
     return detectors
 
 
+# Score of the best candidate in front of the static scene below which the whole cloud is searched: boards that
+# are not occluded have 0.65 to 1.
+_MIN_SCORE = 0.6
+
+
 def _detect_patches(
     messages: Sequence[PointCloud],
     rig: Rig,
@@ -149,7 +158,7 @@ def _detect_patches(
         return find_patches(messages, rig.boards, spec.noise, known, _make_generator(seed, messages), settings)
 
     found = find(background)
-    if isinstance(background, CaptureBackground) and not _has_board(found, settings.capture_background.min_score):
+    if isinstance(background, CaptureBackground) and not _has_board(found, _MIN_SCORE):
         # A board that stood in the same place in most captures is part of what was learned.
         found = find(None)
     return found if isinstance(found, Rejected) else add_beam_times(found, messages)

@@ -8,7 +8,7 @@ import numpy as np
 
 from calgraph.boards.printed_boards import PrintedBoard, make_printed_boards, select_grays
 from calgraph.config import Board, CameraSpec, Capture, Rig
-from calgraph.config.settings import CameraDetectionSettings, CaptureSettings, EmptyStartSettings
+from calgraph.config.settings import CameraDetectionSettings, CaptureSettings
 from calgraph.geometry import Array, measure_lengths
 from calgraph.recording import NO_CACHE, PoseRecordings, Recording, RecordingCache
 from calgraph.result.finding import Finding
@@ -84,6 +84,12 @@ def resolve_background(
     return rig.model_copy(update={"capture": capture}), (finding,)
 
 
+# Time from the start that is searched, s: operators who wait longer state a window in rig.yaml. 0: none.
+_MAX_DURATION = 60.0
+# Minimum duration of an empty start, s: a background needs several messages of each scanner.
+_MIN_DURATION = 1.5
+
+
 def find_empty_start(
     recording: Recording,
     scanners: Sequence[str],
@@ -114,12 +120,12 @@ def find_empty_start(
     """
     if not scanners:
         return None
-    search_settings, start = settings.empty_start, recording.start
-    records = recording.records(scanners, start, start + search_settings.max_duration)
-    found = _find_entry(records, start, search_settings)
-    if found is None or found.end < search_settings.min_duration:
+    start = recording.start
+    records = recording.records(scanners, start, start + _MAX_DURATION)
+    found = _find_entry(records, start)
+    if found is None or found.end < _MIN_DURATION:
         return None
-    if _is_uncovered_later(recording, scanners, search_settings):
+    if _is_uncovered_later(recording, scanners):
         return None
     topics = [*scanners, *cameras]
     stamps = build_timeline(recording.records(topics), start, {topic: topic for topic in topics}, None)
@@ -130,7 +136,7 @@ def find_empty_start(
     ends = [_find_board_entry(recording, camera, found.end, printed) for camera in cameras]
     ends += [record.arrival - start for record in triggers]
     end = min([found.end, *map(_round_down, ends)])
-    return replace(found, end=end) if end >= search_settings.min_duration else None
+    return replace(found, end=end) if end >= _MIN_DURATION else None
 
 
 def _find_board_entry(recording: Recording, camera: str, end: float, printed: Sequence[PrintedBoard]) -> float:
@@ -160,12 +166,23 @@ def _shows_board(message: Message, printed: Sequence[PrintedBoard]) -> bool:
     )
 
 
+# Edge of the cells in which directions are compared, 1°: several beams of any LiDAR.
+_DIRECTION_CELL = 0.0174532925199433
+# Time at the start that later measurements are compared with, s: several messages of any scanner.
+_REFERENCE_DURATION = 1.0
+# Change of a range, m, that is something else: ten times the noise of a scanner; people and boards are farther
+# than this from walls.
+_MIN_RANGE_CHANGE = 0.2
+# The same over the range: noise of directions and of angles of incidence grows with it.
+_MIN_RANGE_CHANGE_RATIO = 0.02
+
+
 class _Reference:
     """Nearest and farthest ranges by direction, of the first messages of one scanner."""
 
-    def __init__(self, settings: EmptyStartSettings) -> None:
-        self._settings = settings
-        self._shape = round(np.pi / settings.direction_cell), round(2 * np.pi / settings.direction_cell)
+    def __init__(self) -> None:
+        pass
+        self._shape = round(np.pi / _DIRECTION_CELL), round(2 * np.pi / _DIRECTION_CELL)
         self._nearest = np.full(self._shape, np.inf)
         self._farthest = np.full(self._shape, -np.inf)
         self._around: tuple[Array, Array] | None = None
@@ -173,7 +190,7 @@ class _Reference:
 
     def is_complete(self, time: float) -> bool:
         """Whether a message at a time, s from the start of the recording, is compared with those before."""
-        return self._messages >= _MIN_REFERENCE_MESSAGES and time >= self._settings.reference_duration
+        return self._messages >= _MIN_REFERENCE_MESSAGES and time >= _REFERENCE_DURATION
 
     def add(self, message: Message) -> None:
         """Adds a message."""
@@ -202,9 +219,9 @@ class _Reference:
         return self._around
 
     def _margin(self, ranges: Array) -> Array:
-        settings = self._settings
+        pass
         finite = np.where(np.isfinite(ranges), ranges, 0.0)
-        return np.asarray(np.maximum(settings.min_range_change, settings.min_range_change_ratio * finite))
+        return np.asarray(np.maximum(_MIN_RANGE_CHANGE, _MIN_RANGE_CHANGE_RATIO * finite))
 
     def _find_nearest(self, message: Message) -> Array:
         """Nearest range by direction; infinite without returns."""
@@ -229,11 +246,15 @@ def _list_points(message: Message) -> Array:
     return np.zeros((0, 3))
 
 
-def _find_entry(
-    records: Iterable[RecordedMessage], start: float, settings: EmptyStartSettings
-) -> EmptyStart | None:
+# Minimum number of cells with something else: an object of 0.5 m at 10 m covers three in a row.
+_MIN_DIRECTIONS = 3
+# Time between the empty start and the detected entry, s: at 1 m/s, less than half of a person is in view.
+_ENTRY_MARGIN = 0.3
+
+
+def _find_entry(records: Iterable[RecordedMessage], start: float) -> EmptyStart | None:
     """The first entry of something into the view of a scanner, in two successive messages of it."""
-    references: dict[str, _Reference] = defaultdict(lambda: _Reference(settings))
+    references: dict[str, _Reference] = defaultdict(_Reference)
     times: dict[str, list[float]] = defaultdict(list)
     entered: dict[str, float] = {}
     for record in records:
@@ -241,7 +262,7 @@ def _find_entry(
         times[topic].append(time)
         if not references[topic].is_complete(time):
             references[topic].add(message)
-        elif references[topic].count_nearer(message) < settings.min_directions:
+        elif references[topic].count_nearer(message) < _MIN_DIRECTIONS:
             entered.pop(topic, None)
         elif topic not in entered:
             entered[topic] = time
@@ -249,7 +270,7 @@ def _find_entry(
             first = min(entered, key=lambda one: entered[one])
             if _paused(times[first], entered[first]):
                 return None
-            return EmptyStart(_round_down(entered[first] - settings.entry_margin), entered[first], first)
+            return EmptyStart(_round_down(entered[first] - _ENTRY_MARGIN), entered[first], first)
     return None
 
 
@@ -264,17 +285,24 @@ def _round_down(time: float) -> float:
     return float(np.floor(10 * time)) / 10
 
 
-def _is_uncovered_later(recording: Recording, topics: Sequence[str], settings: EmptyStartSettings) -> bool:
+# Messages of each scanner that are searched for what was uncovered, spread over the recording.
+_LATER_MESSAGES = 20
+# Share of these beyond which something was in view at the start: what left its place uncovers the room in most of
+# them; people who pass cover others.
+_MAX_UNCOVERED_SHARE = 0.5
+
+
+def _is_uncovered_later(recording: Recording, topics: Sequence[str]) -> bool:
     """Whether a scanner later measures beyond what was in its view at the start, in most of the recording."""
-    references: dict[str, _Reference] = defaultdict(lambda: _Reference(settings))
+    references: dict[str, _Reference] = defaultdict(_Reference)
     beyond: dict[str, list[bool]] = {topic: [] for topic in topics}
-    interval = (recording.end - recording.start) / settings.later_messages
-    due = dict.fromkeys(topics, recording.start + settings.reference_duration)
+    interval = (recording.end - recording.start) / _LATER_MESSAGES
+    due = dict.fromkeys(topics, recording.start + _REFERENCE_DURATION)
     for record in recording.records(topics):
         topic = record.topic
         if not references[topic].is_complete(record.arrival - recording.start):
             references[topic].add(record.decode())
         elif record.arrival >= due[topic]:
             due[topic] = record.arrival + interval
-            beyond[topic].append(references[topic].count_beyond(record.decode()) >= settings.min_directions)
-    return any(np.mean(found) > settings.max_uncovered_share for found in beyond.values() if found)
+            beyond[topic].append(references[topic].count_beyond(record.decode()) >= _MIN_DIRECTIONS)
+    return any(np.mean(found) > _MAX_UNCOVERED_SHARE for found in beyond.values() if found)

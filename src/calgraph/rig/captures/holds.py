@@ -48,7 +48,7 @@ def find_holds(
     """
     mode = recognize_mode(timeline, capture, settings).mode
     if mode == "synchronized":
-        sets = find_frame_sets(timeline, capture, settings)
+        sets = find_frame_sets(timeline, capture)
         begin = timeline.start
         frames = [group for group in sets if capture.allows(group.start - begin, group.end - begin)]
         if sets and not frames:

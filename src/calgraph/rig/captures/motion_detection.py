@@ -7,7 +7,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.config.settings import MotionDetectionSettings
 from calgraph.geometry import Array
 from calgraph.sensors import DetectedCorners, Image, LaserScan, Message, PointCloud
 
@@ -34,9 +33,9 @@ class ActivityBlock:
     """The first and the last one with content."""
 
 
-def measure_block(settings: MotionDetectionSettings, decoders: Sequence[Callable[[], Message]]) -> ActivityBlock:
+def measure_block(_shared: None, decoders: Sequence[Callable[[], Message]]) -> ActivityBlock:
     """The changes among messages, from functions that decode them."""
-    meter = BlockMeter(settings)
+    meter = BlockMeter()
     for decode in decoders:
         meter.add(decode())
     return meter.block()
@@ -45,8 +44,8 @@ def measure_block(settings: MotionDetectionSettings, decoders: Sequence[Callable
 class BlockMeter:
     """Measures the changes among consecutive messages of one sensor, apart from those before them."""
 
-    def __init__(self, settings: MotionDetectionSettings) -> None:
-        self._meter = ActivityMeter(settings)
+    def __init__(self) -> None:
+        self._meter = ActivityMeter()
         self._changes: list[float] = []
         self._start: int | None = None
         self._first: Signed | None = None
@@ -62,11 +61,20 @@ class BlockMeter:
         return ActivityBlock(self._changes, self._start, self._first, self._meter.previous)
 
 
+# Change of a detected corner, pixels, that counts as motion: five times the noise of detected corners.
+_MIN_CORNER_CHANGE = 1.0
+# Change of a grey value, averaged over a block, that counts as motion: noise and flicker stay below.
+_MIN_GRAY_CHANGE = 12.0
+# Change of a range, m, that counts as motion: more than twice the noise of a 2-D scanner (20 mm).
+_MIN_RANGE_CHANGE = 0.05
+# The same over the smaller of both ranges: noise of ranges and of angles of incidence grows with range.
+_MIN_RANGE_CHANGE_RATIO = 0.02
+
+
 class ActivityMeter:
     """Compares each message of one sensor with the one before."""
 
-    def __init__(self, settings: MotionDetectionSettings = MotionDetectionSettings()) -> None:
-        self._settings = settings
+    def __init__(self) -> None:
         self.previous: Signed | None = None
         """Of the last message with content."""
 
@@ -85,7 +93,7 @@ class ActivityMeter:
         """
         if not _has_content(message):
             return 0.0
-        return self._compare_with_previous((type(message), _compute_signature(message, self._settings)))
+        return self._compare_with_previous((type(message), _compute_signature(message)))
 
     def _compare_with_previous(self, signed: Signed) -> float:
         before, self.previous = self.previous, signed
@@ -94,7 +102,7 @@ class ActivityMeter:
         kind, current = signed
         previous = before[1]
         if kind is DetectedCorners:
-            return _compare_corners(previous, current, self._settings.min_corner_change)
+            return _compare_corners(previous, current, _MIN_CORNER_CHANGE)
         if kind is PointCloud:
             appeared = np.setdiff1d(current, _dilate_cells(previous))
             vanished = np.setdiff1d(previous, _dilate_cells(current))
@@ -104,9 +112,9 @@ class ActivityMeter:
         if not current.size:
             return 0.0
         if kind is Image:
-            return float(np.mean(np.abs(current - previous) > self._settings.min_gray_change))
-        min_change = self._settings.min_range_change_ratio * np.minimum(current, previous)
-        min_change = np.maximum(self._settings.min_range_change, min_change)
+            return float(np.mean(np.abs(current - previous) > _MIN_GRAY_CHANGE))
+        min_change = _MIN_RANGE_CHANGE_RATIO * np.minimum(current, previous)
+        min_change = np.maximum(_MIN_RANGE_CHANGE, min_change)
         return float(np.mean(np.abs(current - previous) > min_change))
 
 
@@ -118,16 +126,25 @@ def _has_content(message: Message) -> bool:
     return not isinstance(message, LaserScan) or bool(message.valid.any())
 
 
-def _compute_signature(message: Message, settings: MotionDetectionSettings) -> Signature:
+# Edge of the blocks of an image that are averaged, pixels: noise of a pixel falls to an eighth.
+_IMAGE_BLOCK = 8
+# Range of a beam without return, m: farther than any wall, so that a return that appears is a change.
+_NO_RETURN_RANGE = 100.0
+# Cell by whose occupation two clouds are compared, m: points in cells next to occupied ones have not moved, as
+# noise alone takes points across borders of cells.
+_CELL = 0.2
+
+
+def _compute_signature(message: Message) -> Signature:
     if isinstance(message, Image):
         height, width = message.gray.shape
-        size = max(width // settings.image_block, 1), max(height // settings.image_block, 1)
+        size = max(width // _IMAGE_BLOCK, 1), max(height // _IMAGE_BLOCK, 1)
         return np.asarray(cv2.resize(message.gray, size, interpolation=cv2.INTER_AREA), dtype=np.float64)
     if isinstance(message, LaserScan):
         # A beam without return counts as far: a return that appears or vanishes is a change.
-        return np.where(message.valid, message.ranges, settings.no_return_range)
+        return np.where(message.valid, message.ranges, _NO_RETURN_RANGE)
     if isinstance(message, PointCloud):
-        cells = np.floor(message.points / settings.cell).astype(np.int64) + 2**20
+        cells = np.floor(message.points / _CELL).astype(np.int64) + 2**20
         return np.unique(cells @ _PACK)
     if isinstance(message, DetectedCorners):
         return np.column_stack([message.board_points, message.pixels])
@@ -148,7 +165,12 @@ def _dilate_cells(cells: Signature) -> Signature:
     return np.asarray((cells[:, None] + _WITH_NEIGHBOURS).ravel())
 
 
-def find_still_spans(stamps: Array, activity: Array, settings: MotionDetectionSettings) -> Array:
+# Change of a view, 0..1, added before the logarithm in which rest and motion are separated: less than one beam of
+# a thousand, so that views without any change do not dominate.
+MIN_ACTIVITY = 1e-4
+
+
+def find_still_spans(stamps: Array, activity: Array) -> Array:
     """Spans in which a sensor's view rests.
 
     The level between rest and motion is Otsu's threshold on the logarithm of the activity, as noise differs from
@@ -157,16 +179,15 @@ def find_still_spans(stamps: Array, activity: Array, settings: MotionDetectionSe
     Args:
         stamps: (N,) s, ascending.
         activity: (N,) change since the message before, 0..1.
-        settings: of the least activity.
 
     Returns:
         (S, 2) first and last stamp of runs of messages without change among them.
     """
     if len(stamps) < 3:
         return np.zeros((0, 2))
-    level = _compute_otsu_threshold(np.log10(activity[1:] + settings.min_activity))
+    level = _compute_otsu_threshold(np.log10(activity[1:] + MIN_ACTIVITY))
     # Where all of the view changes, there is motion, also if that is so all the time.
-    moving = (np.log10(activity + settings.min_activity) > level) | (activity >= 1)
+    moving = (np.log10(activity + MIN_ACTIVITY) > level) | (activity >= 1)
     moving[0] = False
     edges = np.flatnonzero(moving)
     first = np.concatenate([[0], edges])

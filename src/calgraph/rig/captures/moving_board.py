@@ -51,6 +51,11 @@ class BoardMotion:
         return np.concatenate([v - np.cross(w, self.pose_at(time)[:3, 3]), w])
 
 
+# Maximum time between a measurement and the one that shows the velocity of the board, s: within it, the motion of
+# a hand is a parabola to some millimetres.
+_MAX_INTERVAL = 0.3
+
+
 def compensate_motion(captures: CaptureSet, settings: MovingBoardSettings) -> CaptureSet:
     """Moves the detections of every capture to one time, the mean of its stamps, and adds the board's velocity.
 
@@ -76,7 +81,7 @@ def compensate_motion(captures: CaptureSet, settings: MovingBoardSettings) -> Ca
         reference = float(np.mean([stamp for stamp, _ in measured.values()]))
         for name, (stamp, found) in measured.items():
             at_stamp = next(one.detections for one in history[name] if one.original is found)
-            before, after = _neighbours(history[name], stamp, settings.max_interval)
+            before, after = _neighbours(history[name], stamp, _MAX_INTERVAL)
             moved = [
                 move_detection(one, motion, reference - stamp, captures.cameras.get(name))
                 for one, known in zip(found, at_stamp, strict=True)
@@ -217,10 +222,14 @@ def _displacement(T: Array, detection: Detection, other: Detection) -> Array:
     return np.concatenate([there[:3, 3] - T[:3, 3], axis * (angle / sine if sine > 0 else 1.0)])
 
 
+# Maximum rotation rate of a board, rad/s: more is the second solution of a plane's pose.
+_MAX_ROTATION_RATE = 6.0
+
+
 def _is_near(step: Array, time: float, settings: MovingBoardSettings) -> bool:
     return bool(
         np.linalg.norm(step[:3]) <= settings.max_speed * abs(time)
-        and np.linalg.norm(step[3:]) <= settings.max_rotation_rate * abs(time)
+        and np.linalg.norm(step[3:]) <= _MAX_ROTATION_RATE * abs(time)
     )
 
 
@@ -237,6 +246,11 @@ def _order_by_time(captures: CaptureSet) -> Mapping[str, Sequence[_Measured]]:
     return history
 
 
+# Rounds of removing the motion from the planes of a sweep, and of estimating the motion from them: where a sweep
+# begins and ends on the board, the first plane is rotated by up to 10°, the second by less than 1°.
+_SKEW_ROUNDS = 2
+
+
 def _remove_skew(history: Sequence[_Measured], settings: MovingBoardSettings) -> Sequence[_Measured]:
     """The detections in sweeps, in order of time, as if all beams had been measured at the time of the stamp.
 
@@ -244,12 +258,12 @@ def _remove_skew(history: Sequence[_Measured], settings: MovingBoardSettings) ->
     through them is rotated. Its velocity is known nevertheless: it is used to move the beams to one time, which
     gives planes that give better velocities.
     """
-    for _ in range(settings.skew_rounds):
+    for _ in range(_SKEW_ROUNDS):
         if not any(_is_swept(one) for measured in history for one in measured.original):
             break
         straight = []
         for measured in history:
-            before, after = _neighbours(history, measured.stamp, settings.max_interval)
+            before, after = _neighbours(history, measured.stamp, _MAX_INTERVAL)
             motions = [
                 estimate_motion(one, measured.stamp, before, after, settings) for one in measured.detections
             ]

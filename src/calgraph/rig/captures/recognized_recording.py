@@ -57,6 +57,6 @@ def _recognize(
     if mode.mode == "snapshots" or mode.spread is None:
         return mode
     begin = start + empty_end
-    meters = {topic: ActivityMeter(settings.motion) for topic in topics}
+    meters = {topic: ActivityMeter() for topic in topics}
     records = recording.records(topics, begin, begin + _ACTIVITY_DURATION)
     return recognize_mode(build_timeline(records, start, names, None, meters=meters), Capture(), settings)

@@ -7,6 +7,9 @@ from calgraph.geometry import Array
 from calgraph.rig.captures.motion_detection import find_still_spans
 from calgraph.rig.captures.timeline import RecordingTimeline
 
+# Longest period of a sensor, s, whose messages show motion: slower ones miss moves between two holds.
+MAX_MOTION_PERIOD = 0.5
+
 
 def find_rests(timeline: RecordingTimeline, settings: CaptureSettings) -> list[tuple[float, float]]:
     """Where no fast sensor measures a change for as long as the slowest needs for one full measurement.
@@ -18,10 +21,10 @@ def find_rests(timeline: RecordingTimeline, settings: CaptureSettings) -> list[t
     Returns:
         Start and end of each rest, s, in order of time.
     """
-    fast = [times for times in timeline.sensors.values() if times.period <= settings.max_motion_period]
+    fast = [times for times in timeline.sensors.values() if times.period <= MAX_MOTION_PERIOD]
     if not fast:
         return []
-    spans = [find_still_spans(times.stamps, times.activity, settings.motion) for times in fast]
+    spans = [find_still_spans(times.stamps, times.activity) for times in fast]
     common = spans[0]
     for other in spans[1:]:
         common = _intersect(common, other)

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 
 from calgraph.config import Rig
-from calgraph.config.settings import MotionDetectionSettings
 from calgraph.geometry import Array
 from calgraph.io.columns import Arrays
 from calgraph.parallel.engine import THIS_PROCESS, Engine
 from calgraph.recording import Recording, RecordingCache, RecordingReference
 from calgraph.recording.input_checks import (
+    MAX_INTRINSICS_CHANGE,
     InputMonitor,
     TopicObservations,
     decode_observations,
@@ -100,9 +100,7 @@ def measure_activity(
 
     Arguments are those of :func:`read_timeline`, and the engine, which does not change the result.
     """
-    inputs = {
-        name: {"topic": topic, "settings": rig.settings.captures.motion} for name, topic in rig.topics.items()
-    }
+    inputs = {name: {"topic": topic} for name, topic in rig.topics.items()}
     activity = {
         name: found
         for name, given in inputs.items()
@@ -125,7 +123,7 @@ def _measure_sent(
     rig: Rig, recording: Recording, topics: Mapping[str, str], progress: Progress, engine: Engine
 ) -> dict[str, Array]:
     """Changes (N,) of each sensor's messages in the order of their stamps, from calls to which they are sent."""
-    settings = rig.settings.captures.motion
+    pass
     names = {topic: name for name, topic in topics.items()}
     stamps: dict[str, list[float]] = {name: [] for name in topics}
     order: deque[str] = deque()
@@ -145,9 +143,9 @@ def _measure_sent(
             order.append(name)
             yield (decoders,)
 
-    meters = {name: ActivityMeter(settings) for name in topics}
+    meters = {name: ActivityMeter() for name in topics}
     changes: dict[str, list[float]] = {name: [] for name in topics}
-    for block in engine.stream(measure_block, gather_blocks(), settings):
+    for block in engine.stream(measure_block, gather_blocks(), None):
         name = order.popleft()
         changes[name] += meters[name].join(block)
     return {name: _sort_changes(changes[name], stamps[name]) for name in topics}
@@ -157,12 +155,12 @@ def _measure_stored(
     rig: Rig, messages: StoredMessages, topics: Mapping[str, str], progress: Progress, engine: Engine
 ) -> dict[str, Array]:
     """The same, from calls that read the messages themselves."""
-    settings = rig.settings.captures.motion
-    meters = {name: ActivityMeter(settings) for name in topics}
+    pass
+    meters = {name: ActivityMeter() for name in topics}
     stamps: dict[str, list[float]] = {name: [] for name in topics}
     changes: dict[str, list[float]] = {name: [] for name in topics}
     parts = _divide_time(rig, messages.timeline, topics, count_parts(engine))
-    blocks_of_parts = engine.stream(_measure_part, parts, (messages.reference, topics, settings))
+    blocks_of_parts = engine.stream(_measure_part, parts, (messages.reference, topics))
     for (_, last), blocks in zip(parts, blocks_of_parts, strict=True):
         progress(last)
         for name, (of_block, block) in blocks.items():
@@ -191,12 +189,12 @@ def _divide_time(
 
 
 def _measure_part(
-    shared: tuple[RecordingReference, Mapping[str, str], MotionDetectionSettings], first: float, last: float
+    shared: tuple[RecordingReference, Mapping[str, str]], first: float, last: float
 ) -> dict[str, tuple[list[float], ActivityBlock]]:
     """Stamps and changes by sensor, of the messages that arrived from ``first`` to ``last``, in this order."""
-    reference, topics, settings = shared
+    reference, topics = shared
     names = {topic: name for name, topic in topics.items()}
-    meters = {name: BlockMeter(settings) for name in topics}
+    meters = {name: BlockMeter() for name in topics}
     stamps: dict[str, list[float]] = {name: [] for name in topics}
     with reference.open() as recording:
         for record in read_part(recording, topics.values(), first, last):
@@ -215,7 +213,7 @@ def _list_inputs(rig: Rig, monitor: InputMonitor) -> dict[str, dict[str, Any]]:
     inputs: dict[str, dict[str, Any]] = {
         topic: {"topic": topic, "role": "sensor"} for topic in rig.topics.values()
     }
-    limit = rig.settings.captures.input_checks.max_intrinsics_change
+    limit = MAX_INTRINSICS_CHANGE
     for topic in monitor.camera_info_topics:
         inputs.setdefault(topic, {"topic": topic, "role": "intrinsics", "max_change": limit})
     if rig.capture.trigger:

@@ -11,7 +11,6 @@ from typing import Literal
 import numpy as np
 from scipy.special import chdtri
 
-from calgraph.config.settings import RigDiagnosticsSettings
 from calgraph.geometry import Array, Index, se3
 from calgraph.rig.bundle.board_information import gradient_by_board, information_by_board
 from calgraph.rig.bundle.bundle_solver import (
@@ -60,14 +59,24 @@ class BootstrapScatter:
         return int(np.argmin(self.ratio) if self.verdict == "pessimistic" else np.argmax(self.low))
 
 
+# Limit on steps of each sample's solution, which starts near its minimum: 8 % of those in the tests reach it, and
+# are used as they are.
+_BOOTSTRAP_MAX_STEPS = 8
+# Share of the stated variance that a draw is expected to have at least. Draws nearly equal to the captures have
+# no expected scatter, and would divide by zero; 1 % is the mean of 100 captures of which one is exchanged.
+_BOOTSTRAP_MIN_VARIANCE_SHARE = 0.01
+# Probability with which all intervals of the bootstrap hold together if all covariances do; the usual level.
+BOOTSTRAP_CONFIDENCE = 0.95
+
+
 def bootstrap_poses(
     solved: SolvedBundle,
     rounds: int,
     rng: np.random.Generator,
     progress: Callable[[float], None],
-    settings: RigDiagnosticsSettings = RigDiagnosticsSettings(),
     *,
     exact: bool = True,
+    confidence: float = BOOTSTRAP_CONFIDENCE,
 ) -> dict[str, BootstrapScatter]:
     """Compares the covariances of poses with their scatter over resampled captures.
 
@@ -76,8 +85,8 @@ def bootstrap_poses(
         rounds: number of samples of the captures, drawn with replacement.
         rng: draws them.
         progress: called with the share of the work that is done, 0..1.
-        settings: of the intervals.
         exact: whether samples are solved to their minimum, instead of by one Gauss-Newton step.
+        confidence: probability with which all intervals hold together if all covariances do.
 
     Returns:
         By sensor; none for those whose pose is not estimated.
@@ -98,19 +107,19 @@ def bootstrap_poses(
         counts = np.bincount(rng.integers(len(captures), size=len(captures)), minlength=len(captures))
         if exact:
             boards = np.repeat(np.arange(len(capture)), counts[capture])
-            T_root_sensor = _solve_sample(bundle, state, equations, boards, settings.bootstrap_max_steps)
+            T_root_sensor = _solve_sample(bundle, state, equations, boards, _BOOTSTRAP_MAX_STEPS)
             along = (to_sensor @ se3.difference(T_root_sensor, state.T_root_sensor)[..., None])[..., 0]
         else:
             added = np.tensordot(counts - 1.0, information, axes=1)
             along = -axes @ np.linalg.solve(np.linalg.inv(V) + added, (counts - 1.0) @ gradient)
         expected = np.maximum(
             _axis_variances(axes, _difference_covariance(information, V, counts)),
-            settings.bootstrap_min_variance_share * stated**2,
+            _BOOTSTRAP_MIN_VARIANCE_SHARE * stated**2,
         )
         squares[free] += along[free] ** 2 / expected[free] / rounds
         progress((i + 1) / rounds)
     ratio = np.sqrt(squares)
-    low, high = _confidence_factors(axes[free] @ V, information, rounds, settings.bootstrap_confidence)
+    low, high = _confidence_factors(axes[free] @ V, information, rounds, confidence)
     return {
         bundle.sensors[s]: BootstrapScatter(stated[s], ratio[s] * stated[s], ratio[s] * low[i], ratio[s] * high[i])
         for i, s in enumerate(np.flatnonzero(free))
@@ -123,9 +132,7 @@ def _without_tails(bundle: Bundle, state: BundleState) -> Bundle:
     parameters = [
         replace(one, prior_stddev=s) for one, s in zip(bundle.extra_parameters, stddev.tolist(), strict=True)
     ]
-    systematic = bundle.settings.systematic.model_copy(update={"prior_tail": 1e9})
-    settings = bundle.settings.model_copy(update={"systematic": systematic})
-    return replace(bundle, extra_parameters=tuple(parameters), settings=settings)
+    return replace(bundle, extra_parameters=tuple(parameters), prior_tail=1e9)
 
 
 def _solve_sample(

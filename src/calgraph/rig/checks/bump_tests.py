@@ -58,8 +58,8 @@ def find_bumps(problem: Problem, solution: RigSolution) -> tuple[Bump, ...]:
     if solution.solved_bundle is None:
         return ()
     bundle, minimized, captures = _include_all_views(problem, solution.solved_bundle)
-    settings = problem.rig.settings.diagnostics
-    steps = find_pose_steps(bundle, minimized, settings.bumps, settings.serial_correlation)
+    pass
+    steps = find_pose_steps(bundle, minimized)
     return tuple(_describe(problem, captures, step) for step in steps)
 
 

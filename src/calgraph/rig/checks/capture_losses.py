@@ -7,7 +7,6 @@ from math import comb
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.config.settings import RigDiagnosticsSettings
 from calgraph.result.finding import Finding
 from calgraph.rig.bundle.bundle_solver import Bundle
 from calgraph.rig.bundle.solution import SolvedBundle
@@ -36,9 +35,13 @@ class _SharedCaptures:
         return comb(count - last, lost - last) / comb(count, lost)
 
 
-def find_lost_captures(
-    captures: CaptureSet, solved: SolvedBundle, settings: RigDiagnosticsSettings = RigDiagnosticsSettings()
-) -> Iterator[Finding]:
+# Share of a sensor's shared captures that may be rejected without a remark.
+_MAX_LOST_SHARE = 0.2
+# The same beyond which a sensor is weak: RANSAC and robust estimates hold up to about half of outliers.
+_MAX_GOOD_LOST_SHARE = 0.4
+
+
+def find_lost_captures(captures: CaptureSet, solved: SolvedBundle) -> Iterator[Finding]:
     """Findings if many, or the last, of the captures that a sensor shares with others tie it to none of them.
 
     A capture is shared if another connected sensor detected the board as well. It is lost if the detection was an
@@ -47,19 +50,18 @@ def find_lost_captures(
     Args:
         captures: all detections.
         solved: the joint solution.
-        settings: the limits.
     """
     bundle = solved.bundle
     shared = dict(zip(bundle.sensors, _list_shared_captures(captures, solved), strict=True))
-    if losses := {n: s for n, s in shared.items() if s.lost_count > settings.max_lost_share * len(s.lost)}:
+    if losses := {n: s for n, s in shared.items() if s.lost_count > _MAX_LOST_SHARE * len(s.lost)}:
         parts = ", ".join(f"{one.lost_count} of {len(one.lost)} of {name}" for name, one in losses.items())
-        weak = {n for n, s in losses.items() if s.lost_count > settings.max_good_lost_share * len(s.lost)}
+        weak = {n for n, s in losses.items() if s.lost_count > _MAX_GOOD_LOST_SHARE * len(s.lost)}
         yield Finding(
             f"captures that sensors share were rejected, {parts}: check that the board rests in each capture, "
             "that nothing in view is like it, and that clocks agree",
             _find_dependent_sensors(bundle, weak),
         )
-    if last := {n: s for n, s in shared.items() if _are_last_lost(s, settings)}:
+    if last := {n: s for n, s in shared.items() if _are_last_lost(s)}:
         parts = ", ".join(f"{one.last_lost_count} of {len(one.lost)} of {name}" for name, one in last.items())
         yield Finding(
             f"the last captures that sensors share were rejected, {parts}: a sensor may have moved before them; "
@@ -81,14 +83,22 @@ def _list_shared_captures(captures: CaptureSet, solved: SolvedBundle) -> Iterato
         yield _SharedCaptures(~np.isin(shared, tied))
 
 
-def _are_last_lost(shared: _SharedCaptures, settings: RigDiagnosticsSettings) -> bool:
+# Minimum number of a sensor's last shared captures that are all rejected for it to be weak, as it may have been
+# bumped before them: one wrong detection is more frequent than a bump before the last capture.
+_MIN_LAST_LOSSES = 2
+# Maximum probability that this number of the last ones is rejected if those that are rejected are drawn at
+# random: 2 of 6 captures have 0.07, and the last 2 of 60 with 15 rejected 0.06. Lower limits miss bumps in short
+# recordings.
+_LAST_LOSSES_PROBABILITY = 0.1
+
+
+def _are_last_lost(shared: _SharedCaptures) -> bool:
     """Whether as many of the last captures are lost as those that are lost at random rarely are.
 
     Without further captures after a bump, its captures are outliers of the pose before it.
     """
     return (
-        shared.last_lost_count >= settings.min_last_losses
-        and shared.chance_of_last_losses() <= settings.last_losses_probability
+        shared.last_lost_count >= _MIN_LAST_LOSSES and shared.chance_of_last_losses() <= _LAST_LOSSES_PROBABILITY
     )
 
 

@@ -42,8 +42,8 @@ def find_changes(solved: SolvedBundle, settings: DiagnosticsSettings) -> Iterato
     count = int(order.max(initial=-1)) + 1
     axes = pose_jacobian(bundle, minimized.state).reshape(len(bundle.sensors), 6, -1)
     named: set[str] = set()
-    drifts = measure_drifts(solved, settings)
-    for drift in find_drifts(drifts, settings.drifts):
+    drifts = measure_drifts(solved)
+    for drift in find_drifts(drifts):
         named.update(drift.sensors)
         yield drift
     halves: Mapping[str, NDArray[np.bool_]] = {

@@ -33,26 +33,36 @@ def find_contradictions(
         return ()
     settings, kinds = rig.settings.diagnostics, {name: spec.kind for name, spec in rig.sensors.items()}
     return (
-        *find_systematic_errors(solved, rig, settings.rig),
-        *find_excessive_noise(solution, kinds, settings.rig),
-        *find_lost_captures(captures, solved, settings.rig),
+        *find_systematic_errors(solved, rig),
+        *find_excessive_noise(solution, kinds),
+        *find_lost_captures(captures, solved),
         *find_changes(solved, settings),
-        *_find_poor_predictions(held_out, settings.rig),
+        *_find_poor_predictions(held_out),
         *_find_optimistic_covariances(solved, kinds, settings.rig),
     )
 
 
-def _find_poor_predictions(
-    held_out: Mapping[str, HeldOutError], settings: RigDiagnosticsSettings
-) -> Iterator[Finding]:
+# Predicted captures of a sensor at which its held-out error is tested.
+_MIN_HELD_OUT_VIEWS = 8
+# Maximum observed over expected error of held-out captures of a good sensor.
+_MAX_HELD_OUT_RATIO = 1.5
+
+
+def _find_poor_predictions(held_out: Mapping[str, HeldOutError]) -> Iterator[Finding]:
     """Sensors that the others predict worse in held-out captures than covariances and noise allow."""
     for name, error in held_out.items():
-        if error.captures >= settings.min_held_out_views and error.ratio > settings.max_held_out_ratio:
+        if error.captures >= _MIN_HELD_OUT_VIEWS and error.ratio > _MAX_HELD_OUT_RATIO:
             yield Finding(
                 f"measurements of {name} on held-out captures are {error.ratio:.1f} times as far from their "
                 "prediction as expected: record more captures, with the board in more different poses",
                 (name,),
             )
+
+
+# Probability with which the bootstrap calls covariances optimistic that hold.
+_BOOTSTRAP_FALSE_ALARM_PROBABILITY = 0.01
+# Samples of the bootstrap in a calibration.
+_BOOTSTRAP_ROUNDS = 50
 
 
 def _find_optimistic_covariances(
@@ -66,11 +76,9 @@ def _find_optimistic_covariances(
         return
     # The result hardly depends on the samples, so that the seed is fixed.
     rng = np.random.default_rng(0)
-    confident = settings.model_copy(
-        update={"bootstrap_confidence": 1 - settings.bootstrap_false_alarm_probability}
-    )
+    confidence = 1 - _BOOTSTRAP_FALSE_ALARM_PROBABILITY
     for name, scatter in bootstrap_poses(
-        solved, settings.bootstrap_rounds, rng, lambda _: None, confident
+        solved, _BOOTSTRAP_ROUNDS, rng, lambda _: None, confidence=confidence
     ).items():
         if scatter.verdict == "optimistic":
             axis, ratio = axis_names(kinds[name])[scatter.worst], scatter.ratio[scatter.worst]
@@ -92,42 +100,55 @@ _BIAS_CAUSES = (
 )
 
 
-def find_excessive_noise(
-    solution: RigSolution, kinds: Mapping[str, str], settings: RigDiagnosticsSettings = RigDiagnosticsSettings()
-) -> Iterator[Finding]:
+# Maximum measured noise of a sensor, and RMS residual of its kept captures, over the stated noise: rig.yaml is
+# right to a factor of about 1.5.
+_MAX_NOISE_RATIO = 2.0
+# The same beyond which a sensor is weak: no data sheet is wrong by this factor, so that the model is wrong.
+_MAX_GOOD_NOISE_RATIO = 4.0
+
+
+def find_excessive_noise(solution: RigSolution, kinds: Mapping[str, str]) -> Iterator[Finding]:
     """Sensors whose noise, view bias or residuals are larger than stated.
 
     Args:
         solution: with the measured noise.
         kinds: camera, lidar2d or lidar3d, by connected sensor.
-        settings: the limits.
     """
     for name, noise in solution.noise.items():
         # Errors of several captures make a sensor weak, and those of the root all others.
         weak = tuple(solution.T_root_sensor) if name == next(iter(solution.T_root_sensor)) else (name,)
-        if noise.scale > settings.max_noise_ratio:
+        if noise.scale > _MAX_NOISE_RATIO:
             yield Finding(
                 f"the noise of {name} is {noise.scale:.1f} times that in rig.yaml: {_NOISE_CAUSES[kinds[name]]}",
-                weak if noise.scale > settings.max_good_noise_ratio else (),
+                weak if noise.scale > _MAX_GOOD_NOISE_RATIO else (),
             )
-        elif bias := _describe_view_bias(noise, settings):
+        elif bias := _describe_view_bias(noise):
             yield Finding(
                 f"measurements of {name} are displaced from capture to capture by {bias}: {_BIAS_CAUSES}", weak
             )
-        elif (misfit := noise.scale * (rms(solution.residuals[name]) or 0.0)) > settings.max_noise_ratio:
+        elif (misfit := noise.scale * (rms(solution.residuals[name]) or 0.0)) > _MAX_NOISE_RATIO:
             yield Finding(
                 f"residuals of {name} are {misfit:.1f} times the noise in rig.yaml: {_BIAS_CAUSES}",
-                weak if misfit > settings.max_good_noise_ratio else (),
+                weak if misfit > _MAX_GOOD_NOISE_RATIO else (),
             )
 
 
-def _describe_view_bias(noise: MeasuredNoise, settings: RigDiagnosticsSettings) -> str:
+# m; maximum standard deviation of the displacement of a sensor's views. That of flat boards and calibrated ranges
+# is 1 to 2 mm.
+_MAX_VIEW_BIAS = 0.005
+# rad (0.5°); the same of rotations: 5 mm at the edge of a board of 1.2 m.
+_MAX_VIEW_TILT = float(np.radians(0.5))
+# m; the same of the ranges of each ring in each view: a real VLP-16 has 5 to 6 mm.
+_MAX_RING_BIAS = 0.01
+
+
+def _describe_view_bias(noise: MeasuredNoise) -> str:
     """Sizes of the variance components of views that exceed their limits; empty where none does."""
     sizes = []
-    if noise.view_bias > settings.max_view_bias:
+    if noise.view_bias > _MAX_VIEW_BIAS:
         sizes.append(f"{1000 * noise.view_bias:.1f} mm")
-    if noise.view_tilt > settings.max_view_tilt:
+    if noise.view_tilt > _MAX_VIEW_TILT:
         sizes.append(f"{np.degrees(noise.view_tilt):.2f}°")
-    if noise.ring_bias > settings.max_ring_bias:
+    if noise.ring_bias > _MAX_RING_BIAS:
         sizes.append(f"{1000 * noise.ring_bias:.1f} mm in each ring")
     return " and ".join(sizes)

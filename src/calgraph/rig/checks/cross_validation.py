@@ -14,7 +14,6 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.config.settings import RigDiagnosticsSettings
 from calgraph.errors import InputError
 from calgraph.geometry import Array, Index, se3, se_n
 from calgraph.parallel.processes import forked_jobs, parallel_stream
@@ -23,6 +22,7 @@ from calgraph.result.evidence import rms
 from calgraph.rig.bundle.bundle_solver import (
     BOARD_PRIOR_INFORMATION,
     COARSE_TOLERANCE,
+    RIG_ESTIMATION_HUBER_THRESHOLD,
     Bundle,
     BundleEquations,
     BundleState,
@@ -69,7 +69,6 @@ class _PredictionErrors:
 def cross_validate(
     solved: SolvedBundle,
     folds: int,
-    settings: RigDiagnosticsSettings = RigDiagnosticsSettings(),
     jobs: int = 1,
 ) -> dict[str, HeldOutError]:
     """Holds out every capture once, in one of several solutions.
@@ -79,7 +78,6 @@ def cross_validate(
     Args:
         solved: the solution of all captures.
         folds: number of groups of captures; each group is held out as a whole.
-        settings: which directions and tilts are compared.
         jobs: maximum number of processes, see :func:`parallel_stream`; they do not change the
             result.
 
@@ -100,18 +98,15 @@ def cross_validate(
     fold_of = number % folds
     errors: dict[str, list[_PredictionErrors]] = {name: [] for name in bundle.sensors}
     work = [(fold_of == fold,) for fold in np.unique(fold_of)]
-    for found in parallel_stream(_hold_out, work, (solved, settings), forked_jobs(jobs)):
+    for found in parallel_stream(_hold_out, work, solved, forked_jobs(jobs)):
         for name, error in found.items():
             errors[name].append(error)
     summaries = {name: _summarize(found, units[name], solved.captures) for name, found in errors.items()}
     return {name: summary for name, summary in summaries.items() if summary}
 
 
-def _hold_out(
-    shared: tuple[SolvedBundle, RigDiagnosticsSettings], held_out_boards: NDArray[np.bool_]
-) -> dict[str, _PredictionErrors]:
+def _hold_out(solved: SolvedBundle, held_out_boards: NDArray[np.bool_]) -> dict[str, _PredictionErrors]:
     """The errors of the predictions in some boards (C,), by sensor, with poses from the others."""
-    solved, settings = shared
     bundle, caches = solved.bundle, solved.minimized.equations.cache
     training, cache = _select_boards(bundle, caches, ~held_out_boards)
     trained = minimize_bundle(training, solved.minimized.state, cache, tolerance=COARSE_TOLERANCE, exact=False)
@@ -122,7 +117,7 @@ def _hold_out(
     if not np.isfinite(equations.cost):  # by the trained poses, a board is behind a camera
         return {}
     return {
-        name: _compare_with_prediction(held_out, state, equations, covariance, s, settings)
+        name: _compare_with_prediction(held_out, state, equations, covariance, s)
         for s, name in enumerate(bundle.sensors)
         if len(held_out.views[s].board)
     }
@@ -153,13 +148,19 @@ def _solve_boards(
     return state, equations
 
 
+# m; directions in which the other sensors locate a held-out board worse than this are not compared: errors of
+# interest are smaller, and first-order predictions hold up to about this distance.
+_PREDICTED_BOARD_STDDEV = 0.02
+# rad (6°); views that determine the tilt of a board worse than this are not compared in tilt.
+_COMPARED_TILT_STDDEV = 0.1
+
+
 def _compare_with_prediction(
     bundle: Bundle,
     state: BundleState,
     equations: BundleEquations,
     covariance: Array,
     sensor: int,
-    settings: RigDiagnosticsSettings,
 ) -> _PredictionErrors:
     """Errors of one sensor's views relative to the prediction by the others, linearized at the located boards.
 
@@ -171,18 +172,17 @@ def _compare_with_prediction(
         equations: the normal equations there.
         covariance: (G, G) of the sensors.
         sensor: the predicted one.
-        settings: which directions and tilts are compared.
     """
     views, extra = bundle.views[sensor], state.extra[bundle.extra_indices(sensor)]
     T_board = relative_poses(state.T_root_sensor[sensor], state.T_root_board[views.board])
-    observed = accumulate(views.linearize(T_board, extra), views.start, bundle.settings.huber_threshold)
+    observed = accumulate(views.linearize(T_board, extra), views.start, RIG_ESTIMATION_HUBER_THRESHOLD)
     prior = [bundle.extra_parameters[i].prior_stddev for i in bundle.extra_indices(sensor)]
     # Systematic parameters are predicted at least as well as by their priors.
-    small = _SHARE_OF_PREDICTED * settings.predicted_board_stddev / np.array(prior)
+    small = _SHARE_OF_PREDICTED * _PREDICTED_BOARD_STDDEV / np.array(prior)
     meters = np.array([1, 1, 1, *[bundle.lever] * 3, *small])
     A, b = observed.information / meters / meters[:, None], observed.gradient / meters
     x, X = _predict_boards(bundle, state, equations, covariance, sensor)
-    X, free = _split_predicted(X * meters * meters[:, None], settings.predicted_board_stddev)
+    X, free = _split_predicted(X * meters * meters[:, None], _PREDICTED_BOARD_STDDEV)
     X += np.diag(_bias_variances(bundle, sensor) * meters**2)
     velocity = velocity_along_sensor(views.twist, T_board)
     if velocity is not None:
@@ -202,7 +202,7 @@ def _compare_with_prediction(
     tested = dof > 0
     T_predicted = se3.retract(T_board, x[:, :6] / meters[:6])
     T_own = se3.retract(T_board, -_multiply(inverse @ inverse, b)[:, :6] / meters[:6])
-    tilted = tested & _observes_tilt(A, T_board, bundle.lever, settings.compared_tilt_stddev)
+    tilted = tested & _observes_tilt(A, T_board, bundle.lever, _COMPARED_TILT_STDDEV)
     error, along = _error_sizes(views.select(tested), T_predicted[tested], extra)
     cosine = np.sum(T_predicted[tilted, :3, 2] * T_own[tilted, :3, 2], axis=-1)
     tilt = np.arccos(np.clip(cosine, -1, 1))

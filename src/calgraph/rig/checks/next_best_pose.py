@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.config import Tolerance
-from calgraph.config.settings import DiagnosticsSettings, RigDiagnosticsSettings
+from calgraph.config.settings import DiagnosticsSettings
 from calgraph.geometry import Array, se3, so3
 from calgraph.result import Suggestion
 from calgraph.rig.bundle.board_information import information_by_board
@@ -23,6 +23,10 @@ from calgraph.rig.bundle.observations import relative_poses
 from calgraph.rig.bundle.solution import SolvedBundle
 from calgraph.rig.checks.predicted_observations import predict_observations
 from calgraph.verdict.grades import axis_names, max_good_stddev
+
+# Minimum decrease of the log volume of the error ellipsoid for a pose to be suggested: 5 % of one standard
+# deviation, what one more capture gives in addition to ten similar ones.
+_MIN_SUGGESTION_GAIN = 0.05
 
 
 def suggest_board_poses(
@@ -52,7 +56,7 @@ def suggest_board_poses(
         Poses in the order of selection, each in addition to those before; none where no pose has a relevant gain.
     """
     bundle, current = solved.bundle, solved.minimized.state
-    candidates = _draw_candidates(bundle, current, rng, settings.rig, up)
+    candidates = _draw_candidates(bundle, current, rng, up)
     if is_reachable:
         candidates = candidates[is_reachable(candidates)]
     if not len(candidates):
@@ -67,7 +71,6 @@ def suggest_board_poses(
             relative_poses(T, current.T_root_board[observed.board]),
             relative_poses(T, state.T_root_board),
             size,
-            settings.rig,
         )
         for name, observed, T in sensors
     )
@@ -93,7 +96,7 @@ def suggest_board_poses(
         ratio = np.eye(len(V)) + V @ information
         volume = _log_volume(scaled @ np.linalg.solve(ratio, V @ scaled.T))
         best = int(np.argmin(volume))
-        if volume[best] > _log_volume(scaled @ V @ scaled.T) - settings.rig.min_suggestion_gain:
+        if volume[best] > _log_volume(scaled @ V @ scaled.T) - _MIN_SUGGESTION_GAIN:
             break
         V = np.asarray(np.linalg.solve(ratio[best], V))
         after = _standard_deviations(axes, V) / limits
@@ -105,7 +108,7 @@ def suggest_board_poses(
         }
         suggestions.append(
             Suggestion(
-                hold=describe_pose(name, kinds, T_sensor_board, settings.rig),
+                hold=describe_pose(name, kinds, T_sensor_board),
                 sensor=name,
                 axis=axis_names(kinds[name])[axis],
                 unit="m" if axis < 3 else "rad",
@@ -131,15 +134,23 @@ def _log_volume(covariances: Array) -> Array:
     return np.asarray(0.5 * np.linalg.slogdet(np.eye(covariances.shape[-1]) + covariances)[1])
 
 
+# Board poses tried for a suggestion; the best of 300 random poses is within the best 1 % with a probability of 95
+# %.
+_CANDIDATE_POSES = 300
+# m; candidates are within this distance, along each axis, of recorded board positions, where a person can stand.
+_CANDIDATE_RADIUS = 0.3
+# rad (60°); maximum tilt of candidates from the line of sight. Tags are decoded reliably up to about this angle.
+_MAX_CANDIDATE_TILT = float(np.radians(60))
+
+
 def _draw_candidates(
     bundle: Bundle,
     state: BundleState,
     rng: np.random.Generator,
-    settings: RigDiagnosticsSettings,
     up: Array | None = None,
 ) -> Array:
     """``T_root_board`` (K, 4, 4): near recorded boards, facing a sensor that detected them, with random tilts."""
-    count, radius = settings.candidate_poses, settings.candidate_radius
+    count, radius = _CANDIDATE_POSES, _CANDIDATE_RADIUS
     detected = np.array([(s, board) for s, views in enumerate(bundle.views) for board in views.board])
     sensor, board = rng.choice(detected, count).T
     position = state.T_root_board[board, :3, 3] + rng.uniform(-radius, radius, (count, 3))
@@ -148,7 +159,7 @@ def _draw_candidates(
     # The roll of the board about the line of sight does not matter: any axis across it serves.
     x = np.cross(np.eye(3)[np.argmin(np.abs(z), axis=-1)] if up is None else up, z)
     x /= np.linalg.norm(x, axis=-1, keepdims=True)
-    azimuth, tilt = rng.uniform(0, 2 * np.pi, count), rng.uniform(0, settings.max_candidate_tilt, count)
+    azimuth, tilt = rng.uniform(0, 2 * np.pi, count), rng.uniform(0, _MAX_CANDIDATE_TILT, count)
     y = np.cross(z, x)
     phi = tilt[:, None] * (np.cos(azimuth)[:, None] * x + np.sin(azimuth)[:, None] * y)
     return se3.pose(so3.exp(phi) @ np.stack([x, y, z], axis=-1), position)
@@ -158,16 +169,19 @@ def _draw_candidates(
 _CAMERA_TO_SCANNER_AXES = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
 
-def describe_pose(
-    sensor: str, kinds: Mapping[str, str], T_sensor_board: Mapping[str, Array], settings: RigDiagnosticsSettings
-) -> str:
+# rad (7.5°); the same for angles, which are rounded to 5°.
+_MIN_DESCRIPTION_ANGLE = float(np.radians(7.5))
+# m; smaller heights relative to the sensor are not mentioned: an operator holds a board no more precisely.
+_MIN_DESCRIPTION_HEIGHT = 0.15
+
+
+def describe_pose(sensor: str, kinds: Mapping[str, str], T_sensor_board: Mapping[str, Array]) -> str:
     """Describes a board pose relative to a sensor, or to the nearest one if that sensor does not detect the board.
 
     Args:
         sensor: the sensor whose pose the board improves.
         kinds: camera, lidar2d or lidar3d, by sensor.
         T_sensor_board: (4, 4) for every sensor that detects the board.
-        settings: the least height and angle that are mentioned.
 
     Returns:
         A phrase such as ``hold the board 2.1 m from laser, 30° to its left, tilted back by 40°``.
@@ -181,12 +195,12 @@ def describe_pose(
     left = np.array([-forward[1], forward[0]])
     turned = np.degrees(np.arctan2(normal[:2] @ left, -normal[:2] @ forward))
     tilted = np.degrees(np.arcsin(np.clip(normal[2], -1, 1)))
-    least_angle = np.degrees(settings.min_description_angle)
+    least_angle = np.degrees(_MIN_DESCRIPTION_ANGLE)
     is_ahead = abs(bearing) < least_angle
     parts = [f"hold the board {distance:.1f} m {'in front of' if is_ahead else 'from'} {sensor}"]
     if not is_ahead:
         parts.append(f"{_round_to_five(bearing)} to its {'left' if bearing > 0 else 'right'}")
-    if abs(center[2]) >= settings.min_description_height:
+    if abs(center[2]) >= _MIN_DESCRIPTION_HEIGHT:
         parts.append(f"{abs(center[2]):.1f} m {'above' if center[2] > 0 else 'below'} it")
     if abs(turned) >= least_angle:
         side = "left" if turned > 0 else "right"

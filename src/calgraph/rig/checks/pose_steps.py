@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import chdtri, fdtri
 
-from calgraph.config.settings import BumpTestSettings, SerialCorrelationSettings
 from calgraph.errors import CalibrationError
 from calgraph.geometry import Array, Index, se3
 from calgraph.rig.bundle.bundle_setup import set_noise
@@ -20,10 +19,10 @@ from calgraph.rig.bundle.bundle_solver import (
 )
 from calgraph.rig.bundle.covariances import pose_covariance, view_covariance_factors
 from calgraph.rig.bundle.settling import settle_variances
-from calgraph.rig.bundle.variance_components import measure_consistency
+from calgraph.rig.bundle.variance_components import OUTLIER_SIGNIFICANCE, measure_consistency
 from calgraph.rig.bundle.whitening import whitening
 from calgraph.rig.checks.released_poses import ReleasedPose, StepStatistics, release_poses
-from calgraph.rig.checks.serial_correlation import measure_score_correlation, measure_serial_correlation
+from calgraph.rig.checks.serial_correlation import LAGS, measure_score_correlation, measure_serial_correlation
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,11 +43,16 @@ class PoseStep:
     """Factor of variances by errors that successive boards have in common, beside it and the steps before."""
 
 
+# Minimum number of captures of a sensor on either side of a step: a board that slips in a few captures in a row
+# is not a bump.
+_MIN_VIEWS = 4
+# Maximum number of steps found in a recording.
+_MAX_BUMPS = 4
+
+
 def find_pose_steps(
     bundle: Bundle,
     solution: MinimizedBundle,
-    settings: BumpTestSettings,
-    correlation_settings: SerialCorrelationSettings,
 ) -> list[PoseStep]:
     """The significant steps in the poses of sensors, each searched beside those before it.
 
@@ -59,17 +63,17 @@ def find_pose_steps(
     Args:
         bundle: all views, also outliers, in order of time; without outlines and priors of poses.
         solution: its solution.
-        settings: of the tests.
-        correlation_settings: of errors that successive boards have in common.
     """
     moving = any(len(views.twist) for views in bundle.views)
-    if moving:
-        min_views = max(settings.min_views, 2 * correlation_settings.lags)
-        settings = settings.model_copy(update={"max_bumps": min(settings.max_bumps, 1), "min_views": min_views})
+    max_bumps, min_views = (1, max(_MIN_VIEWS, 2 * LAGS)) if moving else (_MAX_BUMPS, _MIN_VIEWS)
     steps: list[PoseStep] = []
-    while len(steps) < settings.max_bumps:
+    while len(steps) < max_bumps:
         try:
-            found = _find_step(bundle, solution, settings, correlation_settings)
+            found = _find_step(
+                bundle,
+                solution,
+                min_views,
+            )
         except (CalibrationError, np.linalg.LinAlgError):
             break
         if found is None:
@@ -80,49 +84,67 @@ def find_pose_steps(
     return [] if steps and steps[-1].serial_correlation > 1 and not moving else steps
 
 
+# Probability with which a recording without bumps is tested with estimated variances, which takes as long as its
+# solution.
+_TRIGGER_PROBABILITY = 0.1
+# Rounds of estimating the variances together with a step; they start at those of the solution.
+_MAX_ROUNDS = 8
+# m; where views scatter with a larger standard deviation on either side of a step, another error of the model is
+# larger than the step: flat boards and working scanners vary by 1 to 3 mm.
+_MAX_VIEW_BIAS = 0.01
+# Bound on the probability with which a recording without bumps has one reported, for all sensors and times
+# together; Bonferroni's bound is conservative, as neighbouring times have nearly the same statistic. A false
+# alarm costs captures, a bump that is missed an error of up to several standard deviations.
+_FALSE_ALARM_PROBABILITY = 5e-3
+# Sensors whose steps have a likelihood smaller than the largest by less than this factor are all named.
+_INDISTINGUISHABLE_RATIO = 1e4
+# Captures are neither before nor after a step if the likelihood of times on either side of them is less than this
+# factor below the largest: about 95 %.
+_MIN_TIME_LIKELIHOOD = 20.0
+
+
 def _find_step(
     bundle: Bundle,
     solution: MinimizedBundle,
-    settings: BumpTestSettings,
-    correlation_settings: SerialCorrelationSettings,
+    min_views: int,
 ) -> tuple[PoseStep, Bundle, MinimizedBundle] | None:
     """The most significant step, the bundle with it and its solution; None if none is significant."""
     state, weights = solution.state, _downweight_outliers(bundle, solution)
     released = release_poses(bundle, state, solution.equations, weights)
-    scores = [one.score_steps(settings.min_views) for one in released]
+    scores = [one.score_steps(min_views) for one in released]
     tests = sum(len(one.squared) for one in scores)
     if not tests:
         return None
-    trigger = float(chdtri(6, settings.trigger_probability / tests))
-    scores = _require_several_views(released, scores, trigger, settings)
+    trigger = float(chdtri(6, _TRIGGER_PROBABILITY / tests))
+    scores = _require_several_views(released, scores, trigger)
     best = _select_largest(scores)
     if scores[best[0]].squared[best[1]] <= trigger:
         return None
-    split = _split_sensor(bundle, state, scores, best, settings.max_rounds)
+    split = _split_sensor(bundle, state, scores, best, _MAX_ROUNDS)
     # The variances without the step contain its effect: with those beside the step, the tests select again.
     rescaled = _set_variances(bundle, state, split)
     equations = linearize_bundle(rescaled, state)
     released = release_poses(rescaled, state, equations, weights)
-    scores = [one.score_steps(settings.min_views) for one in released]
-    scores = _require_several_views(released, scores, trigger, settings)
+    scores = [one.score_steps(min_views) for one in released]
+    scores = _require_several_views(released, scores, trigger)
     if not any(len(one.squared) for one in scores):
         return None
     again = _select_largest(scores)
     if again != best:
-        best, split = again, _split_sensor(bundle, state, scores, again, settings.max_rounds)
+        best, split = again, _split_sensor(bundle, state, scores, again, _MAX_ROUNDS)
     k, _ = best
-    if split.bundle.bias_variance[:, 0].max() > settings.max_view_bias**2:
+    if split.bundle.bias_variance[:, 0].max() > _MAX_VIEW_BIAS**2:
         return None
-    step, covariance, freedom, factor = _measure_step(split, k, correlation_settings)
+    step, covariance, freedom, factor = _measure_step(split, k)
     largest = [float(one.squared.max(initial=0.0)) for one in scores]
     # A few lines on boards determine a pose poorly, and may have a far solution that its covariance does not span.
     squared = min(float(step @ np.linalg.solve(covariance, step)), largest[k]) / factor
-    significant = squared > 6 * fdtri(6, freedom, 1 - settings.false_alarm_probability / tests)
-    if not significant or not _depends_on_order(released[k], largest[k], settings):
+    significant = squared > 6 * fdtri(6, freedom, 1 - _FALSE_ALARM_PROBABILITY / tests)
+    if not significant or not _depends_on_order(released[k], largest[k], min_views):
         return None
-    margin = 2 * np.log(settings.indistinguishable_ratio)
+    margin = 2 * np.log(_INDISTINGUISHABLE_RATIO)
     names = dict.fromkeys(bundle.sensors[j] for j in range(len(scores)) if largest[j] >= largest[k] - margin)
-    likely = scores[k].first_after[scores[k].squared >= largest[k] - 2 * np.log(settings.min_time_likelihood)]
+    likely = scores[k].first_after[scores[k].squared >= largest[k] - 2 * np.log(_MIN_TIME_LIKELIHOOD)]
     boards = bundle.views[k].board
     found = PoseStep(tuple(names), boards[: likely[0]], boards[likely[-1] :], step, squared, factor)
     return found, split.complete, split.solution
@@ -190,9 +212,7 @@ def _set_variances(bundle: Bundle, state: BundleState, split: _Split) -> Bundle:
     return set_noise(replace(bundle, bias_variance=split.bundle.bias_variance[:sensors]), state, scales)
 
 
-def _measure_step(
-    split: _Split, k: int, correlation_settings: SerialCorrelationSettings
-) -> tuple[Array, Array, float, float]:
+def _measure_step(split: _Split, k: int) -> tuple[Array, Array, float, float]:
     """The step (6,) between views k and those added last, its covariance, and the freedom of its variances.
 
     The last is the factor of the covariance by errors that successive boards have in common beside the step.
@@ -211,15 +231,13 @@ def _measure_step(
         whiten, measured = whitening(A[:, :p, :p])
         freedom += float(measured.sum() - np.sum((whiten @ A[:, :p] @ factors[j]) ** 2))
     step = se3.difference(state.T_root_sensor[added], state.T_root_sensor[k])
-    factor = measure_serial_correlation(bundle, solution, np.arange(len(state.T_root_board)), correlation_settings)
+    factor = measure_serial_correlation(bundle, solution, np.arange(len(state.T_root_board)))
     if moving:
-        factor = max(factor, _correlate_scores(bundle, solution, (k, added), correlation_settings))
+        factor = max(factor, _correlate_scores(bundle, solution, (k, added)))
     return step, covariance, max(freedom, 1.0), factor
 
 
-def _correlate_scores(
-    bundle: Bundle, solution: MinimizedBundle, parts: Sequence[int], settings: SerialCorrelationSettings
-) -> float:
+def _correlate_scores(bundle: Bundle, solution: MinimizedBundle, parts: Sequence[int]) -> float:
     """The factor of :func:`measure_score_correlation` of the views of a sensor on both sides of a step."""
     ones = [np.ones(len(views.board)) for views in bundle.views]
     released = release_poses(bundle, solution.state, solution.equations, ones)
@@ -227,10 +245,15 @@ def _correlate_scores(
     information = np.sum([released[j].information.sum(axis=0) for j in parts], axis=0)
     whiten, _ = whitening(information)
     order = np.argsort(np.concatenate([bundle.views[j].board for j in parts]))
-    return measure_score_correlation(scores[order] @ whiten.T, settings)
+    return measure_score_correlation(scores[order] @ whiten.T)
 
 
-def _depends_on_order(released: ReleasedPose, largest: float, settings: BumpTestSettings) -> bool:
+# Random orders of a sensor's captures, none of which may have a larger statistic than that of time: 0.5 % of
+# them, for any distribution of outliers.
+_PERMUTATIONS = 199
+
+
+def _depends_on_order(released: ReleasedPose, largest: float, min_views: int) -> bool:
     """Whether a statistic is larger than the largest of all times for views in any of many random orders.
 
     Boards that slip, and other outliers, give large statistics in any order.
@@ -239,8 +262,8 @@ def _depends_on_order(released: ReleasedPose, largest: float, settings: BumpTest
     """
     rng, views = np.random.default_rng(0), len(released.score)
     return all(
-        released.score_steps(settings.min_views, rng.permutation(views)).squared.max() < largest
-        for _ in range(settings.permutations)
+        released.score_steps(min_views, rng.permutation(views)).squared.max() < largest
+        for _ in range(_PERMUTATIONS)
     )
 
 
@@ -248,21 +271,26 @@ def _downweight_outliers(bundle: Bundle, solution: MinimizedBundle) -> list[Arra
     """(S,) weights (V,) of views, inverse to their Mahalanobis distance where they are outliers."""
     factors = view_covariance_factors(bundle, solution.equations)
     everything = [np.ones(len(views.board), dtype=np.bool_) for views in bundle.views]
-    significance = bundle.settings.variances.outlier_significance
+    significance = OUTLIER_SIGNIFICANCE
     return [
         1 / np.sqrt(np.maximum(one.excess(significance), 1.0))
-        for one in measure_consistency(bundle, solution.equations, factors, everything)
+        for one in measure_consistency(solution.equations, factors, everything)
     ]
+
+
+# A step must remain where any one capture counts as on its other side, with a smaller probability than this by
+# chance: one wrong detection among the last four of a scanner had a statistic of 427, and 3 without it; bumps of
+# a few standard deviations have 15 and more.
+_SINGLE_VIEW_PROBABILITY = 0.05
 
 
 def _require_several_views(
     released: Sequence[ReleasedPose],
     scores: Sequence[StepStatistics],
     trigger: float,
-    settings: BumpTestSettings,
 ) -> list[StepStatistics]:
     """The statistics, with zero in place of those above the trigger that rest on one view."""
-    least = float(chdtri(6, settings.single_view_probability))
+    least = float(chdtri(6, _SINGLE_VIEW_PROBABILITY))
     return [
         replace(
             statistics,

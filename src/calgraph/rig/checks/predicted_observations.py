@@ -6,7 +6,6 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.config.settings import RigDiagnosticsSettings
 from calgraph.geometry import Array, Index, se3
 from calgraph.rig.bundle.corner_observations import CornerObservations
 from calgraph.rig.bundle.observations import BoardViews
@@ -16,13 +15,16 @@ from calgraph.rig.bundle.range_observations import RangeObservations
 _GRID = 7
 
 
+# Shortest intersection of scan plane and board that is predicted to be detected, as a share of the shorter side.
+_MIN_SEGMENT_SHARE = 1 / 3
+
+
 def predict_observations(
     views: BoardViews,
     kind: str,
     T_detected: Array,
     T_candidate: Array,
     size: tuple[float, float],
-    settings: RigDiagnosticsSettings,
 ) -> BoardViews:
     """Noise-free views of those candidate boards that the sensor is predicted to detect.
 
@@ -32,26 +34,31 @@ def predict_observations(
         T_detected: ``T_sensor_board`` (V, 4, 4) of these views.
         T_candidate: ``T_sensor_board`` (K, 4, 4) of the candidates.
         size: width and height of the board, m.
-        settings: limits of angles and distances at which a detection is predicted.
     """
-    visible = np.flatnonzero(_is_in_view(T_detected, T_candidate, settings))
+    visible = np.flatnonzero(_is_in_view(T_detected, T_candidate))
     if isinstance(views, CornerObservations):
         return _predict_corners(views, visible, T_candidate)
     assert isinstance(views, RangeObservations)
     if kind == "lidar2d":
-        return _predict_scan_lines(views, visible, T_candidate, size, settings.min_segment_share)
+        return _predict_scan_lines(views, visible, T_candidate, size, _MIN_SEGMENT_SHARE)
     return _predict_patches(views, visible, T_detected, T_candidate, size)
 
 
-def _is_in_view(T_detected: Array, T_candidate: Array, settings: RigDiagnosticsSettings) -> NDArray[np.bool_]:
+# rad (65°); maximum angle between the board normal and the line of sight at which a detection is predicted.
+_MAX_PREDICTED_TILT = float(np.radians(65))
+# rad (12°); a sensor is predicted to detect boards within this angle of one that it detected.
+_MAX_BEARING_CHANGE = float(np.radians(12))
+# The same for the ratio of distances: the density of points changes by 1.3² = 1.7, within what detection accepts.
+_MAX_DISTANCE_RATIO = 1.3
+
+
+def _is_in_view(T_detected: Array, T_candidate: Array) -> NDArray[np.bool_]:
     """(K,) which candidates face the sensor, near the bearing and distance of a detected board."""
     detected, center = T_detected[:, :3, 3], T_candidate[:, :3, 3]
     detected_distance, distance = np.linalg.norm(detected, axis=-1), np.linalg.norm(center, axis=-1)
-    facing = -np.sum(center * T_candidate[:, :3, 2], axis=-1) > np.cos(settings.max_predicted_tilt) * distance
-    same_bearing = (
-        center @ detected.T > np.cos(settings.max_bearing_change) * distance[:, None] * detected_distance
-    )
-    same_distance = np.abs(np.log(distance[:, None] / detected_distance)) < np.log(settings.max_distance_ratio)
+    facing = -np.sum(center * T_candidate[:, :3, 2], axis=-1) > np.cos(_MAX_PREDICTED_TILT) * distance
+    same_bearing = center @ detected.T > np.cos(_MAX_BEARING_CHANGE) * distance[:, None] * detected_distance
+    same_distance = np.abs(np.log(distance[:, None] / detected_distance)) < np.log(_MAX_DISTANCE_RATIO)
     return np.asarray(facing & np.any(same_bearing & same_distance, axis=-1), dtype=np.bool_)
 
 

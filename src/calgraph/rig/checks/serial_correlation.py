@@ -6,15 +6,19 @@ captures, errors of lenses, clocks and shutters are the same in successive captu
 
 import numpy as np
 
-from calgraph.config.settings import SerialCorrelationSettings
 from calgraph.geometry import Array, Index
 from calgraph.rig.bundle.board_information import gradient_by_board
 from calgraph.rig.bundle.bundle_solver import Bundle, MinimizedBundle
 
+# Captures until correlations are taken to end, by Bartlett's weights: twice the cube root of the usual 30 to 60
+# captures is 6 to 8, and more would leave few independent sums.
+LAGS = 6
+# Random orders of the captures, all of which have less correlation than that of time if it is significant: a
+# false-alarm probability of 1 %, which costs 20 to 50 % of variance.
+_PERMUTATIONS = 99
 
-def measure_serial_correlation(
-    bundle: Bundle, solution: MinimizedBundle, order: Index, settings: SerialCorrelationSettings
-) -> float:
+
+def measure_serial_correlation(bundle: Bundle, solution: MinimizedBundle, order: Index) -> float:
     """The factor by which serial correlation increases the variances of poses; 1 where it is not significant.
 
     What each board adds to the poses has a long-run variance, with lags weighted as by Bartlett, after removal of
@@ -29,9 +33,8 @@ def measure_serial_correlation(
         bundle: the observations.
         solution: its solution.
         order: (C,) of the boards in time.
-        settings: lags and random orders.
     """
-    if len(order) < 2 * settings.lags or not bundle.body_count:
+    if len(order) < 2 * LAGS or not bundle.body_count:
         return 1.0
     poses = 6 * bundle.body_count
     H, _, _ = solution.equations.eliminate_boards()
@@ -40,14 +43,12 @@ def measure_serial_correlation(
     steps = np.linalg.solve(np.linalg.cholesky(covariance[:poses]), steps.T).T
     steps = steps[np.argsort(order, kind="stable")]
     rng = np.random.default_rng(0)
-    random_orders = [
-        _long_run_variance(rng.permutation(steps), settings.lags) for _ in range(settings.permutations)
-    ]
-    variance = _long_run_variance(steps, settings.lags)
+    random_orders = [_long_run_variance(rng.permutation(steps), LAGS) for _ in range(_PERMUTATIONS)]
+    variance = _long_run_variance(steps, LAGS)
     return variance / float(np.median(random_orders)) if variance > max(random_orders) else 1.0
 
 
-def measure_score_correlation(scores: Array, settings: SerialCorrelationSettings) -> float:
+def measure_score_correlation(scores: Array) -> float:
     """The factor by which serial correlation of views increases the variance of sums of their scores, at least 1.
 
     The long-run covariance of the scores, with lags weighted as by Bartlett, has one largest eigenvalue for the
@@ -55,13 +56,10 @@ def measure_score_correlation(scores: Array, settings: SerialCorrelationSettings
 
     Args:
         scores: (V, m) of views in order of time.
-        settings: lags and random orders.
     """
     rng = np.random.default_rng(0)
-    random_orders = [
-        _largest_long_run_variance(rng.permutation(scores), settings.lags) for _ in range(settings.permutations)
-    ]
-    return max(1.0, _largest_long_run_variance(scores, settings.lags) / float(np.median(random_orders)))
+    random_orders = [_largest_long_run_variance(rng.permutation(scores), LAGS) for _ in range(_PERMUTATIONS)]
+    return max(1.0, _largest_long_run_variance(scores, LAGS) / float(np.median(random_orders)))
 
 
 def _largest_long_run_variance(series: Array, lags: int) -> float:

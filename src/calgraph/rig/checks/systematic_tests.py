@@ -10,7 +10,6 @@ import numpy as np
 from scipy.special import ndtr, ndtri
 
 from calgraph.config import CameraSpec, Rig
-from calgraph.config.settings import RigDiagnosticsSettings
 from calgraph.geometry import Index
 from calgraph.result.finding import Finding
 from calgraph.rig.bundle.bundle_solver import Bundle
@@ -19,14 +18,17 @@ from calgraph.rig.bundle.covariances import parameter_covariance
 from calgraph.rig.bundle.solution import SolvedBundle
 from calgraph.rig.bundle.systematic_parameters import RESIDUAL_DISTORTION
 from calgraph.sensors import DISTORTION_NAMES
-from calgraph.verdict.parameter_estimates import ParameterEstimates
+from calgraph.verdict.parameter_estimates import (
+    MAX_PARAMETER_CORRELATION,
+    MAX_PRIOR_DEVIATION,
+    MIN_LEARNED_SHARE,
+    ParameterEstimates,
+)
 
 _COEFFICIENTS = frozenset(name for names in DISTORTION_NAMES.values() for name in names)
 
 
-def find_systematic_errors(
-    solved: SolvedBundle, rig: Rig, settings: RigDiagnosticsSettings = RigDiagnosticsSettings()
-) -> Iterator[Finding]:
+def find_systematic_errors(solved: SolvedBundle, rig: Rig) -> Iterator[Finding]:
     """Systematic parameters that are farther from their stated values than their priors allow.
 
     Rings of a scanner, and tags of a board, are tested by their largest deviation, at a limit that the largest of
@@ -35,7 +37,6 @@ def find_systematic_errors(
     Args:
         solved: the solution.
         rig: with the uncertainty of cameras' distortion.
-        settings: limits of deviations and correlations.
     """
     bundle, minimized = solved.bundle, solved.minimized
     first = 6 * bundle.body_count
@@ -46,14 +47,14 @@ def find_systematic_errors(
         minimized.state.extra,
         np.array([one.prior_stddev for one in parameters]),
         covariance,
-        settings.min_learned_share,
+        MIN_LEARNED_SHARE,
     )
     named: set[int] = set()
     for group in _group_parameters(bundle):
-        limit = -ndtri(ndtr(-settings.max_prior_deviation) / len(group))
+        limit = -ndtri(ndtr(-MAX_PRIOR_DEVIATION) / len(group))
         i = int(group[np.argmax(np.abs(estimates.normalized[group]))])
         if abs(estimates.normalized[i]) > limit and i not in named:
-            others = np.setdiff1d(estimates.indistinguishable(i, settings.max_parameter_correlation), group)
+            others = np.setdiff1d(estimates.indistinguishable(i, MAX_PARAMETER_CORRELATION), group)
             named.update(others.tolist())
             yield _describe_error(bundle, estimates, i, others)
     for k, views in enumerate(bundle.views):
@@ -61,7 +62,7 @@ def find_systematic_errors(
             spec = rig.sensors[bundle.sensors[k]]
             assert isinstance(spec, CameraSpec)
             prior = spec.uncertainty.distortion
-            yield from _find_wrong_distortion(bundle, estimates, k, views, prior, settings.max_prior_deviation)
+            yield from _find_wrong_distortion(bundle, estimates, k, views, prior, MAX_PRIOR_DEVIATION)
 
 
 def _is_part(quantity: str) -> bool:

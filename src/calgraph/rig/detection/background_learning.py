@@ -4,13 +4,14 @@ Source: MSG-Cal, section III-A (change detection between octrees). In the plane 
 the range of each beam serves the same purpose with a finer resolution.
 """
 
+import math
 from collections.abc import Iterable, Sequence
 from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.config.settings import DetectionSettings, ScanBackgroundSettings
+from calgraph.config.settings import DetectionSettings
 from calgraph.errors import InputError
 from calgraph.geometry import Array, measure_lengths
 from calgraph.rig.detection.cloud_background import (
@@ -22,10 +23,20 @@ from calgraph.rig.detection.cloud_background import (
 )
 from calgraph.sensors import LaserScan, PointCloud, ScanBackground, align_ranges
 
+# Quantile of a beam's ranges that is its nearest depth: one scan in twenty may show dust or a passer-by.
+_DEPTH_QUANTILE = 0.05
+# Ranges within this distance of the nearest depth, m, determine its noise: ten standard deviations of a noisy
+# scanner (30 mm), and less than the jump at an edge of furniture.
+_NOISE_WINDOW = 0.3
+# Foreground ends at least this much before the background, m, where a beam shows little noise in the window: the
+# board is half a metre from walls.
+_MIN_MARGIN = 0.05
+# The same in root mean squares of the ranges about the nearest depth: with a quantile of 5 %, foreground ends 1.6
+# + 2.5 x 1.9 = 6.4 standard deviations before the mean.
+_MARGIN_SIGMAS = 2.5
 
-def learn_scan_background(
-    scans: Sequence[LaserScan], settings: ScanBackgroundSettings = ScanBackgroundSettings()
-) -> ScanBackground:
+
+def learn_scan_background(scans: Sequence[LaserScan]) -> ScanBackground:
     """Learns the background of a 2-D scanner.
 
     A low quantile of each beam's ranges is its background depth. At an edge, where a beam alternates between two
@@ -34,7 +45,6 @@ def learn_scan_background(
 
     Args:
         scans: of one sensor; not necessarily with the same beams.
-        settings: of the model.
 
     Raises:
         InputError: there are no scans, or no scan has a measurement.
@@ -43,11 +53,11 @@ def learn_scan_background(
         raise InputError("no returns in the background window; state a capture.background with measurements")
     angles = np.sort(max(scans, key=lambda scan: len(scan.angles)).angles)
     ranges = np.concatenate([align_ranges(angles, scan.angles, scan.ranges[None]) for scan in scans])
-    depths = _find_nearest_depths(ranges, settings.depth_quantile)
+    depths = _find_nearest_depths(ranges, _DEPTH_QUANTILE)
     # Only the scatter around the nearest depth: that of all ranges would be the size of the edge.
-    offsets = np.where(np.abs(ranges - depths) < settings.noise_window, ranges - depths, np.nan)
+    offsets = np.where(np.abs(ranges - depths) < _NOISE_WINDOW, ranges - depths, np.nan)
     sigma = np.sqrt(np.nansum(offsets**2, axis=0) / np.maximum(np.isfinite(offsets).sum(axis=0), 1))
-    margins = np.maximum(settings.min_margin, settings.margin_sigmas * sigma)
+    margins = np.maximum(_MIN_MARGIN, _MARGIN_SIGMAS * sigma)
     return ScanBackground.from_depths(angles, depths, margins)
 
 
@@ -57,6 +67,10 @@ def _find_nearest_depths(ranges: Array, quantile: float) -> Array:
     count = np.isfinite(ranges).sum(axis=0)
     row = np.floor(quantile * np.maximum(count - 1, 0)).astype(np.intp)
     return np.asarray(ordered[row, np.arange(ranges.shape[1])])
+
+
+# Edge of a direction cell that holds the largest range of the background, 1°: several beams of any LiDAR.
+_DIRECTION_CELL = math.radians(1.0)
 
 
 def learn_cloud_background(
@@ -74,7 +88,7 @@ def learn_cloud_background(
     Raises:
         InputError: the clouds hold no points.
     """
-    voxel, cell = settings.cloud_background.voxel, settings.cloud_background.direction_cell
+    voxel, cell = settings.cloud_background.voxel, _DIRECTION_CELL
     keys = np.empty(0, dtype=np.int64)
     max_range = np.zeros((round(np.pi / cell), round(2 * np.pi / cell)))
     for cloud in clouds:

@@ -73,6 +73,13 @@ def _join_returns(
     return directions[first], np.where(nearest < -thickness, nearest, mean), scan_line[first]
 
 
+# Maximum angle between beams on either side of an edge, in beam spacings: three beams may be missing.
+_MAX_STEP_RATIO = 4.0
+# Depth jump from a beam past the board to the next one, m, that makes it a mixed pixel of board and background:
+# three times min_depth_jump, so that it ends clearly between both.
+_MIN_MIXED_JUMP = 0.3
+
+
 def _find_trailing_edges(
     directions: Array,
     excess: Array,
@@ -89,7 +96,7 @@ def _find_trailing_edges(
     if len(scan_line) < 4:
         return np.empty((0, 2, 3))
     previous, last, next_beam, after_next = (slice(i, len(scan_line) - 3 + i) for i in range(4))
-    max_step = settings.edges.max_step_ratio * step
+    max_step = _MAX_STEP_RATIO * step
     gap = measure_lengths(directions[next_beam] - directions[last])
     last_step = directions[last] - directions[previous]
     step_length = measure_lengths(last_step)
@@ -102,9 +109,7 @@ def _find_trailing_edges(
     behind = excess > settings.min_depth_jump
     # A beam between two depths is a mixed pixel: the edge may be on either side of it.
     mixed_pixel = near & (scan_line[after_next] == scan_line[next_beam]) & behind[after_next]
-    mixed_pixel &= (excess[next_beam] > 0) & (
-        excess[after_next] - excess[next_beam] > settings.edges.min_mixed_jump
-    )
+    mixed_pixel &= (excess[next_beam] > 0) & (excess[after_next] - excess[next_beam] > _MIN_MIXED_JUMP)
     is_edge = board_ends & (no_return | (near & behind[next_beam]) | mixed_pixel)
     steps = np.where(near, np.maximum(np.rint(gap / step), 1.0), 1.0) if parallax == 0 else np.ones(len(gap))
     angle_past = step * (steps + mixed_pixel)

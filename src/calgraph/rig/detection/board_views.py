@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from calgraph.boards.board_pose import OUTLIER_SIGMAS
+from calgraph.boards.camera import MIN_MOTION_NOISE
 from calgraph.boards.detections import BoardCorners
 from calgraph.boards.printed_boards import (
     PrintedBoard,
@@ -114,8 +116,8 @@ class BoardViewFinder:
             return Rejected(explain_missing(printed, marks_by_image[0]))
         marks: Marks | Rejected = detected[0]
         if len(detected) > 1:
-            noise = max(self._noise.pixel, self._settings.min_motion_noise)
-            marks = average_marks(detected, self._settings.pose.outlier_sigmas * noise)
+            noise = max(self._noise.pixel, MIN_MOTION_NOISE)
+            marks = average_marks(detected, OUTLIER_SIGMAS * noise)
         if isinstance(marks, Rejected):
             return marks
         corners = printed.landmarks.corners_of(marks.ids)

@@ -4,6 +4,7 @@ A recording without a background window shows the scene behind the board in its 
 which most of them measure the same range, and few a longer one, ends on something static there.
 """
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -13,6 +14,8 @@ from numpy.typing import NDArray
 from calgraph.config import RangeNoise
 from calgraph.config.settings import DetectionSettings
 from calgraph.geometry import Array, measure_lengths
+from calgraph.rig.detection.line_plane_fit import OUTLIER_SIGMAS
+from calgraph.rig.detection.scan_averaging import MIN_THICKNESS
 from calgraph.sensors import PointCloud
 
 # Offset of the borders of direction cells, in cells. LiDARs have rings at whole and half degrees, at the border of
@@ -33,6 +36,16 @@ class CaptureBackground:
         return np.asarray(measure_lengths(points) < begin)
 
 
+# Edge of a direction cell, 1°: several beams of any LiDAR, and 5 cm at 3 m.
+_DIRECTION_CELL = math.radians(1.0)
+# Minimum share of the captures in which a static direction has the same range: board and operator cover a
+# direction that they often stand in by less than a third of the captures, or it is not static.
+_MIN_STATIC_SHARE = 0.7
+# Maximum share of the captures with a longer range, or no return: one of 20. All beams of a cell are rarely lost
+# together, and a board that stood elsewhere in two captures is not static.
+_MAX_FREE_SHARE = 0.05
+
+
 def learn_capture_background(
     clouds: Iterable[PointCloud], noise: RangeNoise, settings: DetectionSettings = DetectionSettings()
 ) -> CaptureBackground:
@@ -47,7 +60,7 @@ def learn_capture_background(
         settings: of the detection.
     """
     limits = settings.capture_background
-    shape = round(np.pi / limits.direction_cell) + 1, round(2 * np.pi / limits.direction_cell)
+    shape = round(np.pi / _DIRECTION_CELL) + 1, round(2 * np.pi / _DIRECTION_CELL)
     nearest = [
         _measure_nearest_ranges(cloud, shape, settings.lidar3d.min_range) for cloud in clouds if len(cloud.points)
     ]
@@ -55,10 +68,10 @@ def learn_capture_background(
         return CaptureBackground(np.full(shape, np.inf))
     ranges = np.sort(nearest, axis=0)  # directions without return last: they are infinite
     median = ranges[len(ranges) // 2]
-    thickness = max(settings.scanner.fit.outlier_sigmas * noise.range, settings.scanner.min_thickness)
+    thickness = max(OUTLIER_SIGMAS * noise.range, MIN_THICKNESS)
     beyond = np.mean(ranges > median + thickness, axis=0)
     same = 1 - beyond - np.mean(ranges < median - thickness, axis=0)
-    static = np.isfinite(median) & (same >= limits.min_static_share) & (beyond <= limits.max_free_share)
+    static = np.isfinite(median) & (same >= _MIN_STATIC_SHARE) & (beyond <= _MAX_FREE_SHARE)
     begin = np.where(static, median - thickness, np.inf)
     return CaptureBackground(begin.reshape(shape).astype(np.float64))
 

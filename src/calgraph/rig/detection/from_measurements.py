@@ -6,7 +6,6 @@ from calgraph.boards.board_pose import fit_pose
 from calgraph.boards.camera import make_board_corners
 from calgraph.boards.detections import BoardCorners, PlanePatch, Segment, to_beams
 from calgraph.config import PixelNoise, RangeNoise
-from calgraph.config.settings import BoardPoseSettings, SurfaceFitSettings
 from calgraph.errors import InputError, Rejected
 from calgraph.geometry import Array, plane
 from calgraph.rig.detection.lidar2d import build_segment
@@ -23,7 +22,6 @@ def board_corners_from_pixels(
     camera: CameraModel,
     noise: PixelNoise | None = None,
     board: int = 0,
-    settings: BoardPoseSettings = BoardPoseSettings(),
 ) -> BoardCorners | Rejected:
     """The board in a camera image, from printed corners and their pixels.
 
@@ -33,7 +31,6 @@ def board_corners_from_pixels(
         camera: the intrinsics.
         noise: of a corner.
         board: index of the board among the rig's boards.
-        settings: of the rejection of outliers.
 
     Returns:
         The detection without outliers, or why the corners determine no pose.
@@ -48,21 +45,16 @@ def board_corners_from_pixels(
     if corners[:, 2].any():
         raise InputError("corners_board: must lie in the board's plane, z = 0")
     mark_corners, mark_pixels = corners[:, None], image_points[:, None]
-    pose = fit_pose(
-        np.arange(len(mark_corners)), mark_corners, mark_pixels, camera, (noise or PixelNoise()).pixel, settings
-    )
+    pose = fit_pose(np.arange(len(mark_corners)), mark_corners, mark_pixels, camera, (noise or PixelNoise()).pixel)
     return pose if isinstance(pose, Rejected) else make_board_corners(pose, mark_corners, mark_pixels, board)
 
 
-def plane_patch_from_points(
-    points: Array, noise: RangeNoise | None = None, settings: SurfaceFitSettings = SurfaceFitSettings()
-) -> PlanePatch | Rejected:
+def plane_patch_from_points(points: Array, noise: RangeNoise | None = None) -> PlanePatch | Rejected:
     """The board in a cloud of a 3-D scanner, from the points on it.
 
     Args:
         points: (N, 3) on the board, clear of its outline, in the scanner's frame, m; beams start in its origin.
         noise: of a beam.
-        settings: of the robust fit.
 
     Returns:
         The plane by least squares along the beams, without outliers; or why there is none.
@@ -76,7 +68,7 @@ def plane_patch_from_points(
         return Rejected(f"a plane needs four points, got {len(points)}")
     noise = noise or RangeNoise()
     ranges, directions = to_beams(points)
-    fit = fit_plane(ranges, directions, noise.range, noise.angle, plane.fit(points), settings)
+    fit = fit_plane(ranges, directions, noise.range, noise.angle, plane.fit(points))
     if fit is None:
         return Rejected(f"the {len(points)} points lie on no plane, or on one along the beams")
     middle = points[fit.inliers].mean(axis=0)
@@ -84,15 +76,12 @@ def plane_patch_from_points(
     return PlanePatch(fit.parameters, fit.covariance, ranges[fit.inliers], directions[fit.inliers], center)
 
 
-def segment_from_points(
-    points: Array, noise: RangeNoise | None = None, settings: SurfaceFitSettings = SurfaceFitSettings()
-) -> Segment | Rejected:
+def segment_from_points(points: Array, noise: RangeNoise | None = None) -> Segment | Rejected:
     """The board in scans of a 2-D scanner, from the ends of the beams on it.
 
     Args:
         points: (N, 2) or (N, 3) in the scan plane z = 0, of one scan or of several of the same resting board, m.
         noise: of a beam.
-        settings: of the robust fit.
 
     Returns:
         The line by least squares along the beams, without outliers; or why there is none.
@@ -113,7 +102,7 @@ def segment_from_points(
         return Rejected(f"a line needs three beams, got {len(beams)}")
     noise = noise or RangeNoise()
     sigmas = (np.full_like(ranges, noise.range), np.full_like(ranges, noise.angle))
-    fit = fit_line(angles, ranges, *sigmas, _fit_normal_form(points[:, :2]), settings)
+    fit = fit_line(angles, ranges, *sigmas, _fit_normal_form(points[:, :2]))
     if fit is None or fit.parameters[1] <= 0:
         return Rejected(f"the ends of the {len(beams)} beams lie on no line, or on one along the beams")
     ends = np.array([angles[fit.inliers].min(), angles[fit.inliers].max()])

@@ -18,14 +18,17 @@ from calgraph.geometry import Array, measure_lengths, plane
 from calgraph.rig.detection.board_edges import find_board_edges, select_beams_with_margin
 from calgraph.rig.detection.capture_background import CaptureBackground
 from calgraph.rig.detection.cloud_background import CloudBackground
-from calgraph.rig.detection.line_plane_fit import fit_plane
+from calgraph.rig.detection.lidar2d import MAX_CANDIDATES, RANSAC_CONFIDENCE, SURROUNDINGS
+from calgraph.rig.detection.line_plane_fit import MIN_COSINE, OUTLIER_SIGMAS, fit_plane
 from calgraph.rig.detection.rectangle_fit import (
+    OUTLINE_BLUR,
     BoardRectangle,
     SceneBeams,
     fit_rectangle,
     measure_solidity_and_isolation,
 )
 from calgraph.rig.detection.region_growing import grow_flat_regions
+from calgraph.rig.detection.scan_averaging import MIN_THICKNESS, SAME_SURFACE_SIGMAS
 from calgraph.rig.detection.voxel_normals import Cells, Indices, make_cells
 from calgraph.sensors import PointCloud
 from calgraph.solver.ransac import find_consensus
@@ -34,6 +37,15 @@ from calgraph.solver.ransac import find_consensus
 _ROUNDING = 1e-9
 # Points with equal sums of coordinates times these are equal: no sensible coordinates have this ratio.
 _IRRATIONAL = np.array([1.0, np.sqrt(2.0), np.sqrt(3.0)])
+
+
+# Maximum number of points of the scene, evenly chosen, that show whether a candidate stands free: bounds the
+# time.
+_MAX_SCENE_POINTS = 30_000
+# Minimum score of a candidate, the product of coverage, containment, solidity, isolation and resolution.
+_MIN_SCORE = 0.1
+# Minimum score over that of the best candidate: worse ones only cost time in the pairwise step.
+_MIN_SCORE_RATIO = 0.25
 
 
 def find_patches(
@@ -83,14 +95,14 @@ def find_patches(
             "bring the board nearer or turn its longer side across the rings"
         )
     cells = make_cells(points, None if rings is None else rings[foreground], settings)
-    thickness = max(settings.scanner.fit.outlier_sigmas * noise.range, settings.scanner.min_thickness)
-    regions = [] if cells is None else grow_flat_regions(cells, thickness, settings.lidar3d.regions)
+    thickness = max(OUTLIER_SIGMAS * noise.range, MIN_THICKNESS)
+    regions = [] if cells is None else grow_flat_regions(cells, thickness)
     if cells is None or not regions:
         return Rejected(f"{count_text} hold no flat patch: the board is not in view, too far or edge-on")
     if isinstance(background, CaptureBackground):
         # Where the board often stood, its points may be taken for background; those on its plane belong to it.
         points = np.concatenate([points, scene.take(np.flatnonzero(valid & ~foreground), axis=0)])
-    step = max(1, len(scene) // settings.lidar3d.max_scene_points)
+    step = max(1, len(scene) // _MAX_SCENE_POINTS)
     subsampled = SceneBeams(scene[::step], ranges[::step])
     candidates = _select_candidate_regions(cells, regions, boards, subsampled, thickness, settings)
     measured = [
@@ -99,15 +111,15 @@ def find_patches(
     ]
     found: list[PlanePatch] = []
     for patch in sorted((p for p in measured if p is not None), key=lambda p: -p.match):
-        least = max(limits.min_score, limits.min_score_ratio * found[0].match if found else 0.0)
+        least = max(_MIN_SCORE, _MIN_SCORE_RATIO * found[0].match if found else 0.0)
         fitted = _fit_patch(points, patch, noise, settings) if patch.match >= least else None
         if fitted is not None:
             found.append(fitted)
     if not found:
         return _explain_no_match(cells, regions, boards)
     lines = _order_by_scan_line(clouds[0], ranges[: len(clouds[0].points)], settings)
-    radius = max(0.5 * float(np.hypot(*board.size)) for board in boards) + settings.scanner.surroundings
-    thickness = max(settings.scanner.same_surface_sigmas * noise.range, settings.scanner.min_thickness)
+    radius = max(0.5 * float(np.hypot(*board.size)) for board in boards) + SURROUNDINGS
+    thickness = max(SAME_SURFACE_SIGMAS * noise.range, MIN_THICKNESS)
     return tuple(replace(p, edges=_find_edges(lines, p, thickness, radius, settings)) for p in found)
 
 
@@ -124,9 +136,7 @@ def _select_candidate_regions(
     for region in regions:
         points = cells.points[region]
         surface = plane.fit(points)
-        possible = [
-            board for board in boards if _has_plausible_size(points, board, cells.spacing, settings.lidar3d)
-        ]
+        possible = [board for board in boards if _has_plausible_size(points, board, cells.spacing)]
         if possible:
             scores = [
                 _score_patch(surface, points, board, cells.spacing, scene, thickness, settings)[0]
@@ -134,8 +144,8 @@ def _select_candidate_regions(
             ]
             scored.append((max(scores), region))
     scored.sort(key=lambda s: -s[0])
-    best = scored[: settings.scanner.max_candidates]
-    return [region for score, region in best if score >= settings.lidar3d.min_score]
+    best = scored[:MAX_CANDIDATES]
+    return [region for score, region in best if score >= _MIN_SCORE]
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,7 +175,7 @@ def _measure_patch(
     in_region = np.zeros(len(cells.points) + 1, dtype=np.bool_)  # the last one is that of points without a cell
     in_region[region] = True
     chosen = points.take(np.flatnonzero(in_region[cells.cell_of_point]), axis=0)
-    surface = _find_consensus_plane(chosen, thickness, rng, settings)
+    surface = _find_consensus_plane(chosen, thickness, rng)
     if surface is None:
         return None
     members = _collect_plane_points(points, cells, region, surface, thickness)
@@ -184,7 +194,7 @@ def _fit_patch(
     rectangle, members = patch.rectangle, patch.members
     interior = members[_select_interior(points[members], rectangle, patch.match, settings.lidar3d)]
     ranges, directions = to_beams(points[interior])
-    fit = fit_plane(ranges, directions, noise.range, noise.angle, patch.surface, settings.scanner.fit)
+    fit = fit_plane(ranges, directions, noise.range, noise.angle, patch.surface)
     if fit is None or fit.inliers.sum() < settings.lidar3d.min_points:
         return None
     n, d = fit.parameters[:3], fit.parameters[3]
@@ -194,11 +204,15 @@ def _fit_patch(
     )
 
 
-def _find_consensus_plane(
-    points: Array, threshold: float, rng: np.random.Generator, settings: DetectionSettings
-) -> Array | None:
+# Maximum number of points that RANSAC draws from and scores: the share of inliers is accurate to 2.5 %.
+_MAX_RANSAC_POINTS = 400
+# Samples of RANSAC: a plane with a third of the points is drawn with 99.9 %.
+_RANSAC_SAMPLES = 200
+
+
+def _find_consensus_plane(points: Array, threshold: float, rng: np.random.Generator) -> Array | None:
     """The plane (4,) with the most inliers among the points (N, 3)."""
-    most = settings.lidar3d.max_ransac_points
+    most = _MAX_RANSAC_POINTS
     if len(points) > most:
         points = points[rng.choice(len(points), most, replace=False)]
 
@@ -216,7 +230,7 @@ def _find_consensus_plane(
     groups = np.arange(len(points))
     consensus = find_consensus(
         groups, 3, solve, squared_residuals, threshold**2, rng=rng,
-        confidence=settings.scanner.ransac_confidence, max_samples=settings.lidar3d.ransac_samples,
+        confidence=RANSAC_CONFIDENCE, max_samples=_RANSAC_SAMPLES,
     )  # fmt: skip
     return None if consensus is None else consensus.model
 
@@ -238,6 +252,14 @@ def _collect_plane_points(
     return np.asarray(near[inside[distance < reach]])
 
 
+# Score from which the fitted rectangle selects the points on the board: below it the fit may be wrong.
+_RECTANGLE_SCORE = 0.5
+# Points closer to the outline, m, may be mixed pixels of board and background, and are not fitted.
+_EDGE_MARGIN = 0.02
+# Minimum share of points left by edge_margin; otherwise all are fitted: a patch of few rings is outline.
+_MIN_INTERIOR_RATIO = 0.6
+
+
 def _select_interior(
     points: Array, rectangle: BoardRectangle, match: float, settings: Lidar3dDetectionSettings
 ) -> NDArray[np.bool_]:
@@ -249,7 +271,7 @@ def _select_interior(
     with np.errstate(divide="ignore", invalid="ignore"):
         flat = rectangle.coordinates(points * (-surface[3] / (points @ surface[:3]))[:, None])
     kept: NDArray[np.bool_] = np.ones(len(flat), dtype=np.bool_)
-    if match > settings.rectangle_score:
+    if match > _RECTANGLE_SCORE:
         # The rectangle excludes stand and arms.
         kept = np.asarray(np.all(np.abs(flat) < 0.5 * np.array(rectangle.size), axis=1), dtype=np.bool_)
     try:
@@ -257,8 +279,20 @@ def _select_interior(
     except (QhullError, ValueError):
         return kept
     depth = np.max(hull.equations[:, :2] @ flat.T + hull.equations[:, 2:], axis=0)
-    clear: NDArray[np.bool_] = np.asarray(kept & (depth < -settings.edge_margin), dtype=np.bool_)
-    return clear if clear.sum() > max(settings.min_points, settings.min_interior_ratio * kept.sum()) else kept
+    clear: NDArray[np.bool_] = np.asarray(kept & (depth < -_EDGE_MARGIN), dtype=np.bool_)
+    return clear if clear.sum() > max(settings.min_points, _MIN_INTERIOR_RATIO * kept.sum()) else kept
+
+
+# Reach of a cell on the plane, in spacings of cells: half of its footprint, and a tenth.
+_FOOTPRINT_REACH = 0.6
+# Minimum cosine of incidence (73°) in the footprint of a cell: flatter, footprints overlap their neighbours.
+_MIN_FOOTPRINT_COSINE = 0.3
+# Maximum reach over the shorter side of the board: farther, single cells would cover it.
+_MAX_REACH_RATIO = 0.25
+# Minimum width of the frame around a board that must be empty, in spacings of cells: it contains a cell.
+_MIN_FRAME_CELLS = 1.5
+# Cells across the shorter side from which the score is not reduced: a few cells fit any outline, as of far walls.
+_RESOLVED_CELLS = 4.0
 
 
 def _score_patch(
@@ -273,16 +307,16 @@ def _score_patch(
     """Score, 0 to 1, of a patch as the board, and the rectangle of the board in it."""
     centre = cells.mean(axis=0)
     step = spacing * float(np.linalg.norm(centre))
-    limits = settings.lidar3d
+    pass
     cosine = abs(float(surface[:3] @ centre)) / float(np.linalg.norm(centre))
-    footprint = limits.footprint_reach * step / max(cosine, limits.min_footprint_cosine)
-    reach = min(footprint, limits.max_reach_ratio * min(board.size))
-    rectangle = fit_rectangle(surface, cells, board.size, reach, limits.outline_blur)
-    if rectangle.covered * rectangle.contained < limits.min_score:
+    footprint = _FOOTPRINT_REACH * step / max(cosine, _MIN_FOOTPRINT_COSINE)
+    reach = min(footprint, _MAX_REACH_RATIO * min(board.size))
+    rectangle = fit_rectangle(surface, cells, board.size, reach, OUTLINE_BLUR)
+    if rectangle.covered * rectangle.contained < _MIN_SCORE:
         return 0.0, rectangle
-    frame = max(settings.scanner.surroundings, limits.min_frame_cells * step)
+    frame = max(SURROUNDINGS, _MIN_FRAME_CELLS * step)
     solidity, isolation = measure_solidity_and_isolation(rectangle, scene, thickness, frame, settings)
-    resolution = min(1.0, min(board.size) / (limits.resolved_cells * step))
+    resolution = min(1.0, min(board.size) / (_RESOLVED_CELLS * step))
     return rectangle.covered * rectangle.contained * solidity * isolation * resolution, rectangle
 
 
@@ -294,16 +328,28 @@ def _measure_extent(points: Array) -> tuple[float, float]:
     return float(spans[2]), float(spans[1])
 
 
-def _has_plausible_size(points: Array, board: Board, spacing: float, settings: Lidar3dDetectionSettings) -> bool:
+# Maximum length of a region over the diagonal of the board: stand and arms add to it; longer ones are walls.
+_MAX_PATCH_LENGTH_RATIO = 1.5
+# Minimum length of a region over the shorter side of the board, less one spacing of cells: half of a board that
+# is partly hidden. Smaller regions are not scored, which saves time.
+_MIN_PATCH_LENGTH_RATIO = 0.5
+# The same of its width: less, as few rings across a board hold only a part of it.
+_MIN_PATCH_WIDTH_RATIO = 0.25
+# Minimum shorter side of the board, in spacings of cells at a region: with fewer cells across it, the outline is
+# not measured.
+_MIN_PATCH_CELLS = 2.0
+
+
+def _has_plausible_size(points: Array, board: Board, spacing: float) -> bool:
     """Whether a region may be a board, by wide limits that save the time of scoring walls and small objects."""
     length, width = _measure_extent(points)
     step = spacing * float(np.linalg.norm(points.mean(axis=0)))
     short, diagonal = min(board.size), float(np.hypot(*board.size))
     return (
-        length < settings.max_patch_length_ratio * diagonal
-        and length > settings.min_patch_length_ratio * short - step
-        and width > settings.min_patch_width_ratio * short - step
-        and step < short / settings.min_patch_cells
+        length < _MAX_PATCH_LENGTH_RATIO * diagonal
+        and length > _MIN_PATCH_LENGTH_RATIO * short - step
+        and width > _MIN_PATCH_WIDTH_RATIO * short - step
+        and step < short / _MIN_PATCH_CELLS
     )
 
 
@@ -330,10 +376,15 @@ class _ScanLines:
     """Error of directions, as beams do not start in the sensor's origin, rad."""
 
 
+# Error of directions to the background for clouds without rings, rad: beams of spinning 2-D scanners start up to
+# some centimetres from the origin, and pass the board at one metre and more.
+_PARALLAX = 0.03
+
+
 def _order_by_scan_line(cloud: PointCloud, ranges: Array, settings: DetectionSettings) -> _ScanLines:
     """Rings, each by azimuth; without rings, points as they were sent, which is as they were measured."""
     order = np.flatnonzero(ranges > settings.lidar3d.min_range)
-    scan_line, parallax = np.zeros(len(order), dtype=np.intp), settings.scanner.edges.parallax
+    scan_line, parallax = np.zeros(len(order), dtype=np.intp), _PARALLAX
     if cloud.rings is not None:
         x, y, _ = cloud.points.take(order, axis=0).T
         order = order[np.lexsort([np.arctan2(y, x), cloud.rings[order]])]
@@ -346,7 +397,7 @@ def _find_edges(
     lines: _ScanLines, patch: PlanePatch, thickness: float, radius: float, settings: DetectionSettings
 ) -> Array:
     """(M, 2, 3) edges of the patch within ``radius`` of its centre."""
-    n, d, min_cosine = patch.plane[:3], patch.plane[3], settings.scanner.fit.min_cosine
+    n, d, min_cosine = patch.plane[:3], patch.plane[3], MIN_COSINE
     cosine, along = -(lines.directions @ n), lines.directions @ patch.center
     distance = float(np.linalg.norm(patch.center))
 

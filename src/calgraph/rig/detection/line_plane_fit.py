@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from calgraph.config.settings import SurfaceFitSettings
 from calgraph.geometry import Array, find_median, plane
 
 WhitenedResiduals = Callable[[Array], tuple[Array, Array]]
@@ -36,13 +35,17 @@ class SurfaceFit:
     """Robust standard deviation of the whitened residuals: 1 if the stated noise is right."""
 
 
+# Minimum cosine of the angle of incidence (87°): flatter beams graze the surface, and a millimetre of its offset
+# changes their range by more than 20.
+MIN_COSINE = 0.05
+
+
 def fit_line(
     angles: Array,
     ranges: Array,
     sigma_range: Array,
     sigma_angle: Array,
     start: Array,
-    settings: SurfaceFitSettings = SurfaceFitSettings(),
 ) -> SurfaceFit | None:
     """The line ``x cos(a) + y sin(a) = p`` through the ends of beams, with rejection of outliers.
 
@@ -52,17 +55,16 @@ def fit_line(
         sigma_range: (N,) m.
         sigma_angle: (N,) rad.
         start: (2,) a near the solution, p > 0.
-        settings: of the robust fit.
 
     Returns:
         The fit, or None if fewer than three beams agree or the beams graze the line.
     """
 
     def whitened(line: Array) -> tuple[Array, Array]:
-        return whiten_line(line, angles, ranges, sigma_range, sigma_angle, settings.min_cosine)
+        return whiten_line(line, angles, ranges, sigma_range, sigma_angle, MIN_COSINE)
 
     start = np.asarray(start, dtype=np.float64)
-    return _fit_robustly(whitened, lambda line, step: line + step, start, settings)
+    return _fit_robustly(whitened, lambda line, step: line + step, start)
 
 
 def whiten_line(
@@ -82,7 +84,6 @@ def fit_plane(
     sigma_range: float,
     sigma_angle: float,
     start: Array,
-    settings: SurfaceFitSettings = SurfaceFitSettings(),
 ) -> SurfaceFit | None:
     """The plane through the ends of beams from the origin, with rejection of outliers.
 
@@ -92,7 +93,6 @@ def fit_plane(
         sigma_range: of each beam, m.
         sigma_angle: of each beam's direction, about each axis, rad.
         start: (4,) near the solution, oriented towards the origin.
-        settings: of the robust fit.
 
     Returns:
         The fit, or None if fewer than four beams agree or the beams graze the plane.
@@ -100,29 +100,38 @@ def fit_plane(
 
     def whitened(planes: Array) -> tuple[Array, Array]:
         n, d = planes[:3], planes[3]
-        cosine = np.minimum(directions @ n, -settings.min_cosine)
+        cosine = np.minimum(directions @ n, -MIN_COSINE)
         tangent = np.sqrt(np.maximum(1 / cosine**2 - 1, 0))
         sigma = np.hypot(sigma_range, sigma_angle * ranges * tangent)
         J = np.column_stack([d / cosine[:, None] ** 2 * (directions @ plane.tangent_basis(n)), -1 / cosine])
         return (ranges + d / cosine) / sigma, J / sigma[:, None]
 
-    return _fit_robustly(whitened, plane.retract, start, settings)
+    return _fit_robustly(whitened, plane.retract, start)
+
+
+# Rounds of rejection: the first one is by a fit with outliers, the second one by a fit to inliers.
+_REJECTION_ROUNDS = 2
+# Residual, in standard deviations, above which weights of the first round fall (Huber): 96 % efficient.
+_HUBER_SIGMAS = 1.5
+# Residuals beyond this many robust standard deviations are outliers: 0.3 % of the correct ones are.
+OUTLIER_SIGMAS = 3.0
+# The covariance is scaled by the reduced χ² where the stated noise makes that χ² less probable than this.
+_INFLATION_SIGNIFICANCE = 0.001
 
 
 def _fit_robustly(
     whitened: WhitenedResiduals,
     retract: Callable[[Array, Array], Array],
     parameters: Array,
-    settings: SurfaceFitSettings,
 ) -> SurfaceFit | None:
     """Gauss–Newton in rounds, each on the inliers of the round before."""
     inliers = np.ones(len(whitened(parameters)[0]), dtype=bool)
     scale = 1.0
-    for round_ in range(settings.rejection_rounds + 1):
+    for round_ in range(_REJECTION_ROUNDS + 1):
         for _ in range(_ITERATIONS):
             residuals, J = whitened(parameters)
             # Before the first rejection Huber weights limit the influence of outliers.
-            weights = 1.0 * inliers if round_ else _compute_huber_weights(residuals, settings.huber_sigmas)
+            weights = 1.0 * inliers if round_ else _compute_huber_weights(residuals, _HUBER_SIGMAS)
             H = (J * weights[:, None]).T @ J
             if inliers.sum() <= J.shape[1] or np.linalg.cond(H) > 1e14:
                 return None
@@ -132,10 +141,10 @@ def _fit_robustly(
                 break
         residuals, J = whitened(parameters)
         scale = max(1.0, 1.4826 * find_median(np.abs(residuals[inliers])))
-        inliers = np.abs(residuals) < settings.outlier_sigmas * scale
+        inliers = np.abs(residuals) < OUTLIER_SIGMAS * scale
     if inliers.sum() <= J.shape[1]:
         return None
-    inflation = _compute_inflation(residuals[inliers], J.shape[1], settings.inflation_significance)
+    inflation = _compute_inflation(residuals[inliers], J.shape[1], _INFLATION_SIGNIFICANCE)
     covariance = np.linalg.inv(J[inliers].T @ J[inliers]) * inflation
     return SurfaceFit(parameters, np.asarray(covariance, dtype=np.float64), inliers, scale)
 

@@ -12,7 +12,7 @@ from calgraph.geometry import Array, measure_lengths, plane
 Mask = NDArray[np.bool_]
 
 # Angles of the search for the best rotation, then about it: its error of 2.5° moves the outline by less than the
-# settings' ``outline_blur``.
+# blur of outlines.
 _COARSE = np.radians(np.arange(0.0, 180.0, 15.0))
 _FINE = np.radians(np.arange(-10.0, 11.0, 5.0))
 # Points along each side of a rectangle that show its coverage, which is a share of 144.
@@ -127,6 +127,10 @@ def _find_fullest_window(values: Array, counted: Mask, width: float) -> Mask:
     return np.asarray((values >= start - _ROUNDING) & (values <= start + width + _ROUNDING))
 
 
+# Uncertainty of the outline of a patch, m: noise, mixed pixels, and steps of 5° of its rotation.
+OUTLINE_BLUR = 0.03
+
+
 def measure_solidity_and_isolation(
     rectangle: BoardRectangle, scene: SceneBeams, thickness: float, frame: float, settings: DetectionSettings
 ) -> tuple[float, float]:
@@ -144,7 +148,7 @@ def measure_solidity_and_isolation(
         Isolation: of the beams through the frame, the share that does not end on the rectangle's plane. Both are
         0 to 1, and 1 where there are no beams.
     """
-    blur = settings.lidar3d.outline_blur
+    blur = OUTLINE_BLUR
     points, ranges = _crop_to_cone(rectangle, scene, 2 * blur + frame)
     facing = points @ rectangle.surface[:3]
     # Ranges relative to the intersection with the plane; beams that do not intersect it are left out.

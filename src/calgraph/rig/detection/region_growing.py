@@ -9,24 +9,31 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.config.settings import RegionSettings
 from calgraph.geometry import Array, plane
 from calgraph.rig.detection.voxel_normals import Cells, Indices
 
+# Maximum angle between a cell's normal and its region's plane, 35°: normals from few rings are that noisy.
+_MAX_NORMAL_ANGLE = math.radians(35.0)
+# Minimum number of cells of a region: a plane, and five residuals.
+_MIN_CELLS = 8
+# Growth of a region after which its plane is fitted again: its normal is then a sixth more accurate.
+_REFIT_GROWTH = 1.2
+# Maximum share of the scatter along the normal at the seed of a region; a plane has 0, a sphere 1/3.
+_MAX_CURVATURE = 0.08
 
-def grow_flat_regions(cells: Cells, thickness: float, settings: RegionSettings) -> list[Indices]:
+
+def grow_flat_regions(cells: Cells, thickness: float) -> list[Indices]:
     """Cells of each flat region, the region with the flattest seed first.
 
     Args:
         cells: the cloud.
         thickness: largest distance of cells from their region's plane, m.
-        settings: of regions.
     """
     # Hundreds of small regions are grown and dropped in each cloud: calls of NumPy are what takes time here.
     surfels = np.concatenate([cells.points, cells.normals], axis=1)
     # The last entry is that of index -1, which fills rows of cells with fewer neighbours.
     free = np.append(np.ones(len(surfels), dtype=np.bool_), False)
-    min_cosine = math.cos(settings.max_normal_angle)
+    min_cosine = math.cos(_MAX_NORMAL_ANGLE)
 
     def lies_on_plane(index: Indices, surface: Array) -> NDArray[np.bool_]:
         chosen = surfels.take(index, axis=0)
@@ -49,19 +56,19 @@ def grow_flat_regions(cells: Cells, thickness: float, settings: RegionSettings) 
             frontier = reached[lies_on_plane(reached, surface)]
             free[frontier] = False
             members = np.concatenate([members, frontier])
-            if len(members) >= max(settings.min_cells, settings.refit_growth * fitted):
+            if len(members) >= max(_MIN_CELLS, _REFIT_GROWTH * fitted):
                 surface, fitted = plane.fit(cells.points[np.sort(members)]), len(members)
         free[members] = True
-        if len(members) < settings.min_cells:
+        if len(members) < _MIN_CELLS:
             return members[:0]
         # The plane moved while the region grew: cells that joined early may be off it.
         members.sort()
         kept = members[lies_on_plane(members, surface)]
-        return kept if len(kept) >= settings.min_cells else kept[:0]
+        return kept if len(kept) >= _MIN_CELLS else kept[:0]
 
     seeds = np.argsort(cells.curvature, kind="stable")
     regions = []
-    for seed in seeds[cells.curvature[seeds] <= settings.max_curvature].tolist():
+    for seed in seeds[cells.curvature[seeds] <= _MAX_CURVATURE].tolist():
         if free[seed]:
             region = grow_region(seed)
             free[seed] = False

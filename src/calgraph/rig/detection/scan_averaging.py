@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.config import RangeNoise
-from calgraph.config.settings import ScannerDetectionSettings
 from calgraph.geometry import Array, Index
 from calgraph.sensors import LaserScan, align_ranges
 
@@ -44,11 +43,20 @@ class AveragedScan:
         return self.ranges[:, None] * self.directions[:, :2]
 
 
+# The same distance in standard deviations of a range: 6e-5 of the correct ones are beyond.
+SAME_SURFACE_SIGMAS = 4.0
+# Minimum distance from a surface, m, within which returns are on it: rings of a VLP-16 are biased by -13 to +15
+# mm, boards bow by some millimetres, and fingers on the board are as thick.
+MIN_THICKNESS = 0.03
+# Widest gap between the last and the first beam of a scan all around, in beam spacings: some beams may have no
+# return. The scan is cut at a jump in range then, so that no board lies across the seam.
+_MAX_SEAM_SPACINGS = 20.0
+
+
 def average_scans(
     scans: Sequence[LaserScan],
     noise: RangeNoise,
     foreground: Sequence[NDArray[np.bool_]],
-    settings: ScannerDetectionSettings,
 ) -> AveragedScan | None:
     """The robust mean of every beam over scans of a scene at rest, or None if no beam measured anything.
 
@@ -59,7 +67,6 @@ def average_scans(
         scans: one or more, of one sensor; not necessarily with the same beams.
         noise: of a single beam.
         foreground: for each scan whether its beams (N,) are foreground; a beam is if it is in most scans.
-        settings: of the detection.
     """
     reference = max(scans, key=lambda scan: len(scan.angles))
     angles = np.sort(reference.angles)
@@ -75,7 +82,7 @@ def average_scans(
     kept = np.flatnonzero(2 * answered >= len(scans))
     kept = kept[answered[kept] > 0]
     ranges = ranges[:, kept]
-    max_deviation = max(settings.same_surface_sigmas * noise.range, settings.min_thickness)
+    max_deviation = max(SAME_SURFACE_SIGMAS * noise.range, MIN_THICKNESS)
     near = np.abs(ranges - np.nanmedian(ranges, axis=0)) < max_deviation if len(kept) else ranges > 0
     steady = 2 * near.sum(axis=0) > answered[kept]
     if not steady.any():
@@ -91,7 +98,7 @@ def average_scans(
             np.asarray(2 * votes[kept] > answered[kept]),
             float(np.median(np.diff(angles))),
         ),
-        settings.max_seam_spacings,
+        _MAX_SEAM_SPACINGS,
     )
 
 

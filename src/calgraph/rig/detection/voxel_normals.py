@@ -5,6 +5,7 @@ lie on one line, which has no normal. Averages over direction cells are evenly s
 is independent of the number of points.
 """
 
+import math
 from dataclasses import dataclass
 from itertools import combinations_with_replacement
 
@@ -12,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from calgraph.config.settings import DetectionSettings, RegionSettings
+from calgraph.config.settings import DetectionSettings
 from calgraph.geometry import Array, measure_lengths
 
 Indices = NDArray[np.intp]
@@ -39,57 +40,79 @@ class Cells:
     """(M,) share of the neighbours' scatter along the normal: 0 is flat, 1/3 is round, inf has no normal."""
 
 
+# Percentile of the steps between rings that is their spacing: LiDARs have denser rings near the horizon.
+_RING_SPACING_PERCENTILE = 75.0
+# Edge of a direction cell, 0.7°: 12 mm at one metre and 8 cells across a board of 0.6 m at 6 m.
+_CELL_ANGLE = math.radians(0.7)
+# Minimum width of a cell along a sparse ring, 0.4°; wider ones have a third of the spacing of rings.
+_MIN_RING_CELL_ANGLE = math.radians(0.4)
+# Cells along a sparse ring for its spacing: normals need several along a ring where there are few rings.
+_RING_CELLS = 3.0
+# Minimum number of neighbours of a normal; three lie on a plane by chance. Cells with fewer are stray.
+_MIN_NEIGHBOURS = 5
+# Neighbours of a cell from which its normal is computed: two rings of a square grid hold 24.
+_NEIGHBOURS = 16
+# The same where rings are sparse: cells are three times as dense along a ring as across.
+_RING_NEIGHBOURS = 24
+# Maximum distance of neighbours, in spacings of cells: beyond it they are of other surfaces, or stray.
+_NEIGHBOUR_REACH = 3.0
+
+
 def make_cells(points: Array, rings: NDArray[np.int32] | None, settings: DetectionSettings) -> Cells | None:
     """Averages points (N, 3) in cells, removes stray cells and finds normals; None if too few are left."""
-    regions = settings.lidar3d.regions
-    levels = _find_ring_elevations(points, rings, settings.lidar3d.regions)
-    across = (
-        float(np.percentile(np.diff(levels), regions.ring_spacing_percentile))
-        if levels is not None
-        else regions.cell_angle
-    )
-    along = (
-        max(regions.min_ring_cell_angle, across / regions.ring_cells) if levels is not None else regions.cell_angle
-    )
+    pass
+    levels = _find_ring_elevations(points, rings)
+    across = float(np.percentile(np.diff(levels), _RING_SPACING_PERCENTILE)) if levels is not None else _CELL_ANGLE
+    along = max(_MIN_RING_CELL_ANGLE, across / _RING_CELLS) if levels is not None else _CELL_ANGLE
     # Points of one direction cell whose ranges differ by a depth jump are on two surfaces.
     cell = _assign_cells(points, levels, along, settings.scanner.min_depth_jump)
     means = _average_cells(points, cell)
-    if len(means) <= regions.min_neighbours:
+    if len(means) <= _MIN_NEIGHBOURS:
         return None
     radius = measure_lengths(means)
-    k = min(regions.neighbours if levels is None else regions.ring_neighbours, len(means))
+    k = min(_NEIGHBOURS if levels is None else _RING_NEIGHBOURS, len(means))
     distance, neighbours = cKDTree(means, balanced_tree=False).query(means, k=k)
     # On a square grid the eighth neighbour is a diagonal away; the scan planes of a slow spinner are sparser.
     spacing = max(across, along, float(np.median(distance[:, min(8, k - 1)] / radius)) / np.sqrt(2))
-    near = distance <= regions.neighbour_reach * spacing * radius[:, None]
-    keep = _select_inlier_cells(distance / radius[:, None], near, settings.lidar3d.regions)
-    if keep.sum() <= regions.min_neighbours:
+    near = distance <= _NEIGHBOUR_REACH * spacing * radius[:, None]
+    keep = _select_inlier_cells(distance / radius[:, None], near)
+    if keep.sum() <= _MIN_NEIGHBOURS:
         return None
     new_index = np.where(keep, np.cumsum(keep) - 1, -1)
     neighbours = np.where(near, new_index[neighbours], -1)[keep]
-    normals, curvature = _estimate_normals(means[keep], neighbours, settings.lidar3d.regions)
+    normals, curvature = _estimate_normals(means[keep], neighbours)
     return Cells(means[keep], new_index[cell], spacing, neighbours, normals, curvature)
 
 
-def _find_ring_elevations(
-    points: Array, rings: NDArray[np.int32] | None, settings: RegionSettings
-) -> Array | None:
+# Bin of the histogram of elevations by which rings without numbers are found, rad (0.1°): the spread within a
+# ring.
+_ELEVATION_BIN = math.radians(0.1)
+# Minimum share of all points in a bin of a ring: a ring of 128 has a share of 8e-3, bins of stray points far
+# less.
+_MIN_RING_SHARE = 2e-4
+# Minimum elevation between two rings, rad (0.05°): half of that of the densest LiDARs; closer ones are one.
+_MIN_RING_STEP = math.radians(0.05)
+# Rings are sparse if their spacing is at least this many cells: below, square cells hold points of several rings.
+_SPARSE_RING_RATIO = 1.5
+
+
+def _find_ring_elevations(points: Array, rings: NDArray[np.int32] | None) -> Array | None:
     """Ascending elevations of the rings of a multi-beam scanner, rad; None if the scanner has no sparse rings."""
     elevation = np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1]))
     if rings is not None:
         levels = np.sort([np.median(elevation[rings == ring]) for ring in np.unique(rings)])
     else:
         # The histogram of elevations of a multi-beam scanner has few narrow peaks.
-        bins = np.floor(elevation / settings.elevation_bin).astype(np.int64)
+        bins = np.floor(elevation / _ELEVATION_BIN).astype(np.int64)
         values, count = np.unique(bins, return_counts=True)
-        values = values[count > settings.min_ring_share * len(points)]
+        values = values[count > _MIN_RING_SHARE * len(points)]
         peaks = np.split(values, np.flatnonzero(np.diff(values) > 1) + 1)
-        levels = np.array([settings.elevation_bin * (peak.mean() + 0.5) for peak in peaks if len(peak)])
-    levels = levels[np.append(True, np.diff(levels) > settings.min_ring_step)] if len(levels) else levels
+        levels = np.array([_ELEVATION_BIN * (peak.mean() + 0.5) for peak in peaks if len(peak)])
+    levels = levels[np.append(True, np.diff(levels) > _MIN_RING_STEP)] if len(levels) else levels
     if len(levels) < 2:
         return None
-    spacing = np.percentile(np.diff(levels), settings.ring_spacing_percentile)
-    if spacing < settings.sparse_ring_ratio * settings.cell_angle:
+    spacing = np.percentile(np.diff(levels), _RING_SPACING_PERCENTILE)
+    if spacing < _SPARSE_RING_RATIO * _CELL_ANGLE:
         return None
     return np.asarray(levels)
 
@@ -115,17 +138,27 @@ def _average_cells(points: Array, cell: Indices) -> Array:
     return np.stack([np.bincount(cell, points[:, i]) / count for i in range(3)], axis=-1)
 
 
-def _select_inlier_cells(relative: Array, near: NDArray[np.bool_], settings: RegionSettings) -> NDArray[np.bool_]:
+# Cells whose mean distance to their neighbours exceeds the usual one by more standard deviations are stray
+# (statistical outlier removal, MSG-Cal, section III-B).
+_STRAY_SIGMAS = 3.0
+
+
+def _select_inlier_cells(relative: Array, near: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Statistical outlier removal (MSG-Cal, III-B) on distances relative to range, as density falls with it."""
     mean = relative.mean(axis=1)
-    enough: NDArray[np.bool_] = np.asarray(near.sum(axis=1) > settings.min_neighbours)
+    enough: NDArray[np.bool_] = np.asarray(near.sum(axis=1) > _MIN_NEIGHBOURS)
     if not enough.any():
         return enough
     usual = mean[enough]
-    return np.asarray(enough & (mean < usual.mean() + settings.stray_sigmas * usual.std() + 1e-9))
+    return np.asarray(enough & (mean < usual.mean() + _STRAY_SIGMAS * usual.std() + 1e-9))
 
 
-def _estimate_normals(points: Array, neighbours: Indices, settings: RegionSettings) -> tuple[Array, Array]:
+# Minimum ratio of the neighbours' scatter across and along their longest direction, for a normal: those of one
+# ring lie on a line.
+_MIN_WIDTH_RATIO = 0.02
+
+
+def _estimate_normals(points: Array, neighbours: Indices) -> tuple[Array, Array]:
     valid = neighbours >= 0
     count = np.maximum(valid.sum(axis=1), 1)
     itself = np.arange(len(points))[:, None]
@@ -140,6 +173,6 @@ def _estimate_normals(points: Array, neighbours: Indices, settings: RegionSettin
     values, vectors = np.linalg.eigh(scatter)
     normals = vectors[..., 0]
     normals *= -np.sign(np.sum(normals * points, axis=1, keepdims=True))
-    line = (values[:, 1] < settings.min_width_ratio * values[:, 2]) | (count <= settings.min_neighbours)
+    line = (values[:, 1] < _MIN_WIDTH_RATIO * values[:, 2]) | (count <= _MIN_NEIGHBOURS)
     curvature = np.where(line, np.inf, np.maximum(values[:, 0], 0) / np.maximum(values.sum(axis=1), 1e-12))
     return np.where(line[:, None], 0, normals), curvature

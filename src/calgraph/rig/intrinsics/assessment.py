@@ -1,5 +1,6 @@
 """Whether views determine intrinsics, and what to do if they do not."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -77,6 +78,13 @@ def border_error(camera: CameraModel, covariance: Array) -> float:
     return float(np.sqrt(variance[border].max(initial=0.0))) if border.any() else float("inf")
 
 
+# Maximum relative standard deviation of a focal length that is used: beyond three times the default prior of
+# stated ones, linearized covariances are no longer accurate.
+_MAX_FOCAL_LENGTH_ERROR = 0.03
+# The same of the principal point, in diagonals of the image.
+_MAX_PRINCIPAL_POINT_ERROR = 0.03
+
+
 def describe_shortcomings(fit: LensFit, coverage: ViewCoverage, settings: IntrinsicsSettings) -> Shortcomings:
     """Judges intrinsics by their covariance; what to do follows from coverage and tilt."""
     stddev = np.sqrt(np.diag(fit.covariance))
@@ -84,10 +92,8 @@ def describe_shortcomings(fit: LensFit, coverage: ViewCoverage, settings: Intrin
     diagonal = float(np.hypot(fit.camera.width, fit.camera.height))
     mean = float(fit.camera.focal.mean())
     values = f"focal length {mean:.0f} ± {focal:.2g} px, principal point ± {center:.2g} px"
-    advice = "; ".join(_suggest_views(coverage, len(fit.detections), settings))
-    decisive = not (
-        focal < settings.max_focal_length_error * mean and center < settings.max_principal_point_error * diagonal
-    )
+    advice = "; ".join(_suggest_views(coverage, len(fit.detections)))
+    decisive = not (focal < _MAX_FOCAL_LENGTH_ERROR * mean and center < _MAX_PRINCIPAL_POINT_ERROR * diagonal)
     if decisive:
         return Shortcomings(decisive=(f"its views do not determine its intrinsics ({values}): {advice}",))
     remarks = []
@@ -102,15 +108,23 @@ def describe_shortcomings(fit: LensFit, coverage: ViewCoverage, settings: Intrin
     return Shortcomings(remarks=tuple(remarks))
 
 
-def _suggest_views(coverage: ViewCoverage, views: int, settings: IntrinsicsSettings) -> list[str]:
+# Tilt, rad (20°), that a quarter of all views should exceed: the focal length is determined by the perspective of
+# tilted boards.
+_GOOD_TILT = math.radians(20)
+# Distance of corners from the middle of the image, in half diagonals, that should be covered in every quadrant:
+# the distortion beyond it is extrapolated.
+_GOOD_REACH = 0.75
+
+
+def _suggest_views(coverage: ViewCoverage, views: int) -> list[str]:
     """What to do so that views determine intrinsics better."""
     advice = []
-    if coverage.tilt < settings.good_tilt:
+    if coverage.tilt < _GOOD_TILT:
         advice.append(
             f"tilt the board by 30 to 45 degrees to either side, up and down (three quarters of {views} views are "
             f"tilted by less than {np.degrees(coverage.tilt):.0f} degrees)"
         )
-    if coverage.reach < settings.good_reach:
+    if coverage.reach < _GOOD_REACH:
         advice.append(
             "show the board in the corners of the image "
             f"(it reached {100 * coverage.reach:.0f} % of the way from the middle)"

@@ -96,6 +96,16 @@ class LensFit:
     """-2 log of the likelihood of the residuals, px."""
 
 
+# Minimum number of corners of a view: four determine the pose of the board, and all others the lens.
+MIN_CORNERS = 8
+# Smallest noise of corners that outliers are judged by, pixels: simulated corners of sharp tags have it.
+MIN_NOISE = 0.05
+# Limit on rounds of adjusting the camera, estimating the noise and rejecting outlier corners.
+MAX_ROUNDS = 10
+# Largest relative change of the noise in the last round.
+_SETTLED_NOISE_CHANGE = 0.02
+
+
 def fit_lens(
     rig: Rig, name: str, views: Sequence[BoardView], start: IntrinsicsStart, settings: IntrinsicsSettings
 ) -> LensFit | Rejected:
@@ -115,18 +125,18 @@ def fit_lens(
         for i, (view, T) in enumerate(zip(views, start.T_camera_board, strict=True))
         if np.isfinite(T).all()
     }
-    camera, noise = start.camera, max(start.error, settings.min_noise)
+    camera, noise = start.camera, max(start.error, MIN_NOISE)
     fit: LensFit | None = None
-    for _ in range(settings.max_rounds):
+    for _ in range(MAX_ROUNDS):
         if len(detections) < settings.min_views:
             return Rejected(f"only {len(detections)} views of boards fit one {camera.model} camera")
         try:
-            fit = _adjust_lens(rig, name, detections, camera, noise, settings)
+            fit = _adjust_lens(rig, name, detections, camera, noise)
         except (CalibrationError, InputError, np.linalg.LinAlgError):
             return Rejected(f"no {camera.model} camera projects the boards to where they are in the images")
-        settled = abs(fit.noise / noise - 1) < settings.settled_noise_change
-        camera, noise = fit.camera, max(fit.noise, settings.min_noise)
-        found = _locate_boards(views, camera, noise, rig, settings)
+        settled = abs(fit.noise / noise - 1) < _SETTLED_NOISE_CHANGE
+        camera, noise = fit.camera, max(fit.noise, MIN_NOISE)
+        found = _locate_boards(views, camera, noise)
         if settled and _count_corners(found) == _count_corners(detections):
             break
         detections = found
@@ -134,19 +144,23 @@ def fit_lens(
     return fit
 
 
-def include_model_error(rig: Rig, name: str, fit: LensFit, settings: IntrinsicsSettings) -> LensFit:
+# Rounds of adjusting the camera with a residual distortion and estimating its size: the second one changes it by
+# less than a tenth in general.
+_MODEL_ERROR_ROUNDS = 2
+
+
+def include_model_error(rig: Rig, name: str, fit: LensFit) -> LensFit:
     """A fit together with a residual distortion, whose size is estimated from the residuals.
 
     Args:
         rig: with the boards and the camera.
         name: of the camera.
         fit: the camera's model alone.
-        settings: of the rounds; in the first one, the residual distortion is as large as the residuals.
     """
     found, noise, error = fit, fit.noise, fit.noise
-    for _ in range(settings.model_error_rounds):
-        found = _adjust_lens(rig, name, found.detections, found.camera, noise, settings, error)
-        noise, error = max(found.corner_noise, settings.min_noise), found.model_error
+    for _ in range(_MODEL_ERROR_ROUNDS):
+        found = _adjust_lens(rig, name, found.detections, found.camera, noise, error)
+        noise, error = max(found.corner_noise, MIN_NOISE), found.model_error
     return replace(found, noise=fit.noise)
 
 
@@ -164,16 +178,17 @@ def _make_detection(view: BoardView, T_camera_board: Array) -> BoardCorners:
     )
 
 
-def _locate_boards(
-    views: Sequence[BoardView], camera: CameraModel, noise: float, rig: Rig, settings: IntrinsicsSettings
-) -> dict[int, BoardCorners]:
+# Maximum RMS reprojection error of a view over the noise: motion blur or rolling shutter distorts the board
+# beyond it.
+MAX_VIEW_NOISE_RATIO = 3.0
+
+
+def _locate_boards(views: Sequence[BoardView], camera: CameraModel, noise: float) -> dict[int, BoardCorners]:
     """The boards before a camera, without outlier corners, by view; views with larger errors are left out."""
     found = {}
     for i, view in enumerate(views):
-        pose = fit_pose(
-            view.ids, view.corners, view.pixels, camera, noise, settings=rig.settings.detection.camera.pose
-        )
-        if not isinstance(pose, Rejected) and pose.rms < settings.max_view_noise_ratio * noise:
+        pose = fit_pose(view.ids, view.corners, view.pixels, camera, noise)
+        if not isinstance(pose, Rejected) and pose.rms < MAX_VIEW_NOISE_RATIO * noise:
             found[i] = make_board_corners(pose, view.corners, view.pixels, view.board)
     return found
 
@@ -182,14 +197,12 @@ def _count_corners(detections: Mapping[int, BoardCorners]) -> dict[int, int]:
     return {i: len(one.pixels) for i, one in detections.items()}
 
 
-def _select_projected(
-    detections: Mapping[int, BoardCorners], camera: CameraModel, settings: IntrinsicsSettings
-) -> dict[int, BoardCorners]:
+def _select_projected(detections: Mapping[int, BoardCorners], camera: CameraModel) -> dict[int, BoardCorners]:
     """The corners that the camera projects; models of wide lenses end where their polynomials have extrema."""
     selected = {}
     for i, one in detections.items():
         projected = np.isfinite(camera.project(se3.apply(one.T_camera_board, one.corners_board))).all(axis=-1)
-        if projected.sum() >= settings.min_corners:
+        if projected.sum() >= MIN_CORNERS:
             selected[i] = replace(one, corners_board=one.corners_board[projected], pixels=one.pixels[projected])
     return selected
 
@@ -200,14 +213,13 @@ def _adjust_lens(
     detections: Mapping[int, BoardCorners],
     camera: CameraModel,
     noise: float,
-    settings: IntrinsicsSettings,
     model_error: float = 0.0,
 ) -> LensFit:
     """One bundle of a camera, all boards and the errors of their prints."""
-    detections = _select_projected(detections, camera, settings)
+    detections = _select_projected(detections, camera)
     # Start values may be off by more pixels than rig.yaml allows as noise.
     spec = rig.cameras()[name].model_copy(update={"noise": PixelNoise.model_construct(pixel=noise)})
-    spec = state_intrinsics(spec, Intrinsics.from_camera(camera, len(detections), model_error), settings)
+    spec = state_intrinsics(spec, Intrinsics.from_camera(camera, len(detections), model_error))
     alone = rig.model_copy(update={"root": name, "sensors": {name: spec}})
     captured = CaptureSet(
         start=0.0,

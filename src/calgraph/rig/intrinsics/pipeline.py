@@ -149,6 +149,11 @@ def calibrate_intrinsics(
     return found
 
 
+# Maximum number of images of a recording that calgraph intrinsics searches, spread evenly over it: four times
+# max_views, as some show no board, or are blurred.
+_MAX_IMAGES = 240
+
+
 def _calibrate_camera(
     rig: Rig,
     name: str,
@@ -160,7 +165,7 @@ def _calibrate_camera(
     """The intrinsics of one camera; progress is called with the share done."""
     spec, settings = rig.cameras()[name], rig.settings.detection.camera
     timeline = build_timeline(recording.records([spec.topic]), recording.start, {name: spec.topic}, None)
-    frames = _spread_frames(name, timeline, rig.settings.estimation.intrinsics.max_images)
+    frames = _spread_frames(name, timeline, _MAX_IMAGES)
     by_frame = _find_views(
         rig, {name: spec}, recording, timeline, frames, engine, lambda done: progress(0.5 * done), cache
     )[name]

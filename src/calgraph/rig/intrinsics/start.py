@@ -13,7 +13,6 @@ from typing import Literal
 
 import numpy as np
 
-from calgraph.config.settings import IntrinsicsSettings
 from calgraph.errors import InputError
 from calgraph.geometry import Array, se3, so3
 from calgraph.rig.detection.board_views import BoardView
@@ -38,22 +37,28 @@ class IntrinsicsStart:
     """Mean over the views of their median reprojection error, pixels."""
 
 
-def search_focal_length(
-    views: Sequence[BoardView], model: LensModel, settings: IntrinsicsSettings
-) -> IntrinsicsStart:
+# Largest focal length of the search, in widths of the image: 9.5° over the width, where boards near enough to be
+# found are as good as parallel to the image.
+_MAX_FOCAL_LENGTH = 6.0
+# Smallest focal length of the search, in widths of the image: fisheye lenses of 360° over the width have 0.16.
+_MIN_FOCAL_LENGTH = 0.15
+# Ratio of neighbouring focal lengths of the search: start values within 7 % lead to the minimum.
+_FOCAL_LENGTH_RATIO = 1.15
+
+
+def search_focal_length(views: Sequence[BoardView], model: LensModel) -> IntrinsicsStart:
     """The undistorted camera that explains the views best.
 
     Args:
         views: of boards, in images of one size.
         model: the kind of the camera; its principal point is the middle of the image.
-        settings: the focal lengths to try.
     """
     width, height = views[0].size
-    ratio = settings.max_focal_length / settings.min_focal_length
-    steps = int(np.ceil(np.log(ratio) / np.log(settings.focal_length_ratio)))
+    ratio = _MAX_FOCAL_LENGTH / _MIN_FOCAL_LENGTH
+    steps = int(np.ceil(np.log(ratio) / np.log(_FOCAL_LENGTH_RATIO)))
     distortion = np.zeros(COEFFICIENTS[model])
     starts = []
-    for focal in width * settings.min_focal_length * settings.focal_length_ratio ** np.arange(steps + 1):
+    for focal in width * _MIN_FOCAL_LENGTH * _FOCAL_LENGTH_RATIO ** np.arange(steps + 1):
         K = np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1]])
         starts.append(locate_views(views, CameraModel(model, width, height, K, distortion)))
     return min(starts, key=lambda start: start.error)

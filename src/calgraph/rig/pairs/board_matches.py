@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.boards.detections import BoardCorners, Detection, PlanePatch, Segment, plane_of
-from calgraph.config.settings import BoardPairSettings
 from calgraph.geometry import Array
 from calgraph.graph.pairwise_estimate import Matches
 from calgraph.rig.pairs.line_matches import LineLineMatches, PlaneLineMatches
@@ -17,7 +16,7 @@ Candidates = Mapping[int, Sequence[Detection]]
 
 
 def build_matches(
-    candidates_a: Candidates, candidates_b: Candidates, size: tuple[float, float], settings: BoardPairSettings
+    candidates_a: Candidates, candidates_b: Candidates, size: tuple[float, float]
 ) -> tuple[NDArray[np.intp], Matches]:
     """The matches of two sensors by the geometric kinds of their detections, and their table (M, 3).
 
@@ -25,7 +24,6 @@ def build_matches(
         candidates_a: planes where one of the two sensors detects planes.
         candidates_b: planes or lines; with at least one common capture.
         size: width and height of the (largest) board, m.
-        settings: of the residuals.
     """
     table = tabulate_matches(candidates_a, candidates_b)
     a = [candidates_a[capture][i] for capture, i, _ in table]
@@ -33,11 +31,11 @@ def build_matches(
     radius, diagonal = min(size) / 2, float(np.hypot(*size))
     match geometric_kind(a[0]), geometric_kind(b[0]):
         case "plane", "plane":
-            return table, PlanePlaneMatches(*_stack_planes(a), *_stack_planes(b), radius, diagonal, settings)
+            return table, PlanePlaneMatches(*_stack_planes(a), *_stack_planes(b), radius, diagonal)
         case "plane", "line":
-            return table, PlaneLineMatches(*_stack_planes(a), *_stack_segments(b), diagonal, settings)
+            return table, PlaneLineMatches(*_stack_planes(a), *_stack_segments(b), diagonal)
         case "line", "line":
-            return table, LineLineMatches(*_stack_segments(a), *_stack_segments(b), diagonal, settings)
+            return table, LineLineMatches(*_stack_segments(a), *_stack_segments(b), diagonal)
         case kinds:
             raise ValueError(f"no matches between {' and '.join(kinds)}")
 

@@ -11,6 +11,8 @@ from calgraph.config.settings import BoardPairSettings
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se3
 from calgraph.graph.pairwise_estimate import (
+    FLATNESS,
+    MODEL_ERROR,
     Matches,
     PairwiseEstimate,
     compute_information,
@@ -29,6 +31,17 @@ from calgraph.rig.pairs.board_matches import (
 )
 from calgraph.rig.pairs.line_matches import PlaneLineMatches
 from calgraph.solver.ransac import find_consensus, select_best_of_groups
+
+# Probability of a sample without outliers at which RANSAC stops: a pair fails by chance once in 10,000.
+_RANSAC_CONFIDENCE = 0.9999
+# Limit on samples of RANSAC: enough for that confidence with one board among 8 candidates in every capture (9400
+# samples of 3 plane matches, half of which take the first candidates), and with up to 61 % outliers in samples of
+# 8 line matches.
+_RANSAC_MAX_SAMPLES = 20_000
+# Inliers, in addition to the minimum number, of a pose that less than half of the shared captures support: with
+# eight candidates of a LiDAR and its captures shuffled, 11 of 60 pairs had a pose of three or four inliers, none
+# of five.
+_MINORITY_INLIERS = 2
 
 
 def estimate_pair(
@@ -73,27 +86,27 @@ def estimate_pair(
         )  # fmt: skip
         return swapped if isinstance(swapped, Rejected) else swapped.inverse()
 
-    table, matches = build_matches(candidates_a, candidates_b, board_size, settings)
+    table, matches = build_matches(candidates_a, candidates_b, board_size)
     if len(common) < matches.sample_size:
         return Rejected(f"both detected the board in {len(common)} captures, {matches.sample_size} are needed")
     groups = group_alternatives(table, candidates_a, candidates_b)
-    residuals = squared_residual_function(matches, settings)
+    residuals = squared_residual_function(matches)
     enough = max(matches.sample_size, _min_match_count(matches, len(table)))
     if known is not None:
         inliers = select_best_of_groups(residuals(known[None])[0], groups)
         if inliers.sum() >= max(enough, len(common) / 2):
-            return _evaluate_estimate((sensor_a, sensor_b), known, table, matches, inliers, 0.0, settings)
+            return _evaluate_estimate((sensor_a, sensor_b), known, table, matches, inliers, 0.0)
 
     def fit(T: Array, inliers: NDArray[np.bool_]) -> Array:
-        return refine_pose(T, matches, inliers, settings.model_error, settings)
+        return refine_pose(T, matches, inliers, MODEL_ERROR, settings)
 
     found = find_consensus(
         groups, matches.sample_size, matches.solve, residuals, 1.0, rng=rng,
-        confidence=settings.ransac_confidence, max_samples=settings.ransac_max_samples,
+        confidence=_RANSAC_CONFIDENCE, max_samples=_RANSAC_MAX_SAMPLES,
         fit=fit if refine else None,
     )  # fmt: skip
     count = found.inlier_count if found else 0
-    minority = settings.minority_inliers if count < len(common) / 2 else 0
+    minority = _MINORITY_INLIERS if count < len(common) / 2 else 0
     min_inliers = enough + minority
     if found is None or count < min_inliers:
         most = max(len(by[capture]) for by in (candidates_a, candidates_b) for capture in common)
@@ -105,10 +118,15 @@ def estimate_pair(
     T_a_b, angle = found.model, 0.0
     if refine and isinstance(matches, PlaneLineMatches):
         minima = matches.find_local_minima(found.inliers)
-        T_a_b, angle = resolve_ambiguity(T_a_b, minima, matches, found.inliers, settings)
+        T_a_b, angle = resolve_ambiguity(T_a_b, minima, matches, found.inliers)
     if refine:
-        T_a_b = refine_pose(T_a_b, matches, found.inliers, settings.flatness, settings)
-    return _evaluate_estimate((sensor_a, sensor_b), T_a_b, table, matches, found.inliers, angle, settings)
+        T_a_b = refine_pose(T_a_b, matches, found.inliers, FLATNESS, settings)
+    return _evaluate_estimate((sensor_a, sensor_b), T_a_b, table, matches, found.inliers, angle)
+
+
+# Robust standard deviations of the inliers' residuals up to which matches are inliers of a joint pose; 3.5 is the
+# usual limit of modified z-scores (Iglewicz and Hoaglin, 1993).
+_RESELECTION_GATE = 3.5
 
 
 def reselect_inliers(
@@ -117,7 +135,6 @@ def reselect_inliers(
     candidates_a: Candidates,
     candidates_b: Candidates,
     board_size: tuple[float, float],
-    settings: BoardPairSettings = BoardPairSettings(),
 ) -> PairwiseEstimate | Rejected:
     """Reselects a pair's inliers under a pose from the joint solution of all sensors.
 
@@ -129,7 +146,6 @@ def reselect_inliers(
         candidates_a: detections by the estimate's sensor a.
         candidates_b: detections by its sensor b.
         board_size: width and height of the (largest) board, m.
-        settings: gates and errors.
 
     Returns:
         The estimate at ``T_a_b`` with the new inliers; rejected if fewer than a minimal sample are left.
@@ -137,18 +153,18 @@ def reselect_inliers(
     capture = estimate.matches[0, 0]
     if (geometric_kind(candidates_a[capture][0]), geometric_kind(candidates_b[capture][0])) == ("line", "plane"):
         T_b_a = se3.inverse(T_a_b)
-        swapped = reselect_inliers(estimate.inverse(), T_b_a, candidates_b, candidates_a, board_size, settings)
+        swapped = reselect_inliers(estimate.inverse(), T_b_a, candidates_b, candidates_a, board_size)
         return swapped if isinstance(swapped, Rejected) else swapped.inverse()
-    table, matches = build_matches(candidates_a, candidates_b, board_size, settings)
-    r2 = squared_residual_function(matches, settings)(T_a_b[None])[0]
+    table, matches = build_matches(candidates_a, candidates_b, board_size)
+    r2 = squared_residual_function(matches)(T_a_b[None])[0]
     scale2 = float(np.median(r2[estimate.inliers])) / 0.4549  # the median of χ² with one degree of freedom
-    gate = min(1.0, settings.reselection_gate**2 * scale2)
+    gate = min(1.0, _RESELECTION_GATE**2 * scale2)
     inliers = select_best_of_groups(r2 / gate, group_alternatives(table, candidates_a, candidates_b))
     if inliers.sum() < matches.sample_size:
         count = int(estimate.inliers.sum())
         return Rejected(f"all {count} shared captures were rejected as outliers by the joint solution")
     sensors = estimate.sensor_a, estimate.sensor_b
-    return _evaluate_estimate(sensors, T_a_b, table, matches, inliers, estimate.alternative_pose_angle, settings)
+    return _evaluate_estimate(sensors, T_a_b, table, matches, inliers, estimate.alternative_pose_angle)
 
 
 def _min_match_count(matches: Matches, count: int) -> int:
@@ -164,13 +180,12 @@ def _evaluate_estimate(
     matches: Matches,
     inliers: NDArray[np.bool_],
     alternative_pose_angle: float,
-    settings: BoardPairSettings,
 ) -> PairwiseEstimate:
     at = linearize_at(T_a_b, matches)
     rms = np.sqrt(np.mean(at.residuals**2, axis=-1))
     return PairwiseEstimate(
         *sensors, T_a_b, compute_information(at, inliers), table, inliers, rms,
-        alternative_pose_angle, compute_normalized_rms(at, inliers, settings.flatness),
+        alternative_pose_angle, compute_normalized_rms(at, inliers, FLATNESS),
     )  # fmt: skip
 
 
@@ -220,7 +235,6 @@ def reselect_all_inliers(
     T_root_sensor: Mapping[str, Array],
     detections: Mapping[str, Candidates],
     board_size: tuple[float, float],
-    settings: BoardPairSettings = BoardPairSettings(),
 ) -> PairwiseEstimates:
     """Reselects the inliers of every pair under joint poses, as :func:`reselect_inliers` does.
 
@@ -229,11 +243,10 @@ def reselect_all_inliers(
         T_root_sensor: joint poses (4, 4); pairs with a sensor that has none stay as they are.
         detections: by sensor and capture.
         board_size: width and height of the (largest) board, m.
-        settings: as for :func:`reselect_inliers`.
     """
     chosen = dict(pairs)
     for (a, b), pair in pairs.items():
         if not isinstance(pair, Rejected) and a in T_root_sensor and b in T_root_sensor:
             T_a_b = se3.inverse(T_root_sensor[a]) @ T_root_sensor[b]
-            chosen[a, b] = reselect_inliers(pair, T_a_b, detections[a], detections[b], board_size, settings)
+            chosen[a, b] = reselect_inliers(pair, T_a_b, detections[a], detections[b], board_size)
     return chosen

@@ -5,9 +5,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.config.settings import BoardPairSettings
 from calgraph.geometry import Array, plane, se3, se_n
 from calgraph.graph.pairwise_estimate import Linearization
+
+# Minimum singular value of the normals of three planes, over the largest, for a sample to have a solution.
+_MIN_NORMAL_SPREAD = 0.01
+# Angle between the normals of two planes above which they are not one board, rad (30 degrees): far more than the
+# error of a plane through a distant board, and less than the angle between most surfaces of a room.
+_MAX_NORMAL_ANGLE = float(np.radians(30))
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +32,6 @@ class PlanePlaneMatches:
     """Distance from the centre at which planes are compared: half of the board's shorter side, m."""
     max_center_distance: float
     """Largest distance between the two centres: the board's diagonal, m."""
-    settings: BoardPairSettings
 
     sample_size: int = 3
 
@@ -39,7 +43,7 @@ class PlanePlaneMatches:
         # n_i · t + d_i - d_j = 0; coplanar normals do not determine the translation.
         normal_matrix = np.einsum("kmi,kmj->kij", n_a, n_a)
         eigenvalues = np.linalg.eigvalsh(normal_matrix)
-        solvable = eigenvalues[:, 0] > self.settings.min_normal_spread**2 * eigenvalues[:, 2]
+        solvable = eigenvalues[:, 0] > _MIN_NORMAL_SPREAD**2 * eigenvalues[:, 2]
         safe = np.where(solvable[:, None, None], normal_matrix, np.eye(3))
         t = np.linalg.solve(safe, np.einsum("kmi,km->ki", n_a, d_b - d_a)[..., None])[..., 0]
         t[~solvable] = np.nan
@@ -66,6 +70,4 @@ class PlanePlaneMatches:
         x_a = se3.apply(T_a_b, self.centers_b)
         n_a = self.planes_b[:, :3] @ se_n.transpose(T_a_b[:, :3, :3])
         close = np.linalg.norm(x_a - self.centers_a, axis=-1) <= self.max_center_distance
-        return np.asarray(
-            close & (np.sum(n_a * self.planes_a[:, :3], axis=-1) > np.cos(self.settings.max_normal_angle))
-        )
+        return np.asarray(close & (np.sum(n_a * self.planes_a[:, :3], axis=-1) > np.cos(_MAX_NORMAL_ANGLE)))

@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 
-from calgraph.config.settings import BoardPairSettings, GraphSettings
+from calgraph.config.settings import BoardPairSettings
 from calgraph.graph.pairwise_estimate import PairwiseEstimate
 from calgraph.graph.pose_graph import PoseAveraging, PoseGraph
 from calgraph.graph.spanning_tree import SpanningTree, find_spanning_tree, unobservable_stddev
@@ -17,15 +17,18 @@ Initialization = Literal["tree", "identity", "consensus"] | PoseAveraging
 random trees; or by another averaging of all pairs."""
 
 
-def build_rig_graph(
-    root: str, estimates: Sequence[PairwiseEstimate], settings: GraphSettings = GraphSettings()
-) -> tuple[PoseGraph, tuple[str, ...]]:
+# m; standard deviation of the model error of a rig's pairs (bend of the board, range bias, stamps).
+_RIG_TRANSLATION_FLOOR = 0.01
+# rad (0.3°); the same of rotations: the above over a lever of 2 m.
+_RIG_ROTATION_FLOOR = 0.005
+
+
+def build_rig_graph(root: str, estimates: Sequence[PairwiseEstimate]) -> tuple[PoseGraph, tuple[str, ...]]:
     """A rig's pairs as a graph in space.
 
     Args:
         root: name of the root sensor.
         estimates: pairwise estimates; several of one pair are alternatives.
-        settings: the model error of pairs.
 
     Returns:
         The graph of the sensors that are connected to the root, which is node 0; and their names in the order of
@@ -38,7 +41,7 @@ def build_rig_graph(
     T = np.array([e.T_a_b for e in kept], dtype=np.float64).reshape(-1, 4, 4)
     information = np.array([e.information for e in kept], dtype=np.float64).reshape(-1, 6, 6)
     graph = PoseGraph(len(names), edges, T, information)
-    return graph.with_error_floor(settings.rig_translation_floor, settings.rig_rotation_floor), names
+    return graph.with_error_floor(_RIG_TRANSLATION_FLOOR, _RIG_ROTATION_FLOOR), names
 
 
 def initialize_rig(
@@ -46,7 +49,6 @@ def initialize_rig(
     estimates: Sequence[PairwiseEstimate],
     start: Initialization,
     rng: np.random.Generator,
-    settings: GraphSettings = GraphSettings(),
     max_stddev: float = BoardPairSettings().max_stddev,
 ) -> SpanningTree:
     """Start poses of the sensors that are connected to the root.
@@ -56,7 +58,6 @@ def initialize_rig(
         estimates: pairwise estimates; at most one for each pair.
         start: the method.
         rng: used by ``consensus``.
-        settings: of the graph and the consensus.
         max_stddev: a pair does not observe directions of a larger standard deviation, m and rad.
     """
     tree = find_spanning_tree(root, estimates, max_stddev)
@@ -69,8 +70,8 @@ def initialize_rig(
     usable = [
         e for e in estimates if unobservable_stddev(e, max_stddev) == 0 or tree.has_edge(e.sensor_a, e.sensor_b)
     ]
-    graph, names = build_rig_graph(root, usable, settings)
-    solution = start(graph, None) if callable(start) else average_poses(graph, rng, settings=settings)
+    graph, names = build_rig_graph(root, usable)
+    solution = start(graph, None) if callable(start) else average_poses(graph, rng)
     connected = [e for e in usable if e.sensor_a in names]
     agreeing = [e for e, inlier in zip(connected, solution.inliers, strict=True) if inlier]
     inlier_tree = find_spanning_tree(root, agreeing, max_stddev)

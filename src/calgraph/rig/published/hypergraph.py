@@ -9,8 +9,9 @@ import numpy as np
 from calgraph.boards.detections import Detection, Segment, plane_of
 from calgraph.config.settings import MatchFilter, Settings
 from calgraph.geometry import Array, plane, se3
-from calgraph.graph.pairwise_estimate import PairwiseEstimate, select_matches
+from calgraph.graph.pairwise_estimate import FLATNESS, PairwiseEstimate, select_matches
 from calgraph.graph.spanning_tree import SpanningTree
+from calgraph.rig.bundle.variance_components import STATED_NOISE_WEIGHT
 from calgraph.rig.pairs.board_matches import Candidates
 from calgraph.rig.published import hypergraph_factors as factor_types
 from calgraph.rig.published.sparse_lm import Block, Factor, Values, marginal_covariance, minimize_sparse
@@ -36,6 +37,19 @@ class HypergraphSolution:
     converged: bool
     graph_error: float
     """Sum of squared errors over all edges but sensor–sensor, m² (MSG-Cal, VII.A)."""
+
+
+# m and rad; the hypergraph holds a direction that a pair of the tree does not observe with this standard
+# deviation at its start value: small compared with the limit of an observed direction
+# (`pairwise.board.max_stddev`).
+_HELD_STDDEV = 0.01
+# Limit on steps of the hypergraph's solution, which states whether it converged: the tests of this estimator need
+# up to 46, where poses start far from the solution.
+_MAX_STEPS = 50
+# m; standard deviation that the hypergraph states for unobservable positions: the size of a scene.
+_PRIOR_TRANSLATION_STDDEV = 10.0
+# rad; the same for unobservable rotations: any angle.
+_PRIOR_ROTATION_STDDEV = float(np.pi)
 
 
 def solve_hypergraph(
@@ -65,7 +79,7 @@ def solve_hypergraph(
     pairs = [e for e in estimates if e.sensor_a in names and e.sensor_b in names]
     if not pairs:
         return HypergraphSolution({tree.root: np.eye(4)}, np.zeros((6, 6)), {}, converged=True, graph_error=0.0)
-    flatness, max_stddev = settings.pairwise.board.flatness, settings.pairwise.board.max_stddev
+    flatness, max_stddev = FLATNESS, settings.pairwise.board.max_stddev
     graph = _HypergraphBuilder(names, detections)
     for pair in pairs:
         for capture, i, j in pair.matches[select_matches(pair, keep)]:
@@ -73,20 +87,20 @@ def solve_hypergraph(
     values = graph.values(tree.T_root_sensor)
     observed = graph.observation_factors(flatness)
     factors: list[Factor] = [
-        _relative_pose_factor(names, tree, pairs, max_stddev, settings.baselines.held_stddev),
+        _relative_pose_factor(names, tree, pairs, max_stddev, _HELD_STDDEV),
         *observed,
     ]
     converged = True
     if optimize:
-        solution = minimize_sparse(values, BLOCKS, factors, iterations=settings.baselines.max_steps)
+        solution = minimize_sparse(values, BLOCKS, factors, iterations=_MAX_STEPS)
         values, converged = solution.state, solution.converged
     # Pairwise estimates come from the same detections: they are no independent information for the covariance.
-    prior = np.repeat([settings.baselines.prior_translation_stddev, settings.baselines.prior_rotation_stddev], 3)
+    prior = np.repeat([_PRIOR_TRANSLATION_STDDEV, _PRIOR_ROTATION_STDDEV], 3)
     covariance = marginal_covariance(values, BLOCKS, observed, "sensors", prior)
     residuals = {factor.name: factor.linearize(values)[0] for factor in factors}
     chi2 = sum(float(np.sum(residuals[factor.name] ** 2)) for factor in observed)
     dof = max(graph.degrees_of_freedom - 6 * (len(names) - 1), 0)
-    weight = settings.estimation.rig.variances.stated_noise_weight
+    weight = STATED_NOISE_WEIGHT
     return HypergraphSolution(
         T_root_sensor={name: values["sensors"][i] for i, name in enumerate(names)},
         joint_covariance=covariance * (chi2 + weight) / (dof + weight),

@@ -4,14 +4,13 @@ import numpy as np
 
 from calgraph.boards.board_pose import fit_pose, plane_covariance
 from calgraph.boards.tags import Marks
-from calgraph.config.settings import BoardPoseSettings
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, plane
 from calgraph.sensors import CameraModel
 
 
 def estimate_mean_plane(
-    marks: Marks, corners: Array, camera: CameraModel, sigma: float, settings: BoardPoseSettings
+    marks: Marks, corners: Array, camera: CameraModel, sigma: float
 ) -> tuple[Array, Array] | None:
     """The mean of normals and offsets of one PnP per tag: plane (4,) and covariance (3, 3).
 
@@ -19,7 +18,7 @@ def estimate_mean_plane(
     """
     planes, covariances = [], []
     for i in range(len(marks)):
-        pose = fit_pose(marks.ids[i : i + 1], corners[i : i + 1], marks.pixels[i : i + 1], camera, sigma, settings)
+        pose = fit_pose(marks.ids[i : i + 1], corners[i : i + 1], marks.pixels[i : i + 1], camera, sigma)
         if isinstance(pose, Rejected):
             continue
         one = plane.from_pose(pose.T_camera_board)
