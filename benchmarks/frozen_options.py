@@ -15,7 +15,7 @@ import lens_models
 import msg_cal
 from calgraph.config import People, Rig
 from calgraph.geometry import Array, se3
-from calgraph.graph.pose_averaging import RotationAveraging, average_poses_by_rotations
+from calgraph.graph.averaging import RotationAveraging, average_poses_by_rotations
 from calgraph.graph.tree_consensus import average_poses
 from calgraph.result import Calibration, ExtrinsicsFile
 from calgraph.result.frame_tree import FrameLink, FrameTree

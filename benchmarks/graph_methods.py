@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy.stats import binomtest
 
 from calgraph.geometry import Array, se_n
-from calgraph.graph.pose_averaging import RotationAveraging, average_poses_by_rotations
+from calgraph.graph.averaging import RotationAveraging, average_poses_by_rotations
 from calgraph.graph.pose_graph import PoseGraph
 from calgraph.graph.tree_consensus import average_poses
 

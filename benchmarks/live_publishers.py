@@ -9,7 +9,7 @@ from typing import Any
 
 import foxglove
 
-from calgraph.live.dds_readers import SerializedSample, make_dds_type
+from calgraph.live.dds import SerializedSample, make_dds_type
 from calgraph.recording import open_recording
 from calgraph.recording.bags import BagRecording
 from live_sources import DOMAIN, STORE

@@ -24,7 +24,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from calgraph.config.settings import Settings
-from calgraph.live.dds_readers import make_dds_type
+from calgraph.live.dds import make_dds_type
 from calgraph.live.open_source import open_source
 from calgraph.live.source import LiveMessage
 

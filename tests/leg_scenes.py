@@ -4,9 +4,8 @@ import numpy as np
 
 from calgraph.config.settings import NetworkEstimationSettings
 from calgraph.geometry import Array, se2
-from calgraph.network.joint.leg_equations import _MAX_EDGE_RATIO
+from calgraph.network.joint.leg_equations import _MAX_EDGE_RATIO, raycast_legs
 from calgraph.network.joint.leg_problem import HARMONICS, LegObservations, LegPath
-from calgraph.network.joint.leg_raycast import raycast_legs
 from calgraph.network.joint.problem import BodyScans, NetworkProblem, NetworkState
 from calgraph.network.joint.scanner_unknowns import SYSTEMATIC_ERRORS
 from calgraph.network.joint.splines import Knots, evaluate_spline

@@ -15,7 +15,7 @@ from typer.core import TyperGroup
 from typer.main import get_command
 
 from calgraph.cli.app import app
-from calgraph.cli.former_options import translate_former_options
+from calgraph.cli.lazy_commands import translate_former_options
 from calgraph.config import load_rig
 from calgraph.result import load_calibration
 

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from calgraph.boards import chessboards
-from calgraph.boards.checkerboard_regions import take_whole
-from calgraph.boards.chessboards import CheckerboardFinder
+from calgraph.boards.chessboards import CheckerboardFinder, take_whole
 from calgraph.config import Board, Checkerboard
 from calgraph.geometry import Array, se3, so3
 from calgraph.sensors import CameraModel

@@ -2,7 +2,7 @@
 
 import pytest
 
-from calgraph.cli.former_options import translate_former_options
+from calgraph.cli.lazy_commands import translate_former_options
 
 
 @pytest.mark.parametrize(

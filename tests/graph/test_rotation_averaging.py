@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from calgraph.geometry import Array, se_n
-from calgraph.graph.pose_averaging import solve_translations
+from calgraph.graph.averaging import solve_translations
 from calgraph.graph.pose_graph import PoseGraph
 from calgraph.graph.rotation_averaging import (
     average_rotations_irls,

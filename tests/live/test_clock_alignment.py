@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from calgraph.config.settings import ConnectionSettings
-from calgraph.live.clock_alignment import AlignedSource
+from calgraph.live.open_source import AlignedSource
 from calgraph.live.source import LiveMessage, Notice
 from calgraph.sensors import LaserScan, Trigger
 from collected_sources import collect, messages, notices
@@ -47,7 +47,7 @@ def scan(topic: str, offset: float, arrival: float = NOW) -> LiveMessage:
 @pytest.fixture(autouse=True)
 def align_quickly(monkeypatch: pytest.MonkeyPatch) -> None:
     """A hundredth of a second of messages decides."""
-    monkeypatch.setattr("calgraph.live.clock_alignment._ALIGNMENT_TIME", 0.01)
+    monkeypatch.setattr("calgraph.live.open_source._ALIGNMENT_TIME", 0.01)
 
 
 def arrivals(source: GivenSource) -> list[float]:
@@ -62,14 +62,14 @@ def test_arrivals_are_by_the_clock_of_the_stamps(offset: float) -> None:
 
 
 def test_the_difference_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("calgraph.live.clock_alignment._ALIGNMENT_TIME", 0)
+    monkeypatch.setattr("calgraph.live.open_source._ALIGNMENT_TIME", 0)
     source = AlignedSource(GivenSource([scan("/scan", -30.0)]), ConnectionSettings())
     (notice,) = notices(collect(source, ["/scan"]))
     assert "stamps are 30.0 s ahead of the clock of arrivals" in notice.text
 
 
 def test_latencies_change_no_arrival(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("calgraph.live.clock_alignment._ALIGNMENT_TIME", 0)
+    monkeypatch.setattr("calgraph.live.open_source._ALIGNMENT_TIME", 0)
     source = AlignedSource(GivenSource([scan("/scan", 0.4)]), ConnectionSettings())
     given = collect(source, ["/scan"])
     assert [one.arrival for one in messages(given)] == [round(NOW * 1e9)]
@@ -87,7 +87,7 @@ def test_of_two_sensors_the_one_nearer_to_the_arrivals_decides() -> None:
 
 
 def test_messages_without_header_get_the_same_difference_in_their_order(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("calgraph.live.clock_alignment._ALIGNMENT_TIME", 0)
+    monkeypatch.setattr("calgraph.live.open_source._ALIGNMENT_TIME", 0)
     trigger = make_live_message("/trigger", Trigger(NOW), NOW)
     source = AlignedSource(GivenSource([trigger, scan("/scan", 50.0)]), ConnectionSettings())
     given = messages(collect(source, ["/scan", "/trigger"]))
@@ -96,7 +96,7 @@ def test_messages_without_header_get_the_same_difference_in_their_order(monkeypa
 
 
 def test_messages_of_a_source_that_ends_early_are_given_too(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("calgraph.live.clock_alignment._ALIGNMENT_TIME", 100)
+    monkeypatch.setattr("calgraph.live.open_source._ALIGNMENT_TIME", 100)
     assert arrivals(GivenSource([scan("/scan", 50.0)])) == [NOW - 50.0]
 
 

@@ -8,8 +8,7 @@ import pytest
 
 from calgraph.config.settings import ConnectionSettings, Settings
 from calgraph.errors import InputError
-from calgraph.live.dds import DdsSource
-from calgraph.live.dds_readers import dds_topic_name, make_dds_type, ros_type_name
+from calgraph.live.dds import DdsSource, dds_topic_name, make_dds_type, ros_type_name
 from calgraph.live.open_source import open_source
 from calgraph.live.source import LiveMessage, Notice
 from collected_sources import messages, notices

@@ -7,7 +7,7 @@ import pytest
 
 from calgraph.config import Rig
 from calgraph.geometry import Array, se3, so3
-from calgraph.live.pose_suggestion import estimate_up, suggest_next_pose
+from calgraph.live.rig_solution import estimate_up, suggest_next_pose
 from calgraph.rig.bundle.solution import SolvedBundle
 from calgraph.rig.options import RigOptions
 from calgraph.rig.pipeline import build_problem_from_captures, solve_jointly
@@ -43,7 +43,7 @@ def test_height_is_near_that_of_the_boards_until_now(
     solved: tuple[Rig, SolvedBundle], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rig, bundle = solved
-    monkeypatch.setattr("calgraph.live.pose_suggestion._MAX_HEIGHT_CHANGE", 0.05)
+    monkeypatch.setattr("calgraph.live.rig_solution._MAX_HEIGHT_CHANGE", 0.05)
     found = suggest_next_pose(rig, bundle, None)
     assert found is not None
     up = estimate_up({"lidar": "lidar3d"}, {"lidar": np.eye(4)})
@@ -61,7 +61,7 @@ def test_none_is_suggested_where_none_is_reached(
     solved: tuple[Rig, SolvedBundle], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rig, bundle = solved
-    monkeypatch.setattr("calgraph.live.pose_suggestion._MIN_DISTANCE", 50.0)
+    monkeypatch.setattr("calgraph.live.rig_solution._MIN_DISTANCE", 50.0)
     assert suggest_next_pose(rig, bundle, None) is None
 
 

@@ -20,8 +20,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from calgraph.config.settings import LimitSettings, RecorderSettings
 from calgraph.errors import InputError, RecordingError
 from calgraph.io.yaml_reading import read_yaml
-from calgraph.live.cdr import make_cdr_schema
-from calgraph.live.recorder import Recorder
+from calgraph.live.recorder import Recorder, make_cdr_schema
 from calgraph.live.source import Channel, LiveMessage
 from calgraph.live.state import RecorderState
 from calgraph.recording import open_recording

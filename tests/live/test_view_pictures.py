@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 
 from calgraph.config.settings import ViewSettings
-from calgraph.live.sensor_activity import SensorActivity
+from calgraph.live.message_analysis import SensorActivity
 from calgraph.live.view_pictures import SensorView, find_reduction, make_view
 from calgraph.sensors import CameraModel, Image, LaserScan, PointCloud
 

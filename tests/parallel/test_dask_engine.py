@@ -11,8 +11,7 @@ import pytest
 
 from calgraph.config.settings import DaskSettings
 from calgraph.errors import CalibrationError, InputError
-from calgraph.parallel.dask_engine import DaskEngine
-from calgraph.parallel.open_cluster import open_cluster
+from calgraph.parallel.open_cluster import DaskEngine, open_cluster
 
 SETTINGS = DaskSettings(max_lost_workers=1)
 

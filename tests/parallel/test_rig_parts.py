@@ -10,9 +10,8 @@ import pytest
 from calgraph.config import Rig, load_rig
 from calgraph.config.settings import DaskSettings
 from calgraph.errors import CalibrationError
-from calgraph.parallel.dask_engine import DaskEngine
 from calgraph.parallel.engine import Processes
-from calgraph.parallel.open_cluster import open_cluster
+from calgraph.parallel.open_cluster import DaskEngine, open_cluster
 from calgraph.parallel.progress import Progress, no_progress
 from calgraph.recording import RecordingCache, open_recordings
 from calgraph.rig.capture_collection import collect_captures

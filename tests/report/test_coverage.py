@@ -7,8 +7,7 @@ import pytest
 
 from calgraph.config import Rig
 from calgraph.geometry import Array
-from calgraph.report.coverage import compute_coverage
-from calgraph.report.coverage_view import render_coverage
+from calgraph.report.coverage_view import compute_coverage, render_coverage
 from calgraph.report.vocabulary import BOARD_VOCABULARY
 from calgraph.result import BoardView, Calibration
 

@@ -13,10 +13,8 @@ import pytest
 from calgraph.config import Rig
 from calgraph.geometry import Array, se3
 from calgraph.report.fused_view import _color_points, render_fused_cloud
-from calgraph.report.gallery import render_gallery
-from calgraph.report.image_view import render_camera_images
-from calgraph.report.overlays import compute_overlay
-from calgraph.report.thumbnails import render_thumbnail
+from calgraph.report.gallery import render_gallery, render_thumbnail
+from calgraph.report.image_view import compute_overlay, render_camera_images
 from calgraph.result import Calibration, Snapshot
 from calgraph.result.calibrated_cameras import calibrated_cameras
 

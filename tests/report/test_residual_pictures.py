@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from calgraph.config import Rig
-from calgraph.report.residual_pictures import render_residual_pictures
+from calgraph.report.residual_view import render_residual_pictures
 from calgraph.report.vocabulary import BOARD_VOCABULARY, NETWORK_VOCABULARY
 from calgraph.result import BeamView, BoardView, Calibration
 

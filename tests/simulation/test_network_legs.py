@@ -16,7 +16,7 @@ from calgraph.simulation import (
     build_network,
     simulate_network_scans,
 )
-from calgraph.simulation.network_legs import Gait, add_legs, draw_gait, leg_size, shin_outline
+from calgraph.simulation.network_people import Gait, add_legs, draw_gait, leg_size, shin_outline
 from calgraph.simulation.network_walks import SimulatedWalk
 
 GAIT = Gait(step_length=0.68, foot_offset=0.08, toe_out=0.1, radii=(0.058, 0.066), squareness=2.5)

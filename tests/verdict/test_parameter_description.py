@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from calgraph.rig.bundle.bundle_parameters import SystematicParameter
-from calgraph.verdict.parameter_description import describe_deviation
+from calgraph.verdict.parameter_estimates import describe_deviation
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import pytest
 
 from calgraph.result import BoardOutline, Calibration
 from calgraph.sensors import CameraModel
-from calgraph.viewer.misalignment import compute_misalignments
+from calgraph.viewer.panel import compute_misalignments
 from calgraph.viewer.view_state import ViewState
 
 Cameras = dict[str, CameraModel]

@@ -2,7 +2,7 @@
 
 import functools
 import inspect
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from typing import Any
@@ -10,7 +10,6 @@ from typing import Any
 import typer
 from typer.core import TyperArgument, TyperCommand, TyperGroup
 
-from calgraph.cli.former_options import translate_former_options
 from calgraph.cli.step_log import VerboseOption, log_steps
 
 
@@ -115,3 +114,48 @@ def _join_lines(docstring: str) -> str:
     """The docstring with each paragraph on one line, which the help wraps as the terminal needs it."""
     paragraphs = inspect.cleandoc(docstring).split("\n\n")
     return "\n\n".join(" ".join(paragraph.split()) for paragraph in paragraphs)
+
+
+_FORMER: Mapping[str, Mapping[str, str]] = {
+    "calibrate": {
+        "--average": "average",
+        "--feature": "feature",
+        "--filter": "keep",
+        "--start": "start",
+        "--tags": "tags",
+        "--weights": "weights",
+    },
+    "solve": {"--filter": "keep"},
+}
+"""By command, the key below ``published`` of each option with a value."""
+_FLAGS = {"--icp": "published.icp=true", "--no-icp": "published.icp=false"}
+_ESTIMATORS = ("bundle", "hypergraph", "averaging")
+"""Values of --estimator that name the last step alone."""
+
+
+def translate_former_options(command: str, arguments: Sequence[str]) -> list[str]:
+    """The arguments of a command, with each former option replaced by ``--set published.KEY=VALUE``."""
+    return list(_translate(arguments, _FORMER[command], command)) if command in _FORMER else list(arguments)
+
+
+def _translate(arguments: Sequence[str], keys: Mapping[str, str], command: str) -> Iterator[str]:
+    rest = iter(arguments)
+    for argument in rest:
+        if argument == "--":
+            yield from (argument, *rest)
+            return
+        option, equals, value = argument.partition("=")
+        if command == "calibrate" and argument in _FLAGS:
+            yield from ("--set", _FLAGS[argument])
+        elif option in keys or option == "--estimator":
+            stated = value if equals else next(rest, None)
+            if stated is None:  # which the parser reports
+                yield "--set" if option in keys else option
+            elif option in keys:
+                yield from ("--set", f"published.{keys[option]}={stated}")
+            elif stated in _ESTIMATORS:
+                yield from ("--set", f"published.estimator={stated}")
+            else:
+                yield from (option, stated)
+        else:
+            yield argument

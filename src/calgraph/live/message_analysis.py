@@ -1,27 +1,39 @@
 """Messages of a live session: kept for a while, and analysed in other processes as far as these keep up."""
 
 import logging
+from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import partial
 
+import numpy as np
+
 from calgraph.config import CameraSpec, Rig
+from calgraph.config.settings import ViewSettings
 from calgraph.errors import CalgraphError, Rejected
-from calgraph.live.analysis_jobs import MeasuredChanges, learn_live_background, measure_changes
+from calgraph.live.analysis_jobs import (
+    MeasuredChanges,
+    encode_detector,
+    learn_live_background,
+    measure_changes,
+    reduce_camera,
+)
 from calgraph.live.capture_finder import MAX_RATE
 from calgraph.live.job_queue import JobQueue
-from calgraph.live.live_detectors import LiveDetectors
+from calgraph.live.live_captures import explain_rejection
+from calgraph.live.live_rig import list_intrinsics_topics
 from calgraph.live.live_timeline import LiveTimeline
 from calgraph.live.message_ring import MessageRing
 from calgraph.live.motion import RestMonitor
 from calgraph.live.record_reader import RecordReader
-from calgraph.live.sensor_activity import SensorActivity
 from calgraph.live.source import LiveMessage
-from calgraph.live.view_pictures import SensorView, make_view
+from calgraph.live.view_pictures import SensorView, find_reduction, make_view
 from calgraph.recording.takes import shift_record
-from calgraph.rig.captures.detectors import Background
+from calgraph.rig.captures.detectors import Background, draw_seeds
 from calgraph.rig.captures.stillness import MAX_MOTION_PERIOD
 from calgraph.rig.captures.timeline import RecordingTimeline
-from calgraph.sensors import CameraModel, RecordedMessage
+from calgraph.rig.options import RigOptions
+from calgraph.sensors import CameraInfo, CameraModel, RecordedMessage
 
 _log = logging.getLogger(__name__)
 
@@ -248,3 +260,162 @@ class MessageAnalysis:
         self.sensors[name].drawing = False
         self.sensors[name].set_view(view)
         self._changed()
+
+
+class LiveDetectors:
+    """Intrinsics and backgrounds that have been found so far, and the detectors made from them.
+
+    Args:
+        rig: of the session.
+    """
+
+    def __init__(self, rig: Rig) -> None:
+        self._rig = rig
+        # As calibrate_rig draws them first of all.
+        self.seeds = draw_seeds(rig, np.random.default_rng(RigOptions().seed))
+        """Of the detectors' samples, by sensor."""
+        self.cameras: dict[str, CameraModel] = rig.camera_models()
+        """Intrinsics by camera, as far as they are known."""
+        self._backgrounds: dict[str, Background | Rejected] = {}
+        self._preferred: dict[str, str] = {}
+        self._topics = list_intrinsics_topics(rig)
+        self._encoded: dict[tuple[str, int], bytes] = {}
+
+    @property
+    def intrinsics_topics(self) -> frozenset[str]:
+        """Topics that may have intrinsics."""
+        return frozenset(topic for topics in self._topics.values() for topic in topics)
+
+    def add_intrinsics(self, record: RecordedMessage) -> None:
+        """Takes the intrinsics of a message, for the cameras that its topic is of; the first message counts.
+
+        Raises:
+            RecordingError: its content is unusable.
+        """
+        wanted = [name for name in self.cameras_of(record.topic) if self._is_better(name, record.topic)]
+        if not wanted:
+            return
+        self._preferred |= dict.fromkeys(wanted, record.topic)
+        message = record.decode()
+        if isinstance(message, CameraInfo):
+            for name in wanted:
+                self.cameras[name] = message.camera
+                self._forget(name)
+
+    def cameras_of(self, topic: str) -> list[str]:
+        """The cameras whose intrinsics a topic may have."""
+        return [name for name, topics in self._topics.items() if topic in topics]
+
+    def _is_better(self, name: str, topic: str) -> bool:
+        topics = self._topics[name]
+        known = self._preferred.get(name)
+        return known is None or topics.index(topic) < topics.index(known)
+
+    def set_background(self, name: str, background: Background | Rejected) -> None:
+        """Takes what a scanner has learned, or why it has not."""
+        self._backgrounds[name] = background
+        self._forget(name)
+
+    def _forget(self, name: str) -> None:
+        self._encoded = {key: one for key, one in self._encoded.items() if key[0] != name}
+
+    def is_ready(self, name: str) -> bool:
+        """Whether messages of a sensor can be searched: scanners learn the room first."""
+        return self._rig.sensors[name].kind == "camera" or name in self._backgrounds
+
+    def reduction(self, name: str) -> int:
+        """The factor by which images of a camera are reduced for pictures; 1 of scanners."""
+        camera = self.cameras.get(name)
+        return find_reduction(camera) if camera else 1
+
+    def reduced_camera(self, name: str) -> CameraModel | None:
+        """The intrinsics of a camera's reduced images; None of scanners, and where they are not known."""
+        camera = self.cameras.get(name)
+        return reduce_camera(camera, self.reduction(name)) if camera else None
+
+    def encode(self, name: str, *, reduced: bool = False) -> bytes:
+        """The detector of a sensor that is ready, for other processes.
+
+        Args:
+            name: of the sensor.
+            reduced: whether it is for reduced images.
+        """
+        factor = self.reduction(name) if reduced else 1
+        if (name, factor) not in self._encoded:
+            camera = self.reduced_camera(name) if reduced else self.cameras.get(name)
+            background = self._backgrounds.get(name)
+            self._encoded[name, factor] = encode_detector(
+                self._rig, name, camera, None if isinstance(background, Rejected) else background, self.seeds
+            )
+        return self._encoded[name, factor]
+
+    def restore(self, cameras: Mapping[str, CameraModel]) -> None:
+        """Takes intrinsics that are in a recording, by camera."""
+        self.cameras |= cameras
+        self._preferred |= {name: self._topics[name][0] for name in cameras if name in self._topics}
+        self._encoded = {}
+
+
+# Number of images that this median is of: 20 s.
+_SHARPNESS_IMAGES = 60
+# Sharpness of an image over its median of late, below which it is blurred: rest and small boards change it by
+# less.
+_SHARPNESS_RATIO = 0.5
+
+
+@dataclass
+class SensorActivity:
+    """The messages of one sensor that wait for other processes, and its last view."""
+
+    settings: ViewSettings
+    waiting: deque[RecordedMessage] = field(default_factory=deque)
+    """Messages whose change is to be measured."""
+    measuring: Sequence[RecordedMessage] = ()
+    """Messages whose change is being measured."""
+    background: list[RecordedMessage] = field(default_factory=list)
+    """Of a scanner, the messages that it learns the room from."""
+    latest: RecordedMessage | None = None
+    """The last message that has not been drawn."""
+    drawing: bool = False
+    drawn_at: float = float("-inf")
+    """Arrival of the message that was drawn last, s."""
+    view: SensorView | None = None
+    pictures: int = 0
+    malformed: int = 0
+    """Number of its messages that could not be used."""
+    problem: str = ""
+    """Why the last of them could not."""
+    sharpness: deque[float] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.sharpness = deque(maxlen=_SHARPNESS_IMAGES)
+
+    @property
+    def oldest_unmeasured(self) -> float | None:
+        """Arrival of the first message whose change is not known yet, s; None if there is none."""
+        return next((record.arrival for record in (*self.measuring, *self.waiting)), None)
+
+    def note_malformed(self, problem: str) -> None:
+        """Counts a message that cannot be used."""
+        self.malformed += 1
+        self.problem = problem
+
+    def set_view(self, view: SensorView) -> None:
+        """Takes a new picture."""
+        self.view = view
+        if view.picture:
+            self.pictures += 1
+            self.sharpness.append(view.sharpness)
+
+    @property
+    def is_blurred(self) -> bool:
+        """Whether the last image is blurred, compared with those of late."""
+        if not self.sharpness:
+            return False
+        return self.sharpness[-1] < _SHARPNESS_RATIO * float(np.median(list(self.sharpness)))
+
+    def explain_view(self) -> str:
+        """Why the sensor does not detect the board now; empty if it does, or if that is not known."""
+        if self.view is None or self.view.sees_board is not False:
+            return ""
+        return "blurred" if self.is_blurred else explain_rejection(self.view.reason)

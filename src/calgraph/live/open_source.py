@@ -1,15 +1,21 @@
 """What the user gives as a source: an address, or the path of a recording."""
 
+import asyncio
+import math
+from collections.abc import AsyncIterator, Collection, Mapping
+from contextlib import aclosing, suppress
+from dataclasses import replace
 from pathlib import Path
+from typing import Any, Self, cast
 
-from calgraph.config.settings import Settings
+from calgraph.config.settings import ConnectionSettings, Settings
 from calgraph.errors import InputError
 from calgraph.io.yaml_reading import suggest_name
-from calgraph.live.clock_alignment import AlignedSource
 from calgraph.live.dds import DdsSource
 from calgraph.live.foxglove import FoxgloveSource
 from calgraph.live.replay import ReplaySource
-from calgraph.live.source import Source
+from calgraph.live.source import LiveMessage, Notice, Source
+from calgraph.live.topic_watch import StampReader
 
 
 def open_source(text: str, settings: Settings, *, speed: float = 1.0, start_after: int = -1) -> Source:
@@ -33,3 +39,113 @@ def open_source(text: str, settings: Settings, *, speed: float = 1.0, start_afte
     if not path.exists():
         raise InputError(f"{text}: is neither an address nor an existing recording{suggest_name(path)}")
     return ReplaySource(path, speed=speed, start_after=start_after, limits=settings.limits)
+
+
+_NS_PER_SECOND = 1e9
+
+
+# Time from the first message until the clocks of stamps and arrivals are compared, s: most sensors have sent
+# messages, and one with a wrong clock does not decide alone.
+_ALIGNMENT_TIME = 1.0
+
+
+class AlignedSource:
+    """A source whose arrivals are by the clock of the stamps.
+
+    Windows in rig.yaml count from the first arrival, and are compared with stamps. Robots without a time server,
+    and recordings that are played to a bridge, have stamps that differ from arrivals by seconds to years. The
+    difference is estimated from the first messages, and is constant after that.
+
+    Args:
+        source: of the messages.
+        settings: of connections.
+    """
+
+    def __init__(self, source: Source, settings: ConnectionSettings) -> None:
+        self._source, self._settings = source, settings
+
+    @property
+    def name(self) -> str:
+        """The name of the source."""
+        return self._source.name
+
+    async def stream(self, topics: Collection[str]) -> AsyncIterator[LiveMessage | Notice]:
+        """Messages and notices of the source; see :meth:`Source.stream`. The first messages come delayed."""
+        now = asyncio.get_running_loop().time
+        reader, offsets, waiting = StampReader(), dict[str, int](), list[LiveMessage]()
+        end = math.inf
+        # A generator, whose connection is closed with it.
+        async with aclosing(cast(Any, self._source.stream(topics))) as items, _Following(items) as following:
+            while not (offsets and now() >= end):
+                item = await following.take(max(end - now(), 0.0))
+                if item is None and following.ended:
+                    break
+                if isinstance(item, Notice):
+                    yield item
+                elif item is not None:
+                    end = end if waiting else now() + _ALIGNMENT_TIME
+                    waiting.append(item)
+                    if (stamp := reader.read(item)) is not None:
+                        offsets.setdefault(item.channel.topic, item.arrival - stamp)
+                elif not offsets:
+                    # Without stamps they cannot be compared.
+                    for one in waiting:
+                        yield one
+                    waiting.clear()
+                    end = math.inf
+            shift = self._choose_shift(offsets)
+            if shift:
+                yield Notice("connected", self._describe(shift))
+            for one in waiting:
+                yield replace(one, arrival=one.arrival - shift)
+            while (item := await following.take()) is not None:
+                yield item if isinstance(item, Notice) else replace(item, arrival=item.arrival - shift)
+
+    def _choose_shift(self, offsets: Mapping[str, int]) -> int:
+        """The median difference of the topics, ns; 0 where it is a latency."""
+        ordered = sorted(offsets.values())
+        middle = ordered[(len(ordered) - 1) // 2 : len(ordered) // 2 + 1]
+        # Of two topics that contradict each other, one may have the clock of the arrivals.
+        offset = min(middle, key=abs, default=0)
+        return offset if abs(offset) > self._settings.max_clock_offset * _NS_PER_SECOND else 0
+
+    def _describe(self, shift: int) -> str:
+        side = "behind" if shift > 0 else "ahead of"
+        return (
+            f"{self.name}: stamps are {abs(shift) / _NS_PER_SECOND:.1f} s {side} the clock of arrivals, which is "
+            "set to theirs"
+        )
+
+
+class _Following:
+    """The next item of a stream, which is awaited for a limited time without an effect on the stream."""
+
+    def __init__(self, items: AsyncIterator[LiveMessage | Notice]) -> None:
+        self._items = items
+        self._next: asyncio.Future[LiveMessage | Notice] | None = None
+        self.ended = False
+
+    async def take(self, timeout: float = math.inf) -> LiveMessage | Notice | None:
+        """The next item; None where none comes in time (s), and at the end."""
+        if self._next is None:
+            self._next = asyncio.ensure_future(anext(self._items))
+        await asyncio.wait({self._next}, timeout=None if timeout == math.inf else timeout)
+        if not self._next.done():
+            return None
+        try:
+            return self._next.result()
+        except StopAsyncIteration:
+            self.ended = True
+            return None
+        finally:
+            self._next = None
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        """Ends the stream where an item of it is awaited."""
+        if self._next is not None:
+            self._next.cancel()
+            with suppress(asyncio.CancelledError, StopAsyncIteration):
+                await self._next

@@ -1,27 +1,35 @@
 """A live session of a rig: from its messages to captures, poses, and the state that the operator is shown."""
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
 
+import numpy as np
+
+from calgraph.boards.detections import BoardCorners, DetectionResult
 from calgraph.config import Intrinsics, Rig
+from calgraph.errors import CalibrationError, Rejected
+from calgraph.geometry import Array, se3
+from calgraph.live.analysis_jobs import NO_INTRINSICS
+from calgraph.live.capture_finder import name_sensors
 from calgraph.live.capture_taker import CaptureTaker
 from calgraph.live.job_queue import JobQueue, Post
-from calgraph.live.live_captures import collect_live_captures
+from calgraph.live.live_captures import LiveCapture, collect_live_captures, count_coverage
 from calgraph.live.live_rig import make_trigger, prepare_live_rig
 from calgraph.live.message_analysis import MessageAnalysis
-from calgraph.live.rebuild import rebuild_captures
-from calgraph.live.rig_scene import make_scene
-from calgraph.live.rig_solution import LiveSolution
-from calgraph.live.rig_state import describe_rig_session
-from calgraph.live.scene_view import encode_scene
+from calgraph.live.rig_solution import LiveSolution, SensorSolution
+from calgraph.live.scene_view import SceneFrame, SceneView, encode_scene
 from calgraph.live.source import LiveMessage
-from calgraph.live.state import Command, SessionState
+from calgraph.live.state import Command, Phase, SensorState, SessionState
 from calgraph.parallel.engine import THIS_PROCESS, Engine
 from calgraph.parallel.processes import available_cores
-from calgraph.recording import Recording
-from calgraph.rig.captures.detect import CaptureSet
+from calgraph.recording import Recording, resolve_intrinsics
+from calgraph.rig.captures.detect import CaptureSet, limit_messages
+from calgraph.rig.captures.holds import Hold, find_holds
+from calgraph.rig.captures.sensor_detection import DetectionMethod, detect_by_sensors
+from calgraph.rig.captures.timeline import RecordingTimeline, build_timeline
+from calgraph.sensors import CameraModel
 
 Solve = Callable[[Rig, CaptureSet, LiveSolution | None], LiveSolution]
 """Computes the poses from the captures until now and the last solution; defined at module level."""
@@ -256,3 +264,219 @@ class RigSession:
     def _note_change(self) -> None:
         self._state = None
         self._change.set()
+
+
+@dataclass(frozen=True, eq=False)
+class RebuiltSession:
+    """The captures of a recording, and when its sensors measured."""
+
+    timeline: RecordingTimeline
+    cameras: Mapping[str, CameraModel]
+    """Intrinsics by camera, as far as the recording has any."""
+    captures: tuple[LiveCapture, ...] = field(default=())
+
+
+def rebuild_captures(rig: Rig, recording: Recording, seeds: Mapping[str, int], engine: Engine) -> RebuiltSession:
+    """The captures of the recording of an interrupted session; sensors may be missing in it.
+
+    Args:
+        rig: of the session; see :func:`calgraph.live.live_rig.prepare_live_rig`.
+        recording: until the interruption.
+        seeds: of the detectors' samples, by sensor; see :func:`calgraph.rig.captures.detectors.draw_seeds`.
+        engine: searches the board.
+
+    Raises:
+        RecordingError: it cannot be read.
+    """
+    present = {topic.name for topic in recording.topics}
+    recorded = {name: spec for name, spec in rig.sensors.items() if spec.topic in present}
+    part = rig.model_copy(update={"sensors": recorded})
+    cameras = resolve_intrinsics(part, recording).camera_models()
+    wanted = [topic for topic in (*part.topics.values(), rig.capture.trigger) if topic in present]
+    records = recording.records([topic for topic in wanted if topic])
+    timeline = build_timeline(records, recording.start, rig.topics, rig.capture.trigger)
+    try:
+        holds = limit_messages(find_holds(timeline, rig.capture, rig.settings.captures), rig)
+    except CalibrationError:  # none yet
+        return RebuiltSession(timeline, cameras)
+    detecting = {name: spec for name, spec in recorded.items() if spec.kind != "camera" or name in cameras}
+    found = detect_by_sensors(
+        part.model_copy(update={"sensors": detecting}),
+        recording,
+        timeline,
+        holds,
+        DetectionMethod(cameras, seeds),
+        engine=engine,
+    )
+    by_hold: dict[int, dict[str, DetectionResult]] = {hold.index: {} for hold in holds}
+    for one in found:
+        by_hold[one.capture][one.sensor] = one.detections
+    return RebuiltSession(
+        timeline, cameras, tuple(_make_capture(rig, hold, by_hold[hold.index]) for hold in holds)
+    )
+
+
+def _make_capture(rig: Rig, hold: Hold, found: Mapping[str, DetectionResult]) -> LiveCapture:
+    """A capture with all sensors of the rig in its order."""
+    return LiveCapture(hold, {name: found.get(name, Rejected(NO_INTRINSICS)) for name in rig.sensors})
+
+
+def make_scene(
+    rig: Rig, solution: LiveSolution, captures: Sequence[LiveCapture], cameras: Mapping[str, CameraModel]
+) -> SceneView:
+    """The sensors that have poses, and the board where a camera detected it, in the frame of the root.
+
+    Args:
+        rig: of the session.
+        solution: the last one.
+        captures: so far.
+        cameras: intrinsics by camera.
+    """
+    poses = {one.name: one.T_root_sensor for one in solution.sensors if one.T_root_sensor is not None}
+    frames = [_make_frame(rig, one, one.T_root_sensor, cameras) for one in solution.sensors if one.name in poses]
+    boards = [board for capture in captures if (board := _locate_board(rig, capture, poses)) is not None]
+    suggestion = solution.suggestion
+    suggested = None if suggestion is None else _outline(rig.board_size, suggestion.T_root_board)
+    return SceneView(frames, np.array(boards) if boards else np.zeros((0, 4, 3)), suggested)
+
+
+def _make_frame(
+    rig: Rig, sensor: SensorSolution, T_root_sensor: Array | None, cameras: Mapping[str, CameraModel]
+) -> SceneFrame:
+    assert T_root_sensor is not None
+    R, variances = T_root_sensor[:3, :3], sensor.stddev[:3] ** 2
+    camera = cameras.get(sensor.name)
+    return SceneFrame(
+        sensor.name,
+        sensor.kind,
+        T_root_sensor,
+        None if sensor.name == rig.root else R @ np.diag(variances) @ R.T,
+        sensor.grade,
+        _measure_field_of_view(camera) if camera else None,
+    )
+
+
+def _measure_field_of_view(camera: CameraModel) -> tuple[float, float]:
+    """Horizontal and vertical field of view, rad."""
+    u, v = camera.principal_point
+    rays = camera.rays(np.array([[0.0, v], [camera.width - 1.0, v], [u, 0.0], [u, camera.height - 1.0]]))
+    left, right, top, bottom = rays / np.linalg.norm(rays, axis=1, keepdims=True)
+    return float(np.arccos(left @ right)), float(np.arccos(top @ bottom))
+
+
+def _locate_board(rig: Rig, capture: LiveCapture, poses: Mapping[str, Array]) -> Array | None:
+    """(4, 3) corners of the board that a camera with a pose detected; None if none did."""
+    for name, T_root_camera in poses.items():
+        found = capture.detections[name]
+        best = None if isinstance(found, Rejected) else found[0]
+        if isinstance(best, BoardCorners):
+            return _outline(rig.boards[best.board].size, T_root_camera @ best.T_camera_board)
+    return None
+
+
+def _outline(size: tuple[float, float], T_root_board: Array) -> Array:
+    """(4, 3) corners of a board of a width and height, m."""
+    corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * [size[0] / 2, size[1] / 2, 0.0]
+    return se3.apply(T_root_board, corners)
+
+
+def describe_rig_session(
+    rig: Rig,
+    source: str,
+    analysis: MessageAnalysis,
+    taker: CaptureTaker,
+    solution: LiveSolution | None,
+    solutions: int,
+    problem: str,
+) -> SessionState:
+    """The state of a session.
+
+    Args:
+        rig: of the session.
+        source: name of the source.
+        analysis: of its messages.
+        taker: of its captures.
+        solution: the last one; None before the first.
+        solutions: number of solutions so far.
+        problem: what keeps the session from working; empty if nothing does.
+    """
+    solved = {one.name: one for one in solution.sensors} if solution else {}
+    done = bool(solution and solution.done)
+    problems = taker.finder.find_problems()
+    phase, headline = _describe_phase(analysis, taker)
+    return SessionState(
+        kind="rig",
+        phase=phase,
+        headline=problem
+        or ("All sensors are within tolerance: finish" if done and phase == "ready" else headline),
+        source=source,
+        automatic=taker.automatic,
+        root=rig.root,
+        sensors=tuple(
+            _describe_sensor(name, rig, analysis, taker, problems, solved.get(name)) for name in rig.sensors
+        ),
+        captures=len(taker.captures),
+        event=taker.event,
+        advice=solution.advice if solution else None,
+        tolerance_mm=1000 * rig.tolerance.translation,
+        tolerance_degrees=rig.tolerance.rotation,
+        done=done,
+        scene=solutions,
+    )
+
+
+def _describe_phase(analysis: MessageAnalysis, taker: CaptureTaker) -> tuple[Phase, str]:
+    unheard = [name for name in analysis.sensors if analysis.timeline.age(name) is None]
+    waiting = taker.waiting
+    if unheard:
+        return "connecting", f"Waiting for messages of {name_sensors(unheard)}"
+    if analysis.background_left:
+        return "background", f"Stay out of view: {np.ceil(analysis.background_left):.0f} s to learn the room"
+    if waiting.problem:
+        return "ready", f"No captures are possible: {waiting.problem}"
+    if taker.searching:
+        return "measuring", "Searching for the board"
+    if waiting.phase == "measuring" and (taker.requested or taker.automatic):
+        names = name_sensors(waiting.sensors)
+        return "measuring", f"Hold still: {names} measuring" if names else "Hold still"
+    if taker.requested:
+        moving = f" (motion in {name_sensors(waiting.sensors)})" if waiting.sensors else ""
+        return "waiting", f"Hold the board still{moving}, or press again to capture while it moves"
+    if taker.automatic:
+        return "ready", "Hold the board still in a new pose"
+    return "ready", "Hold the board still and press the button"
+
+
+def _describe_sensor(
+    name: str,
+    rig: Rig,
+    analysis: MessageAnalysis,
+    taker: CaptureTaker,
+    problems: Mapping[str, str],
+    solved: SensorSolution | None,
+) -> SensorState:
+    timeline, activity = analysis.timeline, analysis.sensors[name]
+    age = timeline.age(name)
+    problem = problems.get(name, "")
+    if activity.malformed and not problem:
+        problem = f"{activity.malformed} unusable messages: {activity.problem}"
+    stddev = None if solved is None or name == rig.root else np.asarray(solved.stddev)
+    known = stddev is not None and bool(np.isfinite(stddev).all())
+    view = activity.view
+    return SensorState(
+        name=name,
+        kind=rig.sensors[name].kind,
+        rate=timeline.rate(name),
+        age=age,
+        problem=problem,
+        sees_board=view.sees_board if view else None,
+        reason=activity.explain_view(),
+        moving=analysis.rests.is_moving(name),
+        captures=sum(name in capture.sensors for capture in taker.captures),
+        coverage=count_coverage(name, rig, analysis.detectors.cameras.get(name), taker.captures),
+        stddev_mm=1000 * float(stddev[:3].max()) if known and stddev is not None else None,
+        stddev_degrees=float(np.degrees(stddev[3:].max())) if known and stddev is not None else None,
+        progress=solved.progress if solved else 0.0,
+        grade=solved.grade if solved else "",
+        picture=activity.pictures,
+    )

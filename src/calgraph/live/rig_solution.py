@@ -4,17 +4,16 @@ Poses, covariances and verdicts are those of ``calgraph calibrate`` on the same 
 held-out captures: cross-validation and bootstrap take longest.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calgraph.config import Rig
 from calgraph.errors import CalgraphError
 from calgraph.geometry import Array
-from calgraph.live.missing_pairs import MissingPair, explain_unconnected, find_missing_pair
 from calgraph.live.pose_picture import DrawnSensor, draw_pose
-from calgraph.live.pose_suggestion import estimate_up, suggest_next_pose
 from calgraph.live.state import Advice
 from calgraph.result import Calibration, SensorPose, Suggestion
 from calgraph.rig.bumps import solve_after_bumps
@@ -22,10 +21,89 @@ from calgraph.rig.bundle.solution import SolvedBundle
 from calgraph.rig.captures.detect import CaptureSet, state_estimated_intrinsics
 from calgraph.rig.checks.assemble import assemble_rig
 from calgraph.rig.checks.drift_tests import include_drifts
+from calgraph.rig.checks.next_best_pose import suggest_board_poses
 from calgraph.rig.options import RigOptions
 from calgraph.rig.pipeline import build_problem_from_captures, explain_singular_equations, solve_jointly
 from calgraph.sensors import CameraModel
 from calgraph.verdict.grades import max_good_stddev
+
+# How well a sensor alone locates the board: a partner that measures its plane needs the fewest shared captures.
+_PARTNER_RANK = {"lidar3d": 0, "camera": 1, "lidar2d": 2}
+
+
+def explain_unconnected(name: str, rig: Rig, captures: CaptureSet, connected: Collection[str]) -> str:
+    """Why a sensor has no pose yet, as a sentence.
+
+    Args:
+        name: the sensor.
+        rig: the rig.
+        captures: the detections until now.
+        connected: the sensors that have a pose, the root included.
+    """
+    if name in rig.cameras() and name not in captures.cameras:
+        return f"the intrinsics of {name} are not known yet"
+    if not captures.detections[name]:
+        return f"{name} has not detected the board yet"
+    shared = {other: _count_shared(captures, name, other) for other in rig.sensors if other != name}
+    if not any(shared.values()):
+        return f"{name} has not detected the board together with another sensor"
+    within = {other: count for other, count in shared.items() if other in connected}
+    if connected and not any(within.values()):
+        others = ", ".join(other for other, count in shared.items() if count)
+        return f"{name} has detected the board together with {others} only, which nothing connects to {rig.root}"
+    counts = ", ".join(f"{count} with {other}" for other, count in (within or shared).items() if count)
+    return f"{name} needs more captures together with other sensors, with the board tilted differently: {counts}"
+
+
+@dataclass(frozen=True)
+class MissingPair:
+    """Two sensors that should detect the board together next."""
+
+    sensors: tuple[str, str]
+    """One without a pose, and one with a pose."""
+    shared: int
+    """Captures in which both have detected the board."""
+
+    def __str__(self) -> str:
+        """What the operator should do."""
+        name, partner = self.sensors
+        first = f"Show the board to {name} and {partner} together"
+        if not self.shared:
+            return f"{first}, in several places, tilted and turned differently each time"
+        times = "once" if self.shared == 1 else f"{self.shared} times"
+        return f"{first}, tilted and turned differently than before: they have detected it together {times}"
+
+
+def find_missing_pair(rig: Rig, captures: CaptureSet, connected: Collection[str]) -> MissingPair | None:
+    """Which sensors should detect the board together next, as long as some have no pose.
+
+    Args:
+        rig: the rig.
+        captures: the detections until now.
+        connected: the sensors that have a pose, the root included.
+
+    Returns:
+        The pair with the most common captures, of a sensor without a pose and one with a pose; None if all have
+        one.
+    """
+    placed = {rig.root, *connected}
+    missing = [name for name in rig.sensors if name not in placed]
+
+    def rank(pair: MissingPair) -> tuple[int, int, int]:
+        name, partner = pair.sensors
+        kinds = _PARTNER_RANK[rig.sensors[name].kind] + _PARTNER_RANK[rig.sensors[partner].kind]
+        return -pair.shared, kinds, missing.index(name)
+
+    pairs = [
+        MissingPair((name, partner), _count_shared(captures, name, partner))
+        for name in missing
+        for partner in sorted(placed)
+    ]
+    return min(pairs, key=rank, default=None)
+
+
+def _count_shared(captures: CaptureSet, a: str, b: str) -> int:
+    return len(captures.detections[a].keys() & captures.detections[b].keys())
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,3 +292,67 @@ def _describe_pose(sensor: SensorPose, limits: Array, *, alone: bool) -> SensorS
         "" if alone else sensor.verdict.grade,
         sensor.verdict.reason,
     )
+
+
+def suggest_next_pose(rig: Rig, solved: SolvedBundle, last: Suggestion | None) -> Suggestion | None:
+    """The board pose that reduces the uncertainty of the least certain sensor most.
+
+    Args:
+        rig: the rig.
+        solved: the current solution.
+        last: the suggestion before the last capture; no pose near it is suggested.
+
+    Returns:
+        The suggestion; None where no pose that a person reaches has a relevant gain.
+    """
+    state = solved.minimized.state
+    kinds = {name: rig.sensors[name].kind for name in solved.bundle.sensors}
+    up = estimate_up(kinds, dict(zip(solved.bundle.sensors, state.T_root_sensor, strict=True)))
+    positions, sensors = state.T_root_board[:, :3, 3], state.T_root_sensor[:, :3, 3]
+
+    def is_reachable(T_root_board: Array) -> NDArray[np.bool_]:
+        return _is_reachable(T_root_board[:, :3, 3], positions, sensors, up, last)
+
+    diagnostics = rig.settings.diagnostics
+    settings = diagnostics.model_copy(update={"rig": diagnostics.rig.model_copy(update={"suggestions": 1})})
+    # Other candidates after each capture, and the same ones for the same captures.
+    rng = np.random.default_rng(len(positions))
+    found = suggest_board_poses(
+        solved, kinds, rig.board_size, rng, rig.tolerance, settings, up=up, is_reachable=is_reachable
+    )
+    return found[0] if found else None
+
+
+def estimate_up(kinds: Mapping[str, str], T_root_sensor: Mapping[str, Array]) -> Array:
+    """The direction (3,) in the root's frame that is up for most sensors, as they are usually mounted.
+
+    Scanners turn about the vertical, and cameras are upright. Of all sensors' directions it is the one nearest to
+    the others, so that single sensors on their sides or upside down do not matter.
+    """
+    directions = np.array(
+        [-T[:3, 1] if kinds[name] == "camera" else T[:3, 2] for name, T in T_root_sensor.items()]
+    )
+    return np.asarray(directions[np.argmax(np.sum(np.clip(directions @ directions.T, 0, 1), axis=1))])
+
+
+# Maximum height of the board's centre above or below the median of its heights until now, m: a person holds a
+# board whose centre is at 1 m from the knees to above the head.
+_MAX_HEIGHT_CHANGE = 0.6
+# Minimum distance of the board's centre from every sensor, m: nearer, the robot is in the way.
+_MIN_DISTANCE = 0.6
+# Distance from the last suggestion, m, within which no other is made after a capture: more than operators miss it
+# by, so that a suggestion whose board sensors did not detect is not repeated.
+_REPEAT_DISTANCE = 0.25
+
+
+def _is_reachable(
+    candidates: Array, positions: Array, sensors: Array, up: Array, last: Suggestion | None
+) -> NDArray[np.bool_]:
+    """(K,) which of the board's candidate positions (K, 3) a person reaches, and has not just tried."""
+    reachable = np.abs(candidates @ up - np.median(positions @ up)) <= _MAX_HEIGHT_CHANGE
+    distances = np.linalg.norm(candidates[:, None] - sensors, axis=-1)
+    reachable &= np.all(distances >= _MIN_DISTANCE, axis=1)
+    if last is not None:
+        away = np.linalg.norm(candidates - last.T_root_board[:3, 3], axis=-1)
+        reachable &= away >= _REPEAT_DISTANCE
+    return np.asarray(reachable)

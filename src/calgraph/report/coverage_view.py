@@ -1,12 +1,219 @@
 """The coverage of each sensor's field of view as a figure and as text."""
 
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+
 import numpy as np
+from numpy.typing import NDArray
 
 from calgraph.config import Rig
-from calgraph.report.coverage import Coverage, compute_coverage
-from calgraph.report.formatting import KIND_NAMES, escape_html, format_count
+from calgraph.geometry import Array, se3
+from calgraph.report.formatting import KIND_NAMES, escape_html, format_count, format_fixed
 from calgraph.report.vocabulary import Vocabulary
-from calgraph.result import Calibration
+from calgraph.result import Calibration, SensorPose
+from calgraph.result.calibrated_cameras import calibrated_cameras
+from calgraph.sensors import CameraModel
+
+# Cells along a camera's longer side, of the azimuth, and of elevations and ranges.
+_CAMERA_COLUMNS, _AZIMUTH_BINS, _ROW_COUNT = 20, 72, 12
+# Parts by which gaps are described: sectors of the azimuth, degrees, and thirds of an image.
+_SECTOR_WIDTH = 30
+_THIRDS = (("left", "middle", "right"), ("top", "centre", "bottom"))
+# Points beyond this percentile are not counted to the field of view, percent.
+_TAIL_PERCENT = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Coverage:
+    """Number of captures or walks with the target in each cell of a field of view."""
+
+    x_edges: Array
+    """(C + 1,) px, or degrees of azimuth, from the left to the right as viewed by the sensor."""
+    y_edges: Array
+    """(R + 1,) px, degrees of elevation, or metres, from the top to the bottom of the image."""
+    counts: Array
+    """(R, C) captures or walks that reached into each cell."""
+    visible: NDArray[np.bool_]
+    """(C,) columns inside the sensor's field of view."""
+    axes: tuple[str, str]
+    """Quantity and unit of x and y."""
+    remarks: tuple[str, ...]
+    """Description of the coverage and of its gaps."""
+
+
+def compute_coverage(calibration: Calibration, rig: Rig, sensor: SensorPose) -> Coverage | None:
+    """Coverage of one sensor's field of view; None where the result has no detections of it."""
+    if sensor.kind == "camera":
+        camera = calibrated_cameras(calibration, rig).get(sensor.name)
+        views = _board_detections(calibration, sensor)
+        return _camera_coverage(calibration, sensor, camera, views) if camera and views else None
+    if calibration.pictures.floor_views:
+        walks = _walk_positions(calibration, sensor)
+        field = _background_points(calibration, sensor)
+        return _planar_coverage(walks, [*field, *walks], "People walked") if walks else None
+    views, field = _board_detections(calibration, sensor), _scanned_points(calibration, sensor)
+    if not views:
+        return None
+    if sensor.kind == "lidar2d":
+        return _planar_coverage(views, [*field, *views], "The board was")
+    return _lidar_coverage(views, [*field, *views])
+
+
+def _board_detections(calibration: Calibration, sensor: SensorPose) -> list[Array]:
+    """The sensor's detections that were used; all if none was used."""
+    views = [view for view in calibration.pictures.board_views if view.sensor == sensor.name]
+    used = _finite_points(view.measured for view in views if view.used)
+    return used or _finite_points(view.measured for view in views)
+
+
+def _scanned_points(calibration: Calibration, sensor: SensorPose) -> list[Array]:
+    return _finite_points(
+        s.points.astype(np.float64) for s in calibration.pictures.snapshots if s.sensor == sensor.name
+    )
+
+
+def _walk_positions(calibration: Calibration, sensor: SensorPose) -> list[Array]:
+    """Positions of people in a scanner of a network, in the scanner's frame."""
+    views = [view for view in calibration.pictures.floor_views if view.sensor == sensor.name]
+    return _finite_points(_to_sensor_frame(walk, sensor) for view in views for walk in view.tracks)
+
+
+def _background_points(calibration: Calibration, sensor: SensorPose) -> list[Array]:
+    views = [view for view in calibration.pictures.floor_views if view.sensor == sensor.name]
+    return _finite_points(_to_sensor_frame(view.background, sensor) for view in views)
+
+
+def _finite_points(clouds: Iterable[Array]) -> list[Array]:
+    """The finite points of each array (N, k), without empty arrays."""
+    finite = (points[np.isfinite(points).all(axis=1)] for points in clouds)
+    return [points for points in finite if len(points)]
+
+
+def _to_sensor_frame(points: Array, sensor: SensorPose) -> Array:
+    """(N, 3) in a scanner's frame of points (N, 2) on the floor."""
+    return se3.apply(se3.inverse(sensor.T_root_sensor), np.column_stack([points, np.zeros(len(points))]))
+
+
+def _camera_coverage(
+    calibration: Calibration, sensor: SensorPose, camera: CameraModel, views: Sequence[Array]
+) -> Coverage:
+    size = np.array([camera.width, camera.height])
+    rows, columns = np.maximum(np.round(_CAMERA_COLUMNS * size[::-1] / size.max()), 1).astype(int)
+    x, y = (np.linspace(-0.5, length - 0.5, n + 1) for length, n in zip(size, (columns, rows), strict=True))
+    thirds = _count_views(views, *(np.linspace(-0.5, length - 0.5, 4) for length in size))
+    empty = [f"{_THIRDS[1][i]} {_THIRDS[0][j]}" for i, j in np.argwhere(thirds == 0)]
+    missing = "There were corners in all parts of the image."
+    if empty:
+        missing = f"Missing: no corners in the {_join_words(empty)} of the image."
+    remarks = (missing, *_describe_board_poses(calibration, sensor))
+    return Coverage(x, y, _count_views(views, x, y), np.ones(columns, dtype=np.bool_), ("px", "px"), remarks)
+
+
+def _describe_board_poses(calibration: Calibration, sensor: SensorPose) -> tuple[str, ...]:
+    """Distance and tilt of the boards that a camera detected."""
+    captures = {
+        view.capture for view in calibration.pictures.board_views if view.sensor == sensor.name and view.used
+    }
+    corners = [
+        o.corners for o in calibration.pictures.board_outlines if o.capture in captures and o.board is not None
+    ]
+    if not corners:
+        return ()
+    boards = se3.apply(se3.inverse(sensor.T_root_sensor), np.concatenate(corners)).reshape(-1, 4, 3)
+    center, normal = boards.mean(axis=1), np.cross(boards[:, 1] - boards[:, 0], boards[:, 3] - boards[:, 0])
+    distance = np.linalg.norm(center, axis=1)
+    cosine = np.abs(np.sum(center * normal, axis=1)) / (distance * np.linalg.norm(normal, axis=1))
+    tilt = np.degrees(np.arccos(np.clip(cosine, 0, 1)))
+    return (
+        f"The board was {_format_interval(distance, 1)} m away, tilted {_format_interval(tilt, 0)}° from the "
+        "viewing direction.",
+    )
+
+
+def _lidar_coverage(views: Sequence[Array], field: Sequence[Array]) -> Coverage:
+    low, high = np.percentile(_elevations(np.concatenate(field)), [_TAIL_PERCENT, 100 - _TAIL_PERCENT])
+    margin = max(0.02 * (high - low), 0.5)
+    heights = [_elevations(view) for view in views]
+    covered = _format_interval(np.concatenate(heights), 0)
+    remark = f"Covered elevations: {covered}° of {_format_interval(np.array([low, high]), 0)}°."
+    edges = np.linspace(high + margin, low - margin, _ROW_COUNT + 1)
+    return _scanner_coverage(views, field, "The board was", heights, edges, "elevation, °", remark)
+
+
+def _planar_coverage(views: Sequence[Array], field: Sequence[Array], subject: str) -> Coverage:
+    ranges = [_distances_from_origin(view) for view in views]
+    edges = np.linspace(1.1 * max(map(np.max, ranges)), 0, _ROW_COUNT + 1)
+    return _scanner_coverage(views, field, subject, ranges, edges, "range, m")
+
+
+def _scanner_coverage(
+    views: Sequence[Array], field: Sequence[Array], subject: str, y: Sequence[Array], y_edges: Array, y_axis: str,
+    *remarks: str,
+) -> Coverage:  # fmt: skip
+    """Coverage by azimuth and a second quantity ``y`` of the points of each view."""
+    azimuth = np.linspace(180, -180, _AZIMUTH_BINS + 1)
+    cells = [np.column_stack([_azimuths(view), values]) for view, values in zip(views, y, strict=True)]
+    visible = np.histogram(-_azimuths(np.concatenate(field)), -azimuth)[0] > 0
+    distances = _format_interval(_distances_from_origin(np.concatenate(views)), 1)
+    return Coverage(
+        azimuth, y_edges, _count_views(cells, azimuth, y_edges), visible, ("azimuth, °", y_axis),
+        (*_describe_sectors(views, field, subject), *remarks, f"{subject} {distances} m away."),
+    )  # fmt: skip
+
+
+def _count_views(views: Sequence[Array], x_edges: Array, y_edges: Array) -> Array:
+    """(R, C) number of views (N, 2) with a point in each cell; edges may descend."""
+    x_sign, y_sign = (np.sign(edges[-1] - edges[0]) for edges in (x_edges, y_edges))
+    edges = y_sign * y_edges, x_sign * x_edges
+    hit = [np.histogram2d(y_sign * view[:, 1], x_sign * view[:, 0], edges)[0] > 0 for view in views]
+    return np.asarray(np.sum(hit, axis=0, dtype=np.float64))
+
+
+def _azimuths(points: Array) -> Array:
+    return np.degrees(np.arctan2(points[:, 1], points[:, 0]))
+
+
+def _elevations(points: Array) -> Array:
+    return np.degrees(np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1])))
+
+
+def _distances_from_origin(points: Array) -> Array:
+    return np.asarray(np.linalg.norm(points, axis=1))
+
+
+def _describe_sectors(views: Sequence[Array], field: Sequence[Array], subject: str) -> tuple[str, ...]:
+    """Covered fraction of the scanner's azimuths, and the sectors that are not covered."""
+    edges = np.arange(-180, 181, _SECTOR_WIDTH)
+    covered, visible = (np.histogram(_azimuths(np.concatenate(of)), edges)[0] > 0 for of in (views, field))
+    missing = np.flatnonzero(visible & ~covered)
+    if not len(missing):
+        return (f"{subject} in all directions of the field of view.",)
+    # Neighbouring sectors are merged, also across ±180°: counted from one that is not missing.
+    turn = int(np.flatnonzero(~(visible & ~covered))[0]) if len(missing) < len(covered) else 0
+    order = sorted((int(k) - turn) % len(covered) for k in missing)
+    runs = [list(run) for _, run in groupby(enumerate(order), key=lambda one: one[1] - one[0])]
+    spans = [_format_sector(edges[0] + _SECTOR_WIDTH * (run[0][1] + turn), len(run)) for run in runs]
+    share = round(100 * int(np.sum(covered & visible)) / int(np.sum(visible)))
+    return (f"{subject} in {share} % of the directions of the field of view. Missing: {_join_words(spans)}.",)
+
+
+def _format_sector(start: int, count: int) -> str:
+    """An interval of azimuths, counter-clockwise from the front, with its main direction."""
+    low, high = ((start + 180) % 360) - 180, ((start + _SECTOR_WIDTH * count + 179) % 360) - 179
+    middle = ((start + _SECTOR_WIDTH * count / 2 + 180) % 360) - 180
+    names = ("ahead", "to the left", "behind", "to the right")
+    return f"{format_fixed(low, 0)}° to {format_fixed(high, 0)}° ({names[round(middle / 90) % 4]})"
+
+
+def _format_interval(values: Array, decimals: int) -> str:
+    low, high = float(np.min(values)), float(np.max(values))
+    return f"{format_fixed(low, decimals)}{'–' if low >= 0 else ' to '}{format_fixed(high, decimals)}"
+
+
+def _join_words(things: Sequence[str]) -> str:
+    return things[0] if len(things) == 1 else f"{', '.join(things[:-1])} and {things[-1]}"
+
 
 # Size of the drawing and of its margins for labels, px.
 _WIDTH, _HEIGHT, _LEFT, _RIGHT, _BELOW = 400, 230, 44, 16, 34

@@ -22,8 +22,7 @@ from calgraph.report.gallery import render_gallery
 from calgraph.report.graph_view import render_edge_table, render_graph
 from calgraph.report.image_view import render_camera_images
 from calgraph.report.pose_table import render_pose_table
-from calgraph.report.residual_pictures import render_residual_pictures
-from calgraph.report.residual_view import render_distances, render_histograms
+from calgraph.report.residual_view import render_distances, render_histograms, render_residual_pictures
 from calgraph.report.rig_view import render_rig_view
 from calgraph.report.systematic_view import render_systematic_parameters
 from calgraph.report.verdict_cards import (

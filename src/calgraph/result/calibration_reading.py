@@ -1,11 +1,12 @@
 """Reading calibration.yaml back: a model of the file, strict about keys, types and what its numbers must be."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import AfterValidator, Field, Strict, model_validator
 
 from calgraph.config import Intrinsics, Tolerance
@@ -14,24 +15,117 @@ from calgraph.config.strict_model import StrictModel, invalid
 from calgraph.errors import InputError
 from calgraph.geometry import Array, se3
 from calgraph.io.yaml_reading import read_yaml, validate_content
-from calgraph.result.calibration import UNMEASURED_IN_PLANE, Calibration
+from calgraph.result.calibration import UNMEASURED_IN_PLANE, Calibration, join_covariances
 from calgraph.result.calibration_file import FORMAT
 from calgraph.result.covariance_checks import check_semidefinite, check_symmetric
-from calgraph.result.covariance_reading import (
-    CrossCovariance,
-    Finite,
-    JointCovariance,
-    Matrix6,
-    Number,
-    check_cross_covariances,
-    join_cross_covariances,
-    to_array,
-)
 from calgraph.result.estimated_parameter import EstimatedParameter
 from calgraph.result.evidence import CaptureRow, Edge, Evidence, FitError, HeldOutError, ModelledBodies, Suggestion
 from calgraph.result.frame_tree import MAX_DISTANCE
 from calgraph.result.provenance import InputFile, Provenance
 from calgraph.result.sensor_pose import SensorPose, StatedPose, Verdict
+
+Finite = Annotated[float, Strict(), Field(allow_inf_nan=False)]
+# Infinite variances stand for directions that nothing observes.
+Number = Annotated[float, Strict()]
+# What was not measured is null.
+Entry = Number | None
+Row6 = tuple[Entry, Entry, Entry, Entry, Entry, Entry]
+Matrix6 = tuple[Row6, Row6, Row6, Row6, Row6, Row6]
+
+
+def to_array(rows: Sequence[Sequence[float | None]]) -> Array:
+    """A matrix; NaN where nothing was measured, as in a calibration in one plane."""
+    return np.array([[np.nan if value is None else value for value in row] for row in rows])
+
+
+class JointCovariance(StrictModel):
+    """Of the errors of all sensors."""
+
+    order: tuple[str, ...]
+    """The sensors, one after the other."""
+    matrix: tuple[tuple[Finite | None, ...], ...]
+    """Six rows and columns for each of them, in the root's fixed axes, m and rad."""
+
+    @model_validator(mode="after")
+    def _is_a_covariance(self) -> "JointCovariance":
+        size = 6 * len(self.order)
+        if {len(self.matrix), *map(len, self.matrix)} != {size}:
+            raise invalid("matrix", f"must have {size} rows of {size} numbers, six for each of order")
+        matrix = to_array(self.matrix)
+        if np.any(np.diag(matrix) < 0):
+            raise invalid("matrix", "must have variances of 0 or more on its diagonal")
+        check_symmetric(matrix, "matrix")
+        check_semidefinite(matrix, "matrix")
+        return self
+
+    def reorder(self, names: Sequence[str]) -> Array:
+        """(S·6, S·6) of the sensors in this order."""
+        rows = np.concatenate([6 * self.order.index(name) + np.arange(6) for name in names])
+        return np.asarray(to_array(self.matrix)[np.ix_(rows, rows)])
+
+
+class CrossCovariance(StrictModel):
+    """Of the errors of two sensors."""
+
+    sensors: tuple[str, str]
+    covariance: tuple[tuple[Number, ...], ...]
+    """Rows of the first, columns of the second, in the root's fixed axes, m and rad, without what the covariances
+    of the sensors have as null."""
+
+
+def check_cross_covariances(entries: Sequence[CrossCovariance], own: Mapping[str, Array]) -> None:
+    """Refuses those of unknown sensors, of one pair twice, and those that are too large for the sensors' own.
+
+    Args:
+        entries: of the file.
+        own: covariance (6, 6) of each sensor.
+    """
+    stated: set[frozenset[str]] = set()
+    for k, entry in enumerate(entries):
+        key, pair = f"cross_covariances[{k}]", frozenset(entry.sensors)
+        if len(pair) < 2 or not pair <= set(own):
+            raise invalid(f"{key}.sensors", f"must be two of the sensors, {', '.join(own)}")
+        if pair in stated:
+            raise invalid(f"{key}.sensors", "has these two sensors again")
+        stated.add(pair)
+        a, b = entry.sensors
+        shape = tuple(int(measured_axes(own[name]).sum()) for name in entry.sensors)
+        if len(entry.covariance) != shape[0] or any(len(row) != shape[1] for row in entry.covariance):
+            raise invalid(
+                f"{key}.covariance",
+                f"must have {shape[0]} rows of {shape[1]} numbers, those of the sensors that are not null",
+            )
+        cross = expand_cross_covariance(entry, own)
+        check_semidefinite(np.block([[own[a], cross], [cross.T, own[b]]]), f"{key}.covariance")
+
+
+def measured_axes(covariance: Array) -> NDArray[np.bool_]:
+    """(6,) which axes of a pose were measured, by its covariance (6, 6)."""
+    return np.asarray(~np.isnan(np.diag(covariance)))
+
+
+def expand_cross_covariance(entry: CrossCovariance, own: Mapping[str, Array]) -> Array:
+    """(6, 6) of a pair; NaN for what was not measured."""
+    cross = np.full((6, 6), np.nan)
+    cross[np.ix_(*(measured_axes(own[name]) for name in entry.sensors))] = np.array(entry.covariance)
+    return cross
+
+
+def join_cross_covariances(own: Mapping[str, Array], entries: Sequence[CrossCovariance]) -> Array:
+    """The joint covariance (S·6, S·6) of sensors, NaN where the correlation of two is not stated.
+
+    Args:
+        own: covariance (6, 6) of each sensor, in order.
+        entries: of pairs of them.
+    """
+    place = {name: k for k, name in enumerate(own)}
+    joint = join_covariances(list(own.values())).reshape(len(own), 6, len(own), 6)
+    for entry in entries:
+        a, b = (place[name] for name in entry.sensors)
+        joint[a, :, b] = expand_cross_covariance(entry, own)
+        joint[b, :, a] = joint[a, :, b].T
+    return np.asarray(joint.reshape(6 * len(own), -1))
+
 
 # A quaternion typed with three decimals is off by this much at most; more is another order or not a rotation.
 _UNIT_TOLERANCE = 2e-3

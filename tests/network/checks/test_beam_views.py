@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calgraph.network.checks.beam_views import _MAX_BEAMS, collect_beam_views
+from calgraph.network.checks.assemble import _MAX_BEAMS, collect_beam_views
 from calgraph.network.joint.estimate import NetworkSolution, SolvedNetwork
 from calgraph.network.joint.problem import BodyScans
 from dense_covariances import relate_all

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calgraph.geometry import Array
-from calgraph.network.checks.fit_tests import correlate_adjacent_beams, find_poor_fit
+from calgraph.network.checks.model_assessment import correlate_adjacent_beams, find_poor_fit
 from calgraph.network.joint.estimate import SolvedNetwork
 from calgraph.network.joint.model_error import MAX_HEADING_SIGMA, MAX_POSITION_SIGMA
 from calgraph.network.joint.problem import BodyScans
@@ -80,7 +80,7 @@ def test_a_scanner_of_whose_beams_few_have_a_weight_is_weak(solved: SolvedNetwor
 
 
 def test_bodies_of_another_shape_give_correlated_residuals(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("calgraph.network.checks.fit_tests._MAX_BEAM_CORRELATION", 0.1)
+    monkeypatch.setattr("calgraph.network.checks.model_assessment._MAX_BEAM_CORRELATION", 0.1)
     rng = np.random.default_rng(1)
 
     def fold(_body: int, scans: BodyScans) -> BodyScans:

@@ -8,9 +8,14 @@ import pytest
 from calgraph.config import People
 from calgraph.config.settings import LegSettings
 from calgraph.geometry import Array
-from calgraph.network.joint.leg_association import LegCandidate, ScannerBeams, associate_beams
 from calgraph.network.joint.leg_choice import measures_legs
-from calgraph.network.joint.leg_solution import initialize_leg, predict_headings
+from calgraph.network.joint.leg_solution import (
+    LegCandidate,
+    ScannerBeams,
+    associate_beams,
+    initialize_leg,
+    predict_headings,
+)
 from calgraph.network.joint.leg_tracks import track_legs
 from calgraph.network.joint.scanner_unknowns import RANGE_BIAS, SYSTEMATIC_ERRORS
 from calgraph.network.joint.splines import evaluate_spline

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 
 from calgraph.geometry import Array
-from calgraph.network.tracking.ellipse_fit import EllipseFits, OrientationPrior, PointGroups, fit_ellipses
+from calgraph.network.tracking.features import EllipseFits, OrientationPrior, PointGroups, fit_ellipses
 
 PERSON = (0.25, 0.15)
 STEP = np.radians(0.5)

@@ -5,7 +5,7 @@ import pytest
 
 from calgraph.geometry import Array
 from calgraph.network.tracking.scan_stack import stack_scans
-from calgraph.network.tracking.scan_windows import AlignedScans, ScanWindows, compute_window_medians
+from calgraph.network.tracking.stationarity import AlignedScans, ScanWindows, compute_window_medians
 from calgraph.sensors import LaserScan
 
 ANGLES = np.linspace(-1, 1, 5)
@@ -14,7 +14,7 @@ ANGLES = np.linspace(-1, 1, 5)
 @pytest.fixture(autouse=True)
 def take_five_scans_of_a_window(monkeypatch: pytest.MonkeyPatch) -> None:
     """A window has at most five scans."""
-    monkeypatch.setattr("calgraph.network.tracking.scan_windows._MAX_SCANS_PER_WINDOW", 5)
+    monkeypatch.setattr("calgraph.network.tracking.stationarity._MAX_SCANS_PER_WINDOW", 5)
 
 
 def take_medians(ranges: Array, rate: float = 10.0) -> ScanWindows:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from calgraph.geometry import Array, se3, so3
-from calgraph.rig.bundle.rectangle_registration import _limited_mean, _offsets_from_sides, register_rectangles
+from calgraph.rig.bundle.board_outlines import _limited_mean, _offsets_from_sides, register_rectangles
 
 HALF = np.array([0.42, 0.30])
 

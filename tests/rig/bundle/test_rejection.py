@@ -12,6 +12,7 @@ from calgraph.config import CameraSpec, PixelNoise
 from calgraph.geometry import se3
 from calgraph.rig.bundle.bundle_solver import Bundle, minimize_bundle
 from calgraph.rig.bundle.covariances import view_covariance_factors
+from calgraph.rig.bundle.estimate import MAX_ROUNDS
 from calgraph.rig.bundle.observations import relative_poses
 from calgraph.rig.bundle.settling import MAX_SETTLED_CHANGE, settle_variances
 from calgraph.rig.bundle.variance_components import (
@@ -21,7 +22,6 @@ from calgraph.rig.bundle.variance_components import (
     select_consistent_views,
     update_variance_components,
 )
-from calgraph.rig.bundle.view_return import MAX_ROUNDS
 from calgraph.simulation import BoardErrors, IdealDetectorOptions, ModelErrors, build_world
 from detected_rigs import QUICK, DetectedRig, detect_rig, detect_rig_on
 

@@ -13,6 +13,7 @@ from bundle_scenes import LEVER, RANGE, Scene, bias_variances, remeasured, scene
 from calgraph.geometry import se3
 from calgraph.rig.bundle.bundle_solver import Bundle, MinimizedBundle, minimize_bundle
 from calgraph.rig.bundle.covariances import pose_covariance, view_covariance_factors
+from calgraph.rig.bundle.estimate import MAX_ROUNDS
 from calgraph.rig.bundle.observations import BoardViews, relative_poses
 from calgraph.rig.bundle.range_observations import RangeObservations
 from calgraph.rig.bundle.settling import MAX_SETTLED_CHANGE
@@ -24,7 +25,6 @@ from calgraph.rig.bundle.variance_components import (
     select_consistent_views,
     update_variance_components,
 )
-from calgraph.rig.bundle.view_return import MAX_ROUNDS
 
 pytestmark = pytest.mark.slow
 

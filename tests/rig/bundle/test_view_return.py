@@ -11,9 +11,8 @@ from calgraph.geometry import plane, se3, so3
 from calgraph.rig.bundle.board_observations import BoardObservation
 from calgraph.rig.bundle.bundle_setup import build_bundle
 from calgraph.rig.bundle.bundle_solver import linearize_bundle
-from calgraph.rig.bundle.estimate import solve_bundle
+from calgraph.rig.bundle.estimate import _choose_detections, _start_at_detections, solve_bundle
 from calgraph.rig.bundle.solution import RigSolution
-from calgraph.rig.bundle.view_return import _choose_detections, _start_at_detections
 from calgraph.simulation import CameraOptions, LaserOptions, MultibeamOptions
 from detected_rigs import QUICK, DetectedRig, detect_rig
 

@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from calgraph.rig.bundle.solution import SolvedBundle
-from calgraph.rig.checks.capture_losses import find_lost_captures
+from calgraph.rig.checks.contradictions import find_lost_captures
 from calgraph.simulation import MultibeamOptions
 from detected_rigs import QUICK, DetectedRig, detect_rig
 

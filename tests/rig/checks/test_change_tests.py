@@ -12,7 +12,7 @@ from calgraph.rig.bundle.board_information import gradient_by_board, information
 from calgraph.rig.bundle.bundle_solver import Bundle, minimize_bundle
 from calgraph.rig.bundle.observations import relative_poses
 from calgraph.rig.bundle.solution import SolvedBundle
-from calgraph.rig.checks.change_tests import _compare_halves, _squared_distance, find_changes
+from calgraph.rig.checks.contradictions import _compare_halves, _squared_distance, find_changes
 
 BOARDS, SEEDS = 16, 30
 FIRST = np.arange(BOARDS) < BOARDS // 2

@@ -11,8 +11,14 @@ from calgraph.geometry import Array, se3
 from calgraph.rig.bundle.bundle_solver import Bundle, minimize_bundle
 from calgraph.rig.bundle.covariances import pose_covariance
 from calgraph.rig.bundle.observations import relative_poses
-from calgraph.rig.checks.pose_steps import _SINGLE_VIEW_PROBABILITY, PoseStep, _select_largest, find_pose_steps
-from calgraph.rig.checks.released_poses import StepStatistics, release_poses
+from calgraph.rig.checks.pose_steps import (
+    _SINGLE_VIEW_PROBABILITY,
+    PoseStep,
+    StepStatistics,
+    _select_largest,
+    find_pose_steps,
+    release_poses,
+)
 
 pytestmark = pytest.mark.slow
 

@@ -9,7 +9,7 @@ from calgraph.geometry import Array, se3, so3
 from calgraph.rig.bundle.corner_observations import CornerObservations
 from calgraph.rig.bundle.observations import BoardViews
 from calgraph.rig.bundle.range_observations import RangeObservations
-from calgraph.rig.checks.predicted_observations import predict_observations
+from calgraph.rig.checks.next_best_pose import predict_observations
 
 SETTINGS = RigDiagnosticsSettings()
 KINDS = {"lidar": "lidar3d", "camera": "camera", "laser": "lidar2d"}

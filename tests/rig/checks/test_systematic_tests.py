@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calgraph.result.finding import Finding
-from calgraph.rig.checks.systematic_tests import find_systematic_errors
+from calgraph.rig.checks.contradictions import find_systematic_errors
 from calgraph.simulation import BoardErrors, CameraErrors, ModelErrors, ScannerErrors
 from detected_rigs import detect_rig
 

@@ -5,8 +5,7 @@ import pytest
 
 from board_scenes import detect_boards, make_boards, random_pose, segment_endpoints
 from calgraph.geometry import Array, se3, so3
-from calgraph.rig.pairs.coplanar_lines_solver import _intersect_lines, solve_coplanar_lines
-from calgraph.rig.pairs.line_matches import evaluate_coplanarity
+from calgraph.rig.pairs.line_matches import _intersect_lines, evaluate_coplanarity, solve_coplanar_lines
 
 DIHEDRAL = 0.15  # rad, between the scan planes of the solutions
 

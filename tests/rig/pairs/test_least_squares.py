@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from calgraph.geometry import Array, se3, so3
-from calgraph.rig.pairs.least_squares import axis_aligned_rotations, gauss_newton
+from calgraph.rig.pairs.line_matches import axis_aligned_rotations, gauss_newton
 
 POINTS = np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, 1], [-1, 0.5, 0], [0.3, -1, -0.7]])
 

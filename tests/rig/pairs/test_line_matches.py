@@ -5,11 +5,11 @@ import pytest
 
 from board_scenes import SIZE, make_boards, make_patch, make_segment, random_pose
 from calgraph.geometry import Array, plane, se3, so3
-from calgraph.rig.pairs.least_squares import axis_aligned_rotations
 from calgraph.rig.pairs.line_matches import (
     LineLineMatches,
     PlaneLineMatches,
     _regularized_coplanarity,
+    axis_aligned_rotations,
     evaluate_coplanarity,
 )
 

@@ -5,7 +5,7 @@ import pytest
 
 from board_scenes import SIZE, make_boards, make_patch, random_pose
 from calgraph.geometry import Array, plane, se3, so3
-from calgraph.rig.pairs.plane_matches import PlanePlaneMatches
+from calgraph.rig.pairs.board_matches import PlanePlaneMatches
 
 RADIUS, DIAGONAL = min(SIZE) / 2, float(np.hypot(*SIZE))
 

@@ -10,8 +10,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from calgraph.geometry import Array, se3
+from calgraph.graph.averaging import RotationAveraging, average_poses_by_rotations
 from calgraph.graph.pairwise_estimate import PairwiseEstimate
-from calgraph.graph.pose_averaging import RotationAveraging, average_poses_by_rotations
 from calgraph.rig.pairs.rig_initialization import Initialization, build_rig_graph, initialize_rig
 
 NAMES = ("lidar", "camera", "laser", "rear", "top")

@@ -13,8 +13,8 @@ import scipy.stats
 from board_scenes import SIZE, detect_boards, make_boards
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, diagonal_blocks, se3, so3
+from calgraph.graph.averaging import RotationAveraging, average_poses_by_rotations
 from calgraph.graph.pairwise_estimate import PairwiseEstimate
-from calgraph.graph.pose_averaging import RotationAveraging, average_poses_by_rotations
 from calgraph.graph.spanning_tree import SpanningTree, find_spanning_tree
 from calgraph.rig.pairs.board_matches import Candidates
 from calgraph.rig.pairs.board_pair import estimate_pair

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from heapq import heappop, heappush
 from types import MappingProxyType
 from typing import Literal
@@ -12,21 +13,32 @@ import numpy as np
 from calgraph.config import Cylinder, Lidar2dSpec, Rig
 from calgraph.config.target import Target
 from calgraph.errors import Rejected
-from calgraph.geometry import Array, diagonal_blocks, se2
+from calgraph.geometry import Array, Index, diagonal_blocks, se2
 from calgraph.graph.pose_graph import PoseGraph
-from calgraph.network.checks.beam_views import collect_beam_views
 from calgraph.network.checks.walk_report import build_floor_views, build_walk_rows, match_across_scanners
 from calgraph.network.graph.network_graph import compute_joint_covariance
 from calgraph.network.graph.network_initialization import NetworkInitialization
+from calgraph.network.joint.beam_residuals import BeamResiduals, list_beam_residuals
 from calgraph.network.joint.estimate import NetworkSolution
 from calgraph.network.joint.leg_problem import LegObservations
 from calgraph.network.joint.planar_poses import lift_covariance
+from calgraph.network.joint.problem import BodyObservations, BodyPath, NetworkProblem, NetworkState
 from calgraph.network.joint.track_association import MAX_DISTANCE
 from calgraph.network.pairs.hypothesis_evidence import PoseHypothesis
 from calgraph.network.pairs.scanner_pair import ScannerPairEstimate
 from calgraph.network.pairs.synchronized_tracks import resample_tracks
 from calgraph.network.tracking.track import ScannerTracks
-from calgraph.result import Calibration, Edge, Evidence, ModelledBodies, Pictures, SensorPose, StatedPose
+from calgraph.result import (
+    BeamView,
+    Calibration,
+    Edge,
+    Evidence,
+    FitError,
+    ModelledBodies,
+    Pictures,
+    SensorPose,
+    StatedPose,
+)
 from calgraph.result.finding import Finding
 from calgraph.verdict.grades import LONE_ROOT, collect_findings, grade_pose
 
@@ -272,3 +284,64 @@ def _list_partners(names: Sequence[str]) -> str:
     """Names of scanners; the number of those beyond the first ones."""
     listed = ", ".join(names[:_LISTED_PARTNERS])
     return f"{listed} and {len(names) - _LISTED_PARTNERS} others" if len(names) > _LISTED_PARTNERS else listed
+
+
+# Beams that are kept of a scanner, and in all: more do not change what a picture shows.
+_MAX_BEAMS, _MAX_BEAMS_IN_ALL = 3000, 60_000
+# That are collected for each of these at least, if a scanner has as many.
+_ROWS_PER_BEAM = 4
+
+
+def collect_beam_views(
+    joint: NetworkSolution, names: Sequence[str], start: float
+) -> tuple[tuple[BeamView, ...], dict[str, FitError]]:
+    """Residuals of each scanner's inlier beams, thinned for pictures, and their number and RMS.
+
+    Args:
+        joint: the joint solution.
+        names: of its scanners.
+        start: of the recording by the root's clock, s.
+    """
+    if joint.solved is None:
+        return (), {}
+    solved = joint.solved
+    measured = solved.problem.count_beams()
+    limit = min(_MAX_BEAMS, _MAX_BEAMS_IN_ALL // max(int(np.count_nonzero(measured)), 1))
+    # Rows of one body are in order of time, those of all are not: each scanner's are thinned again.
+    list_rows = partial(_list_inlier_rows, step=1 + measured // (_ROWS_PER_BEAM * limit))
+    by_scanner: dict[int, list[tuple[int, float, Array]]] = {}
+    for of_body in solved.equations.batches.map(list_rows, solved.problem, solved.state):
+        for scanner, *of_scanner in of_body:
+            by_scanner.setdefault(scanner, []).append(of_scanner)
+    views, fit = [], {}
+    for scanner, parts in sorted(by_scanner.items()):
+        counts, squares, thinned = zip(*parts, strict=True)
+        if count := sum(counts):
+            rows = np.concatenate(thinned)
+            fit[names[scanner]] = FitError(count, "m", float(np.sqrt(sum(squares) / count)))
+            rows = rows[np.argsort(rows[:, 0], kind="stable")]
+            rows = rows[:: len(rows) // limit + 1]
+            times = rows[:, 0] - float(joint.clock_offset[scanner]) - start
+            views.append(BeamView(names[scanner], times, rows[:, 1:3], rows[:, 3]))
+    return tuple(views), fit
+
+
+def _list_inlier_rows(
+    network: NetworkProblem, state: NetworkState, body: BodyObservations, path: BodyPath, step: Index
+) -> list[tuple[int, int, float, Array]]:
+    """Each scanner's inlier beams on a body: their number, sum of squared residuals, and every n-th (S,) row."""
+    listed = []
+    for beams in list_beam_residuals(network, state, body, path):
+        rows = _inlier_rows(beams)
+        scanner = beams.scans.scanner
+        listed.append((scanner, len(rows), float(rows[:, 3] @ rows[:, 3]), rows[:: step[scanner]].copy()))
+    return listed
+
+
+def _inlier_rows(beams: BeamResiduals) -> Array:
+    """(N, 4) time by the scanner's clock, end of the beam, and measured minus predicted range."""
+    scans = beams.scans
+    time = scans.times[beams.scan] + scans.beam_delay
+    residual = -beams.residual * beams.sigma
+    rows = np.column_stack([time, scans.direction * scans.ranges[:, None], residual])
+    return rows[scans.weight > 0]

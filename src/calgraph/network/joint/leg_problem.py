@@ -27,7 +27,7 @@ class LegPath(BodyPath):
     """Estimated path and shape of one leg; its radii are those of the ellipse in its outline."""
 
     shape: Array
-    """(B,) of the outline, in the order of :func:`calgraph.network.joint.leg_raycast.raycast_legs`, m."""
+    """(B,) of the outline, in the order of :func:`calgraph.network.joint.leg_equations.raycast_legs`, m."""
     bias: Array
     """(L,) of the ranges of each scanner, m."""
 

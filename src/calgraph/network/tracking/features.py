@@ -7,9 +7,223 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.config import Cylinder, People
-from calgraph.geometry import Array
+from calgraph.geometry import Array, ellipse
 from calgraph.network.tracking.clusters import Clusters
-from calgraph.network.tracking.ellipse_fit import OrientationPrior, PointGroups, fit_ellipses
+
+# Mean of a visible half before the centre, in radii: of a start value.
+_MEAN_DEPTH = 0.7
+# Steps smaller than this, m and rad, end the iterations.
+_CONVERGED = 5e-4
+# Information that regularises unobservable directions, 1/m² and 1/rad²: the orientation of a circle, or the pose
+# of an ellipse through two points. It is negligible where anything is observed.
+_REGULARIZATION = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class PointGroups:
+    """The points of many objects, each measured from the origin."""
+
+    points: Array
+    """(C, N, 2) m; zero where unused."""
+    used: NDArray[np.bool_]
+    """(C, N)."""
+    spacing: Array
+    """(C,) angle between neighbouring beams, rad."""
+    clipped: NDArray[np.bool_]
+    """(C,) whether a part of the object is hidden."""
+
+    @property
+    def centroids(self) -> Array:
+        """(C, 2) centres of mass, m."""
+        return np.asarray(self.points.sum(axis=1) / self.used.sum(axis=1)[:, None])
+
+
+@dataclass(frozen=True, eq=False)
+class EllipseFits:
+    """Ellipses fitted to objects."""
+
+    centers: Array
+    """(C, 2) m; NaN where a fit failed."""
+    covariances: Array
+    """(C, 2, 2) m², scaled by the reduced χ² where that exceeds 1; NaN where a fit failed."""
+    reduced_chi2: Array
+    """(C,) mean square of the residuals over the variance of the noise."""
+
+
+@dataclass(frozen=True, eq=False)
+class OrientationPrior:
+    """Prior of the orientation of objects."""
+
+    angle: Array
+    """(C,) direction of the axis of the first radius, rad."""
+    sigma: Array
+    """(C,) standard deviation, rad; infinite where the orientation is unknown."""
+
+
+# Maximum number of Gauss–Newton steps of a fit: from its start value it converges in a few, and short arcs rarely
+# do.
+_MAX_STEPS = 8
+# Huber threshold in standard deviations of a point: arms, and beams at the object's edge, lie beyond it.
+_HUBER_SIGMAS = 2.5
+# Minimum standard deviation of the outline's symmetry, m: bodies are not symmetric to less than a millimetre.
+_MIN_EDGE_SIGMA = 1e-3
+# Maximum change of the orientation in a step, rad (17°): a short arc barely constrains it, and a full step from a
+# poor start may flip it.
+_MAX_TURN = 0.3
+
+
+def fit_ellipses(
+    groups: PointGroups,
+    radii: tuple[float, float],
+    prior: OrientationPrior,
+    sigma: float,
+) -> EllipseFits:
+    """Fits centre and orientation of ellipses with fixed radii.
+
+    Minimises the distances of the points from their ellipse over the centre, the orientation and the points'
+    phases on the ellipse; the phases are eliminated, so that only the residuals along the normals remain. Two more
+    terms constrain the fit of few beams: the prior of the orientation, and, unless a part of the object is hidden,
+    the symmetry of the outline about the direction to the centre (to half a beam).
+
+    Args:
+        groups: points of one object each, at least two.
+        radii: of the ellipse, m; equal ones make a circle.
+        prior: of the orientation; also its start value.
+        sigma: noise of a point, m.
+    """
+    fixed_radii = np.broadcast_to(radii, (len(groups.points), 2))
+    shape = np.concatenate([_initial_centers(groups, radii, prior), prior.angle[:, None], fixed_radii], axis=-1)
+    phases = _initial_phases(shape, groups.points)
+    weights = groups.used.astype(float)
+    for _ in range(_MAX_STEPS):
+        residual, J, tangents, off = _linearize(shape, phases, groups.points)
+        weights = groups.used / np.maximum(1.0, np.abs(residual) / (_HUBER_SIGMAS * sigma))
+        H, g = _normal_equations(groups, shape, prior, residual, J, weights, sigma, _MIN_EDGE_SIGMA)
+        step = np.asarray(np.linalg.solve(H, g[..., None])[..., 0])
+        # A short arc barely constrains the orientation: a full step from a poor start may flip it.
+        step[:, 2] = np.clip(step[:, 2], -_MAX_TURN, _MAX_TURN)
+        step[:, :2] /= np.maximum(1.0, np.linalg.norm(step[:, :2], axis=-1, keepdims=True) / max(radii))
+        shape[:, :3] += step
+        moved = off - _point_displacements(shape, phases, step)
+        along = (moved * tangents).sum(axis=-1) / np.maximum((tangents**2).sum(axis=-1), 1e-12)
+        phases = phases + np.clip(along, -0.5, 0.5)
+        if np.abs(step).max(initial=0.0) < _CONVERGED:
+            break
+    residual, J, _, _ = _linearize(shape, phases, groups.points)
+    H, _ = _normal_equations(groups, shape, prior, residual, J, weights, sigma, _MIN_EDGE_SIGMA)
+    freedom = np.maximum(groups.used.sum(axis=1) - 2, 1)
+    reduced_chi2 = (weights * residual**2).sum(axis=1) / (sigma**2 * freedom)
+    covariance = np.linalg.inv(H)[:, :2, :2] * np.maximum(reduced_chi2, 1.0)[:, None, None]
+    centers, covariances = _discard_implausible(groups, shape[:, :2], covariance, max(radii))
+    return EllipseFits(centers, covariances, reduced_chi2)
+
+
+def _initial_centers(groups: PointGroups, radii: tuple[float, float], prior: OrientationPrior) -> Array:
+    """Centres (C, 2) behind the points, by the depth of the ellipse along the line of sight."""
+    means = groups.centroids
+    distance = np.linalg.norm(means, axis=-1, keepdims=True)
+    sight = means / np.maximum(distance, 1e-9)
+    turned = np.arctan2(sight[:, 1], sight[:, 0]) - prior.angle
+    depth = np.hypot(radii[0] * np.cos(turned), radii[1] * np.sin(turned))
+    return np.asarray(means + _MEAN_DEPTH * depth[:, None] * sight)
+
+
+def _initial_phases(shape: Array, points: Array) -> Array:
+    """Start values (C, N) of the points' phases, rad: their directions after scaling the ellipse to a circle."""
+    off = points - shape[:, None, :2]
+    c, s = np.cos(shape[:, 2:3]), np.sin(shape[:, 2:3])
+    along, across = c * off[..., 0] + s * off[..., 1], c * off[..., 1] - s * off[..., 0]
+    return np.asarray(np.arctan2(across / shape[:, 4:5], along / shape[:, 3:4]))
+
+
+def _linearize(shape: Array, phases: Array, points: Array) -> tuple[Array, Array, Array, Array]:
+    """Residuals (C, N) along the normals, their rows (C, N, 3) of J, tangents and offsets (C, N, 2)."""
+    on = ellipse.points(shape, phases)
+    c, s = np.cos(shape[:, 2:3]), np.sin(shape[:, 2:3])
+    along, across = -shape[:, 3:4] * np.sin(phases), shape[:, 4:5] * np.cos(phases)
+    tangents = np.stack([c * along - s * across, s * along + c * across], axis=-1)
+    length = np.maximum(np.linalg.norm(tangents, axis=-1, keepdims=True), 1e-12)
+    normals = np.stack([tangents[..., 1], -tangents[..., 0]], axis=-1) / length
+    arm = on - shape[:, None, :2]
+    turning = -arm[..., 1] * normals[..., 0] + arm[..., 0] * normals[..., 1]
+    off = points - on
+    J = np.concatenate([normals, turning[..., None]], axis=-1)
+    return (normals * off).sum(axis=-1), J, tangents, off
+
+
+def _point_displacements(shape: Array, phases: Array, step: Array) -> Array:
+    """Displacements (C, N, 2) of points at fixed phases for a step (C, 3) of centre and orientation."""
+    arm = ellipse.points(shape, phases) - shape[:, None, :2]
+    return step[:, None, :2] + step[:, 2, None, None] * np.stack([-arm[..., 1], arm[..., 0]], axis=-1)
+
+
+def _normal_equations(
+    groups: PointGroups,
+    shape: Array,
+    prior: OrientationPrior,
+    residual: Array,
+    J: Array,
+    weights: Array,
+    sigma: float,
+    min_edge_sigma: float,
+) -> tuple[Array, Array]:
+    """Information (C, 3, 3) and gradient (C, 3) of all terms, for a step of centre and orientation."""
+    weighted = (weights / sigma**2)[..., None] * J
+    H = np.swapaxes(weighted, -1, -2) @ J
+    g = (weighted * residual[..., None]).sum(axis=1)
+    off, across, information = _symmetry_residual(groups, shape, min_edge_sigma)
+    H[:, :2, :2] += information[:, None, None] * across[:, :, None] * across[:, None, :]
+    g[:, :2] += (information * off)[:, None] * across
+    prior_information = 1 / prior.sigma**2
+    # An ellipse has period π in its orientation.
+    turn = (prior.angle - shape[:, 2] + np.pi / 2) % np.pi - np.pi / 2
+    H[:, 2, 2] += prior_information
+    g[:, 2] += prior_information * turn
+    return H + _REGULARIZATION * np.eye(3), g
+
+
+def _symmetry_residual(groups: PointGroups, shape: Array, min_sigma: float) -> tuple[Array, Array, Array]:
+    """Lateral offset (C,) of the outline's middle from the centre, m; its direction (C, 2); its information."""
+    bearing = np.arctan2(groups.points[..., 1], groups.points[..., 0])
+    ahead = np.arctan2(shape[:, 1], shape[:, 0])
+    turned = (bearing - ahead[:, None] + np.pi) % (2 * np.pi) - np.pi
+    left = np.where(groups.used, turned, -np.inf).max(axis=1)
+    right = np.where(groups.used, turned, np.inf).min(axis=1)
+    distance = np.linalg.norm(shape[:, :2], axis=-1)
+    across = np.stack([-np.sin(ahead), np.cos(ahead)], axis=-1)
+    # Each edge is uniform within one beam spacing: the variance of the mean of both is 1/24 of its square.
+    sigma = np.maximum(distance * groups.spacing / np.sqrt(24), min_sigma)
+    return distance * (left + right) / 2, across, np.where(groups.clipped, 0.0, 1 / sigma**2)
+
+
+# Maximum standard deviation of a centre, over the largest radius: beyond it the points show only that the object
+# is there.
+_MAX_CENTER_SIGMA = 1.0
+# Maximum distance of a centre from the centroid, over the largest radius: a point on the outline is one radius
+# away at most.
+_MAX_CENTER_DISTANCE = 2.0
+# Maximum distance of a centre in front of the centroid, over the largest radius: the visible side is nearer than
+# the centre, up to noise.
+_MAX_CENTER_LEAD = 0.2
+
+
+def _discard_implausible(
+    groups: PointGroups, centers: Array, covariances: Array, radius: float
+) -> tuple[Array, Array]:
+    """Replaces fits by NaN whose centre is not near the points and behind them."""
+    means = groups.centroids
+    sight = means / np.maximum(np.linalg.norm(means, axis=-1, keepdims=True), 1e-9)
+    off = centers - means
+    implausible = ~np.isfinite(covariances).all(axis=(1, 2)) | ~np.isfinite(centers).all(axis=1)
+    # An uncertainty as large as the object carries no information.
+    implausible |= np.trace(covariances, axis1=1, axis2=2) > (_MAX_CENTER_SIGMA * radius) ** 2
+    implausible |= (np.linalg.norm(off, axis=-1) > _MAX_CENTER_DISTANCE * radius) | (
+        (off * sight).sum(axis=-1) < -_MAX_CENTER_LEAD * radius
+    )
+    return np.where(implausible[:, None], np.nan, centers), np.where(
+        implausible[:, None, None], np.nan, covariances
+    )
+
 
 # Objects are fitted in batches of similar size, so that padding stays small.
 _BATCH = 2048

@@ -1,21 +1,36 @@
 """Everything that contradicts the calibration of a rig."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from math import comb
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.special import fdtri, ndtr, ndtri
 
-from calgraph.config import Rig
-from calgraph.config.settings import RigDiagnosticsSettings
+from calgraph.config import CameraSpec, Rig
+from calgraph.config.settings import DiagnosticsSettings, RigDiagnosticsSettings
+from calgraph.geometry import Array, Index
 from calgraph.result import HeldOutError
 from calgraph.result.evidence import rms
 from calgraph.result.finding import Finding
+from calgraph.rig.bundle.board_information import gradient_by_board, information_by_board
+from calgraph.rig.bundle.bundle_solver import Bundle, pose_jacobian
+from calgraph.rig.bundle.corner_observations import CornerObservations
+from calgraph.rig.bundle.covariances import parameter_covariance
 from calgraph.rig.bundle.solution import MeasuredNoise, RigSolution, SolvedBundle
+from calgraph.rig.bundle.systematic_parameters import RESIDUAL_DISTORTION
 from calgraph.rig.captures.detect import CaptureSet
 from calgraph.rig.checks.bootstrap import bootstrap_poses
-from calgraph.rig.checks.capture_losses import find_lost_captures
-from calgraph.rig.checks.change_tests import find_changes
-from calgraph.rig.checks.systematic_tests import find_systematic_errors
+from calgraph.rig.checks.drift_tests import find_drifts, measure_drifts
+from calgraph.sensors import DISTORTION_NAMES
 from calgraph.verdict.grades import axis_names
+from calgraph.verdict.parameter_estimates import (
+    MAX_PARAMETER_CORRELATION,
+    MAX_PRIOR_DEVIATION,
+    MIN_LEARNED_SHARE,
+    ParameterEstimates,
+)
 
 
 def find_contradictions(
@@ -152,3 +167,293 @@ def _describe_view_bias(noise: MeasuredNoise) -> str:
     if noise.ring_bias > _MAX_RING_BIAS:
         sizes.append(f"{1000 * noise.ring_bias:.1f} mm in each ring")
     return " and ".join(sizes)
+
+
+@dataclass(frozen=True, eq=False)
+class _SharedCaptures:
+    """The captures that a sensor shares with others, in the order of time."""
+
+    lost: NDArray[np.bool_]
+    """(N,) whether each is lost."""
+
+    @property
+    def lost_count(self) -> int:
+        return int(self.lost.sum())
+
+    @property
+    def last_lost_count(self) -> int:
+        """Number of lost captures after the last one that is not."""
+        return len(self.lost) - 1 - int(np.flatnonzero(~self.lost).max(initial=-1))
+
+    def chance_of_last_losses(self) -> float:
+        """Probability that as many of the last captures are lost if those that are lost are drawn at random."""
+        count, lost, last = len(self.lost), self.lost_count, self.last_lost_count
+        return comb(count - last, lost - last) / comb(count, lost)
+
+
+# Share of a sensor's shared captures that may be rejected without a remark.
+_MAX_LOST_SHARE = 0.2
+# The same beyond which a sensor is weak: RANSAC and robust estimates hold up to about half of outliers.
+_MAX_GOOD_LOST_SHARE = 0.4
+
+
+def find_lost_captures(captures: CaptureSet, solved: SolvedBundle) -> Iterator[Finding]:
+    """Findings if many, or the last, of the captures that a sensor shares with others tie it to none of them.
+
+    A capture is shared if another connected sensor detected the board as well. It is lost if the detection was an
+    outlier of all pairs or of the joint solution, or those of all others were.
+
+    Args:
+        captures: all detections.
+        solved: the joint solution.
+    """
+    bundle = solved.bundle
+    shared = dict(zip(bundle.sensors, _list_shared_captures(captures, solved), strict=True))
+    if losses := {n: s for n, s in shared.items() if s.lost_count > _MAX_LOST_SHARE * len(s.lost)}:
+        parts = ", ".join(f"{one.lost_count} of {len(one.lost)} of {name}" for name, one in losses.items())
+        weak = {n for n, s in losses.items() if s.lost_count > _MAX_GOOD_LOST_SHARE * len(s.lost)}
+        yield Finding(
+            f"captures that sensors share were rejected, {parts}: check that the board rests in each capture, "
+            "that nothing in view is like it, and that clocks agree",
+            _find_dependent_sensors(bundle, weak),
+        )
+    if last := {n: s for n, s in shared.items() if _are_last_lost(s)}:
+        parts = ", ".join(f"{one.last_lost_count} of {len(one.lost)} of {name}" for name, one in last.items())
+        yield Finding(
+            f"the last captures that sensors share were rejected, {parts}: a sensor may have moved before them; "
+            "fix the sensors to the robot, and record again",
+            _find_dependent_sensors(bundle, last),
+        )
+
+
+def _list_shared_captures(captures: CaptureSet, solved: SolvedBundle) -> Iterator[_SharedCaptures]:
+    """Those of each sensor."""
+    bundle = solved.bundle
+    views = np.zeros(len(solved.captures), dtype=np.intp)
+    for of_sensor in bundle.views:
+        views[of_sensor.board] += 1
+    for name, of_sensor in zip(bundle.sensors, bundle.views, strict=True):
+        others = {c for other in bundle.sensors if other != name for c in captures.detections[other]}
+        shared = sorted(others & set(captures.detections[name]))
+        tied = solved.captures[of_sensor.board[views[of_sensor.board] > 1]]
+        yield _SharedCaptures(~np.isin(shared, tied))
+
+
+# Minimum number of a sensor's last shared captures that are all rejected for it to be weak, as it may have been
+# bumped before them: one wrong detection is more frequent than a bump before the last capture.
+_MIN_LAST_LOSSES = 2
+# Maximum probability that this number of the last ones is rejected if those that are rejected are drawn at
+# random: 2 of 6 captures have 0.07, and the last 2 of 60 with 15 rejected 0.06. Lower limits miss bumps in short
+# recordings.
+_LAST_LOSSES_PROBABILITY = 0.1
+
+
+def _are_last_lost(shared: _SharedCaptures) -> bool:
+    """Whether as many of the last captures are lost as those that are lost at random rarely are.
+
+    Without further captures after a bump, its captures are outliers of the pose before it.
+    """
+    return (
+        shared.last_lost_count >= _MIN_LAST_LOSSES and shared.chance_of_last_losses() <= _LAST_LOSSES_PROBABILITY
+    )
+
+
+def _find_dependent_sensors(bundle: Bundle, inconsistent: Collection[str]) -> tuple[str, ...]:
+    """Inconsistent sensors, and those that only these tie to the root: all if the root is inconsistent."""
+    boards = {name: set(views.board.tolist()) for name, views in zip(bundle.sensors, bundle.views, strict=True)}
+    tied, added = set[str](), {bundle.sensors[0]} - set(inconsistent)
+    while added:
+        tied |= added
+        reached = set().union(*(boards[name] for name in added))
+        added = {n for n in bundle.sensors if n not in tied and n not in inconsistent and boards[n] & reached}
+    return tuple(name for name in bundle.sensors if name not in tied) if inconsistent else ()
+
+
+# Poses of halves whose differences have a smaller share of the largest eigenvalue of their covariance are equal.
+_RANK_TOLERANCE = 1e-12
+
+
+def find_changes(solved: SolvedBundle, settings: DiagnosticsSettings) -> Iterator[Finding]:
+    """Sensors whose poses drift, or differ between halves of the captures, by more than their covariances allow.
+
+    Halves are the first and the second half in time, and captures of even and odd number. Their solutions are
+    one Gauss-Newton step from that of all captures, with its noise, view bias and robust weights. Both have the
+    prior of information P; with covariances A and B of the halves, their difference has ``A + B - A P B - B P A``.
+
+    Args:
+        solved: the solution of all captures.
+        settings: of drifts, and the false-alarm probability of one sensor and one pair of halves.
+    """
+    bundle, minimized = solved.bundle, solved.minimized
+    confidence = 1 - settings.verdict.false_alarm_probability
+    H, g, _ = minimized.equations.eliminate_boards()
+    by_board = information_by_board(bundle, minimized.equations), gradient_by_board(bundle, minimized.equations)
+    prior = H - by_board[0].sum(axis=0), g - by_board[1].sum(axis=0)
+    order = np.unique(solved.captures, return_inverse=True)[1]
+    count = int(order.max(initial=-1)) + 1
+    axes = pose_jacobian(bundle, minimized.state).reshape(len(bundle.sensors), 6, -1)
+    named: set[str] = set()
+    drifts = measure_drifts(solved)
+    for drift in find_drifts(drifts):
+        named.update(drift.sensors)
+        yield drift
+    halves: Mapping[str, NDArray[np.bool_]] = {
+        "the first and the second half of the captures": order < count / 2,
+        "captures of even and odd number": order % 2 == 0,
+    }
+    for description, first in halves.items():
+        difference, covariance = _compare_halves(prior, by_board, first)
+        for name, J in zip(bundle.sensors, axes, strict=True):
+            if name in named or not J.any():
+                continue
+            off, C = J @ difference, drifts.serial_correlation * J @ covariance @ J.T
+            squared, freedom = _squared_distance(off, C)
+            # The variances of view biases have about as many degrees of freedom as there are captures.
+            if squared > freedom * fdtri(freedom, count, confidence):
+                named.add(name)
+                mm, degrees = 1000 * np.linalg.norm(off[:3]), np.degrees(np.linalg.norm(off[3:]))
+                yield Finding(
+                    f"{description} give poses of {name} that differ by {mm:.1f} mm and {degrees:.2f}°, "
+                    f"{np.sqrt(squared / freedom):.1f} times what noise explains: something changed while "
+                    "recording; fix sensors, lenses and board, hold the board still, and record again",
+                    (name,),
+                )
+
+
+def _compare_halves(
+    prior: tuple[Array, Array], by_board: tuple[Array, Array], first: NDArray[np.bool_]
+) -> tuple[Array, Array]:
+    """Difference (G,) of the solutions of two halves of the boards (C,), and its covariance (G, G).
+
+    Args:
+        prior: information (G, G) and gradient (G,) of priors, which both have.
+        by_board: information (C, G, G) and gradient (C, G) of each board.
+        first: (C,) whether a board is in the first half.
+    """
+    covariances, steps = [], []
+    for half in (first, ~first):
+        covariance = np.linalg.inv(prior[0] + by_board[0][half].sum(axis=0))
+        covariances.append(covariance)
+        steps.append(-covariance @ (prior[1] + by_board[1][half].sum(axis=0)))
+    A, B = covariances
+    shared = A @ prior[0] @ B
+    return steps[1] - steps[0], A + B - shared - shared.T
+
+
+def _squared_distance(error: Array, covariance: Array) -> tuple[float, int]:
+    """Squared Mahalanobis distance and its degrees of freedom."""
+    scale = np.sqrt(np.maximum(np.diag(covariance), np.finfo(float).tiny))
+    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    regular = values > _RANK_TOLERANCE * values[-1]
+    along = vectors.T @ (error / scale)
+    return float(np.sum(along[regular] ** 2 / values[regular])), int(regular.sum())
+
+
+_COEFFICIENTS = frozenset(name for names in DISTORTION_NAMES.values() for name in names)
+
+
+def find_systematic_errors(solved: SolvedBundle, rig: Rig) -> Iterator[Finding]:
+    """Systematic parameters that are farther from their stated values than their priors allow.
+
+    Rings of a scanner, and tags of a board, are tested by their largest deviation, at a limit that the largest of
+    as many normal numbers exceeds as rarely; the distortion coefficients of a camera by their joint effect.
+
+    Args:
+        solved: the solution.
+        rig: with the uncertainty of cameras' distortion.
+    """
+    bundle, minimized = solved.bundle, solved.minimized
+    first = 6 * bundle.body_count
+    covariance = parameter_covariance(minimized.equations)[first:, first:]
+    parameters = bundle.extra_parameters
+    estimates = ParameterEstimates(
+        parameters,
+        minimized.state.extra,
+        np.array([one.prior_stddev for one in parameters]),
+        covariance,
+        MIN_LEARNED_SHARE,
+    )
+    named: set[int] = set()
+    for group in _group_parameters(bundle):
+        limit = -ndtri(ndtr(-MAX_PRIOR_DEVIATION) / len(group))
+        i = int(group[np.argmax(np.abs(estimates.normalized[group]))])
+        if abs(estimates.normalized[i]) > limit and i not in named:
+            others = np.setdiff1d(estimates.indistinguishable(i, MAX_PARAMETER_CORRELATION), group)
+            named.update(others.tolist())
+            yield _describe_error(bundle, estimates, i, others)
+    for k, views in enumerate(bundle.views):
+        if isinstance(views, CornerObservations):
+            spec = rig.sensors[bundle.sensors[k]]
+            assert isinstance(spec, CameraSpec)
+            prior = spec.uncertainty.distortion
+            yield from _find_wrong_distortion(bundle, estimates, k, views, prior, MAX_PRIOR_DEVIATION)
+
+
+def _is_part(quantity: str) -> bool:
+    """Whether a parameter is a coefficient of several that together have a meaning."""
+    return quantity in _COEFFICIENTS or quantity.startswith(RESIDUAL_DISTORTION)
+
+
+def _group_parameters(bundle: Bundle) -> list[Index]:
+    """Indices of parameters that are tested together; coefficients are in none."""
+    groups: dict[tuple[str, str], list[int]] = {}
+    for i, one in enumerate(bundle.extra_parameters):
+        if _is_part(one.quantity):
+            continue
+        if one.of.startswith("tag "):
+            key = (" of ".join(one.of.split(" of ")[1:]), "tags")
+        elif one.quantity.startswith("bias of ring"):
+            key = (one.of, "rings")
+        else:
+            key = (one.of, one.quantity)
+        groups.setdefault(key, []).append(i)
+    return [np.array(group, dtype=np.intp) for group in groups.values()]
+
+
+def _describe_error(bundle: Bundle, estimates: ParameterEstimates, i: int, others: Index) -> Finding:
+    """The finding of parameter i, or of others that could explain the data as well."""
+    parameters = bundle.extra_parameters
+    named = np.array([j for j in others if not _is_part(parameters[j].quantity)], dtype=np.intp)
+    text, causes = estimates.describe(i, named)
+    return Finding(text, affected_sensors(bundle, [k for j in causes for k in parameters[j].view_sets]))
+
+
+def _find_wrong_distortion(
+    bundle: Bundle,
+    estimates: ParameterEstimates,
+    k: int,
+    views: CornerObservations,
+    prior: float,
+    max_deviation: float,
+) -> Iterator[Finding]:
+    """A camera whose distortion displaces the farthest observed corner more than its prior allows.
+
+    Coefficients trade against each other, so that single ones deviate much with little effect. Where the prior
+    (pixels, at the image's corner) allows little at that corner, at least its displacement is allowed.
+    """
+    index = [
+        i for i, one in enumerate(estimates.parameters)
+        if one.of == bundle.sensors[k] and one.quantity in _COEFFICIENTS
+    ]  # fmt: skip
+    if not index or not len(views.pixels):
+        return
+    farthest = np.argmax(np.linalg.norm(views.pixels - views.camera.principal_point, axis=1))
+    ray = views.camera.rays(views.pixels[farthest, None])
+    if not np.isfinite(ray).all():
+        return
+    J = views.camera.project_by_intrinsics(ray)[0, :, 4 : 4 + len(index)]
+    displacement = float(np.linalg.norm(J @ estimates.deviation[index]))
+    expected = float(np.linalg.norm(J * estimates.prior_stddev[index]))
+    if displacement > max(max_deviation * expected, prior):
+        yield Finding(
+            f"distortion coefficients of {bundle.sensors[k]} displace corners near the edge of its images by "
+            f"{displacement:.0f} px, {displacement / expected:.1f} times their uncertainty in rig.yaml: "
+            "calibrate its intrinsics again, and check that its images are not rectified",
+            affected_sensors(bundle, (k,)),
+        )
+
+
+def affected_sensors(bundle: Bundle, view_sets: Sequence[int]) -> tuple[str, ...]:
+    """Sensors whose poses an error of these views makes wrong: all where the root is among them."""
+    found = {bundle.sensor_of(k) for k in view_sets}
+    return tuple(name for s, name in enumerate(bundle.sensors) if s in found or 0 in found)

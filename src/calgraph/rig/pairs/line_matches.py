@@ -1,5 +1,7 @@
 """Matches with segments of a 2-D scanner: plane–line (MSG-Cal, IV.B) and line–line (coplanarity; our addition)."""
 
+import itertools
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, partial
 
@@ -8,8 +10,7 @@ from numpy.typing import NDArray
 
 from calgraph.geometry import Array, plane, se3, se_n, so3
 from calgraph.graph.pairwise_estimate import Linearization
-from calgraph.rig.pairs.coplanar_lines_solver import solve_coplanar_lines
-from calgraph.rig.pairs.least_squares import axis_aligned_rotations, gauss_newton
+from calgraph.solver.levenberg_marquardt import DenseLinearization, minimize_batch
 
 # Singular values of the linear solution are at least this, which keeps its inverse finite; samples of which the
 # least one is below this share of the largest have no solution.
@@ -271,3 +272,167 @@ def _regularized_coplanarity(
         np.concatenate([r, gap_weight * gap.reshape(len(T), -1)], axis=1),
         np.concatenate([J, gap_weight * J_gap.reshape(len(T), -1, 6)], axis=1),
     )
+
+
+# Sine or length below which two lines count as parallel, and a line as at infinity: keeps quotients finite.
+_SMALL = 1e-6
+
+
+def solve_coplanar_lines(a: Array, b: Array, dihedral_angle: float) -> Array:
+    """Solves for poses under which the lines of each sample are coplanar.
+
+    In coordinates (direction, moment) of lines in their scan planes, ``l_a @ E @ l_b = 0``. The last element of
+    the matrix E is zero; seven pairs of lines determine the other eight up to scale. The intersection of the scan
+    planes is coplanar with all lines of the other scan plane, so it spans E's null space on either side.
+
+    Args:
+        a: (K, m, 2, 3) end points of m >= 7 segments in K samples, frame a, z = 0, m.
+        b: (K, m, 2, 3) end points of the matching segments, frame b, z = 0, m.
+        dihedral_angle: unobservable angle between the scan planes, rad.
+
+    Returns:
+        T_a_b (K, 4, 4); NaN for samples whose intersection lies at infinity.
+    """
+    scale = np.sqrt(np.mean(a**2, axis=(1, 2, 3)) + np.mean(b**2, axis=(1, 2, 3)))[:, None]
+    lines_a, lines_b = _lines(a, scale), _lines(b, scale)
+    products = (lines_a[..., :, None] * lines_b[..., None, :]).reshape(*lines_a.shape[:2], 9)[..., :8]
+    # An eigendecomposition of 8 x 8 is faster than the SVD; its lower accuracy does not matter before refinement.
+    _, vectors = np.linalg.eigh(se_n.transpose(products) @ products)
+    E = np.concatenate([vectors[..., 0], np.zeros((len(a), 1))], axis=1).reshape(-1, 3, 3)
+    U, _, Vt = np.linalg.svd(E)
+    axis_a, axis_b = _normalize_line(U[..., 2]), _normalize_line(Vt[:, 2])
+    crossing_a, sine_a = _intersect_lines(lines_a, axis_a)
+    crossing_b, sine_b = _intersect_lines(lines_b, axis_b)
+    weights = (sine_a * sine_b) ** 2
+    weights /= weights.sum(axis=1, keepdims=True)
+    shift, residual = np.stack([_fit_shift(crossing_a, s * crossing_b, weights) for s in (1.0, -1.0)], axis=1)
+    reversed_ = residual[1] < residual[0]
+    axis_b = np.where(reversed_[:, None], -axis_b, axis_b)
+    frame_a, frame_b = _line_frame(axis_a), _line_frame(axis_b)
+    # The dihedral angle is such that both scanners observe the boards on the same side of the intersection.
+    sides = np.sum(_signed_distances(a, axis_a, scale) * _signed_distances(b, axis_b, scale), axis=1)
+    dihedral = np.where(sides < 0, np.pi - dihedral_angle, dihedral_angle)
+    R = frame_a @ _rotation_about_x(dihedral) @ se_n.transpose(frame_b)
+    origin_a = _closest_point(axis_a) + np.where(reversed_, shift[1], shift[0])[:, None] * frame_a[..., 0]
+    return se3.pose(R, scale * (origin_a - (R @ _closest_point(axis_b)[..., None])[..., 0]))
+
+
+def _lines(segments: Array, scale: Array) -> Array:
+    """Lines (K, m, 3) through segments (K, m, 2, 3): unit direction and moment ``x × direction`` over scale."""
+    along = segments[..., 1, :2] - segments[..., 0, :2]
+    along = along / np.linalg.norm(along, axis=-1, keepdims=True)
+    x = segments.mean(axis=-2)
+    moment = (x[..., 0] * along[..., 1] - x[..., 1] * along[..., 0]) / scale
+    return np.concatenate([along, moment[..., None]], axis=-1)
+
+
+def _normalize_line(line: Array) -> Array:
+    """Normalizes lines (K, 3) to unit directions; NaN for a line at infinity."""
+    length = np.linalg.norm(line[:, :2], axis=1, keepdims=True)
+    return line / np.where(length > _SMALL, length, np.nan)
+
+
+def _intersect_lines(lines: Array, axis: Array) -> tuple[Array, Array]:
+    """Coordinates along an axis (K, 3) at which lines (K, m, 3) cross it, and the sines of the angles there."""
+    sine = lines[..., 0] * axis[:, None, 1] - lines[..., 1] * axis[:, None, 0]
+    sine = np.where(np.abs(sine) < _SMALL, _SMALL, sine)
+    cosine = np.sum(lines[..., :2] * axis[:, None, :2], axis=-1)
+    return (axis[:, 2:] * cosine - lines[..., 2]) / sine, sine
+
+
+def _fit_shift(crossing_a: Array, crossing_b: Array, weights: Array) -> tuple[Array, Array]:
+    """Weighted mean shifts (K,) from crossings b to crossings a, and mean squared residuals (K,)."""
+    gap = crossing_a - crossing_b
+    shift = np.sum(weights * gap, axis=1)
+    return shift, np.sum(weights * (gap - shift[:, None]) ** 2, axis=1)
+
+
+def _line_frame(axis: Array) -> Array:
+    """Unit vectors (K, 3, 3) along the axis, across it in the scan plane, and along the scan plane's normal z."""
+    frame = np.zeros((len(axis), 3, 3))
+    frame[:, 0, 0], frame[:, 1, 0] = axis[:, 0], axis[:, 1]
+    frame[:, 0, 1], frame[:, 1, 1] = -axis[:, 1], axis[:, 0]
+    frame[:, 2, 2] = 1
+    return frame
+
+
+def _rotation_about_x(angle: Array) -> Array:
+    """Rotations (K, 3, 3) about the first axis."""
+    R = np.zeros((len(angle), 3, 3))
+    R[:, 0, 0] = 1
+    R[:, 1, 1] = R[:, 2, 2] = np.cos(angle)
+    R[:, 2, 1], R[:, 1, 2] = np.sin(angle), -np.sin(angle)
+    return R
+
+
+def _signed_distances(segments: Array, axis: Array, scale: Array) -> Array:
+    """Signed distances (K, m) of the segments' midpoints from the axis, over scale."""
+    x = segments.mean(axis=-2)[..., :2] / scale[..., None]
+    return np.asarray(x[..., 1] * axis[:, None, 0] - x[..., 0] * axis[:, None, 1] + axis[:, None, 2])
+
+
+def _closest_point(axis: Array) -> Array:
+    """Points (K, 3) of the axes closest to the scanner."""
+    return axis[:, 2:] * np.stack([axis[:, 1], -axis[:, 0], np.zeros(len(axis))], axis=1)
+
+
+# Relative decrease of the cost at which a problem has converged; initial damping: many starts are far from a
+# minimum.
+_TOLERANCE, _INITIAL_DAMPING = 1e-9, 1e-4
+
+
+def gauss_newton(
+    T: Array, residuals: Callable[[Array], tuple[Array, Array]], min_rms_slope: float, iterations: int
+) -> tuple[Array, Array]:
+    """Minimizes K independent sums of squares over poses.
+
+    Args:
+        T: (K, 4, 4) start values.
+        residuals: poses (K, 4, 4) to residuals (K, m) and their Jacobians (K, m, 6) for se3.retract; NaN for
+            infeasible poses, to which no step is taken.
+        min_rms_slope: change of the residuals' RMS per unit of a direction (m or rad) below which it keeps its
+            start value.
+        iterations: maximum number of steps.
+
+    Returns:
+        The poses (K, 4, 4) and their mean squared residuals (K,), infinite for infeasible start values.
+    """
+
+    def linearize(T: Array) -> _PoseLinearization:
+        r, J = residuals(T)
+        root = np.sqrt(r.shape[1])
+        return _PoseLinearization(r / root, np.nan_to_num(J) / root, min_rms_slope)
+
+    T, at = minimize_batch(
+        T, linearize, se3.retract,
+        iterations=iterations, relative_tolerance=_TOLERANCE, damping=_INITIAL_DAMPING,
+    )  # fmt: skip
+    return T, np.where(np.isnan(at.cost), np.inf, 2 * at.cost)
+
+
+@dataclass(frozen=True, eq=False)
+class _PoseLinearization(DenseLinearization):
+    """Residuals of K problems, whose sum of squares is their mean square."""
+
+    min_rms_slope: float
+
+    def solve(self, damping: Array) -> tuple[Array, Array]:
+        """Steps (K, 6) along the observable directions, and predicted decreases (K,)."""
+        values, vectors = np.linalg.eigh(self.information)
+        slope = (self.gradient[:, None] @ vectors)[:, 0]
+        observable = values > self.min_rms_slope**2
+        step = np.where(observable, slope / (values + damping[:, None]), 0.0)
+        decrease = np.where(observable, step * (slope - 0.5 * values * step), 0.0)
+        return -(vectors @ step[..., None])[..., 0], decrease.sum(axis=1)
+
+
+def axis_aligned_rotations() -> Array:
+    """The 24 rotations (24, 3, 3) that map axes to axes: start values for sensors of unknown mounting."""
+    rotations = []
+    for order in itertools.permutations(range(3)):
+        for signs in itertools.product((1.0, -1.0), repeat=3):
+            R = np.zeros((3, 3))
+            R[np.arange(3), order] = signs
+            if np.linalg.det(R) > 0:
+                rotations.append(R)
+    return np.array(rotations)
