@@ -35,12 +35,14 @@ test-slow: $(READY)  ## run the others: statistics over seeds, whole commands, b
 coverage:  ## run the first tier and measure its coverage; fails below the limit in pyproject.toml
 	$(MAKE) test ARGS="--cov --cov-report= $(ARGS)"
 
-# ROOM may be several, parts of one, or files. The tests of the room run, and those that TESTS names.
+# ROOM may be several, parts of one, or files; left out, the whole source is changed. Tests run that mirror a changed
+# module or import it, and those that TESTS names. Rows in build/mutants/SEED.csv are not run again.
 N := 50
 SEED := 0
+MINUTES := inf
 JOBS := $(shell nproc 2>/dev/null || echo 2)
-mutants: .venv/.mutants  ## change N random places of ROOM, one at a time, and list the changes that no test detects
-	$(BIN)/python benchmarks/mutants.py $(ROOM) -n $(N) --seed $(SEED) --jobs $(JOBS) --tests $(TESTS)
+mutants: .venv/.mutants  ## change N random places of the source, one at a time, and list those that no test detects
+	$(BIN)/python benchmarks/mutants.py $(ROOM) -n $(N) --seed $(SEED) --jobs $(JOBS) --tests $(TESTS) --cpu-minutes $(MINUTES)
 
 SECONDS := 3600
 fuzz: .venv/.fuzz  ## give damaged files to all readers for SECONDS, on Linux; findings in build/fuzz
@@ -50,11 +52,12 @@ fuzz: .venv/.fuzz  ## give damaged files to all readers for SECONDS, on Linux; f
 frozen: $(READY)  ## calculate the frozen corpus of problems, to compare bits (ARGS="compare A B" for two folders)
 	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/frozen.py $(ARGS)
 
-check: $(READY)  ## lint, format, types, and who may import whom
+check: $(READY)  ## lint, format, types, who may import whom, and words
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(BIN)/python docs/lint_words.py
 
 docs: $(READY)  ## build the documentation; open docs/_build/index.html
 	$(BIN)/python -m sphinx -W --keep-going -b html docs docs/_build

@@ -1,18 +1,21 @@
-"""Mutation test: which small faults in a room's source do its tests notice?
+"""Mutation test: which small faults in the source do the tests notice?
 
-    make mutants ROOM=rig/pairs N=100 SEED=1 JOBS=4 TESTS=tests/end_to_end
+    make mutants N=100 SEED=1 JOBS=4
+    make mutants ROOM=rig/pairs N=100 SEED=1
 
-``N`` places of the source are drawn with a seed, and one mutant of each: an operator, number, condition or loop
-that is changed as cosmic-ray does (``mutation.py``). It is written into a copy of the checkout, where those tests
-run first that execute the mutated line. The first test that fails kills the mutant, and so does the time limit; it
-survives if all tests pass that execute any line of its file.
+``N`` places of the source, or of a room, are drawn with a seed, and one mutant of each: an operator, number,
+condition or loop that is changed as cosmic-ray does (``mutation.py``). It is written into a copy of the checkout.
+There the test files run that mirror its module or import it (``mutant_tests.py``), in two tiers: tests that are
+not slow, and, of mutants that survive these, the slow ones. The first test that fails kills the mutant, if it
+passes without it. Results are in a CSV file, one row a mutant; a run with the same arguments continues it.
 
 Not mutated: text, type annotations, decorators, imports, ``__all__``, ``zip(strict=...)``.
 """
 
 import argparse
-import ast
+import csv
 import difflib
+import hashlib
 import os
 import queue
 import re
@@ -21,71 +24,85 @@ import signal
 import subprocess
 import sys
 import tempfile
-from collections import Counter, defaultdict
-from collections.abc import Iterable
+import threading
+import time
+from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
-from coverage import CoverageData
 
+from mutant_tests import SOURCE, Selection
 from mutation import Mutant, draw, find_mutants
 
 ROOT = Path(__file__).resolve().parents[1]
-SOURCE = Path("src/calgraph")
 NOT_COPIED = (
     ".git", ".venv", ".*_cache", ".hypothesis", "__pycache__", "_build", "build", "dist", "demo", "gallery",
     "generated",
 )  # fmt: skip
-
-_LEAST_LIMIT = 30.0
-"""Seconds that the tests of a mutant may take beyond five times what they take without it: imports and load."""
+LIMITS = {"first": 900.0, "slow": 1800.0}
+"""s; time that the tests of a tier may take on one mutant."""
+ARGUMENTS = {"first": ["-m", "not slow", "--timeout=60"], "slow": ["-m", "slow"]}
+"""Of pytest, by tier; a loop without end is a test that fails."""
+SURVIVED = {"first": "open", "slow": "survived"}
+"""Outcome of a mutant that survives a tier."""
+OUTCOMES = ("first", "slow", "survived", "open", "unfinished")
+"""Died in the first tier, by a slow test, in neither; slow tests have not run; a tier did not end in time."""
 _STARTED_BY_TESTS = {"PYTHONDONTWRITEBYTECODE": "1", "OMP_NUM_THREADS": "1", "PYTHONHASHSEED": "0"}
-
-Outcome = Literal["killed", "timeout", "survived"]
 
 
 @dataclass(frozen=True)
-class Tests:
-    """What a run of the tests on the unchanged source shows."""
+class Row:
+    """What became of a mutant."""
 
-    functions: tuple[str, ...]
-    """All test functions, without parameters."""
-    seconds: dict[str, float]
-    by_line: dict[Path, dict[int, frozenset[str]]]
-    """By file and line, the test functions during which the line was executed."""
-
-    def touching(self, file: Path) -> frozenset[str]:
-        """The test functions that execute any line of a file, beyond importing it."""
-        return frozenset().union(*self.by_line.get(file, {}).values())
-
-    def ordered(self, chosen: Iterable[str], file: Path) -> list[str]:
-        """By file: the one that mirrors the mutated file first, then the quickest."""
-        by_file: dict[str, list[str]] = defaultdict(list)
-        for function in chosen:
-            by_file[function.split("::")[0]].append(function)
-
-        def rank(name: str) -> tuple[bool, float]:
-            return Path(name).stem != f"test_{file.stem}", sum(self.seconds.get(f, 0.0) for f in by_file[name])
-
-        return [function for name in sorted(by_file, key=rank) for function in sorted(by_file[name])]
+    file: str
+    line: int
+    column: int
+    operator: str
+    occurrence: int
+    source: str
+    """Digest of the file that was mutated."""
+    outcome: str = "new"
+    test: str = ""
+    """The one that failed."""
+    seconds: float = 0.0
+    """CPU time of all its tests."""
 
 
-def statement_lines(code: str, line: int) -> tuple[range, bool]:
-    """Lines of the innermost statement or header at a line, and whether it runs when the module is imported."""
-    best, imported = range(line, line + 1), True
-    for node in ast.walk(ast.parse(code)):
-        if isinstance(node, ast.FunctionDef | ast.Lambda):
-            body = node.body if isinstance(node.body, list) else [node.body]
-            imported &= not body[0].lineno <= line <= (node.end_lineno or 0)
-        if isinstance(node, ast.stmt):
-            body = getattr(node, "body", [])
-            last = max(node.lineno, body[0].lineno - 1) if body else node.end_lineno or node.lineno
-            if node.lineno <= line <= last:
-                best = range(node.lineno, last + 1)
-    return best, imported
+@dataclass
+class Record:
+    """The rows of a run, and their file, which is written again after each outcome."""
+
+    path: Path
+    rows: dict[tuple[str, ...], Row] = field(default_factory=dict)
+    lock: threading.Lock = field(default_factory=threading.Lock)
+
+    @staticmethod
+    def key(row: Row) -> tuple[str, ...]:
+        """Identity of a mutant."""
+        return tuple(str(value) for value in list(asdict(row).values())[:6])
+
+    def load(self) -> None:
+        """Reads the rows of an earlier run."""
+        if self.path.exists():
+            with self.path.open(encoding="utf-8", newline="") as lines:
+                for cells in csv.DictReader(lines):
+                    numbers = {name: int(cells.pop(name)) for name in ("line", "column", "occurrence")}
+                    row = Row(**cells, **numbers)  # type: ignore[arg-type]
+                    self.rows[self.key(row)] = replace(row, seconds=float(row.seconds))
+
+    def put(self, row: Row) -> None:
+        """Adds or replaces a row, and writes the file."""
+        with self.lock:
+            self.rows[self.key(row)] = row
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            new = self.path.with_suffix(".new")
+            with new.open("w", encoding="utf-8", newline="") as lines:
+                writer = csv.DictWriter(lines, [one.name for one in fields(Row)])
+                writer.writeheader()
+                writer.writerows(asdict(one) for one in self.rows.values())
+            new.replace(self.path)
 
 
 def copy_checkout(target: Path) -> None:
@@ -96,78 +113,83 @@ def copy_checkout(target: Path) -> None:
     subprocess.run([*python, "src", "tests", "benchmarks"], cwd=target, check=True)
 
 
-def run_pytest(checkout: Path, arguments: list[str], limit: float | None = None) -> tuple[int | None, str]:
-    """Exit code, None at the time limit, and output of pytest in a copy of the checkout."""
+@dataclass(frozen=True)
+class Run:
+    """How pytest ended."""
+
+    code: int | None
+    """Exit code, None at the time limit."""
+    output: str
+    seconds: float
+    """CPU time, of its processes, too."""
+
+    def failed(self) -> list[str]:
+        """The test functions, or files, that failed."""
+        places = re.findall(r"^(?:FAILED|ERROR) (tests/[^\s\[]+)", self.output, re.MULTILINE)
+        return list(dict.fromkeys(places))
+
+
+def run_pytest(checkout: Path, arguments: list[str], limit: float) -> Run:
+    """Runs pytest in a copy of the checkout."""
     environment = os.environ | _STARTED_BY_TESTS | {
         "PYTHONPATH": str(checkout / "src"),
         "CALGRAPH_DATA": os.environ.get("CALGRAPH_DATA", str(ROOT.parent / "shared" / "data")),
     }  # fmt: skip
     command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "--hypothesis-seed=0", *arguments]
     command += [f"--basetemp={checkout / 'tmp'}"]
-    process = subprocess.Popen(
-        command, cwd=checkout, env=environment, text=True, start_new_session=True, stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-    )  # fmt: skip
-    try:
-        output, _ = process.communicate(timeout=limit)
-        return process.returncode, output
-    except subprocess.TimeoutExpired:
-        os.killpg(process.pid, signal.SIGKILL)
-        process.communicate()
-        return None, ""
-    finally:
-        shutil.rmtree(checkout / ".hypothesis", ignore_errors=True)  # failing examples are for one mutant only
+    log = checkout / "pytest.log"
+    with log.open("wb") as out:
+        process = subprocess.Popen(
+            command, cwd=checkout, env=environment, start_new_session=True, stdin=subprocess.DEVNULL, stdout=out,
+            stderr=subprocess.STDOUT,
+        )  # fmt: skip
+    end, killed = time.monotonic() + limit, False
+    while True:
+        pid, status, usage = os.wait4(process.pid, os.WNOHANG)
+        if pid:
+            break
+        if time.monotonic() > end and not killed:
+            os.killpg(process.pid, signal.SIGKILL)
+            killed = True
+        time.sleep(0.05)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    shutil.rmtree(checkout / ".hypothesis", ignore_errors=True)  # failing examples are for one mutant only
+    output = log.read_text(encoding="utf-8", errors="replace")
+    return Run(None if killed else process.returncode, output, usage.ru_utime + usage.ru_stime)
 
 
-def measure(checkout: Path, tests: list[str], jobs: int) -> Tests:
-    """Runs the tests on the unchanged source: which lines they execute, and how long they take."""
-    measuring = ["--cov", "--cov-context=test", "--cov-report=", "--cov-fail-under=0", "--durations=0", "-vv"]
-    code, output = run_pytest(checkout, [*measuring, "-n", str(jobs), "--dist=loadfile", *tests])
-    if code:
-        raise SystemExit(f"{output}\nThe tests fail without any mutant.")
-    seconds: dict[str, float] = defaultdict(float)
-    durations = r"^([\d.]+)s (?:call|setup|teardown) +(\S+?)(?:\[.*)?$"
-    for duration, test in re.findall(durations, output, re.MULTILINE):
-        seconds[test] += float(duration)
-    data = CoverageData(str(checkout / ".coverage"))
-    data.read()
-    by_line = {}
-    for file in data.measured_files():
-        lines = data.contexts_by_lineno(file)
-        named = {
-            line: frozenset(re.split(r"[\[|]", c)[0] for c in contexts if c) for line, contexts in lines.items()
-        }
-        by_line[Path(file).relative_to(checkout)] = named
-    functions = sorted(set().union(*(found for lines in by_line.values() for found in lines.values())))
-    return Tests(tuple(functions), dict(seconds), by_line)
+def judge(row: Row, tier: str, code: str, tests: list[Path], left_out: set[str], checkout: Path) -> Row:
+    """Runs the tests of a tier on a mutant, and on the unchanged source those that fail.
 
-
-def judge(mutant: Mutant, original: str, tests: Tests, checkout: Path) -> Outcome:
-    """Runs the tests that may kill a mutant: those of its line, then the others that execute its file.
-
-    Fixtures and caches that tests share run in the first of them only, so the others count as well.
+    Those that fail there, too, are added to `left_out`, and the others run again.
     """
-    lines, imported = statement_lines(original, mutant.start[0])
-    executed = tests.by_line.get(mutant.file, {})
-    touching = tests.touching(mutant.file)
-    first = touching if imported else frozenset().union(*(executed.get(line, frozenset()) for line in lines))
-    files = {function.split("::")[0] for function in touching}
-    then = {f for f in tests.functions if imported or f.split("::")[0] in files} - first
-    (checkout / mutant.file).write_text(mutant.code(original), encoding="utf-8")
-    try:
-        for chosen in (first, then):
-            if chosen:
-                limit = _LEAST_LIMIT + 5 * sum(tests.seconds.get(function, 0.0) for function in chosen)
-                code, output = run_pytest(checkout, ["-x", "-q", *tests.ordered(chosen, mutant.file)], limit)
-                if code is None:
-                    return "timeout"
-                if code in (1, 2, 3, 4):  # 2 to 4: it cannot even be imported
-                    return "killed"
-                if code:
-                    raise RuntimeError(f"pytest ended with {code} for {mutant}:\n{output}")
-        return "survived"
-    finally:
-        (checkout / mutant.file).write_text(original, encoding="utf-8")
+    file = checkout / row.file
+    original = file.read_text(encoding="utf-8")
+    seconds = row.seconds
+    while True:
+        known = sorted(left_out)
+        deselected = [f"--deselect={test}" for test in known]
+        chosen = [str(test) for test in tests if str(test) not in known]
+        if not chosen:
+            return replace(row, outcome=SURVIVED[tier], seconds=seconds)
+        file.write_text(code, encoding="utf-8")
+        try:
+            run = run_pytest(checkout, ["-x", "-q", *ARGUMENTS[tier], *deselected, *chosen], LIMITS[tier])
+        finally:
+            file.write_text(original, encoding="utf-8")
+        seconds += run.seconds
+        if run.code is None:
+            return replace(row, outcome="unfinished", seconds=seconds)
+        if run.code in (0, 5):  # 5: the tier has no tests here
+            return replace(row, outcome=SURVIVED[tier], seconds=seconds)
+        failed = run.failed() or chosen
+        check = run_pytest(checkout, ["-x", "-q", *ARGUMENTS[tier], *failed], LIMITS[tier])
+        seconds += check.seconds
+        if check.code in (0, 5):
+            return replace(row, outcome=tier, test=failed[0], seconds=seconds)
+        if set(failed) <= set(known) or not run.failed():
+            raise RuntimeError(f"tests fail without the mutant, too:\n{check.output}")
+        left_out.update(failed)
 
 
 def sources_of(room: str) -> list[Path]:
@@ -181,71 +203,102 @@ def sources_of(room: str) -> list[Path]:
     return [file.relative_to(ROOT) for file in files if file.name != "__init__.py"]
 
 
-def tests_of(room: str) -> list[str]:
-    """The folder or file of tests that mirrors a room."""
-    name = Path(room.removeprefix(f"{SOURCE}/")).parts[0].removesuffix(".py")
-    found = [place for place in (f"tests/{name}", f"tests/test_{name}.py") if (ROOT / place).exists()]
-    if not found:
-        raise SystemExit(f"no tests mirror {room}: name some with --tests")
-    return found
-
-
-def show(outcomes: list[tuple[Mutant, Outcome]], originals: dict[Path, str]) -> None:
-    """Prints a table by file, and what each survivor changes."""
-    for mutant, outcome in outcomes:
-        if outcome == "survived":
+def show(rows: dict[Mutant, Row], originals: dict[Path, str]) -> None:
+    """Prints what each survivor changes, a table by room, and the shares that die."""
+    for mutant, row in rows.items():
+        if row.outcome in ("survived", "open", "unfinished"):
             before, after = (
                 text.splitlines() for text in (originals[mutant.file], mutant.code(originals[mutant.file]))
             )
-            print(f"\n{mutant.file}:{mutant.start[0]} {mutant.operator} survived")
+            print(f"\n{mutant.file}:{mutant.start[0]} {mutant.operator} {row.outcome}")
             print("\n".join(list(difflib.unified_diff(before, after, lineterm="", n=1))[2:]))
-    print(f"\n{'file':<60} {'killed':>8} {'timeout':>8} {'survived':>8}")
-    for file in [*originals, None]:
-        count = Counter(outcome for mutant, outcome in outcomes if file in (None, mutant.file))
-        if count:
-            cells = " ".join(f"{count[key]:>8}" for key in ("killed", "timeout", "survived"))
-            print(f"{file.relative_to(SOURCE).as_posix() if file else 'all':<60} {cells}")
-    died = sum(outcome != "survived" for _, outcome in outcomes)
-    print(f"\n{died} of {len(outcomes)} mutants die: {died / len(outcomes):.1%}")
+    tried = [row for row in rows.values() if row.outcome in OUTCOMES]
+    print(f"\n{'room':<20}" + "".join(f"{key:>11}" for key in OUTCOMES))
+    for room in [*sorted({Path(row.file).parts[2] for row in tried}), "all"]:
+        count = Counter(row.outcome for row in tried if room in ("all", Path(row.file).parts[2]))
+        print(f"{room:<20}" + "".join(f"{count[key]:>11}" for key in OUTCOMES))
+    first, slow = (sum(row.outcome == tier for row in tried) for tier in ("first", "slow"))
+    share = 100 / max(1, len(tried))
+    minutes = sum(row.seconds for row in tried) / 60
+    print(
+        f"\nOf {len(tried)} mutants, {first} die in the first tier ({first * share:.1f} %), {slow} by slow tests"
+    )
+    print(f"({(first + slow) * share:.1f} % in both); {minutes:.1f} min of CPU.")
+
+
+def try_all(
+    rows: dict[Mutant, Row], record: Record, originals: dict[Path, str], options: argparse.Namespace
+) -> None:
+    """Runs both tiers, the slow one on what survives the first, until the CPU time is used up."""
+    selection = Selection(ROOT)
+    used = [0.0]
+    left_out = set(options.leave_out)
+    checkouts: queue.SimpleQueue[Path] = queue.SimpleQueue()
+
+    def attempt(mutant: Mutant, tier: str) -> None:
+        if used[0] > 60 * options.cpu_minutes:
+            return
+        checkout = checkouts.get()
+        row = rows[mutant]
+        near, others = selection.choose(mutant.file)
+        code = mutant.code(originals[mutant.file])
+        try:
+            # Most mutants die by the tests of their module, which are collected in no time.
+            done = judge(row, tier, code, near, left_out, checkout)
+            if done.outcome == SURVIVED[tier]:
+                others = list(dict.fromkeys([*others, *map(Path, options.tests)]))
+                done = judge(done, tier, code, others, left_out, checkout)
+        finally:
+            checkouts.put(checkout)
+        used[0] += done.seconds - row.seconds
+        rows[mutant] = done
+        record.put(done)
+        place = f"{mutant.file}:{mutant.start[0]} {mutant.operator}"
+        print(
+            f"{place}: {tier} tier: {done.outcome} {done.test} {done.seconds:.0f} s", file=sys.stderr, flush=True
+        )
+
+    with tempfile.TemporaryDirectory(prefix="mutants") as folder:
+        for job in range(options.jobs):
+            copy_checkout(Path(folder, str(job)))
+            checkouts.put(Path(folder, str(job)))
+        for tier, before in (("first", "new"), ("slow", "open")):
+            waiting = [mutant for mutant, row in rows.items() if row.outcome == before]
+            with ThreadPoolExecutor(options.jobs) as pool:
+                list(pool.map(lambda mutant, tier=tier: attempt(mutant, tier), waiting))
 
 
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
-    parser.add_argument("rooms", nargs="+", metavar="ROOM", help="room, part of one, or file, below src/calgraph")
+    parser.add_argument("rooms", nargs="*", metavar="ROOM", help="room, part, or file below src/calgraph (all)")
     parser.add_argument("-n", type=int, default=50, help="mutants to draw (%(default)s)")
     parser.add_argument("--seed", type=int, default=0, help="of the draw (%(default)s)")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="mutants at a time (%(default)s)")
-    parser.add_argument("--tests", nargs="*", default=[], help="tests besides those of the rooms")
+    parser.add_argument("--tests", nargs="*", default=[], help="tests besides those of each module")
+    parser.add_argument("--leave-out", nargs="*", default=[], help="tests that fail without any mutant")
+    parser.add_argument("--cpu-minutes", type=float, default=float("inf"), help="time after which no test starts")
+    parser.add_argument("--out", type=Path, help="CSV file of the results (build/mutants/SEED.csv)")
     options = parser.parse_args()
 
-    files = list(dict.fromkeys(file for room in options.rooms for file in sources_of(room)))
-    tests = list(dict.fromkeys([*(place for room in options.rooms for place in tests_of(room)), *options.tests]))
+    files = list(dict.fromkeys(file for room in options.rooms or ["."] for file in sources_of(room)))
     originals = {file: (ROOT / file).read_text(encoding="utf-8") for file in files}
     possible = [mutant for file, code in originals.items() for mutant in find_mutants(file, code)]
-    drawn = draw(originals, possible, options.n, np.random.default_rng(options.seed))
-    print(f"{len(drawn)} of {len(possible)} mutants of {len(files)} files; tests: {' '.join(tests)}", flush=True)
+    rng = np.random.default_rng(options.seed)
+    drawn = draw(originals, possible, options.n, rng)
+    print(f"{len(drawn)} of {len(possible)} mutants of {len(files)} files, seed {options.seed}", flush=True)
 
-    with tempfile.TemporaryDirectory(prefix="mutants") as folder:
-        checkouts: queue.SimpleQueue[Path] = queue.SimpleQueue()
-        for job in range(options.jobs):
-            copy_checkout(Path(folder, str(job)))
-            checkouts.put(Path(folder, str(job)))
-        measured = measure(Path(folder, "0"), tests, options.jobs)
-        print(f"{len(measured.functions)} test functions, {sum(measured.seconds.values()):.0f} s", flush=True)
-
-        def tried(mutant: Mutant) -> tuple[Mutant, Outcome]:
-            checkout = checkouts.get()
-            try:
-                outcome = judge(mutant, originals[mutant.file], measured, checkout)
-            finally:
-                checkouts.put(checkout)
-            print(f"{mutant.file}:{mutant.start[0]} {mutant.operator}: {outcome}", file=sys.stderr, flush=True)
-            return mutant, outcome
-
-        with ThreadPoolExecutor(options.jobs) as pool:
-            outcomes = list(pool.map(tried, drawn))
-    show(outcomes, originals)
+    record = Record(options.out or ROOT / f"build/mutants/{options.seed}.csv")
+    record.load()
+    digests = {file: hashlib.sha256(code.encode()).hexdigest()[:12] for file, code in originals.items()}
+    rows = {}
+    # In random order: those that are tried before the time is used up are a sample of all.
+    for mutant in (drawn[k] for k in rng.permutation(len(drawn))):
+        place = (mutant.file.as_posix(), *mutant.start, mutant.operator, mutant.occurrence, digests[mutant.file])
+        row = Row(*place)
+        rows[mutant] = record.rows.get(Record.key(row), row)
+    try_all(rows, record, originals, options)
+    show(rows, originals)
 
 
 if __name__ == "__main__":

@@ -4,18 +4,11 @@ import os
 import re
 import subprocess
 import sys
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import pytest
-import typer
-from typer.core import TyperGroup
-from typer.main import get_command
 
-from calgraph.cli.app import app
-from calgraph.cli.lazy_commands import translate_former_options
 from calgraph.config import load_rig
 from calgraph.result import load_calibration
 
@@ -171,46 +164,3 @@ def test_a_session_runs_as_the_live_page_states(reader: Reader) -> None:
 @pytest.mark.parametrize("page", [page for page in PAGES if page not in (FIRST, LIVE) and blocks(page)])
 def test_commands_run(page: str, reader: Reader) -> None:
     run(page, reader.folder)
-
-
-@pytest.mark.parametrize("page", PAGES)
-def test_no_command_hides_in_an_indented_block(page: str) -> None:
-    text = re.sub(r"^```.*?^```", "", (ROOT / page).read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
-    assert not re.findall(r"^ {4,}(?:calgraph|pip|make) .*", text, re.MULTILINE)
-
-
-def commands(command: Any, name: str = "calgraph") -> Iterator[tuple[str, set[str]]]:
-    """All commands with their options."""
-    if isinstance(command, TyperGroup):
-        context = typer.Context(command)
-        for part in command.list_commands(context):
-            # Which imports the command: as it is listed, it has no options.
-            yield from commands(command.resolve_command(context, [part])[1], f"{name} {part}")
-    options = {option for param in command.params for option in (*param.opts, *param.secondary_opts)}
-    yield name, options | {"--help"}
-
-
-OF_PIP = {"--require-hashes", "--no-deps"}
-OPTIONS = dict(commands(get_command(app)))
-
-
-def inline(page: str, start: str) -> list[str]:
-    """Code within the lines of a page that begins so."""
-    return re.findall(rf"`({start}[^`\n]*)`", (ROOT / page).read_text(encoding="utf-8"))
-
-
-@pytest.mark.parametrize("page", PAGES)
-def test_commands_within_lines_exist(page: str) -> None:
-    for shown in inline(page, "calgraph "):
-        name = max((name for name in OPTIONS if f"{shown} ".startswith(f"{name} ")), key=len)
-        assert name != "calgraph" or shown.split()[1].startswith("-"), f"{shown}: there is no such command"
-        unknown = {word.split("=")[0] for word in shown.split() if re.match("--?[a-z]", word)} - OPTIONS[name]
-        assert not unknown, f"{shown}: {name} has no {', '.join(unknown)}"
-
-
-@pytest.mark.parametrize("page", [page for page in PAGES if page != "docs/troubleshooting.md"])
-def test_options_within_lines_exist(page: str) -> None:
-    known = OF_PIP.union(*OPTIONS.values())
-    unknown = {shown.split()[0] for shown in inline(page, "--[a-z]")} - known
-    # Options of earlier versions are accepted, but not listed.
-    assert [one for one in unknown if translate_former_options("calibrate", [one, "1"]) == [one, "1"]] == []

@@ -1,5 +1,6 @@
 """Mutants are drawn from places that matter, and the same seed draws the same ones."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -85,9 +86,80 @@ def test_mutants_that_are_no_python_are_not_drawn() -> None:
     assert [m.start for m in drawn] == [(2, 13)]
 
 
+MODULE = "def double(x):\n    return 2 * x\n"
+TESTS = """\
+import pytest
+from calgraph.doubling import double
+
+
+def test_zero():
+    assert double(0) == 0
+
+
+def test_that_always_fails():
+    assert double(1) == 3
+
+
+@pytest.mark.slow
+def test_one():
+    assert double(1) == 2
+"""
+
+
 @pytest.mark.parametrize(
-    ("line", "lines", "imported"),
-    [(5, range(5, 6), True), (10, range(10, 11), True), (15, range(15, 16), False), (19, range(17, 21), False)],
+    ("code", "first", "slow", "test"),
+    [
+        ("def double(x):\n    return 2 * x + 1\n", "first", None, "test_zero"),
+        ("def double(x):\n    return 4 * x\n", "open", "slow", "test_one"),
+        ("def double(x):\n    return x * 2\n", "open", "survived", None),
+    ],
 )
-def test_tests_are_chosen_by_the_lines_of_the_statement(line: int, lines: range, imported: bool) -> None:
-    assert mutants.statement_lines(CODE, line) == (lines, imported)
+def test_a_mutant_dies_by_the_first_test_that_passes_without_it(
+    tmp_path: Path, code: str, first: str, slow: str | None, test: str | None
+) -> None:
+    module = tmp_path / "src/calgraph/doubling.py"
+    module.parent.mkdir(parents=True)
+    (module.parent / "__init__.py").touch()
+    module.write_text(MODULE)
+    (tmp_path / "tests").mkdir()
+    (tmp_path / "tests/test_doubling.py").write_text(TESTS)
+    (tmp_path / "pyproject.toml").write_text('[tool.pytest.ini_options]\nmarkers = ["slow: slow"]\n')
+    row = mutants.Row("src/calgraph/doubling.py", 2, 11, "ReplaceBinaryOperator_Mul_Add", 0, "")
+    left_out: set[str] = set()
+    tests = [Path("tests/test_doubling.py")]
+    done = mutants.judge(row, "first", code, tests, left_out, tmp_path)
+    assert done.outcome == first
+    if slow:
+        done = mutants.judge(done, "slow", code, tests, left_out, tmp_path)
+        assert done.outcome == slow
+        assert left_out == {"tests/test_doubling.py::test_that_always_fails"}
+    assert done.test == (f"tests/test_doubling.py::{test}" if test else "")
+    assert done.seconds > 0.1
+    assert module.read_text() == MODULE
+
+
+def test_a_run_is_continued_from_its_file(tmp_path: Path) -> None:
+    rows = [
+        mutants.Row("src/calgraph/a.py", line, 0, "AddNot", line, "0a1b", "first", "test_a", 1.5)
+        for line in (1, 2)
+    ]
+    record = mutants.Record(tmp_path / "build/7.csv")
+    for row in rows:
+        record.put(replace(row, outcome="open"))
+        record.put(row)
+    again = mutants.Record(tmp_path / "build/7.csv")
+    again.load()
+    assert list(again.rows.values()) == rows
+
+
+def test_the_shares_of_both_tiers_are_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    drawn = mutation.draw({FILE: CODE}, mutation.find_mutants(FILE, CODE), 4, np.random.default_rng(3))
+    outcomes = ("first", "first", "slow", "survived")
+    rows = {
+        mutant: mutants.Row(str(FILE), *mutant.start, mutant.operator, 0, "", outcome, seconds=60.0)
+        for mutant, outcome in zip(drawn, outcomes, strict=True)
+    }
+    mutants.show(rows, {FILE: CODE})
+    printed = capsys.readouterr().out
+    assert printed.count("survived\n") == 1
+    assert "Of 4 mutants, 2 die in the first tier (50.0 %), 1 by slow tests\n(75.0 % in both); 4.0 min" in printed

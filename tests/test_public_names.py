@@ -20,9 +20,13 @@ STATED = {
 }
 
 
-@pytest.mark.parametrize("name", calgraph.__all__)
-def test_name_is_what_type_checkers_take_it_for(name: str) -> None:
-    assert getattr(calgraph, name) is getattr(import_module(STATED[name]), name)
+def test_names_are_what_type_checkers_take_them_for() -> None:
+    other = [
+        name
+        for name in calgraph.__all__
+        if getattr(calgraph, name) is not getattr(import_module(STATED[name]), name)
+    ]
+    assert other == []
 
 
 def test_type_checkers_see_no_other_names() -> None:

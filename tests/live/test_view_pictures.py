@@ -2,8 +2,11 @@
 
 import cv2
 import numpy as np
+import pytest
 
+from calgraph.boards.detections import Detection, PlanePatch, Segment
 from calgraph.config.settings import ViewSettings
+from calgraph.live import view_pictures
 from calgraph.live.message_analysis import SensorActivity
 from calgraph.live.view_pictures import SensorView, find_reduction, make_view
 from calgraph.sensors import CameraModel, Image, LaserScan, PointCloud
@@ -39,6 +42,33 @@ def test_scanners_are_drawn_from_above_with_x_up() -> None:
         assert bright[240 - 192, 240]
         assert bright[240, 240 - 96]
         assert bright.sum() < 100
+
+
+# Beams at 30° to the left and right end on a board 2 m ahead, seen from above: row 240 - 2 x 48.
+BEAMS = np.array([[np.cos(a), np.sin(a), 0.0] for a in np.radians([-30.0, 30.0])])
+ENDS = 2.0 / BEAMS[:, :1] * BEAMS
+RANGES = np.linalg.norm(ENDS, axis=1)
+PATCH = PlanePatch(np.array([-1.0, 0, 0, 2]), np.eye(3), RANGES, BEAMS, ENDS.mean(axis=0))
+SEGMENT = Segment(ENDS, np.eye(6), RANGES, BEAMS)
+
+
+@pytest.mark.parametrize(
+    ("found", "middle", "ends"), [(PATCH, False, True), (SEGMENT, True, True), (None, False, False)]
+)
+def test_the_board_of_a_scanner_is_drawn_in_green(
+    found: Detection | None, middle: bool, ends: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A plane as its points, a segment as a line."""
+    detect = {"found": () if found is None else (found,)}
+    monkeypatch.setattr(view_pictures, "decode_detector", lambda _: lambda _: detect["found"])
+    cloud = PointCloud(0.0, "", np.array([[4.0, 0.0, 0.0]]))
+    view = make_view(lambda: cloud, b"detector", None, (), 1, SETTINGS)
+    blue, green, red = np.moveaxis(decode(view.picture).astype(int), 2, 0)
+    is_green = (green > 80) & (green > red + 20) & (green > blue + 20)  # of three pixels, JPEG keeps less colour
+    across = round(48 * ENDS[1, 1])
+    assert bool(is_green[143:146, 239:242].any()) == middle
+    for column in (240 - across, 240 + across):
+        assert bool(is_green[142:147, column - 2 : column + 3].any()) == ends
 
 
 def test_an_unusable_message_has_no_picture() -> None:
