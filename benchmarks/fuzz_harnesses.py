@@ -33,7 +33,7 @@ from calgraph.recording.decoding import decode
 from calgraph.recording.message_types import TypeDefinition, make_message_type
 from calgraph.result import Calibration, export, load_calibration, load_scene, read_extrinsics
 from calgraph.rig.bundle.problem_file import load_problem
-from calgraph.rig.captures.sensor_detection import decode_captures
+from calgraph.rig.captures.detection_tables import decode_captures
 from calgraph.sensors import Trigger
 from calgraph.simulation import NetworkScenario, RigScenario, load_truth
 

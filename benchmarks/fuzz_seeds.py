@@ -26,7 +26,7 @@ from calgraph.io.yaml_writing import format_yaml
 from calgraph.result import export, save_calibration, save_scene
 from calgraph.rig.bundle.problem_file import save_problem
 from calgraph.rig.captures.detect import SensorCapture
-from calgraph.rig.captures.sensor_detection import encode_captures
+from calgraph.rig.captures.detection_tables import encode_captures
 from calgraph.rig.options import RigOptions
 from calgraph.rig.pipeline import build_problem_from_captures, solve_problem
 from calgraph.simulation import (

@@ -18,7 +18,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from calgraph.boards.landmarks import compute_landmarks
+from calgraph.boards.printed_boards import compute_landmarks
 from calgraph.config import Rig
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se3, so3

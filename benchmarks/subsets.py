@@ -27,7 +27,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from calgraph.boards.detections import BoardCorners, Detection, DetectionResult
-from calgraph.boards.landmarks import compute_landmarks
+from calgraph.boards.printed_boards import compute_landmarks
 from calgraph.config import Rig
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se3

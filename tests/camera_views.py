@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from calgraph.boards.landmarks import compute_landmarks
+from calgraph.boards.printed_boards import compute_landmarks
 from calgraph.config import Rig
 from calgraph.geometry import Array, se3, so3
 from calgraph.rig.detection.board_views import BoardView

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from calgraph.boards.board_pose import BoardPose, fit_pose, plane_covariance
-from calgraph.boards.landmarks import compute_landmarks
+from calgraph.boards.printed_boards import compute_landmarks
 from calgraph.config import Board, Tag
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, plane, se3, so3

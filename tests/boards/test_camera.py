@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from calgraph.boards.camera import CameraDetector, PlaneEstimator
 from calgraph.boards.detections import BoardCorners, InconsistentTags
-from calgraph.boards.landmarks import compute_landmarks
-from calgraph.boards.printed_boards import average_marks
+from calgraph.boards.printed_boards import average_marks, compute_landmarks
 from calgraph.boards.tags import Marks
 from calgraph.config import AprilGrid, Board, Charuco, Checkerboard, PixelNoise, Tag
 from calgraph.errors import InputError, Rejected

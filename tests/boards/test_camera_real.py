@@ -10,7 +10,7 @@ import pytest
 
 from calgraph.boards.camera import CameraDetector
 from calgraph.boards.detections import BoardCorners
-from calgraph.boards.landmarks import compute_landmarks
+from calgraph.boards.printed_boards import compute_landmarks
 from calgraph.boards.tags import GridFinder, TagFinder
 from calgraph.config import AprilGrid, Board, Checkerboard, PixelNoise, Tag
 from calgraph.errors import Rejected

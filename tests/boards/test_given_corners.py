@@ -5,7 +5,7 @@ import pytest
 
 from calgraph.boards.camera import CameraDetector
 from calgraph.boards.detections import BoardCorners
-from calgraph.boards.landmarks import compute_landmarks
+from calgraph.boards.printed_boards import compute_landmarks
 from calgraph.config import Board, Charuco, Checkerboard, PixelNoise, Tag
 from calgraph.errors import InputError, Rejected
 from calgraph.geometry import Array, plane, se3, so3

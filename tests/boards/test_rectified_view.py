@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from calgraph.boards.rectified_view import is_undistorted, rectify_view
+from calgraph.boards.tags import is_undistorted, rectify_view
 from calgraph.config.settings import TagSettings
 from calgraph.geometry import Array
 from calgraph.sensors import CameraModel

@@ -15,8 +15,8 @@ from calgraph.parallel.open_cluster import DaskEngine, open_cluster
 from calgraph.parallel.progress import Progress, no_progress
 from calgraph.recording import RecordingCache, open_recordings
 from calgraph.rig.capture_collection import collect_captures
-from calgraph.rig.captures import detect, hold_messages, timeline_reading
-from calgraph.rig.clock_alignment import align_clocks
+from calgraph.rig.captures import hold_messages, sensor_detection, timeline_reading
+from calgraph.rig.captures.clock_alignment import align_clocks
 from calgraph.rig.options import RigOptions
 from calgraph.simulation import RigScenario, simulate_rig
 from dask_programs import start_scheduler, start_worker, stop
@@ -74,7 +74,7 @@ def collect(
         # Texts of arrays take minutes.
         np.printoptions(override_repr=lambda array: f"{array.dtype} {array.shape} {array.tobytes().hex()}"),
     ):
-        aligned = align_clocks(rig, recording, options)
+        aligned = align_clocks(rig, recording, options.cache, options.engine)
         return repr(collect_captures(aligned.rig, aligned.recording, options, np.random.default_rng(0), progress))
 
 
@@ -142,13 +142,13 @@ def test_a_lost_scheduler_ends_the_run_and_the_next_one_resumes(
     finally:
         stop(worker, scheduler)
     searched: list[tuple[int, str]] = []
-    search = detect.detect_in_hold
+    search = sensor_detection.detect_in_hold
 
     def count(detectors: Any, capture: int, name: str, *rest: Any) -> Any:
         searched.append((capture, name))
         return search(detectors, capture, name, *rest)
 
-    monkeypatch.setattr(detect, "detect_in_hold", count)
+    monkeypatch.setattr(sensor_detection, "detect_in_hold", count)
     assert collect(robot, rig, RigOptions(cache=RecordingCache(tmp_path / "cache"))) == expected
     # The first of four parts was searched: three of nine holds.
     assert sorted(searched) == [(capture, name) for capture in range(3, 9) for name in sorted(rig.sensors)]

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from calgraph.boards.camera import CameraDetector
-from calgraph.boards.landmarks import compute_landmarks
+from calgraph.boards.printed_boards import compute_landmarks
 from calgraph.config import Board, PixelNoise, Tag
 from calgraph.geometry import Array
 from calgraph.printing import BoardOptions, Page, design_board, layout_pages, parse_paper

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from calgraph.boards.landmarks import compute_landmarks
+from calgraph.boards.printed_boards import compute_landmarks
 from calgraph.config import Rig
 from calgraph.geometry import Array, se2, se3
 from calgraph.result import (

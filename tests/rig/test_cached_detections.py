@@ -17,10 +17,9 @@ from calgraph.errors import CalibrationError
 from calgraph.parallel.engine import THIS_PROCESS, Engine
 from calgraph.recording import Recording, RecordingCache, open_recording
 from calgraph.rig.capture_collection import collect_captures
-from calgraph.rig.captures import detect
-from calgraph.rig.captures.board_views import decode_views, encode_views
+from calgraph.rig.captures import hold_messages
 from calgraph.rig.captures.detect import CaptureSet
-from calgraph.rig.detection.board_views import BoardView, BoardViewFinder
+from calgraph.rig.detection.board_views import BoardView, BoardViewFinder, decode_views, encode_views
 from calgraph.rig.options import RigOptions
 from calgraph.simulation import (
     CameraOptions,
@@ -243,7 +242,7 @@ def test_a_run_continues_where_the_one_before_was_ended(
     engine: Engine, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Every capture of a sensor is kept as soon as it is searched; there are three."""
-    monkeypatch.setattr(detect, "_MIN_PARALLEL_SEARCHES", 1)
+    monkeypatch.setattr(hold_messages, "_MIN_PARALLEL_SEARCHES", 1)
     rig, options = load_rig(folder / "rig.yaml"), RigOptions(engine=engine)
     kept: list[str] = []
     write = RecordingCache.write

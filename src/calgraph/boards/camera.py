@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from calgraph.boards.board_pose import OUTLIER_SIGMAS, BoardPose, fit_pose, plane_covariance
 from calgraph.boards.detections import BoardCorners, InconsistentTags
-from calgraph.boards.landmarks import Landmarks
 from calgraph.boards.printed_boards import (
+    Landmarks,
     PrintedBoard,
     average_marks,
     explain_exposure,
@@ -19,8 +19,7 @@ from calgraph.boards.printed_boards import (
     make_printed_boards,
     select_grays,
 )
-from calgraph.boards.rectified_view import is_undistorted, rectify_view
-from calgraph.boards.tags import Gray, Marks, TagFinder
+from calgraph.boards.tags import Gray, Marks, TagFinder, is_undistorted, rectify_view
 from calgraph.config import Board, Charuco, Checkerboard, PixelNoise
 from calgraph.config.settings import CameraDetectionSettings
 from calgraph.errors import InputError, Rejected

@@ -11,9 +11,9 @@ import numpy as np
 from calgraph.boards.detections import DetectionResult
 from calgraph.config import CameraSpec, Rig
 from calgraph.errors import CalgraphError, InputError, Rejected
-from calgraph.rig.captures.detect import Detector, detect_in_hold
-from calgraph.rig.captures.detectors import Background, learn_background, make_detectors
+from calgraph.rig.captures.detectors import Background, Detector, learn_background, make_detectors
 from calgraph.rig.captures.motion_detection import ActivityMeter, Signed
+from calgraph.rig.captures.sensor_detection import detect_in_hold
 from calgraph.rig.detection.board_views import BoardViewFinder
 from calgraph.sensors import CameraModel, Message
 

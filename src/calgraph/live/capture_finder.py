@@ -10,8 +10,7 @@ from calgraph.live.live_timeline import LiveTimeline
 from calgraph.live.message_ring import MessageRing
 from calgraph.live.motion import Rest, RestMonitor
 from calgraph.live.state import Phase
-from calgraph.rig.captures.detect import limit_messages
-from calgraph.rig.captures.holds import Hold, find_holds
+from calgraph.rig.captures.holds import Hold, find_holds, limit_messages
 from calgraph.rig.captures.stillness import MAX_MOTION_PERIOD
 from calgraph.rig.captures.validate_recording import is_message_of_kind
 

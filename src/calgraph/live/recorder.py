@@ -24,7 +24,7 @@ from calgraph.io.termination import add_cleanup, remove_cleanup
 from calgraph.live.recorded_files import METADATA, ChunkFile, finish_files, read_files, write_metadata
 from calgraph.live.source import Channel, LiveMessage
 from calgraph.live.state import RecorderState
-from calgraph.recording.message_limits import LimitedStore
+from calgraph.recording.damage import LimitedStore
 from calgraph.recording.message_types import MessageType, TypeDefinition, make_message_type, ros2_definition
 from calgraph.recording.unfinished_mcap import finish_mcap
 

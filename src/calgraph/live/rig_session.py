@@ -25,8 +25,8 @@ from calgraph.live.state import Command, Phase, SensorState, SessionState
 from calgraph.parallel.engine import THIS_PROCESS, Engine
 from calgraph.parallel.processes import available_cores
 from calgraph.recording import Recording, resolve_intrinsics
-from calgraph.rig.captures.detect import CaptureSet, limit_messages
-from calgraph.rig.captures.holds import Hold, find_holds
+from calgraph.rig.captures.detect import CaptureSet
+from calgraph.rig.captures.holds import Hold, find_holds, limit_messages
 from calgraph.rig.captures.sensor_detection import DetectionMethod, detect_by_sensors
 from calgraph.rig.captures.timeline import RecordingTimeline, build_timeline
 from calgraph.sensors import CameraModel

@@ -16,14 +16,13 @@ from calgraph.geometry import Array
 from calgraph.live.pose_picture import DrawnSensor, draw_pose
 from calgraph.live.state import Advice
 from calgraph.result import Calibration, SensorPose, Suggestion
-from calgraph.rig.bumps import solve_after_bumps
 from calgraph.rig.bundle.solution import SolvedBundle
 from calgraph.rig.captures.detect import CaptureSet, state_estimated_intrinsics
 from calgraph.rig.checks.assemble import assemble_rig
-from calgraph.rig.checks.drift_tests import include_drifts
+from calgraph.rig.checks.drift_tests import include_drifts, measure_drifts
 from calgraph.rig.checks.next_best_pose import suggest_board_poses
 from calgraph.rig.options import RigOptions
-from calgraph.rig.pipeline import build_problem_from_captures, explain_singular_equations, solve_jointly
+from calgraph.rig.pipeline import build_problem_from_captures, explain_singular_equations, solve_after_bumps
 from calgraph.sensors import CameraModel
 from calgraph.verdict.grades import max_good_stddev
 
@@ -249,12 +248,12 @@ def _solve(rig: Rig, captures: CaptureSet, known: Mapping[str, Array]) -> tuple[
     options = RigOptions()
     rig = _without_bootstrap(rig)
     problem = build_problem_from_captures(rig, captures, options, np.random.default_rng(options.seed), known=known)
-    problem, solution, tree = solve_after_bumps(
-        problem, *solve_jointly(problem), build_problem_from_captures, solve_jointly
-    )
-    if solution.solved_bundle:
-        solution = include_drifts(solution, solution.solved_bundle, rig.settings.diagnostics)
-    return assemble_rig(problem, tree, solution), solution.solved_bundle
+    problem, solution, tree = solve_after_bumps(problem)
+    drifts = None
+    if solved := solution.solved_bundle:
+        drifts = measure_drifts(solved)
+        solution = include_drifts(solution, solved, drifts, rig.settings.diagnostics)
+    return assemble_rig(problem, tree, solution, drifts=drifts), solved
 
 
 def _without_bootstrap(rig: Rig) -> Rig:

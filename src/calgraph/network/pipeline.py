@@ -87,46 +87,28 @@ def calibrate_tracks(
     method = options.select_method(rig.settings.published)
     earlier = _calibration_to_extend(rig, options)
     tracks = _complete_tracks(rig, tracks)
-    tracked = {name: found for name, found in tracks.items() if isinstance(found, ScannerTracks)}
-    rng = np.random.default_rng(options.seed)
-    corrected = pair_scanners(rig, tracked, options, rng, progress)
-    initialization = _initialize(rig, corrected, method, rng)
-    with options.engine.keep_workers(rig.settings.estimation.network.max_kept_bytes) as engine:
-        joint = prior = None
-        # A root without connections may have no tracks.
-        if method.estimator == "joint" and len(initialization.names) > 1:
-            progress("solving", 0.0)
-            joint, prior = _solve_jointly(rig, corrected, initialization, earlier, engine)
-            progress("solving", 1.0)
-        log_network(corrected.pairs, initialization, joint)
-        if bump := _find_bump(corrected, initialization, joint):
-            name, step = bump
-            later = {**tracks, name: _select_after(tracks[name], step, rig.settings.tracking.stationarity)}
-            return calibrate_tracks(rig, later, options, progress, frames=frames, start=start, findings=findings)
-        contradictions: Sequence[Finding] = ()
-        if joint is not None:
-            assessment = assess_network_model(
-                moving_target(rig),
-                joint,
-                [corrected.tracked[name] for name in initialization.names],
-                initialization,
-                replaceable=earlier is None,  # averaged poses do not contain the earlier ones
-            )
-            joint, contradictions = assessment.joint, assessment.findings
-        start = _first_time(corrected.tracked) if start is None else start
-        of_poses = collect_network_findings(tracks, initialization, start)
-        calibration = assemble_network(
-            rig,
-            {name: (frames or {}).get(name, "") for name in rig.sensors},
-            {**tracks, **corrected.tracked},
-            initialization,
-            start,
-            joint,
-            (*findings, *corrected.findings, *of_poses, *contradictions),
-            clock_offset=corrected.clock_offset,
-            inverted=corrected.inverted,
-        )
-    return _merge_with_earlier(calibration, earlier, prior) if earlier else calibration
+    while True:
+        tracked = {name: found for name, found in tracks.items() if isinstance(found, ScannerTracks)}
+        rng = np.random.default_rng(options.seed)
+        corrected = pair_scanners(rig, tracked, options, rng, progress)
+        initialization = _initialize(rig, corrected, method, rng)
+        with options.engine.keep_workers(rig.settings.estimation.network.max_kept_bytes) as engine:
+            joint = prior = None
+            # A root without connections may have no tracks.
+            if method.estimator == "joint" and len(initialization.names) > 1:
+                progress("solving", 0.0)
+                joint, prior = _solve_jointly(rig, corrected, initialization, earlier, engine)
+                progress("solving", 1.0)
+            log_network(corrected.pairs, initialization, joint)
+            bump = _find_bump(corrected, initialization, joint)
+            if bump is None:  # the workers have the bodies of the solution, which its tests use
+                calibration = _assess_and_assemble(
+                    rig, tracks, corrected, initialization, joint,
+                    frames=frames or {}, start=start, findings=findings, extends=earlier is not None,
+                )  # fmt: skip
+                return _merge_with_earlier(calibration, earlier, prior) if earlier else calibration
+        name, step = bump
+        tracks = {**tracks, name: _select_after(tracks[name], step, rig.settings.tracking.stationarity)}
 
 
 def compare_network_extrinsics(
@@ -145,7 +127,6 @@ def _initialize(
     rig: Rig, corrected: CorrectedPairs, method: NetworkMethod, rng: np.random.Generator
 ) -> NetworkInitialization:
     """Averaged poses of the scanners that pairs connect to the root."""
-    pass
     return initialize_network(
         rig.root,
         corrected.pairs,
@@ -184,13 +165,50 @@ def _solve_jointly(
     return solution(prior=prior), prior
 
 
+def _assess_and_assemble(
+    rig: Rig,
+    tracks: Mapping[str, ScannerTracks | Rejected],
+    corrected: CorrectedPairs,
+    initialization: NetworkInitialization,
+    joint: NetworkSolution | None,
+    *,
+    frames: Mapping[str, str],
+    start: float | None,
+    findings: Sequence[Finding],
+    extends: bool,
+) -> Calibration:
+    """The calibration, with what contradicts it; other arguments as for :func:`calibrate_tracks`."""
+    contradictions: Sequence[Finding] = ()
+    if joint is not None:
+        assessment = assess_network_model(
+            moving_target(rig),
+            joint,
+            [corrected.tracked[name] for name in initialization.names],
+            initialization,
+            replaceable=not extends,  # averaged poses do not contain the earlier ones
+        )
+        joint, contradictions = assessment.joint, assessment.findings
+    start = _first_time(corrected.tracked) if start is None else start
+    of_poses = collect_network_findings(tracks, initialization, start)
+    return assemble_network(
+        rig,
+        {name: frames.get(name, "") for name in rig.sensors},
+        {**tracks, **corrected.tracked},
+        initialization,
+        start,
+        joint,
+        (*findings, *corrected.findings, *of_poses, *contradictions),
+        clock_offset=corrected.clock_offset,
+        inverted=corrected.inverted,
+    )
+
+
 def _find_bump(
     corrected: CorrectedPairs, initialization: NetworkInitialization, joint: NetworkSolution | None
 ) -> tuple[str, ScannerBump] | None:
     """The most significant bump of a scanner with too little background, with stamps of its clock."""
     if len(initialization.names) < 2:
         return None
-    pass
     bump = find_track_bump(
         corrected.tracked,
         initialization.names,

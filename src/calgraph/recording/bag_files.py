@@ -14,8 +14,8 @@ from calgraph.config.settings import LimitSettings
 from calgraph.errors import InputError, RecordingError
 from calgraph.io.atomic import temporary_folder
 from calgraph.io.yaml_reading import read_yaml
-from calgraph.recording.limits import check_unpacked_size
-from calgraph.recording.recording import TopicInfo, check_fetched, wrap_errors
+from calgraph.recording.damage import check_fetched, check_unpacked_size, wrap_errors
+from calgraph.recording.recording import TopicInfo
 
 if sys.version_info >= (3, 14):
     from compression import zstd

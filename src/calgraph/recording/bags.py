@@ -24,17 +24,16 @@ from calgraph.recording.bag_files import (
     is_compressed,
 )
 from calgraph.recording.chunk_limits import has_index, is_finished, open_reader
+from calgraph.recording.damage import check_fetched, wrap_errors
 from calgraph.recording.message_types import MessageType, TypeDefinition, message_type
 from calgraph.recording.raw_messages import make_record
 from calgraph.recording.recording import (
     ClosedOnExit,
     TopicInfo,
-    check_fetched,
     check_message_counts,
     merge_by_arrival,
     merge_topics,
     select_topics,
-    wrap_errors,
 )
 from calgraph.sensors import RecordedMessage
 

@@ -22,8 +22,8 @@ from rosbags.rosbag2 import ReaderError, metadata, storage_mcap, storage_sqlite3
 from calgraph.config.settings import LimitSettings
 from calgraph.errors import InputError
 from calgraph.io.yaml_limits import check_yaml_limits
+from calgraph.recording.damage import check_unpacked_size
 from calgraph.recording.indexed_bag import LimitedBagReader
-from calgraph.recording.limits import check_unpacked_size
 from calgraph.recording.unfinished_mcap import complete_mcap, lacks_end
 
 if sys.version_info >= (3, 14):

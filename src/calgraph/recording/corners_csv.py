@@ -10,11 +10,10 @@ import numpy as np
 
 from calgraph.config.settings import LimitSettings
 from calgraph.errors import InputError, RecordingError
+from calgraph.recording.damage import check_fetched, check_unpacked_size, wrap_errors
 from calgraph.recording.digest import hash_array
 from calgraph.recording.file_names import SNAPSHOT_SPACING
-from calgraph.recording.limits import check_unpacked_size
 from calgraph.recording.record_list import IndexedRecording
-from calgraph.recording.recording import check_fetched, wrap_errors
 from calgraph.sensors import DetectedCorners, MessageDigest, RecordedMessage
 
 CORNERS, TIMES = "xy.csv", "timestamps.csv"

@@ -8,11 +8,10 @@ import numpy as np
 from calgraph.config.settings import LimitSettings
 from calgraph.geometry import Array
 from calgraph.recording.camera_info import camera_model
+from calgraph.recording.damage import MAX_RANGE, check_point_count, wrap_errors
 from calgraph.recording.images import decode_image, pixels_from_buffer
-from calgraph.recording.limits import MAX_RANGE, check_point_count
 from calgraph.recording.message_types import MessageType, clean_frame_id
 from calgraph.recording.point_cloud_columns import cloud_from_columns, columns_from_point_cloud2
-from calgraph.recording.recording import wrap_errors
 from calgraph.sensors import CameraInfo, CameraModel, Image, LaserScan, Message, PointCloud, Trigger
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from calgraph.config.settings import LimitSettings
 from calgraph.io.image_headers import has_several_scans, read_image_size
-from calgraph.recording.limits import check_pixel_count
+from calgraph.recording.damage import check_pixel_count
 
 Pixels = NDArray[np.uint8]
 

@@ -12,8 +12,8 @@ from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg
 from rosbags.typesys.store import Typestore
 
 from calgraph.config.rig_config import CONTROL_CHARACTERS, MAX_NAME_LENGTH
+from calgraph.recording.damage import LimitedStore, check_arrays, check_definition
 from calgraph.recording.digest import hash_content
-from calgraph.recording.message_limits import LimitedStore, check_arrays, check_definition
 from calgraph.sensors import MessageDigest
 
 _log = logging.getLogger(__name__)

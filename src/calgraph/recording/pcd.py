@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.config.settings import LimitSettings
-from calgraph.recording.limits import check_point_count, check_unpacked_size
+from calgraph.recording.damage import check_point_count, check_unpacked_size
 from calgraph.recording.point_cloud_columns import Columns
 
 # By TYPE, NumPy's code and the SIZEs that exist, bytes.

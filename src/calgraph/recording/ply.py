@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from calgraph.config.settings import LimitSettings
-from calgraph.recording.limits import check_point_count
+from calgraph.recording.damage import check_point_count
 from calgraph.recording.point_cloud_columns import Columns
 
 _TYPES = {

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.geometry import Array
-from calgraph.recording.limits import MAX_RANGE
+from calgraph.recording.damage import MAX_RANGE
 from calgraph.sensors import PointCloud
 
 _log = logging.getLogger(__name__)

@@ -4,9 +4,9 @@ from functools import partial
 from typing import NamedTuple
 
 from calgraph.config.settings import LimitSettings
+from calgraph.recording.damage import wrap_errors
 from calgraph.recording.decoding import decode
 from calgraph.recording.message_types import MessageType
-from calgraph.recording.recording import wrap_errors
 from calgraph.sensors import RecordedMessage
 
 

@@ -3,14 +3,13 @@
 import difflib
 import heapq
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
 from typing import Literal, Protocol, Self, TypeVar
 
-from calgraph.errors import CalgraphError, InputError, RecordingError
-from calgraph.io.git_lfs import POINTER_START, check_git_lfs
+from calgraph.errors import InputError, RecordingError
 from calgraph.sensors import RecordedMessage
 
 TimeBase = Literal["clock", "start", "pose"]
@@ -211,42 +210,3 @@ def check_message_counts(
     short = [f"{topic}: {stated[topic] - n} of {stated[topic]}" for topic, n in missing.items() if n > 0]
     if short:
         raise RecordingError(f"{where}: holds fewer messages than it states ({', '.join(short)}); {cause}")
-
-
-@contextmanager
-def wrap_errors(where: object, advice: str = "") -> Iterator[None]:
-    """Converts exceptions of libraries and decoders into a RecordingError with a location.
-
-    Damaged bytes make the parsers below us raise nearly anything (struct.error, AssertionError, KeyError, zlib
-    and database errors), hence the broad except clause; exceptions of calgraph pass unchanged.
-    """
-    try:
-        yield
-    except CalgraphError:
-        raise
-    except Exception as error:
-        raise RecordingError(f"{where}: {_explain(error)}{'; ' if advice else ''}{advice}") from error
-
-
-def check_fetched(path: Path) -> None:
-    """Checks that a file is the file itself.
-
-    Raises:
-        RecordingError: it is a Git LFS pointer, or cannot be read.
-    """
-    try:
-        with path.open("rb") as file:
-            start = file.read(POINTER_START)
-    except OSError as error:
-        raise RecordingError(f"{path}: cannot be read ({error.strerror or error})") from error
-    check_git_lfs(path, start, RecordingError)
-
-
-def _explain(error: Exception) -> str:
-    """The text of an exception where it is a sentence; parsers of damaged bytes also raise keys and indices."""
-    text = " ".join(str(error).split())
-    if " " in text and not isinstance(error, LookupError | TypeError | AttributeError | AssertionError):
-        return text
-    return (
-        f"its content is damaged or not of its stated format ({type(error).__name__}{': ' if text else ''}{text})"
-    )

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
 from rosbags.rosbag2 import storage_mcap
 
 from calgraph.config.settings import LimitSettings
-from calgraph.recording.limits import check_unpacked_size
+from calgraph.recording.damage import check_unpacked_size
 
 if TYPE_CHECKING:
     from _typeshed import WriteableBuffer

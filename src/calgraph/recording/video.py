@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from calgraph.config.settings import LimitSettings
 from calgraph.errors import InputError, RecordingError
 from calgraph.geometry import Array
+from calgraph.recording.damage import check_fetched, check_pixel_count, wrap_errors
 from calgraph.recording.digest import hash_content
 from calgraph.recording.images import Pixels, to_8_bits
-from calgraph.recording.limits import check_pixel_count
-from calgraph.recording.recording import ClosedOnExit, TopicInfo, check_fetched, select_topics, wrap_errors
+from calgraph.recording.recording import ClosedOnExit, TopicInfo, select_topics
 from calgraph.sensors import Image, MessageDigest, RecordedMessage
 
 if TYPE_CHECKING:

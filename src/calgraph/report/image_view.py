@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calgraph.boards.landmarks import compute_landmarks
+from calgraph.boards.printed_boards import compute_landmarks
 from calgraph.config import Rig
 from calgraph.geometry import Array, se3
 from calgraph.report.figures import choose_enlargement

@@ -20,17 +20,21 @@ from calgraph.recording.input_checks import InputMonitor
 from calgraph.result.finding import Finding
 from calgraph.rig.captures.capture_mode import recognize_mode
 from calgraph.rig.captures.clock_alignment import check_clocks
-from calgraph.rig.captures.detect import CaptureSet, SensorCapture, collect_detections, limit_messages
+from calgraph.rig.captures.detect import CaptureSet, SensorCapture, collect_detections
 from calgraph.rig.captures.detectors import draw_seeds
-from calgraph.rig.captures.holds import find_holds
+from calgraph.rig.captures.holds import find_holds, limit_messages
 from calgraph.rig.captures.moving_board import compensate_motion
-from calgraph.rig.captures.plausibility import check_background, check_intrinsics
 from calgraph.rig.captures.sensor_detection import DetectionMethod, detect_by_sensors
 from calgraph.rig.captures.timeline import RecordingTimeline
-from calgraph.rig.captures.validate_recording import check_pose_numbers, check_timeline
+from calgraph.rig.captures.timeline_reading import read_rig_timeline
+from calgraph.rig.captures.validate_recording import (
+    check_background,
+    check_intrinsics,
+    check_pose_numbers,
+    check_timeline,
+)
 from calgraph.rig.intrinsics.pipeline import estimate_unknown_intrinsics, find_intrinsics_remarks
 from calgraph.rig.options import RigOptions
-from calgraph.rig.rig_timeline import read_rig_timeline
 from calgraph.rig.strategies import select_plane_estimator
 
 _log = logging.getLogger("calgraph")
@@ -52,7 +56,7 @@ def collect_captures(
     if len(rig.sensors) < 2:
         raise CalibrationError(f"{rig.root} is the only sensor: a rig.yaml needs at least two")
     monitor = InputMonitor(rig, recording.start, find_camera_infos(rig, recording))
-    timeline = read_rig_timeline(rig, recording, monitor, options, progress)
+    timeline = read_rig_timeline(rig, recording, monitor, options.cache, options.engine, progress)
     check_pose_numbers(rig, timeline, recording.topics)
     check_timeline(rig, timeline, recording.end)
     captures = _detect_in_timeline(rig, recording, timeline, options, rng, progress)

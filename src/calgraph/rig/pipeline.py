@@ -1,6 +1,6 @@
 """Rigs: from one recording of a board carried around a robot to its tree of transforms."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from types import MappingProxyType
@@ -8,14 +8,13 @@ from types import MappingProxyType
 import numpy as np
 
 from calgraph.config import Cylinder, People, Rig
-from calgraph.errors import CalibrationError, InputError
+from calgraph.errors import CalgraphError, CalibrationError, InputError
 from calgraph.geometry import Array
 from calgraph.graph.spanning_tree import SpanningTree
 from calgraph.parallel.processes import forked_jobs, parallel_call
 from calgraph.parallel.progress import Progress, no_progress
 from calgraph.recording import Recording, resolve_intrinsics
 from calgraph.result import Calibration
-from calgraph.rig.bumps import solve_after_bumps
 from calgraph.rig.bundle.camera_boards import locate_boards, scale_boards
 from calgraph.rig.bundle.estimate import solve_bundle, solve_poses
 from calgraph.rig.bundle.print_symmetry import align_symmetric_prints
@@ -24,15 +23,16 @@ from calgraph.rig.bundle.problem import Problem, SolverOptions, with_prior_poses
 from calgraph.rig.bundle.problem_file import round_trip, save_problem
 from calgraph.rig.bundle.solution import RigSolution
 from calgraph.rig.capture_collection import collect_captures, separate_snapshots
+from calgraph.rig.captures.clock_alignment import align_clocks
 from calgraph.rig.captures.detect import CaptureSet, state_estimated_intrinsics
 from calgraph.rig.captures.empty_start import resolve_background
 from calgraph.rig.captures.from_detections import GivenDetections, captures_from_detections
 from calgraph.rig.checks.assemble import assemble_rig
+from calgraph.rig.checks.bump_tests import Bump, describe_bumps, discard_earlier, find_bumps
 from calgraph.rig.checks.cross_validation import cross_validate
-from calgraph.rig.checks.drift_tests import include_drifts
+from calgraph.rig.checks.drift_tests import include_drifts, measure_drifts
 from calgraph.rig.checks.next_best_pose import suggest_board_poses
 from calgraph.rig.checks.suggestions import add_suggestions
-from calgraph.rig.clock_alignment import align_clocks
 from calgraph.rig.options import RigOptions, check_estimator
 from calgraph.rig.pairs.board_pair import (
     PairwiseEstimates,
@@ -112,7 +112,7 @@ def build_problem(
     options.select_method(rig.settings.published)  # checked before minutes are spent on detection
     rng = np.random.default_rng(options.seed)
     recording = separate_snapshots(rig, recording)
-    aligned = align_clocks(rig, recording, options, progress)
+    aligned = align_clocks(rig, recording, options.cache, options.engine, progress)
     recording = aligned.recording
     rig, background = resolve_background(aligned.rig, recording, options.cache)
     captures = collect_captures(rig, recording, options, rng, progress)
@@ -193,9 +193,7 @@ def solve_problem(problem: Problem, jobs: int = 1) -> Calibration:
     Raises:
         CalibrationError: its equations are singular.
     """
-    problem, joint, tree = solve_after_bumps(
-        problem, *solve_jointly(problem), build_problem_from_captures, solve_jointly
-    )
+    problem, joint, tree = solve_after_bumps(problem)
     if joint.solved_bundle is None:
         return assemble_rig(problem, tree, joint)
     rig, folds, solved = problem.rig, problem.solver.folds, joint.solved_bundle
@@ -205,9 +203,46 @@ def solve_problem(problem: Problem, jobs: int = 1) -> Calibration:
     suggesting = (solved, kinds, rig.board_size, np.random.default_rng(0), rig.tolerance, settings)
     with parallel_call(suggest_board_poses, suggesting, forked_jobs(jobs)) as suggestions:
         held_out = cross_validate(solved, folds, max(jobs - 1, 1)) if folds else {}
-        joint = include_drifts(joint, solved, settings)
-        calibration = assemble_rig(problem, tree, joint, held_out)
+        drifts = measure_drifts(solved)
+        joint = include_drifts(joint, solved, drifts, settings)
+        calibration = assemble_rig(problem, tree, joint, held_out, drifts)
         return add_suggestions(calibration, suggestions())
+
+
+def solve_after_bumps(problem: Problem) -> tuple[Problem, RigSolution, SpanningTree]:
+    """The joint solution, in which sensors that moved during the recording have only their captures afterwards.
+
+    Returns:
+        The problem, without the captures of moved sensors before they moved where the others suffice, and with a
+        finding for each bump; its solution and tree.
+    """
+    joint, tree = solve_jointly(problem)
+    bumps = find_bumps(problem, joint)
+    if not bumps:
+        return problem, joint, tree
+    again: tuple[Bump, ...] = ()
+    later = _solve_later_captures(problem, bumps)
+    resolved = later is not None and set(joint.T_root_sensor) <= set(later[1].T_root_sensor)
+    if later is not None and resolved:
+        problem, joint, tree = later
+        again = find_bumps(problem, joint)
+    findings = describe_bumps(bumps, again, problem.rig, joint, resolved=resolved)
+    captures = replace(problem.captures, findings=(*problem.captures.findings, *findings))
+    return replace(problem, captures=captures), joint, tree
+
+
+def _solve_later_captures(
+    problem: Problem, bumps: Sequence[Bump]
+) -> tuple[Problem, RigSolution, SpanningTree] | None:
+    """The problem of the captures after the bumps, its solution and tree; None if they do not suffice."""
+    options = RigOptions(estimator=problem.solver.estimator, keep=problem.solver.keep)
+    captures = discard_earlier(problem.captures, bumps)
+    try:
+        later = build_problem_from_captures(problem.rig, captures, options, np.random.default_rng(0))
+        later = replace(later, solver=problem.solver)
+        return later, *solve_jointly(later)
+    except (CalgraphError, np.linalg.LinAlgError):
+        return None
 
 
 def solve_jointly(problem: Problem) -> tuple[RigSolution, SpanningTree]:

@@ -1,18 +1,21 @@
 """Camera models: pinhole with OpenCV's distortion polynomials, and OpenCV's fisheye (equidistant) model.
 
 Pixel coordinates follow OpenCV: the centre of the top-left pixel is (0, 0).
+
+A lens maps a point in the camera's frame to *distorted* normalized coordinates, before focal length and principal
+point. Both models have a radial profile that grows with the angle from the axis up to a *limit*; beyond it the
+polynomial is not monotonic, and the model is not valid. Source: OpenCV 4, "Camera Calibration and 3D
+Reconstruction", and Kannala and Brandt, "A generic camera model and calibration method", PAMI 2006.
 """
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal
+from typing import Literal, Protocol
 
 import numpy as np
 
 from calgraph.errors import InputError
 from calgraph.geometry import Array
-from calgraph.sensors import lens
-from calgraph.sensors.lens import Lens
 
 _COEFFICIENT_COUNTS = {"pinhole": (0, 4, 5, 8), "fisheye": (0, 4)}
 DISTORTION_NAMES = {
@@ -53,11 +56,9 @@ class CameraModel:
         return self.K[:2, 2]
 
     @cached_property
-    def lens(self) -> Lens:
+    def lens(self) -> "Lens":
         """The distortion model, applied before ``K`` scales normalized coordinates to pixels."""
-        return (
-            lens.pinhole_lens(self.distortion) if self.model == "pinhole" else lens.fisheye_lens(self.distortion)
-        )
+        return pinhole_lens(self.distortion) if self.model == "pinhole" else fisheye_lens(self.distortion)
 
     def project(self, points: Array) -> Array:
         """Pixels (N, 2) of points (N, 3), m, in the camera's frame.
@@ -128,3 +129,219 @@ def _trim_coefficients(model: str, distortion: Array) -> Array:
             f"got {np.array2string(coefficients, separator=', ')}"
         )
     return coefficients
+
+
+_MAX_PINHOLE_ANGLE = np.deg2rad(89.9)
+"""Largest angle from the axis of a pinhole model, rad: its coordinates are tan(angle), which diverges at 90°."""
+# Largest angle from the axis of a fisheye model, rad: at half a turn the direction around the axis is undefined.
+_MAX_FISHEYE_ANGLE = np.pi - 1e-6
+_MAX_ITERATIONS = 25
+"""Limit on Newton steps: 3 to 5 suffice except near the limit, where the derivative vanishes."""
+_CONVERGENCE_STEP = 1e-14
+"""Newton's steps end below this, in tangents of angles: rounding of numbers near 1."""
+_TABLE_SIZE = 256
+"""Angles of the table of start values: its error is within the convergence of Newton's method."""
+_SMALLEST_SQUARE = 1e-300
+"""Least squared radius, by whose root is divided: keeps the quotient finite on the axis."""
+
+
+class Lens(Protocol):
+    """Interface of distortion models."""
+
+    def distort(self, points: Array) -> tuple[Array, Array]:
+        """Distorted coordinates (N, 2) of points (N, 3) and their derivatives (N, 2, 3); NaN beyond the limit."""
+
+    def distort_by_coefficients(self, points: Array) -> Array:
+        """Derivatives (N, 2, n) of the distorted coordinates of points (N, 3) by the model's n coefficients."""
+
+    def undistort(self, distorted: Array) -> Array:
+        """Unit vectors (N, 3) of distorted coordinates (N, 2); beyond the limit any value."""
+
+
+@dataclass(frozen=True, eq=False)
+class Pinhole:
+    """Rational radial and tangential distortion."""
+
+    k: Array
+    """(8,) k1 k2 p1 p2 k3 k4 k5 k6."""
+    limit: float
+    """Largest undistorted radius up to which the radial profile is monotonic."""
+
+    def distort(self, points: Array) -> tuple[Array, Array]:
+        """See :class:`Lens`."""
+        z = points[:, 2]
+        front = z > 0
+        depth = np.where(front, z, 1.0)[:, None]
+        undistorted = points[:, :2] / depth
+        # Multiplied by the depth, so that points near the image plane at z = 0 do not overflow.
+        inside = front & (np.hypot(points[:, 0], points[:, 1]) < self.limit * depth[:, 0])
+        undistorted = np.where(inside[:, None], undistorted, np.nan)
+        distorted, D = self._distort_normalized(undistorted)
+        J = np.concatenate([D, -D @ undistorted[:, :, None]], axis=-1) / depth[:, :, None]
+        # Tangential terms shift the limit a little: beyond it the determinant is negative.
+        monotonic = _determinant(D) > 0
+        return np.where(monotonic[:, None], distorted, np.nan), np.where(monotonic[:, None, None], J, np.nan)
+
+    def distort_by_coefficients(self, points: Array) -> Array:
+        """See :class:`Lens`; n = 8."""
+        x, y = (points[:, :2] / points[:, 2:]).T
+        s = x * x + y * y
+        _, _, _, _, _, k4, k5, k6 = self.k
+        c, den = self._radial(s)[0], 1 + s * (k4 + s * (k5 + s * k6))
+        powers = np.stack([s, s**2, s**3], axis=-1) / den[:, None]
+        radial = powers[:, None] * np.stack([x, y], axis=-1)[..., None]
+        tangential = np.stack(
+            [np.stack([2 * x * y, s + 2 * x * x], axis=-1), np.stack([s + 2 * y * y, 2 * x * y], axis=-1)], axis=1
+        )
+        return np.concatenate([radial[..., :2], tangential, radial[..., 2:], -c[:, None, None] * radial], axis=-1)
+
+    def undistort(self, distorted: Array) -> Array:
+        """See :class:`Lens`."""
+        max_angle = min(np.arctan(self.limit), _MAX_PINHOLE_ANGLE)
+        radii = np.tan(np.linspace(0, max_angle, _TABLE_SIZE))
+        undistorted = _interpolate_radial_inverse(distorted, radii, radii * self._radial(radii**2)[0])
+        for _ in range(_MAX_ITERATIONS):
+            value, D = self._distort_normalized(undistorted)
+            determinant = _determinant(D)
+            determinant = np.where(np.abs(determinant) > 1e-12, determinant, 1e-12)
+            (ex, ey) = (value - distorted).T
+            step = np.stack([D[:, 1, 1] * ex - D[:, 0, 1] * ey, D[:, 0, 0] * ey - D[:, 1, 0] * ex], axis=-1)
+            undistorted, before = _clip_radius(undistorted - step / determinant[:, None], radii[-1]), undistorted
+            if not np.any(np.abs(undistorted - before) > _CONVERGENCE_STEP * (1 + np.abs(undistorted))):
+                break
+        return _normalize(np.concatenate([undistorted, np.ones((len(undistorted), 1))], axis=-1))
+
+    def _radial(self, s: Array) -> tuple[Array, Array]:
+        """The radial factor at squared radii ``s``, and its derivative by ``s``."""
+        k1, k2, _, _, k3, k4, k5, k6 = self.k
+        num, den = 1 + s * (k1 + s * (k2 + s * k3)), 1 + s * (k4 + s * (k5 + s * k6))
+        num_slope, den_slope = k1 + s * (2 * k2 + s * 3 * k3), k4 + s * (2 * k5 + s * 3 * k6)
+        return num / den, (num_slope - num / den * den_slope) / den
+
+    def _distort_normalized(self, undistorted: Array) -> tuple[Array, Array]:
+        """Distorted coordinates (N, 2) of undistorted ones (N, 2), and their derivatives (N, 2, 2)."""
+        p1, p2 = self.k[2:4]
+        x, y = undistorted.T
+        s = x * x + y * y
+        c, slope = self._radial(s)
+        distorted = np.stack(
+            [c * x + 2 * p1 * x * y + p2 * (s + 2 * x * x), c * y + p1 * (s + 2 * y * y) + 2 * p2 * x * y]
+        )
+        cross = 2 * (slope * x * y + p1 * x + p2 * y)
+        xx = c + 2 * slope * x * x + 2 * p1 * y + 6 * p2 * x
+        yy = c + 2 * slope * y * y + 6 * p1 * y + 2 * p2 * x
+        return distorted.T, np.stack([np.stack([xx, cross], axis=-1), np.stack([cross, yy], axis=-1)], axis=-2)
+
+
+@dataclass(frozen=True, eq=False)
+class Fisheye:
+    """Distance from the principal point as an odd polynomial of the angle from the axis."""
+
+    k: Array
+    """(4,) k1 k2 k3 k4."""
+    limit: float
+    """Largest angle from the axis up to which the profile is monotonic, rad."""
+
+    def distort(self, points: Array) -> tuple[Array, Array]:
+        """See :class:`Lens`."""
+        x, y, z = points.T
+        r2 = x * x + y * y
+        r = np.sqrt(r2)
+        angle = np.arctan2(r, z)
+        angle = np.where(angle < self.limit, angle, np.nan)
+        value, slope = self._profile(angle)
+        rho2 = np.maximum(r2 + z * z, _SMALLEST_SQUARE)
+        # On the axis profile / radius tends to 1/z, and terms divided by r2 are multiplied by zero.
+        on_axis = r2 < _SMALLEST_SQUARE
+        scale = np.where(on_axis, 1 / np.where(on_axis & (z > 0), z, 1.0), value / np.where(on_axis, 1.0, r))
+        bulge = np.where(on_axis, 0.0, (slope * z / rho2 - scale) / np.where(on_axis, 1.0, r2))
+        scale = np.where(np.isfinite(angle) & (rho2 > _SMALLEST_SQUARE), scale, np.nan)
+        along = -slope / rho2
+        J = np.stack(
+            [
+                np.stack([scale + bulge * x * x, bulge * x * y, along * x], axis=-1),
+                np.stack([bulge * x * y, scale + bulge * y * y, along * y], axis=-1),
+            ],
+            axis=-2,
+        )
+        return scale[:, None] * points[:, :2], np.where(np.isfinite(scale)[:, None, None], J, np.nan)
+
+    def distort_by_coefficients(self, points: Array) -> Array:
+        """See :class:`Lens`; n = 4."""
+        x, y, z = points.T
+        r = np.hypot(x, y)
+        angle = np.arctan2(r, z)
+        away = points[:, :2] / np.where(r > 0, r, 1.0)[:, None]
+        return np.asarray(away[..., None] * angle[:, None, None] ** np.array([3, 5, 7, 9]))
+
+    def undistort(self, distorted: Array) -> Array:
+        """See :class:`Lens`."""
+        radius = np.hypot(distorted[:, 0], distorted[:, 1])
+        angles = np.linspace(0, self.limit, _TABLE_SIZE)
+        angle = np.interp(radius, self._profile(angles)[0], angles)
+        for _ in range(_MAX_ITERATIONS):
+            value, slope = self._profile(angle)
+            step = (value - radius) / np.maximum(slope, 1e-12)
+            angle = np.clip(angle - step, 0, self.limit)
+            if not np.any(np.abs(step) > _CONVERGENCE_STEP):
+                break
+        sine_over_radius = np.where(radius > 0, np.sin(angle) / np.where(radius > 0, radius, 1.0), 1.0)
+        return np.concatenate([sine_over_radius[:, None] * distorted, np.cos(angle)[:, None]], axis=-1)
+
+    def _profile(self, angle: Array) -> tuple[Array, Array]:
+        """Distorted radii at angles from the axis (rad), and their derivatives."""
+        k1, k2, k3, k4 = self.k
+        s = angle * angle
+        value = angle * (1 + s * (k1 + s * (k2 + s * (k3 + s * k4))))
+        return value, 1 + s * (3 * k1 + s * (5 * k2 + s * (7 * k3 + s * 9 * k4)))
+
+
+def pinhole_lens(distortion: Array) -> Pinhole:
+    """Builds the pinhole lens with 0, 4, 5 or 8 coefficients in OpenCV's order."""
+    k = np.pad(distortion, (0, 8 - len(distortion)))
+    num, den = np.array([1, k[0], k[1], k[4]]), np.array([1, *k[5:8]])
+    # The slope of r * num(s) / den(s) with s = r², times den²: num den + 2 s (num' den - num den'); and the pole.
+    # Bundles build a lens at every state: np.polynomial.Polynomial would take four times as long.
+    powers, slope = np.arange(1, 4), np.convolve(num, den)
+    slope[1:] += 2 * (np.convolve(powers * num[1:], den) - np.convolve(num, powers * den[1:]))
+    limit = np.sqrt(min(_first_root(slope), _first_root(den)))
+    return Pinhole(k, min(float(limit), float(np.tan(_MAX_PINHOLE_ANGLE))))
+
+
+def fisheye_lens(distortion: Array) -> Fisheye:
+    """Builds the fisheye lens with 0 or 4 coefficients."""
+    k = np.pad(distortion, (0, 4 - len(distortion)))
+    slope = np.array([1, 3 * k[0], 5 * k[1], 7 * k[2], 9 * k[3]])
+    return Fisheye(k, min(float(np.sqrt(_first_root(slope))), _MAX_FISHEYE_ANGLE))
+
+
+def _first_root(coefficients: Array) -> float:
+    """The smallest positive real root of a polynomial, or infinity; coefficients ascend, and the first is 1."""
+    # Coefficients this small have no effect within any field of view, but their roots overflow.
+    degree = np.flatnonzero(np.abs(coefficients) > 1e-30)[-1]
+    roots = np.polynomial.polynomial.polyroots(coefficients[: degree + 1])
+    real = roots[np.abs(roots.imag) < 1e-9 * np.maximum(1, np.abs(roots))].real
+    positive = real[real > 0]
+    return float(positive.min()) if len(positive) else np.inf
+
+
+def _interpolate_radial_inverse(distorted: Array, radii: Array, distorted_radii: Array) -> Array:
+    """Undistorted coordinates (N, 2) by interpolation in samples of the radial profile alone."""
+    radius = np.hypot(distorted[:, 0], distorted[:, 1])
+    factor = np.interp(radius, distorted_radii, radii) / np.where(radius > 0, radius, 1.0)
+    return distorted * factor[:, None]
+
+
+def _clip_radius(undistorted: Array, limit: float) -> Array:
+    """Coordinates (N, 2) scaled to the radius ``limit`` where they exceed it."""
+    radius = np.hypot(undistorted[:, 0], undistorted[:, 1])
+    return undistorted * np.where(radius > limit, limit / np.where(radius > 0, radius, 1.0), 1.0)[:, None]
+
+
+def _determinant(D: Array) -> Array:
+    """Determinants (N,) of (N, 2, 2), without warnings for NaN."""
+    return np.asarray(D[:, 0, 0] * D[:, 1, 1] - D[:, 0, 1] * D[:, 1, 0])
+
+
+def _normalize(vectors: Array) -> Array:
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))

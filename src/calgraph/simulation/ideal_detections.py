@@ -13,7 +13,7 @@ import numpy as np
 from calgraph.boards.board_pose import fit_pose
 from calgraph.boards.camera import make_board_corners
 from calgraph.boards.detections import DetectionResult, PlanePatch, to_beams
-from calgraph.boards.landmarks import compute_landmarks
+from calgraph.boards.printed_boards import compute_landmarks
 from calgraph.config import Board, Checkerboard, PixelNoise, RangeNoise, Rig
 from calgraph.config.settings import DetectionSettings
 from calgraph.errors import Rejected

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.boards.landmarks import Landmarks, compute_landmarks
+from calgraph.boards.printed_boards import Landmarks, compute_landmarks
 from calgraph.config import Board
 from calgraph.errors import InputError
 from calgraph.geometry import Array, se3, so3

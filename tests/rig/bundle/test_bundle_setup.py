@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from calgraph.boards.detections import BoardCorners
-from calgraph.boards.landmarks import compute_landmarks
+from calgraph.boards.printed_boards import compute_landmarks
 from calgraph.errors import CalibrationError
 from calgraph.geometry import plane, se3, so3
 from calgraph.rig.bundle.board_observations import BoardObservation

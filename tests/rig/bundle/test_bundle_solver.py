@@ -15,13 +15,13 @@ from calgraph.rig.bundle.bundle_parameters import SensorPrior
 from calgraph.rig.bundle.bundle_solver import (
     Bundle,
     BundleState,
+    CachedLinearization,
     linearize_bundle,
     minimize_bundle,
     retract_state,
 )
 from calgraph.rig.bundle.covariances import pose_covariance
 from calgraph.rig.bundle.normal_equations import ViewNormalEquations
-from calgraph.rig.bundle.relinearization import CachedLinearization
 from dense_bundles import dense_jacobian, residuals_after, unbiased_scene
 
 

@@ -7,12 +7,11 @@ import pytest
 
 from bundle_scenes import Scene, bias_variances, scene, with_range_bias
 from calgraph.geometry import Array, se3, so3
-from calgraph.rig.bundle.bundle_solver import linearize_bundle, minimize_bundle
+from calgraph.rig.bundle.bundle_solver import linearize_bundle, linearize_views, minimize_bundle
 from calgraph.rig.bundle.covariances import parameter_covariance
 from calgraph.rig.bundle.normal_equations import ViewNormalEquations
 from calgraph.rig.bundle.observations import relative_poses
 from calgraph.rig.bundle.range_observations import RangeObservations
-from calgraph.rig.bundle.relinearization import linearize_views
 
 STILL, NO_BIAS = np.zeros(0), np.zeros(8)
 

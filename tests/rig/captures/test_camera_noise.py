@@ -9,7 +9,7 @@ import pytest
 from calgraph.boards.detections import BoardCorners, Detection, Segment
 from calgraph.config import PixelNoise
 from calgraph.geometry import se3, so3
-from calgraph.rig.captures.camera_noise import scale_by_measured_noise
+from calgraph.rig.captures.detect import scale_by_measured_noise
 from calgraph.rig.detection.from_measurements import board_corners_from_pixels
 from calgraph.sensors import CameraModel
 

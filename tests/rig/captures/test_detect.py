@@ -11,8 +11,10 @@ from calgraph.config import Board, Lidar2dSpec, Rig
 from calgraph.errors import RecordingError, Rejected
 from calgraph.parallel.engine import Processes
 from calgraph.recording import MessageRecording
-from calgraph.rig.captures.detect import SensorCapture, collect_detections, detect_in_holds, limit_messages
-from calgraph.rig.captures.holds import Hold
+from calgraph.rig.captures.detect import SensorCapture, collect_detections
+from calgraph.rig.captures.hold_messages import search_holds
+from calgraph.rig.captures.holds import Hold, limit_messages
+from calgraph.rig.captures.sensor_detection import detect_in_hold
 from calgraph.rig.captures.timeline import build_timeline
 from calgraph.sensors import Image, LaserScan, RecordedMessage, Trigger
 
@@ -68,14 +70,18 @@ def test_each_hold_is_searched_in_the_messages_of_that_hold() -> None:
         searched[len(searched)] = [m.ranges[0] for m in messages]
         return SEGMENTS
 
-    result = list(detect_in_holds(Scanner().records(), holds, {"laser": "/scan"}, {"laser": detect}))
+    result = list(search_holds(detect_in_hold, {"laser": detect}, Scanner().records(), holds, {"laser": "/scan"}))
     assert [(o.capture, o.detections) for o in result] == [(0, SEGMENTS), (1, SEGMENTS)]
     assert searched == {0: [11.0, 12.0], 1: [51.0]}
 
 
 def test_hold_without_messages_is_rejected_with_a_reason() -> None:
-    (result,) = detect_in_holds(
-        [], [Hold(0, 1.0, 1.2, {"laser": np.zeros(0)})], {"laser": "/scan"}, {"laser": lambda _messages: SEGMENTS}
+    (result,) = search_holds(
+        detect_in_hold,
+        {"laser": lambda _messages: SEGMENTS},
+        [],
+        [Hold(0, 1.0, 1.2, {"laser": np.zeros(0)})],
+        {"laser": "/scan"},
     )
     assert isinstance(result.detections, Rejected)
     assert "no message" in result.detections.reason
@@ -83,8 +89,12 @@ def test_hold_without_messages_is_rejected_with_a_reason() -> None:
 
 def test_missing_messages_do_not_drop_received_ones() -> None:
     hold = Hold(0, 1.0, 1.2, {"laser": np.array([1.0, 77.0])})
-    (result,) = detect_in_holds(
-        Scanner().records(), [hold], {"laser": "/scan"}, {"laser": lambda _messages: SEGMENTS}
+    (result,) = search_holds(
+        detect_in_hold,
+        {"laser": lambda _messages: SEGMENTS},
+        Scanner().records(),
+        [hold],
+        {"laser": "/scan"},
     )
     assert result.detections == SEGMENTS
 
@@ -112,8 +122,8 @@ def test_messages_in_memory_are_searched_by_processes_in_order(jobs: int) -> Non
     recording = MessageRecording({"/scan": scans_of(holds)})
     done: list[float] = []
     found = list(
-        detect_in_holds(
-            recording.records(), holds, {"laser": "/scan"}, {"laser": find_in_process},
+        search_holds(
+            detect_in_hold, {"laser": find_in_process}, recording.records(), holds, {"laser": "/scan"},
             engine=Processes(jobs), progress=done.append,
         )
     )  # fmt: skip
@@ -138,8 +148,8 @@ def test_the_first_damaged_message_is_reported_by_any_number_of_processes(jobs: 
     records = [
         RecordedMessage("/scan", scan.stamp, scan.stamp, partial(read_undamaged, scan)) for scan in scans_of(holds)
     ]
-    results = detect_in_holds(
-        records, holds, {"laser": "/scan"}, {"laser": find_in_process}, engine=Processes(jobs)
+    results = search_holds(
+        detect_in_hold, {"laser": find_in_process}, records, holds, {"laser": "/scan"}, engine=Processes(jobs)
     )
     assert [next(results).capture for _ in range(1, 30)] == list(range(1, 30))
     with pytest.raises(RecordingError, match=r"^/scan: stamp 30\.25: is damaged$"):

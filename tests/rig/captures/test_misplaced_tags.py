@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from calgraph.boards.detections import BoardCorners, InconsistentTags
-from calgraph.rig.captures.misplaced_tags import find_misplaced_tags
+from calgraph.rig.captures.detect import find_misplaced_tags
 
 
 @pytest.fixture(autouse=True)
 def name_tags_of_three_captures(monkeypatch: pytest.MonkeyPatch) -> None:
     """Tags are named that contradict half of three captures."""
-    monkeypatch.setattr("calgraph.rig.captures.misplaced_tags._MIN_CAPTURES", 3)
-    monkeypatch.setattr("calgraph.rig.captures.misplaced_tags._MIN_SHARE", 0.5)
+    monkeypatch.setattr("calgraph.rig.captures.detect._MIN_CAPTURES", 3)
+    monkeypatch.setattr("calgraph.rig.captures.detect._MIN_SHARE", 0.5)
 
 
 def board(tags: int, outlier_tags: tuple[int, ...] = ()) -> BoardCorners:

@@ -8,9 +8,10 @@ import pytest
 
 from calgraph.config import Board, CameraSpec, Checkerboard, Lidar2dSpec, Lidar3dSpec, Rig
 from calgraph.errors import Rejected
-from calgraph.rig.captures.detect import detect_in_holds
+from calgraph.rig.captures.hold_messages import search_holds
 from calgraph.rig.captures.holds import Hold
 from calgraph.rig.captures.previews import PreviewSize, make_preview, plan_previews
+from calgraph.rig.captures.sensor_detection import detect_in_hold
 from calgraph.sensors import Image, LaserScan, PointCloud, RecordedMessage
 
 LARGE = PreviewSize(640, 8000)
@@ -100,7 +101,11 @@ def test_messages_are_decoded_once_and_previewed_where_requested() -> None:
 
     records = [RecordedMessage("/scan", float(i), float(i), partial(decode, i)) for i in range(4)]
     both = [Hold(0, 0.0, 1.0, {"laser": np.array([0.0, 1.0])}), Hold(1, 2.0, 3.0, {"laser": np.array([2.0, 3.0])})]
-    results = list(detect_in_holds(records, both, {"laser": "/scan"}, {"laser": reject}, preview_sizes={1: LARGE}))
+    results = list(
+        search_holds(
+            detect_in_hold, {"laser": reject}, records, both, {"laser": "/scan"}, preview_sizes={1: LARGE}
+        )
+    )
     assert decoded == [0, 1, 2, 3]
     assert results[0].snapshot is None
     assert results[1].snapshot is not None

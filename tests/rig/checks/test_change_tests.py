@@ -8,11 +8,13 @@ import pytest
 from bundle_scenes import LEVER, Scene, bias_variances, remeasured, scene
 from calgraph.config.settings import DiagnosticsSettings
 from calgraph.geometry import Array, se3
+from calgraph.result.finding import Finding
 from calgraph.rig.bundle.board_information import gradient_by_board, information_by_board
 from calgraph.rig.bundle.bundle_solver import Bundle, minimize_bundle
 from calgraph.rig.bundle.observations import relative_poses
 from calgraph.rig.bundle.solution import SolvedBundle
 from calgraph.rig.checks.contradictions import _compare_halves, _squared_distance, find_changes
+from calgraph.rig.checks.drift_tests import measure_drifts
 
 BOARDS, SEEDS = 16, 30
 FIRST = np.arange(BOARDS) < BOARDS // 2
@@ -36,6 +38,10 @@ def displaced(exact: Scene, bundle: Bundle, sensor: int, step: Array) -> Bundle:
     after = se3.inverse(se3.retract(np.eye(4), step)) @ T
     moved = remeasured(views, np.where(FIRST[views.board][:, None, None], T, after), np.random.default_rng(1), 0.0)
     return replace(bundle, views=tuple(moved if s == sensor else v for s, v in enumerate(bundle.views)))
+
+
+def find_changes_of(solved: SolvedBundle) -> list[Finding]:
+    return list(find_changes(solved, measure_drifts(solved), DiagnosticsSettings()))
 
 
 def test_gradients_of_boards_add_up_to_that_of_the_cost(rng: np.random.Generator) -> None:
@@ -75,15 +81,13 @@ def test_covariances_of_differences_hold() -> None:
 @pytest.mark.parametrize("seed", range(4))
 def test_halves_of_right_recordings_agree(seed: int) -> None:
     exact = scene(boards=BOARDS)
-    assert (
-        list(find_changes(solve(exact, exact.measured(np.random.default_rng(seed))), DiagnosticsSettings())) == []
-    )
+    assert find_changes_of(solve(exact, exact.measured(np.random.default_rng(seed)))) == []
 
 
 def test_a_sensor_that_moved_is_named(rng: np.random.Generator) -> None:
     exact = scene(boards=BOARDS)
     step = np.array([0.03, 0, 0, 0, 0, 0.03 / LEVER])
-    found = list(find_changes(solve(exact, displaced(exact, exact.measured(rng), 2, step)), DiagnosticsSettings()))
+    found = find_changes_of(solve(exact, displaced(exact, exact.measured(rng), 2, step)))
     # The boards that it displaces may make others suspect as well.
     assert ("laser",) in [one.sensors for one in found]
 
@@ -95,7 +99,7 @@ def test_a_drift_is_named_with_its_size(rng: np.random.Generator) -> None:
     T = relative_poses(exact.truth.T_root_sensor[2], exact.truth.T_root_board[laser.board])
     drifted = [se3.retract(np.eye(4), s * np.array([0.04, 0, 0, 0, 0, 0])) for s in share[laser.board]]
     moved = remeasured(laser, se3.inverse(np.array(drifted)) @ T, rng, 0.0)
-    findings = find_changes(solve(exact, replace(bundle, views=(*bundle.views[:2], moved))), DiagnosticsSettings())
+    findings = find_changes_of(solve(exact, replace(bundle, views=(*bundle.views[:2], moved))))
     (found,) = [one for one in findings if one.sensors == ("laser",)]
     size = float(found.text.removeprefix("the pose of laser drifts by ").split(maxsplit=1)[0])
     assert 25 < size < 60

@@ -60,7 +60,7 @@ def covariances(solved: SolvedBundle) -> tuple[Array, Array]:
     covariance = pose_covariance(solved.bundle, solved.minimized.state, solved.minimized.equations)
     poses = dict(zip(SENSORS, solved.minimized.state.T_root_sensor, strict=True))
     solution = RigSolution("bundle", poses, covariance, {}, converged=True)
-    return covariance, include_drifts(solution, solved, SETTINGS).joint_covariance
+    return covariance, include_drifts(solution, solved, measure_drifts(solved), SETTINGS).joint_covariance
 
 
 def test_the_statistic_without_a_drift_is_chi_squared() -> None:

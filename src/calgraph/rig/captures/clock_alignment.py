@@ -1,4 +1,4 @@
-"""Clock offsets of a rig's sensors, from the times at which their views change."""
+"""The clocks of a rig's sensors: offsets by the times at which views change, and stamps by the root's clock."""
 
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
@@ -9,10 +9,26 @@ from scipy.fft import irfft, next_fast_len, rfft
 
 from calgraph.config import Rig
 from calgraph.geometry import Array
+from calgraph.parallel.engine import THIS_PROCESS, Engine
+from calgraph.parallel.progress import Progress, no_progress
+from calgraph.recording import NO_CACHE, ClockCorrectedRecording, Recording, RecordingCache
+from calgraph.recording.input_checks import InputMonitor
 from calgraph.result.finding import Finding
 from calgraph.rig.captures.motion_detection import MIN_ACTIVITY
 from calgraph.rig.captures.stillness import MAX_MOTION_PERIOD
 from calgraph.rig.captures.timeline import RecordingTimeline, SensorTimes
+from calgraph.rig.captures.timeline_reading import read_rig_timeline
+
+
+@dataclass(frozen=True)
+class ClockAlignment:
+    """A rig and its recording with all stamps by the root's clock."""
+
+    rig: Rig
+    """With estimated clock offsets as numbers."""
+    recording: Recording
+    findings: tuple[Finding, ...]
+    """What was estimated, and whose clock remains unknown."""
 
 
 @dataclass(frozen=True)
@@ -23,6 +39,56 @@ class ClockOffset:
     """The sensor's clock minus the root's, s."""
     correlation: float
     """Of the changes of both views with this offset, at most 1."""
+
+
+def align_clocks(
+    rig: Rig,
+    recording: Recording,
+    cache: RecordingCache = NO_CACHE,
+    engine: Engine = THIS_PROCESS,
+    progress: Progress = no_progress,
+) -> ClockAlignment:
+    """Corrects the stamps of the sensors whose clock offsets rig.yaml states or asks to estimate.
+
+    A clock that cannot be estimated is taken for that of the root, and the sensor's pose is weak.
+
+    Args:
+        rig: the rig.
+        recording: open recording with the rig's topics.
+        cache: has what earlier runs read.
+        engine: measures how much views change.
+        progress: called with the step and the fraction done.
+    """
+    offsets = {name: spec.clock_offset for name, spec in rig.sensors.items() if spec.clock_offset is not None}
+    wanted = [name for name, offset in offsets.items() if offset == "estimate"]
+    findings = []
+    if wanted:
+        monitor = InputMonitor(rig, recording.start)
+        timeline = read_rig_timeline(rig, recording, monitor, cache, engine, progress)
+        found = estimate_clock_offsets(timeline, rig.root, wanted)
+        findings = [_describe(name, rig.root, found.get(name)) for name in wanted]
+        offsets |= {name: found[name].offset if name in found else 0.0 for name in wanted}
+    stated = {name: float(offset) for name, offset in offsets.items()}
+    if any(stated.values()):
+        by_topic = {rig.sensors[name].topic: offset for name, offset in stated.items()}
+        recording = ClockCorrectedRecording(recording, by_topic)
+    sensors = {
+        name: spec.model_copy(update={"clock_offset": stated.get(name)}) for name, spec in rig.sensors.items()
+    }
+    return ClockAlignment(rig.model_copy(update={"sensors": sensors}), recording, tuple(findings))
+
+
+def _describe(name: str, root: str, found: ClockOffset | None) -> Finding:
+    if found is None:
+        return Finding(
+            f"the clock offset of {name} cannot be estimated: no offset stands out with which its view changes at "
+            f"the times of that of {root}; move the board in view of both, at irregular times, or state it",
+            (name,),
+        )
+    return Finding(
+        f"the clock of {name} minus that of {root} is {found.offset:.3f} s, estimated from the times at which "
+        f"their views change (correlation {found.correlation:.2f})"
+    )
 
 
 def estimate_clock_offsets(

@@ -1,32 +1,18 @@
-"""From holds to detections: the messages of each hold are collected from the stream and searched."""
+"""What all sensors detected in the captures of a recording: sorted, with the noise of cameras measured."""
 
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain
-from typing import Any
 
-import numpy as np
-
-from calgraph.boards.detections import Detection, DetectionResult, InconsistentTags
+from calgraph.boards.detections import BoardCorners, Detection, DetectionResult, InconsistentTags
 from calgraph.config import Intrinsics, Rig
 from calgraph.errors import Rejected
-from calgraph.geometry import Array
-from calgraph.parallel.engine import THIS_PROCESS, Engine
 from calgraph.result import Snapshot, state_intrinsics
 from calgraph.result.finding import Finding
-from calgraph.rig.captures.camera_noise import scale_by_measured_noise
-from calgraph.rig.captures.hold_messages import Messages, Search, search_holds
 from calgraph.rig.captures.holds import Hold
-from calgraph.rig.captures.misplaced_tags import find_misplaced_tags
-from calgraph.rig.captures.previews import PreviewSize, make_preview
 from calgraph.rig.captures.timeline import RecordingTimeline
-from calgraph.sensors import CameraModel, Message
-
-Detector = Callable[[Sequence[Any]], DetectionResult]
-"""Finds the board in the messages that one sensor sent during one hold."""
-# Fewer searches of a sensor's messages of a hold than these, of about 20 ms, end before other processes help.
-_MIN_PARALLEL_SEARCHES = 16
+from calgraph.sensors import CameraModel
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,76 +105,79 @@ def state_estimated_intrinsics(rig: Rig, captures: CaptureSet) -> Rig:
     return rig.model_copy(update={"sensors": {**rig.sensors, **estimated}})
 
 
-def detect_in_holds(
-    messages: Messages,
-    holds: Sequence[Hold],
-    topics: Mapping[str, str],
-    detectors: Mapping[str, Detector],
-    *,
-    preview_sizes: Mapping[int, PreviewSize] | None = None,
-    skipped: Collection[Search] = (),
-    engine: Engine = THIS_PROCESS,
-    progress: Callable[[float], None] | None = None,
-) -> Iterator[SensorCapture]:
-    """Detects the board for every sensor in every hold, with the messages of few holds in memory at a time.
+# Minimum degrees of freedom of an estimate: its relative standard deviation is 1 / sqrt(2 x 24) = 14 %.
+_MIN_DEGREES_OF_FREEDOM = 24
+# Minimum noise of a corner, px: errors of the distortion model shift all corners of a board, which the residuals
+# of one PnP do not show; corners of the AprilTag library scatter by 0.05 to 0.1 px.
+_MIN_NOISE = 0.05
 
-    Messages are decoded and searched by the engine, on which the result does not depend.
+
+def scale_by_measured_noise(
+    detections: Mapping[int, Sequence[Detection]],
+    stated: float,
+) -> dict[int, tuple[Detection, ...]]:
+    """Scales the covariances of one camera's detections to the noise estimated from all their residuals.
 
     Args:
-        messages: of all sensors.
-        holds: with the stamps of the messages to use.
-        topics: topic by sensor.
-        detectors: by sensor.
-        preview_sizes: by capture, the size of the previews of its messages; captures that are not in it have none.
-        skipped: captures and sensors that are left out.
-        engine: searches.
-        progress: called with the number of captures and sensors done.
+        detections: one camera's detections by capture; each covariance is for the larger of the stated noise and
+            the RMS of its residuals.
+        stated: standard deviation of a corner in x and in y, pixels.
 
-    Yields:
-        The detections of every hold and sensor.
-
-    Raises:
-        RecordingError: the content of a message is unusable.
-        CalibrationError: a process was killed.
+    Returns:
+        The same detections, each with a covariance for the larger of the estimated noise and the RMS of its
+        residuals; unchanged if there are too few corners for an estimate.
     """
-    engine = engine if len(holds) * len(topics) >= _MIN_PARALLEL_SEARCHES else THIS_PROCESS
-    searched = search_holds(
-        detect_in_hold, detectors, messages, holds, topics,
-        engine=engine, preview_sizes=preview_sizes, skipped=skipped,
-    )  # fmt: skip
-    for done, found in enumerate(searched, start=1):
-        yield found
-        if progress:
-            progress(done)
+    boards = [d for found in detections.values() for d in found if isinstance(d, BoardCorners)]
+    freedom = sum(2 * len(d.pixels) - 6 for d in boards)
+    if freedom < _MIN_DEGREES_OF_FREEDOM:
+        return {capture: tuple(found) for capture, found in detections.items()}
+    squares = sum(2 * len(d.pixels) * d.rms**2 for d in boards)
+    variance = max(squares / freedom, _MIN_NOISE**2)
+
+    def rescale(detection: Detection) -> Detection:
+        if not isinstance(detection, BoardCorners):
+            return detection
+        squared_rms = detection.rms**2
+        scale = max(variance, squared_rms) / max(stated**2, squared_rms)
+        return replace(
+            detection, covariance=scale * detection.covariance, plane_covariance=scale * detection.plane_covariance
+        )
+
+    return {capture: tuple(map(rescale, found)) for capture, found in detections.items()}
 
 
-def detect_in_hold(
-    detectors: Mapping[str, Detector],
-    capture: int,
-    name: str,
-    decoders: Sequence[Callable[[], Message]],
-    size: PreviewSize | None,
-) -> SensorCapture:
-    """The detections of one sensor in one capture, from functions that decode its messages."""
-    if not decoders:
-        return SensorCapture(capture, name, Rejected("no message was measured entirely within the hold"))
-    messages = [decode() for decode in decoders]
-    snapshot = make_preview(capture, name, messages, size) if size else None
-    return SensorCapture(capture, name, detectors[name](messages), snapshot)
+# Minimum number of captures in which a tag is an outlier: one or two may be accidents.
+_MIN_CAPTURES = 3
+# The same over the captures in which the camera detected several tags: a misplaced tag is an outlier in all in
+# which the others are the majority, or in half where two tags contradict each other.
+_MIN_SHARE = 0.5
 
 
-def limit_messages(holds: Iterable[Hold], rig: Rig) -> tuple[Hold, ...]:
-    """The same holds with the messages of each sensor that sharpen a detection, spread over the hold."""
-    limits = {name: rig.settings.captures.max_messages.of(spec.kind) for name, spec in rig.sensors.items()}
-    return tuple(
-        replace(hold, stamps={name: sample_evenly(stamps, limits[name]) for name, stamps in hold.stamps.items()})
-        for hold in holds
-    )
+def find_misplaced_tags(
+    camera: str,
+    detected: Iterable[Sequence[Detection]],
+    inconsistent: Sequence[InconsistentTags],
+) -> Iterator[Finding]:
+    """A finding if tags are outliers in most captures of a camera in which it detected more than one.
 
-
-def sample_evenly(stamps: Array, count: int) -> Array:
-    """At most ``count`` of the stamps (N,), evenly chosen."""
-    if len(stamps) <= count:
-        return stamps
-    sampled: Array = stamps[np.linspace(0, len(stamps) - 1, count).round().astype(int)]
-    return sampled
+    Args:
+        camera: name of the camera.
+        detected: the detected boards of each capture.
+        inconsistent: of each capture in which tags were detected that do not fit together.
+    """
+    boards = [one for found in detected for one in found if isinstance(one, BoardCorners)]
+    several = sum(len(one.corners_board) > 4 or bool(one.outlier_tags) for one in boards) + len(inconsistent)
+    outliers = Counter(tag for one in boards for tag in one.outlier_tags)
+    outliers.update(tag for one in inconsistent for tag in one.tags)
+    least = max(_MIN_CAPTURES, _MIN_SHARE * several)
+    tags = sorted(tag for tag, count in outliers.items() if count >= least)
+    if tags:
+        names = (
+            f"tag {tags[0]} is an outlier" if len(tags) == 1 else f"tags {', '.join(map(str, tags))} are outliers"
+        )
+        yield Finding(
+            f"{names} in up to {max(outliers[tag] for tag in tags)} of the {several} captures in which {camera} "
+            "detected several tags: the board is not as in rig.yaml; check the tags' ids, centres, orientation "
+            "and size there",
+            (camera,),
+        )

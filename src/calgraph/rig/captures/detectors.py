@@ -1,8 +1,9 @@
 """The detector of every sensor of a rig, and the background models of its scanners."""
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -13,8 +14,7 @@ from calgraph.config.settings import DetectionSettings
 from calgraph.errors import InputError, Rejected
 from calgraph.geometry import Array, measure_lengths
 from calgraph.recording import Recording
-from calgraph.rig.captures.detect import Detector, sample_evenly
-from calgraph.rig.captures.holds import Hold
+from calgraph.rig.captures.holds import Hold, sample_evenly
 from calgraph.rig.detection.background_learning import learn_cloud_background, learn_scan_background
 from calgraph.rig.detection.capture_background import CaptureBackground, learn_capture_background
 from calgraph.rig.detection.cloud_background import CloudBackground
@@ -30,6 +30,8 @@ from calgraph.sensors import (
 )
 from calgraph.sensors.cloud_to_scan import to_scans
 
+Detector = Callable[[Sequence[Any]], DetectionResult]
+"""Finds the board in the messages that one sensor sent during one hold."""
 Background = CloudBackground | CaptureBackground | ScanBackground
 
 

@@ -2,13 +2,14 @@
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from typing import Any, TypeVar
 
 import numpy as np
 
 from calgraph.config import Rig
 from calgraph.geometry import Array
-from calgraph.parallel.engine import Engine, Processes
+from calgraph.parallel.engine import THIS_PROCESS, Engine, Processes
 from calgraph.recording import Recording, RecordingReference, refer_to
 from calgraph.rig.captures.holds import Hold
 from calgraph.rig.captures.previews import PreviewSize
@@ -24,6 +25,8 @@ SearchMessages = tuple[int, str, list[Callable[[], Message]], PreviewSize | None
 # A worker opens the recording for each part, which takes as long as one message takes to be searched. With four
 # parts for each worker, few wait for the last one.
 _PARTS_PER_WORKER = 4
+# Fewer searches of messages that are sent than these, of about 20 ms, end before other processes help.
+_MIN_PARALLEL_SEARCHES = 16
 # Larger than the error of a time of this century in floating point, s.
 _ROUNDING = 1e-6
 
@@ -68,11 +71,12 @@ def search_holds(
     holds: Sequence[Hold],
     topics: Mapping[str, str],
     *,
-    engine: Engine,
+    engine: Engine = THIS_PROCESS,
     preview_sizes: Mapping[int, PreviewSize] | None = None,
     skipped: Collection[Search] = (),
+    progress: Callable[[int], None] = lambda _done: None,
 ) -> Iterator[Result]:
-    """Calls a function once per capture and sensor.
+    """Calls a function once per capture and sensor, with the messages of few captures in memory at a time.
 
     Args:
         search: defined at module level; called with ``shared`` and the items of :data:`SearchMessages`.
@@ -83,18 +87,28 @@ def search_holds(
         engine: runs the calls.
         preview_sizes: by capture; those that are not in it have none.
         skipped: captures and sensors that are left out.
+        progress: called with the number of captures and sensors done.
 
     Yields:
-        Results; those of one sensor in the order in which its captures were complete.
+        Results, which do not depend on the engine; those of one sensor in the order in which its captures were
+        complete.
+
+    Raises:
+        RecordingError: the content of a message is unusable.
+        CalibrationError: a process was killed.
     """
     sizes = preview_sizes or {}
-    if not isinstance(messages, StoredMessages):
-        yield from engine.stream(search, gather_messages(messages, holds, topics, sizes, skipped), shared)
-        return
-    parts = _divide(messages, holds, topics, skipped, count_parts(engine))
-    given = messages.reference, search, shared, topics, sizes, skipped
-    for results in engine.stream(_search_part, parts, given):
-        yield from results
+    searched: Iterator[Result]
+    if isinstance(messages, StoredMessages):
+        parts = _divide(messages, holds, topics, skipped, count_parts(engine))
+        given = messages.reference, search, shared, topics, sizes, skipped
+        searched = chain.from_iterable(engine.stream(_search_part, parts, given))
+    else:
+        engine = engine if len(holds) * len(topics) >= _MIN_PARALLEL_SEARCHES else THIS_PROCESS
+        searched = engine.stream(search, gather_messages(messages, holds, topics, sizes, skipped), shared)
+    for done, found in enumerate(searched, start=1):
+        yield found
+        progress(done)
 
 
 def read_part(

@@ -1,12 +1,12 @@
 """Holds: the times in which the board rests; and which messages of each sensor were measured in them."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
 
-from calgraph.config import Capture
+from calgraph.config import Capture, Rig
 from calgraph.config.settings import CaptureSettings
 from calgraph.errors import CalibrationError
 from calgraph.geometry import Array
@@ -187,3 +187,20 @@ def _relative_activity(times: SensorTimes, name: str, groups: Sequence[StampGrou
         return np.zeros(len(groups))
     by_stamp = dict(zip(times.stamps.tolist(), times.activity.tolist(), strict=True))
     return np.array([by_stamp[float(g.stamps[name][0])] / typical if name in g.stamps else 0.0 for g in groups])
+
+
+def limit_messages(holds: Iterable[Hold], rig: Rig) -> tuple[Hold, ...]:
+    """The same holds with the messages of each sensor that sharpen a detection, spread over the hold."""
+    limits = {name: rig.settings.captures.max_messages.of(spec.kind) for name, spec in rig.sensors.items()}
+    return tuple(
+        replace(hold, stamps={name: sample_evenly(stamps, limits[name]) for name, stamps in hold.stamps.items()})
+        for hold in holds
+    )
+
+
+def sample_evenly(stamps: Array, count: int) -> Array:
+    """At most ``count`` of the stamps (N,), evenly chosen."""
+    if len(stamps) <= count:
+        return stamps
+    sampled: Array = stamps[np.linspace(0, len(stamps) - 1, count).round().astype(int)]
+    return sampled

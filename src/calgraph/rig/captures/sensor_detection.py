@@ -1,29 +1,30 @@
-"""Detection of the board by all sensors; what an earlier run detected is taken from the cache."""
+"""Detection of the board by all sensors: an engine searches what an earlier run has not left in the cache."""
 
 import logging
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-import numpy as np
-
 from calgraph.boards.camera import PlaneEstimator
-from calgraph.boards.detections import BoardCorners, Detection, InconsistentTags
 from calgraph.config import CameraSpec, Rig
 from calgraph.errors import Rejected
-from calgraph.io.columns import INDEX, NUMBER, Arrays, Column, Table
+from calgraph.io.columns import Arrays
 from calgraph.parallel.engine import THIS_PROCESS, Engine
 from calgraph.recording import NO_CACHE, Recording, RecordingCache
-from calgraph.result import Snapshot
-from calgraph.rig.captures.detect import SensorCapture, detect_in_holds
-from calgraph.rig.captures.detection_tables import pack_detections, unpack_detections
-from calgraph.rig.captures.detectors import learn_backgrounds, learn_backgrounds_of_captures, make_detectors
-from calgraph.rig.captures.hold_messages import select_messages
+from calgraph.rig.captures.detect import SensorCapture
+from calgraph.rig.captures.detection_tables import decode_captures, encode_captures
+from calgraph.rig.captures.detectors import (
+    Detector,
+    learn_backgrounds,
+    learn_backgrounds_of_captures,
+    make_detectors,
+)
+from calgraph.rig.captures.hold_messages import Search, search_holds, select_messages
 from calgraph.rig.captures.holds import Hold
-from calgraph.rig.captures.previews import PreviewSize, plan_previews
+from calgraph.rig.captures.previews import PreviewSize, make_preview, plan_previews
 from calgraph.rig.captures.timeline import RecordingTimeline
-from calgraph.sensors import CameraModel, RecordedMessage
+from calgraph.sensors import CameraModel, Message, RecordedMessage
 
 _log = logging.getLogger(__name__)
 
@@ -88,12 +89,7 @@ def detect_by_sensors(
         CalibrationError: a process was killed.
     """
     previews = plan_previews([hold for hold in holds if not hold.auxiliary], rig)
-    of_sensors = {name: _list_inputs(name, rig, holds, method, previews) for name in rig.sensors}
-    inputs = {
-        (name, captures): {**given, "searched": list(captures)}
-        for name, given in of_sensors.items()
-        for captures in _group_captures(holds)
-    }
+    inputs = _list_entries(rig, holds, method, previews)
     found = {
         entry: kept
         for entry, given in inputs.items()
@@ -105,16 +101,28 @@ def detect_by_sensors(
         cache.reused.update(reused)
         _log.info("detections of %s: from the cache", ", ".join(reused))
     if missing:
-        part = rig.model_copy(
-            update={"sensors": {name: rig.sensors[name] for name in rig.sensors if name in unread}}
+        part = rig.model_copy(update={"sensors": {n: spec for n, spec in rig.sensors.items() if n in unread}})
+        backgrounds = learn_backgrounds(_background_records(part, recording), part)
+        models = {name: one for name, one in backgrounds.items() if not isinstance(one, Rejected)}
+        models |= learn_backgrounds_of_captures(part, recording, holds, without=models)
+        entries = {(capture, name): (name, captures) for name, captures in missing for capture in captures}
+        searched = search_holds(
+            detect_in_hold,
+            make_detectors(part, method.cameras, models, method.plane_estimator, method.seeds),
+            select_messages(part, recording, timeline, engine) or recording.records(part.topics.values()),
+            holds,
+            part.topics,
+            engine=engine,
+            preview_sizes=previews,
+            skipped={(hold.index, name) for hold in holds for name in part.sensors} - entries.keys(),
+            progress=lambda done: progress(done / len(entries)),
         )
-        for entry, detected in _detect_missing(
-            part, recording, timeline, holds, method, previews, missing, engine, progress
-        ):
-            found[entry] = detected
-            content, arrays = encode_captures(detected.captures)
-            content["no_background"] = detected.no_background
-            cache.write(recording, _DETECTIONS, inputs[entry], content, arrays)
+        for entry, captures in _complete_entries(searched, entries):
+            background = backgrounds.get(entry[0])
+            reason = background.reason if isinstance(background, Rejected) else ""
+            found[entry] = _SensorDetections(captures, reason)
+            content, arrays = encode_captures(captures)
+            cache.write(recording, _DETECTIONS, inputs[entry], {**content, "no_background": reason}, arrays)
     for name in rig.sensors:
         if reason := next((found[entry].no_background for entry in inputs if entry[0] == name), ""):
             # A scanner without measurements does not keep the others from being calibrated.
@@ -122,45 +130,45 @@ def detect_by_sensors(
     return [capture for entry in inputs for capture in found[entry].captures]
 
 
-def _group_captures(holds: Sequence[Hold]) -> list[tuple[int, ...]]:
-    """The captures of each entry."""
+def detect_in_hold(
+    detectors: Mapping[str, Detector],
+    capture: int,
+    name: str,
+    decoders: Sequence[Callable[[], Message]],
+    size: PreviewSize | None,
+) -> SensorCapture:
+    """The detections of one sensor in one capture, from functions that decode its messages."""
+    if not decoders:
+        return SensorCapture(capture, name, Rejected("no message was measured entirely within the hold"))
+    messages = [decode() for decode in decoders]
+    snapshot = make_preview(capture, name, messages, size) if size else None
+    return SensorCapture(capture, name, detectors[name](messages), snapshot)
+
+
+def _list_entries(
+    rig: Rig, holds: Sequence[Hold], method: DetectionMethod, previews: Mapping[int, PreviewSize]
+) -> dict[_Entry, dict[str, Any]]:
+    """All entries of the cache, and what the detections in each depend on, besides the recording."""
     size = max(-(-len(holds) // _ENTRIES_PER_SENSOR), 1)
-    return [tuple(hold.index for hold in holds[k : k + size]) for k in range(0, len(holds), size)]
+    groups = [tuple(hold.index for hold in holds[k : k + size]) for k in range(0, len(holds), size)]
+    inputs: dict[_Entry, dict[str, Any]] = {}
+    for name in rig.sensors:
+        given = _list_inputs(name, rig, holds, method, previews)
+        inputs |= {(name, captures): {**given, "searched": list(captures)} for captures in groups}
+    return inputs
 
 
-def _detect_missing(
-    rig: Rig,
-    recording: Recording,
-    timeline: RecordingTimeline,
-    holds: Sequence[Hold],
-    method: DetectionMethod,
-    previews: Mapping[int, PreviewSize],
-    missing: Sequence[_Entry],
-    engine: Engine,
-    progress: Callable[[float], None],
-) -> Iterator[tuple[_Entry, _SensorDetections]]:
-    """What the sensors of a rig detect in the captures of the missing entries, as soon as each is complete."""
-    backgrounds = learn_backgrounds(_background_records(rig, recording), rig)
-    models = {name: one for name, one in backgrounds.items() if not isinstance(one, Rejected)}
-    models |= learn_backgrounds_of_captures(rig, recording, holds, without=models)
-    entries = {(capture, name): (name, captures) for name, captures in missing for capture in captures}
-    detected: dict[_Entry, dict[int, SensorCapture]] = {entry: {} for entry in missing}
-    for found in detect_in_holds(
-        select_messages(rig, recording, timeline, engine) or recording.records(rig.topics.values()),
-        holds,
-        rig.topics,
-        make_detectors(rig, method.cameras, models, method.plane_estimator, method.seeds),
-        preview_sizes=previews,
-        skipped={(hold.index, name) for hold in holds for name in rig.sensors} - entries.keys(),
-        engine=engine,
-        progress=lambda done: progress(done / len(entries)),
-    ):
-        entry = entries[found.capture, found.sensor]
-        detected[entry][found.capture] = found
+def _complete_entries(
+    searched: Iterable[SensorCapture], entries: Mapping[Search, _Entry]
+) -> Iterator[tuple[_Entry, tuple[SensorCapture, ...]]]:
+    """The entries with their captures, each as soon as it is complete."""
+    detected: dict[_Entry, dict[int, SensorCapture]] = {entry: {} for entry in entries.values()}
+    for one in searched:
+        entry = entries[one.capture, one.sensor]
+        detected[entry][one.capture] = one
         if len(detected[entry]) == len(entry[1]):
-            complete, background = detected.pop(entry), backgrounds.get(found.sensor)
-            reason = background.reason if isinstance(background, Rejected) else ""
-            yield entry, _SensorDetections(tuple(complete[capture] for capture in entry[1]), reason)
+            complete = detected.pop(entry)
+            yield entry, tuple(complete[capture] for capture in entry[1])
 
 
 def _decode(name: str, content: Mapping[str, Any], arrays: Arrays) -> _SensorDetections:
@@ -213,66 +221,3 @@ def _list_inputs(
         "max_background_messages": settings.captures.max_background_messages,
         "settings": settings.detection.model_dump(mode="json", exclude={"camera"}),
     }
-
-
-_SNAPSHOTS = Table("snapshots", {
-    "position": INDEX, "stamp": NUMBER, "width": INDEX, "height": INDEX,
-    "image": Column((), np.uint8, ragged=True), "points": Column((3,), np.float32, ragged=True),
-})  # fmt: skip
-
-
-def encode_captures(captures: Sequence[SensorCapture]) -> tuple[dict[str, Any], Arrays]:
-    """The captures of one sensor, which are numbered in their order."""
-    found: dict[int, tuple[Detection, ...]] = {}
-    content: dict[str, Any] = {"captures": [one.capture for one in captures], "rejected": [], "outlier_tags": []}
-    for position, one in enumerate(captures):
-        if isinstance(one.detections, Rejected):
-            tags = one.detections.tags if isinstance(one.detections, InconsistentTags) else None
-            content["rejected"].append([position, one.detections.reason, tags])
-        else:
-            found[position] = one.detections
-            outliers = [board.outlier_tags if isinstance(board, BoardCorners) else () for board in one.detections]
-            if any(outliers):
-                content["outlier_tags"].append([position, outliers])
-    snapshots = [
-        {**vars(one.snapshot), "position": position, "image": np.frombuffer(one.snapshot.image, np.uint8)}
-        for position, one in enumerate(captures)
-        if one.snapshot
-    ]
-    return content, _SNAPSHOTS.pack(snapshots) | pack_detections({"": found})
-
-
-def decode_captures(sensor: str, content: Mapping[str, Any], arrays: Arrays) -> tuple[SensorCapture, ...]:
-    """The captures of a sensor from what :func:`encode_captures` gives.
-
-    Raises:
-        InputError: a column is missing, or its values do not fit the others.
-        KeyError: a key is missing.
-    """
-    numbers = content["captures"]
-    found = unpack_detections(arrays, [""])[""]
-    rejected = {
-        position: Rejected(reason) if tags is None else InconsistentTags(reason, tuple(tags))
-        for position, reason, tags in content["rejected"]
-    }
-    for position, outliers in content["outlier_tags"]:
-        found[position] = tuple(
-            replace(board, outlier_tags=tuple(tags)) if tags and isinstance(board, BoardCorners) else board
-            for board, tags in zip(found[position], outliers, strict=True)
-        )
-    snapshots = {
-        row["position"]: Snapshot(
-            numbers[row["position"]],
-            sensor,
-            row["stamp"],
-            row["image"].tobytes(),
-            row["width"],
-            row["height"],
-            row["points"],
-        )
-        for row in _SNAPSHOTS.unpack(arrays)
-    }
-    return tuple(
-        SensorCapture(number, sensor, rejected.get(k) or found.get(k, ()), snapshots.get(k))
-        for k, number in enumerate(numbers)
-    )

@@ -11,7 +11,8 @@ from calgraph.config import Rig
 from calgraph.geometry import Array
 from calgraph.io.columns import Arrays
 from calgraph.parallel.engine import THIS_PROCESS, Engine
-from calgraph.recording import Recording, RecordingCache, RecordingReference
+from calgraph.parallel.progress import Progress
+from calgraph.recording import PoseRecordings, Recording, RecordingCache, RecordingReference
 from calgraph.recording.input_checks import (
     MAX_INTRINSICS_CHANGE,
     InputMonitor,
@@ -19,14 +20,36 @@ from calgraph.recording.input_checks import (
     decode_observations,
     encode_observations,
 )
+from calgraph.rig.captures.capture_mode import recognize_mode
 from calgraph.rig.captures.hold_messages import StoredMessages, count_parts, read_part, select_messages
 from calgraph.rig.captures.motion_detection import ActivityBlock, ActivityMeter, BlockMeter, measure_block
 from calgraph.rig.captures.timeline import RecordingTimeline, SensorTimes, build_timeline
 from calgraph.sensors import Message
 
 _TOPIC, _ACTIVITY = "topic/2", "activity/1"
-Progress = Callable[[float], None]
+OnArrival = Callable[[float], None]
 """Called with the arrival time of records, s."""
+
+
+def read_rig_timeline(
+    rig: Rig,
+    recording: Recording,
+    monitor: InputMonitor,
+    cache: RecordingCache,
+    engine: Engine,
+    progress: Progress,
+) -> RecordingTimeline:
+    """The stamps of every sensor's messages and, where it matters, how much its view changed at each."""
+
+    def reading(arrival: float) -> None:
+        progress("reading", (arrival - recording.start) / max(recording.end - recording.start, 1e-9))
+
+    timeline = read_timeline(rig, recording, monitor, cache, reading)
+    if isinstance(recording, PoseRecordings):
+        timeline = replace(timeline, poses=recording.poses)
+    if rig.capture.trigger or recognize_mode(timeline, rig.capture, rig.settings.captures).mode == "snapshots":
+        return timeline
+    return measure_activity(timeline, rig, recording, cache, reading, engine)
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +71,7 @@ _NOTHING_OBSERVED = TopicObservations(np.zeros(0, np.int64), {})
 
 
 def read_timeline(
-    rig: Rig, recording: Recording, monitor: InputMonitor, cache: RecordingCache, progress: Progress
+    rig: Rig, recording: Recording, monitor: InputMonitor, cache: RecordingCache, progress: OnArrival
 ) -> RecordingTimeline:
     """Reads when the sensors measured and when captures were triggered, without activity.
 
@@ -93,7 +116,7 @@ def measure_activity(
     rig: Rig,
     recording: Recording,
     cache: RecordingCache,
-    progress: Progress,
+    progress: OnArrival,
     engine: Engine = THIS_PROCESS,
 ) -> RecordingTimeline:
     """The timeline with how much the view of every sensor changed; decodes all messages that are not in the cache.
@@ -120,7 +143,7 @@ def measure_activity(
 
 
 def _measure_sent(
-    rig: Rig, recording: Recording, topics: Mapping[str, str], progress: Progress, engine: Engine
+    rig: Rig, recording: Recording, topics: Mapping[str, str], progress: OnArrival, engine: Engine
 ) -> dict[str, Array]:
     """Changes (N,) of each sensor's messages in the order of their stamps, from calls to which they are sent."""
     pass
@@ -152,7 +175,7 @@ def _measure_sent(
 
 
 def _measure_stored(
-    rig: Rig, messages: StoredMessages, topics: Mapping[str, str], progress: Progress, engine: Engine
+    rig: Rig, messages: StoredMessages, topics: Mapping[str, str], progress: OnArrival, engine: Engine
 ) -> dict[str, Array]:
     """The same, from calls that read the messages themselves."""
     pass

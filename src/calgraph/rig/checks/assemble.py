@@ -36,6 +36,7 @@ from calgraph.rig.checks.board_pictures import (
     measure_fit,
 )
 from calgraph.rig.checks.contradictions import find_contradictions
+from calgraph.rig.checks.drift_tests import DriftStatistics
 from calgraph.rig.checks.prior_tests import find_contradicted_priors
 from calgraph.rig.pairs.board_pair import PairwiseEstimates, select_successful
 from calgraph.verdict.grades import (
@@ -53,6 +54,7 @@ def assemble_rig(
     tree: SpanningTree,
     solution: RigSolution,
     held_out: Mapping[str, HeldOutError] = MappingProxyType({}),
+    drifts: DriftStatistics | None = None,
 ) -> Calibration:
     """Assembles the calibration of a rig.
 
@@ -61,6 +63,7 @@ def assemble_rig(
         tree: the spanning tree that the joint solution started from.
         solution: the joint solution of the connected sensors.
         held_out: errors of its cross-validation by sensor.
+        drifts: their statistics, if they have been measured.
     """
     rig, captures, pairs = problem.rig, problem.captures, problem.pairs
     settings = rig.settings.diagnostics.verdict
@@ -71,7 +74,7 @@ def assemble_rig(
     kinds = {name: rig.sensors[name].kind for name in connected}
     findings: list[Finding] = [
         *captures.findings,
-        *find_contradictions(solution, rig, captures, held_out),
+        *find_contradictions(solution, rig, captures, held_out, drifts),
     ]
     inconsistent = collect_findings(findings)
     ambiguous = find_ambiguous_poses(kinds, estimates)

@@ -18,11 +18,11 @@ from calgraph.rig.bundle.bundle_solver import (
     Bundle,
     BundleEquations,
     BundleState,
+    CachedLinearization,
     minimize_bundle,
     pose_jacobian,
 )
 from calgraph.rig.bundle.covariances import parameter_covariance
-from calgraph.rig.bundle.relinearization import CachedLinearization
 from calgraph.rig.bundle.solution import SolvedBundle
 
 CovarianceVerdict = Literal["honest", "optimistic", "pessimistic"]

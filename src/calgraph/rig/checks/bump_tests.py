@@ -1,10 +1,13 @@
-"""Tests of steps in the poses of sensors: a sensor that was bumped during the recording."""
+"""Tests of steps in the poses of sensors: a sensor that was bumped during the recording, and what follows."""
 
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calgraph.config import Rig
 from calgraph.geometry import Index
+from calgraph.result.finding import Finding
 from calgraph.rig.bundle.board_observations import add_unambiguous_detections, group_detections
 from calgraph.rig.bundle.bundle_setup import rebuild_bundle
 from calgraph.rig.bundle.bundle_solver import (
@@ -16,6 +19,7 @@ from calgraph.rig.bundle.bundle_solver import (
 from calgraph.rig.bundle.priors import without_priors
 from calgraph.rig.bundle.problem import Problem
 from calgraph.rig.bundle.solution import RigSolution, SolvedBundle
+from calgraph.rig.captures.detect import CaptureSet
 from calgraph.rig.checks.pose_steps import PoseStep, find_pose_steps
 from calgraph.rig.pairs.board_pair import select_successful
 
@@ -58,7 +62,6 @@ def find_bumps(problem: Problem, solution: RigSolution) -> tuple[Bump, ...]:
     if solution.solved_bundle is None:
         return ()
     bundle, minimized, captures = _include_all_views(problem, solution.solved_bundle)
-    pass
     steps = find_pose_steps(bundle, minimized)
     return tuple(_describe(problem, captures, step) for step in steps)
 
@@ -106,3 +109,66 @@ def _describe(problem: Problem, captures: Index, step: PoseStep) -> Bump:
         float(np.linalg.norm(step.step[3:])),
         float(np.sqrt(step.squared)),
     )
+
+
+_EARLIER_CAPTURE = "before the sensor moved"
+
+
+def discard_earlier(captures: CaptureSet, bumps: Sequence[Bump]) -> CaptureSet:
+    """The captures without detections of sensors that moved afterwards."""
+    first = {name: max(b.after[0] for b in bumps if name in b.sensors) for bump in bumps for name in bump.sensors}
+    earlier = {
+        (capture, name): _EARLIER_CAPTURE
+        for name, until in first.items()
+        for capture in captures.detections[name]
+        if capture < until
+    }
+    detections = {
+        name: {capture: found for capture, found in by_capture.items() if (capture, name) not in earlier}
+        for name, by_capture in captures.detections.items()
+    }
+    return replace(captures, detections=detections, rejections={**captures.rejections, **earlier})
+
+
+def describe_bumps(
+    bumps: Sequence[Bump], again: Sequence[Bump], rig: Rig, joint: RigSolution, *, resolved: bool
+) -> tuple[Finding, ...]:
+    """A finding for each bump: what moved, when, and what follows.
+
+    Args:
+        bumps: of the solution of all captures.
+        again: of the solution of the captures after them.
+        rig: the rig.
+        joint: the solution that is published.
+        resolved: whether it is that of the captures after the bumps.
+    """
+    # Sensors that move more than once drift, or another error of the model changes with time.
+    unsteady = {
+        name for i, bump in enumerate(bumps) for other in bumps[:i] for name in {*bump.sensors} & {*other.sensors}
+    }
+    unsteady |= {name for bump in again for name in bump.sensors}
+    return tuple(_describe_bump(bump, rig, joint, unsteady, resolved=resolved) for bump in [*bumps, *again])
+
+
+def _describe_bump(
+    bump: Bump, rig: Rig, joint: RigSolution, unsteady: Collection[str], *, resolved: bool
+) -> Finding:
+    """What moved, when, and what follows."""
+    names, which = (
+        " or ".join(bump.sensors),
+        "" if len(bump.sensors) == 1 else ", these captures do not determine which,",
+    )
+    begin, end = bump.interval
+    # Detections that were made elsewhere have no times.
+    when = f" ({begin:.1f} to {end:.1f} s from the start)" if end > begin else ""
+    moved = (
+        f"{names}{which} moved by {1000 * bump.translation:.1f} mm and {np.degrees(bump.rotation):.2f}° "
+        f"between captures {bump.before[-1]} and {bump.after[0]}{when}"
+    )
+    if resolved and not set(bump.sensors) & set(unsteady):
+        count = len(bump.after)
+        return Finding(f"{moved}: the result is its pose after that, from {count} captures")
+    weak = tuple(joint.T_root_sensor) if rig.root in bump.sensors else bump.sensors
+    if resolved:
+        return Finding(f"{moved}, and not only then: fix it to the robot, and record again", weak)
+    return Finding(f"{moved}, and the captures after that do not suffice: record again", weak)

@@ -22,7 +22,7 @@ from calgraph.rig.bundle.solution import MeasuredNoise, RigSolution, SolvedBundl
 from calgraph.rig.bundle.systematic_parameters import RESIDUAL_DISTORTION
 from calgraph.rig.captures.detect import CaptureSet
 from calgraph.rig.checks.bootstrap import bootstrap_poses
-from calgraph.rig.checks.drift_tests import find_drifts, measure_drifts
+from calgraph.rig.checks.drift_tests import DriftStatistics, find_drifts, measure_drifts
 from calgraph.sensors import DISTORTION_NAMES
 from calgraph.verdict.grades import axis_names
 from calgraph.verdict.parameter_estimates import (
@@ -34,7 +34,11 @@ from calgraph.verdict.parameter_estimates import (
 
 
 def find_contradictions(
-    solution: RigSolution, rig: Rig, captures: CaptureSet, held_out: Mapping[str, HeldOutError]
+    solution: RigSolution,
+    rig: Rig,
+    captures: CaptureSet,
+    held_out: Mapping[str, HeldOutError],
+    drifts: DriftStatistics | None = None,
 ) -> tuple[Finding, ...]:
     """The findings of all tests of a joint solution; none where it is not a bundle.
 
@@ -43,6 +47,7 @@ def find_contradictions(
         rig: the rig, with the settings of the tests.
         captures: all detections.
         held_out: errors of the cross-validation by sensor.
+        drifts: their statistics, if they have been measured.
     """
     if (solved := solution.solved_bundle) is None:
         return ()
@@ -51,7 +56,7 @@ def find_contradictions(
         *find_systematic_errors(solved, rig),
         *find_excessive_noise(solution, kinds),
         *find_lost_captures(captures, solved),
-        *find_changes(solved, settings),
+        *find_changes(solved, drifts or measure_drifts(solved), settings),
         *_find_poor_predictions(held_out),
         *_find_optimistic_covariances(solved, kinds, settings.rig),
     )
@@ -273,7 +278,9 @@ def _find_dependent_sensors(bundle: Bundle, inconsistent: Collection[str]) -> tu
 _RANK_TOLERANCE = 1e-12
 
 
-def find_changes(solved: SolvedBundle, settings: DiagnosticsSettings) -> Iterator[Finding]:
+def find_changes(
+    solved: SolvedBundle, drifts: DriftStatistics, settings: DiagnosticsSettings
+) -> Iterator[Finding]:
     """Sensors whose poses drift, or differ between halves of the captures, by more than their covariances allow.
 
     Halves are the first and the second half in time, and captures of even and odd number. Their solutions are
@@ -282,6 +289,7 @@ def find_changes(solved: SolvedBundle, settings: DiagnosticsSettings) -> Iterato
 
     Args:
         solved: the solution of all captures.
+        drifts: their statistics.
         settings: of drifts, and the false-alarm probability of one sensor and one pair of halves.
     """
     bundle, minimized = solved.bundle, solved.minimized
@@ -293,7 +301,6 @@ def find_changes(solved: SolvedBundle, settings: DiagnosticsSettings) -> Iterato
     count = int(order.max(initial=-1)) + 1
     axes = pose_jacobian(bundle, minimized.state).reshape(len(bundle.sensors), 6, -1)
     named: set[str] = set()
-    drifts = measure_drifts(solved)
     for drift in find_drifts(drifts):
         named.update(drift.sensors)
         yield drift

@@ -26,6 +26,7 @@ from calgraph.rig.bundle.bundle_solver import (
     Bundle,
     BundleEquations,
     BundleState,
+    CachedLinearization,
     linearize_bundle,
     minimize_bundle,
     retract_state,
@@ -36,7 +37,6 @@ from calgraph.rig.bundle.covariances import parameter_covariance
 from calgraph.rig.bundle.normal_equations import accumulate
 from calgraph.rig.bundle.observations import BoardViews, relative_poses, velocity_along_sensor
 from calgraph.rig.bundle.range_observations import RangeObservations
-from calgraph.rig.bundle.relinearization import CachedLinearization
 from calgraph.rig.bundle.solution import SolvedBundle
 
 # Gauss–Newton steps that locate boards with sensors fixed; they start from the solution of all captures.

@@ -148,7 +148,9 @@ def find_drifts(statistics: DriftStatistics) -> Iterator[Finding]:
         statistics = statistics.beside(drifts.index(largest))
 
 
-def include_drifts(solution: RigSolution, solved: SolvedBundle, settings: DiagnosticsSettings) -> RigSolution:
+def include_drifts(
+    solution: RigSolution, solved: SolvedBundle, statistics: DriftStatistics, settings: DiagnosticsSettings
+) -> RigSolution:
     """The solution with covariances of the poses at the end of the recording, after drifts of all bodies.
 
     Errors that successive captures have in common increase variances before.
@@ -158,7 +160,6 @@ def include_drifts(solution: RigSolution, solved: SolvedBundle, settings: Diagno
     recording, and less or more where captures are not distributed evenly. A drift of the root moves all others.
     """
     bundle, state = solved.bundle, solved.minimized.state
-    statistics = measure_drifts(solved)
     of_estimate = pose_jacobian(bundle, state) @ statistics.influence.T
     at_end = np.zeros((len(bundle.sensors), 6, 6 * len(statistics.bodies)))
     for s, body in enumerate(bundle.body.tolist()):

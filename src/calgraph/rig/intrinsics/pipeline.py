@@ -14,15 +14,14 @@ from calgraph.parallel.engine import THIS_PROCESS, Engine
 from calgraph.parallel.progress import Progress, no_progress
 from calgraph.recording import NO_CACHE, Recording, RecordingCache
 from calgraph.result.finding import Finding
-from calgraph.rig.captures.board_views import decode_views, encode_views, find_views_in_holds
-from calgraph.rig.captures.detect import detect_in_holds
-from calgraph.rig.captures.hold_messages import select_messages
+from calgraph.rig.captures.hold_messages import search_holds, select_messages
 from calgraph.rig.captures.holds import Hold
-from calgraph.rig.captures.sensor_detection import list_shared_inputs
+from calgraph.rig.captures.previews import PreviewSize
+from calgraph.rig.captures.sensor_detection import detect_in_hold, list_shared_inputs
 from calgraph.rig.captures.timeline import RecordingTimeline, build_timeline
-from calgraph.rig.detection.board_views import BoardView, BoardViewFinder
+from calgraph.rig.detection.board_views import BoardView, BoardViewFinder, decode_views, encode_views
 from calgraph.rig.intrinsics.estimate import IntrinsicsEstimate, estimate_intrinsics
-from calgraph.sensors import CameraModel
+from calgraph.sensors import CameraModel, Message
 
 _log = logging.getLogger(__name__)
 
@@ -101,18 +100,35 @@ def _find_views(
     unread = {name: spec for name, spec in cameras.items() if name not in views}
     if not unread:
         return views
-    found = find_views_in_holds(
+    searched = search_holds(
+        _find_in_hold,
+        {name: BoardViewFinder(rig.boards, spec.noise, settings=settings) for name, spec in unread.items()},
         select_messages(rig, recording, timeline, engine)
         or recording.records([spec.topic for spec in unread.values()]),
         holds,
         {name: spec.topic for name, spec in unread.items()},
-        {name: BoardViewFinder(rig.boards, spec.noise, settings=settings) for name, spec in unread.items()},
         engine=engine,
         progress=lambda done: progress(done / max(len(holds) * len(unread), 1)),
     )
+    found: dict[str, dict[int, tuple[BoardView, ...]]] = {name: {} for name in unread}
+    for capture, name, of_hold in searched:
+        if not isinstance(of_hold, Rejected):
+            found[name][capture] = of_hold
     for name in unread:
-        cache.write(recording, _VIEWS, inputs[name], *encode_views(found[name]))
-    return views | found
+        views[name] = dict(sorted(found[name].items()))
+        cache.write(recording, _VIEWS, inputs[name], *encode_views(views[name]))
+    return views
+
+
+def _find_in_hold(
+    finders: Mapping[str, BoardViewFinder],
+    capture: int,
+    name: str,
+    decoders: Sequence[Callable[[], Message]],
+    size: PreviewSize | None,  # noqa: ARG001
+) -> tuple[int, str, tuple[BoardView, ...] | Rejected]:
+    """The views of boards in one camera's images of one hold, from functions that decode them."""
+    return capture, name, finders[name].find([decode() for decode in decoders])
 
 
 def calibrate_intrinsics(
@@ -173,11 +189,12 @@ def _calibrate_camera(
     if isinstance(estimate, Rejected) or not any(board.tags for board in rig.boards):
         return estimate
     camera = estimate.camera
-    captures = detect_in_holds(
+    captures = search_holds(
+        detect_in_hold,
+        {name: CameraDetector(rig.boards, camera, spec.noise, settings=settings).find},
         select_messages(rig, recording, timeline, engine) or recording.records([spec.topic]),
         [frame for frame in frames if frame.index in by_frame],
         {name: spec.topic},
-        {name: CameraDetector(rig.boards, camera, spec.noise, settings=settings).find},
         engine=engine,
         progress=lambda done: progress(0.5 + done / (2 * len(by_frame))),
     )

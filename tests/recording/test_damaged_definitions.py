@@ -6,8 +6,8 @@ import pytest
 from rosbags.interfaces import MessageDefinitionFormat
 
 from calgraph.errors import RecordingError
+from calgraph.recording.damage import MAX_ARRAY, MAX_DEFINITION, MAX_PARTS, MAX_TEXTS_BYTES
 from calgraph.recording.decoding import decode
-from calgraph.recording.message_limits import MAX_ARRAY, MAX_DEFINITION, MAX_PARTS, MAX_TEXTS_BYTES
 from calgraph.recording.message_types import MessageType, TypeDefinition, make_message_type
 
 LINE = "=" * 80

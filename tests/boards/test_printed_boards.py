@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calgraph.boards.landmarks import compute_landmarks
+from calgraph.boards.printed_boards import compute_landmarks
 from calgraph.config import AprilGrid, Board, Charuco, Checkerboard, Tag
 
 CHECKERBOARD = Checkerboard(kind="checkerboard", columns=7, rows=5, square=0.1, center=(0.02, -0.01))

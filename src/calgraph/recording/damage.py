@@ -1,10 +1,13 @@
-"""Limits of message definitions in recordings, and of messages.
+"""Damaged and hostile recordings: limits of what is read, and errors that state where it was.
 
-rosbags unrolls arrays into code, makes an object of each part of a message, and takes any number of empty parts.
+rosbags unrolls arrays into code, makes an object of each part of a message, and takes any number of empty parts:
+both have limits. Checks of sizes name the setting, and their callers the location.
 """
 
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 from rosbags.interfaces import Msgdef, Nodetype
@@ -12,6 +15,13 @@ from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
+from calgraph.config.settings import LimitSettings
+from calgraph.errors import CalgraphError, RecordingError
+from calgraph.io.git_lfs import POINTER_START, check_git_lfs
+
+MAX_RANGE = 1e5
+"""Larger ranges and coordinates count as beams without a return, m: no scanner measures so far. Damaged messages
+have coordinates that no grid of cells can number."""
 MAX_DEFINITION = 2**18
 """Maximum length of the text of a definition, with those of the types that it contains, characters: the longest of
 ROS have 100,000. It is parsed in some seconds."""
@@ -22,6 +32,93 @@ MAX_PARTS = 100_000
 echoes have one for each of some 2,000 beams."""
 MAX_TEXTS_BYTES = 2**24
 """Maximum size of a message with a list of texts, each of which is an object. No sensor sends any."""
+
+
+@contextmanager
+def wrap_errors(where: object, advice: str = "") -> Iterator[None]:
+    """Converts exceptions of libraries and decoders into a RecordingError with a location.
+
+    Damaged bytes make the parsers below us raise nearly anything (struct.error, AssertionError, KeyError, zlib
+    and database errors), hence the broad except clause; exceptions of calgraph pass unchanged.
+    """
+    try:
+        yield
+    except CalgraphError:
+        raise
+    except Exception as error:
+        raise RecordingError(f"{where}: {_explain(error)}{'; ' if advice else ''}{advice}") from error
+
+
+def check_fetched(path: Path) -> None:
+    """Checks that a file is the file itself.
+
+    Raises:
+        RecordingError: it is a Git LFS pointer, or cannot be read.
+    """
+    try:
+        with path.open("rb") as file:
+            start = file.read(POINTER_START)
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read ({error.strerror or error})") from error
+    check_git_lfs(path, start, RecordingError)
+
+
+def _explain(error: Exception) -> str:
+    """The text of an exception where it is a sentence; parsers of damaged bytes also raise keys and indices."""
+    text = " ".join(str(error).split())
+    if " " in text and not isinstance(error, LookupError | TypeError | AttributeError | AssertionError):
+        return text
+    return (
+        f"its content is damaged or not of its stated format ({type(error).__name__}{': ' if text else ''}{text})"
+    )
+
+
+def check_unpacked_size(size: int, limits: LimitSettings) -> None:
+    """Checks the size of data before or while they are unpacked, bytes.
+
+    Raises:
+        ValueError: they are larger than the limit.
+    """
+    if size > limits.max_unpacked_bytes:
+        raise ValueError(
+            f"unpacks to more than the limit of {limits.max_unpacked_bytes / 1e6:.0f} MB: it is damaged, or needs "
+            "limits.max_unpacked_bytes in the settings"
+        )
+
+
+def check_pixel_count(width: int, height: int, limits: LimitSettings, *, several_scans: bool = False) -> None:
+    """Checks the size of an image before it is decoded, pixels.
+
+    Args:
+        width: columns.
+        height: rows.
+        limits: that state how many pixels are allowed.
+        several_scans: whether it is a JPEG in several scans. Its decoder keeps all coefficients, 2 bytes for each
+            of up to three channels, besides 3 bytes of each pixel: a third of the pixels is allowed.
+
+    Raises:
+        ValueError: it is larger than the limit.
+    """
+    allowed = limits.max_image_pixels // 3 if several_scans else limits.max_image_pixels
+    if width * height > allowed:
+        form = " in a progressive JPEG" if several_scans else ""
+        raise ValueError(
+            f"image states {width} x {height} pixels, more than the limit of {allowed}{form}: it is "
+            "damaged, or needs limits.max_image_pixels in the settings"
+        )
+
+
+def check_point_count(count: int, limits: LimitSettings) -> None:
+    """Checks the number of points of a cloud, or of beams of a scan.
+
+    Raises:
+        ValueError: there are more than the limit.
+    """
+    if count > limits.max_points:
+        raise ValueError(
+            f"has {count} points, more than the limit of {limits.max_points}: it is damaged, or needs "
+            "limits.max_points in the settings"
+        )
 
 
 class LimitedStore(Typestore):
