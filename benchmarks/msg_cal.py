@@ -13,6 +13,7 @@ import argparse
 
 import numpy as np
 
+from calgraph.config.settings import BoardPairSettings, Settings
 from calgraph.geometry import Array
 from calgraph.rig.options import RigOptions
 from calgraph.rig.pairs.board_pair import estimate_pairs, select_successful
@@ -55,7 +56,9 @@ def run(scenario: RigScenario, seed: int) -> dict[str, tuple[float, float, float
     """Mean translation (m) and rotation (degrees) error and graph error (m²) of each variant."""
     rig, captured, truth = detected(scenario, seed)
     seen, rng = captured.detections, np.random.default_rng(seed)
-    estimates = select_successful(estimate_pairs(seen, rig.board_size, rng, refine=False))
+    estimates = select_successful(
+        estimate_pairs(seen, rig.board_size, rng, refine=False, settings=BoardPairSettings())
+    )
     tree = initialize_rig(rig.root, estimates, "tree", rng)
     at_root = initialize_rig(rig.root, estimates, "identity", rng)
 
@@ -69,10 +72,10 @@ def run(scenario: RigScenario, seed: int) -> dict[str, tuple[float, float, float
     metres, degrees = errors(poses_of(calibration), truth)
     return {
         "default": (float(metres.mean()), float(degrees.mean()), float("nan")),
-        "pairwise": judge(solve_hypergraph(tree, estimates, seen, optimize=False)),
-        "global": judge(solve_hypergraph(tree, estimates, seen)),
-        "global, from identity": judge(solve_hypergraph(at_root, estimates, seen)),
-        "global, unfiltered": judge(solve_hypergraph(tree, estimates, seen, keep="none")),
+        "pairwise": judge(solve_hypergraph(tree, estimates, seen, optimize=False, settings=Settings())),
+        "global": judge(solve_hypergraph(tree, estimates, seen, settings=Settings())),
+        "global, from identity": judge(solve_hypergraph(at_root, estimates, seen, settings=Settings())),
+        "global, unfiltered": judge(solve_hypergraph(tree, estimates, seen, keep="none", settings=Settings())),
     }
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.config import Cylinder, Lidar2dSpec, People, Rig
-from calgraph.config.settings import CenterFeature
+from calgraph.config.settings import CenterFeature, NetworkEstimationSettings, TrackingSettings
 from calgraph.geometry import Array, se2
 from calgraph.graph.averaging import select_averaging
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
@@ -187,7 +187,13 @@ def track_scanners(
     tracked: dict[str, ScannerTracks] = {}
     for name, spec in rig.sensors.items():
         assert isinstance(spec, Lidar2dSpec)
-        found = track_scanner(scans[name], rig.target, spec.noise, centers=select_center_estimator(feature))
+        found = track_scanner(
+            scans[name],
+            rig.target,
+            spec.noise,
+            centers=select_center_estimator(feature),
+            settings=TrackingSettings(),
+        )
         if isinstance(found, ScannerTracks):
             tracked[name] = found
     return tracked
@@ -224,7 +230,9 @@ def solve_poses(
         spread = compute_joint_covariance(graph.select_edges(averaged.inliers), averaged.T_root_node)
         return Solved(names, averaged.T_root_node, spread, np.full(len(names), np.nan))
     assert isinstance(rig.target, People | Cylinder)
-    joint = solve_network(rig.target, [tracked[name] for name in names], averaged, graph)
+    joint = solve_network(
+        rig.target, [tracked[name] for name in names], averaged, graph, settings=NetworkEstimationSettings()
+    )
     return Solved(names, joint.T_root_scanner, joint.pose_covariance, joint.clock_offset)
 
 

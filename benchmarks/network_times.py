@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from calgraph.config import Lidar2dSpec, People
+from calgraph.config.settings import NetworkEstimationSettings, TrackingSettings
 from calgraph.geometry import se2
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
 from calgraph.network.joint.estimate import solve_network
@@ -71,7 +72,9 @@ def measure(count: int) -> tuple[float, list[Measured]]:
         spec = rig.sensors[scanner.name]
         assert isinstance(spec, Lidar2dSpec)
         assert isinstance(rig.target, People)
-        found = track_scanner(simulate_scans(network, scanner), rig.target, spec.noise)
+        found = track_scanner(
+            simulate_scans(network, scanner), rig.target, spec.noise, settings=TrackingSettings()
+        )
         if isinstance(found, ScannerTracks):
             tracked[scanner.name] = found
     T = np.array([truth[name][np.ix_((0, 1, 3), (0, 1, 3))] for name in tracked])
@@ -84,7 +87,7 @@ def measure(count: int) -> tuple[float, list[Measured]]:
     for minutes in MINUTES:
         repeated = [repeat_tracks(one, minutes) for one in tracked.values()]
         begin = time.process_time()
-        solve_network(rig.target, repeated, start, graph)
+        solve_network(rig.target, repeated, start, graph, settings=NetworkEstimationSettings())
         measured.append(Measured(minutes, time.process_time() - begin, measure_peak_memory()))
     return before, measured
 

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from calgraph.config import People, RangeNoise
+from calgraph.config.settings import NetworkEstimationSettings, TrackingSettings
 from calgraph.geometry import se2
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
 from calgraph.network.joint.estimate import NetworkSolution, solve_network
@@ -46,11 +47,17 @@ def read_scans(path: Path, topic: str) -> list[LaserScan]:
 def solve(scans: Sequence[LaserScan], offset: float) -> NetworkSolution:
     """The solution of two scanners, from a start that is 14 mm and 0.1 degrees off."""
     second = [replace(scan, stamp=scan.stamp + offset, angles=scan.angles - TURN) for scan in scans[1::2]]
-    tracked = [track_scanner(part, People(), NOISE) for part in (scans[::2], second)]
+    tracked = [track_scanner(part, People(), NOISE, settings=TrackingSettings()) for part in (scans[::2], second)]
     legs = [found for found in tracked if isinstance(found, ScannerTracks)]
     poses = np.stack([np.eye(3), se2.pose(TURN + 0.002, np.array([0.01, -0.01]))])
     nothing = PoseGraph(2, np.zeros((0, 2), dtype=np.intp), np.zeros((0, 3, 3)), np.zeros((0, 3, 3)))
-    return solve_network(People(), legs, PoseGraphSolution(poses, np.zeros(0, dtype=np.bool_)), nothing)
+    return solve_network(
+        People(),
+        legs,
+        PoseGraphSolution(poses, np.zeros(0, dtype=np.bool_)),
+        nothing,
+        settings=NetworkEstimationSettings(),
+    )
 
 
 def main() -> None:

@@ -67,6 +67,21 @@ def test_every_setting_is_read_outside_the_configuration(trees: Trees) -> None:
     assert [name for name, _ in leaves(Settings) if name.split(".")[-1] not in read] == []
 
 
+def test_no_function_has_default_settings(trees: Trees) -> None:
+    """A default would silently ignore what the user has set; a rig has settings of its own."""
+    defaults = [
+        f"{path.relative_to(SOURCE)}:{node.lineno} {node.name}"
+        for path, tree in trees.items()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.FunctionDef)
+        for default in [*node.args.defaults, *node.args.kw_defaults]
+        if default is not None
+        and ast.unparse(default).endswith("Settings()")
+        and "Limit" not in ast.unparse(default)
+    ]
+    assert defaults == []
+
+
 def load(folder: Path, settings: dict[str, Any]) -> Rig:
     (folder / "rig.yaml").write_text(
         json.dumps({

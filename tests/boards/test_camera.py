@@ -13,6 +13,7 @@ from calgraph.boards.detections import BoardCorners, InconsistentTags
 from calgraph.boards.printed_boards import average_marks, compute_landmarks
 from calgraph.boards.tags import Marks
 from calgraph.config import AprilGrid, Board, Charuco, Checkerboard, PixelNoise, Tag
+from calgraph.config.settings import CameraDetectionSettings
 from calgraph.errors import InputError, Rejected
 from calgraph.geometry import Array, plane, se3, so3
 from calgraph.rig.published.mean_plane import estimate_mean_plane
@@ -74,7 +75,7 @@ def find_boards(
     noise: PixelNoise,
     plane_estimator: PlaneEstimator | None = None,
 ) -> tuple[BoardCorners, ...] | Rejected:
-    return CameraDetector(boards, camera, noise, plane_estimator).find(images)
+    return CameraDetector(boards, camera, noise, CameraDetectionSettings(), plane_estimator).find(images)
 
 
 def one(found: tuple[BoardCorners, ...] | Rejected) -> BoardCorners:
@@ -159,7 +160,7 @@ def test_plane_points_at_the_camera(
 def test_mean_of_the_tags_planes_is_less_certain_than_one_pnp(render: Render, rng: np.random.Generator) -> None:
     pixels = render(TAGGED, CAMERA, a_pose(), rng)
     pnp, mean = (
-        one(CameraDetector([TAGGED], CAMERA, NOISE, estimator).find([image(pixels)]))
+        one(CameraDetector([TAGGED], CAMERA, NOISE, CameraDetectionSettings(), estimator).find([image(pixels)]))
         for estimator in (None, estimate_mean_plane)
     )
     assert (np.diag(mean.plane_covariance) > 1.5 * np.diag(pnp.plane_covariance)).all()
@@ -242,7 +243,7 @@ def test_several_boards_are_distinguished(render: Render, rng: np.random.Generat
 def test_images_of_a_resting_board_are_averaged(render: Render, rng: np.random.Generator) -> None:
     images = [image(render(TAGGED, SMALL, a_pose(), rng, noise=8), 0.1 * i) for i in range(4)]
     truth = SMALL.project(se3.apply(a_pose(), one(find_boards(images, [TAGGED], SMALL, NOISE)).corners_board))
-    detector = CameraDetector([TAGGED], SMALL, NOISE)
+    detector = CameraDetector([TAGGED], SMALL, NOISE, settings=CameraDetectionSettings())
     single = [np.std(one(detector.find([shot])).pixels - truth) for shot in images]
     assert np.std(one(detector.find(images)).pixels - truth) < 0.8 * np.mean(single)
 
@@ -330,7 +331,7 @@ def test_images_of_another_size_than_the_intrinsics_are_refused() -> None:
 @pytest.mark.parametrize("board", BOARDS.values(), ids=BOARDS.keys())
 def test_a_pickled_detector_finds_the_same(board: Board, render: Render, rng: np.random.Generator) -> None:
     pixels = render(board, CAMERA, a_pose(), rng)
-    detector = CameraDetector([board], CAMERA, NOISE)
+    detector = CameraDetector([board], CAMERA, NOISE, settings=CameraDetectionSettings())
     here = one(detector.find([image(pixels)]))
     pickled = pickle.dumps(detector)
     there = one(pickle.loads(pickled).find([image(pixels)]))  # noqa: S301 (made here)
@@ -340,13 +341,16 @@ def test_a_pickled_detector_finds_the_same(board: Board, render: Render, rng: np
 
 def test_boards_that_share_a_tag_are_refused() -> None:
     with pytest.raises(InputError, match="boards 0 and 1 both have tag 3 of tag36h11"):
-        CameraDetector([TAGGED, TAGGED], CAMERA, NOISE)
+        CameraDetector([TAGGED, TAGGED], CAMERA, NOISE, settings=CameraDetectionSettings())
 
 
 def test_detectors_can_be_built_and_deleted_repeatedly() -> None:
     """The AprilTag library corrupts the heap when it frees its families by itself."""
     blank = [image(np.zeros((480, 640), np.uint8))]
-    found = [CameraDetector([BOARDS["tag25h9"]], SMALL, NOISE).find(blank) for _ in range(10)]
+    found = [
+        CameraDetector([BOARDS["tag25h9"]], SMALL, NOISE, settings=CameraDetectionSettings()).find(blank)
+        for _ in range(10)
+    ]
     assert [type(result) for result in found] == 10 * [Rejected]
 
 

@@ -13,6 +13,7 @@ from calgraph.boards.detections import BoardCorners
 from calgraph.boards.printed_boards import compute_landmarks
 from calgraph.boards.tags import GridFinder, TagFinder
 from calgraph.config import AprilGrid, Board, Checkerboard, PixelNoise, Tag
+from calgraph.config.settings import CameraDetectionSettings, TagSettings
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se3
 from calgraph.sensors import CameraModel, Image
@@ -36,7 +37,7 @@ def gray(path: Path) -> np.ndarray[tuple[int, int], np.dtype[np.uint8]]:
 
 
 def detections(folder: Path, board: Board, camera: CameraModel) -> Iterator[tuple[str, BoardCorners | Rejected]]:
-    detector = CameraDetector([board], camera, PixelNoise(pixel=0.3))
+    detector = CameraDetector([board], camera, PixelNoise(pixel=0.3), settings=CameraDetectionSettings())
     for path in sorted(folder.glob("*.png")):
         found = detector.find([Image(0.0, "camera", gray(path))])
         yield path.stem, found if isinstance(found, Rejected) else found[0]
@@ -71,7 +72,7 @@ def test_a_checkerboard_is_found_in_all_images_of_a_small_camera(data_dir: Path)
 
 
 def test_tags_of_robots_are_found_where_the_library_lists_them(data_dir: Path) -> None:
-    finder = TagFinder("tag36h11")
+    finder = TagFinder("tag36h11", settings=TagSettings())
     for path in sorted((data_dir / "apriltag-images" / "robotics_test").glob("*.jpg")):
         rows = [line for line in path.with_suffix(".txt").read_text().splitlines() if line.strip()]
         listed = np.array([re.findall(r"[\d.]+", row)[1:] for row in rows], dtype=np.float64)
@@ -90,7 +91,9 @@ def test_tags_of_robots_are_found_where_the_library_lists_them(data_dir: Path) -
     ],
 )
 def test_tags_of_a_model_town_are_found(name: str, ids: list[int], data_dir: Path) -> None:
-    found = TagFinder("tag36h11").find(gray(data_dir / "apriltag-images" / "duckietown" / f"{name}.png"))
+    found = TagFinder("tag36h11", settings=TagSettings()).find(
+        gray(data_dir / "apriltag-images" / "duckietown" / f"{name}.png")
+    )
     assert sorted(found.ids.tolist()) == ids
 
 
@@ -100,7 +103,9 @@ def test_a_tag_on_a_turntable_is_turned_as_stated(angle: int, data_dir: Path) ->
     camera = CameraModel("pinhole", 1056, 792, K, np.zeros(0))
     board = Board(size=(0.1, 0.1), tags=(Tag(id=76, size=0.065),))
     path = data_dir / "apriltag-images" / "duckietown" / f"test_image_rotation_{angle}.png"
-    found = CameraDetector([board], camera, PixelNoise(pixel=0.5)).find([Image(0.0, "camera", gray(path))])
+    found = CameraDetector([board], camera, PixelNoise(pixel=0.5), settings=CameraDetectionSettings()).find(
+        [Image(0.0, "camera", gray(path))]
+    )
     assert not isinstance(found, Rejected), found.reason
     normal = found[0].plane[:3]
     assert np.degrees(np.arctan2(normal[0], -normal[2])) == pytest.approx(angle, abs=4)

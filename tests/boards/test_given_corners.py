@@ -7,6 +7,7 @@ from calgraph.boards.camera import CameraDetector
 from calgraph.boards.detections import BoardCorners
 from calgraph.boards.printed_boards import compute_landmarks
 from calgraph.config import Board, Charuco, Checkerboard, PixelNoise, Tag
+from calgraph.config.settings import CameraDetectionSettings
 from calgraph.errors import InputError, Rejected
 from calgraph.geometry import Array, plane, se3, so3
 from calgraph.rig.detection.board_views import BoardViewFinder
@@ -44,7 +45,7 @@ def detect(
     """What the camera detects in corners that it sees of a board with the pose ``T``."""
     pixels = CAMERA.project(se3.apply(T, compute_landmarks(board).corners[:, 0]))[keep] + np.array(shift)
     message = DetectedCorners(1.0, "", opencv_points(board)[keep], pixels)
-    found = CameraDetector([board], CAMERA, PixelNoise()).find([message])
+    found = CameraDetector([board], CAMERA, PixelNoise(), settings=CameraDetectionSettings()).find([message])
     return found if isinstance(found, Rejected) else found[0]
 
 
@@ -76,7 +77,7 @@ def test_corners_of_another_square_are_an_error() -> None:
     with pytest.raises(
         InputError, match=r"corner detected at \(0\.162, 0\.216, 0\) m .* 20\.0 mm from the nearest"
     ):
-        CameraDetector([CHARUCO], CAMERA, PixelNoise()).find([message])
+        CameraDetector([CHARUCO], CAMERA, PixelNoise(), settings=CameraDetectionSettings()).find([message])
 
 
 def test_corners_outside_of_the_image_are_an_error() -> None:
@@ -87,7 +88,7 @@ def test_corners_outside_of_the_image_are_an_error() -> None:
 def test_corners_of_boards_with_tags_are_an_error() -> None:
     board = Board(size=(1, 1), tags=(Tag(id=0, size=0.3),))
     with pytest.raises(InputError, match="detected corners are of a checkerboard or a ChArUco board"):
-        CameraDetector([board], CAMERA, PixelNoise()).find(
+        CameraDetector([board], CAMERA, PixelNoise(), settings=CameraDetectionSettings()).find(
             [DetectedCorners(1, "", np.zeros((1, 3)), np.ones((1, 2)))]
         )
 
@@ -103,7 +104,7 @@ def test_too_few_corners_are_rejected_with_the_reason(keep: slice, reason: str) 
 
 
 def test_intrinsics_are_not_estimated_from_corners() -> None:
-    finder = BoardViewFinder([CHARUCO], PixelNoise())
+    finder = BoardViewFinder([CHARUCO], PixelNoise(), settings=CameraDetectionSettings())
     with pytest.raises(InputError, match="do not state the size of the images: state the intrinsics"):
         finder.find([DetectedCorners(1, "", np.zeros((1, 3)), np.ones((1, 2)))])
 
@@ -111,7 +112,7 @@ def test_intrinsics_are_not_estimated_from_corners() -> None:
 def test_corners_of_a_board_that_moves_within_a_capture_are_rejected() -> None:
     points = opencv_points(CHARUCO)
     pixels = CAMERA.project(se3.apply(T_CAMERA_BOARD, compute_landmarks(CHARUCO).corners[:, 0]))
-    detector = CameraDetector([CHARUCO], CAMERA, PixelNoise())
+    detector = CameraDetector([CHARUCO], CAMERA, PixelNoise(), settings=CameraDetectionSettings())
     still = [DetectedCorners(t, "", points, pixels + 0.1 * t) for t in (0.0, 1.0)]
     moved = [DetectedCorners(t, "", points, pixels + 20.0 * t) for t in (0.0, 1.0)]
     assert not isinstance(detector.find(still), Rejected)
@@ -123,7 +124,7 @@ def test_corners_of_a_board_that_moves_within_a_capture_are_rejected() -> None:
 def test_images_without_corners_do_not_count() -> None:
     points = opencv_points(CHECKERBOARD)
     pixels = CAMERA.project(se3.apply(T_CAMERA_BOARD, compute_landmarks(CHECKERBOARD).corners[:, 0]))
-    finder = CameraDetector([CHECKERBOARD], CAMERA, PixelNoise())
+    finder = CameraDetector([CHECKERBOARD], CAMERA, PixelNoise(), settings=CameraDetectionSettings())
     nothing = DetectedCorners(0.0, "", points[:0], pixels[:0])
     found = finder.find([nothing, DetectedCorners(1.0, "", points, pixels), nothing])
     assert not isinstance(found, Rejected)

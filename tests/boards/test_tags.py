@@ -26,7 +26,7 @@ def draw_tag(size: int, corner: tuple[int, int] = (200, 150), contrast: float = 
 def test_a_tag_is_found_within_its_predicted_corners() -> None:
     """Its white border lies outside them: a search without a margin would cut it off."""
     image, corners = draw_tag(80)
-    found = TagFinder("tag36h11").find_within(image, corners)
+    found = TagFinder("tag36h11", settings=TagSettings()).find_within(image, corners)
     assert found.ids.tolist() == [5]
     np.testing.assert_allclose(found.pixels, corners, atol=0.25)
 
@@ -34,21 +34,24 @@ def test_a_tag_is_found_within_its_predicted_corners() -> None:
 @pytest.mark.parametrize("shift", [(60.0, 0.0), (-60.0, 0.0), (0.0, 60.0), (0.0, -60.0), (40.0, 40.0)])
 def test_predictions_may_be_off_by_a_part_of_the_tags_edge(shift: tuple[float, float]) -> None:
     image, corners = draw_tag(160)
-    assert TagFinder("tag36h11").find_within(image, corners + shift).ids.tolist() == [5]
+    assert TagFinder("tag36h11", settings=TagSettings()).find_within(image, corners + shift).ids.tolist() == [5]
 
 
 def test_predictions_of_small_tags_may_be_off_by_some_pixels(monkeypatch: pytest.MonkeyPatch) -> None:
     image, corners = draw_tag(24)
-    finder = TagFinder("tag36h11")
+    finder = TagFinder("tag36h11", settings=TagSettings())
     assert finder.find_within(image, corners + np.array([13.0, 0.0])).ids.tolist() == [5]
     monkeypatch.setattr("calgraph.boards.tags._MIN_SEARCH_MARGIN", 0)
-    narrow = TagFinder("tag36h11")
+    narrow = TagFinder("tag36h11", settings=TagSettings())
     assert len(narrow.find_within(image, corners + np.array([13.0, 0.0]))) == 0
 
 
 def test_the_search_is_limited_to_the_prediction() -> None:
     image, corners = draw_tag(80)
-    assert len(TagFinder("tag36h11").find_within(image, corners + np.array([150.0, 0.0]))) == 0
+    assert (
+        len(TagFinder("tag36h11", settings=TagSettings()).find_within(image, corners + np.array([150.0, 0.0])))
+        == 0
+    )
 
 
 def test_the_margin_is_of_one_tag_where_several_are_predicted() -> None:
@@ -56,22 +59,28 @@ def test_the_margin_is_of_one_tag_where_several_are_predicted() -> None:
     image, corners = draw_tag(40, (40, 60))
     row = np.concatenate([corners + np.array([offset, 0.0]) for offset in (250.0, 310.0, 370.0, 430.0)])
     # The range of all is 220 px, of which an average tag of four has 110; the margin is 65 px.
-    assert len(TagFinder("tag36h11").find_within(image, row)) == 0
-    assert TagFinder("tag36h11").find_within(image, row - np.array([200.0, 0.0])).ids.tolist() == [5]
+    assert len(TagFinder("tag36h11", settings=TagSettings()).find_within(image, row)) == 0
+    assert TagFinder("tag36h11", settings=TagSettings()).find_within(
+        image, row - np.array([200.0, 0.0])
+    ).ids.tolist() == [5]
 
 
 def test_tags_at_the_borders_of_the_image_are_cut_nowhere_else() -> None:
     image, corners = draw_tag(80, (20, 20))
-    np.testing.assert_allclose(TagFinder("tag36h11").find_within(image, corners).pixels, corners, atol=0.25)
+    np.testing.assert_allclose(
+        TagFinder("tag36h11", settings=TagSettings()).find_within(image, corners).pixels, corners, atol=0.25
+    )
     image, corners = draw_tag(80, (540, 380))
-    np.testing.assert_allclose(TagFinder("tag36h11").find_within(image, corners).pixels, corners, atol=0.25)
+    np.testing.assert_allclose(
+        TagFinder("tag36h11", settings=TagSettings()).find_within(image, corners).pixels, corners, atol=0.25
+    )
 
 
 @pytest.mark.parametrize(("contrast", "count"), [(0.05, 1), (0.03, 0)])
 def test_tags_of_low_contrast_are_rejected_by_their_decision_margin(contrast: float, count: int) -> None:
     """The margins are 5.6 and 3.8 grey values; 5 are required."""
     image, _ = draw_tag(80, contrast=contrast)
-    assert len(TagFinder("tag36h11").find(image)) == count
+    assert len(TagFinder("tag36h11", settings=TagSettings()).find(image)) == count
 
 
 @pytest.mark.parametrize(("contrast", "count"), [(0.15, 1), (0.1, 0)])
@@ -82,7 +91,7 @@ def test_a_tag_with_a_wrong_bit_needs_a_larger_margin(contrast: float, count: in
     # The second of the eight cells in the second row, of 10 px.
     cell = image[y + 10 : y + 20, x + 10 : x + 20]
     cell[:] = 255 - cell
-    assert len(TagFinder("tag36h11").find(image)) == count
+    assert len(TagFinder("tag36h11", settings=TagSettings()).find(image)) == count
 
 
 def test_large_images_are_searched_at_half_resolution() -> None:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from calgraph.config import People, RangeNoise
+from calgraph.config.settings import NetworkEstimationSettings, TrackingSettings
 from calgraph.geometry import se2
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
 from calgraph.network.joint.estimate import solve_network
@@ -32,7 +33,7 @@ def scans(data_dir: Path) -> list[LaserScan]:
 def test_clock_offsets_of_real_legs_are_found(scans: list[LaserScan], offset: float) -> None:
     second = [replace(scan, stamp=scan.stamp + offset, angles=scan.angles - TURN) for scan in scans[1::2]]
     noise = RangeNoise(range=0.02, angle=0.001)
-    tracked = [track_scanner(part, People(), noise) for part in (scans[::2], second)]
+    tracked = [track_scanner(part, People(), noise, settings=TrackingSettings()) for part in (scans[::2], second)]
     legs = [found for found in tracked if isinstance(found, ScannerTracks)]
     assert len(legs) == 2
     true = np.stack([np.eye(3), se2.pose(TURN, np.zeros(2))])
@@ -40,7 +41,7 @@ def test_clock_offsets_of_real_legs_are_found(scans: list[LaserScan], offset: fl
         se2.retract(true, np.array([[0, 0, 0], [0.01, -0.01, 0.002]])), np.zeros(0, dtype=np.bool_)
     )
     nothing = PoseGraph(2, np.zeros((0, 2), dtype=np.intp), np.zeros((0, 3, 3)), np.zeros((0, 3, 3)))
-    solution = solve_network(People(), legs, start, nothing)
+    solution = solve_network(People(), legs, start, nothing, settings=NetworkEstimationSettings())
     found, sigma = solution.clocks[1]
     assert abs(found - offset) < min(0.003, 3 * sigma)
     error = se2.difference(solution.T_root_scanner, true)[1]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calgraph.config import Lidar2dSpec, People, Rig
-from calgraph.config.settings import Settings
+from calgraph.config.settings import Settings, TrackingSettings
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se3
 from calgraph.network import scanner_pairs
@@ -48,7 +48,9 @@ def track(network: SimulatedNetwork) -> Network:
         spec = rig.sensors[scanner.name]
         assert isinstance(spec, Lidar2dSpec)
         assert isinstance(rig.target, People)
-        found = track_scanner(simulate_scans(network, scanner), rig.target, spec.noise)
+        found = track_scanner(
+            simulate_scans(network, scanner), rig.target, spec.noise, settings=TrackingSettings()
+        )
         assert isinstance(found, ScannerTracks)
         tracked[scanner.name] = found
     return rig, tracked, network_truth(network)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from calgraph.boards.camera import CameraDetector
 from calgraph.boards.printed_boards import compute_landmarks
 from calgraph.config import Board, PixelNoise, Tag
+from calgraph.config.settings import CameraDetectionSettings
 from calgraph.geometry import Array
 from calgraph.printing import BoardOptions, Page, design_board, layout_pages, parse_paper
 from calgraph.printing.pdf import describe_board, write_pdf
@@ -64,7 +65,9 @@ def errors(board: Board, raster: Gray, corner: tuple[float, float], per_mm: floa
     # A camera 1 m before the paper that sees it as it was rasterised.
     K = np.array([[1000 * per_mm, 0, width / 2], [0, 1000 * per_mm, height / 2], [0, 0, 1]])
     camera = CameraModel("pinhole", width, height, K, np.zeros(0))
-    found = CameraDetector([board], camera, PixelNoise(pixel=0.3)).find([Image(0.0, "", raster)])
+    found = CameraDetector([board], camera, PixelNoise(pixel=0.3), settings=CameraDetectionSettings()).find(
+        [Image(0.0, "", raster)]
+    )
     assert isinstance(found, tuple), found
     (seen,) = found
     # Pixel centres are whole numbers, the raster's lower left corner is at (-0.5, height - 0.5).

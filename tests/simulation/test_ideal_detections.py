@@ -6,6 +6,7 @@ from scipy.stats import chi2
 
 from calgraph.boards.detections import BoardCorners, PlanePatch, Segment
 from calgraph.config import Board, Checkerboard, RangeNoise, Rig
+from calgraph.config.settings import BoardPairSettings, Settings
 from calgraph.geometry import Array, plane, se3
 from calgraph.rig.captures.detect import CaptureSet
 from calgraph.rig.pairs.board_pair import estimate_pairs, select_successful
@@ -158,8 +159,12 @@ def test_rigs_calibrate_from_detections_alone() -> None:
     world = build_world(RigScenario(camera=CAMERA), 1, images=False)
     rig, captured, truth = simulate_detections(world, 0)
     rng = np.random.default_rng(0)
-    estimates = select_successful(estimate_pairs(captured.detections, rig.board_size, rng))
-    joint = solve_hypergraph(initialize_rig(rig.root, estimates, "tree", rng), estimates, captured.detections)
+    estimates = select_successful(
+        estimate_pairs(captured.detections, rig.board_size, rng, settings=BoardPairSettings())
+    )
+    joint = solve_hypergraph(
+        initialize_rig(rig.root, estimates, "tree", rng), estimates, captured.detections, settings=Settings()
+    )
     errors = np.array([se3.difference(T, truth.T_root_sensor[name]) for name, T in joint.T_root_sensor.items()])
     assert len(errors) == len(rig.sensors)
     assert np.linalg.norm(errors[:, :3], axis=1).max() < 0.010

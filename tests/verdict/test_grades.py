@@ -30,7 +30,15 @@ def grade(
     T = np.eye(4) if T_root_sensor is None else T_root_sensor
     covariance = np.diag(np.square(stddev))
     return grade_pose(
-        "top", kind, T, covariance, ambiguity=ambiguity, tolerance=TOLERANCE, data="boards", advice="move {name}"
+        "top",
+        kind,
+        T,
+        covariance,
+        ambiguity=ambiguity,
+        tolerance=TOLERANCE,
+        data="boards",
+        advice="move {name}",
+        settings=VerdictSettings(),
     )
 
 
@@ -148,6 +156,7 @@ def test_an_inconsistent_pose_is_weak_at_best() -> None:
             tolerance=TOLERANCE,
             data="boards",
             advice="move {name}",
+            settings=VerdictSettings(),
         )
         assert found == expected
 

@@ -57,8 +57,8 @@ class CameraDetector:
         boards: Sequence[Board],
         camera: CameraModel,
         noise: PixelNoise,
+        settings: CameraDetectionSettings,
         plane_estimator: PlaneEstimator | None = None,
-        settings: CameraDetectionSettings = CameraDetectionSettings(),
     ) -> None:
         self._boards = boards
         self._camera, self._noise, self._plane_estimator, self._settings = camera, noise, plane_estimator, settings
@@ -66,7 +66,7 @@ class CameraDetector:
 
     def __reduce__(self) -> tuple[Any, ...]:
         # The finders of libraries cannot be pickled; another process makes them again.
-        arguments = self._boards, self._camera, self._noise, self._plane_estimator, self._settings
+        arguments = self._boards, self._camera, self._noise, self._settings, self._plane_estimator
         return CameraDetector, arguments
 
     def find(self, messages: Sequence[Image | DetectedCorners]) -> tuple[BoardCorners, ...] | Rejected:

@@ -69,7 +69,7 @@ class TagFinder:
     Large images are searched at half their resolution, with a light blur; edges are refined at full resolution.
     """
 
-    def __init__(self, family: Family, settings: TagSettings = TagSettings()) -> None:
+    def __init__(self, family: Family, settings: TagSettings) -> None:
         self.family, self._settings = family, settings
         corrected = _MIN_CORRECTED_MARGIN
         # Least decision margin by the number of corrected bits; tags with more corrections are rejected.

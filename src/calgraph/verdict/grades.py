@@ -41,7 +41,7 @@ def grade_pose(
     ambiguity: float = 0.0,
     *,
     tolerance: Tolerance,
-    settings: VerdictSettings = VerdictSettings(),
+    settings: VerdictSettings,
     data: str = "captures",
     advice: str = "tilt and turn the board more, in different places, where {name} and other sensors detect it",
 ) -> Verdict:

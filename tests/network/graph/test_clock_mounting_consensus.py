@@ -5,6 +5,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
+from calgraph.config.settings import ScannerPairSettings
 from calgraph.network.graph.clock_consensus import average_clocks
 from calgraph.network.graph.clock_mounting_consensus import ClockMountingSolution, resolve_clocks_and_mountings
 from calgraph.network.pairs.clock_mounting_search import ClockMountingHypothesis
@@ -27,7 +28,7 @@ def pair(
 
 
 def resolve(hypotheses: list[ClockMountingHypothesis], stated: tuple[str, ...] = ()) -> ClockMountingSolution:
-    return resolve_clocks_and_mountings("a", NAMES, hypotheses, stated)
+    return resolve_clocks_and_mountings("a", NAMES, hypotheses, stated, settings=ScannerPairSettings())
 
 
 def all_pairs(inverted: str, clocks: dict[str, float]) -> list[ClockMountingHypothesis]:

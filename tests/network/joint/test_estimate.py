@@ -8,6 +8,7 @@ import pytest
 from scipy.stats import chi2
 
 from calgraph.config import Cylinder, People
+from calgraph.config.settings import NetworkEstimationSettings
 from calgraph.geometry import Array, se2
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
 from calgraph.network.joint import body_batches
@@ -112,7 +113,7 @@ def compute_errors(solution: NetworkSolution) -> Array:
 @pytest.fixture(scope="module")
 def solved() -> list[NetworkSolution]:
     """Solutions of several recordings."""
-    return [solve_network(PEOPLE, *scene(seed)) for seed in range(6)]
+    return [solve_network(PEOPLE, *scene(seed), settings=NetworkEstimationSettings()) for seed in range(6)]
 
 
 def test_poses_are_accurate_to_a_few_millimetres(solved: list[NetworkSolution]) -> None:
@@ -154,52 +155,68 @@ def test_clock_standard_deviations_are_those_of_the_covariance() -> None:
 @pytest.mark.parametrize("factor", [0.75, 1.3])
 def test_radii_other_than_the_prior_mean_do_not_bias_poses(factor: float) -> None:
     radii = (0.25 * factor, 0.15 * factor)
-    error = np.concatenate([compute_errors(solve_network(PEOPLE, *scene(seed, radii))) for seed in range(2)])
+    error = np.concatenate(
+        [
+            compute_errors(solve_network(PEOPLE, *scene(seed, radii), settings=NetworkEstimationSettings()))
+            for seed in range(2)
+        ]
+    )
     # For the largest people, 3 mm are expected from these beams; 5.5 mm is the 99.9th percentile of eight numbers.
     assert np.sqrt(np.mean(error[:, :2] ** 2)) < 0.0055
 
 
 def test_swinging_arms_do_not_bias_poses() -> None:
-    error = np.concatenate([compute_errors(solve_network(PEOPLE, *scene(seed, swing=0.15))) for seed in range(3)])
+    error = np.concatenate(
+        [
+            compute_errors(solve_network(PEOPLE, *scene(seed, swing=0.15), settings=NetworkEstimationSettings()))
+            for seed in range(3)
+        ]
+    )
     # Taken for torsos, arms shift scanners by 5 mm; errors without arms are 2 mm.
     assert np.sqrt(np.mean(error[:, :2] ** 2)) < 0.0042
 
 
 def test_one_cylinder_suffices() -> None:
-    error = compute_errors(solve_network(ROUND, *scene(1, (0.25, 0.25), bodies=1)))
+    error = compute_errors(
+        solve_network(ROUND, *scene(1, (0.25, 0.25), bodies=1), settings=NetworkEstimationSettings())
+    )
     assert np.abs(error[:, :2]).max() < 0.006
 
 
 def test_one_person_suffices() -> None:
-    error = compute_errors(solve_network(PEOPLE, *scene(2, bodies=1)))
+    error = compute_errors(solve_network(PEOPLE, *scene(2, bodies=1), settings=NetworkEstimationSettings()))
     assert np.abs(error[:, :2]).max() < 0.008
 
 
 def test_a_scanner_without_tracks_gets_its_pose_from_its_pairs() -> None:
-    error = compute_errors(solve_network(PEOPLE, *scene(3, scanners=(0, 1))))
+    error = compute_errors(solve_network(PEOPLE, *scene(3, scanners=(0, 1)), settings=NetworkEstimationSettings()))
     assert np.abs(error[1]).max() < 0.01
 
 
 def test_a_scanner_with_outlier_beams_only_gets_its_pose_from_its_pairs() -> None:
     tracked, averaged, graph = scene(3)
     outliers = replace(tracked[2], tracks=tuple(shift_hits(track) for track in tracked[2].tracks))
-    error = compute_errors(solve_network(PEOPLE, [*tracked[:2], outliers], averaged, graph))
+    error = compute_errors(
+        solve_network(PEOPLE, [*tracked[:2], outliers], averaged, graph, settings=NetworkEstimationSettings())
+    )
     assert np.abs(error[1]).max() < 0.01
 
 
 def test_without_common_bodies_poses_follow_from_pairs() -> None:
-    error = compute_errors(solve_network(PEOPLE, *scene(4, scanners=(1,))))
+    error = compute_errors(solve_network(PEOPLE, *scene(4, scanners=(1,)), settings=NetworkEstimationSettings()))
     assert np.abs(error).max() < 1e-6
 
 
 def test_synchronized_clocks_have_no_estimate() -> None:
     tracked, averaged, graph = scene(5, scanners=())
-    clocks = solve_network(PEOPLE, tracked, averaged, graph, estimate_clocks=False).clocks
+    clocks = solve_network(
+        PEOPLE, tracked, averaged, graph, estimate_clocks=False, settings=NetworkEstimationSettings()
+    ).clocks
     np.testing.assert_array_equal(clocks, np.full((3, 2), np.nan))
 
 
 def test_the_root_has_no_covariance() -> None:
-    solution = solve_network(PEOPLE, *scene(6, bodies=1))
+    solution = solve_network(PEOPLE, *scene(6, bodies=1), settings=NetworkEstimationSettings())
     np.testing.assert_array_equal(solution.covariance.expand()[:4], 0.0)
 
 
@@ -249,7 +266,13 @@ def test_a_clock_offset_of_130_ms_is_found() -> None:
         replace(track, times=track.times + 0.1, hits=replace(track.hits, times=track.hits.times + 0.1))
         for track in tracked[1].tracks
     )
-    solution = solve_network(PEOPLE, [tracked[0], replace(tracked[1], tracks=late), tracked[2]], averaged, graph)
+    solution = solve_network(
+        PEOPLE,
+        [tracked[0], replace(tracked[1], tracks=late), tracked[2]],
+        averaged,
+        graph,
+        settings=NetworkEstimationSettings(),
+    )
     np.testing.assert_allclose(solution.clock_offset, OFFSET + np.array([0.0, 0.1, 0.0]), atol=0.003)
     assert np.abs(compute_errors(solution)[:, :2]).max() < 0.008
 
@@ -266,7 +289,10 @@ def test_static_walls_add_information() -> None:
         replace(one, background=se2.apply(se2.inverse(T), walls) + rng.normal(0, SIGMA, walls.shape))
         for one, T in zip(tracked, T_ROOT, strict=True)
     ]
-    alone, both = (solve_network(PEOPLE, tracks, averaged, graph) for tracks in (tracked, with_walls))
+    alone, both = (
+        solve_network(PEOPLE, tracks, averaged, graph, settings=NetworkEstimationSettings())
+        for tracks in (tracked, with_walls)
+    )
     before, after = (np.sqrt(np.diag(solution.pose_covariance)[3:]) for solution in (alone, both))
     assert (after < 0.985 * before).all()
     assert np.mean(after / before) < 0.95
@@ -287,7 +313,7 @@ def simulate_turning_walk(phase: float) -> tuple[Knots, BodyPath]:
 
 def test_people_who_turn_on_the_spot_are_ellipses(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys.modules[__name__], "simulate_walk", lambda _radii, phase: simulate_turning_walk(phase))
-    solution = solve_network(PEOPLE, *scene(1))
+    solution = solve_network(PEOPLE, *scene(1), settings=NetworkEstimationSettings())
     # Turned to the wrong side, they deviate by 10 mm.
     assert solution.model_error < 0.001
     assert np.abs(compute_errors(solution)[:, :2]).max() < 0.008
@@ -299,7 +325,9 @@ def test_the_model_error_is_a_standard_deviation(solved: list[NetworkSolution]) 
 
 
 def test_synchronized_clocks_have_no_offset() -> None:
-    solution = solve_network(PEOPLE, *scene(5, bodies=1), estimate_clocks=False)
+    solution = solve_network(
+        PEOPLE, *scene(5, bodies=1), estimate_clocks=False, settings=NetworkEstimationSettings()
+    )
     np.testing.assert_array_equal(solution.clock_offset, np.zeros(3))
 
 
@@ -340,7 +368,10 @@ def test_the_heading_of_a_body_that_never_walks_is_that_of_its_drift() -> None:
 @pytest.mark.slow
 def test_the_solution_does_not_depend_on_the_number_of_processes(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(body_batches, "_BATCH_BEAMS", 1000)
-    one, two = (solve_network(PEOPLE, *scene(2), engine=Processes(jobs)) for jobs in (1, 2))
+    one, two = (
+        solve_network(PEOPLE, *scene(2), engine=Processes(jobs), settings=NetworkEstimationSettings())
+        for jobs in (1, 2)
+    )
     np.testing.assert_array_equal(one.T_root_scanner, two.T_root_scanner)
     np.testing.assert_array_equal(one.covariance.blocks, two.covariance.blocks)
 
@@ -363,10 +394,10 @@ def test_a_large_network_has_no_covariance_of_scanners_without_common_bodies(
     tracked, averaged, graph = scene(2)
     # The first body is of the root and the second scanner, the other one of the root and the third.
     tracked[1], tracked[2] = (replace(tracked[s], tracks=tracked[s].tracks[s - 1 : s]) for s in (1, 2))
-    small = solve_network(PEOPLE, tracked, averaged, graph)
+    small = solve_network(PEOPLE, tracked, averaged, graph, settings=NetworkEstimationSettings())
     for module in ("joint.solver", "checks.model_assessment"):
         monkeypatch.setattr(f"calgraph.network.{module}.MAX_JOINT_COVARIANCE", 2)
-    solution = solve_network(PEOPLE, tracked, averaged, graph)
+    solution = solve_network(PEOPLE, tracked, averaged, graph, settings=NetworkEstimationSettings())
     found, expected = (one.pose_covariance for one in (solution, small))
     known = np.isfinite(found)
     assert not known[3:6, 6:].any()

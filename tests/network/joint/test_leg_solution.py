@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from calgraph.config import Lidar2dSpec, People
+from calgraph.config.settings import NetworkEstimationSettings, TrackingSettings
 from calgraph.geometry import Array, se2
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
 from calgraph.network.joint.estimate import NetworkSolution, solve_network
@@ -32,7 +33,7 @@ def solved() -> tuple[NetworkSolution, Array, Array]:
     for scanner in network.scanners:
         spec = rig.sensors[scanner.name]
         assert isinstance(spec, Lidar2dSpec)
-        found = track_scanner(simulate_scans(network, scanner), People(), spec.noise)
+        found = track_scanner(simulate_scans(network, scanner), People(), spec.noise, settings=TrackingSettings())
         assert isinstance(found, ScannerTracks)
         tracked.append(found)
     in_plane = np.ix_((0, 1, 3), (0, 1, 3))
@@ -43,7 +44,7 @@ def solved() -> tuple[NetworkSolution, Array, Array]:
     start = PoseGraphSolution(se2.retract(true, error), np.zeros(0, dtype=np.bool_))
     nothing = PoseGraph(len(names), np.zeros((0, 2), dtype=np.intp), np.zeros((0, 3, 3)), np.zeros((0, 3, 3)))
     offsets = np.array([truth.clock_offsets[name] for name in names])
-    return solve_network(People(), tracked, start, nothing), true, offsets
+    return solve_network(People(), tracked, start, nothing, settings=NetworkEstimationSettings()), true, offsets
 
 
 def test_poses_and_clocks_are_found(solved: tuple[NetworkSolution, Array, Array]) -> None:

@@ -10,7 +10,7 @@ import pytest
 from scipy.signal import lfilter
 
 from calgraph.config import People, RangeNoise
-from calgraph.config.settings import CenterFeature
+from calgraph.config.settings import CenterFeature, TrackingSettings
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2
 from calgraph.network.pairs import hypothesis_evidence
@@ -303,6 +303,7 @@ def test_a_real_pair_is_within_ten_centimetres_of_the_measured_pose(
             People(kind="people"),
             RangeNoise(),
             centers=select_center_estimator(feature),
+            settings=TrackingSettings(),
         )
         assert isinstance(tracks, ScannerTracks)
         tracked.append(tracks)

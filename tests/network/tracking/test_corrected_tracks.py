@@ -3,6 +3,7 @@
 import numpy as np
 
 from calgraph.config import People, RangeNoise
+from calgraph.config.settings import TrackingSettings
 from calgraph.network.tracking.corrected_tracks import correct_tracks
 from calgraph.network.tracking.track import ScannerTracks
 from calgraph.network.tracking.track_scanner import track_scanner
@@ -11,7 +12,10 @@ from walking_scenes import World, walk_in_circle
 
 def tracked() -> ScannerTracks:
     found = track_scanner(
-        World((walk_in_circle(1.5, (4.0, 1.0)),)).simulate_scans(8.0, 0), People(kind="people"), RangeNoise()
+        World((walk_in_circle(1.5, (4.0, 1.0)),)).simulate_scans(8.0, 0),
+        People(kind="people"),
+        RangeNoise(),
+        settings=TrackingSettings(),
     )
     assert isinstance(found, ScannerTracks)
     return found

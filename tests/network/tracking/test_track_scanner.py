@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from calgraph.config import Cylinder, People, RangeNoise
-from calgraph.config.settings import CenterFeature
+from calgraph.config.settings import CenterFeature, TrackingSettings
 from calgraph.errors import Rejected
 from calgraph.geometry import Array
 from calgraph.network.strategies import select_center_estimator
@@ -34,7 +34,9 @@ def track_world(
     target: People | Cylinder = PEOPLE,
 ) -> ScannerTracks:
     scans = world.simulate_scans(seconds, seed)
-    result = track_scanner(scans, target, RangeNoise(), centers=select_center_estimator(feature))
+    result = track_scanner(
+        scans, target, RangeNoise(), centers=select_center_estimator(feature), settings=TrackingSettings()
+    )
     assert isinstance(result, ScannerTracks)
     return result
 
@@ -202,14 +204,14 @@ def test_a_standing_person_gives_no_track() -> None:
         return np.where(there[..., None], [3.0, 1.0 + 1e-9], np.nan)
 
     scans = World((standing,)).simulate_scans(20.0, 0)
-    result = track_scanner(scans, PEOPLE, RangeNoise())
+    result = track_scanner(scans, PEOPLE, RangeNoise(), settings=TrackingSettings())
     assert isinstance(result, Rejected)
     assert "could be tracked" in result.reason
 
 
 @pytest.mark.parametrize("scans", [[], World(()).simulate_scans(3.0, 0)], ids=["no scans", "empty room"])
 def test_the_reason_for_no_tracks_is_stated(scans: list[LaserScan]) -> None:
-    result = track_scanner(scans, PEOPLE, RangeNoise())
+    result = track_scanner(scans, PEOPLE, RangeNoise(), settings=TrackingSettings())
     assert isinstance(result, Rejected)
     assert "scan" in result.reason
 
@@ -225,7 +227,7 @@ def test_malformed_scans_are_tolerated() -> None:
     ugly[50] = replace(ugly[50], ranges=np.full_like(ugly[50].ranges, np.inf))
     ugly[60] = replace(ugly[60], angles=ugly[60].angles[:0], ranges=ugly[60].ranges[:0])
     ugly.insert(80, ugly[79])
-    result = track_scanner(ugly, PEOPLE, RangeNoise())
+    result = track_scanner(ugly, PEOPLE, RangeNoise(), settings=TrackingSettings())
     assert isinstance(result, ScannerTracks)
     assert np.linalg.norm(errors(result, CIRCLE), axis=1).mean() < 0.02
 
@@ -233,7 +235,7 @@ def test_malformed_scans_are_tolerated() -> None:
 def test_a_minute_of_three_people_is_tracked_in_time(busy_room: World) -> None:
     scans = busy_room.simulate_scans(60.0, 0)
     begin = process_time()
-    track_scanner(scans, PEOPLE, RangeNoise())
+    track_scanner(scans, PEOPLE, RangeNoise(), settings=TrackingSettings())
     # 0.6 s on an idle machine.
     assert process_time() - begin < 3.0
 
@@ -246,7 +248,9 @@ def test_the_person_of_the_real_recording_is_tracked(
     with open_recording(data_dir / "two-static-2d-lidars-moving-object" / "scans_demo.bag") as recording:
         messages = [record.decode() for record in recording.records([topic])]
     scans = [message for message in messages if isinstance(message, LaserScan)]
-    result = track_scanner(scans, PEOPLE, RangeNoise(), centers=select_center_estimator(feature))
+    result = track_scanner(
+        scans, PEOPLE, RangeNoise(), centers=select_center_estimator(feature), settings=TrackingSettings()
+    )
     assert isinstance(result, ScannerTracks)
     # The README counts foreground in 301 rear and 104 front scans, some of it a few stray beams.
     in_view = {"/rear_scan": 301, "/front_scan": 81}[topic]

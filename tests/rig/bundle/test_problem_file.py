@@ -15,6 +15,7 @@ import pytest
 from board_scenes import detect_boards, make_boards, random_pose
 from calgraph.boards.detections import BoardCorners, Detection, PlanePatch, to_beams
 from calgraph.config import Rig
+from calgraph.config.settings import BoardPairSettings
 from calgraph.errors import InputError, Rejected
 from calgraph.graph.pairwise_estimate import PairwiseEstimate
 from calgraph.graph.spanning_tree import SpanningTree, find_spanning_tree
@@ -83,7 +84,9 @@ def problem() -> Problem:
         cameras={"camera": CameraModel("fisheye", 640, 480, np.diag([500.1, 499.9, 1]), np.array([0.1, 0, 0, 0]))},
         findings=(Finding("laser ä/1 is “odd”", ("laser ä/1", "camera")), Finding("no sensor's")),
     )
-    pairs = estimate_pairs({n: detections[n] for n in ("lidar", "laser ä/1")}, (1.2, 0.9), rng)
+    pairs = estimate_pairs(
+        {n: detections[n] for n in ("lidar", "laser ä/1")}, (1.2, 0.9), rng, settings=BoardPairSettings()
+    )
     assert select_successful(pairs)
     pairs = {**pairs, ("lidar", "blind"): Rejected("no capture in which both detected the board")}
     return Problem(

@@ -39,40 +39,56 @@ def moving_pair(spread: float, seed: int = 0) -> RecordingTimeline:
 
 
 def test_a_trigger_marks_rests() -> None:
-    recognized = recognize_mode(timeline([1.0, 5.0], left=sensor([1.1, 5.2])), Capture(trigger="/go"))
+    recognized = recognize_mode(
+        timeline([1.0, 5.0], left=sensor([1.1, 5.2])), Capture(trigger="/go"), settings=CaptureSettings()
+    )
     assert (recognized.mode, recognized.reason) == ("rest", "each of 2 triggers starts a capture")
 
 
 def test_what_rig_yaml_states_counts() -> None:
-    assert recognize_mode(moving_pair(0.01), Capture(mode="snapshots")).mode == "snapshots"
+    assert (
+        recognize_mode(moving_pair(0.01), Capture(mode="snapshots"), settings=CaptureSettings()).mode
+        == "snapshots"
+    )
 
 
 def test_close_irregular_poses_are_snapshots() -> None:
     poses = np.cumsum(np.random.default_rng(3).uniform(0.8, 3.0, 20))
     recording = timeline(left=sensor(poses), right=sensor(poses + 0.2))
-    assert recognize_mode(recording, Capture()).mode == "snapshots"
-    holds = find_holds(recording, Capture())
+    assert recognize_mode(recording, Capture(), settings=CaptureSettings()).mode == "snapshots"
+    holds = find_holds(recording, Capture(), settings=CaptureSettings())
     assert len(holds) == 20
     assert all(hold.stamps["right"] - hold.stamps["left"] == pytest.approx(0.2, abs=1e-6) for hold in holds)
 
 
 def test_a_slow_periodic_stream_is_not_one_of_snapshots() -> None:
     recording = timeline(left=sensor(np.arange(0, 60, 1.0)), right=sensor(np.arange(0.2, 60, 1.0)))
-    assert recognize_mode(recording, Capture()).mode == "rest"
+    assert recognize_mode(recording, Capture(), settings=CaptureSettings()).mode == "rest"
 
 
 def test_several_messages_of_a_pose_are_one_capture() -> None:
     poses = np.cumsum(np.random.default_rng(4).uniform(3.0, 6.0, 10))
     recording = timeline(left=sensor(np.r_[poses, poses + 0.1, poses + 0.2]), lidar=sensor(poses + 0.3))
-    holds = find_holds(recording, Capture())
+    holds = find_holds(recording, Capture(), settings=CaptureSettings())
     assert [(len(hold.stamps["left"]), len(hold.stamps["lidar"])) for hold in holds] == [(3, 1)] * 10
+
+
+@pytest.mark.parametrize(("seconds", "mode"), [(0.4, "snapshots"), (0.6, "rest")])
+def test_bursts_as_long_as_a_hold_are_recordings_of_rests(seconds: float, mode: str) -> None:
+    """A hold has at least half a second; one of the sensors measures once in each."""
+    starts = np.cumsum(np.random.default_rng(4).uniform(1.2, 4.0, 20))
+    stamps = (starts[:, None] + np.linspace(0, seconds, 7)).ravel()
+    recording = timeline(left=sensor(stamps), right=sensor(starts + 0.1))
+    assert recognize_mode(recording, Capture(), settings=CaptureSettings()).mode == mode
 
 
 def test_a_driver_that_answers_after_seconds_belongs_to_its_pose() -> None:
     rng = np.random.default_rng(5)
     poses = np.cumsum(rng.uniform(9.0, 15.0, 12))
     answers = poses + rng.uniform(2.5, 3.9, 12)
-    holds = find_holds(timeline(camera=sensor(poses), lidar=sensor(answers)), Capture())
+    holds = find_holds(
+        timeline(camera=sensor(poses), lidar=sensor(answers)), Capture(), settings=CaptureSettings()
+    )
     assert len(holds) == 12
     np.testing.assert_allclose([hold.stamps["lidar"][0] - START for hold in holds], answers)
 
@@ -80,7 +96,7 @@ def test_a_driver_that_answers_after_seconds_belongs_to_its_pose() -> None:
 def test_a_sensor_may_miss_a_pose() -> None:
     poses = np.arange(0, 100, 10.0)
     recording = timeline(camera=sensor(poses), lidar=sensor(poses[1:] + 0.5), third=sensor(np.delete(poses, 4)))
-    holds = find_holds(recording, Capture())
+    holds = find_holds(recording, Capture(), settings=CaptureSettings())
     assert len(holds) == 10
     assert [len(hold.stamps["lidar"]) for hold in holds] == [0] + [1] * 9
     assert len(holds[4].stamps["third"]) == 0
@@ -92,11 +108,11 @@ def test_some_short_rests_leave_a_board_moving_and_a_dozen_are_the_captures(rest
     resting = (shot % (60 / rests)) < 0.9
     still = {side: np.where(resting, 0.0, moving(shot, seed)) for side, seed in (("left", 1), ("right", 2))}
     recording = timeline(left=sensor(shot, still["left"]), right=sensor(shot + 0.001, still["right"]))
-    assert recognize_mode(recording, Capture()).mode == mode
+    assert recognize_mode(recording, Capture(), settings=CaptureSettings()).mode == mode
 
 
 def test_frames_with_equal_stamps_of_a_moving_board_are_synchronized() -> None:
-    recognized = recognize_mode(moving_pair(0.004), Capture())
+    recognized = recognize_mode(moving_pair(0.004), Capture(), settings=CaptureSettings())
     assert recognized.mode == "synchronized"
     assert recognized.spread == pytest.approx(0.002, abs=0.0005)
     assert recognized.reason.startswith("the board never rests, and the stamps of 400 sets of frames lie 2.")
@@ -104,7 +120,9 @@ def test_frames_with_equal_stamps_of_a_moving_board_are_synchronized() -> None:
 
 def test_without_activity_a_stream_is_not_said_to_move() -> None:
     shot = np.arange(0, 20, 0.05)
-    recognized = recognize_mode(timeline(left=sensor(shot), right=sensor(shot + 0.001)), Capture())
+    recognized = recognize_mode(
+        timeline(left=sensor(shot), right=sensor(shot + 0.001)), Capture(), settings=CaptureSettings()
+    )
     assert recognized.mode == "rest"
     assert recognized.spread == pytest.approx(0.001, abs=1e-6)
     assert "was not measured" in recognized.reason
@@ -136,7 +154,11 @@ def test_a_lost_frame_does_not_shift_the_sets() -> None:
 def test_of_many_sets_of_frames_the_slow_ones_are_captures() -> None:
     shot = np.arange(0, 60, 0.05)
     speed = 0.02 + 0.015 * np.sin(2 * np.pi * shot / 0.5)
-    holds = find_holds(timeline(left=sensor(shot, speed), right=sensor(shot + 0.002, speed)), Capture())
+    holds = find_holds(
+        timeline(left=sensor(shot, speed), right=sensor(shot + 0.002, speed)),
+        Capture(),
+        settings=CaptureSettings(),
+    )
     chosen = [hold for hold in holds if not hold.auxiliary]
     assert len(chosen) == 120
     at = np.array([hold.start for hold in chosen]) - START
@@ -145,7 +167,7 @@ def test_of_many_sets_of_frames_the_slow_ones_are_captures() -> None:
 
 
 def test_captures_have_the_frames_before_and_after_beside_them() -> None:
-    holds = find_holds(moving_pair(0.004), Capture())
+    holds = find_holds(moving_pair(0.004), Capture(), settings=CaptureSettings())
     stamps = [float(hold.stamps["left"][0]) for hold in holds if len(hold.stamps["left"])]
     chosen = [float(hold.stamps["left"][0]) for hold in holds if not hold.auxiliary]
     assert len(stamps) == len(set(stamps))

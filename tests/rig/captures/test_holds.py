@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from calgraph.config import Capture
+from calgraph.config.settings import CaptureSettings
 from calgraph.errors import CalibrationError
 from calgraph.geometry import Array
 from calgraph.rig.captures.capture_mode import is_snapshot_recording
@@ -32,7 +33,7 @@ def timeline(triggers: Sequence[float] = (), **sensors: SensorTimes) -> Recordin
 
 def test_a_triggered_hold_lasts_until_the_slowest_sensor_has_measured_twice() -> None:
     recording = timeline([10.0], fast=times(0, 30, 0.05, 0.025), slow=times(0.3, 30, 1.5, 1.5))
-    (hold,) = find_holds(recording, Capture(trigger="/go"))
+    (hold,) = find_holds(recording, Capture(trigger="/go"), settings=CaptureSettings())
     # Sweeps start at 10.8 and 12.3; the second one ends at 13.8.
     assert hold.start == START + 10
     assert hold.end - START == pytest.approx(13.8)
@@ -41,7 +42,7 @@ def test_a_triggered_hold_lasts_until_the_slowest_sensor_has_measured_twice() ->
 
 def test_only_messages_measured_entirely_within_the_hold_are_used() -> None:
     recording = timeline([10.0], fast=times(0, 30, 0.05, 0.04), slow=times(0.3, 30, 1.5, 1.5))
-    (hold,) = find_holds(recording, Capture(trigger="/go"))
+    (hold,) = find_holds(recording, Capture(trigger="/go"), settings=CaptureSettings())
     fast = hold.stamps["fast"]
     assert fast.min() >= hold.start
     assert fast.max() + 0.04 <= hold.end + 1e-6
@@ -51,26 +52,30 @@ def test_only_messages_measured_entirely_within_the_hold_are_used() -> None:
 def test_first_message_is_left_out_where_its_duration_is_unknown() -> None:
     """Its stamp may be that of its last point: the board may have moved meanwhile (MSG-Cal, III)."""
     recording = timeline([10.0], slow=times(0.3, 30, 1.5))
-    (hold,) = find_holds(recording, Capture(trigger="/go"))
+    (hold,) = find_holds(recording, Capture(trigger="/go"), settings=CaptureSettings())
     np.testing.assert_allclose(hold.stamps["slow"] - START, [12.3])
 
 
 def test_a_hold_ends_at_the_next_trigger() -> None:
     recording = timeline([10.0, 11.0], slow=times(0, 30, 1.5, 1.5))
-    first, _ = find_holds(recording, Capture(trigger="/go"))
+    first, _ = find_holds(recording, Capture(trigger="/go"), settings=CaptureSettings())
     assert first.end == START + 11
 
 
 def test_excluded_times_and_background_have_no_holds() -> None:
     recording = timeline([2.0, 10.0, 20.0], fast=times(0, 30, 0.1))
-    (hold,) = find_holds(recording, Capture(trigger="/go", background=(0.0, 5.0), exclude=((9.0, 10.05),)))
+    (hold,) = find_holds(
+        recording,
+        Capture(trigger="/go", background=(0.0, 5.0), exclude=((9.0, 10.05),)),
+        settings=CaptureSettings(),
+    )
     assert hold.start == START + 20
     assert hold.index == 0
 
 
 def test_single_shots_are_grouped_by_pose() -> None:
     snapshots = timeline(camera=times(0, 100, 10), lidar=times(0.05, 100, 10))
-    holds = find_holds(snapshots, Capture())
+    holds = find_holds(snapshots, Capture(), settings=CaptureSettings())
     assert is_snapshot_recording(snapshots, max_gap=1.0)
     assert len(holds) == 10
     assert all(len(hold.stamps[name]) == 1 for hold in holds for name in ("camera", "lidar"))
@@ -78,7 +83,7 @@ def test_single_shots_are_grouped_by_pose() -> None:
 
 def test_snapshot_of_one_sensor_alone_is_no_hold() -> None:
     snapshots = timeline(camera=times(0, 50, 10), lidar=times(0, 100, 10))
-    assert len(find_holds(snapshots, Capture())) == 5
+    assert len(find_holds(snapshots, Capture(), settings=CaptureSettings())) == 5
 
 
 def board_motion(t: Array) -> Array:
@@ -93,7 +98,7 @@ def test_holds_are_found_where_nothing_moves() -> None:
         laser=times(0, 60, 0.05, activity=board_motion),
         slow=times(0, 60, 1.2, 1.2),
     )
-    holds = find_holds(recording, Capture())
+    holds = find_holds(recording, Capture(), settings=CaptureSettings())
     assert len(holds) == 12
     for hold in holds:
         assert (hold.start - START) % 5 >= 0.9
@@ -104,15 +109,15 @@ def test_holds_are_found_where_nothing_moves() -> None:
 def test_rests_shorter_than_the_slowest_sensor_are_no_holds() -> None:
     recording = timeline(laser=times(0, 60, 0.05, activity=board_motion), slow=times(0, 60, 4.5, 4.5))
     with pytest.raises(CalibrationError, match="never rests"):
-        find_holds(recording, Capture())
+        find_holds(recording, Capture(), settings=CaptureSettings())
 
 
 def test_stillness_needs_a_fast_sensor() -> None:
     recording = timeline(slow=times(0, 60, 1.0, 1.0))
     with pytest.raises(CalibrationError, match="never rests"):
-        find_holds(recording, Capture())
+        find_holds(recording, Capture(), settings=CaptureSettings())
 
 
 def test_a_trigger_topic_without_messages_is_named() -> None:
     with pytest.raises(CalibrationError, match=r"the topic /go has no message: check capture\.trigger"):
-        find_holds(timeline([], fast=times(0, 30, 0.05)), Capture(trigger="/go"))
+        find_holds(timeline([], fast=times(0, 30, 0.05)), Capture(trigger="/go"), settings=CaptureSettings())

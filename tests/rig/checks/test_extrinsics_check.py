@@ -9,6 +9,7 @@ import pytest
 
 from bundle_scenes import Scene, scene
 from calgraph.config import Tolerance
+from calgraph.config.settings import VerdictSettings
 from calgraph.errors import InputError
 from calgraph.geometry import Array, se3
 from calgraph.result import Calibration, ExtrinsicsFile, SensorPose, Verdict
@@ -66,7 +67,7 @@ def true_poses(moved: str = "", by: Array | None = None) -> ExtrinsicsFile:
 
 
 def audited(given: ExtrinsicsFile, seed: int = 0, tolerance: Tolerance = TOLERANCE) -> ExtrinsicsComparison:
-    return compare_rig_poses(calibrated(seed)[0], None, given, tolerance)
+    return compare_rig_poses(calibrated(seed)[0], None, given, tolerance, settings=VerdictSettings())
 
 
 def step(axis: int, size: float) -> Array:
@@ -121,7 +122,9 @@ def test_what_the_captures_cannot_tell_is_said() -> None:
     to_root = EXACT.truth.T_root_sensor[3][:3, :3]
     joint[18:21, 18:21] += to_root @ np.diag([0, 0, 0.12**2]) @ to_root.T
     weak = replace(found, sensors=(*found.sensors[:3], loose), joint_covariance=joint)
-    result = compare_rig_poses(weak, None, true_poses("laser_2", step(2, 0.1)), TOLERANCE)
+    result = compare_rig_poses(
+        weak, None, true_poses("laser_2", step(2, 0.1)), TOLERANCE, settings=VerdictSettings()
+    )
     assert result.outcome == "warn"
     assert result.sensors[2].reason == "height (z) is too uncertain: σ 120.0 mm"
 
@@ -138,12 +141,15 @@ def test_axes_that_are_sure_only_together_fail_together() -> None:
         None,
         true_poses("laser_2", np.array([0.03, -0.03, 0, 0, 0, 0])),
         TOLERANCE,
+        settings=VerdictSettings(),
     )
     assert [axis.outcome for axis in result.sensors[2].axes] == ["fail", "fail", "pass", "pass", "pass", "pass"]
 
 
 def test_measurements_fit_the_given_pose_worse_where_it_is_wrong() -> None:
-    result = compare_rig_poses(*calibrated(0), true_poses("laser", step(0, 0.05)), TOLERANCE)
+    result = compare_rig_poses(
+        *calibrated(0), true_poses("laser", step(0, 0.05)), TOLERANCE, settings=VerdictSettings()
+    )
     misfits = {sensor.sensor: sensor.misfit for sensor in result.sensors}
     camera, laser = misfits["camera"], misfits["laser"]
     assert camera is not None
@@ -160,7 +166,10 @@ def test_covariances_of_a_given_calibration_count() -> None:
         found, before = calibrated(seed)[0], calibrated((seed + 1) % SEEDS)[0]
         above = {s.name: FrameLink("lidar", s.T_root_sensor) for s in before.sensors[1:]}
         given = ExtrinsicsFile(Path("calibration.yaml"), FrameTree("calibration.yaml", above), calibration=before)
-        distances += [sensor.distance**2 for sensor in compare_rig_poses(found, None, given, TOLERANCE).sensors]
+        distances += [
+            sensor.distance**2
+            for sensor in compare_rig_poses(found, None, given, TOLERANCE, settings=VerdictSettings()).sensors
+        ]
     # 60 squared distances with six degrees of freedom each, those of one run, and of neighbours, correlated.
     assert 4.5 < np.mean(distances) < 7.5
 
@@ -187,6 +196,7 @@ def test_a_doubtful_calibration_warns_of_what_it_doubts() -> None:
         adjusted,
         true_poses(),
         TOLERANCE,
+        settings=VerdictSettings(),
     )
     assert (result.sensors[0].outcome, result.sensors[0].reason) == ("warn", "check the focal length")
 
@@ -195,7 +205,9 @@ def test_a_moved_sensor_fails_although_its_calibration_is_weak() -> None:
     found, adjusted = calibrated()
     weak = replace(found.sensors[1], verdict=Verdict("weak", "check the focal length"))
     calibration = replace(found, sensors=(found.sensors[0], weak, *found.sensors[2:]))
-    result = compare_rig_poses(calibration, adjusted, true_poses("camera", step(2, 0.05)), TOLERANCE)
+    result = compare_rig_poses(
+        calibration, adjusted, true_poses("camera", step(2, 0.05)), TOLERANCE, settings=VerdictSettings()
+    )
     assert result.failed == ("camera",)
     assert "check the focal length" not in result.sensors[0].reason
 
@@ -207,12 +219,15 @@ def test_sensors_that_captures_do_not_tie_are_warnings() -> None:
         adjusted,
         true_poses(),
         TOLERANCE,
+        settings=VerdictSettings(),
     )
     assert (result.sensors[-1].sensor, result.sensors[-1].outcome) == ("sonar", "warn")
 
 
 def test_residuals_are_infinite_where_given_poses_put_boards_behind_a_camera() -> None:
-    result = compare_rig_poses(*calibrated(0), true_poses("camera", step(4, np.pi)), TOLERANCE)
+    result = compare_rig_poses(
+        *calibrated(0), true_poses("camera", step(4, np.pi)), TOLERANCE, settings=VerdictSettings()
+    )
     residuals = [result.misfit, *(sensor.misfit for sensor in result.sensors)]
     assert [one and one.given for one in residuals] == [np.inf] * 4
     assert all(one and one.found < 0.1 for one in residuals)
@@ -221,5 +236,11 @@ def test_residuals_are_infinite_where_given_poses_put_boards_behind_a_camera() -
 def test_the_uncertainty_of_exact_poses_is_their_rounding() -> None:
     """1e-6 m and rad."""
     found, _ = calibrated()
-    result = compare_rig_poses(replace(found, joint_covariance=np.zeros((24, 24))), None, true_poses(), TOLERANCE)
+    result = compare_rig_poses(
+        replace(found, joint_covariance=np.zeros((24, 24))),
+        None,
+        true_poses(),
+        TOLERANCE,
+        settings=VerdictSettings(),
+    )
     np.testing.assert_allclose([axis.stddev for axis in result.sensors[0].axes], 1e-6)

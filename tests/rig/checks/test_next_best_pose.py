@@ -8,6 +8,7 @@ import pytest
 
 from bundle_scenes import HEIGHT, LEVER, WIDTH, bias_variances, board_poses, scene, views_of, with_range_bias
 from calgraph.config import Tolerance
+from calgraph.config.settings import DiagnosticsSettings, VerdictSettings
 from calgraph.geometry import Array, se3, so3
 from calgraph.result import Suggestion
 from calgraph.rig.bundle.bundle_parameters import SystematicParameter
@@ -45,7 +46,14 @@ def adjusted(boards: Array) -> SolvedBundle:
 
 
 def suggested(boards: Array) -> tuple[Suggestion, ...]:
-    return suggest_board_poses(adjusted(boards), KINDS, (WIDTH, HEIGHT), np.random.default_rng(0), Tolerance())
+    return suggest_board_poses(
+        adjusted(boards),
+        KINDS,
+        (WIDTH, HEIGHT),
+        np.random.default_rng(0),
+        Tolerance(),
+        settings=DiagnosticsSettings(),
+    )
 
 
 def laser_deviations(boards: Array) -> Array:
@@ -74,7 +82,9 @@ def test_boards_held_upright_are_to_be_tilted_before_the_scanner_that_they_leave
 def test_verdict_of_upright_boards_says_what_is_open_and_what_to_do() -> None:
     at = adjusted(upright(20))
     spread = pose_covariance(at.bundle, at.minimized.state, at.minimized.equations)[12:, 12:]
-    found = grade_pose("laser", "lidar2d", T_ROBOT_SENSOR[2], spread, tolerance=Tolerance())
+    found = grade_pose(
+        "laser", "lidar2d", T_ROBOT_SENSOR[2], spread, tolerance=Tolerance(), settings=VerdictSettings()
+    )
     assert found.grade == "unobservable"
     assert found.reason.startswith(
         "height (z), roll (about x) and pitch (about y) of laser are not observable from these captures"
@@ -101,7 +111,9 @@ def test_deviations_shrink_by_as_much_as_promised() -> None:
 def test_suggestions_beat_boards_of_the_same_kind_as_before() -> None:
     exact = scene(boards=12)
     known = SolvedBundle(exact.bundle, minimize_bundle(exact.bundle, exact.truth), np.arange(12))
-    suggestions = suggest_board_poses(known, KINDS, (WIDTH, HEIGHT), np.random.default_rng(0), Tolerance())
+    suggestions = suggest_board_poses(
+        known, KINDS, (WIDTH, HEIGHT), np.random.default_rng(0), Tolerance(), settings=DiagnosticsSettings()
+    )
     assert suggestions
     # Three more boards among twelve like them shrink deviations by a tenth.
     assert suggestions[0].expected / suggestions[0].stddev < 0.9
@@ -123,7 +135,9 @@ def test_an_estimated_error_of_a_sensor_does_not_change_what_a_board_is_expected
             bundle, minimize_bundle(bundle, replace(exact.truth, extra=np.zeros(1))), np.arange(12)
         )
         assert solved.minimized.state.extra == pytest.approx([bias], abs=0.01)
-        return suggest_board_poses(solved, KINDS, (WIDTH, HEIGHT), np.random.default_rng(0), Tolerance())
+        return suggest_board_poses(
+            solved, KINDS, (WIDTH, HEIGHT), np.random.default_rng(0), Tolerance(), settings=DiagnosticsSettings()
+        )
 
     without, estimated = suggest_with(0.0), suggest_with(bias)
     assert [s.expected for s in estimated] == pytest.approx([s.expected for s in without], rel=0.02)
@@ -186,7 +200,12 @@ def test_without_an_estimated_pose_no_board_is_suggested() -> None:
     exact = scene(boards=4)
     bundle = replace(exact.bundle, body=np.zeros(3, dtype=np.intp))
     solved = SolvedBundle(bundle, minimize_bundle(bundle, exact.truth), np.arange(4))
-    assert suggest_board_poses(solved, KINDS, (WIDTH, HEIGHT), np.random.default_rng(0), Tolerance()) == ()
+    assert (
+        suggest_board_poses(
+            solved, KINDS, (WIDTH, HEIGHT), np.random.default_rng(0), Tolerance(), settings=DiagnosticsSettings()
+        )
+        == ()
+    )
 
 
 def test_the_sensor_and_axis_of_a_suggestion_are_those_of_the_largest_standard_deviation() -> None:
@@ -197,6 +216,8 @@ def test_the_sensor_and_axis_of_a_suggestion_are_those_of_the_largest_standard_d
     to_camera = np.kron(np.eye(2), exact.truth.T_root_sensor[1, :3, :3].T)
     deviations = np.sqrt(np.diag(to_camera @ covariance @ to_camera.T))
     worst = int(np.argmax(deviations / Tolerance().limits))
-    first = suggest_board_poses(solved, KINDS, (WIDTH, HEIGHT), np.random.default_rng(0), Tolerance())[0]
+    first = suggest_board_poses(
+        solved, KINDS, (WIDTH, HEIGHT), np.random.default_rng(0), Tolerance(), settings=DiagnosticsSettings()
+    )[0]
     assert (first.sensor, first.axis) == ("camera", axis_names("camera")[worst])
     assert first.stddev == pytest.approx(deviations[worst])

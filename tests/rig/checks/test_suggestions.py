@@ -6,6 +6,7 @@ import numpy as np
 
 from bundle_scenes import HEIGHT, WIDTH, scene
 from calgraph.config import Tolerance
+from calgraph.config.settings import DiagnosticsSettings
 from calgraph.result import Calibration, SensorPose, Verdict
 from calgraph.rig.bundle.bundle_solver import minimize_bundle
 from calgraph.rig.bundle.covariances import pose_covariance
@@ -33,7 +34,10 @@ def suggest(grade: Literal["good", "weak"]) -> Calibration:
     calibration = Calibration("lidar", sensors, joint_covariance=joint)
     rng = np.random.default_rng(0)
     problem = SolvedBundle(exact.bundle, solved, np.arange(6))
-    return add_suggestions(calibration, suggest_board_poses(problem, KINDS, (WIDTH, HEIGHT), rng, Tolerance()))
+    return add_suggestions(
+        calibration,
+        suggest_board_poses(problem, KINDS, (WIDTH, HEIGHT), rng, Tolerance(), settings=DiagnosticsSettings()),
+    )
 
 
 def test_the_first_suggestion_for_a_weak_sensor_is_in_its_verdict() -> None:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from calgraph.config import Board, RangeNoise
-from calgraph.config.settings import ScannerDetectionSettings
+from calgraph.config.settings import DetectionSettings, ScannerDetectionSettings
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, Index
 from calgraph.rig.detection.board_edges import find_board_edges, select_beams_with_margin
@@ -139,7 +139,14 @@ def test_edges_of_scans_lie_on_either_side_of_the_boards_ends_without_bias() -> 
         angles = np.arange(-60, 60) * step * 2 + rng.uniform(-step, step)
         true = np.where(np.abs(2.0 * np.tan(angles)) < half, 2.0, 8.0) / np.cos(angles)
         scans = [LaserScan(0.0, "laser", angles, true + rng.normal(0, 0.012, len(angles))) for _ in range(3)]
-        segments = find_segments(scans, [Board(size=(1.0, 0.8))], RangeNoise(range=0.012, angle=0.001), None, rng)
+        segments = find_segments(
+            scans,
+            [Board(size=(1.0, 0.8))],
+            RangeNoise(range=0.012, angle=0.001),
+            None,
+            rng,
+            settings=DetectionSettings(),
+        )
         assert not isinstance(segments, Rejected)
         ends = 2.0 * segments[0].edges[..., 1] / segments[0].edges[..., 0]
         assert len(ends) == 2

@@ -21,28 +21,28 @@ def wall_cloud(rng: np.random.Generator, count: int = 20_000, noise: float = 0.0
 
 
 def test_noise_at_the_border_of_a_voxel_is_background(rng: np.random.Generator) -> None:
-    background = learn_cloud_background([wall_cloud(rng) for _ in range(3)])
+    background = learn_cloud_background([wall_cloud(rng) for _ in range(3)], settings=DetectionSettings())
     assert background.foreground(wall_cloud(rng).points).sum() == 0
 
 
 def test_a_board_before_the_wall_is_foreground(rng: np.random.Generator) -> None:
-    background = learn_cloud_background([wall_cloud(rng) for _ in range(3)])
+    background = learn_cloud_background([wall_cloud(rng) for _ in range(3)], settings=DetectionSettings())
     assert background.foreground(wall_cloud(rng, 1000, x=3.5).points).sum() == 1000
 
 
 def test_points_behind_the_background_are_not_foreground(rng: np.random.Generator) -> None:
-    background = learn_cloud_background([wall_cloud(rng) for _ in range(3)])
+    background = learn_cloud_background([wall_cloud(rng) for _ in range(3)], settings=DetectionSettings())
     behind = wall_cloud(rng, 1000, x=5.0).points
     assert background.foreground(behind * [1, 0.5, 0.5]).sum() == 0
 
 
 def test_directions_without_background_are_foreground(rng: np.random.Generator) -> None:
-    background = learn_cloud_background([wall_cloud(rng)])
+    background = learn_cloud_background([wall_cloud(rng)], settings=DetectionSettings())
     assert background.foreground(np.array([[-6.0, 0, 0], [0, -30.0, 2.0]])).tolist() == [True, True]
 
 
 def test_subtracting_100000_points_is_quick(rng: np.random.Generator) -> None:
-    background = learn_cloud_background([wall_cloud(rng, 100_000)])
+    background = learn_cloud_background([wall_cloud(rng, 100_000)], settings=DetectionSettings())
     points = wall_cloud(rng, 100_000).points
     start = process_time()
     background.foreground(points)
@@ -59,7 +59,7 @@ def test_background_points_are_never_foreground(points: list[tuple[float, float,
 
 def test_an_empty_cloud_window_is_named() -> None:
     with pytest.raises(InputError, match=r"capture\.background"):
-        learn_cloud_background([PointCloud(0.0, "scanner", np.empty((0, 3)))])
+        learn_cloud_background([PointCloud(0.0, "scanner", np.empty((0, 3)))], settings=DetectionSettings())
 
 
 def test_direction_cells_are_rows_of_elevation_and_columns_of_azimuth() -> None:
@@ -78,7 +78,9 @@ def test_the_farthest_background_is_that_of_its_direction() -> None:
     one = np.ones_like(y)
     walls = (np.column_stack([3 * one, y, z]), np.column_stack([y, 5 * one, z]), np.column_stack([y, -7 * one, z]))
     ceiling = np.column_stack([y, z, 2 * one])
-    background = learn_cloud_background([PointCloud(0.0, "scanner", np.vstack([*walls, ceiling]))])
+    background = learn_cloud_background(
+        [PointCloud(0.0, "scanner", np.vstack([*walls, ceiling]))], settings=DetectionSettings()
+    )
     distances = np.array([1.9, 2.2, 2.7, 3.3, 4.7, 5.3, 6.7, 7.3])[:, None]
     for direction, farthest in (([1, 0, 0], 3), ([0, 1, 0], 5), ([0, -1, 0], 7)):
         foreground = background.foreground(distances * np.array(direction, dtype=float))
@@ -90,7 +92,7 @@ def test_the_farthest_background_is_that_of_its_direction() -> None:
 @pytest.mark.parametrize(("behind", "foreground"), [(0.055, False), (0.16, False)])
 def test_points_on_and_behind_a_wall_are_background(behind: float, foreground: bool) -> None:
     wall = wall_cloud(np.random.default_rng(0), noise=0.0)
-    background = learn_cloud_background([wall])
+    background = learn_cloud_background([wall], settings=DetectionSettings())
     assert (background.foreground(wall.points + np.array([behind, 0, 0])).mean() > 0.5) == foreground
     assert background.foreground(wall.points - np.array([0.16, 0, 0])).mean() > 0.95
 
@@ -99,7 +101,7 @@ def test_all_voxels_that_a_cube_of_a_voxel_around_a_point_meets_are_background(r
     voxel = 0.1
     borders = voxel / 2 * rng.integers(-4, 5, (60, 3))
     points = np.concatenate([borders, rng.uniform(-0.3, 0.3, (60, 3)), 1e4 * rng.normal(size=(20, 3))])
-    background = learn_cloud_background([PointCloud(0.0, "scanner", points)])
+    background = learn_cloud_background([PointCloud(0.0, "scanner", points)], settings=DetectionSettings())
     corners = 0.499 * voxel * np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3), axis=-1).reshape(-1, 1, 3)
     met = np.unique(pack_voxels(find_voxels((points + corners).reshape(-1, 3), voxel)))
     assert np.array_equal(background.keys, met)

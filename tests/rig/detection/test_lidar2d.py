@@ -9,6 +9,7 @@ from scipy.stats import chi2
 
 from calgraph.boards.detections import Segment
 from calgraph.config import Board, RangeNoise
+from calgraph.config.settings import DetectionSettings
 from calgraph.errors import Rejected
 from calgraph.geometry import Array
 from calgraph.rig.detection.background_learning import learn_scan_background
@@ -88,20 +89,24 @@ def distances(segment: Segment, ends: Array = ENDS) -> Array:
 
 
 def test_finds_a_board_without_background(rng: np.random.Generator) -> None:
-    best = accepted(find_segments([measure(rng)], [BOARD], NOISE, None, rng))[0]
+    best = accepted(find_segments([measure(rng)], [BOARD], NOISE, None, rng, settings=DetectionSettings()))[0]
     assert np.abs(distances(best)).max() < 0.01
     assert np.linalg.norm(best.endpoints[:, :2] - ENDS, axis=1).max() < 0.04
 
 
 def test_finds_a_board_with_background(rng: np.random.Generator) -> None:
     background = learn_scan_background([measure(rng, ends=None) for _ in range(20)])
-    segments = accepted(find_segments([measure(rng)], [BOARD], NOISE, background, rng))
+    segments = accepted(
+        find_segments([measure(rng)], [BOARD], NOISE, background, rng, settings=DetectionSettings())
+    )
     assert len(segments) == 1
     assert np.abs(distances(segments[0])).max() < 0.01
 
 
 def test_end_points_come_in_order_of_angle(rng: np.random.Generator) -> None:
-    for segment in accepted(find_segments([measure(rng)], [BOARD], NOISE, None, rng)):
+    for segment in accepted(
+        find_segments([measure(rng)], [BOARD], NOISE, None, rng, settings=DetectionSettings())
+    ):
         first, last = np.arctan2(segment.endpoints[:, 1], segment.endpoints[:, 0])
         assert first < last
 
@@ -110,7 +115,7 @@ def test_operator_beside_the_board_does_not_extend_it(rng: np.random.Generator) 
     background = learn_scan_background([measure(rng, ends=None) for _ in range(20)])
     leg = (*(ENDS[1] + 0.08 * ALONG), 0.08)
     scan = measure(rng, legs=[(float(leg[0]), float(leg[1]), leg[2])])
-    best = accepted(find_segments([scan], [BOARD], NOISE, background, rng))[0]
+    best = accepted(find_segments([scan], [BOARD], NOISE, background, rng, settings=DetectionSettings()))[0]
     assert np.linalg.norm(best.endpoints[1, :2] - ENDS[1]) < 0.06
     assert np.abs(distances(best)).max() < 0.015
 
@@ -125,7 +130,7 @@ def test_what_stands_beside_the_board_off_its_line_is_cut_off(end: int, rng: np.
     lengths, offsets = [], []
     for _ in range(10):
         scans = [measure(rng, walls=[*ROOM, piece]) for _ in range(8)]
-        best = accepted(find_segments(scans, [BOARD], NOISE, background, rng))[0]
+        best = accepted(find_segments(scans, [BOARD], NOISE, background, rng, settings=DetectionSettings()))[0]
         lengths.append(np.linalg.norm(np.diff(best.endpoints, axis=0)))
         offsets.append(distances(best))
     # The board is 0.9 m long, both together 1.02 m.
@@ -135,13 +140,22 @@ def test_what_stands_beside_the_board_off_its_line_is_cut_off(end: int, rng: np.
 
 def test_a_body_alone_is_a_bad_match(rng: np.random.Generator) -> None:
     background = learn_scan_background([measure(rng, ends=None) for _ in range(20)])
-    result = find_segments([measure(rng, ends=None, legs=[(2.0, 0.3, 0.2)])], [BOARD], NOISE, background, rng)
+    result = find_segments(
+        [measure(rng, ends=None, legs=[(2.0, 0.3, 0.2)])],
+        [BOARD],
+        NOISE,
+        background,
+        rng,
+        settings=DetectionSettings(),
+    )
     assert isinstance(result, Rejected) or result[0].match < 0.35
 
 
 def test_repeated_scans_are_averaged(rng: np.random.Generator) -> None:
-    one = accepted(find_segments([measure(rng)], [BOARD], NOISE, None, rng))[0]
-    many = accepted(find_segments([measure(rng) for _ in range(16)], [BOARD], NOISE, None, rng))[0]
+    one = accepted(find_segments([measure(rng)], [BOARD], NOISE, None, rng, settings=DetectionSettings()))[0]
+    many = accepted(
+        find_segments([measure(rng) for _ in range(16)], [BOARD], NOISE, None, rng, settings=DetectionSettings())
+    )[0]
     n = np.array([-ALONG[1], ALONG[0], 0])
     ratio = (n @ many.covariance[:3, :3] @ n) / (n @ one.covariance[:3, :3] @ n)
     assert np.sqrt(ratio) == pytest.approx(0.25, rel=0.2)
@@ -153,7 +167,9 @@ def test_scans_without_any_return_change_nothing() -> None:
     empty = LaserScan(0.0, "scanner", ANGLES, np.full(len(ANGLES), np.nan))
     none = LaserScan(0.0, "scanner", np.zeros(0), np.zeros(0))
     [expected, found] = [
-        accepted(find_segments(scans, [BOARD], NOISE, None, np.random.default_rng(5)))[0]
+        accepted(
+            find_segments(scans, [BOARD], NOISE, None, np.random.default_rng(5), settings=DetectionSettings())
+        )[0]
         for scans in (full, [empty, none, *full, empty, none])
     ]
     np.testing.assert_array_equal(found.covariance, expected.covariance)
@@ -163,21 +179,29 @@ def test_scans_without_any_return_change_nothing() -> None:
 def test_a_board_across_the_seam_of_a_full_turn_is_one_segment(rng: np.random.Generator) -> None:
     around = np.linspace(0, 2 * np.pi, 1440, endpoint=False)
     ends = np.array([[1.5, -0.4], [1.6, 0.5]])
-    best = accepted(find_segments([measure(rng, ends=ends, angles=around)], [BOARD], NOISE, None, rng))[0]
+    best = accepted(
+        find_segments(
+            [measure(rng, ends=ends, angles=around)], [BOARD], NOISE, None, rng, settings=DetectionSettings()
+        )
+    )[0]
     assert np.linalg.norm(best.endpoints[1] - best.endpoints[0]) == pytest.approx(0.906, abs=0.04)
 
 
 def test_beams_missing_in_dark_print_do_not_split_the_board(rng: np.random.Generator) -> None:
     scan = measure(rng, dropouts=0.3)
-    best = accepted(find_segments([scan], [BOARD], NOISE, None, rng))[0]
+    best = accepted(find_segments([scan], [BOARD], NOISE, None, rng, settings=DetectionSettings()))[0]
     assert np.linalg.norm(best.endpoints[1] - best.endpoints[0]) == pytest.approx(LENGTH, abs=0.05)
 
 
 def test_descending_angles_are_the_same_scan(rng: np.random.Generator) -> None:
     scan = measure(rng)
     reverse = LaserScan(0.0, "laser", scan.angles[::-1], scan.ranges[::-1])
-    forward = accepted(find_segments([scan], [BOARD], NOISE, None, np.random.default_rng(1)))[0]
-    backward = accepted(find_segments([reverse], [BOARD], NOISE, None, np.random.default_rng(1)))[0]
+    forward = accepted(
+        find_segments([scan], [BOARD], NOISE, None, np.random.default_rng(1), settings=DetectionSettings())
+    )[0]
+    backward = accepted(
+        find_segments([reverse], [BOARD], NOISE, None, np.random.default_rng(1), settings=DetectionSettings())
+    )[0]
     assert np.allclose(forward.endpoints, backward.endpoints)
 
 
@@ -191,7 +215,7 @@ def test_covariance_is_that_of_repeated_scans() -> None:
     for seed in range(seeds):
         rng = np.random.default_rng(seed)
         scan = measure(rng, walls=[], angles=near)
-        best = accepted(find_segments([scan], [BOARD], NOISE, None, rng))[0]
+        best = accepted(find_segments([scan], [BOARD], NOISE, None, rng, settings=DetectionSettings()))[0]
         error = distances(best)
         total += float(error @ np.linalg.solve(N @ best.covariance @ N.T, error))
     low, high = chi2.ppf([0.005, 0.995], 2 * seeds)
@@ -199,7 +223,7 @@ def test_covariance_is_that_of_repeated_scans() -> None:
 
 
 def test_end_points_are_uncertain_by_the_beam_spacing_along_the_line(rng: np.random.Generator) -> None:
-    best = accepted(find_segments([measure(rng)], [BOARD], NOISE, None, rng))[0]
+    best = accepted(find_segments([measure(rng)], [BOARD], NOISE, None, rng, settings=DetectionSettings()))[0]
     t = np.append(ALONG, 0)
     for i in range(2):
         end = best.endpoints[i]
@@ -212,30 +236,38 @@ def test_end_points_are_uncertain_by_the_beam_spacing_along_the_line(rng: np.ran
 
 def test_a_wall_is_too_long(rng: np.random.Generator) -> None:
     wall = np.array([[3.0, -2.5], [3.0, 2.5]])
-    reason = rejection(find_segments([measure(rng, ends=wall, walls=[])], [BOARD], NOISE, None, rng))
+    reason = rejection(
+        find_segments([measure(rng, ends=wall, walls=[])], [BOARD], NOISE, None, rng, settings=DetectionSettings())
+    )
     assert "the board 1 x 0.8 m" in reason
     assert "4.9" in reason or "5.0" in reason
 
 
 def test_rejection_names_missing_scans(rng: np.random.Generator) -> None:
-    assert "no scan" in rejection(find_segments([], [BOARD], NOISE, None, rng))
+    assert "no scan" in rejection(find_segments([], [BOARD], NOISE, None, rng, settings=DetectionSettings()))
 
 
 def test_rejection_names_empty_scans(rng: np.random.Generator) -> None:
     blind = LaserScan(0.0, "laser", ANGLES, np.full(len(ANGLES), np.inf))
-    assert "no steady returns" in rejection(find_segments([blind], [BOARD], NOISE, None, rng))
+    assert "no steady returns" in rejection(
+        find_segments([blind], [BOARD], NOISE, None, rng, settings=DetectionSettings())
+    )
 
 
 def test_rejection_names_missing_foreground(rng: np.random.Generator) -> None:
     background = learn_scan_background([measure(rng, ends=None) for _ in range(20)])
     still = [measure(rng, ends=None) for _ in range(5)]
-    assert "no foreground beams" in rejection(find_segments(still, [BOARD], NOISE, background, rng))
+    assert "no foreground beams" in rejection(
+        find_segments(still, [BOARD], NOISE, background, rng, settings=DetectionSettings())
+    )
 
 
 def test_rejection_names_too_few_beams(rng: np.random.Generator) -> None:
     edge_on = np.array([[2.0, 0.5], [2.3, 0.6]])
     scan = measure(rng, ends=edge_on, walls=[], dropouts=0.0)
-    assert "is edge-on" in rejection(find_segments([scan], [BOARD], NOISE, None, rng))
+    assert "is edge-on" in rejection(
+        find_segments([scan], [BOARD], NOISE, None, rng, settings=DetectionSettings())
+    )
 
 
 def test_finds_the_board_first_in_every_real_scan(data_dir: Path, rng: np.random.Generator) -> None:
@@ -249,7 +281,9 @@ def test_finds_the_board_first_in_every_real_scan(data_dir: Path, rng: np.random
         scan = LaserScan(
             0.0, "laser", np.arctan2(xy[:, 1], xy[:, 0])[order], np.where(ranges > 0, ranges, np.inf)[order]
         )
-        best = accepted(find_segments([scan], [Board(size=(0.5, 0.3))], RangeNoise(), None, rng))[0]
+        best = accepted(
+            find_segments([scan], [Board(size=(0.5, 0.3))], RangeNoise(), None, rng, settings=DetectionSettings())
+        )[0]
         assert 0.7 < best.center[0] < 1.2
         assert np.linalg.norm(best.endpoints[1] - best.endpoints[0]) == pytest.approx(0.5, abs=0.04)
 
@@ -274,7 +308,9 @@ def board_scan(
 
 def score(scan: LaserScan) -> float:
     """Of the candidate 2 m ahead."""
-    found = accepted(find_segments([scan], [BOARD], EXACT, None, np.random.default_rng(0)))
+    found = accepted(
+        find_segments([scan], [BOARD], EXACT, None, np.random.default_rng(0), settings=DetectionSettings())
+    )
     return next(s.match for s in found if np.abs(s.center - [2.0, 0, 0]).max() < 0.1)
 
 

@@ -12,6 +12,7 @@ from scipy.stats import chi2
 
 from calgraph.boards.detections import PlanePatch
 from calgraph.config import Board, RangeNoise
+from calgraph.config.settings import DetectionSettings
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, plane, se3, so3
 from calgraph.rig.detection.background_learning import learn_cloud_background
@@ -147,15 +148,17 @@ def sparse(solids: Sequence[Solid], rng: np.random.Generator) -> PointCloud:
 
 
 def test_finds_a_held_board_with_a_sparse_lidar_after_background_subtraction(rng: np.random.Generator) -> None:
-    background = learn_cloud_background([sparse(EMPTY, rng) for _ in range(3)])
-    best = accepted(find_patches([sparse(HELD, rng)], [BOARD], NOISE, background, rng))[0]
+    background = learn_cloud_background([sparse(EMPTY, rng) for _ in range(3)], settings=DetectionSettings())
+    best = accepted(
+        find_patches([sparse(HELD, rng)], [BOARD], NOISE, background, rng, settings=DetectionSettings())
+    )[0]
     angle, off = error(best)
     assert angle < np.radians(0.4)
     assert off < 0.005
 
 
 def test_finds_a_held_board_with_a_sparse_lidar_without_a_background(rng: np.random.Generator) -> None:
-    patches = accepted(find_patches([sparse(HELD, rng)], [BOARD], NOISE, None, rng))
+    patches = accepted(find_patches([sparse(HELD, rng)], [BOARD], NOISE, None, rng, settings=DetectionSettings()))
     angle, off = error(patches[0])
     assert angle < np.radians(0.4)
     assert off < 0.005
@@ -166,15 +169,17 @@ def test_finds_a_held_board_with_a_sparse_lidar_without_a_background(rng: np.ran
 def test_finds_rings_where_the_message_does_not_number_them(rng: np.random.Generator) -> None:
     cloud = sparse(HELD, rng)
     unnumbered = PointCloud(cloud.stamp, cloud.frame_id, cloud.points)
-    assert error(accepted(find_patches([unnumbered], [BOARD], NOISE, None, rng))[0])[0] < np.radians(0.4)
+    assert error(accepted(find_patches([unnumbered], [BOARD], NOISE, None, rng, settings=DetectionSettings()))[0])[
+        0
+    ] < np.radians(0.4)
 
 
 def test_finds_a_held_board_with_a_spinning_scanner(rng: np.random.Generator) -> None:
     directions = spinner(planes=500, beams=400)
-    background = learn_cloud_background([measure(EMPTY, directions, rng)])
+    background = learn_cloud_background([measure(EMPTY, directions, rng)], settings=DetectionSettings())
     cloud = measure(HELD, directions, rng)
     start = process_time()
-    best = accepted(find_patches([cloud], [BOARD], NOISE, background, rng))[0]
+    best = accepted(find_patches([cloud], [BOARD], NOISE, background, rng, settings=DetectionSettings()))[0]
     seconds = process_time() - start
     assert error(best)[0] < np.radians(0.25)
     # It takes 0.15 s on an idle machine; the bound is for one that is not.
@@ -183,19 +188,25 @@ def test_finds_a_held_board_with_a_spinning_scanner(rng: np.random.Generator) ->
 
 def test_finds_a_board_with_few_coarse_scan_planes(rng: np.random.Generator) -> None:
     directions = spinner(planes=120, beams=400)
-    background = learn_cloud_background([measure(EMPTY, directions, rng) for _ in range(2)])
-    best = accepted(find_patches([measure(HELD, directions, rng)], [BOARD], NOISE, background, rng))[0]
+    background = learn_cloud_background(
+        [measure(EMPTY, directions, rng) for _ in range(2)], settings=DetectionSettings()
+    )
+    best = accepted(
+        find_patches(
+            [measure(HELD, directions, rng)], [BOARD], NOISE, background, rng, settings=DetectionSettings()
+        )
+    )[0]
     assert error(best)[0] < np.radians(0.8)
 
 
 def test_center_is_that_of_the_board(rng: np.random.Generator) -> None:
-    best = accepted(find_patches([sparse(HELD, rng)], [BOARD], NOISE, None, rng))[0]
+    best = accepted(find_patches([sparse(HELD, rng)], [BOARD], NOISE, None, rng, settings=DetectionSettings()))[0]
     assert np.linalg.norm(best.center - T_SENSOR_BOARD[:3, 3]) < 0.05
     assert abs(best.plane[:3] @ best.center + best.plane[3]) < 1e-9
 
 
 def test_operator_and_stand_are_not_part_of_the_board(rng: np.random.Generator) -> None:
-    best = accepted(find_patches([sparse(HELD, rng)], [BOARD], NOISE, None, rng))[0]
+    best = accepted(find_patches([sparse(HELD, rng)], [BOARD], NOISE, None, rng, settings=DetectionSettings()))[0]
     on_board = se3.apply(se3.inverse(T_SENSOR_BOARD), best.points)
     assert np.abs(on_board[:, 2]).max() < 0.08
     assert np.abs(on_board[:, 0]).max() < BOARD.size[0] / 2 + 0.05
@@ -203,7 +214,7 @@ def test_operator_and_stand_are_not_part_of_the_board(rng: np.random.Generator) 
 
 
 def test_plane_points_at_the_sensor(rng: np.random.Generator) -> None:
-    best = accepted(find_patches([sparse(HELD, rng)], [BOARD], NOISE, None, rng))[0]
+    best = accepted(find_patches([sparse(HELD, rng)], [BOARD], NOISE, None, rng, settings=DetectionSettings()))[0]
     assert best.plane[3] > 0
     assert np.linalg.norm(best.plane[:3]) == pytest.approx(1.0)
 
@@ -217,7 +228,7 @@ def test_covariance_is_that_of_repeated_sweeps() -> None:
     for seed in range(seeds):
         rng = np.random.default_rng(seed)
         cloud = measure(alone, directions[ahead], rng, rings[ahead])
-        best = accepted(find_patches([cloud], [BOARD], NOISE, None, rng))[0]
+        best = accepted(find_patches([cloud], [BOARD], NOISE, None, rng, settings=DetectionSettings()))[0]
         total += float(offset(best) @ np.linalg.solve(best.covariance, offset(best)))
     low, high = chi2.ppf([0.005, 0.995], 3 * seeds)
     assert low < total < high
@@ -237,7 +248,9 @@ def test_points_that_a_cloud_repeats_change_nothing(numbered: bool, blocks: bool
         rings_of = None if cloud.rings is None else cloud.rings[order]
         repeated.append(PointCloud(cloud.stamp, cloud.frame_id, cloud.points[order], rings_of))
     once, twice = (
-        accepted(find_patches(given, [BOARD], NOISE, None, np.random.default_rng(2)))[0]
+        accepted(
+            find_patches(given, [BOARD], NOISE, None, np.random.default_rng(2), settings=DetectionSettings())
+        )[0]
         for given in (clouds, repeated)
     )
     for name in ("plane", "covariance", "edges"):
@@ -246,15 +259,19 @@ def test_points_that_a_cloud_repeats_change_nothing(numbered: bool, blocks: bool
 
 def test_covariance_grows_if_the_noise_is_understated(rng: np.random.Generator) -> None:
     cloud = sparse(HELD, rng)
-    stated = accepted(find_patches([cloud], [BOARD], NOISE, None, rng))[0]
+    stated = accepted(find_patches([cloud], [BOARD], NOISE, None, rng, settings=DetectionSettings()))[0]
     understated = RangeNoise(range=NOISE.range / 5, angle=NOISE.angle / 5)
-    doubted = accepted(find_patches([cloud], [BOARD], understated, None, rng))[0]
+    doubted = accepted(find_patches([cloud], [BOARD], understated, None, rng, settings=DetectionSettings()))[0]
     assert np.sqrt(np.trace(doubted.covariance) / np.trace(stated.covariance)) == pytest.approx(1.0, abs=0.25)
 
 
 def test_covariance_falls_with_the_number_of_sweeps(rng: np.random.Generator) -> None:
-    one = accepted(find_patches([sparse(HELD, rng)], [BOARD], NOISE, None, rng))[0]
-    four = accepted(find_patches([sparse(HELD, rng) for _ in range(4)], [BOARD], NOISE, None, rng))[0]
+    one = accepted(find_patches([sparse(HELD, rng)], [BOARD], NOISE, None, rng, settings=DetectionSettings()))[0]
+    four = accepted(
+        find_patches(
+            [sparse(HELD, rng) for _ in range(4)], [BOARD], NOISE, None, rng, settings=DetectionSettings()
+        )
+    )[0]
     assert np.sqrt(four.covariance[2, 2] / one.covariance[2, 2]) == pytest.approx(0.5, abs=0.1)
 
 
@@ -263,9 +280,13 @@ def test_a_board_half_out_of_view_has_a_lower_score(rng: np.random.Generator) ->
     azimuth = np.arctan2(directions[:, 1], directions[:, 0])
     half = azimuth < np.arctan2(T_SENSOR_BOARD[1, 3], T_SENSOR_BOARD[0, 3])
     alone = [rectangle(T_SENSOR_BOARD, BOARD.size)]
-    whole = accepted(find_patches([measure(alone, directions, rng, rings)], [BOARD], NOISE, None, rng))[0]
+    whole = accepted(
+        find_patches(
+            [measure(alone, directions, rng, rings)], [BOARD], NOISE, None, rng, settings=DetectionSettings()
+        )
+    )[0]
     cut = measure(alone, directions[half], rng, rings[half])
-    part = accepted(find_patches([cut], [BOARD], NOISE, None, rng))[0]
+    part = accepted(find_patches([cut], [BOARD], NOISE, None, rng, settings=DetectionSettings()))[0]
     assert whole.match > 0.9
     assert 0.3 < part.match < 0.8
     assert error(part)[0] < np.radians(1.5)
@@ -273,20 +294,26 @@ def test_a_board_half_out_of_view_has_a_lower_score(rng: np.random.Generator) ->
 
 def test_the_best_of_several_boards_is_matched(rng: np.random.Generator) -> None:
     small = Board(size=(0.4, 0.3))
-    both = accepted(find_patches([sparse(HELD, rng)], [small, BOARD], NOISE, None, rng))[0]
+    both = accepted(
+        find_patches([sparse(HELD, rng)], [small, BOARD], NOISE, None, rng, settings=DetectionSettings())
+    )[0]
     assert error(both)[0] < np.radians(0.4)
 
 
 def test_a_wall_is_not_a_board(rng: np.random.Generator) -> None:
-    result = find_patches([sparse([room], rng)], [BOARD], NOISE, None, rng)
+    result = find_patches([sparse([room], rng)], [BOARD], NOISE, None, rng, settings=DetectionSettings())
     matches = [] if isinstance(result, Rejected) else [p.match for p in result]
     assert max(matches, default=0.0) < 0.5
 
 
 def test_same_seed_same_patches(rng: np.random.Generator) -> None:
     cloud = sparse(HELD, rng)
-    first = accepted(find_patches([cloud], [BOARD], NOISE, None, np.random.default_rng(3)))[0]
-    second = accepted(find_patches([cloud], [BOARD], NOISE, None, np.random.default_rng(3)))[0]
+    first = accepted(
+        find_patches([cloud], [BOARD], NOISE, None, np.random.default_rng(3), settings=DetectionSettings())
+    )[0]
+    second = accepted(
+        find_patches([cloud], [BOARD], NOISE, None, np.random.default_rng(3), settings=DetectionSettings())
+    )[0]
     assert np.array_equal(first.plane, second.plane)
 
 
@@ -299,7 +326,7 @@ def test_edges_of_rings_lie_at_the_outline_where_no_beam_returns_beside_the_boar
     directions, rings = multi_beam()
     board = rectangle(T_SENSOR_BOARD, BOARD.size)
     cloud = measure([board, walls_at_the_sides], directions, rng, rings)
-    best = accepted(find_patches([cloud], [BOARD], NOISE, None, rng))[0]
+    best = accepted(find_patches([cloud], [BOARD], NOISE, None, rng, settings=DetectionSettings()))[0]
     # Two ends of nearly each ring that hits the board; 2 % of the beams are missing.
     hits = len(np.unique(rings[np.isfinite(board(directions))]))
     assert 1.5 * hits < len(best.edges) <= 2 * hits
@@ -316,7 +343,9 @@ def test_points_beside_the_fitted_rectangle_are_not_the_boards(rng: np.random.Ge
     T_stand = T_SENSOR_BOARD @ se3.pose(np.eye(3), np.array([0.0, -0.7, 0.0]))
     solids = (room, rectangle(T_SENSOR_BOARD, BOARD.size), rectangle(T_stand, (0.2, 0.5)))
     directions = spinner(planes=500, beams=400)
-    best = accepted(find_patches([measure(solids, directions, rng)], [BOARD], NOISE, None, rng))[0]
+    best = accepted(
+        find_patches([measure(solids, directions, rng)], [BOARD], NOISE, None, rng, settings=DetectionSettings())
+    )[0]
     assert best.match > 0.5
     on_board = se3.apply(se3.inverse(T_SENSOR_BOARD), best.points)
     assert on_board[:, 1].min() > -0.48
@@ -334,7 +363,7 @@ def test_points_near_the_outline_are_left_out_unless_too_few_remain(
         so3.exp(np.array([0, -np.pi / 2, 0])) @ so3.exp(np.array([0, 0, np.pi / 2])), np.array([1.5, 0, 0])
     )
     cloud = measure([rectangle(T, narrow.size)], spinner(planes=1600, beams=600), rng, noise=precise)
-    best = accepted(find_patches([cloud], [narrow], precise, None, rng))[0]
+    best = accepted(find_patches([cloud], [narrow], precise, None, rng, settings=DetectionSettings()))[0]
     on_board = np.abs(se3.apply(se3.inverse(T), best.points)[:, 1])
     assert height / 2 - on_board.max() == pytest.approx(margin, abs=0.006)
 
@@ -345,12 +374,12 @@ def rejection(result: tuple[PlanePatch, ...] | Rejected) -> str:
 
 
 def test_rejection_names_missing_clouds(rng: np.random.Generator) -> None:
-    assert "no cloud" in rejection(find_patches([], [BOARD], NOISE, None, rng))
+    assert "no cloud" in rejection(find_patches([], [BOARD], NOISE, None, rng, settings=DetectionSettings()))
 
 
 def test_rejection_names_empty_clouds(rng: np.random.Generator) -> None:
     empty = PointCloud(0.0, "scanner", np.empty((0, 3)))
-    assert "0 points" in rejection(find_patches([empty], [BOARD], NOISE, None, rng))
+    assert "0 points" in rejection(find_patches([empty], [BOARD], NOISE, None, rng, settings=DetectionSettings()))
 
 
 @pytest.mark.parametrize("order", [0, 1])
@@ -360,7 +389,10 @@ def test_empty_clouds_change_nothing(order: int) -> None:
     full, empty = [sparse(HELD, rng) for _ in range(2)], PointCloud(0.0, "scanner", np.zeros((0, 3)))
     mixed = [empty, full[0], empty, full[1]] if order == 0 else [full[0], empty, full[1], empty]
     [expected, found] = [
-        accepted(find_patches(clouds, [BOARD], NOISE, None, np.random.default_rng(5))) for clouds in (full, mixed)
+        accepted(
+            find_patches(clouds, [BOARD], NOISE, None, np.random.default_rng(5), settings=DetectionSettings())
+        )
+        for clouds in (full, mixed)
     ]
     assert len(found[0].edges) == len(expected[0].edges) > 10
     np.testing.assert_array_equal(found[0].plane, expected[0].plane)
@@ -371,21 +403,27 @@ def test_a_first_cloud_with_nothing_beyond_the_sensor_itself_has_no_edges() -> N
     """Its only points are on the housing, nearer than any board."""
     rng = np.random.default_rng(3)
     housing = PointCloud(0.0, "scanner", np.full((5, 3), 0.01), np.zeros(5, np.int32))
-    patches = accepted(find_patches([housing, sparse(HELD, rng)], [BOARD], NOISE, None, rng))
+    patches = accepted(
+        find_patches([housing, sparse(HELD, rng)], [BOARD], NOISE, None, rng, settings=DetectionSettings())
+    )
     assert len(patches[0].edges) == 0
     assert error(patches[0])[1] < 0.005
 
 
 def test_rejection_names_missing_foreground(rng: np.random.Generator) -> None:
-    background = learn_cloud_background([sparse(HELD, rng) for _ in range(3)])
-    reason = rejection(find_patches([sparse(HELD, rng)], [BOARD], NOISE, background, rng))
+    background = learn_cloud_background([sparse(HELD, rng) for _ in range(3)], settings=DetectionSettings())
+    reason = rejection(
+        find_patches([sparse(HELD, rng)], [BOARD], NOISE, background, rng, settings=DetectionSettings())
+    )
     assert "background window (capture.background, or found at the start) contains it" in reason
 
 
 def test_rejection_names_the_size_of_the_largest_patch(rng: np.random.Generator) -> None:
     directions = spinner(planes=1200, beams=600)
     small = rectangle(T_SENSOR_BOARD, (0.31, 0.2))
-    reason = rejection(find_patches([measure([small], directions, rng)], [BOARD], NOISE, None, rng))
+    reason = rejection(
+        find_patches([measure([small], directions, rng)], [BOARD], NOISE, None, rng, settings=DetectionSettings())
+    )
     assert "the board is 1.2 x 0.9 m" in reason
     length, width = (float(part) for part in reason.split("largest is ")[1].split(" m")[0].split(" x "))
     assert (length, width) == pytest.approx((0.31, 0.2), abs=0.08)
@@ -395,7 +433,9 @@ def test_rejection_names_too_few_rings(rng: np.random.Generator) -> None:
     directions, rings = multi_beam()
     two = (rings == 7) | (rings == 8)
     cloud = measure([rectangle(T_SENSOR_BOARD, BOARD.size)], directions[two], rng, rings[two])
-    assert "only 2 of the rings" in rejection(find_patches([cloud], [BOARD], NOISE, None, rng))
+    assert "only 2 of the rings" in rejection(
+        find_patches([cloud], [BOARD], NOISE, None, rng, settings=DetectionSettings())
+    )
 
 
 def full_sweep(folder: Path, pose: int) -> PointCloud:
@@ -413,7 +453,11 @@ def test_finds_the_board_in_a_full_sweep_of_a_real_room(
     folder = data_dir / "acfr-vlp16-checkerboard"
     cut_out = np.loadtxt(folder / "pcd_target" / f"pose{pose}_target.pcd", skiprows=11)[:, :3]
     board = Board(size=(0.61, 0.85))
-    best = accepted(find_patches([full_sweep(folder, pose)], [board], RangeNoise(range=0.01), None, rng))[0]
+    best = accepted(
+        find_patches(
+            [full_sweep(folder, pose)], [board], RangeNoise(range=0.01), None, rng, settings=DetectionSettings()
+        )
+    )[0]
     # The cut-out holds stand and edges too: most of it, not all, is to lie on the plane.
     assert np.median(np.abs(plane.distance(best.plane, cut_out))) < 0.02
     assert np.linalg.norm(best.center - np.median(cut_out, axis=0)) < 0.15
@@ -423,4 +467,6 @@ def test_a_plane_through_the_sensor_is_no_board(rng: np.random.Generator) -> Non
     """No beam measures it, but points of one azimuth lie on one."""
     x, z = np.meshgrid(np.arange(1.2, 2.2, 0.02), np.arange(-0.5, 0.5, 0.02))
     cloud = PointCloud(0.0, "lidar", np.stack([x.ravel(), 0 * x.ravel(), z.ravel()], axis=-1))
-    assert isinstance(find_patches([cloud], (Board(size=(1.0, 1.0)),), NOISE, None, rng), Rejected)
+    assert isinstance(
+        find_patches([cloud], (Board(size=(1.0, 1.0)),), NOISE, None, rng, settings=DetectionSettings()), Rejected
+    )

@@ -5,6 +5,7 @@ import pytest
 
 from board_scenes import SIZE, detect_boards, make_boards, make_patch, random_pose, segment_endpoints
 from calgraph.boards.detections import PlanePatch
+from calgraph.config.settings import BoardPairSettings
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se3, so3
 from calgraph.graph.pairwise_estimate import PairwiseEstimate
@@ -40,7 +41,7 @@ def test_pair_is_found_among_disturbed_captures(
     T_a_b = random_pose(rng, rotation=3.0 if kind_a == kind_b else 0.6)
     a = detect_boards(kind_a, np.eye(4), scene, rng)
     b = detect_boards(kind_b, se3.inverse(T_a_b), moved, rng)
-    found = estimate_pair("a", "b", a, b, SIZE, rng)
+    found = estimate_pair("a", "b", a, b, SIZE, rng, settings=BoardPairSettings())
     assert not isinstance(found, Rejected), found
     assert error(found.T_a_b, T_a_b) < (metres, degrees)
 
@@ -61,6 +62,7 @@ def test_two_line_scanners_predict_new_boards(seed: int) -> None:
         detect_boards("line", se3.inverse(T_a_b), moved, rng),
         SIZE,
         rng,
+        settings=BoardPairSettings(),
     )
     assert not isinstance(found, Rejected), found
     new = make_boards(rng, 40)
@@ -85,7 +87,7 @@ def test_the_correct_one_of_several_candidates_is_selected(rng: np.random.Genera
         i: (make_patch(se3.inverse(T_a_b) @ make_boards(rng, 1)[0], rng), *found)
         for i, found in detect_boards("plane", se3.inverse(T_a_b), scene, rng).items()
     }
-    found = estimate_pair("a", "b", a, b, SIZE, rng)
+    found = estimate_pair("a", "b", a, b, SIZE, rng, settings=BoardPairSettings())
     assert not isinstance(found, Rejected)
     chosen = found.matches[found.inliers]
     assert (chosen[:, 2] == 1).mean() > 0.95
@@ -106,7 +108,7 @@ def test_every_seed_finds_all_boards_among_eight_candidates_of_a_lidar(captures:
     boards = detect_boards("plane", se3.inverse(T_a_b), scene, rng)
     b = {i: (*found, *room) if board_first else (*room, *found) for i, found in boards.items()}
     for seed in range(2):
-        found = estimate_pair("a", "b", a, b, SIZE, np.random.default_rng(seed))
+        found = estimate_pair("a", "b", a, b, SIZE, np.random.default_rng(seed), settings=BoardPairSettings())
         assert not isinstance(found, Rejected), found
         chosen = found.matches[found.inliers]
         assert chosen[:, 0].tolist() == list(range(captures))
@@ -117,7 +119,7 @@ def test_every_seed_finds_all_boards_among_eight_candidates_of_a_lidar(captures:
 def test_too_few_shared_captures_are_rejected(count: int, rng: np.random.Generator) -> None:
     scene = make_boards(rng, count)
     detections = detect_boards("plane", np.eye(4), scene, rng)
-    found = estimate_pair("a", "b", detections, detections, SIZE, rng)
+    found = estimate_pair("a", "b", detections, detections, SIZE, rng, settings=BoardPairSettings())
     assert found == Rejected(f"both detected the board in {count} captures, 3 are needed")
 
 
@@ -130,7 +132,7 @@ def test_captures_are_inliers_up_to_three_standard_deviations(
     moved = scene.copy()
     moved[4, :3, 3] += sigmas * 0.01 * moved[4, :3, 2]
     a, b = (detect_boards("plane", np.eye(4), boards, rng, 1e-6) for boards in (scene, moved))
-    found = estimate_pair("a", "b", a, b, SIZE, rng, refine=False)
+    found = estimate_pair("a", "b", a, b, SIZE, rng, refine=False, settings=BoardPairSettings())
     assert not isinstance(found, Rejected)
     assert found.inliers[found.matches[:, 0] == 4].tolist() == [inlier]
 
@@ -143,7 +145,7 @@ def test_upright_boards_leave_height_roll_and_pitch_unobservable(rng: np.random.
     T_a_b = se3.pose(so3.exp(np.array([0, 0, 0.3])), np.array([0.2, -0.1, 0.0]))
     a = detect_boards("plane", np.eye(4), scene, rng)
     b = detect_boards("line", se3.inverse(T_a_b), scene, rng)
-    found = estimate_pair("a", "b", a, b, SIZE, rng)
+    found = estimate_pair("a", "b", a, b, SIZE, rng, settings=BoardPairSettings())
     assert not isinstance(found, Rejected)
     observable = [0, 1, 5]
     assert np.abs(se3.difference(found.T_a_b, T_a_b)[observable]).max() < 0.01
@@ -156,7 +158,8 @@ def test_refinement_on_the_inliers_fits_them_better(rng: np.random.Generator) ->
     scene, T_a_b = make_boards(rng, 40), random_pose(rng)
     a, b = (detect_boards("plane", T, scene, rng) for T in (np.eye(4), se3.inverse(T_a_b)))
     refined, minimal = (
-        estimate_pair("a", "b", a, b, SIZE, np.random.default_rng(1), refine=refine) for refine in (True, False)
+        estimate_pair("a", "b", a, b, SIZE, np.random.default_rng(1), refine=refine, settings=BoardPairSettings())
+        for refine in (True, False)
     )
     assert isinstance(refined, PairwiseEstimate)
     assert isinstance(minimal, PairwiseEstimate)
@@ -174,7 +177,7 @@ def test_inliers_under_a_better_pose_exclude_what_ransac_tolerates(
     moved[:8, :3, 3] += 0.025 * scene[:8, :3, 2]
     a = detect_boards(kind_a, np.eye(4), scene, rng, 0.001)
     b = detect_boards(kind_b, se3.inverse(T_a_b), moved, rng, 0.001)
-    estimate = estimate_pair("a", "b", a, b, SIZE, rng)
+    estimate = estimate_pair("a", "b", a, b, SIZE, rng, settings=BoardPairSettings())
     assert isinstance(estimate, PairwiseEstimate), estimate
     found = reselect_inliers(estimate, T_a_b, a, b, SIZE)
     assert isinstance(found, PairwiseEstimate), found
@@ -189,7 +192,7 @@ def test_inliers_under_a_better_pose_exclude_what_ransac_tolerates(
 def test_pairs_are_rejected_if_the_joint_solution_rejects_all_inliers(rng: np.random.Generator) -> None:
     scene = make_boards(rng, 12)
     a = detect_boards("plane", np.eye(4), scene, rng)
-    estimate = estimate_pair("a", "b", a, a, SIZE, rng)
+    estimate = estimate_pair("a", "b", a, a, SIZE, rng, settings=BoardPairSettings())
     assert isinstance(estimate, PairwiseEstimate)
     elsewhere = se3.pose(np.eye(3), np.array([0.0, 0.0, 5.0]))
     poses = {"a": np.eye(4), "b": elsewhere}
@@ -203,7 +206,7 @@ def test_pairs_are_rejected_if_the_joint_solution_rejects_all_inliers(rng: np.ra
 
 def test_pairs_without_a_joint_pose_keep_their_inliers(rng: np.random.Generator) -> None:
     a = detect_boards("plane", np.eye(4), make_boards(rng, 12), rng)
-    estimate = estimate_pair("a", "b", a, a, SIZE, rng)
+    estimate = estimate_pair("a", "b", a, a, SIZE, rng, settings=BoardPairSettings())
     assert isinstance(estimate, PairwiseEstimate)
     assert reselect_all_inliers({("a", "b"): estimate}, {"a": np.eye(4)}, {"a": a, "b": a}, SIZE) == {
         ("a", "b"): estimate
@@ -217,7 +220,9 @@ def test_pairs_need_more_residuals_than_unknowns(
     monkeypatch.setattr("calgraph.rig.pairs.board_pair._MINORITY_INLIERS", 0)
     a, b = (detect_boards(kind, np.eye(4), make_boards(rng, 40), rng) for _ in range(2))
     common = sorted(set(a) & set(b))[:count]
-    found = estimate_pair("a", "b", {i: a[i] for i in common}, {i: b[i] for i in common}, SIZE, rng)
+    found = estimate_pair(
+        "a", "b", {i: a[i] for i in common}, {i: b[i] for i in common}, SIZE, rng, settings=BoardPairSettings()
+    )
     assert isinstance(found, Rejected)
     assert found.reason.startswith(
         f"RANSAC found no relative pose with at least {inliers} inliers among {count} shared captures: "
@@ -233,7 +238,7 @@ def test_a_pose_of_a_minority_of_captures_needs_more_inliers(
     elsewhere[:consistent] = scene[:consistent]
     a = detect_boards("plane", np.eye(4), scene, rng)
     b = detect_boards("plane", se3.inverse(T_a_b), elsewhere, rng)
-    found = estimate_pair("a", "b", a, b, SIZE, rng)
+    found = estimate_pair("a", "b", a, b, SIZE, rng, settings=BoardPairSettings())
     if accepted:
         assert isinstance(found, PairwiseEstimate), found
         assert found.matches[found.inliers, 0].tolist() == list(range(consistent))
@@ -246,7 +251,7 @@ def test_a_pose_of_a_minority_of_captures_needs_more_inliers(
 def test_a_rejected_pair_states_the_number_of_candidates(rng: np.random.Generator) -> None:
     a, b = (detect_boards("plane", np.eye(4), make_boards(rng, 12), rng) for _ in range(2))
     b = {i: (*found, make_patch(make_boards(rng, 1)[0], rng)) for i, found in b.items()}
-    found = estimate_pair("a", "b", a, b, SIZE, rng)
+    found = estimate_pair("a", "b", a, b, SIZE, rng, settings=BoardPairSettings())
     assert isinstance(found, Rejected)
     assert "among 12 shared captures, with up to 2 candidates for the board in one: " in found.reason
 
@@ -258,7 +263,7 @@ def test_the_gate_of_reselection_is_in_standard_deviations(
     # Half of the squared residuals are below the median, which is 0.4549 standard deviations squared.
     scene, T_a_b = make_boards(rng, 200), random_pose(rng)
     a, b = (detect_boards("plane", T, scene, rng) for T in (np.eye(4), se3.inverse(T_a_b)))
-    estimate = estimate_pair("a", "b", a, b, SIZE, rng)
+    estimate = estimate_pair("a", "b", a, b, SIZE, rng, settings=BoardPairSettings())
     assert isinstance(estimate, PairwiseEstimate)
     found = reselect_inliers(estimate, T_a_b, a, b, SIZE)
     assert isinstance(found, PairwiseEstimate)
@@ -268,7 +273,7 @@ def test_the_gate_of_reselection_is_in_standard_deviations(
 def test_residuals_are_rms_distances_of_the_two_planes(rng: np.random.Generator) -> None:
     # A translation by d moves a plane by n d.
     a = detect_boards("plane", np.eye(4), make_boards(rng, 30), rng, 1e-9)
-    estimate = estimate_pair("a", "b", a, a, SIZE, rng)
+    estimate = estimate_pair("a", "b", a, a, SIZE, rng, settings=BoardPairSettings())
     assert isinstance(estimate, PairwiseEstimate)
     d = np.array([0.02, -0.01, 0.005])
     found = reselect_inliers(estimate, se3.pose(np.eye(3), d), a, a, SIZE)
@@ -289,7 +294,9 @@ def test_upright_boards_leave_the_side_ambiguous_to_which_a_scanner_is_tilted(
     T_a_b = se3.pose(so3.exp(np.array([np.radians(20), 0, 0])), np.array([0.2, -0.1, 0.0]))
     a = detect_boards("plane", np.eye(4), scene, rng)
     b = detect_boards("line", se3.inverse(T_a_b), scene, rng)
-    found = estimate_pair("a", "b", a, b, SIZE, np.random.default_rng(1), refine=refine)
+    found = estimate_pair(
+        "a", "b", a, b, SIZE, np.random.default_rng(1), refine=refine, settings=BoardPairSettings()
+    )
     assert isinstance(found, PairwiseEstimate)
     assert np.degrees(found.alternative_pose_angle) == pytest.approx(degrees, abs=1.0)
 
@@ -297,5 +304,5 @@ def test_upright_boards_leave_the_side_ambiguous_to_which_a_scanner_is_tilted(
 def test_progress_is_the_share_of_pairs_that_are_done(rng: np.random.Generator) -> None:
     detections = {name: detect_boards("plane", np.eye(4), make_boards(rng, 3), rng) for name in "abc"}
     shares: list[float] = []
-    assert len(estimate_pairs(detections, SIZE, rng, shares.append)) == 3
+    assert len(estimate_pairs(detections, SIZE, rng, shares.append, settings=BoardPairSettings())) == 3
     assert shares == pytest.approx([1 / 3, 2 / 3, 1.0])

@@ -5,6 +5,7 @@ import pytest
 
 from board_scenes import SIZE, make_boards, make_patch, random_pose
 from calgraph.boards.detections import BoardCorners, Detection
+from calgraph.config.settings import BoardPairSettings
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se3
 from calgraph.rig.pairs.board_matches import Candidates, tabulate_matches
@@ -52,7 +53,9 @@ def test_cameras_do_not_match_different_boards() -> None:
 def test_cameras_that_never_identify_the_same_board_have_no_pair(rng: np.random.Generator) -> None:
     both = by_camera(np.eye(4), scene(rng), rng)
     a, b = ({i: found[board : board + 1] for i, found in both.items()} for board in (0, 1))
-    assert estimate_pair("a", "b", a, b, SIZE, rng) == Rejected("no capture in which both detected the same board")
+    assert estimate_pair("a", "b", a, b, SIZE, rng, settings=BoardPairSettings()) == Rejected(
+        "no capture in which both detected the same board"
+    )
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -63,7 +66,11 @@ def test_both_boards_of_a_capture_are_used(seed: int, observe_b: object, swapped
     both = scene(rng)
     T_a_b = random_pose(rng)
     a, b = by_camera(np.eye(4), both, rng), observe_b(se3.inverse(T_a_b), both, rng)  # type: ignore[operator]
-    found = estimate_pair("b", "a", b, a, SIZE, rng) if swapped else estimate_pair("a", "b", a, b, SIZE, rng)
+    found = (
+        estimate_pair("b", "a", b, a, SIZE, rng, settings=BoardPairSettings())
+        if swapped
+        else estimate_pair("a", "b", a, b, SIZE, rng, settings=BoardPairSettings())
+    )
     assert not isinstance(found, Rejected), found
     assert found.inliers.sum() == 2 * CAPTURES
     T = se3.inverse(found.T_a_b) if swapped else found.T_a_b
@@ -75,7 +82,15 @@ def test_scanners_use_one_board_of_a_capture() -> None:
     """They cannot distinguish two boards from two detections of one board."""
     rng = np.random.default_rng(3)
     both = scene(rng)
-    found = estimate_pair("a", "b", by_lidar(np.eye(4), both, rng), by_lidar(np.eye(4), both, rng), SIZE, rng)
+    found = estimate_pair(
+        "a",
+        "b",
+        by_lidar(np.eye(4), both, rng),
+        by_lidar(np.eye(4), both, rng),
+        SIZE,
+        rng,
+        settings=BoardPairSettings(),
+    )
     assert not isinstance(found, Rejected), found
     assert found.inliers.sum() == CAPTURES
     assert np.linalg.norm(se3.difference(found.T_a_b, np.eye(4))) < 0.02

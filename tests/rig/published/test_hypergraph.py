@@ -11,6 +11,7 @@ import pytest
 import scipy.stats
 
 from board_scenes import SIZE, detect_boards, make_boards
+from calgraph.config.settings import BoardPairSettings, Settings
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, diagonal_blocks, se3, so3
 from calgraph.graph.averaging import RotationAveraging, average_poses_by_rotations
@@ -37,7 +38,7 @@ def world(seed: int, captures: int = 40, moved: int = 0) -> World:
             slipped[i] = se3.retract(slipped[i], rng.normal(size=6) * 0.2)
         seen[name] = detect_boards(kind, se3.inverse(truth[name]), slipped, rng)
     found = [
-        estimate_pair(a, b, seen[a], seen[b], SIZE, rng)
+        estimate_pair(a, b, seen[a], seen[b], SIZE, rng, settings=BoardPairSettings())
         for a, b in itertools.combinations(KINDS, 2)
         if KINDS[a] == "plane"
     ]
@@ -66,7 +67,7 @@ def test_the_joint_solution_beats_the_tree_it_starts_from() -> None:
         truth, seen, pairs, tree = world(seed)
         for result, found in (
             (pairwise, tree.T_root_sensor),
-            (joint, solve_hypergraph(tree, pairs, seen).T_root_sensor),
+            (joint, solve_hypergraph(tree, pairs, seen, settings=Settings()).T_root_sensor),
         ):
             result.append(
                 [float(np.linalg.norm(se3.difference(found[n], truth[n])[:3])) for n in truth if n != "lidar"]
@@ -78,7 +79,10 @@ def test_the_joint_solution_beats_the_tree_it_starts_from() -> None:
 @pytest.fixture(scope="module")
 def solved() -> list[tuple[dict[str, Array], HypergraphSolution]]:
     """Truth and solution of twelve rigs."""
-    return [(truth, solve_hypergraph(tree, pairs, seen)) for truth, seen, pairs, tree in map(world, range(12))]
+    return [
+        (truth, solve_hypergraph(tree, pairs, seen, settings=Settings()))
+        for truth, seen, pairs, tree in map(world, range(12))
+    ]
 
 
 def test_covariances_hold_what_they_promise(solved: list[tuple[dict[str, Array], HypergraphSolution]]) -> None:
@@ -120,7 +124,7 @@ def test_every_start_finds_the_same(start: Initialization, rng: np.random.Genera
     wrong = np.array([tree.has_edge(pair.sensor_a, pair.sensor_b) for pair in pairs]).argmax()
     pairs[wrong] = replace(pairs[wrong], T_a_b=se3.retract(pairs[wrong].T_a_b, np.array([0.2, 0, 0, 0, 0, 0.2])))
     along_tree, other = (
-        solve_hypergraph(initialize_rig("lidar", pairs, s, rng), pairs, seen).T_root_sensor
+        solve_hypergraph(initialize_rig("lidar", pairs, s, rng), pairs, seen, settings=Settings()).T_root_sensor
         for s in ("tree", start)
     )
     for name in along_tree:
@@ -129,8 +133,8 @@ def test_every_start_finds_the_same(start: Initialization, rng: np.random.Genera
 
 def test_filtering_keeps_disturbed_captures_out() -> None:
     truth, seen, pairs, tree = world(4, moved=6)
-    filtered = solve_hypergraph(tree, pairs, seen)
-    unfiltered = solve_hypergraph(tree, pairs, seen, keep="none")
+    filtered = solve_hypergraph(tree, pairs, seen, settings=Settings())
+    unfiltered = solve_hypergraph(tree, pairs, seen, keep="none", settings=Settings())
     errors = [
         np.mean([np.linalg.norm(se3.difference(j.T_root_sensor[n], truth[n])[:3]) for n in truth if n != "lidar"])
         for j in (filtered, unfiltered)
@@ -141,13 +145,13 @@ def test_filtering_keeps_disturbed_captures_out() -> None:
 
 def test_the_graph_error_falls_from_the_tree_to_the_solution() -> None:
     _, seen, pairs, tree = world(5)
-    start = solve_hypergraph(tree, pairs, seen, optimize=False)
-    assert solve_hypergraph(tree, pairs, seen).graph_error < start.graph_error
+    start = solve_hypergraph(tree, pairs, seen, optimize=False, settings=Settings())
+    assert solve_hypergraph(tree, pairs, seen, settings=Settings()).graph_error < start.graph_error
 
 
 def test_the_root_is_known_exactly() -> None:
     _, seen, pairs, tree = world(6)
-    joint = solve_hypergraph(tree, pairs, seen)
+    joint = solve_hypergraph(tree, pairs, seen, settings=Settings())
     np.testing.assert_array_equal(joint.T_root_sensor["lidar"], np.eye(4))
     np.testing.assert_array_equal(covariances(joint)["lidar"], np.zeros((6, 6)))
 
@@ -163,5 +167,5 @@ def test_covariance_grows_with_noise_that_detections_did_not_state(scale: float)
         }
         for name, by_capture in seen.items()
     }
-    joint = solve_hypergraph(tree, pairs, claimed)
+    joint = solve_hypergraph(tree, pairs, claimed, settings=Settings())
     assert nees(joint, truth).mean() / 6 < 2.5

@@ -48,7 +48,7 @@ def resolve_clocks_and_mountings(
     names: Sequence[str],
     hypotheses: Sequence[ClockMountingHypothesis],
     stated: Collection[str],
-    settings: ScannerPairSettings = ScannerPairSettings(),
+    settings: ScannerPairSettings,
 ) -> ClockMountingSolution:
     """Selects the mountings of most evidence, and averages the clock offsets of pairs.
 

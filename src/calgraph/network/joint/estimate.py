@@ -124,7 +124,7 @@ def solve_network(
     estimate_clocks: bool = True,
     uncertainties: Sequence[Lidar2dUncertainty] = (),
     prior: ScannerPrior | None = None,
-    settings: NetworkEstimationSettings = NetworkEstimationSettings(),
+    settings: NetworkEstimationSettings,
     acceleration_density: float = TrackingSettings().acceleration_density,
     engine: MapEngine = THIS_PROCESS,
 ) -> NetworkSolution:

@@ -169,7 +169,7 @@ def search_clocks_and_mountings(
     rng: np.random.Generator,
     *,
     engine: Engine = THIS_PROCESS,
-    settings: ScannerPairSettings = ScannerPairSettings(),
+    settings: ScannerPairSettings,
 ) -> list[ClockMountingHypothesis]:
     """Searches the clock offsets and relative mountings of pairs of scanners.
 

@@ -33,9 +33,7 @@ _MIN_RESTS = 12
 _MIN_REST_SHARE = 0.2
 
 
-def recognize_mode(
-    timeline: RecordingTimeline, capture: Capture, settings: CaptureSettings = CaptureSettings()
-) -> RecognizedMode:
+def recognize_mode(timeline: RecordingTimeline, capture: Capture, settings: CaptureSettings) -> RecognizedMode:
     """Recognises how a recording shows the board.
 
     A timeline without activity (built without meters) shows whether the recording consists of snapshots, but not
@@ -104,9 +102,7 @@ def find_frame_sets(timeline: RecordingTimeline, capture: Capture) -> list[Stamp
     return group_frames({name: times.stamps for name, times in timeline.sensors.items()}, max_spread)
 
 
-def find_snapshots(
-    timeline: RecordingTimeline, capture: Capture, settings: CaptureSettings = CaptureSettings()
-) -> list[StampGroup]:
+def find_snapshots(timeline: RecordingTimeline, capture: Capture, settings: CaptureSettings) -> list[StampGroup]:
     """The poses of a recording of snapshots, each with the messages of all sensors.
 
     Messages of different sensors belong to one pose if at most ``settings.max_snapshot_gap`` lies between them.

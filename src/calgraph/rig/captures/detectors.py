@@ -62,9 +62,7 @@ def learn_backgrounds(records: Iterable[RecordedMessage], rig: Rig) -> Mapping[s
     return backgrounds
 
 
-def learn_background(
-    messages: Sequence[Message], spec: object, settings: DetectionSettings = DetectionSettings()
-) -> Background:
+def learn_background(messages: Sequence[Message], spec: object, settings: DetectionSettings) -> Background:
     """The background model of one scanner."""
     if isinstance(spec, Lidar2dSpec):
         return learn_scan_background(to_scans(messages))
@@ -131,7 +129,7 @@ def make_detectors(
         background, seed = backgrounds.get(name), seeds[name]
         if isinstance(spec, CameraSpec):
             detectors[name] = CameraDetector(
-                rig.boards, cameras[name], spec.noise, plane_estimator, rig.settings.detection.camera
+                rig.boards, cameras[name], spec.noise, rig.settings.detection.camera, plane_estimator
             ).find
         elif isinstance(spec, Lidar3dSpec):
             cloud_background = background if isinstance(background, CloudBackground | CaptureBackground) else None

@@ -30,9 +30,7 @@ class Hold:
     """Whether it only shows the velocity of the board in another capture, and is none itself."""
 
 
-def find_holds(
-    timeline: RecordingTimeline, capture: Capture, settings: CaptureSettings = CaptureSettings()
-) -> tuple[Hold, ...]:
+def find_holds(timeline: RecordingTimeline, capture: Capture, settings: CaptureSettings) -> tuple[Hold, ...]:
     """Finds the holds: by trigger, from separate snapshots, by stillness, or each set of synchronized frames.
 
     Args:

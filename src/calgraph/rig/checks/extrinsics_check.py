@@ -23,7 +23,7 @@ def compare_rig_poses(
     solved: SolvedBundle | None,
     given: ExtrinsicsFile,
     tolerance: Tolerance,
-    settings: VerdictSettings = VerdictSettings(),
+    settings: VerdictSettings,
 ) -> ExtrinsicsComparison:
     """Compares given extrinsics with estimated ones.
 

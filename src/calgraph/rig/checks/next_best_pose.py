@@ -37,7 +37,7 @@ def suggest_board_poses(
     size: tuple[float, float],
     rng: np.random.Generator,
     tolerance: Tolerance,
-    settings: DiagnosticsSettings = DiagnosticsSettings(),
+    settings: DiagnosticsSettings,
     *,
     up: Array | None = None,
     is_reachable: Callable[[Array], NDArray[np.bool_]] | None = None,

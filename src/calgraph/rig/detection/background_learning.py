@@ -73,9 +73,7 @@ def _find_nearest_depths(ranges: Array, quantile: float) -> Array:
 _DIRECTION_CELL = math.radians(1.0)
 
 
-def learn_cloud_background(
-    clouds: Iterable[PointCloud], settings: DetectionSettings = DetectionSettings()
-) -> CloudBackground:
+def learn_cloud_background(clouds: Iterable[PointCloud], settings: DetectionSettings) -> CloudBackground:
     """Learns the background of a 3-D scanner.
 
     Every point occupies all voxels within half a voxel of it, in each axis, so that noise at the border of a voxel

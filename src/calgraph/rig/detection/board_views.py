@@ -72,7 +72,7 @@ class BoardViewFinder:
         self,
         boards: Sequence[Board],
         noise: PixelNoise,
-        settings: CameraDetectionSettings = CameraDetectionSettings(),
+        settings: CameraDetectionSettings,
     ) -> None:
         self._boards, self._noise, self._settings = boards, noise, settings
         self._printed = make_printed_boards(boards, settings)

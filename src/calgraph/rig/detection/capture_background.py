@@ -47,7 +47,7 @@ _MAX_FREE_SHARE = 0.05
 
 
 def learn_capture_background(
-    clouds: Iterable[PointCloud], noise: RangeNoise, settings: DetectionSettings = DetectionSettings()
+    clouds: Iterable[PointCloud], noise: RangeNoise, settings: DetectionSettings
 ) -> CaptureBackground:
     """Learns the static scene from one sweep of each capture; of few captures, nothing is known.
 

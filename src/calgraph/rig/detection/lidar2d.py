@@ -56,7 +56,7 @@ def find_segments(
     noise: RangeNoise,
     background: ScanBackground | None,
     rng: np.random.Generator,
-    settings: DetectionSettings = DetectionSettings(),
+    settings: DetectionSettings,
 ) -> tuple[Segment, ...] | Rejected:
     """Finds the board in the scans of one capture.
 

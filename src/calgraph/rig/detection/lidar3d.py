@@ -54,7 +54,7 @@ def find_patches(
     noise: RangeNoise,
     background: CloudBackground | CaptureBackground | None,
     rng: np.random.Generator,
-    settings: DetectionSettings = DetectionSettings(),
+    settings: DetectionSettings,
 ) -> tuple[PlanePatch, ...] | Rejected:
     """Finds the board in the clouds of one capture.
 

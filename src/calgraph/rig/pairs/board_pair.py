@@ -53,7 +53,7 @@ def estimate_pair(
     rng: np.random.Generator,
     *,
     refine: bool = True,
-    settings: BoardPairSettings = BoardPairSettings(),
+    settings: BoardPairSettings,
     known: Array | None = None,
 ) -> PairwiseEstimate | Rejected:
     """Estimates ``T_a_b`` from the captures in which both sensors have detections.
@@ -200,7 +200,7 @@ def estimate_pairs(
     progress: Callable[[float], None] = lambda _done: None,
     *,
     refine: bool = True,
-    settings: BoardPairSettings = BoardPairSettings(),
+    settings: BoardPairSettings,
     known: Mapping[str, Array] = MappingProxyType({}),
 ) -> PairwiseEstimates:
     """Estimates the relative pose of every pair of sensors, as :func:`estimate_pair` does.

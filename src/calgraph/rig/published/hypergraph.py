@@ -59,7 +59,7 @@ def solve_hypergraph(
     *,
     keep: MatchFilter = "ransac",
     optimize: bool = True,
-    settings: Settings = Settings(),
+    settings: Settings,
 ) -> HypergraphSolution:
     """Solves for the poses of all connected sensors jointly.
 
