@@ -20,6 +20,7 @@ from calgraph.config import (
 )
 from calgraph.geometry import Array
 from calgraph.simulation import ModelErrors, RigScenario, World
+from calgraph.simulation.ideal_detections import as_scanner
 from calgraph.simulation.motion import BoardTrajectory
 from calgraph.simulation.robot import MountedCamera, RobotSensor
 from calgraph.simulation.solids import Solid
@@ -182,7 +183,8 @@ def _spec(sensor: RobotSensor, factor: float, rng: np.random.Generator) -> Senso
         if rng.random() < _TOPIC_SHARE:
             return CameraSpec(topic=topic, camera_info=f"/{sensor.name}/camera_info", noise=noise)
         return CameraSpec(topic=topic, intrinsics=Intrinsics.from_camera(sensor.camera), noise=noise)
-    stated = RangeNoise(range=max(factor * sensor.noise.range, 1e-4), angle=max(factor * sensor.noise.angle, 1e-5))
+    true = as_scanner(sensor).noise
+    stated = RangeNoise(range=max(factor * true.range, 1e-4), angle=max(factor * true.angle, 1e-5))
     if sensor.kind == "lidar2d":
         return Lidar2dSpec(topic=topic, noise=stated)
     return Lidar3dSpec(topic=topic, noise=stated)

@@ -14,6 +14,7 @@ from calgraph.recording.in_memory import MessageRecording
 from calgraph.sensors import CameraInfo, CameraModel, Image, Message, Trigger
 from calgraph.simulation import BoardErrors
 from calgraph.simulation.board_texture import render_board_texture
+from calgraph.simulation.ideal_detections import as_scanner
 from calgraph.simulation.robot import MountedCamera, MountedScanner, RobotSensor
 from calgraph.simulation.scanners import laser_scan, point_cloud, simulate_ranges
 from calgraph.simulation.solids import Solid, cast_rays
@@ -65,7 +66,11 @@ def record(rig: RandomRig) -> MessageRecording:
     messages: dict[str, list[Message]] = {}
     for k, sensor in enumerate(rig.robot):
         rng = np.random.default_rng((rig.seed, 1 + k))
-        measure = _camera(rig, sensor, rng) if isinstance(sensor, MountedCamera) else _scanner(rig, sensor, rng)
+        measure = (
+            _camera(rig, sensor, rng)
+            if isinstance(sensor, MountedCamera)
+            else _scanner(rig, as_scanner(sensor), rng)
+        )
         topic = rig.stated.topics[sensor.name]
         messages[topic] = [
             measure(shown, done, _START + time + rig.delays[sensor.name])

@@ -8,6 +8,7 @@ import numpy as np
 from calgraph.config import Board
 from calgraph.geometry import Array, se3, so3
 from calgraph.simulation.environment import build_room, operator_solids
+from calgraph.simulation.ideal_detections import as_scanner
 from calgraph.simulation.motion import BoardPlacement, pose_from_placement
 from calgraph.simulation.robot import MountedCamera, RobotSensor
 from calgraph.simulation.solids import BoxShape, CylinderShape, RectangleShape, Solid
@@ -129,7 +130,8 @@ def in_view(sensor: RobotSensor, points: Array) -> Array:
         with np.errstate(invalid="ignore"):
             return np.asarray(sensor.camera.contains(sensor.camera.project(at)))
     directions = at / np.linalg.norm(at, axis=-1, keepdims=True)
-    sparse = sensor.pattern.directions[:: max(1, len(sensor.pattern.directions) // 3000)]
+    beams = as_scanner(sensor).pattern.directions
+    sparse = beams[:: max(1, len(beams) // 3000)]
     return np.asarray((directions @ sparse.T).max(axis=1) > np.cos(np.radians(8.0)))
 
 
@@ -154,7 +156,7 @@ def _place_before(rng: np.random.Generator, sensor: RobotSensor, near: float, fa
         if not np.isfinite(direction).all():
             direction = np.array([0.0, 0.0, 1.0])
     else:
-        pattern = sensor.pattern
+        pattern = as_scanner(sensor).pattern
         ahead = np.flatnonzero((pattern.directions[:, 0] > 0.3) & (np.abs(pattern.directions[:, 2]) < 0.4))
         direction = pattern.directions[rng.choice(ahead)] + rng.normal(0, 0.05, 3)
     place = se3.apply(sensor.T_world_sensor, (rng.uniform(near, far) * direction)[None])[0]

@@ -35,7 +35,7 @@ def detected(scenario: RigScenario, seed: int) -> tuple[Rig, CaptureSet, GroundT
     rig, truth = world_rig(stage), ground_truth(stage)
     cameras = {s.name: s.camera for s in stage.robot if isinstance(s, MountedCamera)}
     backgrounds = {
-        name: learn_background(messages, rig.sensors[name], rig.settings.detection)
+        name: learn_background(messages, rig.sensors[name].kind, rig.settings.detection)
         for name, messages in simulate_background(stage).items()
         if not isinstance(rig.sensors[name], CameraSpec)
     }

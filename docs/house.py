@@ -27,8 +27,8 @@ PURPOSE = {
     "recording": "bags, folders: streams of messages",
     "result": "Calibration, its files and exports",
     "config": "rig.yaml and settings",
+    "sensors": "kinds of sensors, their messages, camera models",
     "io": "atomic files, YAML, archives",
-    "sensors": "camera models, scans, clouds",
     "geometry": "poses, planes",
     "errors": "exceptions, Rejected",
 }

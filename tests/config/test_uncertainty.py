@@ -17,9 +17,9 @@ from calgraph.config import (
     Tolerance,
     load_rig,
 )
-from calgraph.config.strict_model import StrictModel
 from calgraph.errors import InputError
 from calgraph.io.field_docs import describe_field
+from calgraph.io.strict_model import StrictModel
 from calgraph.io.yaml_writing import save_yaml
 
 ROOT = Path(__file__).resolve().parents[2]

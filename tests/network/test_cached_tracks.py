@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calgraph.config import Lidar2dSpec, People, RangeNoise, Rig
+from calgraph.config import Lidar2dSpec, Lidar2dUncertainty, People, RangeNoise, Rig
 from calgraph.config.settings import ClusterSettings, Settings, TrackingSettings
-from calgraph.config.uncertainty import Lidar2dUncertainty
 from calgraph.network.options import NetworkOptions
 from calgraph.network.track_recording import track_people
 from calgraph.network.tracking.track import ScannerTracks

@@ -14,9 +14,10 @@ from calgraph.config.settings import CameraDetectionSettings, CaptureSettings
 from calgraph.errors import InputError
 from calgraph.io.atomic import write_text
 from calgraph.printing import format_target, read_boards
-from calgraph.recording import SENSORS, Recording, find_topics, open_recording
+from calgraph.recording import Recording, find_topics, open_recording
 from calgraph.rig.captures.empty_start import find_empty_start
 from calgraph.rig.captures.recognized_recording import recognize_recording
+from calgraph.sensors.kinds import KINDS
 
 
 def init(
@@ -52,7 +53,7 @@ def _find_mode(recording: Recording, topics: Sequence[FoundTopic], empty_end: fl
     """How the recording shows the board; None where a topic seems to mark the captures."""
     if find_triggers(topics)[0]:
         return None
-    usable = [t.name for t in topics if t.kind in SENSORS and t.count and not t.problem]
+    usable = [t.name for t in topics if t.kind in KINDS and t.count and not t.problem]
     found = recognize_recording(recording, usable, settings=CaptureSettings(), empty_end=empty_end)
     return FoundMode(found.mode, found.reason) if found else None
 
@@ -61,9 +62,9 @@ def _find_background(
     recording: Recording, topics: Sequence[FoundTopic], boards: Sequence[Board]
 ) -> FoundBackground | None:
     """The time without board and operator at the start of a recording."""
+    usable = [t for t in topics if t.kind in KINDS and t.count and not t.problem]
     scanners, cameras = (
-        [t.name for t in topics if t.kind in kinds and t.count and not t.problem]
-        for kinds in (("lidar2d", "lidar3d"), ("camera",))
+        [t.name for t in usable if KINDS[t.kind].measures_ranges == measuring] for measuring in (True, False)
     )
     triggers = find_triggers(topics)[0]
     capture = Capture(trigger=triggers[0].name if triggers else None)

@@ -19,10 +19,11 @@ from calgraph.config import FoundTopic, find_triggers
 from calgraph.config.settings import CaptureSettings
 from calgraph.errors import RecordingError
 from calgraph.io.json_writing import format_json
-from calgraph.recording import SENSORS, Inspection, Recording, TopicReport, inspect_recording, open_recording
+from calgraph.recording import Inspection, Recording, TopicReport, inspect_recording, open_recording
 from calgraph.result import Calibration, load_calibration, to_json
 from calgraph.rig.captures.capture_mode import RecognizedMode
 from calgraph.rig.captures.recognized_recording import recognize_recording
+from calgraph.sensors.kinds import KINDS
 
 
 def inspect(
@@ -71,8 +72,8 @@ def _recognize_mode(recording: Recording, inspection: Inspection) -> RecognizedM
     topics = [FoundTopic(topic.name, topic.type, topic.kind, topic.count) for topic in inspection.topics]
     if find_triggers(topics)[0]:
         return None
-    sensors = [topic for topic in inspection.topics if topic.kind in SENSORS and topic.count and topic.content]
-    if all(topic.kind == "lidar2d" for topic in sensors):
+    sensors = [topic for topic in inspection.topics if topic.kind in KINDS and topic.count and topic.content]
+    if all(KINDS[topic.kind].detects == "line" for topic in sensors):
         return None
     return recognize_recording(recording, [topic.name for topic in sensors], settings=CaptureSettings())
 
@@ -108,7 +109,7 @@ def _describe(topic: TopicReport) -> str:
     """Type, kind, frame and content of the first message."""
     frame = f"frame {topic.frame_id}" if topic.frame_id else ""
     short_type = topic.type.rpartition("/")[2]
-    kind = topic.kind if topic.kind in SENSORS else ""
+    kind = topic.kind if topic.kind in KINDS else ""
     numbers = "poses {} to {}".format(*topic.pose_numbers) if topic.pose_numbers else ""
     return ", ".join(dict.fromkeys(text for text in (short_type, kind, frame, topic.content, numbers) if text))
 

@@ -12,6 +12,7 @@ _PANELS = {
     "laser": "2-D scanners",
     "spinning": "3-D scanners made of a slowly spinning 2-D scanner",
     "multibeam": "Multi-beam LiDARs",
+    "depth": "Depth cameras",
     "root": "Robot",
     "board": "Board",
     "bearings": "Poses of the board",

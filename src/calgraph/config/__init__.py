@@ -4,26 +4,21 @@ from calgraph.config.board_print import PrintedBitmap, black_rectangles, printed
 from calgraph.config.draft import FoundBackground, FoundMode, FoundTopic, Kind, draft_rig, find_triggers
 from calgraph.config.fleet_config import ChangeRules, FleetConfig, load_fleet
 from calgraph.config.markers import FAMILIES, Family, dictionary, marker_count
-from calgraph.config.rig_config import (
-    CameraSpec,
-    Capture,
-    CaptureMode,
-    Intrinsics,
-    Lidar2dSpec,
-    Lidar3dSpec,
-    PixelNoise,
-    RangeNoise,
-    Rig,
-    SensorSpec,
-)
+from calgraph.config.rig_config import Capture, CaptureMode, Rig
 from calgraph.config.rig_file import load_rig
 from calgraph.config.target import AprilGrid, Board, Charuco, Checkerboard, Cylinder, People, Tag
-from calgraph.config.uncertainty import (
-    BoardUncertainty,
+from calgraph.config.uncertainty import BoardUncertainty, Tolerance
+from calgraph.sensors.intrinsics import Intrinsics
+from calgraph.sensors.kinds import (
+    CameraSpec,
     CameraUncertainty,
+    Lidar2dSpec,
     Lidar2dUncertainty,
+    Lidar3dSpec,
     Lidar3dUncertainty,
-    Tolerance,
+    PixelNoise,
+    RangeNoise,
+    SensorSpec,
 )
 
 __all__ = [

@@ -6,8 +6,8 @@ import numpy as np
 from pydantic_core import PydanticCustomError
 
 from calgraph.config.board_print import PrintedBitmap, printed_bitmaps
-from calgraph.config.strict_model import invalid
 from calgraph.config.target import AprilGrid, Board, Charuco, Checkerboard
+from calgraph.io.strict_model import invalid
 
 
 def check_boards_distinguishable(boards: Sequence[Board]) -> None:

@@ -10,13 +10,18 @@ from typing import Literal
 from calgraph.config.rig_config import CaptureMode
 from calgraph.config.sensor_names import name_sensors
 from calgraph.errors import InputError
+from calgraph.sensors.kinds import KINDS, KindName
 
-Kind = Literal["camera", "lidar2d", "lidar3d", "camera_info", "event", "other"]
+Kind = KindName | Literal["camera_info", "event", "other"]
 
 # Last parts of the image topics of one camera (image_transport, image_proc), preferred first: the intrinsics
 # describe the unrectified images.
 _IMAGE_TOPICS = ("image_raw", "image_color", "image_mono", "image", "image_rect_color", "image_rect")
 _DEPTH = re.compile(r"depth|disparity|confidence", re.IGNORECASE)
+# Ends of topics of image_transport.
+_TRANSPORT = re.compile(r"/compressed(Depth)?$")
+# Depth images that are converted to the view of another camera: they hold nothing that the original ones do not.
+_REGISTERED = re.compile(r"aligned_depth|depth_to_rgb|depth_registered|registered_depth", re.IGNORECASE)
 _TRIGGER = re.compile(r"trigger|capture|shutter|snapshot", re.IGNORECASE)
 # YAML 1.1 readers take some of these words as booleans, null or numbers.
 _PLAIN = re.compile(r"(?!(?:y|n|yes|no|on|off|true|false|null)$)[A-Za-z/][\w./-]*", re.IGNORECASE)
@@ -49,12 +54,6 @@ _NO_INTRINSICS_OF_CORNERS = (
 _NO_BACKGROUND = (
     "# background: [0.0, 5.0]      # s from the start: the room without board and operator; none was found"
 )
-_NOISE = {
-    "camera": "{pixel: 0.3}",
-    "lidar2d": "{range: 0.02, angle: 0.001}",
-    "lidar3d": "{range: 0.02, angle: 0.001}",
-}
-
 
 _MODES = {
     "snapshots": "each time is one capture of the board",
@@ -137,7 +136,7 @@ def draft_rig(
         )
     names = name_sensors({topic.name: topic.kind for topic in chosen})
     infos = [topic for topic in topics if topic.kind == "camera_info" and topic.count and not topic.problem]
-    cameras = [topic for topic in chosen if topic.kind == "camera"]
+    cameras = [topic for topic in chosen if KINDS[topic.kind].optical]
     sensors = [
         _Sensor(names[t.name], t, _find_camera_info(t, infos, len(cameras)) if t in cameras else None)
         for t in chosen
@@ -161,7 +160,7 @@ def _choose_topics(topics: Sequence[FoundTopic]) -> tuple[list[FoundTopic], dict
     """The topics to draft sensors for, and why each other sensor topic is not one of them."""
     chosen: dict[str, FoundTopic] = {}
     skipped: dict[str, str] = {}
-    for topic in sorted((t for t in topics if t.kind in _NOISE), key=_preference_key):
+    for topic in sorted((t for t in topics if t.kind in KINDS), key=_preference_key):
         device = _device_name(topic)
         if not topic.count:
             skipped[topic.name] = "has no message"
@@ -173,22 +172,27 @@ def _choose_topics(topics: Sequence[FoundTopic]) -> tuple[list[FoundTopic], dict
             skipped[topic.name] = f"is the camera of {chosen[device].name}"
         else:
             chosen[device] = topic
-    order = ("lidar3d", "camera", "lidar2d")
+    depths = [t for t in chosen.values() if KINDS[t.kind].convert and not _REGISTERED.search(t.name)]
+    for device, topic in list(chosen.items()):
+        if depths and KINDS[topic.kind].convert and _REGISTERED.search(topic.name):
+            skipped[topic.name] = f"is {depths[0].name} in the view of another camera"
+            del chosen[device]
+    order = list(KINDS)
     return sorted(chosen.values(), key=lambda t: (order.index(t.kind), t.name)), skipped
 
 
 def _device_name(topic: FoundTopic) -> str:
     """An identifier of the device, which all image topics of one camera share."""
-    if topic.kind != "camera":
+    if not KINDS[topic.kind].optical:
         return topic.name
-    images = topic.name.removesuffix("/compressed")
+    images = _TRANSPORT.sub("", topic.name)
     space, _, last = images.rpartition("/")
     return f"{space}/" if space and last in _IMAGE_TOPICS else images
 
 
 def _preference_key(topic: FoundTopic) -> tuple[int, bool, str]:
     """Sorts the topics of one camera: unrectified before rectified, lossless before compressed."""
-    images = topic.name.removesuffix("/compressed")
+    images = _TRANSPORT.sub("", topic.name)
     last = images.rpartition("/")[2]
     rank = _IMAGE_TOPICS.index(last) if last in _IMAGE_TOPICS else len(_IMAGE_TOPICS)
     return rank, images != topic.name, topic.name
@@ -196,7 +200,7 @@ def _preference_key(topic: FoundTopic) -> tuple[int, bool, str]:
 
 def _find_camera_info(image: FoundTopic, infos: Sequence[FoundTopic], cameras: int) -> FoundTopic | None:
     """The camera_info of an image topic: beside it, in its frame, or the only one for the only camera."""
-    images = image.name.removesuffix("/compressed")
+    images = _TRANSPORT.sub("", image.name)
     beside = (f"{images}/camera_info", f"{images.rpartition('/')[0]}/camera_info")
     by_name = next((info for name in beside for info in infos if info.name == name), None)
     in_frame = [info for info in infos if image.frame_id and info.frame_id == image.frame_id]
@@ -227,7 +231,8 @@ def _root(sensors: Sequence[_Sensor]) -> str:
 
 def _missing_target(chosen: Sequence[FoundTopic]) -> str:
     """Comments in place of a target."""
-    return _NO_TARGET + (_NO_TARGET_OF_SCANNERS if all(topic.kind == "lidar2d" for topic in chosen) else "")
+    only_scanners = all(KINDS[topic.kind].detects == "line" for topic in chosen)
+    return _NO_TARGET + (_NO_TARGET_OF_SCANNERS if only_scanners else "")
 
 
 def _capture(
@@ -277,7 +282,7 @@ def _capture(
 def find_triggers(topics: Sequence[FoundTopic]) -> tuple[list[FoundTopic], list[FoundTopic]]:
     """Topics whose messages could start captures, and those that rather fire with every image."""
     named = [t for t in topics if t.kind == "event" and t.count and _TRIGGER.search(t.name)]
-    often = max((t.count for t in topics if t.kind in _NOISE), default=0) / 2
+    often = max((t.count for t in topics if t.kind in KINDS), default=0) / 2
     plausible = [topic for topic in named if topic.count < often]
     return plausible, [topic for topic in named if topic not in plausible]
 
@@ -302,6 +307,8 @@ def _sensor(sensor: _Sensor, own_clock: bool) -> list[str]:
     ]
     if sensor.info:
         lines.append(f"    camera_info: {_format_scalar(sensor.info.name)}")
+    elif KINDS[topic.kind].convert:
+        lines.append("    # CHANGE: state camera_info (a topic) or intrinsics; no usable camera_info was found")
     elif topic.kind == "camera":
         lines += [
             _NO_INTRINSICS_OF_CORNERS if topic.type == "corners" else _NO_INTRINSICS,
@@ -313,7 +320,7 @@ def _sensor(sensor: _Sensor, own_clock: bool) -> list[str]:
         lines.append(f"    frame_id: {_format_scalar(topic.frame_id)}")
     else:
         lines.append("    # frame_id: name            # its messages name none; exports need it")
-    return [*lines, f"    noise: {_NOISE[topic.kind]}"]
+    return [*lines, f"    noise: {KINDS[topic.kind].drafted_noise}"]
 
 
 def _skipped_topics(skipped: dict[str, str]) -> str:

@@ -6,7 +6,7 @@ from functools import cache
 from importlib.resources import files
 from typing import Any
 
-from calgraph.config.strict_model import invalid
+from calgraph.io.strict_model import invalid
 
 # What a user can state instead, by the beginning of the former key; the longest one applies.
 _REPLACEMENTS = {

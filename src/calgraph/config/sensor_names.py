@@ -4,10 +4,10 @@ import re
 from collections import Counter
 from collections.abc import Mapping
 
-_DEFAULT_NAMES = {"camera": "camera", "lidar2d": "laser", "lidar3d": "lidar"}
-"""Name of a sensor whose topic has only generic parts."""
+from calgraph.sensors.kinds import KINDS
+
 _GENERIC_PART = re.compile(
-    r"compressed|images?(_raw|_color|_mono|_rect|_rect_color)?|raw|(laser_?)?scans?|(multi)?echo(es)?|first|data|"
+    r"compressed(Depth)?|images?(_raw|_color|_mono|_rect|_rect_color|_rect_raw)?|raw|(laser_?)?scans?|(multi)?echo(es)?|first|data|"
     r"(point_?)?clouds?2?|points2?|packets|sensors?"
 )
 _AFFIX = re.compile(
@@ -22,17 +22,17 @@ def name_sensors(kinds: Mapping[str, str]) -> dict[str, str]:
     ``/right/camera/image`` become ``left_camera`` and ``right_camera``.
 
     Args:
-        kinds: camera, lidar2d or lidar3d, by topic.
+        kinds: kind of sensor by topic.
     """
     parts = {topic: _specific_parts(topic) for topic in kinds}
     depth = dict.fromkeys(kinds, 1)
-    names = {topic: _join_last(parts[topic], 1) or _DEFAULT_NAMES[kind] for topic, kind in kinds.items()}
+    names = {topic: _join_last(parts[topic], 1) or KINDS[kind].default_name for topic, kind in kinds.items()}
     while deeper := [t for t in _ambiguous_topics(names) if depth[t] < len(parts[t])]:
         for topic in deeper:
             depth[topic] += 1
             names[topic] = _join_last(parts[topic], depth[topic])
     for topic in _ambiguous_topics(names):
-        names[topic] = f"{names[topic]}_{_DEFAULT_NAMES[kinds[topic]]}"
+        names[topic] = f"{names[topic]}_{KINDS[kinds[topic]].default_name}"
     return _number_duplicates(names)
 
 

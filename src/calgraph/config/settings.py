@@ -9,8 +9,8 @@ from typing import Any, Literal
 from pydantic import Field, model_validator
 
 from calgraph.config.former_settings import drop_former_settings
-from calgraph.config.strict_model import StrictModel
 from calgraph.errors import InputError
+from calgraph.io.strict_model import StrictModel
 
 AveragingMethod = Literal["consensus", "l1mc", "triangles", "spectral", "irls"]
 """How pairs become poses: consensus over trees, or one of the published rotation averagings."""

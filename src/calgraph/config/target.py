@@ -7,8 +7,8 @@ import pydantic
 from pydantic import Discriminator, Field, Strict, field_validator, model_validator
 
 from calgraph.config.markers import DICTIONARIES, FAMILIES, Family, marker_count
-from calgraph.config.strict_model import StrictModel, invalid, limit_to
 from calgraph.config.uncertainty import BoardUncertainty
+from calgraph.io.strict_model import StrictModel, invalid, limit_to
 
 # Strict: YAML has types, so a quoted number or a `yes` where a number belongs is reported as an error.
 Length = Annotated[float, Strict(), Field(gt=0, allow_inf_nan=False)]

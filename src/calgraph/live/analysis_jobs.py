@@ -11,10 +11,11 @@ import numpy as np
 from calgraph.boards.detections import DetectionResult
 from calgraph.config import CameraSpec, Rig
 from calgraph.errors import CalgraphError, InputError, Rejected
-from calgraph.rig.captures.detectors import Background, Detector, learn_background, make_detectors
+from calgraph.rig.captures.detectors import learn_background, make_detectors
 from calgraph.rig.captures.motion_detection import ActivityMeter, Signed
 from calgraph.rig.captures.sensor_detection import detect_in_hold
 from calgraph.rig.detection.board_views import BoardViewFinder
+from calgraph.rig.kinds.rig_kind import Background, Detector
 from calgraph.sensors import CameraModel, Message
 
 NO_INTRINSICS = "its intrinsics are not known: no CameraInfo message with focal lengths has arrived"
@@ -69,7 +70,7 @@ def learn_live_background(rig: Rig, name: str, decoders: Sequence[Decoder]) -> B
         with suppress(CalgraphError):
             messages.append(decode())
     try:
-        return learn_background(messages, rig.sensors[name], rig.settings.detection)
+        return learn_background(messages, rig.sensors[name].kind, rig.settings.detection)
     except InputError as error:
         return Rejected(str(error))
 

@@ -15,11 +15,12 @@ from calgraph.live.live_timeline import LiveTimeline
 from calgraph.rig.captures.detect import CaptureSet, SensorCapture, collect_detections
 from calgraph.rig.captures.holds import Hold
 from calgraph.sensors import CameraModel
+from calgraph.sensors.kinds import KINDS
 
 # Regions of an image along each axis, and sectors of azimuth: as the page draws them.
 _REGIONS, _SECTORS = 3, 12
-# The kinds of sensors, the most reliable one first: a scanner may take a wall for the board.
-_RELIABILITY = ("camera", "lidar3d", "lidar2d")
+# What sensors detect, the most reliable first: a scanner may take a wall for the board.
+_RELIABILITY = ("corners", "plane", "line")
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,12 +73,12 @@ def find_same_pose(
             for name, found in capture.detections.items()
             if not isinstance(found, Rejected) and not isinstance(detections[name], Rejected)
         ]
-        kinds = {rig.sensors[name].kind for name in common}
-        best = next((kind for kind in _RELIABILITY if kind in kinds), None)
+        detected = {KINDS[rig.sensors[name].kind].detects for name in common}
+        best = next((one for one in _RELIABILITY if one in detected), None)
         pairs = [
             (_first(detections[name]), _first(capture.detections[name]))
             for name in common
-            if rig.sensors[name].kind == best
+            if KINDS[rig.sensors[name].kind].detects == best
         ]
         if pairs and all(_are_close(a, b, settings) for a, b in pairs):
             return i

@@ -6,18 +6,30 @@ from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
 from calgraph.config import Capture, Rig
+from calgraph.errors import InputError
 from calgraph.live.source import Channel, LiveMessage
 from calgraph.recording import list_camera_info_topics
 from calgraph.recording.message_types import ros2_definition
 from calgraph.recording.writer import serialize_message
 from calgraph.sensors import Trigger
+from calgraph.sensors.kinds import KINDS
 
 TRIGGER_TOPIC = "/calgraph/trigger"
 """Topic of the messages that mark the captures of a live session."""
 
 
 def prepare_live_rig(rig: Rig) -> Rig:
-    """The rig whose recording is calibrated at the end: with the session's trigger, and a background window."""
+    """The rig whose recording is calibrated at the end: with the session's trigger, and a background window.
+
+    Raises:
+        InputError: a sensor's images are to be converted, as those of a depth camera.
+    """
+    for name, spec in rig.sensors.items():
+        if KINDS[spec.kind].convert:
+            raise InputError(
+                f"sensors.{name}: calgraph live does not take the images of a {KINDS[spec.kind].title}; record a "
+                "bag, and give it to calgraph calibrate"
+            )
     background = rig.capture.background or (0.0, rig.settings.live.capture.background)
     capture = Capture(background=background, trigger=TRIGGER_TOPIC, exclude=rig.capture.exclude)
     return rig.model_copy(update={"capture": capture})

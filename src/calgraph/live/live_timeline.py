@@ -11,7 +11,7 @@ import numpy as np
 
 from calgraph.geometry import Array
 from calgraph.rig.captures.timeline import RecordingTimeline, SensorTimes
-from calgraph.sensors import LaserScan, PointCloud, RecordedMessage
+from calgraph.sensors import PointCloud, RecordedMessage
 
 # The period of a sensor and its rate are those of its last messages: drivers change them, and connections break.
 _RECENT = 21
@@ -98,11 +98,11 @@ class LiveTimeline:
         times.measure_period()
         if not times.measured:
             message = record.decode()
-            times.duration = message.duration if isinstance(message, LaserScan | PointCloud) else 0.0
+            times.duration = getattr(message, "duration", 0.0)
             times.frame_id = getattr(message, "frame_id", "")
             times.message_type = type(message).__name__
             # Clouds without points, of lost packets, have no duration.
-            times.measured = not isinstance(message, PointCloud) or len(message.points) > 0
+            times.measured = not isinstance(message, PointCloud) or not message.is_empty
 
     def message_type(self, name: str) -> str:
         """Type of the sensor's messages; empty before the first."""

@@ -29,11 +29,13 @@ from calgraph.live.record_reader import RecordReader
 from calgraph.live.source import LiveMessage
 from calgraph.live.view_pictures import SensorView, find_reduction, make_view
 from calgraph.recording.takes import shift_record
-from calgraph.rig.captures.detectors import Background, draw_seeds
+from calgraph.rig.captures.detectors import draw_seeds
 from calgraph.rig.captures.stillness import MAX_MOTION_PERIOD
 from calgraph.rig.captures.timeline import RecordingTimeline
+from calgraph.rig.kinds.rig_kind import Background
 from calgraph.rig.options import RigOptions
 from calgraph.sensors import CameraInfo, CameraModel, RecordedMessage
+from calgraph.sensors.kinds import KINDS
 
 _log = logging.getLogger(__name__)
 
@@ -139,7 +141,7 @@ class MessageAnalysis:
         """Has a message analysed: drawn, measured, and the room learned from it."""
         sensor = self.sensors[name]
         sensor.latest = record
-        if self._is_of_background(record) and not isinstance(self._rig.sensors[name], CameraSpec):
+        if self._is_of_background(record) and KINDS[self._rig.sensors[name].kind].measures_ranges:
             self._keep_background(name, record)
         slow = self.timeline.period(name) > MAX_MOTION_PERIOD
         if slow and len(self.timeline.stamps_from(name, 0.0)) > 1:
@@ -321,7 +323,7 @@ class LiveDetectors:
 
     def is_ready(self, name: str) -> bool:
         """Whether messages of a sensor can be searched: scanners learn the room first."""
-        return self._rig.sensors[name].kind == "camera" or name in self._backgrounds
+        return not KINDS[self._rig.sensors[name].kind].measures_ranges or name in self._backgrounds
 
     def reduction(self, name: str) -> int:
         """The factor by which images of a camera are reduced for pictures; 1 of scanners."""

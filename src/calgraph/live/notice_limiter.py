@@ -3,8 +3,8 @@
 import re
 from collections.abc import Iterator
 
-from calgraph.config.rig_config import CONTROL_CHARACTERS
 from calgraph.live.source import Notice, NoticeKind
+from calgraph.sensors.names import CONTROL_CHARACTERS
 
 # Texts of servers are cut: they may have any length.
 _MAX_TEXT = 300

@@ -11,11 +11,11 @@ from html import escape
 import numpy as np
 
 from calgraph.geometry import Array, se3
+from calgraph.sensors.kinds import KINDS
 
 _WIDTH, _PLAN_HEIGHT, _PANEL_HEIGHT = 360, 330, 170
 """Of the picture, its plan and its lower panels, in pixels of a phone."""
 _MARGIN = 40.0
-_COLORS = {"camera": "#ffb454", "lidar2d": "#6fd3a5", "lidar3d": "#7db7ff"}
 _BOARD, _PERSON, _TEXT, _FAINT = "#ffe14d", "#c9b8ff", "#f4f6f8", "#8b97a5"
 _PERSON_DISTANCE = 0.55
 """Of the operator behind the board, m."""
@@ -139,7 +139,7 @@ def _draw_plan(
                 for a in ahead + sensor.half_angle * np.linspace(-1, 1, 9)
             ]
             path = _path([place(sensor.T_root_sensor[:3, 3]), *rim])
-            drawn.append(f'<path d="{path}Z" fill="{_COLORS["camera"]}" opacity=".13"/>')
+            drawn.append(f'<path d="{path}Z" fill="{KINDS[sensor.kind].color}" opacity=".13"/>')
     o, b = place(center), place(board)
     drawn += _draw_robot([place(sensor.T_root_sensor[:3, 3]) for sensor in sensors], scale)
     drawn += _draw_names(sensors, [place(sensor.T_root_sensor[:3, 3]) for sensor in sensors])
@@ -176,7 +176,7 @@ def _draw_names(sensors: Sequence[DrawnSensor], positions: Sequence[Array]) -> l
         for k in chosen:
             y = max(float(positions[k][1]) + 5, last + 15)
             last = y
-            color, name = _COLORS[sensors[k].kind], escape(_shorten(sensors[k].name))
+            color, name = KINDS[sensors[k].kind].color, escape(_shorten(sensors[k].name))
             edge = (max if side > 0 else min)(p[0] for p in positions) + 14 * side
             drawn.append(f'<circle cx="{positions[k][0]:.1f}" cy="{positions[k][1]:.1f}" r="4.5" fill="{color}"/>')
             drawn.append(
@@ -257,7 +257,7 @@ def _project(points: Array, axes: Array) -> Array:
 
 def _viewing_axis(sensor: DrawnSensor) -> Array:
     """(3,) the forward axis of a sensor."""
-    return np.asarray(sensor.T_root_sensor[:3, 2 if sensor.kind == "camera" else 0])
+    return np.asarray(sensor.T_root_sensor[:3, 2 if KINDS[sensor.kind].optical else 0])
 
 
 def _flatten(vector: Array, up: Array) -> Array:

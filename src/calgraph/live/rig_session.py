@@ -30,6 +30,7 @@ from calgraph.rig.captures.holds import Hold, find_holds, limit_messages
 from calgraph.rig.captures.sensor_detection import DetectionMethod, detect_by_sensors
 from calgraph.rig.captures.timeline import RecordingTimeline, build_timeline
 from calgraph.sensors import CameraModel
+from calgraph.sensors.kinds import KINDS
 
 Solve = Callable[[Rig, CaptureSet, LiveSolution | None], LiveSolution]
 """Computes the poses from the captures until now and the last solution; defined at module level."""
@@ -299,7 +300,9 @@ def rebuild_captures(rig: Rig, recording: Recording, seeds: Mapping[str, int], e
         holds = limit_messages(find_holds(timeline, rig.capture, rig.settings.captures), rig)
     except CalibrationError:  # none yet
         return RebuiltSession(timeline, cameras)
-    detecting = {name: spec for name, spec in recorded.items() if spec.kind != "camera" or name in cameras}
+    detecting = {
+        name: spec for name, spec in recorded.items() if KINDS[spec.kind].measures_ranges or name in cameras
+    }
     found = detect_by_sensors(
         part.model_copy(update={"sensors": detecting}),
         recording,

@@ -24,10 +24,11 @@ from calgraph.rig.checks.next_best_pose import suggest_board_poses
 from calgraph.rig.options import RigOptions
 from calgraph.rig.pipeline import build_problem_from_captures, explain_singular_equations, solve_after_bumps
 from calgraph.sensors import CameraModel
+from calgraph.sensors.kinds import KINDS
 from calgraph.verdict.grades import max_good_stddev
 
 # How well a sensor alone locates the board: a partner that measures its plane needs the fewest shared captures.
-_PARTNER_RANK = {"lidar3d": 0, "camera": 1, "lidar2d": 2}
+_PARTNER_RANK = {name: rank for rank, name in enumerate(KINDS)}
 
 
 def explain_unconnected(name: str, rig: Rig, captures: CaptureSet, connected: Collection[str]) -> str:
@@ -329,7 +330,7 @@ def estimate_up(kinds: Mapping[str, str], T_root_sensor: Mapping[str, Array]) ->
     the others, so that single sensors on their sides or upside down do not matter.
     """
     directions = np.array(
-        [-T[:3, 1] if kinds[name] == "camera" else T[:3, 2] for name, T in T_root_sensor.items()]
+        [-T[:3, 1] if KINDS[kinds[name]].optical else T[:3, 2] for name, T in T_root_sensor.items()]
     )
     return np.asarray(directions[np.argmax(np.sum(np.clip(directions @ directions.T, 0, 1), axis=1))])
 

@@ -10,8 +10,8 @@ from typing import BinaryIO
 from pydantic import Field
 
 from calgraph.config import Rig, load_rig
-from calgraph.config.strict_model import StrictModel
 from calgraph.errors import InputError
+from calgraph.io.strict_model import StrictModel
 from calgraph.io.yaml_reading import read_yaml, validate_content
 from calgraph.io.yaml_writing import save_yaml
 from calgraph.live.recorded_files import finish_files, read_files

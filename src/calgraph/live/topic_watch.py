@@ -8,8 +8,8 @@ from rosbags.interfaces import MessageDefinitionFormat
 
 from calgraph.config.settings import ConnectionSettings
 from calgraph.live.source import Channel, LiveMessage, Notice
-from calgraph.recording.inspection import SENSOR_TYPES
 from calgraph.recording.message_types import MessageType, TypeDefinition, make_message_type
+from calgraph.sensors.kinds import SENSOR_TYPES
 
 
 @dataclass

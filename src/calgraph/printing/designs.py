@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any, Literal
 
 from calgraph.config import Board, Tag
-from calgraph.config.strict_model import StrictModel
 from calgraph.config.target import AtLeastOne, Index, Length, Pair
 from calgraph.errors import InputError
+from calgraph.io.strict_model import StrictModel
 from calgraph.io.yaml_reading import validate_content
 from calgraph.printing.paper import MARGIN
 

@@ -11,9 +11,9 @@ from ruamel.yaml.error import YAMLError
 
 from calgraph.config import AprilGrid, Board, Rig
 from calgraph.config.board_ambiguity import check_boards_distinguishable
-from calgraph.config.strict_model import StrictModel
 from calgraph.config.target import Target
 from calgraph.errors import InputError
+from calgraph.io.strict_model import StrictModel
 from calgraph.io.yaml_limits import MAX_RIG_VALUES
 from calgraph.io.yaml_reading import read_text, read_yaml, validate_content
 from calgraph.io.yaml_writing import format_yaml

@@ -7,8 +7,9 @@ from calgraph.recording.camera_intrinsics import (
     resolve_intrinsics,
 )
 from calgraph.recording.clock_correction import ClockCorrectedRecording
+from calgraph.recording.converted_images import convert_images
 from calgraph.recording.in_memory import MessageRecording
-from calgraph.recording.inspection import SENSORS, Inspection, Timing, TopicReport, find_topics, inspect_recording
+from calgraph.recording.inspection import Inspection, Timing, TopicReport, find_topics, inspect_recording
 from calgraph.recording.opening import open_recording, open_recordings
 from calgraph.recording.pose_recordings import PoseRecordings, separate_poses
 from calgraph.recording.recording import Recording, TopicInfo
@@ -16,9 +17,9 @@ from calgraph.recording.reopening import RecordingReference, refer_to
 from calgraph.recording.writer import Encoding, RecordingWriter
 
 __all__ = [
-    "NO_CACHE", "SENSORS", "ClockCorrectedRecording", "Encoding", "Inspection", "MessageRecording",
+    "NO_CACHE", "ClockCorrectedRecording", "Encoding", "Inspection", "MessageRecording",
     "PoseRecordings", "Recording", "RecordingCache", "RecordingReference", "RecordingWriter",
     "Timing", "TopicInfo", "TopicReport",
-    "find_camera_infos", "find_topics", "inspect_recording", "list_camera_info_topics", "open_recording",
-    "open_recordings", "refer_to", "resolve_intrinsics", "separate_poses",
+    "convert_images", "find_camera_infos", "find_topics", "inspect_recording", "list_camera_info_topics",
+    "open_recording", "open_recordings", "refer_to", "resolve_intrinsics", "separate_poses",
 ]  # fmt: skip

@@ -9,7 +9,13 @@ from calgraph.config.settings import LimitSettings
 from calgraph.geometry import Array
 from calgraph.recording.camera_info import camera_model
 from calgraph.recording.damage import MAX_RANGE, check_point_count, wrap_errors
-from calgraph.recording.images import decode_image, pixels_from_buffer
+from calgraph.recording.images import (
+    decode_depths,
+    decode_image,
+    depths_from_buffer,
+    pixels_from_buffer,
+    to_8_bits,
+)
 from calgraph.recording.message_types import MessageType, clean_frame_id
 from calgraph.recording.point_cloud_columns import cloud_from_columns, columns_from_point_cloud2
 from calgraph.sensors import CameraInfo, CameraModel, Image, LaserScan, Message, PointCloud, Trigger
@@ -73,20 +79,21 @@ def _point_cloud2(message: Any, stamp: float, limits: LimitSettings) -> PointClo
 
 
 def _image(message: Any, stamp: float, _: LimitSettings) -> Image:
-    pixels = pixels_from_buffer(
-        np.asarray(message.data, dtype=np.uint8),
-        message.height,
-        message.width,
-        message.step,
-        message.encoding,
-        big_endian=bool(message.is_bigendian),
-    )
-    return Image(stamp, clean_frame_id(message.header.frame_id), pixels)
+    buffer = (
+        np.asarray(message.data, dtype=np.uint8), message.height, message.width, message.step, message.encoding
+    )  # fmt: skip
+    pixels = pixels_from_buffer(*buffer, big_endian=bool(message.is_bigendian))
+    depths = depths_from_buffer(*buffer, big_endian=bool(message.is_bigendian))
+    return Image(stamp, clean_frame_id(message.header.frame_id), pixels, depths)
 
 
 def _compressed_image(message: Any, stamp: float, limits: LimitSettings) -> Image:
-    pixels = decode_image(np.asarray(message.data, dtype=np.uint8), message.format, limits)
-    return Image(stamp, clean_frame_id(message.header.frame_id), pixels)
+    data, frame_id = np.asarray(message.data, dtype=np.uint8), clean_frame_id(message.header.frame_id)
+    if "compresseddepth" in message.format.lower():
+        depths = decode_depths(data, message.format, limits)
+        return Image(stamp, frame_id, to_8_bits(np.nan_to_num(depths)), depths)
+    pixels = decode_image(data, message.format, limits)
+    return Image(stamp, frame_id, pixels)
 
 
 def _camera_info(message: Any, stamp: float, _: LimitSettings) -> CameraInfo:

@@ -22,7 +22,7 @@ from calgraph.recording.damage import check_fetched, check_point_count, check_un
 from calgraph.recording.decoding import mask_out_of_range
 from calgraph.recording.digest import hash_file
 from calgraph.recording.file_names import FileStamps, NamedFiles, interpret_names, resolve_stamps
-from calgraph.recording.images import decode_image
+from calgraph.recording.images import decode_image, decode_png_depths
 from calgraph.recording.pcd import read_pcd
 from calgraph.recording.ply import read_ply
 from calgraph.recording.point_cloud_columns import cloud_from_columns
@@ -202,7 +202,9 @@ def _wrap_input_errors(read: Callable[..., Content], *arguments: Any) -> Content
 
 
 def _image(file: _File) -> Image:
-    return Image(file.stamp, "", decode_image(np.fromfile(file.path, np.uint8), limits=file.limits))
+    data = np.fromfile(file.path, np.uint8)
+    depths = decode_png_depths(data, file.limits) if "depth" in file.topic.lower() else None
+    return Image(file.stamp, "", decode_image(data, limits=file.limits), depths)
 
 
 def _pcd(file: _File) -> PointCloud:

@@ -4,6 +4,7 @@ import os
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import cv2
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 
 from calgraph.config.settings import LimitSettings
 from calgraph.io.image_headers import has_several_scans, read_image_size
-from calgraph.recording.damage import check_pixel_count
+from calgraph.recording.damage import MAX_RANGE, check_pixel_count
 
 Pixels = NDArray[np.uint8]
 
@@ -26,8 +27,12 @@ _BAYER = {
 # reading, and not a setting: the map is linear, so that the positions of edges and corners do not depend on it.
 _STRETCH_PERCENTILES, _STRETCH_SAMPLE = (0.1, 99.9), 100_000
 _DECODING = threading.Lock()
+# Types of the depths of encodings, and the bytes before the PNG of compressed depths.
+_DEPTH_TYPES = {"16uc1": "u2", "32fc1": "f4"}
+_DEPTH_HEADER = 12
 # Encoding to channels, bytes a channel, and OpenCV's conversion to BGR, if one is needed.
 _ENCODINGS: dict[str, tuple[int, int, int | None]] = {
+    "32fc1": (1, 4, None),
     "mono8": (1, 1, None),
     "8uc1": (1, 1, None),
     "mono16": (1, 2, None),
@@ -87,12 +92,71 @@ def pixels_from_buffer(
         )
     rows = np.lib.stride_tricks.as_strided(np.ascontiguousarray(data), (height, row), (step, 1))
     values = np.ascontiguousarray(rows)
-    if depth == 2:
+    if depth == 4:
+        depths = values.view(">f4" if big_endian else "<f4")
+        values = to_8_bits(np.where(np.isfinite(depths), depths, 0))
+    elif depth == 2:
         values = to_8_bits(values.view(">u2" if big_endian else "<u2"))
     pixels = values.reshape((height, width) if channels == 1 else (height, width, channels))
     if conversion is None:
         return pixels
     return np.asarray(cv2.cvtColor(pixels, conversion), dtype=np.uint8)
+
+
+def depths_from_buffer(
+    data: Pixels, height: int, width: int, step: int, encoding: str, *, big_endian: bool = False
+) -> NDArray[np.float32] | None:
+    """Depths (height, width) of a ROS Image, m, NaN where there is none; None of other encodings (REP 118).
+
+    Arguments are those of :func:`pixels_from_buffer`, which checks them.
+    """
+    name = encoding.strip().lower()
+    if name not in _DEPTH_TYPES:
+        return None
+    kind = np.dtype(_DEPTH_TYPES[name]).newbyteorder(">" if big_endian else "<")
+    row = width * kind.itemsize
+    rows = np.lib.stride_tricks.as_strided(np.ascontiguousarray(data), (height, row), (step or row, 1))
+    return to_depths(np.ascontiguousarray(rows).view(kind))
+
+
+def to_depths(values: NDArray[Any]) -> NDArray[np.float32]:
+    """Depths in m, NaN where nothing was measured, of depths in mm (integers) or m."""
+    scale = 1e-3 if values.dtype.kind == "u" else 1.0
+    depths = np.asarray(values, dtype=np.float32) * np.float32(scale)
+    return np.where(np.isfinite(depths) & (depths > 0) & (depths <= MAX_RANGE), depths, np.float32(np.nan))
+
+
+def decode_depths(data: Pixels, declared: str, limits: LimitSettings = LimitSettings()) -> NDArray[np.float32]:
+    """Depths (height, width), m, of a message of compressed_depth_image_transport.
+
+    Args:
+        data: (n,) bytes: a header of three 4-byte numbers, and a PNG of 16 bits. The numbers are the format, and A
+            and B of inverse depths: a depth in m is ``A / (value - B)`` where the original was 32FC1.
+        declared: ``format`` of the message, e.g. ``16UC1; compressedDepth png``.
+        limits: maximum size.
+
+    Raises:
+        ValueError: the bytes are no such PNG; RVL is not supported.
+    """
+    original, _, compressed = declared.lower().partition(";")
+    if "rvl" in compressed:
+        raise ValueError(f"format {declared!r} is not supported: record compressedDepth as PNG, or the raw images")
+    if len(data) <= _DEPTH_HEADER:
+        raise ValueError(f"depth image of {len(data)} bytes has no content (format {declared!r})")
+    a, b = data[4:_DEPTH_HEADER].copy().view("<f4").tolist()
+    values = _decode_unchanged(data[_DEPTH_HEADER:], declared, limits)
+    if values.dtype != np.uint16 or values.ndim != 2:
+        raise ValueError(f"depth image must be a PNG of one channel of 16 bits (format {declared!r})")
+    if original.strip() != "32fc1":
+        return to_depths(values)
+    measured = values > 0
+    return to_depths(np.where(measured, a / np.where(measured, values - b, 1.0), np.nan))
+
+
+def decode_png_depths(data: Pixels, limits: LimitSettings = LimitSettings()) -> NDArray[np.float32] | None:
+    """Depths (height, width), m, of a file with one channel of 16 bits, in mm; None of other files."""
+    values = _decode_unchanged(data, "", limits)
+    return to_depths(values) if values.dtype == np.uint16 and values.ndim == 2 else None
 
 
 def decode_image(data: Pixels, declared: str = "", limits: LimitSettings = LimitSettings()) -> Pixels:
@@ -107,11 +171,25 @@ def decode_image(data: Pixels, declared: str = "", limits: LimitSettings = Limit
         (height, width) grey or (height, width, 3) BGR.
 
     Raises:
-        ValueError: the bytes are no image, an image of depths, or larger than the limit.
+        ValueError: the bytes are no image, or larger than the limit.
     """
     original, _, compressed = declared.lower().partition(";")
-    if "compresseddepth" in compressed:
-        raise ValueError(f"format {declared!r} holds depths, not an image")
+    read = _decode_unchanged(data, declared, limits)
+    pixels = read if read.dtype == np.uint8 else to_8_bits(np.asarray(read))
+    if pixels.ndim == 3 and pixels.shape[2] == 4:
+        return np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGRA2BGR), dtype=np.uint8)
+    if pixels.ndim == 2:
+        pattern = original.strip().removeprefix("bayer_").rstrip("0123456789")
+        if pattern in _BAYER and "mono" not in compressed:
+            return np.asarray(cv2.cvtColor(pixels, _BAYER[pattern]), dtype=np.uint8)
+    elif "rgb" in compressed:
+        # The publisher compressed RGB as if it were BGR.
+        return np.asarray(cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR), dtype=np.uint8)
+    return np.asarray(pixels, dtype=np.uint8)
+
+
+def _decode_unchanged(data: Pixels, declared: str, limits: LimitSettings) -> NDArray[Any]:
+    """The values of an image file as they are."""
     if data.size == 0:
         raise ValueError("image has no data")
     try:
@@ -128,17 +206,7 @@ def decode_image(data: Pixels, declared: str = "", limits: LimitSettings = Limit
         read = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
     if read is None:
         raise ValueError(f"image data of {data.size} bytes cannot be decoded (format {declared!r})")
-    pixels = read if read.dtype == np.uint8 else to_8_bits(np.asarray(read))
-    if pixels.ndim == 3 and pixels.shape[2] == 4:
-        return np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGRA2BGR), dtype=np.uint8)
-    if pixels.ndim == 2:
-        pattern = original.strip().removeprefix("bayer_").rstrip("0123456789")
-        if pattern in _BAYER and "mono" not in compressed:
-            return np.asarray(cv2.cvtColor(pixels, _BAYER[pattern]), dtype=np.uint8)
-    elif "rgb" in compressed:
-        # The publisher compressed RGB as if it were BGR.
-        return np.asarray(cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR), dtype=np.uint8)
-    return np.asarray(pixels, dtype=np.uint8)
+    return np.asarray(read)
 
 
 @contextmanager

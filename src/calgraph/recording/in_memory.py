@@ -11,20 +11,11 @@ from calgraph.recording.digest import hash_array
 from calgraph.recording.record_list import IndexedRecording
 from calgraph.sensors import (
     CameraInfo,
-    DetectedCorners,
-    Image,
-    LaserScan,
     Message,
     MessageDigest,
-    PointCloud,
     RecordedMessage,
     Trigger,
 )
-
-_TYPES = {
-    Image: "image", DetectedCorners: "corners", LaserScan: "scan", PointCloud: "cloud", CameraInfo: "camera_info",
-    Trigger: "trigger",
-}  # fmt: skip
 
 
 class MessageRecording(IndexedRecording):
@@ -41,7 +32,7 @@ class MessageRecording(IndexedRecording):
         listed = [_record(topic, message) for topic, sent in messages.items() for message in sent]
         if not listed:
             raise InputError("no messages are given; a recording needs one at least")
-        types = {topic: _TYPES[type(sent[0])] for topic, sent in messages.items() if sent}
+        types = {topic: sent[0].topic_type for topic, sent in messages.items() if sent}
         super().__init__(Path("messages"), listed, types)
 
 
@@ -63,5 +54,4 @@ def _digest(message: Message) -> MessageDigest:
         return MessageDigest(message.frame_id, content)
     if isinstance(message, Trigger):
         return MessageDigest("", hash_array(np.zeros(0)))
-    array = {Image: "pixels", DetectedCorners: "pixels", LaserScan: "ranges", PointCloud: "points"}[type(message)]
-    return MessageDigest(message.frame_id, hash_array(getattr(message, array)))
+    return MessageDigest(message.frame_id, hash_array(getattr(message, message.measured)))

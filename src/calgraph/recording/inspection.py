@@ -12,29 +12,15 @@ from calgraph.geometry import Array
 from calgraph.recording.bags import BagRecording
 from calgraph.recording.file_names import describe_unmatched_numbers, find_pose_numbers
 from calgraph.recording.recording import Recording, TopicInfo
-from calgraph.sensors import CameraInfo, DetectedCorners, Image, LaserScan, Message, PointCloud, RecordedMessage
+from calgraph.sensors import Message, RecordedMessage
+from calgraph.sensors.kinds import KINDS, recognize_kind
 
-SENSORS = ("camera", "lidar2d", "lidar3d")
-_KINDS: dict[str, Kind] = {
-    "sensor_msgs/msg/Image": "camera",
-    "sensor_msgs/msg/CompressedImage": "camera",
-    "sensor_msgs/msg/LaserScan": "lidar2d",
-    "sensor_msgs/msg/MultiEchoLaserScan": "lidar2d",
-    "sensor_msgs/msg/PointCloud2": "lidar3d",
+_OTHER_KINDS: dict[str, Kind] = {
     "sensor_msgs/msg/CameraInfo": "camera_info",
     "sensor_msgs/msg/TimeReference": "event",
-    # The kinds of files in a plain folder.
-    "image": "camera",
-    "scan": "lidar2d",
-    "cloud": "lidar3d",
-    "corners": "camera",
     "camera_info": "camera_info",
 }
-SENSOR_TYPES = frozenset(name for name, kind in _KINDS.items() if kind in SENSORS)
-"""Types of the messages of sensors."""
 _EVENTS = "std_msgs/msg/"
-_MAX_SCAN_HEIGHT = 1e-3
-"""A cloud whose points are all closer to z = 0 than this is a scan, m."""
 _MAX_GAP_PERIODS = 4.0
 """Gaps longer than this many periods are reported."""
 _MAX_LATENCY = 1.0
@@ -137,7 +123,7 @@ def inspect_recording(recording: Recording, progress: Callable[[float], None]) -
     numbers = {
         topic.name: find_pose_numbers(statistics[topic.name].stamps)
         for topic in recording.topics
-        if topic.time_base == "pose" and _kind(topic.type, statistics[topic.name].first) in SENSORS
+        if topic.time_base == "pose" and _kind(topic.type, statistics[topic.name].first) in KINDS
     }
     unmatched = describe_unmatched_numbers(numbers)
     reports = (_report(topic, statistics[topic.name], recording.start) for topic in recording.topics)
@@ -156,7 +142,7 @@ def inspect_recording(recording: Recording, progress: Callable[[float], None]) -
 
 def _summarize_topic(recording: Recording, topic: TopicInfo) -> FoundTopic:
     statistics = _TopicStatistics()
-    if _kind(topic.type) in (*SENSORS, "camera_info"):
+    if _kind(topic.type) in (*KINDS, "camera_info"):
         for record in recording.records([topic.name]):
             _add_record(statistics, record)
             break
@@ -166,17 +152,16 @@ def _summarize_topic(recording: Recording, topic: TopicInfo) -> FoundTopic:
         topic.type,
         kind,
         topic.count,
-        _frame(statistics.first),
+        statistics.first.frame_id if statistics.first else "",
         statistics.problem,
         own_clock=topic.time_base == "start",
     )
 
 
 def _kind(message_type: str, first: Message | None = None) -> Kind:
-    """What a topic of this type can serve as; some drivers publish the scans of 2-D scanners as flat clouds."""
-    if isinstance(first, PointCloud) and len(first.points) and np.abs(first.points[:, 2]).max() < _MAX_SCAN_HEIGHT:
-        return "lidar2d"
-    return _KINDS.get(message_type, "event" if message_type.startswith(_EVENTS) else "other")
+    """What a topic of this type can serve as, from its first message where that was read."""
+    other: Kind = "event" if message_type.startswith(_EVENTS) else "other"
+    return recognize_kind(message_type, first) or _OTHER_KINDS.get(message_type, other)
 
 
 def _add_record(statistics: _TopicStatistics, record: RecordedMessage) -> None:
@@ -200,7 +185,7 @@ def _report(topic: TopicInfo, statistics: _TopicStatistics, start: float) -> Top
         findings.append(f"holds {len(stamps)} messages, the recording states {topic.count}")
     elif not len(stamps):
         findings.append("has no message")
-    if timing and kind in SENSORS:
+    if timing and kind in KINDS:
         findings += _findings(stamps, arrivals, timing, has_header="/" in topic.type)
     return TopicReport(
         name=topic.name,
@@ -208,8 +193,8 @@ def _report(topic: TopicInfo, statistics: _TopicStatistics, start: float) -> Top
         kind=kind,
         stated=topic.count,
         count=len(stamps),
-        frame_id=_frame(statistics.first),
-        content=_content(statistics.first),
+        frame_id=statistics.first.frame_id if statistics.first else "",
+        content=statistics.first.content if statistics.first else "",
         timing=timing,
         pose_numbers=(min(numbers), max(numbers)) if numbers else None,
         findings=tuple(findings),
@@ -259,31 +244,6 @@ def _clock_findings(delays: Array, timing: Timing, unset: int) -> Iterable[str]:
         if abs(drift) > _MAX_DRIFT:
             pace = "slow" if drift > 0 else "fast"
             yield f"its clock runs {pace} against the recorder's, by {_format_seconds(abs(drift))} in all"
-
-
-def _frame(message: Message | None) -> str:
-    return message.frame_id if isinstance(message, Image | LaserScan | PointCloud | CameraInfo) else ""
-
-
-def _content(message: Message | None) -> str:
-    if isinstance(message, Image):
-        return "{1} x {0} pixels".format(*message.pixels.shape) + (
-            ", colour" if message.pixels.ndim == 3 else ", grey"
-        )
-    if isinstance(message, DetectedCorners):
-        return f"{len(message.pixels)} detected corners"
-    if isinstance(message, LaserScan):
-        spread = np.degrees(np.ptp(message.angles)) if len(message.angles) else 0.0
-        return f"{len(message.angles)} beams over {spread:.0f}°, {int(message.valid.sum())} with a range"
-    if isinstance(message, PointCloud):
-        rings = f", {len(np.unique(message.rings))} rings" if message.rings is not None else ""
-        return f"{len(message.points)} points{rings}{', with times' if message.times is not None else ''}"
-    if isinstance(message, CameraInfo):
-        camera = message.camera
-        return (
-            f"{camera.model}, {camera.width} x {camera.height}, {len(camera.distortion)} distortion coefficients"
-        )
-    return ""
 
 
 def _format_share(count: int, total: int) -> str:

@@ -9,9 +9,9 @@ from itertools import islice
 from pathlib import Path
 
 from calgraph.errors import InputError
-from calgraph.recording.inspection import SENSOR_TYPES
 from calgraph.recording.recording import ClosedOnExit, JoinedRecording, Recording
 from calgraph.sensors import Message, RecordedMessage
+from calgraph.sensors.kinds import SENSOR_TYPES
 
 TAKE_GAP = 60.0
 """Time between two takes, s: more than messages of one capture may be apart. A rule of the format, documented with

@@ -174,7 +174,7 @@ def _make_message(store: Typestore, ros_type: str, **fields: Any) -> tuple[str, 
 
 def _image(store: Typestore, image: Image, encoding: Encoding) -> tuple[str, Any]:
     header = _header(store, image.stamp, image.frame_id)
-    if encoding != "raw":
+    if encoding != "raw" and image.depth is None:
         data, declared = encode_image(image.pixels, encoding)
         return _make_message(
             store,
@@ -184,16 +184,19 @@ def _image(store: Typestore, image: Image, encoding: Encoding) -> tuple[str, Any
             data=np.frombuffer(data, np.uint8),
         )
     height, width = image.pixels.shape[:2]
+    pixels, declared = image.pixels, "mono8" if image.pixels.ndim == 2 else "bgr8"
+    if image.depth is not None:
+        pixels, declared = np.round(1e3 * np.nan_to_num(image.depth)).astype("<u2").view(np.uint8), "16UC1"
     return _make_message(
         store,
         "sensor_msgs/msg/Image",
         header=header,
         height=height,
         width=width,
-        encoding="mono8" if image.pixels.ndim == 2 else "bgr8",
+        encoding=declared,
         is_bigendian=0,
-        step=image.pixels[0].size,
-        data=np.ascontiguousarray(image.pixels).ravel(),
+        step=pixels[0].size,
+        data=np.ascontiguousarray(pixels).ravel(),
     )
 
 

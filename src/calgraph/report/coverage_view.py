@@ -9,12 +9,15 @@ from numpy.typing import NDArray
 
 from calgraph.config import Rig
 from calgraph.geometry import Array, se3
-from calgraph.report.formatting import KIND_NAMES, escape_html, format_count, format_fixed
+from calgraph.report.formatting import escape_html, format_count, format_fixed
 from calgraph.report.vocabulary import Vocabulary
 from calgraph.result import Calibration, SensorPose
 from calgraph.result.calibrated_cameras import calibrated_cameras
 from calgraph.sensors import CameraModel
+from calgraph.sensors.kinds import KINDS
 
+# Axes x forward, y to the left, z up of a frame with x to the right, y down, z forward.
+_OPTICAL_TO_LEVEL = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])
 # Cells along a camera's longer side, of the azimuth, and of elevations and ranges.
 _CAMERA_COLUMNS, _AZIMUTH_BINS, _ROW_COUNT = 20, 72, 12
 # Parts by which gaps are described: sectors of the azimuth, degrees, and thirds of an image.
@@ -44,7 +47,7 @@ class Coverage:
 
 def compute_coverage(calibration: Calibration, rig: Rig, sensor: SensorPose) -> Coverage | None:
     """Coverage of one sensor's field of view; None where the result has no detections of it."""
-    if sensor.kind == "camera":
+    if KINDS[sensor.kind].detects == "corners":
         camera = calibrated_cameras(calibration, rig).get(sensor.name)
         views = _board_detections(calibration, sensor)
         return _camera_coverage(calibration, sensor, camera, views) if camera and views else None
@@ -55,7 +58,9 @@ def compute_coverage(calibration: Calibration, rig: Rig, sensor: SensorPose) -> 
     views, field = _board_detections(calibration, sensor), _scanned_points(calibration, sensor)
     if not views:
         return None
-    if sensor.kind == "lidar2d":
+    if KINDS[sensor.kind].optical:
+        views, field = ([points @ _OPTICAL_TO_LEVEL.T for points in of] for of in (views, field))
+    if KINDS[sensor.kind].detects == "line":
         return _planar_coverage(views, [*field, *views], "The board was")
     return _lidar_coverage(views, [*field, *views])
 
@@ -231,7 +236,7 @@ def render_coverage(calibration: Calibration, rig: Rig, words: Vocabulary) -> st
     )
     if not shown:
         return '<p class="empty">This result contains no detections.</p>'
-    without = [escape_html(f"{s.name} ({KIND_NAMES[s.kind]})") for s, one in found.items() if not one]
+    without = [escape_html(f"{s.name} ({KINDS[s.kind].title})") for s, one in found.items() if not one]
     rest = f"<p>No detections: {', '.join(without)}.</p>" if without else ""
     return f'<p>{words.coverage_caption}</p><div class="grid">{shown}</div>{rest}'
 

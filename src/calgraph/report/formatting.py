@@ -3,9 +3,6 @@
 import math
 from html import escape
 
-KIND_NAMES = {"camera": "camera", "lidar2d": "2-D scanner", "lidar3d": "3-D LiDAR"}
-"""Name of each kind of sensor."""
-
 
 def escape_html(text: object) -> str:
     """Any text, safe inside HTML elements and quoted attributes."""

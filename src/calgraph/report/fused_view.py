@@ -26,6 +26,7 @@ from calgraph.report.figures import (
 )
 from calgraph.result import BoardOutline, Calibration, Snapshot, calibrated_cameras, colorize_from_snapshots
 from calgraph.sensors import CameraModel
+from calgraph.sensors.kinds import KINDS
 
 # Largest numbers of captures, and of points that no camera observes of each scanner in one capture.
 _MAX_CAPTURES, _MAX_OTHER_POINTS = 6, 2500
@@ -49,7 +50,7 @@ def render_fused_cloud(calibration: Calibration, rig: Rig) -> str:
     if not clouds:
         return ""
     traces: list[dict[str, Any]] = []
-    kinds = {s.name: s.kind for s in calibration.sensors if s.kind != "camera"}
+    kinds = {s.name: s.kind for s in calibration.sensors if KINDS[s.kind].measures_ranges}
     limits = _height_limits(clouds, kinds)
     for k, (capture, cloud) in enumerate(clouds.items()):
         outlines = [o for o in calibration.pictures.board_outlines if o.capture == capture]
@@ -156,7 +157,7 @@ def _height_limits(clouds: Mapping[int, _Cloud], kinds: Mapping[str, str]) -> tu
         part.points[~part.colored, 2]
         for cloud in clouds.values()
         for name, part in cloud.items()
-        if kinds[name] == "lidar3d"
+        if KINDS[kinds[name]].detects == "plane"
     ]
     tail = (100 - _HEIGHT_PERCENT) / 2
     together = np.concatenate([np.zeros(1), *heights])
@@ -177,7 +178,7 @@ def _cloud_traces(
         points = cloud[name].points[~cloud[name].colored] if name in cloud else none
         points = points[:: len(points) // _MAX_OTHER_POINTS + 1]
         marker: dict[str, Any] = {"size": 2.4, "color": COLOR_CYCLE[k % len(COLOR_CYCLE)]}
-        if kind == "lidar3d":
+        if KINDS[kind].detects == "plane":
             marker = {"size": 1.8, "color": points[:, 2].round(2), "colorscale": _HEIGHT_SCALE,
                       "cmin": height[0], "cmax": height[1]}  # fmt: skip
         others.append(_point_trace(points, marker) | {"name": escape_plotly(name), "showlegend": len(points) > 0})

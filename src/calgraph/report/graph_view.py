@@ -5,9 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from calgraph.geometry import Array
-from calgraph.report.formatting import KIND_NAMES, escape_html, format_count, format_length
+from calgraph.report.formatting import escape_html, format_count, format_length
 from calgraph.report.vocabulary import Vocabulary
 from calgraph.result import Calibration, Edge
+from calgraph.sensors.kinds import KINDS
 
 # Sizes of the drawing, of a sensor's box and of a label, pixels.
 _WIDTH, _HEIGHT, _HEIGHT_PER_SENSOR = 1040, 440, 90
@@ -168,7 +169,7 @@ def _render_label(label: _Label) -> str:
 def _render_node(name: str, center: Array, calibration: Calibration) -> str:
     sensor = next((s for s in calibration.sensors if s.name == name), None)
     grade: str = sensor.verdict.grade if sensor else "unconnected"
-    words = KIND_NAMES[sensor.kind] if sensor else "not connected"
+    words = KINDS[sensor.kind].title if sensor else "not connected"
     if name == calibration.root:
         grade, words = "root", f"{words} · root"
     x, y = center - _NODE_SIZE / 2

@@ -3,7 +3,6 @@
 import numpy as np
 
 from calgraph.report.formatting import (
-    KIND_NAMES,
     escape_html,
     format_angle,
     format_fixed,
@@ -13,6 +12,7 @@ from calgraph.report.formatting import (
 from calgraph.report.verdict_cards import render_badge
 from calgraph.result import Calibration, SensorPose
 from calgraph.result.exports import roll_pitch_yaw
+from calgraph.sensors.kinds import KINDS
 
 _AXES, _ROTATIONS = ("x", "y", "z"), ("roll", "pitch", "yaw")
 _SPATIAL_AXES = ((0, 1, 2), (0, 1, 2))
@@ -64,7 +64,7 @@ def _render_row(
     with np.errstate(invalid="ignore"):
         sigma = np.sqrt(np.diag(sensor.covariance))
     is_root = sensor.name == root
-    kind = KIND_NAMES[sensor.kind]
+    kind = KINDS[sensor.kind].title
     below = f"root · {kind}" if is_root else f"{kind} · parent: {sensor.parent}"
     if len(turns) == 1 and T[2, 2] < 0:
         below += " · upside-down"

@@ -28,6 +28,7 @@ from calgraph.result import Calibration, SensorPose
 from calgraph.result.calibrated_cameras import calibrated_cameras
 from calgraph.result.residuals_file import capture_times
 from calgraph.sensors import CameraModel
+from calgraph.sensors.kinds import KINDS
 
 # Range and bin width of the histograms, in standard deviations: 6e-7 of normal residuals are beyond.
 _MAX_RESIDUAL = 5.0
@@ -200,7 +201,7 @@ def _collect(calibration: Calibration, sensor: SensorPose, limit: int) -> _Resid
     unused = [
         view.measured
         for view in calibration.pictures.board_views
-        if view.sensor == sensor.name and view.residuals is None and sensor.kind == "camera"
+        if view.sensor == sensor.name and view.residuals is None and KINDS[sensor.kind].detects == "corners"
     ]
     if not finite.any():
         return None

@@ -28,6 +28,7 @@ from calgraph.report.figures import (
 from calgraph.result import Calibration, SensorPose
 from calgraph.result.calibrated_cameras import calibrated_cameras
 from calgraph.sensors import CameraModel
+from calgraph.sensors.kinds import KINDS
 
 Polyline = Array
 """(N, 3) points of one line, m."""
@@ -119,9 +120,9 @@ def render_rig_view(calibration: Calibration, rig: Rig) -> str:
         _name_trace(calibration.sensors),
         _line_trace("camera views", _camera_frustums(calibration, rig, size), PURPLE, 2),
         *_disc_traces(calibration, 1.8 * size),
-        _line_trace("2-D scan planes", _scan_circles(calibration, "lidar2d", 1.8 * size, (0.0,)), BROWN, 2),
+        _line_trace("2-D scan planes", _scan_circles(calibration, "disc", 1.8 * size, (0.0,)), BROWN, 2),
         _line_trace(
-            "3-D LiDAR beams", _scan_circles(calibration, "lidar3d", 1.5 * size, _BEAM_ELEVATIONS), SKY, 2),
+            "3-D LiDAR beams", _scan_circles(calibration, "rings", 1.5 * size, _BEAM_ELEVATIONS), SKY, 2),
         _line_trace(
             "boards", [np.concatenate([o.corners, o.corners[:1]]) for o in outlines], MUTED, 1.5),
     ]  # fmt: skip
@@ -197,14 +198,14 @@ def _name_trace(sensors: Sequence[SensorPose]) -> dict[str, Any]:
 
 def _camera_frustums(calibration: Calibration, rig: Rig, size: float) -> list[Polyline]:
     intrinsics = calibrated_cameras(calibration, rig)
-    cameras = [s for s in calibration.sensors if s.kind == "camera"]
+    cameras = [s for s in calibration.sensors if KINDS[s.kind].shape == "frustum"]
     return [line for s in cameras for line in camera_frustum(s.T_root_sensor, intrinsics.get(s.name), 1.5 * size)]
 
 
 def _scan_circles(
-    calibration: Calibration, kind: str, radius: float, elevations: Sequence[float]
+    calibration: Calibration, shape: str, radius: float, elevations: Sequence[float]
 ) -> list[Polyline]:
-    sensors = [s for s in calibration.sensors if s.kind == kind]
+    sensors = [s for s in calibration.sensors if KINDS[s.kind].shape == shape]
     return [scan_circle(s.T_root_sensor, radius, e) for s in sensors for e in elevations]
 
 
@@ -212,7 +213,7 @@ def _disc_traces(calibration: Calibration, radius: float) -> list[dict[str, Any]
     """The scan planes as translucent discs."""
     discs = []
     for sensor in calibration.sensors:
-        if sensor.kind == "lidar2d":
+        if KINDS[sensor.kind].shape == "disc":
             rim = scan_circle(sensor.T_root_sensor, radius)[:-1]
             x, y, z = np.concatenate([rim, sensor.T_root_sensor[None, :3, 3]]).T
             i = np.arange(len(rim))

@@ -6,9 +6,10 @@ import numpy as np
 
 from calgraph.config import Tolerance
 from calgraph.geometry import Array
-from calgraph.report.formatting import KIND_NAMES, escape_html, format_angle, format_count, format_length
+from calgraph.report.formatting import escape_html, format_angle, format_count, format_length
 from calgraph.report.vocabulary import Vocabulary
 from calgraph.result import Calibration, SensorPose
+from calgraph.sensors.kinds import KINDS
 
 _BADGES = {
     "good": ("good", "✓", "good"),
@@ -96,7 +97,7 @@ def render_cards(calibration: Calibration, words: Vocabulary) -> str:
           for why, names in calibration.evidence.unconnected_by_reason.items()),
         *(_render_card(
             s.verdict.grade, s.name, _describe_evidence(calibration, s, words),
-            s.verdict.reason or advice.get(s.verdict.grade, ""), KIND_NAMES[s.kind])
+            s.verdict.reason or advice.get(s.verdict.grade, ""), KINDS[s.kind].title)
           for s in sensors),
     ]  # fmt: skip
     return f'<div class="cards">{"".join(shown)}</div>'

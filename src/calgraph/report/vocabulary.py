@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from calgraph.config import Rig
+from calgraph.sensors.kinds import KINDS
 
 
 @dataclass(frozen=True)
@@ -51,11 +52,7 @@ BOARD_VOCABULARY = Vocabulary(
 An edge joins two sensors that detected the board in the same captures. Labels: inliers / shared captures, and
 RMS residual under the final poses. Bold: spanning tree used for initialization; dashed: no relative pose was
 estimated.""",
-    fit={
-        "camera": "reprojection error",
-        "lidar2d": "distance from the board",
-        "lidar3d": "distance from the board",
-    },
+    fit={name: kind.residual for name, kind in KINDS.items()},
     errors_caption="""\
 Measured minus predicted by the joint solution, of all measurements that it used: reprojection errors of printed
 corners, and distances of beam ends from the board, positive beyond it. They should scatter about zero without a

@@ -10,6 +10,7 @@ from calgraph.result.calibration import Calibration
 from calgraph.result.estimated_intrinsics import state_intrinsics
 from calgraph.result.estimated_parameter import EstimatedParameter
 from calgraph.sensors import DISTORTION_NAMES, CameraModel
+from calgraph.sensors.kinds import KINDS
 
 
 def calibrated_cameras(calibration: Calibration, rig: Rig) -> Mapping[str, CameraModel]:
@@ -33,7 +34,7 @@ def find_intrinsics(
         InputError: there is no camera, or the intrinsics of one are not known.
     """
     known = {**(calibrated_cameras(calibration, rig) if rig else {}), **cameras}
-    names = [sensor.name for sensor in calibration.sensors if sensor.kind == "camera"]
+    names = [sensor.name for sensor in calibration.sensors if KINDS[sensor.kind].detects == "corners"]
     if not names:
         raise InputError("a file of intrinsics needs a camera, this calibration has none")
     for name in names:

@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, Field, Strict, model_validator
 
 from calgraph.config import Intrinsics, Tolerance
-from calgraph.config.rig_config import FrameName, Name
-from calgraph.config.strict_model import StrictModel, invalid
 from calgraph.errors import InputError
 from calgraph.geometry import Array, se3
+from calgraph.io.strict_model import StrictModel, invalid
 from calgraph.io.yaml_reading import read_yaml, validate_content
 from calgraph.result.calibration import UNMEASURED_IN_PLANE, Calibration, join_covariances
 from calgraph.result.calibration_file import FORMAT
@@ -23,6 +22,8 @@ from calgraph.result.evidence import CaptureRow, Edge, Evidence, FitError, HeldO
 from calgraph.result.frame_tree import MAX_DISTANCE
 from calgraph.result.provenance import InputFile, Provenance
 from calgraph.result.sensor_pose import SensorPose, StatedPose, Verdict
+from calgraph.sensors.kinds import KINDS, KindName
+from calgraph.sensors.names import FrameName, Name
 
 Finite = Annotated[float, Strict(), Field(allow_inf_nan=False)]
 # Infinite variances stand for directions that nothing observes.
@@ -162,7 +163,7 @@ class _StatedPose(StrictModel):
 class _Sensor(StrictModel):
     parent: str | None = None
     """The parent in the tree; none for the root."""
-    kind: Literal["camera", "lidar2d", "lidar3d"]
+    kind: KindName
     """The kind of sensor."""
     frame_id: FrameName
     """The name of its frame."""
@@ -435,7 +436,9 @@ def _joint_covariance(file: _File, names: Sequence[str]) -> Array:
         joint = file.joint_covariance.reorder(names)
     # Version 0.1 states zero for what a network does not measure.
     out_of_plane = (6 * np.arange(1, len(names))[:, None] + UNMEASURED_IN_PLANE).ravel()
-    if not np.diag(joint)[out_of_plane].any() and all(file.sensors[name].kind == "lidar2d" for name in names):
+    if not np.diag(joint)[out_of_plane].any() and all(
+        KINDS[file.sensors[name].kind].detects == "line" for name in names
+    ):
         joint[out_of_plane] = joint[:, out_of_plane] = np.nan
     return joint
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from calgraph.config.strict_model import invalid
 from calgraph.geometry import Array
+from calgraph.io.strict_model import invalid
 
 # Relative to standard deviations: by which elements may differ from their mirror images, as they are rounded.
 _SYMMETRY_TOLERANCE = 1e-6

@@ -7,6 +7,7 @@ import numpy as np
 
 from calgraph.config import Intrinsics
 from calgraph.geometry import Array
+from calgraph.sensors.kinds import KindName
 
 Grade = Literal["good", "weak", "unobservable"]
 
@@ -43,7 +44,7 @@ class SensorPose:
     parent: str | None
     """The parent in the spanning tree; None for the root."""
     frame_id: str
-    kind: Literal["camera", "lidar2d", "lidar3d"]
+    kind: KindName
     T_root_sensor: Array
     """(4, 4)."""
     verdict: Verdict

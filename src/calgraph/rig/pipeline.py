@@ -13,7 +13,7 @@ from calgraph.geometry import Array
 from calgraph.graph.spanning_tree import SpanningTree
 from calgraph.parallel.processes import forked_jobs, parallel_call
 from calgraph.parallel.progress import Progress, no_progress
-from calgraph.recording import Recording, resolve_intrinsics
+from calgraph.recording import Recording, convert_images, resolve_intrinsics
 from calgraph.result import Calibration
 from calgraph.rig.bundle.camera_boards import locate_boards, scale_boards
 from calgraph.rig.bundle.estimate import solve_bundle, solve_poses
@@ -111,6 +111,7 @@ def build_problem(
     _check_board(rig)
     options.select_method(rig.settings.published)  # checked before minutes are spent on detection
     rng = np.random.default_rng(options.seed)
+    rig, recording = convert_images(rig, recording)
     recording = separate_snapshots(rig, recording)
     aligned = align_clocks(rig, recording, options.cache, options.engine, progress)
     recording = aligned.recording

@@ -7,6 +7,7 @@ from calgraph.sensors.messages import (
     DetectedCorners,
     Image,
     LaserScan,
+    Measurement,
     Message,
     MessageDigest,
     PointCloud,
@@ -18,6 +19,6 @@ from calgraph.sensors.scan_background import ScanBackground, align_ranges, find_
 
 __all__ = [
     "DISTORTION_NAMES", "SAME_DIRECTION", "CameraInfo", "CameraModel", "DetectedCorners", "Image", "LaserScan",
-    "Message", "MessageDigest", "PointCloud", "RecordedMessage", "ScanBackground", "Trigger", "align_ranges",
-    "colorize_points", "convert_cloud_to_scan", "find_nearest_beams",
+    "Measurement", "Message", "MessageDigest", "PointCloud", "RecordedMessage", "ScanBackground", "Trigger",
+    "align_ranges", "colorize_points", "convert_cloud_to_scan", "find_nearest_beams",
 ]  # fmt: skip

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,26 @@ class Image:
     """Frame of the header; empty if there is none."""
     pixels: NDArray[np.uint8]
     """(height, width) grey or (height, width, 3) BGR, 8 bits."""
+    depth: NDArray[np.float32] | None = None
+    """(height, width) of depth images, m along the optical axis, NaN where nothing was measured; the pixels are
+    their picture."""
+    topic_type: ClassVar[str] = "image"
+    """Type of its topic in a plain folder and in memory."""
+    measured: ClassVar[str] = "pixels"
+    """Field with what was measured."""
+    is_empty: ClassVar[bool] = False
+    """Whether it holds no measurement, as where data were lost."""
+    duration: ClassVar[float] = 0.0
+    """Time from its first to its last measurement, s."""
+
+    @property
+    def content(self) -> str:
+        """Its size, in words."""
+        if self.depth is not None:
+            measured = f", {np.mean(np.isfinite(self.depth)):.0%} with a depth"
+            return "{1} x {0} pixels".format(*self.depth.shape) + measured
+        color = ", colour" if self.pixels.ndim == 3 else ", grey"
+        return "{1} x {0} pixels".format(*self.pixels.shape) + color
 
     @property
     def gray(self) -> NDArray[np.uint8]:
@@ -43,6 +64,19 @@ class DetectedCorners:
     """(N, 3) on the board, m: OpenCV's object points, x right and y down from the top left of the pattern."""
     pixels: Array
     """(N, 2) where they were detected, distorted as measured, OpenCV's pixel convention."""
+    topic_type: ClassVar[str] = "corners"
+    measured: ClassVar[str] = "pixels"
+    duration: ClassVar[float] = 0.0
+
+    @property
+    def is_empty(self) -> bool:
+        """See :class:`Image`."""
+        return not len(self.pixels)
+
+    @property
+    def content(self) -> str:
+        """See :class:`Image`."""
+        return f"{len(self.pixels)} detected corners"
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +92,8 @@ class LaserScan:
     """(N,) distances, m; NaN or infinite where nothing was measured (out of the stated limits included)."""
     time_increment: float = 0.0
     """Beam k is measured at ``stamp + k * time_increment``, s."""
+    topic_type: ClassVar[str] = "scan"
+    measured: ClassVar[str] = "ranges"
 
     def __post_init__(self) -> None:
         """Validates the ranges.
@@ -85,6 +121,17 @@ class LaserScan:
         return np.stack([r * np.cos(self.angles), r * np.sin(self.angles), 0 * r], axis=-1)
 
     @property
+    def is_empty(self) -> bool:
+        """See :class:`Image`."""
+        return not self.valid.any()
+
+    @property
+    def content(self) -> str:
+        """See :class:`Image`."""
+        spread = np.degrees(np.ptp(self.angles)) if len(self.angles) else 0.0
+        return f"{len(self.angles)} beams over {spread:.0f}°, {int(self.valid.sum())} with a range"
+
+    @property
     def duration(self) -> float:
         """Time from the first to the last beam, s."""
         return abs(self.time_increment) * max(len(self.angles) - 1, 0)
@@ -103,6 +150,19 @@ class PointCloud:
     """(N,) index of the laser (ring) that measured each point; None if the message has no rings."""
     times: Array | None = None
     """(N,) time of each point relative to ``stamp``, s; None if the message has no times."""
+    topic_type: ClassVar[str] = "cloud"
+    measured: ClassVar[str] = "points"
+
+    @property
+    def is_empty(self) -> bool:
+        """See :class:`Image`."""
+        return not len(self.points)
+
+    @property
+    def content(self) -> str:
+        """See :class:`Image`."""
+        rings = f", {len(np.unique(self.rings))} rings" if self.rings is not None else ""
+        return f"{len(self.points)} points{rings}{', with times' if self.times is not None else ''}"
 
     @property
     def duration(self) -> float:
@@ -117,6 +177,15 @@ class CameraInfo:
     stamp: float
     frame_id: str
     camera: CameraModel
+    topic_type: ClassVar[str] = "camera_info"
+
+    @property
+    def content(self) -> str:
+        """See :class:`Image`."""
+        camera = self.camera
+        return (
+            f"{camera.model}, {camera.width} x {camera.height}, {len(camera.distortion)} distortion coefficients"
+        )
 
 
 @dataclass(frozen=True)
@@ -124,9 +193,14 @@ class Trigger:
     """A message that marks the start of a capture; only its time matters."""
 
     stamp: float
+    frame_id: ClassVar[str] = ""
+    topic_type: ClassVar[str] = "trigger"
+    content: ClassVar[str] = ""
 
 
-Message = Image | DetectedCorners | LaserScan | PointCloud | CameraInfo | Trigger
+Measurement = Image | DetectedCorners | LaserScan | PointCloud
+"""What a sensor sends."""
+Message = Measurement | CameraInfo | Trigger
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from calgraph.boards.detections import DetectionResult, PlanePatch, to_beams
 from calgraph.boards.printed_boards import compute_landmarks
 from calgraph.config import Board, Checkerboard, PixelNoise, RangeNoise, Rig
 from calgraph.config.settings import DetectionSettings
-from calgraph.errors import Rejected
+from calgraph.errors import InputError, Rejected
 from calgraph.geometry import Array, Index, plane, se3, so3
 from calgraph.rig.captures.detect import CaptureSet, SensorCapture, collect_detections
 from calgraph.rig.captures.holds import Hold
@@ -157,7 +157,7 @@ class IdealDetectorOptions:
         """The noise of a sensor in rig.yaml."""
         if isinstance(sensor, MountedCamera):
             return PixelNoise(pixel=self.stated_noise_factor * self.pixel)
-        return _range_noise(sensor, self)
+        return _range_noise(as_scanner(sensor), self)
 
 
 def simulate_detections(
@@ -242,8 +242,20 @@ def make_ideal_detector(
     if isinstance(sensor, MountedCamera):
         lens = errors.of_camera(sensor.name)
         return partial(_detect_corners, sensor.camera, lens, board, errors.board, options)
-    beams = IdealBeams(sensor, errors.of_scanner(sensor.name), board, errors.board, options.angle)
+    scanner = as_scanner(sensor)
+    beams = IdealBeams(scanner, errors.of_scanner(sensor.name), board, errors.board, options.angle)
     return partial(_detect_segment if sensor.kind == "lidar2d" else _detect_plane, beams, options)
+
+
+def as_scanner(sensor: RobotSensor) -> MountedScanner:
+    """The sensor, which measures along beams.
+
+    Raises:
+        InputError: it is a depth camera, of which there are images, but no ideal detections.
+    """
+    if isinstance(sensor, MountedScanner):
+        return sensor
+    raise InputError(f"{sensor.name}: there are no ideal detections of a {sensor.kind}; simulate a recording")
 
 
 def _range_noise(scanner: MountedScanner, options: IdealDetectorOptions) -> RangeNoise:

@@ -21,7 +21,7 @@ from calgraph.rig.captures.holds import Hold, find_holds
 from calgraph.rig.captures.moving_board import compensate_motion
 from calgraph.rig.captures.timeline import RecordingTimeline, SensorTimes
 from calgraph.rig.detection.from_measurements import board_corners_from_pixels
-from calgraph.simulation.ideal_detections import IdealDetectorOptions, make_ideal_detector
+from calgraph.simulation.ideal_detections import IdealDetectorOptions, as_scanner, make_ideal_detector
 from calgraph.simulation.model_errors import ModelErrors
 from calgraph.simulation.motion import pose_from_placement
 from calgraph.simulation.rig_simulation import world_rig
@@ -137,7 +137,7 @@ def _detect_all(
     """The detections of one sensor in all holds."""
     T_sensor_world = se3.inverse(sensor.T_world_sensor)
     detect = make_ideal_detector(sensor, world.scenario.board, options, ModelErrors())
-    beams = None if isinstance(sensor, MountedCamera) else cKDTree(sensor.pattern.directions)
+    beams = None if isinstance(sensor, MountedCamera) else cKDTree(as_scanner(sensor).pattern.directions)
 
     def at(time: Array) -> Array:
         return np.asarray(T_sensor_world @ path(time))
@@ -155,8 +155,7 @@ def _detect_all(
 
 def _mean_time(sensor: RobotSensor, at: Callable[[Array], Array], start: float) -> float:
     """Mean time of the beams that point at the board, s after the stamp."""
-    assert not isinstance(sensor, MountedCamera)
-    pattern = sensor.pattern
+    pattern = as_scanner(sensor).pattern
     mean = float(pattern.times.mean())
     for _ in range(2):
         center = at(np.array(start + mean))[:3, 3]
@@ -186,9 +185,8 @@ def _blur(
         pixels = found.pixels + own - _project(sensor, np.broadcast_to(T, (len(rows), 4, 4)), found.corners_board)
         corners = board_corners_from_pixels(found.corners_board, pixels, sensor.camera)
         return corners if isinstance(corners, Rejected) else (corners,)
-    assert not isinstance(sensor, MountedCamera)
     assert beams is not None
-    times = sensor.pattern.times[beams.query(found.directions)[1]]
+    times = as_scanner(sensor).pattern.times[beams.query(found.directions)[1]]
     n, c = T[:3, 2], T[:3, 3]
     own_n, own_c = (own := at(start + times))[:, :3, 2], own[:, :3, 3]
     u = found.directions

@@ -5,7 +5,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, Field, model_validator
 
-from calgraph.config.strict_model import StrictModel, invalid
+from calgraph.io.strict_model import StrictModel, invalid
 from calgraph.simulation.rig_scenario import Count, NotNegative, Positive, Probability, Rate, Resolution, Stamp
 
 LayoutName = Literal["ring", "office", "semicircle", "lab", "halls", "grid", "building"]

@@ -6,7 +6,7 @@ from pydantic import Field, model_validator
 
 from calgraph.config import Board, Tag
 from calgraph.config.board_ambiguity import check_boards_distinguishable
-from calgraph.config.strict_model import StrictModel
+from calgraph.io.strict_model import StrictModel
 
 # Upper limits are far above those of real sensors and rooms: beyond them no machine has the memory or the time.
 Positive = Annotated[float, Field(gt=0, le=1e6, allow_inf_nan=False)]
@@ -136,6 +136,33 @@ class MultibeamOptions(BeamOptions):
     """Degrees of azimuth between columns."""
 
 
+class DepthOptions(StrictModel):
+    """The depth cameras of the simulated robot: stereo cameras, which match windows of pixels."""
+
+    count: Count = 0
+    """Number of depth cameras, 60 degrees apart, the middle one facing ahead."""
+    rate: Rate = 3.0
+    """Images per second."""
+    width: Pixels = 320
+    """Pixels."""
+    height: Pixels = 240
+    """Pixels."""
+    field_of_view: Annotated[float, Field(gt=1, lt=170)] = 70.0
+    """Horizontal, degrees."""
+    distortion: tuple[Finite, ...] = ()
+    """Coefficients in OpenCV's order: none, 4, 5 or 8."""
+    noise: NotNegative = 0.003
+    """Standard deviation of a depth at 1 m, m; it grows with the square of the depth."""
+    warp: NotNegative = 0.002
+    """Standard deviation of its constant errors, of the whole image and of its border, m at 1 m."""
+    window: Annotated[int, Field(ge=1, le=31)] = 3
+    """Edge of the matching window, pixels: errors within it are correlated, and near objects grow."""
+    min_range: NotNegative = 0.3
+    """m."""
+    max_range: Positive = 6.0
+    """m."""
+
+
 class RigScenario(StrictModel):
     """A robot, a board, and an operator who carries it around."""
 
@@ -143,6 +170,7 @@ class RigScenario(StrictModel):
     laser: LaserOptions = LaserOptions()
     spinning: SpinningOptions = SpinningOptions()
     multibeam: MultibeamOptions = MultibeamOptions()
+    depth: DepthOptions = DepthOptions()
     root: str | None = None
     """The sensor that everything is expressed in; the first LiDAR, or else the first sensor, if left out."""
     mount_position: NotNegative = 0.15
@@ -196,7 +224,8 @@ class RigScenario(StrictModel):
 
     @model_validator(mode="after")
     def _consistent(self) -> "RigScenario":
-        if self.camera.count + self.laser.count + self.spinning.count + self.multibeam.count < 2:
+        options = (self.camera, self.laser, self.spinning, self.multibeam, self.depth)
+        if sum(one.count for one in options) < 2:
             raise ValueError("a rig needs at least two sensors")
         if self.heights[1] < self.heights[0]:
             raise ValueError(f"heights must be lowest, highest, got {list(self.heights)}")

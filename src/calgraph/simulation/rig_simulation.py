@@ -10,8 +10,9 @@ from calgraph.geometry import Array
 from calgraph.io.yaml_writing import save_yaml
 from calgraph.recording.writer import RecordingWriter
 from calgraph.sensors import CameraInfo, Message, Trigger
+from calgraph.sensors.kinds import DepthCameraSpec, DepthNoise
 from calgraph.simulation.rig_scenario import RigScenario
-from calgraph.simulation.robot import MountedCamera, RobotSensor
+from calgraph.simulation.robot import MountedCamera, MountedDepthCamera, RobotSensor
 from calgraph.simulation.truth import save_truth
 from calgraph.simulation.world import World, build_world, ground_truth, simulate_measurement
 
@@ -71,7 +72,9 @@ def world_rig(world: World) -> Rig:
 
 def topic_of(sensor: RobotSensor, scenario: RigScenario) -> str:
     """The topic of a sensor's measurements."""
-    if sensor.kind == "camera":
+    if isinstance(sensor, MountedDepthCamera):
+        return f"/{sensor.name}/image_rect_raw"
+    if isinstance(sensor, MountedCamera):
         plain = f"/{sensor.name}/image_raw"
         return plain if scenario.camera.encoding == "raw" else f"{plain}/compressed"
     return f"/{sensor.name}/{'scan' if sensor.kind == 'lidar2d' else 'points'}"
@@ -86,6 +89,13 @@ def _sensor_spec(sensor: RobotSensor, scenario: RigScenario) -> SensorSpec:
             camera_info=_info_topic(sensor),
             frame_id=sensor.frame_id,
             noise=PixelNoise(),
+        )
+    if isinstance(sensor, MountedDepthCamera):
+        return DepthCameraSpec(
+            topic=topic,
+            camera_info=_info_topic(sensor),
+            frame_id=sensor.frame_id,
+            noise=DepthNoise(range=max(sensor.options.noise, 1e-4)),
         )
     # A noise-free simulation still needs a positive noise as weight.
     noise = RangeNoise(range=max(sensor.noise.range, 1e-4), angle=max(sensor.noise.angle, 1e-5))
@@ -120,5 +130,5 @@ def _messages_of_event(world: World, sensor: RobotSensor | None, index: int) -> 
         return
     message = simulate_measurement(world, sensor, index)
     yield topic_of(sensor, world.scenario), message
-    if isinstance(sensor, MountedCamera):
+    if isinstance(sensor, MountedCamera | MountedDepthCamera):
         yield _info_topic(sensor), CameraInfo(message.stamp, sensor.frame_id, sensor.camera)

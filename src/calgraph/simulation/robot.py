@@ -2,14 +2,14 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
 from calgraph.errors import InputError
 from calgraph.geometry import Array, se3, so3
 from calgraph.sensors import CameraModel
-from calgraph.simulation.rig_scenario import BeamOptions, CameraOptions, RigScenario
+from calgraph.sensors.kinds import KINDS, KindName
+from calgraph.simulation.rig_scenario import BeamOptions, CameraOptions, DepthOptions, RigScenario
 from calgraph.simulation.scanners import (
     BeamPattern,
     SimulatedBeamNoise,
@@ -56,7 +56,7 @@ class MountedSensor:
     """A sensor of the robot."""
 
     name: str
-    kind: Literal["camera", "lidar2d", "lidar3d"]
+    kind: KindName
     T_world_sensor: Array
     """(4, 4)."""
     clock: SensorClock
@@ -64,7 +64,7 @@ class MountedSensor:
     @property
     def frame_id(self) -> str:
         """The frame named in its messages."""
-        return f"{self.name}_optical" if self.kind == "camera" else self.name
+        return f"{self.name}_optical" if KINDS[self.kind].optical else self.name
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +82,17 @@ class MountedScanner(MountedSensor):
     noise: SimulatedBeamNoise
 
 
-RobotSensor = MountedCamera | MountedScanner
+@dataclass(frozen=True, eq=False)
+class MountedDepthCamera(MountedSensor):
+    """A depth camera on the robot."""
+
+    camera: CameraModel
+    options: DepthOptions
+    warp: tuple[float, float]
+    """Constant errors of depths: of the whole image, and what its border has in addition, m at 1 m."""
+
+
+RobotSensor = MountedCamera | MountedScanner | MountedDepthCamera
 
 
 def build_robot(scenario: RigScenario, rng: np.random.Generator) -> tuple[RobotSensor, ...]:
@@ -92,6 +102,7 @@ def build_robot(scenario: RigScenario, rng: np.random.Generator) -> tuple[RobotS
         *_build_spinning(scenario, rng),
         *_build_multibeams(scenario, rng),
         *_build_lasers(scenario, rng),
+        *_build_depth_cameras(scenario, rng),
     )
 
 
@@ -103,7 +114,7 @@ def root_name(scenario: RigScenario, robot: tuple[RobotSensor, ...]) -> str:
     """
     names = [sensor.name for sensor in robot]
     if scenario.root is None:
-        return next((sensor.name for sensor in robot if sensor.kind == "lidar3d"), names[0])
+        return next((sensor.name for sensor in robot if KINDS[sensor.kind].detects == "plane"), names[0])
     if scenario.root not in names:
         raise InputError(f"root {scenario.root!r} is not a sensor of this robot; it has {', '.join(names)}")
     return scenario.root
@@ -131,6 +142,23 @@ def _build_cameras(scenario: RigScenario, rng: np.random.Generator) -> Iterator[
         T_world_sensor[:3, :3] = T_world_sensor[:3, :3] @ _R_BODY_OPTICAL
         clock = _draw_clock(rng, 1 / options.rate, 0.0)
         yield MountedCamera(_number_name("camera", i), "camera", T_world_sensor, clock, camera_model(options))
+
+
+def _build_depth_cameras(scenario: RigScenario, rng: np.random.Generator) -> Iterator[MountedDepthCamera]:
+    options = scenario.depth
+    lens = CameraOptions(
+        width=options.width, height=options.height, field_of_view=options.field_of_view,
+        distortion=options.distortion,
+    )  # fmt: skip
+    for i in range(options.count):
+        T_world_sensor = _draw_mount(scenario, rng, 0.3, 0.8, np.radians(60.0) * ((options.count - 1) / 2 - i))
+        T_world_sensor[:3, :3] = T_world_sensor[:3, :3] @ _R_BODY_OPTICAL
+        middle, border = rng.normal(0.0, options.warp, 2)
+        clock = _draw_clock(rng, 1 / options.rate, 0.0)
+        yield MountedDepthCamera(
+            _number_name("depth", i), "depth_camera", T_world_sensor, clock, camera_model(lens), options,
+            (float(middle), float(border)),
+        )  # fmt: skip
 
 
 def _build_spinning(scenario: RigScenario, rng: np.random.Generator) -> Iterator[MountedScanner]:

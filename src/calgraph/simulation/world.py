@@ -13,6 +13,7 @@ import numpy as np
 
 from calgraph.geometry import Array, se3
 from calgraph.sensors import Image, Message
+from calgraph.sensors.kinds import KINDS
 from calgraph.simulation.board_texture import render_board_texture
 from calgraph.simulation.camera_render import (
     Gray,
@@ -25,6 +26,7 @@ from calgraph.simulation.camera_render import (
     draw_board_and_operator,
     draw_noise_pool,
 )
+from calgraph.simulation.depth_images import simulate_depth_image
 from calgraph.simulation.environment import board_solid, build_room, operator_solids
 from calgraph.simulation.motion import (
     BoardPlacement,
@@ -36,7 +38,14 @@ from calgraph.simulation.motion import (
     schedule_holds,
 )
 from calgraph.simulation.rig_scenario import MEASUREMENTS_PER_HOLD, RigScenario
-from calgraph.simulation.robot import MountedCamera, RobotSensor, build_robot, hold_end, root_name
+from calgraph.simulation.robot import (
+    MountedCamera,
+    MountedDepthCamera,
+    RobotSensor,
+    build_robot,
+    hold_end,
+    root_name,
+)
 from calgraph.simulation.scanners import laser_scan, point_cloud, simulate_ranges
 from calgraph.simulation.solids import Solid
 from calgraph.simulation.truth import BoardTruth, GroundTruth
@@ -121,9 +130,11 @@ def simulate_measurement(world: World, sensor: RobotSensor, index: int) -> Messa
         renderer = world.renderers[sensor.name]
         pixels = renderer.noise_pool.add(renderer.render(world.trajectory.placement_at(start)), rng)
         return Image(stamp, sensor.frame_id, pixels)
+    if isinstance(sensor, MountedDepthCamera):
+        return simulate_depth_image(sensor, world.solids_at(world.trajectory.placement_at(start)), stamp, rng)
     scene_at = partial(_scene_between, world)
     ranges = simulate_ranges(sensor.pattern, sensor.T_world_sensor, start, scene_at, sensor.noise, rng)
-    message = laser_scan if sensor.kind == "lidar2d" else point_cloud
+    message = laser_scan if KINDS[sensor.kind].detects == "line" else point_cloud
     return message(sensor.pattern, ranges, stamp, sensor.frame_id)
 
 

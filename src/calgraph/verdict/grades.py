@@ -11,17 +11,7 @@ from calgraph.geometry import Array
 from calgraph.graph.pairwise_estimate import PairwiseEstimate
 from calgraph.result import Verdict
 from calgraph.result.finding import Finding
-
-# Probable causes of inconsistent residuals, by kind of sensor.
-_CAUSES = {
-    "camera": "its intrinsics, and the sizes of the printed tags or squares",
-    "lidar2d": "its range and angle noise, and that its ranges and angles are in m and rad",
-    "lidar3d": "its range and angle noise, and that its points are in m",
-}
-
-_SCANNER_AXES = ("forward (x)", "sideways (y)", "height (z)", "roll (about x)", "pitch (about y)", "yaw (about z)")
-_CAMERA_AXES = ("sideways (x)", "height (y)", "depth (z)", "pitch (about x)", "yaw (about y)", "roll (about z)")
-
+from calgraph.sensors.kinds import KINDS
 
 LONE_ROOT = Verdict("unobservable", "no other sensor has a pose relative to it")
 """Of a root to which nothing is connected: a good one would claim that something was calibrated."""
@@ -29,7 +19,7 @@ LONE_ROOT = Verdict("unobservable", "no other sensor has a pose relative to it")
 
 def axis_names(kind: str) -> tuple[str, ...]:
     """Names of the six axes of a sensor: along x, y, z, and about them."""
-    return _CAMERA_AXES if kind == "camera" else _SCANNER_AXES
+    return KINDS[kind].axes
 
 
 def grade_pose(
@@ -52,7 +42,7 @@ def grade_pose(
 
     Args:
         name: the sensor.
-        kind: camera, lidar2d or lidar3d; decides what its axes are called.
+        kind: of sensor; decides what its axes are called.
         T_root_sensor: (4, 4).
         covariance: (6, 6) in the root's fixed axes.
         inconsistency: why the pose cannot be good with any covariance (:func:`find_inconsistent_sensors`), or
@@ -103,7 +93,7 @@ def find_ambiguous_poses(kinds: Mapping[str, str], pairs: Sequence[PairwiseEstim
     angles = {
         name: [p.alternative_pose_angle for p in pairs if _is_pair_with_plane(p, name, kinds)]
         for name, kind in kinds.items()
-        if kind == "lidar2d"
+        if KINDS[kind].detects == "line"
     }
     return {name: min(found) for name, found in angles.items() if found and min(found) > 0}
 
@@ -111,7 +101,7 @@ def find_ambiguous_poses(kinds: Mapping[str, str], pairs: Sequence[PairwiseEstim
 def _is_pair_with_plane(pair: PairwiseEstimate, name: str, kinds: Mapping[str, str]) -> bool:
     """Whether the pair is of the sensor and of one that detects the board as a plane."""
     ends = {pair.sensor_a, pair.sensor_b}
-    return name in ends and all(kinds[other] != "lidar2d" for other in ends - {name})
+    return name in ends and all(KINDS[kinds[other]].detects != "line" for other in ends - {name})
 
 
 def find_inconsistent_sensors(
@@ -124,7 +114,7 @@ def find_inconsistent_sensors(
 
     Args:
         root: the root sensor; if it is inconsistent, all sensors are.
-        kinds: camera, lidar2d or lidar3d, by connected sensor.
+        kinds: kind by connected sensor.
         pairs: the estimates between them, at the joint solution.
         max_normalized_rms: limit of the RMS residual, relative to the expected noise.
 
@@ -137,7 +127,7 @@ def find_inconsistent_sensors(
     }
     reasons = {
         name: f"{name} residuals against all other sensors are {ratio:.0f} times the expected noise: "
-        f"check {_CAUSES[kinds[name]]}"
+        f"check {KINDS[kinds[name]].error_causes}"
         for name, ratio in least_rms.items()
         if ratio > max_normalized_rms
     }

@@ -11,6 +11,7 @@ from scipy.special import chdtri
 from calgraph.geometry import Array, plane, so3
 from calgraph.result import Calibration, SensorPose
 from calgraph.sensors import CameraModel
+from calgraph.sensors.kinds import KINDS
 from calgraph.viewer.colored_clouds import Cloud, color_clouds, height_range, sensor_color
 from calgraph.viewer.trails import compute_trails
 from calgraph.viewer.view_state import ViewState, displaced_poses, up_direction
@@ -99,7 +100,7 @@ class SceneDisplay:
             position=sensor.T_root_sensor[:3, :3].T @ (0.35 * self.axis_length * up_direction(self._calibration)),
             anchor="bottom-center",
         )
-        if sensor.kind == "camera" and sensor.name in self._cameras:
+        if KINDS[sensor.kind].shape == "frustum" and sensor.name in self._cameras:
             self._draw_view(sensor.name, None)
         return frame
 
@@ -136,7 +137,7 @@ class SceneDisplay:
         # Scans are thin lines, and would not be visible among a cloud's many points.
         wide = (
             1.6
-            if self._calibration[name].kind == "lidar2d" and not self._calibration.pictures.floor_views
+            if KINDS[self._calibration[name].kind].shape == "disc" and not self._calibration.pictures.floor_views
             else 1.0
         )
         self._nodes["clouds"][name] = self._scene.add_point_cloud(
@@ -150,7 +151,7 @@ class SceneDisplay:
             self._nodes["beams"].pop(name).remove()
         if (
             cloud is not None
-            and self._calibration[name].kind == "lidar2d"
+            and KINDS[self._calibration[name].kind].shape == "disc"
             and not self._calibration.pictures.floor_views
         ):
             red, green, blue = sensor_color(self._calibration, name)

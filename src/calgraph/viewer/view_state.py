@@ -8,6 +8,7 @@ import numpy as np
 
 from calgraph.geometry import Array, se3, so3
 from calgraph.result import Calibration
+from calgraph.sensors.kinds import KINDS
 
 Coloring = Literal["camera", "height", "sensor"]
 NO_DISPLACEMENT = (0.0,) * 6
@@ -44,4 +45,4 @@ def rotation_from_rpy(roll: float, pitch: float, yaw: float) -> Array:
 
 def up_direction(calibration: Calibration) -> Array:
     """(3,) the upward direction in the root frame: a camera's y points down."""
-    return np.array([0.0, -1.0, 0.0] if calibration[calibration.root].kind == "camera" else [0.0, 0.0, 1.0])
+    return np.array([0.0, -1.0, 0.0] if KINDS[calibration[calibration.root].kind].optical else [0.0, 0.0, 1.0])

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from bundle_scenes import CAMERA, CORNERS, PIXEL, scene, views_of, with_range_bias
+from calgraph.boards.detections import PlanePatch
 from calgraph.config import RangeNoise
 from calgraph.geometry import Array, se3, so3
 from calgraph.rig.bundle.bundle_setup import _MIN_INCIDENCE_COSINE
@@ -13,6 +14,7 @@ from calgraph.rig.bundle.corner_observations import CornerObservations, PrintedC
 from calgraph.rig.bundle.observations import BoardViews, LinearizedResiduals, no_extra, relative_poses
 from calgraph.rig.bundle.range_observations import RangeObservations
 from calgraph.sensors import CameraModel
+from calgraph.sensors.kinds import DepthNoise
 
 STEP = 1e-6
 PLUMB_BOB = CameraModel("pinhole", 640, 480, CAMERA.K, np.array([-0.25, 0.08, 0.002, -0.003, -0.01]))
@@ -158,3 +160,31 @@ def beams(kind: str, T_sensor_board: Array, bias: int) -> RangeObservations:
     views = views_of(kind, T_sensor_board)
     assert isinstance(views, RangeObservations)
     return with_range_bias(views) if bias else views
+
+
+def test_errors_that_vary_over_the_view_are_differentiated_and_do_not_fit_the_noise_of_ranges() -> None:
+    T, noise, rng = ORDINARY[None], DepthNoise(), np.random.default_rng(0)
+    directions = np.column_stack([rng.uniform(-0.2, 0.3, (200, 2)), np.ones(200)])
+    directions /= np.linalg.norm(directions, axis=1)[:, None]
+    n, h = T[0, :3, 2], T[0, :3, 2] @ T[0, :3, 3]
+    exact = h / (directions @ n)
+
+    def views(ranges: Array) -> RangeObservations:
+        patch = PlanePatch(np.append(n, -h), np.eye(3), ranges, directions, T[0, :3, 3])
+        found = RangeObservations.from_detections([0], [patch], noise, _MIN_INCIDENCE_COSINE)
+        shapes = noise.error_shapes(found.ranges, found.directions)
+        found = replace(found, shapes=shapes, extra_of_local=np.arange(8)[None], extra_count=8)
+        found = replace(found, half_size=np.array([[0.5, 0.4]]), registered=np.array([True]))
+        return found.update_noise(T, 1.0)
+
+    extra = np.array([0.01, 0.002, 0.001, 0.001, 0.004, 0.002, -0.002, 0.003])
+    at = views(exact)
+    np.testing.assert_allclose(
+        jacobian(at.linearize(T, extra), at)[:, 6:], numerical(at, T, extra)[:, 6:], atol=1e-4, rtol=1e-5
+    )
+    noisy = views(exact + rng.normal(0.0, 0.01, len(exact)))
+    assert noisy.shapes is not None
+    np.testing.assert_allclose(noisy.shapes, noise.error_shapes(exact, directions), rtol=1e-9)
+    selected = noisy.select(np.array([True])).shapes
+    assert selected is not None
+    np.testing.assert_array_equal(selected, noisy.shapes)

@@ -13,6 +13,7 @@ from calgraph.rig.captures.holds import Hold
 from calgraph.rig.captures.previews import PreviewSize, make_preview, plan_previews
 from calgraph.rig.captures.sensor_detection import detect_in_hold
 from calgraph.sensors import Image, LaserScan, PointCloud, RecordedMessage
+from calgraph.sensors.kinds import SensorSpec
 
 LARGE = PreviewSize(640, 8000)
 BOARD = Board(size=(1, 1), pattern=Checkerboard(kind="checkerboard", columns=7, rows=5, square=0.1))
@@ -20,7 +21,7 @@ BOARD = Board(size=(1, 1), pattern=Checkerboard(kind="checkerboard", columns=7, 
 
 def rig_of(cameras: int, lidars: int, lasers: int) -> Rig:
     """A rig with these numbers of sensors."""
-    sensors: dict[str, CameraSpec | Lidar3dSpec | Lidar2dSpec] = {"lidar": Lidar3dSpec(kind="lidar3d", topic="/l")}
+    sensors: dict[str, SensorSpec] = {"lidar": Lidar3dSpec(kind="lidar3d", topic="/l")}
     sensors |= {f"c{i}": CameraSpec(kind="camera", topic=f"/c{i}", camera_info="/i") for i in range(cameras)}
     sensors |= {f"l{i}": Lidar3dSpec(kind="lidar3d", topic=f"/l{i}") for i in range(1, lidars)}
     sensors |= {f"s{i}": Lidar2dSpec(kind="lidar2d", topic=f"/s{i}") for i in range(lasers)}

@@ -8,6 +8,7 @@ import numpy as np
 from calgraph.errors import InputError
 from calgraph.geometry import Array, Index, se2
 from calgraph.result import Calibration
+from calgraph.sensors.kinds import KINDS
 
 _PLANAR_AXES = np.array([0, 1, 5])
 # Variance of unobserved directions, m² and rad²: an infinite one could not be inverted.
@@ -70,8 +71,8 @@ def extract_planar_poses(calibration: Calibration) -> PlanarPoses:
     Raises:
         InputError: the calibration is not that of a network of 2-D scanners.
     """
-    kinds = {sensor.kind for sensor in calibration.sensors}
-    if kinds != {"lidar2d"} or not (calibration.planar or len(calibration.sensors) == 1):
+    detected = {KINDS[sensor.kind].detects for sensor in calibration.sensors}
+    if detected != {"line"} or not (calibration.planar or len(calibration.sensors) == 1):
         raise InputError("needs the calibration of a network of 2-D scanners in one plane")
     count = len(calibration.sensors)
     rows = _planar_rows(count)

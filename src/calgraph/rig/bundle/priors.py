@@ -8,11 +8,11 @@ import numpy as np
 
 from calgraph.config import Rig
 from calgraph.config.settings import BoardPairSettings
-from calgraph.config.strict_model import StrictModel
 from calgraph.errors import InputError
 from calgraph.geometry import Array, Index, se3
 from calgraph.graph.pairwise_estimate import PairwiseEstimate
 from calgraph.graph.spanning_tree import SpanningTree, grow_tree
+from calgraph.io.strict_model import StrictModel
 from calgraph.result import ExtrinsicsFile
 from calgraph.rig.bundle.bundle_parameters import SensorPrior
 from calgraph.rig.bundle.bundle_solver import Bundle, BundleState

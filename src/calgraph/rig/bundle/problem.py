@@ -12,11 +12,11 @@ from pydantic_core import PydanticCustomError
 from calgraph.boards.detections import BoardCorners
 from calgraph.config import Intrinsics, Rig
 from calgraph.config.settings import MatchFilter
-from calgraph.config.strict_model import StrictModel
 from calgraph.errors import InputError
 from calgraph.geometry import Array
 from calgraph.graph.pairwise_estimate import PairwiseEstimate
 from calgraph.graph.spanning_tree import SpanningTree
+from calgraph.io.strict_model import StrictModel
 from calgraph.result.covariance_checks import check_semidefinite, check_symmetric
 from calgraph.result.frame_tree import MAX_DISTANCE
 from calgraph.rig.bundle.priors import (

@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from calgraph.config import Rig
 from calgraph.config.settings import LimitSettings
-from calgraph.config.strict_model import StrictModel
 from calgraph.errors import InputError, Rejected
 from calgraph.geometry import Array
 from calgraph.graph.pairwise_estimate import PairwiseEstimate
 from calgraph.graph.spanning_tree import SpanningTree
 from calgraph.io.archive import read_archive, write_archive
 from calgraph.io.columns import INDEX, NUMBER, Arrays, Column, Table
+from calgraph.io.strict_model import StrictModel
 from calgraph.io.yaml_reading import validate_content
 from calgraph.result.finding import Finding
 from calgraph.rig.bundle.problem import Problem, SolverOptions, check_problem

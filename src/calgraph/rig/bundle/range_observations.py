@@ -34,7 +34,8 @@ class RangeObservations:
     """Ranges along a scanner's beams to the plane of the board: metres.
 
     Implements :class:`calgraph.rig.bundle.observations.BoardViews`. The local parameters are three of the
-    plane, ``SCANNER_PARAMETERS`` (m, or relative), the relative scale of azimuths where there are, the delay of
+    plane, ``SCANNER_PARAMETERS`` (m, or relative), the relative scale of azimuths where there are, the errors
+    that vary over the view (m), the delay of
     stamps (s) if boards move, and one bias a ring.
     """
 
@@ -53,6 +54,8 @@ class RangeObservations:
     noise_scale: float = 1.0
     azimuth: Array | None = None
     """(N,) rad, of scanners whose azimuths may be scaled."""
+    shapes: Array | None = None
+    """(N, K) errors of ranges that vary over the view, by their parameters; constant within a minimisation."""
     ring: Index | None = None
     """(N,) index of each beam's ring, ascending within a view; None without rings."""
     ring_count: int = 0
@@ -89,7 +92,7 @@ class RangeObservations:
             np.asfortranarray(directions),
             ranges,
             noise,
-            np.full(len(ranges), noise.range),
+            noise.of_beams(ranges, directions),
             min_cosine,
             extra_of_local=no_extra(len(board)),
             twist=stack_twists(detections),
@@ -141,9 +144,15 @@ class RangeObservations:
         if by_azimuth is not None:
             n = np.repeat(T_measured[:, :3, 2].T, self._counts, axis=1)
             columns[7] = -np.einsum("in,ni->n", n, by_azimuth) * stretch * distance / cosine
+        if self.shapes is not None:
+            first = len(SCANNER_PARAMETERS) + (self.azimuth is not None)
+            count = self.shapes.shape[1]
+            columns[3 + first : 3 + first + count] = self.shapes.T / self.sigma
         if self.timed:
             columns[-1] = 0 if by_delay is None else np.einsum("in,ni->n", columns[:3], by_delay[view])
         predicted = (1 + scale) * distance + bias
+        if self.shapes is not None:
+            predicted = predicted + self.shapes @ shared[first : first + count]
         if self.ring is not None:
             predicted = predicted + local[view, local.shape[1] - self.ring_count + self.ring]
         residual = (predicted - self.ranges) / self.sigma
@@ -186,19 +195,22 @@ class RangeObservations:
         """See :class:`BoardViews`: the error of a beam's direction grows with the tangent of its incidence."""
         h, cosine = self._intersect_planes(T_sensor_board)
         tangent2 = np.maximum(1 / cosine**2 - 1, 0)
-        sigma = scale * np.sqrt(self.noise.range**2 + (self.noise.angle * self.ranges) ** 2 * tangent2)
+        expected = np.repeat(h, self._counts) / cosine
+        along = self.noise.of_beams(expected, self.directions)
+        # Not at the measured ranges: parameters of these shapes would then fit the noise of the ranges.
+        shapes = None if self.shapes is None else self.noise.error_shapes(expected, self.directions)
+        sigma = scale * np.sqrt(along**2 + (self.noise.angle * self.ranges) ** 2 * tangent2)
         shape = None
         if np.isfinite(self.half_size).any():
             T, counts = se3.inverse(T_sensor_board), self._counts
-            distance = np.repeat(h, counts) / cosine
             on_board = np.stack([
-                np.einsum("in,ni->n", np.repeat(T[:, axis, :3].T, counts, axis=1), self.directions) * distance
+                np.einsum("in,ni->n", np.repeat(T[:, axis, :3].T, counts, axis=1), self.directions) * expected
                 + np.repeat(T[:, axis, 3], counts)
                 for axis in range(2)
             ])  # fmt: skip
             half, known = np.repeat(self.half_size, counts, axis=0), np.repeat(self.registered, counts)[:, None]
             shape = np.where(known, bow_shape(on_board.T, half), round_bow_shape(on_board.T, half))
-        return replace(self, sigma=sigma, noise_scale=scale, bow_shape=shape)
+        return replace(self, sigma=sigma, noise_scale=scale, bow_shape=shape, shapes=shapes)
 
     def select(self, keep: NDArray[np.bool_] | Index) -> "RangeObservations":
         """See :class:`BoardViews`."""
@@ -211,6 +223,7 @@ class RangeObservations:
             ranges=self.ranges[kept],
             sigma=self.sigma[kept],
             azimuth=None if self.azimuth is None else self.azimuth[kept],
+            shapes=None if self.shapes is None else self.shapes[kept],
             ring=None if self.ring is None else self.ring[kept],
             half_size=self.half_size[keep] if len(self.half_size) else self.half_size,
             registered=self.registered[keep] if len(self.registered) else self.registered,
@@ -228,6 +241,7 @@ class RangeObservations:
             ranges=self.ranges[order],
             sigma=self.sigma[order],
             azimuth=None if self.azimuth is None else self.azimuth[order],
+            shapes=None if self.shapes is None else self.shapes[order],
             ring=ring[order],
             ring_count=count,
         )
@@ -246,6 +260,7 @@ class RangeObservations:
             ranges=ranges,
             sigma=np.ones(len(ranges)),
             azimuth=None if self.azimuth is None else np.arctan2(directions[:, 1], directions[:, 0]),
+            shapes=None if self.shapes is None else self.noise.error_shapes(ranges, directions),
             half_size=self.half_size[first] if len(self.half_size) else self.half_size,
             registered=self.registered[first] if len(self.registered) else self.registered,
             bow_shape=None,

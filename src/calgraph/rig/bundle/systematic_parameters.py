@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from calgraph.boards.printed_boards import compute_landmarks
-from calgraph.config import Board, CameraSpec, Lidar2dSpec, Lidar3dSpec, Rig, SensorSpec
+from calgraph.config import Board, CameraSpec, Lidar2dSpec, Lidar2dUncertainty, Lidar3dUncertainty, Rig, SensorSpec
 from calgraph.geometry import Array, Index
 from calgraph.result import EstimatedParameter
 from calgraph.rig.bundle.bundle_parameters import SystematicParameter
@@ -22,6 +22,7 @@ from calgraph.rig.bundle.outline_observations import FOOTPRINTS, OutlineObservat
 from calgraph.rig.bundle.range_observations import RangeObservations, bow_shape
 from calgraph.rig.bundle.residual_distortion import ResidualDistortion
 from calgraph.sensors import DISTORTION_NAMES, CameraModel
+from calgraph.sensors.kinds.stated import RangeUncertainty
 
 _ESTIMATED_COEFFICIENTS = {"pinhole": 5, "fisheye": 4}
 """Number of estimated distortion coefficients: those of the denominator of a rational model, which come after
@@ -344,11 +345,12 @@ def _add_to_scanner(
     k: int,
     name: str,
     views: RangeObservations,
-    spec: Lidar2dSpec | Lidar3dSpec,
+    spec: SensorSpec,
     rig: Rig,
     number: Index,
 ) -> RangeObservations:
     prior = spec.uncertainty
+    assert isinstance(prior, RangeUncertainty)
     shared: list[_Candidate | None] = [
         _Candidate(name, "range bias", "m", prior.range_bias),
         _Candidate(name, "range scale", "", prior.range_scale, 1.0),
@@ -356,16 +358,19 @@ def _add_to_scanner(
     last: list[_Candidate | None] = []
     timed = len(views.twist) > 0
     delay = [_stamp_delay(k, name, spec)] if timed else []
-    if isinstance(spec, Lidar2dSpec):
+    if isinstance(prior, Lidar2dUncertainty):
         views = replace(views, azimuth=np.arctan2(views.directions[:, 1], views.directions[:, 0]))
-        last = [_Candidate(name, "angle scale", "", spec.uncertainty.angle_scale, 1.0), *delay]
+        last = [_Candidate(name, "angle scale", "", prior.angle_scale, 1.0), *delay]
+    elif shapes := prior.error_shapes():
+        views = replace(views, shapes=views.noise.error_shapes(views.ranges, views.directions))
+        last = [*(_Candidate(name, quantity, "m", stddev) for quantity, stddev in shapes), *delay]
     else:
         last = [*delay]
         elevations, ring = find_rings(views.directions)
-        if len(elevations):
+        if len(elevations) and isinstance(prior, Lidar3dUncertainty):
             views = views.with_rings(ring, len(elevations))
             last += [
-                _Candidate(name, f"bias of ring {i + 1} ({np.degrees(e):+.1f}°)", "m", spec.uncertainty.ring_bias)
+                _Candidate(name, f"bias of ring {i + 1} ({np.degrees(e):+.1f}°)", "m", prior.ring_bias)
                 for i, e in enumerate(elevations)
             ]
     bows = [list(_bow_parameters(board_name(b, len(rig.boards)), board)) for b, board in enumerate(rig.boards)]

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 
 from calgraph.boards.printed_boards import PrintedBoard, make_printed_boards, select_grays
-from calgraph.config import Board, CameraSpec, Capture, Rig
+from calgraph.config import Board, Capture, Rig
 from calgraph.config.settings import CameraDetectionSettings, CaptureSettings
 from calgraph.geometry import Array, measure_lengths
 from calgraph.recording import NO_CACHE, PoseRecordings, Recording, RecordingCache
@@ -16,6 +16,7 @@ from calgraph.rig.captures.capture_mode import recognize_mode
 from calgraph.rig.captures.timeline import build_timeline
 from calgraph.rig.detection.cloud_background import Cells, find_direction_cells, find_local_maxima
 from calgraph.sensors import DetectedCorners, Image, LaserScan, Message, PointCloud, RecordedMessage
+from calgraph.sensors.kinds import KINDS
 
 _EMPTY_START = "empty start/2"
 _MIN_REFERENCE_MESSAGES = 3
@@ -54,8 +55,8 @@ def resolve_background(
     """
     if rig.is_network or rig.capture.background is not None or isinstance(recording, PoseRecordings):
         return rig, ()
-    scanners = [spec.topic for spec in rig.sensors.values() if not isinstance(spec, CameraSpec)]
-    cameras = [spec.topic for spec in rig.sensors.values() if isinstance(spec, CameraSpec)]
+    scanners = [spec.topic for spec in rig.sensors.values() if KINDS[spec.kind].measures_ranges]
+    cameras = [spec.topic for spec in rig.sensors.values() if not KINDS[spec.kind].measures_ranges]
     settings = rig.settings
     inputs = {
         "scanners": scanners,
@@ -74,7 +75,7 @@ def resolve_background(
         cache.write(recording, _EMPTY_START, inputs, {"found": asdict(start) if start else None}, {})
     if start is None:
         return rig, ()
-    names = [name for name, spec in rig.sensors.items() if not isinstance(spec, CameraSpec)]
+    names = [name for name, spec in rig.sensors.items() if KINDS[spec.kind].measures_ranges]
     finding = Finding(
         f"rig.yaml states no capture.background: 0.0 to {start.end:.1f} s from the start were found to be without "
         f"board and operator, as nothing changes before {start.topic} does at {start.entry:.1f} s; what "

@@ -4,19 +4,18 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from calgraph.boards.detections import BoardCorners, Detection, DetectionResult, PlanePatch, Segment
+from calgraph.boards.detections import Detection, DetectionResult
 from calgraph.config import Rig
 from calgraph.errors import InputError, Rejected
 from calgraph.rig.captures.detect import CaptureSet, SensorCapture, collect_detections
 from calgraph.rig.captures.holds import Hold
 from calgraph.rig.captures.moving_board import compensate_motion
 from calgraph.rig.captures.timeline import RecordingTimeline, SensorTimes
+from calgraph.rig.kinds import RIG_KINDS
 from calgraph.sensors import CameraModel
 
 GivenDetections = Detection | Sequence[Detection] | Rejected
 """Of one sensor in one capture: the board, several candidates of which one is the board, or why there is none."""
-
-_DETECTION_TYPES = {"camera": BoardCorners, "lidar2d": Segment, "lidar3d": PlanePatch}
 
 
 def captures_from_detections(
@@ -74,10 +73,11 @@ def _to_candidates(rig: Rig, name: str, capture: int, result: GivenDetections | 
         return result
     candidates = (result,) if isinstance(result, Detection) else tuple(result)
     kind = rig.sensors[name].kind
+    detected = RIG_KINDS[kind].detection
     for detection in candidates:
-        if not isinstance(detection, _DETECTION_TYPES[kind]):
+        if not isinstance(detection, detected):
             raise InputError(
-                f"detections: {name} is a {kind} and detects {_DETECTION_TYPES[kind].__name__}, got "
+                f"detections: {name} is a {kind} and detects {detected.__name__}, got "
                 f"{type(detection).__name__} in capture {capture}"
             )
     return candidates or Rejected("no detection was given")

@@ -14,6 +14,7 @@ from calgraph.rig.captures.capture_mode import find_frame_sets, find_snapshots, 
 from calgraph.rig.captures.stamp_groups import StampGroup
 from calgraph.rig.captures.stillness import find_rests
 from calgraph.rig.captures.timeline import RecordingTimeline, SensorTimes
+from calgraph.rig.kinds import RIG_KINDS
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,7 +190,8 @@ def _relative_activity(times: SensorTimes, name: str, groups: Sequence[StampGrou
 
 def limit_messages(holds: Iterable[Hold], rig: Rig) -> tuple[Hold, ...]:
     """The same holds with the messages of each sensor that sharpen a detection, spread over the hold."""
-    limits = {name: rig.settings.captures.max_messages.of(spec.kind) for name, spec in rig.sensors.items()}
+    of_kinds = rig.settings.captures.max_messages
+    limits = {name: RIG_KINDS[spec.kind].max_messages(of_kinds) for name, spec in rig.sensors.items()}
     return tuple(
         replace(hold, stamps={name: sample_evenly(stamps, limits[name]) for name, stamps in hold.stamps.items()})
         for hold in holds

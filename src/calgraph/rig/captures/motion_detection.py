@@ -3,21 +3,15 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from calgraph.geometry import Array
-from calgraph.sensors import DetectedCorners, Image, LaserScan, Message, PointCloud
+from calgraph.rig.kinds import MOTION_SIGNATURES
+from calgraph.rig.kinds.rig_kind import Signature
+from calgraph.sensors import Message
 
-Signature = NDArray[np.float64] | NDArray[np.int64]
-"""What is compared of a message: grey values, ranges, the keys of occupied cells, or rows of corners."""
 Signed = tuple[type[Message], Signature]
 """A message's type and signature."""
-
-# Factors that pack the indices of a cell into one key, 21 bits an axis.
-_PACK = np.array([1, 2**21, 2**42])
-_WITH_NEIGHBOURS = np.array([0, *_PACK, *-_PACK])
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,16 +55,6 @@ class BlockMeter:
         return ActivityBlock(self._changes, self._start, self._first, self._meter.previous)
 
 
-# Change of a detected corner, pixels, that counts as motion: five times the noise of detected corners.
-_MIN_CORNER_CHANGE = 1.0
-# Change of a grey value, averaged over a block, that counts as motion: noise and flicker stay below.
-_MIN_GRAY_CHANGE = 12.0
-# Change of a range, m, that counts as motion: more than twice the noise of a 2-D scanner (20 mm).
-_MIN_RANGE_CHANGE = 0.05
-# The same over the smaller of both ranges: noise of ranges and of angles of incidence grows with range.
-_MIN_RANGE_CHANGE_RATIO = 0.02
-
-
 class ActivityMeter:
     """Compares each message of one sensor with the one before."""
 
@@ -91,78 +75,15 @@ class ActivityMeter:
 
         Messages without any return are left out: they are lost data, and no motion.
         """
-        if not _has_content(message):
+        motion = MOTION_SIGNATURES.get(type(message))
+        if motion is None or getattr(message, "is_empty", False):
             return 0.0
-        return self._compare_with_previous((type(message), _compute_signature(message)))
+        return self._compare_with_previous((type(message), motion.compute(message)))
 
     def _compare_with_previous(self, signed: Signed) -> float:
         before, self.previous = self.previous, signed
-        if before is None:
-            return 0.0
         kind, current = signed
-        previous = before[1]
-        if kind is DetectedCorners:
-            return _compare_corners(previous, current, _MIN_CORNER_CHANGE)
-        if kind is PointCloud:
-            appeared = np.setdiff1d(current, _dilate_cells(previous))
-            vanished = np.setdiff1d(previous, _dilate_cells(current))
-            return (len(appeared) + len(vanished)) / max(len(current) + len(previous), 1)
-        if current.shape != previous.shape:
-            return 1.0
-        if not current.size:
-            return 0.0
-        if kind is Image:
-            return float(np.mean(np.abs(current - previous) > _MIN_GRAY_CHANGE))
-        min_change = _MIN_RANGE_CHANGE_RATIO * np.minimum(current, previous)
-        min_change = np.maximum(_MIN_RANGE_CHANGE, min_change)
-        return float(np.mean(np.abs(current - previous) > min_change))
-
-
-def _has_content(message: Message) -> bool:
-    if isinstance(message, PointCloud):
-        return len(message.points) > 0
-    if isinstance(message, DetectedCorners):
-        return len(message.pixels) > 0
-    return not isinstance(message, LaserScan) or bool(message.valid.any())
-
-
-# Edge of the blocks of an image that are averaged, pixels: noise of a pixel falls to an eighth.
-_IMAGE_BLOCK = 8
-# Range of a beam without return, m: farther than any wall, so that a return that appears is a change.
-_NO_RETURN_RANGE = 100.0
-# Cell by whose occupation two clouds are compared, m: points in cells next to occupied ones have not moved, as
-# noise alone takes points across borders of cells.
-_CELL = 0.2
-
-
-def _compute_signature(message: Message) -> Signature:
-    if isinstance(message, Image):
-        height, width = message.gray.shape
-        size = max(width // _IMAGE_BLOCK, 1), max(height // _IMAGE_BLOCK, 1)
-        return np.asarray(cv2.resize(message.gray, size, interpolation=cv2.INTER_AREA), dtype=np.float64)
-    if isinstance(message, LaserScan):
-        # A beam without return counts as far: a return that appears or vanishes is a change.
-        return np.where(message.valid, message.ranges, _NO_RETURN_RANGE)
-    if isinstance(message, PointCloud):
-        cells = np.floor(message.points / _CELL).astype(np.int64) + 2**20
-        return np.unique(cells @ _PACK)
-    if isinstance(message, DetectedCorners):
-        return np.column_stack([message.board_points, message.pixels])
-    return np.zeros(0)
-
-
-def _compare_corners(before: Signature, after: Signature, min_change: float) -> float:
-    """Share of the corners (N, 5), positions on the board and pixels, that moved, appeared or vanished."""
-    pixels = {tuple(row[:3].tolist()): row[3:] for row in before}
-    changes = [
-        np.linalg.norm(row[3:] - pixels.pop(key)) if (key := tuple(row[:3].tolist())) in pixels else np.inf
-        for row in after
-    ]
-    return (len(pixels) + sum(change > min_change for change in changes)) / max(len(pixels) + len(changes), 1)
-
-
-def _dilate_cells(cells: Signature) -> Signature:
-    return np.asarray((cells[:, None] + _WITH_NEIGHBOURS).ravel())
+        return 0.0 if before is None else MOTION_SIGNATURES[kind].compare(before[1], current)
 
 
 # Change of a view, 0..1, added before the logarithm in which rest and motion are separated: less than one beam of

@@ -10,6 +10,7 @@ from calgraph.config import Rig
 from calgraph.geometry import Array
 from calgraph.result import Snapshot
 from calgraph.rig.captures.holds import Hold
+from calgraph.rig.kinds import RIG_KINDS
 from calgraph.sensors import Image, LaserScan, Message, PointCloud
 
 
@@ -28,8 +29,6 @@ _LARGE, _SMALL = PreviewSize(640, 8000), PreviewSize(160, 600)
 # Most captures with large previews, and bytes of all large and of all small ones.
 _MAX_LARGE = 60
 _BUDGETS = {_LARGE: 14e6, _SMALL: 4e6}
-# Bytes of a JPEG for each pixel (a noisy one), and of a point; beams of a scan.
-_PER_PIXEL, _PER_POINT, _BEAMS = 0.2, 12.0, 2000
 _QUALITY = 80
 _GOLDEN = (np.sqrt(5) - 1) / 2
 
@@ -50,12 +49,8 @@ def plan_previews(holds: Sequence[Hold], rig: Rig) -> dict[int, PreviewSize]:
 
 def _estimate_bytes(size: PreviewSize, rig: Rig) -> float:
     """Estimated bytes of the previews of one capture of all sensors."""
-    bytes_by_kind = {
-        "camera": _PER_PIXEL * size.width * (0.75 * size.width),
-        "lidar3d": _PER_POINT * size.points,
-        "lidar2d": _PER_POINT * min(size.points, _BEAMS),
-    }
-    return sum(bytes_by_kind[spec.kind] for spec in rig.sensors.values())
+    kinds = (RIG_KINDS[spec.kind] for spec in rig.sensors.values())
+    return sum(kind.preview_bytes(size.width, size.points) for kind in kinds)
 
 
 def make_preview(capture: int, sensor: str, messages: Sequence[Message], size: PreviewSize) -> Snapshot:

@@ -7,7 +7,7 @@ from functools import partial
 from typing import Any
 
 from calgraph.boards.camera import PlaneEstimator
-from calgraph.config import CameraSpec, Rig
+from calgraph.config import CameraSpec, Intrinsics, Rig, SensorSpec
 from calgraph.errors import Rejected
 from calgraph.io.columns import Arrays
 from calgraph.parallel.engine import THIS_PROCESS, Engine
@@ -15,7 +15,6 @@ from calgraph.recording import NO_CACHE, Recording, RecordingCache
 from calgraph.rig.captures.detect import SensorCapture
 from calgraph.rig.captures.detection_tables import decode_captures, encode_captures
 from calgraph.rig.captures.detectors import (
-    Detector,
     learn_backgrounds,
     learn_backgrounds_of_captures,
     make_detectors,
@@ -24,7 +23,9 @@ from calgraph.rig.captures.hold_messages import Search, search_holds, select_mes
 from calgraph.rig.captures.holds import Hold
 from calgraph.rig.captures.previews import PreviewSize, make_preview, plan_previews
 from calgraph.rig.captures.timeline import RecordingTimeline
+from calgraph.rig.kinds.rig_kind import Detector
 from calgraph.sensors import CameraModel, Message, RecordedMessage
+from calgraph.sensors.kinds import KINDS, OpticalSpec
 
 _log = logging.getLogger(__name__)
 
@@ -178,10 +179,15 @@ def _decode(name: str, content: Mapping[str, Any], arrays: Arrays) -> _SensorDet
 def _background_records(rig: Rig, recording: Recording) -> Iterable[RecordedMessage]:
     """What the scanners measured without target and operator."""
     window = rig.capture.background
-    scanners = [spec.topic for spec in rig.sensors.values() if not isinstance(spec, CameraSpec)]
+    scanners = [spec.topic for spec in rig.sensors.values() if KINDS[spec.kind].measures_ranges]
     if not window or not scanners:
         return ()
     return recording.records(scanners, *(recording.start + t for t in window))
+
+
+def list_conversion_inputs(spec: SensorSpec) -> Intrinsics | None:
+    """What the messages of a sensor depend on besides the recording, where they are converted images."""
+    return spec.stated_intrinsics if isinstance(spec, OpticalSpec) and KINDS[spec.kind].convert else None
 
 
 def list_shared_inputs(name: str, rig: Rig, holds: Sequence[Hold]) -> dict[str, Any]:
@@ -190,6 +196,7 @@ def list_shared_inputs(name: str, rig: Rig, holds: Sequence[Hold]) -> dict[str, 
     return {
         "topic": spec.topic,
         "noise": spec.noise,
+        "intrinsics": list_conversion_inputs(spec),
         "boards": [board.model_dump(mode="json", exclude={"uncertainty"}) for board in rig.boards],
         "captures": [(hold.index, hold.stamps[name]) for hold in holds],
     }

@@ -7,7 +7,7 @@ import numpy as np
 
 from calgraph.geometry import Array
 from calgraph.rig.captures.motion_detection import ActivityMeter
-from calgraph.sensors import LaserScan, PointCloud, RecordedMessage
+from calgraph.sensors import PointCloud, RecordedMessage
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,9 +90,9 @@ def build_timeline(
         # without points, of lost packets, have none.
         message = record.decode() if meter or name not in measured else None
         if message and name not in measured:
-            duration = message.duration if isinstance(message, LaserScan | PointCloud) else 0.0
+            duration = getattr(message, "duration", 0.0)
             first[name] = duration, getattr(message, "frame_id", ""), type(message).__name__
-            if not isinstance(message, PointCloud) or len(message.points):
+            if not isinstance(message, PointCloud) or not message.is_empty:
                 measured.add(name)
         activity[name].append(meter.measure_change(message) if meter and message else 0.0)
     return RecordingTimeline(

@@ -24,6 +24,7 @@ from calgraph.rig.captures.capture_mode import recognize_mode
 from calgraph.rig.captures.hold_messages import StoredMessages, count_parts, read_part, select_messages
 from calgraph.rig.captures.motion_detection import ActivityBlock, ActivityMeter, BlockMeter, measure_block
 from calgraph.rig.captures.timeline import RecordingTimeline, SensorTimes, build_timeline
+from calgraph.rig.kinds import RIG_KINDS
 from calgraph.sensors import Message
 
 _TOPIC, _ACTIVITY = "topic/2", "activity/1"
@@ -63,8 +64,6 @@ class _TopicContent:
     observations: TopicObservations
 
 
-# Messages that a process decodes in one call: milliseconds of work, and no more than 16 MB of raw images.
-_MESSAGES_PER_BLOCK = {"camera": 4, "lidar3d": 4, "lidar2d": 32}
 # Of topics that are no sensors'.
 _NOTHING_MEASURED = SensorTimes(np.zeros(0), 0.0, np.zeros(0))
 _NOTHING_OBSERVED = TopicObservations(np.zeros(0, np.int64), {})
@@ -158,7 +157,7 @@ def _measure_sent(
             name = names[record.topic]
             stamps[name].append(record.stamp)
             waiting[name].append(record.decode)
-            if len(waiting[name]) == _MESSAGES_PER_BLOCK[rig.sensors[name].kind]:
+            if len(waiting[name]) == RIG_KINDS[rig.sensors[name].kind].messages_per_block:
                 order.append(name)
                 yield (waiting[name],)
                 waiting[name] = []
@@ -198,7 +197,7 @@ def _divide_time(
     """At most ``count`` intervals of nearly equal work: when their first and their last message arrived, s."""
     arrivals = [timeline.sensors[name].arrivals for name in topics]
     work = [
-        np.full(len(one), 1 / _MESSAGES_PER_BLOCK[rig.sensors[name].kind])
+        np.full(len(one), 1 / RIG_KINDS[rig.sensors[name].kind].messages_per_block)
         for name, one in zip(topics, arrivals, strict=True)
     ]
     times, of_time = np.unique(np.concatenate(arrivals), return_inverse=True)

@@ -11,18 +11,10 @@ from calgraph.recording.file_names import describe_unmatched_numbers, find_pose_
 from calgraph.result.finding import Finding
 from calgraph.rig.captures.timeline import RecordingTimeline
 from calgraph.sensors import CameraModel
+from calgraph.sensors.kinds import KINDS
 
-_MESSAGES_OF_KIND: Mapping[str, tuple[str, ...]] = {
-    "camera": ("Image", "DetectedCorners"),
-    "lidar2d": ("LaserScan", "PointCloud"),
-    "lidar3d": ("PointCloud",),
-}
-_KIND_OF_MESSAGE = {
-    "Image": "camera",
-    "DetectedCorners": "camera",
-    "LaserScan": "lidar2d",
-    "PointCloud": "lidar3d",
-}
+# Of kinds that send the same messages the first one is named.
+_KIND_OF_MESSAGE = {message.__name__: kind.name for kind in reversed(KINDS.values()) for message in kind.messages}
 
 
 def check_timeline(rig: Rig, timeline: RecordingTimeline, end: float) -> None:
@@ -74,7 +66,12 @@ def check_pose_numbers(rig: Rig, timeline: RecordingTimeline, topics: Iterable[T
 
 def is_message_of_kind(message_type: str, kind: str) -> bool:
     """Whether sensors of a kind send messages of this type; true of an empty type, before the first message."""
-    return not message_type or message_type in _MESSAGES_OF_KIND[kind]
+    return not message_type or message_type in _list_messages(kind)
+
+
+def _list_messages(kind: str) -> tuple[str, ...]:
+    """Names of the messages that sensors of a kind send."""
+    return tuple(message.__name__ for message in KINDS[kind].messages)
 
 
 def _check_trigger(rig: Rig) -> None:
@@ -101,7 +98,7 @@ def _check_messages(name: str, rig: Rig, timeline: RecordingTimeline) -> None:
         sender = f"; a {_KIND_OF_MESSAGE[sent]} sends those" if sent in _KIND_OF_MESSAGE else ""
         raise InputError(
             f"sensors.{name}.topic: {spec.topic} has {sent} messages{sender}, but its kind {spec.kind} needs "
-            f"{' or '.join(_MESSAGES_OF_KIND[spec.kind])}"
+            f"{' or '.join(_list_messages(spec.kind))}"
         )
 
 

@@ -39,6 +39,7 @@ from calgraph.rig.checks.contradictions import find_contradictions
 from calgraph.rig.checks.drift_tests import DriftStatistics
 from calgraph.rig.checks.prior_tests import find_contradicted_priors
 from calgraph.rig.pairs.board_pair import PairwiseEstimates, select_successful
+from calgraph.sensors.kinds import KINDS
 from calgraph.verdict.grades import (
     LONE_ROOT,
     collect_findings,
@@ -168,7 +169,7 @@ def _refine_intrinsics(name: str, spec: SensorSpec, solution: RigSolution) -> In
 
 def _hint_at_background(rig: Rig) -> str:
     """What to try where scanners have no background, and may take other surfaces for the board."""
-    scanners = any(spec.kind != "camera" for spec in rig.sensors.values())
+    scanners = any(KINDS[spec.kind].measures_ranges for spec in rig.sensors.values())
     if not scanners or rig.capture.background:
         return ""
     return "; no background is set: state a time without board and operator as capture.background"

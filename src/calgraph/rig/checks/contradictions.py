@@ -24,6 +24,7 @@ from calgraph.rig.captures.detect import CaptureSet
 from calgraph.rig.checks.bootstrap import bootstrap_poses
 from calgraph.rig.checks.drift_tests import DriftStatistics, find_drifts, measure_drifts
 from calgraph.sensors import DISTORTION_NAMES
+from calgraph.sensors.kinds import KINDS
 from calgraph.verdict.grades import axis_names
 from calgraph.verdict.parameter_estimates import (
     MAX_PARAMETER_CORRELATION,
@@ -109,12 +110,6 @@ def _find_optimistic_covariances(
             )
 
 
-# What makes measurements noisier than stated, by kind of sensor.
-_NOISE_CAUSES = {
-    "camera": "check focus, exposure and motion blur, its intrinsics, and what is printed",
-    "lidar2d": "check its range noise, and that its ranges and angles are in m and rad",
-    "lidar3d": "check its range noise, and that its points are in m",
-}
 _BIAS_CAUSES = (
     "check that the board is stiff and rests in each capture, that its print is measured, and that clocks agree"
 )
@@ -139,7 +134,8 @@ def find_excessive_noise(solution: RigSolution, kinds: Mapping[str, str]) -> Ite
         weak = tuple(solution.T_root_sensor) if name == next(iter(solution.T_root_sensor)) else (name,)
         if noise.scale > _MAX_NOISE_RATIO:
             yield Finding(
-                f"the noise of {name} is {noise.scale:.1f} times that in rig.yaml: {_NOISE_CAUSES[kinds[name]]}",
+                f"the noise of {name} is {noise.scale:.1f} times that in rig.yaml: "
+                f"{KINDS[kinds[name]].noise_causes}",
                 weak if noise.scale > _MAX_GOOD_NOISE_RATIO else (),
             )
         elif bias := _describe_view_bias(noise):

@@ -24,6 +24,7 @@ from calgraph.rig.bundle.covariances import parameter_covariance
 from calgraph.rig.bundle.observations import BoardViews, relative_poses
 from calgraph.rig.bundle.range_observations import RangeObservations
 from calgraph.rig.bundle.solution import SolvedBundle
+from calgraph.sensors.kinds import KINDS
 from calgraph.verdict.grades import axis_names, max_good_stddev
 
 # Minimum decrease of the log volume of the error ellipsoid for a pose to be suggested: 5 % of one standard
@@ -46,7 +47,7 @@ def suggest_board_poses(
 
     Args:
         solved: the current solution.
-        kinds: camera, lidar2d or lidar3d, by sensor.
+        kinds: kind by sensor.
         size: width and height of the board, m.
         rng: draws the candidates.
         tolerance: the largest acceptable error of poses.
@@ -182,7 +183,7 @@ def describe_pose(sensor: str, kinds: Mapping[str, str], T_sensor_board: Mapping
 
     Args:
         sensor: the sensor whose pose the board improves.
-        kinds: camera, lidar2d or lidar3d, by sensor.
+        kinds: kind by sensor.
         T_sensor_board: (4, 4) for every sensor that detects the board.
 
     Returns:
@@ -190,7 +191,7 @@ def describe_pose(sensor: str, kinds: Mapping[str, str], T_sensor_board: Mapping
     """
     if sensor not in T_sensor_board:
         sensor = min(T_sensor_board, key=lambda name: float(np.linalg.norm(T_sensor_board[name][:3, 3])))
-    axes = _CAMERA_TO_SCANNER_AXES if kinds[sensor] == "camera" else np.eye(3)
+    axes = _CAMERA_TO_SCANNER_AXES if KINDS[kinds[sensor]].optical else np.eye(3)
     center, normal = axes @ T_sensor_board[sensor][:3, 3], axes @ T_sensor_board[sensor][:3, 2]
     distance, bearing = np.hypot(center[0], center[1]), np.degrees(np.arctan2(center[1], center[0]))
     forward = center[:2] / distance
@@ -235,7 +236,7 @@ def predict_observations(
 
     Args:
         views: the views that the sensor has recorded.
-        kind: camera, lidar2d or lidar3d.
+        kind: of the sensor.
         T_detected: ``T_sensor_board`` (V, 4, 4) of these views.
         T_candidate: ``T_sensor_board`` (K, 4, 4) of the candidates.
         size: width and height of the board, m.
@@ -244,7 +245,7 @@ def predict_observations(
     if isinstance(views, CornerObservations):
         return _predict_corners(views, visible, T_candidate)
     assert isinstance(views, RangeObservations)
-    if kind == "lidar2d":
+    if KINDS[kind].detects == "line":
         return _predict_scan_lines(views, visible, T_candidate, size, _MIN_SEGMENT_SHARE)
     return _predict_patches(views, visible, T_detected, T_candidate, size)
 

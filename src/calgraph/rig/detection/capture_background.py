@@ -68,7 +68,7 @@ def learn_capture_background(
         return CaptureBackground(np.full(shape, np.inf))
     ranges = np.sort(nearest, axis=0)  # directions without return last: they are infinite
     median = ranges[len(ranges) // 2]
-    thickness = max(OUTLIER_SIGMAS * noise.range, MIN_THICKNESS)
+    thickness = np.maximum(OUTLIER_SIGMAS * noise.at(median), MIN_THICKNESS)
     beyond = np.mean(ranges > median + thickness, axis=0)
     same = 1 - beyond - np.mean(ranges < median - thickness, axis=0)
     static = np.isfinite(median) & (same >= _MIN_STATIC_SHARE) & (beyond <= _MAX_FREE_SHARE)

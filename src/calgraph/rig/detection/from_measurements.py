@@ -68,7 +68,7 @@ def plane_patch_from_points(points: Array, noise: RangeNoise | None = None) -> P
         return Rejected(f"a plane needs four points, got {len(points)}")
     noise = noise or RangeNoise()
     ranges, directions = to_beams(points)
-    fit = fit_plane(ranges, directions, noise.range, noise.angle, plane.fit(points))
+    fit = fit_plane(ranges, directions, noise.of_beams(ranges, directions), noise.angle, plane.fit(points))
     if fit is None:
         return Rejected(f"the {len(points)} points lie on no plane, or on one along the beams")
     middle = points[fit.inliers].mean(axis=0)

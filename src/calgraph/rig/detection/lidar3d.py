@@ -14,7 +14,7 @@ from calgraph.boards.detections import PlanePatch, to_beams
 from calgraph.config import Board, RangeNoise
 from calgraph.config.settings import DetectionSettings, Lidar3dDetectionSettings
 from calgraph.errors import Rejected
-from calgraph.geometry import Array, measure_lengths, plane
+from calgraph.geometry import Array, find_median, measure_lengths, plane
 from calgraph.rig.detection.board_edges import find_board_edges, select_beams_with_margin
 from calgraph.rig.detection.capture_background import CaptureBackground
 from calgraph.rig.detection.cloud_background import CloudBackground
@@ -95,7 +95,8 @@ def find_patches(
             "bring the board nearer or turn its longer side across the rings"
         )
     cells = make_cells(points, None if rings is None else rings[foreground], settings)
-    thickness = max(OUTLIER_SIGMAS * noise.range, MIN_THICKNESS)
+    sigma = float(noise.at(find_median(ranges[foreground])))
+    thickness = max(OUTLIER_SIGMAS * sigma, MIN_THICKNESS)
     regions = [] if cells is None else grow_flat_regions(cells, thickness)
     if cells is None or not regions:
         return Rejected(f"{count_text} hold no flat patch: the board is not in view, too far or edge-on")
@@ -119,7 +120,7 @@ def find_patches(
         return _explain_no_match(cells, regions, boards)
     lines = _order_by_scan_line(clouds[0], ranges[: len(clouds[0].points)], settings)
     radius = max(0.5 * float(np.hypot(*board.size)) for board in boards) + SURROUNDINGS
-    thickness = max(SAME_SURFACE_SIGMAS * noise.range, MIN_THICKNESS)
+    thickness = max(SAME_SURFACE_SIGMAS * sigma, MIN_THICKNESS)
     return tuple(replace(p, edges=_find_edges(lines, p, thickness, radius, settings)) for p in found)
 
 
@@ -194,7 +195,7 @@ def _fit_patch(
     rectangle, members = patch.rectangle, patch.members
     interior = members[_select_interior(points[members], rectangle, patch.match, settings.lidar3d)]
     ranges, directions = to_beams(points[interior])
-    fit = fit_plane(ranges, directions, noise.range, noise.angle, patch.surface)
+    fit = fit_plane(ranges, directions, noise.of_beams(ranges, directions), noise.angle, patch.surface)
     if fit is None or fit.inliers.sum() < settings.lidar3d.min_points:
         return None
     n, d = fit.parameters[:3], fit.parameters[3]

@@ -81,7 +81,7 @@ def whiten_line(
 def fit_plane(
     ranges: Array,
     directions: Array,
-    sigma_range: float,
+    sigma_range: float | Array,
     sigma_angle: float,
     start: Array,
 ) -> SurfaceFit | None:
@@ -90,7 +90,7 @@ def fit_plane(
     Args:
         ranges: (N,) m.
         directions: (N, 3) unit vectors of the beams.
-        sigma_range: of each beam, m.
+        sigma_range: of each beam, (N,) or the same for all, m.
         sigma_angle: of each beam's direction, about each axis, rad.
         start: (4,) near the solution, oriented towards the origin.
 

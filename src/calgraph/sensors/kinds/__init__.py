@@ -1,0 +1,36 @@
+"""One module for each kind of sensor, and the table of all kinds: below it, nothing asks which kinds there are."""
+
+from typing import Annotated, Literal, cast
+
+from pydantic import Field
+
+from calgraph.sensors.kinds.camera import CAMERA, CameraSpec, CameraUncertainty, PixelNoise
+from calgraph.sensors.kinds.depth_camera import DEPTH_CAMERA, DepthCameraSpec, DepthCameraUncertainty, DepthNoise
+from calgraph.sensors.kinds.lidar2d import LIDAR2D, Lidar2dSpec, Lidar2dUncertainty
+from calgraph.sensors.kinds.lidar3d import LIDAR3D, Lidar3dSpec, Lidar3dUncertainty
+from calgraph.sensors.kinds.sensor_kind import SensorKind
+from calgraph.sensors.kinds.stated import OpticalSpec, RangeNoise
+from calgraph.sensors.messages import Message
+
+KindName = Literal["camera", "lidar2d", "lidar3d", "depth_camera"]
+SensorSpec = Annotated[CameraSpec | Lidar2dSpec | Lidar3dSpec | DepthCameraSpec, Field(discriminator="kind")]
+KINDS: dict[str, SensorKind] = {kind.name: kind for kind in (LIDAR3D, CAMERA, DEPTH_CAMERA, LIDAR2D)}
+"""All kinds by name; the kinds that suit best as the root of a rig come first."""
+
+_KIND_OF_TYPE = {name: kind.name for kind in KINDS.values() for name in kind.types}
+SENSOR_TYPES = frozenset(_KIND_OF_TYPE)
+"""Types of the topics of sensors, of ROS and of plain folders."""
+
+
+def recognize_kind(topic_type: str, first: Message | None = None) -> KindName | None:
+    """The kind of the sensor that sends messages of a type, from its first message where there is one."""
+    claimed = (kind.name for kind in KINDS.values() if first is not None and kind.claims(first))
+    return cast("KindName | None", next(claimed, _KIND_OF_TYPE.get(topic_type)))
+
+
+__all__ = [
+    "KINDS", "SENSOR_TYPES", "CameraSpec", "CameraUncertainty", "DepthCameraSpec",
+    "DepthCameraUncertainty", "DepthNoise", "KindName", "Lidar2dSpec", "Lidar2dUncertainty",
+    "Lidar3dSpec", "Lidar3dUncertainty", "OpticalSpec", "PixelNoise", "RangeNoise", "SensorKind", "SensorSpec",
+    "recognize_kind",
+]  # fmt: skip

@@ -1,0 +1,50 @@
+"""3-D LiDARs: what rig.yaml states of them."""
+
+from typing import Literal
+
+from calgraph.io.quantities import LengthStddev
+from calgraph.io.strict_model import StrictModel
+from calgraph.sensors.kinds.sensor_kind import LEVEL_AXES, SensorKind
+from calgraph.sensors.kinds.stated import ClockOffset, RangeNoise, RangeUncertainty
+from calgraph.sensors.messages import PointCloud
+from calgraph.sensors.names import Name
+
+
+class Lidar3dUncertainty(RangeUncertainty):
+    """Prior standard deviations of a 3-D LiDAR's systematic errors; 0 means exact."""
+
+    ring_bias: LengthStddev = 0.01
+    """m, of each ring beside the common range bias. In a real VLP-16, four of 16 rings were off by -14 to +19
+    mm and the others by less."""
+
+
+class Lidar3dSpec(StrictModel):
+    """A 3-D LiDAR of the rig."""
+
+    kind: Literal["lidar3d"] = "lidar3d"
+    topic: Name
+    """Topic of its messages; in a plain folder the sensor's folder."""
+    frame_id: Name | None = None
+    """The sensor's frame; that of its messages' headers if left out."""
+    clock_offset: ClockOffset | None = None
+    """The sensor's clock minus the root's, s, of a rig whose sensors have different clocks."""
+    noise: RangeNoise = RangeNoise()
+    uncertainty: Lidar3dUncertainty = Lidar3dUncertainty()
+
+
+LIDAR3D = SensorKind(
+    name="lidar3d",
+    title="3-D LiDAR",
+    spec=Lidar3dSpec,
+    messages=(PointCloud,),
+    types=("sensor_msgs/msg/PointCloud2", "cloud"),
+    detects="plane",
+    axes=LEVEL_AXES,
+    shape="rings",
+    color="#7db7ff",
+    default_name="lidar",
+    drafted_noise="{range: 0.02, angle: 0.001}",
+    residual="distance from the board",
+    noise_causes="check its range noise, and that its points are in m",
+    error_causes="its range and angle noise, and that its points are in m",
+)

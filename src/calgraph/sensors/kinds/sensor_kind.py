@@ -1,0 +1,68 @@
+"""What all code that is not of one wing needs to know of a kind of sensor."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+from calgraph.io.strict_model import StrictModel
+from calgraph.sensors.camera_model import CameraModel
+from calgraph.sensors.messages import Image, Message
+
+LEVEL_AXES = ("forward (x)", "sideways (y)", "height (z)", "roll (about x)", "pitch (about y)", "yaw (about z)")
+"""Names of the axes of a frame with x forward and z up."""
+OPTICAL_AXES = ("sideways (x)", "height (y)", "depth (z)", "pitch (about x)", "yaw (about y)", "roll (about z)")
+"""The same with z forward and y down."""
+
+
+def claims_none(_: Message) -> bool:
+    """Of kinds that are known from the type of a topic."""
+    return False
+
+
+@dataclass(frozen=True)
+class SensorKind:
+    """One kind of sensor."""
+
+    name: str
+    """As rig.yaml and calibration.yaml state it."""
+    title: str
+    """What people call it."""
+    spec: type[StrictModel]
+    """Its part of rig.yaml."""
+    messages: tuple[type[Message], ...]
+    """What it sends; the first is what else a message of this kind is called in errors."""
+    types: tuple[str, ...]
+    """Types of topics, of ROS and of plain folders, that are of this kind unless another kind claims them."""
+    detects: Literal["corners", "plane", "line"]
+    """What it measures of a board."""
+    axes: tuple[str, ...]
+    """Names of the six axes of its frame: along x, y, z, and about them."""
+    shape: Literal["frustum", "disc", "rings"]
+    """How its field of view is drawn."""
+    color: str
+    """In which it is drawn on a dark page."""
+    default_name: str
+    """Of a sensor whose topic has only generic parts."""
+    drafted_noise: str
+    """The noise that a drafted rig.yaml states."""
+    residual: str
+    """What its residuals on a board are called."""
+    noise_causes: str
+    """What to check where its measurements are noisier than stated,"""
+    error_causes: str
+    """and where its residuals contradict those of other sensors."""
+    claims: Callable[[Message], bool] = claims_none
+    """Whether a topic is of this kind by its first message, for any type of topic."""
+    convert: Callable[[Image, CameraModel], Message] | None = None
+    """What its images measured, with its intrinsics, of kinds whose images are not searched themselves. Raises
+    ValueError where an image has no such measurements."""
+
+    @property
+    def optical(self) -> bool:
+        """Whether its frame has z forward and y down."""
+        return self.axes == OPTICAL_AXES
+
+    @property
+    def measures_ranges(self) -> bool:
+        """Whether it measures distances, so that it may have a background."""
+        return self.detects != "corners"

@@ -1,0 +1,98 @@
+"""What rig.yaml states of sensors of several kinds: clocks, noise and prior standard deviations."""
+
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from pydantic import Discriminator, Field, Strict, Tag, model_validator
+
+from calgraph.geometry import Array
+from calgraph.io.quantities import AngleSigma, LengthStddev, RangeSigma, Ratio, TimeStddev
+from calgraph.io.strict_model import StrictModel, invalid
+from calgraph.sensors.intrinsics import Intrinsics
+from calgraph.sensors.names import Name
+
+
+def word_or_values(value: Any) -> str:
+    """Which of two forms a value has, for unions of a word and of values."""
+    return "word" if isinstance(value, str) else "values"
+
+
+# Clocks that count from the start of a computer are off by the time since 1970.
+_StatedOffset = Annotated[float, Strict(), Field(ge=-1e10, le=1e10, allow_inf_nan=False)]
+ClockOffset = Annotated[
+    Annotated[_StatedOffset, Tag("values")] | Annotated[Literal["estimate"], Tag("word")],
+    Discriminator(word_or_values),
+]
+"""A sensor's clock minus the root's, s; or ``estimate``, to find it from the motion of the board."""
+
+
+class RangeNoise(StrictModel):
+    """Noise of a scanner's beams (MSG-Cal, eqs. 7–9)."""
+
+    range: RangeSigma = 0.02
+    """Standard deviation along the beam, m."""
+    angle: AngleSigma = 0.001
+    """Standard deviation of the beam's direction, rad."""
+
+    def at(self, distance: float | Array) -> Array:
+        """Standard deviations (N,) of measurements at distances (N,), m: the same at all."""
+        return np.full(np.shape(distance), self.range)
+
+    def of_beams(self, ranges: Array, directions: Array) -> Array:  # noqa: ARG002
+        """Standard deviations (N,) of ranges (N,) along directions (N, 3), m."""
+        return np.full(len(ranges), self.range)
+
+    def error_shapes(self, ranges: Array, directions: Array) -> Array:  # noqa: ARG002
+        """(N, K) errors of ranges by each of the ``error_shapes`` of the uncertainty: none."""
+        return np.zeros((len(ranges), 0))
+
+
+class TimeUncertainty(StrictModel):
+    """What all sensors share."""
+
+    stamp_delay: TimeStddev = 0.02
+    """Seconds, by which it measures later than its stamps, relative to the root; only where the board moves.
+    Drivers stamp images when exposures begin or when they arrive, 5 to 30 ms off."""
+
+
+class RangeUncertainty(TimeUncertainty):
+    """What scanners with one and with several beams share."""
+
+    range_bias: LengthStddev = 0.02
+    """m, the same for all beams. Data sheets state ±30 mm (Velodyne VLP-16, SICK LMS1xx, Hokuyo UTM-30LX up to
+    10 m) to ±60 mm (SICK TiM), as limits: one and a half to three of these standard deviations."""
+    range_scale: Ratio = 0.003
+    """Relative. Clocks of scanners are better, but a linearity error of ±30 mm over 10 m has this slope.
+    Triangulating and cheap phase-shift scanners need 1 %: Hokuyo URG-04LX and RPLIDAR A1 state 1 % of the
+    range."""
+
+    def error_shapes(self) -> tuple[tuple[str, float], ...]:
+        """Names and prior standard deviations, m, of errors that vary over the view, of kinds that have any."""
+        return ()
+
+
+class OpticalSpec(StrictModel):
+    """What a sensor with a lens states."""
+
+    kind: str
+    topic: Name
+    """Image topic; in a plain folder the sensor's folder."""
+    camera_info: Name | None = None
+    """Topic with its intrinsics."""
+    intrinsics: Any = None
+    """The intrinsics, instead of a topic."""
+    frame_id: Name | None = None
+    """The sensor's frame; that of its messages' headers if left out."""
+    clock_offset: ClockOffset | None = None
+    """The sensor's clock minus the root's, s, of a rig whose sensors have different clocks."""
+
+    @model_validator(mode="after")
+    def _one_source(self) -> Self:
+        if self.camera_info is not None and self.intrinsics is not None:
+            raise invalid("", "give camera_info (a topic) or intrinsics, not both")
+        return self
+
+    @property
+    def stated_intrinsics(self) -> Intrinsics | None:
+        """The intrinsics, if they are stated."""
+        return self.intrinsics if isinstance(self.intrinsics, Intrinsics) else None
