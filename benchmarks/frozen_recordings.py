@@ -64,10 +64,7 @@ NETWORKS: Mapping[str, dict[str, Any]] = {
 }
 OUSTER: Mapping[str, object] = {
     **real_recordings.VLP16,
-    "sensors": {
-        "camera": {"kind": "camera", "topic": "camera"},
-        "lidar": {"kind": "lidar3d", "topic": "lidar"},
-    },
+    "sensors": {"camera": {"kind": "camera", "topic": "camera"}, "lidar": {"kind": "lidar3d", "topic": "lidar"}},
 }
 TWO_SCANNERS: Mapping[str, object] = {
     "root": "front",

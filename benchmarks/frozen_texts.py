@@ -18,8 +18,10 @@ from calgraph.errors import CalgraphError, Rejected
 from calgraph.result import Calibration
 from calgraph.result.sensor_pose import SensorPose
 
-LEFT_OUT = frozenset({"pictures", "provenance", "prior_errors", "residuals", "runtime", "seconds", "path"})
-"""Fields of results that hold pictures, the version, paths or durations; residuals are given as RMS."""
+LEFT_OUT = frozenset({
+    "pictures", "provenance", "prior_errors", "residuals", "runtime", "seconds", "path", "settings",
+})  # fmt: skip
+"""Fields with pictures, the version, paths, durations, or what was given; residuals are given as RMS."""
 KEYS: Mapping[str, Sequence[str]] = {
     "sensors": ("name", "sensor"),
     "systematic": ("of", "quantity"),

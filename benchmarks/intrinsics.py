@@ -61,8 +61,7 @@ LENSES = {
     "fisheye190": CameraOptions(field_of_view=190, model="fisheye", distortion=(-0.02, 0.008, -0.004, 5e-4)),
 }
 BOARD = Board(
-    size=(1.0, 1.0),
-    pattern=AprilGrid(kind="aprilgrid", columns=4, rows=4, tag_size=0.17, tag_spacing=0.3),
+    size=(1.0, 1.0), pattern=AprilGrid(kind="aprilgrid", columns=4, rows=4, tag_size=0.17, tag_spacing=0.3)
 )
 
 

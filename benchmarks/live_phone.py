@@ -161,16 +161,7 @@ def run(part: str, walk: Path, out: Path) -> Session:
         sent = sum(one.sent for one in publishers) if publishers else messages
     (out / "printed.txt").write_text("\n".join(live.lines), encoding="utf-8")
     return Session(
-        out / "session",
-        operator.looks,
-        operator.presses,
-        errors,
-        live.lines,
-        code,
-        offset,
-        sent,
-        title,
-        attacks,
+        out / "session", operator.looks, operator.presses, errors, live.lines, code, offset, sent, title, attacks
     )
 
 

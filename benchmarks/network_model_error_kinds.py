@@ -98,11 +98,7 @@ KINDS: Mapping[str, Kind] = {
         lambda cm: {"people": {"shape": "legs"}, "scanner": {"height": cm / 100}}, (15, 45, 60), "cm"
     ),
     "mixed_heights": Kind(
-        lambda cm: {
-            "people": {"shape": "legs"},
-            "scanner": {"height": 0.4},
-            "errors": {"height": cm / 100},
-        },
+        lambda cm: {"people": {"shape": "legs"}, "scanner": {"height": 0.4}, "errors": {"height": cm / 100}},
         (28,),
         "cm",
     ),

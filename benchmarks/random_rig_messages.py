@@ -13,7 +13,7 @@ from calgraph.geometry import Array, se3, so3
 from calgraph.recording.in_memory import MessageRecording
 from calgraph.sensors import CameraInfo, CameraModel, Image, Message, Trigger
 from calgraph.simulation import BoardErrors
-from calgraph.simulation.board_texture import render_board_texture
+from calgraph.simulation.camera_render import render_board_texture
 from calgraph.simulation.ideal_detections import as_scanner
 from calgraph.simulation.robot import MountedCamera, MountedScanner, RobotSensor
 from calgraph.simulation.scanners import laser_scan, point_cloud, simulate_ranges

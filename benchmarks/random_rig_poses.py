@@ -7,11 +7,11 @@ import numpy as np
 
 from calgraph.config import Board
 from calgraph.geometry import Array, se3, so3
-from calgraph.simulation.environment import build_room, operator_solids
 from calgraph.simulation.ideal_detections import as_scanner
 from calgraph.simulation.motion import BoardPlacement, pose_from_placement
 from calgraph.simulation.robot import MountedCamera, RobotSensor
 from calgraph.simulation.solids import BoxShape, CylinderShape, RectangleShape, Solid
+from calgraph.simulation.world import build_room, operator_solids
 from random_rig_boards import smallest_feature
 
 GEOMETRIES = ("varied", "parallel", "upright", "one place")

@@ -96,11 +96,7 @@ def _list_recordings(source: Source, scratch: Path, seeds: int) -> Iterator[Case
 
 TABLES: Mapping[str, Table] = {
     recordings.TABLE: Table(
-        ("damage of the recording", "form of the recording"),
-        ANSWERS,
-        recordings.KINDS,
-        FORMS,
-        _list_recordings,
+        ("damage of the recording", "form of the recording"), ANSWERS, recordings.KINDS, FORMS, _list_recordings
     ),
     media.TABLE: Table(
         ("damage of another recording", "form of another recording"),

@@ -63,14 +63,10 @@ DOCUMENTS: Sequence[Document] = (
     ),
     Document("tf.yaml", YAML_MUTATIONS, (("check", "rig.yaml", "problem.npz", "--against", "tf.yaml"),)),
     Document(
-        "rig.resolved.yaml",
-        YAML_MUTATIONS,
-        (("export", "calibration.yaml", "--format", "kalibr", "--force"),),
+        "rig.resolved.yaml", YAML_MUTATIONS, (("export", "calibration.yaml", "--format", "kalibr", "--force"),)
     ),
     Document(
-        "scenario.yaml",
-        YAML_MUTATIONS,
-        (("simulate", "rig", "--scenario", "scenario.yaml", "-o", "simulated"),),
+        "scenario.yaml", YAML_MUTATIONS, (("simulate", "rig", "--scenario", "scenario.yaml", "-o", "simulated"),)
     ),
     Document("board.yaml", YAML_MUTATIONS, (("init", "recording", "-o", "draft.yaml", "--board", "board.yaml"),)),
 )

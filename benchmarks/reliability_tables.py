@@ -41,10 +41,7 @@ def format_table(outcomes: Sequence[Outcome], head: str, key: Callable[[Outcome]
 
 def format_section(outcomes: Sequence[Outcome], heads: Sequence[str], columns: Columns) -> str:
     """The tables of one section of the page: by kind of damage or fault, and by what it was done to."""
-    keys: Mapping[str, Callable[[Outcome], str]] = {
-        heads[0]: lambda one: one.kind,
-        heads[1]: lambda one: one.form,
-    }
+    keys: Mapping[str, Callable[[Outcome], str]] = {heads[0]: lambda one: one.kind, heads[1]: lambda one: one.form}
     return "\n\n".join(format_table(outcomes, head, key, columns) for head, key in keys.items())
 
 

@@ -12,7 +12,7 @@ from scipy.sparse import csr_array
 
 from calgraph.geometry import Array, Index, so3
 from calgraph.geometry.se3 import relative_pose_jacobians
-from calgraph.rig.bundle.bundle_solver import RIG_ESTIMATION_HUBER_THRESHOLD, Bundle, BundleState, retract_state
+from calgraph.rig.bundle.bundle_solver import HUBER_THRESHOLD, Bundle, BundleState, retract_state
 from calgraph.rig.bundle.observations import LinearizedResiduals, relative_poses
 
 
@@ -30,7 +30,7 @@ class SparseProblem:
 
     def residuals(self, x: Array) -> Array:
         """(N,): of measurements, and of systematic parameters from their prior means."""
-        threshold = RIG_ESTIMATION_HUBER_THRESHOLD
+        threshold = HUBER_THRESHOLD
         measured = [stretched(r, J, threshold)[0].ravel() for r, J, _ in self._views(x)]
         extra = self._state(x).extra
         return np.concatenate([*measured, extra / self._prior_stddev])
@@ -39,7 +39,7 @@ class SparseProblem:
         """(N, G + 6 C)."""
         data, columns, rows, first = [], [], [], 0
         for r, J, column in self._views(x):
-            stretch = stretched(r, J, RIG_ESTIMATION_HUBER_THRESHOLD)[1].reshape(-1, J.shape[-1])
+            stretch = stretched(r, J, HUBER_THRESHOLD)[1].reshape(-1, J.shape[-1])
             data.append(stretch.ravel())
             columns.append(np.repeat(column, r.shape[1], axis=0).ravel())
             rows.append(np.repeat(first + np.arange(len(stretch)), J.shape[-1]))

@@ -22,7 +22,6 @@ from calgraph.geometry import Array, se3, so3
 from calgraph.rig.captures.detectors import make_detectors
 from calgraph.rig.detection.capture_background import learn_capture_background
 from calgraph.sensors import PointCloud
-from calgraph.simulation.environment import board_solid, build_room, operator_solids
 from calgraph.simulation.motion import BoardPlacement, pose_from_placement
 from calgraph.simulation.scanners import (
     BeamPattern,
@@ -34,10 +33,10 @@ from calgraph.simulation.scanners import (
     spinning_pattern,
 )
 from calgraph.simulation.solids import BoxShape, Solid
+from calgraph.simulation.world import board_solid, build_room, operator_solids
 
 _BOARD: Final = Board(
-    size=(1.0, 0.8),
-    pattern=Checkerboard(kind="checkerboard", columns=8, rows=6, square=0.1, center=(0.0, 0.0)),
+    size=(1.0, 0.8), pattern=Checkerboard(kind="checkerboard", columns=8, rows=6, square=0.1, center=(0.0, 0.0))
 )
 _NOISE: Final = SimulatedBeamNoise(
     range=0.012, angle=0.001, mixed_pixels=0.3, dropout=0.01, min_range=0.1, max_range=40.0

@@ -52,9 +52,7 @@ VOCABULARY = {
     r"amidst|whilst|thereof|therein|hereby|wherein|whereby|upon|lest|unto": "plain words",
 }  # fmt: skip
 """Expressions, as regular expressions, that no text contains, and what to write instead."""
-ALLOWED = {
-    (f"{SOURCE}result/scene.py", "/seen"): "a member of scene.npz, see docs/formats.md",
-}
+ALLOWED = {(f"{SOURCE}result/scene.py", "/seen"): "a member of scene.npz, see docs/formats.md"}
 """Expressions that are right in one place: file and words around them, with the reason."""
 MAX_WORDS = 40
 """Of a sentence."""

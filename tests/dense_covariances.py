@@ -3,7 +3,7 @@
 import numpy as np
 
 from calgraph.geometry import Array
-from calgraph.network.joint.near_covariances import NearCovariances
+from calgraph.network.joint.planar_poses import NearCovariances
 
 
 def relate_all(covariance: Array, count: int) -> NearCovariances:

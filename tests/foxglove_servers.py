@@ -52,9 +52,7 @@ async def subscriptions(connection: ServerConnection) -> dict[int, int]:
 
 @asynccontextmanager
 async def foxglove_server(
-    talk: Callable[[ServerConnection], Awaitable[None]],
-    subprotocol: str = "foxglove.websocket.v1",
-    **options: Any,
+    talk: Callable[[ServerConnection], Awaitable[None]], subprotocol: str = "foxglove.websocket.v1", **options: Any
 ) -> AsyncIterator[str]:
     """Serves connections with ``talk``; its address."""
 

@@ -13,7 +13,7 @@ from calgraph.network.joint.problem import BodyObservations, BodyPath, BodyScans
 from calgraph.network.joint.range_noise import MIN_COS_INCIDENCE
 from calgraph.network.joint.solver import optimize_network
 from calgraph.network.joint.splines import Knots
-from calgraph.network.pairs.scanner_pair import NETWORK_ESTIMATION_CLOCK_SIGMA
+from calgraph.network.pairs.scanner_pair import CLOCK_SIGMA
 from network_scenes import DENSITY, EXACT, LOSS, OFFSET, SETTINGS, SIGMA, T_ROOT, simulate_scans
 
 SECONDS = 24.0
@@ -49,7 +49,7 @@ def solve_two_walks(rng: np.random.Generator, change: Change = no_change) -> Sol
         (),
         np.full(3, SIGMA),
         np.array([0.0005, 0.002]) ** 2,
-        NETWORK_ESTIMATION_CLOCK_SIGMA,
+        CLOCK_SIGMA,
         EXACT,
         MIDDLE,
         DENSITY,

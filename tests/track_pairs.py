@@ -3,14 +3,8 @@
 import numpy as np
 
 from calgraph.geometry import Array, se2
-from calgraph.network.pairs.synchronized_tracks import (
-    RESAMPLING_TICK_PERIOD,
-    SimultaneousPairs,
-    TrackSamples,
-    pair_samples,
-)
+from calgraph.network.pairs.synchronized_tracks import TICK_PERIOD, SimultaneousPairs, TrackSamples, pair_samples
 
-TICK_PERIOD = RESAMPLING_TICK_PERIOD
 T_A_B = se2.pose(2.1, np.array([5.0, 1.5]))
 
 

@@ -14,8 +14,8 @@ _NAMES = {
     "calgraph.rig.captures.detect": "CaptureSet",
     "calgraph.rig.captures.from_detections": "captures_from_detections",
     "calgraph.config": (
-        "Board CameraSpec Cylinder Intrinsics Lidar2dSpec Lidar3dSpec People PixelNoise RangeNoise Rig Tag "
-        "load_rig"
+        "Board CameraSpec Cylinder DepthCameraSpec Intrinsics Lidar2dSpec Lidar3dSpec People PixelNoise "
+        "RangeNoise Rig Tag load_rig"
     ),
     "calgraph.boards.detections": "BoardCorners PlanePatch Segment",
     "calgraph.rig.detection.from_measurements": (

@@ -6,6 +6,7 @@ from calgraph.boards.detections import Segment as Segment
 from calgraph.config import Board as Board
 from calgraph.config import CameraSpec as CameraSpec
 from calgraph.config import Cylinder as Cylinder
+from calgraph.config import DepthCameraSpec as DepthCameraSpec
 from calgraph.config import Intrinsics as Intrinsics
 from calgraph.config import Lidar2dSpec as Lidar2dSpec
 from calgraph.config import Lidar3dSpec as Lidar3dSpec

@@ -130,8 +130,7 @@ def test_calibrate_has_few_parameters_and_hides_former_options() -> None:
 
 
 @pytest.mark.parametrize(
-    ("error", "code"),
-    [(CalibrationError("why"), 1), (InputError("why"), 2), (RecordingError("why"), 2)],
+    ("error", "code"), [(CalibrationError("why"), 1), (InputError("why"), 2), (RecordingError("why"), 2)]
 )
 def test_expected_errors_have_their_exit_code(error: BaseException, code: int) -> None:
     assert guarded_exit(error).exit_code == code

@@ -163,5 +163,5 @@ def test_a_second_run_takes_corners_from_the_cache(
         return found.camera
 
     first = calibrate()
-    monkeypatch.delattr("calgraph.rig.intrinsics.pipeline.find_views_in_holds")
+    monkeypatch.delattr("calgraph.rig.intrinsics.pipeline.search_holds")
     assert np.array_equal(calibrate().intrinsics, first.intrinsics)

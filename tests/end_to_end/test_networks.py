@@ -68,10 +68,12 @@ def test_deviations_of_a_real_recording_cover_its_errors(data_dir: Path) -> None
     assert two_scanners(recording)["rear"].verdict.grade == "weak"
 
 
-def test_averaged_poses_replace_a_joint_solution_whose_model_is_refuted(data_dir: Path) -> None:
+def test_averaged_poses_replace_a_joint_solution_whose_model_is_refuted(
+    data_dir: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The noise of ranges at people reaches 2 % of its limit."""
-    settings = {"diagnostics": {"network": {"model": {"limit_share": 0.02}}}}
-    rig = Rig.model_validate({**TWO, "settings": settings})
+    monkeypatch.setattr("calgraph.network.checks.model_assessment._LIMIT_SHARE", 0.02)
+    rig = Rig.model_validate(TWO)
     with open_recording(data_dir / "two-static-2d-lidars-moving-object" / FORMATS[0]) as recording:
         found = calibrate(rig, recording, NetworkOptions())
         averaged = calibrate(rig, recording, NetworkOptions(estimator="averaging"))

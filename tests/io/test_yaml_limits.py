@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from calgraph.config.rig_file import load_rig
+from calgraph.config.rig_config import load_rig
 from calgraph.errors import InputError
 from calgraph.io.yaml_limits import MAX_DEPTH, MAX_NUMBER_LENGTH, MAX_RIG_VALUES, check_yaml_limits
 from calgraph.io.yaml_reading import read_documents, read_yaml, validate_content

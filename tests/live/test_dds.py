@@ -85,8 +85,7 @@ def test_a_topic_that_nothing_publishes_is_missing(domain: int) -> None:
 
 
 @pytest.mark.parametrize(
-    "name",
-    ["Image", "CompressedImage", "CameraInfo", "LaserScan", "MultiEchoLaserScan", "PointCloud2", "Imu"],
+    "name", ["Image", "CompressedImage", "CameraInfo", "LaserScan", "MultiEchoLaserScan", "PointCloud2", "Imu"]
 )
 def test_types_of_sensors_have_the_names_that_ros_gives_them(name: str) -> None:
     made = make_dds_type(f"sensor_msgs/msg/{name}")

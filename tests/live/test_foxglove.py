@@ -189,10 +189,7 @@ def test_the_older_bridge_serves_ros1_and_ros2(
 
 
 def receive(
-    *frames: str | bytes,
-    topics: tuple[str, ...] = ("/trigger",),
-    enough: Any,
-    settings: ConnectionSettings = FAST,
+    *frames: str | bytes, topics: tuple[str, ...] = ("/trigger",), enough: Any, settings: ConnectionSettings = FAST
 ) -> list[LiveMessage | Notice]:
     """What a client makes of frames that a server sends one after the other."""
 

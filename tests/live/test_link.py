@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calgraph.live.link import draw_qr_code, format_link, list_links
-from calgraph.live.refusals import Refusals
+from calgraph.live.page_app import Refusals
 from calgraph.live.server import PageServer
 
 

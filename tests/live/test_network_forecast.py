@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from calgraph.config.settings import LiveNetworkSettings
-from calgraph.live.network_forecast import Forecast
+from calgraph.live.network_session import Forecast
 from calgraph.live.network_solution import LiveNetworkSolution, ScannerSolution
 
 

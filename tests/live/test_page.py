@@ -14,7 +14,7 @@ import pytest
 from playwright.sync_api import Browser, Page, sync_playwright
 
 from calgraph.config.settings import PageSettings
-from calgraph.live.scene_view import SceneFrame, SceneView, encode_scene
+from calgraph.live.rig_session import SceneFrame, SceneView, encode_scene
 from calgraph.live.state import Advice, CaptureEvent, RecorderState, SensorState, SessionState
 from live_pages import PATIENCE, GivenSession, ServedPage
 

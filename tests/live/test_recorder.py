@@ -52,10 +52,7 @@ def block(number: int, size: int) -> LiveMessage:
 
 
 def record(
-    folder: Path,
-    messages: list[LiveMessage],
-    settings: RecorderSettings = USUAL,
-    limits: LimitSettings = FREE,
+    folder: Path, messages: list[LiveMessage], settings: RecorderSettings = USUAL, limits: LimitSettings = FREE
 ) -> RecorderState:
     async def run() -> RecorderState:
         recorder = Recorder(folder, settings, limits)

@@ -18,7 +18,7 @@ from websockets.typing import Origin
 
 from calgraph.config.settings import PageSettings
 from calgraph.errors import InputError
-from calgraph.live.refusals import Refusal
+from calgraph.live.page_app import Refusal
 from calgraph.live.state import SensorState, SessionState
 from live_pages import PATIENCE, GivenSession, ServedPage
 

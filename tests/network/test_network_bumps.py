@@ -26,10 +26,10 @@ def halls() -> tuple[Calibration, GroundTruth]:
     scenario = NetworkScenario.model_validate({"layout": "halls", "errors": {"bump_turn": 3.0}})
     network = build_network(scenario, 1)
     rig = network_rig(network)
-    settings = {"tracking": {"stationarity": {"min_points": 10_000}}}
-    rig = rig.model_validate({**rig.model_dump(), "settings": settings})
     scans = {rig.topics[one.name]: list(simulate_scans(network, one)) for one in network.scanners}
-    found = calibrate(rig, MessageRecording(scans), NetworkOptions(estimator="averaging"))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("calgraph.network.tracking.stationarity._MIN_POINTS", 10_000)
+        found = calibrate(rig, MessageRecording(scans), NetworkOptions(estimator="averaging"))
     return found, network_truth(network)
 
 

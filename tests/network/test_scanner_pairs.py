@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calgraph.config import Lidar2dSpec, People, Rig
-from calgraph.config.settings import Settings, TrackingSettings
+from calgraph.config.settings import TrackingSettings
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se3
 from calgraph.network import scanner_pairs
@@ -172,8 +172,7 @@ def test_mirrored_tracks_that_match_by_chance_invert_no_scanner(
 ) -> None:
     """Two scanners have the least evidence, unless a match by chance is expected of every pair."""
     rig, tracked, _ = lab
-    chance = {"pairwise": {"scanners": {"hypotheses": {"chance": {"rate": rate}}}}}
-    rig = rig.model_copy(update={"settings": Settings.model_validate(chance)})
+    monkeypatch.setattr("calgraph.network.pairs.hypothesis_evidence._RATE", rate)
     mirrored = ClockMountingHypothesis("scanner_1", LATE, True, 0.0, 0.05, 80.0, 0.0, 1.0)
     monkeypatch.setattr(scanner_pairs, "search_clocks_and_mountings", lambda *_args, **_options: [mirrored])
     tracked = {name: tracked[name] for name in ("scanner_1", LATE)}

@@ -80,10 +80,7 @@ def test_an_error_of_a_call_is_raised_where_its_result_is_wanted(jobs: int) -> N
 
 
 def test_a_killed_process_of_a_call_is_reported() -> None:
-    with (
-        pytest.raises(CalibrationError, match=r"killed.*reduce `jobs`"),
-        parallel_call(killed, (1,), 2) as result,
-    ):
+    with pytest.raises(CalibrationError, match=r"killed.*reduce `jobs`"), parallel_call(killed, (1,), 2) as result:
         result()
 
 

@@ -16,7 +16,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from calgraph.errors import RecordingError
 from calgraph.recording import open_recording
-from calgraph.recording.digest import hash_content
+from calgraph.recording.content_hash import hash_content
 from calgraph.recording.images import decode_image
 
 MakeBag = Callable[..., Path]

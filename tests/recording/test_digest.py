@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calgraph.recording.digest import hash_array, hash_content, hash_file
+from calgraph.recording.content_hash import hash_array, hash_content, hash_file
 
 DATA = np.random.default_rng(0).integers(0, 256, 10_000, dtype=np.uint8)
 

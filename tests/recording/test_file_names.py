@@ -48,10 +48,7 @@ def test_the_number_that_differs_counts_poses(names: list[str], numbers: list[in
 
 @pytest.mark.parametrize(
     ("name", "stamp"),
-    [
-        ("left_1773380642793311604", 1773380642.793311604),
-        ("cam2_1773380642.5_raw", 1773380642.5),
-    ],
+    [("left_1773380642793311604", 1773380642.793311604), ("cam2_1773380642.5_raw", 1773380642.5)],
 )
 def test_times_within_names_are_times(name: str, stamp: float) -> None:
     assert interpret_names([name]) == NamedFiles("times", {name: stamp})

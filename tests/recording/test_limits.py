@@ -17,8 +17,7 @@ from calgraph.io.image_headers import has_several_scans, read_image_size
 from calgraph.recording import open_recording
 from calgraph.recording.bag_files import decompress_message
 from calgraph.recording.images import decode_image
-from calgraph.recording.pcd import read_pcd
-from calgraph.recording.ply import read_ply
+from calgraph.recording.pcd import read_pcd, read_ply
 
 PCD = "FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 1\nHEIGHT 1\nPOINTS 1\nDATA binary\n"
 PLY_HEADER = (

@@ -5,8 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calgraph.recording.pcd import decompress_lzf, read_pcd
-from calgraph.recording.ply import read_ply
+from calgraph.recording.pcd import decompress_lzf, read_pcd, read_ply
 from calgraph.recording.point_cloud_columns import cloud_from_columns
 
 POINTS = np.array(

@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from calgraph.config import AprilGrid, Board, Charuco, Checkerboard, Tag
-from calgraph.simulation.board_texture import render_board_texture
+from calgraph.simulation.camera_render import render_board_texture
 
 
 def to_image(face: np.ndarray) -> np.ndarray:

@@ -8,7 +8,6 @@ from pupil_apriltags import Detector
 from calgraph.config import Board, Checkerboard, Tag
 from calgraph.geometry import Array, se3, so3
 from calgraph.simulation import CameraOptions, RigScenario
-from calgraph.simulation.board_texture import render_board_texture
 from calgraph.simulation.camera_render import (
     Gray,
     PrintedBoard,
@@ -18,6 +17,7 @@ from calgraph.simulation.camera_render import (
     build_texture_pyramid,
     draw_board_and_operator,
     draw_noise_pool,
+    render_board_texture,
 )
 from calgraph.simulation.motion import draw_placements, pose_from_placement
 from calgraph.simulation.robot import camera_model

@@ -67,11 +67,7 @@ _AMBIGUITY_CHI2 = 9.0
 
 
 def fit_pose(
-    ids: NDArray[np.intp],
-    corners: Array,
-    pixels: Array,
-    camera: CameraModel,
-    sigma: float,
+    ids: NDArray[np.intp], corners: Array, pixels: Array, camera: CameraModel, sigma: float
 ) -> BoardPose | Rejected:
     """One PnP over all corners of all marks, with rejection of outliers.
 

@@ -17,7 +17,7 @@ from rich.markup import escape
 
 from calgraph.cli.console import console
 from calgraph.cli.lazy_commands import LazyCommand, lazy_group
-from calgraph.cli.step_log import VerboseOption, log_steps
+from calgraph.cli.progress import VerboseOption, log_steps
 from calgraph.errors import CalgraphError, CalibrationError, InputError
 
 _BROKEN_PIPE = 128 + 13
@@ -78,11 +78,7 @@ SIMULATIONS = {
     ),
 }
 
-app = typer.Typer(
-    cls=lazy_group(COMMANDS, handle_errors),
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-)
+app = typer.Typer(cls=lazy_group(COMMANDS, handle_errors), no_args_is_help=True, pretty_exceptions_enable=False)
 simulate = typer.Typer(
     cls=lazy_group(SIMULATIONS, handle_errors), no_args_is_help=True, help="Simulate recordings with ground truth."
 )

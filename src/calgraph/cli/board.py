@@ -42,8 +42,7 @@ def board_options(
     size: Annotated[
         str | None,
         typer.Option(
-            metavar="WxH",
-            help="Of the board, mm; if left out, as large as the paper given, or 1200x900 without.",
+            metavar="WxH", help="Of the board, mm; if left out, as large as the paper given, or 1200x900 without."
         ),
     ] = None,
     paper: Annotated[
@@ -56,13 +55,11 @@ def board_options(
         ),
     ] = None,
     tile: Annotated[
-        str | None,
-        typer.Option(metavar="PAPER", help="Spread the board over pages of this paper, to be joined."),
+        str | None, typer.Option(metavar="PAPER", help="Spread the board over pages of this paper, to be joined.")
     ] = None,
     overlap: Annotated[float, typer.Option(metavar="MM", help="Overlap of pages to be joined, mm.")] = 10.0,
     into: Annotated[
-        Path | None,
-        typer.Option(metavar="RIG", help="Also replace the target: of this rig.yaml."),
+        Path | None, typer.Option(metavar="RIG", help="Also replace the target: of this rig.yaml.")
     ] = None,
     **options: Any,
 ) -> None:

@@ -17,9 +17,7 @@ _UNITS = {"MB": 10**6, "GB": 10**9}
 _QUANTITY = re.compile(r"(\d{1,6}(?:\.\d{1,6})?)\s*(MB|GB)")
 
 
-def cache(
-    clear: Annotated[bool, typer.Option("--clear", help="Remove everything from it.")] = False,
-) -> None:
+def cache(clear: Annotated[bool, typer.Option("--clear", help="Remove everything from it.")] = False) -> None:
     """Show where detections are kept for later runs, and their size; or remove them.
 
     Runs on the same recording reuse them, with the same results.

@@ -55,9 +55,7 @@ def calibrate(
     extend: Annotated[
         Path | None,
         typer.Option(
-            metavar="OLD",
-            help="People: combine with this earlier calibration.yaml.",
-            rich_help_panel=EARLIER,
+            metavar="OLD", help="People: combine with this earlier calibration.yaml.", rich_help_panel=EARLIER
         ),
     ] = None,
     moved: Annotated[

@@ -55,8 +55,7 @@ def check(
     tolerance: Annotated[
         tuple[float, float] | None,
         typer.Option(
-            metavar="M DEG",
-            help="Acceptable errors, m and degrees. [default: that of RIG.yaml, or 0.01 0.3]",
+            metavar="M DEG", help="Acceptable errors, m and degrees. [default: that of RIG.yaml, or 0.01 0.3]"
         ),
     ] = None,
     out: Annotated[

@@ -80,9 +80,7 @@ ClusterOption = Annotated[
 NoCacheOption = Annotated[
     bool,
     typer.Option(
-        "--no-cache",
-        help="Detect the target again, and keep nothing for later runs.",
-        rich_help_panel=TUNING,
+        "--no-cache", help="Detect the target again, and keep nothing for later runs.", rich_help_panel=TUNING
     ),
 ]
 EstimatorChoice = Literal["joint", "published"]

@@ -111,10 +111,7 @@ def _collect(
 
 
 def _write_overview(
-    plans: "Sequence[RobotPlan]",
-    results: "dict[RecordingTask, RecordingResult]",
-    config: FleetConfig,
-    out: Path,
+    plans: "Sequence[RobotPlan]", results: "dict[RecordingTask, RecordingResult]", config: FleetConfig, out: Path
 ) -> "tuple[RobotResult, ...]":
     from calgraph.fleet.page import write_page
     from calgraph.fleet.run import collect_robots

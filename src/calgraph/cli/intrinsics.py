@@ -43,12 +43,10 @@ _SUMMARY = "intrinsics.json"
 
 def intrinsics(
     board: Annotated[
-        Path,
-        typer.Argument(metavar="RIG.yaml", help="The rig; or the target alone, as calgraph board prints it."),
+        Path, typer.Argument(metavar="RIG.yaml", help="The rig; or the target alone, as calgraph board prints it.")
     ],
     recordings: Annotated[
-        list[str],
-        typer.Argument(metavar="RECORDING...", help="Anything that calibrate reads, with images."),
+        list[str], typer.Argument(metavar="RECORDING...", help="Anything that calibrate reads, with images.")
     ],
     out: Annotated[Path, typer.Option("--out", "-o", metavar="OUT", help="Folder for the results.")],
     camera: Annotated[

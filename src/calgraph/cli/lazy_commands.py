@@ -10,7 +10,7 @@ from typing import Any
 import typer
 from typer.core import TyperArgument, TyperCommand, TyperGroup
 
-from calgraph.cli.step_log import VerboseOption, log_steps
+from calgraph.cli.progress import VerboseOption, log_steps
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,9 @@ import logging
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import Annotated
 
+import typer
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
 from calgraph.cli.console import console
@@ -55,3 +57,24 @@ def progress_bars() -> Iterator[Callable[[str, float], None]]:
     finally:
         bars.stop()
         remove_cleanup(bars)
+
+
+VerboseOption = Annotated[
+    bool, typer.Option("--verbose", "-v", help="Log each step with counts and times on stderr.")
+]
+
+
+def log_steps() -> None:
+    """Shows what is logged from now on, each line with the time since then."""
+    began = time.time()
+
+    def add_time(record: logging.LogRecord) -> bool:
+        record.since = record.created - began
+        return True
+
+    handler = logging.StreamHandler()
+    handler.addFilter(add_time)
+    handler.setFormatter(logging.Formatter("calgraph: %(since)6.1f s  %(message)s"))
+    root = logging.getLogger()
+    root.handlers[:] = [handler]
+    root.setLevel(logging.INFO)

@@ -4,14 +4,23 @@ from calgraph.config.board_print import PrintedBitmap, black_rectangles, printed
 from calgraph.config.draft import FoundBackground, FoundMode, FoundTopic, Kind, draft_rig, find_triggers
 from calgraph.config.fleet_config import ChangeRules, FleetConfig, load_fleet
 from calgraph.config.markers import FAMILIES, Family, dictionary, marker_count
-from calgraph.config.rig_config import Capture, CaptureMode, Rig
-from calgraph.config.rig_file import load_rig
-from calgraph.config.target import AprilGrid, Board, Charuco, Checkerboard, Cylinder, People, Tag
-from calgraph.config.uncertainty import BoardUncertainty, Tolerance
+from calgraph.config.rig_config import Capture, CaptureMode, Rig, load_rig
+from calgraph.config.target import (
+    AprilGrid,
+    Board,
+    BoardUncertainty,
+    Charuco,
+    Checkerboard,
+    Cylinder,
+    People,
+    Tag,
+    Tolerance,
+)
 from calgraph.sensors.intrinsics import Intrinsics
 from calgraph.sensors.kinds import (
     CameraSpec,
     CameraUncertainty,
+    DepthCameraSpec,
     Lidar2dSpec,
     Lidar2dUncertainty,
     Lidar3dSpec,
@@ -23,9 +32,9 @@ from calgraph.sensors.kinds import (
 
 __all__ = [
     "FAMILIES", "AprilGrid", "Board", "BoardUncertainty", "CameraSpec", "CameraUncertainty", "Capture",
-    "CaptureMode", "ChangeRules", "Charuco", "Checkerboard", "Cylinder", "Family", "FleetConfig",
-    "FoundBackground", "FoundMode", "FoundTopic", "Intrinsics", "Kind", "Lidar2dSpec", "Lidar2dUncertainty",
-    "Lidar3dSpec", "Lidar3dUncertainty", "People", "PixelNoise", "PrintedBitmap", "RangeNoise", "Rig",
-    "SensorSpec", "Tag", "Tolerance", "black_rectangles", "dictionary", "draft_rig", "find_triggers",
-    "load_fleet", "load_rig", "marker_count", "printed_bitmaps",
+    "CaptureMode", "ChangeRules", "Charuco", "Checkerboard", "Cylinder", "DepthCameraSpec", "Family",
+    "FleetConfig", "FoundBackground", "FoundMode", "FoundTopic", "Intrinsics", "Kind", "Lidar2dSpec",
+    "Lidar2dUncertainty", "Lidar3dSpec", "Lidar3dUncertainty", "People", "PixelNoise", "PrintedBitmap",
+    "RangeNoise", "Rig", "SensorSpec", "Tag", "Tolerance", "black_rectangles", "dictionary", "draft_rig",
+    "find_triggers", "load_fleet", "load_rig", "marker_count", "printed_bitmaps",
 ]  # fmt: skip

@@ -10,7 +10,7 @@ from calgraph.io.quantities import DegreeLimit, LengthLimit
 from calgraph.io.strict_model import StrictModel, invalid
 from calgraph.io.yaml_limits import MAX_VALUES
 from calgraph.io.yaml_reading import read_yaml, validate_content
-from calgraph.sensors.names import CONTROL_CHARACTERS
+from calgraph.sensors.kinds.stated import CONTROL_CHARACTERS
 
 _ROBOT_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,99}")
 """Names of robots are those of folders, and parts of links."""

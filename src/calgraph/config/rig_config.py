@@ -1,18 +1,20 @@
 """The rig: its sensors with their noise, its target, and how captures are marked in the recording."""
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, Strict, model_validator
 
 from calgraph.config.board_ambiguity import check_boards_distinguishable
 from calgraph.config.settings import Settings
-from calgraph.config.target import Board, Cylinder, People, Target
-from calgraph.config.uncertainty import Tolerance
+from calgraph.config.target import Board, Cylinder, People, Target, Tolerance
 from calgraph.io.strict_model import StrictModel, invalid, limit_to
+from calgraph.io.yaml_limits import MAX_RIG_VALUES
+from calgraph.io.yaml_reading import read_yaml, validate_content
 from calgraph.sensors import CameraModel
 from calgraph.sensors.kinds import CameraSpec, SensorSpec
-from calgraph.sensors.names import Name
+from calgraph.sensors.kinds.stated import Name
 
 _POSITIVE = Field(gt=0, allow_inf_nan=False)
 Seconds = Annotated[float, Strict(), Field(ge=0, allow_inf_nan=False)]
@@ -165,3 +167,14 @@ class Rig(StrictModel):
     def to_plain(self) -> dict[str, Any]:
         """All keys, defaults included, as plain values for rig.resolved.yaml."""
         return self.model_dump(mode="json", exclude_none=True)
+
+
+def load_rig(path: Path | str) -> Rig:
+    """Reads a rig.yaml.
+
+    Raises:
+        InputError: the file is missing, is not YAML, has more values than any rig needs, or has invalid keys
+            or values, each on one line.
+    """
+    path = Path(path)
+    return validate_content(Rig, read_yaml(path, MAX_RIG_VALUES), path)

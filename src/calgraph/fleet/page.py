@@ -11,13 +11,7 @@ from calgraph.config import ChangeRules
 from calgraph.fleet.changes import Comparison, SensorChange
 from calgraph.fleet.recording_result import RecordingResult
 from calgraph.fleet.run import RobotResult
-from calgraph.fleet.wording import (
-    STATE_WORDS,
-    describe_robot,
-    format_change,
-    format_turn,
-    summarize_fleet,
-)
+from calgraph.fleet.wording import STATE_WORDS, describe_robot, format_change, format_turn, summarize_fleet
 from calgraph.io.atomic import write_text
 from calgraph.report.formatting import escape_html, format_count
 

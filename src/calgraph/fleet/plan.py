@@ -9,7 +9,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Literal
 
-from calgraph.calibrate.provenance import hash_input
+from calgraph.calibrate.result_files import hash_input
 from calgraph.config import FleetConfig
 from calgraph.recording.content_hash import hash_text
 

@@ -10,8 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from calgraph.calibrate.dispatch import calibrate
-from calgraph.calibrate.provenance import make_provenance
-from calgraph.calibrate.result_files import format_comparison, write_results
+from calgraph.calibrate.result_files import format_comparison, make_provenance, write_results
 from calgraph.config import Rig, load_rig
 from calgraph.fleet.plan import RecordingTask
 from calgraph.fleet.pose_set import PoseSet

@@ -38,9 +38,7 @@ _MAX_INLIER_ANGLE = float(np.radians(5))
 
 
 def average_poses_by_rotations(
-    graph: PoseGraph,
-    weights: Array | None = None,
-    method: RotationAveraging = "l1mc",
+    graph: PoseGraph, weights: Array | None = None, method: RotationAveraging = "l1mc"
 ) -> PoseGraphSolution:
     """Poses of all nodes: rotations by a published averaging, translations over the edges whose rotations agree.
 

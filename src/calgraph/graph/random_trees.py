@@ -66,11 +66,7 @@ _MIN_VOTE_GAIN = 0.5
 
 
 def improve_by_votes(
-    graph: PoseGraph,
-    weights: Array,
-    T_root_node: Array,
-    gate: float,
-    rng: np.random.Generator,
+    graph: PoseGraph, weights: Array, T_root_node: Array, gate: float, rng: np.random.Generator
 ) -> Array:
     """Moves single nodes to the pose that an edge of a neighbour predicts where more of their edges then agree.
 

@@ -17,7 +17,7 @@ from calgraph.graph.cycles import Cycle, find_cycle_basis, incidence_matrix, lis
 from calgraph.graph.graph_optimization import assemble_blocks, solve_sparse
 from calgraph.graph.pose_graph import Edges, PoseGraph
 from calgraph.graph.random_trees import compute_tree_poses
-from calgraph.graph.tree_cuts import find_minimum_tree
+from calgraph.graph.spanning_tree import find_minimum_tree
 
 # Up to this number of rows, all eigenvectors are computed by a dense solver; above, the leading ones only.
 _MAX_DENSE = 300
@@ -35,9 +35,7 @@ _LINEARIZATIONS = 4
 
 
 def average_rotations_l1mc(
-    graph: PoseGraph,
-    weights: Array | None = None,
-    transitivity: Literal["cycles", "triangles"] = "cycles",
+    graph: PoseGraph, weights: Array | None = None, transitivity: Literal["cycles", "triangles"] = "cycles"
 ) -> Array:
     """Robust rotation averaging without start values (Quenzel, Papenberg, Behnke, 2016, Algorithm 1).
 

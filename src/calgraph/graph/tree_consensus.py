@@ -13,7 +13,7 @@ from calgraph.graph.cycles import OUTLIER_PROBABILITY, edge_support, find_cycle_
 from calgraph.graph.graph_optimization import optimize_poses, optimize_poses_robustly
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution, chi_squared
 from calgraph.graph.random_trees import compute_tree_poses, improve_by_votes
-from calgraph.graph.tree_cuts import find_minimum_tree
+from calgraph.graph.spanning_tree import find_minimum_tree
 
 # Cost factor that excludes an edge from a tree wherever there is another path.
 _EXCLUDED = 1e9
@@ -41,11 +41,7 @@ _MAX_REFINED_TREES = 6
 _TREE_GATE_FACTOR = 9.0
 
 
-def average_poses(
-    graph: PoseGraph,
-    rng: np.random.Generator,
-    weights: Array | None = None,
-) -> PoseGraphSolution:
+def average_poses(graph: PoseGraph, rng: np.random.Generator, weights: Array | None = None) -> PoseGraphSolution:
     """The node poses that most pairs agree with, without start values, optimized over the inliers.
 
     Args:
@@ -96,10 +92,7 @@ def _draw_edge_costs(graph: PoseGraph, weights: Array, count: int, rng: np.rando
     Support is biased: outliers that agree with each other in a triangle have more of it than inliers in a long
     cycle. The first tree is the one of least total cost: in a large graph, the shortest paths contain outliers.
     """
-    cycles = (
-        *find_cycle_basis(graph.count, graph.edges),
-        *find_cycles_through_edges(graph, _CYCLE_ROUNDS, rng),
-    )
+    cycles = (*find_cycle_basis(graph.count, graph.edges), *find_cycles_through_edges(graph, _CYCLE_ROUNDS, rng))
     randomness = np.linspace(0, 1, count)[:, None]
     cost = (weights * edge_support(graph, cycles)) ** (-_SUPPORT_EXPONENT * (1 - randomness))
     costs = np.asarray(cost * (1 - randomness + randomness * rng.exponential(size=(count, len(graph.edges)))))
@@ -108,11 +101,7 @@ def _draw_edge_costs(graph: PoseGraph, weights: Array, count: int, rng: np.rando
 
 
 def _refine_tree(
-    graph: PoseGraph,
-    weights: Array,
-    T_root_node: Array,
-    gate: float,
-    rng: np.random.Generator,
+    graph: PoseGraph, weights: Array, T_root_node: Array, gate: float, rng: np.random.Generator
 ) -> Array:
     """Poses that fit the inliers of a tree, after votes and robust least squares or directly: the better set.
 

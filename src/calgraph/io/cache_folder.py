@@ -72,11 +72,7 @@ class CacheFolder:
             raise InputError(f"{self.path}: cannot be written ({error.strerror or error})") from error
         # Most of it are JPEGs and measured values, which hardly get smaller.
         write_archive(
-            self._file(key),
-            _STRUCTURE,
-            {**content, "format": format, "key": key},
-            arrays,
-            compression=ZIP_STORED,
+            self._file(key), _STRUCTURE, {**content, "format": format, "key": key}, arrays, compression=ZIP_STORED
         )
         self._limit_size()
 

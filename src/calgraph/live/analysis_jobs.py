@@ -76,11 +76,7 @@ def learn_live_background(rig: Rig, name: str, decoders: Sequence[Decoder]) -> B
 
 
 def encode_detector(
-    rig: Rig,
-    name: str,
-    camera: CameraModel | None,
-    background: Background | None,
-    seeds: Mapping[str, int],
+    rig: Rig, name: str, camera: CameraModel | None, background: Background | None, seeds: Mapping[str, int]
 ) -> bytes:
     """All that the detector of a sensor is made from, for other processes.
 

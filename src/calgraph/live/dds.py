@@ -15,8 +15,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from calgraph.config.settings import ConnectionSettings
 from calgraph.errors import InputError
-from calgraph.live.notice_limiter import NoticeLimiter
-from calgraph.live.source import Channel, LiveMessage, Notice
+from calgraph.live.source import Channel, LiveMessage, Notice, NoticeLimiter
 from calgraph.live.topic_watch import TopicWatch
 from calgraph.recording.message_types import ros2_definition
 

@@ -147,12 +147,7 @@ _MIN_AREA = 1.0
 
 
 def _select_wanted(
-    observed: Mapping[str, Cells],
-    unfinished: Collection[str],
-    seconds: Array,
-    cell: float,
-    *,
-    unconnected: bool,
+    observed: Mapping[str, Cells], unfinished: Collection[str], seconds: Array, cell: float, *, unconnected: bool
 ) -> Cells:
     """Where people should walk next."""
     # A person covers the cells around; a mean over 3 x 3 cells times 9 is their sum.

@@ -14,8 +14,7 @@ from rosbags.typesys.msg import normalize_msgtype
 
 from calgraph.config.settings import ConnectionSettings
 from calgraph.errors import InputError
-from calgraph.live.notice_limiter import NoticeLimiter, clean_text
-from calgraph.live.source import Channel, Encoding, LiveMessage, Notice, SchemaFormat
+from calgraph.live.source import Channel, Encoding, LiveMessage, Notice, NoticeLimiter, SchemaFormat, clean_text
 from calgraph.live.topic_watch import TopicWatch
 from calgraph.recording.recording import explain_missing_topic
 

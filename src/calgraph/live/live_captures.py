@@ -119,10 +119,7 @@ _COVERING_CAPTURES = 3
 
 
 def count_coverage(
-    name: str,
-    rig: Rig,
-    camera: CameraModel | None,
-    captures: Iterable[LiveCapture],
+    name: str, rig: Rig, camera: CameraModel | None, captures: Iterable[LiveCapture]
 ) -> tuple[float, ...]:
     """How well the captures cover the view of a sensor, 0..1.
 

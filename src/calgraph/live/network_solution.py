@@ -17,12 +17,7 @@ from calgraph.errors import CalgraphError, Rejected
 from calgraph.geometry import Array
 from calgraph.live.floor_grid import FloorGrid, build_floor_grid
 from calgraph.live.joined_tracks import Tracked, join_tracks
-from calgraph.live.tracked_intervals import (
-    TrackingProgress,
-    remove_files,
-    select_intervals,
-    track_recording,
-)
+from calgraph.live.tracked_intervals import TrackingProgress, remove_files, select_intervals, track_recording
 from calgraph.network.options import NetworkOptions
 from calgraph.network.pipeline import calibrate_tracks
 from calgraph.network.tracking.track import ScannerTracks

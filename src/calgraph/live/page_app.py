@@ -2,11 +2,12 @@
 
 import asyncio
 import time
+from collections import Counter
 from collections.abc import AsyncIterator, Callable, Coroutine, Mapping
 from contextlib import asynccontextmanager, suppress
 from dataclasses import fields
 from importlib.resources import files
-from typing import get_args
+from typing import Literal, get_args
 
 from pydantic_core import to_json
 from starlette.applications import Starlette
@@ -16,9 +17,46 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from calgraph.config.settings import PageSettings
-from calgraph.live.refusals import Refusal, Refusals
 from calgraph.live.session_view import SessionView
 from calgraph.live.state import Action, Command, SessionState
+
+Refusal = Literal[
+    "foreign hosts",
+    "foreign origins",
+    "missing tokens",
+    "wrong tokens",
+    "unknown commands",
+    "oversized messages",
+    "malformed messages",
+    "commands in too fast succession",
+    "pages beyond the limit",
+    "connections beyond the limit",
+    "requests that took too long",
+    "malformed requests",
+    "unknown addresses",
+    "wrong methods",
+]
+
+
+class Refusals:
+    """Counts by reason."""
+
+    def __init__(self) -> None:
+        self._counts: Counter[Refusal] = Counter()
+
+    def add(self, reason: Refusal) -> None:
+        """Counts one refusal."""
+        self._counts[reason] += 1
+
+    def count(self, reason: Refusal) -> int:
+        """How many were refused for this reason."""
+        return self._counts[reason]
+
+    def describe(self) -> str:
+        """One line, ``refused: 3 wrong tokens, 2 foreign origins``; empty where nothing was refused."""
+        counts = ", ".join(f"{count} {reason}" for reason, count in self._counts.most_common())
+        return counts and f"refused: {counts}"
+
 
 MEDIA_TYPES = {"html": "text/html", "css": "text/css", "js": "text/javascript"}
 _COMMANDS = {action: Command(action) for action in get_args(Action)}

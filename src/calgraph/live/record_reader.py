@@ -5,7 +5,7 @@ from rosbags.interfaces import MessageDefinitionFormat
 from calgraph.config.settings import LimitSettings
 from calgraph.live.source import Channel, LiveMessage
 from calgraph.recording.message_types import MessageType, TypeDefinition, make_message_type
-from calgraph.recording.raw_messages import make_record
+from calgraph.recording.record_list import make_record
 from calgraph.sensors import RecordedMessage
 
 _FORMATS = {
@@ -45,10 +45,5 @@ class RecordReader:
                 )
             )
         return make_record(
-            self._types[channel],
-            channel.topic,
-            message.arrival / 1e9,
-            message.data,
-            self._source,
-            self._limits,
+            self._types[channel], channel.topic, message.arrival / 1e9, message.data, self._source, self._limits
         )

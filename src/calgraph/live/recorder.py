@@ -115,12 +115,7 @@ class Recorder:
         InputError: the folder cannot be written to, or its disk is almost full.
     """
 
-    def __init__(
-        self,
-        folder: Path,
-        settings: RecorderSettings,
-        limits: LimitSettings,
-    ) -> None:
+    def __init__(self, folder: Path, settings: RecorderSettings, limits: LimitSettings) -> None:
         self._folder, self._settings, self._limits = folder, settings, limits
         try:
             folder.mkdir(parents=True, exist_ok=True)

@@ -29,12 +29,7 @@ class ReplaySource:
     """
 
     def __init__(
-        self,
-        path: Path,
-        *,
-        speed: float = 1.0,
-        start_after: int = -1,
-        limits: LimitSettings = LimitSettings(),
+        self, path: Path, *, speed: float = 1.0, start_after: int = -1, limits: LimitSettings = LimitSettings()
     ) -> None:
         if not 0 <= speed < float("inf"):
             raise InputError(

@@ -19,7 +19,7 @@ class SessionView(Protocol):
         """The view of a sensor with the board drawn in, a JPEG image; None before the first."""
 
     def scene(self) -> bytes | None:
-        """The 3-D view as :func:`calgraph.live.scene_view.encode_scene` writes it; None before the first."""
+        """The 3-D view as :func:`calgraph.live.rig_session.encode_scene` writes it; None before the first."""
 
     def report(self) -> Path | None:
         """The report of the calibration; None as long as there is none."""

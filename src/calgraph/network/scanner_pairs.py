@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from calgraph.config import Lidar2dSpec, Rig
+from calgraph.config.settings import ClockMountingSettings
 from calgraph.errors import Rejected
-from calgraph.network.checks.clock_findings import report_clocks_and_mountings
 from calgraph.network.graph.clock_consensus import MAX_EVIDENCE_RATIO, SAME_CLOCK
 from calgraph.network.graph.clock_mounting_consensus import ClockMountingSolution, resolve_clocks_and_mountings
 from calgraph.network.options import NetworkOptions
@@ -21,11 +21,7 @@ from calgraph.network.pairs.clock_mounting_search import (
     search_clocks_and_mountings,
     select_searched_pairs,
 )
-from calgraph.network.pairs.scanner_pair import (
-    NETWORK_ESTIMATION_CLOCK_SIGMA,
-    ScannerPairEstimate,
-    estimate_scanner_pairs,
-)
+from calgraph.network.pairs.scanner_pair import CLOCK_SIGMA, ScannerPairEstimate, estimate_scanner_pairs
 from calgraph.network.pairs.visibility_map import ScannerObservations
 from calgraph.network.strategies import select_depth_stddev
 from calgraph.network.tracking.corrected_tracks import correct_tracks
@@ -93,7 +89,7 @@ def _estimate_pairs(
         rng,
         icp=method.icp,
         depth_stddev=select_depth_stddev(method.feature),
-        clock_sigma=NETWORK_ESTIMATION_CLOCK_SIGMA,
+        clock_sigma=CLOCK_SIGMA,
         engine=options.engine,
         progress=lambda done: progress("pairing", done),
     )
@@ -115,7 +111,7 @@ def _find_differences(
     options: NetworkOptions,
 ) -> ClockMountingSolution:
     """Clocks and mountings; searched in pairs between parts of the network that firm pairs do not connect."""
-    settings, clock_sigma = rig.settings.pairwise.scanners, NETWORK_ESTIMATION_CLOCK_SIGMA
+    settings, clock_sigma = rig.settings.pairwise.scanners, CLOCK_SIGMA
     estimates = [
         pair
         for pair in pairs.values()
@@ -156,8 +152,7 @@ def _build_observations(tracked: Mapping[str, ScannerTracks]) -> dict[str, Scann
 
 
 def _reject_refused(
-    pairs: Mapping[tuple[str, str], ScannerPairEstimate | Rejected],
-    solution: ClockMountingSolution,
+    pairs: Mapping[tuple[str, str], ScannerPairEstimate | Rejected], solution: ClockMountingSolution
 ) -> dict[tuple[str, str], ScannerPairEstimate | Rejected]:
     """Without pairs whose tracks match clearly better with a clock offset that the network refuses."""
     kept = dict(pairs)
@@ -210,7 +205,7 @@ def _find_distant_clocks(
         found = search_clocks_and_mountings(
             [(b if a == name else a, name) for a, b in searched if name in (a, b)],
             observations,
-            NETWORK_ESTIMATION_CLOCK_SIGMA,
+            CLOCK_SIGMA,
             np.random.default_rng((options.seed, 2)),
             engine=options.engine,
             settings=wide_settings,
@@ -225,4 +220,72 @@ def _find_distant_clocks(
                     f"the {limits.max_clock_offset:g} s that are corrected: set the clocks, and record again"
                 )
             )
+    return findings
+
+
+def report_clocks_and_mountings(
+    root: str, solution: ClockMountingSolution, corrected: Mapping[str, float], settings: ClockMountingSettings
+) -> list[Finding]:
+    """What was corrected, as remarks; what the tracks do not determine, as reasons for a weak pose.
+
+    Args:
+        root: the scanner whose clock and mounting the others are compared with.
+        solution: clocks and mountings of all scanners.
+        corrected: clock of a scanner minus the root's, s, for those that were corrected.
+        settings: of their search.
+    """
+    findings = [
+        Finding(
+            f"the clock of {name} differs from that of {root} by {offset:+.2f} s: "
+            "found from the tracks, and corrected"
+        )
+        for name, offset in corrected.items()
+        if name not in solution.distant_clocks
+    ]
+    findings += [
+        Finding(
+            f"the clock of {name} differs from that of {root} by {offset:+.2f} s, more than the "
+            f"{settings.max_clock_offset:g} s that are searched: set the clocks, and record again",
+            (name,),
+        )
+        for name, offset in solution.distant_clocks.items()
+    ]
+    findings += [
+        Finding(
+            f"the tracks of {h.sensor_a} and {h.sensor_b} match best with a clock offset of "
+            f"{h.clock_offset:+.2f} s, which other pairs do not confirm, as where people follow each other or "
+            "push carts: not corrected; set the clocks, or let people walk alone and turn",
+            tuple(name for name in (h.sensor_a, h.sensor_b) if name != root),
+        )
+        for h in solution.refused
+        if h.evidence >= FIRM_EVIDENCE
+    ]
+    findings += [
+        Finding(
+            f"the clock offset of {h.sensor_a} and {h.sensor_b}, {h.clock_offset:+.2f} s, rests on people who "
+            "walk on one line, where those who follow each other fit a delay as well: set the clocks, or let "
+            "people turn",
+            tuple(name for name in (h.sensor_a, h.sensor_b) if name != root),
+        )
+        for h in solution.on_a_line
+    ]
+    findings += [
+        Finding(f"{name} is mounted upside-down relative to {root}: recognised from mirrored tracks")
+        for name in sorted(solution.inverted)
+    ]
+    findings += [
+        Finding(
+            f"{name} may as well be mounted upside-down, as people walked on one line only: state `mounting` in "
+            "rig.yaml, or let people turn",
+            (name,),
+        )
+        for name in solution.ambiguous
+    ]
+    findings += [
+        Finding(
+            f"the tracks of {name} contradict its stated `mounting`: they fit the other scanners as mirrored ones",
+            (name,),
+        )
+        for name in solution.contradicted
+    ]
     return findings

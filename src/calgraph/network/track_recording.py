@@ -9,7 +9,7 @@ from calgraph.config import Cylinder, Lidar2dSpec, People, Rig, SensorSpec
 from calgraph.config.settings import CenterFeature
 from calgraph.errors import InputError, Rejected
 from calgraph.io.columns import Arrays
-from calgraph.network.joint.leg_choice import measures_legs
+from calgraph.network.joint.leg_problem import measures_legs
 from calgraph.network.options import NetworkOptions
 from calgraph.network.step_log import log_tracks
 from calgraph.network.strategies import select_center_estimator

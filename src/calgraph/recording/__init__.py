@@ -1,11 +1,7 @@
 """Recordings in and out, as streams of messages: ROS bags and plain folders."""
 
 from calgraph.recording.cache import NO_CACHE, RecordingCache
-from calgraph.recording.camera_intrinsics import (
-    find_camera_infos,
-    list_camera_info_topics,
-    resolve_intrinsics,
-)
+from calgraph.recording.camera_info import find_camera_infos, list_camera_info_topics, resolve_intrinsics
 from calgraph.recording.clock_correction import ClockCorrectedRecording
 from calgraph.recording.converted_images import convert_images
 from calgraph.recording.in_memory import MessageRecording

@@ -26,7 +26,7 @@ from calgraph.recording.bag_files import (
 from calgraph.recording.chunk_limits import has_index, is_finished, open_reader
 from calgraph.recording.damage import check_fetched, wrap_errors
 from calgraph.recording.message_types import MessageType, TypeDefinition, message_type
-from calgraph.recording.raw_messages import make_record
+from calgraph.recording.record_list import make_record
 from calgraph.recording.recording import (
     ClosedOnExit,
     TopicInfo,

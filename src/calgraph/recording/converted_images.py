@@ -6,7 +6,7 @@ from functools import partial
 
 from calgraph.config import Rig
 from calgraph.errors import InputError
-from calgraph.recording.camera_intrinsics import resolve_intrinsics
+from calgraph.recording.camera_info import resolve_intrinsics
 from calgraph.recording.damage import wrap_errors
 from calgraph.recording.recording import ClosedOnExit, JoinedRecording, Recording
 from calgraph.sensors import CameraModel, Image, Message, RecordedMessage

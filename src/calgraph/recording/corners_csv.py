@@ -10,8 +10,8 @@ import numpy as np
 
 from calgraph.config.settings import LimitSettings
 from calgraph.errors import InputError, RecordingError
+from calgraph.recording.content_hash import hash_array
 from calgraph.recording.damage import check_fetched, check_unpacked_size, wrap_errors
-from calgraph.recording.digest import hash_array
 from calgraph.recording.file_names import SNAPSHOT_SPACING
 from calgraph.recording.record_list import IndexedRecording
 from calgraph.sensors import DetectedCorners, MessageDigest, RecordedMessage

@@ -18,13 +18,12 @@ from calgraph.geometry import Array
 from calgraph.io.yaml_limits import MAX_RIG_VALUES
 from calgraph.io.yaml_reading import read_text, read_yaml
 from calgraph.recording.camera_info import camera_from_yaml
+from calgraph.recording.content_hash import hash_file
 from calgraph.recording.damage import check_fetched, check_point_count, check_unpacked_size, wrap_errors
 from calgraph.recording.decoding import mask_out_of_range
-from calgraph.recording.digest import hash_file
 from calgraph.recording.file_names import FileStamps, NamedFiles, interpret_names, resolve_stamps
 from calgraph.recording.images import decode_image, decode_png_depths
-from calgraph.recording.pcd import read_pcd
-from calgraph.recording.ply import read_ply
+from calgraph.recording.pcd import read_pcd, read_ply
 from calgraph.recording.point_cloud_columns import cloud_from_columns
 from calgraph.recording.record_list import IndexedRecording
 from calgraph.sensors import CameraInfo, Image, LaserScan, Message, MessageDigest, PointCloud, RecordedMessage

@@ -7,15 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from calgraph.errors import InputError
-from calgraph.recording.digest import hash_array
+from calgraph.recording.content_hash import hash_array
 from calgraph.recording.record_list import IndexedRecording
-from calgraph.sensors import (
-    CameraInfo,
-    Message,
-    MessageDigest,
-    RecordedMessage,
-    Trigger,
-)
+from calgraph.sensors import CameraInfo, Message, MessageDigest, RecordedMessage, Trigger
 
 
 class MessageRecording(IndexedRecording):

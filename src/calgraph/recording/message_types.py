@@ -11,10 +11,10 @@ from rosbags.interfaces import Connection, ConnectionExtRosbag2, MessageDefiniti
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg
 from rosbags.typesys.store import Typestore
 
+from calgraph.recording.content_hash import hash_content
 from calgraph.recording.damage import LimitedStore, check_arrays, check_definition
-from calgraph.recording.digest import hash_content
 from calgraph.sensors import MessageDigest
-from calgraph.sensors.names import CONTROL_CHARACTERS, MAX_NAME_LENGTH
+from calgraph.sensors.kinds.stated import CONTROL_CHARACTERS, MAX_NAME_LENGTH
 
 _log = logging.getLogger(__name__)
 

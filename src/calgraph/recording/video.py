@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from calgraph.config.settings import LimitSettings
 from calgraph.errors import InputError, RecordingError
 from calgraph.geometry import Array
+from calgraph.recording.content_hash import hash_content
 from calgraph.recording.damage import check_fetched, check_pixel_count, wrap_errors
-from calgraph.recording.digest import hash_content
 from calgraph.recording.images import Pixels, to_8_bits
 from calgraph.recording.recording import ClosedOnExit, TopicInfo, select_topics
 from calgraph.sensors import Image, MessageDigest, RecordedMessage

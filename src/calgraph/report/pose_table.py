@@ -2,13 +2,7 @@
 
 import numpy as np
 
-from calgraph.report.formatting import (
-    escape_html,
-    format_angle,
-    format_fixed,
-    format_length,
-    format_significant,
-)
+from calgraph.report.formatting import escape_html, format_angle, format_fixed, format_length, format_significant
 from calgraph.report.verdict_cards import render_badge
 from calgraph.result import Calibration, SensorPose
 from calgraph.result.exports import roll_pitch_yaw

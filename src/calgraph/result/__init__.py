@@ -1,21 +1,17 @@
 """The calibration found: poses, covariances, evidence; and its files for other programs."""
 
-from calgraph.result.calibrated_cameras import apply_estimates, calibrated_cameras, state_calibrated_intrinsics
+from calgraph.result.calibrated_cameras import (
+    apply_estimates,
+    calibrated_cameras,
+    state_calibrated_intrinsics,
+    state_intrinsics,
+)
 from calgraph.result.calibration import Calibration, join_covariances
 from calgraph.result.calibration_file import save_calibration, save_captures
 from calgraph.result.calibration_reading import load_calibration
 from calgraph.result.coloring import colorize_from_snapshots
-from calgraph.result.estimated_intrinsics import state_intrinsics
 from calgraph.result.estimated_parameter import EstimatedParameter
-from calgraph.result.evidence import (
-    CaptureRow,
-    Edge,
-    Evidence,
-    FitError,
-    HeldOutError,
-    ModelledBodies,
-    Suggestion,
-)
+from calgraph.result.evidence import CaptureRow, Edge, Evidence, FitError, HeldOutError, ModelledBodies, Suggestion
 from calgraph.result.exports import FORMATS, export, to_json
 from calgraph.result.extrinsics_file import ExtrinsicsFile, read_extrinsics
 from calgraph.result.pictures import BeamView, BoardOutline, BoardView, FloorView, Pictures

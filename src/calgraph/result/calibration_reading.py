@@ -23,7 +23,7 @@ from calgraph.result.frame_tree import MAX_DISTANCE
 from calgraph.result.provenance import InputFile, Provenance
 from calgraph.result.sensor_pose import SensorPose, StatedPose, Verdict
 from calgraph.sensors.kinds import KINDS, KindName
-from calgraph.sensors.names import FrameName, Name
+from calgraph.sensors.kinds.stated import FrameName, Name
 
 Finite = Annotated[float, Strict(), Field(allow_inf_nan=False)]
 # Infinite variances stand for directions that nothing observes.

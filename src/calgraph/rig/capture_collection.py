@@ -10,12 +10,7 @@ import numpy as np
 from calgraph.config import Rig
 from calgraph.errors import CalibrationError
 from calgraph.parallel.progress import Progress, no_progress
-from calgraph.recording import (
-    Recording,
-    find_camera_infos,
-    resolve_intrinsics,
-    separate_poses,
-)
+from calgraph.recording import Recording, find_camera_infos, resolve_intrinsics, separate_poses
 from calgraph.recording.input_checks import InputMonitor
 from calgraph.result.finding import Finding
 from calgraph.rig.captures.capture_mode import recognize_mode

@@ -31,8 +31,7 @@ from calgraph.rig.checks.assemble import assemble_rig
 from calgraph.rig.checks.bump_tests import Bump, describe_bumps, discard_earlier, find_bumps
 from calgraph.rig.checks.cross_validation import cross_validate
 from calgraph.rig.checks.drift_tests import include_drifts, measure_drifts
-from calgraph.rig.checks.next_best_pose import suggest_board_poses
-from calgraph.rig.checks.suggestions import add_suggestions
+from calgraph.rig.checks.next_best_pose import add_suggestions, suggest_board_poses
 from calgraph.rig.options import RigOptions, check_estimator
 from calgraph.rig.pairs.board_pair import (
     PairwiseEstimates,

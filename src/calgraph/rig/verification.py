@@ -1,18 +1,26 @@
 """Verification of a rig: a bootstrap over captures, and comparison with given extrinsics."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 
+from calgraph.config import Tolerance
+from calgraph.config.settings import VerdictSettings
 from calgraph.errors import CalibrationError
+from calgraph.geometry import Array
 from calgraph.parallel.progress import Progress, no_progress
 from calgraph.result import Calibration, ExtrinsicsFile
+from calgraph.rig.bundle.bundle_solver import Bundle, BundleState, minimize_bundle
+from calgraph.rig.bundle.corner_observations import CornerObservations
+from calgraph.rig.bundle.observations import relative_poses
 from calgraph.rig.bundle.problem import Problem
+from calgraph.rig.bundle.range_observations import RangeObservations
+from calgraph.rig.bundle.solution import SolvedBundle
 from calgraph.rig.checks.assemble import assemble_rig
 from calgraph.rig.checks.bootstrap import BootstrapScatter, bootstrap_poses
-from calgraph.rig.checks.extrinsics_check import compare_rig_poses
 from calgraph.rig.pipeline import solve_jointly
-from calgraph.verdict.comparison import ExtrinsicsComparison
+from calgraph.verdict.comparison import ExtrinsicsComparison, ResidualComparison, match_poses
 
 
 def bootstrap_covariances(
@@ -47,3 +55,73 @@ def compare_extrinsics(problem: Problem, given: ExtrinsicsFile) -> tuple[Calibra
     return calibration, compare_rig_poses(
         calibration, joint.solved_bundle, given, problem.rig.tolerance, problem.rig.settings.diagnostics.verdict
     )
+
+
+def compare_rig_poses(
+    estimated: Calibration,
+    solved: SolvedBundle | None,
+    given: ExtrinsicsFile,
+    tolerance: Tolerance,
+    settings: VerdictSettings,
+) -> ExtrinsicsComparison:
+    """Compares given extrinsics with estimated ones.
+
+    A sensor fails along an axis if its error exceeds the tolerance and is significant, over all six axes and along
+    that axis. Significant errors within the tolerance are warnings, and so are axes whose uncertainty exceeds the
+    tolerance. Where several sensors fail in the frame of the root, the frame in which the fewest fail is used: if
+    the root has moved, all others appear to have moved.
+
+    Args:
+        estimated: the calibration from the recording.
+        solved: its solution, for the residuals; None where there is none.
+        given: the extrinsics to compare.
+        tolerance: largest acceptable error.
+        settings: the probability of a false alarm.
+
+    Raises:
+        InputError: the root or all other sensors are not in the file, or nothing fixed connects them there.
+    """
+    matched = match_poses(estimated, given, tolerance, settings.false_alarm_probability)
+    residuals = _compare_residuals(solved, matched.T_root_sensor) if solved else {}
+    comparisons = [matched.compare_in_frame(reference, residuals) for reference in matched.frames]
+    in_root = next(c for c in comparisons if c.reference == estimated.root)
+    # If one sensor fails, it or the reference has moved: the frame of the root is kept.
+    best = min(comparisons, key=lambda c: len(c.failed)) if len(in_root.failed) > 1 else in_root
+    return best if len(best.failed) < len(in_root.failed) else in_root
+
+
+def _compare_residuals(solved: SolvedBundle, T_root_sensor: Mapping[str, Array]) -> dict[str, ResidualComparison]:
+    """RMS residual by sensor under given and estimated poses, with boards located under each."""
+    bundle, state = solved.bundle, solved.minimized.state
+    views = tuple(
+        of_sensor.select(np.full(len(of_sensor.board), name in T_root_sensor))
+        for name, of_sensor in zip(bundle.sensors, bundle.views, strict=True)
+    )
+    fixed = replace(bundle.without_outlines(), views=views, body=np.zeros(len(views), dtype=np.intp), priors=())
+    poses = [T_root_sensor.get(n, T) for n, T in zip(bundle.sensors, state.T_root_sensor, strict=True)]
+    given = _rms_residuals(fixed, replace(state, T_root_sensor=np.array(poses)))
+    estimated = _rms_residuals(fixed, state)
+    return {
+        name: ResidualComparison("px" if isinstance(views[s], CornerObservations) else "m", given[s], estimated[s])
+        for s, name in enumerate(bundle.sensors)
+        if len(views[s].board)
+    }
+
+
+def _rms_residuals(fixed: Bundle, state: BundleState) -> list[float]:
+    """RMS residual of each sensor with sensor poses fixed and boards located by least squares, px or m."""
+    try:
+        located = minimize_bundle(fixed, state).state
+    except CalibrationError:
+        # The poses put boards behind a camera.
+        return [float("inf")] * len(fixed.views)
+    rms = []
+    for s, views in enumerate(fixed.views):
+        T_sensor_board = relative_poses(located.T_root_sensor[s], located.T_root_board[views.board])
+        residual = views.linearize(T_sensor_board, located.extra[fixed.extra_indices(s)]).residual
+        if isinstance(views, RangeObservations):
+            residual = residual * views.sigma[:, None]
+        elif isinstance(views, CornerObservations):
+            residual = residual * views.noise_scale * views.noise.pixel
+        rms.append(float(np.sqrt(np.mean(residual**2))) if residual.size else 0.0)
+    return rms

@@ -90,11 +90,7 @@ def simulate_network(
 
 @contextmanager
 def _simulate_groups(
-    network: SimulatedNetwork,
-    groups: Sequence[range],
-    recording: Path,
-    jobs: int,
-    report: Callable[[int], None],
+    network: SimulatedNetwork, groups: Sequence[range], recording: Path, jobs: int, report: Callable[[int], None]
 ) -> Iterator[list[Iterable[_Serialized]]]:
     """The messages of each group of scanners in order; ``report`` hears of the scans simulated before."""
     if len(groups) == 1:

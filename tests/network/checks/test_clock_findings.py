@@ -1,9 +1,9 @@
 """Findings about clocks that differ and scanners that are mounted upside-down."""
 
 from calgraph.config.settings import ClockMountingSettings
-from calgraph.network.checks.clock_findings import report_clocks_and_mountings
 from calgraph.network.graph.clock_mounting_consensus import ClockMountingSolution
 from calgraph.network.pairs.clock_mounting_search import ClockMountingHypothesis
+from calgraph.network.scanner_pairs import report_clocks_and_mountings
 
 
 def test_a_clock_found_from_people_on_one_line_makes_its_scanners_weak() -> None:

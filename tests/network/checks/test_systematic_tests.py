@@ -3,7 +3,7 @@
 import numpy as np
 
 from calgraph.network.checks.model_assessment import find_systematic_errors
-from calgraph.network.joint.near_covariances import NearCovariances
+from calgraph.network.joint.planar_poses import NearCovariances
 from calgraph.network.joint.scanner_unknowns import CLOCK_DRIFT, STRETCH_X, SystematicErrors
 from dense_covariances import relate_all
 

@@ -38,12 +38,7 @@ def observe(
 
 
 def find(tracked: dict[str, ScannerTracks], T_root_scanner: Array = T_ROOT) -> tuple[str, ScannerBump] | None:
-    return find_track_bump(
-        tracked,
-        NAMES,
-        T_root_scanner,
-        np.zeros(3),
-    )
+    return find_track_bump(tracked, NAMES, T_root_scanner, np.zeros(3))
 
 
 def network(rng: np.random.Generator, bumped: str, bump: Array, at: float = 30.0) -> dict[str, ScannerTracks]:

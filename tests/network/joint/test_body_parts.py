@@ -3,16 +3,15 @@
 import numpy as np
 import pytest
 
-from calgraph.network.joint.body_parts import cut_bodies
-from calgraph.network.joint.track_association import BodyTracks
+from calgraph.network.joint.track_association import BodyTracks, cut_bodies
 from calgraph.network.tracking.track import Hits, Track
 
 
 @pytest.fixture(autouse=True)
 def cut_into_short_parts(monkeypatch: pytest.MonkeyPatch) -> None:
     """Parts last at most 10 s, or a half of it from three scanners on."""
-    monkeypatch.setattr("calgraph.network.joint.body_parts._MAX_DURATION", 10.0)
-    monkeypatch.setattr("calgraph.network.joint.body_parts._MIN_SCANNERS", 3)
+    monkeypatch.setattr("calgraph.network.joint.track_association._MAX_DURATION", 10.0)
+    monkeypatch.setattr("calgraph.network.joint.track_association._MIN_SCANNERS", 3)
 
 
 def track(begin: float, end: float) -> Track:

@@ -22,13 +22,7 @@ from calgraph.network.joint.estimate import (
     collect_scans,
     solve_network,
 )
-from calgraph.network.joint.problem import (
-    BodyObservations,
-    BodyPath,
-    BodyScans,
-    NetworkProblem,
-    WallConstraint,
-)
+from calgraph.network.joint.problem import BodyObservations, BodyPath, BodyScans, NetworkProblem, WallConstraint
 from calgraph.network.joint.scanner_unknowns import SYSTEMATIC_ERRORS
 from calgraph.network.joint.splines import Knots, evaluate_spline
 from calgraph.network.joint.track_association import BodyTracks

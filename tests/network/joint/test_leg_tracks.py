@@ -8,7 +8,7 @@ import pytest
 from calgraph.config import People
 from calgraph.config.settings import LegSettings
 from calgraph.geometry import Array
-from calgraph.network.joint.leg_choice import measures_legs
+from calgraph.network.joint.leg_problem import measures_legs
 from calgraph.network.joint.leg_solution import (
     LegCandidate,
     ScannerBeams,

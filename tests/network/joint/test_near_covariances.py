@@ -3,7 +3,7 @@
 import numpy as np
 
 from calgraph.geometry import Array
-from calgraph.network.joint.near_covariances import NearCovariances
+from calgraph.network.joint.planar_poses import NearCovariances
 from dense_covariances import relate_all
 
 PAIRS = np.array([[0, 0], [1, 1], [2, 2], [3, 3], [0, 1], [1, 2], [1, 3]])

@@ -15,13 +15,7 @@ from calgraph.network.joint.ellipse_equations import (
 )
 from calgraph.network.joint.ellipse_raycast import RaycastHits, raycast_ellipses
 from calgraph.network.joint.path_equations import add_scans, evaluate_at, index_scans
-from calgraph.network.joint.problem import (
-    BodyObservations,
-    BodyPath,
-    NetworkProblem,
-    NetworkState,
-    WallConstraint,
-)
+from calgraph.network.joint.problem import BodyObservations, BodyPath, NetworkProblem, NetworkState, WallConstraint
 from calgraph.network.joint.scan_equations import SCAN_PARAMETERS
 from calgraph.network.joint.scanner_unknowns import (
     BEAM_ERRORS,
@@ -66,11 +60,7 @@ SIZE = 3 * SCANNER_UNKNOWNS
 """Columns of all scanners."""
 _COLUMNS = np.arange(SIZE).reshape(3, -1)
 PACKED_COLUMNS = np.concatenate(
-    [
-        _COLUMNS[1:, :CLOCK].ravel(),
-        _COLUMNS[1:, CLOCK],
-        _COLUMNS[:, FIRST_SYSTEMATIC:][SYSTEMATIC_SIGMA > 0],
-    ]
+    [_COLUMNS[1:, :CLOCK].ravel(), _COLUMNS[1:, CLOCK], _COLUMNS[:, FIRST_SYSTEMATIC:][SYSTEMATIC_SIGMA > 0]]
 )
 """Their columns in the equations: poses, clock offsets, and systematic errors scanner by scanner."""
 

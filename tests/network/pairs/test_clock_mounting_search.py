@@ -13,17 +13,12 @@ from calgraph.network.pairs.clock_mounting_search import (
     search_clocks_and_mountings,
     select_searched_pairs,
 )
-from calgraph.network.pairs.scanner_pair import (
-    NETWORK_ESTIMATION_CLOCK_SIGMA,
-    ScannerPairEstimate,
-    estimate_scanner_pair,
-)
+from calgraph.network.pairs.scanner_pair import CLOCK_SIGMA, ScannerPairEstimate, estimate_scanner_pair
 from calgraph.network.pairs.visibility_map import ScannerObservations
 from calgraph.network.tracking.corrected_tracks import correct_tracks
 from calgraph.network.tracking.track import ScannerTracks, Track
 
 SETTINGS = ScannerPairSettings()
-CLOCK_SIGMA = NETWORK_ESTIMATION_CLOCK_SIGMA
 T_A_B = se2.pose(2.1, np.array([5.0, 1.5]))
 STEP = 0.07  # s, between two scans
 

@@ -197,8 +197,8 @@ def test_a_start_with_a_board_behind_a_camera_is_refused() -> None:
 
 def test_extrapolation_does_not_take_boards_out_of_a_cameras_view(monkeypatch: pytest.MonkeyPatch) -> None:
     """To first order, a board at three times its distance moves behind the camera."""
-    monkeypatch.setattr("calgraph.rig.bundle.relinearization._MAX_RESIDUAL_CHANGE", 1e6)
-    monkeypatch.setattr("calgraph.rig.bundle.relinearization._MAX_ROTATION", 0.99)
+    monkeypatch.setattr("calgraph.rig.bundle.bundle_solver._MAX_RESIDUAL_CHANGE", 1e6)
+    monkeypatch.setattr("calgraph.rig.bundle.bundle_solver._MAX_ROTATION", 0.99)
     exact = unbiased_scene()
     far = exact.truth.T_root_board.copy()
     camera = exact.truth.T_root_sensor[exact.bundle.sensors.index("camera"), :3, 3]

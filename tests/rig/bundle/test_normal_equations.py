@@ -6,18 +6,12 @@ import numpy as np
 import pytest
 
 from calgraph.geometry import Array, Index
-from calgraph.rig.bundle.bundle_solver import RIG_ESTIMATION_HUBER_THRESHOLD
-from calgraph.rig.bundle.normal_equations import (
-    accumulate,
-    accumulate_biased,
-    huber_variance_factor,
-)
+from calgraph.rig.bundle.bundle_solver import HUBER_THRESHOLD
+from calgraph.rig.bundle.normal_equations import accumulate, accumulate_biased, huber_variance_factor
 from calgraph.rig.bundle.observations import LinearizedResiduals
-from calgraph.rig.bundle.variance_components import VARIANCE_COMPONENT_MIN_REDUNDANCY
+from calgraph.rig.bundle.variance_components import MIN_REDUNDANCY
 from calgraph.rig.bundle.whitening import consistency_statistic
 
-HUBER_THRESHOLD = RIG_ESTIMATION_HUBER_THRESHOLD
-MIN_REDUNDANCY = VARIANCE_COMPONENT_MIN_REDUNDANCY
 START = np.array([0, 30, 37])
 COUNTS = [30, 7, 23]
 

@@ -108,8 +108,8 @@ def test_views_are_extrapolated_up_to_the_largest_rotation(
     share: float, extrapolated: bool, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Of 0.1 rad about the board's x axis, with any change of residuals."""
-    monkeypatch.setattr("calgraph.rig.bundle.relinearization._MAX_RESIDUAL_CHANGE", 1e9)
-    monkeypatch.setattr("calgraph.rig.bundle.relinearization._MAX_ROTATION", 0.1)
+    monkeypatch.setattr("calgraph.rig.bundle.bundle_solver._MAX_RESIDUAL_CHANGE", 1e9)
+    monkeypatch.setattr("calgraph.rig.bundle.bundle_solver._MAX_ROTATION", 0.1)
     views, T = lidar_views(rng)
     rotated = T @ se3.pose(so3.exp(np.array([0.1 * share, 0, 0])), np.zeros(3))
     found = linearize_views(views, T, STILL, NO_BIAS, 2.5).extrapolate(views, rotated, STILL)

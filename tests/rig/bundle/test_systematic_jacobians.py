@@ -14,7 +14,7 @@ from calgraph.rig.bundle.board_outlines import add_outlines
 from calgraph.rig.bundle.bundle_setup import build_bundle, update_noise
 from calgraph.rig.bundle.bundle_solver import (
     BOARD_PRIOR_INFORMATION,
-    RIG_ESTIMATION_HUBER_THRESHOLD,
+    HUBER_THRESHOLD,
     Bundle,
     BundleState,
     linearize_bundle,
@@ -169,8 +169,7 @@ def test_sums_of_rings_are_those_of_dense_columns(bundle_and_state: tuple[Bundle
         linearized = some.linearize(T, extra)
         dense = one_hot(linearized)
         grouped, single = (
-            accumulate(one, some.start, RIG_ESTIMATION_HUBER_THRESHOLD, lambda e: 0 * e.Jtr)
-            for one in (linearized, dense)
+            accumulate(one, some.start, HUBER_THRESHOLD, lambda e: 0 * e.Jtr) for one in (linearized, dense)
         )
         scale = np.sqrt(np.maximum(np.diagonal(single.JtJ, axis1=-2, axis2=-1), 1.0))
         np.testing.assert_allclose(
@@ -187,8 +186,8 @@ def test_the_covariance_is_the_inverse_of_the_dense_information(
     bundle_and_state: tuple[Bundle, BundleState], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Of poses, systematic parameters, rings and footprints, with their priors; without view biases."""
-    monkeypatch.setattr("calgraph.rig.bundle.bundle_solver.RIG_ESTIMATION_HUBER_THRESHOLD", 1e6)
-    monkeypatch.setattr("calgraph.rig.bundle.variance_components.RIG_ESTIMATION_HUBER_THRESHOLD", 1e6)
+    monkeypatch.setattr("calgraph.rig.bundle.bundle_solver.HUBER_THRESHOLD", 1e6)
+    monkeypatch.setattr("calgraph.rig.bundle.variance_components.HUBER_THRESHOLD", 1e6)
     bundle, state = bundle_and_state
     bundle = replace(bundle, bias_variance=np.zeros_like(bundle.bias_variance))
     G, boards = bundle.parameter_count, len(state.T_root_board)

@@ -58,8 +58,8 @@ def test_too_few_residuals_leave_covariances_as_stated() -> None:
 
 
 def test_the_noise_has_a_minimum(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("calgraph.rig.captures.camera_noise._MIN_NOISE", 0.2)
-    monkeypatch.setattr("calgraph.rig.captures.camera_noise._MIN_DEGREES_OF_FREEDOM", 4)
+    monkeypatch.setattr("calgraph.rig.captures.detect._MIN_NOISE", 0.2)
+    monkeypatch.setattr("calgraph.rig.captures.detect._MIN_DEGREES_OF_FREEDOM", 4)
     (scaled,) = scale_by_measured_noise({0: (board(0.1, corners=5),)}, STATED)[0]
     assert isinstance(scaled, BoardCorners)
     assert scaled.covariance[0, 0] == pytest.approx(0.2**2 / STATED**2)

@@ -90,11 +90,7 @@ def test_hold_without_messages_is_rejected_with_a_reason() -> None:
 def test_missing_messages_do_not_drop_received_ones() -> None:
     hold = Hold(0, 1.0, 1.2, {"laser": np.array([1.0, 77.0])})
     (result,) = search_holds(
-        detect_in_hold,
-        {"laser": lambda _messages: SEGMENTS},
-        Scanner().records(),
-        [hold],
-        {"laser": "/scan"},
+        detect_in_hold, {"laser": lambda _messages: SEGMENTS}, Scanner().records(), [hold], {"laser": "/scan"}
     )
     assert result.detections == SEGMENTS
 

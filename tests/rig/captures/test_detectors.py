@@ -15,7 +15,7 @@ from calgraph.geometry import Array
 from calgraph.recording import MessageRecording
 from calgraph.rig.captures.detectors import learn_backgrounds, learn_backgrounds_of_captures, make_detectors
 from calgraph.rig.captures.holds import Hold
-from calgraph.rig.detection.cloud_background import CloudBackground
+from calgraph.rig.detection.capture_background import CloudBackground
 from calgraph.sensors import LaserScan, Message, PointCloud, RecordedMessage, ScanBackground
 from calgraph.sensors.cloud_to_scan import to_scans
 

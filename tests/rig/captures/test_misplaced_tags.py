@@ -30,8 +30,7 @@ def find_texts(boards: list[BoardCorners], inconsistent: int = 0) -> list[str]:
 
 
 @pytest.mark.parametrize(
-    ("outliers", "inliers", "named"),
-    [(3, 0, True), (2, 0, False), (5, 5, True), (5, 6, False)],
+    ("outliers", "inliers", "named"), [(3, 0, True), (2, 0, False), (5, 5, True), (5, 6, False)]
 )
 def test_tag_is_named_if_it_is_an_outlier_in_half_of_the_captures_and_three(
     outliers: int, inliers: int, named: bool

@@ -18,7 +18,7 @@ from calgraph.rig.bundle.bundle_solver import minimize_bundle
 from calgraph.rig.bundle.covariances import pose_covariance
 from calgraph.rig.bundle.observations import relative_poses
 from calgraph.rig.bundle.solution import SolvedBundle
-from calgraph.rig.checks.extrinsics_check import compare_rig_poses
+from calgraph.rig.verification import compare_rig_poses
 from calgraph.verdict.comparison import ExtrinsicsComparison
 
 TOLERANCE = Tolerance()

@@ -11,8 +11,7 @@ from calgraph.result import Calibration, SensorPose, Verdict
 from calgraph.rig.bundle.bundle_solver import minimize_bundle
 from calgraph.rig.bundle.covariances import pose_covariance
 from calgraph.rig.bundle.solution import SolvedBundle
-from calgraph.rig.checks.next_best_pose import suggest_board_poses
-from calgraph.rig.checks.suggestions import add_suggestions
+from calgraph.rig.checks.next_best_pose import add_suggestions, suggest_board_poses
 
 KINDS: dict[str, Literal["camera", "lidar2d", "lidar3d"]] = {
     "lidar": "lidar3d",

@@ -7,8 +7,8 @@ from calgraph.config import Board, RangeNoise
 from calgraph.config.settings import DetectionSettings, ScannerDetectionSettings
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, Index
-from calgraph.rig.detection.board_edges import find_board_edges, select_beams_with_margin
 from calgraph.rig.detection.lidar2d import find_segments
+from calgraph.rig.detection.line_plane_fit import find_board_edges, select_beams_with_margin
 from calgraph.sensors import LaserScan
 
 STEP = np.radians(0.5)

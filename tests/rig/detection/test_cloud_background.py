@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from calgraph.config.settings import CloudBackgroundSettings, DetectionSettings
 from calgraph.errors import InputError
 from calgraph.rig.detection.background_learning import learn_cloud_background
-from calgraph.rig.detection.cloud_background import find_direction_cells, find_voxels, pack_voxels
+from calgraph.rig.detection.capture_background import find_direction_cells, find_voxels, pack_voxels
 from calgraph.sensors import PointCloud
 
 

@@ -5,8 +5,7 @@ import pytest
 
 from calgraph.config.settings import DetectionSettings
 from calgraph.geometry import Array
-from calgraph.rig.detection.region_growing import grow_flat_regions
-from calgraph.rig.detection.voxel_normals import Cells, make_cells
+from calgraph.rig.detection.voxel_normals import Cells, grow_flat_regions, make_cells
 
 SETTINGS = DetectionSettings()
 Y, Z = (np.radians(a).ravel() for a in np.meshgrid(np.arange(-20, 20, 0.2), np.arange(-15, 15, 0.2)))
@@ -73,5 +72,5 @@ def test_fewer_cells_than_stated_are_no_region(monkeypatch: pytest.MonkeyPatch) 
     made = make_cells(points, None, SETTINGS)
     assert made is not None
     assert 5 < len(made.points) < 20
-    monkeypatch.setattr("calgraph.rig.detection.region_growing._MIN_CELLS", len(made.points) + 1)
+    monkeypatch.setattr("calgraph.rig.detection.voxel_normals._MIN_CELLS", len(made.points) + 1)
     assert grow_flat_regions(made, 0.03) == []

@@ -26,10 +26,7 @@ FALSE_ALARM_PROBABILITY = 1e-3
 
 
 def find_inconsistent_parts(
-    parts: Contributions,
-    names: Sequence[str],
-    variance_factor: float,
-    groups: int = 1,
+    parts: Contributions, names: Sequence[str], variance_factor: float, groups: int = 1
 ) -> Iterator[Finding]:
     """Halves of the recording, or groups of people, that give other poses.
 
@@ -143,10 +140,7 @@ def measure_scatter(parts: NetworkContributions) -> Scatter:
 
 
 def find_disagreement(
-    joint: NetworkSolution,
-    T_root_averaged: Array,
-    averaged_covariance: Array,
-    names: Sequence[str],
+    joint: NetworkSolution, T_root_averaged: Array, averaged_covariance: Array, names: Sequence[str]
 ) -> Iterator[Finding]:
     """Whether the joint solution is farther from the averaged pairs than their covariance allows.
 

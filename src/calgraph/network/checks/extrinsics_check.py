@@ -14,11 +14,7 @@ from calgraph.verdict.comparison import ExtrinsicsComparison, SensorComparison, 
 
 
 def compare_network_poses(
-    found: Calibration,
-    given: ExtrinsicsFile,
-    tolerance: Tolerance,
-    *,
-    settings: DiagnosticsSettings,
+    found: Calibration, given: ExtrinsicsFile, tolerance: Tolerance, *, settings: DiagnosticsSettings
 ) -> ExtrinsicsComparison:
     """Compares given poses of a network with estimated ones, and finds the fewest scanners that have moved.
 

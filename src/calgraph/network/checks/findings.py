@@ -21,9 +21,7 @@ _MIN_MATCHED_SHARE = 0.5
 
 
 def collect_network_findings(
-    tracks: Mapping[str, ScannerTracks | Rejected],
-    initialization: NetworkInitialization,
-    start: float,
+    tracks: Mapping[str, ScannerTracks | Rejected], initialization: NetworkInitialization, start: float
 ) -> Sequence[Finding]:
     """Scanners that were bumped, or may be elsewhere, or rest on a pair that disagrees about most positions.
 

@@ -17,12 +17,7 @@ from numpy.typing import NDArray
 from scipy.special import fdtri
 
 from calgraph.geometry import Array, Index, se2
-from calgraph.network.pairs.synchronized_tracks import (
-    RESAMPLING_TICK_PERIOD,
-    TrackSamples,
-    pair_samples,
-    resample_tracks,
-)
+from calgraph.network.pairs.synchronized_tracks import TICK_PERIOD, TrackSamples, pair_samples, resample_tracks
 from calgraph.network.tracking.corrected_tracks import correct_tracks
 from calgraph.network.tracking.track import ScannerBump, ScannerTracks
 
@@ -93,10 +88,7 @@ class _Step:
 
 
 def find_track_bump(
-    tracked: Mapping[str, ScannerTracks],
-    names: Sequence[str],
-    T_root_scanner: Array,
-    clock_offset: Array,
+    tracked: Mapping[str, ScannerTracks], names: Sequence[str], T_root_scanner: Array, clock_offset: Array
 ) -> tuple[str, ScannerBump] | None:
     """The most significant step among the scanners that too little background was measured of to test them.
 
@@ -126,7 +118,7 @@ def find_track_bump(
     if not found:
         return None
     _, k, step = max(found, key=lambda one: one[0])
-    begin, end = (tick * RESAMPLING_TICK_PERIOD + float(clock_offset[k]) for tick in step.ticks)
+    begin, end = (tick * TICK_PERIOD + float(clock_offset[k]) for tick in step.ticks)
     stddev = np.sqrt([np.linalg.eigvalsh(step.covariance[:2, :2])[-1], step.covariance[2, 2]])
     translation = float(np.hypot(*step.difference[:2]))
     return names[k], ScannerBump(

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from calgraph.geometry import Array, se2
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
-from calgraph.graph.tree_cuts import fundamental_cuts
+from calgraph.graph.spanning_tree import fundamental_cuts
 from calgraph.network.graph.conflicting_evidence import move_part
 from calgraph.network.pairs.scanner_pair import MIN_COUPLE_SHIFT, SAME_TURN
 
@@ -36,11 +36,7 @@ class AmbiguousPart:
 _MAX_AMBIGUITY = 0.7
 
 
-def find_ambiguous_parts(
-    graph: PoseGraph,
-    evidence: Array,
-    solution: PoseGraphSolution,
-) -> list[AmbiguousPart]:
+def find_ambiguous_parts(graph: PoseGraph, evidence: Array, solution: PoseGraphSolution) -> list[AmbiguousPart]:
     """Finds the parts of a network for which another pose has nearly as much evidence as the estimated one.
 
     Each edge of the maximum spanning tree by evidence defines a fundamental cut. The evidence of the edges across

@@ -87,10 +87,7 @@ _CLOCK_NOISE = 0.005
 
 
 def _variance_factor(
-    node: Mapping[str, int],
-    used: Sequence[ClockMountingHypothesis],
-    offset: Array,
-    unknowns: int,
+    node: Mapping[str, int], used: Sequence[ClockMountingHypothesis], offset: Array, unknowns: int
 ) -> float:
     """Mean squared residual over its expectation, of offsets that cycles test; at least 1."""
     if len(used) <= unknowns:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from calgraph.geometry import Array, se2
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
-from calgraph.graph.tree_cuts import fundamental_cuts
+from calgraph.graph.spanning_tree import fundamental_cuts
 from calgraph.network.graph.network_graph import edge_evidence
 from calgraph.network.pairs.scanner_pair import SAME_ANGLE, SAME_POSITION, ScannerPairEstimate
 
@@ -33,10 +33,7 @@ class ConflictingEvidence:
 
 
 def find_conflicting_evidence(
-    graph: PoseGraph,
-    names: Sequence[str],
-    pairs: Sequence[ScannerPairEstimate],
-    solution: PoseGraphSolution,
+    graph: PoseGraph, names: Sequence[str], pairs: Sequence[ScannerPairEstimate], solution: PoseGraphSolution
 ) -> ConflictingEvidence | None:
     """The largest part of a network that a hypothesis with more evidence would put elsewhere; None without one.
 
@@ -50,10 +47,7 @@ def find_conflicting_evidence(
         pairs: as given to :func:`build_network_graph`.
         solution: the estimated poses and their inliers.
     """
-    evidence = edge_evidence(
-        names,
-        pairs,
-    )
+    evidence = edge_evidence(names, pairs)
     i, j = graph.edges.T
     contradicts, distance = _contradicting_edges(graph, solution.T_root_node)
     conflicting = ~solution.inliers & contradicts

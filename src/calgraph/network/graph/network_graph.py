@@ -130,10 +130,7 @@ def edge_weights(evidence: Array) -> Array:
 _WALL_EVIDENCE = 260.0
 
 
-def edge_evidence(
-    names: Sequence[str],
-    pairs: Sequence[ScannerPairEstimate],
-) -> Array:
+def edge_evidence(names: Sequence[str], pairs: Sequence[ScannerPairEstimate]) -> Array:
     """Weight of evidence (E,) of the edges of :func:`build_network_graph`.
 
     Matching walls add a constant: hardly any wrong pose aligns them.
@@ -148,9 +145,7 @@ def edge_evidence(
 
 
 def edges_by_chance(
-    names: Sequence[str],
-    pairs: Sequence[ScannerPairEstimate],
-    scanners: int,
+    names: Sequence[str], pairs: Sequence[ScannerPairEstimate], scanners: int
 ) -> NDArray[np.bool_]:
     """Which edges (E,) of :func:`build_network_graph` may be by chance in a network of this number of scanners."""
     return np.array([h.may_be_by_chance(scanners) for h in _hypotheses(names, pairs)], dtype=np.bool_)

@@ -86,10 +86,7 @@ def initialize_network(
     while True:
         estimates = [pair for pair in pairs.values() if isinstance(pair, ScannerPairEstimate)]
         graph, names = build_network_graph(root, estimates)
-        evidence = edge_evidence(
-            names,
-            estimates,
-        )
+        evidence = edge_evidence(names, estimates)
         weights = None
         if weighted:
             weights = published_weights(names, estimates) if averaging else edge_weights(evidence)
@@ -110,18 +107,9 @@ def initialize_network(
             why = f"under its pose, scanners miss {missed.missed_share:.0%} of the people in their open view"
             pairs = _reject_edges(pairs, names, missed.edges, Rejected(why))
             continue
-        conflict = find_conflicting_evidence(
-            graph,
-            names,
-            estimates,
-            solution,
-        )
+        conflict = find_conflicting_evidence(graph, names, estimates, solution)
         if not conflict:
-            ambiguous = find_ambiguous_parts(
-                graph,
-                evidence,
-                solution,
-            )
+            ambiguous = find_ambiguous_parts(graph, evidence, solution)
             return NetworkInitialization(pairs, graph, names, solution, tuple(ambiguous))
         if is_confirmed_by_visibility(of_nodes, conflict.T_root_node, conflict.part):
             pairs = _reject_edges(pairs, names, conflict.weaker_edges, Rejected("contradicts better evidence"))

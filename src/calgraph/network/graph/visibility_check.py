@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from calgraph.geometry import Array, se2
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
-from calgraph.graph.tree_cuts import fundamental_cuts
+from calgraph.graph.spanning_tree import fundamental_cuts
 from calgraph.network.pairs.scanner_pair import DETECTION_RADIUS, MAX_MISSED_SHARE
 from calgraph.network.pairs.synchronized_tracks import pair_samples
 from calgraph.network.pairs.visibility_map import ScannerObservations, find_missed_detections

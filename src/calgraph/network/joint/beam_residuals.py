@@ -10,13 +10,7 @@ from calgraph.network.joint.ellipse_equations import compute_residuals, raycast_
 from calgraph.network.joint.leg_equations import compute_leg_residuals, raycast_leg
 from calgraph.network.joint.leg_problem import LegPath
 from calgraph.network.joint.path_equations import evaluate_at, index_scans
-from calgraph.network.joint.problem import (
-    BodyObservations,
-    BodyPath,
-    BodyScans,
-    NetworkProblem,
-    NetworkState,
-)
+from calgraph.network.joint.problem import BodyObservations, BodyPath, BodyScans, NetworkProblem, NetworkState
 
 
 @dataclass(frozen=True, eq=False)

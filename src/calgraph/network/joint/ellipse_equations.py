@@ -6,11 +6,7 @@ Residuals are ranges along the beams, each at its time of measurement.
 import numpy as np
 
 from calgraph.geometry import Array
-from calgraph.network.joint.ellipse_raycast import (
-    RaycastHits,
-    raycast_ellipses_by_axis,
-    rotate_by_small_angles,
-)
+from calgraph.network.joint.ellipse_raycast import RaycastHits, raycast_ellipses_by_axis, rotate_by_small_angles
 from calgraph.network.joint.path_equations import (
     add_scans,
     add_stretch,
@@ -19,13 +15,7 @@ from calgraph.network.joint.path_equations import (
     evaluate_at,
     index_scans,
 )
-from calgraph.network.joint.problem import (
-    BodyObservations,
-    BodyPath,
-    BodyScans,
-    NetworkProblem,
-    NetworkState,
-)
+from calgraph.network.joint.problem import BodyObservations, BodyPath, BodyScans, NetworkProblem, NetworkState
 from calgraph.network.joint.scan_equations import (
     AZIMUTH_ERRORS,
     RANGE_ERROR,

@@ -12,14 +12,13 @@ from calgraph.config.settings import NetworkEstimationSettings, TrackingSettings
 from calgraph.geometry import Array, se2
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
 from calgraph.network.joint.body_batches import BodyBatches
-from calgraph.network.joint.body_parts import cut_bodies
 from calgraph.network.joint.ellipse_equations import MIN_WALKING_SPEED, compute_residuals, raycast_body
 from calgraph.network.joint.heading_search import search_headings
-from calgraph.network.joint.leg_choice import measures_legs
+from calgraph.network.joint.leg_problem import measures_legs
 from calgraph.network.joint.leg_solution import SECOND_PATH_SIGMA, AddWalls, solve_legs
 from calgraph.network.joint.model_error import TUKEY_LIMIT, estimate_model_error
-from calgraph.network.joint.near_covariances import NearCovariances
 from calgraph.network.joint.path_equations import compute_smoothness_information, evaluate_at
+from calgraph.network.joint.planar_poses import NearCovariances
 from calgraph.network.joint.problem import (
     BodyObservations,
     BodyPath,
@@ -45,11 +44,11 @@ from calgraph.network.joint.solver import (
 )
 from calgraph.network.joint.splines import Knots
 from calgraph.network.joint.systematic_spread import estimate_systematic_sigma
-from calgraph.network.joint.track_association import BodyTracks, group_tracks_by_body
+from calgraph.network.joint.track_association import BodyTracks, cut_bodies, group_tracks_by_body
 from calgraph.network.joint.tukey_loss import TukeyLoss
 from calgraph.network.joint.wall_constraints import register_walls, select_bridges
-from calgraph.network.pairs.scanner_pair import NETWORK_ESTIMATION_CLOCK_SIGMA
-from calgraph.network.pairs.synchronized_tracks import RESAMPLING_TICK_PERIOD
+from calgraph.network.pairs.scanner_pair import CLOCK_SIGMA
+from calgraph.network.pairs.synchronized_tracks import TICK_PERIOD
 from calgraph.network.tracking.track import ScannerTracks, Track
 from calgraph.parallel.engine import THIS_PROCESS, MapEngine
 from calgraph.parallel.mapped_arrays import ArrayMemory
@@ -150,7 +149,7 @@ def solve_network(
         )
         if inlier
     ]
-    walks = group_tracks_by_body(tracked, T_root_scanner, RESAMPLING_TICK_PERIOD)
+    walks = group_tracks_by_body(tracked, T_root_scanner, TICK_PERIOD)
     bodies = cut_bodies(walks)
     state = NetworkState(
         T_root_scanner,
@@ -169,7 +168,7 @@ def solve_network(
         (),
         range_sigma=background,
         model_error_variance=np.array([_INITIAL_POSITION_SIGMA, _INITIAL_HEADING_SIGMA]) ** 2,
-        clock_sigma=NETWORK_ESTIMATION_CLOCK_SIGMA if estimate_clocks else 0.0,
+        clock_sigma=CLOCK_SIGMA if estimate_clocks else 0.0,
         systematic_sigma=prior_sigma,
         mid_time=(bodies[0].start + max(body.end for body in bodies)) / 2 if bodies else 0.0,
         acceleration_density=acceleration_density,
@@ -305,7 +304,7 @@ _KNOT_INTERVAL = 0.2
 
 def _place_knots(body: BodyTracks) -> Knots:
     """Knots that cover the body's tracks for clock offsets of up to three standard deviations."""
-    margin = 3 * NETWORK_ESTIMATION_CLOCK_SIGMA
+    margin = 3 * CLOCK_SIGMA
     return Knots.spanning(body.start - margin, body.end + margin, _KNOT_INTERVAL)
 
 
@@ -345,10 +344,7 @@ _TRACK_SIGMA = 0.03
 
 
 def _initialize_path(
-    body: BodyTracks,
-    target: People | Cylinder,
-    T_root_scanner: Array,
-    acceleration_density: float,
+    body: BodyTracks, target: People | Cylinder, T_root_scanner: Array, acceleration_density: float
 ) -> BodyPath:
     """Smoothing spline through the positions of all tracks, with the heading along the direction of motion."""
     knots = _place_knots(body)
@@ -391,11 +387,7 @@ def _update_weights(
 
 
 def _compute_weights(
-    network: NetworkProblem,
-    state: NetworkState,
-    body: BodyObservations,
-    path: BodyPath,
-    near_side_factor: float,
+    network: NetworkProblem, state: NetworkState, body: BodyObservations, path: BodyPath, near_side_factor: float
 ) -> list[Array]:
     """Weights (N,) of each scanner's beams on a body."""
     weights = []

@@ -12,11 +12,7 @@ from calgraph.network.joint.path_covariance import compute_path_covariance
 from calgraph.network.joint.path_equations import evaluate_at, index_scans
 from calgraph.network.joint.problem import NetworkProblem, NetworkState
 from calgraph.network.joint.range_noise import MAX_EXCESS, MIN_BEAMS, MIN_RATIO
-from calgraph.network.joint.schur import (
-    BodyEquations,
-    compute_back_substitution,
-    pack_lower_band,
-)
+from calgraph.network.joint.schur import BodyEquations, compute_back_substitution, pack_lower_band
 from calgraph.network.joint.solver import NetworkEquations, compute_network_covariance
 
 # Standard deviation of Gaussian noise as a multiple of its median absolute value.

@@ -185,11 +185,7 @@ def solve_legs(
     prior_sigma = systematic_sigma = network.systematic_sigma
     clusters = [cluster_legs(*pair) for pair in zip(foregrounds, background, strict=True)]
     beams = [ScannerBeams.from_foreground(foreground) for foreground in foregrounds]
-    noise = LegNoise(
-        np.hypot(background, SECOND_PATH_SIGMA),
-        _INITIAL_BIAS_SIGMA**2,
-        ACCELERATION_DENSITY,
-    )
+    noise = LegNoise(np.hypot(background, SECOND_PATH_SIGMA), _INITIAL_BIAS_SIGMA**2, ACCELERATION_DENSITY)
     for tracking in range(_MAX_TRACKINGS):
         tracks = track_legs(clusters, state.T_root_scanner, state.clock_offset)
         candidates = [initialize_leg(track) for track in tracks]

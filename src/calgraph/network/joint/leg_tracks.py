@@ -145,11 +145,7 @@ def _match(active: _ActiveLegs, index: Index, times: Array, positions: Array, va
         active.mean[rows, :2] += dt[here][:, None] * active.mean[rows, 2:] + gain[0][:, None] * offset[here]
         active.mean[rows, 2:] += gain[1][:, None] * offset[here]
         active.covariance[rows] = np.column_stack(
-            [
-                (1 - gain[0]) * p_ahead[here],
-                (1 - gain[0]) * c_ahead[here],
-                v_ahead[here] - gain[1] * c_ahead[here],
-            ]
+            [(1 - gain[0]) * p_ahead[here], (1 - gain[0]) * c_ahead[here], v_ahead[here] - gain[1] * c_ahead[here]]
         )
         active.times[rows] = times[columns]
         for row, column in zip(rows, columns, strict=True):

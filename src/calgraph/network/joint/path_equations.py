@@ -6,13 +6,7 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from calgraph.geometry import Array, Index
-from calgraph.network.joint.problem import (
-    BodyObservations,
-    BodyPath,
-    BodyScans,
-    NetworkProblem,
-    NetworkState,
-)
+from calgraph.network.joint.problem import BodyObservations, BodyPath, BodyScans, NetworkProblem, NetworkState
 from calgraph.network.joint.scan_equations import ScanTerms
 from calgraph.network.joint.scanner_unknowns import (
     FIRST_SYSTEMATIC,

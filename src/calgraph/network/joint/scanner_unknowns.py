@@ -17,7 +17,7 @@ import numpy as np
 
 from calgraph.config import Lidar2dUncertainty
 from calgraph.geometry import Array, Index
-from calgraph.network.joint.near_covariances import NearCovariances
+from calgraph.network.joint.planar_poses import NearCovariances
 from calgraph.network.joint.problem import BodyScans, NetworkProblem, NetworkState
 from calgraph.network.joint.scan_equations import AZIMUTH_ERRORS, RANGE_ERROR, SCAN_PARAMETERS
 from calgraph.result import EstimatedParameter

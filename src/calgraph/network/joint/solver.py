@@ -18,14 +18,8 @@ from calgraph.network.joint.body_batches import BodyBatches, KeptValues
 from calgraph.network.joint.ellipse_equations import linearize_body
 from calgraph.network.joint.leg_equations import linearize_leg
 from calgraph.network.joint.leg_problem import LegObservations, LegPath
-from calgraph.network.joint.near_covariances import NearCovariances
-from calgraph.network.joint.problem import (
-    BodyObservations,
-    BodyPath,
-    NetworkProblem,
-    NetworkState,
-    WallConstraint,
-)
+from calgraph.network.joint.planar_poses import NearCovariances
+from calgraph.network.joint.problem import BodyObservations, BodyPath, NetworkProblem, NetworkState, WallConstraint
 from calgraph.network.joint.scanner_matrix import NearInverse, ScannerMatrix
 from calgraph.network.joint.scanner_order import ScannerOrder
 from calgraph.network.joint.scanner_unknowns import (

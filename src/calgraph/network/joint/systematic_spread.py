@@ -12,11 +12,7 @@ import numpy as np
 
 from calgraph.geometry import Array, Index
 from calgraph.network.joint.problem import NetworkProblem, NetworkState
-from calgraph.network.joint.scanner_unknowns import (
-    FIRST_SYSTEMATIC,
-    SCANNER_UNKNOWNS,
-    compute_prior_covariance,
-)
+from calgraph.network.joint.scanner_unknowns import FIRST_SYSTEMATIC, SCANNER_UNKNOWNS, compute_prior_covariance
 from calgraph.network.joint.solver import COMMON_ERROR_SHARE, NetworkEquations
 from calgraph.parallel.engine import THIS_PROCESS, MapEngine
 

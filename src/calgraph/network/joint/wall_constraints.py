@@ -22,10 +22,7 @@ _WALL_ROTATION_SIGMA = 0.01
 
 
 def register_walls(
-    tracked: Sequence[ScannerTracks],
-    network: NetworkProblem,
-    state: NetworkState,
-    engine: MapEngine,
+    tracked: Sequence[ScannerTracks], network: NetworkProblem, state: NetworkState, engine: MapEngine
 ) -> tuple[WallConstraint, ...]:
     """Registers the static backgrounds of all pairs of scanners that measured a common body.
 

@@ -260,12 +260,7 @@ def _is_same(T: Array, other: Array) -> bool:
 
 
 def _register(
-    T_a_b: Array,
-    a: ScannerObservations,
-    b: ScannerObservations,
-    mirrored: bool,
-    delay: int,
-    prior: NuisancePrior,
+    T_a_b: Array, a: ScannerObservations, b: ScannerObservations, mirrored: bool, delay: int, prior: NuisancePrior
 ) -> PoseHypothesis | None:
     """The credible pose near a start; shifts the samples until the rest of the clock offset is below a tick."""
     period, model_error = a.samples.tick_period, MAX_MODEL_ERROR

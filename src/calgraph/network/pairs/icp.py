@@ -130,11 +130,7 @@ def align_backgrounds(
     lever = float(np.median(np.linalg.norm(b.points, axis=1)))
     guess_stddev = np.sqrt(np.max(np.linalg.eigvalsh(covariance[:2, :2])) + lever**2 * covariance[2, 2])
     match_distance = float(
-        np.clip(
-            _INITIAL_DISTANCE_FACTOR * guess_stddev,
-            _MIN_INITIAL_DISTANCE,
-            _MAX_INITIAL_DISTANCE,
-        )
+        np.clip(_INITIAL_DISTANCE_FACTOR * guess_stddev, _MIN_INITIAL_DISTANCE, _MAX_INITIAL_DISTANCE)
     )
     noise2 = (sigma**2 + _WALL_ERROR**2) * _CORRELATED_POINTS
     scale = np.array([1, 1, 1 / _LEVER_ARM])

@@ -89,7 +89,7 @@ class ScannerPairEstimate:
 
 
 # Prior standard deviation of clock offsets, s: clocks set by NTP or by hand of a driver's start time.
-NETWORK_ESTIMATION_CLOCK_SIGMA = 0.1
+CLOCK_SIGMA = 0.1
 # Scanners up to which all pairs are registered: 28 pairs take less than a second.
 MAX_EXHAUSTIVE = 8
 
@@ -100,7 +100,7 @@ def estimate_scanner_pairs(
     *,
     icp: bool = True,
     depth_stddev: float | None = None,
-    clock_sigma: float = NETWORK_ESTIMATION_CLOCK_SIGMA,
+    clock_sigma: float = CLOCK_SIGMA,
     engine: Engine = THIS_PROCESS,
     progress: Callable[[float], None] = lambda _done: None,
 ) -> dict[tuple[str, str], ScannerPairEstimate | Rejected]:
@@ -237,7 +237,7 @@ def estimate_scanner_pair(
     *,
     icp: bool = True,
     depth_stddev: float | None = None,
-    clock_sigma: float = NETWORK_ESTIMATION_CLOCK_SIGMA,
+    clock_sigma: float = CLOCK_SIGMA,
 ) -> ScannerPairEstimate | Rejected:
     """Estimates ``T_a_b`` from the people that both scanners tracked.
 

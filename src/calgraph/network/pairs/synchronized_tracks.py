@@ -144,7 +144,7 @@ def pair_samples(a: TrackSamples, b: TrackSamples) -> SimultaneousPairs:
 
 # Time between the ticks, s: smoothed tracks of walking people have a bandwidth below 5 Hz. Matches, expected
 # detections and evidence are counted in ticks: with another period, limits on these have to be scaled.
-RESAMPLING_TICK_PERIOD = 0.1
+TICK_PERIOD = 0.1
 
 
 def resample_tracks(tracked: ScannerTracks) -> TrackSamples:
@@ -153,10 +153,10 @@ def resample_tracks(tracked: ScannerTracks) -> TrackSamples:
     parts = [_interpolate_at_ticks(joined, i) for i, joined in enumerate(_join_tracks(tracks))]
     if not parts:
         none, vectors = np.zeros(0, dtype=np.intp), np.zeros((0, 2))
-        return TrackSamples(none, none, vectors, vectors, np.zeros((0, 2, 2)), RESAMPLING_TICK_PERIOD)
+        return TrackSamples(none, none, vectors, vectors, np.zeros((0, 2, 2)), TICK_PERIOD)
     tick, trajectory, x, v, S = (np.concatenate(column) for column in zip(*parts, strict=True))
     order = np.argsort(tick, kind="stable")
-    return TrackSamples(tick[order], trajectory[order], x[order], v[order], S[order], RESAMPLING_TICK_PERIOD)
+    return TrackSamples(tick[order], trajectory[order], x[order], v[order], S[order], TICK_PERIOD)
 
 
 # Longest time between two tracks of one trajectory, s: a new period begins within some scans.
@@ -228,7 +228,7 @@ def _interpolate_at_ticks(tracks: Sequence[Track], number: int) -> tuple[Indices
     t, x, v, S = t[usable], x[usable], v[usable], S[usable]
     if len(t) < 2:
         return np.zeros(0, np.intp), np.zeros(0, np.intp), np.zeros((0, 2)), np.zeros((0, 2)), np.zeros((0, 2, 2))
-    period = RESAMPLING_TICK_PERIOD
+    period = TICK_PERIOD
     tick = np.arange(np.ceil(t[0] / period), np.floor(t[-1] / period) + 1).astype(np.intp)
     k = np.clip(np.searchsorted(t, tick * period, "right") - 1, 0, len(t) - 2)
     h = np.diff(t)

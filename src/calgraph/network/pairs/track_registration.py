@@ -68,10 +68,7 @@ _CAUCHY_SCALE2 = 6.0
 
 
 def register_tracks(
-    T_a_b: Array,
-    pairs: SimultaneousPairs,
-    model_error: float,
-    prior: NuisancePrior,
+    T_a_b: Array, pairs: SimultaneousPairs, model_error: float, prior: NuisancePrior
 ) -> TrackRegistration | None:
     """Fits pose, clock offset and depths to the matches of simultaneous pairs, with new matches at every step.
 

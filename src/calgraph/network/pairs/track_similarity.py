@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.geometry import Array
-from calgraph.network.pairs.synchronized_tracks import RESAMPLING_TICK_PERIOD, Indices, TrackSamples
+from calgraph.network.pairs.synchronized_tracks import TICK_PERIOD, Indices, TrackSamples
 
 # Pairs of trajectories, of all stretches, that are compared together: their moments take about 100 MB.
 _MAX_COMPARED = 500_000
@@ -155,11 +155,7 @@ _KEPT_ALIGNMENTS = 64
 
 
 def _align_trajectories(
-    of_a: _Stretch,
-    of_b: _Stretch,
-    first: int,
-    end: int,
-    compared: NDArray[np.bool_],
+    of_a: _Stretch, of_b: _Stretch, first: int, end: int, compared: NDArray[np.bool_]
 ) -> _Alignments:
     """Aligns trajectories of scanners a from ``first`` to ``end`` with those of all b; keeps the best of each."""
     rows = slice(*np.searchsorted(of_a.scanner, [first, end]))
@@ -167,7 +163,7 @@ def _align_trajectories(
     scanner_b, z_b, in_b = of_b.scanner, of_b.positions, of_b.detected
     pass
     ticks = in_a @ in_b.T
-    least = max(round(MIN_DURATION / RESAMPLING_TICK_PERIOD), 1)
+    least = max(round(MIN_DURATION / TICK_PERIOD), 1)
     a, b = np.nonzero((ticks >= least) & compared[np.ix_(scanner_a, scanner_b)])
     n = ticks[a, b]
     center_a, center_b = (z_a @ in_b.T)[a, b] / n, (in_a @ z_b.T)[a, b] / n

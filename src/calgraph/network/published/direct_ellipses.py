@@ -28,11 +28,7 @@ _DIRECT_ELLIPSE_STDDEV = 0.5
 _REPLACED_ELLIPSE_STDDEV = 0.25
 
 
-def measure_direct_ellipses(
-    objects: Clusters,
-    target: People | Cylinder,
-    sigma: float,
-) -> MeasuredCenters:
+def measure_direct_ellipses(objects: Clusters, target: People | Cylinder, sigma: float) -> MeasuredCenters:
     """Centres of Fitzgibbon's ellipses; where these are implausible, centroids moved back by the target's radius.
 
     Args:

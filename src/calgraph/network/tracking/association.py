@@ -78,13 +78,7 @@ def associate(objects: Clusters, center_sigma: float, acceleration_density: floa
 GATE = 13.8
 
 
-def _match(
-    active: _ActiveTracks,
-    index: NDArray[np.intp],
-    centroids: Array,
-    R: Array,
-    now: float,
-) -> None:
+def _match(active: _ActiveTracks, index: NDArray[np.intp], centroids: Array, R: Array, now: float) -> None:
     """Updates the identities with their objects of this scan, and starts new ones with the rest."""
     squared, determinant = mahalanobis_distance(
         Gaussian(active.state.mean[:, None], active.state.covariance[:, None]), centroids[None], R

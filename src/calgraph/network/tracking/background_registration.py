@@ -68,13 +68,7 @@ class ReferenceScan:
         """(B, 2) of the lines through the neighbours of each point, NaN without one."""
         pass
         max_gap = _MAX_NEIGHBOUR_DISTANCE + _MAX_NEIGHBOUR_SPACINGS * self.spacing * self.ranges
-        return fit_local_lines(
-            self.points,
-            _NEIGHBOURS_PER_SIDE,
-            max_gap,
-            _MAX_LINE_STDDEV,
-            _MIN_ELONGATION2,
-        )
+        return fit_local_lines(self.points, _NEIGHBOURS_PER_SIDE, max_gap, _MAX_LINE_STDDEV, _MIN_ELONGATION2)
 
 
 @dataclass(frozen=True, eq=False)

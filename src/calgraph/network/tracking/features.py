@@ -73,10 +73,7 @@ _MAX_TURN = 0.3
 
 
 def fit_ellipses(
-    groups: PointGroups,
-    radii: tuple[float, float],
-    prior: OrientationPrior,
-    sigma: float,
+    groups: PointGroups, radii: tuple[float, float], prior: OrientationPrior, sigma: float
 ) -> EllipseFits:
     """Fits centre and orientation of ellipses with fixed radii.
 
@@ -284,9 +281,7 @@ def measure_centroids(objects: Clusters, target: People | Cylinder, sigma: float
     """
     radius = float(np.mean(target_radii(target)))
     bias = radial_covariances(
-        objects.centroids,
-        np.full(len(objects), (DEPTH * radius) ** 2),
-        lateral_sigma(objects, radius) ** 2,
+        objects.centroids, np.full(len(objects), (DEPTH * radius) ** 2), lateral_sigma(objects, radius) ** 2
     )
     # The outermost beams on an object differ from scan to scan: variance of two uniform edges.
     edge = np.linalg.norm(objects.centroids, axis=-1) * objects.spacing / np.sqrt(24)
@@ -316,10 +311,7 @@ _LATERAL_BIAS = 0.5
 
 
 def measure_fixed_ellipses(
-    objects: Clusters,
-    target: People | Cylinder,
-    velocities: ObjectVelocities,
-    sigma: float,
+    objects: Clusters, target: People | Cylinder, velocities: ObjectVelocities, sigma: float
 ) -> MeasuredCenters:
     """Centres of ellipses with the target's radii, fitted to the objects' points.
 

@@ -132,12 +132,7 @@ def _smooth_batch(
     index = np.stack([members[np.minimum(column, len(members) - 1)] for members in segments])
     z = np.where((column < lengths[:, None])[..., None], measured.positions[index], np.nan)
     state, used = smooth_tracks(
-        times[index],
-        z,
-        measured.noise[index],
-        settings.acceleration_density,
-        GATE,
-        INITIAL_SPEED_SIGMA,
+        times[index], z, measured.noise[index], settings.acceleration_density, GATE, INITIAL_SPEED_SIGMA
     )
     chosen = [np.flatnonzero(row) for row in used]
     return [

@@ -100,10 +100,7 @@ def compute_window_medians(scans: AlignedScans) -> ScanWindows:
         ranges = scans.read(part.ravel()).reshape(*part.shape, -1)
         medians.append(np.partition(ranges, used // 2, axis=1)[:, used // 2])
     return ScanWindows(
-        scans.angles,
-        np.concatenate(medians),
-        scans.stamps[first],
-        scans.stamps[first + per_window - 1],
+        scans.angles, np.concatenate(medians), scans.stamps[first], scans.stamps[first + per_window - 1]
     )
 
 
@@ -353,10 +350,7 @@ def _systematic_covariance(information: Array) -> Array:
 
 
 def _include_motion(
-    windows: ScanWindows,
-    pieces: Sequence[Index],
-    bumps: Sequence[ScannerBump],
-    testable: NDArray[np.bool_],
+    windows: ScanWindows, pieces: Sequence[Index], bumps: Sequence[ScannerBump], testable: NDArray[np.bool_]
 ) -> list[ScannerBump]:
     """The bumps with those of unknown size before the first and after the last piece, where the scanner moves."""
     included = list(bumps)

@@ -37,7 +37,7 @@ def track_scanner(
     noise: RangeNoise,
     *,
     centers: CenterEstimator | None = None,
-    settings: TrackingSettings,
+    settings: TrackingSettings = TrackingSettings(),
 ) -> ScannerTracks | Rejected:
     """Tracks everything that moves through the view of a stationary scanner (lrf-network, sections III-B and C).
 

@@ -12,8 +12,7 @@ from calgraph.result.exports.frames import parent_to_root
 from calgraph.result.exports.json_text import to_json
 from calgraph.result.exports.kalibr import to_camchain
 from calgraph.result.exports.tf import to_launch, to_tf_yaml
-from calgraph.result.exports.urdf import to_urdf
-from calgraph.result.exports.urdf_update import update_urdf
+from calgraph.result.exports.urdf import to_urdf, update_urdf
 from calgraph.result.stated_pose import apply_stated_poses
 from calgraph.sensors import CameraModel
 

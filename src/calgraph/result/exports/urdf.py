@@ -1,6 +1,12 @@
 """A new URDF: a link for each sensor's frame, a fixed joint for each edge of the tree."""
 
-from calgraph.geometry import Array
+import logging
+from collections.abc import Mapping
+
+import numpy as np
+
+from calgraph.errors import InputError
+from calgraph.geometry import Array, se3, so3
 from calgraph.result.calibration import Calibration
 from calgraph.result.exports.frames import (
     TreeEdge,
@@ -10,6 +16,9 @@ from calgraph.result.exports.frames import (
     roll_pitch_yaw,
     tree_edges,
 )
+from calgraph.result.exports.urdf_text import frames_from_joints, read_joints, replace_origins
+from calgraph.result.frame_tree import FrameTree
+from calgraph.result.stated_pose import apply_stated_poses
 
 
 def to_urdf(calibration: Calibration) -> str:
@@ -46,3 +55,82 @@ def _joint(link: TreeEdge) -> list[str]:
         f"    <origin {origin_attributes(link.T_parent_child)}/>",
         "  </joint>",
     ]
+
+
+_log = logging.getLogger(__name__)
+
+
+def update_urdf(calibration: Calibration, urdf: str) -> str:
+    """The URDF with new origins, such that the relative poses of its sensor links are the calibrated ones.
+
+    A sensor's link is the one named as its frame_id; sensors without one are logged and left out. A sensor's
+    joint may have any link as parent: its new origin takes the fixed joints between that link and the other
+    sensors into account. One sensor's joint is unchanged and attaches the rig to the robot: the root's, or that of
+    the topmost sensor that carries the root. Everything else in the file, comments included, is unchanged too.
+
+    Args:
+        calibration: the poses.
+        urdf: text of the URDF (an expanded one, not a xacro).
+
+    Raises:
+        InputError: the text is not a URDF, it lacks the root's link or those of all other sensors, or a movable
+            joint lies between two sensors.
+    """
+    joints = read_joints(urdf)
+    frame_tree = frames_from_joints(joints)
+    poses = _poses_of_links(calibration, frame_tree)
+    root = frame_ids(calibration)[calibration.root]
+    anchor = [link for link in frame_tree.ancestry(root) if link in poses][-1]
+    origins = {}
+    for link in poses.keys() & frame_tree.links.keys() - {anchor}:
+        parent = frame_tree.links[link].parent
+        T_parent_link = se3.inverse(_link_pose(frame_tree, poses, anchor, parent)) @ poses[link]
+        frame_tree.check_fixed(link)
+        origins[link] = origin_attributes(T_parent_link)
+    return replace_origins(urdf, joints, origins)
+
+
+def _poses_of_links(calibration: Calibration, frame_tree: FrameTree) -> dict[str, Array]:
+    """``T_root_link`` (4, 4) of the sensors that have a link, by the link's name.
+
+    Height, roll and pitch that a network does not measure, and rig.yaml does not state, are those of the URDF.
+    """
+    frame_of = frame_ids(calibration)
+    missing = {name: frame for name, frame in frame_of.items() if frame not in frame_tree.frames}
+    if calibration.root in missing:
+        raise InputError(f"the URDF has no link {missing[calibration.root]!r}, the frame of the root sensor")
+    if len(missing) == len(frame_of) - 1:
+        raise InputError(f"the URDF has no joint whose child link is one of {', '.join(missing.values())}")
+    for name, frame in missing.items():
+        _log.warning("sensor %s is not in the URDF: no joint has the child link %r", name, frame)
+    stated = any(sensor.stated for sensor in calibration.sensors)
+    placed, root = apply_stated_poses(calibration), frame_of[calibration.root]
+    poses = {frame: placed[name].T_root_sensor for name, frame in frame_of.items() if name not in missing}
+    if not calibration.planar or stated:
+        return poses
+    return {frame: _keep_out_of_plane(T, frame_tree.transform(root, frame)) for frame, T in poses.items()}
+
+
+def _keep_out_of_plane(T_planar: Array, T_before: Array) -> Array:
+    """A planar pose (4, 4) with height, roll and pitch of another one, if that is the same way up."""
+    if T_planar[2, 2] * T_before[2, 2] < 0:
+        return T_planar
+    yaw = (np.arctan2(T[1, 0], T[0, 0]) for T in (T_planar, T_before))
+    turn = so3.exp(np.array([0.0, 0.0, next(yaw) - next(yaw)]))
+    return se3.pose(turn @ T_before[:3, :3], np.array([*T_planar[:2, 3], T_before[2, 3]]))
+
+
+def _link_pose(frame_tree: FrameTree, poses: Mapping[str, Array], anchor: str, link: str) -> Array:
+    """``T_root_link`` (4, 4) of any link: by the sensor that carries it, or by the anchor's place on the robot."""
+    ancestry = frame_tree.ancestry(link)
+    carrier = next((upper for upper in ancestry if upper in poses), None)
+    if carrier is not None:
+        return poses[carrier] @ frame_tree.transform_to_ancestor(carrier, link)
+    shared = next((upper for upper in ancestry if upper in frame_tree.ancestry(anchor)), None)
+    if shared is None:
+        raise InputError(f"links {link!r} and {anchor!r} of the URDF are not connected by joints")
+    return (
+        poses[anchor]
+        @ se3.inverse(frame_tree.transform_to_ancestor(shared, anchor))
+        @ frame_tree.transform_to_ancestor(shared, link)
+    )

@@ -51,11 +51,7 @@ def build_bundle(
         components = list(bundle.bias_components(k))
         of_view = np.array([initial, initial / bundle.lever, initial, stamp])
         bundle.bias_variance[k, components] = of_view[components] ** 2
-    state = BundleState(
-        stack_poses([T_root_sensor[name] for name in names]),
-        T_root_board,
-        np.zeros(0),
-    )
+    state = BundleState(stack_poses([T_root_sensor[name] for name in names]), T_root_board, np.zeros(0))
     number = np.array([board_number(board, captured.detections) for board in boards], dtype=np.intp)
     bundle, state = add_systematic_parameters(bundle, state, rig, number)
     return update_noise(bundle, state), state

@@ -285,7 +285,7 @@ class MinimizedBundle:
 
 # Residuals beyond this many standard deviations are down-weighted (Huber): Gaussian noise loses 0.3 % of its
 # information.
-RIG_ESTIMATION_HUBER_THRESHOLD = 2.5
+HUBER_THRESHOLD = 2.5
 
 
 def linearize_bundle(
@@ -307,7 +307,7 @@ def linearize_bundle(
         cached = cache[k] if cache else None
         at = cached.extrapolate(views, T_sensor_board, extra) if cached else None
         if not (cached and at):
-            cached = linearize_views(views, T_sensor_board, extra, bias, RIG_ESTIMATION_HUBER_THRESHOLD)
+            cached = linearize_views(views, T_sensor_board, extra, bias, HUBER_THRESHOLD)
             at = cached.equations
         linearizations.append(cached)
         A, b, costs = at.marginalize_bias(bias)

@@ -34,10 +34,7 @@ from calgraph.rig.bundle.observations import relative_poses, stack_poses
 from calgraph.rig.bundle.priors import PosePrior, RigidGroup, apply_rigid_groups, with_priors, without_priors
 from calgraph.rig.bundle.settling import STEPS_PER_ROUND, select_views, settle_variances
 from calgraph.rig.bundle.solution import MeasuredNoise, RigSolution, SolvedBundle
-from calgraph.rig.bundle.systematic_parameters import (
-    estimated_print_scales,
-    summarize_systematic_parameters,
-)
+from calgraph.rig.bundle.systematic_parameters import estimated_print_scales, summarize_systematic_parameters
 from calgraph.rig.captures.detect import CaptureSet
 
 

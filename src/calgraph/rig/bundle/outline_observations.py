@@ -92,10 +92,7 @@ class OutlineObservations:
 
     @classmethod
     def from_edges(
-        cls,
-        board: Sequence[int],
-        detections: Sequence[PlanePatch | Segment],
-        half: Array,
+        cls, board: Sequence[int], detections: Sequence[PlanePatch | Segment], half: Array
     ) -> "OutlineObservations":
         """The views of these boards in their detections; no edge is used before :meth:`update_noise`."""
         edges = np.concatenate([np.empty((0, 2, 3)), *(d.edges for d in detections)])

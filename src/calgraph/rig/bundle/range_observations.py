@@ -77,11 +77,7 @@ class RangeObservations:
 
     @classmethod
     def from_detections(
-        cls,
-        board: Sequence[int],
-        detections: Sequence[PlanePatch | Segment],
-        noise: RangeNoise,
-        min_cosine: float,
+        cls, board: Sequence[int], detections: Sequence[PlanePatch | Segment], noise: RangeNoise, min_cosine: float
     ) -> "RangeObservations":
         """The views of these boards in their detections, without systematic errors."""
         ranges = np.concatenate([np.empty(0), *(d.ranges for d in detections)])

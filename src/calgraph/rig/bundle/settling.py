@@ -73,12 +73,7 @@ def settle_variances(
         unchanged = zip(solution.equations.cache, before.all_views, bundle.all_views, strict=True)
         cache = [cached if new is old else None for cached, old, new in unchanged]
         solution = minimize_bundle(
-            bundle,
-            solution.state,
-            cache,
-            iterations=STEPS_PER_ROUND,
-            tolerance=COARSE_TOLERANCE,
-            exact=False,
+            bundle, solution.state, cache, iterations=STEPS_PER_ROUND, tolerance=COARSE_TOLERANCE, exact=False
         )
     return bundle, solution, kept
 

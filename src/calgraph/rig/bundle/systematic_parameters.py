@@ -341,13 +341,7 @@ def _locate_corners(nominal: Array, number: Index, prints: Sequence[_Print]) -> 
 
 
 def _add_to_scanner(
-    table: ParameterTable,
-    k: int,
-    name: str,
-    views: RangeObservations,
-    spec: SensorSpec,
-    rig: Rig,
-    number: Index,
+    table: ParameterTable, k: int, name: str, views: RangeObservations, spec: SensorSpec, rig: Rig, number: Index
 ) -> RangeObservations:
     prior = spec.uncertainty
     assert isinstance(prior, RangeUncertainty)

@@ -9,7 +9,7 @@ from scipy.special import chdtr, chdtri
 
 from calgraph.geometry import Array, Index, se_n
 from calgraph.rig.bundle.bundle_solver import (
-    RIG_ESTIMATION_HUBER_THRESHOLD,
+    HUBER_THRESHOLD,
     Bundle,
     BundleEquations,
     MarginalizedViews,
@@ -148,10 +148,7 @@ def _view_statistics(bundle: Bundle, equations: BundleEquations, k: int, factors
     expected = np.diagonal(W, axis1=-2, axis2=-1)
     score = np.einsum("vci,vi->c", of_variance, among - expected)
     fisher = _sum_squares(W, of_variance, of_variance)
-    within, freedom = (
-        squares.sum() / huber_variance_factor(views.dimension, RIG_ESTIMATION_HUBER_THRESHOLD),
-        freedom.sum(),
-    )
+    within, freedom = (squares.sum() / huber_variance_factor(views.dimension, HUBER_THRESHOLD), freedom.sum())
     score[0] += within - freedom
     fisher[0, 0] += freedom
     expected_among = np.sum(of_variance[:, 0] * expected)
@@ -167,7 +164,7 @@ def _view_statistics(bundle: Bundle, equations: BundleEquations, k: int, factors
 
 # Directions that the other views check with less than this redundancy number (Baarda) do not enter the test for
 # outliers, nor that of priors: an error there has little effect, and the statistic would amplify rounding.
-VARIANCE_COMPONENT_MIN_REDUNDANCY = 1e-3
+MIN_REDUNDANCY = 1e-3
 # Share of correct views whose statistics are truncated when variances are estimated: variances stay bounded with
 # up to half of outlier views.
 _TRUNCATED_SHARE = 0.1
@@ -179,7 +176,7 @@ def _downweight_views(at: MarginalizedViews, factors: Array, pose_count: int) ->
     The mean of a truncated χ² is smaller by a factor that the weights make up for. Source: Huber, "Robust
     statistics", 1981, section 5.3 (proposal 2).
     """
-    squared, freedom = _test_poses(at, factors, pose_count, VARIANCE_COMPONENT_MIN_REDUNDANCY)
+    squared, freedom = _test_poses(at, factors, pose_count, MIN_REDUNDANCY)
     d = np.maximum(freedom, 1)
     limit = chdtri(d, _TRUNCATED_SHARE)
     mean_share = chdtr(d + 2, limit) + limit / d * _TRUNCATED_SHARE
@@ -267,10 +264,7 @@ class ViewConsistency:
 
 
 def measure_consistency(
-    equations: BundleEquations,
-    factors: Sequence[Array],
-    kept: Sequence[NDArray[np.bool_]],
-    first: int = 0,
+    equations: BundleEquations, factors: Sequence[Array], kept: Sequence[NDArray[np.bool_]], first: int = 0
 ) -> list[ViewConsistency]:
     """The consistency of each view with those that a solution is made of, by view set from ``first`` on.
 
@@ -282,7 +276,7 @@ def measure_consistency(
         first: index of the first view set.
     """
     found = []
-    least = VARIANCE_COMPONENT_MIN_REDUNDANCY
+    least = MIN_REDUNDANCY
     of_views = zip(equations.cache[first:], equations.views[first:], factors, kept[first:], strict=True)
     for cached, at, F, part in of_views:
         pose_count = cached.equations.pose_count

@@ -92,9 +92,7 @@ def _describe(name: str, root: str, found: ClockOffset | None) -> Finding:
 
 
 def estimate_clock_offsets(
-    timeline: RecordingTimeline,
-    root: str,
-    wanted: Collection[str],
+    timeline: RecordingTimeline, root: str, wanted: Collection[str]
 ) -> Mapping[str, ClockOffset]:
     """Estimates clock offsets from the motion of the board, which starts and stops in all views at the same times.
 

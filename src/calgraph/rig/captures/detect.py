@@ -113,8 +113,7 @@ _MIN_NOISE = 0.05
 
 
 def scale_by_measured_noise(
-    detections: Mapping[int, Sequence[Detection]],
-    stated: float,
+    detections: Mapping[int, Sequence[Detection]], stated: float
 ) -> dict[int, tuple[Detection, ...]]:
     """Scales the covariances of one camera's detections to the noise estimated from all their residuals.
 
@@ -154,9 +153,7 @@ _MIN_SHARE = 0.5
 
 
 def find_misplaced_tags(
-    camera: str,
-    detected: Iterable[Sequence[Detection]],
-    inconsistent: Sequence[InconsistentTags],
+    camera: str, detected: Iterable[Sequence[Detection]], inconsistent: Sequence[InconsistentTags]
 ) -> Iterator[Finding]:
     """A finding if tags are outliers in most captures of a camera in which it detected more than one.
 

@@ -7,14 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.boards.detections import (
-    BoardCorners,
-    Detection,
-    InconsistentTags,
-    PlanePatch,
-    Segment,
-    to_beams,
-)
+from calgraph.boards.detections import BoardCorners, Detection, InconsistentTags, PlanePatch, Segment, to_beams
 from calgraph.errors import InputError, Rejected
 from calgraph.io.columns import INDEX, NUMBER, Arrays, Column, Table
 from calgraph.result import Snapshot

@@ -14,7 +14,7 @@ from calgraph.recording import NO_CACHE, PoseRecordings, Recording, RecordingCac
 from calgraph.result.finding import Finding
 from calgraph.rig.captures.capture_mode import recognize_mode
 from calgraph.rig.captures.timeline import build_timeline
-from calgraph.rig.detection.cloud_background import Cells, find_direction_cells, find_local_maxima
+from calgraph.rig.detection.capture_background import Cells, find_direction_cells, find_local_maxima
 from calgraph.sensors import DetectedCorners, Image, LaserScan, Message, PointCloud, RecordedMessage
 from calgraph.sensors.kinds import KINDS
 

@@ -19,10 +19,7 @@ _ACTIVITY_DURATION = 20.0
 
 
 def recognize_recording(
-    recording: Recording,
-    topics: Collection[str],
-    settings: CaptureSettings,
-    empty_end: float = 0.0,
+    recording: Recording, topics: Collection[str], settings: CaptureSettings, empty_end: float = 0.0
 ) -> RecognizedMode | None:
     """Recognises how a recording without triggers shows the board.
 

@@ -14,11 +14,7 @@ from calgraph.parallel.engine import THIS_PROCESS, Engine
 from calgraph.recording import NO_CACHE, Recording, RecordingCache
 from calgraph.rig.captures.detect import SensorCapture
 from calgraph.rig.captures.detection_tables import decode_captures, encode_captures
-from calgraph.rig.captures.detectors import (
-    learn_backgrounds,
-    learn_backgrounds_of_captures,
-    make_detectors,
-)
+from calgraph.rig.captures.detectors import learn_backgrounds, learn_backgrounds_of_captures, make_detectors
 from calgraph.rig.captures.hold_messages import Search, search_holds, select_messages
 from calgraph.rig.captures.holds import Hold
 from calgraph.rig.captures.previews import PreviewSize, make_preview, plan_previews

@@ -106,12 +106,7 @@ def build_timeline(
 
 
 def _sort_times(
-    stamps: list[float],
-    arrivals: list[float],
-    activity: list[float],
-    duration: float,
-    frame_id: str,
-    message: str,
+    stamps: list[float], arrivals: list[float], activity: list[float], duration: float, frame_id: str, message: str
 ) -> SensorTimes:
     order = np.argsort(stamps, kind="stable")
     by_stamp = [np.array(values)[order] for values in (stamps, activity, arrivals)]

@@ -73,10 +73,7 @@ def assemble_rig(
     used = {view: r for view, r in _used_residuals(estimates, solution).items() if view not in solution.rejected}
     paired = {name for estimate in estimates for name in (estimate.sensor_a, estimate.sensor_b)}
     kinds = {name: rig.sensors[name].kind for name in connected}
-    findings: list[Finding] = [
-        *captures.findings,
-        *find_contradictions(solution, rig, captures, held_out, drifts),
-    ]
+    findings: list[Finding] = [*captures.findings, *find_contradictions(solution, rig, captures, held_out, drifts)]
     inconsistent = collect_findings(findings)
     ambiguous = find_ambiguous_poses(kinds, estimates)
     if solved := solution.solved_bundle:

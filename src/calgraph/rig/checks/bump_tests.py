@@ -10,12 +10,7 @@ from calgraph.geometry import Index
 from calgraph.result.finding import Finding
 from calgraph.rig.bundle.board_observations import add_unambiguous_detections, group_detections
 from calgraph.rig.bundle.bundle_setup import rebuild_bundle
-from calgraph.rig.bundle.bundle_solver import (
-    COARSE_TOLERANCE,
-    Bundle,
-    MinimizedBundle,
-    minimize_bundle,
-)
+from calgraph.rig.bundle.bundle_solver import COARSE_TOLERANCE, Bundle, MinimizedBundle, minimize_bundle
 from calgraph.rig.bundle.priors import without_priors
 from calgraph.rig.bundle.problem import Problem
 from calgraph.rig.bundle.solution import RigSolution, SolvedBundle

@@ -22,7 +22,7 @@ from calgraph.result.evidence import rms
 from calgraph.rig.bundle.bundle_solver import (
     BOARD_PRIOR_INFORMATION,
     COARSE_TOLERANCE,
-    RIG_ESTIMATION_HUBER_THRESHOLD,
+    HUBER_THRESHOLD,
     Bundle,
     BundleEquations,
     BundleState,
@@ -66,11 +66,7 @@ class _PredictionErrors:
     """(V,) number of predicted directions."""
 
 
-def cross_validate(
-    solved: SolvedBundle,
-    folds: int,
-    jobs: int = 1,
-) -> dict[str, HeldOutError]:
+def cross_validate(solved: SolvedBundle, folds: int, jobs: int = 1) -> dict[str, HeldOutError]:
     """Holds out every capture once, in one of several solutions.
 
     Noise and view bias are those of the solution of all captures, from which the others start.
@@ -156,11 +152,7 @@ _COMPARED_TILT_STDDEV = 0.1
 
 
 def _compare_with_prediction(
-    bundle: Bundle,
-    state: BundleState,
-    equations: BundleEquations,
-    covariance: Array,
-    sensor: int,
+    bundle: Bundle, state: BundleState, equations: BundleEquations, covariance: Array, sensor: int
 ) -> _PredictionErrors:
     """Errors of one sensor's views relative to the prediction by the others, linearized at the located boards.
 
@@ -175,7 +167,7 @@ def _compare_with_prediction(
     """
     views, extra = bundle.views[sensor], state.extra[bundle.extra_indices(sensor)]
     T_board = relative_poses(state.T_root_sensor[sensor], state.T_root_board[views.board])
-    observed = accumulate(views.linearize(T_board, extra), views.start, RIG_ESTIMATION_HUBER_THRESHOLD)
+    observed = accumulate(views.linearize(T_board, extra), views.start, HUBER_THRESHOLD)
     prior = [bundle.extra_parameters[i].prior_stddev for i in bundle.extra_indices(sensor)]
     # Systematic parameters are predicted at least as well as by their priors.
     small = _SHARE_OF_PREDICTED * _PREDICTED_BOARD_STDDEV / np.array(prior)

@@ -6,7 +6,7 @@ observations that the sensors are predicted to make. The best one is selected, t
 Source: Krause, Singh, Guestrin, "Near-optimal sensor placements in Gaussian processes", 2008, on greedy choices.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from calgraph.config import Tolerance
 from calgraph.config.settings import DiagnosticsSettings
 from calgraph.geometry import Array, Index, se3, so3
-from calgraph.result import Suggestion
+from calgraph.result import Calibration, SensorPose, Suggestion, Verdict
 from calgraph.rig.bundle.board_information import information_by_board
 from calgraph.rig.bundle.bundle_solver import Bundle, BundleState, linearize_bundle, pose_jacobian
 from calgraph.rig.bundle.corner_observations import CornerObservations
@@ -147,10 +147,7 @@ _MAX_CANDIDATE_TILT = float(np.radians(60))
 
 
 def _draw_candidates(
-    bundle: Bundle,
-    state: BundleState,
-    rng: np.random.Generator,
-    up: Array | None = None,
+    bundle: Bundle, state: BundleState, rng: np.random.Generator, up: Array | None = None
 ) -> Array:
     """``T_root_board`` (K, 4, 4): near recorded boards, facing a sensor that detected them, with random tilts."""
     count, radius = _CANDIDATE_POSES, _CANDIDATE_RADIUS
@@ -226,11 +223,7 @@ _MIN_SEGMENT_SHARE = 1 / 3
 
 
 def predict_observations(
-    views: BoardViews,
-    kind: str,
-    T_detected: Array,
-    T_candidate: Array,
-    size: tuple[float, float],
+    views: BoardViews, kind: str, T_detected: Array, T_candidate: Array, size: tuple[float, float]
 ) -> BoardViews:
     """Noise-free views of those candidate boards that the sensor is predicted to detect.
 
@@ -355,3 +348,25 @@ def _predict_beams(
     beams = views.with_beams(visible, np.arange(len(visible)) * each, points / ranges[:, None], ranges)
     beams = beams.update_noise(T_candidate[visible], views.noise_scale)
     return replace(beams, sigma=beams.sigma * np.sqrt(each / np.repeat(np.maximum(counts, 1e-6), each)))
+
+
+def add_suggestions(calibration: Calibration, suggestions: Sequence[Suggestion]) -> Calibration:
+    """The calibration with the suggested board poses.
+
+    Args:
+        calibration: poses and verdicts.
+        suggestions: see :func:`calgraph.rig.checks.next_best_pose.suggest_board_poses`.
+    """
+    return replace(
+        calibration,
+        sensors=tuple(_add_advice(sensor, suggestions) for sensor in calibration.sensors),
+        evidence=replace(calibration.evidence, suggestions=tuple(suggestions)),
+    )
+
+
+def _add_advice(sensor: SensorPose, suggestions: Sequence[Suggestion]) -> SensorPose:
+    """The sensor with the first pose suggested for it in its verdict, unless it is good."""
+    first = next((s for s in suggestions if s.sensor == sensor.name), None)
+    if first is None or sensor.verdict.grade == "good":
+        return sensor
+    return replace(sensor, verdict=Verdict(sensor.verdict.grade, f"{sensor.verdict.reason}; first {first.hold}"))

@@ -172,10 +172,7 @@ _MIN_VIEWS = 4
 _MAX_BUMPS = 4
 
 
-def find_pose_steps(
-    bundle: Bundle,
-    solution: MinimizedBundle,
-) -> list[PoseStep]:
+def find_pose_steps(bundle: Bundle, solution: MinimizedBundle) -> list[PoseStep]:
     """The significant steps in the poses of sensors, each searched beside those before it.
 
     None if successive boards at rest have errors in common beside these steps. Moving boards always have some:
@@ -191,11 +188,7 @@ def find_pose_steps(
     steps: list[PoseStep] = []
     while len(steps) < max_bumps:
         try:
-            found = _find_step(
-                bundle,
-                solution,
-                min_views,
-            )
+            found = _find_step(bundle, solution, min_views)
         except (CalibrationError, np.linalg.LinAlgError):
             break
         if found is None:
@@ -226,9 +219,7 @@ _MIN_TIME_LIKELIHOOD = 20.0
 
 
 def _find_step(
-    bundle: Bundle,
-    solution: MinimizedBundle,
-    min_views: int,
+    bundle: Bundle, solution: MinimizedBundle, min_views: int
 ) -> tuple[PoseStep, Bundle, MinimizedBundle] | None:
     """The most significant step, the bundle with it and its solution; None if none is significant."""
     state, weights = solution.state, _downweight_outliers(bundle, solution)
@@ -407,9 +398,7 @@ _SINGLE_VIEW_PROBABILITY = 0.05
 
 
 def _require_several_views(
-    released: Sequence[ReleasedPose],
-    scores: Sequence[StepStatistics],
-    trigger: float,
+    released: Sequence[ReleasedPose], scores: Sequence[StepStatistics], trigger: float
 ) -> list[StepStatistics]:
     """The statistics, with zero in place of those above the trigger that rest on one view."""
     least = float(chdtri(6, _SINGLE_VIEW_PROBABILITY))

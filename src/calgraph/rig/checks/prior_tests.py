@@ -10,7 +10,7 @@ from calgraph.geometry import Array, se3
 from calgraph.rig.bundle.bundle_solver import Bundle, MinimizedBundle, linearize_bundle
 from calgraph.rig.bundle.covariances import parameter_covariance, pose_covariance
 from calgraph.rig.bundle.priors import RigidGroup
-from calgraph.rig.bundle.variance_components import VARIANCE_COMPONENT_MIN_REDUNDANCY
+from calgraph.rig.bundle.variance_components import MIN_REDUNDANCY
 from calgraph.rig.bundle.whitening import consistency_statistic
 
 # Singular values below this belong to directions that the prior alone determines (numerical rank).
@@ -54,10 +54,7 @@ def _contradicted_poses(
         s, A = prior.sensor, prior.information
         error = se3.difference(solved.state.T_root_sensor[s], prior.T_root_sensor)
         squared, dof = consistency_statistic(
-            A[None],
-            (A @ covariance[s, :, s] @ A)[None],
-            (A @ error)[None],
-            VARIANCE_COMPONENT_MIN_REDUNDANCY,
+            A[None], (A @ covariance[s, :, s] @ A)[None], (A @ error)[None], MIN_REDUNDANCY
         )
         if dof[0] and squared[0] > chdtri(dof[0], false_alarm_probability):
             # The prior pulls the solution towards itself: without it the error would be larger.

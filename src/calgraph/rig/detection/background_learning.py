@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from calgraph.config.settings import DetectionSettings
 from calgraph.errors import InputError
 from calgraph.geometry import Array, measure_lengths
-from calgraph.rig.detection.cloud_background import (
+from calgraph.rig.detection.capture_background import (
     CloudBackground,
     find_direction_cells,
     find_local_maxima,

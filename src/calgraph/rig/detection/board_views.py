@@ -68,12 +68,7 @@ class BoardViewFinder:
         settings: of the detection.
     """
 
-    def __init__(
-        self,
-        boards: Sequence[Board],
-        noise: PixelNoise,
-        settings: CameraDetectionSettings,
-    ) -> None:
+    def __init__(self, boards: Sequence[Board], noise: PixelNoise, settings: CameraDetectionSettings) -> None:
         self._boards, self._noise, self._settings = boards, noise, settings
         self._printed = make_printed_boards(boards, settings)
 

@@ -17,11 +17,7 @@ _SAME_BEAM = 1e-5
 
 
 def board_corners_from_pixels(
-    corners_board: Array,
-    pixels: Array,
-    camera: CameraModel,
-    noise: PixelNoise | None = None,
-    board: int = 0,
+    corners_board: Array, pixels: Array, camera: CameraModel, noise: PixelNoise | None = None, board: int = 0
 ) -> BoardCorners | Rejected:
     """The board in a camera image, from printed corners and their pixels.
 

@@ -16,8 +16,15 @@ from calgraph.config import Board, RangeNoise
 from calgraph.config.settings import DetectionSettings, Lidar2dDetectionSettings
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, find_median
-from calgraph.rig.detection.board_edges import find_board_edges, select_beams_with_margin
-from calgraph.rig.detection.line_plane_fit import MIN_COSINE, OUTLIER_SIGMAS, SurfaceFit, fit_line, whiten_line
+from calgraph.rig.detection.line_plane_fit import (
+    MIN_COSINE,
+    OUTLIER_SIGMAS,
+    SurfaceFit,
+    find_board_edges,
+    fit_line,
+    select_beams_with_margin,
+    whiten_line,
+)
 from calgraph.rig.detection.scan_averaging import MIN_THICKNESS, SAME_SURFACE_SIGMAS, AveragedScan, average_scans
 from calgraph.sensors import LaserScan, ScanBackground
 from calgraph.solver.ransac import find_consensus

@@ -15,11 +15,15 @@ from calgraph.config import Board, RangeNoise
 from calgraph.config.settings import DetectionSettings, Lidar3dDetectionSettings
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, find_median, measure_lengths, plane
-from calgraph.rig.detection.board_edges import find_board_edges, select_beams_with_margin
-from calgraph.rig.detection.capture_background import CaptureBackground
-from calgraph.rig.detection.cloud_background import CloudBackground
+from calgraph.rig.detection.capture_background import CaptureBackground, CloudBackground
 from calgraph.rig.detection.lidar2d import MAX_CANDIDATES, RANSAC_CONFIDENCE, SURROUNDINGS
-from calgraph.rig.detection.line_plane_fit import MIN_COSINE, OUTLIER_SIGMAS, fit_plane
+from calgraph.rig.detection.line_plane_fit import (
+    MIN_COSINE,
+    OUTLIER_SIGMAS,
+    find_board_edges,
+    fit_plane,
+    select_beams_with_margin,
+)
 from calgraph.rig.detection.rectangle_fit import (
     OUTLINE_BLUR,
     BoardRectangle,
@@ -27,9 +31,8 @@ from calgraph.rig.detection.rectangle_fit import (
     fit_rectangle,
     measure_solidity_and_isolation,
 )
-from calgraph.rig.detection.region_growing import grow_flat_regions
 from calgraph.rig.detection.scan_averaging import MIN_THICKNESS, SAME_SURFACE_SIGMAS
-from calgraph.rig.detection.voxel_normals import Cells, Indices, make_cells
+from calgraph.rig.detection.voxel_normals import Cells, Indices, grow_flat_regions, make_cells
 from calgraph.sensors import PointCloud
 from calgraph.solver.ransac import find_consensus
 

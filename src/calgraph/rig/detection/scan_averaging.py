@@ -54,9 +54,7 @@ _MAX_SEAM_SPACINGS = 20.0
 
 
 def average_scans(
-    scans: Sequence[LaserScan],
-    noise: RangeNoise,
-    foreground: Sequence[NDArray[np.bool_]],
+    scans: Sequence[LaserScan], noise: RangeNoise, foreground: Sequence[NDArray[np.bool_]]
 ) -> AveragedScan | None:
     """The robust mean of every beam over scans of a scene at rest, or None if no beam measured anything.
 

@@ -10,7 +10,6 @@ from calgraph.config import Rig
 from calgraph.config.settings import DetectionSettings
 from calgraph.errors import Rejected
 from calgraph.rig.detection.background_learning import learn_scan_background
-from calgraph.rig.detection.beam_times import add_beam_times, make_generator
 from calgraph.rig.detection.lidar2d import find_segments
 from calgraph.rig.kinds.rig_kind import (
     Detector,
@@ -18,7 +17,9 @@ from calgraph.rig.kinds.rig_kind import (
     MotionSignature,
     RigKind,
     Signature,
+    add_beam_times,
     compare_values,
+    make_generator,
 )
 from calgraph.sensors import LaserScan, Message, ScanBackground
 from calgraph.sensors.cloud_to_scan import to_scans

@@ -10,11 +10,17 @@ from calgraph.config import Rig
 from calgraph.config.settings import DetectionSettings
 from calgraph.errors import Rejected
 from calgraph.rig.detection.background_learning import learn_cloud_background
-from calgraph.rig.detection.beam_times import add_beam_times, make_generator
-from calgraph.rig.detection.capture_background import CaptureBackground
-from calgraph.rig.detection.cloud_background import CloudBackground
+from calgraph.rig.detection.capture_background import CaptureBackground, CloudBackground
 from calgraph.rig.detection.lidar3d import find_patches
-from calgraph.rig.kinds.rig_kind import Detector, DetectorInputs, MotionSignature, RigKind, Signature
+from calgraph.rig.kinds.rig_kind import (
+    Detector,
+    DetectorInputs,
+    MotionSignature,
+    RigKind,
+    Signature,
+    add_beam_times,
+    make_generator,
+)
 from calgraph.sensors import Message, PointCloud
 from calgraph.sensors.kinds import RangeNoise
 

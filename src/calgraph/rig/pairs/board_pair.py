@@ -53,7 +53,7 @@ def estimate_pair(
     rng: np.random.Generator,
     *,
     refine: bool = True,
-    settings: BoardPairSettings,
+    settings: BoardPairSettings = BoardPairSettings(),
     known: Array | None = None,
 ) -> PairwiseEstimate | Rejected:
     """Estimates ``T_a_b`` from the captures in which both sensors have detections.

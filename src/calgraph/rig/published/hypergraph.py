@@ -86,10 +86,7 @@ def solve_hypergraph(
             graph.connect(pair, int(capture), int(i), int(j))
     values = graph.values(tree.T_root_sensor)
     observed = graph.observation_factors(flatness)
-    factors: list[Factor] = [
-        _relative_pose_factor(names, tree, pairs, max_stddev, _HELD_STDDEV),
-        *observed,
-    ]
+    factors: list[Factor] = [_relative_pose_factor(names, tree, pairs, max_stddev, _HELD_STDDEV), *observed]
     converged = True
     if optimize:
         solution = minimize_sparse(values, BLOCKS, factors, iterations=_MAX_STEPS)

@@ -7,9 +7,8 @@ import numpy as np
 from calgraph.io.quantities import DegreeStddev, Metres, Ratio, Tilt
 from calgraph.io.strict_model import StrictModel
 from calgraph.sensors.kinds.sensor_kind import LEVEL_AXES, SensorKind
-from calgraph.sensors.kinds.stated import ClockOffset, RangeNoise, RangeUncertainty
+from calgraph.sensors.kinds.stated import ClockOffset, Name, RangeNoise, RangeUncertainty
 from calgraph.sensors.messages import LaserScan, Message, PointCloud
-from calgraph.sensors.names import Name
 
 
 class Lidar2dUncertainty(RangeUncertainty):

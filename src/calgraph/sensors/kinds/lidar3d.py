@@ -5,9 +5,8 @@ from typing import Literal
 from calgraph.io.quantities import LengthStddev
 from calgraph.io.strict_model import StrictModel
 from calgraph.sensors.kinds.sensor_kind import LEVEL_AXES, SensorKind
-from calgraph.sensors.kinds.stated import ClockOffset, RangeNoise, RangeUncertainty
+from calgraph.sensors.kinds.stated import ClockOffset, Name, RangeNoise, RangeUncertainty
 from calgraph.sensors.messages import PointCloud
-from calgraph.sensors.names import Name
 
 
 class Lidar3dUncertainty(RangeUncertainty):

@@ -9,7 +9,13 @@ from calgraph.geometry import Array
 from calgraph.io.quantities import AngleSigma, LengthStddev, RangeSigma, Ratio, TimeStddev
 from calgraph.io.strict_model import StrictModel, invalid
 from calgraph.sensors.intrinsics import Intrinsics
-from calgraph.sensors.names import Name
+
+# ROS limits names of topics to 255 characters, and file systems those of files; control characters would reach
+# terminals and tables.
+MAX_NAME_LENGTH = 255
+CONTROL_CHARACTERS = r"\x00-\x1f\x7f-\x9f\u2028\u2029"
+FrameName = Annotated[str, Field(max_length=MAX_NAME_LENGTH, pattern=rf"^[^{CONTROL_CHARACTERS}]*$")]
+Name = Annotated[FrameName, Field(min_length=1)]
 
 
 def word_or_values(value: Any) -> str:
