@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from calgraph.geometry import Array, se3
-from calgraph.io.yaml_writing import save_yaml
+from calgraph.io.text_writing import save_yaml
 from calgraph.simulation import (
     CameraOptions,
     LaserOptions,

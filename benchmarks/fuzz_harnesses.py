@@ -18,7 +18,7 @@ import fuzz_seeds as seeds
 from calgraph.cli.setting_options import override_settings
 from calgraph.config import Rig, draft_rig, load_rig, printed_bitmaps
 from calgraph.config.board_print import black_rectangles
-from calgraph.io.json_writing import format_json
+from calgraph.io.text_writing import format_json
 from calgraph.io.yaml_reading import read_yaml, validate_content
 from calgraph.printing.target_block import read_boards
 from calgraph.recording import (

@@ -22,7 +22,7 @@ from rosbags.typesys.store import Typestore
 from ruamel.yaml import YAML
 
 from calgraph.io.cache_folder import CacheFolder
-from calgraph.io.yaml_writing import format_yaml
+from calgraph.io.text_writing import format_yaml
 from calgraph.result import export, save_calibration, save_scene
 from calgraph.rig.bundle.problem_file import save_problem
 from calgraph.rig.captures.detect import SensorCapture

@@ -30,7 +30,7 @@ from typing import NamedTuple, ParamSpec, TypeVar, get_args
 import numpy as np
 
 from calgraph.config import load_rig
-from calgraph.io.yaml_writing import save_yaml
+from calgraph.io.text_writing import save_yaml
 from calgraph.network.options import NetworkOptions
 from calgraph.network.pipeline import calibrate_network
 from calgraph.parallel.engine import Processes

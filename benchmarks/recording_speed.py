@@ -18,7 +18,7 @@ from tempfile import TemporaryDirectory
 from typing import Final
 
 from calgraph.config import Board, Capture, Checkerboard
-from calgraph.io.yaml_writing import save_yaml
+from calgraph.io.text_writing import save_yaml
 from calgraph.recording import RecordingWriter, open_recording
 from calgraph.sensors import CameraInfo
 from calgraph.simulation import (

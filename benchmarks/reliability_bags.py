@@ -14,8 +14,8 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StorageP
 from rosbags.typesys import Stores, get_typestore
 from ruamel.yaml import YAML
 
+from calgraph.io.text_writing import save_yaml
 from calgraph.io.yaml_reading import read_yaml
-from calgraph.io.yaml_writing import save_yaml
 from calgraph.simulation import (
     CameraOptions,
     GroundTruth,

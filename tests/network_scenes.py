@@ -4,14 +4,14 @@ import numpy as np
 
 from calgraph.config.settings import NetworkEstimationSettings, TrackingSettings
 from calgraph.geometry import Array, se2
-from calgraph.network.joint.ellipse_raycast import raycast_ellipses
+from calgraph.network.joint.ellipse_equations import raycast_ellipses
 from calgraph.network.joint.model_error import TUKEY_LIMIT
 from calgraph.network.joint.problem import BodyPath, BodyScans
+from calgraph.network.joint.scan_equations import TukeyLoss
 from calgraph.network.joint.scanner_unknowns import SYSTEMATIC_ERRORS
 from calgraph.network.joint.schur import BodyEquations
 from calgraph.network.joint.solver import NetworkEquations
 from calgraph.network.joint.splines import Knots, evaluate_spline
-from calgraph.network.joint.tukey_loss import TukeyLoss
 from calgraph.network.tracking.track import Hits, Track
 
 SIGMA = 0.01

@@ -135,6 +135,14 @@ def test_an_unknown_key_beside_former_ones_is_named(tmp_path: Path) -> None:
         load(tmp_path, {"captures": {"min_holds": 1, "motion": {"min_gray_change": 12.0}}})
 
 
+@pytest.mark.parametrize("value", [0.0, -0.5])
+def test_a_scanner_stands_still_for_some_time(value: float, tmp_path: Path) -> None:
+    key = "tracking.stationarity.min_duration"
+    assert dict(values(load(tmp_path, nest({key: 0.1})).settings))[key] == 0.1
+    with pytest.raises(InputError, match=r"settings\.tracking\.stationarity\.min_duration.*greater than 0"):
+        load(tmp_path, nest({key: value}))
+
+
 DRAWING = {"cli", "fleet", "live", "printing", "report", "simulation", "viewer"}
 
 

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from calgraph.boards.tags import Gray, TagFinder
+from calgraph.boards.tags import Gray, TagFinder, _refine_saddles
 from calgraph.config.settings import TagSettings
 from calgraph.geometry import Array
 
@@ -100,3 +100,26 @@ def test_large_images_are_searched_at_half_resolution() -> None:
     fine, coarse = TagSettings(half_resolution_above=640 * 480), TagSettings(half_resolution_above=640 * 480 - 1)
     assert len(TagFinder("tag36h11", fine).find(image)) == 1
     assert len(TagFinder("tag36h11", coarse).find(image)) == 0
+
+
+def draw_saddles(edge: int) -> tuple[Gray, Array]:
+    """A dark square with small squares at its corners, as tags of Kalibr's grids have, and its corners (4, 2)."""
+    scale, small = 8, round(0.3 * edge * 8)
+    image = np.full((60 * scale, 60 * scale), 255, dtype=np.uint8)
+    low, high = 20 * scale, (20 + edge) * scale
+    image[low:high, low:high] = 0
+    for x in (low - small, high):
+        for y in (low - small, high):
+            image[y : y + small, x : x + small] = 0
+    fine = cv2.resize(image, (60, 60), interpolation=cv2.INTER_AREA)
+    a, b = 19.5, 19.5 + edge
+    return np.asarray(cv2.GaussianBlur(fine, (0, 0), 0.7), np.uint8), np.array([[a, a], [b, a], [b, b], [a, b]])
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_corners_of_a_small_grid_are_moved_by_an_eighth_of_an_edge(side: float) -> None:
+    """Tags of 10 pixels: in a window of 1 pixel, corners stay; in one of 3, they move to the next saddle point."""
+    image, corners = draw_saddles(10)
+    start = corners + side * 10 / 8 * np.sqrt(0.5)
+    refined = _refine_saddles(image, start.astype(np.float32), (0.14, 0.07))
+    np.testing.assert_allclose(refined, corners, atol=0.5)

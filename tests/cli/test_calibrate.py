@@ -16,7 +16,7 @@ from typer.testing import Result
 
 from calgraph.config import load_rig
 from calgraph.config.settings import AveragingMethod, RigStart
-from calgraph.io.yaml_writing import save_yaml
+from calgraph.io.text_writing import save_yaml
 from calgraph.recording import RecordingWriter, open_recording
 from calgraph.result import load_calibration
 from calgraph.sensors import CameraInfo, LaserScan

@@ -12,7 +12,7 @@ from scipy.special import chdtri
 from typer.testing import Result
 
 from calgraph.geometry import se2, se3
-from calgraph.io.yaml_writing import save_yaml
+from calgraph.io.text_writing import save_yaml
 from calgraph.recording.writer import RecordingWriter
 from calgraph.result import Calibration, load_calibration
 from calgraph.sensors import LaserScan

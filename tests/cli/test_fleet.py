@@ -11,7 +11,7 @@ import pytest
 from typer.testing import Result
 
 from calgraph.geometry import se3
-from calgraph.io.yaml_writing import save_yaml
+from calgraph.io.text_writing import save_yaml
 from calgraph.result import load_calibration, save_calibration
 
 pytestmark = pytest.mark.slow

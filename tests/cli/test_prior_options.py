@@ -13,7 +13,7 @@ from calgraph.config import load_rig
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se3, so3
 from calgraph.graph.spanning_tree import find_spanning_tree
-from calgraph.io.yaml_writing import save_yaml
+from calgraph.io.text_writing import save_yaml
 from calgraph.result import export, load_calibration, read_extrinsics
 from calgraph.rig.bundle.priors import PriorFile, RigidFile
 from calgraph.rig.bundle.problem import with_prior_poses

@@ -9,7 +9,7 @@ import pytest
 
 from calgraph.config import Board, CameraSpec, Charuco, Cylinder, People, RangeNoise, load_rig
 from calgraph.errors import InputError
-from calgraph.io.yaml_writing import save_yaml
+from calgraph.io.text_writing import save_yaml
 
 TAGGED = "{kind: board, size: [1.0, 0.8], tags: [{id: 3, size: 0.30, center: [-0.28, 0.16]}]}"
 GOOD = f"""\

@@ -1,6 +1,6 @@
 import pytest
 
-from calgraph.config.sensor_names import name_sensors
+from calgraph.config.draft import name_sensors
 
 
 @pytest.mark.parametrize(

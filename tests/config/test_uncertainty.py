@@ -20,7 +20,7 @@ from calgraph.config import (
 from calgraph.errors import InputError
 from calgraph.io.field_docs import describe_field
 from calgraph.io.strict_model import StrictModel
-from calgraph.io.yaml_writing import save_yaml
+from calgraph.io.text_writing import save_yaml
 
 ROOT = Path(__file__).resolve().parents[2]
 MODELS = (BoardUncertainty, CameraUncertainty, Lidar2dUncertainty, Lidar3dUncertainty, Tolerance)

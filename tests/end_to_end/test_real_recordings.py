@@ -10,7 +10,7 @@ import real_recordings
 import webcams
 from calgraph.cli.app import app
 from calgraph.geometry import se3
-from calgraph.io.yaml_writing import save_yaml
+from calgraph.io.text_writing import save_yaml
 from calgraph.recording import open_recording
 from calgraph.result import Calibration
 from calgraph.rig.options import RigOptions

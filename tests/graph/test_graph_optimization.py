@@ -58,6 +58,17 @@ def test_optimized_poses_have_the_least_weighted_squared_error(n: int, rng: np.r
     np.testing.assert_allclose(found[0], T[0], atol=1e-12)
 
 
+def test_nodes_stay_where_their_edges_do_not_determine_them(rng: np.random.Generator) -> None:
+    """The edge to node 1 does not measure x, in which it is off by 0.3 m; that to node 3 has no weight."""
+    T = np.tile(np.eye(3), (4, 1, 1))
+    graph = measured(T, [(0, 1), (0, 2), (0, 3)], rng)
+    graph.information[0, 0, 0] = 0.0
+    offset = np.array([[0.0, 0.0, 0.0], [0.3, 0.1, 0.0], [0.3, 0.1, 0.0], [0.3, 0.1, 0.0]])
+    found = optimize_poses(graph, se_n.retract(T, offset), np.array([1.0, 1.0, 0.0]))
+    expected = np.array([[0.0, 0.0], [0.3, 0.0], [0.0, 0.0], [0.3, 0.1]])
+    np.testing.assert_allclose(found[:, :2, 2], expected, atol=1e-9)
+
+
 @BOTH
 def test_robust_poses_fit_all_but_the_wrong_edges(n: int, rng: np.random.Generator) -> None:
     """Four of 28 edges are wrong, and the start is off by ten standard deviations of an edge."""

@@ -7,15 +7,15 @@ import pytest
 from numpy.testing import assert_allclose
 
 from calgraph.geometry import Array, se_n
-from calgraph.graph.averaging import solve_translations
-from calgraph.graph.pose_graph import PoseGraph
-from calgraph.graph.rotation_averaging import (
+from calgraph.graph.averaging import (
     average_rotations_irls,
     average_rotations_l1mc,
     average_rotations_spectral,
     chain_rotations,
     find_triangles,
+    solve_translations,
 )
+from calgraph.graph.pose_graph import PoseGraph
 from pose_graphs import WHEEL, complete, measured, ring, true_poses, with_wrong
 
 BOTH = pytest.mark.parametrize("n", [2, 3])

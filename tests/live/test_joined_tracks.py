@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from calgraph.errors import Rejected
-from calgraph.live.joined_tracks import join_tracks
-from calgraph.live.tracked_intervals import TrackedInterval, select_intervals
+from calgraph.live.tracked_intervals import TrackedInterval, join_tracks, select_intervals
 from calgraph.network.tracking.clusters import Foreground
 from calgraph.network.tracking.track import ScannerBump, ScannerTracks, Track
 from calgraph.result import CaptureRow

@@ -7,8 +7,7 @@ from calgraph.config.settings import CaptureSettings
 from calgraph.geometry import Array
 from calgraph.live.motion import RestMonitor
 from calgraph.rig.captures.motion_detection import ActivityMeter
-from calgraph.rig.captures.stillness import find_rests
-from calgraph.rig.captures.timeline import RecordingTimeline, build_timeline
+from calgraph.rig.captures.timeline import RecordingTimeline, build_timeline, find_rests
 from calgraph.simulation import CameraOptions, LaserOptions, MultibeamOptions, RigScenario, SpinningOptions
 from simulated_rigs import simulate_scenario
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from calgraph.live.operator_view import OperatorView
+from calgraph.live.live_session import OperatorView
 from calgraph.live.source import Notice
 from calgraph.live.state import Command, RecorderState, SessionState
 from live_pages import GivenSession

@@ -111,6 +111,11 @@ def test_no_message_is_lost_at_20_megabytes_a_second_or_more(tmp_path: Path) -> 
     assert state.seconds == pytest.approx(1.499)
 
 
+def test_a_recording_without_messages_lasts_no_time(tmp_path: Path) -> None:
+    state = record(tmp_path / "bag", [])
+    assert (state.messages, state.seconds, state.problem) == (0, 0.0, "")
+
+
 def test_messages_wait_while_the_disk_does(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A writer of messages is held up, and no memory fills, until the disk accepts what was queued."""
     monkeypatch.setattr("calgraph.live.recorder._MAX_CHUNK_BYTES", 20_000)

@@ -7,8 +7,7 @@ import pytest
 
 from calgraph.config import Rig
 from calgraph.errors import InputError, RecordingError
-from calgraph.live.live_session import TriggerQueue, record_session
-from calgraph.live.operator_view import OperatorView
+from calgraph.live.live_session import OperatorView, TriggerQueue, record_session
 from calgraph.live.source import Channel, LiveMessage, Notice
 from calgraph.live.state import Command, SessionState
 from live_pages import GivenSession

@@ -13,8 +13,7 @@ from calgraph.network import scanner_pairs
 from calgraph.network.options import NetworkEstimator, NetworkOptions
 from calgraph.network.pairs.clock_mounting_search import ClockMountingHypothesis
 from calgraph.network.pipeline import calibrate_tracks
-from calgraph.network.tracking.corrected_tracks import correct_tracks
-from calgraph.network.tracking.track import ScannerTracks
+from calgraph.network.tracking.track import ScannerTracks, correct_tracks
 from calgraph.network.tracking.track_scanner import track_scanner
 from calgraph.result import Calibration
 from calgraph.simulation import (

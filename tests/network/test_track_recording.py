@@ -13,8 +13,7 @@ from calgraph.errors import Rejected
 from calgraph.network import track_recording
 from calgraph.network.options import NetworkOptions
 from calgraph.network.track_recording import forget_unused_beams, track_people
-from calgraph.network.tracking.track import ScannerTracks
-from calgraph.network.tracking.track_encoding import encode_tracks
+from calgraph.network.tracking.track import ScannerTracks, encode_tracks
 from calgraph.parallel.engine import Processes
 from calgraph.recording import MessageRecording, Recording, RecordingWriter, open_recording
 from calgraph.recording.input_checks import InputMonitor

@@ -14,7 +14,7 @@ from calgraph.errors import CalibrationError
 from calgraph.network import track_recording
 from calgraph.network.options import NetworkOptions
 from calgraph.network.track_recording import track_people
-from calgraph.network.tracking.track_encoding import encode_tracks
+from calgraph.network.tracking.track import encode_tracks
 from calgraph.parallel.engine import THIS_PROCESS, Engine, Processes
 from calgraph.parallel.open_cluster import DaskEngine, open_cluster
 from calgraph.recording import NO_CACHE, RecordingCache, open_recordings

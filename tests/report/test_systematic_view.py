@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calgraph.config import Intrinsics
-from calgraph.report.systematic_view import render_systematic_parameters
+from calgraph.report.diagnostics_view import render_systematic_parameters
 from calgraph.result import Calibration, EstimatedParameter, Evidence, join_covariances
 from calgraph.result.sensor_pose import SensorPose, Verdict
 

@@ -14,8 +14,8 @@ from ruamel.yaml import YAML
 from calgraph.config import Tolerance
 from calgraph.errors import InputError
 from calgraph.geometry import Array, se3, so3
+from calgraph.io.text_writing import save_yaml
 from calgraph.io.yaml_reading import read_yaml
-from calgraph.io.yaml_writing import save_yaml
 from calgraph.result import (
     Calibration,
     CaptureRow,

@@ -3,7 +3,7 @@
 import numpy as np
 
 from calgraph.geometry import Array
-from calgraph.simulation.floor_index import BoxIndex, group_by_tile, index_polygons
+from calgraph.simulation.network_floor import BoxIndex, group_by_tile, index_polygons
 
 
 def random_boxes(rng: np.random.Generator) -> tuple[Array, Array]:

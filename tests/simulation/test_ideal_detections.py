@@ -7,7 +7,7 @@ from scipy.stats import chi2
 from calgraph.boards.detections import BoardCorners, PlanePatch, Segment
 from calgraph.config import Board, Checkerboard, RangeNoise, Rig
 from calgraph.config.settings import BoardPairSettings, Settings
-from calgraph.geometry import Array, plane, se3
+from calgraph.geometry import Array, Index, plane, se3
 from calgraph.rig.captures.detect import CaptureSet
 from calgraph.rig.pairs.board_pair import estimate_pairs, select_successful
 from calgraph.rig.pairs.rig_initialization import initialize_rig
@@ -24,6 +24,7 @@ from calgraph.simulation import (
     build_world,
     simulate_detections,
 )
+from calgraph.simulation.ideal_detections import IdealBeams
 
 CAMERA = CameraOptions(width=640, height=480, texels_per_mm=0.5)
 COARSE = SpinningOptions(resolution=1.0, scans_per_degree=1 / 6)
@@ -229,6 +230,35 @@ def test_two_rings_are_no_plane() -> None:
     _, captured, truth = simulate_detections(build_world(scenario, 0, images=False), 0)
     missed = [capture for capture, sensor in captured.rejections if sensor == "lidar"]
     assert (len(captured.detections["lidar"]), len(missed)) == (0, len(truth.boards))
+
+
+@pytest.mark.parametrize(
+    ("name", "beams", "count"),
+    [("laser_front", 5, 10), ("laser_front", 4, 0), ("lidar", 20, 10), ("lidar", 19, 0)],
+)
+def test_some_beams_determine_a_line_and_more_a_plane(
+    world: World, name: str, beams: int, count: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of the beams on the board, some at equal distances, in ten captures."""
+    on_board = IdealBeams.on_board
+
+    def select(self: IdealBeams, T_sensor_board: Array) -> Index:
+        hits = on_board(self, T_sensor_board)
+        return np.asarray(hits[np.linspace(0, len(hits) - 1, beams).astype(int)])
+
+    monkeypatch.setattr(IdealBeams, "on_board", select)
+    _, captured, _ = simulate_detections(world, 0)
+    assert len(captured.detections[name]) == count
+
+
+def test_three_rings_are_a_plane() -> None:
+    """In all captures but the one in which two of them hit the board, with eleven beams."""
+    rings = MultibeamOptions(count=1, rings=3, lowest=-1.0, highest=1.0)
+    scenario = SMALL.model_copy(update={"multibeam": rings, "spinning": SpinningOptions(count=0)})
+    _, captured, truth = simulate_detections(build_world(scenario, 0, images=False), 0)
+    missed = {capture: reason for (capture, sensor), reason in captured.rejections.items() if sensor == "lidar"}
+    assert missed == {4: "only 11 beams hit the board"}
+    assert len(captured.detections["lidar"]) == len(truth.boards) - 1
 
 
 def test_of_two_beams_at_an_edge_the_first_hits_the_board() -> None:

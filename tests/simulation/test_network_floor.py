@@ -84,6 +84,18 @@ def test_free_space_keeps_clear_of_scanners() -> None:
     assert np.linalg.norm(way - [5.0, 2.5], axis=1).min() >= 0.5
 
 
+@pytest.mark.parametrize(
+    ("layout", "low", "high"),
+    [
+        ("office", (0, 0), (16, 11)), ("semicircle", (-8, -2), (8, 9)), ("lab", (0, 0), (8, 7)),
+        ("halls", (0, 0), (26, 26)),
+    ],
+)  # fmt: skip
+def test_rooms_have_their_sizes(layout: LayoutName, low: tuple[int, int], high: tuple[int, int]) -> None:
+    outline = build_layout(NetworkScenario(layout=layout), np.random.default_rng(0)).floor.outline
+    np.testing.assert_allclose([outline.min(axis=0), outline.max(axis=0)], [low, high], atol=1e-12)
+
+
 @pytest.mark.parametrize("layout", LAYOUTS)
 def test_scanners_have_a_free_view(layout: LayoutName) -> None:
     plan = build_layout(NetworkScenario(layout=layout), np.random.default_rng(3))

@@ -16,7 +16,7 @@ from calgraph.simulation import (
     build_network,
     simulate_network_scans,
 )
-from calgraph.simulation.network_furniture import CHAIR_REACH
+from calgraph.simulation.network_layouts import CHAIR_REACH
 
 EXACT = ScannerOptions(range_noise=0, quantisation=0, mixed_pixels=0, dropout=0, resolution=1.0, max_range=30.0)
 

@@ -8,7 +8,8 @@ import pytest
 from calgraph.errors import InputError
 from calgraph.geometry import Array
 from calgraph.simulation import LayoutName, NetworkScenario, PeopleOptions, SimulatedNetwork, build_network
-from calgraph.simulation.network_walks import SimulatedWalk
+from calgraph.simulation.network_floor import Floor, find_free_space, rectangle
+from calgraph.simulation.network_walks import SimulatedWalk, _choose_velocity, _Walker
 
 CROWD = PeopleOptions(count=4)
 
@@ -121,3 +122,35 @@ def test_too_many_people_are_an_error() -> None:
 def test_a_clearance_without_free_space_is_an_error() -> None:
     with pytest.raises(InputError, match=r"people\.clearance: no free space"):
         build_network(NetworkScenario(layout="lab", people=PeopleOptions(clearance=3.0)), 0)
+
+
+FREE = find_free_space(Floor(rectangle((0, 0), (20, 20)), True, ()), 0.4, np.zeros((0, 3)))
+
+
+def walker(position: Array, velocity: Array) -> _Walker:
+    return _Walker(np.array([0.25, 0.15]), 0.25, FREE, 1.2, np.zeros((0, 2)), np.inf, position, velocity)
+
+
+def choose_turn(places: Array, side: float) -> float:
+    """Turn in degrees, NaN for standing, of a walker who wants to go along x, where people stand at places (N, 2).
+
+    All is mirrored at x where the side is -1.
+    """
+    mirror = np.array([1.0, side])
+    others = [walker(place * mirror, np.zeros(2)) for place in places]
+    # It moves a little to one side: no two turns cost the same.
+    me = walker(np.zeros(2), np.array([1.15, 0.2]) * mirror)
+    x, y = _choose_velocity(me, np.array([1.0, 0.0]), others, PeopleOptions())
+    return round(float(np.degrees(np.arctan2(y, x)))) if x or y else np.nan
+
+
+def test_walkers_evade_people_to_either_side_alike() -> None:
+    """At random places around, from 0.7 to 2 m away: the more turns are blocked, the larger is the turn."""
+    rng, turns = np.random.default_rng(0), []
+    for _ in range(200):
+        angle, distance = rng.uniform(-2, 2, 4), rng.uniform(0.7, 2.0, 4)
+        places = (distance * np.stack([np.cos(angle), np.sin(angle)])).T
+        turns.append((choose_turn(places, 1.0), choose_turn(places, -1.0)))
+    left, right = np.array(turns).T
+    np.testing.assert_array_equal(left, -right)
+    assert set(np.abs(left[np.isfinite(left)])) == {0, 15, 30, 50, 75, 105, 150}

@@ -27,6 +27,7 @@ from calgraph.simulation import (
     world_rig,
 )
 from calgraph.simulation.motion import BoardPlacement
+from calgraph.simulation.robot import MountedScanner
 from calgraph.simulation.solids import CylinderShape, RectangleShape, Solid
 from calgraph.simulation.world import simulate_measurement
 
@@ -83,6 +84,13 @@ def test_measurements_do_not_depend_on_what_else_is_measured() -> None:
 def test_every_sensor_measures_twice_in_every_hold() -> None:
     for capture in captures(SMALL.model_copy(update={"samples": 3})):
         assert {name: len(m) for name, m in capture.messages.items()} == dict.fromkeys(capture.messages, 2)
+
+
+def test_the_usual_spinning_scanner_makes_a_scan_every_three_degrees() -> None:
+    """60 scans of 20 ms, the last of 270 degrees of the mirror's turn."""
+    (lidar,) = (one for one in build_world(RigScenario(), 0, images=False).robot if one.name == "lidar")
+    assert isinstance(lidar, MountedScanner)
+    assert lidar.pattern.times[-1] == pytest.approx(59 * 0.02 + 0.75 * 0.02)
 
 
 def test_measurements_lie_fully_in_their_hold() -> None:

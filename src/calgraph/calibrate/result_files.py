@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from calgraph.config import Rig, Tolerance
-from calgraph.io.json_writing import format_json
-from calgraph.io.yaml_writing import save_yaml
+from calgraph.io.text_writing import format_json, save_yaml
 from calgraph.parallel.processes import forked_jobs, parallel_call
 from calgraph.recording import NO_CACHE, Recording, RecordingCache
 from calgraph.recording.remote import find_copy, is_url

@@ -12,7 +12,7 @@ from calgraph.cli.common_options import ForceOption, check_not_overwriting
 from calgraph.cli.printing import print_calibration, print_errors, print_output_path
 from calgraph.cli.progress import progress_bars
 from calgraph.cli.provenance import describe_run
-from calgraph.cli.simulate_common import simulate_into
+from calgraph.cli.simulate import simulate_into
 from calgraph.config import load_rig
 from calgraph.errors import InputError
 from calgraph.io.atomic import replace_folder_atomically

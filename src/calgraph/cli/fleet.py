@@ -25,7 +25,7 @@ from calgraph.cli.provenance import format_command
 from calgraph.config import FleetConfig, load_fleet
 from calgraph.config.settings import DaskSettings
 from calgraph.errors import CalibrationError, InputError
-from calgraph.io.json_writing import format_json
+from calgraph.io.text_writing import format_json
 
 if TYPE_CHECKING:
     from calgraph.fleet.plan import RecordingTask, RobotPlan

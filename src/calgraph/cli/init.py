@@ -15,8 +15,8 @@ from calgraph.errors import InputError
 from calgraph.io.atomic import write_text
 from calgraph.printing import format_target, read_boards
 from calgraph.recording import Recording, find_topics, open_recording
+from calgraph.rig.captures.capture_mode import recognize_recording
 from calgraph.rig.captures.empty_start import find_empty_start
-from calgraph.rig.captures.recognized_recording import recognize_recording
 from calgraph.sensors.kinds import KINDS
 
 

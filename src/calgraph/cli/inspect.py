@@ -18,11 +18,10 @@ from calgraph.cli.setting_options import SetOption, parse_limits
 from calgraph.config import FoundTopic, find_triggers
 from calgraph.config.settings import CaptureSettings
 from calgraph.errors import RecordingError
-from calgraph.io.json_writing import format_json
+from calgraph.io.text_writing import format_json
 from calgraph.recording import Inspection, Recording, TopicReport, inspect_recording, open_recording
 from calgraph.result import Calibration, load_calibration, to_json
-from calgraph.rig.captures.capture_mode import RecognizedMode
-from calgraph.rig.captures.recognized_recording import recognize_recording
+from calgraph.rig.captures.capture_mode import RecognizedMode, recognize_recording
 from calgraph.sensors.kinds import KINDS
 
 

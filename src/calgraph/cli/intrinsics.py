@@ -23,10 +23,10 @@ from calgraph.cli.console import console
 from calgraph.cli.progress import progress_bars
 from calgraph.cli.setting_options import SetOption, load_rig_with, override_settings, parse_limits
 from calgraph.config import CameraSpec, Rig
-from calgraph.config.sensor_names import name_sensors
+from calgraph.config.draft import name_sensors
 from calgraph.errors import CalibrationError, InputError, Rejected
 from calgraph.io.atomic import replace_folder_atomically, write_text
-from calgraph.io.json_writing import format_json
+from calgraph.io.text_writing import format_json
 from calgraph.io.yaml_limits import MAX_RIG_VALUES
 from calgraph.io.yaml_reading import read_yaml
 from calgraph.recording import Recording, find_topics, open_recordings

@@ -1,4 +1,4 @@
-"""Progress bars on stderr, one for each step of the work, once it takes longer than two seconds."""
+"""Progress and steps of the work on stderr: bars once it takes longer than two seconds, lines on request."""
 
 import logging
 import time

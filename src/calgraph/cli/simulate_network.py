@@ -6,7 +6,7 @@ from typing import Any, get_args
 
 from calgraph.cli.common_options import JobsOption
 from calgraph.cli.model_options import add_options, apply_options, list_options
-from calgraph.cli.simulate_common import Out, ScenarioFile, Seed, simulate_to
+from calgraph.cli.simulate import Out, ScenarioFile, Seed, simulate_to
 from calgraph.io.yaml_reading import read_yaml, validate_content
 from calgraph.parallel.processes import available_cores
 from calgraph.simulation import LayoutName, NetworkScenario, simulate_network

@@ -18,7 +18,7 @@ from calgraph.cli.printing import print_remarks
 from calgraph.cli.progress import progress_bars
 from calgraph.cli.setting_options import SetOption, load_rig_with, override_settings, parse_limits
 from calgraph.errors import CalibrationError, InputError
-from calgraph.io.json_writing import format_json
+from calgraph.io.text_writing import format_json
 from calgraph.recording import RecordingCache, open_recordings
 from calgraph.rig.checks.bootstrap import BOOTSTRAP_CONFIDENCE
 

@@ -3,20 +3,22 @@
 from calgraph.config.board_print import PrintedBitmap, black_rectangles, printed_bitmaps
 from calgraph.config.draft import FoundBackground, FoundMode, FoundTopic, Kind, draft_rig, find_triggers
 from calgraph.config.fleet_config import ChangeRules, FleetConfig, load_fleet
-from calgraph.config.markers import FAMILIES, Family, dictionary, marker_count
 from calgraph.config.rig_config import Capture, CaptureMode, Rig, load_rig
 from calgraph.config.target import (
+    FAMILIES,
     AprilGrid,
     Board,
     BoardUncertainty,
     Charuco,
     Checkerboard,
     Cylinder,
+    Family,
     People,
     Tag,
     Tolerance,
+    dictionary,
+    marker_count,
 )
-from calgraph.sensors.intrinsics import Intrinsics
 from calgraph.sensors.kinds import (
     CameraSpec,
     CameraUncertainty,
@@ -29,6 +31,7 @@ from calgraph.sensors.kinds import (
     RangeNoise,
     SensorSpec,
 )
+from calgraph.sensors.kinds.stated import Intrinsics
 
 __all__ = [
     "FAMILIES", "AprilGrid", "Board", "BoardUncertainty", "CameraSpec", "CameraUncertainty", "Capture",

@@ -5,8 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calgraph.config.markers import FAMILIES, marker_bitmap
-from calgraph.config.target import AprilGrid, Board, Charuco, Checkerboard
+from calgraph.config.target import FAMILIES, AprilGrid, Board, Charuco, Checkerboard, marker_bitmap
 from calgraph.geometry import Array
 
 Pair = tuple[float, float]

@@ -12,7 +12,7 @@ from calgraph.errors import CalibrationError, InputError
 from calgraph.fleet.pose_set import PoseSet
 from calgraph.geometry import Array
 from calgraph.io.atomic import write_text
-from calgraph.io.json_writing import format_json
+from calgraph.io.text_writing import format_json
 from calgraph.result import PriorErrors
 
 FILE_NAME = "recording.json"

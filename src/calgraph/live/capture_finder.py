@@ -11,7 +11,7 @@ from calgraph.live.message_ring import MessageRing
 from calgraph.live.motion import Rest, RestMonitor
 from calgraph.live.state import Phase
 from calgraph.rig.captures.holds import Hold, find_holds, limit_messages
-from calgraph.rig.captures.stillness import MAX_MOTION_PERIOD
+from calgraph.rig.captures.timeline import MAX_MOTION_PERIOD
 from calgraph.rig.captures.validate_recording import is_message_of_kind
 
 # Stamps as floating-point numbers are apart by 0.2 µs: captures do not share a message.

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import label, uniform_filter
 
 from calgraph.geometry import Array, se3
-from calgraph.live.joined_tracks import Tracked
+from calgraph.live.tracked_intervals import Tracked
 from calgraph.network.pairs.visibility_map import BACKGROUND_MARGIN, MAX_BEAM_GAP, MIN_RANGE, RANGE_TAIL
 from calgraph.network.tracking.track import ScannerTracks
 from calgraph.result import Calibration

@@ -30,8 +30,7 @@ from calgraph.live.source import LiveMessage
 from calgraph.live.view_pictures import SensorView, find_reduction, make_view
 from calgraph.recording.takes import shift_record
 from calgraph.rig.captures.detectors import draw_seeds
-from calgraph.rig.captures.stillness import MAX_MOTION_PERIOD
-from calgraph.rig.captures.timeline import RecordingTimeline
+from calgraph.rig.captures.timeline import MAX_MOTION_PERIOD, RecordingTimeline
 from calgraph.rig.kinds.rig_kind import Background
 from calgraph.rig.options import RigOptions
 from calgraph.sensors import CameraInfo, CameraModel, RecordedMessage

@@ -16,8 +16,14 @@ from calgraph.config import Rig
 from calgraph.errors import CalgraphError, Rejected
 from calgraph.geometry import Array
 from calgraph.live.floor_grid import FloorGrid, build_floor_grid
-from calgraph.live.joined_tracks import Tracked, join_tracks
-from calgraph.live.tracked_intervals import TrackingProgress, remove_files, select_intervals, track_recording
+from calgraph.live.tracked_intervals import (
+    Tracked,
+    TrackingProgress,
+    join_tracks,
+    remove_files,
+    select_intervals,
+    track_recording,
+)
 from calgraph.network.options import NetworkOptions
 from calgraph.network.pipeline import calibrate_tracks
 from calgraph.network.tracking.track import ScannerTracks

@@ -1,4 +1,4 @@
-"""What the user gives as a source: an address, or the path of a recording."""
+"""What the user gives as a source: an address, or the path of a recording; and the clock of its arrivals."""
 
 import asyncio
 import math

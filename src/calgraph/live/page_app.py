@@ -7,7 +7,8 @@ from collections.abc import AsyncIterator, Callable, Coroutine, Mapping
 from contextlib import asynccontextmanager, suppress
 from dataclasses import fields
 from importlib.resources import files
-from typing import Literal, get_args
+from pathlib import Path
+from typing import Literal, Protocol, get_args
 
 from pydantic_core import to_json
 from starlette.applications import Starlette
@@ -17,8 +18,30 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from calgraph.config.settings import PageSettings
-from calgraph.live.session_view import SessionView
 from calgraph.live.state import Action, Command, SessionState
+
+
+class SessionView(Protocol):
+    """A session as the page uses it, all calls in one asyncio loop. None of them blocks."""
+
+    def state(self) -> SessionState:
+        """The session now. Whenever something has changed it is another object."""
+
+    async def wait_for_change(self, state: SessionState) -> None:
+        """Returns as soon as :meth:`state` is another object than ``state``."""
+
+    def picture(self, sensor: str) -> bytes | None:
+        """The view of a sensor with the board drawn in, a JPEG image; None before the first."""
+
+    def scene(self) -> bytes | None:
+        """The 3-D view as :func:`calgraph.live.rig_session.encode_scene` writes it; None before the first."""
+
+    def report(self) -> Path | None:
+        """The report of the calibration; None as long as there is none."""
+
+    def command(self, command: Command) -> None:
+        """Takes a command of the operator."""
+
 
 Refusal = Literal[
     "foreign hosts",

@@ -11,7 +11,7 @@ from pathlib import Path
 from rosbags.interfaces import Connection
 
 from calgraph.config.settings import LimitSettings
-from calgraph.io.yaml_writing import save_yaml
+from calgraph.io.text_writing import save_yaml
 from calgraph.recording.chunk_limits import open_reader
 from calgraph.recording.unfinished_mcap import finish_mcap
 

@@ -19,8 +19,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from calgraph.config.settings import PageSettings
 from calgraph.errors import InputError
-from calgraph.live.page_app import Refusal, Refusals
-from calgraph.live.session_view import SessionView
+from calgraph.live.page_app import Refusal, Refusals, SessionView
 
 if TYPE_CHECKING:
     from starlette.types import ASGIApp, Receive, Scope, Send

@@ -12,8 +12,8 @@ from pydantic import Field
 from calgraph.config import Rig, load_rig
 from calgraph.errors import InputError
 from calgraph.io.strict_model import StrictModel
+from calgraph.io.text_writing import save_yaml
 from calgraph.io.yaml_reading import read_yaml, validate_content
-from calgraph.io.yaml_writing import save_yaml
 from calgraph.live.recorded_files import finish_files, read_files
 
 _LOCK = "session.lock"

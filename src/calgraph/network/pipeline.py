@@ -17,9 +17,9 @@ from calgraph.network.checks.extension import (
     merge_calibrations,
     remove_scanners,
 )
-from calgraph.network.checks.extrinsics_check import compare_network_poses
 from calgraph.network.checks.findings import collect_network_findings
 from calgraph.network.checks.model_assessment import assess_network_model
+from calgraph.network.checks.moved_scanners import compare_network_poses
 from calgraph.network.checks.track_bumps import find_track_bump
 from calgraph.network.graph.network_initialization import NetworkInitialization, initialize_network
 from calgraph.network.joint.estimate import NetworkSolution, solve_network

@@ -24,8 +24,7 @@ from calgraph.network.pairs.clock_mounting_search import (
 from calgraph.network.pairs.scanner_pair import CLOCK_SIGMA, ScannerPairEstimate, estimate_scanner_pairs
 from calgraph.network.pairs.visibility_map import ScannerObservations
 from calgraph.network.strategies import select_depth_stddev
-from calgraph.network.tracking.corrected_tracks import correct_tracks
-from calgraph.network.tracking.track import ScannerTracks
+from calgraph.network.tracking.track import ScannerTracks, correct_tracks
 from calgraph.parallel.progress import Progress
 from calgraph.result import Calibration
 from calgraph.result.finding import Finding

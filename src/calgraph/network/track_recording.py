@@ -14,8 +14,7 @@ from calgraph.network.options import NetworkOptions
 from calgraph.network.step_log import log_tracks
 from calgraph.network.strategies import select_center_estimator
 from calgraph.network.tracking.scan_stack import ScanRun, ScanStackBuilder
-from calgraph.network.tracking.track import ScannerTracks
-from calgraph.network.tracking.track_encoding import decode_tracks, encode_tracks
+from calgraph.network.tracking.track import ScannerTracks, decode_tracks, encode_tracks
 from calgraph.network.tracking.track_scanner import track_runs
 from calgraph.parallel.engine import THIS_PROCESS
 from calgraph.parallel.mapped_arrays import ArrayMemory

@@ -14,9 +14,9 @@ from calgraph.config.board_ambiguity import check_boards_distinguishable
 from calgraph.config.target import Target
 from calgraph.errors import InputError
 from calgraph.io.strict_model import StrictModel
+from calgraph.io.text_writing import format_yaml
 from calgraph.io.yaml_limits import MAX_RIG_VALUES
 from calgraph.io.yaml_reading import read_text, read_yaml, validate_content
-from calgraph.io.yaml_writing import format_yaml
 
 _COMMENT = """\
 The printed board, in m. Measure the print with its rulers: printers change scales.

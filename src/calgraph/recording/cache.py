@@ -15,9 +15,9 @@ from pydantic import BaseModel
 
 from calgraph.errors import InputError
 from calgraph.io.cache_folder import MAX_BYTES, CacheFolder
-from calgraph.recording.clock_correction import ClockCorrectedRecording
 from calgraph.recording.content_hash import FileState, hash_files, hash_text, read_states
 from calgraph.recording.recording import Recording
+from calgraph.recording.takes import ClockCorrectedRecording
 
 _log = logging.getLogger(__name__)
 

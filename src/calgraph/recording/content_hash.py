@@ -1,4 +1,4 @@
-"""The hash of the files that a recording is read from, remembered while these do not change."""
+"""Hashes of what a recording holds: of its files, remembered while these do not change, and of messages."""
 
 import hashlib
 import mmap

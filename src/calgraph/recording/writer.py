@@ -14,8 +14,8 @@ from rosbags.typesys.store import Typestore
 
 from calgraph.errors import InputError
 from calgraph.io.atomic import make_temporary_folder, remove_temporary_folder
+from calgraph.io.text_writing import save_yaml
 from calgraph.io.yaml_reading import read_yaml
-from calgraph.io.yaml_writing import save_yaml
 from calgraph.recording.images import encode_image
 from calgraph.sensors import CameraInfo, Image, LaserScan, Message, PointCloud, Trigger
 

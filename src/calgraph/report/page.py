@@ -14,7 +14,11 @@ from calgraph.io.atomic import write_text
 from calgraph.parallel.processes import forked_jobs, parallel_call
 from calgraph.report.capture_view import render_captures
 from calgraph.report.coverage_view import render_coverage
-from calgraph.report.diagnostics_view import render_cross_validation, render_suggestions
+from calgraph.report.diagnostics_view import (
+    render_cross_validation,
+    render_suggestions,
+    render_systematic_parameters,
+)
 from calgraph.report.floor_view import render_floor_plan
 from calgraph.report.formatting import escape_html, format_count
 from calgraph.report.fused_view import render_fused_cloud
@@ -24,7 +28,6 @@ from calgraph.report.image_view import render_camera_images
 from calgraph.report.pose_table import render_pose_table
 from calgraph.report.residual_view import render_distances, render_histograms, render_residual_pictures
 from calgraph.report.rig_view import render_rig_view
-from calgraph.report.systematic_view import render_systematic_parameters
 from calgraph.report.verdict_cards import (
     describe_good,
     describe_next_step,

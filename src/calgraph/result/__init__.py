@@ -6,21 +6,31 @@ from calgraph.result.calibrated_cameras import (
     state_calibrated_intrinsics,
     state_intrinsics,
 )
-from calgraph.result.calibration import Calibration, join_covariances
+from calgraph.result.calibration import (
+    Calibration,
+    EstimatedParameter,
+    InputFile,
+    PriorErrors,
+    Provenance,
+    join_covariances,
+)
 from calgraph.result.calibration_file import save_calibration, save_captures
 from calgraph.result.calibration_reading import load_calibration
-from calgraph.result.coloring import colorize_from_snapshots
-from calgraph.result.estimated_parameter import EstimatedParameter
 from calgraph.result.evidence import CaptureRow, Edge, Evidence, FitError, HeldOutError, ModelledBodies, Suggestion
 from calgraph.result.exports import FORMATS, export, to_json
 from calgraph.result.extrinsics_file import ExtrinsicsFile, read_extrinsics
-from calgraph.result.pictures import BeamView, BoardOutline, BoardView, FloorView, Pictures
-from calgraph.result.prior_errors import PriorErrors
-from calgraph.result.provenance import InputFile, Provenance
+from calgraph.result.pictures import (
+    BeamView,
+    BoardOutline,
+    BoardView,
+    FloorView,
+    Pictures,
+    Snapshot,
+    colorize_from_snapshots,
+)
 from calgraph.result.residuals_file import save_residuals
 from calgraph.result.scene import load_scene, save_scene
 from calgraph.result.sensor_pose import SensorPose, StatedPose, Verdict
-from calgraph.result.snapshots import Snapshot
 from calgraph.result.table import to_dataframe
 
 __all__ = [

@@ -1,5 +1,6 @@
 """A calibration: the poses of sensors as a tree, with one joint covariance, and the evidence for them."""
 
+import math
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, field
@@ -8,12 +9,106 @@ import numpy as np
 
 from calgraph.errors import CalibrationError, InputError
 from calgraph.geometry import Array, Index, se3
-from calgraph.result.estimated_parameter import EstimatedParameter
 from calgraph.result.evidence import Evidence
 from calgraph.result.pictures import Pictures
-from calgraph.result.prior_errors import PriorErrors
-from calgraph.result.provenance import Provenance
 from calgraph.result.sensor_pose import SensorPose
+
+
+@dataclass(frozen=True)
+class InputFile:
+    """A file or folder that a calibration was computed from."""
+
+    path: str
+    """As it was given."""
+    sha256: str
+    """Of its size, first and last mebibyte; of a folder, of all files in it."""
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """How a calibration was computed."""
+
+    version: str
+    """Of calgraph."""
+    date: str
+    """UTC, ISO 8601."""
+    command: str
+    """The command line."""
+    inputs: tuple[InputFile, ...]
+    """The rig, the recordings, and all other files that were read."""
+    start: float | None = None
+    """Start of the recording, s; None where there was none."""
+    duration: float | None = None
+    """Of the recording, s."""
+    messages: int | None = None
+    """Number of messages in the recording."""
+    cached: tuple[str, ...] = ()
+    """Sensors whose detections were taken from an earlier run on the same recording."""
+
+
+@dataclass(frozen=True, eq=False)
+class PriorErrors:
+    """Errors of a calibration's poses by the stated values of systematic parameters.
+
+    Estimates of two recordings of one rig with the same board share the errors of what rig.yaml states. With the
+    posterior covariance ``P`` of poses and parameters, and the information ``L`` of the priors, an error ``e`` of
+    the stated values moves the estimates by ``P L e``; the covariance of the errors of two estimates a and b is
+    ``P_a L P_b``.
+    """
+
+    parameters: tuple[tuple[str, str], ...]
+    """Sensor or target, and quantity, of E systematic parameters."""
+    poses: Array
+    """(S·6, E) errors of all poses in the root's fixed axes, m and rad, by an error of one prior standard
+    deviation."""
+
+    def cross_covariance(self, other: "PriorErrors") -> Array:
+        """Covariance (S·6, S'·6) of the errors of these poses with those of another calibration."""
+        shared = [one for one in self.parameters if one in other.parameters]
+        i = [self.parameters.index(one) for one in shared]
+        j = [other.parameters.index(one) for one in shared]
+        return np.asarray(self.poses[:, i] @ other.poses[:, j].T)
+
+
+_DISPLAY_UNITS = {"m": (1e3, "mm"), "s": (1e3, "ms"), "rad": (180 / math.pi, "°")}
+
+
+@dataclass(frozen=True)
+class EstimatedParameter:
+    """A systematic parameter of a sensor or of the target: its stated value, its prior, and its estimate."""
+
+    of: str
+    """A sensor, ``board``, or a tag: ``tag 3``."""
+    quantity: str
+    """``range bias``, ``focal length``, ``print scale`` and so on."""
+    unit: str
+    """``m``, ``px``, ``rad``, or nothing for ratios."""
+    stated: float
+    prior: float
+    """Standard deviation of the stated value, from ``uncertainty`` in rig.yaml."""
+    value: float
+    stddev: float
+    """Of the value, given the data and all priors."""
+
+    @property
+    def deviation(self) -> float:
+        """Value minus stated, in prior standard deviations."""
+        return (self.value - self.stated) / self.prior
+
+    @property
+    def formatted(self) -> tuple[str, str, str, str, str]:
+        """Stated value, prior, value, standard deviation and unit, for display: mm and degrees, not m and rad.
+
+        Values have as many decimals as leave two digits of the standard deviation.
+        """
+        factor, unit = _DISPLAY_UNITS.get(self.unit, (1.0, self.unit))
+        stddev = factor * self.stddev
+        decimals = max(1 - math.floor(math.log10(stddev)), 0) if 0 < stddev < math.inf else 3
+        stated, value, deviation = (
+            f"{round(factor * v, decimals) + 0.0:.{decimals}f}" for v in (self.stated, self.value, self.stddev)
+        )
+        return stated, f"{factor * self.prior:.2g}", value, deviation, unit
+
 
 UNMEASURED_IN_PLANE = np.array([2, 3, 4])
 """Axes z, roll and pitch of a tangent vector: what a network in one plane does not measure."""

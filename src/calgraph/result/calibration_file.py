@@ -13,12 +13,9 @@ from ruamel.yaml.comments import CommentedSeq
 from calgraph.config import Intrinsics
 from calgraph.geometry import Array, so3
 from calgraph.io.atomic import write_atomically, write_text
-from calgraph.io.csv_writing import escape_formula
-from calgraph.io.yaml_writing import flow_sequence, format_yaml, format_yaml_number
-from calgraph.result.calibration import Calibration
-from calgraph.result.estimated_parameter import EstimatedParameter
+from calgraph.io.text_writing import escape_formula, flow_sequence, format_yaml, format_yaml_number
+from calgraph.result.calibration import Calibration, EstimatedParameter, Provenance
 from calgraph.result.evidence import CaptureRow, Edge, FitError, HeldOutError, Suggestion
-from calgraph.result.provenance import Provenance
 from calgraph.result.sensor_pose import SensorPose
 
 FORMAT = "calgraph/1"

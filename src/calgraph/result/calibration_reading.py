@@ -14,13 +14,17 @@ from calgraph.errors import InputError
 from calgraph.geometry import Array, se3
 from calgraph.io.strict_model import StrictModel, invalid
 from calgraph.io.yaml_reading import read_yaml, validate_content
-from calgraph.result.calibration import UNMEASURED_IN_PLANE, Calibration, join_covariances
+from calgraph.result.calibration import (
+    UNMEASURED_IN_PLANE,
+    Calibration,
+    EstimatedParameter,
+    InputFile,
+    Provenance,
+    join_covariances,
+)
 from calgraph.result.calibration_file import FORMAT
-from calgraph.result.covariance_checks import check_semidefinite, check_symmetric
-from calgraph.result.estimated_parameter import EstimatedParameter
 from calgraph.result.evidence import CaptureRow, Edge, Evidence, FitError, HeldOutError, ModelledBodies, Suggestion
 from calgraph.result.frame_tree import MAX_DISTANCE
-from calgraph.result.provenance import InputFile, Provenance
 from calgraph.result.sensor_pose import SensorPose, StatedPose, Verdict
 from calgraph.sensors.kinds import KINDS, KindName
 from calgraph.sensors.kinds.stated import FrameName, Name
@@ -474,3 +478,38 @@ def _rows(captures: _Captures) -> tuple[CaptureRow, ...]:
             windows = ((n, captures.windows.get(n, missing)) for n in numbers)
             rows += [CaptureRow(n, start, end, sensor, used, reason) for n, (start, end) in windows]
     return tuple(sorted(rows, key=lambda row: row.capture))
+
+
+# Relative to standard deviations: by which elements may differ from their mirror images, as they are rounded.
+_SYMMETRY_TOLERANCE = 1e-6
+_EIGENVALUE_TOLERANCE = 1e-4
+"""By which eigenvalues of a correlation matrix may be negative, relative to the largest: its elements are written
+with 8 digits or more, and version 0.1 wrote fewer."""
+
+
+def check_symmetric(covariance: Array, key: str) -> None:
+    """Refuses an element that differs from its mirror image by more than rounding."""
+    scale = np.sqrt(np.diag(covariance))
+    with np.errstate(invalid="ignore"):  # infinite variances
+        excess = np.abs(covariance - covariance.T) - _SYMMETRY_TOLERANCE * np.outer(scale, scale)
+    wrong_at = np.argwhere((np.nan_to_num(excess, nan=0.0) > 0) & (covariance != covariance.T))
+    if len(wrong_at):
+        i, j = wrong_at[0]
+        raise invalid(
+            f"{key}[{i}][{j}]", f"must equal {key}[{j}][{i}], got {covariance[i, j]:g} and {covariance[j, i]:g}"
+        )
+
+
+def check_semidefinite(covariance: Array, key: str) -> None:
+    """Refuses a matrix that is no covariance: one direction would have a negative variance."""
+    variances = np.diag(covariance)
+    measured = np.isfinite(variances) & (variances > 0)
+    stddev = np.sqrt(variances[measured])
+    correlation = covariance[np.ix_(measured, measured)] / stddev / stddev[:, None]
+    fixed = variances == 0
+    eigenvalues = np.linalg.eigvalsh(np.nan_to_num(correlation)) if len(stddev) else np.zeros(1)
+    is_negative = eigenvalues[0] < -_EIGENVALUE_TOLERANCE * max(eigenvalues[-1], 1.0)
+    if is_negative or np.nan_to_num(covariance[fixed]).any():
+        raise invalid(
+            key, "must be positive semidefinite: as it stands, a direction has a negative variance; write it again"
+        )

@@ -1,9 +1,56 @@
 """What pictures of a calibration show: images and scans, outlines of boards, measurements, floor plans."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
-from calgraph.geometry import Array
-from calgraph.result.snapshots import Snapshot
+import numpy as np
+from numpy.typing import NDArray
+
+from calgraph.errors import InputError
+from calgraph.geometry import Array, se3
+from calgraph.io.image_headers import read_image_size
+from calgraph.sensors import CameraModel, colorize_points
+
+# Pictures are shrunk before they are kept: damage may state any size.
+_MAX_PIXELS = 2**26
+
+
+@dataclass(frozen=True, eq=False)
+class Snapshot:
+    """One message of one sensor in one capture."""
+
+    capture: int
+    sensor: str
+    stamp: float
+    """Of the message's header, s."""
+    image: bytes = b""
+    """JPEG of a camera's picture, as it was measured but for its size; empty of other sensors."""
+    width: int = 0
+    height: int = 0
+    """Of the picture before it was shrunk, px."""
+    points: NDArray[np.float32] = field(default_factory=lambda: np.empty((0, 3), dtype=np.float32))
+    """(N, 3) of a scan or cloud, thinned, in the sensor's frame, m; none of a camera."""
+
+    @property
+    def picture(self) -> NDArray[np.uint8]:
+        """(h, w, 3) RGB of a camera's ``image``; (0, 0, 3) where there is none.
+
+        Raises:
+            InputError: ``image`` is damaged.
+        """
+        if not self.image:
+            return np.empty((0, 0, 3), dtype=np.uint8)
+        import cv2
+
+        try:
+            width, height = read_image_size(self.image)
+            small = width * height <= _MAX_PIXELS
+            bgr = cv2.imdecode(np.frombuffer(self.image, np.uint8), cv2.IMREAD_COLOR) if small else None
+        except (ValueError, cv2.error):
+            bgr = None
+        if bgr is None:
+            raise InputError(f"picture of {self.sensor} in capture {self.capture}: is no JPEG; calibrate again")
+        return np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB), dtype=np.uint8)
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,3 +118,30 @@ class Pictures:
     """Static background and tracks of each connected scanner of a network."""
     beam_views: tuple[BeamView, ...] = ()
     """Beams of each scanner that took part in the joint solution of a network."""
+
+
+def colorize_from_snapshots(
+    x_root: Array,
+    snapshots: Sequence[Snapshot],
+    cameras: Mapping[str, CameraModel],
+    T_root_sensor: Mapping[str, Array],
+) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
+    """The colours of points in simultaneous images; of each point, from the first image that shows it.
+
+    Args:
+        x_root: (N, 3) in the root's frame, m.
+        snapshots: of any sensors; images of cameras without intrinsics or pose are skipped.
+        cameras: intrinsics by camera.
+        T_root_sensor: (4, 4) by sensor.
+
+    Returns:
+        Red, green and blue (N, 3), 0 where the point is in no image; and whether it is in one (N,).
+    """
+    colors, is_colored = np.zeros((len(x_root), 3), dtype=np.uint8), np.zeros(len(x_root), dtype=np.bool_)
+    for s in snapshots:
+        if s.image and s.sensor in cameras and s.sensor in T_root_sensor:
+            x_camera = se3.apply(se3.inverse(T_root_sensor[s.sensor]), x_root)
+            camera_colors, is_visible = colorize_points(x_camera, cameras[s.sensor], s.picture)
+            colors[is_visible & ~is_colored] = camera_colors[is_visible & ~is_colored]
+            is_colored |= is_visible
+    return colors, is_colored

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from calgraph.io.atomic import write_atomically
-from calgraph.io.csv_writing import escape_formula
+from calgraph.io.text_writing import escape_formula
 from calgraph.result.calibration import Calibration
 from calgraph.result.pictures import BeamView, BoardView
 

@@ -12,8 +12,7 @@ from calgraph.errors import InputError
 from calgraph.geometry import Array
 from calgraph.io.archive import read_archive, write_archive
 from calgraph.io.columns import INDEX, NUMBER, Arrays, Column, Table
-from calgraph.result.pictures import BeamView, BoardOutline, BoardView, FloorView, Pictures
-from calgraph.result.snapshots import Snapshot
+from calgraph.result.pictures import BeamView, BoardOutline, BoardView, FloorView, Pictures, Snapshot
 
 FORMAT = "calgraph-scene/1"
 _STRUCTURE = "scene.json"

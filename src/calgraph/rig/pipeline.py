@@ -15,9 +15,8 @@ from calgraph.parallel.processes import forked_jobs, parallel_call
 from calgraph.parallel.progress import Progress, no_progress
 from calgraph.recording import Recording, convert_images, resolve_intrinsics
 from calgraph.result import Calibration
-from calgraph.rig.bundle.camera_boards import locate_boards, scale_boards
+from calgraph.rig.bundle.camera_boards import align_symmetric_prints, locate_boards, scale_boards
 from calgraph.rig.bundle.estimate import solve_bundle, solve_poses
-from calgraph.rig.bundle.print_symmetry import align_symmetric_prints
 from calgraph.rig.bundle.priors import attach_by_priors
 from calgraph.rig.bundle.problem import Problem, SolverOptions, with_prior_poses
 from calgraph.rig.bundle.problem_file import round_trip, save_problem

@@ -1,6 +1,6 @@
 """Models of cameras and scanners, and their messages."""
 
-from calgraph.sensors.camera_model import DISTORTION_NAMES, CameraModel
+from calgraph.sensors.camera_model import DISTORTION_NAMES, CameraModel, colorize_points
 from calgraph.sensors.cloud_to_scan import SAME_DIRECTION, convert_cloud_to_scan
 from calgraph.sensors.messages import (
     CameraInfo,
@@ -14,7 +14,6 @@ from calgraph.sensors.messages import (
     RecordedMessage,
     Trigger,
 )
-from calgraph.sensors.point_colors import colorize_points
 from calgraph.sensors.scan_background import ScanBackground, align_ranges, find_nearest_beams
 
 __all__ = [

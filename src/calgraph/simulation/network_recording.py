@@ -15,7 +15,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from calgraph.config.settings import LimitSettings
 from calgraph.io.atomic import make_temporary_folder, remove_temporary_folder
-from calgraph.io.yaml_writing import save_yaml
+from calgraph.io.text_writing import save_yaml
 from calgraph.parallel.processes import parallel_stream
 from calgraph.recording.bag_files import BagFiles
 from calgraph.recording.bags import BagRecording

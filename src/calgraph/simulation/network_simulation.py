@@ -16,8 +16,7 @@ from calgraph.geometry import Array, se2, se3
 from calgraph.sensors import LaserScan
 from calgraph.simulation.network_beams import USUAL_MAX_SPEED, ScanPlane, View, build_views, simulate_true_ranges
 from calgraph.simulation.network_floor import Floor, FreeSpace, find_free_space
-from calgraph.simulation.network_furniture import CHAIR_REACH, move_chairs, place_chairs, place_mirrors
-from calgraph.simulation.network_layouts import build_layout
+from calgraph.simulation.network_layouts import CHAIR_REACH, build_layout, move_chairs, place_chairs, place_mirrors
 from calgraph.simulation.network_people import build_bodies, form_parties, separate_people
 from calgraph.simulation.network_scanners import StationaryScanner, build_scanners
 from calgraph.simulation.network_scenario import NetworkScenario, ScannerOptions

@@ -15,8 +15,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from calgraph.errors import InputError
 from calgraph.geometry import Array
-from calgraph.simulation.floor_index import BoxIndex
-from calgraph.simulation.network_floor import FreeSpace
+from calgraph.simulation.network_floor import BoxIndex, FreeSpace
 from calgraph.simulation.network_scenario import PeopleOptions
 
 _DECISION_INTERVAL = 0.1

@@ -7,7 +7,7 @@ import numpy as np
 
 from calgraph.config import CameraSpec, Capture, Lidar2dSpec, Lidar3dSpec, PixelNoise, RangeNoise, Rig, SensorSpec
 from calgraph.geometry import Array
-from calgraph.io.yaml_writing import save_yaml
+from calgraph.io.text_writing import save_yaml
 from calgraph.recording.writer import RecordingWriter
 from calgraph.sensors import CameraInfo, Message, Trigger
 from calgraph.sensors.kinds import DepthCameraSpec, DepthNoise

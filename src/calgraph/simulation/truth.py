@@ -11,8 +11,8 @@ import numpy as np
 from calgraph.errors import InputError
 from calgraph.geometry import Array, se3, so3
 from calgraph.io.archive import read_archive, write_archive
+from calgraph.io.text_writing import save_yaml
 from calgraph.io.yaml_reading import read_yaml
-from calgraph.io.yaml_writing import save_yaml
 
 _FORMAT = "calgraph-truth/1"
 _PEOPLE_FORMAT, _PEOPLE_MEMBER = "calgraph-truth-people/1", "people.json"

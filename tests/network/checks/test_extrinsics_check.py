@@ -9,7 +9,7 @@ import pytest
 from calgraph.config import Tolerance
 from calgraph.config.settings import DiagnosticsSettings
 from calgraph.geometry import se2, so3
-from calgraph.network.checks.extrinsics_check import compare_network_poses
+from calgraph.network.checks.moved_scanners import compare_network_poses
 from calgraph.network.joint.planar_poses import PlanarPoses
 from calgraph.result import Calibration, ExtrinsicsFile
 from calgraph.result.frame_tree import FrameLink, FrameTree

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calgraph.geometry import Array, se2
-from calgraph.network.checks.walk_report import (
+from calgraph.network.checks.assemble import (
     CrossScannerMatches,
     build_floor_views,
     build_walk_rows,

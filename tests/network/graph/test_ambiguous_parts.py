@@ -4,7 +4,7 @@ import numpy as np
 
 from calgraph.geometry import Array, se2
 from calgraph.graph.pose_graph import PoseGraphSolution
-from calgraph.network.graph.ambiguous_parts import AmbiguousPart, find_ambiguous_parts
+from calgraph.network.graph.conflicting_evidence import AmbiguousPart, find_ambiguous_parts
 from calgraph.network.graph.network_graph import build_network_graph
 from calgraph.network.pairs.hypothesis_evidence import PoseHypothesis
 from calgraph.network.pairs.scanner_pair import ScannerPairEstimate

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from calgraph.errors import Rejected
 from calgraph.geometry import se2
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
-from calgraph.network.graph.chance_connections import find_chance_connections
 from calgraph.network.graph.network_initialization import NetworkInitialization, initialize_network
+from calgraph.network.graph.visibility_check import find_chance_connections
 from calgraph.network.pairs.hypothesis_evidence import PoseHypothesis
 from calgraph.network.pairs.scanner_pair import ScannerPairEstimate
 from calgraph.network.pairs.visibility_map import ScannerObservations

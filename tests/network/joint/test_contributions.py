@@ -7,8 +7,8 @@ from calgraph.network.joint.beam_residuals import list_beam_residuals
 from calgraph.network.joint.contributions import Contributions, split_contributions
 from calgraph.network.joint.estimate import SolvedNetwork
 from calgraph.network.joint.model_error import TUKEY_LIMIT
+from calgraph.network.joint.scan_equations import TukeyLoss
 from calgraph.network.joint.solver import linearize_network
-from calgraph.network.joint.tukey_loss import TukeyLoss
 from leg_scenes import build_network
 from network_scenes import eliminate_densely
 from solved_networks import SECONDS, solve_two_walks

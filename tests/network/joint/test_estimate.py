@@ -12,7 +12,7 @@ from calgraph.config.settings import NetworkEstimationSettings
 from calgraph.geometry import Array, se2
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
 from calgraph.network.joint import body_batches
-from calgraph.network.joint.ellipse_raycast import raycast_ellipses
+from calgraph.network.joint.ellipse_equations import raycast_ellipses
 from calgraph.network.joint.estimate import (
     _CYLINDER_RADIUS_SIGMA,
     _PEOPLE_RADII_SIGMA,
@@ -20,13 +20,13 @@ from calgraph.network.joint.estimate import (
     _build_observations,
     _initialize_path,
     collect_scans,
+    select_bridges,
     solve_network,
 )
 from calgraph.network.joint.problem import BodyObservations, BodyPath, BodyScans, NetworkProblem, WallConstraint
 from calgraph.network.joint.scanner_unknowns import SYSTEMATIC_ERRORS
 from calgraph.network.joint.splines import Knots, evaluate_spline
 from calgraph.network.joint.track_association import BodyTracks
-from calgraph.network.joint.wall_constraints import select_bridges
 from calgraph.network.tracking.track import Hits, ScannerTracks, Track
 from calgraph.parallel.engine import Processes
 from dense_covariances import relate_all

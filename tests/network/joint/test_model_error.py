@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calgraph.geometry import Array
-from calgraph.network.joint.ellipse_raycast import raycast_ellipses
+from calgraph.network.joint.ellipse_equations import raycast_ellipses
 from calgraph.network.joint.model_error import estimate_model_error
 from calgraph.network.joint.problem import BodyObservations, BodyPath, BodyScans, NetworkProblem, NetworkState
 from calgraph.network.joint.splines import Knots, evaluate_spline

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from calgraph.geometry import Array
-from calgraph.network.joint.path_covariance import compute_path_covariance
+from calgraph.network.joint.schur import compute_path_covariance
 
 
 def equations(count: int, rng: np.random.Generator) -> tuple[Array, Array]:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calgraph.geometry import Array, se2
-from calgraph.network.joint.ellipse_raycast import raycast_ellipses
+from calgraph.network.joint.ellipse_equations import raycast_ellipses
 from calgraph.network.joint.problem import BodyObservations, BodyPath, NetworkProblem, NetworkState
 from calgraph.network.joint.range_noise import MIN_COS_INCIDENCE, estimate_range_noise
 from calgraph.network.joint.solver import linearize_network, optimize_network

@@ -8,12 +8,13 @@ from scipy.optimize import least_squares
 
 from calgraph.geometry import Array, se2
 from calgraph.network.joint.ellipse_equations import (
+    RaycastHits,
     compute_heading_offsets,
     compute_residuals,
     linearize_ellipse_scans,
     raycast_body,
+    raycast_ellipses,
 )
-from calgraph.network.joint.ellipse_raycast import RaycastHits, raycast_ellipses
 from calgraph.network.joint.path_equations import add_scans, evaluate_at, index_scans
 from calgraph.network.joint.problem import BodyObservations, BodyPath, NetworkProblem, NetworkState, WallConstraint
 from calgraph.network.joint.scan_equations import SCAN_PARAMETERS

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calgraph.network.joint.tukey_loss import TukeyLoss
+from calgraph.network.joint.scan_equations import TukeyLoss
 
 LOSS = TukeyLoss(2.5)
 ALL = np.ones(5, dtype=np.bool_)

@@ -15,8 +15,7 @@ from calgraph.network.pairs.clock_mounting_search import (
 )
 from calgraph.network.pairs.scanner_pair import CLOCK_SIGMA, ScannerPairEstimate, estimate_scanner_pair
 from calgraph.network.pairs.visibility_map import ScannerObservations
-from calgraph.network.tracking.corrected_tracks import correct_tracks
-from calgraph.network.tracking.track import ScannerTracks, Track
+from calgraph.network.tracking.track import ScannerTracks, Track, correct_tracks
 
 SETTINGS = ScannerPairSettings()
 T_A_B = se2.pose(2.1, np.array([5.0, 1.5]))

@@ -265,6 +265,18 @@ def test_walls_improve_the_pose_from_tracks(rng: np.random.Generator) -> None:
     assert not without.hypotheses[0].uses_background
 
 
+def test_walls_are_matched_unless_they_are_not_wanted(rng: np.random.Generator) -> None:
+    walks = [wander(rng, seconds=15, size=3.0)]
+    poses = se2.pose(0.3, np.array([-2.0, -1.0])), se2.pose(2.5, np.array([2.0, -1.5]))
+    a, b = (observe(walks, T, rng, background=room(T, rng)) for T in poses)
+    usual = estimate_scanner_pairs({"a": a, "b": b}, np.random.default_rng(1))["a", "b"]
+    without = estimate_scanner_pairs({"a": a, "b": b}, np.random.default_rng(1), icp=False)["a", "b"]
+    assert isinstance(usual, ScannerPairEstimate)
+    assert isinstance(without, ScannerPairEstimate)
+    assert usual.hypotheses[0].uses_background
+    assert not without.hypotheses[0].uses_background
+
+
 def room(T_world_sensor: Array, rng: np.random.Generator) -> Array:
     """A room of 9 by 7 m, at every half degree."""
     bearing = np.radians(np.arange(-135, 135, 0.5))

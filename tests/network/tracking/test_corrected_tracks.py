@@ -4,8 +4,7 @@ import numpy as np
 
 from calgraph.config import People, RangeNoise
 from calgraph.config.settings import TrackingSettings
-from calgraph.network.tracking.corrected_tracks import correct_tracks
-from calgraph.network.tracking.track import ScannerTracks
+from calgraph.network.tracking.track import ScannerTracks, correct_tracks
 from calgraph.network.tracking.track_scanner import track_scanner
 from walking_scenes import World, walk_in_circle
 

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from calgraph.network.tracking.corrected_tracks import correct_tracks
 from calgraph.network.tracking.leg_clusters import cluster_legs, measure_widths
-from calgraph.network.tracking.track import ScannerTracks
+from calgraph.network.tracking.track import ScannerTracks, correct_tracks
 from leg_scenes import OFFSET, build_foreground, scan_times, walk_leg
 
 

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from calgraph.network.tracking.periods import TrackSegment, split_into_periods
-from calgraph.network.tracking.track_scanner import _MAX_UNDETECTED
+from calgraph.network.tracking.track_scanner import _MAX_UNDETECTED, TrackSegment, split_into_periods
 
 
 def split(*detected: NDArray[np.intp]) -> tuple[TrackSegment, ...]:

@@ -9,8 +9,7 @@ import pytest
 
 from calgraph.errors import InputError, Rejected
 from calgraph.network.tracking.clusters import Foreground
-from calgraph.network.tracking.track import Hits, ScannerBump, ScannerTracks, Track
-from calgraph.network.tracking.track_encoding import decode_tracks, encode_tracks
+from calgraph.network.tracking.track import Hits, ScannerBump, ScannerTracks, Track, decode_tracks, encode_tracks
 
 RNG = np.random.default_rng(0)
 TRACK = Track(

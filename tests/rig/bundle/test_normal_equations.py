@@ -7,10 +7,14 @@ import pytest
 
 from calgraph.geometry import Array, Index
 from calgraph.rig.bundle.bundle_solver import HUBER_THRESHOLD
-from calgraph.rig.bundle.normal_equations import accumulate, accumulate_biased, huber_variance_factor
+from calgraph.rig.bundle.normal_equations import (
+    accumulate,
+    accumulate_biased,
+    consistency_statistic,
+    huber_variance_factor,
+)
 from calgraph.rig.bundle.observations import LinearizedResiduals
 from calgraph.rig.bundle.variance_components import MIN_REDUNDANCY
-from calgraph.rig.bundle.whitening import consistency_statistic
 
 START = np.array([0, 30, 37])
 COUNTS = [30, 7, 23]

@@ -6,7 +6,7 @@ import pytest
 from calgraph.boards.detections import BoardCorners
 from calgraph.config import Board, CameraSpec, Charuco, Checkerboard, Rig, SensorSpec
 from calgraph.geometry import Array, se3, so3
-from calgraph.rig.bundle.print_symmetry import align_symmetric_prints, symmetry_turns, turn_corners
+from calgraph.rig.bundle.camera_boards import align_symmetric_prints, symmetry_turns, turn_corners
 from calgraph.rig.captures.from_detections import captures_from_detections
 from calgraph.rig.detection.from_measurements import board_corners_from_pixels
 from calgraph.rig.options import RigOptions

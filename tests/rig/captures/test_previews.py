@@ -8,9 +8,8 @@ import pytest
 
 from calgraph.config import Board, CameraSpec, Checkerboard, Lidar2dSpec, Lidar3dSpec, Rig
 from calgraph.errors import Rejected
-from calgraph.rig.captures.hold_messages import search_holds
+from calgraph.rig.captures.hold_messages import PreviewSize, make_preview, plan_previews, search_holds
 from calgraph.rig.captures.holds import Hold
-from calgraph.rig.captures.previews import PreviewSize, make_preview, plan_previews
 from calgraph.rig.captures.sensor_detection import detect_in_hold
 from calgraph.sensors import Image, LaserScan, PointCloud, RecordedMessage
 from calgraph.sensors.kinds import SensorSpec

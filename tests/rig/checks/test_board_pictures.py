@@ -9,7 +9,7 @@ from calgraph.boards.detections import BoardCorners
 from calgraph.geometry import Array, se3
 from calgraph.result import BoardOutline, BoardView
 from calgraph.rig.bundle.solution import RigSolution
-from calgraph.rig.checks.board_pictures import (
+from calgraph.rig.checks.assemble import (
     InlierResiduals,
     _subsample_measurements,
     collect_board_outlines,

@@ -9,8 +9,8 @@ from bundle_scenes import LEVER, Scene, bias_variances, remeasured, scene
 from calgraph.config.settings import DiagnosticsSettings
 from calgraph.geometry import Array, se3
 from calgraph.result.finding import Finding
-from calgraph.rig.bundle.board_information import gradient_by_board, information_by_board
 from calgraph.rig.bundle.bundle_solver import Bundle, minimize_bundle
+from calgraph.rig.bundle.covariances import gradient_by_board, information_by_board
 from calgraph.rig.bundle.observations import relative_poses
 from calgraph.rig.bundle.solution import SolvedBundle
 from calgraph.rig.checks.contradictions import _compare_halves, _squared_distance, find_changes

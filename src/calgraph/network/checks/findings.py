@@ -9,7 +9,7 @@ from scipy.sparse.csgraph import connected_components
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2
 from calgraph.graph.pose_graph import PoseGraph
-from calgraph.network.graph.ambiguous_parts import AmbiguousPart
+from calgraph.network.graph.conflicting_evidence import AmbiguousPart
 from calgraph.network.graph.network_initialization import NetworkInitialization
 from calgraph.network.pairs.scanner_pair import ScannerPairEstimate
 from calgraph.network.tracking.track import ScannerBump, ScannerTracks

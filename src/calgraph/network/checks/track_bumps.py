@@ -18,8 +18,7 @@ from scipy.special import fdtri
 
 from calgraph.geometry import Array, Index, se2
 from calgraph.network.pairs.synchronized_tracks import TICK_PERIOD, TrackSamples, pair_samples, resample_tracks
-from calgraph.network.tracking.corrected_tracks import correct_tracks
-from calgraph.network.tracking.track import ScannerBump, ScannerTracks
+from calgraph.network.tracking.track import ScannerBump, ScannerTracks, correct_tracks
 
 # Limit on steps, of which the scale takes about ten to shrink; largest component of the last one, m or rad.
 _MAX_STEPS, _STEP_TOLERANCE = 30, 1e-4

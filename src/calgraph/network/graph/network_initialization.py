@@ -9,10 +9,12 @@ from numpy.typing import NDArray
 from calgraph.errors import Rejected
 from calgraph.geometry import Array
 from calgraph.graph.pose_graph import PoseAveraging, PoseGraph, PoseGraphSolution
-from calgraph.network.graph.ambiguous_parts import AmbiguousPart, find_ambiguous_parts
-from calgraph.network.graph.chance_connections import find_chance_connections
 from calgraph.network.graph.clock_consensus import average_clocks
-from calgraph.network.graph.conflicting_evidence import find_conflicting_evidence
+from calgraph.network.graph.conflicting_evidence import (
+    AmbiguousPart,
+    find_ambiguous_parts,
+    find_conflicting_evidence,
+)
 from calgraph.network.graph.network_graph import (
     average_network,
     build_network_graph,
@@ -21,7 +23,11 @@ from calgraph.network.graph.network_graph import (
     edges_by_chance,
     published_weights,
 )
-from calgraph.network.graph.visibility_check import find_visibility_conflict, is_confirmed_by_visibility
+from calgraph.network.graph.visibility_check import (
+    find_chance_connections,
+    find_visibility_conflict,
+    is_confirmed_by_visibility,
+)
 from calgraph.network.pairs.clock_mounting_search import describe_difference
 from calgraph.network.pairs.scanner_pair import ScannerPairEstimate
 from calgraph.network.pairs.visibility_map import ScannerObservations

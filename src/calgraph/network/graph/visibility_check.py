@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from calgraph.geometry import Array, se2
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
 from calgraph.graph.spanning_tree import fundamental_cuts
+from calgraph.network.pairs.candidate_pairs import label_parts
 from calgraph.network.pairs.scanner_pair import DETECTION_RADIUS, MAX_MISSED_SHARE
 from calgraph.network.pairs.synchronized_tracks import pair_samples
 from calgraph.network.pairs.visibility_map import ScannerObservations, find_missed_detections
@@ -129,3 +130,20 @@ def _compare_detections(observations: Sequence[ScannerObservations], T_root_node
             pairs.append((np.concatenate([indices[a], indices[b]]), expected, detected))
     of_pairs = np.array(ends, dtype=np.intp).reshape(-1, 2)
     return _MutualDetections(sum(sizes), step, of_pairs, tuple(pairs))
+
+
+def find_chance_connections(graph: PoseGraph, solution: PoseGraphSolution, by_chance: Flags) -> Flags:
+    """Finds the edges by chance between parts of a network that no other inlier connects.
+
+    Args:
+        graph: of the network.
+        solution: the estimated poses and their inliers.
+        by_chance: (E,) edges whose matches may be by chance.
+
+    Returns:
+        (E,) mask.
+    """
+    connecting = graph.edges[solution.inliers & ~by_chance]
+    part = label_parts(graph.count, {(int(a), int(b)) for a, b in connecting})
+    i, j = graph.edges.T
+    return np.asarray(by_chance & (part[i] != part[j]))

@@ -17,10 +17,10 @@ from calgraph.network.joint.leg_problem import LegPath
 from calgraph.network.joint.model_error import TUKEY_LIMIT
 from calgraph.network.joint.path_equations import add_scans
 from calgraph.network.joint.problem import BodyObservations, BodyPath, NetworkProblem, NetworkState
+from calgraph.network.joint.scan_equations import TukeyLoss
 from calgraph.network.joint.scanner_matrix import NearInverse, ScannerMatrix
 from calgraph.network.joint.scanner_unknowns import CLOCK, SCANNER_UNKNOWNS, compute_root_times, list_columns
 from calgraph.network.joint.schur import BodyEquations, compute_back_substitution, eliminate_path
-from calgraph.network.joint.tukey_loss import TukeyLoss
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,8 +10,11 @@ import numpy as np
 
 from calgraph.geometry import Array, Index
 from calgraph.network.joint.body_batches import BodyBatches
-from calgraph.network.joint.ellipse_equations import TURNING_DENSITY, compute_heading_offsets
-from calgraph.network.joint.ellipse_raycast import rotate_by_small_angles
+from calgraph.network.joint.ellipse_equations import (
+    TURNING_DENSITY,
+    compute_heading_offsets,
+    rotate_by_small_angles,
+)
 from calgraph.network.joint.path_equations import evaluate_at, index_scans
 from calgraph.network.joint.problem import BodyObservations, BodyPath, BodyScans, NetworkProblem, NetworkState
 from calgraph.network.joint.scanner_unknowns import RANGE_BIAS, compute_stretches, compute_turns

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calgraph.geometry import Array
-from calgraph.network.joint.ellipse_raycast import rotate_by_small_angles
+from calgraph.network.joint.ellipse_equations import rotate_by_small_angles
 from calgraph.network.joint.leg_problem import HARMONICS, LegObservations, LegPath, compute_shape_prior
 from calgraph.network.joint.path_equations import (
     add_scans,

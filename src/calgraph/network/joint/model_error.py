@@ -16,9 +16,8 @@ from calgraph.network.joint.body_batches import BodyBatches
 from calgraph.network.joint.ellipse_equations import build_scan_equations
 from calgraph.network.joint.path_equations import evaluate_at
 from calgraph.network.joint.problem import BodyObservations, BodyPath, NetworkProblem, NetworkState
-from calgraph.network.joint.scan_equations import ScanEquations
+from calgraph.network.joint.scan_equations import ScanEquations, TukeyLoss
 from calgraph.network.joint.scanner_unknowns import compute_root_times
-from calgraph.network.joint.tukey_loss import TukeyLoss
 
 # Variances that are tried together, and how many times: between the last of them, 8 % of a standard deviation
 # apart, the logarithm of the discrepancy is linear.

@@ -12,13 +12,11 @@ import numpy as np
 from calgraph.geometry import Array, Index
 from calgraph.network.joint.ellipse_equations import compute_residuals, raycast_body
 from calgraph.network.joint.model_error import TUKEY_LIMIT
-from calgraph.network.joint.path_covariance import compute_path_covariance
 from calgraph.network.joint.path_equations import evaluate_at
 from calgraph.network.joint.problem import BodyObservations, BodyPath, NetworkProblem, NetworkState
-from calgraph.network.joint.scan_equations import ScanEquations, sum_over_scans
-from calgraph.network.joint.schur import BodyEquations
+from calgraph.network.joint.scan_equations import ScanEquations, TukeyLoss, sum_over_scans
+from calgraph.network.joint.schur import BodyEquations, compute_path_covariance
 from calgraph.network.joint.solver import NetworkEquations
-from calgraph.network.joint.tukey_loss import TukeyLoss
 
 # Standard deviation of Gaussian noise as a multiple of its median absolute value.
 _MEDIAN_TO_SIGMA = 1.4826

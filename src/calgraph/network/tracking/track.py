@@ -1,11 +1,15 @@
-"""The result of tracking in one scanner: tracks of moving objects, and the static background."""
+"""The result of tracking in one scanner: tracks, the static background, their archive, and corrected tracks."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from calgraph.errors import Rejected
 from calgraph.geometry import Array
+from calgraph.io.columns import INDEX, NUMBER, Arrays, Column, Table
 from calgraph.network.tracking.clusters import Foreground
 
 
@@ -104,3 +108,105 @@ class ScannerTracks:
         if beams is not None:
             beams = beams.select((beams.times >= interval[0]) & (beams.times <= interval[1]))
         return replace(self, tracks=kept, coverage=coverage, foreground=beams, interval=interval)
+
+
+def correct_tracks(tracked: ScannerTracks, *, clock_offset: float = 0.0, inverted: bool = False) -> ScannerTracks:
+    """The same tracks with times of another clock, and in the frame of a scanner mounted the other way up.
+
+    A scanner that is mounted upside-down observes the plane from below. The frame that is rotated by 180° about
+    its x axis has the same x and the opposite y and angles. Bumps keep the scanner's clock and frame.
+
+    Args:
+        tracked: tracks, beams and background of a scanner.
+        clock_offset: the scanner's clock minus the other clock, s.
+        inverted: whether to mirror everything at the x axis.
+    """
+    if not clock_offset and not inverted:
+        return tracked
+    signs = np.array([1.0, -1.0 if inverted else 1.0])
+    # Static points are in order of angle, which mirroring reverses.
+    background = tracked.background[::-1] if inverted else tracked.background
+    return replace(
+        tracked,
+        tracks=tuple(_correct_track(track, clock_offset, signs) for track in tracked.tracks),
+        background=background * signs,
+        coverage=None if tracked.coverage is None else tracked.coverage - clock_offset,
+        foreground=tracked.foreground and _correct_foreground(tracked.foreground, clock_offset, signs),
+    )
+
+
+def _correct_foreground(foreground: Foreground, clock_offset: float, signs: Array) -> Foreground:
+    return replace(foreground, angles=foreground.angles * signs[1], times=foreground.times - clock_offset)
+
+
+def _correct_track(track: Track, clock_offset: float, signs: Array) -> Track:
+    return replace(
+        track,
+        times=track.times - clock_offset,
+        positions=track.positions * signs,
+        velocities=track.velocities * signs,
+        covariances=track.covariances * np.outer(signs, signs),
+        hits=replace(track.hits, points=track.hits.points * signs, times=track.hits.times - clock_offset),
+    )
+
+
+_TRACKS = Table("tracks", {
+    "period": INDEX, "times": Column(ragged=True), "positions": Column((2,), ragged=True),
+    "velocities": Column((2,), ragged=True), "covariances": Column((2, 2), ragged=True),
+})  # fmt: skip
+_HITS = Table("hits", {
+    "points": Column((2,), ragged=True), "times": Column(ragged=True),
+    "time_index": Column(dtype=np.intp, ragged=True),
+})  # fmt: skip
+_BUMPS = Table("bumps", {
+    "interval": Column((2,)), "translation": NUMBER, "rotation": NUMBER, "translation_stddev": NUMBER,
+    "rotation_stddev": NUMBER,
+})  # fmt: skip
+_FOREGROUND = "foreground/"
+
+
+def encode_tracks(tracked: ScannerTracks | Rejected) -> tuple[dict[str, Any], Arrays]:
+    """The tracks of one scanner, or why there are none."""
+    if isinstance(tracked, Rejected):
+        return {"rejected": tracked.reason}, {}
+    arrays: dict[str, NDArray[Any]] = {
+        "background": tracked.background,
+        "sigma": np.array(tracked.sigma),
+        "interval": np.array(tracked.interval),
+        **_TRACKS.pack([vars(track) for track in tracked.tracks]),
+        **_HITS.pack([vars(track.hits) for track in tracked.tracks]),
+        **_BUMPS.pack([vars(bump) for bump in tracked.bumps]),
+    }
+    if tracked.coverage is not None:
+        arrays["coverage"] = tracked.coverage
+    if tracked.foreground is not None:
+        arrays |= {f"{_FOREGROUND}{name}": values for name, values in vars(tracked.foreground).items()}
+    return {"rejected": None, "background_tested": tracked.background_tested}, arrays
+
+
+def decode_tracks(content: Mapping[str, Any], arrays: Arrays) -> ScannerTracks | Rejected:
+    """The tracks from what :func:`encode_tracks` gives.
+
+    Raises:
+        InputError: a column is missing, or its values do not fit the others.
+        KeyError: a key is missing.
+    """
+    if content["rejected"] is not None:
+        return Rejected(content["rejected"])
+    beams = {
+        name.removeprefix(_FOREGROUND): values for name, values in arrays.items() if name.startswith(_FOREGROUND)
+    }
+    tracks = zip(_TRACKS.unpack(arrays), _HITS.unpack(arrays), strict=True)
+    start, end = arrays["interval"].tolist()
+    return ScannerTracks(
+        tuple(Track(**track, hits=Hits(**hits)) for track, hits in tracks),
+        arrays["background"],
+        float(arrays["sigma"]),
+        arrays.get("coverage"),
+        tuple(
+            ScannerBump(**{**bump, "interval": tuple(bump["interval"].tolist())}) for bump in _BUMPS.unpack(arrays)
+        ),
+        (start, end),
+        Foreground(**beams) if beams else None,
+        content["background_tested"],
+    )

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from calgraph.geometry import so3
-from calgraph.io.json_writing import format_json
+from calgraph.io.text_writing import format_json
 from calgraph.result.calibration import Calibration
 from calgraph.result.calibration_file import FORMAT
 from calgraph.result.evidence import Edge

@@ -9,7 +9,7 @@ import numpy as np
 from calgraph.config import Rig
 from calgraph.errors import InputError
 from calgraph.geometry import Array
-from calgraph.io.yaml_writing import flow_sequence, format_yaml
+from calgraph.io.text_writing import flow_sequence, format_yaml
 from calgraph.result.calibrated_cameras import find_intrinsics
 from calgraph.result.calibration import Calibration
 from calgraph.result.exports.frames import format_coordinate

@@ -3,7 +3,7 @@
 import re
 from typing import Any
 
-from calgraph.io.yaml_writing import format_yaml
+from calgraph.io.text_writing import format_yaml
 from calgraph.result.calibration import Calibration
 from calgraph.result.exports.frames import TreeEdge, describe_origin, format_coordinate, tree_edges
 

@@ -15,9 +15,8 @@ from calgraph.rig.bundle.bundle_solver import (
     MarginalizedViews,
     MinimizedBundle,
 )
-from calgraph.rig.bundle.normal_equations import huber_variance_factor
+from calgraph.rig.bundle.normal_equations import consistency_statistic, huber_variance_factor
 from calgraph.rig.bundle.observations import relative_poses
-from calgraph.rig.bundle.whitening import consistency_statistic
 
 # Relative ridge on the Fisher matrix: two sensors determine the sum of their variances only, and the step along
 # the difference is zero.

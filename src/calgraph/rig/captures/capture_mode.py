@@ -1,15 +1,108 @@
 """How a recording shows the board: at rest, in separate snapshots, or in synchronized frames while it moves."""
 
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from calgraph.config import Capture, CaptureMode
 from calgraph.config.settings import CaptureSettings
+from calgraph.errors import RecordingError
 from calgraph.geometry import Array
-from calgraph.rig.captures.stamp_groups import StampGroup, group_bursts, group_frames, measure_spread, split_bursts
-from calgraph.rig.captures.stillness import MAX_MOTION_PERIOD, find_rests
-from calgraph.rig.captures.timeline import RecordingTimeline, SensorTimes
+from calgraph.recording import Recording
+from calgraph.rig.captures.motion_detection import ActivityMeter
+from calgraph.rig.captures.timeline import (
+    MAX_MOTION_PERIOD,
+    RecordingTimeline,
+    SensorTimes,
+    build_timeline,
+    find_rests,
+)
+
+
+@dataclass(frozen=True, eq=False)
+class StampGroup:
+    """Messages of at least two sensors that were measured of one pose of the board."""
+
+    stamps: Mapping[str, Array]
+    """By sensor, its stamps in ascending order, s; no entry for a sensor without message in the group."""
+
+    @property
+    def start(self) -> float:
+        """First stamp, s."""
+        return min(float(stamps[0]) for stamps in self.stamps.values())
+
+    @property
+    def end(self) -> float:
+        """Last stamp, s."""
+        return max(float(stamps[-1]) for stamps in self.stamps.values())
+
+
+def split_bursts(stamps: Array, max_gap: float) -> list[Array]:
+    """Splits ascending stamps (N,) where more than ``max_gap``, s, lies between two of them."""
+    return np.split(stamps, np.flatnonzero(np.diff(stamps) > max_gap) + 1) if len(stamps) else []
+
+
+def group_bursts(bursts: Mapping[str, Sequence[Array]], max_gap: float, max_spread: float) -> list[StampGroup]:
+    """Groups the bursts of several sensors so that a group has at most one burst of each.
+
+    Groups are consecutive in time. As many bursts as possible are joined with the one before; of the groupings
+    with that number, the one with the shortest gaps inside its groups is taken (dynamic programming over the
+    bursts).
+
+    Args:
+        bursts: by sensor, the stamps of the messages that belong together, in order of time.
+        max_gap: maximum time between a burst and the one before it in a group, s.
+        max_spread: maximum time between the first stamps of the first and of the last burst of a group, s.
+
+    Returns:
+        The groups with at least two sensors, in order of time.
+    """
+    events = sorted(
+        ((float(burst[0]), float(burst[-1]), name, burst) for name, all_ in bursts.items() for burst in all_),
+        key=lambda event: event[:3],
+    )
+    # Of the best grouping of the first k events: (number of groups, sum of gaps, first event of the last group).
+    best: list[tuple[int, float, int]] = [(0, 0.0, 0)]
+    for k in range(1, len(events) + 1):
+        options = []
+        sensors: set[str] = set()
+        gaps, first = 0.0, k - 1
+        while True:
+            sensors.add(events[first][2])
+            groups, sum_of_gaps, _ = best[first]
+            options.append((groups + 1, sum_of_gaps + gaps, first))
+            if first == 0 or events[first - 1][2] in sensors:
+                break
+            gap = max(events[first][0] - events[first - 1][1], 0.0)
+            if gap > max_gap or events[k - 1][0] - events[first - 1][0] > max_spread:
+                break
+            gaps, first = gaps + gap, first - 1
+        best.append(min(options))
+    groups_found = []
+    k = len(events)
+    while k:
+        first = best[k][2]
+        if k - first > 1:
+            groups_found.append(StampGroup({name: burst for _, _, name, burst in events[first:k]}))
+        k = first
+    return groups_found[::-1]
+
+
+def group_frames(stamps: Mapping[str, Array], max_spread: float) -> list[StampGroup]:
+    """Sets of frames: at most one message of each sensor, all within ``max_spread``, s.
+
+    Args:
+        stamps: by sensor, ascending, s.
+        max_spread: maximum time between the first and the last stamp of a set, s.
+    """
+    frames = {name: list(np.unique(one)[:, None]) for name, one in stamps.items()}
+    return group_bursts(frames, max_spread, max_spread)
+
+
+def measure_spread(groups: Sequence[StampGroup]) -> float:
+    """Median time between the first and the last stamp of a group, s; 0 without groups."""
+    return float(np.median([group.end - group.start for group in groups])) if groups else 0.0
 
 
 @dataclass(frozen=True)
@@ -166,3 +259,52 @@ def _is_periodic(times: SensorTimes) -> bool:
     """Whether the pauses of a sensor are equal within a share, as those of a slow driver are."""
     periods = np.diff(times.stamps)
     return float(np.median(np.abs(periods - times.period))) < _MAX_PERIOD_JITTER * times.period
+
+
+# Only a draft depends on these. Stamps are read from this much of a large recording, s: ten poses of snapshots.
+_STAMPS_DURATION = 300.0
+# Smaller recordings are read whole, which takes less than a second.
+_MAX_MESSAGES = 20_000
+# Messages are decoded from this much of it, s: several moves and rests of a board that is carried around.
+_ACTIVITY_DURATION = 20.0
+
+
+def recognize_recording(
+    recording: Recording, topics: Collection[str], settings: CaptureSettings, empty_end: float = 0.0
+) -> RecognizedMode | None:
+    """Recognises how a recording without triggers shows the board.
+
+    Messages are decoded only if the stamps of several sensors show sets of frames: these are of a moving board
+    unless it rests in between.
+
+    Args:
+        recording: to be read.
+        topics: of its sensors, with usable messages.
+        settings: of the search for captures.
+        empty_end: end of the time without board at the start, s.
+
+    Returns:
+        The mode; None for fewer than two sensors, or if a message is damaged, which reading all of them reports.
+    """
+    if len(topics) < 2:
+        return None
+    try:
+        return _recognize(recording, topics, empty_end, settings)
+    except RecordingError:
+        return None
+
+
+def _recognize(
+    recording: Recording, topics: Collection[str], empty_end: float, settings: CaptureSettings
+) -> RecognizedMode:
+    names = {topic: topic for topic in topics}
+    start = recording.start
+    is_small = sum(topic.count for topic in recording.topics) <= _MAX_MESSAGES
+    records = recording.records(topics, start, recording.end if is_small else start + _STAMPS_DURATION)
+    mode = recognize_mode(build_timeline(records, start, names, None), Capture(), settings)
+    if mode.mode == "snapshots" or mode.spread is None:
+        return mode
+    begin = start + empty_end
+    meters = {topic: ActivityMeter() for topic in topics}
+    records = recording.records(topics, begin, begin + _ACTIVITY_DURATION)
+    return recognize_mode(build_timeline(records, start, names, None, meters=meters), Capture(), settings)

@@ -15,8 +15,7 @@ from calgraph.recording import NO_CACHE, ClockCorrectedRecording, Recording, Rec
 from calgraph.recording.input_checks import InputMonitor
 from calgraph.result.finding import Finding
 from calgraph.rig.captures.motion_detection import MIN_ACTIVITY
-from calgraph.rig.captures.stillness import MAX_MOTION_PERIOD
-from calgraph.rig.captures.timeline import RecordingTimeline, SensorTimes
+from calgraph.rig.captures.timeline import MAX_MOTION_PERIOD, RecordingTimeline, SensorTimes
 from calgraph.rig.captures.timeline_reading import read_rig_timeline
 
 

@@ -10,10 +10,8 @@ from calgraph.config import Capture, Rig
 from calgraph.config.settings import CaptureSettings
 from calgraph.errors import CalibrationError
 from calgraph.geometry import Array
-from calgraph.rig.captures.capture_mode import find_frame_sets, find_snapshots, recognize_mode
-from calgraph.rig.captures.stamp_groups import StampGroup
-from calgraph.rig.captures.stillness import find_rests
-from calgraph.rig.captures.timeline import RecordingTimeline, SensorTimes
+from calgraph.rig.captures.capture_mode import StampGroup, find_frame_sets, find_snapshots, recognize_mode
+from calgraph.rig.captures.timeline import RecordingTimeline, SensorTimes, find_rests
 from calgraph.rig.kinds import RIG_KINDS
 
 

@@ -15,9 +15,15 @@ from calgraph.recording import NO_CACHE, Recording, RecordingCache
 from calgraph.rig.captures.detect import SensorCapture
 from calgraph.rig.captures.detection_tables import decode_captures, encode_captures
 from calgraph.rig.captures.detectors import learn_backgrounds, learn_backgrounds_of_captures, make_detectors
-from calgraph.rig.captures.hold_messages import Search, search_holds, select_messages
+from calgraph.rig.captures.hold_messages import (
+    PreviewSize,
+    Search,
+    make_preview,
+    plan_previews,
+    search_holds,
+    select_messages,
+)
 from calgraph.rig.captures.holds import Hold
-from calgraph.rig.captures.previews import PreviewSize, make_preview, plan_previews
 from calgraph.rig.captures.timeline import RecordingTimeline
 from calgraph.rig.kinds.rig_kind import Detector
 from calgraph.sensors import CameraModel, Message, RecordedMessage

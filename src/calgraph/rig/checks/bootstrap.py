@@ -12,7 +12,6 @@ import numpy as np
 from scipy.special import chdtri
 
 from calgraph.geometry import Array, Index, se3
-from calgraph.rig.bundle.board_information import gradient_by_board, information_by_board
 from calgraph.rig.bundle.bundle_solver import (
     COARSE_TOLERANCE,
     Bundle,
@@ -22,7 +21,7 @@ from calgraph.rig.bundle.bundle_solver import (
     minimize_bundle,
     pose_jacobian,
 )
-from calgraph.rig.bundle.covariances import parameter_covariance
+from calgraph.rig.bundle.covariances import gradient_by_board, information_by_board, parameter_covariance
 from calgraph.rig.bundle.solution import SolvedBundle
 
 CovarianceVerdict = Literal["honest", "optimistic", "pessimistic"]

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.special import chdtri, fdtri
 
 from calgraph.config.settings import DiagnosticsSettings, DriftTestSettings
-from calgraph.geometry import Array, se3, se_n, so3
+from calgraph.geometry import Array, Index, se3, se_n, so3
 from calgraph.result.finding import Finding
 from calgraph.rig.bundle.bundle_parameters import SystematicParameter
 from calgraph.rig.bundle.bundle_solver import (
@@ -23,11 +23,10 @@ from calgraph.rig.bundle.bundle_solver import (
     linearize_bundle,
     pose_jacobian,
 )
-from calgraph.rig.bundle.covariances import view_covariance_factors
+from calgraph.rig.bundle.covariances import gradient_by_board, view_covariance_factors
 from calgraph.rig.bundle.settling import MAX_SETTLED_CHANGE
 from calgraph.rig.bundle.solution import RigSolution, SolvedBundle
 from calgraph.rig.bundle.variance_components import update_variance_components
-from calgraph.rig.checks.serial_correlation import measure_serial_correlation
 
 # Prior information (m⁻², rad⁻²) on a drift: makes directions that no view measures invertible.
 _DRIFT_PRIOR_INFORMATION = 1e-3
@@ -296,3 +295,72 @@ def _add_drifts(
 def _views_of_body(bundle: Bundle, body: int) -> tuple[int, ...]:
     """Indices of the view sets of a body's sensors."""
     return tuple(k for k in range(len(bundle.all_views)) if bundle.body[bundle.sensor_of(k)] == body)
+
+
+# Captures until correlations are taken to end, by Bartlett's weights: twice the cube root of the usual 30 to 60
+# captures is 6 to 8, and more would leave few independent sums.
+LAGS = 6
+# Random orders of the captures, all of which have less correlation than that of time if it is significant: a
+# false-alarm probability of 1 %, which costs 20 to 50 % of variance.
+_PERMUTATIONS = 99
+
+
+def measure_serial_correlation(bundle: Bundle, solution: MinimizedBundle, order: Index) -> float:
+    """The factor by which serial correlation increases the variances of poses; 1 where it is not significant.
+
+    What each board adds to the poses has a long-run variance, with lags weighted as by Bartlett, after removal of
+    a linear trend. It is the mean over all directions in the space of poses, whitened by the covariance of the
+    solution, so that it does not depend on the root and on units. Its ratio to that of random orders of the boards
+    is the factor if it is larger than in all of them.
+
+    Source: Newey and West, "A simple, positive semi-definite, heteroskedasticity and autocorrelation consistent
+    covariance matrix", Econometrica 1987.
+
+    Args:
+        bundle: the observations.
+        solution: its solution.
+        order: (C,) of the boards in time.
+    """
+    if len(order) < 2 * LAGS or not bundle.body_count:
+        return 1.0
+    poses = 6 * bundle.body_count
+    H, _, _ = solution.equations.eliminate_boards()
+    covariance = np.linalg.inv(H)[:, :poses]
+    steps = gradient_by_board(bundle, solution.equations) @ covariance
+    steps = np.linalg.solve(np.linalg.cholesky(covariance[:poses]), steps.T).T
+    steps = steps[np.argsort(order, kind="stable")]
+    rng = np.random.default_rng(0)
+    random_orders = [_long_run_variance(rng.permutation(steps), LAGS) for _ in range(_PERMUTATIONS)]
+    variance = _long_run_variance(steps, LAGS)
+    return variance / float(np.median(random_orders)) if variance > max(random_orders) else 1.0
+
+
+def measure_score_correlation(scores: Array) -> float:
+    """The factor by which serial correlation of views increases the variance of sums of their scores, at least 1.
+
+    The long-run covariance of the scores, with lags weighted as by Bartlett, has one largest eigenvalue for the
+    views in order of time, and others for random orders, whose median is what independent views have.
+
+    Args:
+        scores: (V, m) of views in order of time.
+    """
+    rng = np.random.default_rng(0)
+    random_orders = [_largest_long_run_variance(rng.permutation(scores), LAGS) for _ in range(_PERMUTATIONS)]
+    return max(1.0, _largest_long_run_variance(scores, LAGS) / float(np.median(random_orders)))
+
+
+def _largest_long_run_variance(series: Array, lags: int) -> float:
+    """The largest eigenvalue of the long-run covariance of a series (V, m)."""
+    covariance = series.T @ series
+    for k in range(1, min(lags, len(series))):
+        product = series[k:].T @ series[:-k]
+        covariance += (1 - k / lags) * (product + product.T)
+    return float(np.linalg.eigvalsh(covariance)[-1])
+
+
+def _long_run_variance(steps: Array, lags: int) -> float:
+    """Of a series (C, n) without its linear trend, over its variance; both are sums over columns."""
+    trend = np.stack([np.ones(len(steps)), np.linspace(-1, 1, len(steps))], axis=1)
+    left = steps - trend @ np.linalg.lstsq(trend, steps, rcond=None)[0]
+    products = [np.sum(left[k:] * left[: len(left) - k]) for k in range(lags)]
+    return float(1 + sum(2 * (1 - k / lags) * products[k] for k in range(1, lags)) / products[0])

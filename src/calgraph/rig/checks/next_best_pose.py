@@ -17,10 +17,9 @@ from calgraph.config import Tolerance
 from calgraph.config.settings import DiagnosticsSettings
 from calgraph.geometry import Array, Index, se3, so3
 from calgraph.result import Calibration, SensorPose, Suggestion, Verdict
-from calgraph.rig.bundle.board_information import information_by_board
 from calgraph.rig.bundle.bundle_solver import Bundle, BundleState, linearize_bundle, pose_jacobian
 from calgraph.rig.bundle.corner_observations import CornerObservations
-from calgraph.rig.bundle.covariances import parameter_covariance
+from calgraph.rig.bundle.covariances import information_by_board, parameter_covariance
 from calgraph.rig.bundle.observations import BoardViews, relative_poses
 from calgraph.rig.bundle.range_observations import RangeObservations
 from calgraph.rig.bundle.solution import SolvedBundle

@@ -20,10 +20,10 @@ from calgraph.rig.bundle.bundle_solver import (
     minimize_bundle,
 )
 from calgraph.rig.bundle.covariances import pose_covariance, view_covariance_factors
+from calgraph.rig.bundle.normal_equations import whitening
 from calgraph.rig.bundle.settling import settle_variances
 from calgraph.rig.bundle.variance_components import OUTLIER_SIGNIFICANCE, measure_consistency
-from calgraph.rig.bundle.whitening import whitening
-from calgraph.rig.checks.serial_correlation import LAGS, measure_score_correlation, measure_serial_correlation
+from calgraph.rig.checks.drift_tests import LAGS, measure_score_correlation, measure_serial_correlation
 
 # Prior information (m⁻², rad⁻²) on a step: makes directions that no view measures invertible.
 _STEP_PRIOR_INFORMATION = 1.0

@@ -9,9 +9,9 @@ from scipy.special import chdtri
 from calgraph.geometry import Array, se3
 from calgraph.rig.bundle.bundle_solver import Bundle, MinimizedBundle, linearize_bundle
 from calgraph.rig.bundle.covariances import parameter_covariance, pose_covariance
+from calgraph.rig.bundle.normal_equations import consistency_statistic
 from calgraph.rig.bundle.priors import RigidGroup
 from calgraph.rig.bundle.variance_components import MIN_REDUNDANCY
-from calgraph.rig.bundle.whitening import consistency_statistic
 
 # Singular values below this belong to directions that the prior alone determines (numerical rank).
 _RANK_TOLERANCE = 1e-3

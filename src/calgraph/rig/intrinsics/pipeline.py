@@ -14,9 +14,8 @@ from calgraph.parallel.engine import THIS_PROCESS, Engine
 from calgraph.parallel.progress import Progress, no_progress
 from calgraph.recording import NO_CACHE, Recording, RecordingCache
 from calgraph.result.finding import Finding
-from calgraph.rig.captures.hold_messages import search_holds, select_messages
+from calgraph.rig.captures.hold_messages import PreviewSize, search_holds, select_messages
 from calgraph.rig.captures.holds import Hold
-from calgraph.rig.captures.previews import PreviewSize
 from calgraph.rig.captures.sensor_detection import detect_in_hold, list_shared_inputs
 from calgraph.rig.captures.timeline import RecordingTimeline, build_timeline
 from calgraph.rig.detection.board_views import BoardView, BoardViewFinder, decode_views, encode_views

@@ -6,9 +6,8 @@ from pydantic import Discriminator, Tag
 
 from calgraph.io.quantities import PixelSigma, PixelStddev, Ratio, TimeStddev
 from calgraph.io.strict_model import StrictModel
-from calgraph.sensors.intrinsics import Intrinsics
 from calgraph.sensors.kinds.sensor_kind import OPTICAL_AXES, SensorKind
-from calgraph.sensors.kinds.stated import OpticalSpec, TimeUncertainty, word_or_values
+from calgraph.sensors.kinds.stated import Intrinsics, OpticalSpec, TimeUncertainty, word_or_values
 from calgraph.sensors.messages import DetectedCorners, Image
 
 EstimatedLens = Literal["estimate", "estimate pinhole", "estimate fisheye"]

@@ -8,9 +8,8 @@ import numpy as np
 from calgraph.geometry import Array
 from calgraph.io.quantities import AngleSigma, LengthStddev, RangeSigma, Ratio
 from calgraph.sensors.camera_model import CameraModel
-from calgraph.sensors.intrinsics import Intrinsics
 from calgraph.sensors.kinds.sensor_kind import OPTICAL_AXES, SensorKind
-from calgraph.sensors.kinds.stated import OpticalSpec, RangeNoise, RangeUncertainty
+from calgraph.sensors.kinds.stated import Intrinsics, OpticalSpec, RangeNoise, RangeUncertainty
 from calgraph.sensors.messages import Image, Message, PointCloud
 
 # Standard deviation below which no depth is measured, m: near the camera time of flight and millimetres of the

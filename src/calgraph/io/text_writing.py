@@ -1,11 +1,13 @@
-"""Plain values as YAML that readers of YAML 1.1 and 1.2 understand identically."""
+"""Plain values as texts: YAML that readers of YAML 1.1 and 1.2 understand identically, JSON, and CSV."""
 
+import json
 import math
 from collections.abc import Iterable, Mapping
 from io import StringIO
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from ruamel.yaml import YAML
 from ruamel.yaml.comments import CommentedSeq
 from ruamel.yaml.nodes import ScalarNode
@@ -66,3 +68,26 @@ class _Representer(RoundTripRepresenter):
 
 _Representer.add_representer(float, _Representer.represent_number)
 _Representer.add_representer(type(None), _Representer.represent_nothing)
+
+
+_FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r")
+
+
+def escape_formula(text: str) -> str:
+    """A text as a cell: after an apostrophe where a spreadsheet would run it as a formula."""
+    return f"'{text}" if text.startswith(_FORMULA_STARTS) else text
+
+
+def format_json(content: Any, indent: int | None = None) -> str:
+    """Mappings, sequences, arrays and scalars as JSON; NaN and infinities, which JSON lacks, become null."""
+    return json.dumps(_to_plain(content), ensure_ascii=False, allow_nan=False, indent=indent)
+
+
+def _to_plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _to_plain(part) for key, part in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return _to_plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [_to_plain(part) for part in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
