@@ -69,7 +69,8 @@ def measure(checkout: Path, *, trace: bool) -> Iterator[tuple[str, str]]:
         yield f"{name}, s", f"{least_time(checkout, program, arguments):.2f}"
     if trace:
         command = [sys.executable, str(Path(__file__).with_name("trace_modules.py"))]
-        found = subprocess.run(command, env=with_source(checkout), capture_output=True, text=True, check=True)
+        found = subprocess.run(command, env=with_source(checkout), capture_output=True, text=True, check=False)
+        # Versions before the wings have no module that the tracer follows: they have no such rows.
         for line in found.stdout.splitlines():
             if line.endswith(" modules"):
                 kind, _, count = line.removesuffix(" modules").partition(": ")
