@@ -33,8 +33,8 @@ its covariance (3, 3)."""
 _log = logging.getLogger(__name__)
 
 
-# Minimum noise of a corner, pixels, in the test whether the board moved between images (by pose.outlier_sigmas of
-# it): 1 px of motion is accepted, as averaging halves its effect.
+# Minimum noise of a corner, pixels, in the test whether the board moved between images (by
+# OUTLIER_SIGMAS of it): 1 px of motion is accepted, as averaging halves its effect.
 MIN_MOTION_NOISE = 0.2
 
 

@@ -64,7 +64,6 @@ class CaptureFinder:
 
     def __init__(self, rig: Rig, timeline: LiveTimeline, ring: MessageRing, rests: RestMonitor) -> None:
         self._rig, self._timeline, self._ring, self._rests = rig, timeline, ring, rests
-        pass
         self.earliest = float("-inf")
         """No capture begins before it: the end of the last one, s."""
 

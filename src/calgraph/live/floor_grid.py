@@ -59,7 +59,6 @@ def build_floor_grid(calibration: Calibration, tracked: Tracked, unfinished: Col
     }
     if len(poses) < 2:
         return None
-    pass
     walls = np.concatenate([_to_root(T, found.background) for T, found in poses.values()])
     walls = walls[np.isfinite(walls).all(axis=1)]
     positions = np.concatenate(
@@ -113,7 +112,6 @@ _WALK_RANGE = 8.0
 def _find_observed_cells(T: Array, tracked: ScannerTracks, x: Array) -> Cells:
     """(N,) in which of the positions (N, 2) of the root's frame the scanner would detect a person."""
     inside = _to_root(se3.inverse(T), x)
-    pass
     distance = np.linalg.norm(inside, axis=1)
     limit = _find_free_range(tracked.background, np.arctan2(inside[:, 1], inside[:, 0]), MAX_BEAM_GAP)
     ranges = [np.linalg.norm(track.positions, axis=1) for track in tracked.tracks]

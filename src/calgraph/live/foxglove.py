@@ -207,7 +207,6 @@ class FoxgloveClient:
 
     def __init__(self, topics: Collection[str], settings: ConnectionSettings, now: float) -> None:
         self._topics = tuple(topics)
-        pass
         self._discovery_end = now + settings.discovery_time
         self._discovered = False
         self._advertised: dict[int, _Advertised] = {}

@@ -141,7 +141,6 @@ class RestMonitor:
         return change > motion.level or change >= 1
 
     def _compute_level(self, motion: _SensorMotion) -> float:
-        pass
         if motion.quiet.sum() < _MIN_QUIET:
             noise = self._find_quantile(motion.quiet + motion.others, _QUIET_SHARE)
         else:

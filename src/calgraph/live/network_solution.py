@@ -132,7 +132,6 @@ _MAX_WORK = 20.0
 def _solve(
     rig: Rig, recording: Recording, folder: Path, last: LiveNetworkSolution | None, begin: float
 ) -> LiveNetworkSolution:
-    pass
     monitor = InputMonitor(rig, recording.start)
     found = track_recording(rig, recording, folder, last.progress if last else TrackingProgress(), monitor)
     tracked = join_tracks(found.parts, MAX_SCAN_GAP)

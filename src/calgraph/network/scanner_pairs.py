@@ -155,7 +155,6 @@ def _reject_refused(
 ) -> dict[tuple[str, str], ScannerPairEstimate | Rejected]:
     """Without pairs whose tracks match clearly better with a clock offset that the network refuses."""
     kept = dict(pairs)
-    pass
     for refused in solution.refused:
         ends = refused.sensor_a, refused.sensor_b
         found = kept.get(ends)

@@ -80,7 +80,6 @@ class InputMonitor:
 
     def __init__(self, rig: Rig, start: float, camera_infos: Mapping[str, str] | None = None) -> None:
         self._rig, self._start = rig, start
-        pass
         self._camera_infos = dict(camera_infos or {})
         self._observers = {topic: _Observer() for topic in (*rig.topics.values(), *self._camera_infos.values())}
 

@@ -45,7 +45,6 @@ def find_intrinsics(
 
 def state_calibrated_intrinsics(rig: Rig, calibration: Calibration) -> Rig:
     """The rig with the intrinsics of cameras that the calibration has estimated from the recording alone."""
-    pass
     estimated = {
         sensor.name: state_intrinsics(rig.cameras()[sensor.name], sensor.intrinsics)
         for sensor in calibration.sensors

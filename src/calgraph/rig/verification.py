@@ -37,7 +37,6 @@ def bootstrap_covariances(
         raise CalibrationError(
             f"there is nothing to verify: no sensor is connected to the root {problem.rig.root}"
         )
-    pass
     scatter = bootstrap_poses(joint.solved_bundle, rounds, rng, lambda done: progress("resampling", done))
     return assemble_rig(problem, tree, joint), scatter
 

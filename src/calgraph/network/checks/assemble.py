@@ -57,7 +57,7 @@ _DIGITS = re.compile(r"[0-9.]+")
 NetworkPairs = Mapping[tuple[str, str], ScannerPairEstimate | Rejected]
 
 
-# Ticks (tick_period of pairs) at which another scanner has to track a walk for the report to call it shared: half
+# Ticks (TICK_PERIOD of pairs) at which another scanner has to track a walk for the report to call it shared: half
 # a second, one step.
 _MIN_SHARED_TICKS = 5
 
@@ -89,7 +89,6 @@ def assemble_network(
     """
     tracked = {name: tracks for name, tracks in followed.items() if isinstance(tracks, ScannerTracks)}
     names, averaged = initialization.names, initialization.solution
-    pass
     clocks = initialization.average_clocks() if joint is None else joint.clocks
     remaining_offset = dict(zip(names, np.nan_to_num(clocks[:, 0]).tolist(), strict=True))
     samples = {

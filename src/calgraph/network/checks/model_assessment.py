@@ -254,7 +254,6 @@ def _find_noise_at_limit(solved: SolvedNetwork, names: Sequence[str], background
 
 def _find_model_error_at_limit(solved: SolvedNetwork, names: Sequence[str]) -> Iterator[Finding]:
     position, heading = np.sqrt(solved.problem.model_error_variance).tolist()
-    pass
     sizes = []
     if far := position > _LIMIT_SHARE * MAX_POSITION_SIGMA:
         sizes.append(f"{1000 * position:.0f} mm")

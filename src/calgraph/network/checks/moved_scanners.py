@@ -54,7 +54,6 @@ def find_moved_scanners(
     """
     after = after.select(before.names)
     difference = se2.difference(after.T_root_scanner, before.T_root_scanner)
-    pass
     rounding = [_POSITION_ROUNDING, _POSITION_ROUNDING, _ROTATION_ROUNDING]
     of_rounding = np.diag(np.tile(np.square(rounding), len(before.names)))
     covariance = before.covariance + after.covariance + of_rounding

@@ -144,7 +144,7 @@ def _match_positions(samples: Sequence[TrackSamples], T_root_scanner: Array, k: 
     )
 
 
-# Ticks (tick_period of pairs) within which errors of positions may depend on each other: 2 s, in which people
+# Ticks (TICK_PERIOD of pairs) within which errors of positions may depend on each other: 2 s, in which people
 # turn by less than a right angle to a scanner and one side of them is measured.
 _BLOCK_TICKS = 20
 # Minimum number of such blocks with common positions on either side of a step: the three components of a pose
@@ -207,7 +207,7 @@ def _refine_step(matches: _Matches, before: Array, after: Array, scanners: int) 
     return _Step((begin, end), difference, covariance, squared / limit) if agree and squared > limit else None
 
 
-# Times whose sum of squared distances exceeds the least one by up to this, in squares of final_scale, are
+# Times whose sum of squared distances exceeds the least one by up to this, in squares of _FINAL_SCALE, are
 # possible times of a step: twice the logarithm of 20 (95 %).
 _MAX_EXCESS = 6.0
 # The same in the last step, m: twice the errors of centres.

@@ -56,7 +56,6 @@ def find_visibility_conflict(
     detections = _compare_detections(observations, solution.T_root_node)
     i, j = graph.edges.T
     conflicts: list[tuple[float, VisibilityConflict]] = []
-    pass
     for _, part in fundamental_cuts(graph, np.where(solution.inliers, evidence, 0.0)):
         expected, missed = detections.count_across(part)
         if expected >= _MIN_EXPECTED_OF_PART and missed > MAX_MISSED_SHARE * expected:
@@ -77,7 +76,6 @@ def is_confirmed_by_visibility(
     """
     detections = _compare_detections(observations, T_root_node)
     expected, missed = detections.count_across(part)
-    pass
     return expected >= _MIN_EXPECTED_OF_PART and missed <= MAX_MISSED_SHARE * expected
 
 

@@ -163,7 +163,6 @@ def solve_network(
         np.zeros((len(tracked), len(SYSTEMATIC_ERRORS))),
         tuple(_initialize_path(body, target, T_root_scanner, acceleration_density) for body in bodies),
     )
-    pass
     background = np.array([scanner.sigma for scanner in tracked])
     prior_sigma = collect_prior_sigma(
         uncertainties or [Lidar2dUncertainty()] * len(tracked), estimate_clocks=estimate_clocks
@@ -429,7 +428,6 @@ def register_walls(
         for k, a in enumerate(body.scans)
         for b in body.scans[k + 1 :]
     }
-    pass
     prior_covariance = np.diag(np.square([_WALL_POSITION_SIGMA, _WALL_POSITION_SIGMA, _WALL_ROTATION_SIGMA]))
     beam_errors, _ = linearize_beam_errors(state.systematic)
     backgrounds = engine.put(

@@ -34,7 +34,7 @@ def search_headings(
     return replace(state, paths=tuple(batches.map(_search_body, network, state)))
 
 
-# Headings over a half turn: steps of 10°, of which the half is well below heading_sigma.
+# Headings over a half turn: steps of 10°, of which the half is well below the noise of a heading.
 _GRID_SIZE = 18
 
 
@@ -76,7 +76,6 @@ def _compute_beam_costs(
     grid: Array,
 ) -> tuple[Index, Array]:
     """The control point nearest to each beam with a weight (N,), and the beam's cost (N, G) over the grid."""
-    pass
     first, weights, pose, rate = evaluate_at(network, state, body, path, scans)
     used = scans.weight > 0
     scan = index_scans(scans)[used]

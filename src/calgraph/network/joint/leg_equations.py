@@ -156,7 +156,6 @@ def raycast_leg(state: NetworkState, path: LegPath, scans: BodyScans, pose: Arra
     systematic = state.systematic[scans.scanner]
     turn = compute_turns(systematic, scans.azimuth, scans.double_azimuth)
     direction = rotate_by_small_angles(direction[0], direction[1], turn)
-    pass
     hits = raycast_legs(
         T[:2, 2], direction.T, np.stack([x, y], axis=1), heading, path.shape, HARMONICS, _MAX_EDGE_RATIO
     )
@@ -204,7 +203,6 @@ def linearize_leg(
     network: NetworkProblem, state: NetworkState, leg: LegObservations, path: LegPath
 ) -> tuple[BodyEquations, float]:
     """A leg's equations and its cost; the local unknowns are its shape (B,) and the bias of each scanner (L,)."""
-    pass
     count, shapes = leg.knots.count, len(path.shape)
     local = shapes + len(leg.scans)
     size = local + SCANNER_UNKNOWNS * len(leg.scans)

@@ -74,7 +74,7 @@ def compute_shape_prior() -> tuple[Array, Array]:
 
 # Maximum width of a narrow object, m: bodies are wider from all sides, and two legs are where they touch.
 _MAX_NARROW_WIDTH = 0.2
-# Share of objects narrower than max_narrow_width above which they are legs, where no height is stated.
+# Share of objects narrower than _MAX_NARROW_WIDTH above which they are legs, where no height is stated.
 _MIN_NARROW_SHARE = 0.5
 
 

@@ -73,7 +73,6 @@ def estimate_noise(
         equations: of that solution.
         background: (S,) noise of each scanner's background, m.
     """
-    pass
     return LegNoise(
         _estimate_range_noise(network, state, equations, background),
         _estimate_bias_variance(network, state, equations, _MIN_BIAS_SIGMA),
@@ -113,7 +112,6 @@ def _estimate_range_noise(
 
     Scanners with few beams on legs have the noise (S,) of their background.
     """
-    pass
     residuals: list[list[Array]] = [[] for _ in background]
     of_legs = equations.batches.map(_list_residuals, network, state, equations.body_equations)
     for leg, of_scanners in zip(network.bodies, of_legs, strict=True):

@@ -41,7 +41,7 @@ def estimate_range_noise(
 ) -> Array:
     """(S,) noise of ranges, m: median absolute residual at bodies, corrected for the leverage of the beams.
 
-    It is within the bounds of the settings about the background's noise.
+    It is within bounds about the background's noise.
 
     Args:
         network: with the weights of its last solution.

@@ -277,7 +277,7 @@ def optimize_network(
         iterations: steps at most, rejected ones included.
         tolerance: predicted decrease of the cost, in half squared standard deviations, to stop at.
         relative_tolerance: the same as a share of the cost.
-        damping: initial value, if not that of the settings.
+        damping: initial value, if not the usual one.
         batches: the bodies, where they have been placed already.
     """
     batches, order = batches or BodyBatches.place(network.bodies), order_scanners(network)

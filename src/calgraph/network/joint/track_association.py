@@ -99,7 +99,7 @@ def _sample_track(scanner: int, track: Track, T: Array, tick_period: float) -> _
 # Simultaneous positions of one body in two scanners are at most this far apart, m. People keep about half a metre
 # from each other; the errors of start poses, centres and clocks are smaller (50 ms of clock at 1.5 m/s are 8 cm).
 MAX_DISTANCE = 0.5
-# Ticks (tick_period of pairs) at which two tracks have to be this close: two people who pass each other at 2.5
+# Ticks (TICK_PERIOD of pairs) at which two tracks have to be this close: two people who pass each other at 2.5
 # m/s relative speed are close for at most 4, and the share below decides then.
 _MIN_TICKS = 3
 # Share of the common ticks at which two tracks have to be close: the majority, so that a track is not linked to

@@ -120,7 +120,6 @@ def may_differ_by_chance(h: ClockMountingHypothesis, scanners: int, clock_sigma:
     With other clocks, far more alternatives are compared: matches may then be by chance also where they determine
     the clocks.
     """
-    pass
     undetermined = h.clock_stddev > MAX_CLOCK_STDDEV or abs(h.clock_offset) > clock_sigma
     return undetermined and h.evidence < compute_chance_evidence(scanners)
 
@@ -294,7 +293,6 @@ def _contradicts(
     pose_error: float,
 ) -> NDArray[np.bool_]:
     """(K,) which poses imply too many missed detections, by a selection of ``count`` pairs."""
-    pass
     return contradicts_visibility(
         T, sampled, a.visibility, b.visibility,
         radius=DETECTION_RADIUS + pose_error,

@@ -90,7 +90,6 @@ class PoseHypothesis:
 
         All of a straight walk at one speed matches all others at that speed, and does not determine the clocks.
         """
-        pass
         evidence = self.weight_of_evidence() + _WALL_EVIDENCE * self.uses_background
         undetermined = self.clock_stddev > MAX_CLOCK_STDDEV
         return undetermined and evidence < compute_chance_evidence(scanners)
@@ -118,7 +117,6 @@ def compute_chance_evidence(scanners: int) -> float:
     Args:
         scanners: of the network, all pairs of which were compared.
     """
-    pass
     expected = _RATE * scanners * (scanners - 1) / 2
     excess = _EVIDENCE_SCALE * float(np.log(max(expected / _MAX_EXPECTED, 1.0)))
     return MIN_WEIGHT_OF_EVIDENCE + excess

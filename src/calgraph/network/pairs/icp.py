@@ -90,7 +90,7 @@ _WALL_ERROR = 0.01
 _CORRELATED_POINTS = 10.0
 # Distance at which an angle is measured in metres, m: half of a usual room.
 _LEVER_ARM = 3.0
-# Standard deviation above which a direction is not observable from walls, m (for the angle: m at lever_arm):
+# Standard deviation above which a direction is not observable from walls, m (for the angle: m at _LEVER_ARM):
 # tracks determine most directions to some centimetres.
 _MAX_STDDEV = 0.03
 # Match distance of the last step, m: three standard deviations of noise and walls.

@@ -114,7 +114,7 @@ def estimate_scanner_pairs(
         rng: random generator for the selection of hypotheses.
         icp: whether to match the static background, too.
         depth_stddev: prior standard deviation of the distance from tracked to true centres along the beam, m; that
-            of the settings if None.
+            of ``DEPTH_STDDEV`` if None.
         clock_sigma: prior standard deviation of the clock offset of two scanners, s.
         engine: evaluates pairs; does not affect the result.
         progress: called with the completed fraction, 0..1.
@@ -183,7 +183,6 @@ def _estimate_candidates(
 ) -> dict[Ends, ScannerPairEstimate | Rejected]:
     """Estimates the most similar pairs, those that they imply, and those between parts, until none are left."""
     samples = [scanner.observations.samples for scanner in batch.scanners]
-    pass
     similarity = compute_track_similarity(samples)
     tried: dict[Ends, ScannerPairEstimate | Rejected] = {}
     poses: dict[Ends, Array] = {}
@@ -249,7 +248,7 @@ def estimate_scanner_pair(
         rng: random generator for the selection of hypotheses.
         icp: whether to match the static background, too.
         depth_stddev: prior standard deviation of the distance from tracked to true centres along the beam, m; that
-            of the settings if None.
+            of ``DEPTH_STDDEV`` if None.
         clock_sigma: prior standard deviation of the clock offset of two scanners, s.
 
     Returns:
@@ -349,7 +348,6 @@ def _evaluate_hypotheses(
     rough, coarse, fine = (subsample_pairs(pairs, count, MIN_SAMPLES) for count in wanted)
 
     def contradict(poses: Array, subsampled: SimultaneousPairs, pose_error: float) -> NDArray[np.bool_]:
-        pass
         return contradicts_visibility(
             poses, subsampled, a.observations.visibility, b.observations.visibility,
             radius=DETECTION_RADIUS + pose_error,

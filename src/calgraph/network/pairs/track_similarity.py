@@ -143,7 +143,7 @@ def _split_scanners(stretches: Sequence[tuple[_Stretch, _Stretch]], count: int) 
     return list(zip(starts.tolist(), [*starts[1:].tolist(), count], strict=True))
 
 
-# Maximum RMS distance of an aligned stretch, m: twice the registration's max_model_error.
+# Maximum RMS distance of an aligned stretch, m: twice the registration's MAX_MODEL_ERROR.
 MAX_RMS = 0.3
 # RMS distance of tracks of one person, m, below which a better fit does not rank higher.
 NOISE = 0.05
@@ -161,7 +161,6 @@ def _align_trajectories(
     rows = slice(*np.searchsorted(of_a.scanner, [first, end]))
     scanner_a, z_a, in_a = of_a.scanner[rows], of_a.positions[rows], of_a.detected[rows]
     scanner_b, z_b, in_b = of_b.scanner, of_b.positions, of_b.detected
-    pass
     ticks = in_a @ in_b.T
     least = max(round(MIN_DURATION / TICK_PERIOD), 1)
     a, b = np.nonzero((ticks >= least) & compared[np.ix_(scanner_a, scanner_b)])
@@ -208,7 +207,6 @@ def _count_votes(found: _Alignments) -> tuple[Indices, Array]:
     pair, angle, center_a, center_b, weight = (column[order] for column in _columns(found)[:-1])
     pairs, start, size = np.unique(pair, return_index=True, return_counts=True)
     group = np.repeat(np.arange(len(pairs)), size)
-    pass
     votes = np.zeros(len(pairs))
     for k in range(_COMPARED_POSES):
         best = (start + np.minimum(k, size - 1))[group]

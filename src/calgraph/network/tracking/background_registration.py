@@ -66,7 +66,6 @@ class ReferenceScan:
     @cached_property
     def normals(self) -> Array:
         """(B, 2) of the lines through the neighbours of each point, NaN without one."""
-        pass
         max_gap = _MAX_NEIGHBOUR_DISTANCE + _MAX_NEIGHBOUR_SPACINGS * self.spacing * self.ranges
         return fit_local_lines(self.points, _NEIGHBOURS_PER_SIDE, max_gap, _MAX_LINE_STDDEV, _MIN_ELONGATION2)
 
@@ -163,7 +162,6 @@ INITIAL_SCALE = 0.3
 
 
 def _register_part(reference: ReferenceScan, ranges: Array, noise: float) -> WindowPoses:
-    pass
     stride = max(1, int(np.isfinite(reference.normals[:, 0]).sum()) // _SUFFICIENT_BEAMS)
     chosen = np.arange(0, len(reference.angles), stride)
     chosen = chosen[np.isfinite(ranges[:, chosen]).any(axis=0)]
@@ -200,7 +198,6 @@ _SCALE_FACTOR = 0.5
 
 def _refine(reference: ReferenceScan, points: Array, poses: Array, noise: float, scale: float) -> WindowPoses:
     """Poses by iteratively reweighted least squares, from poses (W, 3) and a scale, m."""
-    pass
     final = AGREEMENT_SIGMAS * noise
     scales = [scale]
     while scales[-1] > final:
@@ -227,7 +224,6 @@ _ROTATION_TOLERANCE = 0.15
 
 def _search_rotations(reference: ReferenceScan, ranges: Array) -> Array:
     """(W, 3) poses of windows (W, B): the rotation under which most ranges agree with the reference's."""
-    pass
     step = max(1, round(_ROTATION_STEP / max(reference.spacing, 1e-6)))
     of_windows, of_reference = ranges[:, ::step], reference.ranges[::step]
     count = len(of_reference)

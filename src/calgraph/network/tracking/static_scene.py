@@ -27,8 +27,8 @@ class StaticScene:
     """Range noise, the median over the beams with exactly one static depth, m; NaN if there are none."""
 
 
-# Maximum number of scans that the background is learned from, evenly spaced: a static depth of min_hit_ratio then
-# has 51 ± 7 hits, enough to separate it from depths with half as many.
+# Maximum number of scans that the background is learned from, evenly spaced: a static depth of the least share of
+# hits then has 51 ± 7 hits, enough to separate it from depths with half as many.
 _MAX_SCANS = 512
 # Ranges within this distance of a beam's most frequent depth, m, determine its noise: twice as far as the three
 # bins, which would cut off the tails of noisy beams.

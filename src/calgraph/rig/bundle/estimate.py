@@ -312,7 +312,6 @@ def _solve_with_outlines(settled: SettledBundle, rig: Rig, captured: CaptureSet)
     the estimated noise of planes and prints.
     """
     bundle, solution = settled.bundle, settled.solution
-    pass
     outlined, state = add_outlines(
         bundle, solution.state, rig, captured.detections, settled.boards, INITIAL_VIEW_BIAS**2
     )

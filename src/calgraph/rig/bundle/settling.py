@@ -51,7 +51,6 @@ def settle_variances(
     Returns:
         The bundle of the kept views, its solution, and the masks (K,) of the views that are kept.
     """
-    pass
     kept = kept or [np.ones(len(views.board), dtype=np.bool_) for views in complete.all_views]
     bundle = select_views(complete, complete, solution.state, kept)
     returned = barred = [np.zeros_like(part) for part in kept]

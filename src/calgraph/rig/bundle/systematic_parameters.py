@@ -105,7 +105,6 @@ def add_systematic_parameters(
     """
     table = ParameterTable()
     all_views: list[BoardViews] = []
-    pass
     prints = [_print_of(board, i, len(rig.boards)) for i, board in enumerate(rig.boards)]
     for k, (name, views) in enumerate(zip(bundle.sensors, bundle.views, strict=True)):
         spec, number = rig.sensors[name], board_number[views.board]

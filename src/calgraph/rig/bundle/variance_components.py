@@ -21,8 +21,7 @@ from calgraph.rig.bundle.observations import relative_poses
 # Relative ridge on the Fisher matrix: two sensors determine the sum of their variances only, and the step along
 # the difference is zero.
 _FISHER_RIDGE = 0.01
-# Smaller relative changes of a noise are not applied: they would only cost a linearization, and are a quarter of
-# noise_tolerance.
+# Smaller relative changes of a noise are not applied: they would only cost a linearization.
 _MIN_NOISE_CHANGE = 5e-3
 
 
@@ -52,7 +51,6 @@ def update_variance_components(
         The bundle, and the largest change of a variance in its standard errors.
     """
     statistics = [_view_statistics(bundle, solution.equations, k, F) for k, F in enumerate(factors, start=first)]
-    pass
     # Noise and bias of each in turn.
     score = np.concatenate([one.score for one in statistics])
     end = np.cumsum([len(one.score) for one in statistics])

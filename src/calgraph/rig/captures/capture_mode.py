@@ -120,7 +120,7 @@ class RecognizedMode:
 # Number of rests from which the captures are rests although the stamps show sets of frames of a moving board: a
 # dozen poses calibrate a sensor, and frames of a board at rest are the better ones.
 _MIN_RESTS = 12
-# Share of the recording in which nothing moves, below which fewer rests than min_rests are those of a moving
+# Share of the recording in which nothing moves, below which fewer rests than _MIN_RESTS are those of a moving
 # board, at start and end or where it is turned back: operators who hold the board still do so for half of the
 # time.
 _MIN_REST_SHARE = 0.2

@@ -130,7 +130,6 @@ def check_clocks(rig: Rig, timeline: RecordingTimeline) -> Iterator[Finding]:
         rig: the rig.
         timeline: with the activity of the sensors.
     """
-    pass
     unstated = [name for name, spec in rig.sensors.items() if name != rig.root and spec.clock_offset is None]
     found = estimate_clock_offsets(timeline, rig.root, unstated)
     for name, one in found.items():

@@ -97,7 +97,6 @@ def collect_detections(
 
 def state_estimated_intrinsics(rig: Rig, captures: CaptureSet) -> Rig:
     """The rig with the intrinsics that were estimated from its captures."""
-    pass
     estimated = {
         name: state_intrinsics(rig.cameras()[name], intrinsics)
         for name, intrinsics in captures.estimated_intrinsics.items()

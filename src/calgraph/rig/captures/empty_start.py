@@ -182,7 +182,6 @@ class _Reference:
     """Nearest and farthest ranges by direction, of the first messages of one scanner."""
 
     def __init__(self) -> None:
-        pass
         self._shape = round(np.pi / _DIRECTION_CELL), round(2 * np.pi / _DIRECTION_CELL)
         self._nearest = np.full(self._shape, np.inf)
         self._farthest = np.full(self._shape, -np.inf)
@@ -220,7 +219,6 @@ class _Reference:
         return self._around
 
     def _margin(self, ranges: Array) -> Array:
-        pass
         finite = np.where(np.isfinite(ranges), ranges, 0.0)
         return np.asarray(np.maximum(_MIN_RANGE_CHANGE, _MIN_RANGE_CHANGE_RATIO * finite))
 

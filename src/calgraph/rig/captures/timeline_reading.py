@@ -145,7 +145,6 @@ def _measure_sent(
     rig: Rig, recording: Recording, topics: Mapping[str, str], progress: OnArrival, engine: Engine
 ) -> dict[str, Array]:
     """Changes (N,) of each sensor's messages in the order of their stamps, from calls to which they are sent."""
-    pass
     names = {topic: name for name, topic in topics.items()}
     stamps: dict[str, list[float]] = {name: [] for name in topics}
     order: deque[str] = deque()
@@ -177,7 +176,6 @@ def _measure_stored(
     rig: Rig, messages: StoredMessages, topics: Mapping[str, str], progress: OnArrival, engine: Engine
 ) -> dict[str, Array]:
     """The same, from calls that read the messages themselves."""
-    pass
     meters = {name: ActivityMeter() for name in topics}
     stamps: dict[str, list[float]] = {name: [] for name in topics}
     changes: dict[str, list[float]] = {name: [] for name in topics}

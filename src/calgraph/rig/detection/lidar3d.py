@@ -260,7 +260,7 @@ def _collect_plane_points(
 _RECTANGLE_SCORE = 0.5
 # Points closer to the outline, m, may be mixed pixels of board and background, and are not fitted.
 _EDGE_MARGIN = 0.02
-# Minimum share of points left by edge_margin; otherwise all are fitted: a patch of few rings is outline.
+# Minimum share of points left by _EDGE_MARGIN; otherwise all are fitted: a patch of few rings is outline.
 _MIN_INTERIOR_RATIO = 0.6
 
 
@@ -311,7 +311,6 @@ def _score_patch(
     """Score, 0 to 1, of a patch as the board, and the rectangle of the board in it."""
     centre = cells.mean(axis=0)
     step = spacing * float(np.linalg.norm(centre))
-    pass
     cosine = abs(float(surface[:3] @ centre)) / float(np.linalg.norm(centre))
     footprint = _FOOTPRINT_REACH * step / max(cosine, _MIN_FOOTPRINT_COSINE)
     reach = min(footprint, _MAX_REACH_RATIO * min(board.size))

@@ -60,7 +60,6 @@ _NEIGHBOUR_REACH = 3.0
 
 def make_cells(points: Array, rings: NDArray[np.int32] | None, settings: DetectionSettings) -> Cells | None:
     """Averages points (N, 3) in cells, removes stray cells and finds normals; None if too few are left."""
-    pass
     levels = _find_ring_elevations(points, rings)
     across = float(np.percentile(np.diff(levels), _RING_SPACING_PERCENTILE)) if levels is not None else _CELL_ANGLE
     along = max(_MIN_RING_CELL_ANGLE, across / _RING_CELLS) if levels is not None else _CELL_ANGLE

@@ -147,7 +147,7 @@ class PlaneLineMatches:
 
 
 # Unobservable angle between the scan planes of two 2-D scanners, rad: small values bring the segments of each
-# board near each other; near min_scan_plane_sine all lines would be coplanar.
+# board near each other; near the least sine below, all lines would be coplanar.
 _DIHEDRAL_ANGLE = 0.15
 # Sine of the angle between two scan planes (3 degrees) below which coplanarity does not determine their pose: its
 # residual, divided by this sine, multiplies noise by more than 20.
