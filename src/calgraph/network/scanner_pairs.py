@@ -171,7 +171,7 @@ def _reject_refused(
     return kept
 
 
-# The same for scanners without any pair, s: offsets up to it are named, but not corrected.
+# Maximum clock offset that is searched for scanners without any pair, s: it is named, but not corrected.
 _MAX_NAMED_OFFSET = 5.0
 
 

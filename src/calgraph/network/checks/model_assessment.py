@@ -150,8 +150,8 @@ def _test_parts(solved: SolvedNetwork, names: Sequence[str]) -> tuple[Scatter, l
     return scatter, findings
 
 
-# The same ratio beyond which the model is refuted: parts of the recording that contradict each other by twice
-# what noise explains.
+# Ratio of the observed to the expected variance of contributions beyond which the model is refuted: parts of the
+# recording contradict each other by twice what noise explains.
 _REFUTING_SCATTER = 4.0
 
 

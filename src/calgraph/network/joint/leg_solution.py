@@ -312,7 +312,8 @@ AddWalls = Callable[[NetworkProblem, NetworkState], NetworkProblem]
 """Replaces the wall constraints of a problem by those at a state."""
 
 
-# The same before the second solution.
+# Error of paths and radii before the second solution, m; added to the noise of ranges. The first solution has
+# reduced it.
 SECOND_PATH_SIGMA = 0.02
 # Standard deviation of the bias of a scanner's ranges to a leg in the first round, m; later rounds estimate it.
 _INITIAL_BIAS_SIGMA = 0.01

@@ -164,7 +164,7 @@ def _build_normal_equations(
     return H + _RIDGE * np.eye(6), g
 
 
-# Its lower limit, m: a few matches may coincide by chance.
+# Minimum standard deviation of distances beyond the tracks' covariances, m: a few matches may coincide by chance.
 _MIN_MODEL_ERROR = 0.005
 # Maximum standard deviation of distances beyond the tracks' covariances, and that of the coarse stage, m: half of
 # a person's depth, as two scanners measure opposite sides.

@@ -374,7 +374,8 @@ def _estimate_point_sigma(
     return float(sigma * np.sqrt(max(1.0, np.median(fits.reduced_chi2))))
 
 
-# The same for partly hidden objects: half of the object is missing.
+# Standard deviation of the centroid of a partly hidden object across the line of sight, over the mean radius: half
+# of the object is missing.
 _CLIPPED_LATERAL_SIGMA = 0.5
 
 

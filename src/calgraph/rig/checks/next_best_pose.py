@@ -168,7 +168,7 @@ def _draw_candidates(
 _CAMERA_TO_SCANNER_AXES = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
 
-# rad (7.5°); the same for angles, which are rounded to 5°.
+# rad (7.5°); smaller angles are not mentioned, as angles are rounded to 5°.
 _MIN_DESCRIPTION_ANGLE = float(np.radians(7.5))
 # m; smaller heights relative to the sensor are not mentioned: an operator holds a board no more precisely.
 _MIN_DESCRIPTION_HEIGHT = 0.15

@@ -43,7 +43,8 @@ class AveragedScan:
         return self.ranges[:, None] * self.directions[:, :2]
 
 
-# The same distance in standard deviations of a range: 6e-5 of the correct ones are beyond.
+# Distance from a surface within which returns are on it, in standard deviations of a range: 6e-5 of the correct
+# ones are beyond.
 SAME_SURFACE_SIGMAS = 4.0
 # Minimum distance from a surface, m, within which returns are on it: rings of a VLP-16 are biased by -13 to +15
 # mm, boards bow by some millimetres, and fingers on the board are as thick.
