@@ -118,8 +118,8 @@ def _foreground_of_run(run: ScanRun, scene: StaticScene, first: int) -> Foregrou
     )  # fmt: skip
 
 
-# Largest gap of neighbouring points on one surface, in standard deviations of a range: the difference of two ranges
-# exceeds it in 3 % of the cases, and such parts are merged afterwards.
+# Largest gap of neighbouring points on one surface, in standard deviations of a range: the difference of two
+# ranges exceeds it in 3 % of the cases, and such parts are merged afterwards.
 _MAX_GAP_SIGMAS = 3.0
 # Maximum number of beams without a measurement within one surface: dark clothes return single beams only.
 _MAX_MISSING_BEAMS = 2
