@@ -7,7 +7,8 @@ from calgraph.config.settings import CaptureSettings
 from calgraph.geometry import Array
 from calgraph.live.motion import RestMonitor
 from calgraph.rig.captures.motion_detection import ActivityMeter
-from calgraph.rig.captures.timeline import RecordingTimeline, build_timeline, find_rests
+from calgraph.rig.captures.rests import find_rests
+from calgraph.rig.captures.timeline import RecordingTimeline, build_timeline
 from calgraph.simulation import CameraOptions, LaserOptions, MultibeamOptions, RigScenario, SpinningOptions
 from simulated_rigs import simulate_scenario
 
@@ -56,7 +57,7 @@ def watch(
 @pytest.mark.parametrize("seed", [5, 7])
 def test_rests_are_those_of_the_whole_recording_and_known_soon(seed: int) -> None:
     rig, recording, truth = simulate_scenario(SCENARIO, seed)
-    meters = {name: ActivityMeter() for name in rig.sensors}
+    meters = {name: ActivityMeter(0.0) for name in rig.sensors}
     records = recording.records(rig.topics.values())
     timeline = build_timeline(records, recording.start, rig.topics, None, meters=meters)
     live = watch(make_monitor(*rig.sensors), timeline, SCENARIO.background)

@@ -47,8 +47,7 @@ class MeasuredChanges:
 
 def measure_changes(previous: Signed | None, decoders: Sequence[Decoder]) -> MeasuredChanges:
     """Measures the changes of messages, compared with ``previous`` and one another."""
-    meter = ActivityMeter()
-    meter.previous = previous
+    meter = ActivityMeter(0.0, [previous] if previous else [])
     changes: list[float | None] = []
     problem = ""
     for decode in decoders:
@@ -57,7 +56,7 @@ def measure_changes(previous: Signed | None, decoders: Sequence[Decoder]) -> Mea
         except CalgraphError as error:
             changes.append(None)
             problem = str(error)
-    return MeasuredChanges(tuple(changes), meter.previous, problem)
+    return MeasuredChanges(tuple(changes), meter.recent[-1] if meter.recent else None, problem)
 
 
 def learn_live_background(rig: Rig, name: str, decoders: Sequence[Decoder]) -> Background | Rejected:

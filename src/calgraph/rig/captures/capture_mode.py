@@ -10,14 +10,15 @@ from calgraph.config.settings import CaptureSettings
 from calgraph.errors import RecordingError
 from calgraph.geometry import Array
 from calgraph.recording import Recording
-from calgraph.rig.captures.motion_detection import ActivityMeter
+from calgraph.rig.captures.motion_detection import BASELINE, ActivityMeter
+from calgraph.rig.captures.rests import find_noise, find_rests
 from calgraph.rig.captures.timeline import (
     MAX_MOTION_PERIOD,
     RecordingTimeline,
     SensorTimes,
     build_timeline,
-    find_rests,
 )
+from calgraph.rig.kinds import MOTION_SIGNATURES
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,7 +157,8 @@ def recognize_mode(timeline: RecordingTimeline, capture: Capture, settings: Capt
     rests = [(a, b) for a, b in find_rests(timeline, settings) if capture.allows(a - begin, b - begin)]
     # A moving board may rest for a moment: when the recording starts and ends, and where it is turned back.
     share = sum(b - a for a, b in rests) / _duration(timeline)
-    rested = len(rests) >= _MIN_RESTS or share >= _MIN_REST_SHARE
+    enough = len(rests) >= _MIN_RESTS or (len(rests) >= settings.min_poses and share >= _MIN_REST_SHARE)
+    rested = enough and not _are_moving(timeline, rests)
     if rests and (spread is None or rested):
         return RecognizedMode("rest", f"nothing moves in {len(rests)} intervals of the recording", spread)
     if spread is None:
@@ -166,6 +168,15 @@ def recognize_mode(timeline: RecordingTimeline, capture: Capture, settings: Capt
         f"the board never rests, and the stamps of {len(frames)} sets of frames lie {1000 * spread:.1f} ms apart "
         "(median)",
         spread,
+    )
+
+
+def _are_moving(timeline: RecordingTimeline, rests: Sequence[tuple[float, float]]) -> bool:
+    """Whether a view changes by more than noise in most of the rests: slow parts of a motion."""
+    limits = {message.__name__: signature.noise for message, signature in MOTION_SIGNATURES.items()}
+    return any(
+        noise > limits.get(timeline.sensors[name].message_type, 1.0)
+        for name, noise in find_noise(timeline, rests).items()
     )
 
 
@@ -305,6 +316,6 @@ def _recognize(
     if mode.mode == "snapshots" or mode.spread is None:
         return mode
     begin = start + empty_end
-    meters = {topic: ActivityMeter() for topic in topics}
+    meters = {topic: ActivityMeter(BASELINE) for topic in topics}
     records = recording.records(topics, begin, begin + _ACTIVITY_DURATION)
     return recognize_mode(build_timeline(records, start, names, None, meters=meters), Capture(), settings)

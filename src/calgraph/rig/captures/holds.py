@@ -11,7 +11,8 @@ from calgraph.config.settings import CaptureSettings
 from calgraph.errors import CalibrationError
 from calgraph.geometry import Array
 from calgraph.rig.captures.capture_mode import StampGroup, find_frame_sets, find_snapshots, recognize_mode
-from calgraph.rig.captures.timeline import RecordingTimeline, SensorTimes, find_rests
+from calgraph.rig.captures.rests import find_rests
+from calgraph.rig.captures.timeline import RecordingTimeline, SensorTimes
 from calgraph.rig.kinds import RIG_KINDS
 
 

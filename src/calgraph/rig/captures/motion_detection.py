@@ -1,17 +1,31 @@
-"""How much a sensor's view changes from one message to the next; during a hold of the board nothing does."""
+"""How much a sensor's view changes within half a second; during a hold of the board nothing does."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections import deque
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
 
-import numpy as np
-
-from calgraph.geometry import Array
 from calgraph.rig.kinds import MOTION_SIGNATURES
 from calgraph.rig.kinds.rig_kind import Signature
 from calgraph.sensors import Message
 
-Signed = tuple[type[Message], Signature]
-"""A message's type and signature."""
+# Time between the messages that are compared, s, as far as the sensor's period allows: the noise of a view does not
+# grow with it, the share that a moving board changes does. It is the shortest hold.
+BASELINE = 0.5
+# Stamps of equal periods differ by less than this, s.
+JITTER = 1e-3
+# Change of a view, 0..1, below which activities are taken as equal, as their logarithms are compared: less than one
+# beam of a thousand.
+MIN_ACTIVITY = 1e-4
+
+
+@dataclass(frozen=True, eq=False)
+class Signed:
+    """What is compared of a message."""
+
+    stamp: float
+    """s."""
+    message_type: type[Message]
+    signature: Signature
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,12 +33,11 @@ class ActivityBlock:
     """Changes among consecutive messages of one sensor."""
 
     changes: list[float]
-    """As :meth:`ActivityMeter.measure_change`; 0 for the first one with content."""
-    start: int | None
-    """Index of the first message with content; None if there is none."""
-    first: Signed | None
-    last: Signed | None
-    """The first and the last one with content."""
+    """As :meth:`ActivityMeter.measure_change`; those of ``first`` are not known yet."""
+    first: list[tuple[int, Signed]]
+    """Index and content of the messages that are to be compared with earlier ones."""
+    last: list[Signed] | None
+    """What later messages are to be compared with; None if that depends on earlier blocks."""
 
 
 def measure_block(_shared: None, decoders: Sequence[Callable[[], Message]]) -> ActivityBlock:
@@ -39,89 +52,80 @@ class BlockMeter:
     """Measures the changes among consecutive messages of one sensor, apart from those before them."""
 
     def __init__(self) -> None:
-        self._meter = ActivityMeter()
+        self._meter = ActivityMeter(BASELINE)
         self._changes: list[float] = []
-        self._start: int | None = None
-        self._first: Signed | None = None
+        self._first: list[tuple[int, Signed]] = []
+        self._is_complete = False
 
     def add(self, message: Message) -> None:
-        """Compares a message with the one before."""
-        self._changes.append(self._meter.measure_change(message))
-        if self._first is None and self._meter.previous is not None:
-            self._start, self._first = len(self._changes) - 1, self._meter.previous
+        """Compares a message with an earlier one."""
+        signed = _sign(message)
+        if signed:
+            # One baseline, and another by which messages may come late.
+            begin = self._first[0][1].stamp if self._first else signed.stamp
+            self._is_complete |= signed.stamp > begin + 2 * BASELINE + JITTER
+            if not self._is_complete:
+                self._first.append((len(self._changes), signed))
+        self._changes.append(self._meter.compare(signed))
 
     def block(self) -> ActivityBlock:
         """The changes so far."""
-        return ActivityBlock(self._changes, self._start, self._first, self._meter.previous)
+        return ActivityBlock(self._changes, self._first, self._meter.recent if self._is_complete else None)
 
 
 class ActivityMeter:
-    """Compares each message of one sensor with the one before."""
+    """Compares each message of one sensor with an earlier one.
 
-    def __init__(self) -> None:
-        self.previous: Signed | None = None
-        """Of the last message with content."""
+    Args:
+        baseline: longest time between them, s; messages farther apart are compared with the one before.
+        recent: messages before, in order of time.
+    """
+
+    def __init__(self, baseline: float, recent: Iterable[Signed] = ()) -> None:
+        self.baseline = baseline
+        self._recent = deque(recent)
+
+    @property
+    def recent(self) -> list[Signed]:
+        """What later messages are to be compared with."""
+        return list(self._recent)
 
     def join(self, block: ActivityBlock) -> list[float]:
         """The changes of the next messages, measured apart from those before."""
         changes = list(block.changes)
-        if block.start is not None and block.first is not None:
-            changes[block.start] = self._compare_with_previous(block.first)
-            self.previous = block.last
+        for index, signed in block.first:
+            changes[index] = self.compare(signed)
+        if block.last is not None:
+            self._recent = deque(block.last)
         return changes
 
     def measure_change(self, message: Message) -> float:
-        """Share of the view, in 0..1, that differs from the message before; 0 for the first.
+        """Share of the view, in 0..1, that differs from an earlier message; 0 for the first.
 
         Messages without any return are left out: they are lost data, and no motion.
         """
-        motion = MOTION_SIGNATURES.get(type(message))
-        if motion is None or getattr(message, "is_empty", False):
+        return self.compare(_sign(message))
+
+    def compare(self, signed: Signed | None) -> float:
+        """The same, from what is compared of a message."""
+        if signed is None:
             return 0.0
-        return self._compare_with_previous((type(message), motion.compute(message)))
-
-    def _compare_with_previous(self, signed: Signed) -> float:
-        before, self.previous = self.previous, signed
-        kind, current = signed
-        return 0.0 if before is None else MOTION_SIGNATURES[kind].compare(before[1], current)
-
-
-# Change of a view, 0..1, added before the logarithm in which rest and motion are separated: less than one beam of
-# a thousand, so that views without any change do not dominate.
-MIN_ACTIVITY = 1e-4
-
-
-def find_still_spans(stamps: Array, activity: Array) -> Array:
-    """Spans in which a sensor's view rests.
-
-    The level between rest and motion is Otsu's threshold on the logarithm of the activity, as noise differs from
-    sensor to sensor.
-
-    Args:
-        stamps: (N,) s, ascending.
-        activity: (N,) change since the message before, 0..1.
-
-    Returns:
-        (S, 2) first and last stamp of runs of messages without change among them.
-    """
-    if len(stamps) < 3:
-        return np.zeros((0, 2))
-    level = _compute_otsu_threshold(np.log10(activity[1:] + MIN_ACTIVITY))
-    # Where all of the view changes, there is motion, also if that is so all the time.
-    moving = (np.log10(activity + MIN_ACTIVITY) > level) | (activity >= 1)
-    moving[0] = False
-    edges = np.flatnonzero(moving)
-    first = np.concatenate([[0], edges])
-    last = np.concatenate([edges - 1, [len(stamps) - 1]])
-    return np.stack([stamps[first], stamps[np.maximum(last, first)]], axis=1)[last > first]
+        if not self._recent:
+            self._recent.append(signed)
+            return 0.0
+        # A message that comes late counts as if it were of the time of the one before.
+        signed = replace(signed, stamp=max(signed.stamp, self._recent[-1].stamp))
+        since = signed.stamp - self.baseline - JITTER
+        while len(self._recent) > 1 and self._recent[0].stamp < since:
+            self._recent.popleft()
+        before = self._recent[0]
+        self._recent.append(signed)
+        return MOTION_SIGNATURES[signed.message_type].compare(before.signature, signed.signature)
 
 
-def _compute_otsu_threshold(values: Array) -> float:
-    """The threshold that best splits values into two classes (Otsu 1979)."""
-    ordered = np.sort(values)
-    n = np.arange(1, len(ordered))
-    mean_below = np.cumsum(ordered)[:-1] / n
-    mean_above = (ordered.sum() - np.cumsum(ordered)[:-1]) / (len(ordered) - n)
-    between = n * (len(ordered) - n) * (mean_above - mean_below) ** 2
-    best = int(np.argmax(between))
-    return float((ordered[best] + ordered[best + 1]) / 2)
+def _sign(message: Message) -> Signed | None:
+    """What is compared of a message; None of those that show no motion."""
+    motion = MOTION_SIGNATURES.get(type(message))
+    if motion is None or getattr(message, "is_empty", False):
+        return None
+    return Signed(message.stamp, type(message), motion.compute(message))

@@ -5,10 +5,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from calgraph.config.settings import CaptureSettings
 from calgraph.geometry import Array
-from calgraph.rig.captures.motion_detection import ActivityMeter, find_still_spans
+from calgraph.rig.captures.motion_detection import ActivityMeter
 from calgraph.sensors import PointCloud, RecordedMessage
+
+# Longest period of a sensor, s, whose messages show motion: slower ones miss moves between two holds.
+MAX_MOTION_PERIOD = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,13 +22,15 @@ class SensorTimes:
     duration: float
     """Duration of one measurement, s; 0 for images, and where the messages do not state it."""
     activity: Array
-    """(N,) share of the view that changed since the message before; 0 where it was not measured."""
+    """(N,) share of the view that changed since an earlier message; 0 where it was not measured."""
     frame_id: str = ""
     """The frame its messages state."""
     message_type: str = ""
     """Type of its messages: ``Image``, ``LaserScan``, ``PointCloud``, ...; empty where there are none."""
     arrivals: Array = field(default_factory=lambda: np.zeros(0))
     """(N,) when the messages of these stamps arrived, s; empty where they are not of a recording."""
+    baseline: float = 0.0
+    """Longest time back to the messages that activity is measured against, s: to the one before, if it is more."""
 
     @property
     def period(self) -> float:
@@ -99,7 +103,13 @@ def build_timeline(
     return RecordingTimeline(
         start,
         {
-            name: _sort_times(stamps[name], arrivals[name], activity[name], *first.get(name, (0.0, "", "")))
+            name: _sort_times(
+                stamps[name],
+                arrivals[name],
+                activity[name],
+                *first.get(name, (0.0, "", "")),
+                meters[name].baseline if meters else 0.0,
+            )
             for name in topics
         },
         np.unique(np.array(triggers)),
@@ -107,42 +117,14 @@ def build_timeline(
 
 
 def _sort_times(
-    stamps: list[float], arrivals: list[float], activity: list[float], duration: float, frame_id: str, message: str
+    stamps: list[float],
+    arrivals: list[float],
+    activity: list[float],
+    duration: float,
+    frame_id: str,
+    message: str,
+    baseline: float,
 ) -> SensorTimes:
     order = np.argsort(stamps, kind="stable")
     by_stamp = [np.array(values)[order] for values in (stamps, activity, arrivals)]
-    return SensorTimes(by_stamp[0], duration, by_stamp[1], frame_id, message, by_stamp[2])
-
-
-# Longest period of a sensor, s, whose messages show motion: slower ones miss moves between two holds.
-MAX_MOTION_PERIOD = 0.5
-
-
-def find_rests(timeline: RecordingTimeline, settings: CaptureSettings) -> list[tuple[float, float]]:
-    """Where no fast sensor measures a change for as long as the slowest needs for one full measurement.
-
-    Args:
-        timeline: with the activity of the sensors.
-        settings: of the search.
-
-    Returns:
-        Start and end of each rest, s, in order of time.
-    """
-    fast = [times for times in timeline.sensors.values() if times.period <= MAX_MOTION_PERIOD]
-    if not fast:
-        return []
-    spans = [find_still_spans(times.stamps, times.activity) for times in fast]
-    common = spans[0]
-    for other in spans[1:]:
-        common = _intersect(common, other)
-    periods = [times.period for times in timeline.sensors.values() if np.isfinite(times.period)]
-    shortest = max(settings.min_hold, *periods)
-    return [(float(a), float(b)) for a, b in common if b - a >= shortest]
-
-
-def _intersect(a: Array, b: Array) -> Array:
-    """Overlaps of two sets of disjoint, ordered spans (N, 2) and (M, 2)."""
-    start = np.maximum(a[:, None, 0], b[None, :, 0])
-    end = np.minimum(a[:, None, 1], b[None, :, 1])
-    overlap = start < end
-    return np.stack([start[overlap], end[overlap]], axis=1)
+    return SensorTimes(by_stamp[0], duration, by_stamp[1], frame_id, message, by_stamp[2], baseline)

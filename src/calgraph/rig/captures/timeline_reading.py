@@ -22,12 +22,18 @@ from calgraph.recording.input_checks import (
 )
 from calgraph.rig.captures.capture_mode import recognize_mode
 from calgraph.rig.captures.hold_messages import StoredMessages, count_parts, read_part, select_messages
-from calgraph.rig.captures.motion_detection import ActivityBlock, ActivityMeter, BlockMeter, measure_block
+from calgraph.rig.captures.motion_detection import (
+    BASELINE,
+    ActivityBlock,
+    ActivityMeter,
+    BlockMeter,
+    measure_block,
+)
 from calgraph.rig.captures.timeline import RecordingTimeline, SensorTimes, build_timeline
 from calgraph.rig.kinds import RIG_KINDS
 from calgraph.sensors import Message
 
-_TOPIC, _ACTIVITY = "topic/2", "activity/1"
+_TOPIC, _ACTIVITY = "topic/2", "activity/2"
 OnArrival = Callable[[float], None]
 """Called with the arrival time of records, s."""
 
@@ -137,7 +143,10 @@ def measure_activity(
             activity |= _measure_stored(rig, stored, unread, progress, engine)
         for name in unread:
             cache.write(recording, _ACTIVITY, inputs[name], {}, {"activity": activity[name]})
-    sensors = {name: replace(times, activity=activity[name]) for name, times in timeline.sensors.items()}
+    sensors = {
+        name: replace(times, activity=activity[name], baseline=BASELINE)
+        for name, times in timeline.sensors.items()
+    }
     return replace(timeline, sensors=sensors)
 
 
@@ -164,7 +173,7 @@ def _measure_sent(
             order.append(name)
             yield (decoders,)
 
-    meters = {name: ActivityMeter() for name in topics}
+    meters = {name: ActivityMeter(BASELINE) for name in topics}
     changes: dict[str, list[float]] = {name: [] for name in topics}
     for block in engine.stream(measure_block, gather_blocks(), None):
         name = order.popleft()
@@ -176,7 +185,7 @@ def _measure_stored(
     rig: Rig, messages: StoredMessages, topics: Mapping[str, str], progress: OnArrival, engine: Engine
 ) -> dict[str, Array]:
     """The same, from calls that read the messages themselves."""
-    meters = {name: ActivityMeter() for name in topics}
+    meters = {name: ActivityMeter(BASELINE) for name in topics}
     stamps: dict[str, list[float]] = {name: [] for name in topics}
     changes: dict[str, list[float]] = {name: [] for name in topics}
     parts = _divide_time(rig, messages.timeline, topics, count_parts(engine))

@@ -42,8 +42,9 @@ def _compare_blocks(before: Signature, after: Signature) -> float:
     return compare_values(before, after, lambda a, b: np.abs(b - a) > _MIN_GRAY_CHANGE)
 
 
-# Change of a detected corner, pixels, that counts as motion: five times the noise of detected corners.
-_MIN_CORNER_CHANGE = 1.0
+# Change of a detected corner, pixels, that counts as motion: a hand that holds a board sways by 2 mm in half a
+# second, and a slow move is ten times as fast.
+_MIN_CORNER_CHANGE = 3.0
 
 
 def _list_corners(message: DetectedCorners) -> Signature:
@@ -61,6 +62,10 @@ def _compare_corners(before: Signature, after: Signature) -> float:
     return changed / max(len(pixels) + len(changes), 1)
 
 
+# Largest shares that differ in rests, of 160 walks (benchmarks/rests.py): 0.016 of the blocks; in moves, 0.085.
+_IMAGE_NOISE = 0.03
+# Share of the corners whose refinement jumps: at the border of the image, and in glare.
+_CORNER_NOISE = 0.2
 # Bytes of a JPEG for each pixel, of a noisy one. Most images are 4 : 3.
 _PER_PIXEL = 0.2
 
@@ -72,7 +77,7 @@ CAMERA = RigKind(
     messages_per_block=4,
     preview_bytes=lambda width, _: _PER_PIXEL * width * (0.75 * width),
     motion={
-        Image: MotionSignature(_average_blocks, _compare_blocks),
-        DetectedCorners: MotionSignature(_list_corners, _compare_corners),
+        Image: MotionSignature(_average_blocks, _compare_blocks, _IMAGE_NOISE),
+        DetectedCorners: MotionSignature(_list_corners, _compare_corners, _CORNER_NOISE),
     },
 )

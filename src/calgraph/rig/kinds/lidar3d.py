@@ -88,6 +88,8 @@ def _dilate_cells(cells: Signature) -> Signature:
     return np.asarray((cells[:, None] + _WITH_NEIGHBOURS).ravel())
 
 
+# Largest share of the cells that differ in rests: 0.009 in simulated clouds of 16 rings, and three times that.
+_NOISE = 0.03
 # Bytes of a point of a preview.
 _PER_POINT = 12.0
 
@@ -97,7 +99,7 @@ LIDAR3D = RigKind(
     max_messages=lambda limits: limits.lidar3d,
     messages_per_block=4,
     preview_bytes=lambda _, points: _PER_POINT * points,
-    motion={PointCloud: MotionSignature(_list_cells, _compare_cells)},
+    motion={PointCloud: MotionSignature(_list_cells, _compare_cells, _NOISE)},
     learn_background=_learn_clouds,
     learns_from_captures=True,
 )

@@ -47,6 +47,8 @@ class MotionSignature:
     """What is compared of a message."""
     compare: Callable[[Signature, Signature], float]
     """The share of the view, 0..1, that differs between two messages."""
+    noise: float
+    """Largest share that differs while the board rests, as noise, breath and tremor make it."""
 
 
 @dataclass(frozen=True)
