@@ -1,12 +1,12 @@
 """Rests of a board that is carried around without a trigger: found, missed, and boards that drift in them.
 
-python benchmarks/rests.py                 # 160 walks as series, 40 moving boards, 40 rendered walks; some 8 minutes
+python benchmarks/rests.py                 # 160 walks as series, 40 moving boards, 40 rendered walks
 python benchmarks/rests.py --only series --first 1000
 
 Series are the activities that sensors would measure: shares of their views that change with the board's and the
 operator's displacement, each with its own law, noise and place of the board at which it sees it. Boards tremble,
-operators breathe and sway, people walk behind, cameras change their exposure, messages are lost. Rendered walks are
-recordings of the simulator, with rests and moves of random lengths and an operator who sways.
+operators breathe and sway, people walk behind, cameras change their exposure, messages are lost. Rendered walks
+are recordings of the simulator, with rests and moves of random lengths and an operator who sways.
 
 A rest is the time in which the board stays within 2 mm, besides tremor, of where it is held. It is found where a
 rest that was found overlaps half of it, or half a second; ``within`` where that does not begin or end more than
@@ -51,7 +51,8 @@ MIXES = (
     ("camera", "lidar2d"), ("lidar2d", "lidar2d"), ("lidar2d", "lidar16"), ("lidar16", "lidar64"),
     ("lidar16", "lidar16"), ("camera", "camera", "lidar2d", "lidar16", "lidar64"),
 )  # fmt: skip
-TYPES = {"camera": "Image", "lidar2d": "LaserScan"}
+RENDERED = (("camera", "lidar2d"), ("camera", "lidar16"), ("camera", "camera"), ("camera", "lidar2d", "lidar16"))
+TYPES = {"camera": "Image", "lidar2d": "LaserScan", "lidar16": "PointCloud", "lidar64": "PointCloud"}
 MAX_DRIFT = 0.002
 """m."""
 ARM = 0.4
@@ -179,7 +180,7 @@ def simulate_series(seed: int, *, moving: bool) -> tuple[RecordingTimeline, Walk
         activity = np.where(activity < 2e-4, 0.0, np.minimum(activity, 1.0))
         activity[0] = 0.0
         sensors[f"{kind}_{k}"] = SensorTimes(
-            stamps, 1 / rate if turn else 0.0, activity, message_type=TYPES.get(kind, "PointCloud"), baseline=BASELINE
+            stamps, 1 / rate if turn else 0.0, activity, message_type=TYPES[kind], baseline=BASELINE
         )
     return RecordingTimeline(0.0, sensors, np.zeros(0)), walk, mix, len(people)
 
@@ -193,20 +194,21 @@ def _respond(kind: str, rng: np.random.Generator, board: Array, body: Array, see
         def change(distance: Array) -> Array:
             return np.asarray(1 - np.exp(-np.maximum(distance * pixels - 0.6, 0) / 6))
 
-        return seen * (rng.uniform(0.03, 0.2) * change(trembling) + rng.uniform(0.03, 0.15) * change(body))
+        shares = rng.uniform(0.03, 0.2), rng.uniform(0.03, 0.15)
+        return np.asarray(seen * (shares[0] * change(trembling) + shares[1] * change(body)))
     if kind == "lidar2d":
         # One in ten scans below the board.
         share = rng.uniform(0.02, 0.2) * (rng.random() > 0.1)
         legs = rng.uniform(0.01, 0.05) * (1 - np.exp(-np.maximum(body - 0.02, 0) / 0.08))
-        return share * seen * (1 - np.exp(-board / 0.1)) + legs
+        return np.asarray(share * seen * (1 - np.exp(-board / 0.1)) + legs)
     share = rng.uniform(0.004, 0.02) * (1 if kind == "lidar16" else 2)
-    return share * (1 - np.exp(-body / 0.4)) * (body > 0.03)
+    return np.asarray(share * (1 - np.exp(-body / 0.4)) * (body > 0.03))
 
 
 def _draw_noise(kind: str, rng: np.random.Generator, count: int) -> Array:
     if kind == "camera":
         exposure = rng.random() < 0.15
-        return 0.4 * (rng.random(count) < 0.01) * exposure
+        return np.where(rng.random(count) < 0.01 * exposure, 0.4, 0.0)
     level = rng.choice([0.0005, 0.005, 0.015] if kind == "lidar2d" else [0.002, 0.004, 0.008])
     return np.asarray(level * np.exp(rng.normal(0, 0.25 if kind == "lidar2d" else 0.2, count)))
 
@@ -214,7 +216,7 @@ def _draw_noise(kind: str, rng: np.random.Generator, count: int) -> Array:
 def render_walk(seed: int) -> tuple[RecordingTimeline, Walk, tuple[str, ...]]:
     """What sensors of the simulator measure of a walk."""
     rng = np.random.default_rng((seed, 2))
-    mix = [("camera", "lidar2d"), ("camera", "lidar16"), ("camera",) * 2, ("camera", "lidar2d", "lidar16")][seed % 4]
+    mix = RENDERED[seed % len(RENDERED)]
     camera = CameraOptions(
         count=mix.count("camera"), rate=float(rng.choice([5, 10, 15])), width=480, height=360, field_of_view=80
     )
@@ -307,14 +309,13 @@ def read(path: Path) -> list[Row]:
         return []
     with path.open(newline="") as file:
         return [
-            Row(*(value if name in ("kind", "sensors", "mode") else float(value) if name == "seconds" else int(value)
-                  for name, value in one.items()))
-            for one in csv.DictReader(file)
-        ]  # fmt: skip
+            Row(*(Row.__annotations__[name](value) for name, value in one.items())) for one in csv.DictReader(file)
+        ]
 
 
 def report(rows: Sequence[Row]) -> Iterator[str]:
     """Lines of a table."""
+
     def select(kind: str, sees: bool) -> list[Row]:
         return [r for r in rows if r.kind == kind and ("camera" in r.sensors or "2d" in r.sensors) == sees]
 
@@ -340,6 +341,7 @@ def report(rows: Sequence[Row]) -> Iterator[str]:
 
 
 def main() -> None:
+    """Measures what is missing of the walks, and prints the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--only", choices=["series", "moving", "rendered"])
     parser.add_argument("--first", type=int, default=0, help="first seed")

@@ -41,7 +41,7 @@ def demo(
     check_not_overwriting(out, ["recording", "rig.yaml", "result"], force=force)
     with replace_folder_atomically(out, "recording") as folder:
         with progress_bars() as progress:
-            simulate_into(folder, simulate_rig, RigScenario(), seed, progress)
+            simulate_into(folder, simulate_rig, RigScenario(trigger=False), seed, progress)
             rig, truth = load_rig(folder / "rig.yaml"), load_truth(folder / "truth.yaml")
             with open_recording(folder / "recording") as recording:
                 calibration = calibrate_rig(

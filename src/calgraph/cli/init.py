@@ -15,7 +15,7 @@ from calgraph.errors import InputError
 from calgraph.io.atomic import write_text
 from calgraph.printing import format_target, read_boards
 from calgraph.recording import Recording, find_topics, open_recording
-from calgraph.rig.captures.capture_mode import recognize_recording
+from calgraph.rig.captures.capture_mode import RecognizedMode, recognize_recording
 from calgraph.rig.captures.empty_start import find_empty_start
 from calgraph.sensors.kinds import KINDS
 
@@ -41,24 +41,31 @@ def init(
     target = format_target(boards) if boards else ""
     with open_recording(recording, parse_limits(overrides, alone=True)) as opened:
         topics = find_topics(opened)
-        background = _find_background(opened, topics, boards)
-        mode = _find_mode(opened, topics, background.end if background else 0.0)
+        background = find_background(opened, topics, boards)
+        found = find_mode(opened, topics, background)
+        mode = FoundMode(found.mode, found.reason) if found else None
         text = draft_rig(topics, recording, target, background, mode)
     write_text(out, text)
     todo = "go through its comments" if board else "state your board in it, and go through its comments"
     console(stderr=True).print(f"Wrote {out}: {todo}", markup=False)
 
 
-def _find_mode(recording: Recording, topics: Sequence[FoundTopic], empty_end: float) -> FoundMode | None:
-    """How the recording shows the board; None where a topic seems to mark the captures."""
-    if find_triggers(topics)[0]:
+def find_mode(
+    recording: Recording, topics: Sequence[FoundTopic], background: FoundBackground | None
+) -> RecognizedMode | None:
+    """How the recording shows the board.
+
+    None where a topic seems to mark the captures, for one sensor, and for networks of 2-D scanners.
+    """
+    usable = [t for t in topics if t.kind in KINDS and t.count and not t.problem]
+    if find_triggers(topics)[0] or all(KINDS[t.kind].detects == "line" for t in usable):
         return None
-    usable = [t.name for t in topics if t.kind in KINDS and t.count and not t.problem]
-    found = recognize_recording(recording, usable, settings=CaptureSettings(), empty_end=empty_end)
-    return FoundMode(found.mode, found.reason) if found else None
+    return recognize_recording(
+        recording, [t.name for t in usable], CaptureSettings(), background.end if background else 0.0
+    )
 
 
-def _find_background(
+def find_background(
     recording: Recording, topics: Sequence[FoundTopic], boards: Sequence[Board]
 ) -> FoundBackground | None:
     """The time without board and operator at the start of a recording."""

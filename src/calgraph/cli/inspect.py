@@ -12,16 +12,15 @@ from rich.table import Table
 
 from calgraph.cli.common_options import OneRecording
 from calgraph.cli.console import console
+from calgraph.cli.init import find_background, find_mode
 from calgraph.cli.printing import print_calibration, print_provenance
 from calgraph.cli.progress import progress_bars
 from calgraph.cli.setting_options import SetOption, parse_limits
-from calgraph.config import FoundTopic, find_triggers
-from calgraph.config.settings import CaptureSettings
 from calgraph.errors import RecordingError
 from calgraph.io.text_writing import format_json
-from calgraph.recording import Inspection, Recording, TopicReport, inspect_recording, open_recording
+from calgraph.recording import Inspection, TopicReport, find_topics, inspect_recording, open_recording
 from calgraph.result import Calibration, load_calibration, to_json
-from calgraph.rig.captures.capture_mode import RecognizedMode, recognize_recording
+from calgraph.rig.captures.capture_mode import RecognizedMode
 from calgraph.sensors.kinds import KINDS
 
 
@@ -43,7 +42,8 @@ def inspect(
         return
     with open_recording(recording, parse_limits(overrides, alone=True)) as opened, progress_bars() as progress:
         inspection = inspect_recording(opened, partial(progress, "reading"))
-        mode = None if inspection.damage else _recognize_mode(opened, inspection)
+        topics = () if inspection.damage else find_topics(opened)
+        mode = find_mode(opened, topics, find_background(opened, topics, ()))
     if json:
         captures = {"captures": {"mode": mode.mode, "reason": mode.reason} if mode else None}
         typer.echo(format_json({"recording": recording, **asdict(inspection), **captures}))
@@ -61,20 +61,6 @@ def show_result(calibration: Calibration, *, json: bool) -> None:
     if calibration.provenance:
         print_provenance(calibration.provenance)
     print_calibration(calibration)
-
-
-def _recognize_mode(recording: Recording, inspection: Inspection) -> RecognizedMode | None:
-    """How the recording shows the board.
-
-    None where a topic seems to mark the captures, for one sensor, and for networks of 2-D scanners.
-    """
-    topics = [FoundTopic(topic.name, topic.type, topic.kind, topic.count) for topic in inspection.topics]
-    if find_triggers(topics)[0]:
-        return None
-    sensors = [topic for topic in inspection.topics if topic.kind in KINDS and topic.count and topic.content]
-    if all(KINDS[topic.kind].detects == "line" for topic in sensors):
-        return None
-    return recognize_recording(recording, [topic.name for topic in sensors], settings=CaptureSettings())
 
 
 def _print(recording: str, inspection: Inspection, mode: RecognizedMode | None) -> None:

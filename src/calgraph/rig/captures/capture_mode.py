@@ -12,12 +12,7 @@ from calgraph.geometry import Array
 from calgraph.recording import Recording
 from calgraph.rig.captures.motion_detection import BASELINE, ActivityMeter
 from calgraph.rig.captures.rests import find_noise, find_rests
-from calgraph.rig.captures.timeline import (
-    MAX_MOTION_PERIOD,
-    RecordingTimeline,
-    SensorTimes,
-    build_timeline,
-)
+from calgraph.rig.captures.timeline import MAX_MOTION_PERIOD, RecordingTimeline, SensorTimes, build_timeline
 from calgraph.rig.kinds import MOTION_SIGNATURES
 
 
@@ -272,12 +267,10 @@ def _is_periodic(times: SensorTimes) -> bool:
     return float(np.median(np.abs(periods - times.period))) < _MAX_PERIOD_JITTER * times.period
 
 
-# Only a draft depends on these. Stamps are read from this much of a large recording, s: ten poses of snapshots.
-_STAMPS_DURATION = 300.0
-# Smaller recordings are read whole, which takes less than a second.
+# Of a large recording this much is read, s: dozens of rests.
+_DURATION = 300.0
+# Smaller recordings are read whole.
 _MAX_MESSAGES = 20_000
-# Messages are decoded from this much of it, s: several moves and rests of a board that is carried around.
-_ACTIVITY_DURATION = 20.0
 
 
 def recognize_recording(
@@ -285,8 +278,7 @@ def recognize_recording(
 ) -> RecognizedMode | None:
     """Recognises how a recording without triggers shows the board.
 
-    Messages are decoded only if the stamps of several sensors show sets of frames: these are of a moving board
-    unless it rests in between.
+    All messages are decoded, of a large recording those of its first minutes, unless their stamps show snapshots.
 
     Args:
         recording: to be read.
@@ -309,13 +301,13 @@ def _recognize(
     recording: Recording, topics: Collection[str], empty_end: float, settings: CaptureSettings
 ) -> RecognizedMode:
     names = {topic: topic for topic in topics}
-    start = recording.start
-    is_small = sum(topic.count for topic in recording.topics) <= _MAX_MESSAGES
-    records = recording.records(topics, start, recording.end if is_small else start + _STAMPS_DURATION)
-    mode = recognize_mode(build_timeline(records, start, names, None), Capture(), settings)
-    if mode.mode == "snapshots" or mode.spread is None:
+    start, is_small = recording.start, sum(topic.count for topic in recording.topics) <= _MAX_MESSAGES
+    end = recording.end if is_small else start + _DURATION
+    mode = recognize_mode(
+        build_timeline(recording.records(topics, start, end), start, names, None), Capture(), settings
+    )
+    if mode.mode == "snapshots":
         return mode
-    begin = start + empty_end
     meters = {topic: ActivityMeter(BASELINE) for topic in topics}
-    records = recording.records(topics, begin, begin + _ACTIVITY_DURATION)
+    records = recording.records(topics, start + empty_end, end)
     return recognize_mode(build_timeline(records, start, names, None, meters=meters), Capture(), settings)

@@ -195,8 +195,8 @@ def _compare(reference: SensorTimes, other: SensorTimes) -> ClockOffset | None:
 
 
 def _center(times: SensorTimes) -> float:
-    """Time of the first sample, s: a change happens between two messages."""
-    return float(times.stamps[0] - times.period / 2)
+    """Time of the first sample, s: a change happens between the messages that are compared."""
+    return float(times.stamps[0] - times.reach / 2)
 
 
 def _sample_activity(times: SensorTimes, step: float) -> Array:

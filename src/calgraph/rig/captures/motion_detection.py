@@ -8,13 +8,13 @@ from calgraph.rig.kinds import MOTION_SIGNATURES
 from calgraph.rig.kinds.rig_kind import Signature
 from calgraph.sensors import Message
 
-# Time between the messages that are compared, s, as far as the sensor's period allows: the noise of a view does not
-# grow with it, the share that a moving board changes does. It is the shortest hold.
+# Time between the messages that are compared, s, as far as the sensor's period allows: the noise of a view does
+# not grow with it, the share that a moving board changes does. It is the shortest hold.
 BASELINE = 0.5
 # Stamps of equal periods differ by less than this, s.
 JITTER = 1e-3
-# Change of a view, 0..1, below which activities are taken as equal, as their logarithms are compared: less than one
-# beam of a thousand.
+# Change of a view, 0..1, below which activities are taken as equal, as their logarithms are compared: less than
+# one beam of a thousand.
 MIN_ACTIVITY = 1e-4
 
 

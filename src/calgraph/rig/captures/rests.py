@@ -1,10 +1,10 @@
 """Rests of the board, by a joint decision of all sensors.
 
-A hidden Markov model with two states, rest and motion, and as its output the activities of all sensors: what a
-sensor's activity is in each state is learned from the recording, so a sensor votes with a likelihood ratio, which is
-none where it does not see the board move. States and distributions are found in turn (segmental k-means: Juang and
-Rabiner, The segmental K-means algorithm, 1990), from several starts; the one that tells most about the activities
-is taken.
+A hidden Markov model has two states, rest and motion, and the activities of all sensors as its output. Their
+distributions in both states are learned from the recording: where a sensor does not see the board move, they are the
+same, and its likelihood ratio decides nothing. States and distributions are found in turn (Juang and Rabiner
+1990, The segmental K-means algorithm), from several starts; the states that tell most about the activities are
+taken.
 """
 
 from collections.abc import Sequence
@@ -26,7 +26,8 @@ _BINS = np.arange(-3.75, 0.01, 0.25)
 # Messages that a distribution starts from, which are spread as those of both states together: a few of one state
 # say little.
 _PRIOR_MESSAGES = 20.0
-# Bounds of a message's vote: a board may be out of a view while it moves, and people behind it move while it rests.
+# Bounds of a message's vote: a board may be out of a view while it moves, and people behind it move while it
+# rests.
 _MIN_VOTE, _MAX_VOTE = -1.5, 3.0
 # Messages nearer than this in time, s, share one vote: what moves behind the board is in all of them.
 _INDEPENDENT = 0.1
@@ -38,7 +39,7 @@ _CHANGE_COST = 4.0
 _STARTS = (0.4, 0.7)
 # Each start settles in two to six steps.
 _MAX_STEPS = 12
-# Share of the messages in the middle half of rests whose activity is noise: the others show people behind the board.
+# Share of the messages in the middle half of rests whose activity is noise: others show people behind the board.
 _NOISE_SHARE = 0.9
 _MIDDLE = 0.25
 # Time at the ends of a rest, s, in which the board may still move by more than 2 mm, less than sensors notice: so
@@ -82,7 +83,7 @@ class _Votes:
         """Numbers of messages by bin, in rest and in motion."""
         share = self.share_in_motion(moving)
         bins = len(_BINS) + 1
-        return np.bincount(self.bins, 1 - share, bins), np.bincount(self.bins, share, bins)
+        return np.bincount(self.bins, 1 - share, bins) + 0.0, np.bincount(self.bins, share, bins) + 0.0
 
 
 def find_rests(timeline: RecordingTimeline, settings: CaptureSettings) -> list[tuple[float, float]]:
@@ -110,20 +111,22 @@ def find_rests(timeline: RecordingTimeline, settings: CaptureSettings) -> list[t
     spans = [(start + _CELL * a - baseline, start + _CELL * b) for a, b in _list_spans(~_decide(sensors, cells))]
     periods = [times.period for times in timeline.sensors.values() if np.isfinite(times.period)]
     shortest = max(settings.min_hold, *periods)
-    return [_shorten(a, b, shortest) for a, b in _trim(spans, sensors) if b - a >= shortest]
+    # Twice the period holds one full measurement for certain.
+    needed = max(settings.min_hold, *(2 * period for period in periods))
+    return [_shorten(a, b, needed) for a, b in _trim(spans, sensors) if b - a >= shortest]
 
 
-def _shorten(start: float, end: float, shortest: float) -> tuple[float, float]:
-    """A rest without the time at its ends in which the board may move slowly."""
-    margin = min(_MARGIN, (end - start - shortest) / 2)
-    return start + margin, end - margin
+def _shorten(start: float, end: float, needed: float) -> tuple[float, float]:
+    """A rest without the time at its ends in which the board may move slowly, as far as it is not needed."""
+    margin = np.clip((end - start - needed) / 2, 0.0, _MARGIN)
+    return start + float(margin), end - float(margin)
 
 
 def find_noise(timeline: RecordingTimeline, rests: Sequence[tuple[float, float]]) -> dict[str, float]:
     """By sensor with messages in the rests, the median of their activities there."""
     found = {}
     for name, times in timeline.sensors.items():
-        since = times.stamps - max(times.baseline, times.period)
+        since = times.stamps - times.reach
         inside = np.any([(since >= a) & (times.stamps <= b) for a, b in rests], axis=0)
         if inside.any():
             found[name] = float(np.median(times.activity[inside]))

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from calgraph.geometry import Array
-from calgraph.rig.captures.motion_detection import ActivityMeter
+from calgraph.rig.captures.motion_detection import JITTER, ActivityMeter
 from calgraph.sensors import PointCloud, RecordedMessage
 
 # Longest period of a sensor, s, whose messages show motion: slower ones miss moves between two holds.
@@ -36,6 +36,12 @@ class SensorTimes:
     def period(self) -> float:
         """Typical time between messages, s; infinite for a single one."""
         return float(np.median(np.diff(self.stamps))) if len(self.stamps) > 1 else float("inf")
+
+    @property
+    def reach(self) -> float:
+        """Typical time back to the message that activity is measured against, s: a multiple of the period."""
+        periods = max(np.floor(self.baseline / self.period + JITTER), 1) if self.period > 0 else 1
+        return float(periods * self.period)
 
 
 @dataclass(frozen=True, eq=False)

@@ -68,7 +68,7 @@ def _compare_ranges(before: Signature, after: Signature) -> float:
     return compare_values(before, after, changed)
 
 
-# Largest share of the beams that differ in rests: 0.018 of a simulated scanner with noise of 12 mm, and twice that.
+# Largest share of the beams that differ in rests: 0.018 of a scanner with noise of 12 mm.
 _NOISE = 0.03
 # Bytes of a point of a preview, and most beams of a scan.
 _PER_POINT, _BEAMS = 12.0, 2000
