@@ -1,12 +1,13 @@
 """Rests of a board that is carried around without a trigger: found, missed, and boards that drift in them.
 
-python benchmarks/rests.py                 # 160 walks as series, 40 moving boards, 40 rendered walks
+python benchmarks/rests.py                 # 160 walks as series, 40 moving boards, 40 rendered walks, real poses
 python benchmarks/rests.py --only series --first 1000
 
 Series are the activities that sensors would measure: shares of their views that change with the board's and the
 operator's displacement, each with its own law, noise and place of the board at which it sees it. Boards tremble,
 operators breathe and sway, people walk behind, cameras change their exposure, messages are lost. Rendered walks
-are recordings of the simulator, with rests and moves of random lengths and an operator who sways.
+are recordings of the simulator, with rests and moves of random lengths and an operator who sways. Real are images
+and clouds of ../shared/data or CALGRAPH_DATA, one each of a pose, as a stream.
 
 A rest is the time in which the board stays within 2 mm, besides tremor, of where it is held. It is found where a
 rest that was found overlaps half of it, or half a second; ``within`` where that does not begin or end more than
@@ -16,6 +17,7 @@ found in which the board is farther than 2 mm from where it is for most of their
 
 import argparse
 import csv
+import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -23,17 +25,19 @@ from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 from scipy.interpolate import CubicSpline
 
 from calgraph.config import Capture
 from calgraph.config.settings import CaptureSettings
 from calgraph.geometry import Array
+from calgraph.recording.pcd import read_pcd
 from calgraph.rig.captures.capture_mode import recognize_mode
 from calgraph.rig.captures.motion_detection import BASELINE, ActivityMeter
 from calgraph.rig.captures.rests import find_rests
 from calgraph.rig.captures.timeline import RecordingTimeline, SensorTimes, build_timeline
-from calgraph.sensors import RecordedMessage
+from calgraph.sensors import Image, PointCloud, RecordedMessage
 from calgraph.simulation import (
     CameraOptions,
     LaserOptions,
@@ -53,6 +57,7 @@ MIXES = (
 )  # fmt: skip
 RENDERED = (("camera", "lidar2d"), ("camera", "lidar16"), ("camera", "camera"), ("camera", "lidar2d", "lidar16"))
 TYPES = {"camera": "Image", "lidar2d": "LaserScan", "lidar16": "PointCloud", "lidar64": "PointCloud"}
+DATA = Path(os.environ.get("CALGRAPH_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
 MAX_DRIFT = 0.002
 """m."""
 ARM = 0.4
@@ -271,6 +276,42 @@ def _vary(world: World, rng: np.random.Generator) -> BoardTrajectory:
     return BoardTrajectory(np.array([time_ for time_, _ in knots]), tuple(p for _, p in knots), tuple(holds), t)
 
 
+def stream_poses(data: Path) -> tuple[RecordingTimeline, Walk]:
+    """Real images and clouds of 16 poses as a stream: rests of 2 s, and moves of 1 s in which the pose jumps.
+
+    Repeated messages get noise, 3 grey values and 20 mm, and clouds lose points.
+    """
+    folder = data / "acfr-vlp16-checkerboard"
+    poses = sorted(int(path.stem[4:]) for path in (folder / "images").glob("pose*.png"))
+    rng = np.random.default_rng(0)
+
+    def see(pose: int, stamp: float, seed: int) -> Image:
+        gray = cv2.imread(str(folder / f"images/pose{pose}.png"), cv2.IMREAD_GRAYSCALE)
+        noisy = gray + np.random.default_rng(seed).normal(0, 3, gray.shape)
+        return Image(stamp, "", np.clip(noisy, 0, 255).astype(np.uint8))
+
+    def scan(pose: int, stamp: float, seed: int) -> PointCloud:
+        columns = read_pcd(folder / f"pcd_full/pose{pose}_full.pcd.gz")
+        points = np.column_stack([columns[axis] for axis in "xyz"])
+        noise = np.random.default_rng(seed)
+        points = points[noise.random(len(points)) > 0.02]
+        ranges = np.maximum(np.linalg.norm(points, axis=1, keepdims=True), 0.1)
+        return PointCloud(stamp, "", points * (1 + noise.normal(0, 0.02, ranges.shape) / ranges))
+
+    records = []
+    for k in range(30 * len(poses)):
+        stamp, rests = k / 10, k % 30 < 20
+        pose = poses[k // 30] if rests else int(rng.choice(poses))
+        records.append(RecordedMessage("lidar", stamp, stamp, partial(scan, pose, stamp, k)))
+        if k % 2 == 0:
+            records.append(RecordedMessage("camera", stamp, stamp, partial(see, pose, stamp, k)))
+    names = {"camera": "camera", "lidar": "lidar"}
+    meters = {name: ActivityMeter(BASELINE) for name in names}
+    timeline = build_timeline(records, 0.0, names, None, meters=meters)
+    rests_of_poses = [(3.0 * k, 3.0 * k + 2) for k in range(len(poses))]
+    return timeline, Walk(lambda t: (t % 3 > 2.0)[:, None] * np.ones(6), rests_of_poses, 0.0, 3.0 * len(poses))
+
+
 def evaluate(timeline: RecordingTimeline, walk: Walk) -> tuple[int, int, int, int]:
     """Numbers of rests that were found, of within ones, of those with drift, and of those without a true one."""
     found = [(a, b) for a, b in find_rests(timeline, SETTINGS) if a >= timeline.start + walk.empty]
@@ -294,6 +335,8 @@ def measure(kind: str, seed: int) -> Row:
     began = time.process_time()
     if kind == "rendered":
         (timeline, walk, mix), people = render_walk(seed), 0
+    elif kind == "real":
+        (timeline, walk), mix, people = stream_poses(DATA), ("camera", "lidar16"), 0
     else:
         timeline, walk, mix, people = simulate_series(seed, moving=kind == "moving")
     hits = evaluate(timeline, walk)
@@ -319,7 +362,7 @@ def report(rows: Sequence[Row]) -> Iterator[str]:
     def select(kind: str, sees: bool) -> list[Row]:
         return [r for r in rows if r.kind == kind and ("camera" in r.sensors or "2d" in r.sensors) == sees]
 
-    for kind in ("series", "rendered"):
+    for kind in ("series", "rendered", "real"):
         for sees in (True, False):
             some = select(kind, sees)
             rests, found = sum(r.rests for r in some), sum(r.found for r in some)
@@ -343,7 +386,7 @@ def report(rows: Sequence[Row]) -> Iterator[str]:
 def main() -> None:
     """Measures what is missing of the walks, and prints the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--only", choices=["series", "moving", "rendered"])
+    parser.add_argument("--only", choices=["series", "moving", "rendered", "real"])
     parser.add_argument("--first", type=int, default=0, help="first seed")
     parser.add_argument("--out", type=Path, default=Path("build/rests.csv"))
     arguments = parser.parse_args()
@@ -354,7 +397,7 @@ def main() -> None:
         writer = csv.writer(file)
         if not rows:
             writer.writerow(Row._fields)
-        for kind, count in (("series", 160), ("moving", 40), ("rendered", 40)):
+        for kind, count in (("series", 160), ("moving", 40), ("rendered", 40), ("real", 1)):
             for seed in range(arguments.first, arguments.first + count):
                 if arguments.only in (None, kind) and (kind, seed) not in done:
                     rows.append(measure(kind, seed))

@@ -1,8 +1,8 @@
 """Rests of the board, by a joint decision of all sensors.
 
 A hidden Markov model has two states, rest and motion, and the activities of all sensors as its output. Their
-distributions in both states are learned from the recording: where a sensor does not see the board move, they are the
-same, and its likelihood ratio decides nothing. States and distributions are found in turn (Juang and Rabiner
+distributions in both states are learned from the recording: where a sensor does not see the board move, they are
+the same, and its likelihood ratio decides nothing. States and distributions are found in turn (Juang and Rabiner
 1990, The segmental K-means algorithm), from several starts; the states that tell most about the activities are
 taken.
 """
@@ -83,7 +83,8 @@ class _Votes:
         """Numbers of messages by bin, in rest and in motion."""
         share = self.share_in_motion(moving)
         bins = len(_BINS) + 1
-        return np.bincount(self.bins, 1 - share, bins) + 0.0, np.bincount(self.bins, share, bins) + 0.0
+        rest, motion = np.bincount(self.bins, 1 - share, bins), np.bincount(self.bins, share, bins)
+        return rest.astype(np.float64), motion.astype(np.float64)
 
 
 def find_rests(timeline: RecordingTimeline, settings: CaptureSettings) -> list[tuple[float, float]]:
