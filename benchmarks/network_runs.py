@@ -139,9 +139,9 @@ def run(cell: Cell, seed: int, setups: Sequence[Setup]) -> Run:
     scans = {scanner.name: list(simulate_scans(network, scanner)) for scanner in network.scanners}
     results: dict[Setup, Solved] = {}
     judged = np.zeros((0, 2))
-    for feature in {setup.feature for setup in setups}:
+    for feature in sorted({setup.feature for setup in setups}):
         tracked = track_scanners(rig, scans, feature)
-        for icp in {setup.icp for setup in setups if setup.feature == feature}:
+        for icp in sorted({setup.icp for setup in setups if setup.feature == feature}):
             rng = np.random.default_rng(seed)
             estimates = estimate_scanner_pairs(tracked, rng, icp=icp, depth_stddev=select_depth_stddev(feature))
             pairs = [pair for pair in estimates.values() if isinstance(pair, ScannerPairEstimate)]

@@ -9,7 +9,7 @@ WALL = np.column_stack([np.full(41, 2.0), np.linspace(-1, 1, 41)])
 
 
 def fit(points: Array, max_gap: float = 0.2) -> Array:
-    return fit_local_lines(points, 3, np.full(len(points), max_gap), 0.03, 9.0)
+    return fit_local_lines(points, np.full(len(points), max_gap))
 
 
 def test_normals_point_at_the_scanner() -> None:

@@ -1,11 +1,18 @@
 """Poses, planes, ellipses and rotations as plain NumPy arrays, and the maps between them."""
 
 from calgraph.geometry import ellipse, plane, se2, se3, se_n, so3
-from calgraph.geometry.arrays import Array, Index, diagonal_blocks, find_median, invert_2x2, measure_lengths
+from calgraph.geometry.arrays import (
+    STDDEV_PER_MAD,
+    Array,
+    Index,
+    diagonal_blocks,
+    find_median,
+    invert_2x2,
+    measure_lengths,
+)
 from calgraph.geometry.local_lines import fit_local_lines
 
 __all__ = [
-    "Array", "Index", "diagonal_blocks", "ellipse", "find_median", "fit_local_lines", "invert_2x2",
-    "measure_lengths", "plane", "se2", "se3", "se_n",
-    "so3",
+    "STDDEV_PER_MAD", "Array", "Index", "diagonal_blocks", "ellipse", "find_median", "fit_local_lines",
+    "invert_2x2", "measure_lengths", "plane", "se2", "se3", "se_n", "so3",
 ]  # fmt: skip

@@ -8,7 +8,7 @@ import numpy as np
 
 from calgraph.config import FoundTopic, Kind
 from calgraph.errors import RecordingError
-from calgraph.geometry import Array
+from calgraph.geometry import STDDEV_PER_MAD, Array
 from calgraph.recording.bags import BagRecording
 from calgraph.recording.file_names import describe_unmatched_numbers, find_pose_numbers
 from calgraph.recording.recording import Recording, TopicInfo
@@ -208,7 +208,7 @@ def _timing(stamps: Array, arrivals: Array, start: float) -> Timing:
     if not len(periods):
         return Timing(float(stamps[0] - start), None, None, None, delay)
     median = float(np.median(periods))
-    jitter = 1.4826 * float(np.median(np.abs(periods - median)))
+    jitter = STDDEV_PER_MAD * float(np.median(np.abs(periods - median)))
     rate = 1 / median if median > 0 else None
     return Timing(float(stamps[0] - start), rate, jitter, float(periods.max()), delay)
 

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from scipy.special import chdtri
 
 from calgraph.config import Rig
 from calgraph.geometry import Array, se3
@@ -27,14 +26,12 @@ from calgraph.report.figures import (
 )
 from calgraph.result import Calibration, SensorPose
 from calgraph.result.calibrated_cameras import calibrated_cameras
+from calgraph.result.sensor_pose import error_ellipsoid
 from calgraph.sensors import CameraModel
 from calgraph.sensors.kinds import KINDS
 
 Polyline = Array
 """(N, 3) points of one line, m."""
-
-# Standard deviations within which 95 % of a normal distribution in space lie: sqrt(χ²₃(0.95)).
-SCALE_95 = float(np.sqrt(chdtri(3, 0.05)))
 
 
 def frame_axes(T_root_sensor: Array, size: float) -> list[Polyline]:
@@ -81,10 +78,9 @@ def ellipsoid_mesh(center: Array, covariance: Array, exaggeration: float, limit:
     Returns:
         Vertices (N, 3) and triangles (M, 3) of indices.
     """
-    variances, directions = np.linalg.eigh(np.nan_to_num(covariance, nan=0.0, posinf=1e12, neginf=-1e12))
-    semi_axes = np.minimum(exaggeration * SCALE_95 * np.sqrt(np.maximum(variances, 0)), limit)
+    half, R = error_ellipsoid(covariance)
     unit, triangles = _unit_sphere(12, 18)
-    return center + (unit * semi_axes) @ directions.T, triangles
+    return center + (unit * np.minimum(exaggeration * half, limit)) @ R.T, triangles
 
 
 def _unit_sphere(rows: int, columns: int) -> tuple[Array, Array]:
@@ -158,7 +154,7 @@ def _choose_enlargement(sensors: Sequence[SensorPose], size: float) -> int:
     covariances = [s.measured_covariance[:3, :3] for s in sensors if np.isfinite(s.measured_covariance).all()]
     if not covariances:
         return 1
-    longest = SCALE_95 * np.sqrt(np.median([np.linalg.eigvalsh(one)[-1] for one in covariances]))
+    longest = float(np.median([error_ellipsoid(one)[0][-1] for one in covariances]))
     return choose_enlargement(longest, _MIN_VISIBLE * size)
 
 

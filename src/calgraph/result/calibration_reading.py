@@ -133,12 +133,12 @@ def join_cross_covariances(own: Mapping[str, Array], entries: Sequence[CrossCova
 
 
 # A quaternion typed with three decimals is off by this much at most; more is another order or not a rotation.
-_UNIT_TOLERANCE = 2e-3
+UNIT_TOLERANCE = 2e-3
 
 
 def _check_unit_length(rotation: tuple[float, ...]) -> tuple[float, ...]:
     length = math.hypot(*rotation)
-    if abs(length - 1) > _UNIT_TOLERANCE:
+    if abs(length - 1) > UNIT_TOLERANCE:
         raise invalid("", f"must be a quaternion x, y, z, w of length 1, its length is {length:.4g}")
     return rotation
 

@@ -11,13 +11,11 @@ from calgraph.errors import InputError
 from calgraph.geometry import Array, se3, so3
 from calgraph.io.yaml_reading import read_documents, read_text
 from calgraph.result.calibration import Calibration
-from calgraph.result.calibration_reading import load_calibration
+from calgraph.result.calibration_reading import UNIT_TOLERANCE, load_calibration
 from calgraph.result.exports.frames import from_roll_pitch_yaw
 from calgraph.result.exports.urdf_text import frames_from_joints, read_joints
 from calgraph.result.frame_tree import MAX_DISTANCE, FrameLink, FrameTree
 
-# A quaternion typed with three decimals is off by this much at most; more is another order or not a rotation.
-_UNIT_TOLERANCE = 2e-3
 _SHAPE = "needs the frame's parent (frame_id or parent), child_frame_id, translation and rotation"
 
 
@@ -182,7 +180,7 @@ def _parse_rotation(where: str, flat: dict[Any, Any]) -> Array:
         return from_roll_pitch_yaw(*_parse_numbers(f"{where}: rotation", given, "roll pitch yaw"))
     q = _parse_numbers(f"{where}: rotation", given, "x y z w")
     length = float(np.linalg.norm(q))
-    if abs(length - 1) > _UNIT_TOLERANCE:
+    if abs(length - 1) > UNIT_TOLERANCE:
         raise InputError(
             f"{where}: rotation: must be a quaternion x, y, z, w of length 1, its length is {length:.4g}"
         )

@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
+from scipy.special import chdtri
 
 from calgraph.config import Intrinsics
 from calgraph.geometry import Array
@@ -64,3 +65,17 @@ class SensorPose:
         """The covariance (6, 6) with zero where nothing was measured: z, roll and pitch of a network's scanner."""
         unmeasured = np.isnan(np.diag(self.covariance))
         return np.where(unmeasured | unmeasured[:, None], 0.0, self.covariance)
+
+
+# Standard deviations within which 95 % of a normal distribution in space lie: sqrt(χ²₃(0.95)).
+_SCALE_95 = float(np.sqrt(chdtri(3, 0.05)))
+
+
+def error_ellipsoid(covariance: Array) -> tuple[Array, Array]:
+    """The 95 % ellipsoid of a position with a covariance (3, 3), m²; unobservable directions are long.
+
+    Returns:
+        The semi-axes (3,), m, ascending, and the rotation (3, 3) from them to the frame of the covariance.
+    """
+    variances, axes = np.linalg.eigh(np.nan_to_num(covariance, nan=0.0, posinf=1e12, neginf=-1e12))
+    return _SCALE_95 * np.sqrt(np.maximum(variances, 0)), axes * np.linalg.det(axes)

@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtri
 
 from calgraph.geometry import Array, plane, so3
 from calgraph.result import Calibration, SensorPose
+from calgraph.result.sensor_pose import error_ellipsoid
 from calgraph.sensors import CameraModel
 from calgraph.sensors.kinds import KINDS
 from calgraph.viewer.colored_clouds import Cloud, color_clouds, height_range, sensor_color
@@ -244,8 +244,6 @@ def _wxyz(R: Array) -> Array:
 
 # A fisheye's image plane reaches to infinity; frustums are clipped at this angle to each side, rad.
 _MAX_HALF_ANGLE = np.radians(65)
-# Standard deviations within which 95 % of a normal distribution in space lie: sqrt(χ²₃(0.95)).
-_SCALE_95 = float(np.sqrt(chdtri(3, 0.05)))
 _MAX_BEAMS = 45
 
 
@@ -286,7 +284,5 @@ def uncertainty_ellipsoid(T_root_sensor: Array, covariance: Array, most: float) 
     Returns:
         The semi-axes (3,), m, and the rotation (3, 3) from them to the sensor frame.
     """
-    variances, axes = np.linalg.eigh(np.nan_to_num(covariance[:3, :3], nan=0.0, posinf=1e12, neginf=-1e12))
-    axes = axes * np.linalg.det(axes)
-    half = np.minimum(_SCALE_95 * np.sqrt(np.maximum(variances, 0)), most)
-    return half, T_root_sensor[:3, :3].T @ axes
+    half, R_root_axes = error_ellipsoid(covariance[:3, :3])
+    return np.minimum(half, most), T_root_sensor[:3, :3].T @ R_root_axes

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import cho_solve_banded, cholesky_banded, solveh_banded
 
-from calgraph.geometry import Array, Index, se2, se_n
+from calgraph.geometry import STDDEV_PER_MAD, Array, Index, se2, se_n
 from calgraph.network.joint.body_batches import BodyBatches
 from calgraph.network.joint.leg_equations import compute_leg_residuals, raycast_leg
 from calgraph.network.joint.leg_problem import LegObservations, LegPath, compute_shape_prior
@@ -34,8 +34,6 @@ from calgraph.network.tracking.clusters import Foreground
 from calgraph.network.tracking.leg_clusters import cluster_legs
 from calgraph.parallel.engine import THIS_PROCESS, MapEngine
 
-# Standard deviation of Gaussian noise as a multiple of its median absolute value.
-_MEDIAN_TO_SIGMA = 1.4826
 # Beams of a greater leverage determine the path: their residuals have no information.
 _MAX_LEVERAGE = 0.7
 # Beams whose range changes faster with their offset from the centre are near the edge, and not used.
@@ -119,7 +117,7 @@ def _estimate_range_noise(
             residuals[scans.scanner].append(absolute)
     by_scanner = [np.concatenate([np.zeros(0), *parts]) for parts in residuals]
     estimated = [
-        _MEDIAN_TO_SIGMA * np.median(absolute) if len(absolute) >= MIN_BEAMS else stated
+        STDDEV_PER_MAD * np.median(absolute) if len(absolute) >= MIN_BEAMS else stated
         for absolute, stated in zip(by_scanner, background, strict=True)
     ]
     return np.asarray(np.clip(estimated, MIN_RATIO * background, np.hypot(background, MAX_EXCESS)))

@@ -14,10 +14,8 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from calgraph.geometry import Array, Index, se2
+from calgraph.network.tracking.association import GATED_COST
 from calgraph.network.tracking.leg_clusters import LegClusters
-
-# Cost of a pair outside the gate: above any true cost.
-_GATED_COST = 1e6
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +134,7 @@ def _match(active: _ActiveLegs, index: Index, times: Array, positions: Array, va
         S = p_ahead + variance
         squared = np.einsum("kcd,kcd->kc", offset, offset)
         inside = (squared <= _GATE * S) & (squared <= _MAX_DISTANCE**2)
-        cost = np.where(inside, squared / S + 2 * np.log(S), _GATED_COST)
+        cost = np.where(inside, squared / S + 2 * np.log(S), GATED_COST)
         rows, columns = linear_sum_assignment(cost)
         good = inside[rows, columns]
         rows, columns = rows[good], columns[good]

@@ -9,7 +9,7 @@ from functools import partial
 
 import numpy as np
 
-from calgraph.geometry import Array, Index
+from calgraph.geometry import STDDEV_PER_MAD, Array, Index
 from calgraph.network.joint.ellipse_equations import compute_residuals, raycast_body
 from calgraph.network.joint.model_error import TUKEY_LIMIT
 from calgraph.network.joint.path_equations import evaluate_at
@@ -17,10 +17,6 @@ from calgraph.network.joint.problem import BodyObservations, BodyPath, NetworkPr
 from calgraph.network.joint.scan_equations import ScanEquations, TukeyLoss, sum_over_scans
 from calgraph.network.joint.schur import BodyEquations, compute_path_covariance
 from calgraph.network.joint.solver import NetworkEquations
-
-# Standard deviation of Gaussian noise as a multiple of its median absolute value.
-_MEDIAN_TO_SIGMA = 1.4826
-
 
 # Beams of a scanner whose residuals are compared, evenly among all of longer recordings: the median of as many
 # has a relative standard deviation of 0.8 %.
@@ -62,7 +58,7 @@ def estimate_range_noise(
     by_scanner = [np.concatenate([np.zeros(0), *parts]) for parts in residuals]
     shrinkage = loss.median_shrinkage * np.minimum(leverage / np.maximum(effective_beams, 1), _MAX_LEVERAGE)
     sigma = [
-        _MEDIAN_TO_SIGMA * np.median(absolute) / (1 - shrunk) if len(absolute) >= MIN_BEAMS else stated
+        STDDEV_PER_MAD * np.median(absolute) / (1 - shrunk) if len(absolute) >= MIN_BEAMS else stated
         for absolute, shrunk, stated in zip(by_scanner, shrinkage, background, strict=True)
     ]
     return np.asarray(np.clip(sigma, MIN_RATIO * background, np.hypot(background, MAX_EXCESS)))

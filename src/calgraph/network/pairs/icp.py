@@ -178,19 +178,12 @@ def align_backgrounds(
 _MAX_NEIGHBOUR_DISTANCE = 0.15
 # The same as a fraction of their range: half a degree at 10 degrees of incidence.
 _MAX_NEIGHBOUR_RATIO = 0.05
-# Neighbours on either side of a point to which a line is fitted: seven points average noise, within 0.2 m at 4 m
-# and half a degree.
-_NEIGHBOURS_PER_SIDE = 3
-# Maximum standard deviation of neighbours from their line, m: three times the usual noise of a range.
-_MAX_LINE_STDDEV = 0.03
-# Minimum ratio of the neighbours' variances along and across the line: a standard deviation three times as long.
-_MIN_ELONGATION2 = 9.0
 
 
 def _fit_lines(background: Array) -> _SurfacePoints:
     """Selects the points of (N, 2) whose neighbours in order of angle lie on a line, and fits their normals."""
     max_gap = np.maximum(_MAX_NEIGHBOUR_DISTANCE, _MAX_NEIGHBOUR_RATIO * np.linalg.norm(background, axis=1))
-    normals = fit_local_lines(background, _NEIGHBOURS_PER_SIDE, max_gap, _MAX_LINE_STDDEV, _MIN_ELONGATION2)
+    normals = fit_local_lines(background, max_gap)
     straight = np.isfinite(normals[:, 0])
     return _SurfacePoints(background[straight], normals[straight])
 

@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 
 from calgraph.geometry import Array, invert_2x2, se2
 from calgraph.network.pairs.synchronized_tracks import SimultaneousPairs
+from calgraph.network.tracking.smoothing import CHI2_MEDIAN
 
-# Median of χ² with two degrees of freedom.
-_CHI2_MEDIAN = 1.386
 # Information (1/m², 1/rad²) that is added to that of a pose: the angle is unobservable from an object at rest.
 _RIDGE = 1e-6
 # Least extent of positions, m, by which an error of theirs is divided: keeps the quotient finite.
@@ -173,7 +172,7 @@ MAX_MODEL_ERROR = 0.15
 
 def _estimate_model_error(r: Array, S: Array) -> float:
     """Robust standard deviation (m) of the residuals beyond their covariances."""
-    observed = float(np.median(np.sum(r**2, axis=1))) / _CHI2_MEDIAN
+    observed = float(np.median(np.sum(r**2, axis=1))) / CHI2_MEDIAN
     expected = float(np.mean(np.trace(S, axis1=1, axis2=2))) / 2
     error = np.sqrt(max(observed - expected, 0.0))
     return float(np.clip(error, _MIN_MODEL_ERROR, MAX_MODEL_ERROR))

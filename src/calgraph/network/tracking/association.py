@@ -19,7 +19,7 @@ from calgraph.network.tracking.filtering import (
 )
 
 # Cost of a pair outside the gate: above any true cost.
-_GATED_COST = 1e6
+GATED_COST = 1e6
 
 
 @dataclass(eq=False)
@@ -84,9 +84,9 @@ def _match(active: _ActiveTracks, index: NDArray[np.intp], centroids: Array, R: 
         Gaussian(active.state.mean[:, None], active.state.covariance[:, None]), centroids[None], R
     )
     # The likelihood's determinant keeps a vague prediction from taking the object of a sharp one.
-    cost = np.where(squared <= GATE, squared + np.log(determinant / np.linalg.det(R)), _GATED_COST)
+    cost = np.where(squared <= GATE, squared + np.log(determinant / np.linalg.det(R)), GATED_COST)
     rows, columns = linear_sum_assignment(cost)
-    matched = cost[rows, columns] < _GATED_COST
+    matched = cost[rows, columns] < GATED_COST
     rows, columns = rows[matched], columns[matched]
     if len(rows):
         updated = update(

@@ -35,12 +35,6 @@ _MIN_SHARED_BEAMS = 20
 _MAX_NEIGHBOUR_DISTANCE = 0.1
 # The same in beam spacings: neighbouring beams on a wall at a grazing angle of 10° end six spacings apart.
 _MAX_NEIGHBOUR_SPACINGS = 6.0
-# Neighbours on either side of a point to which a line is fitted, as for pairwise.scanners.icp.
-_NEIGHBOURS_PER_SIDE = 3
-# Maximum standard deviation of neighbours from their line, m: three times the usual noise of a range.
-_MAX_LINE_STDDEV = 0.03
-# Minimum ratio of the neighbours' variances along and across the line.
-_MIN_ELONGATION2 = 9.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +61,7 @@ class ReferenceScan:
     def normals(self) -> Array:
         """(B, 2) of the lines through the neighbours of each point, NaN without one."""
         max_gap = _MAX_NEIGHBOUR_DISTANCE + _MAX_NEIGHBOUR_SPACINGS * self.spacing * self.ranges
-        return fit_local_lines(self.points, _NEIGHBOURS_PER_SIDE, max_gap, _MAX_LINE_STDDEV, _MIN_ELONGATION2)
+        return fit_local_lines(self.points, max_gap)
 
 
 @dataclass(frozen=True, eq=False)

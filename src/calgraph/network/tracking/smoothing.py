@@ -15,7 +15,7 @@ from calgraph.network.tracking.filtering import smooth_tracks
 # Segments smoothed in one batch; they are of similar length, so that padding stays small.
 _BATCH = 64
 # Median of χ² with two degrees of freedom.
-_CHI2_MEDIAN = 1.386
+CHI2_MEDIAN = 1.386
 # Bisections: they resolve the variance to 2^-24 of its bracket.
 _BISECTIONS = 24
 
@@ -92,7 +92,7 @@ def add_unmodeled_noise(
     for _ in range(_BISECTIONS):
         middle = (low + high) / 2
         squared = np.einsum("ni,nij,nj->n", off, np.linalg.inv(V + 1.5 * middle * np.eye(2)), off)
-        low, high = (middle, high) if np.median(squared) > _CHI2_MEDIAN else (low, middle)
+        low, high = (middle, high) if np.median(squared) > CHI2_MEDIAN else (low, middle)
     excess = low * np.eye(2)
     return MeasuredCenters(measured.positions, measured.noise + excess, measured.bias + _BIAS_SHARE * excess)
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.geometry import Array
+from calgraph.geometry import STDDEV_PER_MAD, Array
 from calgraph.network.tracking.scan_stack import ScanRun
 from calgraph.sensors import ScanBackground, align_ranges
 
@@ -138,7 +138,7 @@ def _column_median(values: Array) -> Array:
 
 def _robust_spread(values: Array) -> Array:
     """Standard deviation of each column of (S, B) by its median absolute deviation; NaN where it is empty."""
-    return 1.4826 * _column_median(np.abs(values - _column_median(values)))
+    return STDDEV_PER_MAD * _column_median(np.abs(values - _column_median(values)))
 
 
 # Neighbouring static points on one surface are at most this far apart, m, plus the spacing below: legs of

@@ -14,7 +14,7 @@ from scipy.ndimage import median_filter
 from scipy.special import chdtri
 
 from calgraph.config.settings import StationaritySettings
-from calgraph.geometry import Array, Index
+from calgraph.geometry import STDDEV_PER_MAD, Array, Index
 from calgraph.network.tracking.background_registration import (
     AGREEMENT_SIGMAS,
     INITIAL_SCALE,
@@ -104,8 +104,8 @@ def compute_window_medians(scans: AlignedScans) -> ScanWindows:
     )
 
 
-# Median of χ² with three degrees of freedom, and standard deviation over median absolute deviation (normal).
-_MEDIAN_CHI2, _STDDEV_PER_MAD = 2.366, 1.4826
+# Median of χ² with three degrees of freedom.
+_MEDIAN_CHI2 = 2.366
 # Windows whose median pose replaces that of the middle one: two disturbed windows in a row have no effect.
 _FILTER_LENGTH = 5
 # Most windows whose median is the background of an interval.
@@ -223,7 +223,7 @@ def _register(windows: ScanWindows, settings: StationaritySettings) -> _Registra
     finite = np.where(np.isfinite(windows.ranges), windows.ranges, np.nan)
     change = np.abs(np.diff(finite, axis=0))
     by_window = np.array([_median(row) for row in change])
-    noise = float(np.clip(_median(by_window) * _STDDEV_PER_MAD / np.sqrt(2), _MIN_NOISE, _MAX_NOISE))
+    noise = float(np.clip(_median(by_window) * STDDEV_PER_MAD / np.sqrt(2), _MIN_NOISE, _MAX_NOISE))
     # How much a window differs from its neighbours: a reference is one at rest.
     unrest = np.maximum(np.append(by_window, 0.0), np.insert(by_window, 0, 0.0))
     count = len(windows)
