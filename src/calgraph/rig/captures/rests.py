@@ -3,8 +3,8 @@
 A hidden Markov model has two states, rest and motion, and the activities of all sensors as its output. Their
 distributions in both states are learned from the recording: where a sensor does not see the board move, they are
 the same, and its likelihood ratio decides nothing. States and distributions are found in turn (Juang and Rabiner
-1990, The segmental K-means algorithm), from several starts; the states that tell most about the activities are
-taken.
+1990, The segmental K-means algorithm), from several starts; the states with most information on the
+activities are taken.
 """
 
 from collections.abc import Sequence
@@ -24,7 +24,7 @@ _CELL = 0.05
 # Bounds of the bins (base 10) in which activities are counted; noise of a view scatters by one bin.
 _BINS = np.arange(-3.75, 0.01, 0.25)
 # Messages that a distribution starts from, which are spread as those of both states together: a few of one state
-# say little.
+# show little.
 _PRIOR_MESSAGES = 20.0
 # Bounds of a message's vote: a board may be out of a view while it moves, and people behind it move while it
 # rests.
@@ -106,7 +106,7 @@ def find_rests(timeline: RecordingTimeline, settings: CaptureSettings) -> list[t
         return []
     start = min(float(times.stamps[0]) for times in fast)
     cells = int(np.ceil((max(float(times.stamps[-1]) + times.duration for times in fast) - start) / _CELL)) + 1
-    # A message compares with one up to a baseline before: its activity tells of motion in all that time.
+    # A message compares with one up to a baseline before: its activity shows motion in all that time.
     baseline = max(times.baseline for times in fast)
     sensors = [_make_votes(times, start, cells, baseline) for times in fast]
     spans = [(start + _CELL * a - baseline, start + _CELL * b) for a, b in _list_spans(~_decide(sensors, cells))]
@@ -148,7 +148,7 @@ def _make_votes(times: SensorTimes, start: float, cells: int, baseline: float) -
 
 
 def _decide(sensors: Sequence[_Votes], cells: int) -> NDArray[np.bool_]:
-    """(cells,) whether something moves: the states that tell most about the activities."""
+    """(cells,) whether something moves: the states with most information on the activities."""
     best, states = -np.inf, np.zeros(cells, bool)
     for sensor in sensors:
         for share in _STARTS:
@@ -172,7 +172,7 @@ def _vote(sensor: _Votes, moving: NDArray[np.bool_]) -> Array:
     """(N,) logarithm of each message's likelihood ratio of motion to rest, which does not fall with activity."""
     rest, motion = sensor.count(moving)
     both = rest + motion
-    # One message of another kind in ten keeps an activity that was never seen from deciding alone.
+    # One message of another kind in ten keeps an activity that was never measured from deciding alone.
     prior = _PRIOR_MESSAGES * (0.9 * both / both.sum() + 0.1 / len(both))
     ratio = np.log((motion + prior) / (motion.sum() + _PRIOR_MESSAGES))
     ratio -= np.log((rest + prior) / (rest.sum() + _PRIOR_MESSAGES))

@@ -42,8 +42,8 @@ def _compare_blocks(before: Signature, after: Signature) -> float:
     return compare_values(before, after, lambda a, b: np.abs(b - a) > _MIN_GRAY_CHANGE)
 
 
-# Change of a detected corner, pixels, that counts as motion: a hand that holds a board sways by 2 mm in half a
-# second, and a slow move is ten times as fast.
+# Change of a detected corner, pixels, that counts as motion: a hand moves a board that it holds by 2 mm in half
+# a second, and a slow move is ten times as fast.
 _MIN_CORNER_CHANGE = 3.0
 
 
