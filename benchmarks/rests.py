@@ -4,10 +4,10 @@ python benchmarks/rests.py                 # 160 walks as series, 40 moving boar
 python benchmarks/rests.py --only series --first 1000
 
 Series are the activities that sensors would measure: shares of their views that change with the board's and the
-operator's displacement, each with its own law, noise and place of the board at which it measures it. Boards tremble,
-operators breathe and shift their weight, people walk behind, cameras change their exposure, messages are lost. Rendered walks
-are recordings of the simulator, with rests and moves of random lengths and an operator who shifts his weight. Real are images
-and clouds of ../shared/data or CALGRAPH_DATA, one each of a pose, as a stream.
+operator's displacement, each with its own law, noise and place of the board at which it measures it. Boards
+tremble, operators breathe and shift their weight, people walk behind, cameras change their exposure, messages are
+lost. Rendered walks are recordings of the simulator, with rests and moves of random lengths and an operator who
+shifts his weight. Real are images and clouds of ../shared/data or CALGRAPH_DATA, one each of a pose, as a stream.
 
 A rest is the time in which the board stays within 2 mm, besides tremor, of where it is held. It is found where a
 rest that was found overlaps half of it, or half a second; ``within`` where that does not begin or end more than
@@ -261,7 +261,7 @@ def render_walk(seed: int) -> tuple[RecordingTimeline, Walk, tuple[str, ...]]:
 
 
 def _vary(world: World, rng: np.random.Generator) -> BoardTrajectory:
-    """The walk with rests and moves of random lengths, and an operator who shifts his weight by centimetres in the rests."""
+    """The walk with rests and moves of random lengths; the operator moves by centimetres in the rests."""
     t = float(world.trajectory.times[0])
     knots, holds = [(t, world.trajectory.placements[0])], []
     for hold in world.trajectory.holds:

@@ -40,6 +40,7 @@ def test_the_example_in_the_help_is_a_setting() -> None:
     ("assignment", "message"),
     [
         ("captures.min_hald=1", "--set: unknown key captures.min_hald; did you mean 'min_hold'?"),
+        ("tolerance.translation=0.02", "--set: tolerance is a key of rig.yaml and no setting; change it there"),
         ("capture.min_hold=1", "--set: unknown key capture; did you mean 'captures'?"),
         ("captures.min_hold=-1", "--set: captures.min_hold: must be greater than 0, got -1"),
         ("captures.min_hold=long", "--set: captures.min_hold: must be a number, got 'long'"),

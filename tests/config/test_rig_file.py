@@ -166,6 +166,7 @@ MISTAKES = {
     # types
     "quoted_number": (("range: 0.03", "range: '0.03'"), "sensors.lidar.noise.range: must be a number, got '0.03'"),
     "true_is_no_number": (("range: 0.03", "range: true"), "sensors.lidar.noise.range: must be a number, got true"),
+    "list_of_sensors": ((GOOD[GOOD.index("sensors:"):], "sensors: [{name: lidar}]\n"), "sensors: must be a mapping, in which the name of each is its key, got a list"),
     "empty_value": (("range: 0.03", "range: "), "sensors.lidar.noise.range: must be a number, got nothing"),
     "number_for_text": (("topic: /scan", "topic: 5"), "sensors.laser.topic: must be a text, got 5"),
     "fraction": (("id: 3", "id: 3.5"), "target.tags[0].id: must be a whole number, got 3.5"),
@@ -191,7 +192,8 @@ MISTAKES = {
     "too_long": (("size: [1.0, 0.8]", "size: [1.0, 0.8, 0.1]"),
                  "target.size: must have 2 elements, got [1.0, 0.8, 0.1]"),
     "empty_topic": (("topic: /scan", "topic: ''"), "sensors.laser.topic: must not be empty, got ''"),
-    "root": (("root: lidar", "root: ldar"), "root: must be one of the sensors, camera, lidar, laser, got 'ldar'"),
+    "root": (("root: lidar", "root: ldar"), "root: must be one of the sensors, camera, lidar, laser, got 'ldar'; did you mean 'lidar'?"),
+    "root_frame": (("root: lidar", "root: base_link"), "root: must be one of the sensors, camera, lidar, laser, got 'base_link'; other frames of the robot join the result by calgraph export --format urdf --urdf FILE"),
     "same_topic": (("topic: /scan", "topic: /points"), "sensors.laser.topic: is also that of lidar, got '/points'"),
     "background": (("[0.0, 5.0]", "[5.0, 1.0]"), "capture.background: must end after it starts, got [5, 1]"),
     "exclude": (("[[31.0, 34.5]]", "[[1, 2], [3, 3]]"), "capture.exclude[1]: must end after it starts, got [3, 3]"),

@@ -1,6 +1,7 @@
 """The option ``--set``, which overrides single settings of a rig.yaml."""
 
 from collections.abc import Iterator, Sequence
+from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -97,6 +98,7 @@ def override_settings(rig: "Rig", assignments: Sequence[str] | None) -> "Rig":
 
 
 def _override(settings: "Settings", assignments: Sequence[str]) -> "Settings":
+    from calgraph.config import Rig
     from calgraph.config.settings import Settings
     from calgraph.io.yaml_reading import validate_content
 
@@ -105,7 +107,10 @@ def _override(settings: "Settings", assignments: Sequence[str]) -> "Settings":
         key, equals, text = assignment.partition("=")
         if not key or not equals:
             raise InputError(f"--set: must be KEY=VALUE, such as captures.min_hold=2, got {assignment!r}")
-        set_nested(content, key.strip().split("."), _parse(key, text))
+        path = key.strip().split(".")
+        if path[0] in Rig.model_fields and not get_close_matches(path[0], Settings.model_fields):
+            raise InputError(f"--set: {path[0]} is a key of rig.yaml and no setting; change it there")
+        set_nested(content, path, _parse(key, text))
     return validate_content(Settings, content, Path("--set"))
 
 

@@ -1,6 +1,7 @@
 """The rig: its sensors with their noise, its target, and how captures are marked in the recording."""
 
 from collections.abc import Mapping
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -86,7 +87,14 @@ class Rig(StrictModel):
     @model_validator(mode="after")
     def _root_exists(self) -> "Rig":
         if self.root not in self.sensors:
-            raise invalid("root", f"must be one of the sensors, {', '.join(self.sensors)}, got {self.root!r}")
+            close = get_close_matches(self.root, self.sensors, n=1)
+            hint = (
+                f"did you mean {close[0]!r}?"
+                if close
+                else "other frames of the robot join the result by calgraph export --format urdf --urdf FILE"
+            )
+            sensors = ", ".join(self.sensors)
+            raise invalid("root", f"must be one of the sensors, {sensors}, got {self.root!r}; {hint}")
         return self
 
     @model_validator(mode="after")

@@ -187,6 +187,8 @@ def _explain(model: type[BaseModel], details: ErrorDetails) -> str:
         return f"{_format_path(path)}: is missing{_describe_field(owner, path)}"
     if kind in ("union_tag_invalid", "union_tag_not_found"):
         return _explain_kind(path, given, _allowed_kinds(place.annotation))
+    if kind == "dict_type" and isinstance(given, list):
+        return f"{_format_path(path)}: must be a mapping, in which the name of each is its key, got a list"
     allowed = _describe_constraint(kind, context) or _lowercase_first(details["msg"])
     if kind == "value_error" and isinstance(given, dict):
         # The validator of a whole part names the contradicting values itself.

@@ -1,6 +1,7 @@
 """A live source that is a server of the Foxglove WebSocket protocol, as robots run for looking at their data."""
 
 import asyncio
+import errno
 import json
 import os
 import struct
@@ -115,6 +116,8 @@ class FoxgloveSource:
                 # asyncio has other texts for errors of the system; those of names have negative numbers.
                 number = getattr(error, "errno", None) or 0
                 reason = os.strerror(number).lower() if number > 0 else str(error) or "no answer"
+                if number == errno.ECONNREFUSED:
+                    reason += ": no bridge listens at this port; start foxglove_bridge, or state its port"
             if reason != problem:
                 problem = reason
                 yield Notice("disconnected", clean_text(f"{self._address}: {reason}; trying again"))
