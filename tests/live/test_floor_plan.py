@@ -63,7 +63,7 @@ def test_scanners_without_a_pose_are_listed_first_with_what_is_missing() -> None
     apart = [ScannerSolution("blind"), ScannerSolution("alone", 4)]
     shown = texts(draw(solution(scanner("root"), *apart, scanner("laser", 2.0))))
     assert shown[-8:-4] == ["blind", "alone", "root", "laser"]
-    assert shown[-4:-2] == ["no person detected", "not connected"]
+    assert shown[-4:-2] == ["no person detected", "not calibrated"]
 
 
 def test_names_are_text_and_no_markup() -> None:

@@ -206,8 +206,8 @@ def test_unconnected_sensors_get_a_card_with_their_reason(calibration: Calibrati
         calibration, evidence=dataclasses.replace(calibration.evidence, unconnected={"sonar": "detected no board"})
     )
     page = Page(render_report(lost, rig))
-    assert "sonar ✕ not connected Detected no board" in page.words
-    assert "1 not connected." in page.words
+    assert "sonar ✕ not calibrated Detected no board" in page.words
+    assert "1 not calibrated." in page.words
 
 
 @pytest.mark.parametrize(
@@ -236,7 +236,7 @@ def test_sensors_without_a_pose_for_the_same_reason_share_a_card(calibration: Ca
     lost = {"sonar": "detected no board", "radar": "has no messages", "lamp": "detected no board"}
     evidence = dataclasses.replace(calibration.evidence, unconnected=lost)
     page = Page(render_report(dataclasses.replace(calibration, evidence=evidence), rig))
-    assert "sonar, lamp ✕ not connected Detected no board" in page.words
+    assert "sonar, lamp ✕ not calibrated Detected no board" in page.words
     assert page.count("article", "lost") == 2
 
 

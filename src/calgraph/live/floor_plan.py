@@ -216,7 +216,7 @@ def _draw_list(scanners: Sequence[ScannerSolution], root: str, top: float) -> li
 
 def _describe_scanner(scanner: ScannerSolution, root: str) -> str:
     if scanner.T_root_scanner is None:
-        return "no person detected" if not scanner.tracks else "not connected"
+        return "no person detected" if not scanner.tracks else "not calibrated"
     if scanner.name == root:
         return "origin of the plan"
     assert scanner.stddev is not None

@@ -169,7 +169,7 @@ def _render_label(label: _Label) -> str:
 def _render_node(name: str, center: Array, calibration: Calibration) -> str:
     sensor = next((s for s in calibration.sensors if s.name == name), None)
     grade: str = sensor.verdict.grade if sensor else "unconnected"
-    words = KINDS[sensor.kind].title if sensor else "not connected"
+    words = KINDS[sensor.kind].title if sensor else "not calibrated"
     if name == calibration.root:
         grade, words = "root", f"{words} · root"
     x, y = center - _NODE_SIZE / 2

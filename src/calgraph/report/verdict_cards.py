@@ -15,7 +15,7 @@ _BADGES = {
     "good": ("good", "✓", "good"),
     "weak": ("weak", "!", "weak"),
     "unobservable": ("lost", "✕", "unobservable"),
-    "unconnected": ("lost", "✕", "not connected"),
+    "unconnected": ("lost", "✕", "not calibrated"),
 }
 """CSS class, sign and word for each grade: colour is never the only indication."""
 
@@ -34,7 +34,7 @@ def summarize_verdicts(calibration: Calibration) -> str:
         return "There is nothing to calibrate: the root is the only sensor."
     if good_count == total:
         return "Every sensor is calibrated well." if total > 1 else "The sensor is calibrated well."
-    parts = [(weak, "weak"), (lost, "unobservable"), (unconnected, "not connected")]
+    parts = [(weak, "weak"), (lost, "unobservable"), (unconnected, "not calibrated")]
     outcomes = ", ".join(f"{count} {words}" for count, words in parts if count)
     if total == 1:
         return f"The sensor is {next(words for count, words in parts if count)}."

@@ -99,7 +99,7 @@ def test_reasons_are_given_from_the_side_of_either_scanner(samples: dict[str, Tr
 
 def test_walks_of_an_unconnected_scanner_are_rejected(samples: dict[str, TrackSamples]) -> None:
     (row,) = rows_of("north", samples, ("west", "east"))
-    assert (row.used, row.reason) == (False, "its scanner is not connected to the root")
+    assert (row.used, row.reason) == (False, "its scanner is not calibrated")
 
 
 @pytest.mark.parametrize(("y", "used"), [(0.4, True), (0.6, False)])

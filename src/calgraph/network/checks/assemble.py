@@ -461,7 +461,7 @@ def _assess_walk(
 ) -> tuple[bool, str, float | None]:
     """Whether the samples of a walk have matches, why not, and their RMS distance, m."""
     if name not in matches.distance:
-        return False, "its scanner is not connected to the root", None
+        return False, "its scanner is not calibrated", None
     d = matches.distance[name][walk]
     d = d[np.isfinite(d)]
     if len(d) >= min_ticks:
