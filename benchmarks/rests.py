@@ -287,6 +287,7 @@ def stream_poses(data: Path) -> tuple[RecordingTimeline, Walk]:
 
     def see(pose: int, stamp: float, seed: int) -> Image:
         gray = cv2.imread(str(folder / f"images/pose{pose}.png"), cv2.IMREAD_GRAYSCALE)
+        assert gray is not None
         noisy = gray + np.random.default_rng(seed).normal(0, 3, gray.shape)
         return Image(stamp, "", np.clip(noisy, 0, 255).astype(np.uint8))
 

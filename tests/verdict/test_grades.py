@@ -8,8 +8,10 @@ from calgraph.config.settings import VerdictSettings
 from calgraph.geometry import Array, se3, so3
 from calgraph.graph.pairwise_estimate import PairwiseEstimate
 from calgraph.result import Verdict
+from calgraph.result.finding import Finding
 from calgraph.verdict.grades import (
     axis_names,
+    collect_findings,
     find_ambiguous_poses,
     find_inconsistent_sensors,
     grade_pose,
@@ -212,3 +214,11 @@ def test_a_small_angle_to_another_pose_makes_a_scanner_ambiguous() -> None:
 def test_a_sensor_has_each_reason_once_and_in_order() -> None:
     joined = join_reasons({"top": "moved", "low": "bent"}, {"top": "noisy"}, {"top": "moved"})
     assert joined == {"top": "moved; noisy", "low": "bent"}
+
+
+def test_a_verdict_states_three_reasons_and_the_number_of_the_others() -> None:
+    findings = [Finding(f"finding {k}", ("a", "b") if k < 2 else ("a",)) for k in range(5)]
+    assert join_reasons({"a": "cause"}, collect_findings([*findings, findings[0]])) == {
+        "a": "cause; finding 0; finding 1; and 3 more, among the remarks",
+        "b": "finding 0; finding 1",
+    }

@@ -136,18 +136,32 @@ def find_inconsistent_sensors(
     return reasons
 
 
-def join_reasons(*reasons_by_sensor: Mapping[str, str]) -> dict[str, str]:
-    """The reasons of each sensor, in order and each once, as one text."""
+# Most reasons that a verdict states: what causes it comes first, and more are consequences.
+_MAX_REASONS = 3
+
+
+def join_reasons(*reasons_by_sensor: Mapping[str, str | Sequence[str]]) -> dict[str, str]:
+    """The first reasons of each sensor, in order and each once, and the number of the others, as one text."""
     joined: dict[str, dict[str, None]] = {}
     for reasons in reasons_by_sensor:
-        for name, reason in reasons.items():
-            joined.setdefault(name, {})[reason] = None
-    return {name: "; ".join(of_sensor) for name, of_sensor in joined.items()}
+        for name, given in reasons.items():
+            joined.setdefault(name, {}).update(dict.fromkeys([given] if isinstance(given, str) else given))
+    return {name: _join_first(list(of_sensor)) for name, of_sensor in joined.items()}
 
 
-def collect_findings(findings: Sequence[Finding]) -> dict[str, str]:
+def _join_first(reasons: Sequence[str]) -> str:
+    more = len(reasons) - _MAX_REASONS
+    others = [f"and {more} more, among the remarks"] if more > 0 else []
+    return "; ".join([*reasons[:_MAX_REASONS], *others])
+
+
+def collect_findings(findings: Sequence[Finding]) -> dict[str, list[str]]:
     """By sensor that findings make weak, what they are."""
-    return join_reasons(*(dict.fromkeys(finding.sensors, finding.text) for finding in findings))
+    found: dict[str, list[str]] = {}
+    for finding in findings:
+        for name in finding.sensors:
+            found.setdefault(name, []).append(finding.text)
+    return found
 
 
 def _format_error(error: float, axis: int) -> str:

@@ -47,7 +47,7 @@ from calgraph.result import (
     StatedPose,
 )
 from calgraph.result.finding import Finding
-from calgraph.verdict.grades import LONE_ROOT, collect_findings, grade_pose
+from calgraph.verdict.grades import LONE_ROOT, collect_findings, grade_pose, join_reasons
 
 _ADVICE = "let people walk farther and in more directions where the views of {name} and other scanners overlap"
 # Partners that a reason names: a scanner of a large network that no pair connects has up to 150.
@@ -112,7 +112,7 @@ def assemble_network(
         root=rig.root,
         sensors=_assemble_poses(
             rig, frames, parents, dict(zip(names, se2.to_se3(T_root_scanner) @ flips, strict=True)),
-            covariance, clocks, collect_findings(findings),
+            covariance, clocks, join_reasons(collect_findings(findings)),
         ),
         joint_covariance=covariance,
         systematic=joint.systematic.summarize(names) if joint and joint.systematic else (),

@@ -219,17 +219,15 @@ def assemble_rig(
     paired = {name for estimate in estimates for name in (estimate.sensor_a, estimate.sensor_b)}
     kinds = {name: rig.sensors[name].kind for name in connected}
     findings: list[Finding] = [*captures.findings, *find_contradictions(solution, rig, captures, held_out, drifts)]
-    inconsistent = collect_findings(findings)
     ambiguous = find_ambiguous_poses(kinds, estimates)
     if solved := solution.solved_bundle:
-        contradicted = find_contradicted_priors(
+        first = find_contradicted_priors(
             solved.bundle, solved.minimized, problem.solver.groups, settings.false_alarm_probability
         )
-        inconsistent = join_reasons(contradicted, inconsistent)
     else:
         # The baseline has no systematic parameters: pairs show a wrong scale of all detections of a sensor.
-        scaled = find_inconsistent_sensors(rig.root, kinds, estimates, settings.max_normalized_rms)
-        inconsistent = join_reasons(scaled, inconsistent)
+        first = find_inconsistent_sensors(rig.root, kinds, estimates, settings.max_normalized_rms)
+    inconsistent = join_reasons(first, collect_findings(findings))
     if not solution.converged:
         inconsistent = dict.fromkeys(connected, "the joint solution has not converged") | inconsistent
     inconsistent = {name: reason + _hint_at_background(rig) for name, reason in inconsistent.items()}
