@@ -164,7 +164,9 @@ def _message(data: bytes, _folder: Path) -> None:
     if not data:
         return
     kind, ros1 = divmod(data[0] % (2 * len(seeds.MESSAGE_TYPES)), 2)
-    definition = TypeDefinition(seeds.MESSAGE_TYPES[kind], MessageDefinitionFormat.NONE, "", bool(ros1), True)
+    definition = TypeDefinition(
+        seeds.MESSAGE_TYPES[kind], MessageDefinitionFormat.NONE, "", "ros1" if ros1 else "cdr"
+    )
     decode(make_message_type(definition), data[1:], 12.0, "a")
 
 
@@ -176,7 +178,7 @@ def _definition(data: bytes, _folder: Path) -> None:
     name = (*seeds.MESSAGE_TYPES, "a/msg/T")[data[0] // 4 % (len(seeds.MESSAGE_TYPES) + 1)]
     text = data[2:].decode(errors="replace")
     make_message_type.cache_clear()  # of 256 types, whose definitions may be long
-    kind = make_message_type(TypeDefinition(name, language, text, bool(data[0] & 2), True))
+    kind = make_message_type(TypeDefinition(name, language, text, "ros1" if data[0] & 2 else "cdr"))
     raw = b"\x00\x01\x00\x00" + bytes([data[1]]) + bytes(range(255)) * 2
     decode(kind, raw, 12.0, "a")
 

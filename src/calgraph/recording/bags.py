@@ -68,7 +68,7 @@ class BagRecording(ClosedOnExit):
     def __init__(self, path: Path, bag: BagFiles, limits: LimitSettings) -> None:
         self.path, self.sources = path, (path,)
         self._limits = limits
-        self._types: dict[tuple[str, str], MessageType] = {}
+        self._types: dict[tuple[str, str, str], MessageType] = {}
         self._stack = ExitStack()
         try:
             self._readers = tuple(self._open(file) for file in bag.files)
@@ -156,20 +156,19 @@ class BagRecording(ClosedOnExit):
         connections = [connection for connection in reader.connections if connection.topic in topics]
         if not connections:
             return
-        ros1 = isinstance(reader, Reader1)
         path = Path(str(reader.path))
         with wrap_errors(path, _ADVICE[path.suffix].format(name=path.name)):
             for connection, arrival, raw in reader.messages(connections, start_ns, stop_ns):
                 if connection.topic not in topics:
                     continue  # a damaged index names a message of another connection
-                kind = self._type(connection, ros1=ros1)
+                kind = self._type(connection)
                 data = decompress_message(raw, self._limits)
                 yield kind, RawMessage(connection.topic, kind.definition, arrival, data)
 
-    def _type(self, connection: Connection, *, ros1: bool) -> MessageType:
-        key = (connection.msgtype, connection.msgdef.data)
+    def _type(self, connection: Connection) -> MessageType:
+        key = (connection.msgtype, connection.msgdef.data, str(connection.ext))
         if key not in self._types:
-            self._types[key] = message_type(connection, ros1=ros1)
+            self._types[key] = message_type(connection)
         return self._types[key]
 
 

@@ -14,9 +14,10 @@ from calgraph.recording.file_names import describe_unmatched_numbers, find_pose_
 from calgraph.recording.recording import Recording, TopicInfo
 from calgraph.sensors import Message, RecordedMessage
 from calgraph.sensors.kinds import KINDS, recognize_kind
+from calgraph.sensors.kinds.sensor_kind import foxglove_types
 
 _OTHER_KINDS: dict[str, Kind] = {
-    "sensor_msgs/msg/CameraInfo": "camera_info",
+    **dict.fromkeys(("sensor_msgs/msg/CameraInfo", *foxglove_types("CameraCalibration")), "camera_info"),
     "sensor_msgs/msg/TimeReference": "event",
     "camera_info": "camera_info",
 }
