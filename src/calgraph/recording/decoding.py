@@ -9,6 +9,7 @@ from calgraph.config.settings import LimitSettings
 from calgraph.geometry import Array
 from calgraph.recording.camera_info import camera_model
 from calgraph.recording.damage import MAX_RANGE, check_point_count, wrap_errors
+from calgraph.recording.driver_types import LIVOX_PACKAGES, read_livox_points
 from calgraph.recording.images import (
     decode_depths,
     decode_image,
@@ -18,6 +19,7 @@ from calgraph.recording.images import (
 )
 from calgraph.recording.message_types import MessageType, clean_frame_id
 from calgraph.recording.point_cloud_columns import cloud_from_columns, columns_from_point_cloud2, points_dtype
+from calgraph.recording.velodyne_packets import columns_from_velodyne
 from calgraph.sensors import CameraInfo, CameraModel, Image, LaserScan, Message, PointCloud, Trigger
 from calgraph.sensors.kinds.sensor_kind import foxglove_types
 
@@ -40,12 +42,12 @@ def decode(
     Raises:
         RecordingError: the content is unusable, and why.
     """
-    decoder = _DECODERS.get(kind.name)
-    if decoder is None:
-        return Trigger(stamp)
+    decode_raw, decoder = _RAW_DECODERS.get(kind.name), _DECODERS.get(kind.name)
     # Damaged numbers overflow; those that are no number do not count as measured.
     with wrap_errors(where), np.errstate(all="ignore"):
-        return decoder(kind.deserialize(raw), stamp, limits)
+        if decode_raw:
+            return decode_raw(kind, raw, stamp, limits)
+        return decoder(kind.deserialize(raw), stamp, limits) if decoder else Trigger(stamp)
 
 
 def _frame_id(message: Any) -> str:
@@ -85,6 +87,28 @@ def mask_out_of_range(ranges: Array, nearest: float, farthest: float) -> Array:
 def _point_cloud2(message: Any, stamp: float, limits: LimitSettings) -> PointCloud:
     check_point_count(message.width * message.height, limits)
     return cloud_from_columns(columns_from_point_cloud2(message), stamp, _frame_id(message))
+
+
+def _point_cloud(message: Any, stamp: float, limits: LimitSettings) -> PointCloud:
+    """The type before PointCloud2: a list of points, and channels of other values."""
+    check_point_count(len(message.points), limits)
+    xyz = np.array([(point.x, point.y, point.z) for point in message.points], dtype=np.float64).reshape(-1, 3)
+    channels = {one.name: np.asarray(one.values) for one in message.channels if len(one.values) == len(xyz)}
+    return cloud_from_columns({**channels, **dict(zip("xyz", xyz.T, strict=True))}, stamp, _frame_id(message))
+
+
+def _livox_cloud(kind: MessageType, raw: bytes, stamp: float, limits: LimitSettings) -> PointCloud:
+    points = read_livox_points(raw, ros1=kind.ros1)
+    check_point_count(len(points), limits)
+    columns = {name: points[name] for name in points.dtype.names or ()}
+    return cloud_from_columns(columns, stamp, kind.digest(raw).frame_id)
+
+
+def _velodyne_scan(message: Any, stamp: float, _: LimitSettings) -> PointCloud:
+    times = np.array([one.stamp.sec + 1e-9 * one.stamp.nanosec for one in message.packets])
+    # Drivers stamp each packet when it arrives, and the scan as its first or its last one.
+    columns = columns_from_velodyne([one.data for one in message.packets], times - stamp)
+    return cloud_from_columns(columns, stamp, _frame_id(message))
 
 
 def _foxglove_cloud(message: Any, stamp: float, limits: LimitSettings) -> PointCloud:
@@ -176,8 +200,13 @@ _DECODERS: Mapping[str, _Decoder] = {
     "sensor_msgs/msg/LaserScan": _laser_scan,
     "sensor_msgs/msg/MultiEchoLaserScan": _multi_echo_laser_scan,
     "sensor_msgs/msg/PointCloud2": _point_cloud2,
+    "sensor_msgs/msg/PointCloud": _point_cloud,
+    "velodyne_msgs/msg/VelodyneScan": _velodyne_scan,
     "sensor_msgs/msg/Image": _image,
     "sensor_msgs/msg/CompressedImage": _compressed_image,
     "sensor_msgs/msg/CameraInfo": _camera_info,
     **{name: decoder for short, decoder in _FOXGLOVE.items() for name in foxglove_types(short)},
+}
+_RAW_DECODERS: Mapping[str, Callable[[MessageType, bytes, float, LimitSettings], Message]] = {
+    f"{package}/msg/CustomMsg": _livox_cloud for package in LIVOX_PACKAGES
 }

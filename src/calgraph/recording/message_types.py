@@ -13,6 +13,7 @@ from rosbags.typesys.store import Typestore
 
 from calgraph.recording.content_hash import hash_content
 from calgraph.recording.damage import LimitedStore, check_arrays, check_definition
+from calgraph.recording.driver_types import DEFINITIONS
 from calgraph.recording.foxglove_messages import decode_foxglove, is_foxglove
 from calgraph.sensors import MessageDigest
 from calgraph.sensors.kinds.stated import CONTROL_CHARACTERS, MAX_NAME_LENGTH
@@ -221,7 +222,10 @@ def _idl_parts(text: str) -> list[str]:
 
 @cache
 def _default_store(encoding: str) -> Typestore:
-    return LimitedStore(Stores.ROS1_NOETIC if encoding == "ros1" else Stores.ROS2_HUMBLE)
+    store = LimitedStore(Stores.ROS1_NOETIC if encoding == "ros1" else Stores.ROS2_HUMBLE)
+    for name, text in DEFINITIONS.items():
+        store.register(get_types_from_msg(text, name))
+    return store
 
 
 def _leading_stamp_cdr(raw: bytes) -> int:

@@ -15,7 +15,8 @@ _log = logging.getLogger(__name__)
 
 Columns = Mapping[str, NDArray[Any]]
 
-_RING_NAMES = ("ring", "channel", "laser_id", "line", "ring_id")
+# Livox calls its lasers lines, which are no rings: each measures at all elevations.
+_RING_NAMES = ("ring", "channel", "laser_id", "ring_id")
 _TIME_NAMES = ("t", "time", "timestamp", "offset_time", "time_offset", "time_stamp")
 # Seconds and nanoseconds in two fields, whole numbers each: as sick_scan_xd and others write them.
 _TIME_PAIRS = tuple(

@@ -38,7 +38,8 @@ LIDAR3D = SensorKind(
     messages=(PointCloud,),
     types=(
         "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/PointCloud", "cloud", *foxglove_types("PointCloud"),
-        "livox_ros_driver/msg/CustomMsg", "livox_ros_driver2/msg/CustomMsg", "velodyne_msgs/msg/VelodyneScan",
+        "livox_ros_driver/msg/CustomMsg", "livox_ros_driver2/msg/CustomMsg", "livox_interfaces/msg/CustomMsg",
+        "velodyne_msgs/msg/VelodyneScan",
     ),
     detects="plane",
     axes=LEVEL_AXES,
