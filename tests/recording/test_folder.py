@@ -230,7 +230,7 @@ def test_camera_info_comes_with_the_first_image(
     ("content", "complaint"),
     [
         ("[]", "must hold a mapping of keys to values"),
-        ("width: 640\nheight: 480\n", "key k"),
+        ("width: 640\nheight: 480\n", "key K"),
         ("a: [", "camera_info.yaml"),
         (MESSAGE_KEYS.replace("640", "0"), "states images of 0 x 480 pixels: .* give the intrinsics in rig.yaml"),
         (MESSAGE_KEYS.replace("480", "-1"), "states images of 640 x -1 pixels"),

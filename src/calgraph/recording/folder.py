@@ -2,7 +2,7 @@
 
 import warnings
 from collections.abc import Callable, Collection, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from calgraph.config.settings import LimitSettings
 from calgraph.errors import InputError, RecordingError
 from calgraph.geometry import Array
+from calgraph.io.image_headers import read_image_size
 from calgraph.io.yaml_limits import MAX_RIG_VALUES
 from calgraph.io.yaml_reading import read_text, read_yaml
 from calgraph.recording.camera_info import camera_from_yaml
@@ -28,7 +29,8 @@ from calgraph.recording.point_cloud_columns import cloud_from_columns
 from calgraph.recording.record_list import IndexedRecording
 from calgraph.sensors import CameraInfo, Image, LaserScan, Message, MessageDigest, PointCloud, RecordedMessage
 
-CAMERA_INFO = "camera_info.yaml"
+CAMERA_INFO = ("camera_info.yaml", "camera_info.yml", "intrinsics.yaml", "intrinsics.yml")
+"""Names of files with intrinsics, the preferred first."""
 Content = TypeVar("Content")
 _SCAN_COLUMNS = ("stamp", "angle_min", "angle_increment", "time_increment", "ranges")
 # Tolerance between the stamp in a scan and that in its file's name, which may be rounded, s.
@@ -120,11 +122,11 @@ def _find_folders(path: Path) -> tuple[list[_Folder], dict[str, str]]:
         topic = folder.resolve().name
         paths = {name: same[0] for name, same in files.items()}
         twice = next((same for same in files.values() if len(same) > 1), ())
-        info = folder / CAMERA_INFO
+        info = next((folder / name for name in CAMERA_INFO if (folder / name).is_file()), None)
         try:
             if twice:
                 raise ValueError(f"{' and '.join(sorted(one.name for one in twice))} have the same name")
-            found.append(_Folder(topic, info if info.is_file() else None, paths, interpret_names(paths)))
+            found.append(_Folder(topic, info, paths, interpret_names(paths)))
         except ValueError as error:
             example = sorted(paths.values())[0]
             unusable[topic] = (
@@ -163,7 +165,7 @@ def _suffix(path: Path) -> str | None:
 
 def _kind(path: Path) -> str:
     """The kind of content of a file, from its name; of an NPZ from its table of contents."""
-    if path.name == CAMERA_INFO:
+    if path.name in CAMERA_INFO:
         return "camera_info"
     suffix = _suffix(path)
     if suffix == ".npz":
@@ -177,7 +179,7 @@ def _decode(file: _File) -> Message:
     where = f"{file.path}: topic {file.topic}, stamp {file.stamp:.6f}"
     with wrap_errors(where), np.errstate(all="ignore"):
         check_fetched(file.path)
-        if file.path.name == CAMERA_INFO:
+        if file.path.name in CAMERA_INFO:
             return _camera_info(file)
         return _READERS[_suffix(file.path) or ""](file)
 
@@ -189,7 +191,15 @@ def _digest(file: _File) -> MessageDigest:
 
 def _camera_info(file: _File) -> CameraInfo:
     content = _wrap_input_errors(read_yaml, file.path, MAX_RIG_VALUES)
-    return CameraInfo(file.stamp, "", camera_from_yaml(content))
+    return CameraInfo(file.stamp, "", camera_from_yaml(content, _find_image_size(file.path.parent)))
+
+
+def _find_image_size(folder: Path) -> tuple[int, int] | None:
+    """Width and height of the first image in a folder; None without a usable one."""
+    image = next((path for path in sorted(folder.iterdir()) if _READERS.get(_suffix(path) or "") is _image), None)
+    with suppress(ValueError, OSError):
+        return read_image_size(image.read_bytes()) if image else None
+    return None
 
 
 def _wrap_input_errors(read: Callable[..., Content], *arguments: Any) -> Content:
