@@ -70,8 +70,20 @@ def _scan(message: Any, ranges: Array, stamp: float) -> LaserScan:
     if not np.isfinite([message.angle_min, message.angle_increment, message.time_increment]).all():
         raise ValueError("angle_min, angle_increment and time_increment must be finite")
     angles = message.angle_min + message.angle_increment * np.arange(len(ranges))
-    ranges = mask_out_of_range(ranges, message.range_min, message.range_max)
+    ranges = _limit_ranges(ranges, message.range_min, message.range_max)
     return LaserScan(stamp, _frame_id(message), angles, ranges, float(message.time_increment))
+
+
+# Beams that are all beyond the limits of a scan, for its ranges to be in another unit than these, and not noise.
+_MIN_BEYOND = 10
+
+
+def _limit_ranges(ranges: Array, nearest: float, farthest: float) -> Array:
+    """Ranges within the limits; all, where they are in another unit than the limits, which is then noticed."""
+    limited = mask_out_of_range(ranges, nearest, farthest)
+    if np.isfinite(limited).any() or len(np.unique(ranges[ranges > 10 * farthest])) < _MIN_BEYOND:
+        return limited
+    return mask_out_of_range(ranges, nearest, 0.0)
 
 
 def mask_out_of_range(ranges: Array, nearest: float, farthest: float) -> Array:

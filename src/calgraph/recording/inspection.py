@@ -13,6 +13,7 @@ from calgraph.recording.bags import BagRecording
 from calgraph.recording.camera_info import MAX_UNCALIBRATED
 from calgraph.recording.file_names import describe_unmatched_numbers, find_pose_numbers
 from calgraph.recording.recording import Recording, TopicInfo
+from calgraph.recording.sensor_topics import describe_unit, explain_unread, looks_like_sensor
 from calgraph.sensors import Message, RecordedMessage
 from calgraph.sensors.kinds import KINDS, recognize_kind
 from calgraph.sensors.kinds.sensor_kind import foxglove_types
@@ -160,9 +161,16 @@ def _summarize_topic(recording: Recording, topic: TopicInfo) -> FoundTopic:
         kind,
         topic.count,
         statistics.first.frame_id if statistics.first else "",
-        "" if statistics.first else statistics.problem,
+        _describe_problem(topic.type, kind, statistics),
         own_clock=topic.time_base == "start",
     )
+
+
+def _describe_problem(topic_type: str, kind: Kind, statistics: _TopicStatistics) -> str:
+    """Why a topic cannot be a sensor; empty if it can."""
+    if kind == "other":
+        return explain_unread(topic_type)
+    return describe_unit([statistics.first]) if statistics.first else statistics.problem
 
 
 def _kind(message_type: str, first: Message | None = None) -> Kind:
@@ -194,6 +202,10 @@ def _report(topic: TopicInfo, statistics: _TopicStatistics, start: float) -> Top
         which = "message" if statistics.unusable == 1 else f"{statistics.unusable} messages"
         later = ", later ones are used" if statistics.first else ""
         findings.append(f"the first {which} cannot be used{later}: {statistics.problem}")
+    if statistics.first and (unit := describe_unit([statistics.first])):
+        findings.append(unit)
+    if kind == "other" and topic.count and looks_like_sensor(topic.type):
+        findings.append(explain_unread(topic.type))
     if len(stamps) < topic.count:
         findings.append(f"holds {len(stamps)} messages, the recording states {topic.count}")
     elif not len(stamps):

@@ -52,16 +52,18 @@ def _make_vlp16(elevations: Sequence[float], heights: Sequence[float]) -> _Model
     return _Model(np.array(elevations), 1e-3 * np.array(heights), np.zeros(16), 0.002, times, 110.592e-6)
 
 
+# Of the manual of the VLP-16, table 9-1.
 _VLP16 = _make_vlp16(
     [-15, 1, -13, 3, -11, 5, -9, 7, -7, 9, -5, 11, -3, 13, -1, 15],
     [11.2, -0.7, 9.7, -2.2, 8.1, -3.7, 6.6, -5.1, 5.1, -6.6, 3.7, -8.1, 2.2, -9.7, 0.7, -11.2],
 )
+# The same, for the Puck Hi-Res.
 _PUCK_HI_RES = _make_vlp16(
     [-10, 0.67, -8.67, 2, -7.33, 3.33, -6, 4.67, -4.67, 6, -3.33, 7.33, -2, 8.67, -0.67, 10],
     [7.4, -0.9, 6.5, -1.8, 5.5, -2.7, 4.6, -3.7, 3.7, -4.6, 2.7, -5.5, 1.8, -6.5, 0.9, -7.4],
 )
+# Two columns of lasers 1.33° apart, which fire in turn.
 _HDL32E = _Model(
-    # Two columns of lasers 1.33° apart, which fire in turn.
     np.array([value for k in range(16) for value in (-92 + 4 * k, -28 + 4 * k)]) / 3,
     np.zeros(32),
     np.zeros(32),
@@ -69,14 +71,16 @@ _HDL32E = _Model(
     1.152e-6 * np.arange(32, dtype=np.float64),
     46.08e-6,
 )
+# Degrees, of the manual of the VLP-32C, table 9-2.
 _VLP32C_ELEVATIONS = [
     -25, -1, -1.667, -15.639, -11.31, 0, -0.667, -8.843, -7.254, 0.333, -0.333, -6.148, -5.333, 1.333, 0.667, -4,
     -4.667, 1.667, 1, -3.667, -3.333, 3.333, 2.333, -2.667, -3, 7, 4.667, -2.333, -2, 15, 10.333, -1.333,
 ]  # fmt: skip
-# In columns of lasers, 2.8° apart.
+# By column of lasers, of table 9-6, in 1.4°.
 _VLP32C_COLUMNS = [
     1, -3, 1, -1, 1, -1, 3, -1, 1, -3, 1, -1, 3, -1, 3, -1, 1, -3, 1, -3, 3, -1, 1, -1, 1, -1, 1, -3, 3, -1, 1, -1,
 ]  # fmt: skip
+# Columns are 2.8° apart, and lasers fire in pairs.
 _VLP32C = _Model(
     np.array(_VLP32C_ELEVATIONS),
     np.zeros(32),
