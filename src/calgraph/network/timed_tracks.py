@@ -58,7 +58,7 @@ def track_with_beam_times(
         findings.append(
             Finding(
                 f"{_list_names(unknown)} have no times of beams (time_increment is 0), and the tracks do not show "
-                f"whether all are measured at once: if not, people are displaced by up to {1e3 * most:.0f} mm; "
+                f"whether all are simultaneous: if not, people are displaced by up to {1e3 * most:.0f} mm; "
                 "set time_increment in the drivers, or let people walk longer where views overlap",
                 tuple(unknown),
             )

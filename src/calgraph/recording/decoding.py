@@ -21,6 +21,7 @@ from calgraph.recording.message_types import MessageType, clean_frame_id
 from calgraph.recording.point_cloud_columns import cloud_from_columns, columns_from_point_cloud2, points_dtype
 from calgraph.recording.velodyne_packets import columns_from_velodyne
 from calgraph.sensors import CameraInfo, CameraModel, Image, LaserScan, Message, PointCloud, Trigger
+from calgraph.sensors.kinds.camera import VIDEO_TYPES
 from calgraph.sensors.kinds.sensor_kind import foxglove_types
 
 # Foxglove's PackedElementField.type to NumPy's type codes.
@@ -47,6 +48,8 @@ def decode(
     with wrap_errors(where), np.errstate(all="ignore"):
         if decode_raw:
             return decode_raw(kind, raw, stamp, limits)
+        if kind.name in VIDEO_TYPES:
+            raise ValueError("a frame of a video is decoded with those before it, of a recording only")
         return decoder(kind.deserialize(raw), stamp, limits) if decoder else Trigger(stamp)
 
 
@@ -134,7 +137,7 @@ def _foxglove_cloud(message: Any, stamp: float, limits: LimitSettings) -> PointC
 
 
 def _frame_id_without_pose(message: Any) -> str:
-    """The frame of Foxglove's scans and clouds; empty where these have a frame of their own, by a pose in it."""
+    """The frame of Foxglove's scans and clouds; empty where these have a pose in it, and so a separate frame."""
     p, q = message.pose.position, message.pose.orientation
     return "" if any((p.x, p.y, p.z, q.x, q.y, q.z)) else _frame_id(message)
 

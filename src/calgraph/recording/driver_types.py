@@ -26,6 +26,10 @@ LIVOX_PACKAGES = ("livox_ros_driver", "livox_ros_driver2", "livox_interfaces")
 DEFINITIONS = {
     **{f"{package}/msg/CustomMsg": _LIVOX for package in LIVOX_PACKAGES},
     **{f"{package}/msg/CustomPoint": _LIVOX_POINT for package in LIVOX_PACKAGES},
+    "ffmpeg_image_transport_msgs/msg/FFMPEGPacket": (
+        "std_msgs/Header header\nint32 width\nint32 height\nstring encoding\nuint64 pts\nuint8 flags\n"
+        "bool is_bigendian\nuint8[] data\n"
+    ),
     "velodyne_msgs/msg/VelodynePacket": "builtin_interfaces/Time stamp\nuint8[1206] data\n",
     "velodyne_msgs/msg/VelodyneScan": "std_msgs/Header header\nVelodynePacket[] packets\n",
 }

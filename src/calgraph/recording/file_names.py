@@ -94,7 +94,7 @@ def interpret_names(names: Collection[str]) -> NamedFiles:
 
 
 def split_by_sensor(names: Collection[str]) -> dict[str, NamedFiles]:
-    """What the names of the files in one folder state, by the text beside it that tells sensors apart.
+    """What the names of the files in one folder state, by the text beside it that distinguishes sensors.
 
     They are of several sensors if together they state no clear times or numbers, or times that alternate, and
     those of each text do: ``left_1`` and ``right_1``, ``cam0_12`` and ``cam1_12``.

@@ -149,7 +149,7 @@ def _find_info(folder: Path, label: str, *, alone: bool) -> Path | None:
 def _split_sensors(files: Sequence[Path]) -> tuple[dict[str, tuple[dict[str, Path], NamedFiles]], dict[str, str]]:
     """The files of each sensor by name, and what the names state; and why other files cannot be used.
 
-    Both by the text that tells sensors in one folder apart, or the kind of their content.
+    Both by the text that distinguishes sensors in one folder, or the kind of their content.
     """
     found: dict[tuple[str, str], tuple[dict[str, Path], NamedFiles]] = {}
     failed: dict[str, str] = {}

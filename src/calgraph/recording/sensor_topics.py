@@ -17,9 +17,7 @@ from calgraph.sensors.kinds import KINDS, SENSOR_TYPES
 # How sensors' messages of types without a reader become others, by patterns of their names.
 _REPLAY = "replay the recording through its driver, and record the PointCloud2 that it publishes"
 _CONVERSIONS = {
-    r"foxglove.*CompressedVideo|FFMPEGPacket|theora": (
-        "republish it with `ros2 run image_transport republish`, and record Image or CompressedImage"
-    ),
+    r"theora": ("republish it with `ros2 run image_transport republish`, and record Image or CompressedImage"),
     r"CompressedPointCloud": "republish it with point_cloud_transport, and record PointCloud2",
     r"ouster|hesai|pandar|rslidar|robosense|nebula|lslidar|innoviz|seyond|livox|velodyne|Packet|Scan": _REPLAY,
     r"DisparityImage|DepthCloud": "record the depth image, as a depth_camera",
@@ -71,7 +69,7 @@ def check_sensor_topics(rig: Rig, recording: Recording) -> None:
     types = {topic.name: topic.type for topic in recording.topics}
     for name, topic in rig.topics.items():
         if topic in types and types[topic] not in SENSOR_TYPES:
-            raise InputError(f"sensors.{name}.topic: {topic}: {explain_unread(types[topic])}")
+            raise InputError(f"sensors.{name}: {topic}: {explain_unread(types[topic])}")
     scanners = {
         spec.topic: name
         for name, spec in rig.sensors.items()
@@ -95,4 +93,4 @@ def check_sensor_topics(rig: Rig, recording: Recording) -> None:
             break
     for topic, messages in found.items():
         if problem := describe_unit(messages):
-            raise InputError(f"sensors.{scanners[topic]}.topic: {topic}: {problem}")
+            raise InputError(f"sensors.{scanners[topic]}: {topic}: {problem}")

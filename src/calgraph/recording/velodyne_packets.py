@@ -36,7 +36,7 @@ class _Model:
     heights: Array
     """(L,) of the lasers over the origin, m."""
     azimuths: Array
-    """(L,) by which lasers are ahead of the azimuth of a block, clockwise seen from above, degrees."""
+    """(L,) by which lasers are ahead of the azimuth of a block, clockwise from above, degrees."""
     distance_unit: float
     """m."""
     firing_times: Array

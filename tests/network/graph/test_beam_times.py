@@ -85,7 +85,7 @@ def make_recording(seed: int, turn: int, **scenario: object) -> tuple[object, Me
 @pytest.mark.slow
 @pytest.mark.parametrize("turn", [1, 0, -1])
 def test_tracks_show_whether_scanners_turn(turn: int) -> None:
-    """A minute with two people in an office; in 13 such recordings of offices and labs all decisions were right."""
+    """A minute with two people in an office; in 13 such recordings of offices and labs all decisions are right."""
     rig, recording = make_recording(0, turn)
     with mock.patch("calgraph.network.timed_tracks.track_people", wraps=track_people) as tracking:
         _, _, findings = track_with_beam_times(rig, recording, NetworkOptions())  # type: ignore[arg-type]
@@ -103,4 +103,4 @@ def test_tracks_that_do_not_show_it_make_poses_weak() -> None:
     _, _, findings = track_with_beam_times(rig, recording, NetworkOptions())  # type: ignore[arg-type]
     (finding,) = findings
     assert finding.sensors
-    assert "the tracks do not show whether all are measured at once" in finding.text
+    assert "the tracks do not show whether all are simultaneous" in finding.text

@@ -1,7 +1,7 @@
-"""When the beams of scans were measured whose messages do not state it: one after the other, or all at once.
+"""When the beams of scans were measured whose messages do not state it: one after the other, or simultaneously.
 
 Drivers leave ``time_increment`` at zero for scanners that turn, and rightly so for those whose beams are
-simultaneous. Tracks tell them apart: a person whom a scanner measures a time τ after the stamp is v τ ahead of
+simultaneous. Tracks distinguish them: a person whom a scanner measures a time τ after the stamp is v τ ahead of
 where the tracks of others are at the stamp, with τ = s T u, where T is the time between scans, u from 0 to 1 the
 share of a turn from the first beam to the person, and s is 1 or -1 for a scanner that turns, and 0 otherwise.
 """
@@ -25,7 +25,7 @@ _MAX_DISTANCE, _MAX_VELOCITY_DIFFERENCE = 0.5, 0.6
 # Slower people do not show times, m/s.
 _MIN_SPEED = 0.4
 # Time within which the errors of samples of one pair of tracks count as the same, s: a step takes 0.5 s, and
-# smoothed tracks err for some steps.
+# errors of smoothed tracks last for some steps.
 _ERROR_TIME = 2.0
 # Factor on standard deviations: in 25 simulated networks (office, lab, turning and simultaneous), estimates of s
 # scattered 1.2 to 2.5 times as much as groups of samples imply. Differences between halves of the recording come

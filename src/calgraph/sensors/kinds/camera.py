@@ -66,6 +66,8 @@ class CameraSpec(OpticalSpec):
         return None if isinstance(self.intrinsics, Intrinsics) else models.get(self.intrinsics)
 
 
+VIDEO_TYPES = (*foxglove_types("CompressedVideo"), "ffmpeg_image_transport_msgs/msg/FFMPEGPacket")
+"""Types of messages with a frame of a video each."""
 CAMERA = SensorKind(
     name="camera",
     title="camera",
@@ -73,7 +75,7 @@ CAMERA = SensorKind(
     messages=(Image, DetectedCorners),
     types=(
         "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage", "image", "corners",
-        *foxglove_types("RawImage", "CompressedImage"),
+        *foxglove_types("RawImage", "CompressedImage"), *VIDEO_TYPES,
     ),
     detects="corners",
     axes=OPTICAL_AXES,
