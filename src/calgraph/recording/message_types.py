@@ -3,6 +3,7 @@
 import logging
 import re
 import struct
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from typing import Any, NamedTuple
@@ -117,11 +118,11 @@ class MessageType:
     def digest(self, raw: bytes) -> MessageDigest:
         """The frame and a hash of the content of a message; without a leading header, of all of it."""
         if self.header == _TIMESTAMP:
-            message = self.deserialize(raw)
-            content = getattr(message, "data", None)
-            return MessageDigest(
-                clean_frame_id(message.frame_id), hash_content(raw if content is None else bytes(content))
-            )
+            with suppress(Exception):  # of damaged bytes, of which the decoder states where they are
+                message = self.deserialize(raw)
+                content = getattr(message, "data", None)
+                hashed = hash_content(raw if content is None else bytes(content))
+                return MessageDigest(clean_frame_id(message.frame_id), hashed)
         if not self.header_is_first or len(raw) < _FRAME:
             return MessageDigest("", hash_content(raw))
         big_endian = not self.ros1 and not raw[1] & 1
