@@ -4,6 +4,7 @@ The property: it returns, or raises one of calgraph's own errors.
 """
 
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from functools import cache, partial
 from itertools import islice
@@ -164,8 +165,22 @@ def _message(data: bytes, _folder: Path) -> None:
     if not data:
         return
     kind, ros1 = divmod(data[0] % (2 * len(seeds.MESSAGE_TYPES)), 2)
-    definition = TypeDefinition(seeds.MESSAGE_TYPES[kind], MessageDefinitionFormat.NONE, "", bool(ros1), True)
+    definition = TypeDefinition(
+        seeds.MESSAGE_TYPES[kind], MessageDefinitionFormat.NONE, "", "ros1" if ros1 else "cdr"
+    )
     decode(make_message_type(definition), data[1:], 12.0, "a")
+
+
+def _driver_message(data: bytes, _folder: Path) -> None:
+    """A message of a driver or of Foxglove: the first byte states type and serialisation."""
+    if not data:
+        return
+    name, encoding = seeds.DRIVER_TYPES[data[0] % len(seeds.DRIVER_TYPES)]
+    kind = make_message_type(TypeDefinition(name, MessageDefinitionFormat.NONE, "", encoding))
+    with suppress(Exception):  # what reads recordings gives errors a place
+        kind.header_stamp(data[1:])
+    kind.digest(data[1:])
+    decode(kind, data[1:], 12.0, "a")
 
 
 def _definition(data: bytes, _folder: Path) -> None:
@@ -176,7 +191,7 @@ def _definition(data: bytes, _folder: Path) -> None:
     name = (*seeds.MESSAGE_TYPES, "a/msg/T")[data[0] // 4 % (len(seeds.MESSAGE_TYPES) + 1)]
     text = data[2:].decode(errors="replace")
     make_message_type.cache_clear()  # of 256 types, whose definitions may be long
-    kind = make_message_type(TypeDefinition(name, language, text, bool(data[0] & 2), True))
+    kind = make_message_type(TypeDefinition(name, language, text, "ros1" if data[0] & 2 else "cdr"))
     raw = b"\x00\x01\x00\x00" + bytes([data[1]]) + bytes(range(255)) * 2
     decode(kind, raw, 12.0, "a")
 
@@ -256,6 +271,7 @@ HARNESSES: Mapping[str, Harness] = {
     "PLY": Harness(_file("s/1.0.ply"), seeds.plys, None, ("property ", "element ", "double ", "list ")),
     "NPZ": Harness(_file("s/1.0.npz"), seeds.npzs, mutators.mutate_zip),
     "CSV scan": Harness(_file("s/1.0.csv"), lambda: [seeds.SCAN], None, ("nan", "inf", "1e300", "1_0")),
+    "points as text": Harness(_file("s/1.0.xyz"), lambda: [seeds.POINTS], None, ("nan", "1e300", "x y z", "#")),
     "image": Harness(_file("s/1.0.png"), seeds.images),
     "names of files": Harness(_names, lambda: list(seeds.NAMES), None, ("cam0_", "1773380642", ".png", "_12")),
     "corners CSV": Harness(_file("xy.csv"), lambda: list(seeds.CORNERS), None, ("nan", "1e300", "frame_time")),
@@ -265,6 +281,7 @@ HARNESSES: Mapping[str, Harness] = {
     "camera_info.yaml": Harness(_camera_info, lambda: list(seeds.CAMERA_INFO), mutators.mutate_yaml, _YAML_WORDS),
     "metadata.yaml": Harness(_metadata, lambda: [seeds.METADATA], mutators.mutate_yaml, _YAML_WORDS),
     "ROS messages": Harness(_message, seeds.messages),
+    "driver messages": Harness(_driver_message, seeds.driver_messages),
     "definitions": Harness(
         _definition,
         lambda: [bytes([28 + i % 4, 3]) + text for i, text in enumerate(seeds.DEFINITIONS)],

@@ -241,6 +241,31 @@ def messages() -> list[bytes]:
     return seeds
 
 
+DRIVER_TYPES = (
+    ("foxglove.CompressedImage", "protobuf"), ("foxglove.RawImage", "protobuf"),
+    ("foxglove.PointCloud", "protobuf"), ("foxglove.LaserScan", "protobuf"),
+    ("foxglove.CameraCalibration", "protobuf"), ("foxglove.PointCloud", "json"),
+    ("foxglove.CameraCalibration", "json"), ("livox_ros_driver2/msg/CustomMsg", "cdr"),
+    ("livox_ros_driver/msg/CustomMsg", "ros1"), ("velodyne_msgs/msg/VelodyneScan", "cdr"),
+)  # fmt: skip
+"""Type and serialisation by the first byte of an input of the harness of drivers' messages."""
+POINTS = b"x y z ring\n1 2 3 4\n5 6 7 8\n"
+
+
+def driver_messages() -> list[bytes]:
+    """A byte with type and serialisation, and then a message."""
+    time = b"\x0a\x04\x08\x0c\x10\x05"
+    packed = b"".join(b"\x2a\x07\x0a\x01" + bytes([axis]) + b"\x15" + bytes(4) for axis in b"xyz")
+    cloud = time + b"\x12\x01l\x25\x0c\0\0\0" + packed + b"\x32\x0c" + bytes(12)
+    info = (
+        b'{"timestamp": {"sec": 1, "nsec": 2}, "width": 4, "height": 3, "K": [9, 0, 2, 0, 9, 1, 0, 0, 1], "D": []}'
+    )
+    header = b"\0\x01\0\0" + bytes(8) + b"\x02\0\0\0l\0\0\0"
+    livox = header + bytes(12) + b"\x01\0\0\0" + bytes(4) + b"\x01\0\0\0" + bytes(20)
+    scan = header + b"\x01\0\0\0" + bytes(8) + bytes(1204) + b"\x37\x22"
+    return [b"\x02" + cloud, b"\x05" + info, b"\x06" + info, b"\x07" + livox, b"\x09" + scan]
+
+
 def bags1() -> list[bytes]:
     """ROS 1 bags, uncompressed and compressed in both ways."""
     store = get_typestore(Stores.ROS1_NOETIC)

@@ -20,7 +20,7 @@ EMPTY = f"\n{LINE}\nMSG: a/Part\n"
 
 
 def parse(text: str, name: str = "a/msg/T", *, ros1: bool = False) -> MessageType:
-    return make_message_type(TypeDefinition(name, MessageDefinitionFormat.MSG, text, ros1, True))
+    return make_message_type(TypeDefinition(name, MessageDefinitionFormat.MSG, text, "ros1" if ros1 else "cdr"))
 
 
 @pytest.mark.parametrize("field", ["a/Part[1000000000] parts", "string[1000000000] texts", "a/Part[1001] parts"])

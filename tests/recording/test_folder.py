@@ -123,6 +123,130 @@ def test_start_and_end_are_those_of_the_first_and_last_file(tmp_path: Path) -> N
         assert [r.stamp for r in recording.records(start=3.5, end=10.0)] == [10.0]
 
 
+def topics_of(folder: Path) -> dict[str, tuple[str, int]]:
+    with open_recording(folder) as recording:
+        return {topic.name: (topic.type, topic.count) for topic in recording.topics}
+
+
+XYZ = "1 2 3\n4 5 6\n"
+
+
+@pytest.mark.parametrize(
+    ("names", "topics"),
+    [
+        (("{}.jpg", "{}.xyz"), {"image": "image", "cloud": "cloud"}),
+        (("left_{}.png", "right_{}.png"), {"left": "image", "right": "image"}),
+        (("left{:02d}.jpg", "right{:02d}.jpg"), {"left": "image", "right": "image"}),
+        (("{:04d}_left.png", "{:04d}_right.png"), {"left": "image", "right": "image"}),
+        (("cam0_{}.png", "cam1_{}.png", "cam12_{}.png"), dict.fromkeys(("cam0", "cam1", "cam12"), "image")),
+        (("cam_0_{}.png", "cam_1_{}.png"), {"cam_0": "image", "cam_1": "image"}),
+        (("{}_cam0.png", "{}_cam1.png"), {"cam0": "image", "cam1": "image"}),
+        (("image_{}.png", "cloud_{}.xyz"), {"image": "image", "cloud": "cloud"}),
+        (("frame_{}.png", "frame_{}.xyz"), {"frame_image": "image", "frame_cloud": "cloud"}),
+        (("left_{}.png", "right_{}.png", "{}.xyz"), {"left": "image", "right": "image", "cloud": "cloud"}),
+        (("l_17733807218{}3329820.png", "r_17733807218{}3329920.png"), {"l": "image", "r": "image"}),
+    ],
+)
+@pytest.mark.parametrize("inside", ["", "data/"])
+def test_files_of_several_sensors_in_one_folder_are_told_apart(
+    tmp_path: Path, names: tuple[str, ...], topics: dict[str, str], inside: str
+) -> None:
+    for number in range(1, 6):
+        for name in names:
+            put(tmp_path, f"{inside}{name.format(number)}", XYZ if name.endswith("xyz") else png())
+    assert topics_of(tmp_path) == {f"{inside}{name}": (kind, 5) for name, kind in topics.items()}
+    with open_recording(tmp_path) as recording:
+        for record in recording.records():
+            record.decode()
+
+
+def test_images_and_clouds_of_one_number_are_one_pose(tmp_path: Path) -> None:
+    for number in range(3):
+        put(tmp_path, f"{number}.jpg", png())
+        put(tmp_path, f"{number}.xyz", XYZ)
+    with open_recording(tmp_path) as recording:
+        stamps = [(record.topic, record.stamp) for record in recording.records()]
+    assert sorted(stamps) == [(topic, 10.0 * k) for topic in ("cloud", "image") for k in range(3)]
+
+
+@pytest.mark.parametrize(
+    ("names", "kept"),
+    [
+        # Two batches of one camera, and times of one.
+        (("a_1.png", "a_2.png", "b_3.png", "b_4.png"), 4),
+        (("a_1773380721863329828.png", "a_1773380722863329828.png", "b_1773380723863329828.png"), 3),
+        # Notes and labels, and other tables, beside images.
+        (("1.png", "2.png", "1.txt", "2.txt", "notes.txt"), 2),
+        (("1.png", "2.png", "timestamps.csv"), 2),
+    ],
+)
+def test_other_files_of_one_folder_are_of_one_sensor(tmp_path: Path, names: tuple[str, ...], kept: int) -> None:
+    for name in names:
+        put(tmp_path, f"camera/{name}", png() if name.endswith("png") else XYZ)
+    assert topics_of(tmp_path) == {"camera": ("image", kept)}
+
+
+def test_intrinsics_of_one_of_two_cameras_in_a_folder_have_its_name(tmp_path: Path) -> None:
+    for name in ("left_1.png", "left_2.png", "right_1.png", "right_2.png"):
+        put(tmp_path, name, png())
+    put(tmp_path, "left_camera_info.yaml", "{width: 5, height: 4, K: [9, 9, 2, 2]}")
+    put(tmp_path, "camera_info.yaml", "{width: 5, height: 4, K: [8, 8, 2, 2]}")
+    assert set(topics_of(tmp_path)) == {"left", "right", "left/camera_info"}
+
+
+def test_intrinsics_beside_images_and_clouds_are_those_of_the_images(tmp_path: Path) -> None:
+    for name in ("1.png", "2.png", "1.xyz", "2.xyz"):
+        put(tmp_path, name, png() if name.endswith("png") else XYZ)
+    put(tmp_path, "camera_info.yaml", "{width: 5, height: 4, K: [9, 9, 2, 2]}")
+    assert set(topics_of(tmp_path)) == {"image", "cloud", "image/camera_info"}
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg", ".bmp", ".tif", ".tiff", ".webp"])
+def test_images_of_all_formats_are_read(tmp_path: Path, suffix: str) -> None:
+    put(tmp_path, f"camera/1.5{suffix}", cv2.imencode(suffix, np.full((4, 5), 7, np.uint8))[1].tobytes())
+    message = only_message(tmp_path)
+    assert isinstance(message, Image)
+    np.testing.assert_allclose(message.gray, np.full((4, 5), 7), atol=1)
+
+
+@pytest.mark.parametrize("suffix", [".xyz", ".txt", ".asc", ".pts", ".csv"])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "1 2 3\n4 5 6\n",
+        "1,2,3\n4,5,6",
+        "1.0e0; 2; 3;\r\n4; 5; 6;\r\n",
+        "x y z\n1 2 3\n4 5 6\n",
+        "# X, Y, Z, intensity\n1, 2, 3, 9\n4, 5, 6, 9\n",
+        '"x","y","z"\n1,2,3\n4,5,6\n',
+        "//X Y Z R G B\n1 2 3 255 0 0\n4 5 6 255 0 0\n",
+        "ring,z,y,x\n1,3,2,1\n2,6,5,4\n",
+        "nan nan nan\n1 2 3\n4 5 6\n",
+    ],
+)
+def test_clouds_of_text_are_read(tmp_path: Path, suffix: str, text: str) -> None:
+    put(tmp_path, f"lidar/1.5{suffix}", text)
+    message = only_message(tmp_path)
+    assert isinstance(message, PointCloud)
+    np.testing.assert_array_equal(message.points, POINTS)
+    if "ring" in text:
+        np.testing.assert_array_equal(message.rings, [1, 2])
+
+
+def test_a_text_may_state_the_number_of_its_points(tmp_path: Path) -> None:
+    put(tmp_path, "lidar/1.5.pts", "2\n1 2 3 77 255 0 0\n4 5 6 80 0 0 0\n")
+    message = only_message(tmp_path)
+    assert isinstance(message, PointCloud)
+    np.testing.assert_array_equal(message.points, POINTS)
+
+
+@pytest.mark.parametrize("text", ["1 2\n3 4\n", "1 2 3\n4 5\n", "1 2 3\na b c\n", "hello\n1 2\n"])
+def test_a_text_without_points_is_an_error_with_the_reason(tmp_path: Path, text: str) -> None:
+    put(tmp_path, "lidar/1.5.xyz", text)
+    with pytest.raises(RecordingError, match=r"1\.5\.xyz: .*(each line must have x, y and z|could not convert)"):
+        only_message(tmp_path)
+
+
 def test_topics_have_the_kind_of_the_folders_content(tmp_path: Path) -> None:
     put(tmp_path, "camera/1.png", png())
     put(tmp_path, "camera/camera_info.yaml", "{}")
@@ -230,7 +354,7 @@ def test_camera_info_comes_with_the_first_image(
     ("content", "complaint"),
     [
         ("[]", "must hold a mapping of keys to values"),
-        ("width: 640\nheight: 480\n", "key k"),
+        ("width: 640\nheight: 480\n", "key K"),
         ("a: [", "camera_info.yaml"),
         (MESSAGE_KEYS.replace("640", "0"), "states images of 0 x 480 pixels: .* give the intrinsics in rig.yaml"),
         (MESSAGE_KEYS.replace("480", "-1"), "states images of 640 x -1 pixels"),

@@ -172,6 +172,7 @@ def _choose_topics(topics: Sequence[FoundTopic]) -> tuple[list[FoundTopic], dict
             skipped[topic.name] = f"is the camera of {chosen[device].name}"
         else:
             chosen[device] = topic
+    skipped |= {t.name: t.problem for t in topics if t.kind == "other" and t.count and t.problem}
     depths = [t for t in chosen.values() if KINDS[t.kind].convert and not _REGISTERED.search(t.name)]
     for device, topic in list(chosen.items()):
         if depths and KINDS[topic.kind].convert and _REGISTERED.search(topic.name):

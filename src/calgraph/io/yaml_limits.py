@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ruamel.yaml import YAML
+from ruamel.yaml.constructor import SafeConstructor
 from ruamel.yaml.events import (
     AliasEvent,
     CollectionEndEvent,
@@ -62,8 +63,14 @@ def create_limited_yaml(path: Path, max_values: int = MAX_VALUES) -> YAML:
             limits.check(event)
             return event
 
+    class Constructor(SafeConstructor):
+        pass
+
+    # The tag that OpenCV's FileStorage gives its matrices: mappings with rows, cols, dt and data.
+    Constructor.add_constructor("tag:yaml.org,2002:opencv-matrix", SafeConstructor.construct_yaml_map)
     yaml = YAML(typ="safe", pure=True)
     yaml.Parser = LimitedParser
+    yaml.Constructor = Constructor
     return yaml
 
 

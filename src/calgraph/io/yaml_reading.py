@@ -6,6 +6,7 @@ along the model's types, which gives the key as written in the file and the keys
 
 import difflib
 import os
+import re
 import types
 import warnings
 from collections.abc import Iterable, Iterator
@@ -67,7 +68,8 @@ def parse_yaml(text: str, source: Path, max_values: int = MAX_VALUES) -> Any:
         InputError: it is not YAML, gives a key twice, or exceeds a limit of :mod:`calgraph.io.yaml_limits`.
     """
     with _wrap_yaml_errors(source):
-        return create_limited_yaml(source, max_values).load(text)
+        # OpenCV 3 and before begin with a line that is no directive of YAML, and leave out the line after it.
+        return create_limited_yaml(source, max_values).load(re.sub(r"\A%YAML:[^\n]*", "", text))
 
 
 def read_documents(path: Path) -> list[Any]:

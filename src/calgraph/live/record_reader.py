@@ -36,13 +36,7 @@ class RecordReader:
         channel = message.channel
         if channel not in self._types:
             self._types[channel] = make_message_type(
-                TypeDefinition(
-                    channel.type,
-                    _FORMATS[channel.schema_format],
-                    channel.schema,
-                    ros1=channel.encoding == "ros1",
-                    readable=True,
-                )
+                TypeDefinition(channel.type, _FORMATS[channel.schema_format], channel.schema, channel.encoding)
             )
         return make_record(
             self._types[channel], channel.topic, message.arrival / 1e9, message.data, self._source, self._limits

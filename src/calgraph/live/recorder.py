@@ -54,9 +54,7 @@ def make_cdr_schema(channel: Channel) -> CdrSchema:
     if channel.encoding == "cdr":
         idl = channel.schema_format == "ros2idl"
         return CdrSchema("ros2idl" if idl else "ros2msg", channel.schema, bytes)
-    source = make_message_type(
-        TypeDefinition(channel.type, MessageDefinitionFormat.MSG, channel.schema, ros1=True, readable=True)
-    )
+    source = make_message_type(TypeDefinition(channel.type, MessageDefinitionFormat.MSG, channel.schema, "ros1"))
     if source.store is None:
         raise ValueError(f"the definition of type {channel.type} is unknown")
     store = _find_ros2_store(source, source.store)

@@ -109,19 +109,19 @@ def _serialized_messages(recording: Recording, topics: Collection[str], after: i
 
 
 def _channel(topic: str, definition: TypeDefinition) -> Channel | None:
-    complete = complete_definition(definition) if definition.readable else None
+    complete = complete_definition(definition) if definition.is_ros else None
     if complete is None:
         return None
     of_ros2: SchemaFormat = "ros2idl" if complete.format == MessageDefinitionFormat.IDL else "ros2msg"
     return Channel(
         topic,
         complete.name,
-        "ros1" if complete.ros1 else "cdr",
-        "ros1msg" if complete.ros1 else of_ros2,
+        "ros1" if complete.encoding == "ros1" else "cdr",
+        "ros1msg" if complete.encoding == "ros1" else of_ros2,
         complete.text,
     )
 
 
 def _explain_unreadable(topic: str, definition: TypeDefinition) -> str:
-    why = "its definition is unknown" if definition.readable else "it is not serialised as CDR"
+    why = "its definition is unknown" if definition.is_ros else "it is not serialised as CDR"
     return f"{topic}: messages of type {definition.name} cannot be read: {why}"

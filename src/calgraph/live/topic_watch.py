@@ -136,4 +136,4 @@ def _stamp(kind: MessageType, message: LiveMessage) -> int:
 def _definition(channel: Channel) -> TypeDefinition:
     idl = channel.schema_format == "ros2idl"
     text_format = MessageDefinitionFormat.IDL if idl else MessageDefinitionFormat.MSG
-    return TypeDefinition(channel.type, text_format, channel.schema, channel.encoding == "ros1", readable=True)
+    return TypeDefinition(channel.type, text_format, channel.schema, channel.encoding)

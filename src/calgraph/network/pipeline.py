@@ -9,7 +9,6 @@ import numpy as np
 from calgraph.config import Rig
 from calgraph.config.settings import StationaritySettings
 from calgraph.errors import CalibrationError, InputError, Rejected
-from calgraph.graph.averaging import select_averaging
 from calgraph.network.checks.assemble import assemble_network
 from calgraph.network.checks.extension import (
     build_consistent_prior,
@@ -21,20 +20,21 @@ from calgraph.network.checks.findings import collect_network_findings
 from calgraph.network.checks.model_assessment import assess_network_model
 from calgraph.network.checks.moved_scanners import compare_network_poses
 from calgraph.network.checks.track_bumps import find_track_bump
-from calgraph.network.graph.network_initialization import NetworkInitialization, initialize_network
+from calgraph.network.graph.network_initialization import NetworkInitialization
 from calgraph.network.joint.estimate import NetworkSolution, solve_network
 from calgraph.network.joint.scanner_prior import ScannerPrior
-from calgraph.network.options import NetworkMethod, NetworkOptions
-from calgraph.network.pairs.visibility_map import ScannerObservations
-from calgraph.network.scanner_pairs import CorrectedPairs, pair_scanners
+from calgraph.network.options import NetworkOptions
+from calgraph.network.scanner_pairs import CorrectedPairs, average_pairs, pair_scanners
 from calgraph.network.step_log import log_network
-from calgraph.network.track_recording import forget_unused_beams, moving_target, scanner_spec, track_people
+from calgraph.network.timed_tracks import track_with_beam_times
+from calgraph.network.track_recording import forget_unused_beams, moving_target, scanner_spec
 from calgraph.network.tracking.stationarity import select_interval
 from calgraph.network.tracking.track import ScannerBump, ScannerTracks
 from calgraph.parallel.engine import MapEngine
 from calgraph.parallel.progress import Progress, no_progress
 from calgraph.recording import Recording
 from calgraph.recording.input_checks import InputMonitor
+from calgraph.recording.sensor_topics import check_sensor_topics
 from calgraph.result import Calibration, ExtrinsicsFile
 from calgraph.result.finding import Finding
 from calgraph.verdict.comparison import ExtrinsicsComparison
@@ -50,11 +50,13 @@ def calibrate_network(
     # Checked before minutes are spent on tracking.
     options.select_method(rig.settings.published)
     _calibration_to_extend(rig, options)
+    check_sensor_topics(rig, recording)
     monitor = InputMonitor(rig, recording.start)
-    tracks, frames = track_people(rig, recording, options, progress, monitor)
+    tracks, frames, findings = track_with_beam_times(rig, recording, options, progress, monitor)
     tracks = forget_unused_beams(rig, tracks)
+    findings = (*monitor.findings(), *findings)
     return calibrate_tracks(
-        rig, tracks, options, progress, frames=frames, start=recording.start, findings=monitor.findings()
+        rig, tracks, options, progress, frames=frames, start=recording.start, findings=findings
     )
 
 
@@ -91,7 +93,7 @@ def calibrate_tracks(
         tracked = {name: found for name, found in tracks.items() if isinstance(found, ScannerTracks)}
         rng = np.random.default_rng(options.seed)
         corrected = pair_scanners(rig, tracked, options, rng, progress)
-        initialization = _initialize(rig, corrected, method, rng)
+        initialization = average_pairs(rig, corrected, method, rng)
         with options.engine.keep_workers(rig.settings.estimation.network.max_kept_bytes) as engine:
             joint = prior = None
             # A root without connections may have no tracks.
@@ -121,20 +123,6 @@ def compare_network_extrinsics(
     """Comparison of the given poses of a network with its calibration, by its tolerance."""
     calibration = calibrate_network(rig, recording, options, progress)
     return calibration, compare_network_poses(calibration, given, rig.tolerance, settings=rig.settings.diagnostics)
-
-
-def _initialize(
-    rig: Rig, corrected: CorrectedPairs, method: NetworkMethod, rng: np.random.Generator
-) -> NetworkInitialization:
-    """Averaged poses of the scanners that pairs connect to the root."""
-    return initialize_network(
-        rig.root,
-        corrected.pairs,
-        {name: ScannerObservations.from_tracks(one) for name, one in corrected.tracked.items()},
-        rng,
-        averaging=select_averaging(method.average),
-        weighted=method.weights == "weighted",
-    )
 
 
 def _solve_jointly(

@@ -9,9 +9,11 @@ import numpy as np
 from calgraph.config import Lidar2dSpec, Rig
 from calgraph.config.settings import ClockMountingSettings
 from calgraph.errors import Rejected
+from calgraph.graph.averaging import select_averaging
 from calgraph.network.graph.clock_consensus import MAX_EVIDENCE_RATIO, SAME_CLOCK
 from calgraph.network.graph.clock_mounting_consensus import ClockMountingSolution, resolve_clocks_and_mountings
-from calgraph.network.options import NetworkOptions
+from calgraph.network.graph.network_initialization import NetworkInitialization, initialize_network
+from calgraph.network.options import NetworkMethod, NetworkOptions
 from calgraph.network.pairs.candidate_pairs import label_parts
 from calgraph.network.pairs.clock_mounting_search import (
     FIRM_EVIDENCE,
@@ -73,6 +75,20 @@ def pair_scanners(
         *_find_distant_clocks(rig, tracked, pairs, clocks, options),
     ]
     return CorrectedPairs(tracked, pairs, clocks, inverted | solution.inverted, tuple(findings))
+
+
+def average_pairs(
+    rig: Rig, corrected: CorrectedPairs, method: NetworkMethod, rng: np.random.Generator
+) -> NetworkInitialization:
+    """Averaged poses of the scanners that pairs connect to the root."""
+    return initialize_network(
+        rig.root,
+        corrected.pairs,
+        {name: ScannerObservations.from_tracks(one) for name, one in corrected.tracked.items()},
+        rng,
+        averaging=select_averaging(method.average),
+        weighted=method.weights == "weighted",
+    )
 
 
 def _estimate_pairs(

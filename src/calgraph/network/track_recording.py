@@ -3,6 +3,7 @@
 import logging
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Any
 
 from calgraph.config import Cylinder, Lidar2dSpec, People, Rig, SensorSpec
@@ -13,7 +14,7 @@ from calgraph.network.joint.leg_problem import measures_legs
 from calgraph.network.options import NetworkOptions
 from calgraph.network.step_log import log_tracks
 from calgraph.network.strategies import select_center_estimator
-from calgraph.network.tracking.scan_stack import ScanRun, ScanStackBuilder
+from calgraph.network.tracking.scan_stack import ScanRun, ScanStackBuilder, add_beam_times, find_untimed_scans
 from calgraph.network.tracking.track import ScannerTracks, decode_tracks, encode_tracks
 from calgraph.network.tracking.track_scanner import track_runs
 from calgraph.parallel.engine import THIS_PROCESS
@@ -37,7 +38,7 @@ _MAX_SCANS_IN_MEMORY = 100_000
 _BATCHES_PER_WORKER = 4
 # Fewer scans than these are tracked faster than other processes start.
 _MIN_DIVIDED_SCANS = 1000
-_TRACKS = "tracks/1"
+_TRACKS = "tracks/2"
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,16 +57,18 @@ def track_people(
     options: NetworkOptions,
     progress: Progress = no_progress,
     monitor: InputMonitor | None = None,
+    turns: Mapping[str, int] = MappingProxyType({}),
 ) -> tuple[dict[str, ScannerTracks | Rejected], dict[str, str]]:
     """The tracks of each scanner, and the frames that their messages state; a monitor observes the messages.
 
-    What an earlier run tracked in a scanner is taken from the cache of the options.
+    What an earlier run tracked in a scanner is taken from the cache of the options. Scans without times of beams
+    are taken to be of scanners that turn (1; -1 against the order of their beams) where ``turns`` states it.
     """
     moving_target(rig)
     for name, spec in rig.sensors.items():
         scanner_spec(name, spec)
     monitor = monitor or InputMonitor(rig, recording.start)
-    inputs = {name: _list_inputs(name, rig, options) for name in rig.sensors}
+    inputs = {name: _list_inputs(name, rig, options, turns.get(name, 0)) for name in rig.sensors}
     memory = ArrayMemory(rig.settings.estimation.network.max_kept_bytes)
     found = {
         name: _limit_memory(kept, memory)
@@ -79,7 +82,7 @@ def track_people(
         options.cache.reused.update(found)
         _log.info("tracks of %s: from the cache", ", ".join(found))
     unread = [name for name in rig.sensors if name not in found]
-    for tracked in _track_unread(rig, recording, unread, options):
+    for tracked in _track_unread(rig, recording, unread, options, turns):
         for name, one in tracked.items():
             found[name] = _limit_memory(one, memory)
             monitor.restore(rig.topics[name], one.observations)
@@ -112,7 +115,7 @@ def _limit_memory(tracked: _Tracked, memory: ArrayMemory) -> _Tracked:
     return replace(tracked, tracks=replace(tracks, foreground=memory.limit(tracked.tracks.foreground)))
 
 
-def _list_inputs(name: str, rig: Rig, options: NetworkOptions) -> dict[str, Any]:
+def _list_inputs(name: str, rig: Rig, options: NetworkOptions, turn: int) -> dict[str, Any]:
     """What the tracks of a scanner depend on, besides the recording."""
     return {
         "topic": rig.topics[name],
@@ -120,6 +123,7 @@ def _list_inputs(name: str, rig: Rig, options: NetworkOptions) -> dict[str, Any]
         "noise": rig.sensors[name].noise,
         "feature": options.select_method(rig.settings.published).feature,
         "settings": rig.settings.tracking,
+        "turn": turn,
     }
 
 
@@ -148,7 +152,7 @@ def scanner_spec(name: str, spec: SensorSpec) -> Lidar2dSpec:
 
 
 def _track_unread(
-    rig: Rig, recording: Recording, names: Sequence[str], options: NetworkOptions
+    rig: Rig, recording: Recording, names: Sequence[str], options: NetworkOptions, turns: Mapping[str, int]
 ) -> Iterator[dict[str, _Tracked]]:
     """What is tracked in some scanners, batch by batch in their order.
 
@@ -163,7 +167,7 @@ def _track_unread(
         engine, batches = THIS_PROCESS, 1
     limit = min(_MAX_SCANS_IN_MEMORY, -(-sum(scans) // batches))
     feature = options.select_method(rig.settings.published).feature
-    shared = rig, refer_to(recording, rig.settings.limits), feature
+    shared = rig, refer_to(recording, rig.settings.limits), feature, dict(turns)
     return engine.stream(_track_batch, ((batch,) for batch in _divide(names, scans, limit)), shared)
 
 
@@ -182,10 +186,10 @@ def _divide(names: Sequence[str], scans: Sequence[int], limit: int) -> Iterator[
 
 
 def _track_batch(
-    shared: tuple[Rig, RecordingReference, CenterFeature], names: Sequence[str]
+    shared: tuple[Rig, RecordingReference, CenterFeature, Mapping[str, int]], names: Sequence[str]
 ) -> dict[str, _Tracked]:
     """Reads the messages of some scanners, and tracks in each."""
-    rig, reference, feature = shared
+    rig, reference, feature, turns = shared
     with reference.open() as recording:
         monitor = InputMonitor(rig, recording.start)
         scans, frames = _read_scans(recording, {rig.topics[name]: name for name in names}, monitor)
@@ -193,7 +197,13 @@ def _track_batch(
     tracked = {}
     for name in names:
         noise = scanner_spec(name, rig.sensors[name]).noise
-        tracks = track_runs(scans.pop(name), target, noise, centers, rig.settings.tracking)
+        runs = scans.pop(name)
+        untimed = find_untimed_scans(runs)
+        if untimed and name in turns:
+            runs, untimed = add_beam_times(runs, untimed, turns[name]), None
+        tracks = track_runs(runs, target, noise, centers, rig.settings.tracking)
+        if isinstance(tracks, ScannerTracks):
+            tracks = replace(tracks, untimed=untimed)
         tracked[name] = _Tracked(tracks, frames.get(name), monitor.observations(rig.topics[name]))
     return tracked
 

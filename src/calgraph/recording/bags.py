@@ -7,6 +7,7 @@ including their QoS settings and silently drops those whose metadata.yaml differ
 import math
 from collections.abc import Collection, Iterator
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -26,7 +27,7 @@ from calgraph.recording.bag_files import (
 from calgraph.recording.chunk_limits import has_index, is_finished, open_reader
 from calgraph.recording.damage import check_fetched, wrap_errors
 from calgraph.recording.message_types import MessageType, TypeDefinition, message_type
-from calgraph.recording.record_list import make_record
+from calgraph.recording.record_list import make_record, place_of
 from calgraph.recording.recording import (
     ClosedOnExit,
     TopicInfo,
@@ -35,7 +36,9 @@ from calgraph.recording.recording import (
     merge_topics,
     select_topics,
 )
+from calgraph.recording.video_messages import KEYFRAME_TIME, VideoStream, is_video
 from calgraph.sensors import RecordedMessage
+from calgraph.sensors.kinds.camera import VIDEO_TYPES
 
 _ADVICE = {
     ".bag": "it may be truncated: try `rosbag reindex` and `rosbag check`, or copy it again",
@@ -68,7 +71,7 @@ class BagRecording(ClosedOnExit):
     def __init__(self, path: Path, bag: BagFiles, limits: LimitSettings) -> None:
         self.path, self.sources = path, (path,)
         self._limits = limits
-        self._types: dict[tuple[str, str], MessageType] = {}
+        self._types: dict[tuple[str, str, str], MessageType] = {}
         self._stack = ExitStack()
         try:
             self._readers = tuple(self._open(file) for file in bag.files)
@@ -84,6 +87,7 @@ class BagRecording(ClosedOnExit):
         self.end = max((reader.end_time - 1 for reader in filled), default=0) / 1e9
         # What was recorded or copied after the end that is missing is known to be missing.
         self.topics = _topics(self._readers, () if self.notices else bag.stated)
+        self._videos = frozenset(topic.name for topic in self.topics if topic.type in VIDEO_TYPES)
 
     def records(
         self, topics: Collection[str] | None = None, start: float | None = None, end: float | None = None
@@ -141,10 +145,22 @@ class BagRecording(ClosedOnExit):
     ) -> Iterator[RecordedMessage]:
         start_ns = None if start is None else max(0, math.floor(start * 1e9) - _MARGIN_NS)
         stop_ns = None if end is None else math.ceil(end * 1e9) + _MARGIN_NS
+        if start_ns and topics.intersection(self._videos):
+            start_ns = max(0, start_ns - round(KEYFRAME_TIME * 1e9))
+        videos: dict[str, VideoStream] = {}
         for kind, message in self._stored_messages(reader, topics, start_ns, stop_ns):
             arrival = message.arrival / 1e9
-            if (start is None or arrival >= start) and (end is None or arrival <= end):
-                yield make_record(kind, message.topic, arrival, message.data, self.path, self._limits)
+            is_wanted = (start is None or arrival >= start) and (end is None or arrival <= end)
+            if not (is_wanted or is_video(kind)):
+                continue
+            record = make_record(kind, message.topic, arrival, message.data, self.path, self._limits)
+            if is_video(kind):
+                stream = videos.setdefault(message.topic, VideoStream(self._limits))
+                record = replace(
+                    record, decode=stream.add(kind, message.data, record.stamp, place_of(self.path, record))
+                )
+            if is_wanted:
+                yield record
 
     def _raw_messages_of(self, reader: Reader1 | Reader2, topics: set[str], after: int) -> Iterator[RawMessage]:
         messages = (message for _, message in self._stored_messages(reader, topics, max(0, after), None))
@@ -156,20 +172,19 @@ class BagRecording(ClosedOnExit):
         connections = [connection for connection in reader.connections if connection.topic in topics]
         if not connections:
             return
-        ros1 = isinstance(reader, Reader1)
         path = Path(str(reader.path))
         with wrap_errors(path, _ADVICE[path.suffix].format(name=path.name)):
             for connection, arrival, raw in reader.messages(connections, start_ns, stop_ns):
                 if connection.topic not in topics:
                     continue  # a damaged index names a message of another connection
-                kind = self._type(connection, ros1=ros1)
+                kind = self._type(connection)
                 data = decompress_message(raw, self._limits)
                 yield kind, RawMessage(connection.topic, kind.definition, arrival, data)
 
-    def _type(self, connection: Connection, *, ros1: bool) -> MessageType:
-        key = (connection.msgtype, connection.msgdef.data)
+    def _type(self, connection: Connection) -> MessageType:
+        key = (connection.msgtype, connection.msgdef.data, str(connection.ext))
         if key not in self._types:
-            self._types[key] = message_type(connection, ros1=ros1)
+            self._types[key] = message_type(connection)
         return self._types[key]
 
 

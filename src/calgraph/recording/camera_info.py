@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Mapping
+from itertools import islice
 from typing import Any, Literal
 
 import numpy as np
@@ -10,11 +11,14 @@ from calgraph.config import Intrinsics, Rig
 from calgraph.errors import InputError, RecordingError
 from calgraph.geometry import Array
 from calgraph.recording.recording import Recording
-from calgraph.sensors import CameraInfo, CameraModel
+from calgraph.sensors import CameraInfo, CameraModel, Message
 from calgraph.sensors.kinds import OpticalSpec
 
 # As the intrinsics of rig.yaml: the longest lenses have focal lengths of some 100,000 pixels.
 _MAX_INTRINSIC = 1e6
+MAX_UNCALIBRATED = 1000
+"""Messages of zeros after which a camera is taken as not calibrated: drivers send them until they have loaded its
+calibration, for seconds at 10 to 60 Hz. Reading on would take a pass over the recording."""
 _FISHEYE = ("equidistant", "fisheye", "kannala_brandt")
 _PINHOLE = ("plumb_bob", "rational_polynomial", "radtan", "pinhole", "none", "")
 
@@ -57,22 +61,35 @@ def camera_model(distortion_model: str, width: int, height: int, K: Array, D: Ar
     return CameraModel(model, int(width), int(height), matrix, distortion)
 
 
-def camera_from_yaml(content: Mapping[str, Any]) -> CameraModel:
+def camera_from_yaml(content: Mapping[str, Any], size: tuple[int, int] | None = None) -> CameraModel:
     """A camera model from a camera_info.yaml.
 
-    Understands the keys of ROS's camera_calibration (``image_width``, ``camera_matrix: {data}``, ...) and those of
-    the CameraInfo message (``width``, ``K``, ``D``, in either case).
+    Understands the keys of ROS's camera_calibration and of OpenCV's samples (``image_width``, ``camera_matrix:
+    {data}``, ``M1``), those of the CameraInfo message (``width``, ``K``, ``D``), and what else programs call them
+    (``cameraMatrix``, ``dist_coeffs``), in either case, with or without underscores.
+
+    Args:
+        content: of the file.
+        size: width and height of the images, of files that do not state it.
 
     Raises:
         ValueError: a key is missing or has an unusable value.
     """
-    keys = {str(key).lower(): value for key, value in content.items()}
+    keys = {str(key).lower().replace("_", ""): value for key, value in content.items()}
+    if {"m1", "m2"} <= keys.keys():
+        raise ValueError("has the matrices of two cameras, M1 and M2: leave those of this camera in its file")
+    width, height = _first_of(keys, "image_size", "resolution", default=size or (None, None))
+    model = _first_of(keys, "distortion_model", "camera_model", default="")
     return camera_model(
-        str(_first_of(keys, "distortion_model", "camera_model", default="")),
-        int(_first_of(keys, "width", "image_width")),
-        int(_first_of(keys, "height", "image_height")),
-        _numbers(_first_of(keys, "k", "camera_matrix")),
-        _numbers(_first_of(keys, "d", "distortion_coefficients", default=[])),
+        "fisheye" if keys.get("fisheyemodel") else str(model),
+        int(_first_of(keys, "width", "image_width", default=width)),
+        int(_first_of(keys, "height", "image_height", default=height)),
+        _numbers(_first_of(keys, "K", "camera_matrix", "mtx", "M", "M1", "M2")),
+        _numbers(
+            _first_of(
+                keys, "D", "distortion_coefficients", "dist_coeffs", "distortion", "dist", "D1", "D2", default=[]
+            )
+        ),
     )
 
 
@@ -88,20 +105,24 @@ def _camera_matrix(K: Array) -> Array:
 def _distortion(name: str, D: Array) -> tuple[Literal["pinhole", "fisheye"], Array]:
     if not np.isfinite(D).all():
         raise ValueError(f"distortion must be finite, got {D[:9].tolist()}")
+    # As ROS's image_geometry does: no coefficient means none under any name, that of a fisheye included.
+    if not D.any():
+        return "pinhole", np.zeros(0)
     if name.startswith(_FISHEYE):
         if D.size > 4 and not D[4:].any():
             D = D[:4]
-        if D.size not in (0, 4):
+        if D.size != 4:
             raise ValueError(f"a fisheye camera has 4 distortion coefficients, got {D.size}")
-        return "fisheye", D if D.size else np.zeros(4)
+        return "fisheye", D
     if name not in _PINHOLE:
         known = "plumb_bob, rational_polynomial, equidistant"
-        raise ValueError(f"distortion model {name!r} is not supported; known are {known}")
+        raise ValueError(
+            f"distortion model {name!r} is not supported; known are {known}: give intrinsics of one of these in "
+            "rig.yaml, or intrinsics: estimate"
+        )
     # Longer lists carry thin-prism and tilt terms; all-zero ones have no effect.
     if D.size > 8 and not D[8:].any():
         D = D[:8]
-    if not D.any():
-        return "pinhole", np.zeros(0)
     if D.size not in (4, 5, 8):
         raise ValueError(f"a pinhole camera has 4, 5 or 8 distortion coefficients, got {D.size}")
     return "pinhole", D
@@ -114,8 +135,8 @@ def _numbers(value: Any) -> Array:
 
 def _first_of(keys: Mapping[str, Any], *names: str, default: Any = None) -> Any:
     for name in names:
-        if keys.get(name) is not None:
-            return keys[name]
+        if (value := keys.get(name.lower().replace("_", ""))) is not None:
+            return value
     if default is None:
         raise ValueError(f"key {names[0]} (or {names[1]}) is missing")
     return default
@@ -168,12 +189,16 @@ def _read_camera(name: str, spec: OpticalSpec, recording: Recording) -> CameraMo
     topic = _find_camera_info(spec, recording)
     if topic is None:
         return None
-    try:
-        message = next((r.decode() for r in recording.records([topic])), None)
-    except RecordingError as error:
-        if isinstance(error.__cause__, UncalibratedError):
-            return None
-        raise
+    message: Message | None = None
+    for record in islice(recording.records([topic]), MAX_UNCALIBRATED):
+        try:
+            message = record.decode()
+            break
+        except RecordingError as error:
+            if not isinstance(error.__cause__, UncalibratedError):
+                raise
+    else:
+        return None
     if not isinstance(message, CameraInfo):
         raise InputError(f"sensors.{name}.camera_info: topic {topic} holds no CameraInfo message")
     return message.camera

@@ -1,7 +1,7 @@
-"""Limits of the chunks of bags, and of YAML in them; rosbags has none.
+"""Limits of the chunks of bags, and of YAML in them; rosbags has none. MCAPs that are not of ROS 2, too.
 
-Its functions for chunks and QoS profiles are replaced by ones that do the same within limits, as nothing else
-reaches them. What these refuse, rosbags would refuse later, or never come to an end with.
+Its functions for chunks, QoS profiles and schemas are replaced by ones that do the same within limits, or for more
+encodings; nothing else reaches them. What limits refuse, rosbags would refuse later, or never come to an end with.
 """
 
 import bz2
@@ -10,21 +10,24 @@ from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from pathlib import Path
 from struct import unpack
-from typing import Any
+from typing import Any, BinaryIO
 
 import apsw
 import lz4.frame
+from rosbags.interfaces import MessageDefinition, MessageDefinitionFormat
 from rosbags.rosbag1 import Reader as Reader1
 from rosbags.rosbag1 import reader as bags1
 from rosbags.rosbag2 import Reader as Reader2
 from rosbags.rosbag2 import ReaderError, metadata, storage_mcap, storage_sqlite3
+from rosbags.typesys.msg import normalize_msgtype
 
 from calgraph.config.settings import LimitSettings
 from calgraph.errors import InputError
 from calgraph.io.yaml_limits import check_yaml_limits
 from calgraph.recording.damage import check_unpacked_size
 from calgraph.recording.indexed_bag import LimitedBagReader
-from calgraph.recording.unfinished_mcap import complete_mcap, lacks_end
+from calgraph.recording.message_types import serialization_of
+from calgraph.recording.unfinished_mcap import complete_mcap, lacks_end, replace_start
 
 if sys.version_info >= (3, 14):
     from compression import zstd
@@ -33,6 +36,8 @@ else:
 
 # Records of an MCAP.
 _CHUNK = 0x06
+# Behind magic number and head of the first record: the profile, of which readers ignore the rest of the record.
+_PROFILE_START, _ROS2_PROFILE = 8 + 9, b"\x04\x00\x00\x00ros2"
 # Values of the QoS profiles of one topic: some 20 for each publisher.
 _MAX_QOS_VALUES = 5000
 
@@ -63,6 +68,20 @@ def _parse_qos(text: Any) -> Any:
     return metadata.parse_qos(text)
 
 
+def _read_string(file: BinaryIO) -> str:
+    """A text of an MCAP, or a schema, which may be of bytes."""
+    return storage_mcap.read_bytes(file).decode(errors="replace")
+
+
+def _get_msgdef(schema: storage_mcap.Schema | None) -> MessageDefinition:
+    """The definition of a type; empty where its language is not of ROS: Foxglove's types are known without."""
+    if schema is not None and schema.encoding == "ros1msg":
+        return MessageDefinition(MessageDefinitionFormat.MSG, schema.data)
+    return _get_ros2_msgdef(schema if schema and schema.encoding in _ROS2_LANGUAGES else None)
+
+
+_ROS2_LANGUAGES = ("ros2msg", "ros2idl", "omgidl", "")
+_get_ros2_msgdef = storage_mcap.get_msgdef
 _DECOMPRESSORS: Mapping[str, Callable[[], Any]] = {
     "lz4": lz4.frame.LZ4FrameDecompressor,
     "zstd": zstd.ZstdDecompressor,
@@ -72,6 +91,7 @@ for _name in ("lz4", "zstd"):
     storage_mcap.DECOMPRESSORS[_name] = partial(unpack_chunk, decompressor=_DECOMPRESSORS[_name])
 for _module in (storage_mcap, storage_sqlite3):
     vars(_module).update(parse_qos=_parse_qos)
+vars(storage_mcap).update(read_string=_read_string, get_msgdef=_get_msgdef)
 
 
 class _McapReader(storage_mcap.McapReader):
@@ -81,7 +101,17 @@ class _McapReader(storage_mcap.McapReader):
     is_finished = True
 
     def _open(self) -> None:
-        """Reads the index of the file, or makes one where it has no end."""
+        """Reads the index of the file, or makes one where it has no end; names of types become those of ROS 2."""
+        assert self.bio
+        # Profiles only name conventions: the encoding of each topic decides whether it can be read.
+        self.bio = replace_start(self.bio, _ROS2_PROFILE, _PROFILE_START)
+        self._read_index_or_make_it()
+        self.connections = [
+            one._replace(msgtype=normalize_msgtype(one.msgtype)) if serialization_of(one) == "ros1" else one
+            for one in self.connections
+        ]
+
+    def _read_index_or_make_it(self) -> None:
         try:
             super()._open()
         except ReaderError:

@@ -13,6 +13,8 @@ _MAX_NUMBER = 10**9
 """Numbers from here on are times: seconds since 1970 have ten digits."""
 # Seconds in one unit of whole numbers since 1970, by their number of digits from 2001 to 2286.
 _EPOCH_UNITS = {13: 1e3, 16: 1e6, 19: 1e9}
+_RUN = re.compile(r"\d+(?:\.\d+)?")
+_SENSOR_NUMBER = re.compile(r"(?<=[A-Za-z])[_-]?\d{1,2}(?![\d.])")
 _EPOCH = re.compile(r"(?<!\d)(\d{10}\.\d+|\d{19})(?!\d)")
 
 
@@ -89,6 +91,53 @@ def interpret_names(names: Collection[str]) -> NamedFiles:
     if all(len(found) == 1 for found in inside.values()):
         return NamedFiles("times", {name: parse_stamp(found) or 0.0 for name, (found,) in inside.items()})
     return NamedFiles("numbers", _find_numbers(names))
+
+
+def split_by_sensor(names: Collection[str]) -> dict[str, NamedFiles]:
+    """What the names of the files in one folder state, by the text beside it that distinguishes sensors.
+
+    They are of several sensors if together they state no clear times or numbers, or times that alternate, and
+    those of each text do: ``left_1`` and ``right_1``, ``cam0_12`` and ``cam1_12``.
+
+    Raises:
+        ValueError: as for :func:`interpret_names`.
+    """
+    groups = _group_by_text(names)
+    try:
+        together = interpret_names(names)
+    except ValueError:
+        if len(groups) == 1:
+            raise
+        return {text: interpret_names(group) for text, group in groups.items()}
+    if together.meaning == "times" and len(groups) > 1:
+        times = {text: [together.values[name] for name in group] for text, group in groups.items()}
+        if max(map(min, times.values())) < min(map(max, times.values())):
+            return {text: interpret_names(group) for text, group in groups.items()}
+    return {next(iter(groups)) if len(groups) == 1 else "": together}
+
+
+def _group_by_text(names: Collection[str]) -> dict[str, list[str]]:
+    """Names by their text without the one number of which that leaves the fewest texts; all, where these are none.
+
+    A number is part of the text where it has at most two digits and follows a letter, as that of a camera does.
+    """
+    best: dict[str, list[str]] = {}
+    for position in (-1, 0, -2, 1):
+        groups: dict[str, list[str]] = {}
+        for name in names:
+            runs = list(_RUN.finditer(name))
+            if -len(runs) <= position < len(runs):
+                run = runs[position]
+                groups.setdefault(f"{name[: run.start()]}_{name[run.end() :]}", []).append(name)
+            else:
+                groups.setdefault(name, []).append(name)
+        if not best or len(groups) < len(best):
+            best = groups
+    others = {tuple(re.findall(r"\d+", _SENSOR_NUMBER.sub("", text))) for text in best}
+    sizes = [len(group) for group in best.values()]
+    texts = {re.sub(r"[\W_]+", "_", text).strip("_"): group for text, group in best.items()}
+    is_split = len(others) == 1 and len(texts) == len(best) and 2 * min(sizes) >= max(sizes)
+    return texts if is_split and (min(sizes) > 1 or len(texts) == 1) else {"": list(names)}
 
 
 def resolve_stamps(folders: Iterable[NamedFiles]) -> tuple[FileStamps, ...]:

@@ -1,8 +1,8 @@
-"""Plain folders: ``<sensor>/<time or number>.<png|jpg|pcd|ply|npz|csv>`` beside a ``camera_info.yaml``."""
+"""Plain folders: ``<sensor>/<time or number>.<png|jpg|pcd|ply|npz|csv|...>`` beside a ``camera_info.yaml``."""
 
 import warnings
-from collections.abc import Callable, Collection, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -15,24 +15,29 @@ from numpy.typing import NDArray
 from calgraph.config.settings import LimitSettings
 from calgraph.errors import InputError, RecordingError
 from calgraph.geometry import Array
+from calgraph.io.image_headers import read_image_size
 from calgraph.io.yaml_limits import MAX_RIG_VALUES
 from calgraph.io.yaml_reading import read_text, read_yaml
 from calgraph.recording.camera_info import camera_from_yaml
 from calgraph.recording.content_hash import hash_file
 from calgraph.recording.damage import check_fetched, check_point_count, check_unpacked_size, wrap_errors
 from calgraph.recording.decoding import mask_out_of_range
-from calgraph.recording.file_names import FileStamps, NamedFiles, interpret_names, resolve_stamps
+from calgraph.recording.file_names import FileStamps, NamedFiles, resolve_stamps, split_by_sensor
 from calgraph.recording.images import decode_image, decode_png_depths
 from calgraph.recording.pcd import read_pcd, read_ply
 from calgraph.recording.point_cloud_columns import cloud_from_columns
+from calgraph.recording.point_text import is_point_table, parse_points
 from calgraph.recording.record_list import IndexedRecording
 from calgraph.sensors import CameraInfo, Image, LaserScan, Message, MessageDigest, PointCloud, RecordedMessage
 
-CAMERA_INFO = "camera_info.yaml"
+CAMERA_INFO = ("camera_info.yaml", "camera_info.yml", "intrinsics.yaml", "intrinsics.yml")
+"""Names of files with intrinsics, the preferred first."""
 Content = TypeVar("Content")
 _SCAN_COLUMNS = ("stamp", "angle_min", "angle_increment", "time_increment", "ranges")
 # Tolerance between the stamp in a scan and that in its file's name, which may be rounded, s.
 _STAMP_TOLERANCE = 1e-3
+# Of the first line of a CSV, bytes: that of a scan has some 60, that of points as many as they have values.
+_MAX_HEAD = 1000
 
 
 @dataclass(frozen=True)
@@ -57,7 +62,10 @@ class _Folder:
 
 
 class FolderRecording(IndexedRecording):
-    """A folder with one folder of files per sensor, whose name is the topic; or a folder with one sensor's files.
+    """A folder with one folder of files per sensor, whose name is the topic; or a folder with the sensors' files.
+
+    Of several sensors in one folder the topics are the texts in the names of their files (``left_1``,
+    ``right_1``), or the kinds of their content (``image`` and ``cloud``).
 
     The stamp and arrival of a file follow from its name, see :mod:`calgraph.recording.file_names`. A
     ``camera_info.yaml`` is one message on the topic ``<sensor>/camera_info`` that arrives with the sensor's first
@@ -109,42 +117,82 @@ class FolderRecording(IndexedRecording):
 
 
 def _find_folders(path: Path) -> tuple[list[_Folder], dict[str, str]]:
-    """The sensors' folders, and by the names of others with such files why they cannot be used."""
+    """The files of each sensor, and by the names of others with such files why they cannot be used."""
     found: list[_Folder] = []
     unusable: dict[str, str] = {}
-    inner = {folder: _files_by_name(folder) for folder in sorted(path.iterdir()) if folder.is_dir()}
-    by_folder = inner if any(inner.values()) else {path: _files_by_name(path)}
+    inner = {folder: _list_readable(folder) for folder in sorted(path.iterdir()) if folder.is_dir()}
+    by_folder = inner if any(inner.values()) else {path: _list_readable(path)}
     for folder, files in by_folder.items():
-        if not files:
-            continue
-        topic = folder.resolve().name
-        paths = {name: same[0] for name, same in files.items()}
-        twice = next((same for same in files.values() if len(same) > 1), ())
-        info = folder / CAMERA_INFO
-        try:
-            if twice:
-                raise ValueError(f"{' and '.join(sorted(one.name for one in twice))} have the same name")
-            found.append(_Folder(topic, info if info.is_file() else None, paths, interpret_names(paths)))
-        except ValueError as error:
-            example = sorted(paths.values())[0]
-            unusable[topic] = (
-                f"{example}: neither the time of the file nor the number of its pose is clear from its name, as "
-                f"{error}; name the files of each sensor <seconds>{_suffix(example)}, by 19 digits of "
-                f"nanoseconds, or by the number of the pose (pose12{_suffix(example)})"
-            )
+        name = folder.resolve().name
+        sensors, failed = _split_sensors(files)
+        if len(sensors) > 1:
+            inside = "" if folder == path else f"{name}/"
+            images = [label for label, (paths, _) in sensors.items() if _kind(min(paths.values())) == "image"]
+            found += [
+                _Folder(f"{inside}{label}", _find_info(folder, label, alone=images == [label]), *content)
+                for label, content in sensors.items()
+            ]
+            unusable |= {f"{inside}{label}": reason for label, reason in failed.items()}
+        elif sensors:
+            found += [_Folder(name, _find_info(folder, "", alone=True), *one) for one in sensors.values()]
+        elif failed:
+            unusable[name] = next(iter(failed.values()))
     return found, unusable
 
 
-def _files_by_name(folder: Path) -> dict[str, list[Path]]:
-    """The files of messages in a folder, by name without suffix."""
-    files: dict[str, list[Path]] = {}
-    for path in sorted(folder.iterdir()):
-        suffix = _suffix(path)
-        # A link that leads nowhere is the file of a message, too, which is to be named when it is read.
-        is_file = path.is_file() or (path.is_symlink() and not path.exists())
-        if suffix is not None and not path.name.startswith(".") and is_file:
-            files.setdefault(path.name[: -len(suffix)], []).append(path)
-    return files
+def _find_info(folder: Path, label: str, *, alone: bool) -> Path | None:
+    """The intrinsics of the images with a label in a folder, or of the only images."""
+    names = [*(f"{label}_{name}" for name in CAMERA_INFO), *(CAMERA_INFO if alone else ())]
+    return next((folder / name for name in names if (folder / name).is_file()), None)
+
+
+def _split_sensors(files: Sequence[Path]) -> tuple[dict[str, tuple[dict[str, Path], NamedFiles]], dict[str, str]]:
+    """The files of each sensor by name, and what the names state; and why other files cannot be used.
+
+    Both by the text that distinguishes sensors in one folder, or the kind of their content.
+    """
+    found: dict[tuple[str, str], tuple[dict[str, Path], NamedFiles]] = {}
+    failed: dict[str, str] = {}
+    kinds = {suffix: _kind(path) for path in reversed(files) if (suffix := _suffix(path))}
+    for kind in dict.fromkeys(kinds.values()):
+        of_kind = [path for path in files if kinds[_suffix(path) or ""] == kind]
+        paths = {path.name[: -len(_suffix(path) or "")]: path for path in of_kind}
+        try:
+            if len(paths) < len(of_kind):
+                twice = next(path for path in of_kind if path not in paths.values())
+                other = paths[twice.name[: -len(_suffix(twice) or "")]]
+                raise ValueError(f"{twice.name} and {other.name} have the same name")
+            for text, names in split_by_sensor(paths).items():
+                found[text, kind] = {name: paths[name] for name in names.values}, names
+        except ValueError as error:
+            failed[kind] = _explain_names(min(of_kind), error)
+    texts = [text for text, _ in found]
+    return {
+        (text or kind) if texts.count(text) == 1 or not text else f"{text}_{kind}": content
+        for (text, kind), content in found.items()
+    }, failed
+
+
+def _explain_names(example: Path, error: ValueError) -> str:
+    suffix = _suffix(example)
+    return (
+        f"{example}: neither the time of the file nor the number of its pose is clear from its name, as {error}; "
+        f"name the files of each sensor <seconds>{suffix}, by 19 digits of nanoseconds, or by the number of the "
+        f"pose (pose12{suffix})"
+    )
+
+
+def _list_readable(folder: Path) -> list[Path]:
+    """The files of messages in a folder; texts only where there are no others, as they may be notes or labels."""
+    # A link that leads nowhere is the file of a message, too, which is to be named when it is read.
+    files = [
+        path
+        for path in sorted(folder.iterdir())
+        if _suffix(path)
+        and not path.name.startswith(".")
+        and (path.is_file() or (path.is_symlink() and not path.exists()))
+    ]
+    return [path for path in files if _suffix(path) != _TEXT] or files
 
 
 def _list_files(folder: _Folder, stamped: FileStamps, limits: LimitSettings) -> Iterator[_File]:
@@ -162,22 +210,26 @@ def _suffix(path: Path) -> str | None:
 
 
 def _kind(path: Path) -> str:
-    """The kind of content of a file, from its name; of an NPZ from its table of contents."""
-    if path.name == CAMERA_INFO:
+    """The kind of content of a file, from its name; of an NPZ or CSV from its table of contents."""
+    suffix = _suffix(path) or ""
+    if not suffix:
         return "camera_info"
-    suffix = _suffix(path)
     if suffix == ".npz":
         check_fetched(path)
         with wrap_errors(path), _open_npz(path) as arrays:
             return "scan" if "ranges" in arrays else "cloud"
-    return {".csv": "scan", ".pcd": "cloud", ".pcd.gz": "cloud", ".ply": "cloud"}.get(suffix or "", "image")
+    if suffix == ".csv":
+        check_fetched(path)
+        with path.open("rb") as file:
+            return "cloud" if is_point_table(file.readline(_MAX_HEAD).decode(errors="replace")) else "scan"
+    return "image" if _READERS[suffix] is _image else "cloud"
 
 
 def _decode(file: _File) -> Message:
     where = f"{file.path}: topic {file.topic}, stamp {file.stamp:.6f}"
     with wrap_errors(where), np.errstate(all="ignore"):
         check_fetched(file.path)
-        if file.path.name == CAMERA_INFO:
+        if _suffix(file.path) is None:
             return _camera_info(file)
         return _READERS[_suffix(file.path) or ""](file)
 
@@ -189,7 +241,15 @@ def _digest(file: _File) -> MessageDigest:
 
 def _camera_info(file: _File) -> CameraInfo:
     content = _wrap_input_errors(read_yaml, file.path, MAX_RIG_VALUES)
-    return CameraInfo(file.stamp, "", camera_from_yaml(content))
+    return CameraInfo(file.stamp, "", camera_from_yaml(content, _find_image_size(file.path.parent)))
+
+
+def _find_image_size(folder: Path) -> tuple[int, int] | None:
+    """Width and height of the first image in a folder; None without a usable one."""
+    image = next((path for path in sorted(folder.iterdir()) if _READERS.get(_suffix(path) or "") is _image), None)
+    with suppress(ValueError, OSError):
+        return read_image_size(image.read_bytes()) if image else None
+    return None
 
 
 def _wrap_input_errors(read: Callable[..., Content], *arguments: Any) -> Content:
@@ -247,7 +307,14 @@ def _npz(file: _File) -> Message:
     return cloud_from_columns({**columns, **dict(zip("xyz", points.T, strict=True))}, file.stamp)
 
 
-def _csv(file: _File) -> LaserScan:
+def _points(file: _File) -> PointCloud:
+    columns = parse_points(_wrap_input_errors(read_text, file.path), file.limits)
+    return cloud_from_columns(columns, file.stamp)
+
+
+def _csv(file: _File) -> LaserScan | PointCloud:
+    if _kind(file.path) == "cloud":
+        return _points(file)
     text = _wrap_input_errors(read_text, file.path)
     check_point_count(text.count(","), file.limits)
     lines = [line for line in text.splitlines() if line.strip()]
@@ -288,13 +355,13 @@ def _number(values: Mapping[str, NDArray[Any]], name: str, default: float = np.n
     return number
 
 
+_TEXT = ".txt"
 _READERS: dict[str, Callable[[_File], Message]] = {
-    ".png": _image,
-    ".jpg": _image,
-    ".jpeg": _image,
+    **dict.fromkeys((".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp"), _image),
     ".pcd": _pcd,
     ".pcd.gz": _pcd,
     ".ply": _ply,
     ".npz": _npz,
     ".csv": _csv,
+    **dict.fromkeys((".xyz", ".pts", ".asc", _TEXT), _points),
 }

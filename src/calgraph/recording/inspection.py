@@ -10,13 +10,16 @@ from calgraph.config import FoundTopic, Kind
 from calgraph.errors import RecordingError
 from calgraph.geometry import STDDEV_PER_MAD, Array
 from calgraph.recording.bags import BagRecording
+from calgraph.recording.camera_info import MAX_UNCALIBRATED
 from calgraph.recording.file_names import describe_unmatched_numbers, find_pose_numbers
 from calgraph.recording.recording import Recording, TopicInfo
+from calgraph.recording.sensor_topics import describe_unit, explain_unread, looks_like_sensor
 from calgraph.sensors import Message, RecordedMessage
 from calgraph.sensors.kinds import KINDS, recognize_kind
+from calgraph.sensors.kinds.sensor_kind import foxglove_types
 
 _OTHER_KINDS: dict[str, Kind] = {
-    "sensor_msgs/msg/CameraInfo": "camera_info",
+    **dict.fromkeys(("sensor_msgs/msg/CameraInfo", *foxglove_types("CameraCalibration")), "camera_info"),
     "sensor_msgs/msg/TimeReference": "event",
     "camera_info": "camera_info",
 }
@@ -92,7 +95,11 @@ class _TopicStatistics:
     stamps: "array[float]" = field(default_factory=lambda: array("d"))
     arrivals: "array[float]" = field(default_factory=lambda: array("d"))
     first: Message | None = None
+    """That can be used."""
+    unusable: int = 0
+    """Messages before it, which were decoded."""
     problem: str = ""
+    """Of the first of them."""
 
 
 def find_topics(recording: Recording) -> tuple[FoundTopic, ...]:
@@ -145,7 +152,8 @@ def _summarize_topic(recording: Recording, topic: TopicInfo) -> FoundTopic:
     if _kind(topic.type) in (*KINDS, "camera_info"):
         for record in recording.records([topic.name]):
             _add_record(statistics, record)
-            break
+            if statistics.first or statistics.unusable == MAX_UNCALIBRATED:
+                break
     kind = _kind(topic.type, statistics.first)
     return FoundTopic(
         topic.name,
@@ -153,9 +161,16 @@ def _summarize_topic(recording: Recording, topic: TopicInfo) -> FoundTopic:
         kind,
         topic.count,
         statistics.first.frame_id if statistics.first else "",
-        statistics.problem,
+        _describe_problem(topic.type, kind, statistics),
         own_clock=topic.time_base == "start",
     )
+
+
+def _describe_problem(topic_type: str, kind: Kind, statistics: _TopicStatistics) -> str:
+    """Why a topic cannot be a sensor; empty if it can."""
+    if kind == "other":
+        return explain_unread(topic_type)
+    return describe_unit([statistics.first]) if statistics.first else statistics.problem
 
 
 def _kind(message_type: str, first: Message | None = None) -> Kind:
@@ -165,12 +180,14 @@ def _kind(message_type: str, first: Message | None = None) -> Kind:
 
 
 def _add_record(statistics: _TopicStatistics, record: RecordedMessage) -> None:
-    if not statistics.stamps:
+    if statistics.first is None and statistics.unusable < MAX_UNCALIBRATED:
         try:
             statistics.first = record.decode()
         except RecordingError as error:
+            statistics.unusable += 1
             # The report already names the recording and the topic.
-            statistics.problem = str(error).partition(": topic ")[2].partition(": ")[2] or str(error)
+            problem = str(error).partition(": topic ")[2].partition(": ")[2] or str(error)
+            statistics.problem = statistics.problem or problem
     statistics.stamps.append(record.stamp)
     statistics.arrivals.append(record.arrival)
 
@@ -180,7 +197,15 @@ def _report(topic: TopicInfo, statistics: _TopicStatistics, start: float) -> Top
     stamps, arrivals = np.array(statistics.stamps), np.array(statistics.arrivals)
     numbers = find_pose_numbers(stamps) if topic.time_base == "pose" else set()
     timing = _timing(stamps, arrivals, start) if len(stamps) and not numbers else None
-    findings = [f"the first message cannot be used: {statistics.problem}"] if statistics.problem else []
+    findings = []
+    if statistics.problem:
+        which = "message" if statistics.unusable == 1 else f"{statistics.unusable} messages"
+        later = ", later ones are used" if statistics.first else ""
+        findings.append(f"the first {which} cannot be used{later}: {statistics.problem}")
+    if statistics.first and (unit := describe_unit([statistics.first])):
+        findings.append(unit)
+    if kind == "other" and topic.count and looks_like_sensor(topic.type):
+        findings.append(explain_unread(topic.type))
     if len(stamps) < topic.count:
         findings.append(f"holds {len(stamps)} messages, the recording states {topic.count}")
     elif not len(stamps):

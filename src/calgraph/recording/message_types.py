@@ -3,6 +3,7 @@
 import logging
 import re
 import struct
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from typing import Any, NamedTuple
@@ -13,12 +14,16 @@ from rosbags.typesys.store import Typestore
 
 from calgraph.recording.content_hash import hash_content
 from calgraph.recording.damage import LimitedStore, check_arrays, check_definition
+from calgraph.recording.driver_types import DEFINITIONS
+from calgraph.recording.foxglove_messages import decode_foxglove, is_foxglove
 from calgraph.sensors import MessageDigest
 from calgraph.sensors.kinds.stated import CONTROL_CHARACTERS, MAX_NAME_LENGTH
 
 _log = logging.getLogger(__name__)
 
-_HEADER = "std_msgs/msg/Header"
+_HEADER, _TIME = "std_msgs/msg/Header", "builtin_interfaces/msg/Time"
+# In place of a header, Foxglove's messages have a time and a frame_id.
+_TIMESTAMP = "timestamp"
 # Where the characters of a leading header's frame_id begin, both in CDR and as ROS 1 serialises.
 _FRAME = 16
 _IDL_SEPARATOR = "=" * 80 + "\n"
@@ -36,10 +41,13 @@ class TypeDefinition(NamedTuple):
     """The language of the text."""
     text: str
     """The definitions of the type and of those it contains."""
-    ros1: bool
-    """Serialised as ROS 1 does, else as CDR."""
-    readable: bool
-    """Whether the serialisation is one of these two."""
+    encoding: str
+    """How messages are serialised, as MCAP calls it: ``cdr`` (ROS 2), ``ros1``, ``protobuf``, ``json``, …"""
+
+    @property
+    def is_ros(self) -> bool:
+        """Whether messages are serialised as ROS 1 or ROS 2 does."""
+        return self.encoding in ("cdr", "ros1")
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +59,8 @@ class MessageType:
     store: Typestore | None
     """Knows the fields; None where the definition is missing or cannot be parsed."""
     header: str | None
-    """Name of the field with the header; empty if the message is itself a header, None if it has none."""
+    """Name of the field with the header, or with Foxglove's time; empty if the message is itself a header, None
+    without one."""
     header_is_first: bool
     """Whether the message's bytes start with the header."""
 
@@ -63,7 +72,12 @@ class MessageType:
     @property
     def ros1(self) -> bool:
         """Serialised as ROS 1 does, else as CDR."""
-        return self.definition.ros1
+        return self.definition.encoding == "ros1"
+
+    @property
+    def is_known(self) -> bool:
+        """Whether its fields are known."""
+        return self.store is not None or self.header == _TIMESTAMP
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Stores contain classes made at run time, which cannot be pickled.
@@ -73,9 +87,11 @@ class MessageType:
         """The message as an object with the fields of its definition.
 
         Raises:
-            ValueError: the definition is unknown.
+            ValueError: the definition is unknown, or the bytes do not fit it.
             rosbags.serde.SerdeError: the bytes do not fit the definition.
         """
+        if not self.definition.is_ros:
+            return decode_foxglove(raw, self.name, self.definition.encoding)
         if self.store is None:
             raise ValueError(f"the definition of type {self.name} is unknown")
         if self.ros1:
@@ -94,12 +110,19 @@ class MessageType:
         if self.header_is_first:
             stamp = _leading_stamp_ros1(raw) if self.ros1 else _leading_stamp_cdr(raw)
         else:
-            time = getattr(self.deserialize(raw), self.header).stamp
+            header = getattr(self.deserialize(raw), self.header)
+            time = header if self.header == _TIMESTAMP else header.stamp
             stamp = time.sec * 10**9 + time.nanosec
         return stamp or None
 
     def digest(self, raw: bytes) -> MessageDigest:
         """The frame and a hash of the content of a message; without a leading header, of all of it."""
+        if self.header == _TIMESTAMP:
+            with suppress(Exception):  # of damaged bytes, of which the decoder states where they are
+                message = self.deserialize(raw)
+                content = getattr(message, "data", None)
+                hashed = hash_content(raw if content is None else bytes(content))
+                return MessageDigest(clean_frame_id(message.frame_id), hashed)
         if not self.header_is_first or len(raw) < _FRAME:
             return MessageDigest("", hash_content(raw))
         big_endian = not self.ros1 and not raw[1] & 1
@@ -115,18 +138,18 @@ def clean_frame_id(text: str) -> str:
     return _CONTROL_CHARACTERS.sub("", text)[:MAX_NAME_LENGTH]
 
 
-def message_type(connection: Connection, *, ros1: bool) -> MessageType:
-    """The type of a connection's messages: as the recording defines it, else as ROS does."""
-    readable = (
-        ros1
-        or not isinstance(connection.ext, ConnectionExtRosbag2)
-        or (connection.ext.serialization_format in ("cdr", ""))
-    )
+def serialization_of(connection: Connection) -> str:
+    """How the messages of a connection are serialised, as MCAP calls it."""
+    ext = connection.ext
+    return ext.serialization_format or "cdr" if isinstance(ext, ConnectionExtRosbag2) else "ros1"
+
+
+def message_type(connection: Connection) -> MessageType:
+    """The type of a connection's messages: as the recording defines it, else as ROS or Foxglove do."""
+    encoding = serialization_of(connection)
     definition = connection.msgdef
-    kind = make_message_type(
-        TypeDefinition(connection.msgtype, definition.format, definition.data, ros1, readable)
-    )
-    if kind.store is None:
+    kind = make_message_type(TypeDefinition(connection.msgtype, definition.format, definition.data, encoding))
+    if not kind.is_known:
         _log.debug(
             "topic %s: type %s is unknown, its messages serve as triggers only", connection.topic, kind.name
         )
@@ -137,13 +160,18 @@ def message_type(connection: Connection, *, ros1: bool) -> MessageType:
 def make_message_type(definition: TypeDefinition) -> MessageType:
     """The type that a definition describes."""
     name = definition.name
-    store = _make_store(definition) if definition.readable else None
+    if not definition.is_ros:
+        known = is_foxglove(name) and definition.encoding in ("protobuf", "json")
+        return MessageType(definition, None, _TIMESTAMP if known else None, False)
+    store = _make_store(definition)
     if store is None:
         return MessageType(definition, None, None, False)
     if name == _HEADER:
         return MessageType(definition, store, "", True)
     fields = store.fielddefs[name][1]
     headers = [field for field, kind in fields if kind == (Nodetype.NAME, _HEADER)]
+    if is_foxglove(name) and (_TIMESTAMP, (Nodetype.NAME, _TIME)) in fields:
+        return MessageType(definition, store, _TIMESTAMP, False)
     if not headers:
         return MessageType(definition, store, None, False)
     return MessageType(definition, store, headers[0], fields[0][0] == headers[0])
@@ -156,16 +184,16 @@ def complete_definition(definition: TypeDefinition) -> TypeDefinition | None:
     """
     if definition.format != MessageDefinitionFormat.NONE and definition.text:
         return definition
-    store = _default_store(definition.ros1)
+    store = _default_store(definition.encoding)
     if definition.name not in store.fielddefs:
         return None
-    text, _ = store.generate_msgdef(definition.name, ros_version=1 if definition.ros1 else 2)
+    text, _ = store.generate_msgdef(definition.name, ros_version=1 if definition.encoding == "ros1" else 2)
     return definition._replace(format=MessageDefinitionFormat.MSG, text=text)
 
 
 def ros2_definition(name: str) -> TypeDefinition | None:
     """The definition of a type of ROS 2, serialised as CDR; None where ROS 2 has none of this name."""
-    return complete_definition(TypeDefinition(name, MessageDefinitionFormat.NONE, "", ros1=False, readable=True))
+    return complete_definition(TypeDefinition(name, MessageDefinitionFormat.NONE, "", "cdr"))
 
 
 def _make_store(definition: TypeDefinition) -> Typestore | None:
@@ -183,7 +211,7 @@ def _make_store(definition: TypeDefinition) -> Typestore | None:
             return store
     except Exception as error:  # the parsers raise many kinds, and the topic may not be needed
         _log.debug("definition of %s not understood: %s", definition.name, error)
-    default = _default_store(definition.ros1)
+    default = _default_store(definition.encoding)
     return default if definition.name in default.fielddefs else None
 
 
@@ -194,8 +222,11 @@ def _idl_parts(text: str) -> list[str]:
 
 
 @cache
-def _default_store(ros1: bool) -> Typestore:
-    return LimitedStore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
+def _default_store(encoding: str) -> Typestore:
+    store = LimitedStore(Stores.ROS1_NOETIC if encoding == "ros1" else Stores.ROS2_HUMBLE)
+    for name, text in DEFINITIONS.items():
+        store.register(get_types_from_msg(text, name))
+    return store
 
 
 def _leading_stamp_cdr(raw: bytes) -> int:

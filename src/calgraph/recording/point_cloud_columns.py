@@ -1,7 +1,7 @@
 """Point clouds from named columns, as PointCloud2, PCD, PLY and NPZ hold them."""
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,8 @@ _log = logging.getLogger(__name__)
 
 Columns = Mapping[str, NDArray[Any]]
 
-_RING_NAMES = ("ring", "channel", "laser_id", "line", "ring_id")
+# Livox calls its lasers lines, which are no rings: each measures at all elevations.
+_RING_NAMES = ("ring", "channel", "laser_id", "ring_id")
 _TIME_NAMES = ("t", "time", "timestamp", "offset_time", "time_offset", "time_stamp")
 # Seconds and nanoseconds in two fields, whole numbers each: as sick_scan_xd and others write them.
 _TIME_PAIRS = tuple(
@@ -42,26 +43,46 @@ def columns_from_point_cloud2(message: Any) -> Columns:
         ValueError: fields, steps and data do not fit together.
     """
     height, width, step = int(message.height), int(message.width), int(message.point_step)
-    fields = {field.name: field for field in message.fields}
-    pairs = (name for pair in _TIME_PAIRS for name in pair)
-    used = {"x", "y", "z", *_RING_NAMES, *_TIME_NAMES, *pairs}
-    names = [name for name in fields if name in used]
-    for name in names:
-        if fields[name].datatype not in _DATATYPES:
-            raise ValueError(f"field {name} has unknown datatype {fields[name].datatype}; 1 to 8 are known")
-    order = ">" if message.is_bigendian else "<"
-    formats = [order + _DATATYPES[fields[name].datatype] for name in names]
-    offsets = [int(fields[name].offset) for name in names]
-    for name, offset, code in zip(names, offsets, formats, strict=True):
-        if offset + np.dtype(code).itemsize > step:
-            raise ValueError(f"field {name} at offset {offset} does not fit into the point step of {step} bytes")
-    dtype = np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": step})
+    dtype = points_dtype(message.fields, _DATATYPES, step, big_endian=bool(message.is_bigendian))
+    names = dtype.names or ()
     data = np.ascontiguousarray(message.data, dtype=np.uint8)
     row = _row_step(message, len(data))
     if width == 0 or height == 0:
         return {name: np.empty(0, dtype[name]) for name in names}
     points = np.ndarray((height, width), dtype, buffer=data.data, strides=(row, step))
     return {name: points[name].ravel() for name in names}
+
+
+def points_dtype(
+    packed: Iterable[Any], datatypes: Mapping[int, str], step: int, *, big_endian: bool = False
+) -> np.dtype[Any]:
+    """The layout of a point, of the fields that are read.
+
+    Args:
+        packed: all its fields: name, offset in bytes, and ``datatype`` (ROS) or ``type`` (Foxglove).
+        datatypes: NumPy's type codes by the number of the type.
+        step: size of a point, bytes.
+        big_endian: byte order.
+
+    Raises:
+        ValueError: a field has an unknown type, or does not fit into the point.
+    """
+    fields = {field.name: field for field in packed}
+    pairs = (name for pair in _TIME_PAIRS for name in pair)
+    used = {"x", "y", "z", *_RING_NAMES, *_TIME_NAMES, *pairs}
+    names = [name for name in fields if name in used]
+    # Called so by ROS, and by Foxglove.
+    key = "datatype" if all(hasattr(fields[name], "datatype") for name in names) else "type"
+    types = [int(getattr(fields[name], key)) for name in names]
+    for name, number in zip(names, types, strict=True):
+        if number not in datatypes:
+            raise ValueError(f"field {name} has unknown datatype {number}; 1 to 8 are known")
+    formats = [(">" if big_endian else "<") + datatypes[number] for number in types]
+    offsets = [int(fields[name].offset) for name in names]
+    for name, offset, code in zip(names, offsets, formats, strict=True):
+        if offset + np.dtype(code).itemsize > step:
+            raise ValueError(f"field {name} at offset {offset} does not fit into the point step of {step} bytes")
+    return np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": step})
 
 
 def _row_step(message: Any, size: int) -> int:

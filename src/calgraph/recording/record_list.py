@@ -70,6 +70,11 @@ class _Place(NamedTuple):
         return f"{self.source}: topic {self.topic}, {self.time} {self.value:.6f}"
 
 
+def place_of(source: object, record: RecordedMessage) -> object:
+    """Where a message is, for error messages."""
+    return _Place(source, record.topic, "stamp", record.stamp)
+
+
 def make_record(
     kind: MessageType, topic: str, arrival: float, raw: bytes, source: object, limits: LimitSettings
 ) -> RecordedMessage:

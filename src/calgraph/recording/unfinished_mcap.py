@@ -93,7 +93,17 @@ def complete_mcap(file: BinaryIO, limits: LimitSettings) -> BinaryIO:
         Exception: anything that rosbags raises for damaged bytes.
     """
     end, tail = _make_tail(file, limits)
-    return io.BufferedReader(_FileWithTail(file, end, tail))
+    return io.BufferedReader(_SplicedFile(file, b"", end, tail))
+
+
+def replace_start(file: BinaryIO, content: bytes, position: int) -> BinaryIO:
+    """The file with other bytes near its start; the file itself where it has them, or is too short."""
+    head, replaced = file.read(position), file.read(len(content))
+    end = file.seek(0, io.SEEK_END)
+    file.seek(0)
+    if replaced == content or len(replaced) < len(content):
+        return file
+    return io.BufferedReader(_SplicedFile(file, head + content, end, b""))
 
 
 def finish_mcap(path: Path, limits: LimitSettings) -> None:
@@ -324,11 +334,11 @@ def _pack(op: int, content: bytes) -> bytes:
     return _HEAD.pack(op, len(content)) + content
 
 
-class _FileWithTail(io.RawIOBase):
-    """A file up to a position, followed by bytes in memory."""
+class _SplicedFile(io.RawIOBase):
+    """A file up to a position, followed by bytes in memory; other bytes may be in place of its first ones."""
 
-    def __init__(self, file: BinaryIO, end: int, tail: bytes) -> None:
-        self._file, self._end, self._tail = file, end, tail
+    def __init__(self, file: BinaryIO, head: bytes, end: int, tail: bytes) -> None:
+        self._file, self._head, self._end, self._tail = file, head, end, tail
         self._position = 0
 
     def readable(self) -> bool:
@@ -347,7 +357,9 @@ class _FileWithTail(io.RawIOBase):
 
     def readinto(self, buffer: "WriteableBuffer", /) -> int:
         view: Any = memoryview(buffer).cast("B")
-        if self._position < self._end:
+        if self._position < len(self._head):
+            data = self._head[self._position : self._position + len(view)]
+        elif self._position < self._end:
             self._file.seek(self._position)
             data = self._file.read(min(len(view), self._end - self._position))
         else:

@@ -150,7 +150,7 @@ class _FrameDecoder:
                 self._advance()
             if self._frame is None or self._number != number or self._frame.is_corrupt:
                 raise ValueError("the frame is damaged or missing")
-            return _to_pixels(self._frame)
+            return to_pixels(self._frame)
 
     def close(self) -> None:
         """Closes the file."""
@@ -188,14 +188,24 @@ def is_video(path: Path) -> bool:
     return path.suffix.lower() in VIDEO_SUFFIXES and path.is_file() and not path.name.startswith(".")
 
 
-def _open(path: Path) -> "InputContainer":
+def import_av(what: object) -> Any:
+    """PyAV, which reads videos.
+
+    Raises:
+        InputError: it is not installed.
+    """
     try:
         import av
     except ImportError:
         raise InputError(
-            f"{path}: videos need PyAV, which is not installed: pip install 'calgraph[video]'"
+            f"{what}: videos need PyAV, which is not installed: pip install 'calgraph[video]'"
         ) from None
-    return av.open(str(path))
+    return av
+
+
+def _open(path: Path) -> "InputContainer":
+    container: InputContainer = import_av(path).open(str(path))
+    return container
 
 
 def _find_stream(container: "InputContainer") -> "VideoStream":
@@ -265,7 +275,7 @@ def _find_damage(container: "InputContainer", stream: "VideoStream", count: int,
     return ""
 
 
-def _to_pixels(frame: "VideoFrame") -> Pixels:
+def to_pixels(frame: "VideoFrame") -> Pixels:
     """(height, width) grey or (height, width, 3) BGR; deep grey values are stretched as those of images are."""
     if frame.format.name == "gray":
         return np.asarray(frame.to_ndarray(), dtype=np.uint8)

@@ -14,6 +14,7 @@ from calgraph.graph.spanning_tree import SpanningTree
 from calgraph.parallel.processes import forked_jobs, parallel_call
 from calgraph.parallel.progress import Progress, no_progress
 from calgraph.recording import Recording, convert_images, resolve_intrinsics
+from calgraph.recording.sensor_topics import check_sensor_topics
 from calgraph.result import Calibration
 from calgraph.rig.bundle.camera_boards import align_symmetric_prints, locate_boards, scale_boards
 from calgraph.rig.bundle.estimate import solve_bundle, solve_poses
@@ -87,13 +88,8 @@ def calibrate_detections(
         InputError: detections and rig do not fit together.
     """
     _check_board(rig)
-    rng = np.random.default_rng(options.seed)
-    return _save_and_solve(
-        build_problem_from_captures(
-            rig, captures_from_detections(rig, detections, cameras), options, rng, progress
-        ),
-        options,
-    )
+    captures, rng = captures_from_detections(rig, detections, cameras), np.random.default_rng(options.seed)
+    return _save_and_solve(build_problem_from_captures(rig, captures, options, rng, progress), options)
 
 
 def _save_and_solve(problem: Problem, options: RigOptions) -> Calibration:
@@ -108,6 +104,7 @@ def build_problem(
     """Builds the joint problem from a recording; arguments and errors are those of :func:`calibrate_rig`."""
     _check_board(rig)
     options.select_method(rig.settings.published)  # checked before minutes are spent on detection
+    check_sensor_topics(rig, recording)
     rng = np.random.default_rng(options.seed)
     rig, recording = convert_images(rig, recording)
     recording = separate_snapshots(rig, recording)

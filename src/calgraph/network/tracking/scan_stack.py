@@ -65,6 +65,59 @@ def stack_scans(scans: Iterable[LaserScan]) -> tuple[ScanRun, ...]:
     return builder.runs()
 
 
+@dataclass(frozen=True)
+class UntimedScans:
+    """Scans whose messages do not state the time from beam to beam."""
+
+    first_angle: float
+    """Of the first beam, rad."""
+    step: float
+    """From one beam to the next, rad, with sign."""
+    period: float
+    """From one scan to the next, s."""
+
+    @property
+    def increment(self) -> float:
+        """Time from beam to beam of a scanner that turns once a scan, s."""
+        return self.period * abs(self.step) / (2 * np.pi)
+
+    def turn_times(self, angles: Array) -> Array:
+        """Times after the first beam at which a scanner that turns once a scan measures at angles (N,), s."""
+        turned = (angles - self.first_angle) * np.sign(self.step) % (2 * np.pi)
+        return np.asarray(self.period * turned / (2 * np.pi), dtype=np.float64)
+
+
+def find_untimed_scans(runs: Sequence[ScanRun]) -> UntimedScans | None:
+    """The scans of a scanner, if none of them states a time from beam to beam; None with fewer than two."""
+    if any(run.increments.any() for run in runs):
+        return None
+    longest = max(runs, key=len, default=None)
+    if longest is None or len(longest) < 2 or len(longest.angles) < 2:
+        return None
+    step = float(longest.angles[-1] - longest.angles[0]) / (len(longest.angles) - 1)
+    return UntimedScans(float(longest.angles[0]), step, float(np.median(np.diff(longest.stamps))))
+
+
+def add_beam_times(runs: Sequence[ScanRun], scans: UntimedScans, turn: int) -> tuple[ScanRun, ...]:
+    """The scans with times of their beams, of a scanner that turns once a scan.
+
+    Args:
+        runs: without times.
+        scans: what they have in common.
+        turn: 1 if beams are measured in the order in which they are sent, -1 if in the opposite one, which they
+            then get; 0 changes nothing.
+    """
+    return tuple(
+        ScanRun(
+            run.angles[:: turn or 1],
+            run.stamps,
+            abs(turn) * scans.increment + run.increments,
+            run.ranges[:, :: turn or 1],
+        )
+        for run in runs
+    )
+
+
 def coverage_intervals(runs: Sequence[ScanRun], max_gap: float) -> Array:
     """(W, 2) start and end of the intervals without a time longer than ``max_gap`` between scans, s."""
     stamps = np.concatenate([run.stamps for run in runs])

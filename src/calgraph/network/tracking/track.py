@@ -1,7 +1,7 @@
 """The result of tracking in one scanner: tracks, the static background, their archive, and corrected tracks."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,7 @@ from calgraph.errors import Rejected
 from calgraph.geometry import Array
 from calgraph.io.columns import INDEX, NUMBER, Arrays, Column, Table
 from calgraph.network.tracking.clusters import Foreground
+from calgraph.network.tracking.scan_stack import UntimedScans
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,6 +97,8 @@ class ScannerTracks:
     """The beams that end before the static background, tracked or not; None where only tracks are given."""
     background_tested: bool = False
     """Whether it measured enough static background to find bumps."""
+    untimed: UntimedScans | None = None
+    """Its scans, where they have no times of beams."""
 
     def select(self, interval: tuple[float, float]) -> "ScannerTracks":
         """The same with positions and beams between two stamps only, s."""
@@ -179,6 +182,8 @@ def encode_tracks(tracked: ScannerTracks | Rejected) -> tuple[dict[str, Any], Ar
     }
     if tracked.coverage is not None:
         arrays["coverage"] = tracked.coverage
+    if tracked.untimed is not None:
+        arrays["untimed"] = np.array(astuple(tracked.untimed))
     if tracked.foreground is not None:
         arrays |= {f"{_FOREGROUND}{name}": values for name, values in vars(tracked.foreground).items()}
     return {"rejected": None, "background_tested": tracked.background_tested}, arrays
@@ -209,4 +214,5 @@ def decode_tracks(content: Mapping[str, Any], arrays: Arrays) -> ScannerTracks |
         (start, end),
         Foreground(**beams) if beams else None,
         content["background_tested"],
+        UntimedScans(*arrays["untimed"].tolist()) if "untimed" in arrays else None,
     )

@@ -6,7 +6,7 @@ from pydantic import Discriminator, Tag
 
 from calgraph.io.quantities import PixelSigma, PixelStddev, Ratio, TimeStddev
 from calgraph.io.strict_model import StrictModel
-from calgraph.sensors.kinds.sensor_kind import OPTICAL_AXES, SensorKind
+from calgraph.sensors.kinds.sensor_kind import OPTICAL_AXES, SensorKind, foxglove_types
 from calgraph.sensors.kinds.stated import Intrinsics, OpticalSpec, TimeUncertainty, word_or_values
 from calgraph.sensors.messages import DetectedCorners, Image
 
@@ -66,12 +66,17 @@ class CameraSpec(OpticalSpec):
         return None if isinstance(self.intrinsics, Intrinsics) else models.get(self.intrinsics)
 
 
+VIDEO_TYPES = (*foxglove_types("CompressedVideo"), "ffmpeg_image_transport_msgs/msg/FFMPEGPacket")
+"""Types of messages with a frame of a video each."""
 CAMERA = SensorKind(
     name="camera",
     title="camera",
     spec=CameraSpec,
     messages=(Image, DetectedCorners),
-    types=("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage", "image", "corners"),
+    types=(
+        "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage", "image", "corners",
+        *foxglove_types("RawImage", "CompressedImage"), *VIDEO_TYPES,
+    ),
     detects="corners",
     axes=OPTICAL_AXES,
     shape="frustum",
@@ -81,4 +86,4 @@ CAMERA = SensorKind(
     residual="reprojection error",
     noise_causes="check focus, exposure and motion blur, its intrinsics, and what is printed",
     error_causes="its intrinsics, and the sizes of the printed tags or squares",
-)
+)  # fmt: skip

@@ -6,7 +6,7 @@ import numpy as np
 
 from calgraph.io.quantities import DegreeStddev, Metres, Ratio, Tilt
 from calgraph.io.strict_model import StrictModel
-from calgraph.sensors.kinds.sensor_kind import LEVEL_AXES, SensorKind
+from calgraph.sensors.kinds.sensor_kind import LEVEL_AXES, SensorKind, foxglove_types
 from calgraph.sensors.kinds.stated import ClockOffset, Name, RangeNoise, RangeUncertainty
 from calgraph.sensors.messages import LaserScan, Message, PointCloud
 
@@ -65,7 +65,12 @@ LIDAR2D = SensorKind(
     title="2-D scanner",
     spec=Lidar2dSpec,
     messages=(LaserScan, PointCloud),
-    types=("sensor_msgs/msg/LaserScan", "sensor_msgs/msg/MultiEchoLaserScan", "scan"),
+    types=(
+        "sensor_msgs/msg/LaserScan",
+        "sensor_msgs/msg/MultiEchoLaserScan",
+        "scan",
+        *foxglove_types("LaserScan"),
+    ),
     detects="line",
     axes=LEVEL_AXES,
     shape="disc",

@@ -4,7 +4,7 @@ from typing import Literal
 
 from calgraph.io.quantities import LengthStddev
 from calgraph.io.strict_model import StrictModel
-from calgraph.sensors.kinds.sensor_kind import LEVEL_AXES, SensorKind
+from calgraph.sensors.kinds.sensor_kind import LEVEL_AXES, SensorKind, foxglove_types
 from calgraph.sensors.kinds.stated import ClockOffset, Name, RangeNoise, RangeUncertainty
 from calgraph.sensors.messages import PointCloud
 
@@ -36,7 +36,11 @@ LIDAR3D = SensorKind(
     title="3-D LiDAR",
     spec=Lidar3dSpec,
     messages=(PointCloud,),
-    types=("sensor_msgs/msg/PointCloud2", "cloud"),
+    types=(
+        "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/PointCloud", "cloud", *foxglove_types("PointCloud"),
+        "livox_ros_driver/msg/CustomMsg", "livox_ros_driver2/msg/CustomMsg", "livox_interfaces/msg/CustomMsg",
+        "velodyne_msgs/msg/VelodyneScan",
+    ),
     detects="plane",
     axes=LEVEL_AXES,
     shape="rings",
@@ -46,4 +50,4 @@ LIDAR3D = SensorKind(
     residual="distance from the board",
     noise_causes="check its range noise, and that its points are in m",
     error_causes="its range and angle noise, and that its points are in m",
-)
+)  # fmt: skip

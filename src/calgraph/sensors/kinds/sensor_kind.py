@@ -19,6 +19,11 @@ def claims_none(_: Message) -> bool:
     return False
 
 
+def foxglove_types(*names: str) -> tuple[str, ...]:
+    """Names of types of Foxglove's messages: in its own schemas, and as messages of ROS."""
+    return tuple(f"{package}{name}" for name in names for package in ("foxglove.", "foxglove_msgs/msg/"))
+
+
 @dataclass(frozen=True)
 class SensorKind:
     """One kind of sensor."""
