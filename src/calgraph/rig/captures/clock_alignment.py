@@ -1,98 +1,190 @@
-"""The clocks of a rig's sensors: offsets by the times at which views change, and stamps by the root's clock."""
+"""The clocks of a rig's sensors: stamps by one clock, from arrivals and from the times at which views change."""
 
-from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft
+from scipy.stats import rankdata
 
 from calgraph.config import Rig
 from calgraph.geometry import Array
-from calgraph.parallel.engine import THIS_PROCESS, Engine
-from calgraph.parallel.progress import Progress, no_progress
-from calgraph.recording import NO_CACHE, ClockCorrectedRecording, Recording, RecordingCache
-from calgraph.recording.input_checks import InputMonitor
+from calgraph.recording import NO_CACHE, Recording, RecordingCache, correct_stamps
+from calgraph.recording.clocks import Clocks, compare_clocks
 from calgraph.result.finding import Finding
-from calgraph.rig.captures.motion_detection import MIN_ACTIVITY
+from calgraph.rig.captures.capture_mode import recognize_mode
 from calgraph.rig.captures.timeline import MAX_MOTION_PERIOD, RecordingTimeline, SensorTimes
-from calgraph.rig.captures.timeline_reading import read_rig_timeline
 
 
 @dataclass(frozen=True)
-class ClockAlignment:
-    """A rig and its recording with all stamps by the root's clock."""
+class CorrectedStamps:
+    """A rig and its recording, whose stamps are by one clock as far as arrivals and rig.yaml tell."""
 
     rig: Rig
-    """With estimated clock offsets as numbers."""
+    """With the uncertainty of what was corrected."""
     recording: Recording
     findings: tuple[Finding, ...]
-    """What was estimated, and whose clock remains unknown."""
+    """What was corrected."""
+    clocks: Clocks
+    """What arrivals tell."""
 
 
 @dataclass(frozen=True)
 class ClockOffset:
-    """The clock of a sensor relative to that of the root."""
+    """The clock of a sensor relative to that of others."""
 
     offset: float
-    """The sensor's clock minus the root's, s."""
+    """The sensor's clock minus theirs, s."""
     correlation: float
     """Of the changes of both views with this offset, at most 1."""
 
 
-def align_clocks(
-    rig: Rig,
-    recording: Recording,
-    cache: RecordingCache = NO_CACHE,
-    engine: Engine = THIS_PROCESS,
-    progress: Progress = no_progress,
-) -> ClockAlignment:
-    """Corrects the stamps of the sensors whose clock offsets rig.yaml states or asks to estimate.
+def correct_by_arrival(rig: Rig, recording: Recording, cache: RecordingCache = NO_CACHE) -> CorrectedStamps:
+    """Corrects the stamps by what rig.yaml states of clocks, and by when messages arrived.
 
-    A clock that cannot be estimated is taken for that of the root, and the sensor's pose is weak.
+    The offsets that rig.yaml states are relative to the root's clock, which arrivals may correct itself. A trigger
+    whose arrivals tell nothing has the clock of the sensors with which it has some time in common.
 
     Args:
         rig: the rig.
         recording: open recording with the rig's topics.
         cache: has what earlier runs read.
-        engine: measures how much views change.
-        progress: called with the step and the fraction done.
     """
-    offsets = {name: spec.clock_offset for name, spec in rig.sensors.items() if spec.clock_offset is not None}
-    wanted = [name for name, offset in offsets.items() if offset == "estimate"]
-    findings = []
-    if wanted:
-        monitor = InputMonitor(rig, recording.start)
-        timeline = read_rig_timeline(rig, recording, monitor, cache, engine, progress)
-        found = estimate_clock_offsets(timeline, rig.root, wanted)
-        findings = [_describe(name, rig.root, found.get(name)) for name in wanted]
-        offsets |= {name: found[name].offset if name in found else 0.0 for name in wanted}
-    stated = {name: float(offset) for name, offset in offsets.items()}
-    if any(stated.values()):
-        by_topic = {rig.sensors[name].topic: offset for name, offset in stated.items()}
-        recording = ClockCorrectedRecording(recording, by_topic)
-    sensors = {
-        name: spec.model_copy(update={"clock_offset": stated.get(name)}) for name, spec in rig.sensors.items()
+    names = {topic: name for name, topic in rig.topics.items()}
+    triggers = [rig.capture.trigger] if rig.capture.trigger else []
+    clocks = compare_clocks(recording, [*names, *triggers], cache)
+    by_arrival = clocks.certain_offsets()
+    of_root = by_arrival.get(rig.topics[rig.root], 0.0)
+    stated = {
+        spec.topic: of_root + spec.clock_offset
+        for spec in rig.sensors.values()
+        if isinstance(spec.clock_offset, float)
     }
-    return ClockAlignment(rig.model_copy(update={"sensors": sensors}), recording, tuple(findings))
-
-
-def _describe(name: str, root: str, found: ClockOffset | None) -> Finding:
-    if found is None:
-        return Finding(
-            f"the clock offset of {name} cannot be estimated: no offset stands out with which its view changes at "
-            f"the times of that of {root}; move the board in view of both, at irregular times, or state it",
-            (name,),
-        )
-    return Finding(
-        f"the clock of {name} minus that of {root} is {found.offset:.3f} s, estimated from the times at which "
-        f"their views change (correlation {found.correlation:.2f})"
+    moved = {topic: clocks.differences[topic] for topic in by_arrival if topic not in stated}
+    findings = [Finding(one.describe(names.get(topic, topic))) for topic, one in moved.items()]
+    offsets = by_arrival | stated
+    for trigger in triggers:
+        if trigger not in moved and (shared := clocks.shares_time(trigger, stated)):
+            offsets[trigger] = stated[shared]
+    return CorrectedStamps(
+        _widen_delays(rig, {names[topic]: one.stddev for topic, one in moved.items() if topic in names}),
+        correct_stamps(recording, offsets),
+        tuple(findings),
+        clocks,
     )
 
 
+def _widen_delays(rig: Rig, stddev: Mapping[str, float]) -> Rig:
+    """The rig with the delays of stamps as uncertain as the clocks of some sensors are, s.
+
+    Delays are relative to the root's.
+    """
+    sensors = {}
+    for name, spec in rig.sensors.items():
+        of_clocks = float(np.hypot(stddev.get(name, 0.0), stddev.get(rig.root, 0.0)))
+        delay = max(spec.uncertainty.stamp_delay, of_clocks)
+        uncertainty = spec.uncertainty.model_copy(update={"stamp_delay": delay})
+        sensors[name] = spec.model_copy(update={"uncertainty": uncertainty})
+    return rig.model_copy(update={"sensors": sensors}) if stddev else rig
+
+
+def need_activity(rig: Rig, clocks: Clocks) -> bool:
+    """Whether the changes of views are needed to know the clocks of a rig."""
+    return bool(_list_wanted(rig) or _find_hints(rig, clocks))
+
+
+def _list_wanted(rig: Rig) -> list[str]:
+    """The sensors whose offsets rig.yaml asks to estimate."""
+    return [name for name, spec in rig.sensors.items() if spec.clock_offset == "estimate"]
+
+
+def _find_hints(rig: Rig, clocks: Clocks) -> dict[str, float]:
+    """By sensor whose clock is not stated, an offset that its arrivals may show, s, or a delay of its messages."""
+    return {
+        name: clocks.differences[spec.topic].offset
+        for name, spec in rig.sensors.items()
+        if spec.topic in clocks.differences
+        and not clocks.differences[spec.topic].certain
+        and not isinstance(spec.clock_offset, float)
+    }
+
+
+def align_views(
+    rig: Rig, recording: Recording, timeline: RecordingTimeline, clocks: Clocks
+) -> tuple[Recording, RecordingTimeline, list[Finding]]:
+    """Corrects the stamps of the sensors whose views change at other times than those of the others.
+
+    Offsets are estimated of sensors for which rig.yaml asks for it, or whose stamps have no time in common with
+    those of the others. Where a board rests, all sensors are compared, as the stamps of any may be late.
+
+    Args:
+        rig: the rig.
+        recording: corrected by arrivals.
+        timeline: of this recording, with activity.
+        clocks: what arrivals tell.
+
+    Returns:
+        Recording and timeline with the stamps by one clock, and what was corrected. A clock that cannot be estimated
+        is taken for that of the others.
+    """
+    topics, wanted, hints = rig.topics, _list_wanted(rig), _find_hints(rig, clocks)
+    unknown = [name for name in wanted if topics[name] not in clocks.informative]
+    unknown += [name for name in _find_apart(timeline, rig.root) if name not in unknown]
+    found = estimate_clock_offsets(timeline, rig.root, unknown)
+    timeline = _shift_stamps(timeline, found)
+    rests = not rig.capture.trigger and recognize_mode(timeline, rig.capture, rig.settings.captures).mode == "rest"
+    compared = [name for name in rig.sensors if (rests or name in wanted or name in hints) and name not in unknown]
+    stated = [name for name in compared if isinstance(rig.sensors[name].clock_offset, float)]
+    late = find_late_views(timeline, rig.root, [name for name in compared if name not in stated], hints)
+    timeline = _shift_stamps(timeline, late)
+    found = found | late
+    recording = correct_stamps(recording, {topics[name]: one.offset for name, one in found.items()})
+    described = dict.fromkeys([*(name for name in wanted if name != rig.root or name in found), *found])
+    return recording, timeline, [_describe(name, found.get(name), rig, clocks) for name in described]
+
+
+def _shift_stamps(timeline: RecordingTimeline, offsets: Mapping[str, ClockOffset]) -> RecordingTimeline:
+    """The timeline with offsets of sensors' clocks subtracted from their stamps."""
+    sensors = {
+        name: replace(times, stamps=times.stamps - offsets[name].offset) if name in offsets else times
+        for name, times in timeline.sensors.items()
+    }
+    return replace(timeline, sensors=sensors)
+
+
+def _describe(name: str, found: ClockOffset | None, rig: Rig, clocks: Clocks) -> Finding:
+    if found is not None:
+        return Finding(
+            f"the clock of {name} minus that of the others is {found.offset:.3f} s, estimated from the times at "
+            f"which their views change (correlation {found.correlation:.2f}), and its stamps were corrected"
+        )
+    if rig.topics[name] in clocks.informative:
+        return Finding(
+            f"the clock of {name} is that of the others to {clocks.stddev(rig.topics[name]):.1f} s, by when its "
+            "messages arrived, and its view changes when theirs do"
+        )
+    return Finding(
+        f"the clock offset of {name} cannot be estimated: no offset stands out with which its view changes at "
+        "the times of those of the others; move the board in view of both, at irregular times, or state it",
+        (name,),
+    )
+
+
+def _find_apart(timeline: RecordingTimeline, root: str) -> list[str]:
+    """The sensors whose stamps have no time in common with those of the sensor that shares it with most."""
+    spans = {name: times.stamps[[0, -1]] for name, times in timeline.sensors.items() if len(times.stamps)}
+
+    def list_apart(name: str) -> list[str]:
+        return [other for other, (a, b) in spans.items() if a > spans[name][1] or b < spans[name][0]]
+
+    return min((list_apart(n) for n in sorted(spans, key=lambda n: n != root)), key=len, default=[])
+
+
 def estimate_clock_offsets(
-    timeline: RecordingTimeline, root: str, wanted: Collection[str]
-) -> Mapping[str, ClockOffset]:
+    timeline: RecordingTimeline, root: str, wanted: Sequence[str]
+) -> dict[str, ClockOffset]:
     """Estimates clock offsets from the motion of the board, which starts and stops in all views at the same times.
 
     The normalised cross-correlation of the changes of two views, over the time that both cover with each offset
@@ -101,44 +193,120 @@ def estimate_clock_offsets(
 
     Args:
         timeline: with the activity of the sensors.
-        root: the sensor whose clock counts.
-        wanted: the other sensors to estimate the offset of; those left out have the root's clock.
+        root: the sensor whose clock counts, unless only that of another one is known.
+        wanted: the sensors to estimate the offset of; those left out have one clock.
 
     Returns:
         The offset of each sensor for which one offset stands out.
     """
-    reference = [root, *(name for name in timeline.sensors if name != root and name not in wanted)]
+    known = [name for name in timeline.sensors if name not in wanted] or [root]
+    reference = sorted(known, key=lambda name: name != root)
     found: dict[str, ClockOffset] = {}
     for other in reference:
         for name in wanted:
-            if name not in found:
+            if name not in found and name != other:
                 offset = _compare(timeline.sensors[other], timeline.sensors[name])
                 if offset:
                     found[name] = offset
     return found
 
 
-# Minimum offset, s, that is remarked on where rig.yaml states none: smaller ones leave captures within rests, and
-# views from different sides differ by them.
-_MIN_REMARK = 0.5
+# Smallest offset, s, that is corrected where nothing else hints at one: smaller ones leave captures within rests, and
+# views from different sides change at times that differ by tenths of a second.
+_MIN_LATE = 0.3
+# Largest one, s: drivers that stamp late are late by less, and moves that an operator repeats follow at intervals.
+_MAX_LATE = 2.5
+# Gain of the log-likelihood by an offset from which it is that of a clock: nothing else hints at it, or arrivals do.
+# In simulated recordings with one clock the gain is up to 2.3, with a sensor that is 0.5 s late 9 to 22.
+_MIN_GAIN, _MIN_HINTED_GAIN = 8.0, 4.0
+# Difference of the log-likelihood to that of another offset, below which it is not known which one is right.
+_MIN_LEAD = 2.0
+# Distance of an offset from a hint, s, within which it confirms the hint: three standard deviations of both.
+_HINT_WIDTH = 0.4
 
 
-def check_clocks(rig: Rig, timeline: RecordingTimeline) -> Iterator[Finding]:
-    """Remarks on sensors whose views change long before or after that of the root, where no offset is stated.
+def find_late_views(
+    timeline: RecordingTimeline, root: str, compared: Sequence[str], hints: Mapping[str, float]
+) -> dict[str, ClockOffset]:
+    """The sensors whose views change some time before or after those of all others.
+
+    With the correlation ρ(τ) of the changes of two views and the number n of their independent samples, the offset τ
+    has the log-likelihood -n/2 log(1 - ρ²). It is summed over all other views. An offset is that of the clock where it
+    explains them much better than none; the sensor that gains most is corrected first.
 
     Args:
-        rig: the rig.
         timeline: with the activity of the sensors.
+        root: the sensor whose clock counts where two explain the same.
+        compared: the sensors whose clocks may differ.
+        hints: by sensor, an offset that its arrivals may show, s.
     """
-    unstated = [name for name, spec in rig.sensors.items() if name != rig.root and spec.clock_offset is None]
-    found = estimate_clock_offsets(timeline, rig.root, unstated)
-    for name, one in found.items():
-        if abs(one.offset) >= _MIN_REMARK:
-            order = "after" if one.offset > 0 else "before"
-            yield Finding(
-                f"by its stamps, the view of {name} changes {abs(one.offset):.2f} s {order} that of {rig.root}: "
-                f"their clocks differ; state sensors.{name}.clock_offset: {one.offset:.3f}, or estimate"
-            )
+    pairs = _compare_all(timeline)
+    found: dict[str, ClockOffset] = {}
+    waiting = sorted(compared, key=lambda name: name == root)
+    while waiting:
+        offsets = {name: one.offset for name, one in found.items()}
+        late = {name: _find_late(name, pairs, offsets, hints.get(name)) for name in waiting}
+        name = max(waiting, key=lambda name: late[name][0])
+        gain, offset = late[name]
+        if gain <= 0:
+            break
+        found[name] = offset
+        waiting.remove(name)
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class _Comparison:
+    """The correlation of the changes of two views."""
+
+    offsets: Array
+    """(N,) of the second clock from the first one, s, ascending."""
+    correlation: Array
+    """(N,) with each offset."""
+    count: float
+    """Number of independent samples."""
+
+    def at(self, offsets: Array) -> Array:
+        """The correlation with offsets, s; 0 where the views do not overlap."""
+        return np.interp(offsets, self.offsets, self.correlation, left=0.0, right=0.0)
+
+
+def _compare_all(timeline: RecordingTimeline) -> dict[tuple[str, str], _Comparison]:
+    """Every two sensors that can be compared."""
+    compared = {
+        (a, b): _correlate_views(timeline.sensors[a], timeline.sensors[b])
+        for a, b in combinations(timeline.sensors, 2)
+    }
+    return {pair: one for pair, one in compared.items() if one is not None}
+
+
+def _find_late(
+    name: str, pairs: Mapping[tuple[str, str], _Comparison], corrected: Mapping[str, float], hint: float | None
+) -> tuple[float, ClockOffset]:
+    """The offset of a sensor from all others, and by how much its gain exceeds the least that proves it."""
+    reach = _MAX_LATE + abs(hint or 0.0)
+    offsets = np.arange(-np.ceil(reach / _GRID), np.ceil(reach / _GRID) + 1) * _GRID
+    correlations, likelihood = [np.zeros_like(offsets)], np.zeros_like(offsets)
+    for (a, b), one in pairs.items():
+        if name in (a, b):
+            other, sign = (a, 1) if name == b else (b, -1)
+            # Of a pair, the offset of the second clock from the first.
+            correlation = np.clip(one.at(sign * (offsets - corrected.get(other, 0.0))), 0.0, 1 - 1e-6)
+            correlations.append(correlation)
+            likelihood -= one.count / 2 * np.log1p(-(correlation**2))
+    best = int(np.argmax(likelihood))
+    offset, none = float(offsets[best]), len(offsets) // 2
+    rival = float(likelihood[np.abs(offsets - offset) > _MIN_LATE].max())
+    confirms = hint is not None and abs(offset - hint) <= _HINT_WIDTH
+    least = _MIN_HINTED_GAIN if confirms else _MIN_GAIN
+    gain = float(likelihood[best] - likelihood[none]) - least
+    if abs(offset) < _MIN_LATE or likelihood[best] - rival < _MIN_LEAD:
+        gain = -np.inf
+    return gain, ClockOffset(offset, float(max(one[best] for one in correlations)))
+
+
+# Distance of the offsets that are compared, s: a tenth of what views determine.
+_GRID = 0.01
 
 
 # Minimum number of messages of a sensor: fewer changes of a view agree with others by chance.
@@ -170,39 +338,47 @@ _RESOLUTION = 0.02
 
 def _compare(reference: SensorTimes, other: SensorTimes) -> ClockOffset | None:
     """The offset of the other's clock; None if no offset stands out."""
+    compared = _correlate_views(reference, other)
+    if compared is None or not len(compared.offsets):
+        return None
+    offsets, correlation = compared.offsets, compared.correlation
+    best = int(np.argmax(correlation))
+    rival = float(correlation[np.abs(offsets - offsets[best]) > _PEAK_WIDTH].max(initial=0.0))
+    peak = float(correlation[best])
+    significance = peak * np.sqrt(compared.count)
+    if peak < _MIN_CORRELATION or peak - rival < _MIN_DISTINCTION or significance < _MIN_SIGNIFICANCE:
+        return None
+    step = float(offsets[1] - offsets[0]) if len(offsets) > 1 else 0.0
+    offset = float(offsets[best] + step * _refine_peak(correlation, best))
+    return ClockOffset(0.0 if abs(offset) < _RESOLUTION else offset, peak)
+
+
+def _correlate_views(reference: SensorTimes, other: SensorTimes) -> _Comparison | None:
+    """How similarly two views change with each offset of the other's clock; None if that cannot be known."""
     pair = (reference, other)
     if any(len(times.stamps) < _MIN_MESSAGES or np.ptp(times.stamps) == 0 for times in pair):
         return None
-    if any(times.period > MAX_MOTION_PERIOD for times in pair):
+    if any(times.period > MAX_MOTION_PERIOD or not times.activity.any() for times in pair):
         return None
     step = max(min(times.period for times in pair) / 2, _MIN_STEP)
     if any(np.ptp(times.stamps) > step * _MAX_SAMPLES for times in pair):
         return None
     first, second = (_sample_activity(times, step) for times in pair)
     lags, correlation = _correlate(first, second, _MIN_OVERLAP)
-    if not len(lags):
-        return None
-    best = int(np.argmax(correlation))
-    apart = np.abs(lags - lags[best]) * step > _PEAK_WIDTH
-    rival = float(correlation[apart].max(initial=0.0))
-    peak = float(correlation[best])
-    significance = peak * np.sqrt(_count_independent(first, second))
-    if peak < _MIN_CORRELATION or peak - rival < _MIN_DISTINCTION or significance < _MIN_SIGNIFICANCE:
-        return None
-    lag = lags[best] + _refine_peak(correlation, best)
-    offset = float(_center(other) - _center(reference) - step * lag)
-    return ClockOffset(0.0 if abs(offset) < _RESOLUTION else offset, peak)
+    offsets = _center(other) - _center(reference) - step * lags
+    return _Comparison(offsets[::-1], correlation[::-1], _count_independent(first, second))
 
 
 def _center(times: SensorTimes) -> float:
-    """Time of the first sample, s: a change happens between two messages."""
-    return float(times.stamps[0] - times.period / 2)
+    """Time of the first sample, s: a change happens between the middles of two measurements."""
+    return float(times.stamps[0] + times.duration / 2 - times.period / 2)
 
 
 def _sample_activity(times: SensorTimes, step: float) -> Array:
-    """The logarithm of the activity at equal steps, s."""
+    """The rank of the activity, 0..1, at equal steps, s: single messages without any change do not dominate."""
     grid = np.arange(times.stamps[0], times.stamps[-1], step)
-    return np.interp(grid, times.stamps, np.log10(times.activity + MIN_ACTIVITY))
+    measured = np.concatenate([times.activity[1:2], times.activity[1:]])  # of the first, no change is known
+    return np.interp(grid, times.stamps, rankdata(measured) / len(measured))
 
 
 def _correlate(first: Array, second: Array, min_overlap: float) -> tuple[NDArray[np.int64], Array]:
