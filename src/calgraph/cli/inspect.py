@@ -19,7 +19,14 @@ from calgraph.config import FoundTopic, find_triggers
 from calgraph.config.settings import CaptureSettings
 from calgraph.errors import RecordingError
 from calgraph.io.text_writing import format_json
-from calgraph.recording import Inspection, Recording, TopicReport, inspect_recording, open_recording
+from calgraph.recording import (
+    Inspection,
+    Recording,
+    TopicReport,
+    correct_stamps,
+    inspect_recording,
+    open_recording,
+)
 from calgraph.result import Calibration, load_calibration, to_json
 from calgraph.rig.captures.capture_mode import RecognizedMode, recognize_recording
 from calgraph.sensors.kinds import KINDS
@@ -43,7 +50,8 @@ def inspect(
         return
     with open_recording(recording, parse_limits(overrides, alone=True)) as opened, progress_bars() as progress:
         inspection = inspect_recording(opened, partial(progress, "reading"))
-        mode = None if inspection.damage else _recognize_mode(opened, inspection)
+        by_one_clock = correct_stamps(opened, inspection.clock_offsets)
+        mode = None if inspection.damage else _recognize_mode(by_one_clock, inspection)
     if json:
         captures = {"captures": {"mode": mode.mode, "reason": mode.reason} if mode else None}
         typer.echo(format_json({"recording": recording, **asdict(inspection), **captures}))

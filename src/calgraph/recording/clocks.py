@@ -6,7 +6,7 @@ another zone shows as a constant difference. It is known as well as the delays a
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -80,13 +80,15 @@ class ClockDifference:
     cause: str = ""
     """What it is, in words: a predicate of stamps; empty where that is not known."""
 
-    def describe(self, topic: str) -> str:
-        """That the stamps of a topic or sensor were moved, in one sentence."""
+    def describe(self) -> str:
+        """What the stamps are: a predicate."""
         side = "ahead of" if self.offset > 0 else "behind"
-        cause = f" {self.cause}:" if self.cause else ""
+        if not self.certain:
+            late = "" if self.offset > 0 else ", or the messages arrive as late"
+            return f"may be {abs(self.offset):.1f} s {side} those of the others{late}"
         return (
-            f"the stamps of {topic}{cause or ' are of another clock:'} they are {abs(self.offset):.3f} s {side} "
-            f"those of the others, by when the messages arrived (±{self.stddev:.1f} s), and were corrected"
+            f"{self.cause or 'are of another clock'}: they are {abs(self.offset):.3f} s {side} those of the others, "
+            f"by when the messages arrived (±{self.stddev:.1f} s)"
         )
 
 
@@ -124,15 +126,18 @@ def _decode(content: Mapping[str, Any], arrays: Mapping[str, Any]) -> Arrivals:
     return Arrivals(arrays["stamps"], arrays["arrivals"], float(content["duration"]))
 
 
-def _measure_duration(decode: Callable[[], Message]) -> float:
-    """Time from the stamp of a message to the end of its measurement, s; 0 where it cannot be decoded."""
-    try:
-        message = decode()
-    except RecordingError:
-        return 0.0  # an error that the use of the message reports
+def measure_duration(message: Message) -> float:
+    """Time from the stamp of a message to the end of its measurement, s; 0 where the message does not state it."""
     if isinstance(message, PointCloud):
         return float(message.times.max()) if message.times is not None and len(message.times) else 0.0
     return message.duration if isinstance(message, LaserScan) else 0.0
+
+
+def _measure_duration(decode: Callable[[], Message]) -> float:
+    try:
+        return measure_duration(decode())
+    except RecordingError:
+        return 0.0  # an error that the use of the message reports
 
 
 @dataclass(frozen=True)
@@ -145,10 +150,17 @@ class Clocks:
     """By topic, its first and last stamp, s."""
     informative: Collection[str]
     """The topics whose arrivals are times of their own; those of others are their stamps."""
+    corrected: Collection[str] = ()
+    """The topics whose stamps were corrected by arrivals."""
 
     def certain_offsets(self) -> dict[str, float]:
         """By topic whose clock differs for sure, the offset to subtract from its stamps, s."""
         return {topic: one.offset for topic, one in self.differences.items() if one.certain}
+
+    def after_correction(self, offsets: Mapping[str, float], by_arrival: Collection[str]) -> "Clocks":
+        """The same after offsets, s, of topics were subtracted from their stamps, of some by arrivals."""
+        spans = {t: (a - offsets.get(t, 0.0), b - offsets.get(t, 0.0)) for t, (a, b) in self.spans.items()}
+        return replace(self, spans=spans, corrected=frozenset(by_arrival))
 
     def shares_time(self, topic: str, others: Collection[str]) -> str | None:
         """The first of some other topics whose stamps have some time in common with those of a topic."""

@@ -8,7 +8,7 @@ import pytest
 
 from calgraph.config import Rig
 from calgraph.geometry import Array
-from calgraph.rig.captures.clock_alignment import check_clocks, estimate_clock_offsets
+from calgraph.rig.captures.clock_alignment import estimate_clock_offsets, find_late_views
 from calgraph.rig.captures.timeline import RecordingTimeline, SensorTimes
 
 MOVES = np.cumsum(np.random.default_rng(0).uniform(1.5, 4.0, 30))

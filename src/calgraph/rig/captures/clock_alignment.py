@@ -1,6 +1,6 @@
 """The clocks of a rig's sensors: stamps by one clock, from arrivals and from the times at which views change."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -63,11 +63,12 @@ def correct_by_arrival(rig: Rig, recording: Recording, cache: RecordingCache = N
         if isinstance(spec.clock_offset, float)
     }
     moved = {topic: clocks.differences[topic] for topic in by_arrival if topic not in stated}
-    findings = [Finding(one.describe(names.get(topic, topic))) for topic, one in moved.items()]
+    findings = [Finding(f"the stamps of {names.get(topic, topic)} {one.describe()}, and were corrected") for topic, one in moved.items()]
     offsets = by_arrival | stated
     for trigger in triggers:
         if trigger not in moved and (shared := clocks.shares_time(trigger, stated)):
             offsets[trigger] = stated[shared]
+    clocks = clocks.after_correction(offsets, moved)
     return CorrectedStamps(
         _widen_delays(rig, {names[topic]: one.stddev for topic, one in moved.items() if topic in names}),
         correct_stamps(recording, offsets),
@@ -92,7 +93,8 @@ def _widen_delays(rig: Rig, stddev: Mapping[str, float]) -> Rig:
 
 def need_activity(rig: Rig, clocks: Clocks) -> bool:
     """Whether the changes of views are needed to know the clocks of a rig."""
-    return bool(_list_wanted(rig) or _find_hints(rig, clocks))
+    spans = {name: clocks.spans[topic] for name, topic in rig.topics.items() if topic in clocks.spans}
+    return bool(_list_wanted(rig) or _find_hints(rig, clocks) or _find_apart(spans, rig.root))
 
 
 def _list_wanted(rig: Rig) -> list[str]:
@@ -129,9 +131,11 @@ def align_views(
         Recording and timeline with the stamps by one clock, and what was corrected. A clock that cannot be estimated
         is taken for that of the others.
     """
-    topics, wanted, hints = rig.topics, _list_wanted(rig), _find_hints(rig, clocks)
+    topics, wanted = rig.topics, _list_wanted(rig)
+    hints = _find_hints(rig, clocks) | {name: 0.0 for name, topic in topics.items() if topic in clocks.corrected}
     unknown = [name for name in wanted if topics[name] not in clocks.informative]
-    unknown += [name for name in _find_apart(timeline, rig.root) if name not in unknown]
+    spans = {n: (one.stamps[0], one.stamps[-1]) for n, one in timeline.sensors.items() if len(one.stamps)}
+    unknown += [name for name in _find_apart(spans, rig.root) if name not in unknown]
     found = estimate_clock_offsets(timeline, rig.root, unknown)
     timeline = _shift_stamps(timeline, found)
     rests = not rig.capture.trigger and recognize_mode(timeline, rig.capture, rig.settings.captures).mode == "rest"
@@ -172,9 +176,8 @@ def _describe(name: str, found: ClockOffset | None, rig: Rig, clocks: Clocks) ->
     )
 
 
-def _find_apart(timeline: RecordingTimeline, root: str) -> list[str]:
-    """The sensors whose stamps have no time in common with those of the sensor that shares it with most."""
-    spans = {name: times.stamps[[0, -1]] for name, times in timeline.sensors.items() if len(times.stamps)}
+def _find_apart(spans: Mapping[str, tuple[float, float]], root: str) -> list[str]:
+    """The sensors without time in common with the one that shares it with most; of first and last stamps, s."""
 
     def list_apart(name: str) -> list[str]:
         return [other for other, (a, b) in spans.items() if a > spans[name][1] or b < spans[name][0]]
@@ -182,14 +185,22 @@ def _find_apart(timeline: RecordingTimeline, root: str) -> list[str]:
     return min((list_apart(n) for n in sorted(spans, key=lambda n: n != root)), key=len, default=[])
 
 
+# Log-likelihood of an offset that is searched among all, and its difference from that of any other, from which it is
+# that of a clock: the best of some thousand by chance has 8, and moves at equal intervals repeat themselves.
+_MIN_LIKELIHOOD, _MIN_DISTINCTION = 12.0, 5.0
+# Time to both sides of an offset, s, within which others are of the same maximum: moves of a board take a second.
+_PEAK_WIDTH = 1.0
+# Distance of the offsets that are compared, s: a tenth of what views determine.
+_GRID = 0.01
+
+
 def estimate_clock_offsets(
     timeline: RecordingTimeline, root: str, wanted: Sequence[str]
 ) -> dict[str, ClockOffset]:
     """Estimates clock offsets from the motion of the board, which starts and stops in all views at the same times.
 
-    The normalised cross-correlation of the changes of two views, over the time that both cover with each offset
-    (Padfield 2012, "Masked object registration in the Fourier domain"), has one maximum that stands out.
-    A sensor is compared with the root first, then with the sensors whose offsets are known.
+    With the correlation ρ(τ) of the changes of two views and the number n of their independent samples, the offset τ
+    has the log-likelihood -n/2 log(1 - ρ²), which is summed over the sensors whose offsets are known.
 
     Args:
         timeline: with the activity of the sensors.
@@ -199,27 +210,35 @@ def estimate_clock_offsets(
     Returns:
         The offset of each sensor for which one offset stands out.
     """
-    known = [name for name in timeline.sensors if name not in wanted] or [root]
-    reference = sorted(known, key=lambda name: name != root)
+    if not wanted:
+        return {}
+    pairs = _compare_all(timeline)
+    known = {name: 0.0 for name in timeline.sensors if name not in wanted} or {root: 0.0}
     found: dict[str, ClockOffset] = {}
-    for other in reference:
-        for name in wanted:
-            if name not in found and name != other:
-                offset = _compare(timeline.sensors[other], timeline.sensors[name])
-                if offset:
-                    found[name] = offset
-    return found
+    while True:
+        ranked = [
+            (one.distinction, name, one)
+            for name in wanted
+            if name not in known and (one := _search(name, pairs, known)) is not None
+        ]
+        if not ranked:
+            return found
+        _, name, one = max(ranked)
+        found[name] = ClockOffset(0.0 if abs(one.offset) < _RESOLUTION else one.offset, one.correlation)
+        known[name] = found[name].offset
 
 
-# Smallest offset, s, that is corrected where nothing else hints at one: smaller ones leave captures within rests, and
-# views from different sides change at times that differ by tenths of a second.
+# Standard deviation of an offset from the times at which views change, s: half a period of usual sensors.
+_VIEW_STDDEV = 0.05
+# Smallest offset, s, that is corrected where nothing else hints at one: smaller ones leave captures within rests,
+# and views from different sides change at times that differ by tenths of a second.
 _MIN_LATE = 0.3
 # Largest one, s: drivers that stamp late are late by less, and moves that an operator repeats follow at intervals.
 _MAX_LATE = 2.5
-# Gain of the log-likelihood by an offset from which it is that of a clock: nothing else hints at it, or arrivals do.
-# In simulated recordings with one clock the gain is up to 2.3, with a sensor that is 0.5 s late 9 to 22.
+# Gain of the log-likelihood by an offset, from which it is that of a clock: where nothing else hints at it, and
+# where arrivals do. Simulated recordings with one clock gain up to 2.3, with a sensor that is 0.5 s late 9 to 22.
 _MIN_GAIN, _MIN_HINTED_GAIN = 8.0, 4.0
-# Difference of the log-likelihood to that of another offset, below which it is not known which one is right.
+# Difference of the log-likelihood from that of another offset, below which it is not known which one is right.
 _MIN_LEAD = 2.0
 # Distance of an offset from a hint, s, within which it confirms the hint: three standard deviations of both.
 _HINT_WIDTH = 0.4
@@ -230,9 +249,8 @@ def find_late_views(
 ) -> dict[str, ClockOffset]:
     """The sensors whose views change some time before or after those of all others.
 
-    With the correlation ρ(τ) of the changes of two views and the number n of their independent samples, the offset τ
-    has the log-likelihood -n/2 log(1 - ρ²). It is summed over all other views. An offset is that of the clock where it
-    explains them much better than none; the sensor that gains most is corrected first.
+    An offset is that of the clock where it explains the changes much better than none does, see
+    :func:`estimate_clock_offsets`; the sensor that gains most is corrected first.
 
     Args:
         timeline: with the activity of the sensors.
@@ -240,17 +258,19 @@ def find_late_views(
         compared: the sensors whose clocks may differ.
         hints: by sensor, an offset that its arrivals may show, s.
     """
+    if not compared:
+        return {}
     pairs = _compare_all(timeline)
+    corrected = dict.fromkeys(timeline.sensors, 0.0)
     found: dict[str, ClockOffset] = {}
     waiting = sorted(compared, key=lambda name: name == root)
     while waiting:
-        offsets = {name: one.offset for name, one in found.items()}
-        late = {name: _find_late(name, pairs, offsets, hints.get(name)) for name in waiting}
+        late = {name: _find_late(name, pairs, corrected, hints.get(name)) for name in waiting}
         name = max(waiting, key=lambda name: late[name][0])
         gain, offset = late[name]
         if gain <= 0:
             break
-        found[name] = offset
+        found[name], corrected[name] = offset, offset.offset
         waiting.remove(name)
     return found
 
@@ -266,47 +286,74 @@ class _Comparison:
     count: float
     """Number of independent samples."""
 
-    def at(self, offsets: Array) -> Array:
-        """The correlation with offsets, s; 0 where the views do not overlap."""
-        return np.interp(offsets, self.offsets, self.correlation, left=0.0, right=0.0)
+
+Pairs = Mapping[tuple[str, str], _Comparison]
 
 
-def _compare_all(timeline: RecordingTimeline) -> dict[tuple[str, str], _Comparison]:
+def _compare_all(timeline: RecordingTimeline) -> Pairs:
     """Every two sensors that can be compared."""
-    compared = {
-        (a, b): _correlate_views(timeline.sensors[a], timeline.sensors[b])
-        for a, b in combinations(timeline.sensors, 2)
-    }
+    views = timeline.sensors
+    compared = {(a, b): _correlate_views(views[a], views[b]) for a, b in combinations(views, 2)}
     return {pair: one for pair, one in compared.items() if one is not None}
 
 
+def _select_pairs(name: str, pairs: Pairs, known: Mapping[str, float]) -> Iterator[tuple[Array, Array, float]]:
+    """Of a sensor and every known one: offsets of its clock, ascending, their correlation, and the samples."""
+    for (a, b), one in pairs.items():
+        if name == b and a in known:
+            yield one.offsets + known[a], one.correlation, one.count
+        elif name == a and b in known:
+            yield known[b] - one.offsets[::-1], one.correlation[::-1], one.count
+
+
+def _weigh(name: str, pairs: Pairs, known: Mapping[str, float], offsets: Array) -> tuple[Array, Array]:
+    """(N,) log-likelihoods of offsets (N,) of a sensor's clock, s, and the largest correlations with them."""
+    likelihood, largest = np.zeros_like(offsets), np.zeros_like(offsets)
+    for grid, values, count in _select_pairs(name, pairs, known):
+        correlation = np.clip(np.interp(offsets, grid, values, left=0.0, right=0.0), 0.0, 1 - 1e-6)
+        likelihood -= count / 2 * np.log1p(-(correlation**2))
+        largest = np.maximum(largest, correlation)
+    return likelihood, largest
+
+
+@dataclass(frozen=True)
+class _Searched(ClockOffset):
+    """An offset that stands out among all."""
+
+    distinction: float
+    """Log-likelihood minus that of the next best one."""
+
+
+def _search(name: str, pairs: Pairs, known: Mapping[str, float]) -> _Searched | None:
+    """The offset that stands out among all with which the sensor's view overlaps with others; None if none does."""
+    grids = [grid for grid, _, _ in _select_pairs(name, pairs, known) if len(grid)]
+    if not grids:
+        return None
+    offsets = np.concatenate([np.arange(grid[0], grid[-1] + _GRID, _GRID) for grid in grids])
+    likelihood, correlation = _weigh(name, pairs, known, offsets)
+    best = int(np.argmax(likelihood))
+    rival = float(likelihood[np.abs(offsets - offsets[best]) > _PEAK_WIDTH].max(initial=0.0))
+    distinction = float(likelihood[best] - rival)
+    if likelihood[best] < _MIN_LIKELIHOOD or distinction < _MIN_DISTINCTION:
+        return None
+    return _Searched(float(offsets[best]), float(correlation[best]), distinction)
+
+
 def _find_late(
-    name: str, pairs: Mapping[tuple[str, str], _Comparison], corrected: Mapping[str, float], hint: float | None
+    name: str, pairs: Pairs, corrected: Mapping[str, float], hint: float | None
 ) -> tuple[float, ClockOffset]:
     """The offset of a sensor from all others, and by how much its gain exceeds the least that proves it."""
-    reach = _MAX_LATE + abs(hint or 0.0)
-    offsets = np.arange(-np.ceil(reach / _GRID), np.ceil(reach / _GRID) + 1) * _GRID
-    correlations, likelihood = [np.zeros_like(offsets)], np.zeros_like(offsets)
-    for (a, b), one in pairs.items():
-        if name in (a, b):
-            other, sign = (a, 1) if name == b else (b, -1)
-            # Of a pair, the offset of the second clock from the first.
-            correlation = np.clip(one.at(sign * (offsets - corrected.get(other, 0.0))), 0.0, 1 - 1e-6)
-            correlations.append(correlation)
-            likelihood -= one.count / 2 * np.log1p(-(correlation**2))
-    best = int(np.argmax(likelihood))
-    offset, none = float(offsets[best]), len(offsets) // 2
-    rival = float(likelihood[np.abs(offsets - offset) > _MIN_LATE].max())
-    confirms = hint is not None and abs(offset - hint) <= _HINT_WIDTH
-    least = _MIN_HINTED_GAIN if confirms else _MIN_GAIN
-    gain = float(likelihood[best] - likelihood[none]) - least
-    if abs(offset) < _MIN_LATE or likelihood[best] - rival < _MIN_LEAD:
-        gain = -np.inf
-    return gain, ClockOffset(offset, float(max(one[best] for one in correlations)))
-
-
-# Distance of the offsets that are compared, s: a tenth of what views determine.
-_GRID = 0.01
+    steps = np.ceil((_MAX_LATE + abs(hint or 0.0)) / _GRID)
+    offsets = np.arange(-steps, steps + 1) * _GRID
+    likelihood, correlation = _weigh(name, pairs, corrected, offsets)
+    best, none = int(np.argmax(likelihood)), len(offsets) // 2
+    offset = ClockOffset(float(offsets[best]), float(correlation[best]))
+    rival = float(likelihood[np.abs(offsets - offset.offset) > _MIN_LATE].max())
+    least = _MIN_LATE if hint is None else 2 * _VIEW_STDDEV
+    if abs(offset.offset) < least or likelihood[best] - rival < _MIN_LEAD:
+        return -np.inf, offset
+    confirms = hint is not None and abs(offset.offset - hint) <= _HINT_WIDTH
+    return float(likelihood[best] - likelihood[none]) - (_MIN_HINTED_GAIN if confirms else _MIN_GAIN), offset
 
 
 # Minimum number of messages of a sensor: fewer changes of a view agree with others by chance.
@@ -320,37 +367,9 @@ _MAX_SAMPLES = 500_000
 # Minimum share of the shorter view that lies within the other with an offset: recordings of cameras that are
 # started one after the other overlap for most of their time, and short overlaps agree by chance.
 _MIN_OVERLAP = 0.5
-# Time to both sides of an offset, s, within which larger correlations are of the same maximum: moves of a board
-# take a second.
-_PEAK_WIDTH = 1.0
-# Minimum correlation: views from different sides change differently, and share starts and stops.
-_MIN_CORRELATION = 0.5
-# Minimum difference to the correlation with any other offset: moves at equal intervals repeat themselves, and
-# those of a hand nearly do.
-_MIN_DISTINCTION = 0.25
-# Minimum correlation over its standard deviation by chance: the largest of some thousand offsets reaches four in
-# views that have nothing in common.
-_MIN_SIGNIFICANCE = 5.0
 # Offsets below it, s, are taken for zero: the estimate is no better, and a device that starts its recordings
 # together gives them one clock.
 _RESOLUTION = 0.02
-
-
-def _compare(reference: SensorTimes, other: SensorTimes) -> ClockOffset | None:
-    """The offset of the other's clock; None if no offset stands out."""
-    compared = _correlate_views(reference, other)
-    if compared is None or not len(compared.offsets):
-        return None
-    offsets, correlation = compared.offsets, compared.correlation
-    best = int(np.argmax(correlation))
-    rival = float(correlation[np.abs(offsets - offsets[best]) > _PEAK_WIDTH].max(initial=0.0))
-    peak = float(correlation[best])
-    significance = peak * np.sqrt(compared.count)
-    if peak < _MIN_CORRELATION or peak - rival < _MIN_DISTINCTION or significance < _MIN_SIGNIFICANCE:
-        return None
-    step = float(offsets[1] - offsets[0]) if len(offsets) > 1 else 0.0
-    offset = float(offsets[best] + step * _refine_peak(correlation, best))
-    return ClockOffset(0.0 if abs(offset) < _RESOLUTION else offset, peak)
 
 
 def _correlate_views(reference: SensorTimes, other: SensorTimes) -> _Comparison | None:
@@ -365,7 +384,7 @@ def _correlate_views(reference: SensorTimes, other: SensorTimes) -> _Comparison 
         return None
     first, second = (_sample_activity(times, step) for times in pair)
     lags, correlation = _correlate(first, second, _MIN_OVERLAP)
-    offsets = _center(other) - _center(reference) - step * lags
+    offsets = _center(other) - _center(reference) - step * lags.astype(np.float64)
     return _Comparison(offsets[::-1], correlation[::-1], _count_independent(first, second))
 
 
@@ -378,7 +397,8 @@ def _sample_activity(times: SensorTimes, step: float) -> Array:
     """The rank of the activity, 0..1, at equal steps, s: single messages without any change do not dominate."""
     grid = np.arange(times.stamps[0], times.stamps[-1], step)
     measured = np.concatenate([times.activity[1:2], times.activity[1:]])  # of the first, no change is known
-    return np.interp(grid, times.stamps, rankdata(measured) / len(measured))
+    sampled: Array = np.interp(grid, times.stamps, rankdata(measured) / len(measured))
+    return sampled
 
 
 def _correlate(first: Array, second: Array, min_overlap: float) -> tuple[NDArray[np.int64], Array]:
@@ -421,12 +441,3 @@ def _count_independent(first: Array, second: Array) -> float:
     lags = np.arange(1, n // 2)
     shared = autocorrelations[0][lags] * autocorrelations[1][lags] * (1 - lags / n)
     return float(n / max(1 + 2 * shared.sum(), 1.0))
-
-
-def _refine_peak(values: Array, best: int) -> float:
-    """Position of the maximum of the parabola through the largest value and its neighbours, relative to it."""
-    if not 0 < best < len(values) - 1:
-        return 0.0
-    before, at, after = values[best - 1 : best + 2]
-    curvature = before - 2 * at + after
-    return float(0.5 * (before - after) / curvature) if curvature < 0 else 0.0
