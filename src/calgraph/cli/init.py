@@ -42,7 +42,8 @@ def init(
     target = format_target(boards) if boards else ""
     with open_recording(recording, parse_limits(overrides, alone=True)) as opened:
         topics = find_topics(opened)
-        clocks = compare_clocks(opened, [t.name for t in topics if t.kind in KINDS or t in find_triggers(topics)[0]])
+        timed = [topic.name for topic in topics if topic.kind in KINDS or topic in find_triggers(topics)[0]]
+        clocks = compare_clocks(opened, timed)
         by_one_clock = correct_stamps(opened, clocks.certain_offsets())
         background = _find_background(by_one_clock, topics, boards)
         mode = _find_mode(by_one_clock, topics, background.end if background else 0.0)

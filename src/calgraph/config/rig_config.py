@@ -125,7 +125,7 @@ class Rig(StrictModel):
             if self.is_network:
                 raise invalid(key, "applies to rigs only: those of a network are estimated from tracks")
             if name == self.root and sensor.clock_offset != "estimate":
-                raise invalid(key, "is relative to the root's clock, and this is the root: leave it out, or estimate")
+                raise invalid(key, "is relative to the root's clock, and this is the root: leave it out")
         return self
 
     @model_validator(mode="after")

@@ -69,12 +69,14 @@ def calibrate_network(
 
 
 def _add_clock_offsets(calibration: Calibration, rig: Rig, offsets: Mapping[str, float]) -> Calibration:
-    """The calibration with the clock offsets of the recording as it is, where those of some topics were corrected."""
+    """The calibration with the clock offsets of the recording as it is, of whose topics some were corrected."""
     of_root = offsets.get(rig.topics[rig.root], 0.0)
     sensors = [
         sensor
         if sensor.clock_offset is None or sensor.name == rig.root
-        else replace(sensor, clock_offset=sensor.clock_offset + offsets.get(rig.topics[sensor.name], 0.0) - of_root)
+        else replace(
+            sensor, clock_offset=sensor.clock_offset + offsets.get(rig.topics[sensor.name], 0.0) - of_root
+        )
         for sensor in calibration.sensors
     ]
     return replace(calibration, sensors=tuple(sensors)) if offsets else calibration

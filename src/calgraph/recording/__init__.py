@@ -14,6 +14,7 @@ __all__ = [
     "NO_CACHE", "ClockCorrectedRecording", "Encoding", "Inspection", "MessageRecording",
     "PoseRecordings", "Recording", "RecordingCache", "RecordingReference", "RecordingWriter",
     "Timing", "TopicInfo", "TopicReport",
-    "convert_images", "correct_stamps", "find_camera_infos", "find_topics", "inspect_recording", "list_camera_info_topics",
+    "convert_images", "correct_stamps", "find_camera_infos", "find_topics", "inspect_recording",
+    "list_camera_info_topics",
     "open_recording", "open_recordings", "refer_to", "resolve_intrinsics", "separate_poses",
 ]  # fmt: skip

@@ -1,8 +1,8 @@
 """The clocks of a recording's topics, by the times at which their messages arrived.
 
-A recorder notes by its own clock when each message arrives, some hundredths of a second after the measurement. So the
-arrivals compare the clocks that the stamps are of: one that counts from power-up, TAI or GPS time, or the time of
-another zone shows as a constant difference. It is known as well as the delays are, to a tenth of a second.
+A recorder notes by its own clock when each message arrives, some hundredths of a second after the measurement. So
+the arrivals compare the clocks that the stamps are of: one that counts from power-up, TAI or GPS time, or the time
+of another zone shows as a constant difference. It is known as well as the delays are, to a tenth of a second.
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -23,11 +23,13 @@ _DELAY_STDDEV = 0.1
 # Longest time, s, that messages are on their way: queues of drivers and of wireless links hold some seconds of
 # data. A larger difference is one of clocks; the smallest of those that have a name, GPS against UTC, is 18 s.
 _MAX_DELAY = 10.0
-# Stamps that are ahead of the arrival by more than this, s, were not made by the recorder's clock: NTP sets clocks to
-# some ten milliseconds, and drivers that predict the middle of an exposure are ahead by less.
+# Stamps that are ahead of the arrival by more than this, s, were not made by the recorder's clock: NTP sets clocks
+# to some ten milliseconds, and drivers that predict the middle of an exposure are ahead by less.
 _MAX_LEAD = 0.2
 # Minimum difference, s, that may be one of clocks, where other evidence confirms it: usual delays are shorter.
 _MIN_SUSPECT = 0.4
+# Period of sensors, s, above which a message is a slow sweep: its stamp may be as old as the sweep is long.
+_MAX_PERIOD = 0.5
 # Share of messages that arrive sooner than the delay that counts: the shortest delay is the most constant part of
 # it, also where messages arrive in bursts, and single wrong stamps do not matter.
 _QUICKEST = 0.05
@@ -35,9 +37,9 @@ _QUICKEST = 0.05
 _TIME_SCALES = {37.0: "TAI against UTC", 18.0: "GPS time against UTC", 19.0: "TAI against GPS time"}
 # Zones differ by multiples of a quarter of an hour, and by 14 h at most from UTC.
 _ZONE_STEP, _MAX_ZONE = 900.0, 26 * 3600.0
-# Distance to such a difference, s, within which an offset from arrivals is taken for it: three standard deviations.
+# Distance to such a difference, s, within which an offset is taken for it: three standard deviations.
 _MAX_NAME_DISTANCE = 3 * _DELAY_STDDEV
-# Earliest stamp of a clock that was set, s since 1970: the year 1980. Devices whose clock has no battery begin at 0.
+# Earliest stamp of a clock that was set, s since 1970: the year 1980. Clocks without a battery begin at 0.
 _FIRST_DATE = 10 * 365.25 * 86400.0
 _FORMAT = "arrivals/1"
 
@@ -55,8 +57,14 @@ class Arrivals:
 
     @property
     def are_stamps(self) -> bool:
-        """Whether the arrivals are the stamps, as where headers have none or another program wrote the recording."""
+        """Whether the arrivals are the stamps: headers have none, or another program wrote the recording."""
         return bool(np.array_equal(self.stamps, self.arrivals))
+
+    @property
+    def sweep(self) -> float:
+        """Longest time, s, that slow messages may take beside what they state; 0 of usual sensors."""
+        period = float(np.median(np.diff(self.stamps))) if len(self.stamps) > 1 else 0.0
+        return 2 * period if period > _MAX_PERIOD else 0.0
 
     @property
     def delays(self) -> Array:
@@ -180,8 +188,8 @@ UNKNOWN_CLOCKS = Clocks({}, {}, ())
 def compare_clocks(recording: Recording, topics: Collection[str], cache: RecordingCache = NO_CACHE) -> Clocks:
     """Compares the clocks of a recording's topics.
 
-    Recordings that were made together, and takes one after the other, have recorders of their own: arrivals compare
-    the topics of each.
+    Recordings that were made together, and takes one after the other, have recorders of their own: arrivals
+    compare the topics of each.
 
     Args:
         recording: open recording.
@@ -239,20 +247,25 @@ def find_differences(topics: Mapping[str, Arrivals]) -> dict[str, ClockDifferenc
     votes = agreeing.sum(axis=1)
     reference = min(range(len(members)), key=lambda k: (-votes[k], abs(members[k])))
     group = members[agreeing[reference]]
+    of_recorder = bool(agreeing[reference, 0])
+    if of_recorder:  # nothing arrives before it is measured
+        group = group[group >= -_MAX_LEAD]
     typical = float(np.median(group))
     spread = 1.4826 * float(np.median(np.abs(group - typical)))
-    of_recorder = bool(agreeing[reference, 0]) and abs(typical) < _MAX_LEAD
+    of_recorder = of_recorder and abs(typical) < _MAX_LEAD
     found = {}
     for name, one in topics.items():
         difference = shortest[name] - typical
+        slack = one.sweep
         of_delays = float(np.ptp(np.quantile(one.delays, [_QUICKEST, 1 - _QUICKEST])))
         impossible = of_recorder and shortest[name] < -_MAX_LEAD
-        suspect = abs(difference) > _MIN_SUSPECT or impossible
+        suspect = abs(difference) > _MIN_SUSPECT + slack or impossible
         # A difference that is not constant is that of a clock that was set meanwhile.
         if suspect and of_delays < max(abs(difference), _MAX_DELAY):
             stddev = max(_DELAY_STDDEV, spread, 0.1 * of_delays)
             offset, cause = _name_difference(-difference, one.stamps)
-            found[name] = ClockDifference(offset, stddev, abs(difference) > _MAX_DELAY or impossible, cause)
+            certain = abs(difference) > _MAX_DELAY + slack or impossible
+            found[name] = ClockDifference(offset, stddev, certain, cause)
     return found
 
 

@@ -128,7 +128,7 @@ def inspect_recording(recording: Recording, progress: Callable[[float], None]) -
         {
             topic.name: arrivals
             for topic in recording.topics
-            if topic.time_base == "clock" and (arrivals := _list_arrivals(topic, statistics[topic.name])) is not None
+            if (arrivals := _list_arrivals(topic, statistics[topic.name])) is not None
         }
     )
     remarks = {name: f"its stamps {one.describe()}" for name, one in differences.items()} | unmatched
@@ -154,7 +154,7 @@ def _list_arrivals(topic: TopicInfo, statistics: _TopicStatistics) -> Arrivals |
     arrivals = Arrivals(np.array(statistics.stamps), np.array(statistics.arrivals), duration)
     # Events without a header have no clock of their own.
     of_clock = kind in KINDS or (kind == "event" and not arrivals.are_stamps)
-    return arrivals if of_clock and statistics.stamps else None
+    return arrivals if of_clock and statistics.stamps and topic.time_base == "clock" else None
 
 
 def _summarize_topic(recording: Recording, topic: TopicInfo) -> FoundTopic:

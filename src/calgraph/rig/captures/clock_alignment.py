@@ -63,7 +63,10 @@ def correct_by_arrival(rig: Rig, recording: Recording, cache: RecordingCache = N
         if isinstance(spec.clock_offset, float)
     }
     moved = {topic: clocks.differences[topic] for topic in by_arrival if topic not in stated}
-    findings = [Finding(f"the stamps of {names.get(topic, topic)} {one.describe()}, and were corrected") for topic, one in moved.items()]
+    findings = [
+        Finding(f"the stamps of {names.get(topic, topic)} {one.describe()}, and were corrected")
+        for topic, one in moved.items()
+    ]
     offsets = by_arrival | stated
     for trigger in triggers:
         if trigger not in moved and (shared := clocks.shares_time(trigger, stated)):
@@ -128,8 +131,8 @@ def align_views(
         clocks: what arrivals tell.
 
     Returns:
-        Recording and timeline with the stamps by one clock, and what was corrected. A clock that cannot be estimated
-        is taken for that of the others.
+        Recording and timeline with the stamps by one clock, and what was corrected. A clock that cannot be
+        estimated is taken for that of the others.
     """
     topics, wanted = rig.topics, _list_wanted(rig)
     hints = _find_hints(rig, clocks) | {name: 0.0 for name, topic in topics.items() if topic in clocks.corrected}
@@ -185,8 +188,8 @@ def _find_apart(spans: Mapping[str, tuple[float, float]], root: str) -> list[str
     return min((list_apart(n) for n in sorted(spans, key=lambda n: n != root)), key=len, default=[])
 
 
-# Log-likelihood of an offset that is searched among all, and its difference from that of any other, from which it is
-# that of a clock: the best of some thousand by chance has 8, and moves at equal intervals repeat themselves.
+# Log-likelihood of an offset that is searched among all, and its difference from that of any other, from which it
+# is that of a clock: the best of some thousand by chance has 8, and moves at equal intervals repeat themselves.
 _MIN_LIKELIHOOD, _MIN_DISTINCTION = 12.0, 5.0
 # Time to both sides of an offset, s, within which others are of the same maximum: moves of a board take a second.
 _PEAK_WIDTH = 1.0
@@ -197,7 +200,7 @@ _GRID = 0.01
 def estimate_clock_offsets(
     timeline: RecordingTimeline, root: str, wanted: Sequence[str]
 ) -> dict[str, ClockOffset]:
-    """Estimates clock offsets from the motion of the board, which starts and stops in all views at the same times.
+    """Estimates clock offsets from the motion of the board, which starts and stops in all views at equal times.
 
     With the correlation ρ(τ) of the changes of two views and the number n of their independent samples, the offset τ
     has the log-likelihood -n/2 log(1 - ρ²), which is summed over the sensors whose offsets are known.
@@ -325,7 +328,7 @@ class _Searched(ClockOffset):
 
 
 def _search(name: str, pairs: Pairs, known: Mapping[str, float]) -> _Searched | None:
-    """The offset that stands out among all with which the sensor's view overlaps with others; None if none does."""
+    """The offset that stands out among all with which the sensor's view overlaps others; None if none does."""
     grids = [grid for grid, _, _ in _select_pairs(name, pairs, known) if len(grid)]
     if not grids:
         return None
