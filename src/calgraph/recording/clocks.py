@@ -95,8 +95,8 @@ class ClockDifference:
             late = "" if self.offset > 0 else ", or the messages arrive as late"
             return f"may be {abs(self.offset):.1f} s {side} those of the others{late}"
         return (
-            f"{self.cause or 'are of another clock'}: they are {abs(self.offset):.3f} s {side} those of the others, "
-            f"by when the messages arrived (±{self.stddev:.1f} s)"
+            f"{self.cause or 'are of another clock'}: they are {abs(self.offset):.3f} s {side} those of the "
+            f"others, by when the messages arrived (±{self.stddev:.1f} s)"
         )
 
 

@@ -288,7 +288,7 @@ class ClockCorrectedRecording(ClosedOnExit):
 
 
 def correct_stamps(recording: Recording, clock_offsets: Mapping[str, float]) -> Recording:
-    """The recording with offsets, s, of topics' clocks subtracted from its stamps, beside those that were before."""
+    """The recording with clock offsets by topic, s, subtracted from its stamps, beside those that were before."""
     if not any(clock_offsets.values()):
         return recording
     if isinstance(recording, ClockCorrectedRecording):

@@ -202,8 +202,8 @@ def estimate_clock_offsets(
 ) -> dict[str, ClockOffset]:
     """Estimates clock offsets from the motion of the board, which starts and stops in all views at equal times.
 
-    With the correlation ρ(τ) of the changes of two views and the number n of their independent samples, the offset τ
-    has the log-likelihood -n/2 log(1 - ρ²), which is summed over the sensors whose offsets are known.
+    With the correlation ρ(τ) of the changes of two views and the number n of their independent samples, the offset
+    τ has the log-likelihood -n/2 log(1 - ρ²), which is summed over the sensors whose offsets are known.
 
     Args:
         timeline: with the activity of the sensors.

@@ -79,8 +79,8 @@ def _check_trigger(rig: Rig, timeline: RecordingTimeline) -> None:
     triggers = timeline.triggers
     if len(triggers) and (triggers[0] > stamps.max() or triggers[-1] < stamps.min()):
         raise InputError(
-            f"capture.trigger: the stamps of {rig.capture.trigger} run from {triggers[0]:.3f} to {triggers[-1]:.3f} "
-            f"s, those of the sensors from {stamps.min():.3f} to {stamps.max():.3f} s: their clocks differ, and "
+            f"capture.trigger: the stamps of {rig.capture.trigger} run from {triggers[0]:.3f} to "
+            f"{triggers[-1]:.3f} s, those of the sensors from {stamps.min():.3f} to {stamps.max():.3f} s: their clocks differ, and "
             "arrivals do not tell by how much; leave the trigger out to find the holds from the data"
         )
     for name, spec in rig.sensors.items():
@@ -126,9 +126,9 @@ def _check_stamps(name: str, timeline: RecordingTimeline, max_gap: float) -> Non
     if first - stamps[-1] > max_gap or stamps[0] - last > max_gap:
         raise InputError(
             f"sensors.{name}: its header stamps run from {stamps[0]:.3f} to {stamps[-1]:.3f} s, those of the "
-            f"other sensors and triggers from {first:.3f} to {last:.3f} s: their clocks differ, and neither arrivals "
-            f"nor views tell by how much; state the clock_offset of each sensor in seconds, or set the clocks, move "
-            "the board at irregular times, and record again"
+            f"other sensors and triggers from {first:.3f} to {last:.3f} s: their clocks differ, and neither "
+            "arrivals nor views tell by how much; state the clock_offset of each sensor in seconds, or set the "
+            "clocks, move the board at irregular times, and record again"
         )
 
 
