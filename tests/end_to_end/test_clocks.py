@@ -60,7 +60,7 @@ def with_offsets(rig: Rig, **stated: float | str) -> Rig:
 def check_poses(recorded: Recorded, rig: Rig, recording: SimulatedRecording) -> None:
     """All sensors have poses as good as with one clock."""
     errors = pose_errors(calibrate(rig, recording), recorded[2])
-    assert len(errors) == 3
+    assert len(errors) == 2
     for error in errors.values():
         assert np.linalg.norm(error[:3]) < 0.012
         assert np.degrees(np.linalg.norm(error[3:])) < 0.4
@@ -70,9 +70,8 @@ def check_poses(recorded: Recorded, rig: Rig, recording: SimulatedRecording) -> 
     "offsets",
     [
         {LIDAR: -1_699_990_000.0},
-        {TRIGGER: -1_699_990_000.0},
+        {TRIGGER: -1_699_990_000.0, SCANNER: 37.0},
         {CAMERA: -1_699_990_000.0, LIDAR: -1_699_123_456.0, SCANNER: -1_698_765_432.0},
-        {SCANNER: 37.0},
         {CAMERA: 0.5},
     ],
 )
@@ -83,12 +82,7 @@ def test_clocks_that_differ_by_their_arrivals_cost_nothing(
 
 
 @pytest.mark.parametrize(
-    "stated",
-    [
-        {"lidar": "estimate"},
-        {"camera": "estimate", "laser_front": "estimate"},
-        {"camera": 1_699_990_000.0, "laser_front": 1_699_990_000.0},
-    ],
+    "stated", [{"lidar": "estimate"}, {"camera": 1_699_990_000.0, "laser_front": 1_699_990_000.0}]
 )
 def test_what_may_be_stated_of_clocks_works(recorded: Recorded, stated: Mapping[str, float | str]) -> None:
     """The LiDAR, which counts from power-up, is the root; its clock may be estimated, too."""

@@ -1,6 +1,7 @@
 """Clocks from when messages were stamped and when they arrived."""
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -128,9 +129,7 @@ def recording(offsets: dict[str, float], topics: str = "ab", shift: float = 0.0)
         for topic in topics:
             stamp = float(time + offsets.get(topic, 0.0))
             scan = LaserScan(stamp, topic, np.zeros(3), np.ones(3))
-            records.append(
-                RecordedMessage(topic, stamp, float(time + 0.02 + shift), lambda scan=scan: replace(scan))
-            )
+            records.append(RecordedMessage(topic, stamp, float(time + 0.02 + shift), partial(replace, scan)))
     return IndexedRecording(Path("made"), records, dict.fromkeys(topics, "scan"))
 
 

@@ -26,6 +26,7 @@ from calgraph.network.joint.estimate import NetworkSolution, solve_network
 from calgraph.network.joint.scanner_prior import ScannerPrior
 from calgraph.network.options import NetworkMethod, NetworkOptions
 from calgraph.network.pairs.visibility_map import ScannerObservations
+from calgraph.network.recorded_clocks import add_clock_offsets, correct_clocks
 from calgraph.network.scanner_pairs import CorrectedPairs, pair_scanners
 from calgraph.network.step_log import log_network
 from calgraph.network.track_recording import forget_unused_beams, moving_target, scanner_spec, track_people
@@ -33,8 +34,7 @@ from calgraph.network.tracking.stationarity import select_interval
 from calgraph.network.tracking.track import ScannerBump, ScannerTracks
 from calgraph.parallel.engine import MapEngine
 from calgraph.parallel.progress import Progress, no_progress
-from calgraph.recording import Recording, correct_stamps
-from calgraph.recording.clocks import compare_clocks
+from calgraph.recording import Recording
 from calgraph.recording.input_checks import InputMonitor
 from calgraph.result import Calibration, ExtrinsicsFile
 from calgraph.result.finding import Finding
@@ -52,34 +52,14 @@ def calibrate_network(
     options.select_method(rig.settings.published)
     _calibration_to_extend(rig, options)
     monitor = InputMonitor(rig, recording.start)
-    clocks = compare_clocks(recording, list(rig.topics.values()), options.cache)
-    recording = correct_stamps(recording, clocks.certain_offsets())
+    recording, offsets, corrected = correct_clocks(rig, recording, options.cache)
     tracks, frames = track_people(rig, recording, options, progress, monitor)
     tracks = forget_unused_beams(rig, tracks)
-    findings = [
-        Finding(f"the stamps of {name} {clocks.differences[topic].describe()}, and were corrected")
-        for name, topic in rig.topics.items()
-        if topic in clocks.certain_offsets()
-    ]
     calibration = calibrate_tracks(
         rig, tracks, options, progress,
-        frames=frames, start=recording.start, findings=(*findings, *monitor.findings()),
+        frames=frames, start=recording.start, findings=(*corrected, *monitor.findings()),
     )  # fmt: skip
-    return _add_clock_offsets(calibration, rig, clocks.certain_offsets())
-
-
-def _add_clock_offsets(calibration: Calibration, rig: Rig, offsets: Mapping[str, float]) -> Calibration:
-    """The calibration with the clock offsets of the recording as it is, of whose topics some were corrected."""
-    of_root = offsets.get(rig.topics[rig.root], 0.0)
-    sensors = [
-        sensor
-        if sensor.clock_offset is None or sensor.name == rig.root
-        else replace(
-            sensor, clock_offset=sensor.clock_offset + offsets.get(rig.topics[sensor.name], 0.0) - of_root
-        )
-        for sensor in calibration.sensors
-    ]
-    return replace(calibration, sensors=tuple(sensors)) if offsets else calibration
+    return add_clock_offsets(calibration, rig, offsets)
 
 
 def calibrate_tracks(

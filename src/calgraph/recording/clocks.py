@@ -150,14 +150,14 @@ def _measure_duration(decode: Callable[[], Message]) -> float:
 
 @dataclass(frozen=True)
 class Clocks:
-    """What the arrivals of a recording say of the clocks of its topics."""
+    """What the arrivals of a recording show of the clocks of its topics."""
 
     differences: Mapping[str, ClockDifference]
     """By topic whose clock differs, or may differ, from that of the others."""
     spans: Mapping[str, tuple[float, float]]
     """By topic, its first and last stamp, s."""
     informative: Collection[str]
-    """The topics whose arrivals are times of their own; those of others are their stamps."""
+    """The topics whose arrivals are no copies of their stamps."""
     corrected: Collection[str] = ()
     """The topics whose stamps were corrected by arrivals."""
 
@@ -182,13 +182,13 @@ class Clocks:
 
 
 UNKNOWN_CLOCKS = Clocks({}, {}, ())
-"""Of a recording whose arrivals tell nothing."""
+"""Of a recording whose arrivals show nothing."""
 
 
 def compare_clocks(recording: Recording, topics: Collection[str], cache: RecordingCache = NO_CACHE) -> Clocks:
     """Compares the clocks of a recording's topics.
 
-    Recordings that were made together, and takes one after the other, have recorders of their own: arrivals
+    Recordings that were made together, and takes one after the other, have separate recorders: arrivals
     compare the topics of each.
 
     Args:
@@ -238,6 +238,8 @@ def find_differences(topics: Mapping[str, Arrivals]) -> dict[str, ClockDifferenc
     Returns:
         By topic, its difference; none for those that have the clock of most.
     """
+    # A clock that stands still has no offset.
+    topics = {name: one for name, one in topics.items() if len(one.stamps) == 1 or np.ptp(one.stamps) > 0}
     if not topics:
         return {}
     shortest = {name: float(np.quantile(one.delays, _QUICKEST)) for name, one in topics.items()}

@@ -152,7 +152,7 @@ def _list_arrivals(topic: TopicInfo, statistics: _TopicStatistics) -> Arrivals |
     kind = _kind(topic.type, statistics.first)
     duration = measure_duration(statistics.first) if statistics.first else 0.0
     arrivals = Arrivals(np.array(statistics.stamps), np.array(statistics.arrivals), duration)
-    # Events without a header have no clock of their own.
+    # Events without a header are stamped by the recorder.
     of_clock = kind in KINDS or (kind == "event" and not arrivals.are_stamps)
     return arrivals if of_clock and statistics.stamps and topic.time_base == "clock" else None
 

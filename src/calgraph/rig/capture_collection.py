@@ -60,7 +60,7 @@ def collect_captures(
         options: how to calibrate.
         rng: for what is drawn at random.
         progress: called with the step and the fraction done.
-        clocks: what arrivals tell of clocks.
+        clocks: what arrivals show of clocks.
     """
     if len(rig.sensors) < 2:
         raise CalibrationError(f"{rig.root} is the only sensor: a rig.yaml needs at least two")

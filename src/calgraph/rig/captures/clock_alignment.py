@@ -7,6 +7,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft
+from scipy.interpolate import CubicSpline
 from scipy.stats import rankdata
 
 from calgraph.config import Rig
@@ -20,7 +21,7 @@ from calgraph.rig.captures.timeline import MAX_MOTION_PERIOD, RecordingTimeline,
 
 @dataclass(frozen=True)
 class CorrectedStamps:
-    """A rig and its recording, whose stamps are by one clock as far as arrivals and rig.yaml tell."""
+    """A rig and its recording, whose stamps are by one clock as far as arrivals and rig.yaml determine them."""
 
     rig: Rig
     """With the uncertainty of what was corrected."""
@@ -28,7 +29,7 @@ class CorrectedStamps:
     findings: tuple[Finding, ...]
     """What was corrected."""
     clocks: Clocks
-    """What arrivals tell."""
+    """What arrivals show."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,7 @@ def correct_by_arrival(rig: Rig, recording: Recording, cache: RecordingCache = N
     """Corrects the stamps by what rig.yaml states of clocks, and by when messages arrived.
 
     The offsets that rig.yaml states are relative to the root's clock, which arrivals may correct itself. A trigger
-    whose arrivals tell nothing has the clock of the sensors with which it has some time in common.
+    whose arrivals show nothing has the clock of the sensors with which it has some time in common.
 
     Args:
         rig: the rig.
@@ -128,7 +129,7 @@ def align_views(
         rig: the rig.
         recording: corrected by arrivals.
         timeline: of this recording, with activity.
-        clocks: what arrivals tell.
+        clocks: what arrivals show.
 
     Returns:
         Recording and timeline with the stamps by one clock, and what was corrected. A clock that cannot be
@@ -303,6 +304,8 @@ def _compare_all(timeline: RecordingTimeline) -> Pairs:
 def _select_pairs(name: str, pairs: Pairs, known: Mapping[str, float]) -> Iterator[tuple[Array, Array, float]]:
     """Of a sensor and every known one: offsets of its clock, ascending, their correlation, and the samples."""
     for (a, b), one in pairs.items():
+        if len(one.offsets) < 2:
+            continue
         if name == b and a in known:
             yield one.offsets + known[a], one.correlation, one.count
         elif name == a and b in known:
@@ -313,10 +316,17 @@ def _weigh(name: str, pairs: Pairs, known: Mapping[str, float], offsets: Array) 
     """(N,) log-likelihoods of offsets (N,) of a sensor's clock, s, and the largest correlations with them."""
     likelihood, largest = np.zeros_like(offsets), np.zeros_like(offsets)
     for grid, values, count in _select_pairs(name, pairs, known):
-        correlation = np.clip(np.interp(offsets, grid, values, left=0.0, right=0.0), 0.0, 1 - 1e-6)
+        correlation = np.clip(_interpolate(offsets, grid, values), 0.0, 1 - 1e-6)
         likelihood -= count / 2 * np.log1p(-(correlation**2))
         largest = np.maximum(largest, correlation)
     return likelihood, largest
+
+
+def _interpolate(offsets: Array, grid: Array, values: Array) -> Array:
+    """Values (N,) at equal distances on a grid, at offsets; a cubic has its maximum between them. 0 outside."""
+    inside = (offsets >= grid[0]) & (offsets <= grid[-1])
+    found: Array = np.where(inside, CubicSpline(grid, values)(offsets), 0.0)
+    return found
 
 
 @dataclass(frozen=True)

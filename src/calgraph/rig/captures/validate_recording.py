@@ -37,10 +37,11 @@ def check_timeline(rig: Rig, timeline: RecordingTimeline, end: float) -> None:
             "recorded? `calgraph inspect` lists what it contains"
         )
     _check_windows(rig, end - timeline.start)
-    _check_trigger(rig, timeline)
+    _check_trigger(rig)
     for name in rig.sensors:
         _check_messages(name, rig, timeline)
         _check_stamps(name, timeline, rig.settings.captures.max_snapshot_gap)
+    _check_trigger_stamps(rig, timeline)
 
 
 def check_pose_numbers(rig: Rig, timeline: RecordingTimeline, topics: Iterable[TopicInfo]) -> None:
@@ -74,21 +75,25 @@ def _list_messages(kind: str) -> tuple[str, ...]:
     return tuple(message.__name__ for message in KINDS[kind].messages)
 
 
-def _check_trigger(rig: Rig, timeline: RecordingTimeline) -> None:
-    stamps = np.concatenate([times.stamps for times in timeline.sensors.values()])
-    triggers = timeline.triggers
-    if len(triggers) and (triggers[0] > stamps.max() or triggers[-1] < stamps.min()):
-        raise InputError(
-            f"capture.trigger: the stamps of {rig.capture.trigger} run from {triggers[0]:.3f} to "
-            f"{triggers[-1]:.3f} s, those of the sensors from {stamps.min():.3f} to {stamps.max():.3f} s: their clocks differ, and "
-            "arrivals do not tell by how much; leave the trigger out to find the holds from the data"
-        )
+def _check_trigger(rig: Rig) -> None:
     for name, spec in rig.sensors.items():
         if spec.topic == rig.capture.trigger:
             raise InputError(
                 f"capture.trigger: {spec.topic} is the topic of the sensor {name}, not one that marks captures; "
                 "leave the trigger out to find the holds from the data"
             )
+
+
+def _check_trigger_stamps(rig: Rig, timeline: RecordingTimeline) -> None:
+    stamps = np.concatenate([times.stamps for times in timeline.sensors.values()])
+    triggers = timeline.triggers
+    if len(triggers) and (triggers[0] > stamps.max() or triggers[-1] < stamps.min()):
+        raise InputError(
+            f"capture.trigger: the stamps of {rig.capture.trigger} run from {triggers[0]:.3f} to "
+            f"{triggers[-1]:.3f} s, those of the sensors from {stamps.min():.3f} to {stamps.max():.3f} s: "
+            "their clocks differ, and arrivals do not show by how much; leave the trigger out to find the holds "
+            "from the data"
+        )
 
 
 def _check_windows(rig: Rig, length: float) -> None:
@@ -127,7 +132,7 @@ def _check_stamps(name: str, timeline: RecordingTimeline, max_gap: float) -> Non
         raise InputError(
             f"sensors.{name}: its header stamps run from {stamps[0]:.3f} to {stamps[-1]:.3f} s, those of the "
             f"other sensors and triggers from {first:.3f} to {last:.3f} s: their clocks differ, and neither "
-            "arrivals nor views tell by how much; state the clock_offset of each sensor in seconds, or set the "
+            "arrivals nor views show by how much; state the clock_offset of each sensor in seconds, or set the "
             "clocks, move the board at irregular times, and record again"
         )
 
