@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.interpolate import CubicSpline
+from scipy.ndimage import uniform_filter1d
 from scipy.stats import rankdata
 
 from calgraph.config import Rig
@@ -238,7 +239,7 @@ _VIEW_STDDEV = 0.05
 # and views from different sides change at times that differ by tenths of a second.
 _MIN_LATE = 0.3
 # Largest one, s: drivers that stamp late are late by less, and moves that an operator repeats follow at intervals.
-_MAX_LATE = 2.5
+_MAX_LATE = 1.5
 # Gain of the log-likelihood by an offset, from which it is that of a clock: where nothing else hints at it, and
 # where arrivals do. Simulated recordings with one clock gain up to 2.3, with a sensor that is 0.5 s late 9 to 22.
 _MIN_GAIN, _MIN_HINTED_GAIN = 8.0, 4.0
@@ -371,6 +372,13 @@ def _find_late(
 
 # Minimum number of messages of a sensor: fewer changes of a view agree with others by chance.
 _MIN_MESSAGES = 20
+# Minimum duration of a recording, s: in a shorter one a board enters and leaves a view a few times, and the few
+# changes agree with others by chance.
+_MIN_SPAN = 20.0
+# Minimum number of times at which a view begins or ceases to change: what passes through one view after another
+# shows the way, not the clocks. Activity is averaged over _SMOOTHING, s, less than a move lasts.
+_MIN_CHANGES = 8
+_SMOOTHING = 0.4
 # Minimum time between samples of the activity, s; half of the shortest period above it. The offset is
 # interpolated to a fraction of it.
 _MIN_STEP = 0.005
@@ -388,7 +396,7 @@ _RESOLUTION = 0.02
 def _correlate_views(reference: SensorTimes, other: SensorTimes) -> _Comparison | None:
     """How similarly two views change with each offset of the other's clock; None if that cannot be known."""
     pair = (reference, other)
-    if any(len(times.stamps) < _MIN_MESSAGES or np.ptp(times.stamps) == 0 for times in pair):
+    if any(len(times.stamps) < _MIN_MESSAGES or np.ptp(times.stamps) < _MIN_SPAN for times in pair):
         return None
     if any(times.period > MAX_MOTION_PERIOD or not times.activity.any() for times in pair):
         return None
@@ -396,9 +404,18 @@ def _correlate_views(reference: SensorTimes, other: SensorTimes) -> _Comparison 
     if any(np.ptp(times.stamps) > step * _MAX_SAMPLES for times in pair):
         return None
     first, second = (_sample_activity(times, step) for times in pair)
+    if min(_count_changes(one, step) for one in (first, second)) < _MIN_CHANGES:
+        return None
     lags, correlation = _correlate(first, second, _MIN_OVERLAP)
     offsets = _center(other) - _center(reference) - step * lags.astype(np.float64)
     return _Comparison(offsets[::-1], correlation[::-1], _count_independent(first, second))
+
+
+def _count_changes(activity: Array, step: float) -> int:
+    """How often activity (N,), every ``step`` s, crosses the middle of its range."""
+    smooth = uniform_filter1d(activity, max(round(_SMOOTHING / step), 1))
+    high = smooth > (smooth.min() + smooth.max()) / 2
+    return int(np.sum(high[1:] != high[:-1]))
 
 
 def _center(times: SensorTimes) -> float:
