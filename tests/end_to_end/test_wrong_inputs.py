@@ -104,7 +104,11 @@ def test_stamps_that_stand_still_are_bad_input(
 
 def test_a_clock_far_from_the_others_is_bad_input(staged_rig: tuple[Rig, SimulatedRecording]) -> None:
     rig, recording = staged_rig
-    off = build_recording(replace(r, stamp=r.stamp + 3600) if r.topic == FRONT else r for r in recording.messages)
+    """Its messages arrive at the times of its stamps, and three moves of the board do not tell the offset."""
+    off = build_recording(
+        replace(r, stamp=r.stamp + 3600, arrival=r.arrival + 3600) if r.topic == FRONT else r
+        for r in recording.messages
+    )
     with pytest.raises(InputError, match=r"sensors\.laser_front: its header stamps run from .* clocks differ"):
         calibrate(rig, off)
 

@@ -16,7 +16,7 @@ from calgraph.parallel.progress import Progress, no_progress
 from calgraph.recording import RecordingCache, open_recordings
 from calgraph.rig.capture_collection import collect_captures
 from calgraph.rig.captures import hold_messages, sensor_detection, timeline_reading
-from calgraph.rig.captures.clock_alignment import align_clocks
+from calgraph.rig.captures.clock_alignment import correct_by_arrival
 from calgraph.rig.options import RigOptions
 from calgraph.simulation import RigScenario, simulate_rig
 from dask_programs import start_scheduler, start_worker, stop
@@ -74,8 +74,9 @@ def collect(
         # Texts of arrays take minutes.
         np.printoptions(override_repr=lambda array: f"{array.dtype} {array.shape} {array.tobytes().hex()}"),
     ):
-        aligned = align_clocks(rig, recording, options.cache, options.engine)
-        return repr(collect_captures(aligned.rig, aligned.recording, options, np.random.default_rng(0), progress))
+        corrected = correct_by_arrival(rig, recording, options.cache)
+        rng = np.random.default_rng(0)
+        return repr(collect_captures(corrected.rig, corrected.recording, options, rng, progress, corrected.clocks))
 
 
 @pytest.fixture(scope="module")

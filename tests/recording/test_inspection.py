@@ -67,10 +67,16 @@ def test_stamps_that_were_never_set_are_found(tmp_path: Path) -> None:
     assert topic.findings == ("all header stamps are zero: the time of arrival is taken",)
 
 
-@pytest.mark.parametrize(("delay", "words"), [(3600.0, "3600.0 s behind"), (-0.3, "300 ms ahead of")])
+@pytest.mark.parametrize(
+    ("delay", "words"),
+    [
+        (3600.0, "are of another time zone: they are 3600.000 s behind those of the others, by when "),
+        (-0.3, "are of another clock: they are 0.300 s ahead of those of the others, by when "),
+    ],
+)
 def test_another_clock_is_found(tmp_path: Path, delay: float, words: str) -> None:
-    findings = inspected(tmp_path, STAMPS, delay).findings
-    assert findings == (f"its clock is {words} the recorder's: stamps of different clocks",)
+    [finding] = inspected(tmp_path, STAMPS, delay).findings
+    assert finding.startswith(f"its stamps {words}")
 
 
 def test_a_clock_that_runs_away_is_found(tmp_path: Path) -> None:

@@ -14,7 +14,8 @@ from calgraph.config.settings import CameraDetectionSettings, CaptureSettings
 from calgraph.errors import InputError
 from calgraph.io.atomic import write_text
 from calgraph.printing import format_target, read_boards
-from calgraph.recording import Recording, find_topics, open_recording
+from calgraph.recording import Recording, correct_stamps, find_topics, open_recording
+from calgraph.recording.clocks import compare_clocks
 from calgraph.rig.captures.capture_mode import RecognizedMode, recognize_recording
 from calgraph.rig.captures.empty_start import find_empty_start
 from calgraph.sensors.kinds import KINDS
@@ -41,8 +42,10 @@ def init(
     target = format_target(boards) if boards else ""
     with open_recording(recording, parse_limits(overrides, alone=True)) as opened:
         topics = find_topics(opened)
-        background = find_background(opened, topics, boards)
-        found = find_mode(opened, topics, background)
+        timed = [topic.name for topic in topics if topic.kind in KINDS or topic in find_triggers(topics)[0]]
+        by_one_clock = correct_stamps(opened, compare_clocks(opened, timed).certain_offsets())
+        background = find_background(by_one_clock, topics, boards)
+        found = find_mode(by_one_clock, topics, background)
         mode = FoundMode(found.mode, found.reason) if found else None
         text = draft_rig(topics, recording, target, background, mode)
     write_text(out, text)

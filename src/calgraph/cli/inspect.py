@@ -18,7 +18,14 @@ from calgraph.cli.progress import progress_bars
 from calgraph.cli.setting_options import SetOption, parse_limits
 from calgraph.errors import RecordingError
 from calgraph.io.text_writing import format_json
-from calgraph.recording import Inspection, TopicReport, find_topics, inspect_recording, open_recording
+from calgraph.recording import (
+    Inspection,
+    TopicReport,
+    correct_stamps,
+    find_topics,
+    inspect_recording,
+    open_recording,
+)
 from calgraph.result import Calibration, load_calibration, to_json
 from calgraph.rig.captures.capture_mode import RecognizedMode
 from calgraph.sensors.kinds import KINDS
@@ -43,7 +50,8 @@ def inspect(
     with open_recording(recording, parse_limits(overrides, alone=True)) as opened, progress_bars() as progress:
         inspection = inspect_recording(opened, partial(progress, "reading"))
         topics = () if inspection.damage else find_topics(opened)
-        mode = find_mode(opened, topics, find_background(opened, topics, ()))
+        by_one_clock = correct_stamps(opened, inspection.clock_offsets)
+        mode = find_mode(by_one_clock, topics, find_background(by_one_clock, topics, ()))
     if json:
         captures = {"captures": {"mode": mode.mode, "reason": mode.reason} if mode else None}
         typer.echo(format_json({"recording": recording, **asdict(inspection), **captures}))

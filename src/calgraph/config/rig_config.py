@@ -132,7 +132,7 @@ class Rig(StrictModel):
             key = f"sensors.{name}.clock_offset"
             if self.is_network:
                 raise invalid(key, "applies to rigs only: those of a network are estimated from tracks")
-            if name == self.root:
+            if name == self.root and sensor.clock_offset != "estimate":
                 raise invalid(key, "is relative to the root's clock, and this is the root: leave it out")
         return self
 

@@ -24,6 +24,7 @@ from calgraph.network.graph.network_initialization import NetworkInitialization
 from calgraph.network.joint.estimate import NetworkSolution, solve_network
 from calgraph.network.joint.scanner_prior import ScannerPrior
 from calgraph.network.options import NetworkOptions
+from calgraph.network.recorded_clocks import add_clock_offsets, correct_clocks
 from calgraph.network.scanner_pairs import CorrectedPairs, average_pairs, pair_scanners
 from calgraph.network.step_log import log_network
 from calgraph.network.timed_tracks import track_with_beam_times
@@ -52,12 +53,14 @@ def calibrate_network(
     _calibration_to_extend(rig, options)
     check_sensor_topics(rig, recording)
     monitor = InputMonitor(rig, recording.start)
+    recording, offsets, corrected = correct_clocks(rig, recording, options.cache)
     tracks, frames, findings = track_with_beam_times(rig, recording, options, progress, monitor)
     tracks = forget_unused_beams(rig, tracks)
-    findings = (*monitor.findings(), *findings)
-    return calibrate_tracks(
+    findings = (*corrected, *monitor.findings(), *findings)
+    calibration = calibrate_tracks(
         rig, tracks, options, progress, frames=frames, start=recording.start, findings=findings
     )
+    return add_clock_offsets(calibration, rig, offsets)
 
 
 def calibrate_tracks(

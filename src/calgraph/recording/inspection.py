@@ -1,7 +1,7 @@
 """Inspection of a recording: its topics, their timing, and anomalies."""
 
 from array import array
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -11,6 +11,7 @@ from calgraph.errors import RecordingError
 from calgraph.geometry import STDDEV_PER_MAD, Array
 from calgraph.recording.bags import BagRecording
 from calgraph.recording.camera_info import MAX_UNCALIBRATED
+from calgraph.recording.clocks import Arrivals, find_differences, measure_duration
 from calgraph.recording.file_names import describe_unmatched_numbers, find_pose_numbers
 from calgraph.recording.recording import Recording, TopicInfo
 from calgraph.recording.sensor_topics import describe_unit, explain_unread, looks_like_sensor
@@ -26,11 +27,6 @@ _OTHER_KINDS: dict[str, Kind] = {
 _EVENTS = "std_msgs/msg/"
 _MAX_GAP_PERIODS = 4.0
 """Gaps longer than this many periods are reported."""
-_MAX_LATENCY = 1.0
-"""Stamps older than their arrival by this and two periods of the sensor come from another clock, s."""
-_MAX_LEAD = 0.05
-"""Stamps newer than their arrival by more than this come from another clock, s: clocks that NTP sets agree within
-some ten milliseconds, and drivers that predict the middle of an exposure are ahead by less."""
 _MAX_DRIFT = 0.02
 """Drift of a clock against the recorder's over the recording above which it is reported, s."""
 
@@ -86,6 +82,8 @@ class Inspection:
     """What is missing of it although it could be read, in words."""
     damage: str = ""
     """Why it could not be read to its end, or that it is empty; an empty text otherwise."""
+    clock_offsets: Mapping[str, float] = field(default_factory=dict)
+    """By topic whose clock differs for sure, the offset that a calibration subtracts from its stamps, s."""
 
 
 @dataclass
@@ -133,18 +131,37 @@ def inspect_recording(recording: Recording, progress: Callable[[float], None]) -
         if topic.time_base == "pose" and _kind(topic.type, statistics[topic.name].first) in KINDS
     }
     unmatched = describe_unmatched_numbers(numbers)
+    differences = find_differences(
+        {
+            topic.name: arrivals
+            for topic in recording.topics
+            if (arrivals := _list_arrivals(topic, statistics[topic.name])) is not None
+        }
+    )
+    remarks = {name: f"its stamps {one.describe()}" for name, one in differences.items()} | unmatched
     reports = (_report(topic, statistics[topic.name], recording.start) for topic in recording.topics)
     return Inspection(
         0.0 if numbers else duration,
         tuple(
-            replace(report, findings=(*report.findings, unmatched[report.name]))
-            if report.name in unmatched
+            replace(report, findings=(*report.findings, remarks[report.name]))
+            if report.name in remarks
             else report
             for report in reports
         ),
         recording.notices if isinstance(recording, BagRecording) else (),
         damage,
+        {name: one.offset for name, one in differences.items() if one.certain},
     )
+
+
+def _list_arrivals(topic: TopicInfo, statistics: _TopicStatistics) -> Arrivals | None:
+    """When the messages of a sensor or of what may be a trigger arrived; None of other topics."""
+    kind = _kind(topic.type, statistics.first)
+    duration = measure_duration(statistics.first) if statistics.first else 0.0
+    arrivals = Arrivals(np.array(statistics.stamps), np.array(statistics.arrivals), duration)
+    # Events without a header are stamped by the recorder.
+    of_clock = kind in KINDS or (kind == "event" and not arrivals.are_stamps)
+    return arrivals if of_clock and statistics.stamps and topic.time_base == "clock" else None
 
 
 def _summarize_topic(recording: Recording, topic: TopicInfo) -> FoundTopic:
@@ -252,16 +269,11 @@ def _findings(stamps: Array, arrivals: Array, timing: Timing, *, has_header: boo
         longest, at = _format_seconds(gaps.max()), stamps[int(np.argmax(periods))] - stamps[0]
         times = _format_times(len(gaps))
         yield f"silent for over {_MAX_GAP_PERIODS:.0f} periods {times}, longest {longest} at {at:.1f} s"
-    yield from _clock_findings(arrivals - stamps, timing, unset)
+    yield from _drift_findings(arrivals - stamps, unset)
 
 
-def _clock_findings(delays: Array, timing: Timing, unset: int) -> Iterable[str]:
-    """Whether the stamps are of the recorder's clock; they may be as old as the sweep they begin is long."""
-    oldest = _MAX_LATENCY + (2 / timing.rate if timing.rate else 0.0)
-    _, median, _ = timing.delay
-    if not -_MAX_LEAD <= median <= oldest:
-        side = "behind" if median > 0 else "ahead of"
-        yield f"its clock is {_format_seconds(abs(median))} {side} the recorder's: stamps of different clocks"
+def _drift_findings(delays: Array, unset: int) -> Iterable[str]:
+    """Whether the clock of the stamps runs away from the recorder's."""
     tenth = len(delays) // 10
     if tenth and not unset:
         # The least delay is the most constant part of it.

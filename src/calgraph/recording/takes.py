@@ -250,7 +250,7 @@ class ClockCorrectedRecording(ClosedOnExit):
     """
 
     def __init__(self, recording: Recording, clock_offsets: Mapping[str, float]) -> None:
-        self._recording = recording
+        self.recording = recording
         self.clock_offsets = dict(clock_offsets)
         self.path, self.sources, self.topics = recording.path, recording.sources, recording.topics
         self.opened_from, self.divisible = recording.opened_from, recording.divisible
@@ -270,21 +270,32 @@ class ClockCorrectedRecording(ClosedOnExit):
         for topic in select_topics(self.path, self.topics, topics):
             by_offset[self._arrival_offsets[topic]].add(topic)
         return merge_by_arrival(
-            (self._recording.start - offset, self._read(names, offset, start, end))
+            (self.recording.start - offset, self._read(names, offset, start, end))
             for offset, names in sorted(by_offset.items())
         )
 
     def close(self) -> None:
         """Closes the files."""
-        self._recording.close()
+        self.recording.close()
 
     def _read(
         self, topics: Collection[str], offset: float, start: float | None, end: float | None
     ) -> Iterator[RecordedMessage]:
         """The records of topics whose arrivals have one offset."""
         first, last = (None if time is None else time + offset for time in (start, end))
-        for record in self._recording.records(topics, first, last):
+        for record in self.recording.records(topics, first, last):
             yield shift_record(record, -self.clock_offsets.get(record.topic, 0.0), -offset)
+
+
+def correct_stamps(recording: Recording, clock_offsets: Mapping[str, float]) -> Recording:
+    """The recording with clock offsets by topic, s, subtracted from its stamps, beside those that were before."""
+    if not any(clock_offsets.values()):
+        return recording
+    if isinstance(recording, ClockCorrectedRecording):
+        before = recording.clock_offsets
+        clock_offsets = {t: before.get(t, 0.0) + clock_offsets.get(t, 0.0) for t in {*before, *clock_offsets}}
+        recording = recording.recording
+    return ClockCorrectedRecording(recording, clock_offsets)
 
 
 class PoseRecordings(JoinedRecording):
@@ -355,9 +366,11 @@ def separate_poses(
         max_duration: maximum duration of the recording of one pose, s.
         gap: time between two recordings, s, above which they are not parts of one.
     """
-    if not isinstance(recording, JoinedRecording):
+    offsets = recording.clock_offsets if isinstance(recording, ClockCorrectedRecording) else {}
+    joined = recording.recording if isinstance(recording, ClockCorrectedRecording) else recording
+    if not isinstance(joined, JoinedRecording):
         return recording
-    parts = recording.parts
+    parts = [correct_stamps(part, offsets) for part in joined.parts]
     if len(parts) < (2 if stated else 3) or any(part.end - part.start > max_duration for part in parts):
         return recording
     measured = [{topic.name for topic in part.topics if topic.count and topic.name in topics} for part in parts]

@@ -11,10 +11,11 @@ from calgraph.config import Rig
 from calgraph.errors import CalibrationError
 from calgraph.parallel.progress import Progress, no_progress
 from calgraph.recording import Recording, find_camera_infos, resolve_intrinsics, separate_poses
+from calgraph.recording.clocks import UNKNOWN_CLOCKS, Clocks
 from calgraph.recording.input_checks import InputMonitor
 from calgraph.result.finding import Finding
 from calgraph.rig.captures.capture_mode import recognize_mode
-from calgraph.rig.captures.clock_alignment import check_clocks
+from calgraph.rig.captures.clock_alignment import align_views, need_activity
 from calgraph.rig.captures.detect import CaptureSet, SensorCapture, collect_detections
 from calgraph.rig.captures.detectors import draw_seeds
 from calgraph.rig.captures.holds import find_holds, limit_messages
@@ -41,17 +42,33 @@ _MIN_SHARED_RESTS = 5
 
 
 def collect_captures(
-    rig: Rig, recording: Recording, options: RigOptions, rng: np.random.Generator, progress: Progress = no_progress
+    rig: Rig,
+    recording: Recording,
+    options: RigOptions,
+    rng: np.random.Generator,
+    progress: Progress = no_progress,
+    clocks: Clocks = UNKNOWN_CLOCKS,
 ) -> CaptureSet:
     """Finds the holds of the board, and detects the board in every sensor's messages of each hold.
 
     The intrinsics of cameras without any are estimated first, from the same holds. Where the board is out of the
     views while they rest, and stamps show sets of frames, the captures are these.
+
+    Args:
+        rig: the rig.
+        recording: whose stamps are corrected by arrivals.
+        options: how to calibrate.
+        rng: for what is drawn at random.
+        progress: called with the step and the fraction done.
+        clocks: what arrivals show of clocks.
     """
     if len(rig.sensors) < 2:
         raise CalibrationError(f"{rig.root} is the only sensor: a rig.yaml needs at least two")
     monitor = InputMonitor(rig, recording.start, find_camera_infos(rig, recording))
-    timeline = read_rig_timeline(rig, recording, monitor, options.cache, options.engine, progress)
+    timeline = read_rig_timeline(
+        rig, recording, monitor, options.cache, options.engine, progress, active=need_activity(rig, clocks)
+    )
+    recording, timeline, findings = align_views(rig, recording, timeline, clocks)
     check_pose_numbers(rig, timeline, recording.topics)
     check_timeline(rig, timeline, recording.end)
     captures = _detect_in_timeline(rig, recording, timeline, options, rng, progress)
@@ -68,7 +85,7 @@ def collect_captures(
             "of frames, in which it moves; if it was meant to rest, hold it still where two sensors detect it"
         )
         captures = replace(captures, findings=(*captures.findings, finding))
-    return replace(captures, findings=(*monitor.findings(), *captures.findings))
+    return replace(captures, findings=(*monitor.findings(), *findings, *captures.findings))
 
 
 def _detect_in_timeline(
@@ -98,7 +115,6 @@ def _detect_in_timeline(
     findings = [
         *check_intrinsics(cameras),
         *check_background(rig, timeline),
-        *check_clocks(rig, timeline),
         *find_intrinsics_remarks(rig, camera_infos, intrinsics),
     ]
     captures = replace(

@@ -23,7 +23,7 @@ from calgraph.rig.bundle.problem import Problem, SolverOptions, with_prior_poses
 from calgraph.rig.bundle.problem_file import round_trip, save_problem
 from calgraph.rig.bundle.solution import RigSolution
 from calgraph.rig.capture_collection import collect_captures, separate_snapshots
-from calgraph.rig.captures.clock_alignment import align_clocks
+from calgraph.rig.captures.clock_alignment import correct_by_arrival
 from calgraph.rig.captures.detect import CaptureSet, state_estimated_intrinsics
 from calgraph.rig.captures.empty_start import resolve_background
 from calgraph.rig.captures.from_detections import GivenDetections, captures_from_detections
@@ -107,12 +107,11 @@ def build_problem(
     check_sensor_topics(rig, recording)
     rng = np.random.default_rng(options.seed)
     rig, recording = convert_images(rig, recording)
-    recording = separate_snapshots(rig, recording)
-    aligned = align_clocks(rig, recording, options.cache, options.engine, progress)
-    recording = aligned.recording
-    rig, background = resolve_background(aligned.rig, recording, options.cache)
-    captures = collect_captures(rig, recording, options, rng, progress)
-    captures = replace(captures, findings=(*aligned.findings, *background, *captures.findings))
+    corrected = correct_by_arrival(rig, recording, options.cache)
+    recording = separate_snapshots(rig, corrected.recording)
+    rig, background = resolve_background(corrected.rig, recording, options.cache)
+    captures = collect_captures(rig, recording, options, rng, progress, corrected.clocks)
+    captures = replace(captures, findings=(*corrected.findings, *background, *captures.findings))
     rig = state_estimated_intrinsics(resolve_intrinsics(rig, recording), captures)
     return build_problem_from_captures(rig, captures, options, rng, progress)
 

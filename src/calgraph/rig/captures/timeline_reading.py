@@ -45,8 +45,13 @@ def read_rig_timeline(
     cache: RecordingCache,
     engine: Engine,
     progress: Progress,
+    *,
+    active: bool = False,
 ) -> RecordingTimeline:
-    """The stamps of every sensor's messages and, where it matters, how much its view changed at each."""
+    """The stamps of every sensor's messages and, where it matters, how much its view changed at each.
+
+    With ``active``, it matters in any case: clocks are found from it.
+    """
 
     def reading(arrival: float) -> None:
         progress("reading", (arrival - recording.start) / max(recording.end - recording.start, 1e-9))
@@ -54,7 +59,8 @@ def read_rig_timeline(
     timeline = read_timeline(rig, recording, monitor, cache, reading)
     if isinstance(recording, PoseRecordings):
         timeline = replace(timeline, poses=recording.poses)
-    if rig.capture.trigger or recognize_mode(timeline, rig.capture, rig.settings.captures).mode == "snapshots":
+    rests_are_known = bool(rig.capture.trigger) and not active
+    if rests_are_known or recognize_mode(timeline, rig.capture, rig.settings.captures).mode == "snapshots":
         return timeline
     return measure_activity(timeline, rig, recording, cache, reading, engine)
 

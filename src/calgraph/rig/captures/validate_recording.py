@@ -41,6 +41,7 @@ def check_timeline(rig: Rig, timeline: RecordingTimeline, end: float) -> None:
     for name in rig.sensors:
         _check_messages(name, rig, timeline)
         _check_stamps(name, timeline, rig.settings.captures.max_snapshot_gap)
+    _check_trigger_stamps(rig, timeline)
 
 
 def check_pose_numbers(rig: Rig, timeline: RecordingTimeline, topics: Iterable[TopicInfo]) -> None:
@@ -83,6 +84,18 @@ def _check_trigger(rig: Rig) -> None:
             )
 
 
+def _check_trigger_stamps(rig: Rig, timeline: RecordingTimeline) -> None:
+    stamps = np.concatenate([times.stamps for times in timeline.sensors.values()])
+    triggers = timeline.triggers
+    if len(triggers) and (triggers[0] > stamps.max() or triggers[-1] < stamps.min()):
+        raise InputError(
+            f"capture.trigger: the stamps of {rig.capture.trigger} run from {triggers[0]:.3f} to "
+            f"{triggers[-1]:.3f} s, those of the sensors from {stamps.min():.3f} to {stamps.max():.3f} s: "
+            "their clocks differ, and arrivals do not show by how much; leave the trigger out to find the holds "
+            "from the data"
+        )
+
+
 def _check_windows(rig: Rig, length: float) -> None:
     window = rig.capture.background
     if window and window[0] >= length:
@@ -118,8 +131,9 @@ def _check_stamps(name: str, timeline: RecordingTimeline, max_gap: float) -> Non
     if first - stamps[-1] > max_gap or stamps[0] - last > max_gap:
         raise InputError(
             f"sensors.{name}: its header stamps run from {stamps[0]:.3f} to {stamps[-1]:.3f} s, those of the "
-            f"other sensors and triggers from {first:.3f} to {last:.3f} s: their clocks differ; state "
-            f"sensors.{name}.clock_offset, or clock_offset: estimate"
+            f"other sensors and triggers from {first:.3f} to {last:.3f} s: their clocks differ, and neither "
+            "arrivals nor views show by how much; state the clock_offset of each sensor in seconds, or set the "
+            "clocks, move the board at irregular times, and record again"
         )
 
 
