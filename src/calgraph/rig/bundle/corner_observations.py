@@ -17,7 +17,8 @@ from calgraph.rig.bundle.observations import (
     no_extra,
     pose_and_extra_jacobian,
     select_measurements,
-    select_twists,
+    select_motions,
+    stack_motion_variances,
     stack_twists,
     start_indices,
     velocity_along_sensor,
@@ -114,6 +115,8 @@ class CornerObservations:
     """Whether ``TIME_PARAMETERS`` are among the local parameters."""
     twist: Array = field(default_factory=lambda: np.zeros((0, 6)))
     """See :class:`BoardViews`."""
+    motion_variance: Array = field(default_factory=lambda: np.zeros((0, 6)))
+    """See :class:`BoardViews`."""
     residual_distortion: ResidualDistortion | None = None
     """What the lens displaces beyond its model; None if nothing."""
     ring_count: ClassVar[int] = 0
@@ -135,6 +138,7 @@ class CornerObservations:
             noise,
             extra_of_local=no_extra(len(board)),
             twist=stack_twists(detections),
+            motion_variance=stack_motion_variances(detections),
         )
 
     def linearize(self, T_sensor_board: Array, extra: Array) -> LinearizedResiduals:
@@ -235,7 +239,8 @@ class CornerObservations:
             printed=self.printed.select(kept),
             pixels=self.pixels[kept],
             extra_of_local=self.extra_of_local[keep],
-            twist=select_twists(self.twist, keep),
+            twist=select_motions(self.twist, keep),
+            motion_variance=select_motions(self.motion_variance, keep),
         )
 
 

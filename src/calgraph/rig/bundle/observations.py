@@ -80,6 +80,10 @@ class BoardViews(Protocol):
     def twist(self) -> Array:
         """(V, 6) velocity of each board, as detections have it; (0, 6) if all rest."""
 
+    @property
+    def motion_variance(self) -> Array:
+        """(V, 6) as of detections; (0, 6) if all boards rest."""
+
     def linearize(self, T_sensor_board: Array, extra: Array) -> LinearizedResiduals:
         """Residuals and derivatives at poses (V, 4, 4) and the sensor's extra parameters (e,)."""
 
@@ -120,9 +124,15 @@ def stack_twists(detections: Sequence[Detection]) -> Array:
     return twists if np.any(twists) else np.zeros((0, 6))
 
 
-def select_twists(twist: Array, keep: NDArray[np.bool_] | Index) -> Array:
-    """Those of some of the views: a mask (V,), or indices, which may repeat."""
-    return twist[keep] if len(twist) else twist
+def stack_motion_variances(detections: Sequence[Detection]) -> Array:
+    """:attr:`BoardViews.motion_variance` of detections."""
+    variances = np.array([one.motion_variance for one in detections]).reshape(-1, 6)
+    return variances if np.any(variances) else np.zeros((0, 6))
+
+
+def select_motions(values: Array, keep: NDArray[np.bool_] | Index) -> Array:
+    """Twists or variances of some of the views: a mask (V,), or indices, which may repeat."""
+    return values[keep] if len(values) else values
 
 
 def velocity_along_sensor(twist: Array, T_sensor_board: Array) -> Array | None:

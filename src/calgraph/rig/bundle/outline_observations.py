@@ -20,7 +20,8 @@ from calgraph.rig.bundle.observations import (
     no_extra,
     pose_and_extra_jacobian,
     select_measurements,
-    select_twists,
+    select_motions,
+    stack_motion_variances,
     stack_twists,
     start_indices,
     velocity_along_sensor,
@@ -88,6 +89,8 @@ class OutlineObservations:
     extra_count: int = 0
     twist: Array = field(default_factory=lambda: np.zeros((0, 6)))
     """See :class:`BoardViews`."""
+    motion_variance: Array = field(default_factory=lambda: np.zeros((0, 6)))
+    """See :class:`BoardViews`."""
     dimension: ClassVar[int] = 1
 
     @classmethod
@@ -107,6 +110,7 @@ class OutlineObservations:
             np.zeros(len(edges)),
             extra_of_local=no_extra(len(board)),
             twist=stack_twists(detections),
+            motion_variance=stack_motion_variances(detections),
         )
 
     @property
@@ -229,7 +233,8 @@ class OutlineObservations:
             across=self.across[kept],
             along=self.along[kept],
             extra_of_local=self.extra_of_local[keep],
-            twist=select_twists(self.twist, keep),
+            twist=select_motions(self.twist, keep),
+            motion_variance=select_motions(self.motion_variance, keep),
         )
 
     def edge_points(self, T_sensor_board: Array) -> tuple[Index, Array]:

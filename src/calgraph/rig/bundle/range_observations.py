@@ -16,7 +16,8 @@ from calgraph.rig.bundle.observations import (
     no_extra,
     select_extra,
     select_measurements,
-    select_twists,
+    select_motions,
+    stack_motion_variances,
     stack_twists,
     start_indices,
     velocity_along_sensor,
@@ -73,6 +74,8 @@ class RangeObservations:
     """Whether the last local parameter before those of rings is the delay of stamps, s."""
     twist: Array = field(default_factory=lambda: np.zeros((0, 6)))
     """See :class:`BoardViews`."""
+    motion_variance: Array = field(default_factory=lambda: np.zeros((0, 6)))
+    """See :class:`BoardViews`."""
     dimension: ClassVar[int] = 1
 
     @classmethod
@@ -92,6 +95,7 @@ class RangeObservations:
             min_cosine,
             extra_of_local=no_extra(len(board)),
             twist=stack_twists(detections),
+            motion_variance=stack_motion_variances(detections),
         )
 
     def linearize(self, T_sensor_board: Array, extra: Array) -> LinearizedResiduals:
@@ -225,7 +229,8 @@ class RangeObservations:
             registered=self.registered[keep] if len(self.registered) else self.registered,
             bow_shape=None if self.bow_shape is None else self.bow_shape[kept],
             extra_of_local=self.extra_of_local[keep],
-            twist=select_twists(self.twist, keep),
+            twist=select_motions(self.twist, keep),
+            motion_variance=select_motions(self.motion_variance, keep),
         )
 
     def with_rings(self, ring: Index, count: int) -> "RangeObservations":
@@ -262,6 +267,7 @@ class RangeObservations:
             bow_shape=None,
             extra_of_local=self.extra_of_local[first],
             twist=np.zeros((0, 6)),
+            motion_variance=np.zeros((0, 6)),
         )
         if self.ring is None:
             return beams

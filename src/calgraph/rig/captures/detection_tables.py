@@ -38,9 +38,11 @@ DETECTIONS: Mapping[type[Detection], Table] = {
 
 _MOTIONS = Table("motions", {**_PLACE, "twist": Column((6,))})
 """Velocities of moving boards; files of boards at rest have none."""
+_MOTION_VARIANCES = Table("motion_variances", {**_PLACE, "motion_variance": Column((6,))})
+"""Of moving boards whose velocities are uncertain."""
 _BEAM_TIMES = Table("beam_times", {**_PLACE, "times": Column(ragged=True)})
 """Times of the beams of single messages; files without them have none."""
-_OPTIONAL = (_MOTIONS, "twist"), (_BEAM_TIMES, "times")
+_OPTIONAL = (_MOTIONS, "twist"), (_MOTION_VARIANCES, "motion_variance"), (_BEAM_TIMES, "times")
 
 
 def pack_detections(detections: Mapping[str, Mapping[int, Sequence[Detection]]]) -> dict[str, NDArray[Any]]:

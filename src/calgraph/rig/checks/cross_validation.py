@@ -175,11 +175,11 @@ def _compare_with_prediction(
     A, b = observed.information / meters / meters[:, None], observed.gradient / meters
     x, X = _predict_boards(bundle, state, equations, covariance, sensor)
     X, free = _split_predicted(X * meters * meters[:, None], _PREDICTED_BOARD_STDDEV)
-    X += np.diag(_bias_variances(bundle, sensor) * meters**2)
+    X += np.eye(len(meters)) * (_bias_variances(bundle, sensor) * meters**2)[:, None]
     velocity = velocity_along_sensor(views.twist, T_board)
     if velocity is not None:
         moved = velocity * meters[:6]
-        X[:, :6, :6] += bundle.bias_variances(sensor)[7] * moved[:, :, None] * moved[:, None]
+        X[:, :6, :6] += bundle.bias_variances(sensor)[:, 7, None, None] * moved[:, :, None] * moved[:, None]
     # Along directions that the others do not predict, the board follows the sensor itself.
     least = _RANK_TOLERANCE * np.trace(A, axis1=-2, axis2=-1)
     _, loose = _symmetric_roots(free @ A @ free, least)
@@ -202,12 +202,12 @@ def _compare_with_prediction(
 
 
 def _bias_variances(bundle: Bundle, sensor: int) -> Array:
-    """(6 + e,) variances of the bias of a sensor's views, in its pose and in its extra parameters."""
+    """(V, 6 + e) variances of the biases of a sensor's views, in its pose and in its extra parameters."""
     views, variances = bundle.views[sensor], bundle.bias_variances(sensor)
     rings = views.extra_of_local[:1, views.extra_of_local.shape[1] - views.ring_count :].ravel()
-    of_extra = np.zeros(views.extra_count)
-    of_extra[rings[rings >= 0]] = variances[6]
-    return np.concatenate([variances[:6], of_extra])
+    of_extra = np.zeros((len(variances), views.extra_count))
+    of_extra[:, rings[rings >= 0]] = variances[:, 6:7]
+    return np.concatenate([variances[:, :6], of_extra], axis=1)
 
 
 def _predict_boards(
