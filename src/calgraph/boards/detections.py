@@ -102,6 +102,8 @@ class BoardCorners:
     """Index of the board among the rig's boards."""
     outlier_tags: tuple[int, ...] = ()
     """Ids of the board's tags that were detected, but not where the others imply. Not saved with a problem."""
+    legacy: bool = False
+    """Whether the ChArUco print is of the layout before OpenCV 4.6. Not saved with a problem."""
     twist: Array = field(default_factory=lambda: np.zeros(6))
     """(6,) velocity of a moving board at the capture's time: of its point at the sensor's origin, m/s, and of its
     rotation, rad/s; sensor frame."""
