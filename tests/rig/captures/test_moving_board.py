@@ -169,7 +169,7 @@ def test_without_detections_in_neighbouring_frames_the_velocity_is_noise() -> No
 
 @pytest.mark.parametrize("interval", [0.05, 0.17, 0.34, 0.7])
 def test_variances_of_unknown_motion_hold_at_all_distances_of_frames(interval: float) -> None:
-    """A hand at 0.3 to 1 Hz, images 60 ms from the capture's time: the squared error over its variance is about 1."""
+    """A hand at 0.3 to 1 Hz, 60 ms from the capture: squared errors are about their variances."""
     rng, off, late = np.random.default_rng(0), 0.12, 0.5 * 0.12
     squared = []
     for _ in range(30):

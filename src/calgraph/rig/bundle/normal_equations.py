@@ -266,6 +266,12 @@ def _group_residuals(residuals: LinearizedResiduals, start: Index) -> _Groups:
     return _Groups(np.diff(first, append=N) * k, view[first], residuals.ring[first], len(start))
 
 
+# Number of parameters from which the matrices of groups are multiplied one by one: lenses with a residual
+# distortion have a hundred, and hundreds of residuals a group. Of 20 parameters and few residuals a group, as of
+# rings, sums of columns over all groups at once are faster.
+_MANY_COLUMNS = 40
+
+
 def _accumulate_unweighted(
     columns: Array, residual: Array, residuals: LinearizedResiduals, groups: _Groups
 ) -> ViewNormalEquations:
@@ -275,7 +281,11 @@ def _accumulate_unweighted(
     augmented = np.concatenate([columns, residual[None]])
     products, squares = np.empty((len(groups.count), q + 1, q + 1)), np.empty_like(augmented)
     begin, some = np.cumsum(groups.count) - groups.count, groups.count > 0
-    for i in range(q + 1):
+    if q >= _MANY_COLUMNS:
+        for group, (first, count) in enumerate(zip(begin, groups.count, strict=True)):
+            of_group = augmented[:, first : first + count]
+            products[group] = of_group @ of_group.T
+    for i in range(q + 1 if q < _MANY_COLUMNS else 0):
         of_column = np.multiply(augmented[i:], augmented[i], out=squares[i:])
         products[:, i, i:] = products[:, i:, i] = _sum_groups(of_column, begin, some).T
     of_views = groups.sum_by_view(products)
