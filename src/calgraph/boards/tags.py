@@ -154,8 +154,8 @@ _CERTAIN_SIZE = 6
 def recognize_dictionary(gray: Gray) -> str | None:
     """The smallest dictionary that has the most markers in an image (height, width), by its name in ``family``."""
     detector = cv2.aruco.ArucoDetector([dictionary(name) for name in _KINDS])
-    _, ids, _, kinds = detector.detectMarkersMultiDict(gray)
-    if ids is None or not len(ids):
+    corners, ids, _, kinds = detector.detectMarkersMultiDict(gray)
+    if not len(corners):
         return None
     counts = np.bincount(np.ravel(kinds).astype(int))
     best, found = int(counts.argmax()), np.ravel(ids)[np.ravel(kinds) == counts.argmax()]

@@ -157,6 +157,7 @@ def test_without_detections_in_neighbouring_frames_the_velocity_is_noise() -> No
     )
     assert not found.rejections
     (patch,), (corners,) = found.detections["lidar"][0], found.detections["camera"][0]
+    assert isinstance(patch, PlanePatch)
     np.testing.assert_array_equal(patch.twist, np.zeros(6))
     np.testing.assert_allclose(patch.plane, plane.from_pose(board_at(0.0)))
     stddev = np.sqrt(patch.motion_variance / (0.02**2 + 0.005**2))
@@ -189,7 +190,7 @@ def test_variances_of_unknown_motion_hold_at_all_distances_of_frames(interval: f
         found = {"camera": {k: (corners(pose(t)),) for k, t in enumerate(times)},
                  "other": {k: (corners(pose(t + off)),) for k, t in enumerate(times)}}  # fmt: skip
         cameras = {"camera": CAMERA, "other": CAMERA}
-        moved = compensate_motion(CaptureSet(0.0, {}, holds, found, {}, cameras), SETTINGS)  # type: ignore[arg-type]
+        moved = compensate_motion(CaptureSet(0.0, {}, holds, found, {}, cameras), SETTINGS)
         one = moved.detections["camera"][4][0]
         assert isinstance(one, BoardCorners)
         # Without the part for unknown errors of the stamps.

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from calgraph.boards.detections import BoardCorners
 from calgraph.config import PixelNoise
 from calgraph.geometry import Array, Index, so3
+from calgraph.rig.bundle.board_motions import select_motions, stack_motions, velocity_along_sensor
 from calgraph.rig.bundle.observations import (
     LinearizedResiduals,
     difference_along_sensor,
@@ -17,11 +18,7 @@ from calgraph.rig.bundle.observations import (
     no_extra,
     pose_and_extra_jacobian,
     select_measurements,
-    select_motions,
-    stack_motion_variances,
-    stack_twists,
     start_indices,
-    velocity_along_sensor,
     view_indices,
 )
 from calgraph.rig.bundle.residual_distortion import ResidualDistortion
@@ -58,7 +55,7 @@ class PrintedCorners:
     @property
     def on_back(self) -> NDArray[np.bool_]:
         """(N,) whether each corner is on the back of the board."""
-        return self.height_shape[:, 2] != 0
+        return np.asarray(self.height_shape[:, 2] != 0, dtype=np.bool_)
 
     def displace(self, board: Array, tags: Array) -> tuple[Array, Array]:
         """Corners (N, 3) of an erroneous print, and their derivatives (N, 3, 6 + 3 M).
@@ -147,8 +144,8 @@ class CornerObservations:
             camera,
             noise,
             extra_of_local=no_extra(len(board)),
-            twist=stack_twists(detections),
-            motion_variance=stack_motion_variances(detections),
+            twist=stack_motions([d.twist for d in detections]),
+            motion_variance=stack_motions([d.motion_variance for d in detections]),
         )
 
     def linearize(self, T_sensor_board: Array, extra: Array) -> LinearizedResiduals:

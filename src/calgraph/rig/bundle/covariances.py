@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg.lapack import dtrtri
 
 from calgraph.geometry import Array, se_n
 from calgraph.rig.bundle.bundle_solver import (
@@ -88,8 +89,8 @@ def view_covariance_factors(
         first: index of the first view set; those before it are left out.
     """
     H, _, K = equations.eliminate_boards()
-    # H is regular by its priors.
-    root = np.linalg.inv(np.linalg.cholesky(H)).T
+    # H is regular by its priors. The inverse of a triangle takes a sixth of that of a matrix.
+    root = dtrtri(np.linalg.cholesky(H), lower=1)[0].T
     board_root = _inverse_root(equations.H_board + BOARD_PRIOR_INFORMATION * np.eye(6))
     C, size = len(K), len(root)
     by_parameters = (K[..., :-1].reshape(-1, size) @ root).reshape(C, 6, size)

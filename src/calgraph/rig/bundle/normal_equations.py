@@ -268,7 +268,7 @@ def _group_residuals(residuals: LinearizedResiduals, start: Index) -> _Groups:
 
 # Number of parameters from which the matrices of groups are multiplied one by one: lenses with a residual
 # distortion have a hundred, and hundreds of residuals a group. Of 20 parameters and few residuals a group, as of
-# rings, sums of columns over all groups at once are faster.
+# rings, sums of columns over all groups are faster.
 _MANY_COLUMNS = 40
 
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from calgraph.boards.detections import PlanePatch, Segment
 from calgraph.geometry import Array, Index, se3, se_n, so3
+from calgraph.rig.bundle.board_motions import select_motions, stack_motions, velocity_along_sensor
 from calgraph.rig.bundle.observations import (
     LinearizedResiduals,
     difference_along_sensor,
@@ -20,11 +21,7 @@ from calgraph.rig.bundle.observations import (
     no_extra,
     pose_and_extra_jacobian,
     select_measurements,
-    select_motions,
-    stack_motion_variances,
-    stack_twists,
     start_indices,
-    velocity_along_sensor,
     view_indices,
 )
 
@@ -109,8 +106,8 @@ class OutlineObservations:
             np.zeros((len(edges), 3)),
             np.zeros(len(edges)),
             extra_of_local=no_extra(len(board)),
-            twist=stack_twists(detections),
-            motion_variance=stack_motion_variances(detections),
+            twist=stack_motions([d.twist for d in detections]),
+            motion_variance=stack_motions([d.motion_variance for d in detections]),
         )
 
     @property

@@ -10,17 +10,14 @@ from numpy.typing import NDArray
 from calgraph.boards.detections import PlanePatch, Segment
 from calgraph.config import RangeNoise
 from calgraph.geometry import Array, Index, se3, so3
+from calgraph.rig.bundle.board_motions import select_motions, stack_motions, velocity_along_sensor
 from calgraph.rig.bundle.observations import (
     LinearizedResiduals,
     gather_extra,
     no_extra,
     select_extra,
     select_measurements,
-    select_motions,
-    stack_motion_variances,
-    stack_twists,
     start_indices,
-    velocity_along_sensor,
     view_indices,
 )
 
@@ -94,8 +91,8 @@ class RangeObservations:
             noise.of_beams(ranges, directions),
             min_cosine,
             extra_of_local=no_extra(len(board)),
-            twist=stack_twists(detections),
-            motion_variance=stack_motion_variances(detections),
+            twist=stack_motions([d.twist for d in detections]),
+            motion_variance=stack_motions([d.motion_variance for d in detections]),
         )
 
     def linearize(self, T_sensor_board: Array, extra: Array) -> LinearizedResiduals:

@@ -287,7 +287,7 @@ class _Print:
     tags: tuple[tuple[int, Array], ...]
     """Id and corners (4, 3) of each tag."""
     on_back: bool = False
-    """Whether a camera sees a print on the back, of no placed tags."""
+    """Whether a camera detects a print on the back, of no placed tags."""
 
     @property
     def placed_tags(self) -> tuple[tuple[int, Array], ...]:

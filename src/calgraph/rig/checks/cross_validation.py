@@ -19,6 +19,7 @@ from calgraph.geometry import Array, Index, se3, se_n
 from calgraph.parallel.processes import forked_jobs, parallel_stream
 from calgraph.result import HeldOutError
 from calgraph.result.evidence import rms
+from calgraph.rig.bundle.board_motions import velocity_along_sensor
 from calgraph.rig.bundle.bundle_solver import (
     BOARD_PRIOR_INFORMATION,
     COARSE_TOLERANCE,
@@ -35,7 +36,7 @@ from calgraph.rig.bundle.bundle_solver import (
 from calgraph.rig.bundle.corner_observations import CornerObservations
 from calgraph.rig.bundle.covariances import parameter_covariance
 from calgraph.rig.bundle.normal_equations import accumulate
-from calgraph.rig.bundle.observations import BoardViews, relative_poses, velocity_along_sensor
+from calgraph.rig.bundle.observations import BoardViews, relative_poses
 from calgraph.rig.bundle.range_observations import RangeObservations
 from calgraph.rig.bundle.solution import SolvedBundle
 
