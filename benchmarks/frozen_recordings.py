@@ -189,8 +189,7 @@ def _webcams() -> Calibration:
 
 def _webcam_frames(*, stamps: bool) -> Calibration:
     rig = webcams.read_rig()
-    captures = webcams.read_captures(rig, stamps=stamps)
-    return webcams.fit_frames(rig, captures, [hold.index for hold in captures.holds]).calibration
+    return webcams.fit_frames(webcams.read_frames(rig, stamps=stamps)).calibration
 
 
 def _real_intrinsics(rig: Rig, views: Sequence[BoardView]) -> object:

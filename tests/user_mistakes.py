@@ -49,7 +49,7 @@ RIG_KEYS: Mapping[str, tuple[str, Any, str]] = {
     "one id twice": ("target.tags.1.id", 0, r"must differ from that of tags\[0\], got 0 twice"),
     "tags that overlap": ("target.tags.1.center", [-0.3, 0.2], r"tags\[1\]: overlaps tags\[0\] by 0.240 m"),
     "an id that the family lacks": ("target.tags.0.id", 600, "tag36h11 ends at 586, got 600"),
-    "an unknown family": ("target.family", "tag36h10", "must be 'tag36h11', 'tag25h9' or 'tag16h5', got"),
+    "an unknown family": ("target.family", "tag36h10", "'tag16h5' or an ArUco dictionary from"),
     "no target": ("target", None, "target: is missing .*calgraph board prints"),
     "a pattern as target": ("target.kind", "checkerboard", "must be one of board, people, cylinder"),
     "people for a robot": ("target", {"kind": "people"}, "only 2-D scanners .lidar2d. track people, got camera"),

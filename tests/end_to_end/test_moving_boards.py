@@ -107,7 +107,7 @@ def bump_camera(captures: CaptureSet, moved: Array, first: int) -> CaptureSet:
 
     def displace(one: Detection) -> Detection:
         T = surface_pose(one)
-        motion = BoardMotion(T, se3.difference(se3.inverse(moved) @ T, T), np.zeros(6))
+        motion = BoardMotion(T, se3.difference(se3.inverse(moved) @ T, T), np.zeros(6), np.zeros(6))
         return replace(move_detection(one, motion, 1.0, captures.cameras["camera"]), twist=one.twist)
 
     order = sorted(captures.holds, key=lambda hold: hold.start)

@@ -96,7 +96,8 @@ class CameraDetector:
         for printed in self._printed:
             detection = self._find_board(printed, grays_of[printed.finder], marks[printed.finder])
             if isinstance(detection, BoardCorners):
-                detections.append(detection)
+                legacy = any(one.legacy for one in marks[printed.finder])
+                detections.append(replace(detection, legacy=legacy))
             else:
                 inconsistent += detection.tags if isinstance(detection, InconsistentTags) else ()
                 reasons.append(
@@ -184,7 +185,7 @@ class CameraDetector:
         """The marks of the board, each once, and its pose, in one image."""
         marks = found.select(np.isin(found.ids, printed.landmarks.ids))
         if not len(marks):
-            return Rejected(explain_missing(printed, found))
+            return Rejected(explain_missing(printed, found, gray))
         pose = self._fit(printed, marks)
         if isinstance(pose, Rejected):
             return pose

@@ -268,24 +268,38 @@ class CheckerboardFinder:
 
 
 class CharucoFinder:
-    """Finds the chessboard corners of a ChArUco board whose neighbouring markers are visible."""
+    """Finds the chessboard corners of a ChArUco board whose neighbouring markers are visible.
+
+    Before OpenCV 4.6, a board with an even number of rows had a white square with a marker at the top left. Boards
+    of that layout are still sold: they are recognised by their markers, which are next to other corners.
+    """
 
     def __init__(self, pattern: Charuco) -> None:
         shape = (pattern.columns, pattern.rows)
         ids = pattern.first_id + np.arange(pattern.columns * pattern.rows // 2)
-        board = cv2.aruco.CharucoBoard(
-            shape, pattern.square, pattern.marker, dictionary(pattern.dictionary), ids.astype(np.int32)
-        )
-        self._detector = cv2.aruco.CharucoDetector(board)
+        self._detectors = []
+        for legacy in (False, True) if pattern.rows % 2 == 0 else (False,):
+            board = cv2.aruco.CharucoBoard(
+                shape, pattern.square, pattern.marker, dictionary(pattern.dictionary), ids.astype(np.int32)
+            )
+            board.setLegacyPattern(legacy)
+            self._detectors.append(cv2.aruco.CharucoDetector(board))
 
     def find(self, gray: Gray) -> Marks:
         """Inner corners in an image (height, width), each with its number."""
-        # OpenCV's type stubs lack that it returns None where it finds nothing.
-        found: tuple[Any, ...] = self._detector.detectBoard(gray)
-        corners, ids = found[:2]
-        if ids is None:
-            return empty_marks(1)
-        return Marks(np.asarray(ids, dtype=np.intp).ravel(), np.reshape(corners, (-1, 1, 2)).astype(np.float64))
+        for detector in self._detectors:
+            # OpenCV's type stubs lack that it returns None where it finds nothing.
+            found: tuple[Any, ...] = detector.detectBoard(gray)
+            corners, ids, _, markers = found
+            if ids is not None:
+                return Marks(
+                    np.asarray(ids, dtype=np.intp).ravel(),
+                    np.reshape(corners, (-1, 1, 2)).astype(np.float64),
+                    legacy=detector is not self._detectors[0],
+                )
+            if markers is None:
+                break
+        return empty_marks(1)
 
 
 def _is_regular(lattice: Array, max_bend: float) -> bool:

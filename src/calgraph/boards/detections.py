@@ -32,6 +32,9 @@ class PlanePatch:
     twist: Array = field(default_factory=lambda: np.zeros(6))
     """(6,) velocity of a moving board at the capture's time: of its point at the sensor's origin, m/s, and of its
     rotation, rad/s; sensor frame."""
+    motion_variance: Array = field(default_factory=lambda: np.zeros(6))
+    """(6,) variances of the displacement and rotation (m², rad²) of a moving board between the measurement and the
+    capture's time, as far as its velocity is not known; along the sensor's axes."""
 
     @property
     def points(self) -> Array:
@@ -61,6 +64,9 @@ class Segment:
     twist: Array = field(default_factory=lambda: np.zeros(6))
     """(6,) velocity of a moving board at the capture's time: of its point at the sensor's origin, m/s, and of its
     rotation, rad/s; sensor frame."""
+    motion_variance: Array = field(default_factory=lambda: np.zeros(6))
+    """(6,) variances of the displacement and rotation (m², rad²) of a moving board between the measurement and the
+    capture's time, as far as its velocity is not known; along the sensor's axes."""
 
     @property
     def center(self) -> Array:
@@ -96,9 +102,14 @@ class BoardCorners:
     """Index of the board among the rig's boards."""
     outlier_tags: tuple[int, ...] = ()
     """Ids of the board's tags that were detected, but not where the others imply. Not saved with a problem."""
+    legacy: bool = False
+    """Whether the ChArUco print is of the layout before OpenCV 4.6. Not saved with a problem."""
     twist: Array = field(default_factory=lambda: np.zeros(6))
     """(6,) velocity of a moving board at the capture's time: of its point at the sensor's origin, m/s, and of its
     rotation, rad/s; sensor frame."""
+    motion_variance: Array = field(default_factory=lambda: np.zeros(6))
+    """(6,) variances of the displacement and rotation (m², rad²) of a moving board between the measurement and the
+    capture's time, as far as its velocity is not known; along the sensor's axes."""
 
     @property
     def center(self) -> Array:

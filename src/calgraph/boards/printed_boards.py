@@ -12,7 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.boards.chessboards import CharucoFinder, CheckerboardFinder
-from calgraph.boards.tags import Gray, GridFinder, Marks, TagFinder
+from calgraph.boards.tags import (
+    Gray,
+    GridFinder,
+    Marks,
+    TagFinder,
+    kind_of_dictionary,
+    make_tag_finder,
+    recognize_dictionary,
+)
 from calgraph.config import AprilGrid, Board, Charuco, Checkerboard
 from calgraph.config.settings import CameraDetectionSettings
 from calgraph.errors import InputError, Rejected
@@ -123,7 +131,7 @@ def make_printed_boards(boards: Sequence[Board], settings: CameraDetectionSettin
                 key = kind, board.family, board.inverted
                 if key not in shared:
                     shared[key] = (
-                        TagFinder(board.family, settings.tags)
+                        make_tag_finder(board.family, settings.tags)
                         if board.pattern is None
                         else GridFinder(board.family)
                     )
@@ -163,19 +171,32 @@ def average_marks(marks_by_image: Sequence[Marks], tolerance: float) -> Marks | 
     return Marks(ids[steady], np.nanmean(pixels[:, steady], axis=0))
 
 
-def explain_missing(printed: PrintedBoard, found: Marks) -> str:
-    """The reason why a board was not detected."""
+def explain_missing(printed: PrintedBoard, found: Marks, gray: Gray) -> str:
+    """The reason why a board was not detected in an image (height, width), of what was found in it."""
     match printed.board.pattern:
         case Checkerboard() as pattern:
             return f"checkerboard of {pattern.columns}x{pattern.rows} inner corners not found"
         case Charuco() as pattern:
-            return f"no corner of the {pattern.columns}x{pattern.rows} ChArUco board of {pattern.dictionary} found"
+            reason = (
+                f"no corner of the {pattern.columns}x{pattern.rows} ChArUco board of {pattern.dictionary} found"
+            )
+            return reason + _name_other_dictionary(gray, pattern.dictionary)
     expected = _format_ids(printed.landmarks.ids.tolist())
     if not len(found):
-        return f"no tag of family {printed.board.family} found; {expected} expected"
+        reason = f"no tag of family {printed.board.family} found; {expected} expected"
+        stated = printed.board.family if isinstance(printed.finder, TagFinder) else None
+        return reason + (_name_other_dictionary(gray, stated) if stated else "")
     others = _format_ids(np.unique(found.ids).tolist())
     are = "is" if others.startswith("id ") else "are"
     return f"only {others} detected, which {are} not on the board; {expected} expected"
+
+
+def _name_other_dictionary(gray: Gray, stated: str) -> str:
+    """What follows a reason if an image has markers of another dictionary than the stated one."""
+    found = recognize_dictionary(gray)
+    if found is None or kind_of_dictionary(found) == kind_of_dictionary(stated):
+        return ""
+    return f"; the markers in the image are of {found}: correct rig.yaml"
 
 
 def _format_ids(ids: Sequence[int]) -> str:

@@ -5,6 +5,8 @@ from calgraph.config.draft import FoundBackground, FoundMode, FoundTopic, Kind, 
 from calgraph.config.fleet_config import ChangeRules, FleetConfig, load_fleet
 from calgraph.config.rig_config import Capture, CaptureMode, Rig, load_rig
 from calgraph.config.target import (
+    APRILTAGS,
+    DICTIONARIES,
     FAMILIES,
     AprilGrid,
     Board,
@@ -34,7 +36,8 @@ from calgraph.sensors.kinds import (
 from calgraph.sensors.kinds.stated import Intrinsics
 
 __all__ = [
-    "FAMILIES", "AprilGrid", "Board", "BoardUncertainty", "CameraSpec", "CameraUncertainty", "Capture",
+    "APRILTAGS", "DICTIONARIES", "FAMILIES",
+    "AprilGrid", "Board", "BoardUncertainty", "CameraSpec", "CameraUncertainty", "Capture",
     "CaptureMode", "ChangeRules", "Charuco", "Checkerboard", "Cylinder", "DepthCameraSpec", "Family",
     "FleetConfig", "FoundBackground", "FoundMode", "FoundTopic", "Intrinsics", "Kind", "Lidar2dSpec",
     "Lidar2dUncertainty", "Lidar3dSpec", "Lidar3dUncertainty", "People", "PixelNoise", "PrintedBitmap",

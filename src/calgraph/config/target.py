@@ -7,19 +7,13 @@ from typing import Annotated, Any, Literal
 import cv2
 import numpy as np
 import pydantic
-from pydantic import Discriminator, Field, Strict, field_validator, model_validator
+from pydantic import AfterValidator, Discriminator, Field, Strict, field_validator, model_validator
 
 from calgraph.geometry import Array
 from calgraph.io.quantities import DegreeLimit, LengthLimit, LengthStddev, Ratio
 from calgraph.io.strict_model import StrictModel, invalid, limit_to
 
-Family = Literal["tag36h11", "tag25h9", "tag16h5"]
-
-FAMILIES: dict[Family, str] = {
-    "tag36h11": "DICT_APRILTAG_36h11",
-    "tag25h9": "DICT_APRILTAG_25h9",
-    "tag16h5": "DICT_APRILTAG_16h5",
-}
+APRILTAGS = {"tag36h11": "DICT_APRILTAG_36h11", "tag25h9": "DICT_APRILTAG_25h9", "tag16h5": "DICT_APRILTAG_16h5"}
 """OpenCV's dictionary of each family of AprilTags."""
 DICTIONARIES = (
     *(f"DICT_{n}X{n}_{count}" for n in (4, 5, 6, 7) for count in (50, 100, 250, 1000)),
@@ -27,6 +21,24 @@ DICTIONARIES = (
     "DICT_APRILTAG_36h11", "DICT_ARUCO_MIP_36h12",
 )  # fmt: skip
 """OpenCV's names."""
+FAMILIES = APRILTAGS | {name: name for name in DICTIONARIES if not name.startswith("DICT_APRILTAG")}
+"""OpenCV's dictionary of each family of tags: of AprilTags, and of ArUco markers by OpenCV's names."""
+
+
+def _read_family(value: str) -> str:
+    """A family by its name in ``FAMILIES``, or that of a dictionary as others spell it: 4x4_50, aruco_4x4_50."""
+    known = {name.upper(): name for name in FAMILIES} | {name.upper(): f for f, name in APRILTAGS.items()}
+    upper = value.upper()
+    for spelled in (upper, f"DICT_{upper}", f"DICT_{upper.removeprefix('ARUCO_')}"):
+        if spelled in known:
+            return known[spelled]
+    apriltags = ", ".join(repr(family) for family in APRILTAGS)
+    raise invalid(
+        "", f"must be {apriltags} or an ArUco dictionary from 'DICT_4X4_50' to 'DICT_7X7_1000', got {value!r}"
+    )
+
+
+Family = Annotated[str, Strict(), AfterValidator(_read_family)]
 
 
 @cache
@@ -108,7 +120,7 @@ _MAX_PRINT_OVERLAP = 1e-3
 
 
 class Tag(StrictModel):
-    """An upright AprilTag on the board."""
+    """An upright AprilTag or ArUco marker on the board."""
 
     id: Index
     size: Length
@@ -216,7 +228,7 @@ Pattern = Annotated[Checkerboard | Charuco | AprilGrid, Field(discriminator="kin
 
 
 class Board(StrictModel):
-    """A rectangular board with either AprilTags or one pattern printed on it.
+    """A rectangular board with either tags or one pattern printed on it.
 
     Its frame: origin at the centre of the board, x right, y up, z out of the printed face.
     """
@@ -225,9 +237,9 @@ class Board(StrictModel):
     size: tuple[BoardLength, BoardLength]
     """Width (x) and height (y), m."""
     family: Family = "tag36h11"
-    """AprilTag family of the tags."""
+    """Family of the AprilTags, or dictionary of the ArUco markers."""
     tags: tuple[Tag, ...] = ()
-    """The AprilTags on the board."""
+    """The tags on the board."""
     pattern: Pattern | None = None
     """The pattern that is printed instead of tags."""
     inverted: Annotated[bool, Strict()] = False

@@ -69,7 +69,7 @@ def linearize_views(
         views: of one sensor.
         T_sensor_board: (V, 4, 4) the state.
         extra: (e,) the sensor's extra parameters.
-        bias_variance: (8,) variances of a view's bias, as of :meth:`Bundle.bias_variances`.
+        bias_variance: (V, 8) variances of the views' biases, as of :meth:`Bundle.bias_variances`.
         huber_threshold: of whitened residuals.
     """
     residuals = views.linearize(T_sensor_board, extra)
@@ -197,8 +197,11 @@ class Bundle:
         return np.array([least, least / self.lever, least, 0.0]) ** 2
 
     def bias_variances(self, k: int) -> Array:
-        """(8,) variances of the bias of a view in k: along the sensor's axes, of rings, and of the stamp."""
-        return np.repeat(self.bias_variance[k], [3, 3, 1, 1])
+        """(V, 8) variances of the bias of each view in k: along the sensor's axes, of rings, and of the stamp."""
+        variances = np.tile(np.repeat(self.bias_variance[k], [3, 3, 1, 1]), (len(self.all_views[k].board), 1))
+        if len(by_motion := self.all_views[k].motion_variance):
+            variances[:, :6] += by_motion
+        return variances
 
 
 @dataclass(frozen=True, eq=False)

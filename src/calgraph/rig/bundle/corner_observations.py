@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from calgraph.boards.detections import BoardCorners
 from calgraph.config import PixelNoise
 from calgraph.geometry import Array, Index, so3
+from calgraph.rig.bundle.board_motions import select_motions, stack_motions, velocity_along_sensor
 from calgraph.rig.bundle.observations import (
     LinearizedResiduals,
     difference_along_sensor,
@@ -17,16 +18,13 @@ from calgraph.rig.bundle.observations import (
     no_extra,
     pose_and_extra_jacobian,
     select_measurements,
-    select_twists,
-    stack_twists,
     start_indices,
-    velocity_along_sensor,
     view_indices,
 )
 from calgraph.rig.bundle.residual_distortion import ResidualDistortion
 from calgraph.sensors import CameraModel
 
-BOARD_PARAMETERS = ("print scale", "print aspect", "tag size", "bow along x", "bow along y")
+BOARD_PARAMETERS = ("print scale", "print aspect", "tag size", "bow along x", "bow along y", "thickness")
 """Systematic parameters of a board, in the order of a view's local parameters."""
 TAG_PARAMETERS = ("x", "y", "rotation")
 TIME_PARAMETERS = ("stamp delay", "readout time")
@@ -42,25 +40,33 @@ class PrintedCorners:
     tag_center: Array
     """(N, 2) centre of each corner's tag, m; the corner itself where it belongs to none."""
     tag: Index
-    """(N,) index of the tag among those of its board; -1 for none."""
-    bow_shape: Array
-    """(N, 2) height of each corner for a bow of 1 m along x and y."""
+    """(N,) index of the tag among those of its board; -1 for none. A print on the back counts as one."""
+    height_shape: Array
+    """(N, 3) height of each corner for a bow of 1 m along x and y, and for a board 1 m thick: -1 on its back."""
 
     @classmethod
-    def from_nominal(cls, nominal: Array) -> "PrintedCorners":
-        """Corners of no tag, on a flat board."""
+    def from_nominal(cls, nominal: Array, on_back: NDArray[np.bool_] | None = None) -> "PrintedCorners":
+        """Corners (N, 3) of no tag, on a flat board; on its back where marked (N,)."""
         N = len(nominal)
-        return cls(nominal, nominal[:, :2], np.full(N, -1, dtype=np.intp), np.zeros((N, 2)))
+        shape = np.zeros((N, 3))
+        shape[:, 2] = 0 if on_back is None else -1.0 * on_back
+        return cls(nominal, nominal[:, :2], np.full(N, -1, dtype=np.intp), shape)
+
+    @property
+    def on_back(self) -> NDArray[np.bool_]:
+        """(N,) whether each corner is on the back of the board."""
+        return np.asarray(self.height_shape[:, 2] != 0, dtype=np.bool_)
 
     def displace(self, board: Array, tags: Array) -> tuple[Array, Array]:
-        """Corners (N, 3) of an erroneous print, and their derivatives (N, 3, 5 + 3 M).
+        """Corners (N, 3) of an erroneous print, and their derivatives (N, 3, 6 + 3 M).
 
         Args:
-            board: (N, 5) values of ``BOARD_PARAMETERS``: relative scale, aspect (width over height) and size of
-                tags, and bows, m.
+            board: (N, 6) values of ``BOARD_PARAMETERS``: relative scale, aspect (width over height) and size of
+                tags, bows and thickness, m.
             tags: (N, M, 3) displacements of the M tags of each corner's board, m and rad.
         """
-        scale, aspect, tag_size, *bow = board.T
+        scale, aspect, tag_size, *heights = board.T
+        first = len(BOARD_PARAMETERS)
         each, index = np.arange(len(self.tag)), np.maximum(self.tag, 0)
         on_tag = self.tag >= 0
         x, y, angle = (tags[each, index] * on_tag[:, None]).T if tags.shape[1] else np.zeros((3, len(each)))
@@ -72,20 +78,20 @@ class PrintedCorners:
         half = np.array([0.5, -0.5])
         stretch = 1 + aspect[:, None] * half
         factor = (1 + scale)[:, None] * stretch
-        height = self.nominal[:, 2] + np.sum(self.bow_shape * np.stack(bow, axis=-1), axis=-1)
-        J = np.zeros((len(each), 3, 5 + 3 * tags.shape[1]))
+        height = self.nominal[:, 2] + np.sum(self.height_shape * np.stack(heights, axis=-1), axis=-1)
+        J = np.zeros((len(each), 3, first + 3 * tags.shape[1]))
         J[:, :2, 0] = stretch * place
         J[:, :2, 1] = (1 + scale)[:, None] * half * place
         J[:, :2, 2] = factor * arm
-        J[:, 2, 3:5] = self.bow_shape
+        J[:, 2, 3:first] = self.height_shape
         for axis in range(2):
-            J[each[on_tag], axis, 5 + 3 * index[on_tag] + axis] = factor[on_tag, axis]
-            J[each[on_tag], axis, 7 + 3 * index[on_tag]] = (factor * across)[on_tag, axis]
+            J[each[on_tag], axis, first + 3 * index[on_tag] + axis] = factor[on_tag, axis]
+            J[each[on_tag], axis, first + 2 + 3 * index[on_tag]] = (factor * across)[on_tag, axis]
         return np.column_stack([factor * place, height]), J
 
     def select(self, kept: Index) -> "PrintedCorners":
         """Some of the corners."""
-        return PrintedCorners(self.nominal[kept], self.tag_center[kept], self.tag[kept], self.bow_shape[kept])
+        return PrintedCorners(self.nominal[kept], self.tag_center[kept], self.tag[kept], self.height_shape[kept])
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,6 +120,8 @@ class CornerObservations:
     """Whether ``TIME_PARAMETERS`` are among the local parameters."""
     twist: Array = field(default_factory=lambda: np.zeros((0, 6)))
     """See :class:`BoardViews`."""
+    motion_variance: Array = field(default_factory=lambda: np.zeros((0, 6)))
+    """See :class:`BoardViews`."""
     residual_distortion: ResidualDistortion | None = None
     """What the lens displaces beyond its model; None if nothing."""
     ring_count: ClassVar[int] = 0
@@ -124,17 +132,20 @@ class CornerObservations:
         cls, board: Sequence[int], detections: Sequence[BoardCorners], camera: CameraModel, noise: PixelNoise
     ) -> "CornerObservations":
         """The views of these boards in their detections, with exact lens and prints."""
+        counts = [len(d.pixels) for d in detections]
+        # The plane's normal points at the reader of the front.
+        on_back = np.repeat(np.array([d.plane[3] < 0 for d in detections], dtype=np.bool_), counts)
+        corners = np.concatenate([np.empty((0, 3)), *(d.corners_board for d in detections)])
         return cls(
             np.array(board, dtype=np.intp),
-            start_indices([len(d.pixels) for d in detections]),
-            PrintedCorners.from_nominal(
-                np.concatenate([np.empty((0, 3)), *(d.corners_board for d in detections)])
-            ),
+            start_indices(counts),
+            PrintedCorners.from_nominal(corners, on_back),
             np.concatenate([np.empty((0, 2)), *(d.pixels for d in detections)]),
             camera,
             noise,
             extra_of_local=no_extra(len(board)),
-            twist=stack_twists(detections),
+            twist=stack_motions([d.twist for d in detections]),
+            motion_variance=stack_motions([d.motion_variance for d in detections]),
         )
 
     def linearize(self, T_sensor_board: Array, extra: Array) -> LinearizedResiduals:
@@ -235,7 +246,8 @@ class CornerObservations:
             printed=self.printed.select(kept),
             pixels=self.pixels[kept],
             extra_of_local=self.extra_of_local[keep],
-            twist=select_twists(self.twist, keep),
+            twist=select_motions(self.twist, keep),
+            motion_variance=select_motions(self.motion_variance, keep),
         )
 
 

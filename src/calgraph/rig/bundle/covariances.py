@@ -1,8 +1,11 @@
 """Covariances of a bundle's solution: of poses and parameters, and of what each view measures."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg.lapack import dtrtri
 
 from calgraph.geometry import Array, se_n
 from calgraph.rig.bundle.bundle_solver import (
@@ -38,12 +41,42 @@ def parameter_covariance(equations: BundleEquations) -> Array:
     return np.asarray(np.linalg.inv(H))
 
 
+@dataclass(frozen=True, eq=False)
+class ViewFactors:
+    """Factors ``F`` (V, q, G + 6) of the solution's covariance in the local parameters of one set of views.
+
+    Of lenses with a residual distortion, q is a hundred, and G a hundred for each camera: F is not computed as a
+    whole.
+    """
+
+    J_sensor: Array
+    """(V, q, n) derivatives of the local parameters by n parameters of the reduced problem."""
+    J_board: Array
+    """(V, q, 6) by the board's pose."""
+    of_parameters: Array
+    """(n, G) factors of the covariance of these parameters."""
+    of_boards: Array
+    """(V, 6, G + 6) of the boards' poses."""
+
+    def multiply(self, M: Array) -> Array:
+        """(V, m, G + 6) products ``M @ F`` with matrices (V, m, q)."""
+        product = (M @ self.J_board) @ self.of_boards
+        product[..., :-6] += (M @ self.J_sensor) @ self.of_parameters
+        return np.asarray(product)
+
+    @property
+    def finite(self) -> NDArray[np.bool_]:
+        """(V,) whether the factors of each view are finite."""
+        found = [np.isfinite(one).all(axis=(-2, -1)) for one in (self.J_sensor, self.J_board, self.of_boards)]
+        return np.asarray(found[0] & found[1] & found[2])
+
+
 def view_covariance_factors(
     bundle: Bundle,
     equations: BundleEquations,
     linearized: Sequence[MarginalizedViews] | None = None,
     first: int = 0,
-) -> list[Array]:
+) -> list[ViewFactors]:
     """By view set, factors ``F`` (V, q, G + 6) of the solution's covariance in the views' local parameters.
 
     For two views i and j of one board, also of two sensors, ``F_i @ F_j.T`` is the covariance of their errors. The
@@ -56,18 +89,16 @@ def view_covariance_factors(
         first: index of the first view set; those before it are left out.
     """
     H, _, K = equations.eliminate_boards()
-    # H is regular by its priors.
-    root = np.linalg.inv(np.linalg.cholesky(H)).T
+    # H is regular by its priors. The inverse of a triangle takes a sixth of that of a matrix.
+    root = dtrtri(np.linalg.cholesky(H), lower=1)[0].T
     board_root = _inverse_root(equations.H_board + BOARD_PRIOR_INFORMATION * np.eye(6))
     C, size = len(K), len(root)
     by_parameters = (K[..., :-1].reshape(-1, size) @ root).reshape(C, 6, size)
     of_boards = np.concatenate([-by_parameters, board_root], axis=-1)
-    factors = []
-    for k, at in enumerate((linearized or equations.views)[first:], start=first):
-        factor = at.J_board @ of_boards[bundle.all_views[k].board]
-        factor[..., :size] += at.J_sensor @ root[bundle.columns(k)]
-        factors.append(factor)
-    return factors
+    return [
+        ViewFactors(at.J_sensor, at.J_board, root[bundle.columns(k)], of_boards[bundle.all_views[k].board])
+        for k, at in enumerate((linearized or equations.views)[first:], start=first)
+    ]
 
 
 def _inverse_root(A: Array) -> Array:

@@ -118,8 +118,8 @@ class ViewNormalEquations:
         displaces a moving board along its velocity.
 
         Args:
-            variance: (8,) of the displacement and rotation along the sensor's axes, of the bias of a ring, and of
-                the stamp (s²).
+            variance: (8,) or (V, 8) of the displacement and rotation along the sensor's axes, of the bias of a
+                ring, and of the stamp (s²).
 
         Returns:
             (V, q, q), (V, q) and (V,).
@@ -128,8 +128,8 @@ class ViewNormalEquations:
         if not np.any(variance):
             return self.JtJ, self.Jtr, cost
         A, b = self.JtJ, self.Jtr
-        if variance[6]:
-            to_rings, P, shift = self._ring_biases(variance[6])
+        if np.any(of_ring := variance[..., 6]):
+            to_rings, P, shift = self._ring_biases(of_ring)
             n = A.shape[-1] - self.ring_count
             # Rings are coupled to the other parameters, but not to each other.
             left = 1 - P * self.JtJ[:, np.arange(n, A.shape[-1]), np.arange(n, A.shape[-1])]
@@ -142,26 +142,27 @@ class ViewNormalEquations:
         return marginalize_bias(A, b, cost, self._pose_bias_prior(variance))
 
     def estimate_bias(self, variance: Array) -> Array:
-        """(V, q) most likely bias, for its variances (8,)."""
+        """(V, q) most likely bias, for its variances (8,) or (V, 8)."""
         p, shift = self.pose_count, np.zeros_like(self.Jtr)
         A, b = self.JtJ[:, :p, :p], self.Jtr[:, :p]
-        if variance[6]:
-            to_rings, P, of_rings = self._ring_biases(variance[6])
+        has_rings = np.any(variance[..., 6])
+        if has_rings:
+            to_rings, P, of_rings = self._ring_biases(variance[..., 6])
             A = A - (to_rings[:, :p] * P[:, None]) @ se_n.transpose(to_rings[:, :p])
             b = b - _matvec(to_rings[:, :p], of_rings)
         shift[:, :p] = -_matvec(compute_bias_covariance(A, self._pose_bias_prior(variance)), b)
-        if variance[6]:
+        if has_rings:
             of_rings = of_rings + P * _matvec(se_n.transpose(to_rings[:, :p]), shift[:, :p])
             shift[:, shift.shape[1] - self.ring_count :] = -of_rings
         return shift
 
-    def _ring_biases(self, variance: float) -> tuple[Array, Array, Array]:
+    def _ring_biases(self, variance: Array) -> tuple[Array, Array, Array]:
         """Information (V, q, R) between parameters and rings, and variances and sizes (V, R) of rings' biases.
 
         The other biases are zero; those of rings are then independent of each other.
         """
         rings = np.arange(self.JtJ.shape[-1] - self.ring_count, self.JtJ.shape[-1])
-        P = variance / (1 + variance * self.JtJ[:, rings, rings])
+        P = variance[..., None] / (1 + variance[..., None] * self.JtJ[:, rings, rings])
         return self.JtJ[:, :, rings], P, P * self._of_rings(self.Jtr)
 
     def _of_rings(self, values: Array) -> Array:
@@ -171,10 +172,10 @@ class ViewNormalEquations:
     def _pose_bias_prior(self, variance: Array) -> Array:
         """(V, p, p) covariance of the displacement of the local parameters of the pose."""
         J = self.local_jacobian[:, : self.pose_count, :6]
-        Q = (J * variance[:6]) @ se_n.transpose(J)
-        if self.velocity is not None and variance[7]:
+        Q = (J * variance[..., None, :6]) @ se_n.transpose(J)
+        if self.velocity is not None and np.any(variance[..., 7]):
             moved = J @ self.velocity[..., None]
-            Q = Q + variance[7] * moved @ se_n.transpose(moved)
+            Q = Q + variance[..., 7, None, None] * moved @ se_n.transpose(moved)
         return np.asarray(Q)
 
 
@@ -245,7 +246,7 @@ def accumulate(
 def accumulate_biased(
     residuals: LinearizedResiduals, start: Index, variance: Array, huber_threshold: float
 ) -> ViewNormalEquations:
-    """As :func:`accumulate`, with robust weights at the most likely bias for its ``variance`` (8,)."""
+    """As :func:`accumulate`, with robust weights at the most likely bias for its ``variance`` (8,) or (V, 8)."""
     return accumulate(residuals, start, huber_threshold, lambda equations: equations.estimate_bias(variance))
 
 
@@ -265,6 +266,12 @@ def _group_residuals(residuals: LinearizedResiduals, start: Index) -> _Groups:
     return _Groups(np.diff(first, append=N) * k, view[first], residuals.ring[first], len(start))
 
 
+# Number of parameters from which the matrices of groups are multiplied one by one: lenses with a residual
+# distortion have a hundred, and hundreds of residuals a group. Of 20 parameters and few residuals a group, as of
+# rings, sums of columns over all groups are faster.
+_MANY_COLUMNS = 40
+
+
 def _accumulate_unweighted(
     columns: Array, residual: Array, residuals: LinearizedResiduals, groups: _Groups
 ) -> ViewNormalEquations:
@@ -274,7 +281,11 @@ def _accumulate_unweighted(
     augmented = np.concatenate([columns, residual[None]])
     products, squares = np.empty((len(groups.count), q + 1, q + 1)), np.empty_like(augmented)
     begin, some = np.cumsum(groups.count) - groups.count, groups.count > 0
-    for i in range(q + 1):
+    if q >= _MANY_COLUMNS:
+        for group, (first, count) in enumerate(zip(begin, groups.count, strict=True)):
+            of_group = augmented[:, first : first + count]
+            products[group] = of_group @ of_group.T
+    for i in range(q + 1 if q < _MANY_COLUMNS else 0):
         of_column = np.multiply(augmented[i:], augmented[i], out=squares[i:])
         products[:, i, i:] = products[:, i:, i] = _sum_groups(of_column, begin, some).T
     of_views = groups.sum_by_view(products)

@@ -12,7 +12,6 @@ from typing import Any, ClassVar, Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.boards.detections import Detection
 from calgraph.geometry import Array, Index, se3
 
 
@@ -80,6 +79,10 @@ class BoardViews(Protocol):
     def twist(self) -> Array:
         """(V, 6) velocity of each board, as detections have it; (0, 6) if all rest."""
 
+    @property
+    def motion_variance(self) -> Array:
+        """(V, 6) as of detections; (0, 6) if all boards rest."""
+
     def linearize(self, T_sensor_board: Array, extra: Array) -> LinearizedResiduals:
         """Residuals and derivatives at poses (V, 4, 4) and the sensor's extra parameters (e,)."""
 
@@ -112,25 +115,6 @@ def stack_poses(parts: Sequence[Array]) -> Array:
 def difference_along_sensor(T_before: Array, T_sensor_board: Array) -> Array:
     """(V, 6) difference of poses (V, 4, 4) along the sensor's axes."""
     return se3.difference(T_sensor_board, T_before)
-
-
-def stack_twists(detections: Sequence[Detection]) -> Array:
-    """:attr:`BoardViews.twist` of detections."""
-    twists = np.array([one.twist for one in detections]).reshape(-1, 6)
-    return twists if np.any(twists) else np.zeros((0, 6))
-
-
-def select_twists(twist: Array, keep: NDArray[np.bool_] | Index) -> Array:
-    """Those of some of the views: a mask (V,), or indices, which may repeat."""
-    return twist[keep] if len(twist) else twist
-
-
-def velocity_along_sensor(twist: Array, T_sensor_board: Array) -> Array | None:
-    """(V, 6) velocity of poses (V, 4, 4) along the sensor's axes, from twists (V, 6); None for boards at rest."""
-    if not len(twist):
-        return None
-    linear, angular = twist[:, :3], twist[:, 3:]
-    return np.concatenate([linear + np.cross(angular, T_sensor_board[:, :3, 3]), angular], axis=-1)
 
 
 def no_extra(views: int) -> Index:

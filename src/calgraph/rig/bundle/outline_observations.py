@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from calgraph.boards.detections import PlanePatch, Segment
 from calgraph.geometry import Array, Index, se3, se_n, so3
+from calgraph.rig.bundle.board_motions import select_motions, stack_motions, velocity_along_sensor
 from calgraph.rig.bundle.observations import (
     LinearizedResiduals,
     difference_along_sensor,
@@ -20,10 +21,7 @@ from calgraph.rig.bundle.observations import (
     no_extra,
     pose_and_extra_jacobian,
     select_measurements,
-    select_twists,
-    stack_twists,
     start_indices,
-    velocity_along_sensor,
     view_indices,
 )
 
@@ -88,6 +86,8 @@ class OutlineObservations:
     extra_count: int = 0
     twist: Array = field(default_factory=lambda: np.zeros((0, 6)))
     """See :class:`BoardViews`."""
+    motion_variance: Array = field(default_factory=lambda: np.zeros((0, 6)))
+    """See :class:`BoardViews`."""
     dimension: ClassVar[int] = 1
 
     @classmethod
@@ -106,7 +106,8 @@ class OutlineObservations:
             np.zeros((len(edges), 3)),
             np.zeros(len(edges)),
             extra_of_local=no_extra(len(board)),
-            twist=stack_twists(detections),
+            twist=stack_motions([d.twist for d in detections]),
+            motion_variance=stack_motions([d.motion_variance for d in detections]),
         )
 
     @property
@@ -229,7 +230,8 @@ class OutlineObservations:
             across=self.across[kept],
             along=self.along[kept],
             extra_of_local=self.extra_of_local[keep],
-            twist=select_twists(self.twist, keep),
+            twist=select_motions(self.twist, keep),
+            motion_variance=select_motions(self.motion_variance, keep),
         )
 
     def edge_points(self, T_sensor_board: Array) -> tuple[Index, Array]:

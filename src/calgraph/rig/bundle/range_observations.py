@@ -10,16 +10,14 @@ from numpy.typing import NDArray
 from calgraph.boards.detections import PlanePatch, Segment
 from calgraph.config import RangeNoise
 from calgraph.geometry import Array, Index, se3, so3
+from calgraph.rig.bundle.board_motions import select_motions, stack_motions, velocity_along_sensor
 from calgraph.rig.bundle.observations import (
     LinearizedResiduals,
     gather_extra,
     no_extra,
     select_extra,
     select_measurements,
-    select_twists,
-    stack_twists,
     start_indices,
-    velocity_along_sensor,
     view_indices,
 )
 
@@ -73,6 +71,8 @@ class RangeObservations:
     """Whether the last local parameter before those of rings is the delay of stamps, s."""
     twist: Array = field(default_factory=lambda: np.zeros((0, 6)))
     """See :class:`BoardViews`."""
+    motion_variance: Array = field(default_factory=lambda: np.zeros((0, 6)))
+    """See :class:`BoardViews`."""
     dimension: ClassVar[int] = 1
 
     @classmethod
@@ -91,7 +91,8 @@ class RangeObservations:
             noise.of_beams(ranges, directions),
             min_cosine,
             extra_of_local=no_extra(len(board)),
-            twist=stack_twists(detections),
+            twist=stack_motions([d.twist for d in detections]),
+            motion_variance=stack_motions([d.motion_variance for d in detections]),
         )
 
     def linearize(self, T_sensor_board: Array, extra: Array) -> LinearizedResiduals:
@@ -225,7 +226,8 @@ class RangeObservations:
             registered=self.registered[keep] if len(self.registered) else self.registered,
             bow_shape=None if self.bow_shape is None else self.bow_shape[kept],
             extra_of_local=self.extra_of_local[keep],
-            twist=select_twists(self.twist, keep),
+            twist=select_motions(self.twist, keep),
+            motion_variance=select_motions(self.motion_variance, keep),
         )
 
     def with_rings(self, ring: Index, count: int) -> "RangeObservations":
@@ -262,6 +264,7 @@ class RangeObservations:
             bow_shape=None,
             extra_of_local=self.extra_of_local[first],
             twist=np.zeros((0, 6)),
+            motion_variance=np.zeros((0, 6)),
         )
         if self.ring is None:
             return beams

@@ -5,7 +5,6 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.geometry import Array
 from calgraph.rig.bundle.bundle_solver import (
     COARSE_TOLERANCE,
     Bundle,
@@ -14,7 +13,7 @@ from calgraph.rig.bundle.bundle_solver import (
     linearize_bundle,
     minimize_bundle,
 )
-from calgraph.rig.bundle.covariances import view_covariance_factors
+from calgraph.rig.bundle.covariances import ViewFactors, view_covariance_factors
 from calgraph.rig.bundle.observations import relative_poses
 from calgraph.rig.bundle.variance_components import (
     measure_consistency,
@@ -81,7 +80,7 @@ def _judge_views(
     complete: Bundle,
     bundle: Bundle,
     solution: MinimizedBundle,
-    factors: Sequence[Array],
+    factors: Sequence[ViewFactors],
     kept: Sequence[NDArray[np.bool_]],
     first: int,
     *,

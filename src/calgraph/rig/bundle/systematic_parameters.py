@@ -207,7 +207,10 @@ def _add_to_camera(
 ) -> CornerObservations:
     camera = _with_estimated_distortion(views.camera)
     lens: list[_Candidate | None] = list(_lens_parameters(name, camera, spec))
-    most_tags = max((len(one.placed_tags) for one in prints), default=0)
+    corner_number = number[view_indices(views.start, len(views.pixels))]
+    behind = np.unique(corner_number[views.printed.on_back])
+    prints = [replace(one, on_back=b in behind) for b, one in enumerate(prints)]
+    most_tags = max((len(one.placed_tags) or one.on_back for one in prints), default=0)
     # A board at rest is the same at all times.
     timed = len(views.twist) > 0
     of_times = [_stamp_delay(k, name, spec), _readout_time(name, spec)] if timed else []
@@ -220,8 +223,7 @@ def _add_to_camera(
     ]
     candidates = [[*lens, *one.parameters(most_tags), *of_times, *coefficients] for one in prints]
     extra_of_local, count = table.index_extra(k, candidates, number)
-    corner_number = number[view_indices(views.start, len(views.pixels))]
-    printed = _locate_corners(views.printed.nominal, corner_number, prints)
+    printed = _locate_corners(views.printed, corner_number, prints)
     return replace(
         views, camera=camera, printed=printed, extra_of_local=extra_of_local, extra_count=count, timed=timed,
         residual_distortion=field,
@@ -270,6 +272,12 @@ def _displacement_at_corner(camera: CameraModel) -> Array:
     return np.asarray(np.linalg.norm(camera.project_by_intrinsics(valid[:1])[0, :, 4:], axis=0))
 
 
+# Usual thickness of a board with a print on either side, m: panels are 2 to 6 mm thick, films less.
+_THICKNESS = 0.003
+# Prior standard deviation of the thickness, m: zero and 6 mm are 1.5 of it away.
+_THICKNESS_STDDEV = 0.002
+
+
 @dataclass(frozen=True, eq=False)
 class _Print:
     """What is printed on a board, and its systematic parameters."""
@@ -278,6 +286,8 @@ class _Print:
     board: Board
     tags: tuple[tuple[int, Array], ...]
     """Id and corners (4, 3) of each tag."""
+    on_back: bool = False
+    """Whether a camera detects a print on the back, of no placed tags."""
 
     @property
     def placed_tags(self) -> tuple[tuple[int, Array], ...]:
@@ -293,7 +303,11 @@ class _Print:
         # A single tag defines the board's frame and scale: it has no other tags to disagree with.
         yield _Candidate(self.name, "tag size", "", prior.tag_size, 1.0) if several else None
         yield from _bow_parameters(self.name, self.board)
-        for i in range(most_tags):
+        yield _Candidate(self.name, "thickness", "m", _THICKNESS_STDDEV, _THICKNESS) if self.on_back else None
+        if self.on_back:
+            # It is glued on to the edge of the board as the print on the front is.
+            yield from _print_position(self.name, self.board, "print on the back", math.sqrt(2))
+        for i in range(int(self.on_back), most_tags):
             if i >= len(placed):
                 yield from (None, None, None)
                 continue
@@ -316,15 +330,16 @@ def _bow_parameters(name: str, board: Board) -> Iterator[_Candidate]:
     yield _Candidate(name, "bow along y", "m", board.uncertainty.bow)
 
 
-def _print_position(name: str, board: Board) -> Iterator[_Candidate]:
-    prior = board.uncertainty.print_position
-    yield _Candidate(name, "print x", "m", prior)
-    yield _Candidate(name, "print y", "m", prior)
-    yield _Candidate(name, "print rotation", "rad", prior / (0.5 * max(board.size)))
+def _print_position(name: str, board: Board, of: str = "print", factor: float = 1.0) -> Iterator[_Candidate]:
+    prior = factor * board.uncertainty.print_position
+    yield _Candidate(name, f"{of} x", "m", prior)
+    yield _Candidate(name, f"{of} y", "m", prior)
+    yield _Candidate(name, f"{of} rotation", "rad", prior / (0.5 * max(board.size)))
 
 
-def _locate_corners(nominal: Array, number: Index, prints: Sequence[_Print]) -> PrintedCorners:
+def _locate_corners(printed: PrintedCorners, number: Index, prints: Sequence[_Print]) -> PrintedCorners:
     """Corners (N,) of boards (N,) with their tags and places on the board."""
+    nominal = printed.nominal + printed.height_shape * [0.0, 0.0, _THICKNESS]
     places = {
         (b, *corner.tolist()): (i if one.placed_tags else -1, corners.mean(axis=0)[:2])
         for b, one in enumerate(prints)
@@ -335,8 +350,10 @@ def _locate_corners(nominal: Array, number: Index, prints: Sequence[_Print]) -> 
     for n, (b, corner) in enumerate(zip(number.tolist(), nominal.tolist(), strict=True)):
         if (b, *corner) in places:
             tag[n], center[n] = places[b, *corner]
+    center[printed.on_back], tag[printed.on_back] = 0.0, 0
     half = np.array([one.board.size for one in prints])[number] / 2
-    return PrintedCorners(nominal, center, tag, bow_shape(nominal[:, :2], half.reshape(-1, 2)))
+    shape = np.column_stack([bow_shape(nominal[:, :2], half.reshape(-1, 2)), printed.height_shape[:, 2]])
+    return PrintedCorners(nominal, center, tag, shape)
 
 
 def _add_to_scanner(

@@ -15,6 +15,7 @@ from calgraph.rig.bundle.bundle_solver import (
     MarginalizedViews,
     MinimizedBundle,
 )
+from calgraph.rig.bundle.covariances import ViewFactors
 from calgraph.rig.bundle.normal_equations import consistency_statistic, huber_variance_factor
 from calgraph.rig.bundle.observations import relative_poses
 
@@ -26,7 +27,7 @@ _MIN_NOISE_CHANGE = 5e-3
 
 
 def update_variance_components(
-    bundle: Bundle, solution: MinimizedBundle, factors: Sequence[Array], first: int = 0
+    bundle: Bundle, solution: MinimizedBundle, factors: Sequence[ViewFactors], first: int = 0
 ) -> tuple[Bundle, float]:
     """The bundle after one step of Fisher scoring for the variances of noise and view bias (REML).
 
@@ -115,7 +116,7 @@ class _ViewStatistics:
 _MAX_VARIANCE_FACTOR = 4.0
 
 
-def _view_statistics(bundle: Bundle, equations: BundleEquations, k: int, factors: Array) -> _ViewStatistics:
+def _view_statistics(bundle: Bundle, equations: BundleEquations, k: int, factors: ViewFactors) -> _ViewStatistics:
     """Those of views k, with their ``factors`` of :func:`view_covariance_factors`."""
     unmarginalized, at, views = equations.cache[k].equations, equations.views[k], bundle.all_views[k]
     p, R = unmarginalized.pose_count, views.ring_count
@@ -137,7 +138,7 @@ def _view_statistics(bundle: Bundle, equations: BundleEquations, k: int, factors
     for i, component in enumerate(components, 1):
         of_variance[:, i, parts[component]] = 1
     weighted = directions @ at.information
-    solution_factors = weighted @ factors
+    solution_factors = factors.multiply(weighted)
     W = weighted @ se_n.transpose(directions)
     W = W - solution_factors @ se_n.transpose(solution_factors)
     weight = _downweight_views(at, factors, unmarginalized.pose_count)
@@ -167,7 +168,7 @@ MIN_REDUNDANCY = 1e-3
 _TRUNCATED_SHARE = 0.1
 
 
-def _downweight_views(at: MarginalizedViews, factors: Array, pose_count: int) -> Array:
+def _downweight_views(at: MarginalizedViews, factors: ViewFactors, pose_count: int) -> Array:
     """(V,) weights of the squared gradients of views: those of outliers are truncated at a quantile.
 
     The mean of a truncated χ² is smaller by a factor that the weights make up for. Source: Huber, "Robust
@@ -261,7 +262,7 @@ class ViewConsistency:
 
 
 def measure_consistency(
-    equations: BundleEquations, factors: Sequence[Array], kept: Sequence[NDArray[np.bool_]], first: int = 0
+    equations: BundleEquations, factors: Sequence[ViewFactors], kept: Sequence[NDArray[np.bool_]], first: int = 0
 ) -> list[ViewConsistency]:
     """The consistency of each view with those that a solution is made of, by view set from ``first`` on.
 
@@ -286,16 +287,15 @@ def measure_consistency(
 
 
 def _test_poses(
-    at: MarginalizedViews, factors: Array, pose_count: int, min_redundancy: float, *, predicted: bool = False
+    at: MarginalizedViews, factors: ViewFactors, pose_count: int, min_redundancy: float, *, predicted: bool = False
 ) -> tuple[Array, NDArray[np.intp]]:
     """:func:`consistency_statistic` of the pose's local parameters; infinite where residuals are not finite."""
     # By the others' solution, the board of an outlier view may be behind the camera.
-    finite = np.isfinite(at.gradient).all(axis=-1) & np.isfinite(factors).all(axis=(-2, -1))
-    information, factors, gradient = (
+    finite = np.isfinite(at.gradient).all(axis=-1) & factors.finite
+    information, by_solution, gradient = (
         values if finite.all() else np.where(finite.reshape(-1, *[1] * (values.ndim - 1)), values, 0.0)
-        for values in (at.information, factors, at.gradient)
+        for values in (at.information, factors.multiply(at.information[:, :pose_count]), at.gradient)
     )
-    by_solution = information[:, :pose_count] @ factors
     squared, freedom = consistency_statistic(
         information[:, :pose_count, :pose_count],
         by_solution @ se_n.transpose(by_solution),

@@ -91,7 +91,7 @@ def collect_detections(
         rejections,
         cameras,
         tuple(sorted(snapshots, key=lambda snapshot: snapshot.capture)),
-        (*findings, *misplaced),
+        (*findings, *misplaced, *find_legacy_prints(detections)),
     )
 
 
@@ -142,6 +142,16 @@ def scale_by_measured_noise(
         )
 
     return {capture: tuple(map(rescale, found)) for capture, found in detections.items()}
+
+
+def find_legacy_prints(detections: Mapping[str, Mapping[int, Sequence[Detection]]]) -> Iterator[Finding]:
+    """A finding for each ChArUco board, by its index, that is printed in the layout before OpenCV 4.6."""
+    found = (one for by_capture in detections.values() for some in by_capture.values() for one in some)
+    for _ in sorted({one.board for one in found if isinstance(one, BoardCorners) and one.legacy}):
+        yield Finding(
+            "the ChArUco print is of the layout before OpenCV 4.6, with a marker at the top left: it is used as "
+            "such"
+        )
 
 
 # Minimum number of captures in which a tag is an outlier: one or two may be accidents.

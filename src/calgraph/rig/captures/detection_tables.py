@@ -38,9 +38,11 @@ DETECTIONS: Mapping[type[Detection], Table] = {
 
 _MOTIONS = Table("motions", {**_PLACE, "twist": Column((6,))})
 """Velocities of moving boards; files of boards at rest have none."""
+_MOTION_VARIANCES = Table("motion_variances", {**_PLACE, "motion_variance": Column((6,))})
+"""Of moving boards whose velocities are uncertain."""
 _BEAM_TIMES = Table("beam_times", {**_PLACE, "times": Column(ragged=True)})
 """Times of the beams of single messages; files without them have none."""
-_OPTIONAL = (_MOTIONS, "twist"), (_BEAM_TIMES, "times")
+_OPTIONAL = (_MOTIONS, "twist"), (_MOTION_VARIANCES, "motion_variance"), (_BEAM_TIMES, "times")
 
 
 def pack_detections(detections: Mapping[str, Mapping[int, Sequence[Detection]]]) -> dict[str, NDArray[Any]]:
@@ -122,7 +124,9 @@ _SNAPSHOTS = Table("snapshots", {
 def encode_captures(captures: Sequence[SensorCapture]) -> tuple[dict[str, Any], Arrays]:
     """The captures of one sensor, which are numbered in their order."""
     found: dict[int, tuple[Detection, ...]] = {}
-    content: dict[str, Any] = {"captures": [one.capture for one in captures], "rejected": [], "outlier_tags": []}
+    content: dict[str, Any] = {
+        "captures": [one.capture for one in captures], "rejected": [], "outlier_tags": [], "legacy": [],
+    }  # fmt: skip
     for position, one in enumerate(captures):
         if isinstance(one.detections, Rejected):
             tags = one.detections.tags if isinstance(one.detections, InconsistentTags) else None
@@ -132,6 +136,8 @@ def encode_captures(captures: Sequence[SensorCapture]) -> tuple[dict[str, Any], 
             outliers = [board.outlier_tags if isinstance(board, BoardCorners) else () for board in one.detections]
             if any(outliers):
                 content["outlier_tags"].append([position, outliers])
+            if any(isinstance(board, BoardCorners) and board.legacy for board in one.detections):
+                content["legacy"].append(position)
     snapshots = [
         {**vars(one.snapshot), "position": position, "image": np.frombuffer(one.snapshot.image, np.uint8)}
         for position, one in enumerate(captures)
@@ -157,6 +163,10 @@ def decode_captures(sensor: str, content: Mapping[str, Any], arrays: Arrays) -> 
         found[position] = tuple(
             replace(board, outlier_tags=tuple(tags)) if tags and isinstance(board, BoardCorners) else board
             for board, tags in zip(found[position], outliers, strict=True)
+        )
+    for position in content["legacy"]:
+        found[position] = tuple(
+            replace(board, legacy=True) if isinstance(board, BoardCorners) else board for board in found[position]
         )
     snapshots = {
         row["position"]: Snapshot(

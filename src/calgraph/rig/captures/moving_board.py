@@ -1,7 +1,8 @@
 """Detections of a moving board at the time of their capture: each sensor measured it a little earlier or later."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import TypeGuard
 
 import numpy as np
@@ -11,11 +12,6 @@ from calgraph.config.settings import MovingBoardSettings
 from calgraph.geometry import Array, plane, se3
 from calgraph.rig.captures.detect import CaptureSet
 from calgraph.sensors import CameraModel
-
-_NO_VELOCITY = (
-    "the velocity of the board is not known: it was not detected in the sensor's measurements before or after, or "
-    "moved too fast between them"
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +35,8 @@ class BoardMotion:
     """(6,) of its translation and rotation along the sensor's axes at time 0, m/s and rad/s."""
     acceleration: Array
     """(6,) m/s² and rad/s²."""
+    velocity_stddev: Array
+    """(6,) standard deviations of the velocity."""
 
     def pose_at(self, time: float | Array) -> Array:
         """Poses (..., 4, 4) at times (...), s."""
@@ -51,22 +49,20 @@ class BoardMotion:
         return np.concatenate([v - np.cross(w, self.pose_at(time)[:3, 3]), w])
 
 
-# Maximum time between a measurement and the one that shows the velocity of the board, s: within it, the motion of
-# a hand is a parabola to some millimetres.
-_MAX_INTERVAL = 0.3
-
-
 def compensate_motion(captures: CaptureSet, settings: MovingBoardSettings) -> CaptureSet:
     """Moves the detections of every capture to one time, the mean of its stamps, and adds the board's velocity.
 
-    The motion is interpolated from the sensor's own detections in the measurements before and after. Holds that
-    only serve for that are left out.
+    The motion is interpolated from the sensor's own detections in the measurements before and after. What these
+    leave unknown of it, all of it without any, is noise of the detection. Holds that only serve for that are left
+    out.
 
     Args:
         captures: with stamps of the holds; one message a sensor and hold.
-        settings: limits of motion and of the time between measurements.
+        settings: limits of motion.
     """
-    history = {name: _remove_skew(of, settings) for name, of in _order_by_time(captures).items()}
+    ordered = _order_by_time(captures)
+    usual = _usual_velocity(ordered.values(), settings)
+    history = {name: _remove_skew(of, usual, settings) for name, of in ordered.items()}
     detections: dict[str, dict[int, tuple[Detection, ...]]] = {name: {} for name in captures.detections}
     chosen = {hold.index for hold in captures.holds if not hold.auxiliary}
     rejections = {key: why for key, why in captures.rejections.items() if key[0] in chosen}
@@ -81,16 +77,16 @@ def compensate_motion(captures: CaptureSet, settings: MovingBoardSettings) -> Ca
         reference = float(np.mean([stamp for stamp, _ in measured.values()]))
         for name, (stamp, found) in measured.items():
             at_stamp = next(one.detections for one in history[name] if one.original is found)
-            before, after = _neighbours(history[name], stamp, _MAX_INTERVAL)
-            moved = [
-                move_detection(one, motion, reference - stamp, captures.cameras.get(name))
+            neighbours = _neighbours(history[name], stamp)
+            detections[name][hold.index] = tuple(
+                move_detection(
+                    one,
+                    estimate_motion(known, stamp, neighbours, usual, settings),
+                    reference - stamp,
+                    captures.cameras.get(name),
+                )
                 for one, known in zip(found, at_stamp, strict=True)
-                if (motion := estimate_motion(known, stamp, before, after, settings)) is not None
-            ]
-            if moved:
-                detections[name][hold.index] = tuple(moved)
-            else:
-                rejections[hold.index, name] = _NO_VELOCITY
+            )
     holds = tuple(hold for hold in captures.holds if not hold.auxiliary)
     return replace(captures, holds=holds, detections=detections, rejections=rejections)
 
@@ -101,29 +97,49 @@ def measured_at(stamps: Array, detections: Sequence[Detection]) -> float:
     return float(stamps[0]) + (float(times.mean()) if len(times) else 0.0)
 
 
+# Angular frequency of the motion of a carried board, rad/s: that of a hand, by which velocities change between
+# measurements. Of the four webcams (benchmarks/webcams.py), velocities over 0.17 s to one side differ by 0.2 of
+# themselves from those over both, and over 0.34 s to both sides by 0.2 (translations) to 0.5 (rotations): 2.4 to
+# 5 rad/s.
+_MOTION_FREQUENCY = 4.0
+
+
 def estimate_motion(
     detection: Detection,
     stamp: float,
-    before: _Measured | None,
-    after: _Measured | None,
+    neighbours: Sequence[_Measured],
+    usual: Array,
     settings: MovingBoardSettings,
-) -> BoardMotion | None:
-    """The motion of a detected board from the nearest detections before and after; None where it is not known."""
+) -> BoardMotion:
+    """The motion of a detected board from detections before and after: less certain, the longer ago they are.
+
+    A sinusoid of velocity v and frequency ω deviates from a straight line to a time t by ``ω t / 2`` of v, and
+    from a parabola through times t and t' by ``ω² t t' / 6``. The velocity is the mean of this measurement and of
+    the usual velocity about zero, weighted by their variances.
+
+    Args:
+        detection: at the stamp.
+        stamp: when it was measured, s.
+        neighbours: the last detections before it and the first ones after it.
+        usual: (6,) standard deviation of velocities, m/s and rad/s.
+        settings: limits of motion.
+    """
     T = surface_pose(detection)
-    times: list[float] = []
-    steps: list[Array] = []
-    for measured in (before, after):
-        step = None if measured is None else _step_to(T, detection, measured, measured.stamp - stamp, settings)
-        if measured is not None and step is not None:
-            times.append(measured.stamp - stamp)
-            steps.append(step)
-    if not steps:
-        return None
-    if len(steps) == 1:
-        return BoardMotion(T, steps[0] / times[0], np.zeros(6))
-    t = np.array(times)
-    velocity, half = np.linalg.solve(np.stack([t, t**2], axis=1), np.array(steps))
-    return BoardMotion(T, velocity, 2 * half)
+    steps = [
+        (time, step)
+        for measured in neighbours
+        if (step := _step_to(T, detection, measured, time := measured.stamp - stamp, settings)) is not None
+    ]
+    # Relative error, velocity and acceleration; without neighbours all of the velocity is unknown.
+    options = [(np.inf, np.zeros(6), np.zeros(6))]
+    options += [(_MOTION_FREQUENCY * abs(time) / 2, step / time, np.zeros(6)) for time, step in steps]
+    if len(steps) == 2:
+        t = np.array([time for time, _ in steps])
+        velocity, half = np.linalg.solve(np.stack([t, t**2], axis=1), np.array([step for _, step in steps]))
+        options.append((_MOTION_FREQUENCY**2 * abs(t[0] * t[1]) / 6, velocity, 2 * half))
+    error, velocity, acceleration = min(options, key=lambda option: option[0])
+    weight = 1 / (1 + error**2)
+    return BoardMotion(T, weight * velocity, weight * acceleration, np.sqrt(1 - weight) * usual)
 
 
 def surface_pose(detection: Detection) -> Array:
@@ -139,6 +155,11 @@ def surface_pose(detection: Detection) -> Array:
     return se3.pose(np.column_stack([plane.tangent_basis(n), n]), detection.center)
 
 
+# Standard deviation of the stamps by which a velocity that is not known displaces a board, s: the size of exposure
+# times and delays of drivers. Where the velocity is known, it is estimated.
+_STAMP_ERROR = 0.005
+
+
 def move_detection(
     detection: Detection, motion: BoardMotion, time: float, camera: CameraModel | None = None
 ) -> Detection:
@@ -152,6 +173,9 @@ def move_detection(
     """
     before, after, twist = motion.T_sensor_board, motion.pose_at(time), motion.twist_at(time)
     M = after @ se3.inverse(before)
+    times = np.zeros(0) if isinstance(detection, BoardCorners) else detection.times
+    squared_time = time**2 + _STAMP_ERROR**2 + (float(np.var(times)) if len(times) else 0.0)
+    detection = replace(detection, motion_variance=squared_time * motion.velocity_stddev**2)
     if isinstance(detection, BoardCorners):
         assert camera is not None
         corners = detection.corners_board
@@ -224,6 +248,25 @@ def _displacement(T: Array, detection: Detection, other: Detection) -> Array:
 
 # Maximum rotation rate of a board, rad/s: more is the second solution of a plane's pose.
 _MAX_ROTATION_RATE = 6.0
+# Maximum speed over the standard deviation of a velocity along each axis before any is measured: 1 in 700 boards
+# is faster than 4 standard deviations (χ² with 3 degrees of freedom).
+_MAX_OVER_STDDEV = 4.0
+
+
+def _usual_velocity(histories: Iterable[Sequence[_Measured]], settings: MovingBoardSettings) -> Array:
+    """(6,) standard deviations of the velocity along each axis, m/s and rad/s, from the steps of all sensors.
+
+    The limits of motion count as one step.
+    """
+    limits = np.array([settings.max_speed, _MAX_ROTATION_RATE]) / _MAX_OVER_STDDEV
+    velocities = [limits[:, None] * np.ones(3)]
+    for history in histories:
+        for measured, following in pairwise(history):
+            time = following.stamp - measured.stamp
+            for one in measured.detections:
+                step = _step_to(surface_pose(one), one, following, time, settings)
+                velocities += [] if step is None else [(step / time).reshape(2, 3)]
+    return np.repeat(np.sqrt(np.mean(np.square(velocities), axis=(0, 2))), 3)
 
 
 def _is_near(step: Array, time: float, settings: MovingBoardSettings) -> bool:
@@ -251,7 +294,7 @@ def _order_by_time(captures: CaptureSet) -> Mapping[str, Sequence[_Measured]]:
 _SKEW_ROUNDS = 2
 
 
-def _remove_skew(history: Sequence[_Measured], settings: MovingBoardSettings) -> Sequence[_Measured]:
+def _remove_skew(history: Sequence[_Measured], usual: Array, settings: MovingBoardSettings) -> Sequence[_Measured]:
     """The detections in sweeps, in order of time, as if all beams had been measured at the time of the stamp.
 
     The parts of a moving board that a sweep measures at its beginning and at its end lie apart, and the plane
@@ -263,14 +306,13 @@ def _remove_skew(history: Sequence[_Measured], settings: MovingBoardSettings) ->
             break
         straight = []
         for measured in history:
-            before, after = _neighbours(history, measured.stamp, _MAX_INTERVAL)
+            neighbours = _neighbours(history, measured.stamp)
             motions = [
-                estimate_motion(one, measured.stamp, before, after, settings) for one in measured.detections
+                estimate_motion(one, measured.stamp, neighbours, usual, settings) for one in measured.detections
             ]
             both = zip(measured.original, measured.detections, motions, strict=True)
             fitted = tuple(
-                _fit_plane(original, motion) if _is_swept(original) and motion is not None else one
-                for original, one, motion in both
+                _fit_plane(original, motion) if _is_swept(original) else one for original, one, motion in both
             )
             straight.append(replace(measured, detections=fitted))
         history = straight
@@ -291,12 +333,8 @@ def _fit_plane(original: PlanePatch, motion: BoardMotion) -> PlanePatch:
     return replace(original, plane=plane.towards_origin(plane.fit(points)), center=points.mean(axis=0))
 
 
-def _neighbours(
-    history: Sequence[_Measured], stamp: float, max_interval: float
-) -> tuple[_Measured | None, _Measured | None]:
-    """The last detections before and the first after a stamp, s, if they are near in time."""
+def _neighbours(history: Sequence[_Measured], stamp: float) -> list[_Measured]:
+    """The last detections before and the first after a stamp, s."""
     times = np.array([one.stamp for one in history])
-    i, j = int(np.searchsorted(times, stamp, "left")) - 1, int(np.searchsorted(times, stamp, "right"))
-    before = history[i] if i >= 0 and stamp - times[i] <= max_interval else None
-    after = history[j] if j < len(times) and times[j] - stamp <= max_interval else None
-    return before, after
+    i, j = int(np.searchsorted(times, stamp, "left")), int(np.searchsorted(times, stamp, "right"))
+    return [*history[max(i - 1, 0) : i], *history[j : j + 1]]

@@ -19,6 +19,7 @@ from calgraph.geometry import Array, Index, se3, se_n
 from calgraph.parallel.processes import forked_jobs, parallel_stream
 from calgraph.result import HeldOutError
 from calgraph.result.evidence import rms
+from calgraph.rig.bundle.board_motions import velocity_along_sensor
 from calgraph.rig.bundle.bundle_solver import (
     BOARD_PRIOR_INFORMATION,
     COARSE_TOLERANCE,
@@ -35,7 +36,7 @@ from calgraph.rig.bundle.bundle_solver import (
 from calgraph.rig.bundle.corner_observations import CornerObservations
 from calgraph.rig.bundle.covariances import parameter_covariance
 from calgraph.rig.bundle.normal_equations import accumulate
-from calgraph.rig.bundle.observations import BoardViews, relative_poses, velocity_along_sensor
+from calgraph.rig.bundle.observations import BoardViews, relative_poses
 from calgraph.rig.bundle.range_observations import RangeObservations
 from calgraph.rig.bundle.solution import SolvedBundle
 
@@ -175,11 +176,11 @@ def _compare_with_prediction(
     A, b = observed.information / meters / meters[:, None], observed.gradient / meters
     x, X = _predict_boards(bundle, state, equations, covariance, sensor)
     X, free = _split_predicted(X * meters * meters[:, None], _PREDICTED_BOARD_STDDEV)
-    X += np.diag(_bias_variances(bundle, sensor) * meters**2)
+    X += np.eye(len(meters)) * (_bias_variances(bundle, sensor) * meters**2)[:, None]
     velocity = velocity_along_sensor(views.twist, T_board)
     if velocity is not None:
         moved = velocity * meters[:6]
-        X[:, :6, :6] += bundle.bias_variances(sensor)[7] * moved[:, :, None] * moved[:, None]
+        X[:, :6, :6] += bundle.bias_variances(sensor)[:, 7, None, None] * moved[:, :, None] * moved[:, None]
     # Along directions that the others do not predict, the board follows the sensor itself.
     least = _RANK_TOLERANCE * np.trace(A, axis1=-2, axis2=-1)
     _, loose = _symmetric_roots(free @ A @ free, least)
@@ -202,12 +203,12 @@ def _compare_with_prediction(
 
 
 def _bias_variances(bundle: Bundle, sensor: int) -> Array:
-    """(6 + e,) variances of the bias of a sensor's views, in its pose and in its extra parameters."""
+    """(V, 6 + e) variances of the biases of a sensor's views, in its pose and in its extra parameters."""
     views, variances = bundle.views[sensor], bundle.bias_variances(sensor)
     rings = views.extra_of_local[:1, views.extra_of_local.shape[1] - views.ring_count :].ravel()
-    of_extra = np.zeros(views.extra_count)
-    of_extra[rings[rings >= 0]] = variances[6]
-    return np.concatenate([variances[:6], of_extra])
+    of_extra = np.zeros((len(variances), views.extra_count))
+    of_extra[:, rings[rings >= 0]] = variances[:, 6:7]
+    return np.concatenate([variances[:, :6], of_extra], axis=1)
 
 
 def _predict_boards(

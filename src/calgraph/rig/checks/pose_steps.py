@@ -342,7 +342,7 @@ def _measure_step(split: _Split, k: int) -> tuple[Array, Array, float, float]:
         # Of boards at rest, variances of noise and rings determine the step as well.
         p = solution.equations.cache[j].equations.pose_count if moving else A.shape[-1]
         whiten, measured = whitening(A[:, :p, :p])
-        freedom += float(measured.sum() - np.sum((whiten @ A[:, :p] @ factors[j]) ** 2))
+        freedom += float(measured.sum() - np.sum(factors[j].multiply(whiten @ A[:, :p]) ** 2))
     step = se3.difference(state.T_root_sensor[added], state.T_root_sensor[k])
     factor = measure_serial_correlation(bundle, solution, np.arange(len(state.T_root_board)))
     if moving:

@@ -18,7 +18,7 @@ from calgraph.boards.printed_boards import (
     make_printed_boards,
     select_grays,
 )
-from calgraph.boards.tags import Marks
+from calgraph.boards.tags import Gray, Marks
 from calgraph.config import Board, PixelNoise
 from calgraph.config.settings import CameraDetectionSettings
 from calgraph.errors import InputError, Rejected
@@ -96,7 +96,7 @@ class BoardViewFinder:
         marks = {finder: [finder.find(gray) for gray in images] for finder, images in grays_of.items()}
         views, reasons = [], []
         for printed in self._printed:
-            view = self._find_board(printed, marks[printed.finder], grays[0].shape)
+            view = self._find_board(printed, marks[printed.finder], grays_of[printed.finder][0])
             if isinstance(view, BoardView):
                 views.append(view)
             else:
@@ -104,12 +104,12 @@ class BoardViewFinder:
         return tuple(views) if views else Rejected("; ".join(reasons) + explain_exposure(grays))
 
     def _find_board(
-        self, printed: PrintedBoard, marks_by_image: Sequence[Marks], shape: tuple[int, ...]
+        self, printed: PrintedBoard, marks_by_image: Sequence[Marks], gray: Gray
     ) -> BoardView | Rejected:
         of_board = [_select_unique(marks, printed) for marks in marks_by_image]
         detected = [marks for marks in of_board if len(marks)]
         if not detected:
-            return Rejected(explain_missing(printed, marks_by_image[0]))
+            return Rejected(explain_missing(printed, marks_by_image[0], gray))
         marks: Marks | Rejected = detected[0]
         if len(detected) > 1:
             noise = max(self._noise.pixel, MIN_MOTION_NOISE)
@@ -117,7 +117,7 @@ class BoardViewFinder:
         if isinstance(marks, Rejected):
             return marks
         corners = printed.landmarks.corners_of(marks.ids)
-        return BoardView(marks.ids, corners, marks.pixels, (shape[1], shape[0]), printed.number)
+        return BoardView(marks.ids, corners, marks.pixels, (gray.shape[1], gray.shape[0]), printed.number)
 
 
 def _select_unique(marks: Marks, printed: PrintedBoard) -> Marks:

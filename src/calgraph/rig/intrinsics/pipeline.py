@@ -66,10 +66,8 @@ def estimate_unknown_intrinsics(
     views = _find_views(
         rig, unknown, recording, timeline, holds, engine, lambda done: progress("intrinsics", done), cache
     )
-    estimates = {
-        name: estimate_intrinsics(rig, name, _list_views(views[name]), spec.lens_to_estimate)
-        for name, spec in unknown.items()
-    }
+    work = [(rig, name, _list_views(views[name]), spec.lens_to_estimate) for name, spec in unknown.items()]
+    estimates = dict(zip(unknown, engine.map(estimate_intrinsics, work), strict=True))
     for name, estimate in estimates.items():
         _log.info("%s: %s", name, estimate.reason if isinstance(estimate, Rejected) else _describe(estimate))
     return EstimatedIntrinsics(
