@@ -39,6 +39,7 @@ from calgraph.rig.pairs.board_pair import (
     select_successful,
 )
 from calgraph.rig.pairs.rig_initialization import initialize_rig
+from calgraph.rig.sensor_admission import admit_sensors
 from calgraph.rig.step_log import log_captures, log_pairs, log_solution
 from calgraph.rig.strategies import select_initialization, solve_baseline
 from calgraph.sensors import CameraModel
@@ -168,6 +169,7 @@ def build_problem_from_captures(
         captures.detections, rig.board_size, rng, lambda done: progress("pairing", done),
         settings=settings, known=known,
     )  # fmt: skip
+    rig, captures, pairs = admit_sensors(rig, captures, pairs, rng.spawn(1)[0])
     tree = span_tree(pairs)
     captures = align_symmetric_prints(rig, captures, tree.T_root_sensor)
     if method.keep == "ransac":

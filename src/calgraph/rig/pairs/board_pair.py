@@ -2,6 +2,7 @@
 
 import itertools
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
@@ -42,6 +43,14 @@ _RANSAC_MAX_SAMPLES = 20_000
 # eight candidates of a LiDAR and its captures shuffled, 11 of 60 pairs had a pose of three or four inliers, none
 # of five.
 _MINORITY_INLIERS = 2
+
+
+@dataclass(frozen=True)
+class Disagreement(Rejected):
+    """A pair whose detections fit no relative pose in enough of the captures."""
+
+    agreeing: int = 0
+    """In how many they fit the best pose."""
 
 
 def estimate_pair(
@@ -110,10 +119,11 @@ def estimate_pair(
     min_inliers = enough + minority
     if found is None or count < min_inliers:
         most = max(len(by[capture]) for by in (candidates_a, candidates_b) for capture in common)
-        return Rejected(
+        return Disagreement(
             f"RANSAC found no relative pose with at least {min_inliers} inliers among {len(common)} shared "
             f"captures{f', with up to {most} candidates for the board in one' if most > 1 else ''}: "
-            f"{count} agree at most"
+            f"{count} agree at most",
+            count,
         )
     T_a_b, angle = found.model, 0.0
     if refine and isinstance(matches, PlaneLineMatches):
