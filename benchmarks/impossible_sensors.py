@@ -27,8 +27,8 @@ from pathlib import Path
 
 import numpy as np
 
-from calgraph.boards.detections import BoardCorners, Detection, PlanePatch, Segment
-from calgraph.config import CameraSpec, Intrinsics, Rig
+from calgraph.boards.detections import BoardCorners, Detection, PlanePatch
+from calgraph.config import Board, CameraSpec, Checkerboard, Intrinsics, Rig
 from calgraph.errors import CalgraphError, Rejected
 from calgraph.geometry import Array, se3
 from calgraph.parallel.processes import parallel_map
@@ -55,6 +55,9 @@ MAX_METRES = 0.02
 OTHER_FOCAL_LENGTH, OTHER_RESOLUTION, OTHER_UNIT = 1.4, 0.5, 1.1
 """Factors of wrong intrinsics, and of ranges in another unit."""
 MIRRORS = {"x": (-1.0, 1.0, 1.0), "y": (1.0, -1.0, 1.0), "z": (1.0, 1.0, -1.0)}
+CHECKERBOARD = Checkerboard(kind="checkerboard", columns=7, rows=6, square=0.12)
+UNDECIDED = ("mirrored_image", "flipped_image")
+"""Kinds of which nothing decides whether the others are mirrored instead: their poses are kept, but not good."""
 POSSIBLE = ("turned_image", "reversed_scan")
 """Kinds with which all sensors are right."""
 
@@ -79,7 +82,8 @@ class Row:
     seed: int
     impossible: str
     kept: bool
-    """Whether healthy sensors have the poses and grades that they have without the impossible one."""
+    """Whether healthy sensors have the poses that they have without the impossible one, and, where that is not the
+    root and handedness not in doubt, the grades."""
     named: bool
     """Whether the impossible one is not good, and a text names it."""
     wrong: bool
@@ -143,15 +147,16 @@ def victims(kind: str, rig: str, seed: int) -> list[str]:
     return [of_kind[seed % len(of_kind)] for of_kind in first.values() if of_kind]
 
 
-def simulate(rig: str, seed: int) -> tuple[Rig, CaptureSet, Mapping[str, Array]]:
-    """Right detections, and true poses."""
-    stated, captures, truth = simulate_detections(rig_world(rig, seed), seed)
+def simulate(rig: str, seed: int, *, coded: bool = True) -> tuple[Rig, CaptureSet, Mapping[str, Array]]:
+    """Right detections, and true poses; of a checkerboard if not ``coded``."""
+    changes = () if coded else (("board", Board(size=(1.2, 0.9), pattern=CHECKERBOARD)),)
+    stated, captures, truth = simulate_detections(rig_world(rig, seed, changes), seed)
     return stated, captures, truth.T_root_sensor
 
 
 def make_world(kind: str, rig: str, seed: int, impossible: str) -> World:
     """A world with an impossible sensor."""
-    stated, captures, T_true = simulate(rig, seed)
+    stated, captures, T_true = simulate(rig, seed, coded=kind not in ("mirrored_image", "flipped_image"))
     world = World(stated, captures, impossible, {stated.root: np.eye(4), **T_true})
     return KINDS[kind][1](world, np.random.default_rng((seed, 34)))
 
@@ -176,7 +181,7 @@ def with_detections(world: World, found: Mapping[int, Sequence[Detection]]) -> W
 
 
 def project_image(world: World, project: Callable[[Array], Array], flip: float = 1.0) -> World:
-    """The world with other pixels (N, 2), of a board whose x coordinates are flipped where its image is mirrored."""
+    """The world with other pixels (N, 2), of a board whose x coordinates are flipped where images are mirrored."""
     camera, noise = world.captures.cameras[world.impossible], world.rig.cameras()[world.impossible].noise
 
     def change(one: Detection) -> Detection | Rejected:
@@ -229,10 +234,16 @@ def map_points(world: World, matrix: Array) -> World:
     def change(one: Detection) -> Detection | Rejected:
         assert not isinstance(one, BoardCorners)
         points = one.points @ matrix.T
-        new = plane_patch_from_points(points, noise) if isinstance(one, PlanePatch) else segment_from_points(points, noise)
+        new = (
+            plane_patch_from_points(points, noise)
+            if isinstance(one, PlanePatch)
+            else segment_from_points(points, noise)
+        )
         edges = one.edges @ matrix.T
-        return new if isinstance(new, Rejected) else replace(
-            new, edges=edges / np.linalg.norm(edges, axis=-1, keepdims=True)
+        return (
+            new
+            if isinstance(new, Rejected)
+            else replace(new, edges=edges / np.linalg.norm(edges, axis=-1, keepdims=True))
         )
 
     return change_detections(world, change)
@@ -316,14 +327,17 @@ def run(kind: str, rig: str, seed: int, impossible: str) -> Row:
         found = calibrate(world)
     except (CalgraphError, ArithmeticError, np.linalg.LinAlgError, LookupError, ValueError) as error:
         text = f"{type(error).__name__}: {error}"
-        return Row(kind, rig, seed, impossible, False, False, False, np.inf, "all", "", time.process_time() - began, text)
+        return Row(
+            kind, rig, seed, impossible, False, False, False, np.inf, "all", "", time.process_time() - began, text
+        )
     seconds = time.process_time() - began
     possible = kind in POSSIBLE
     without = calibrate(world if possible else without_sensor(world))
-    poses = {s.name: s for s in found.sensors}
+    poses, rig_root = {s.name: s for s in found.sensors}, world.rig.root
     lost, change, kept = [], [0.0], True
     base = common_root(found, without, impossible if not possible else "")
-    for sensor in without.sensors:
+    # One healthy sensor alone has no pose to lose.
+    for sensor in without.sensors if len(without.sensors) > 1 else ():
         if sensor.name == impossible and not possible:
             continue
         if sensor.name not in poses or base is None:
@@ -333,16 +347,23 @@ def run(kind: str, rig: str, seed: int, impossible: str) -> Row:
         sigma = np.sqrt(np.diag(sensor.covariance))
         if sensor.name != without.root:
             change.append(float(np.max(np.abs(off) / np.maximum(sigma, 1e-9))))
-            kept = kept and poses[sensor.name].verdict.grade == sensor.verdict.grade
-    texts = [*found.evidence.remarks, *(s.verdict.reason for s in found.sensors), *found.evidence.unconnected.values()]
+            as_good = poses[sensor.name].verdict.grade == sensor.verdict.grade
+            kept = kept and (as_good or found.root != rig_root or kind in UNDECIDED)
+    texts = [
+        *found.evidence.remarks,
+        *(s.verdict.reason for s in found.sensors),
+        *found.evidence.unconnected.values(),
+    ]
     mine = poses.get(impossible)
     good = mine is not None and mine.verdict.grade == "good" and impossible != found.root
     named = not good and (impossible in found.evidence.unconnected or any(impossible in text for text in texts))
     grades = " ".join(f"{s.name}:{s.verdict.grade}" for s in found.sensors)
+    is_kept = kept and not lost and max(change) <= MAX_CHANGE
+    wrong = any(is_wrong(world, found, s.name, possible) for s in found.sensors)
+    text = " | ".join(dict.fromkeys(text for text in texts if text))
     return Row(
-        kind, rig, seed, impossible, kept and not lost and max(change) <= MAX_CHANGE, named or possible,
-        any(is_wrong(world, found, s.name, possible) for s in found.sensors), max(change), " ".join(lost), grades, seconds,
-        " | ".join(dict.fromkeys(text for text in texts if text)),
+        kind, rig, seed, impossible, is_kept, named or possible, wrong, max(change), " ".join(lost), grades,
+        seconds, text,
     )  # fmt: skip
 
 

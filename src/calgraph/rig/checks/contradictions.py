@@ -351,6 +351,9 @@ def _squared_distance(error: Array, covariance: Array) -> tuple[float, int]:
     return float(np.sum(along[regular] ** 2 / values[regular])), int(regular.sum())
 
 
+# Deviation of a systematic parameter, in prior standard deviations, beyond which no sensor is good that another
+# parameter, which the data do not distinguish from it, concerns: twice that of a contradiction.
+_MAX_GOOD_DEVIATION = 6.0
 _COEFFICIENTS = frozenset(name for names in DISTORTION_NAMES.values() for name in names)
 
 
@@ -417,6 +420,8 @@ def _describe_error(bundle: Bundle, estimates: ParameterEstimates, i: int, other
     parameters = bundle.extra_parameters
     named = np.array([j for j in others if not _is_part(parameters[j].quantity)], dtype=np.intp)
     text, causes = estimates.describe(i, named)
+    if abs(estimates.deviation[i]) > _MAX_GOOD_DEVIATION * estimates.prior_stddev[i]:
+        causes = [i, *others]  # of an error of this size, those that the text does not name are suspect as well
     return Finding(text, affected_sensors(bundle, [k for j in causes for k in parameters[j].view_sets]))
 
 

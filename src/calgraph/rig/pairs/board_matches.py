@@ -7,12 +7,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.boards.detections import BoardCorners, Detection, PlanePatch, Segment, plane_of
+from calgraph.errors import Rejected
 from calgraph.geometry import Array, plane, se3, se_n
 from calgraph.graph.pairwise_estimate import Linearization, Matches
 from calgraph.rig.pairs.line_matches import LineLineMatches, PlaneLineMatches
 
 Candidates = Mapping[int, Sequence[Detection]]
 """Detections of one sensor by capture; several if it is ambiguous which of them is the board."""
+
+
+@dataclass(frozen=True)
+class Disagreement(Rejected):
+    """A pair whose detections fit no relative pose in enough of the captures."""
+
+    agreeing: int = 0
+    """In how many they fit the best pose."""
 
 
 def build_matches(

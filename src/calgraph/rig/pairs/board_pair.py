@@ -2,7 +2,6 @@
 
 import itertools
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
@@ -25,6 +24,7 @@ from calgraph.graph.pairwise_estimate import (
 )
 from calgraph.rig.pairs.board_matches import (
     Candidates,
+    Disagreement,
     build_matches,
     geometric_kind,
     group_alternatives,
@@ -43,14 +43,6 @@ _RANSAC_MAX_SAMPLES = 20_000
 # eight candidates of a LiDAR and its captures shuffled, 11 of 60 pairs had a pose of three or four inliers, none
 # of five.
 _MINORITY_INLIERS = 2
-
-
-@dataclass(frozen=True)
-class Disagreement(Rejected):
-    """A pair whose detections fit no relative pose in enough of the captures."""
-
-    agreeing: int = 0
-    """In how many they fit the best pose."""
 
 
 def estimate_pair(
