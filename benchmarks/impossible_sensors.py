@@ -83,7 +83,7 @@ class Row:
     impossible: str
     kept: bool
     """Whether healthy sensors have the poses that they have without the impossible one, and, where that is not the
-    root and handedness not in doubt, the grades."""
+    root and handedness is decided, the grades."""
     named: bool
     """Whether the impossible one is not good, and a text names it."""
     wrong: bool

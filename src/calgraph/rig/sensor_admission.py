@@ -20,6 +20,7 @@ from calgraph.result.finding import Finding
 from calgraph.rig.bundle.problem import Problem
 from calgraph.rig.bundle.solution import RigSolution
 from calgraph.rig.captures.detect import CaptureSet
+from calgraph.rig.checks.contradictions import is_part
 from calgraph.rig.pairs.board_matches import Candidates, Disagreement
 from calgraph.rig.pairs.board_pair import PairwiseEstimates, estimate_pair, select_successful
 from calgraph.sensors.kinds import KINDS
@@ -29,7 +30,7 @@ from calgraph.verdict.parameter_estimates import describe_contradiction, describ
 # many as the least inliers of a minority's pose (three planes, and two more), which chance does not reach.
 _MIN_SHARED = 10
 # Share of the shared captures in which sensors without a contradiction agree: RANSAC holds up to about half of
-# outliers. Of 1,100 pairs of right, wrong and real rigs, all with so many captures agree in 57 % of them or more.
+# outliers. Of 1,100 pairs of right, wrong and real rigs, all that share ten captures agree in 57 % or more.
 _MAJORITY = 0.5
 # Share of the shared captures from which on handedness is not tested: 99 % of these pairs agree so often, and
 # mirrored planes in up to a third.
@@ -40,7 +41,7 @@ _MIN_MORE_REFLECTED = 3
 # Prior standard deviations of a systematic error beyond which no sensor is what rig.yaml states: 0.6 m of range
 # bias, 30 % of a focal length.
 _MAX_POSSIBLE_DEVIATION = 30.0
-# Quantities that scale all measurements of a sensor alike.
+# Quantities that scale all measurements of a sensor.
 _SCALES = frozenset({"range scale"})
 # By how much more one of two sensors agrees with others for these to decide, in shares of captures summed over the
 # others: of right pairs, nearly all agree in 80 % of their captures or more.
@@ -93,14 +94,18 @@ def refuse_impossible(problem: Problem, joint: RigSolution) -> Problem:
     """The problem without the sensors whose systematic errors in its joint solution no sensor of theirs has.
 
     A common scale is left: a unit, or a tag measured with its border. It is the same in all captures, estimated
-    with the poses, and reported as what it is.
+    with the poses, and reported as what it is. So are distortion coefficients, which trade against each other.
     """
     if joint.solved_bundle is None:
         return problem
     bundle, state = joint.solved_bundle.bundle, joint.solved_bundle.minimized.state
     reasons: dict[str, str] = {}
     for one, deviation in zip(bundle.extra_parameters, state.extra.tolist(), strict=True):
-        if one.of in bundle.sensors and one.quantity not in _SCALES and one.of not in reasons:
+        if (
+            one.of in bundle.sensors
+            and one.of not in reasons
+            and not (is_part(one.quantity) or one.quantity in _SCALES)
+        ):
             ratio = abs(deviation) / one.prior_stddev
             if ratio > _MAX_POSSIBLE_DEVIATION:
                 what, prior = describe_deviation(one, deviation), format_size(one.prior_stddev, one)
