@@ -24,11 +24,12 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from calgraph.boards.detections import BoardCorners, Detection, PlanePatch
-from calgraph.config import Board, CameraSpec, Checkerboard, Intrinsics, Rig
+from calgraph.boards.detections import BoardCorners, Detection, PlanePatch, Segment
+from calgraph.config import Board, CameraSpec, Checkerboard, Intrinsics, RangeNoise, Rig
 from calgraph.errors import CalgraphError, Rejected
 from calgraph.geometry import Array, se3
 from calgraph.parallel.processes import parallel_map
@@ -130,7 +131,7 @@ def read_rows(path: Path) -> list[Row]:
     """Those of an earlier run."""
     if not path.exists():
         return []
-    convert = {"bool": lambda text: text == "True", "int": int, "float": float, "str": str}
+    convert: Mapping[str, Callable[[str], Any]] = {"bool": "True".__eq__, "int": int, "float": float, "str": str}
     with path.open(newline="", encoding="utf-8") as file:
         return [
             Row(**{f.name: convert[str(getattr(f.type, "__name__", f.type))](one[f.name]) for f in fields(Row)})
@@ -170,7 +171,7 @@ def change_detections(world: World, change: Change) -> World:
     return with_detections(world, {capture: tuple(few) for capture, few in found.items() if few})
 
 
-def with_detections(world: World, found: Mapping[int, Sequence[Detection]]) -> World:
+def with_detections(world: World, found: Mapping[int, tuple[Detection, ...]]) -> World:
     """The world with other detections of the impossible sensor."""
     name, captures = world.impossible, world.captures
     before = {capture for capture in captures.detections[name] if capture not in found}
@@ -227,24 +228,24 @@ def scale_intrinsics(world: World, focal: float, center: float = 1.0) -> World:
     return with_intrinsics(world, lambda camera: replace(camera, K=K * camera.K))
 
 
+def fit_points(world: World, one: Detection, points: Array) -> PlanePatch | Segment | Rejected:
+    """The detection of the impossible scanner with other points (N, 3)."""
+    noise = world.rig.sensors[world.impossible].noise
+    assert isinstance(noise, RangeNoise)
+    if isinstance(one, PlanePatch):
+        return plane_patch_from_points(points, noise)
+    return segment_from_points(points, noise)
+
+
 def map_points(world: World, matrix: Array) -> World:
     """The world with linearly mapped points of the impossible scanner."""
-    noise = world.rig.sensors[world.impossible].noise
 
     def change(one: Detection) -> Detection | Rejected:
         assert not isinstance(one, BoardCorners)
-        points = one.points @ matrix.T
-        new = (
-            plane_patch_from_points(points, noise)
-            if isinstance(one, PlanePatch)
-            else segment_from_points(points, noise)
-        )
-        edges = one.edges @ matrix.T
-        return (
-            new
-            if isinstance(new, Rejected)
-            else replace(new, edges=edges / np.linalg.norm(edges, axis=-1, keepdims=True))
-        )
+        new, edges = fit_points(world, one, one.points @ matrix.T), one.edges @ matrix.T
+        if isinstance(new, Rejected):
+            return new
+        return replace(new, edges=edges / np.linalg.norm(edges, axis=-1, keepdims=True))
 
     return change_detections(world, change)
 
@@ -276,17 +277,16 @@ def permute_beams(world: World, rng: np.random.Generator) -> World:
     Planes are those of the same points under random rotations: what a detector takes for a board among beams that
     are mixed.
     """
-    noise = world.rig.sensors[world.impossible].noise
 
     def change(one: Detection) -> Detection | Rejected:
         assert not isinstance(one, BoardCorners)
         if isinstance(one, PlanePatch):
             R, _ = np.linalg.qr(rng.standard_normal((3, 3)))
             middle = one.points.mean(axis=0)
-            return plane_patch_from_points((one.points - middle) @ R.T + middle, noise)
+            return fit_points(world, one, (one.points - middle) @ R.T + middle)
         angle = rng.uniform(-np.pi, np.pi)
         R = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
-        return segment_from_points(one.points @ R.T, noise)
+        return fit_points(world, one, one.points @ R.T)
 
     return change_detections(world, change)
 

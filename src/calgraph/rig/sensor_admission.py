@@ -140,7 +140,7 @@ def _leave_out(
     findings = []
     for name, text in reasons.items():
         doubtful = undecided.get(name)
-        findings.append(Finding(text, placed if doubtful == root else tuple({doubtful} & {*placed})))
+        findings.append(Finding(text, placed if doubtful == root else tuple(n for n in placed if n == doubtful)))
     if root != rig.root:
         text = f"the root {rig.root} is left out, and poses are in the frame of {root}: put {rig.root} right"
         findings.append(Finding(text, placed))
