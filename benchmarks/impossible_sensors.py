@@ -121,8 +121,9 @@ def main() -> None:
             for sensor in victims(kind, rig, seed)
             if (kind, rig, seed, sensor) not in done
         ]
-        for row in parallel_map(run, work, arguments.jobs, lambda _: None):
-            rows.append(row)
+        arguments.csv.parent.mkdir(parents=True, exist_ok=True)
+        for first in range(0, len(work), arguments.jobs):
+            rows += parallel_map(run, work[first : first + arguments.jobs], arguments.jobs, lambda _: None)
             save_csv(arguments.csv, [asdict(one) for one in rows])
     show(rows)
 
