@@ -40,6 +40,7 @@ from calgraph.rig.pairs.board_pair import (
     select_successful,
 )
 from calgraph.rig.pairs.rig_initialization import initialize_rig
+from calgraph.rig.sensor_admission import admit_sensors, refuse_impossible
 from calgraph.rig.step_log import log_captures, log_pairs, log_solution
 from calgraph.rig.strategies import select_initialization, solve_baseline
 from calgraph.sensors import CameraModel
@@ -164,6 +165,7 @@ def build_problem_from_captures(
         captures.detections, rig.board_size, rng, lambda done: progress("pairing", done),
         settings=settings, known=known,
     )  # fmt: skip
+    rig, captures, pairs = admit_sensors(rig, captures, pairs, rng.spawn(1)[0])
     tree = span_tree(pairs)
     captures = align_symmetric_prints(rig, captures, tree.T_root_sensor)
     if method.keep == "ransac":
@@ -205,13 +207,15 @@ def solve_problem(problem: Problem, jobs: int = 1) -> Calibration:
 
 
 def solve_after_bumps(problem: Problem) -> tuple[Problem, RigSolution, SpanningTree]:
-    """The joint solution, in which sensors that moved during the recording have only their captures afterwards.
+    """The joint solution of possible sensors; those that moved have only their captures afterwards.
 
     Returns:
         The problem, without the captures of moved sensors before they moved where the others suffice, and with a
         finding for each bump; its solution and tree.
     """
     joint, tree = solve_jointly(problem)
+    if (possible := refuse_impossible(problem, joint)) is not problem:
+        return solve_after_bumps(possible)
     bumps = find_bumps(problem, joint)
     if not bumps:
         return problem, joint, tree

@@ -351,6 +351,9 @@ def _squared_distance(error: Array, covariance: Array) -> tuple[float, int]:
     return float(np.sum(along[regular] ** 2 / values[regular])), int(regular.sum())
 
 
+# Deviation of a systematic parameter, in prior standard deviations, beyond which no sensor is good that another
+# parameter, which the data do not distinguish from it, concerns: twice that of a contradiction.
+_MAX_GOOD_DEVIATION = 6.0
 _COEFFICIENTS = frozenset(name for names in DISTORTION_NAMES.values() for name in names)
 
 
@@ -391,7 +394,7 @@ def find_systematic_errors(solved: SolvedBundle, rig: Rig) -> Iterator[Finding]:
             yield from _find_wrong_distortion(bundle, estimates, k, views, prior, MAX_PRIOR_DEVIATION)
 
 
-def _is_part(quantity: str) -> bool:
+def is_part(quantity: str) -> bool:
     """Whether a parameter is a coefficient of several that together have a meaning."""
     return quantity in _COEFFICIENTS or quantity.startswith(RESIDUAL_DISTORTION)
 
@@ -400,7 +403,7 @@ def _group_parameters(bundle: Bundle) -> list[Index]:
     """Indices of parameters that are tested together; coefficients are in none."""
     groups: dict[tuple[str, str], list[int]] = {}
     for i, one in enumerate(bundle.extra_parameters):
-        if _is_part(one.quantity):
+        if is_part(one.quantity):
             continue
         if one.of.startswith("tag "):
             key = (" of ".join(one.of.split(" of ")[1:]), "tags")
@@ -415,8 +418,10 @@ def _group_parameters(bundle: Bundle) -> list[Index]:
 def _describe_error(bundle: Bundle, estimates: ParameterEstimates, i: int, others: Index) -> Finding:
     """The finding of parameter i, or of others that could explain the data as well."""
     parameters = bundle.extra_parameters
-    named = np.array([j for j in others if not _is_part(parameters[j].quantity)], dtype=np.intp)
+    named = np.array([j for j in others if not is_part(parameters[j].quantity)], dtype=np.intp)
     text, causes = estimates.describe(i, named)
+    if abs(estimates.deviation[i]) > _MAX_GOOD_DEVIATION * estimates.prior_stddev[i]:
+        causes = [i, *others]  # of an error of this size, those that the text does not name are suspect as well
     return Finding(text, affected_sensors(bundle, [k for j in causes for k in parameters[j].view_sets]))
 
 

@@ -7,12 +7,34 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.boards.detections import BoardCorners, Detection, PlanePatch, Segment, plane_of
+from calgraph.errors import Rejected
 from calgraph.geometry import Array, plane, se3, se_n
 from calgraph.graph.pairwise_estimate import Linearization, Matches
 from calgraph.rig.pairs.line_matches import LineLineMatches, PlaneLineMatches
+from calgraph.solver.ransac import RansacResult
 
 Candidates = Mapping[int, Sequence[Detection]]
 """Detections of one sensor by capture; several if it is ambiguous which of them is the board."""
+
+
+@dataclass(frozen=True)
+class Disagreement(Rejected):
+    """A pair whose detections fit no relative pose in enough of the captures."""
+
+    agreeing: int
+    """In how many they fit the best pose."""
+
+
+def explain_disagreement(a: Candidates, b: Candidates, min_inliers: int, found: RansacResult | None) -> Rejected:
+    """Why a pair has no pose: too few inliers, or no sample whose boards determine one."""
+    common, count = a.keys() & b.keys(), found.inlier_count if found else 0
+    most = max(len(by[capture]) for by in (a, b) for capture in common)
+    reason = (
+        f"RANSAC found no relative pose with at least {min_inliers} inliers among {len(common)} shared "
+        f"captures{f', with up to {most} candidates for the board in one' if most > 1 else ''}: "
+        f"{count} agree at most"
+    )
+    return Disagreement(reason, count) if found else Rejected(reason)
 
 
 def build_matches(

@@ -25,6 +25,7 @@ from calgraph.graph.pairwise_estimate import (
 from calgraph.rig.pairs.board_matches import (
     Candidates,
     build_matches,
+    explain_disagreement,
     geometric_kind,
     group_alternatives,
     tabulate_matches,
@@ -109,12 +110,7 @@ def estimate_pair(
     minority = _MINORITY_INLIERS if count < len(common) / 2 else 0
     min_inliers = enough + minority
     if found is None or count < min_inliers:
-        most = max(len(by[capture]) for by in (candidates_a, candidates_b) for capture in common)
-        return Rejected(
-            f"RANSAC found no relative pose with at least {min_inliers} inliers among {len(common)} shared "
-            f"captures{f', with up to {most} candidates for the board in one' if most > 1 else ''}: "
-            f"{count} agree at most"
-        )
+        return explain_disagreement(candidates_a, candidates_b, min_inliers, found)
     T_a_b, angle = found.model, 0.0
     if refine and isinstance(matches, PlaneLineMatches):
         minima = matches.find_local_minima(found.inliers)
