@@ -153,7 +153,8 @@ def _split_sensors(files: Sequence[Path]) -> tuple[dict[str, tuple[dict[str, Pat
     """
     found: dict[tuple[str, str], tuple[dict[str, Path], NamedFiles]] = {}
     failed: dict[str, str] = {}
-    kinds = {suffix: _kind(path) for path in reversed(files) if (suffix := _suffix(path))}
+    first = {suffix: path for path in reversed(files) if (suffix := _suffix(path))}
+    kinds = {suffix: _kind(path) for suffix, path in first.items()}
     for kind in dict.fromkeys(kinds.values()):
         of_kind = [path for path in files if kinds[_suffix(path) or ""] == kind]
         paths = {path.name[: -len(_suffix(path) or "")]: path for path in of_kind}

@@ -8,8 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.interpolate import CubicSpline
-from scipy.ndimage import uniform_filter1d
-from scipy.stats import rankdata
 
 from calgraph.config import Rig
 from calgraph.geometry import Array
@@ -413,7 +411,8 @@ def _correlate_views(reference: SensorTimes, other: SensorTimes) -> _Comparison 
 
 def _count_changes(activity: Array, step: float) -> int:
     """How often activity (N,), every ``step`` s, crosses the middle of its range."""
-    smooth = uniform_filter1d(activity, max(round(_SMOOTHING / step), 1))
+    width = max(round(_SMOOTHING / step), 1)
+    smooth = np.convolve(np.pad(activity, width // 2, "edge"), np.full(width, 1 / width), "valid")
     high = smooth > (smooth.min() + smooth.max()) / 2
     return int(np.sum(high[1:] != high[:-1]))
 
@@ -423,11 +422,17 @@ def _center(times: SensorTimes) -> float:
     return float(times.stamps[0] + times.duration / 2 - times.reach / 2)
 
 
+def _rank(values: Array) -> Array:
+    """(N,) the place of each value in ascending order, from 1; equal ones have the mean of their places."""
+    _, of_value, counts = np.unique(values, return_inverse=True, return_counts=True)
+    return np.asarray((np.cumsum(counts) - (counts - 1) / 2)[of_value])
+
+
 def _sample_activity(times: SensorTimes, step: float) -> Array:
     """The rank of the activity, 0..1, at equal steps, s: single messages without any change do not dominate."""
     grid = np.arange(times.stamps[0], times.stamps[-1], step)
     measured = np.concatenate([times.activity[1:2], times.activity[1:]])  # of the first, no change is known
-    sampled: Array = np.interp(grid, times.stamps, rankdata(measured) / len(measured))
+    sampled: Array = np.interp(grid, times.stamps, _rank(measured) / len(measured))
     return sampled
 
 
