@@ -193,7 +193,7 @@ MISTAKES = {
                  "target.size: must have 2 elements, got [1.0, 0.8, 0.1]"),
     "empty_topic": (("topic: /scan", "topic: ''"), "sensors.laser.topic: must not be empty, got ''"),
     "root": (("root: lidar", "root: ldar"), "root: must be one of the sensors, camera, lidar, laser, got 'ldar'; did you mean 'lidar'?"),
-    "root_frame": (("root: lidar", "root: base_link"), "root: must be one of the sensors, camera, lidar, laser, got 'base_link'; other frames of the robot join the result by calgraph export --format urdf --urdf FILE"),
+    "root_frame": (("root: lidar", "root: base_link"), "root: must be one of the sensors, camera, lidar, laser, got 'base_link'; calgraph export joins the result to the URDF that other frames are of"),
     "same_topic": (("topic: /scan", "topic: /points"), "sensors.laser.topic: is also that of lidar, got '/points'"),
     "background": (("[0.0, 5.0]", "[5.0, 1.0]"), "capture.background: must end after it starts, got [5, 1]"),
     "exclude": (("[[31.0, 34.5]]", "[[1, 2], [3, 3]]"), "capture.exclude[1]: must end after it starts, got [3, 3]"),

@@ -91,7 +91,7 @@ class Rig(StrictModel):
             hint = (
                 f"did you mean {close[0]!r}?"
                 if close
-                else "other frames of the robot join the result by calgraph export --format urdf --urdf FILE"
+                else "calgraph export joins the result to the URDF that other frames are of"
             )
             sensors = ", ".join(self.sensors)
             raise invalid("root", f"must be one of the sensors, {sensors}, got {self.root!r}; {hint}")
