@@ -110,7 +110,7 @@ def test_a_checkerboard_has_an_upper_end(size: tuple[float, float]) -> None:
         (BoardOptions(kind="checkerboard", square=80, columns=8, rows=5), "pattern: extends beyond the board"),
         (BoardOptions(kind="charuco", dictionary="DICT_9X9"), "must be one of OpenCV's dictionaries"),
         (BoardOptions(kind="charuco", square=8), "needs marker 335, but DICT_5X5_100 ends at 99"),
-        (BoardOptions(family="tag99"), "family: must be 'tag36h11', 'tag25h9' or 'tag16h5'"),
+        (BoardOptions(family="tag99"), "family: must be 'tag36h11', 'tag25h9', 'tag16h5' or an ArUco dictionary"),
         (BoardOptions(family="tag16h5", first_id=28), "tag16h5 ends at 29, got 30"),
     ],
 )

@@ -68,7 +68,8 @@ def check_sensor_topics(rig: Rig, recording: Recording) -> None:
     """
     types = {topic.name: topic.type for topic in recording.topics}
     for name, topic in rig.topics.items():
-        if topic in types and types[topic] not in SENSOR_TYPES:
+        # Recordings in memory state no types.
+        if types.get(topic) and types[topic] not in SENSOR_TYPES:
             raise InputError(f"sensors.{name}: {topic}: {explain_unread(types[topic])}")
     scanners = {
         spec.topic: name

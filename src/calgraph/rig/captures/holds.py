@@ -12,7 +12,7 @@ from calgraph.errors import CalibrationError
 from calgraph.geometry import Array
 from calgraph.rig.captures.capture_mode import StampGroup, find_frame_sets, find_snapshots, recognize_mode
 from calgraph.rig.captures.rests import find_rests
-from calgraph.rig.captures.timeline import RecordingTimeline, SensorTimes
+from calgraph.rig.captures.timeline import MAX_MOTION_PERIOD, RecordingTimeline, SensorTimes
 from calgraph.rig.kinds import RIG_KINDS
 
 
@@ -57,11 +57,11 @@ def find_holds(timeline: RecordingTimeline, capture: Capture, settings: CaptureS
         found = _hold_frames(frames, timeline, settings.moving_board.max_captures)
     else:
         if capture.trigger:
-            candidates = _select_messages(timeline, _find_spans_by_trigger(timeline))
+            candidates = _select_messages(timeline, _find_spans_by_trigger(timeline), 0.0)
         elif mode == "snapshots":
             candidates = _hold_groups(find_snapshots(timeline, capture, settings), timeline)
         else:
-            candidates = _select_messages(timeline, find_rests(timeline, settings))
+            candidates = _select_messages(timeline, find_rests(timeline, settings), MAX_MOTION_PERIOD)
         begin = timeline.start
         found = [hold for hold in candidates if capture.allows(hold.start - begin, hold.end - begin)]
     if not found:
@@ -69,10 +69,18 @@ def find_holds(timeline: RecordingTimeline, capture: Capture, settings: CaptureS
     return tuple(replace(hold, index=i) for i, hold in enumerate(found))
 
 
-def _select_messages(timeline: RecordingTimeline, spans: list[tuple[float, float]]) -> list[Hold]:
-    """The holds of some intervals, each with the messages that were measured entirely within it."""
+def _select_messages(
+    timeline: RecordingTimeline, spans: list[tuple[float, float]], max_period: float
+) -> list[Hold]:
+    """The holds of some intervals, each with the messages that were measured entirely within it.
+
+    Sensors with periods up to ``max_period``, s, are known to measure rest before the interval, too.
+    """
     sensors = timeline.sensors.items()
-    return [Hold(0, a, b, {name: _select_stamps(times, a, b) for name, times in sensors}) for a, b in spans]
+    return [
+        Hold(0, a, b, {name: _select_stamps(one, a, b, one.period <= max_period) for name, one in sensors})
+        for a, b in spans
+    ]
 
 
 def _hold_groups(groups: list[StampGroup], timeline: RecordingTimeline, *, auxiliary: bool = False) -> list[Hold]:
@@ -134,14 +142,15 @@ def _find_spans_by_trigger(timeline: RecordingTimeline) -> list[tuple[float, flo
     return spans
 
 
-def _select_stamps(times: SensorTimes, start: float, end: float) -> Array:
+def _select_stamps(times: SensorTimes, start: float, end: float, rested: bool) -> Array:
     """Stamps of the messages that were measured entirely between start and end.
 
-    Where messages do not state how long they took, their stamp may be of the first or of the last point: only a
-    message with another one before it in the hold is then used (MSG-Cal's second measurement).
+    Where messages do not state how long they took, their stamp may be of the first or of the last point: unless the
+    board rested before, only a message with another one before it in the hold is used (MSG-Cal's second
+    measurement).
     """
     inside = times.stamps[(times.stamps >= start) & (times.stamps + times.duration <= end + 1e-6)]
-    return inside if times.duration > 0 else inside[1:]
+    return inside if rested or times.duration > 0 else inside[1:]
 
 
 def select_frame_sets(groups: Sequence[StampGroup], timeline: RecordingTimeline, limit: int) -> list[StampGroup]:
