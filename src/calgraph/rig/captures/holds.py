@@ -145,8 +145,8 @@ def _find_spans_by_trigger(timeline: RecordingTimeline) -> list[tuple[float, flo
 def _select_stamps(times: SensorTimes, start: float, end: float, rested: bool) -> Array:
     """Stamps of the messages that were measured entirely between start and end.
 
-    Where messages do not state how long they took, their stamp may be of the first or of the last point: unless the
-    board rested before, only a message with another one before it in the hold is used (MSG-Cal's second
+    Where messages do not state how long they took, their stamp may be of the first or of the last point: unless
+    the board rested before, only a message with another one before it in the hold is used (MSG-Cal's second
     measurement).
     """
     inside = times.stamps[(times.stamps >= start) & (times.stamps + times.duration <= end + 1e-6)]
