@@ -63,7 +63,7 @@ def test_a_rendered_recording_of_a_moving_board_is_calibrated() -> None:
     ])  # fmt: skip
     rig = world_rig(world).model_dump(mode="json", exclude_none=True)
     rig["capture"] = {"mode": "synchronized", "max_spread": 0.05, "background": [0.0, 1.0]}
-    rig["settings"] = {"captures": {"moving_board": {"max_captures": 30}}}
+    rig["settings"] = {"captures": {"moving_board": {"max_captures": 40}}}
     found = calibrate(Rig.model_validate(rig), recording)
     (camera,) = [sensor for sensor in found.sensors if sensor.name == "camera"]
     error = pose_errors(found, ground_truth(world))["camera"]

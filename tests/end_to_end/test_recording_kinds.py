@@ -125,7 +125,8 @@ def test_sensors_may_have_clocks_of_their_own(poses: Poses) -> None:
     [remark] = [one for one in found.evidence.remarks if "the clock of camera minus that of the others" in one]
     # The clouds are stamped 0.07 s late, and both sensors measure every 0.2 s.
     assert float(remark.split(" is ")[1].split(" s,")[0]) == pytest.approx(3.63, abs=0.15)
-    assert found.evidence.edges[0].captures == 9
+    # Rests shorter than a second may be missed where clocks are known to a tenth.
+    assert found.evidence.edges[0].captures >= 8
     check_pose(found, poses.truth)
 
 

@@ -52,7 +52,7 @@ def measure_changes(previous: Signed | None, decoders: Sequence[Decoder]) -> Mea
     problem = ""
     for decode in decoders:
         try:
-            changes.append(meter.measure_change(decode()))
+            changes.append(float(np.nan_to_num(meter.measure_change(decode()))))
         except CalgraphError as error:
             changes.append(None)
             problem = str(error)

@@ -145,7 +145,7 @@ def recognize_mode(timeline: RecordingTimeline, capture: Capture, settings: Capt
         return RecognizedMode("snapshots", f"the sensors measured {poses} times, with pauses in between")
     frames = find_frame_sets(timeline, capture)
     spread = measure_spread(frames) if _are_synchronized(frames, timeline, settings) else None
-    if not any(times.activity.any() for times in timeline.sensors.values()):
+    if not any(np.nan_to_num(times.activity).any() for times in timeline.sensors.values()):
         reason = "the sensors measure continuously; how much their views change was not measured"
         return RecognizedMode("rest", reason, spread)
     begin = timeline.start

@@ -393,7 +393,7 @@ _RESOLUTION = 0.02
 
 def _correlate_views(reference: SensorTimes, other: SensorTimes) -> _Comparison | None:
     """How similarly two views change with each offset of the other's clock; None if that cannot be known."""
-    pair = (reference, other)
+    pair = reference, other = reference.with_content(), other.with_content()
     if any(len(times.stamps) < _MIN_MESSAGES or np.ptp(times.stamps) < _MIN_SPAN for times in pair):
         return None
     if any(times.period > MAX_MOTION_PERIOD or not times.activity.any() for times in pair):

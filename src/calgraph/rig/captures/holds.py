@@ -189,10 +189,11 @@ def find_neighbours(groups: Sequence[StampGroup], timeline: RecordingTimeline) -
 
 def _relative_activity(times: SensorTimes, name: str, groups: Sequence[StampGroup]) -> Array:
     """(G,) change of a sensor's view at its frame of each group, over its median; 0 where it has none."""
-    typical = float(np.median(times.activity)) if len(times.activity) else 0.0
+    activity = np.nan_to_num(times.activity)
+    typical = float(np.median(activity)) if len(activity) else 0.0
     if typical == 0.0:
         return np.zeros(len(groups))
-    by_stamp = dict(zip(times.stamps.tolist(), times.activity.tolist(), strict=True))
+    by_stamp = dict(zip(times.stamps.tolist(), activity.tolist(), strict=True))
     return np.array([by_stamp[float(g.stamps[name][0])] / typical if name in g.stamps else 0.0 for g in groups])
 
 

@@ -102,14 +102,14 @@ class ActivityMeter:
     def measure_change(self, message: Message) -> float:
         """Share of the view, in 0..1, that differs from an earlier message; 0 for the first.
 
-        Messages without any return are left out: they are lost data, and no motion.
+        NaN of messages without any return: they are lost data, and show neither motion nor rest.
         """
         return self.compare(_sign(message))
 
     def compare(self, signed: Signed | None) -> float:
         """The same, from what is compared of a message."""
         if signed is None:
-            return 0.0
+            return float("nan")
         if not self._recent:
             self._recent.append(signed)
             return 0.0

@@ -35,7 +35,8 @@ _INDEPENDENT = 0.1
 _CERTAIN_ACTIVITY = 0.5
 # Logarithm of the odds against a change of state from cell to cell: boards rest and move for 2 s, 40 cells.
 _CHANGE_COST = 4.0
-# Shares of a sensor's messages that start as motion: those of operators who move shortly, or rest shortly.
+# Shares of a sensor's messages that start as motion: those of operators who move shortly, or rest shortly. At the
+# start, each message decides.
 _STARTS = (0.4, 0.7)
 # Each start settles in two to six steps.
 _MAX_STEPS = 12
@@ -99,7 +100,7 @@ def find_rests(timeline: RecordingTimeline, settings: CaptureSettings) -> list[t
     """
     fast = [
         times
-        for times in timeline.sensors.values()
+        for times in (one.with_content() for one in timeline.sensors.values())
         if times.period <= MAX_MOTION_PERIOD and len(times.stamps) > 2 and np.ptp(times.stamps) > 0
     ]
     if not fast:
@@ -109,7 +110,8 @@ def find_rests(timeline: RecordingTimeline, settings: CaptureSettings) -> list[t
     # A message compares with one up to a baseline before: its activity shows motion in all that time.
     baseline = max(times.baseline for times in fast)
     sensors = [_make_votes(times, start, cells, baseline) for times in fast]
-    spans = [(start + _CELL * a - baseline, start + _CELL * b) for a, b in _list_spans(~_decide(sensors, cells))]
+    states = _decide(sensors, cells, settings.min_poses)
+    spans = [(start + _CELL * a - baseline, start + _CELL * b) for a, b in _list_spans(~states)]
     periods = [times.period for times in timeline.sensors.values() if np.isfinite(times.period)]
     shortest = max(settings.min_hold, *periods)
     # Twice the period holds one full measurement for certain.
@@ -126,7 +128,7 @@ def _shorten(start: float, end: float, needed: float) -> tuple[float, float]:
 def find_noise(timeline: RecordingTimeline, rests: Sequence[tuple[float, float]]) -> dict[str, float]:
     """By sensor with messages in the rests, the median of their activities there."""
     found = {}
-    for name, times in timeline.sensors.items():
+    for name, times in ((name, one.with_content()) for name, one in timeline.sensors.items()):
         since = times.stamps - times.reach
         inside = np.any([(since >= a) & (times.stamps <= b) for a, b in rests], axis=0)
         if inside.any():
@@ -147,13 +149,13 @@ def _make_votes(times: SensorTimes, start: float, cells: int, baseline: float) -
     return _Votes(starts, ends, activity, bins, first, stop, min(times.period / _INDEPENDENT, 1.0))
 
 
-def _decide(sensors: Sequence[_Votes], cells: int) -> NDArray[np.bool_]:
-    """(cells,) whether something moves: the states with most information on the activities."""
-    best, states = -np.inf, np.zeros(cells, bool)
+def _decide(sensors: Sequence[_Votes], cells: int, min_rests: int) -> NDArray[np.bool_]:
+    """(cells,) whether something moves: of states with several rests, those with most information."""
+    best, states = (False, -np.inf), np.zeros(cells, bool)
     for sensor in sensors:
         for share in _STARTS:
             above = sensor.activity > np.quantile(sensor.activity, 1 - share)
-            moving = _find_states(sensor.sum_over_cells(np.where(above, 1.0, -1.0), cells))
+            moving = _find_states(_CHANGE_COST * sensor.sum_over_cells(np.where(above, 1.0, -1.0), cells))
             for _ in range(_MAX_STEPS):
                 before, votes = moving, [_vote(each, moving) for each in sensors]
                 moving = _find_states(
@@ -163,8 +165,10 @@ def _decide(sensors: Sequence[_Votes], cells: int) -> NDArray[np.bool_]:
                     break
             told = sum(one.weight * _measure_information(*one.count(moving)) for one in sensors)
             told -= _CHANGE_COST * np.count_nonzero(np.diff(moving))
-            if told > best:
-                best, states = told, moving
+            # Whether somebody is in the room changes views, too, and once.
+            rank = len(_list_spans(~moving)) >= min_rests, told
+            if rank > best:
+                best, states = rank, moving
     return states
 
 

@@ -1,7 +1,7 @@
 """When each sensor measured: all that the search for captures keeps of a whole recording."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -22,7 +22,8 @@ class SensorTimes:
     duration: float
     """Duration of one measurement, s; 0 for images, and where the messages do not state it."""
     activity: Array
-    """(N,) share of the view that changed since an earlier message; 0 where it was not measured."""
+    """(N,) share of the view that changed since an earlier message; 0 where it was not measured, NaN of messages
+    without content."""
     frame_id: str = ""
     """The frame its messages state."""
     message_type: str = ""
@@ -36,6 +37,11 @@ class SensorTimes:
     def period(self) -> float:
         """Typical time between messages, s; infinite for a single one."""
         return float(np.median(np.diff(self.stamps))) if len(self.stamps) > 1 else float("inf")
+
+    def with_content(self) -> "SensorTimes":
+        """The stamps and activities of messages with content alone."""
+        kept = ~np.isnan(self.activity)
+        return replace(self, stamps=self.stamps[kept], activity=self.activity[kept], arrivals=np.zeros(0))
 
     @property
     def reach(self) -> float:
