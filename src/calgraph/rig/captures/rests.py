@@ -165,7 +165,7 @@ def _decide(sensors: Sequence[_Votes], cells: int, min_rests: int) -> NDArray[np
                     break
             told = sum(one.weight * _measure_information(*one.count(moving)) for one in sensors)
             told -= _CHANGE_COST * np.count_nonzero(np.diff(moving))
-            # Whether somebody is in the room changes views, too, and once.
+            # A person who enters the room changes views as well, but once.
             rank = len(_list_spans(~moving)) >= min_rests, told
             if rank > best:
                 best, states = rank, moving
