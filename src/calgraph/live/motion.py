@@ -64,8 +64,8 @@ class RestMonitor:
     """Decides from the changes of all views whether the board rests.
 
     A view moves if it changes more than its noise, which is that of the time without operator at first, and of the
-    quietest messages later. When rest and motion have both been measured, Otsu's threshold separates them, as in
-    :func:`find_holds`, if it is higher: a board that is held by hand never rests completely.
+    quietest messages later. When rest and motion have both been measured, Otsu's threshold separates them if it is
+    higher: a board that is held by hand never rests completely.
 
     Args:
         sensors: their names.

@@ -77,9 +77,9 @@ def check_sensor_topics(rig: Rig, recording: Recording) -> None:
         if KINDS[spec.kind].measures_ranges and not KINDS[spec.kind].convert and spec.topic in types
     }
     found: dict[str, list[Message]] = {topic: [] for topic in scanners}
-    waiting, seen = set(scanners), Counter[str]()
+    waiting, read = set(scanners), Counter[str]()
     for record in islice(recording.records(list(scanners)), _READ * len(scanners)) if scanners else ():
-        seen[record.topic] += 1
+        read[record.topic] += 1
         if record.topic not in waiting:
             continue
         try:
@@ -88,7 +88,7 @@ def check_sensor_topics(rig: Rig, recording: Recording) -> None:
             continue  # what needs it states why
         if _list_ranges(message).size:
             found[record.topic].append(message)
-        if len(found[record.topic]) == _SAMPLED or seen[record.topic] == _READ:
+        if len(found[record.topic]) == _SAMPLED or read[record.topic] == _READ:
             waiting.remove(record.topic)
         if not waiting:
             break

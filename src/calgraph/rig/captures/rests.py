@@ -43,8 +43,8 @@ _MAX_STEPS = 12
 # Share of the messages in the middle half of rests whose activity is noise: others show people behind the board.
 _NOISE_SHARE = 0.9
 _MIDDLE = 0.25
-# Time at the ends of a rest, s, in which the board may still move by more than 2 mm, less than sensors notice: so
-# it does in 5 % of rests without this time, and in 30 % with it (benchmarks/rests.py).
+# Time at the ends of a rest, s, that is left out, as the board may move there by less than sensors measure: it
+# moves by more than 2 mm in 5 % of rests without these ends, and in 37 % with them (benchmarks/rests.py).
 _MARGIN = 0.2
 
 
@@ -163,10 +163,10 @@ def _decide(sensors: Sequence[_Votes], cells: int, min_rests: int) -> NDArray[np
                 )
                 if np.array_equal(moving, before):
                     break
-            told = sum(one.weight * _measure_information(*one.count(moving)) for one in sensors)
-            told -= _CHANGE_COST * np.count_nonzero(np.diff(moving))
+            information = sum(one.weight * _measure_information(*one.count(moving)) for one in sensors)
+            information -= _CHANGE_COST * np.count_nonzero(np.diff(moving))
             # A person who enters the room changes views as well, but once.
-            rank = len(_list_spans(~moving)) >= min_rests, told
+            rank = len(_list_spans(~moving)) >= min_rests, information
             if rank > best:
                 best, states = rank, moving
     return states
