@@ -11,8 +11,8 @@ shifts his weight. Real are images and clouds of ../shared/data or CALGRAPH_DATA
 
 A rest is the time in which the board stays within 2 mm, besides tremor, of where it is held. It is found where a
 rest that was found overlaps half of it, or half a second; ``within`` where that does not begin or end more than
-0.2 s outside of it. ``drift``: rests that were
-found in which the board is farther than 2 mm from where it is for most of their time.
+0.2 s outside of it. ``drift``: captures in which the board is farther than 2 mm from where it is for most of the
+time of the messages that are used.
 """
 
 import argparse
@@ -34,6 +34,7 @@ from calgraph.config.settings import CaptureSettings
 from calgraph.geometry import Array
 from calgraph.recording.pcd import read_pcd
 from calgraph.rig.captures.capture_mode import recognize_mode
+from calgraph.rig.captures.holds import select_middles
 from calgraph.rig.captures.motion_detection import BASELINE, ActivityMeter
 from calgraph.rig.captures.rests import find_rests
 from calgraph.rig.captures.timeline import RecordingTimeline, SensorTimes, build_timeline
@@ -324,7 +325,7 @@ def evaluate(timeline: RecordingTimeline, walk: Walk) -> tuple[int, int, int, in
                 within += a > start - 0.2 and b < end + 0.2
                 break
     drift = extra = 0
-    for a, b in found:
+    for a, b in select_middles(timeline, found):
         places = walk.path(np.linspace(a, b, 40))
         drift += bool(measure_distance(places, np.median(places, axis=0)).max() > MAX_DRIFT)
         extra += not any(min(b, end) > max(a, start) for start, end in walk.rests)

@@ -81,6 +81,15 @@ def test_clocks_that_differ_by_their_arrivals_cost_nothing(
     check_poses(recorded, recorded[0], shift(recorded, offsets))
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("offsets", [{CAMERA: 0.8}, {SCANNER: 0.5}, {LIDAR: 0.5}])
+def test_a_sensor_that_is_late_after_each_trigger_is_found(
+    recorded: Recorded, offsets: Mapping[str, float]
+) -> None:
+    """Neither stamps nor arrivals show it, and its views after a trigger are of the move before."""
+    check_poses(recorded, recorded[0], shift(recorded, offsets, arrivals=True))
+
+
 @pytest.mark.parametrize(
     "stated", [{"lidar": "estimate"}, {"camera": 1_699_990_000.0, "laser_front": 1_699_990_000.0}]
 )

@@ -100,6 +100,7 @@ def test_coverage_of_scanners_counts_sectors_of_azimuth() -> None:
     [
         ("no tag of family tag36h11 found; ids 0 to 2 expected", "not in view"),
         ("board moved between images: its corners by 3.2 px", "the board moved"),
+        ("board moved between messages: hold it still", "the board moved"),
         ("too small in the image: two poses 20° apart fit its corners equally well", "too far"),
         ("no tag of family tag36h11 found (the image is too dark: 99 % of it below grey value 3)", "too dark"),
         ("the corners detected contradict each other", "partly hidden"),

@@ -150,7 +150,7 @@ def count_coverage(
 def explain_rejection(reason: str) -> str:
     """The reason why a sensor does not detect the board, in a few words for the operator."""
     for words, short in (
-        ("moved between images", "the board moved"),
+        ("board moved between", "the board moved"),
         ("too small", "too far"),
         ("too dark", "too dark"),
         ("blank", "blank image"),

@@ -88,6 +88,22 @@ def collect_captures(
     return replace(captures, findings=(*monitor.findings(), *findings, *captures.findings))
 
 
+def correct_late_views(
+    rig: Rig, recording: Recording, options: RigOptions, clocks: Clocks
+) -> tuple[Recording, list[Finding]]:
+    """The recording with the stamps of late sensors corrected, from when the board rests in all views.
+
+    After a trigger, a sensor whose stamps and arrivals are late has measured the end of the move before it.
+    """
+    untriggered = rig.model_copy(
+        update={"capture": rig.capture.model_copy(update={"trigger": None, "mode": "rest"})}
+    )
+    monitor = InputMonitor(rig, recording.start, {})
+    timeline = read_rig_timeline(untriggered, recording, monitor, options.cache, options.engine, no_progress)
+    corrected, _, findings = align_views(untriggered, recording, timeline, clocks)
+    return corrected, findings
+
+
 def _detect_in_timeline(
     rig: Rig,
     recording: Recording,

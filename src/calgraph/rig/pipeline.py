@@ -16,13 +16,14 @@ from calgraph.parallel.progress import Progress, no_progress
 from calgraph.recording import Recording, convert_images, resolve_intrinsics
 from calgraph.recording.sensor_topics import check_sensor_topics
 from calgraph.result import Calibration
+from calgraph.result.finding import Finding
 from calgraph.rig.bundle.camera_boards import align_symmetric_prints, locate_boards, scale_boards
 from calgraph.rig.bundle.estimate import solve_bundle, solve_poses
 from calgraph.rig.bundle.priors import attach_by_priors
 from calgraph.rig.bundle.problem import Problem, SolverOptions, with_prior_poses
 from calgraph.rig.bundle.problem_file import round_trip, save_problem
 from calgraph.rig.bundle.solution import RigSolution
-from calgraph.rig.capture_collection import collect_captures, separate_snapshots
+from calgraph.rig.capture_collection import collect_captures, correct_late_views, separate_snapshots
 from calgraph.rig.captures.clock_alignment import correct_by_arrival
 from calgraph.rig.captures.detect import CaptureSet, state_estimated_intrinsics
 from calgraph.rig.captures.empty_start import resolve_background
@@ -40,7 +41,7 @@ from calgraph.rig.pairs.board_pair import (
     select_successful,
 )
 from calgraph.rig.pairs.rig_initialization import initialize_rig
-from calgraph.rig.sensor_admission import admit_sensors, refuse_impossible
+from calgraph.rig.sensor_admission import admit_sensors, agree_mostly, refuse_impossible
 from calgraph.rig.step_log import log_captures, log_pairs, log_solution
 from calgraph.rig.strategies import select_initialization, solve_baseline
 from calgraph.sensors import CameraModel
@@ -111,10 +112,19 @@ def build_problem(
     corrected = correct_by_arrival(rig, recording, options.cache)
     recording = separate_snapshots(rig, corrected.recording)
     rig, background = resolve_background(corrected.rig, recording, options.cache)
-    captures = collect_captures(rig, recording, options, rng, progress, corrected.clocks)
-    captures = replace(captures, findings=(*corrected.findings, *background, *captures.findings))
-    rig = state_estimated_intrinsics(resolve_intrinsics(rig, recording), captures)
-    return build_problem_from_captures(rig, captures, options, rng, progress)
+    clocks, findings = corrected.clocks, (*corrected.findings, *background)
+
+    def build(recording: Recording, findings: Sequence[Finding]) -> Problem:
+        captures = collect_captures(rig, recording, options, rng, progress, clocks)
+        captures = replace(captures, findings=(*findings, *captures.findings))
+        stated = state_estimated_intrinsics(resolve_intrinsics(rig, recording), captures)
+        return build_problem_from_captures(stated, captures, options, rng, progress)
+
+    problem = build(recording, findings)
+    if rig.capture.trigger and not agree_mostly(problem):
+        recording, late = correct_late_views(rig, recording, options, clocks)
+        problem = build(recording, (*findings, *late)) if late else problem
+    return problem
 
 
 def _check_board(rig: Rig) -> None:

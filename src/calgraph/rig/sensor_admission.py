@@ -151,6 +151,15 @@ def _leave_out(
     return rig.model_copy(update={"root": root}), captures, pairs
 
 
+def agree_mostly(problem: Problem) -> bool:
+    """Whether all sensors are connected, by pairs that agree in the majority of their shared captures."""
+    found = problem.captures.detections
+    return set(problem.tree.T_root_sensor) == set(problem.rig.sensors) and all(
+        pair.inliers.sum() >= _MAJORITY * len(found[pair.sensor_a].keys() & found[pair.sensor_b].keys())
+        for pair in select_successful(problem.pairs)
+    )
+
+
 def _find_contradictions(
     rig: Rig, captures: CaptureSet, pairs: PairwiseEstimates, rng: np.random.Generator
 ) -> Iterator[Contradiction]:

@@ -11,6 +11,7 @@ from calgraph.errors import CalibrationError
 from calgraph.geometry import Array
 from calgraph.rig.captures.capture_mode import is_snapshot_recording
 from calgraph.rig.captures.holds import find_holds
+from calgraph.rig.captures.rests import find_rests
 from calgraph.rig.captures.timeline import RecordingTimeline, SensorTimes
 
 START = 1_700_000_000.0
@@ -102,8 +103,19 @@ def test_holds_are_found_where_nothing_moves() -> None:
     assert len(holds) == 12
     for hold in holds:
         assert (hold.start - START) % 5 >= 0.9
-        assert 3.0 < hold.end - hold.start < 4.0
+        # Twice the period of the slow sensor, of the middle of the rest.
+        assert hold.end - hold.start == pytest.approx(2.4, abs=0.01)
         assert len(hold.stamps["slow"]) >= 1
+
+
+def test_the_middle_second_of_a_rest_is_used() -> None:
+    """Boards slow down before a rest: in its last 0.2 s a board moves by 2 cm."""
+    recording = timeline(laser=times(0, 60, 0.05, activity=board_motion))
+    (rest,) = [r for r in find_rests(recording, CaptureSettings()) if r[0] < START + 23 < r[1]]
+    (hold,) = [h for h in find_holds(recording, Capture(), CaptureSettings()) if h.start < START + 23 < h.end]
+    assert hold.end - hold.start == pytest.approx(1.0)
+    assert hold.start - rest[0] == pytest.approx(rest[1] - hold.end)
+    assert len(hold.stamps["laser"]) in (20, 21)
 
 
 def test_rests_shorter_than_the_slowest_sensor_are_no_holds() -> None:

@@ -76,15 +76,14 @@ def test_changes_from_message_to_message_are_placed_where_they_are(rng: np.rando
 
 
 @pytest.mark.parametrize("rate", [3, 30])
-def test_ends_of_moves_are_no_part_of_rests(rate: float, rng: np.random.Generator) -> None:
-    """Boards slow down before a rest: in its last 0.2 s a board moves by 2 cm."""
+def test_rests_begin_and_end_with_the_board(rate: float, rng: np.random.Generator) -> None:
     found = rests_of(
         camera=sensor(rate, rng, noise=0.0002, share=0.1), scanner=sensor(20, rng, noise=0.01, share=0.2)
     )
     assert len(found) == len(RESTS)
     for (start, end), (true_start, true_end) in zip(found, RESTS, strict=True):
-        assert true_start <= start < true_start + 0.4 + 1.5 / rate
-        assert true_end - 0.4 - 1.5 / rate < end <= true_end
+        assert true_start - 0.15 <= start < true_start + 0.2 + 1.5 / rate
+        assert true_end - 0.2 - 1.5 / rate < end <= true_end + 0.15
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -106,16 +105,6 @@ def test_a_view_that_never_changes_rests_all_the_time() -> None:
     ((start, end),) = rests_of(camera=SensorTimes(stamps, 0.0, np.zeros(len(stamps)), baseline=BASELINE))
     assert start < 0.5
     assert end > 19.0
-
-
-def test_slow_sensors_keep_rests_that_hold_two_of_their_measurements(rng: np.random.Generator) -> None:
-    """Rests lose 0.2 s at both ends, but not the full measurement of the slowest sensor."""
-    camera = sensor(20, rng, noise=0.0002, share=0.1)
-    stamps = np.arange(0, END, 0.95)
-    slow = SensorTimes(stamps, 0.95, np.zeros(len(stamps)))
-    shortened, kept = rests_of(camera=camera), rests_of(camera=camera, slow=slow)
-    assert len(shortened) == len(kept) == len(RESTS)
-    assert np.mean(np.diff(kept)) - np.mean(np.diff(shortened)) > 0.2
 
 
 @pytest.mark.parametrize(("still", "mode"), [(0.004, "rest"), (0.06, "synchronized")])

@@ -61,7 +61,8 @@ def find_holds(timeline: RecordingTimeline, capture: Capture, settings: CaptureS
         elif mode == "snapshots":
             candidates = _hold_groups(find_snapshots(timeline, capture, settings), timeline)
         else:
-            candidates = _select_messages(timeline, find_rests(timeline, settings), MAX_MOTION_PERIOD)
+            spans = select_middles(timeline, find_rests(timeline, settings))
+            candidates = _select_messages(timeline, spans, MAX_MOTION_PERIOD)
         begin = timeline.start
         found = [hold for hold in candidates if capture.allows(hold.start - begin, hold.end - begin)]
     if not found:
@@ -127,6 +128,19 @@ def _explain_no_holds(timeline: RecordingTimeline, capture: Capture, mode: str) 
             "largest difference that is acceptable, or hold the board still"
         )
     return "the board never rests: hold it still twice as long as the slowest sensor takes, or record a trigger"
+
+
+# Length of the middle of a rest whose messages are used, s: near its ends the board may move by less than views
+# show, and scans of one second average to less than the bias of a scanner.
+_MIDDLE = 1.0
+
+
+def select_middles(timeline: RecordingTimeline, rests: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
+    """The middle of each rest; twice the period of the slowest sensor holds one full measurement for certain."""
+    periods = [times.period for times in timeline.sensors.values() if np.isfinite(times.period)]
+    length = max(_MIDDLE, *(2 * period for period in periods))
+    margins = [max((b - a - length) / 2, 0.0) for a, b in rests]
+    return [(a + margin, b - margin) for (a, b), margin in zip(rests, margins, strict=True)]
 
 
 def _find_spans_by_trigger(timeline: RecordingTimeline) -> list[tuple[float, float]]:

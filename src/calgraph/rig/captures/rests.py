@@ -43,9 +43,6 @@ _MAX_STEPS = 12
 # Share of the messages in the middle half of rests whose activity is noise: others show people behind the board.
 _NOISE_SHARE = 0.9
 _MIDDLE = 0.25
-# Time at the ends of a rest, s, that is left out, as the board may move there by less than sensors measure: it
-# moves by more than 2 mm in 5 % of rests without these ends, and in 37 % with them (benchmarks/rests.py).
-_MARGIN = 0.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,15 +111,7 @@ def find_rests(timeline: RecordingTimeline, settings: CaptureSettings) -> list[t
     spans = [(start + _CELL * a - baseline, start + _CELL * b) for a, b in _list_spans(~states)]
     periods = [times.period for times in timeline.sensors.values() if np.isfinite(times.period)]
     shortest = max(settings.min_hold, *periods)
-    # Twice the period holds one full measurement for certain.
-    needed = max(settings.min_hold, *(2 * period for period in periods))
-    return [_shorten(a, b, needed) for a, b in _trim(spans, sensors) if b - a >= shortest]
-
-
-def _shorten(start: float, end: float, needed: float) -> tuple[float, float]:
-    """A rest without the time at its ends in which the board may move slowly, as far as it is not needed."""
-    margin = np.clip((end - start - needed) / 2, 0.0, _MARGIN)
-    return start + float(margin), end - float(margin)
+    return [(a, b) for a, b in _trim(spans, sensors) if b - a >= shortest]
 
 
 def find_noise(timeline: RecordingTimeline, rests: Sequence[tuple[float, float]]) -> dict[str, float]:

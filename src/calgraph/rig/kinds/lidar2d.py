@@ -10,6 +10,7 @@ from calgraph.config import Rig
 from calgraph.config.settings import DetectionSettings
 from calgraph.errors import Rejected
 from calgraph.rig.detection.background_learning import learn_scan_background
+from calgraph.rig.detection.hold_motion import drop_moved
 from calgraph.rig.detection.lidar2d import find_segments
 from calgraph.rig.kinds.rig_kind import (
     Detector,
@@ -40,7 +41,10 @@ def _detect_segments(
     found = find_segments(
         scans, rig.boards, noise, background, make_generator(seed, scans), rig.settings.detection
     )
-    return found if isinstance(found, Rejected) else add_beam_times(found, scans)
+    if isinstance(found, Rejected):
+        return found
+    resting = drop_moved(found, [scan.points for scan in scans])
+    return resting if isinstance(resting, Rejected) else add_beam_times(resting, scans)
 
 
 def _learn_scans(messages: Sequence[Message], _: DetectionSettings) -> ScanBackground:

@@ -11,6 +11,7 @@ from calgraph.config.settings import DetectionSettings
 from calgraph.errors import Rejected
 from calgraph.rig.detection.background_learning import learn_cloud_background
 from calgraph.rig.detection.capture_background import CaptureBackground, CloudBackground
+from calgraph.rig.detection.hold_motion import drop_moved
 from calgraph.rig.detection.lidar3d import find_patches
 from calgraph.rig.kinds.rig_kind import (
     Detector,
@@ -54,7 +55,10 @@ def _detect_patches(
     if isinstance(background, CaptureBackground) and not _has_board(found, _MIN_SCORE):
         # A board that stood in the same place in most captures is part of what was learned.
         found = find(None)
-    return found if isinstance(found, Rejected) else add_beam_times(found, messages)
+    if isinstance(found, Rejected):
+        return found
+    resting = drop_moved(found, [cloud.points for cloud in messages])
+    return resting if isinstance(resting, Rejected) else add_beam_times(resting, messages)
 
 
 def _has_board(found: tuple[PlanePatch, ...] | Rejected, min_score: float) -> bool:
