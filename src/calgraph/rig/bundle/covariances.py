@@ -49,26 +49,24 @@ class ViewFactors:
     whole.
     """
 
-    J_sensor: Array
-    """(V, q, n) derivatives of the local parameters by n parameters of the reduced problem."""
-    J_board: Array
-    """(V, q, 6) by the board's pose."""
+    views: MarginalizedViews
+    """With the derivatives of the local parameters."""
     of_parameters: Array
-    """(n, G) factors of the covariance of these parameters."""
+    """(n, G) factors of the covariance of the n parameters of the reduced problem that they depend on."""
     of_boards: Array
     """(V, 6, G + 6) of the boards' poses."""
 
     def multiply(self, M: Array) -> Array:
         """(V, m, G + 6) products ``M @ F`` with matrices (V, m, q)."""
-        product = (M @ self.J_board) @ self.of_boards
-        product[..., :-6] += (M @ self.J_sensor) @ self.of_parameters
+        product = (M @ self.views.J_board) @ self.of_boards
+        product[..., :-6] += (M @ self.views.J_sensor) @ self.of_parameters
         return np.asarray(product)
 
     @property
     def finite(self) -> NDArray[np.bool_]:
         """(V,) whether the factors of each view are finite."""
-        found = [np.isfinite(one).all(axis=(-2, -1)) for one in (self.J_sensor, self.J_board, self.of_boards)]
-        return np.asarray(found[0] & found[1] & found[2])
+        of_views = self.views.J_sensor, self.views.J_board, self.of_boards
+        return np.all([np.isfinite(one).all(axis=(-2, -1)) for one in of_views], axis=0)
 
 
 def view_covariance_factors(
@@ -96,7 +94,7 @@ def view_covariance_factors(
     by_parameters = (K[..., :-1].reshape(-1, size) @ root).reshape(C, 6, size)
     of_boards = np.concatenate([-by_parameters, board_root], axis=-1)
     return [
-        ViewFactors(at.J_sensor, at.J_board, root[bundle.columns(k)], of_boards[bundle.all_views[k].board])
+        ViewFactors(at, root[bundle.columns(k)], of_boards[bundle.all_views[k].board])
         for k, at in enumerate((linearized or equations.views)[first:], start=first)
     ]
 
@@ -124,6 +122,7 @@ def information_by_board(bundle: Bundle, equations: BundleEquations) -> Iterator
     One after the other: matrices (C, G, G) of twenty cameras with residual distortions would take 18 GB.
     """
     columns = [bundle.columns(k) for k in range(len(bundle.all_views))]
+    derivatives = [at.J_sensor for at in equations.views]
     views_of: list[list[tuple[int, int]]] = [[] for _ in equations.H_board]
     for k, views in enumerate(bundle.all_views):
         for v, board in enumerate(views.board.tolist()):
@@ -133,8 +132,8 @@ def information_by_board(bundle: Bundle, equations: BundleEquations) -> Iterator
         some = np.unique(np.concatenate([np.zeros(0, dtype=np.intp), *(columns[k] for k, _ in views_of_board)]))
         H = -equations.H_board_sensor[board][:, some].T @ K[board][:, some]
         for k, v in views_of_board:
-            at, place = equations.views[k], np.searchsorted(some, columns[k])
-            H[np.ix_(place, place)] += at.J_sensor[v].T @ at.information[v] @ at.J_sensor[v]
+            J, place = derivatives[k][v], np.searchsorted(some, columns[k])
+            H[np.ix_(place, place)] += J.T @ equations.views[k].information[v] @ J
         yield BoardInformation(some, H)
 
 

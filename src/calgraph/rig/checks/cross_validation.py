@@ -220,12 +220,15 @@ def _predict_boards(
     Jt = se_n.transpose(omitted.J_board)
     L = _invert_information(equations.H_board[board] - Jt @ omitted.information @ omitted.J_board)
     step = -_multiply(L, equations.g_board[board] - _multiply(Jt, omitted.gradient))
-    coupling = equations.H_board_sensor[board]
-    coupling[..., bundle.columns(sensor)] -= Jt @ omitted.information @ omitted.J_sensor
-    by_sensors = -B @ L @ coupling
-    by_sensors[..., bundle.columns(sensor)] += of_sensor
-    by_covariance = by_sensors @ covariance @ se_n.transpose(by_sensors)
-    return _multiply(B, step), B @ L @ se_n.transpose(B) + by_covariance
+    coupling, columns = equations.H_board_sensor[board], bundle.columns(sensor)
+    coupling[..., columns] -= Jt @ omitted.information @ omitted.J_sensor
+    # Of boards (6) and the sensor's columns (n): with a residual distortion, p and n are a hundred, G thousands.
+    of_boards = -L @ coupling
+    shared = of_boards @ covariance
+    between = B @ shared[..., columns] @ se_n.transpose(of_sensor)
+    own = of_sensor @ covariance[np.ix_(columns, columns)] @ se_n.transpose(of_sensor)
+    of_boards = L + shared @ se_n.transpose(of_boards)
+    return _multiply(B, step), B @ of_boards @ se_n.transpose(B) + between + se_n.transpose(between) + own
 
 
 def _split_predicted(X: Array, max_stddev: float) -> tuple[Array, Array]:
