@@ -20,7 +20,7 @@ from calgraph.rig.bundle.bundle_solver import (
     linearize_bundle,
     view_jacobians,
 )
-from calgraph.rig.bundle.covariances import parameter_covariance
+from calgraph.rig.bundle.covariances import parameter_covariance, sum_information
 from calgraph.rig.bundle.normal_equations import accumulate
 from calgraph.rig.bundle.observations import BoardViews, LinearizedResiduals, relative_poses, view_indices
 from calgraph.rig.bundle.range_observations import RangeObservations
@@ -209,6 +209,22 @@ def test_the_covariance_is_the_inverse_of_the_dense_information(
     found = parameter_covariance(linearize_bundle(bundle, state))
     size = np.sqrt(np.diag(expected))
     np.testing.assert_allclose(found / size / size[:, None], expected / size / size[:, None], atol=1e-5)
+
+
+def test_information_of_boards_and_priors_is_that_of_the_problem_with_these_boards(
+    bundle_and_state: tuple[Bundle, BundleState],
+) -> None:
+    bundle, state = bundle_and_state
+    count = len(state.T_root_board)
+    prior = np.diag(bundle.prior_weights(state.extra) * bundle.prior_stddev**-2)
+    weights = np.array([np.ones(count), np.arange(count) < count / 2])
+    found = sum_information(bundle, linearize_bundle(bundle, state), weights)
+    for information, some in zip(found, weights > 0, strict=True):
+        with_these = bundle.with_views([views.select(some[views.board]) for views in bundle.all_views])
+        expected, _, _ = linearize_bundle(with_these, state).eliminate_boards()
+        size = np.sqrt(np.diag(expected))
+        unit = np.outer(size, size)
+        np.testing.assert_allclose((information + prior) / unit, expected / unit, atol=1e-5)
 
 
 def one_hot(linearized: LinearizedResiduals) -> LinearizedResiduals:
