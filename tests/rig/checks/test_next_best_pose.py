@@ -18,9 +18,9 @@ from calgraph.rig.bundle.observations import relative_poses
 from calgraph.rig.bundle.range_observations import RangeObservations
 from calgraph.rig.bundle.solution import SolvedBundle
 from calgraph.rig.checks.next_best_pose import (
-    _change_by,
     _draw_candidates,
     _log_volume,
+    _multiply_covariance_with,
     _predict_information,
     describe_pose,
     suggest_board_poses,
@@ -128,8 +128,11 @@ def test_the_covariance_with_one_more_board_is_the_inverse_of_both_informations(
         assert one.columns.tolist() == list(range(6))
         expected = H.copy()
         expected[:6, :6] += one.information
-        found = V - V[:, one.columns] @ _change_by(one, V, V)
+        found = _multiply_covariance_with(one, V, np.arange(len(V)), V)
         np.testing.assert_allclose(found @ expected, np.eye(len(V)), atol=1e-6)
+        laser = np.arange(6, 12)
+        of_laser = _multiply_covariance_with(one, V, laser, V[:, laser])
+        np.testing.assert_allclose(of_laser, found[6:, 6:], atol=1e-9 * np.abs(found).max())
 
 
 def test_suggestions_beat_boards_of_the_same_kind_as_before() -> None:

@@ -129,7 +129,10 @@ def information_by_board(bundle: Bundle, equations: BundleEquations) -> Iterator
             views_of[board].append((k, v))
     K = np.linalg.solve(equations.H_board + BOARD_PRIOR_INFORMATION * np.eye(6), equations.H_board_sensor)
     for board, views_of_board in enumerate(views_of):
-        some = np.unique(np.concatenate([np.zeros(0, dtype=np.intp), *(columns[k] for k, _ in views_of_board)]))
+        depends = np.zeros(bundle.parameter_count, dtype=np.bool_)
+        for k, _ in views_of_board:
+            depends[columns[k]] = True
+        some = np.flatnonzero(depends)
         H = -equations.H_board_sensor[board][:, some].T @ K[board][:, some]
         for k, v in views_of_board:
             J, place = derivatives[k][v], np.searchsorted(some, columns[k])
