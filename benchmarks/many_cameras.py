@@ -96,7 +96,7 @@ def view_boards(
 
 @contextmanager
 def timed(step: str) -> Iterator[None]:
-    """Prints how long a step takes, the CPU time of all its processes, and the peak of memory so far of any one."""
+    """Prints how long a step takes, the CPU time of its processes, and the peak of memory so far of any one."""
 
     def usage() -> tuple[float, float, float]:
         both = [resource.getrusage(of) for of in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]

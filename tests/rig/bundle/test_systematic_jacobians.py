@@ -18,7 +18,6 @@ from calgraph.rig.bundle.bundle_solver import (
     Bundle,
     BundleState,
     linearize_bundle,
-    view_jacobians,
 )
 from calgraph.rig.bundle.covariances import parameter_covariance, sum_information
 from calgraph.rig.bundle.normal_equations import accumulate
@@ -26,6 +25,7 @@ from calgraph.rig.bundle.observations import BoardViews, LinearizedResiduals, re
 from calgraph.rig.bundle.range_observations import RangeObservations
 from calgraph.rig.bundle.systematic_parameters import _MAX_RINGS, find_rings
 from calgraph.rig.captures.detect import CaptureSet
+from calgraph.rig.checks.cross_validation import view_jacobians
 from calgraph.sensors import CameraModel
 from calgraph.simulation import CameraOptions, LaserOptions, MultibeamOptions
 from detected_rigs import QUICK, detect_rig
@@ -199,7 +199,7 @@ def test_the_covariance_is_the_inverse_of_the_dense_information(
             dense_jacobian(linearized, views.start),
             view_indices(views.start, len(linearized.residual)),
         )
-        J_sensor, J_board = view_jacobians(bundle, state, k)
+        J_sensor, J_board = view_jacobians(linearize_bundle(bundle, state).views[k])
         for v, board in enumerate(views.board):
             J = by_view[view == v].reshape(-1, by_view.shape[-1])
             J = np.concatenate([J @ J_sensor[v], J @ J_board[v]], axis=1)

@@ -120,7 +120,7 @@ def test_the_covariance_with_one_more_board_is_the_inverse_of_both_informations(
     # Of a board before the camera and the root alone, the information is that on the camera's pose.
     bundle = exact.bundle.with_views([*exact.bundle.views[:2], exact.bundle.views[2].select(np.zeros(0, np.intp))])
     H, _, _ = linearize_bundle(exact.bundle, exact.truth).eliminate_boards()
-    V = np.linalg.inv(H)
+    V = np.asarray(np.linalg.inv(H), dtype=np.float64)
     predicted = _predict_information(bundle, exact.truth, KINDS, (WIDTH, HEIGHT), exact.truth.T_root_board)
     added = [one for one in predicted if len(one.columns)]
     assert len(added) > 3

@@ -234,11 +234,12 @@ class MarginalizedViews:
 
     @property
     def J_sensor(self) -> Array:
-        """(V, q, n) derivatives of the local parameters by the columns of the reduced problem: never kept.
+        """(V, q, n) derivatives of the local parameters by the columns of the reduced problem that they depend on.
 
-        Of twenty lenses with a residual distortion, they are 100 MB at each state.
+        Not kept: of twenty lenses with a residual distortion, they are 100 MB at each state.
         """
-        return _chain_jacobians(self.local_jacobian, self.by_sensor)
+        by_pose, by_extra = self.local_jacobian[..., :6], self.local_jacobian[..., 6:]
+        return np.concatenate([by_pose @ self.by_sensor, by_extra], axis=-1)
 
     @property
     def J_board(self) -> Array:
@@ -424,29 +425,12 @@ def _view_state(bundle: Bundle, state: BundleState, k: int) -> tuple[Array, Arra
     return relative_poses(T_root_sensor, state.T_root_board[board]), state.extra[bundle.extra_indices(k)]
 
 
-def view_jacobians(bundle: Bundle, state: BundleState, k: int) -> tuple[Array, Array]:
-    """Derivatives of the boards' poses before a sensor, and of its extra parameters.
-
-    Returns:
-        (V, 6 + e, n) by the parameters ``bundle.columns(k)``, and (V, 6 + e, 6) by the boards' poses.
-    """
-    by_sensor, by_board = _pose_jacobians(bundle, state, k)
-    every = np.eye(6 + bundle.all_views[k].extra_count)
-    every = np.broadcast_to(every, (len(by_board), *every.shape))
-    return _chain_jacobians(every, by_sensor), every[..., :6] @ by_board
-
-
 def _pose_jacobians(bundle: Bundle, state: BundleState, k: int) -> tuple[Array, Array]:
     """Derivatives (V, 6, 6) of the boards' poses before a sensor by its body, none if fixed, and by the boards."""
     views, sensor = bundle.all_views[k], bundle.sensor_of(k)
     T_root_sensor = np.broadcast_to(state.T_root_sensor[sensor], (len(views.board), 4, 4))
     by_sensor, by_board = se3.relative_pose_jacobians(T_root_sensor, state.T_root_board[views.board])
     return by_sensor @ body_jacobian(bundle, state, sensor)[:, : len(bundle.pose_columns(sensor))], by_board
-
-
-def _chain_jacobians(local_jacobian: Array, by_sensor: Array) -> Array:
-    """Derivatives (V, q, n) of local parameters by ``bundle.columns(k)``, from those of poses (V, 6, b)."""
-    return np.concatenate([local_jacobian[..., :6] @ by_sensor, local_jacobian[..., 6:]], axis=-1)
 
 
 def retract_state(bundle: Bundle, state: BundleState, step: Array, boards: Array) -> BundleState:

@@ -66,7 +66,7 @@ class ViewFactors:
     def finite(self) -> NDArray[np.bool_]:
         """(V,) whether the factors of each view are finite."""
         of_views = self.views.J_sensor, self.views.J_board, self.of_boards
-        return np.all([np.isfinite(one).all(axis=(-2, -1)) for one in of_views], axis=0)
+        return np.asarray(np.all([np.isfinite(one).all(axis=(-2, -1)) for one in of_views], axis=0))
 
 
 def view_covariance_factors(

@@ -181,7 +181,7 @@ def _difference_variances(
     squares = np.tensordot((counts - 1.0) ** 2, information, axes=1)
     known = added @ by_gradient
     variances = np.sum(by_gradient * (squares @ by_gradient) - known * (V @ known), axis=0)
-    return by_gradient.T.reshape(axes.shape), variances.reshape(axes.shape[:2])
+    return np.asarray(by_gradient.T.reshape(axes.shape)), np.asarray(variances.reshape(axes.shape[:2]))
 
 
 def _axis_variances(axes: Array, V: Array) -> Array:
