@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 
 from calgraph.geometry import Array, se3
-from calgraph.rig.bundle.bundle_solver import linearize_bundle, retract_state
+from calgraph.rig.bundle.bundle_solver import MarginalizedViews, linearize_bundle, retract_state
 from calgraph.rig.bundle.covariances import pose_covariance, view_covariance_factors
-from calgraph.rig.bundle.observations import relative_poses
+from calgraph.rig.bundle.observations import relative_poses, select_extra
 from dense_bundles import dense_jacobian, unbiased_scene
 
 
@@ -19,6 +19,18 @@ def test_covariance_is_the_dense_inverse() -> None:
     found = pose_covariance(exact.bundle, exact.truth, equations)[6:, 6:]
     size = np.sqrt(np.diag(expected))
     np.testing.assert_allclose(found / np.outer(size, size), expected / np.outer(size, size), atol=1e-4)
+
+
+def test_information_of_views_of_different_boards_is_the_dense_sum(rng: np.random.Generator) -> None:
+    extra_of_local = np.array([[0, 1], [0, 2], [0, 1], [-1, 2]])
+    local_jacobian, root = np.zeros((4, 8, 9)), rng.normal(size=(4, 8, 8))
+    local_jacobian[:, :6, :6] = rng.normal(size=(4, 6, 6))
+    local_jacobian[:, 6:, 6:] = select_extra(extra_of_local, 3)
+    by_sensor, by_board = rng.normal(size=(2, 4, 6, 6))
+    views = MarginalizedViews(root @ root.swapaxes(1, 2), np.zeros((4, 8)), local_jacobian, by_sensor, by_board)
+    J = views.J_sensor
+    expected = sum(J[v].T @ views.information[v] @ J[v] for v in range(4))
+    np.testing.assert_allclose(views.sum_information(extra_of_local), expected, rtol=1e-9, atol=1e-9)
 
 
 def test_the_root_has_no_covariance() -> None:

@@ -18,14 +18,14 @@ from calgraph.rig.bundle.bundle_solver import (
     Bundle,
     BundleState,
     linearize_bundle,
-    view_jacobians,
 )
-from calgraph.rig.bundle.covariances import parameter_covariance
+from calgraph.rig.bundle.covariances import parameter_covariance, sum_information
 from calgraph.rig.bundle.normal_equations import accumulate
 from calgraph.rig.bundle.observations import BoardViews, LinearizedResiduals, relative_poses, view_indices
 from calgraph.rig.bundle.range_observations import RangeObservations
 from calgraph.rig.bundle.systematic_parameters import _MAX_RINGS, find_rings
 from calgraph.rig.captures.detect import CaptureSet
+from calgraph.rig.checks.cross_validation import view_jacobians
 from calgraph.sensors import CameraModel
 from calgraph.simulation import CameraOptions, LaserOptions, MultibeamOptions
 from detected_rigs import QUICK, detect_rig
@@ -199,7 +199,7 @@ def test_the_covariance_is_the_inverse_of_the_dense_information(
             dense_jacobian(linearized, views.start),
             view_indices(views.start, len(linearized.residual)),
         )
-        J_sensor, J_board = view_jacobians(bundle, state, k)
+        J_sensor, J_board = view_jacobians(linearize_bundle(bundle, state).views[k])
         for v, board in enumerate(views.board):
             J = by_view[view == v].reshape(-1, by_view.shape[-1])
             J = np.concatenate([J @ J_sensor[v], J @ J_board[v]], axis=1)
@@ -209,6 +209,22 @@ def test_the_covariance_is_the_inverse_of_the_dense_information(
     found = parameter_covariance(linearize_bundle(bundle, state))
     size = np.sqrt(np.diag(expected))
     np.testing.assert_allclose(found / size / size[:, None], expected / size / size[:, None], atol=1e-5)
+
+
+def test_information_of_boards_and_priors_is_that_of_the_problem_with_these_boards(
+    bundle_and_state: tuple[Bundle, BundleState],
+) -> None:
+    bundle, state = bundle_and_state
+    count = len(state.T_root_board)
+    prior = np.diag(bundle.prior_weights(state.extra) * bundle.prior_stddev**-2)
+    weights = np.array([np.ones(count), np.arange(count) < count / 2])
+    found = sum_information(bundle, linearize_bundle(bundle, state), weights)
+    for information, some in zip(found, weights > 0, strict=True):
+        with_these = bundle.with_views([views.select(some[views.board]) for views in bundle.all_views])
+        expected, _, _ = linearize_bundle(with_these, state).eliminate_boards()
+        size = np.sqrt(np.diag(expected))
+        unit = np.outer(size, size)
+        np.testing.assert_allclose((information + prior) / unit, expected / unit, atol=1e-5)
 
 
 def one_hot(linearized: LinearizedResiduals) -> LinearizedResiduals:

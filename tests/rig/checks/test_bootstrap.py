@@ -13,7 +13,7 @@ from calgraph.rig.bundle.solution import SolvedBundle
 from calgraph.rig.checks.bootstrap import (
     BootstrapScatter,
     _confidence_factors,
-    _difference_covariance,
+    _difference_variances,
     _resample_bundle,
     bootstrap_poses,
 )
@@ -77,7 +77,9 @@ def test_covariance_of_a_sample_is_that_of_simulated_samples(rng: np.random.Gene
     whole = measured @ information / information.sum()
     sample = measured @ (counts * information) / (counts * information).sum()
     V = np.array([[1 / information.sum()]])
-    expected = _difference_covariance(information[:, None, None], V, counts)
+    _, expected = _difference_variances(
+        information[:, None, None], np.linalg.inv(V), V, np.ones((1, 1, 1)), counts
+    )
     np.testing.assert_allclose(np.var(sample - whole), expected[0, 0], rtol=0.02)
 
 

@@ -10,10 +10,10 @@ from calgraph.config.settings import DiagnosticsSettings
 from calgraph.geometry import Array, se3
 from calgraph.result.finding import Finding
 from calgraph.rig.bundle.bundle_solver import Bundle, minimize_bundle
-from calgraph.rig.bundle.covariances import gradient_by_board, information_by_board
+from calgraph.rig.bundle.covariances import gradient_by_board
 from calgraph.rig.bundle.observations import relative_poses
 from calgraph.rig.bundle.solution import SolvedBundle
-from calgraph.rig.checks.contradictions import _compare_halves, _squared_distance, find_changes
+from calgraph.rig.checks.contradictions import _squared_distance, compare_halves, find_changes
 from calgraph.rig.checks.drift_tests import measure_drifts
 
 BOARDS, SEEDS = 16, 30
@@ -26,9 +26,8 @@ def solve(exact: Scene, bundle: Bundle) -> SolvedBundle:
 
 def compare(solved: SolvedBundle) -> tuple[Array, Array]:
     equations = solved.minimized.equations
-    by_board = information_by_board(solved.bundle, equations), gradient_by_board(solved.bundle, equations)
-    H, g, _ = equations.eliminate_boards()
-    return _compare_halves((H - by_board[0].sum(axis=0), g - by_board[1].sum(axis=0)), by_board, FIRST)
+    axes = np.eye(solved.bundle.parameter_count)
+    return next(compare_halves(solved.bundle, equations, FIRST[None], axes))
 
 
 def displaced(exact: Scene, bundle: Bundle, sensor: int, step: Array) -> Bundle:

@@ -12,9 +12,16 @@ from calgraph.geometry import se3
 from calgraph.result import HeldOutError
 from calgraph.rig.bundle.bundle_solver import Bundle, linearize_bundle, minimize_bundle
 from calgraph.rig.bundle.corner_observations import CornerObservations
+from calgraph.rig.bundle.covariances import parameter_covariance
 from calgraph.rig.bundle.observations import relative_poses
 from calgraph.rig.bundle.solution import SolvedBundle
-from calgraph.rig.checks.cross_validation import _observes_tilt, _solve_boards, cross_validate
+from calgraph.rig.checks.cross_validation import (
+    _observes_tilt,
+    _predict_boards,
+    _solve_boards,
+    cross_validate,
+    view_jacobians,
+)
 
 SEEDS, SWAY = 12, 0.001
 
@@ -49,6 +56,30 @@ def test_errors_are_in_pixels_metres_and_radians() -> None:
     assert 0.007 < predicted["lidar"].rms < 0.012
     assert np.degrees(predicted["camera"].tilt or 90) < 1
     assert predicted["laser"].tilt is None
+
+
+def test_predictions_have_the_covariance_of_the_others_boards_and_of_all_sensors() -> None:
+    exact = scene(("camera", "camera", "lidar"), boards=6)
+    equations = linearize_bundle(exact.bundle, exact.truth)
+    P, sensor = parameter_covariance(equations), 1
+    _, found = _predict_boards(exact.bundle, equations, P, sensor)
+    of_sensor, of_board = view_jacobians(equations.views[sensor])
+    G = len(P)
+    for v, board in enumerate(exact.bundle.views[sensor].board.tolist()):
+        others = np.zeros((6, G + 6))
+        for k in (0, 2):
+            at, columns = equations.views[k], exact.bundle.columns(k)
+            weighted = at.J_board[board].T @ at.information[board]
+            others[:, columns] += weighted @ at.J_sensor[board]
+            others[:, G:] += weighted @ at.J_board[board]
+        # Errors of the board are those of its own views, and follow those of the sensors.
+        alone = np.linalg.inv(others[:, G:])
+        follow = np.concatenate([np.eye(G), -alone @ others[:, :G]])
+        joint = follow @ P @ follow.T
+        joint[G:, G:] += alone
+        J = np.zeros((6, G + 6))
+        J[:, exact.bundle.columns(sensor)], J[:, G:] = of_sensor[v], of_board[v]
+        np.testing.assert_allclose(found[v], J @ joint @ J.T, atol=1e-6 * np.abs(found[v]).max())
 
 
 def test_processes_do_not_change_the_errors() -> None:

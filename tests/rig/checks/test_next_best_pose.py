@@ -12,12 +12,19 @@ from calgraph.config.settings import DiagnosticsSettings, VerdictSettings
 from calgraph.geometry import Array, se3, so3
 from calgraph.result import Suggestion
 from calgraph.rig.bundle.bundle_parameters import SystematicParameter
-from calgraph.rig.bundle.bundle_solver import Bundle, BundleState, minimize_bundle
+from calgraph.rig.bundle.bundle_solver import Bundle, BundleState, linearize_bundle, minimize_bundle
 from calgraph.rig.bundle.covariances import pose_covariance
 from calgraph.rig.bundle.observations import relative_poses
 from calgraph.rig.bundle.range_observations import RangeObservations
 from calgraph.rig.bundle.solution import SolvedBundle
-from calgraph.rig.checks.next_best_pose import _draw_candidates, _log_volume, describe_pose, suggest_board_poses
+from calgraph.rig.checks.next_best_pose import (
+    _draw_candidates,
+    _log_volume,
+    _multiply_covariance_with,
+    _predict_information,
+    describe_pose,
+    suggest_board_poses,
+)
 from calgraph.verdict.grades import axis_names, grade_pose
 
 NAMES = ("lidar", "camera", "laser")
@@ -106,6 +113,26 @@ def test_deviations_shrink_by_as_much_as_promised() -> None:
     axis = {"height (z)": 2, "roll (about x)": 3, "pitch (about y)": 4}[last.axis]
     assert laser_deviations(with_all(boards, suggestions[:-1]))[axis] / last.stddev < 1.5
     assert 1 / 1.5 < laser_deviations(with_all(boards, suggestions))[axis] / last.expected < 1.5
+
+
+def test_the_covariance_with_one_more_board_is_the_inverse_of_both_informations() -> None:
+    exact = scene(boards=12)
+    # Of a board before the camera and the root alone, the information is that on the camera's pose.
+    bundle = exact.bundle.with_views([*exact.bundle.views[:2], exact.bundle.views[2].select(np.zeros(0, np.intp))])
+    H, _, _ = linearize_bundle(exact.bundle, exact.truth).eliminate_boards()
+    V = np.asarray(np.linalg.inv(H), dtype=np.float64)
+    predicted = _predict_information(bundle, exact.truth, KINDS, (WIDTH, HEIGHT), exact.truth.T_root_board)
+    added = [one for one in predicted if len(one.columns)]
+    assert len(added) > 3
+    for one in added:
+        assert one.columns.tolist() == list(range(6))
+        expected = H.copy()
+        expected[:6, :6] += one.information
+        found = _multiply_covariance_with(one, V, np.arange(len(V)), V)
+        np.testing.assert_allclose(found @ expected, np.eye(len(V)), atol=1e-6)
+        laser = np.arange(6, 12)
+        of_laser = _multiply_covariance_with(one, V, laser, V[:, laser])
+        np.testing.assert_allclose(of_laser, found[6:, 6:], atol=1e-9 * np.abs(found).max())
 
 
 def test_suggestions_beat_boards_of_the_same_kind_as_before() -> None:

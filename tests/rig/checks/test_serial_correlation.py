@@ -59,8 +59,8 @@ def test_the_factor_does_not_depend_on_axes_and_units() -> None:
         g=equations.g @ change,
         H_board_sensor=equations.H_board_sensor @ change,
         views=tuple(
-            replace(views, J_sensor=views.J_sensor @ change[np.ix_(columns, columns)])
-            for views, columns in zip(equations.views, map(bundle.columns, range(3)), strict=True)
+            replace(views, by_sensor=views.by_sensor @ change[np.ix_(columns, columns)])
+            for views, columns in zip(equations.views, map(bundle.pose_columns, range(3)), strict=True)
         ),
     )
     factor = measure_serial_correlation(bundle, solution, order)

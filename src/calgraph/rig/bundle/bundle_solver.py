@@ -226,11 +226,39 @@ class MarginalizedViews:
     """(V, q)."""
     local_jacobian: Array
     """(V, q, 6 + e) derivatives of the local parameters by the board's pose before the sensor and the extra
-    parameters,"""
-    J_sensor: Array
-    """(V, q, n) by the n columns of the reduced problem that they depend on,"""
-    J_board: Array
-    """(V, q, 6) and by the board's pose."""
+    parameters."""
+    by_sensor: Array
+    """(V, 6, b) derivatives of that pose by the pose of the sensor's body, b = 0 of the root's,"""
+    by_board: Array
+    """(V, 6, 6) and by the board's."""
+
+    @property
+    def J_sensor(self) -> Array:
+        """(V, q, n) derivatives of the local parameters by the columns of the reduced problem that they depend on.
+
+        Not kept: of twenty lenses with a residual distortion, they are 100 MB at each state.
+        """
+        by_pose, by_extra = self.local_jacobian[..., :6], self.local_jacobian[..., 6:]
+        return np.concatenate([by_pose @ self.by_sensor, by_extra], axis=-1)
+
+    @property
+    def J_board(self) -> Array:
+        """(V, q, 6) derivatives of the local parameters by the board's pose."""
+        return self.local_jacobian[..., :6] @ self.by_board
+
+    def sum_information(self, extra_of_local: Index) -> Array:
+        """(n, n) information of all views on the columns of the reduced problem.
+
+        The derivatives by extra parameters are the same in all views of one kind of board: these are summed first.
+        """
+        J, b = self.J_sensor, self.by_sensor.shape[-1]
+        H = np.zeros((J.shape[-1], J.shape[-1]))
+        H[:b] = (se_n.transpose(J[..., :b]) @ self.information @ J).sum(axis=0)
+        H[b:, :b] = H[:b, b:].T
+        _, first, kind = np.unique(extra_of_local, axis=0, return_index=True, return_inverse=True)
+        for i, v in enumerate(first):
+            H[b:, b:] += J[v, :, b:].T @ self.information[kind.ravel() == i].sum(axis=0) @ J[v, :, b:]
+        return H
 
 
 @dataclass(frozen=True, eq=False)
@@ -314,18 +342,15 @@ def linearize_bundle(
             at = cached.equations
         linearizations.append(cached)
         A, b, costs = at.marginalize_bias(bias)
-        J_sensor, J_board = _chain_jacobians(at.local_jacobian, *_pose_jacobians(bundle, state, k))
-        equations.append(MarginalizedViews(A, b, at.local_jacobian, J_sensor, J_board))
+        found = MarginalizedViews(A, b, at.local_jacobian, *_pose_jacobians(bundle, state, k))
+        equations.append(found)
         cost += float(costs.sum())
-        columns, n = bundle.columns(k), J_sensor.shape[-1]
-        J = np.concatenate([J_sensor, J_board], axis=-1)
-        Jt = se_n.transpose(J)
-        both, gradient = Jt @ A @ J, (Jt @ b[..., None])[..., 0]
-        H[np.ix_(columns, columns)] += both[:, :n, :n].sum(axis=0)
-        g[columns] += gradient[:, :n].sum(axis=0)
-        H_board[views.board] += both[:, n:, n:]
-        g_board[views.board] += gradient[:, n:]
-        H_board_sensor[np.ix_(views.board, np.arange(6), columns)] += both[:, n:, :n]
+        columns, J, Jt_board = bundle.columns(k), found.J_sensor, se_n.transpose(found.J_board)
+        H[np.ix_(columns, columns)] += found.sum_information(views.extra_of_local)
+        g[columns] += (se_n.transpose(J) @ b[..., None])[..., 0].sum(axis=0)
+        H_board[views.board] += Jt_board @ A @ found.J_board
+        g_board[views.board] += (Jt_board @ b[..., None])[..., 0]
+        H_board_sensor[np.ix_(views.board, np.arange(6), columns)] += Jt_board @ A @ J
     for prior in bundle.priors:
         cost += _add_sensor_prior(bundle, state, prior, H, g)
     extrapolated = np.inf if any(new is old for new, old in zip(linearizations, cache, strict=False)) else 0.0
@@ -400,29 +425,12 @@ def _view_state(bundle: Bundle, state: BundleState, k: int) -> tuple[Array, Arra
     return relative_poses(T_root_sensor, state.T_root_board[board]), state.extra[bundle.extra_indices(k)]
 
 
-def view_jacobians(bundle: Bundle, state: BundleState, k: int) -> tuple[Array, Array]:
-    """Derivatives of the boards' poses before a sensor, and of its extra parameters.
-
-    Returns:
-        (V, 6 + e, n) by the parameters ``bundle.columns(k)``, and (V, 6 + e, 6) by the boards' poses.
-    """
-    by_sensor, by_board = _pose_jacobians(bundle, state, k)
-    every = np.eye(6 + bundle.all_views[k].extra_count)
-    return _chain_jacobians(np.broadcast_to(every, (len(by_board), *every.shape)), by_sensor, by_board)
-
-
 def _pose_jacobians(bundle: Bundle, state: BundleState, k: int) -> tuple[Array, Array]:
     """Derivatives (V, 6, 6) of the boards' poses before a sensor by its body, none if fixed, and by the boards."""
     views, sensor = bundle.all_views[k], bundle.sensor_of(k)
     T_root_sensor = np.broadcast_to(state.T_root_sensor[sensor], (len(views.board), 4, 4))
     by_sensor, by_board = se3.relative_pose_jacobians(T_root_sensor, state.T_root_board[views.board])
     return by_sensor @ body_jacobian(bundle, state, sensor)[:, : len(bundle.pose_columns(sensor))], by_board
-
-
-def _chain_jacobians(local_jacobian: Array, by_sensor: Array, by_board: Array) -> tuple[Array, Array]:
-    """Derivatives of local parameters by ``bundle.columns(k)`` and by boards, from those of poses (V, 6, n)."""
-    by_pose, by_extra = local_jacobian[..., :6], local_jacobian[..., 6:]
-    return np.concatenate([by_pose @ by_sensor, by_extra], axis=-1), by_pose @ by_board
 
 
 def retract_state(bundle: Bundle, state: BundleState, step: Array, boards: Array) -> BundleState:
@@ -486,4 +494,6 @@ def _add_sensor_prior(bundle: Bundle, state: BundleState, prior: SensorPrior, H:
 
 def _damp(H: Array, damping: float) -> Array:
     """Matrices (..., n, n) with Marquardt's damping of their diagonals."""
-    return H * (1 + damping * np.eye(H.shape[-1]))
+    damped, diagonal = H.copy(), np.arange(H.shape[-1])
+    damped[..., diagonal, diagonal] *= 1 + damping
+    return damped

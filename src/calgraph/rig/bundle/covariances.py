@@ -1,13 +1,13 @@
 """Covariances of a bundle's solution: of poses and parameters, and of what each view measures."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dtrtri
 
-from calgraph.geometry import Array, se_n
+from calgraph.geometry import Array, Index, se_n
 from calgraph.rig.bundle.bundle_solver import (
     BOARD_PRIOR_INFORMATION,
     Bundle,
@@ -49,26 +49,24 @@ class ViewFactors:
     whole.
     """
 
-    J_sensor: Array
-    """(V, q, n) derivatives of the local parameters by n parameters of the reduced problem."""
-    J_board: Array
-    """(V, q, 6) by the board's pose."""
+    views: MarginalizedViews
+    """With the derivatives of the local parameters."""
     of_parameters: Array
-    """(n, G) factors of the covariance of these parameters."""
+    """(n, G) factors of the covariance of the n parameters of the reduced problem that they depend on."""
     of_boards: Array
     """(V, 6, G + 6) of the boards' poses."""
 
     def multiply(self, M: Array) -> Array:
         """(V, m, G + 6) products ``M @ F`` with matrices (V, m, q)."""
-        product = (M @ self.J_board) @ self.of_boards
-        product[..., :-6] += (M @ self.J_sensor) @ self.of_parameters
+        product = (M @ self.views.J_board) @ self.of_boards
+        product[..., :-6] += (M @ self.views.J_sensor) @ self.of_parameters
         return np.asarray(product)
 
     @property
     def finite(self) -> NDArray[np.bool_]:
         """(V,) whether the factors of each view are finite."""
-        found = [np.isfinite(one).all(axis=(-2, -1)) for one in (self.J_sensor, self.J_board, self.of_boards)]
-        return np.asarray(found[0] & found[1] & found[2])
+        of_views = self.views.J_sensor, self.views.J_board, self.of_boards
+        return np.asarray(np.all([np.isfinite(one).all(axis=(-2, -1)) for one in of_views], axis=0))
 
 
 def view_covariance_factors(
@@ -96,7 +94,7 @@ def view_covariance_factors(
     by_parameters = (K[..., :-1].reshape(-1, size) @ root).reshape(C, 6, size)
     of_boards = np.concatenate([-by_parameters, board_root], axis=-1)
     return [
-        ViewFactors(at.J_sensor, at.J_board, root[bundle.columns(k)], of_boards[bundle.all_views[k].board])
+        ViewFactors(at, root[bundle.columns(k)], of_boards[bundle.all_views[k].board])
         for k, at in enumerate((linearized or equations.views)[first:], start=first)
     ]
 
@@ -108,17 +106,47 @@ def _inverse_root(A: Array) -> Array:
     return np.asarray(vectors / np.sqrt(np.maximum(values, least))[..., None, :])
 
 
-def information_by_board(bundle: Bundle, equations: BundleEquations) -> Array:
-    """(C, G, G) information of each board's views on the parameters, the board's pose eliminated.
+@dataclass(frozen=True, eq=False)
+class BoardInformation:
+    """Information of one board's views on the parameters that they depend on, the board's pose eliminated."""
 
-    The reduced matrix is their sum and that of the priors.
+    columns: Index
+    """(n,) these parameters, of the G of the reduced problem: those of the sensors that see the board."""
+    information: Array
+    """(n, n)."""
+
+
+def information_by_board(bundle: Bundle, equations: BundleEquations) -> Iterator[BoardInformation]:
+    """Of each of the C boards in turn; the reduced matrix is their sum and that of the priors.
+
+    One after the other: matrices (C, G, G) of twenty cameras with residual distortions would take 18 GB.
     """
-    H = np.zeros((len(equations.H_board), bundle.parameter_count, bundle.parameter_count))
-    for k, (views, at) in enumerate(zip(bundle.all_views, equations.views, strict=True)):
-        columns, J = bundle.columns(k), at.J_sensor
-        H[np.ix_(views.board, columns, columns)] += se_n.transpose(J) @ at.information @ J
+    columns = [bundle.columns(k) for k in range(len(bundle.all_views))]
+    derivatives = [at.J_sensor for at in equations.views]
+    views_of: list[list[tuple[int, int]]] = [[] for _ in equations.H_board]
+    for k, views in enumerate(bundle.all_views):
+        for v, board in enumerate(views.board.tolist()):
+            views_of[board].append((k, v))
     K = np.linalg.solve(equations.H_board + BOARD_PRIOR_INFORMATION * np.eye(6), equations.H_board_sensor)
-    return np.asarray(H - se_n.transpose(equations.H_board_sensor) @ K)
+    for board, views_of_board in enumerate(views_of):
+        depends = np.zeros(bundle.parameter_count, dtype=np.bool_)
+        for k, _ in views_of_board:
+            depends[columns[k]] = True
+        some = np.flatnonzero(depends)
+        H = -equations.H_board_sensor[board][:, some].T @ K[board][:, some]
+        for k, v in views_of_board:
+            J, place = derivatives[k][v], np.searchsorted(some, columns[k])
+            H[np.ix_(place, place)] += J.T @ equations.views[k].information[v] @ J
+        yield BoardInformation(some, H)
+
+
+def sum_information(bundle: Bundle, equations: BundleEquations, weights: Array) -> Array:
+    """(W, G, G) sums of the information of boards with W weights (W, C)."""
+    H = np.zeros((len(weights), bundle.parameter_count, bundle.parameter_count))
+    for of_board, one in zip(weights.T, information_by_board(bundle, equations), strict=True):
+        for w in np.flatnonzero(of_board):
+            H[w][np.ix_(one.columns, one.columns)] += of_board[w] * one.information
+    return H
 
 
 def gradient_by_board(bundle: Bundle, equations: BundleEquations) -> Array:

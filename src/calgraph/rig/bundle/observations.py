@@ -150,9 +150,13 @@ def select_measurements(start: Index, count: int, keep: NDArray[np.bool_] | Inde
 
 
 def pose_and_extra_jacobian(extra_of_local: Index, extra_count: int) -> Array:
-    """(V, 6 + m, 6 + e) derivatives of a pose and m local parameters by the pose and the extra parameters."""
+    """(V, 6 + m, 6 + e) derivatives of a pose and m local parameters by the pose and the extra parameters.
+
+    Read-only: views with the same extra parameters share one matrix, as those of a lens have a hundred.
+    """
     views, m = extra_of_local.shape
-    J = np.zeros((views, 6 + m, 6 + extra_count))
+    shared = bool((extra_of_local == extra_of_local[:1]).all())
+    J = np.zeros((min(views, 1) if shared else views, 6 + m, 6 + extra_count))
     J[:, :6, :6] = np.eye(6)
-    J[:, 6:, 6:] = select_extra(extra_of_local, extra_count)
-    return J
+    J[:, 6:, 6:] = select_extra(extra_of_local[: len(J)], extra_count)
+    return np.broadcast_to(J, (views, *J.shape[1:]))

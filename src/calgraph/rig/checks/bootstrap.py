@@ -21,7 +21,7 @@ from calgraph.rig.bundle.bundle_solver import (
     minimize_bundle,
     pose_jacobian,
 )
-from calgraph.rig.bundle.covariances import gradient_by_board, information_by_board, parameter_covariance
+from calgraph.rig.bundle.covariances import gradient_by_board, parameter_covariance, sum_information
 from calgraph.rig.bundle.solution import SolvedBundle
 
 CovarianceVerdict = Literal["honest", "optimistic", "pessimistic"]
@@ -93,28 +93,25 @@ def bootstrap_poses(
     state, equations = solved.minimized.state, solved.minimized.equations
     bundle = _without_tails(solved.bundle, state)
     captures, capture = np.unique(solved.captures, return_inverse=True)
-    information = np.zeros((len(captures), bundle.parameter_count, bundle.parameter_count))
-    np.add.at(information, capture, information_by_board(bundle, equations))
-    gradient = np.zeros(information.shape[:2])
-    np.add.at(gradient, capture, gradient_by_board(bundle, equations))
+    of_capture = np.eye(len(captures))[:, capture]
+    information = sum_information(bundle, equations, of_capture)
+    gradient = of_capture @ gradient_by_board(bundle, equations)
     V = parameter_covariance(equations)
     to_sensor = np.array([np.kron(np.eye(2), T[:3, :3].T) for T in state.T_root_sensor])
     axes = to_sensor @ pose_jacobian(bundle, state).reshape(len(to_sensor), 6, -1)
+    H, _, _ = equations.eliminate_boards()
     squares, stated = np.zeros(axes.shape[:2]), np.sqrt(_axis_variances(axes, V))
     free = axes[:, 0].any(axis=-1)
     for i in range(rounds):
         counts = np.bincount(rng.integers(len(captures), size=len(captures)), minlength=len(captures))
+        by_gradient, expected = _difference_variances(information, H, V, axes, counts)
         if exact:
             boards = np.repeat(np.arange(len(capture)), counts[capture])
             T_root_sensor = _solve_sample(bundle, state, equations, boards, _BOOTSTRAP_MAX_STEPS)
             along = (to_sensor @ se3.difference(T_root_sensor, state.T_root_sensor)[..., None])[..., 0]
         else:
-            added = np.tensordot(counts - 1.0, information, axes=1)
-            along = -axes @ np.linalg.solve(np.linalg.inv(V) + added, (counts - 1.0) @ gradient)
-        expected = np.maximum(
-            _axis_variances(axes, _difference_covariance(information, V, counts)),
-            _BOOTSTRAP_MIN_VARIANCE_SHARE * stated**2,
-        )
+            along = -by_gradient @ ((counts - 1.0) @ gradient)
+        expected = np.maximum(expected, _BOOTSTRAP_MIN_VARIANCE_SHARE * stated**2)
         squares[free] += along[free] ** 2 / expected[free] / rounds
         progress((i + 1) / rounds)
     ratio = np.sqrt(squares)
@@ -159,8 +156,10 @@ def _resample_bundle(
     return bundle.with_views(resampled), cache, replace(state, T_root_board=state.T_root_board[boards])
 
 
-def _difference_covariance(information: Array, V: Array, counts: Index) -> Array:
-    """Covariance (G, G) of the difference between the solution of all captures and that of a sample.
+def _difference_variances(
+    information: Array, H: Array, V: Array, axes: Array, counts: Index
+) -> tuple[Array, Array]:
+    """Of the difference between the solution of all captures and that of a sample, along axes.
 
     The gradients of the captures at the solution add up to minus that of the priors. Two of them have the
     covariance ``S_i [i = j] - S_i V S_j`` if V holds, with ``S`` (C, G, G) their information. A sample differs by
@@ -169,13 +168,20 @@ def _difference_covariance(information: Array, V: Array, counts: Index) -> Array
 
     Args:
         information: (C, G, G) of the captures.
-        V: (G, G) covariance of the solution.
+        H: (G, G) information of the solution, and
+        V: (G, G) its covariance.
+        axes: (S, 6, G).
         counts: (C,) how many times each capture is in the sample.
+
+    Returns:
+        (S, 6, G) minus the derivatives of the differences by the gradient, and their expected variances (S, 6).
     """
     added = np.tensordot(counts - 1.0, information, axes=1)
-    inverse = np.linalg.inv(np.linalg.inv(V) + added)
-    scatter = np.tensordot((counts - 1.0) ** 2, information, axes=1) - added @ V @ added
-    return np.asarray(inverse @ scatter @ inverse)
+    by_gradient = np.linalg.solve(H + added, axes.reshape(-1, len(H)).T)
+    squares = np.tensordot((counts - 1.0) ** 2, information, axes=1)
+    known = added @ by_gradient
+    variances = np.sum(by_gradient * (squares @ by_gradient) - known * (V @ known), axis=0)
+    return np.asarray(by_gradient.T.reshape(axes.shape)), np.asarray(variances.reshape(axes.shape[:2]))
 
 
 def _axis_variances(axes: Array, V: Array) -> Array:

@@ -14,9 +14,9 @@ from calgraph.geometry import Array, Index
 from calgraph.result import HeldOutError
 from calgraph.result.evidence import rms
 from calgraph.result.finding import Finding
-from calgraph.rig.bundle.bundle_solver import Bundle, pose_jacobian
+from calgraph.rig.bundle.bundle_solver import Bundle, BundleEquations, pose_jacobian
 from calgraph.rig.bundle.corner_observations import CornerObservations
-from calgraph.rig.bundle.covariances import gradient_by_board, information_by_board, parameter_covariance
+from calgraph.rig.bundle.covariances import gradient_by_board, parameter_covariance, sum_information
 from calgraph.rig.bundle.solution import MeasuredNoise, RigSolution, SolvedBundle
 from calgraph.rig.bundle.systematic_parameters import RESIDUAL_DISTORTION
 from calgraph.rig.captures.detect import CaptureSet
@@ -289,26 +289,22 @@ def find_changes(
     """
     bundle, minimized = solved.bundle, solved.minimized
     confidence = 1 - settings.verdict.false_alarm_probability
-    H, g, _ = minimized.equations.eliminate_boards()
-    by_board = information_by_board(bundle, minimized.equations), gradient_by_board(bundle, minimized.equations)
-    prior = H - by_board[0].sum(axis=0), g - by_board[1].sum(axis=0)
     order = np.unique(solved.captures, return_inverse=True)[1]
     count = int(order.max(initial=-1)) + 1
-    axes = pose_jacobian(bundle, minimized.state).reshape(len(bundle.sensors), 6, -1)
+    axes = pose_jacobian(bundle, minimized.state)
     named: set[str] = set()
     for drift in find_drifts(drifts):
         named.update(drift.sensors)
         yield drift
-    halves: Mapping[str, NDArray[np.bool_]] = {
-        "the first and the second half of the captures": order < count / 2,
-        "captures of even and odd number": order % 2 == 0,
-    }
-    for description, first in halves.items():
-        difference, covariance = _compare_halves(prior, by_board, first)
-        for name, J in zip(bundle.sensors, axes, strict=True):
-            if name in named or not J.any():
+    descriptions = "the first and the second half of the captures", "captures of even and odd number"
+    halves = np.array([order < count / 2, order % 2 == 0])
+    compared = compare_halves(bundle, minimized.equations, halves, axes)
+    for description, (difference, covariance) in zip(descriptions, compared, strict=True):
+        for s, name in enumerate(bundle.sensors):
+            of_sensor = slice(6 * s, 6 * s + 6)
+            if name in named or not axes[of_sensor].any():
                 continue
-            off, C = J @ difference, drifts.serial_correlation * J @ covariance @ J.T
+            off, C = difference[of_sensor], drifts.serial_correlation * covariance[of_sensor, of_sensor]
             squared, freedom = _squared_distance(off, C)
             # The variances of view biases have about as many degrees of freedom as there are captures.
             if squared > freedom * fdtri(freedom, count, confidence):
@@ -322,24 +318,27 @@ def find_changes(
                 )
 
 
-def _compare_halves(
-    prior: tuple[Array, Array], by_board: tuple[Array, Array], first: NDArray[np.bool_]
-) -> tuple[Array, Array]:
-    """Difference (G,) of the solutions of two halves of the boards (C,), and its covariance (G, G).
+def compare_halves(
+    bundle: Bundle, equations: BundleEquations, first: NDArray[np.bool_], axes: Array
+) -> Iterator[tuple[Array, Array]]:
+    """Differences (n,) of the solutions of two halves along axes (n, G), and their covariances (n, n).
 
     Args:
-        prior: information (G, G) and gradient (G,) of priors, which both have.
-        by_board: information (C, G, G) and gradient (C, G) of each board.
-        first: (C,) whether a board is in the first half.
+        bundle: all boards.
+        equations: at their solution.
+        first: (N, C) whether a board is in the first half, for each way to halve them.
+        axes: of the reduced problem's parameters.
     """
-    covariances, steps = [], []
-    for half in (first, ~first):
-        covariance = np.linalg.inv(prior[0] + by_board[0][half].sum(axis=0))
-        covariances.append(covariance)
-        steps.append(-covariance @ (prior[1] + by_board[1][half].sum(axis=0)))
-    A, B = covariances
-    shared = A @ prior[0] @ B
-    return steps[1] - steps[0], A + B - shared - shared.T
+    H, g, _ = equations.eliminate_boards()
+    every, *of_first = sum_information(bundle, equations, np.concatenate([np.ones((1, first.shape[1])), first]))
+    gradient = gradient_by_board(bundle, equations)
+    prior, g_prior = H - every, g - gradient.sum(axis=0)
+    for information, boards in zip(of_first, first, strict=True):
+        A = np.linalg.solve(prior + information, axes.T)
+        B = np.linalg.solve(prior + every - information, axes.T)
+        difference = (g_prior + gradient[boards].sum(axis=0)) @ A - (g_prior + gradient[~boards].sum(axis=0)) @ B
+        shared = A.T @ prior @ B
+        yield difference, axes @ (A + B) - shared - shared.T
 
 
 def _squared_distance(error: Array, covariance: Array) -> tuple[float, int]:

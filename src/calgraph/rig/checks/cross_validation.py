@@ -28,10 +28,10 @@ from calgraph.rig.bundle.bundle_solver import (
     BundleEquations,
     BundleState,
     CachedLinearization,
+    MarginalizedViews,
     linearize_bundle,
     minimize_bundle,
     retract_state,
-    view_jacobians,
 )
 from calgraph.rig.bundle.corner_observations import CornerObservations
 from calgraph.rig.bundle.covariances import parameter_covariance
@@ -174,7 +174,7 @@ def _compare_with_prediction(
     small = _SHARE_OF_PREDICTED * _PREDICTED_BOARD_STDDEV / np.array(prior)
     meters = np.array([1, 1, 1, *[bundle.lever] * 3, *small])
     A, b = observed.information / meters / meters[:, None], observed.gradient / meters
-    x, X = _predict_boards(bundle, state, equations, covariance, sensor)
+    x, X = _predict_boards(bundle, equations, covariance, sensor)
     X, free = _split_predicted(X * meters * meters[:, None], _PREDICTED_BOARD_STDDEV)
     X += np.eye(len(meters)) * (_bias_variances(bundle, sensor) * meters**2)[:, None]
     velocity = velocity_along_sensor(views.twist, T_board)
@@ -211,21 +211,36 @@ def _bias_variances(bundle: Bundle, sensor: int) -> Array:
     return np.concatenate([variances[:, :6], of_extra], axis=1)
 
 
+def view_jacobians(views: MarginalizedViews) -> tuple[Array, Array]:
+    """Derivatives of the boards' poses before a sensor, and of its e extra parameters.
+
+    Returns:
+        (V, 6 + e, n) by the n columns of the reduced problem, and (V, 6 + e, 6) by the boards' poses.
+    """
+    (count, _, b), e = views.by_sensor.shape, views.local_jacobian.shape[-1] - 6
+    by_sensor, by_board = np.zeros((count, 6 + e, b + e)), np.zeros((count, 6 + e, 6))
+    by_sensor[:, :6, :b], by_sensor[:, 6:, b:], by_board[:, :6] = views.by_sensor, np.eye(e), views.by_board
+    return by_sensor, by_board
+
+
 def _predict_boards(
-    bundle: Bundle, state: BundleState, equations: BundleEquations, covariance: Array, sensor: int
+    bundle: Bundle, equations: BundleEquations, covariance: Array, sensor: int
 ) -> tuple[Array, Array]:
     """Change of each board pose before a sensor by the other sensors (V, p), and its covariance (V, p, p)."""
     omitted, board = equations.views[sensor], bundle.views[sensor].board
-    of_sensor, B = view_jacobians(bundle, state, sensor)
+    of_sensor, B = view_jacobians(omitted)
     Jt = se_n.transpose(omitted.J_board)
     L = _invert_information(equations.H_board[board] - Jt @ omitted.information @ omitted.J_board)
     step = -_multiply(L, equations.g_board[board] - _multiply(Jt, omitted.gradient))
-    coupling = equations.H_board_sensor[board]
-    coupling[..., bundle.columns(sensor)] -= Jt @ omitted.information @ omitted.J_sensor
-    by_sensors = -B @ L @ coupling
-    by_sensors[..., bundle.columns(sensor)] += of_sensor
-    by_covariance = by_sensors @ covariance @ se_n.transpose(by_sensors)
-    return _multiply(B, step), B @ L @ se_n.transpose(B) + by_covariance
+    coupling, columns = equations.H_board_sensor[board], bundle.columns(sensor)
+    coupling[..., columns] -= Jt @ omitted.information @ omitted.J_sensor
+    # Of boards (6) and the sensor's columns (n): with a residual distortion, p and n are a hundred, G thousands.
+    of_boards = -L @ coupling
+    shared = of_boards @ covariance
+    between = B @ shared[..., columns] @ se_n.transpose(of_sensor)
+    own = of_sensor @ covariance[np.ix_(columns, columns)] @ se_n.transpose(of_sensor)
+    of_boards = L + shared @ se_n.transpose(of_boards)
+    return _multiply(B, step), B @ of_boards @ se_n.transpose(B) + between + se_n.transpose(between) + own
 
 
 def _split_predicted(X: Array, max_stddev: float) -> tuple[Array, Array]:

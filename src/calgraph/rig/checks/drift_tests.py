@@ -281,7 +281,7 @@ def _add_drifts(
         H[np.ix_(columns, rows)] += by_parameters.T
         g[rows] += (se_n.transpose(J) @ at.gradient[..., None]).sum(axis=0)[:, 0]
         H_board_sensor[np.ix_(of_views.board, np.arange(6), rows)] += se_n.transpose(JtA @ at.J_board)
-        all_views[k] = replace(at, J_sensor=np.concatenate([at.J_sensor, J], axis=-1))
+        all_views[k] = replace(at, local_jacobian=np.concatenate([at.local_jacobian, J], axis=-1))
     parameters = tuple(
         SystematicParameter(bundle.sensors[0], "drift", "", np.inf, _views_of_body(bundle, body))
         for body in bodies

@@ -114,12 +114,12 @@ def release_poses(
     H_board = np.tile(BOARD_PRIOR_INFORMATION * np.eye(6), (boards, 1, 1))
     board_parameters = np.zeros((boards, 6, G + 1))
     for k, (views, at, w) in enumerate(zip(bundle.views, equations.views, weights, strict=True)):
-        columns, Jt, Jt_board = bundle.columns(k), se_n.transpose(at.J_sensor), se_n.transpose(at.J_board)
+        columns, J, Jt_board = bundle.columns(k), at.J_sensor, se_n.transpose(at.J_board)
         A, b = w[:, None, None] * at.information, w[:, None, None] * at.gradient[..., None]
-        H[np.ix_(columns, columns)] += (Jt @ A @ at.J_sensor).sum(axis=0)
-        g[columns] += (Jt @ b)[..., 0].sum(axis=0)
+        H[np.ix_(columns, columns)] += replace(at, information=A).sum_information(views.extra_of_local)
+        g[columns] += (se_n.transpose(J) @ b)[..., 0].sum(axis=0)
         H_board[views.board] += Jt_board @ A @ at.J_board
-        board_parameters[np.ix_(views.board, np.arange(6), columns)] += Jt_board @ A @ at.J_sensor
+        board_parameters[np.ix_(views.board, np.arange(6), columns)] += Jt_board @ A @ J
         board_parameters[views.board, :, -1] += (Jt_board @ b)[..., 0]
     eliminated = np.linalg.solve(H_board, board_parameters)
     rows = boards * 6
