@@ -12,8 +12,9 @@ from rich.table import Table
 from calgraph.cli.console import console
 from calgraph.config import Intrinsics
 from calgraph.geometry import Array, se3
-from calgraph.result import Calibration, EstimatedParameter, Provenance, SensorPose
+from calgraph.result import Calibration, EstimatedParameter, Provenance, SensorPose, Verdict
 from calgraph.result.exports import roll_pitch_yaw
+from calgraph.result.reasons import share_clauses
 
 _GRADES = {"good": "[green]✓[/]", "weak": "[yellow]![/]", "unobservable": "[red]✕[/]"}
 """Sign for each grade, so that colour is not the only distinction."""
@@ -40,12 +41,7 @@ def print_calibration(calibration: Calibration) -> None:
         _print_cross_validation(output, calibration)
     elif calibration.evidence.fit:
         _print_fit(output, calibration)
-    for sensor in calibration.sensors:
-        if sensor.verdict.grade != "good" or sensor.verdict.reason:
-            reason = f": {sensor.verdict.reason}" if sensor.verdict.reason else ""
-            output.print(
-                f"{_GRADES[sensor.verdict.grade]} {escape(f'{sensor.name} is {sensor.verdict.grade}{reason}')}"
-            )
+    _print_verdicts(output, calibration)
     print_remarks(calibration)
     if any(sensor.verdict.grade != "good" for sensor in calibration.sensors):
         for number, suggestion in enumerate(calibration.evidence.suggestions, start=1):
@@ -71,6 +67,22 @@ def _print_poses(output: Console, calibration: Calibration) -> None:
             _GRADES[sensor.verdict.grade] if sensor.parent is not None else "",
         )
     output.print(table)
+
+
+def _print_verdicts(output: Console, calibration: Calibration) -> None:
+    """Prints why sensors are not good: those with the same verdict in one line, and once what several share."""
+    by_verdict: dict[Verdict, list[str]] = {}
+    for sensor in calibration.sensors:
+        if sensor.verdict.grade != "good" or sensor.verdict.reason:
+            by_verdict.setdefault(sensor.verdict, []).append(sensor.name)
+    names = {verdict: ", ".join(of_verdict) for verdict, of_verdict in by_verdict.items()}
+    reasons, shared = share_clauses({names[verdict]: verdict.reason for verdict in names if verdict.reason})
+    for verdict, of_verdict in by_verdict.items():
+        state = f"{names[verdict]} {'is' if len(of_verdict) == 1 else 'are'} {verdict.grade}"
+        reason = f": {reasons[names[verdict]]}" if verdict.reason else ""
+        output.print(f"{_GRADES[verdict.grade]} {escape(state + reason)}")
+    for mark, text in shared.items():
+        output.print(escape(f"{mark} {text}"))
 
 
 def print_provenance(provenance: Provenance) -> None:

@@ -19,8 +19,8 @@ class Verdict:
 
     grade: Grade
     reason: str = ""
-    """Which directions are weak, in words, and what would fix them; of a good pose, where it is from if not from
-    this recording."""
+    """What contradicts the pose and which directions are weak, in words, and what would fix them, in clauses with
+    semicolons between; of a good pose, where it is from if not from this recording."""
 
 
 @dataclass(frozen=True)

@@ -72,8 +72,14 @@ def assess_network_model(
     if assessment.joint is None or assessment.joint.systematic is None:
         return assessment
     errors = find_systematic_errors(assessment.joint.systematic, initialization.names)
-    return replace(assessment, findings=(*assessment.findings, *errors))
+    # A wrong clock or tilt comes before what it does to the fit.
+    return replace(assessment, findings=(*errors, *assessment.findings))
 
+
+_MODEL_REMEDY = (
+    "state in rig.yaml what the scanners measure of people (target: height, axes), set clocks, or record people "
+    "who carry nothing"
+)
 
 # Ratio of the observed to the expected variance of contributions to the poses up to which the enlarged covariance
 # is enough; beyond, poses are weak. Legs are not exactly as modelled: on 75 simulated recordings of them the
@@ -119,8 +125,7 @@ def _test_model(
         return ModelAssessment(joint, tuple(findings))
     consequence = "poses are averages of pairs instead, less precise" if replaceable else "its poses may be wrong"
     summary = Finding(
-        f"the model of the joint solution does not hold (see the remarks): {consequence}; state in rig.yaml what "
-        "the scanners measure of people (target: height, axes), set clocks, or record people who carry nothing",
+        f"the model of the joint solution does not hold (see the remarks): {consequence}; {_MODEL_REMEDY}",
         tuple(names),
     )
     # One reason is enough for the verdicts; what led to it are remarks.
@@ -159,7 +164,7 @@ def _describe_scatter(scatter: Scatter, names: Sequence[str]) -> Finding:
     return Finding(
         f"contributions of parts of the recording to the poses scatter {np.sqrt(scatter.ratio):.1f} times as much "
         f"as noise explains (p = {scatter.p:.0e}), by which standard deviations are enlarged: people are not as "
-        "modelled, or clocks or ranges are wrong",
+        f"modelled, or clocks or ranges are wrong; {_MODEL_REMEDY}",
         tuple(names),
         refutes=scatter.ratio > _REFUTING_SCATTER,
     )
@@ -246,7 +251,8 @@ def _find_noise_at_limit(solved: SolvedNetwork, names: Sequence[str], background
         ratio = float(np.max(network.range_sigma[scanners] / background[scanners]))
         yield Finding(
             f"the range noise of {_list_names(scanners, names)} at people is at its limit, {ratio:.0f} times that "
-            "at walls: they are of another shape than target in rig.yaml states, or clocks differ",
+            "at walls: they are of another shape than target in rig.yaml states, or clocks differ; "
+            f"{_MODEL_REMEDY}",
             _make_weak(scanners, names),
             refutes=True,
         )
@@ -262,7 +268,8 @@ def _find_model_error_at_limit(solved: SolvedNetwork, names: Sequence[str]) -> I
     if sizes:
         yield Finding(
             f"scanners disagree about people by {' and '.join(sizes)} in each scan, the limit of the model error: "
-            "people are of another shape than target in rig.yaml states, or clocks, ranges or angles are wrong",
+            "people are of another shape than target in rig.yaml states, or clocks, ranges or angles are wrong; "
+            f"{_MODEL_REMEDY}",
             tuple(names),
             refutes=far,
         )
@@ -303,7 +310,7 @@ def _find_correlated_beams(solved: SolvedNetwork, names: Sequence[str]) -> Itera
         yield Finding(
             f"residuals of adjacent beams of {_list_names(scanners, names)} at people have a correlation of "
             f"{largest:.2f}: people are of another shape than target in rig.yaml states, or clocks, ranges or "
-            "angles are wrong",
+            f"angles are wrong; {_MODEL_REMEDY}",
             _make_weak(scanners, names),
         )
 
