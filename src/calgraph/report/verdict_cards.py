@@ -2,10 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 
-import numpy as np
-
 from calgraph.config import Tolerance
-from calgraph.geometry import Array
 from calgraph.report.formatting import escape_html, format_angle, format_count, format_length
 from calgraph.report.vocabulary import Vocabulary
 from calgraph.result import Calibration, SensorPose
@@ -48,7 +45,7 @@ def describe_good(tolerance: Tolerance, confidence: float) -> str:
     return (
         f"Good: with a probability of {100 * confidence:g} %, the error of the pose along and about each axis is "
         f"within the tolerance of {1000 * tolerance.translation:g} mm and {tolerance.rotation:g}°, and no test "
-        "contradicts it. σ: one standard deviation, along and about the worst axis."
+        "contradicts it. σ: one standard deviation, along and about the worst axis of the sensor."
     )
 
 
@@ -120,18 +117,10 @@ def render_badge(grade: str) -> str:
     return f'<span class="badge {css}"><span aria-hidden="true">{sign}</span> {word}</span>'
 
 
-def max_std_deviation(covariance: Array) -> float:
-    """The standard deviation along the worst direction of a covariance (3, 3)."""
-    if not np.isfinite(covariance).all():
-        return float("nan") if np.isnan(covariance).any() else float("inf")
-    return float(np.sqrt(max(np.linalg.eigvalsh(covariance)[-1], 0.0)))
-
-
 def _describe_evidence(calibration: Calibration, sensor: SensorPose, words: Vocabulary) -> dict[str, str]:
     """By name: uncertainty of a sensor's pose, its residuals, those on held-out captures, and captures used."""
     evidence = calibration.evidence
-    covariance = sensor.measured_covariance
-    sigma_t, sigma_r = max_std_deviation(covariance[:3, :3]), max_std_deviation(covariance[3:, 3:])
+    sigma_t, sigma_r = sensor.worst_stddev
     facts = {"σ of the pose": f"{format_length(sigma_t)}, {format_angle(sigma_r)}"}
     fit, held_out = evidence.fit.get(sensor.name), evidence.cross_validation.get(sensor.name)
     name = words.fit.get(sensor.kind, "residual")

@@ -12,6 +12,7 @@ from calgraph.graph.pairwise_estimate import PairwiseEstimate
 from calgraph.result import Verdict
 from calgraph.result.finding import Finding
 from calgraph.result.reasons import split_clauses
+from calgraph.result.sensor_pose import stddev_along_axes
 from calgraph.sensors.kinds import KINDS
 
 LONE_ROOT = Verdict("unobservable", "no other sensor has a pose relative to it")
@@ -57,8 +58,7 @@ def grade_pose(
     Returns:
         The verdict, with three reasons at most, and advice; its reason is empty for a good pose.
     """
-    to_sensor = np.kron(np.eye(2), T_root_sensor[:3, :3].T)
-    stddev = np.sqrt(np.maximum(np.diag(to_sensor @ covariance @ to_sensor.T), 0))
+    stddev = stddev_along_axes(T_root_sensor, covariance)
     axes = axis_names(kind)
     unobservable_stddev = (settings.unobservable_translation_stddev, settings.unobservable_rotation_stddev)
     unobservable = [

@@ -63,7 +63,7 @@ def _contradicted_poses(
             name, difference = bundle.sensors[s], _format_discrepancy(squared[0], discrepancy)
             yield (
                 name,
-                f"the prior of {name} disagrees with the captures by {difference}; correct the file of --prior, "
+                f"the prior of {name} disagrees with the captures by {difference}; correct the prior, "
                 "or state larger standard deviations",
             )
 
@@ -86,7 +86,7 @@ def _contradicted_groups(
             reason = (
                 f"the captures contradict the rigid group of {name} and {others} in {group.source}: "
                 f"released, {name} moves by {_format_discrepancy(squared, step)}; "
-                "correct it, or leave --rigid out"
+                "correct the group, or leave it out"
             )
             yield from ((bundle.sensors[member], reason) for member in members if member > 0)
 
