@@ -167,7 +167,7 @@ def test_a_remark_that_is_the_reason_of_a_verdict_is_not_repeated(
 def test_what_several_sensors_share_is_printed_once(
     calibration: Calibration, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Sensors with the same verdict in one line; a clause of several verdicts below them, with its sensors."""
+    """Sensors with the same verdict in one line; a clause of several verdicts below them."""
     lidar, camera, *_ = calibration.sensors
     late, bent = Verdict("weak", "the clock is late; set it"), Verdict("weak", "the board is bent; set it")
     sensors = [replace(camera, name=name, verdict=late) for name in ("left", "right")]
@@ -177,7 +177,7 @@ def test_what_several_sensors_share_is_printed_once(
     lines = printed(lambda: print_calibration(graded), capsys)
     assert "! left, right are weak: the clock is late; see [1]" in lines
     assert "! rear is weak: the board is bent; see [1]" in lines
-    assert "[1] left, right, rear: set it" in lines
+    assert "[1] set it" in lines
 
 
 def test_remarks_are_printed_below_the_verdicts(

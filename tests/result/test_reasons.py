@@ -3,7 +3,7 @@
 from calgraph.result.reasons import share_clauses
 
 
-def test_shared_clauses_are_stated_once_with_their_sensors() -> None:
+def test_shared_clauses_are_stated_once() -> None:
     stated, shared = share_clauses(
         {
             "a": "late; x is weak; walk more",
@@ -18,13 +18,13 @@ def test_shared_clauses_are_stated_once_with_their_sensors() -> None:
         "c": "see [1] and [2]",
         "d": "moved; fix it",
     }
-    assert shared == {"[1]": "a, c: late", "[2]": "a, b, c: walk more"}
+    assert shared == {"[1]": "late", "[2]": "walk more"}
 
 
 def test_clauses_of_the_same_sensors_are_one_entry() -> None:
     stated, shared = share_clauses({"a": "late; set clocks; far", "b": "late; set clocks"})
     assert stated == {"a": "far; see [1]", "b": "see [1]"}
-    assert shared == {"[1]": "a, b: late; set clocks"}
+    assert shared == {"[1]": "late; set clocks"}
 
 
 def test_reasons_of_single_sensors_stay_as_they_are() -> None:

@@ -96,8 +96,10 @@ def render_cards(calibration: Calibration, words: Vocabulary) -> str:
             reasons.get(s.name) or advice.get(s.verdict.grade, ""), KINDS[s.kind].title)
           for s in sensors),
     ]  # fmt: skip
-    notes = _render_list("Shared reasons", [f"{mark} {text}" for mark, text in shared.items()])
-    return f'<div class="cards">{"".join(shown)}</div>{notes}'
+    notes = _render_list(
+        "Shared reasons", [f"{mark} {text[:1].upper()}{text[1:]}" for mark, text in shared.items()]
+    )
+    return f'{notes}<div class="cards">{"".join(shown)}</div>'
 
 
 def render_remarks(calibration: Calibration) -> str:

@@ -16,7 +16,7 @@ def share_clauses(reasons: Mapping[str, str]) -> tuple[dict[str, str], dict[str,
 
     Returns:
         The clauses that each sensor has alone, then the marks of those that it shares, ``[1]``; and by mark, the
-        shared clauses, with the sensors that they are of.
+        clauses that the same sensors share.
     """
     owners: dict[str, list[str]] = {}
     for name, reason in reasons.items():
@@ -30,7 +30,7 @@ def share_clauses(reasons: Mapping[str, str]) -> tuple[dict[str, str], dict[str,
         seen = " and ".join(mark for names, mark in marks.items() if name in names)
         stated[name] = "; ".join([*own, *([f"see {seen}"] if seen else [])])
     shared = {
-        mark: f"{', '.join(names)}: {'; '.join(clause for clause, of in owners.items() if tuple(of) == names)}"
+        mark: "; ".join(clause for clause, of in owners.items() if tuple(of) == names)
         for names, mark in marks.items()
     }
     return stated, shared
