@@ -340,8 +340,8 @@ def measure_outline_errors(solved: SolvedNetwork, background: Array, correlation
     """(S,) standard deviations of what adjacent beams on a body have in common and walls do not show, m.
 
     Noise that walls have as well is that of the scanner: the model error and the scatter of parts contain its
-    correlation, NEES 0.3 to 0.7 with correlations of 0.5 to 0.9. The rest is an error of the modelled outline, which
-    may be the same in all scans, so that no test by parts shows it.
+    correlation (NEES of 0.3 to 0.7 with 0.5 to 0.9). The rest is an error of the modelled outline, which may be the
+    same in all scans, so that no test by parts shows it.
 
     Args:
         solved: the joint solution.
