@@ -340,7 +340,7 @@ def measure_outline_errors(solved: SolvedNetwork, background: Array, correlation
     """(S,) standard deviations of what adjacent beams on a body have in common and walls do not show, m.
 
     Noise that walls have as well is that of the scanner: the model error and the scatter of parts contain its
-    correlation (NEES of 0.3 to 0.7 with 0.5 to 0.9). The rest is an error of the modelled outline, which may be the
+    correlation (NEES of 0.3 to 0.7 with 0.5 to 0.9). The rest is an error of the modelled outline: it may be the
     same in all scans, so that no test by parts shows it.
 
     Args:
