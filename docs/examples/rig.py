@@ -64,7 +64,7 @@ import numpy as np
 T_camera_laser = calibration.transform("camera", "laser_front")
 stddev = np.sqrt(np.diag(calibration.covariance("camera", "laser_front")))
 print(T_camera_laser.round(4))
-print("± mm:", (1000 * stddev[:3]).round(2), " ± degrees:", np.degrees(stddev[3:]).round(3))
+print("σ, mm:", (1000 * stddev[:3]).round(2), " σ, degrees:", np.degrees(stddev[3:]).round(3))
 
 # %%
 # Cross-validation: errors on held-out captures, predicted by the other sensors. The ratio of observed to

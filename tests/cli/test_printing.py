@@ -58,7 +58,7 @@ def test_it_is_readable_on_80_columns(calibration: Calibration, tmp_path: Path) 
     assert max(map(len, lines)) <= 80
     # Numbers of a column end below its heading.
     table = lines[1:4]
-    for head in ("z, m", "yaw, °", "± mm", "± °"):
+    for head in ("z, m", "yaw, °", "σ, mm", "σ, °"):
         end = table[0].index(head) + len(head)
         assert all(len(line) == end or line[end] == " " for line in table[1:])
     [camera] = [line for line in lines if line.startswith("camera")]
@@ -71,7 +71,7 @@ def test_it_is_readable_on_80_columns(calibration: Calibration, tmp_path: Path) 
         "0.00",
         "-170.00",
         "2.0",
-        "0.172",
+        "0.17",
         "✓",
     ]
     assert LONG in "".join(line.split(" ")[0] for line in lines[4:9])
@@ -99,9 +99,9 @@ def test_poses_in_a_plane_are_three_numbers(capsys: pytest.CaptureFixture[str]) 
         join_covariances([np.zeros((6, 6)), spread]),
     )
     head, hall, door = (line.split() for line in printed(lambda: print_calibration(network), capsys)[1:4])
-    assert head == ["sensor", "x,", "m", "y,", "m", "yaw,", "°", "±", "mm", "±", "°"]
+    assert head == ["sensor", "x,", "m", "y,", "m", "yaw,", "°", "σ,", "mm", "σ,", "°"]
     assert hall == ["hall", "0.000", "0.000", "0.00", "root"]
-    assert door == ["door", "1.000", "-2.000", "90.00", "2.0", "0.172", "✓"]
+    assert door == ["door", "1.000", "-2.000", "90.00", "2.0", "0.17", "✓"]
 
 
 def test_what_people_are_taken_for_is_printed(
@@ -164,6 +164,22 @@ def test_a_remark_that_is_the_reason_of_a_verdict_is_not_repeated(
     assert sum("x is not observed" in line for line in lines) == 1
 
 
+def test_what_several_sensors_share_is_printed_once(
+    calibration: Calibration, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Sensors with the same verdict in one line; a clause of several verdicts below them."""
+    lidar, camera, *_ = calibration.sensors
+    late, bent = Verdict("weak", "the clock is late; set it"), Verdict("weak", "the board is bent; set it")
+    sensors = [replace(camera, name=name, verdict=late) for name in ("left", "right")]
+    sensors.append(replace(camera, name="rear", verdict=bent))
+    size = 6 * (1 + len(sensors))
+    graded = replace(calibration, sensors=(lidar, *sensors), joint_covariance=np.zeros((size, size)))
+    lines = printed(lambda: print_calibration(graded), capsys)
+    assert "! left, right are weak: the clock is late; see [1]" in lines
+    assert "! rear is weak: the board is bent; see [1]" in lines
+    assert "[1] set it" in lines
+
+
 def test_remarks_are_printed_below_the_verdicts(
     calibration: Calibration, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -180,7 +196,7 @@ def test_remarks_are_printed_below_the_verdicts(
 def test_unobserved_axes_have_an_infinite_deviation(
     calibration: Calibration, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert printed(lambda: print_calibration(calibration), capsys)[5].split()[-3:] == ["∞", "0.172", "✕"]
+    assert printed(lambda: print_calibration(calibration), capsys)[5].split()[-3:] == ["∞", "0.17", "✕"]
 
 
 def test_errors_stand_beside_their_deviations(
@@ -189,7 +205,7 @@ def test_errors_stand_beside_their_deviations(
     truth = {sensor.name: sensor.T_root_sensor.copy() for sensor in calibration.sensors}
     truth["camera"][:3, 3] += (0.003, 0.0, 0.004)
     lines = printed(lambda: print_errors(calibration, truth), capsys)
-    assert lines[2].split() == ["camera", "5.0", "2.0", "0.000", "0.172"]
+    assert lines[2].split() == ["camera", "5.0", "2.0", "0.000", "0.17"]
 
 
 def test_clock_offsets_have_a_column_where_they_were_estimated(

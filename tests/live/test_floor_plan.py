@@ -55,7 +55,7 @@ def test_scanners_are_named_in_the_plan_and_listed_with_their_errors() -> None:
     shown = texts(draw(solution(scanner("root"), scanner("laser", 2.0))))
     assert shown.count("laser") == 2
     # 1.96 standard deviations of 4 mm and 1 mrad.
-    assert "±7.8 mm ±0.1° · clock \N{MINUS SIGN}12 ms" in shown
+    assert "±7.8 mm ±0.1° (95 %) · clock \N{MINUS SIGN}12 ms" in shown
     assert "origin of the plan" in shown
 
 

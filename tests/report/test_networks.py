@@ -90,11 +90,11 @@ def test_walks_are_not_joined(html: str) -> None:
     assert np.isnan(walked[41]).all()
 
 
-def test_ellipses_are_two_sigma_times_the_stated_factor(html: str) -> None:
-    (factor,) = re.findall(r"Ellipses: 2 standard deviations .*? drawn (\d+) × enlarged", words_of(html))
+def test_ellipses_contain_95_percent_times_the_stated_factor(html: str) -> None:
+    (factor,) = re.findall(r"with 95 % probability; drawn (\d+) × enlarged", words_of(html))
     ellipse = lines_of(figure_of(html, "floor"), "stairs")[0]
     half_axes = np.ptp(ellipse, axis=0) / 2
-    np.testing.assert_allclose(half_axes, 2 * int(factor) * np.array([0.01, 0.02]), rtol=0.01)
+    np.testing.assert_allclose(half_axes, 2.4477 * int(factor) * np.array([0.01, 0.02]), rtol=0.01)
     # On a plan of some 8 m it is visible, and does not cover its neighbours.
     assert 0.05 < half_axes.max() < 0.5
 
@@ -102,7 +102,7 @@ def test_ellipses_are_two_sigma_times_the_stated_factor(html: str) -> None:
 def test_visible_ellipses_are_to_scale(network: Calibration, network_rig: Rig) -> None:
     uncertain = dataclasses.replace(network, joint_covariance=100 * network.joint_covariance)
     html = render_report(uncertain, network_rig)
-    assert "of a scanner's position, drawn to scale." in words_of(html).replace("&#x27;", "'")
+    assert "the scanner's position with 95 % probability; drawn to scale." in words_of(html).replace("&#x27;", "'")
 
 
 def test_the_root_has_no_ellipse(html: str) -> None:

@@ -1,5 +1,7 @@
 """Grades of poses, the words for them, and sensors whose residuals or poses are in question."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 
@@ -15,8 +17,8 @@ from calgraph.verdict.grades import (
     find_ambiguous_poses,
     find_inconsistent_sensors,
     grade_pose,
-    join_reasons,
     max_good_stddev,
+    merge_reasons,
 )
 
 TOLERANCE = Tolerance(translation=0.04, rotation=1.0)
@@ -26,7 +28,11 @@ TO_THE_SIDE = se3.pose(so3.exp(np.array([0, 0, np.pi / 2])), np.zeros(3))
 
 
 def grade(
-    stddev: Array, kind: str = "lidar3d", T_root_sensor: Array | None = None, ambiguity: float = 0.0
+    stddev: Array,
+    kind: str = "lidar3d",
+    T_root_sensor: Array | None = None,
+    ambiguity: float = 0.0,
+    contradictions: Sequence[str] = (),
 ) -> Verdict:
     """With standard deviations (6,) along and about the root's axes."""
     T = np.eye(4) if T_root_sensor is None else T_root_sensor
@@ -36,10 +42,11 @@ def grade(
         kind,
         T,
         covariance,
-        ambiguity=ambiguity,
+        contradictions,
+        ambiguity,
         tolerance=TOLERANCE,
         data="boards",
-        advice="move {name}",
+        advice="move",
         settings=VerdictSettings(),
     )
 
@@ -96,7 +103,7 @@ def test_a_weak_axis_is_named_with_its_error_and_the_tolerance() -> None:
             "of 40 mm and 1°",
         ),
     ):
-        assert grade(np.array(stddev), kind) == Verdict("weak", f"{words}: move top")
+        assert grade(np.array(stddev), kind) == Verdict("weak", f"{words}; move")
 
 
 @pytest.mark.parametrize(
@@ -111,23 +118,23 @@ def test_a_weak_axis_is_named_with_its_error_and_the_tolerance() -> None:
 def test_axes_are_those_of_the_sensor(T_root_sensor: Array, words: str) -> None:
     """The covariance is in the root's axes: its x axis is weak."""
     assert grade(with_axis(0, 0.035), T_root_sensor=T_root_sensor) == Verdict(
-        "weak", f"{words} ±68.6 mm (95 %) of top exceeds the tolerance of 40 mm: move top"
+        "weak", f"{words} ±68.6 mm (95 %) of top exceeds the tolerance of 40 mm; move"
     )
 
 
 def test_unobservable_axes_are_listed_before_weak_ones() -> None:
-    assert grade(with_axis(1, 0.3)).reason == "sideways (y) of top is not observable from these boards; move top"
+    assert grade(with_axis(1, 0.3)).reason == "sideways (y) of top is not observable from these boards; move"
     several = np.array([0.3, 0.03, 0.3, 1.0, 0.001, 0.001])
     assert grade(several) == Verdict(
         "unobservable",
         "forward (x), height (z) and roll (about x) of top are not observable from these boards; "
-        "beyond the tolerance of 40 mm: sideways (y) ±58.8 mm (95 %); move top",
+        "beyond the tolerance of 40 mm: sideways (y) ±58.8 mm (95 %); move",
     )
 
 
 def test_an_ambiguous_pose_is_unobservable() -> None:
     verdict = grade(GOOD, ambiguity=np.radians(172))
-    assert verdict == Verdict("unobservable", "a pose rotated by 172° fits equally well; move top")
+    assert verdict == Verdict("unobservable", "a pose rotated by 172° fits equally well; move")
 
 
 def test_an_inconsistent_pose_is_weak_at_best() -> None:
@@ -137,14 +144,13 @@ def test_an_inconsistent_pose_is_weak_at_best() -> None:
             with_axis(0, 0.03),
             Verdict(
                 "weak",
-                "residuals are large; forward (x) ±58.8 mm (95 %) of top exceeds the tolerance of 40 mm: move top",
+                "residuals are large; forward (x) ±58.8 mm (95 %) of top exceeds the tolerance of 40 mm; move",
             ),
         ),
         (
             with_axis(0, 0.3),
             Verdict(
-                "unobservable",
-                "forward (x) of top is not observable from these boards; residuals are large; move top",
+                "unobservable", "forward (x) of top is not observable from these boards; residuals are large; move"
             ),
         ),
     ):
@@ -154,10 +160,10 @@ def test_an_inconsistent_pose_is_weak_at_best() -> None:
             "lidar3d",
             np.eye(4),
             covariance,
-            "residuals are large",
+            ["residuals are large"],
             tolerance=TOLERANCE,
             data="boards",
-            advice="move {name}",
+            advice="move",
             settings=VerdictSettings(),
         )
         assert found == expected
@@ -212,13 +218,35 @@ def test_a_small_angle_to_another_pose_makes_a_scanner_ambiguous() -> None:
 
 
 def test_a_sensor_has_each_reason_once_and_in_order() -> None:
-    joined = join_reasons({"top": "moved", "low": "bent"}, {"top": "noisy"}, {"top": "moved"})
-    assert joined == {"top": "moved; noisy", "low": "bent"}
+    merged = merge_reasons({"top": "moved", "low": "bent"}, {"top": ["noisy"]}, {"top": "moved"})
+    assert merged == {"top": ["moved", "noisy"], "low": ["bent"]}
 
 
-def test_a_verdict_states_three_reasons_and_the_number_of_the_others() -> None:
-    findings = [Finding(f"finding {k}", ("a", "b") if k < 2 else ("a",)) for k in range(5)]
-    assert join_reasons({"a": "cause"}, collect_findings([*findings, findings[0]])) == {
-        "a": "cause; finding 0; finding 1; and 3 more, among the remarks",
-        "b": "finding 0; finding 1",
-    }
+def test_findings_make_the_sensors_weak_that_they_name() -> None:
+    findings = [Finding("late", ("a",)), Finding("upside-down"), Finding("bent", ("a", "b"))]
+    assert collect_findings(findings) == {"a": ["late", "bent"], "b": ["bent"]}
+
+
+@pytest.mark.parametrize(
+    ("stddev", "reason"),
+    [
+        (GOOD, "late; bent; noisy; and 1 more, among the remarks"),
+        (
+            with_axis(0, 0.03),
+            "late; bent; forward (x) ±58.8 mm (95 %) of top exceeds the tolerance of 40 mm; "
+            "and 2 more, among the remarks; move",
+        ),
+        (
+            with_axis(0, 0.3),
+            "forward (x) of top is not observable from these boards; late; bent; and 2 more, among the remarks; "
+            "move",
+        ),
+    ],
+)
+def test_a_verdict_states_three_reasons_and_the_number_of_the_others(stddev: Array, reason: str) -> None:
+    assert grade(stddev, contradictions=("late", "bent", "noisy", "lost")).reason == reason
+
+
+def test_a_remedy_of_several_reasons_is_stated_once_after_the_last() -> None:
+    reasons = ("late; set clocks", "bent; set clocks")
+    assert grade(GOOD, contradictions=reasons).reason == "late; bent; set clocks"

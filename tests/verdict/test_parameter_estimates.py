@@ -61,7 +61,7 @@ def test_parameters_that_deviate_together_have_the_deviation_that_they_have_in_c
     assert ratio == pytest.approx(2.5, abs=0.3)
     assert text.startswith(
         f"ranges of {of} are 47 mm {longer} than they should be (these {count} cannot be distinguished here); "
-        f"this is {ratio:.1f} times its uncertainty in rig.yaml (20 mm)"
+        f"this is {ratio:.1f} times its uncertainty in rig.yaml (σ 20 mm)"
     )
 
 

@@ -223,10 +223,14 @@ def fail_if_not_calibrated(calibration: "Calibration", *, strict: bool = False) 
     Raises:
         CalibrationError: there is one.
     """
+    from calgraph.result.reasons import share_clauses
+
+    by_reason = calibration.evidence.unconnected_by_reason
+    reasons, shared = share_clauses({", ".join(names): reason for reason, names in by_reason.items()})
     missing = [
-        f"{', '.join(names)} {'is' if len(names) == 1 else 'are'} not calibrated: {reason}"
-        for reason, names in calibration.evidence.unconnected_by_reason.items()
+        f"{names} {'are' if ', ' in names else 'is'} not calibrated: {reason}" for names, reason in reasons.items()
     ]
+    missing += [f"{mark} {text}" for mark, text in shared.items()]
     grades = {sensor.name: sensor.verdict.grade for sensor in calibration.sensors}
     missing += [
         f"{sensor.name} is not calibrated: its pose is not observable"

@@ -183,7 +183,7 @@ def _print(found: Mapping[str, "IntrinsicsEstimate | Rejected"]) -> None:
             + escape("".join(f"; {model}: {fit}" for model, fit in one.rejected_models.items()))
         )
         table = Table(box=None, pad_edge=False)
-        for head in ("parameter", "estimate", "± σ"):
+        for head in ("parameter", "estimate", "σ"):
             table.add_column(head, justify="left" if head == "parameter" else "right", no_wrap=True)
         names = ("fx, px", "fy, px", "cx, px", "cy, px", *DISTORTION_NAMES[camera.model])
         for parameter, value, stddev in zip(names, camera.intrinsics, one.stddev, strict=False):

@@ -12,8 +12,9 @@ from rich.table import Table
 from calgraph.cli.console import console
 from calgraph.config import Intrinsics
 from calgraph.geometry import Array, se3
-from calgraph.result import Calibration, EstimatedParameter, Provenance, SensorPose
+from calgraph.result import Calibration, EstimatedParameter, Provenance, SensorPose, Verdict
 from calgraph.result.exports import roll_pitch_yaw
+from calgraph.result.reasons import share_clauses
 
 _GRADES = {"good": "[green]✓[/]", "weak": "[yellow]![/]", "unobservable": "[red]✕[/]"}
 """Sign for each grade, so that colour is not the only distinction."""
@@ -22,7 +23,7 @@ _GRADES = {"good": "[green]✓[/]", "weak": "[yellow]![/]", "unobservable": "[re
 def print_calibration(calibration: Calibration) -> None:
     """Prints each sensor's pose, its standard deviation, its residuals, and its verdict."""
     output = console()
-    output.print(f"[bold]Poses in the frame of {escape(calibration.root)}[/] (±: one σ, along the worst axis)")
+    output.print(f"[bold]Poses in the frame of {escape(calibration.root)}[/] (σ: along and about its worst axis)")
     _print_poses(output, calibration)
     for sensor in calibration.sensors:
         if sensor.intrinsics is not None:
@@ -40,12 +41,7 @@ def print_calibration(calibration: Calibration) -> None:
         _print_cross_validation(output, calibration)
     elif calibration.evidence.fit:
         _print_fit(output, calibration)
-    for sensor in calibration.sensors:
-        if sensor.verdict.grade != "good" or sensor.verdict.reason:
-            reason = f": {sensor.verdict.reason}" if sensor.verdict.reason else ""
-            output.print(
-                f"{_GRADES[sensor.verdict.grade]} {escape(f'{sensor.name} is {sensor.verdict.grade}{reason}')}"
-            )
+    _print_verdicts(output, calibration)
     print_remarks(calibration)
     if any(sensor.verdict.grade != "good" for sensor in calibration.sensors):
         for number, suggestion in enumerate(calibration.evidence.suggestions, start=1):
@@ -58,7 +54,7 @@ def _print_poses(output: Console, calibration: Calibration) -> None:
     axes, turns = (slice(2), slice(2, 3)) if calibration.planar else (slice(3), slice(3))
     timed = any(sensor.clock_offset is not None for sensor in calibration.sensors)
     positions, rotations = ("x, m", "y, m", "z, m")[axes], ("roll, °", "pitch, °", "yaw, °")[turns]
-    for head in (*positions, *rotations, "± mm", "± °", *(("clock, ms",) if timed else ()), ""):
+    for head in (*positions, *rotations, "σ, mm", "σ, °", *(("clock ± σ, ms",) if timed else ()), ""):
         table.add_column(head, justify="right", no_wrap=True)
     for sensor in calibration.sensors:
         T = sensor.T_root_sensor
@@ -71,6 +67,22 @@ def _print_poses(output: Console, calibration: Calibration) -> None:
             _GRADES[sensor.verdict.grade] if sensor.parent is not None else "",
         )
     output.print(table)
+
+
+def _print_verdicts(output: Console, calibration: Calibration) -> None:
+    """Prints why sensors are not good: those with the same verdict in one line, and once what several share."""
+    by_verdict: dict[Verdict, list[str]] = {}
+    for sensor in calibration.sensors:
+        if sensor.verdict.grade != "good" or sensor.verdict.reason:
+            by_verdict.setdefault(sensor.verdict, []).append(sensor.name)
+    names = {verdict: ", ".join(of_verdict) for verdict, of_verdict in by_verdict.items()}
+    reasons, shared = share_clauses({names[verdict]: verdict.reason for verdict in names if verdict.reason})
+    for verdict, of_verdict in by_verdict.items():
+        state = f"{names[verdict]} {'is' if len(of_verdict) == 1 else 'are'} {verdict.grade}"
+        reason = f": {reasons[names[verdict]]}" if verdict.reason else ""
+        output.print(f"{_GRADES[verdict.grade]} {escape(state + reason)}")
+    for mark, text in shared.items():
+        output.print(escape(f"{mark} {text}"))
 
 
 def print_provenance(provenance: Provenance) -> None:
@@ -97,7 +109,7 @@ def _print_cross_validation(output: Console, calibration: Calibration) -> None:
     output.print("[bold]Residuals, fitted and on held-out captures[/] (ratio = observed / expected)")
     table = _table()
     fit = calibration.evidence.fit
-    for head in ("captures", "fitted", "held out", "median", "along beam", "tilt", "ratio"):
+    for head in ("predicted", "fitted", "held out", "median", "along beam", "tilt", "ratio"):
         table.add_column(head, justify="right", no_wrap=True)
     for name, one in calibration.evidence.cross_validation.items():
         fitted = fit[name].formatted if name in fit else ""
@@ -128,7 +140,7 @@ def _print_intrinsics(output: Console, calibration: Calibration, name: str, intr
         f"{intrinsics.model}, {intrinsics.width} x {intrinsics.height} pixels"
     )
     table = _table("parameter")
-    for head in ("estimate", "± σ", "unit"):
+    for head in ("estimate", "σ", "unit"):
         table.add_column(head, justify="right", no_wrap=True)
     for one in calibration.systematic:
         if one.of == name:
@@ -141,7 +153,7 @@ def _print_systematic(output: Console, calibration: Calibration) -> None:
     output.print("[bold]Systematic parameters more than one prior σ off their stated values[/]")
     table = _table("of")
     table.add_column("parameter", overflow="fold")
-    for head in ("stated", "prior σ", "estimate", "± σ", "unit", "deviation"):
+    for head in ("stated", "prior σ", "estimate", "σ", "unit", "deviation"):
         table.add_column(head, justify="right", no_wrap=True)
     for one in _notable_parameters(calibration):
         table.add_row(escape(one.of), one.quantity, *one.formatted, f"{one.deviation:+.1f} prior σ")
@@ -156,9 +168,9 @@ def print_errors(calibration: Calibration, T_root_sensor: Mapping[str, Array]) -
         T_root_sensor: true poses (4, 4) by sensor.
     """
     output = console()
-    output.print("[bold]Errors against the ground truth[/] (±: one σ, along the worst axis)")
+    output.print("[bold]Errors against the ground truth[/] (σ: along and about its worst axis)")
     table = _table()
-    for head in ("error mm", "± mm", "error °", "± °"):
+    for head in ("error, mm", "σ, mm", "error, °", "σ, °"):
         table.add_column(head, justify="right", no_wrap=True)
     for sensor in calibration.sensors:
         if sensor.parent is not None:
@@ -182,17 +194,15 @@ def _table(first: str = "sensor") -> Table:
 
 
 def _deviations(sensor: SensorPose) -> tuple[str, str]:
-    """Standard deviations along the worst directions, mm and degrees; the root has none."""
+    """Standard deviations along and about the worst axis, mm and degrees; the root has none."""
     if sensor.parent is None:
         return "root", ""
-    from calgraph.report.verdict_cards import (
-        max_std_deviation,  # brings plots along, which --help should not wait for
-    )
+    from calgraph.report.formatting import (
+        format_significant,
+    )  # brings plots along, which --help should not wait for
 
-    position, rotation = sensor.measured_covariance[:3, :3], sensor.measured_covariance[3:, 3:]
-    return _format_fixed(1000 * max_std_deviation(position), 1), _format_fixed(
-        np.degrees(max_std_deviation(rotation)), 3
-    )
+    position, rotation = sensor.worst_stddev
+    return format_significant(1000 * position), format_significant(float(np.degrees(rotation)))
 
 
 def _clock(sensor: SensorPose) -> str:

@@ -54,7 +54,7 @@ def describe_move(comparison: Comparison, move: Move) -> str:
     """What moved, when, and how far."""
     return (
         f"{' or '.join(move.sensors)} moved by {format_change(move.distance, move.distance_stddev)} and "
-        f"{format_turn(move.angle, move.angle_stddev)} between {comparison.earlier} and {comparison.later}"
+        f"{format_turn(move.angle, move.angle_stddev)} (σ) between {comparison.earlier} and {comparison.later}"
     )
 
 

@@ -224,7 +224,7 @@ def _describe_scanner(scanner: ScannerSolution, root: str) -> str:
     if scanner.clock_offset is not None:
         clock = f" · clock {1000 * scanner.clock_offset:+.0f} ms".replace("-", "\N{MINUS SIGN}")
     error = _SIGMAS * scanner.stddev
-    return f"±{_round(1000 * float(error[:2].max()))} mm ±{_round(np.degrees(error[2]))}°{clock}"
+    return f"±{_round(1000 * float(error[:2].max()))} mm ±{_round(np.degrees(error[2]))}° (95 %){clock}"
 
 
 def _round(value: float) -> str:

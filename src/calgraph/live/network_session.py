@@ -25,6 +25,7 @@ from calgraph.live.rig_session import SessionPools
 from calgraph.live.source import LiveMessage
 from calgraph.live.state import Advice, Command, Phase, SensorState, SessionState
 from calgraph.live.tracked_intervals import MIN_INTERVAL
+from calgraph.result.reasons import split_clauses
 
 # Standard deviations of means fall with the root of the time, and no faster for long.
 _MAX_DECAY = 0.5
@@ -371,7 +372,7 @@ def _advise(solution: LiveNetworkSolution, forecast: Forecast) -> Advice | None:
     sentences = [
         f"{_say_where_to_walk(one)} ({one.reason})" if one.reason else _say_where_to_walk(one) for one in apart
     ]
-    sentences += [one.reason for one in weak if one.reason]
+    sentences += dict.fromkeys(clause for one in weak if one.reason for clause in split_clauses(one.reason))
     if not sentences:
         return None
     minutes = None if apart else forecast.minutes_left()

@@ -184,9 +184,7 @@ def _describe_scanners(rig: Rig, tracked: Tracked, calibration: Calibration | No
 
 
 def _describe_pose(sensor: SensorPose, tracks: int, limits: Array) -> ScannerSolution:
-    to_sensor = np.kron(np.eye(2), sensor.T_root_sensor[:3, :3].T)
-    variances = np.diag(to_sensor @ sensor.measured_covariance @ to_sensor.T)[_MEASURED]
-    stddev = np.sqrt(np.maximum(variances, 0))
+    stddev = sensor.axis_stddev[_MEASURED]
     return ScannerSolution(
         sensor.name,
         tracks,

@@ -279,8 +279,7 @@ def _describe_sensors(
 
 
 def _describe_pose(sensor: SensorPose, limits: Array, *, alone: bool) -> SensorSolution:
-    to_sensor = np.kron(np.eye(2), sensor.T_root_sensor[:3, :3].T)
-    stddev = np.sqrt(np.maximum(np.diag(to_sensor @ sensor.covariance @ to_sensor.T), 0))
+    stddev = sensor.axis_stddev
     progress = float(np.min(limits / np.maximum(stddev, np.finfo(float).tiny)).clip(0.0, 1.0))
     # A root to which nothing is connected is no result.
     return SensorSolution(

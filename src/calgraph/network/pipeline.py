@@ -39,6 +39,7 @@ from calgraph.recording.sensor_topics import check_sensor_topics
 from calgraph.result import Calibration, ExtrinsicsFile
 from calgraph.result.finding import Finding
 from calgraph.verdict.comparison import ExtrinsicsComparison
+from calgraph.verdict.grades import max_good_stddev
 
 
 def calibrate_network(
@@ -177,6 +178,7 @@ def _assess_and_assemble(
             [corrected.tracked[name] for name in initialization.names],
             initialization,
             replaceable=not extends,  # averaged poses do not contain the earlier ones
+            max_stddev=float(max_good_stddev(rig.tolerance, rig.settings.diagnostics.verdict)[0]),
         )
         joint, contradictions = assessment.joint, assessment.findings
     start = _first_time(corrected.tracked) if start is None else start

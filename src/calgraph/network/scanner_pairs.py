@@ -297,7 +297,8 @@ def report_clocks_and_mountings(
     ]
     findings += [
         Finding(
-            f"the tracks of {name} contradict its stated `mounting`: they fit the other scanners as mirrored ones",
+            f"the tracks of {name} contradict its stated `mounting`: they fit the other scanners as mirrored "
+            "ones; correct rig.yaml",
             (name,),
         )
         for name in solution.contradicted

@@ -96,7 +96,7 @@ class ClockDifference:
             return f"may be {abs(self.offset):.1f} s {side} those of the others{late}"
         return (
             f"{self.cause or 'are of another clock'}: they are {abs(self.offset):.3f} s {side} those of the "
-            f"others, by when the messages arrived (±{self.stddev:.1f} s)"
+            f"others, by when the messages arrived (σ {self.stddev:.1f} s)"
         )
 
 

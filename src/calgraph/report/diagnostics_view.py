@@ -27,7 +27,17 @@ def render_cross_validation(calibration: Calibration) -> str:
     if not calibration.evidence.cross_validation:
         return ""
     fit = calibration.evidence.fit
-    heads = ("sensor", "captures", "fitted, RMS", "held out, RMS", "", "median", "along the beam", "tilt", "ratio")
+    heads = (
+        "sensor",
+        "captures predicted",
+        "fitted, RMS",
+        "held out, RMS",
+        "",
+        "median",
+        "along the beam",
+        "tilt",
+        "ratio",
+    )
     head = "".join(f"<th>{name}</th>" for name in heads)
     rows = "".join(
         f"<tr><th scope='row'>{escape_html(name)}</th><td>{one.captures}</td>"

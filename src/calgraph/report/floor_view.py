@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from scipy.special import chdtri
 
 from calgraph.geometry import Array, se3
 from calgraph.report.figures import (
@@ -20,8 +21,8 @@ from calgraph.report.figures import (
 from calgraph.report.formatting import format_angle, format_fixed, format_length
 from calgraph.result import Calibration, FloorView, SensorPose
 
-# Half axes of the ellipses in standard deviations: they contain 86 % of a normal distribution in the plane.
-_SIGMAS = 2.0
+# Half axes of the ellipses, standard deviations: 95 % of a normal distribution in the plane, sqrt(χ²₂(0.95)).
+_SIGMAS = float(np.sqrt(chdtri(2, 0.05)))
 # Smallest longer semi-axis of a visible ellipse, and length of an arrow, relative to the plan.
 _MIN_VISIBLE, _ARROW_LENGTH = 0.016, 0.05
 # Height of the plan and of a line of the legend, px; names in a line.
@@ -42,7 +43,7 @@ def render_floor_plan(calibration: Calibration) -> str:
     ]
     states = _pose_states(calibration)
     size = "to scale" if factor == 1 else f"{factor} × enlarged"
-    words = f"<p>Ellipses: {_SIGMAS:g} standard deviations (σ) of a scanner's position, drawn {size}.</p>"
+    words = f"<p>An ellipse contains the scanner's position with 95 % probability; drawn {size}.</p>"
     height = _HEIGHT + _LEGEND_LINE_HEIGHT * (len(calibration.sensors) // _NAMES_PER_LINE)
     buttons = render_buttons("floor", 0, "Poses", list(states), len(states) - 1) if states else ""
     # Uncertainties exist for the final poses only.

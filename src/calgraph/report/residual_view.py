@@ -26,6 +26,7 @@ from calgraph.report.formatting import escape_html, format_count, format_signifi
 from calgraph.report.vocabulary import Vocabulary
 from calgraph.result import Calibration, SensorPose
 from calgraph.result.calibrated_cameras import calibrated_cameras
+from calgraph.result.evidence import format_error
 from calgraph.result.residuals_file import capture_times
 from calgraph.sensors import CameraModel
 from calgraph.sensors.kinds import KINDS
@@ -215,7 +216,7 @@ def _render_sensor(
 ) -> str:
     size = float(np.sqrt(np.mean(np.sum(of.error**2, axis=1))))
     if of.error.shape[1] == 2:
-        facts = f"reprojection error {format_significant(size)} px RMS"
+        facts = f"reprojection error {format_error(size, 'px')} RMS"
         figures = [("Error in x and y; circles: 1 and 3 σ", _scatter(of))]
         if camera is not None:
             factor = choose_enlargement(
@@ -224,7 +225,7 @@ def _render_sensor(
             figures.append((f"Over the image, enlarged {factor} ×", _over_image(of, camera, factor)))
             figures.append(("Radial error, outwards", _over_radius(of, camera)))
     else:
-        facts = f"residual {format_significant(size)} mm RMS"
+        facts = f"residual {format_error(size / 1e3, 'm')} RMS"
         x, y, z = of.points.T
         planar = not np.ptp(z)
         angle = np.degrees(np.arctan2(y, x) if planar else np.arctan2(z, np.hypot(x, y)))

@@ -2,13 +2,11 @@
 
 from collections.abc import Mapping, Sequence
 
-import numpy as np
-
 from calgraph.config import Tolerance
-from calgraph.geometry import Array
 from calgraph.report.formatting import escape_html, format_angle, format_count, format_length
 from calgraph.report.vocabulary import Vocabulary
 from calgraph.result import Calibration, SensorPose
+from calgraph.result.reasons import share_clauses
 from calgraph.sensors.kinds import KINDS
 
 _BADGES = {
@@ -47,7 +45,7 @@ def describe_good(tolerance: Tolerance, confidence: float) -> str:
     return (
         f"Good: with a probability of {100 * confidence:g} %, the error of the pose along and about each axis is "
         f"within the tolerance of {1000 * tolerance.translation:g} mm and {tolerance.rotation:g}°, and no test "
-        "contradicts it. σ: one standard deviation, along and about the worst axis."
+        "contradicts it. σ: one standard deviation, along and about the worst axis of the sensor."
     )
 
 
@@ -88,23 +86,31 @@ def render_cards(calibration: Calibration, words: Vocabulary) -> str:
         key=lambda sensor: order[sensor.verdict.grade],
     )
     advice = words.advice
+    unconnected = {", ".join(names): why for why, names in calibration.evidence.unconnected_by_reason.items()}
+    reasons, shared = share_clauses(unconnected | {s.name: s.verdict.reason for s in sensors if s.verdict.reason})
     shown = [
-        *(_render_card("unconnected", ", ".join(names), {}, _explain_unconnected(why, advice))
-          for why, names in calibration.evidence.unconnected_by_reason.items()),
+        *(_render_card("unconnected", names, {}, _explain_unconnected(reasons[names], why, advice))
+          for names, why in unconnected.items()),
         *(_render_card(
             s.verdict.grade, s.name, _describe_evidence(calibration, s, words),
-            s.verdict.reason or advice.get(s.verdict.grade, ""), KINDS[s.kind].title)
+            reasons.get(s.name) or advice.get(s.verdict.grade, ""), KINDS[s.kind].title)
           for s in sensors),
     ]  # fmt: skip
-    return f'<div class="cards">{"".join(shown)}</div>'
+    notes = _render_list(
+        "Shared reasons", [f"{mark} {text[:1].upper()}{text[1:]}" for mark, text in shared.items()]
+    )
+    return f'{notes}<div class="cards">{"".join(shown)}</div>'
 
 
 def render_remarks(calibration: Calibration) -> str:
     """Remarks on the whole result, but for those that are on cards; empty if there are none."""
-    if not calibration.further_remarks:
-        return ""
-    items = "".join(f"<li>{escape_html(remark)}</li>" for remark in calibration.further_remarks)
-    return f'<div class="next"><h3>Remarks</h3><ul>{items}</ul></div>'
+    return _render_list("Remarks", calibration.further_remarks)
+
+
+def _render_list(title: str, texts: Sequence[str]) -> str:
+    """A box with a list; empty if there are none."""
+    items = "".join(f"<li>{escape_html(text)}</li>" for text in texts)
+    return f'<div class="next"><h3>{title}</h3><ul>{items}</ul></div>' if items else ""
 
 
 def render_badge(grade: str) -> str:
@@ -113,18 +119,10 @@ def render_badge(grade: str) -> str:
     return f'<span class="badge {css}"><span aria-hidden="true">{sign}</span> {word}</span>'
 
 
-def max_std_deviation(covariance: Array) -> float:
-    """The standard deviation along the worst direction of a covariance (3, 3)."""
-    if not np.isfinite(covariance).all():
-        return float("nan") if np.isnan(covariance).any() else float("inf")
-    return float(np.sqrt(max(np.linalg.eigvalsh(covariance)[-1], 0.0)))
-
-
 def _describe_evidence(calibration: Calibration, sensor: SensorPose, words: Vocabulary) -> dict[str, str]:
     """By name: uncertainty of a sensor's pose, its residuals, those on held-out captures, and captures used."""
     evidence = calibration.evidence
-    covariance = sensor.measured_covariance
-    sigma_t, sigma_r = max_std_deviation(covariance[:3, :3]), max_std_deviation(covariance[3:, 3:])
+    sigma_t, sigma_r = sensor.worst_stddev
     facts = {"σ of the pose": f"{format_length(sigma_t)}, {format_angle(sigma_r)}"}
     fit, held_out = evidence.fit.get(sensor.name), evidence.cross_validation.get(sensor.name)
     name = words.fit.get(sensor.kind, "residual")
@@ -140,8 +138,8 @@ def _describe_evidence(calibration: Calibration, sensor: SensorPose, words: Voca
     return facts
 
 
-def _explain_unconnected(reason: str, advice: Mapping[str, str]) -> str:
-    """Why a sensor has no pose, and what to do."""
+def _explain_unconnected(stated: str, reason: str, advice: Mapping[str, str]) -> str:
+    """Why a sensor has no pose, as its card states it, and by the whole reason what to do."""
     if not reason:
         return advice["unconnected"]
     if "the root " in reason:
@@ -149,7 +147,7 @@ def _explain_unconnected(reason: str, advice: Mapping[str, str]) -> str:
     else:
         # Reasons of sensors with detections name what is missing with the others.
         next_step = advice["unconnected" if ", but " in reason else "undetected"]
-    return f"{reason}. {next_step}"
+    return f"{stated}. {next_step}"
 
 
 def _render_card(grade: str, name: str, facts: Mapping[str, str], reason: str, kind: str = "") -> str:

@@ -11,6 +11,7 @@ from calgraph.errors import CalibrationError, InputError
 from calgraph.geometry import Array, Index, se3
 from calgraph.result.evidence import Evidence
 from calgraph.result.pictures import Pictures
+from calgraph.result.reasons import split_clauses
 from calgraph.result.sensor_pose import SensorPose
 
 
@@ -188,8 +189,13 @@ class Calibration:
     @property
     def further_remarks(self) -> tuple[str, ...]:
         """The remarks on the whole result that are not part of the reason of a verdict."""
-        reasons = [sensor.verdict.reason for sensor in self.sensors if sensor.parent is not None]
-        return tuple(one for one in self.evidence.remarks if not any(one in reason for reason in reasons))
+        stated = {
+            clause
+            for sensor in self.sensors
+            if sensor.parent is not None
+            for clause in split_clauses(sensor.verdict.reason)
+        }
+        return tuple(one for one in self.evidence.remarks if not stated.issuperset(split_clauses(one)))
 
     @property
     def planar(self) -> bool:

@@ -19,8 +19,8 @@ class Verdict:
 
     grade: Grade
     reason: str = ""
-    """Which directions are weak, in words, and what would fix them; of a good pose, where it is from if not from
-    this recording."""
+    """What contradicts the pose and which directions are weak, in words, and what would fix them, in clauses with
+    semicolons between; of a good pose, where it is from if not from this recording."""
 
 
 @dataclass(frozen=True)
@@ -65,6 +65,29 @@ class SensorPose:
         """The covariance (6, 6) with zero where nothing was measured: z, roll and pitch of a network's scanner."""
         unmeasured = np.isnan(np.diag(self.covariance))
         return np.where(unmeasured | unmeasured[:, None], 0.0, self.covariance)
+
+    @property
+    def axis_stddev(self) -> Array:
+        """(6,) along and about the sensor's axes, m and rad; zero where nothing was measured."""
+        return stddev_along_axes(self.T_root_sensor, self.measured_covariance)
+
+    @property
+    def worst_stddev(self) -> tuple[float, float]:
+        """The largest of these, m and rad: σ of the pose in all prints, which the tolerance limits."""
+        return float(np.max(self.axis_stddev[:3])), float(np.max(self.axis_stddev[3:]))
+
+
+def stddev_along_axes(T_root_sensor: Array, covariance: Array) -> Array:
+    """(6,) standard deviations along and about a sensor's axes, m and rad; infinite where a direction is unknown.
+
+    Args:
+        T_root_sensor: (4, 4).
+        covariance: (6, 6) in the root's fixed axes.
+    """
+    R = T_root_sensor[:3, :3]
+    with np.errstate(invalid="ignore"):  # infinite times zero
+        variances = np.array([np.diag(R.T @ covariance[k : k + 3, k : k + 3] @ R) for k in (0, 3)]).ravel()
+    return np.sqrt(np.maximum(np.where(np.isnan(variances), np.inf, variances), 0))
 
 
 # Standard deviations within which 95 % of a normal distribution in space lie: sqrt(χ²₃(0.95)).

@@ -11,6 +11,8 @@ from calgraph.geometry import Array
 from calgraph.graph.pairwise_estimate import PairwiseEstimate
 from calgraph.result import Verdict
 from calgraph.result.finding import Finding
+from calgraph.result.reasons import split_clauses
+from calgraph.result.sensor_pose import stddev_along_axes
 from calgraph.sensors.kinds import KINDS
 
 LONE_ROOT = Verdict("unobservable", "no other sensor has a pose relative to it")
@@ -27,13 +29,13 @@ def grade_pose(
     kind: str,
     T_root_sensor: Array,
     covariance: Array,
-    inconsistency: str = "",
+    contradictions: Sequence[str] = (),
     ambiguity: float = 0.0,
     *,
     tolerance: Tolerance,
     settings: VerdictSettings,
     data: str = "captures",
-    advice: str = "tilt and turn the board more, in different places, where {name} and other sensors detect it",
+    advice: str = "tilt and turn the board more, in different places, where several sensors detect it",
 ) -> Verdict:
     """Grades a pose by its standard deviations along the axes of the sensor.
 
@@ -45,19 +47,18 @@ def grade_pose(
         kind: of sensor; decides what its axes are called.
         T_root_sensor: (4, 4).
         covariance: (6, 6) in the root's fixed axes.
-        inconsistency: why the pose cannot be good with any covariance (:func:`find_inconsistent_sensors`), or
-            empty.
+        contradictions: why the pose cannot be good with any covariance, causes before their effects; all but the
+            first ones are among the remarks.
         ambiguity: angle to another pose that fits equally well, rad; 0 without one.
         tolerance: the largest acceptable error.
         settings: that probability, and the limits of an unobservable axis.
         data: what the pose was estimated from, in the plural.
-        advice: what reduces the standard deviations, with ``{name}`` for the sensor.
+        advice: what reduces the standard deviations; the same for all sensors, so that it is printed once.
 
     Returns:
-        The verdict; its reason is empty for a good pose.
+        The verdict, with three reasons at most, and advice; its reason is empty for a good pose.
     """
-    to_sensor = np.kron(np.eye(2), T_root_sensor[:3, :3].T)
-    stddev = np.sqrt(np.maximum(np.diag(to_sensor @ covariance @ to_sensor.T), 0))
+    stddev = stddev_along_axes(T_root_sensor, covariance)
     axes = axis_names(kind)
     unobservable_stddev = (settings.unobservable_translation_stddev, settings.unobservable_rotation_stddev)
     unobservable = [
@@ -68,19 +69,39 @@ def grade_pose(
     errors = ", ".join(f"{axes[i]} ±{_format_error(tolerance.limits[i] * stddev[i] / limits[i], i)}" for i in weak)
     confidence = f"({100 * settings.tolerance_confidence:g} %)"
     allowed = " and ".join(dict.fromkeys(_format_error(tolerance.limits[i], i) for i in weak))
-    advice = advice.format(name=name)
     if unobservable or ambiguity:
         reasons = [f"{_join_axes(unobservable, name)} not observable from these {data}"] if unobservable else []
         if ambiguity:
             reasons.append(f"a pose rotated by {np.degrees(ambiguity):.0f}° fits equally well")
         if weak:
             reasons.append(f"beyond the tolerance of {allowed}: {errors} {confidence}")
-        return Verdict("unobservable", "; ".join([*reasons, *([inconsistency] if inconsistency else []), advice]))
-    reasons = [inconsistency] if inconsistency else []
+        stated, more = select_reasons(contradictions, len(reasons))
+        return Verdict("unobservable", _join([*reasons, *stated, *more, advice]))
+    stated, more = select_reasons(contradictions, 1 if weak else 0)
     if weak:
         exceed = "exceeds" if len(weak) == 1 else "exceed"
-        reasons.append(f"{errors} {confidence} of {name} {exceed} the tolerance of {allowed}: {advice}")
-    return Verdict("weak", "; ".join(reasons)) if reasons else Verdict("good")
+        error = f"{errors} {confidence} of {name} {exceed} the tolerance of {allowed}"
+        return Verdict("weak", _join([*stated, error, *more, advice]))
+    return Verdict("weak", _join([*stated, *more])) if contradictions else Verdict("good")
+
+
+# Most reasons that a verdict states: what causes it comes first, and more are consequences.
+_MAX_REASONS = 3
+
+
+def select_reasons(
+    reasons: Sequence[str], others: int = 0, where: str = "among the remarks"
+) -> tuple[Sequence[str], list[str]]:
+    """The first reasons beside a number of others, and a clause on how many there are more, and where."""
+    stated = max(_MAX_REASONS - others, 0)
+    more = len(reasons) - stated
+    return reasons[:stated], [f"and {more} more, {where}"] if more > 0 else []
+
+
+def _join(reasons: Sequence[str]) -> str:
+    """The clauses of reasons as one text; a remedy that several of them have stands once, after the last."""
+    clauses = split_clauses("; ".join(reasons))
+    return "; ".join(reversed(dict.fromkeys(reversed(clauses))))
 
 
 def max_good_stddev(tolerance: Tolerance, settings: VerdictSettings) -> Array:
@@ -136,23 +157,13 @@ def find_inconsistent_sensors(
     return reasons
 
 
-# Most reasons that a verdict states: what causes it comes first, and more are consequences.
-_MAX_REASONS = 3
-
-
-def join_reasons(*reasons_by_sensor: Mapping[str, str | Sequence[str]]) -> dict[str, str]:
-    """The first reasons of each sensor, in order and each once, and the number of the others, as one text."""
-    joined: dict[str, dict[str, None]] = {}
+def merge_reasons(*reasons_by_sensor: Mapping[str, str | Sequence[str]]) -> dict[str, list[str]]:
+    """The reasons of each sensor, in order and each once."""
+    merged: dict[str, dict[str, None]] = {}
     for reasons in reasons_by_sensor:
         for name, given in reasons.items():
-            joined.setdefault(name, {}).update(dict.fromkeys([given] if isinstance(given, str) else given))
-    return {name: _join_first(list(of_sensor)) for name, of_sensor in joined.items()}
-
-
-def _join_first(reasons: Sequence[str]) -> str:
-    more = len(reasons) - _MAX_REASONS
-    others = [f"and {more} more, among the remarks"] if more > 0 else []
-    return "; ".join([*reasons[:_MAX_REASONS], *others])
+            merged.setdefault(name, {}).update(dict.fromkeys([given] if isinstance(given, str) else given))
+    return {name: list(of_sensor) for name, of_sensor in merged.items()}
 
 
 def collect_findings(findings: Sequence[Finding]) -> dict[str, list[str]]:

@@ -97,7 +97,7 @@ def describe_contradiction(deviation: str, ratio: float, prior: str) -> str:
         prior: the standard deviation of the prior with its unit.
     """
     return (
-        f"{deviation}; this is {ratio:.1f} times its uncertainty in rig.yaml ({prior}): "
+        f"{deviation}; this is {ratio:.1f} times its uncertainty in rig.yaml (σ {prior}): "
         "check it, correct rig.yaml or state a larger uncertainty there, and calibrate again"
     )
 

@@ -6,7 +6,12 @@ import numpy as np
 import pytest
 
 from calgraph.geometry import Array
-from calgraph.network.checks.model_assessment import correlate_adjacent_beams, find_poor_fit
+from calgraph.network.checks.model_assessment import (
+    correlate_adjacent_beams,
+    find_correlated_beams,
+    find_poor_fit,
+    measure_outline_errors,
+)
 from calgraph.network.joint.estimate import SolvedNetwork
 from calgraph.network.joint.model_error import MAX_HEADING_SIGMA, MAX_POSITION_SIGMA
 from calgraph.network.joint.problem import BodyScans
@@ -79,8 +84,7 @@ def test_a_scanner_of_whose_beams_few_have_a_weight_is_weak(solved: SolvedNetwor
     assert (found.sensors, found.refutes) == (("north",), False)
 
 
-def test_bodies_of_another_shape_give_correlated_residuals(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("calgraph.network.checks.model_assessment._MAX_BEAM_CORRELATION", 0.1)
+def test_bodies_of_another_shape_give_correlated_residuals() -> None:
     rng = np.random.default_rng(1)
 
     def fold(_body: int, scans: BodyScans) -> BodyScans:
@@ -89,9 +93,33 @@ def test_bodies_of_another_shape_give_correlated_residuals(monkeypatch: pytest.M
         return replace(scans, ranges=scans.ranges + folds.ravel())
 
     solved = solve_two_walks(rng, fold)
-    (found,) = find_poor_fit(solved, NAMES, BACKGROUND)
-    assert "beams of west, east, north at people have a correlation of 0.2" in found.text
-    assert (found.sensors, found.refutes) == (NAMES, False)
+    assert np.all(correlate_adjacent_beams(solved) > 0.15)
+
+
+CORRELATION = np.array([0.1, 0.5, 0.3])
+
+
+def test_correlated_beams_make_poses_weak_whose_error_exceeds_the_tolerance() -> None:
+    errors = np.array([0.0, 0.006, 0.003])
+    for limit, weak in ((0.007, ()), (0.005, ("east",)), (0.002, ("east", "north"))):
+        (found,) = find_correlated_beams(NAMES, CORRELATION, errors, limit)
+        assert found.text.startswith(
+            "residuals of adjacent beams of east, north at people have a correlation of 0.50, for which up to "
+            "6.0 mm are added to the standard deviations of positions: people are of another shape"
+        )
+        assert (found.sensors, found.refutes) == (weak, False)
+    (of_root,) = find_correlated_beams(NAMES, CORRELATION[::-1], errors[::-1], 0.002)
+    assert of_root.sensors == NAMES
+    assert list(find_correlated_beams(NAMES, np.full(3, 0.1), np.zeros(3), 0.002)) == []
+
+
+def test_correlated_noise_that_walls_have_as_well_is_no_error_of_the_outline(solved: SolvedNetwork) -> None:
+    noisy = with_noise(solved, SIGMA * np.array([2, 0.9, 2]))
+    errors = measure_outline_errors(noisy, BACKGROUND, CORRELATION)
+    np.testing.assert_allclose(errors, [0, 0, np.sqrt(0.3 * 3) * SIGMA])
+    (found,) = find_correlated_beams(NAMES, CORRELATION, np.zeros(3), 0.002)
+    assert found.text.endswith("0.50, with no more noise than at walls: standard deviations contain it")
+    assert found.sensors == ()
 
 
 def test_residuals_of_white_noise_are_not_correlated(solved: SolvedNetwork) -> None:

@@ -9,7 +9,7 @@ import pytest
 from calgraph.config import People
 from calgraph.geometry import Array, se2
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
-from calgraph.network.checks.model_assessment import ModelAssessment, assess_network_model
+from calgraph.network.checks.model_assessment import ModelAssessment, add_position_errors, assess_network_model
 from calgraph.network.graph.network_initialization import NetworkInitialization
 from calgraph.network.joint.estimate import NetworkSolution, SolvedNetwork
 from calgraph.network.joint.problem import BodyScans
@@ -78,6 +78,24 @@ def test_a_right_solution_stays_as_it_is() -> None:
     found = assess(solve())
     assert found.findings == ()
     np.testing.assert_array_equal(covariance_of(found), 1e-6 * np.eye(12))
+
+
+def test_errors_of_outlines_add_to_position_variances() -> None:
+    """Of the root to those of all, 2 mm; of north alone 4 mm; other variances grow in proportion."""
+    joint = NetworkSolution(T_ROOT, OFFSET, relate_all(1e-6 * np.eye(12), 3), True, 0.005)
+    widened = add_position_errors(joint, np.array([0.002, 0.0, 0.004])).covariance.stddev ** 2
+    np.testing.assert_allclose(widened, np.repeat([[1e-6], [5e-6], [21e-6]], 4, axis=1))
+
+
+def test_correlated_beams_of_another_shape_widen_the_covariance(monkeypatch: pytest.MonkeyPatch) -> None:
+    module = "calgraph.network.checks.model_assessment"
+    monkeypatch.setattr(f"{module}.correlate_adjacent_beams", lambda _: np.array([0.0, 0.0, 0.8]))
+    noisy = replace(solve(), problem=replace(solve().problem, range_sigma=SIGMA * np.array([1, 1, 3])))
+    found = assess(noisy)
+    (finding,) = found.findings
+    assert "north at people have a correlation of 0.80" in finding.text
+    added = np.diag(covariance_of(found))[8:10] - 1e-6
+    np.testing.assert_allclose(added, 0.8 * 8 * SIGMA**2)
 
 
 def test_a_solution_without_its_problem_is_not_tested() -> None:

@@ -33,7 +33,7 @@ def test_scanners_at_rest_have_no_finding() -> None:
 def test_scanner_size_time_and_data_are_stated() -> None:
     finding = describe("east", tracks((BUMP,), (START + 30.7, np.inf)))
     assert finding.text == (
-        "east moved by 30 ± 2 mm and +1.00 ± 0.05° (±: one σ) at 30.3 s: the result is its pose after that, "
+        "east moved by 30 ± 2 mm and +1.00 ± 0.05° (σ) at 30.3 s: the result is its pose after that, "
         "from its data after 30.7 s"
     )
 

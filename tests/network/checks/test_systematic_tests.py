@@ -28,7 +28,7 @@ def test_an_error_beyond_its_prior_is_named_with_its_size() -> None:
     [(text, scanners)] = find(1, 0, -4.0)
     assert text.startswith(
         "ranges of east are 80 mm shorter than they should be; this is 4.0 times its uncertainty in "
-        "rig.yaml (20 mm): check it"
+        "rig.yaml (σ 20 mm): check it"
     )
     assert scanners == ("east",)
 
@@ -49,7 +49,7 @@ def test_stretches_are_compared_as_the_tilts_that_cause_them() -> None:
     [(text, scanners)] = find(1, STRETCH_X, -5.0)
     assert text.startswith(
         "ranges of east along its x axis are 0.3 % shorter than on average, as by a tilt of its scan plane; this "
-        "is 3.3 times its uncertainty in rig.yaml (0.09 %): check it"
+        "is 3.3 times its uncertainty in rig.yaml (σ 0.09 %): check it"
     )
     assert scanners == ("east",)
 

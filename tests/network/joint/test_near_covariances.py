@@ -51,3 +51,11 @@ def test_a_factor_scales_covariances(rng: np.random.Generator) -> None:
     covariance = root @ root.T
     scaled = relate_all(covariance, 3).scale(4.0)
     np.testing.assert_array_equal(scaled.stddev.ravel(), 2 * np.sqrt(np.diag(covariance)))
+
+
+def test_factors_of_scanners_keep_correlations(rng: np.random.Generator) -> None:
+    root = rng.normal(0, 1, (6, 6))
+    covariance = root @ root.T
+    scaled = relate_all(covariance, 3).scale(np.array([1.0, 4.0, 9.0])).expand()
+    widths = np.repeat([1.0, 2.0, 3.0], 2)
+    np.testing.assert_allclose(scaled, covariance * np.outer(widths, widths))

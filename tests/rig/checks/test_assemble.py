@@ -158,7 +158,9 @@ def test_sensors_have_poses_parents_and_covariances_with_the_root_first(detected
 
 def test_without_convergence_no_pose_is_good(detected: DetectedRig) -> None:
     calibration = assemble(detected, all_pairs(detected, {}), CONNECTED, converged=False)
-    reason = "the joint solution has not converged"
+    reason = (
+        "the joint solution has not converged; check target and intrinsics in rig.yaml, and record more captures"
+    )
     assert [(s.verdict.grade, s.verdict.reason) for s in calibration.sensors] == [("weak", reason)] * 3
 
 

@@ -81,7 +81,8 @@ def test_a_sensor_without_captures_is_reported() -> None:
     blind = with_prior(blind, 3, np.zeros(6))
     solution = minimize_bundle(blind, EXACT.truth)
     assert find_contradicted_priors(blind, solution, [], 1e-3) == {
-        "laser_2": "no capture connects laser_2 to another sensor: its pose is the prior"
+        "laser_2": "no capture connects laser_2 to another sensor: its pose is the prior; record captures in "
+        "which it and another sensor detect the board"
     }
     np.testing.assert_allclose(
         pose_covariance(blind, solution.state, solution.equations)[18:, 18:],

@@ -30,6 +30,6 @@ def test_intrinsics_are_used_up_to_three_percent(focal: float, center: float, us
 def test_the_reason_states_the_standard_deviations_and_what_to_do() -> None:
     (reason,) = judge(13.0, 2.0).decisive
     assert reason == (
-        "its views do not determine its intrinsics (focal length 400 ± 13 px, principal point ± 2 px): "
+        "its views do not determine its intrinsics (focal length 400 ± 13 px, principal point ± 2 px, σ): "
         "take more views, with the board near enough to fill a third of the image"
     )

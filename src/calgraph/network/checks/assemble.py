@@ -47,9 +47,9 @@ from calgraph.result import (
     StatedPose,
 )
 from calgraph.result.finding import Finding
-from calgraph.verdict.grades import LONE_ROOT, collect_findings, grade_pose, join_reasons
+from calgraph.verdict.grades import LONE_ROOT, collect_findings, grade_pose, select_reasons
 
-_ADVICE = "let people walk farther and in more directions where the views of {name} and other scanners overlap"
+_ADVICE = "let people walk farther and in more directions where the views of scanners overlap"
 # Partners that a reason names: a scanner of a large network that no pair connects has up to 150.
 _LISTED_PARTNERS = 8
 _DIGITS = re.compile(r"[0-9.]+")
@@ -112,7 +112,7 @@ def assemble_network(
         root=rig.root,
         sensors=_assemble_poses(
             rig, frames, parents, dict(zip(names, se2.to_se3(T_root_scanner) @ flips, strict=True)),
-            covariance, clocks, join_reasons(collect_findings(findings)),
+            covariance, clocks, collect_findings(findings),
         ),
         joint_covariance=covariance,
         systematic=joint.systematic.summarize(names) if joint and joint.systematic else (),
@@ -147,7 +147,7 @@ def _assemble_poses(
     T_root_sensor: Mapping[str, Array],
     covariance: Array,
     clocks: Array,
-    reasons: Mapping[str, str],
+    reasons: Mapping[str, Sequence[str]],
 ) -> tuple[SensorPose, ...]:
     """Graded poses, from their joint covariance (6n, 6n) and (n, 2) clock offsets with standard deviations, s."""
     stated = _collect_stated_poses(rig, T_root_sensor)
@@ -165,7 +165,7 @@ def _assemble_poses(
                 "lidar2d",
                 T,
                 np.nan_to_num(block),  # what is not measured has no verdict
-                reasons.get(name, ""),
+                reasons.get(name, ()),
                 tolerance=rig.tolerance,
                 settings=rig.settings.diagnostics.verdict,
                 data="tracks",
@@ -281,7 +281,10 @@ def _explain_unconnected(
             partners.append(b if a == name else a)
     # In large networks, most partners have a reason that all distant scanners have: rare reasons come first.
     by_number = sorted(partners_by_reason.values(), key=lambda item: len(item[1]))
-    reasons = "; ".join(f"{_list_partners(partners)}: {reason}" for reason, partners in by_number)
+    stated, more = select_reasons(
+        [f"{_list_partners(partners)}: {reason}" for reason, partners in by_number], where="in the report"
+    )
+    reasons = "; ".join([*stated, *more])
     count = len(tracks.tracks)
     return f"has {count} track{'s' * (count != 1)}, but {reasons or 'no other scanner has any'}"
 

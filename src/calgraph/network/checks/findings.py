@@ -160,4 +160,4 @@ def _describe_step(bump: ScannerBump, start: float) -> str:
         return f"{time}, by more than its background determines"
     translation = f"{1000 * bump.translation:.0f} ± {1000 * bump.translation_stddev:.0f} mm"
     rotation = f"{np.degrees(bump.rotation):+.2f} ± {np.degrees(bump.rotation_stddev):.2f}°"
-    return f"by {translation} and {rotation} (±: one σ) {time}"
+    return f"by {translation} and {rotation} (σ) {time}"

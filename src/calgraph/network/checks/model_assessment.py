@@ -55,6 +55,7 @@ def assess_network_model(
     initialization: NetworkInitialization,
     *,
     replaceable: bool = True,
+    max_stddev: float = np.inf,
 ) -> ModelAssessment:
     """Tests the model of a joint solution on the recording that it was fitted to, and its systematic errors.
 
@@ -67,13 +68,20 @@ def assess_network_model(
         tracked: the tracks of each of its scanners.
         initialization: averaged poses of the same from the pairs alone.
         replaceable: whether averaged poses may replace the joint solution.
+        max_stddev: of the position of a scanner whose pose is good, m.
     """
-    assessment = _test_model(target, joint, tracked, initialization, replaceable)
+    assessment = _test_model(target, joint, tracked, initialization, replaceable, max_stddev)
     if assessment.joint is None or assessment.joint.systematic is None:
         return assessment
     errors = find_systematic_errors(assessment.joint.systematic, initialization.names)
-    return replace(assessment, findings=(*assessment.findings, *errors))
+    # A wrong clock or tilt comes before what it does to the fit.
+    return replace(assessment, findings=(*errors, *assessment.findings))
 
+
+_MODEL_REMEDY = (
+    "state in rig.yaml what the scanners measure of people (target: height, axes), set clocks, or record people "
+    "who carry nothing"
+)
 
 # Ratio of the observed to the expected variance of contributions to the poses up to which the enlarged covariance
 # is enough; beyond, poses are weak. Legs are not exactly as modelled: on 75 simulated recordings of them the
@@ -95,15 +103,23 @@ def _test_model(
     tracked: Sequence[ScannerTracks],
     initialization: NetworkInitialization,
     replaceable: bool,
+    max_stddev: float,
 ) -> ModelAssessment:
     """The tests of the model; those of systematic errors need one that holds."""
     if (solved := joint.solved) is None or not solved.problem.bodies:
         return ModelAssessment(joint)
     names, averaged = initialization.names, initialization.solution
-    findings = [*find_poor_fit(solved, names, np.array([one.sigma for one in tracked]))]
+    background = np.array([one.sigma for one in tracked])
+    correlation = correlate_adjacent_beams(solved)
+    errors = measure_outline_errors(solved, background, correlation)
+    findings = [
+        *find_poor_fit(solved, names, background),
+        *find_correlated_beams(names, correlation, errors, max_stddev),
+    ]
     scatter, inconsistent = _test_parts(solved, names)
     findings += inconsistent
     joint = joint.scale_covariance(max(scatter.ratio, 1.0))
+    joint = add_position_errors(joint, errors)
     if scatter.p < FALSE_ALARM_PROBABILITY and scatter.ratio > _MAX_GOOD_SCATTER:
         findings.append(_describe_scatter(scatter, names))
     refuted = any(finding.refutes for finding in findings)
@@ -119,8 +135,7 @@ def _test_model(
         return ModelAssessment(joint, tuple(findings))
     consequence = "poses are averages of pairs instead, less precise" if replaceable else "its poses may be wrong"
     summary = Finding(
-        f"the model of the joint solution does not hold (see the remarks): {consequence}; state in rig.yaml what "
-        "the scanners measure of people (target: height, axes), set clocks, or record people who carry nothing",
+        f"the model of the joint solution does not hold (see the remarks): {consequence}; {_MODEL_REMEDY}",
         tuple(names),
     )
     # One reason is enough for the verdicts; what led to it are remarks.
@@ -159,7 +174,7 @@ def _describe_scatter(scatter: Scatter, names: Sequence[str]) -> Finding:
     return Finding(
         f"contributions of parts of the recording to the poses scatter {np.sqrt(scatter.ratio):.1f} times as much "
         f"as noise explains (p = {scatter.p:.0e}), by which standard deviations are enlarged: people are not as "
-        "modelled, or clocks or ranges are wrong",
+        f"modelled, or clocks or ranges are wrong; {_MODEL_REMEDY}",
         tuple(names),
         refutes=scatter.ratio > _REFUTING_SCATTER,
     )
@@ -231,7 +246,6 @@ def find_poor_fit(solved: SolvedNetwork, names: Sequence[str], background: Array
     yield from _find_noise_at_limit(solved, names, background)
     yield from _find_model_error_at_limit(solved, names)
     yield from _find_unused_beams(solved, names)
-    yield from _find_correlated_beams(solved, names)
 
 
 # A range noise or model error of more than this share of its limit counts as at the limit: an estimate that is
@@ -246,7 +260,8 @@ def _find_noise_at_limit(solved: SolvedNetwork, names: Sequence[str], background
         ratio = float(np.max(network.range_sigma[scanners] / background[scanners]))
         yield Finding(
             f"the range noise of {_list_names(scanners, names)} at people is at its limit, {ratio:.0f} times that "
-            "at walls: they are of another shape than target in rig.yaml states, or clocks differ",
+            "at walls: they are of another shape than target in rig.yaml states, or clocks differ; "
+            f"{_MODEL_REMEDY}",
             _make_weak(scanners, names),
             refutes=True,
         )
@@ -262,7 +277,8 @@ def _find_model_error_at_limit(solved: SolvedNetwork, names: Sequence[str]) -> I
     if sizes:
         yield Finding(
             f"scanners disagree about people by {' and '.join(sizes)} in each scan, the limit of the model error: "
-            "people are of another shape than target in rig.yaml states, or clocks, ranges or angles are wrong",
+            "people are of another shape than target in rig.yaml states, or clocks, ranges or angles are wrong; "
+            f"{_MODEL_REMEDY}",
             tuple(names),
             refutes=far,
         )
@@ -289,23 +305,61 @@ def _find_unused_beams(solved: SolvedNetwork, names: Sequence[str]) -> Iterator[
         )
 
 
-# Maximum correlation of the residuals of a scanner's adjacent beams on a body: a body of another shape has
-# residuals of one sign along its outline. In simulation it is below 0.02, below 0.1 where arms swing, and 0.5 to
-# 0.9 where ellipses are fitted to legs or a clock is wrong. On a real recording of legs it is 0.7, although poses
-# are right to a centimetre, so that it does not refute the model.
+# Correlation of the residuals of a scanner's adjacent beams on a body up to which swinging arms explain it: below
+# 0.02 without them, below 0.1 with them. A body of another shape leaves residuals of one sign along its outline.
 _MAX_BEAM_CORRELATION = 0.2
 
 
-def _find_correlated_beams(solved: SolvedNetwork, names: Sequence[str]) -> Iterator[Finding]:
-    correlation = correlate_adjacent_beams(solved)
+def find_correlated_beams(
+    names: Sequence[str], correlation: Array, errors: Array, max_stddev: float
+) -> Iterator[Finding]:
+    """A finding if residuals of adjacent beams are correlated.
+
+    Args:
+        names: of the S scanners, the root first.
+        correlation: (S,) of :func:`correlate_adjacent_beams`.
+        errors: (S,) of :func:`measure_outline_errors`, m; beyond the next they make poses weak by themselves.
+        max_stddev: of the position of a scanner whose pose is good, m.
+    """
     if len(scanners := np.flatnonzero(correlation > _MAX_BEAM_CORRELATION)):
-        largest = float(correlation[scanners].max())
+        consequence = (
+            f"for which up to {1000 * errors.max():.1f} mm are added to the standard deviations of positions: "
+            "people are of another shape than target in rig.yaml states, or clocks, ranges or angles are wrong; "
+            f"{_MODEL_REMEDY}"
+            if errors.any()
+            else "with no more noise than at walls: standard deviations contain it"
+        )
         yield Finding(
             f"residuals of adjacent beams of {_list_names(scanners, names)} at people have a correlation of "
-            f"{largest:.2f}: people are of another shape than target in rig.yaml states, or clocks, ranges or "
-            "angles are wrong",
-            _make_weak(scanners, names),
+            f"{correlation[scanners].max():.2f}, {consequence}",
+            _make_weak(np.flatnonzero(errors > max_stddev), names),
         )
+
+
+def measure_outline_errors(solved: SolvedNetwork, background: Array, correlation: Array) -> Array:
+    """(S,) standard deviations of what adjacent beams on a body have in common and walls do not show, m.
+
+    Noise that walls have as well is that of the scanner: the model error and the scatter of parts contain its
+    correlation (NEES of 0.3 to 0.7 with 0.5 to 0.9). The rest is an error of the modelled outline: it may be the
+    same in all scans, so that no test by parts shows it.
+
+    Args:
+        solved: the joint solution.
+        background: (S,) noise of each scanner's static background, m.
+        correlation: (S,) of :func:`correlate_adjacent_beams`.
+    """
+    excess = np.maximum(solved.problem.range_sigma**2 - background**2, 0)
+    return np.asarray(np.sqrt(np.where(correlation > _MAX_BEAM_CORRELATION, correlation * excess, 0)))
+
+
+def add_position_errors(joint: NetworkSolution, errors: Array) -> NetworkSolution:
+    """The solution with position variances that are larger by squares of errors (S,), m, and others in proportion.
+
+    An error of the root is one of all others.
+    """
+    stated = np.mean(joint.covariance.stddev[1:, :2] ** 2, axis=1)
+    factor = 1 + (errors[1:] ** 2 + errors[0] ** 2) / np.maximum(stated, np.finfo(float).tiny)
+    return joint.scale_covariance(np.concatenate([[1.0], factor]))
 
 
 def correlate_adjacent_beams(solved: SolvedNetwork) -> Array:

@@ -101,8 +101,8 @@ class NetworkSolution:
         covariance[:3] = covariance[:, :3] = 0.0
         return covariance
 
-    def scale_covariance(self, factor: float) -> "NetworkSolution":
-        """The solution with a covariance that is larger by a factor."""
+    def scale_covariance(self, factor: float | Array) -> "NetworkSolution":
+        """The solution with variances that are larger by a factor, or by one of each scanner (S,)."""
         return replace(self, covariance=self.covariance.scale(factor))
 
     @property

@@ -122,9 +122,10 @@ class NearCovariances:
         """(S, n)."""
         return np.asarray(np.sqrt(np.diagonal(self.own, axis1=1, axis2=2)))
 
-    def scale(self, factor: float) -> "NearCovariances":
-        """The covariances times a factor."""
-        return replace(self, blocks=factor * self.blocks)
+    def scale(self, factor: float | Array) -> "NearCovariances":
+        """The covariances with all variances times a factor, or those of each scanner times one of (S,)."""
+        first, second = np.sqrt(np.broadcast_to(factor, self.count))[self.pairs].T
+        return replace(self, blocks=(first * second)[:, None, None] * self.blocks)
 
     def select_errors(self, errors: Index) -> "NearCovariances":
         """Those of some of the n errors."""

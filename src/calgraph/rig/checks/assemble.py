@@ -49,11 +49,16 @@ from calgraph.verdict.grades import (
     find_ambiguous_poses,
     find_inconsistent_sensors,
     grade_pose,
-    join_reasons,
+    merge_reasons,
+    select_reasons,
 )
 
 InlierResiduals = Mapping[tuple[int, str], Mapping[int, Sequence[float]]]
 """By capture and sensor, residuals of its inlier matches, by candidate, m."""
+
+_NOT_CONVERGED = (
+    "the joint solution has not converged; check target and intrinsics in rig.yaml, and record more captures"
+)
 
 # Most points of a view in a picture; more do not change what it shows.
 _MAX_POINTS = 300
@@ -218,7 +223,8 @@ def assemble_rig(
     used = {view: r for view, r in _used_residuals(estimates, solution).items() if view not in solution.rejected}
     paired = {name for estimate in estimates for name in (estimate.sensor_a, estimate.sensor_b)}
     kinds = {name: rig.sensors[name].kind for name in connected}
-    findings: list[Finding] = [*captures.findings, *find_contradictions(solution, rig, captures, held_out, drifts)]
+    contradictions = find_contradictions(solution, rig, captures, held_out, drifts)
+    findings: list[Finding] = [*captures.findings, *contradictions]
     ambiguous = find_ambiguous_poses(kinds, estimates)
     if solved := solution.solved_bundle:
         first = find_contradicted_priors(
@@ -227,17 +233,20 @@ def assemble_rig(
     else:
         # The baseline has no systematic parameters: pairs show a wrong scale of all detections of a sensor.
         first = find_inconsistent_sensors(rig.root, kinds, estimates, settings.max_normalized_rms)
-    inconsistent = join_reasons(first, collect_findings(findings))
-    if not solution.converged:
-        inconsistent = dict.fromkeys(connected, "the joint solution has not converged") | inconsistent
-    inconsistent = {name: reason + _hint_at_background(rig) for name, reason in inconsistent.items()}
+    # Causes first: what is wrong with the recording, then with what was stated, then what these do to the fit.
+    reasons = merge_reasons(
+        collect_findings(captures.findings),
+        first,
+        {} if solution.converged else dict.fromkeys(connected, _NOT_CONVERGED),
+        collect_findings(contradictions),
+    )
+    if hint := _hint_at_background(rig):
+        reasons = {name: [f"{cause}{hint}", *others] for name, (cause, *others) in reasons.items()}
     root_first = [n for n in sorted(rig.sensors, key=lambda name: name != rig.root) if n in connected]
     return Calibration(
         root=rig.root,
         sensors=tuple(
-            _assemble_sensor(
-                name, rig, captures, tree, solution, inconsistent.get(name, ""), ambiguous.get(name, 0.0)
-            )
+            _assemble_sensor(name, rig, captures, tree, solution, reasons.get(name, ()), ambiguous.get(name, 0.0))
             for name in root_first
         ),
         joint_covariance=_reorder_covariance(solution, root_first),
@@ -272,7 +281,7 @@ def _assemble_sensor(
     captures: CaptureSet,
     tree: SpanningTree,
     solution: RigSolution,
-    inconsistency: str,
+    contradictions: Sequence[str],
     ambiguity: float,
 ) -> SensorPose:
     spec = rig.sensors[name]
@@ -291,7 +300,7 @@ def _assemble_sensor(
             spec.kind,
             T,
             covariance,
-            inconsistency,
+            contradictions,
             ambiguity,
             tolerance=rig.tolerance,
             settings=rig.settings.diagnostics.verdict,
@@ -433,4 +442,5 @@ def _explain_no_pair(name: str, captures: CaptureSet, pairs: PairwiseEstimates) 
     reasons = [f"{', '.join(others)}: {reason}" for reason, others in partners.items()]
     if len(rejections) > len(detected):
         reasons.append(f"in {len(rejections)} captures it did not, mostly because: {commonest}")
-    return f"detected the board in {len(detected)} captures, but " + "; ".join(reasons or ["no other sensor did"])
+    stated, more = select_reasons(reasons or ["no other sensor did"], where="in the report")
+    return f"detected the board in {len(detected)} captures, but " + "; ".join([*stated, *more])

@@ -32,7 +32,8 @@ def find_contradicted_priors(
         The reason by sensor.
     """
     without_views = {
-        name: f"no capture connects {name} to another sensor: its pose is the prior"
+        name: f"no capture connects {name} to another sensor: its pose is the prior; record captures "
+        "in which it and another sensor detect the board"
         for name, views in zip(bundle.sensors[1:], bundle.views[1:], strict=True)
         if not len(views.board)
     }
@@ -60,7 +61,11 @@ def _contradicted_poses(
             # The prior pulls the solution towards itself: without it the error would be larger.
             discrepancy = np.linalg.pinv(np.eye(6) - covariance[s, :, s] @ A, rcond=_RANK_TOLERANCE) @ error
             name, difference = bundle.sensors[s], _format_discrepancy(squared[0], discrepancy)
-            yield name, f"the prior of {name} disagrees with the captures by {difference}"
+            yield (
+                name,
+                f"the prior of {name} disagrees with the captures by {difference}; correct the prior, "
+                "or state larger standard deviations",
+            )
 
 
 def _contradicted_groups(
@@ -80,7 +85,8 @@ def _contradicted_groups(
             others = ", ".join(bundle.sensors[member] for member in members if member != s)
             reason = (
                 f"the captures contradict the rigid group of {name} and {others} in {group.source}: "
-                f"released, {name} moves by {_format_discrepancy(squared, step)}"
+                f"released, {name} moves by {_format_discrepancy(squared, step)}; "
+                "correct the group, or leave it out"
             )
             yield from ((bundle.sensors[member], reason) for member in members if member > 0)
 

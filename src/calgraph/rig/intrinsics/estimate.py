@@ -103,7 +103,7 @@ def describe_shortcomings(fit: LensFit, coverage: ViewCoverage, settings: Intrin
     focal, center = float(stddev[:2].max()), float(stddev[2:4].max())
     diagonal = float(np.hypot(fit.camera.width, fit.camera.height))
     mean = float(fit.camera.focal.mean())
-    values = f"focal length {mean:.0f} ± {focal:.2g} px, principal point ± {center:.2g} px"
+    values = f"focal length {mean:.0f} ± {focal:.2g} px, principal point ± {center:.2g} px, σ"
     advice = "; ".join(_suggest_views(coverage, len(fit.detections)))
     decisive = not (focal < _MAX_FOCAL_LENGTH_ERROR * mean and center < _MAX_PRINCIPAL_POINT_ERROR * diagonal)
     if decisive:
