@@ -1,4 +1,4 @@
-"""Wall time and memory of ``inspect``, ``init`` and ``calibrate`` for recordings of 1, 4 and 16 GB of the same kind.
+"""Wall time and memory of ``inspect``, ``init`` and ``calibrate`` for recordings of 1, 4 and 16 GB of one kind.
 
 python benchmarks/long_recordings.py                                        # rests; 22 GB of temporary files
 python benchmarks/long_recordings.py --case moving                          # a board that never rests
@@ -15,7 +15,6 @@ import os
 import shutil
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -102,7 +101,7 @@ def main() -> None:
         for size in arguments.gigabytes:
             recording = scratch / "recording"
             count = _WRITERS[arguments.format](walk.repeat(1e9 * size), recording)
-            words = {
+            words: dict[str, list[object]] = {
                 "inspect": [recording],
                 "init": [recording, "-o", scratch / "drafted.yaml", "--force"],
                 "calibrate": [walk.rig, recording, "-o", scratch / "result", "--force", "--jobs", arguments.jobs],
@@ -163,7 +162,6 @@ def _write_db3(messages: Iterator[RawMessage], folder: Path) -> int:
 
 def _write_bag(messages: Iterator[RawMessage], folder: Path) -> int:
     folder.mkdir()
-    # CDR and ROS 1 have the same values; of the messages here, the first has 4 bytes more, and a number.
     return _write(messages, Writer1(folder / "recording.bag"), None)
 
 
@@ -172,9 +170,9 @@ def _write(messages: Iterator[RawMessage], writer: Any, convert: Callable[[bytes
     humble = get_typestore(Stores.ROS2_HUMBLE)
     connections: dict[str, Connection] = {}
     count = 0
-    opened: AbstractContextManager[Any] = writer
-    with opened:
-        for count, message in enumerate(messages, start=1):
+    with writer:
+        for message in messages:
+            count += 1
             kind = message.definition.name
             if message.topic not in connections:
                 connections[message.topic] = writer.add_connection(message.topic, kind, typestore=store)
