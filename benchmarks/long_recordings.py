@@ -7,7 +7,7 @@ python benchmarks/long_recordings.py --format bag                           # RO
 python benchmarks/long_recordings.py --gigabytes 0.1 0.2                    # small
 
 A walk of half a minute is repeated with later stamps: a camera of 2 Mpx at 10 Hz, raw, a LiDAR of 16 beams and a
-2-D scanner see a board, or four 2-D scanners two people. Peaks are those of all processes of a command.
+2-D scanner measure a board, or 2-D scanners two people. Peaks are those of all processes of a command.
 """
 
 import argparse
@@ -53,7 +53,7 @@ _RESTS: Final = RigScenario(
     hold_time=2.0,
     trigger=False,
 )
-_MOVING: Final = _RESTS.model_copy(update={"hold_time": 0.05, "move_time": 2.5})
+_MOVING: Final = _RESTS.model_copy(update={"laser": LaserOptions(count=0), "hold_time": 0.05, "move_time": 2.5})
 # Magic number, record and summary offset of the footer of an MCAP: an offset of 0 states that there is no summary.
 _FOOTER_BYTES, _SUMMARY_OFFSET = 37, 9
 _PAUSE = 10**8

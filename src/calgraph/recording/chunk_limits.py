@@ -38,10 +38,10 @@ else:
 _CHUNK = 0x06
 # Behind magic number and head of the first record: the profile, of which readers ignore the rest of the record.
 _PROFILE_START, _ROS2_PROFILE = 8 + 9, b"\x04\x00\x00\x00ros2"
-# Of a database; times are whole numbers of 64 bits.
 _SORTED_MESSAGES = (
     "SELECT id, topic_id, timestamp FROM messages WHERE timestamp >= ? AND timestamp < ? ORDER BY timestamp, id"
 )
+# Times are whole numbers of 64 bits.
 _FIRST_TIME, _LAST_TIME = -(2**63), 2**63 - 1
 # Values of the QoS profiles of one topic: some 20 for each publisher.
 _MAX_QOS_VALUES = 5000
