@@ -96,7 +96,7 @@ def main() -> None:
             "PYTHONPYCACHEPREFIX": f"{scratch}/compiled",
         }
         start = [sys.executable, "-c", "from calgraph.cli import main; main()"]
-        _measure_cost([*start, "calibrate", str(rig), str(recording), "-o", f"{scratch}/first"], environment)
+        measure_cost([*start, "calibrate", str(rig), str(recording), "-o", f"{scratch}/first"], environment)
         results = []
         for run, jobs in enumerate(arguments.jobs * arguments.runs):
             given, dump = [str(rig), str(recording), "--jobs", str(jobs)], f"{scratch}/problem{run}.npz"
@@ -107,7 +107,7 @@ def main() -> None:
                 commands = filled | {"solve": ["solve", dump]}
             for label, words in commands.items():
                 out = Path(scratch) / f"result{run}{label}"
-                cost = _measure_cost([*start, *words, "-o", str(out)], environment)
+                cost = measure_cost([*start, *words, "-o", str(out)], environment)
                 print(f"{jobs:4}{cost.wall:8.2f}{cost.cpu:8.2f}{cost.peak / 1e6:9.0f}  {label}", flush=True)
                 results.append((out / "calibration.yaml").read_text().partition("\nprovenance:")[0])
     print(f"bits of the {len(results)} results: {'identical' if len(set(results)) == 1 else 'DIFFERENT'}")
@@ -135,7 +135,8 @@ def _simulate_snapshots(out: Path) -> None:
     save_yaml(out / "rig.yaml", rig.model_dump(mode="json", exclude_none=True, exclude={"settings"}))
 
 
-def _measure_cost(command: list[str], environment: dict[str, str]) -> Cost:
+def measure_cost(command: list[str], environment: dict[str, str]) -> Cost:
+    """What a command takes; the program ends if it fails."""
     began = time.perf_counter()
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, env=environment)
     memory = _MemorySampler(process.pid)

@@ -4,10 +4,12 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 from typer.testing import Result
 
-from calgraph.recording import open_recording
+from calgraph.recording import RecordingWriter, open_recording
+from calgraph.sensors import CameraInfo, CameraModel, LaserScan, Trigger
 
 Run = Callable[..., Result]
 
@@ -28,6 +30,24 @@ def test_every_topic_is_listed_with_its_count(printed: str, simulated: Path) -> 
 def test_the_first_message_is_described(printed: str) -> None:
     assert "/laser_front/scan: LaserScan, lidar2d, frame laser_front" in printed
     assert "480 x 360 pixels, grey" in printed
+
+
+def test_what_is_not_used_is_listed_with_its_whole_type_and_why(run: Run, tmp_path: Path) -> None:
+    camera = CameraModel("pinhole", 4, 3, np.diag([5.0, 5, 1]), np.zeros(5))
+    with RecordingWriter(tmp_path / "bag") as writer:
+        for k in range(5):
+            writer.write("/scan", LaserScan(k / 10, "laser", np.linspace(-1, 1, 11), np.full(11, 2.0)))
+            writer.write("/note", Trigger(k / 10))
+            writer.write("/rear/camera_info", CameraInfo(k / 10, "rear", camera))
+    printed = run("inspect", tmp_path / "bag").stdout.splitlines()
+    for name, ros_type, why in (
+        ("/note", "std_msgs/msg/Header", "has not the name of a trigger"),
+        ("/rear/camera_info", "sensor_msgs/msg/CameraInfo", "is of no camera whose images are used"),
+    ):
+        [line] = [line for line in printed if line.startswith(f"{name}: ")]
+        assert line.startswith(f"{name}: {ros_type}")
+        assert f"not used: {why}" in line
+        assert why in json.loads(run("inspect", tmp_path / "bag", "--json").stdout)["unused"][name]
 
 
 def test_a_sound_recording_has_no_anomalies(printed: str) -> None:

@@ -91,7 +91,34 @@ def test_the_camera_info_is_found(tmp_path: Path, topics: list[FoundTopic], expe
 def test_what_cannot_be_used_is_listed_but_not_drafted(tmp_path: Path, topic: FoundTopic) -> None:
     rig = drafted(tmp_path, cloud("/points"), topic)
     assert list(rig.sensors) == ["lidar"]
-    assert f"#   {topic.name}: " in (tmp_path / "rig.yaml").read_text()
+    assert f"#   {topic.name} ({topic.type}): " in (tmp_path / "rig.yaml").read_text()
+
+
+ODD = (
+    (FoundTopic("/imu", "sensor_msgs/msg/Imu", "other", 9, problem="messages of sensor_msgs/msg/Imu are not read"),
+     "/imu: messages of sensor_msgs/msg/Imu are not read"),
+    (FoundTopic("/radar", "acme/msg/Targets", "other", 0), "/radar (acme/msg/Targets): has no message"),
+    (info("/rear/camera_info", "rear"), f"/rear/camera_info ({INFO}): is of no camera whose images are used"),
+    (info("/zero/camera_info", problem="K is zero"), f"/zero/camera_info ({INFO}): K is zero"),
+    (event("/note", 3), "/note (std_msgs/msg/Empty): has not the name of a trigger"),
+    (event("/fast/trigger", 400), "/fast/trigger (std_msgs/msg/Empty): is not taken for a trigger, because"),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(("topic", "line"), ODD, ids=[topic.name for topic, _ in ODD])
+def test_every_topic_that_is_not_used_is_listed_with_its_type_and_why(
+    tmp_path: Path, topic: FoundTopic, line: str
+) -> None:
+    used = image("/cam/image_raw", "cam"), info("/cam/camera_info", "cam"), scan("/scan"), event("/shutter", 9)
+    drafted(tmp_path, *used, topic)
+    unused = (tmp_path / "rig.yaml").read_text().partition("but not used:\n")[2].splitlines()
+    assert [text.startswith(f"#   {line}") for text in unused] == [True]
+
+
+def test_a_recording_without_sensors_is_refused_with_all_its_topics(tmp_path: Path) -> None:
+    with pytest.raises(InputError) as refused:
+        drafted(tmp_path, *(topic for topic, _ in ODD))
+    assert all(line in str(refused.value) for _, line in ODD if "/fast" not in line)
 
 
 def test_a_trigger_that_fires_now_and_then_marks_the_captures(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from calgraph.rig.captures.detect import CaptureSet
 from calgraph.rig.captures.moving_board import BoardMotion, move_detection, surface_pose
 from calgraph.rig.options import RigOptions
 from calgraph.rig.pipeline import build_problem_from_captures, solve_problem
-from calgraph.sensors import Image, RecordedMessage
+from calgraph.sensors import Image, LaserScan, Message, RecordedMessage
 from calgraph.simulation import (
     CameraOptions,
     IdealDetectorOptions,
@@ -117,3 +117,42 @@ def bump_camera(captures: CaptureSet, moved: Array, first: int) -> CaptureSet:
         for capture, found in captures.detections["camera"].items()
     }
     return replace(captures, detections={**captures.detections, "camera": after})
+
+
+def test_a_scanner_that_turns_against_its_beams_is_recognized_without_times(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A camera and a 2-D scanner at 15 Hz, whose board moves from beam to beam."""
+    monkeypatch.setattr("calgraph.simulation.world._MOTION_STEP", 0.003)
+    rate = 15.0
+    scenario = SCENARIO.model_copy(
+        update={
+            "camera": SCENARIO.camera.model_copy(update={"rate": rate}),
+            "laser": LaserOptions(count=1, rate=rate, mirror_rate=rate),
+            "multibeam": MultibeamOptions(count=0),
+            "samples": 2,
+        }
+    )
+    world = build_world(scenario, 8)
+    phase = world.robot[0].clock.phase
+    robot = tuple(replace(sensor, clock=replace(sensor.clock, phase=phase)) for sensor in world.robot)
+    recording = simulate_recording(replace(world, robot=robot))
+    recording = build_recording(
+        [replace(record, decode=partial(_decode_reversed, record)) for record in recording.messages]
+    )
+    rig = world_rig(world).model_dump(mode="json", exclude_none=True)
+    rig["capture"] = {"mode": "synchronized", "max_spread": 0.05, "background": [0.0, 1.0]}
+    found = calibrate(Rig.model_validate(rig), recording)
+    text = "the scans of laser_front have no times of beams (time_increment is 0), but the board is where"
+    assert text in repr(found)
+    error = pose_errors(found, ground_truth(world))["laser_front"]
+    assert np.linalg.norm(error[:3]) < 0.005
+    assert np.linalg.norm(error[3:]) < 0.002  # 0.003 without times
+
+
+def _decode_reversed(record: RecordedMessage) -> Message:
+    """Scans as of a scanner that sends its last beam first, without their times."""
+    message = record.decode()
+    if not isinstance(message, LaserScan):
+        return message
+    return replace(message, angles=message.angles[::-1], ranges=message.ranges[::-1], time_increment=0.0)

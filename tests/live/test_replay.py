@@ -197,7 +197,7 @@ def test_messages_that_are_not_cdr_are_noticed_once(bag: Path) -> None:
     assert messages(given) == []
     (missing,) = [one for one in notices(given) if one.kind == "missing"]
     assert missing.topic == "/trigger"
-    assert "not serialised as CDR" in missing.text
+    assert "sessions read CDR, and not xyz: use calgraph calibrate" in missing.text
 
 
 def test_a_damaged_recording_is_an_error(bag: Path) -> None:

@@ -1,6 +1,6 @@
 """``calgraph inspect``: the topics of a recording, and anomalies."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -16,6 +16,7 @@ from calgraph.cli.init import find_background, find_mode
 from calgraph.cli.printing import print_calibration, print_provenance
 from calgraph.cli.progress import progress_bars
 from calgraph.cli.setting_options import SetOption, parse_limits
+from calgraph.config import explain_unused
 from calgraph.errors import RecordingError
 from calgraph.io.text_writing import format_json
 from calgraph.recording import (
@@ -50,13 +51,14 @@ def inspect(
     with open_recording(recording, parse_limits(overrides, alone=True)) as opened, progress_bars() as progress:
         inspection = inspect_recording(opened, partial(progress, "reading"))
         topics = () if inspection.damage else find_topics(opened)
+        unused = explain_unused(topics)
         by_one_clock = correct_stamps(opened, inspection.clock_offsets)
         mode = find_mode(by_one_clock, topics, find_background(by_one_clock, topics, ()))
     if json:
-        captures = {"captures": {"mode": mode.mode, "reason": mode.reason} if mode else None}
+        captures = {"captures": {"mode": mode.mode, "reason": mode.reason} if mode else None, "unused": unused}
         typer.echo(format_json({"recording": recording, **asdict(inspection), **captures}))
     else:
-        _print(recording, inspection, mode)
+        _print(recording, inspection, mode, unused)
     if inspection.damage:
         raise RecordingError(inspection.damage)
 
@@ -71,7 +73,7 @@ def show_result(calibration: Calibration, *, json: bool) -> None:
     print_calibration(calibration)
 
 
-def _print(recording: str, inspection: Inspection, mode: RecognizedMode | None) -> None:
+def _print(recording: str, inspection: Inspection, mode: RecognizedMode | None, unused: Mapping[str, str]) -> None:
     output = console()
     duration = f"{inspection.duration:.1f} s, " if any(topic.timing for topic in inspection.topics) else ""
     title = f"{recording}: {duration}{sum(t.count for t in inspection.topics)} messages"
@@ -86,7 +88,7 @@ def _print(recording: str, inspection: Inspection, mode: RecognizedMode | None) 
     if duration:
         output.print("gap: longest time between stamps; delay: median arrival minus stamp")
     for topic in inspection.topics:
-        output.print(f"[bold]{escape(topic.name)}[/]: {escape(_describe(topic))}")
+        output.print(f"[bold]{escape(topic.name)}[/]: {escape(_describe(topic, unused.get(topic.name, '')))}")
     if mode:
         output.print(f"captures: {escape(f'{mode.mode}: {mode.reason}')}")
     findings = [(topic.name, finding) for topic in inspection.topics for finding in topic.findings]
@@ -98,13 +100,17 @@ def _print(recording: str, inspection: Inspection, mode: RecognizedMode | None) 
         output.print("No anomalies were found.")
 
 
-def _describe(topic: TopicReport) -> str:
-    """Type, kind, frame and content of the first message."""
+def _describe(topic: TopicReport, unused: str) -> str:
+    """Type, kind, frame and content of the first message; the whole type of topics that are not used, and why."""
     frame = f"frame {topic.frame_id}" if topic.frame_id else ""
-    short_type = topic.type.rpartition("/")[2]
+    shown_type = topic.type if unused else topic.type.rpartition("/")[2]
     kind = topic.kind if topic.kind in KINDS else ""
     numbers = "poses {} to {}".format(*topic.pose_numbers) if topic.pose_numbers else ""
-    return ", ".join(dict.fromkeys(text for text in (short_type, kind, frame, topic.content, numbers) if text))
+    # Anomalies are printed below.
+    why = f"not used: {unused}" if unused and unused not in topic.findings else ""
+    return ", ".join(
+        dict.fromkeys(text for text in (shown_type, kind, frame, topic.content, numbers, why) if text)
+    )
 
 
 def _times(topic: TopicReport) -> Sequence[str]:

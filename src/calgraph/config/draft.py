@@ -4,7 +4,7 @@ import json
 import re
 import shlex
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -128,12 +128,35 @@ def draft_rig(
     Raises:
         InputError: there is no sensor among the topics.
     """
-    chosen, skipped = _choose_topics(topics)
-    if not chosen:
-        found = ", ".join(f"{topic.name} ({topic.type})" for topic in topics) or "none"
+    sensors, unused = _assign_topics(topics)
+    if not sensors:
+        found = "; ".join(_list_unused(topics, unused)) or "none"
         raise InputError(
             f"{recording}: has no topic with usable images, laser scans or point clouds; its topics are: {found}"
         )
+    parts = [
+        _head(
+            recording,
+            [name for s in sensors for name in (s.topic.name, s.info.name if s.info else "") if name],
+            ros=any("/" in sensor.topic.type for sensor in sensors),
+        ),
+        _root(sensors),
+        target or _missing_target(sensors),
+        _capture(topics, background, mode),
+        _sensors(sensors),
+        _unused_topics(topics, unused),
+    ]
+    return "\n".join(part for part in parts if part)
+
+
+def explain_unused(topics: Sequence[FoundTopic]) -> dict[str, str]:
+    """Why each topic that a draft does not use is not used, by name."""
+    return _assign_topics(topics)[1]
+
+
+def _assign_topics(topics: Sequence[FoundTopic]) -> tuple[list[_Sensor], dict[str, str]]:
+    """The sensors to draft, and why each topic is not used that is neither theirs nor a trigger."""
+    chosen, unused = _choose_topics(topics)
     names = name_sensors({topic.name: topic.kind for topic in chosen})
     infos = [topic for topic in topics if topic.kind == "camera_info" and topic.count and not topic.problem]
     cameras = [topic for topic in chosen if KINDS[topic.kind].optical]
@@ -141,19 +164,24 @@ def draft_rig(
         _Sensor(names[t.name], t, _find_camera_info(t, infos, len(cameras)) if t in cameras else None)
         for t in chosen
     ]
-    parts = [
-        _head(
-            recording,
-            [name for s in sensors for name in (s.topic.name, s.info.name if s.info else "") if name],
-            ros=any("/" in topic.type for topic in chosen),
-        ),
-        _root(sensors),
-        target or _missing_target(chosen),
-        _capture(topics, background, mode),
-        _sensors(sensors),
-        _skipped_topics(skipped),
-    ]
-    return "\n".join(part for part in parts if part)
+    triggers, too_many = find_triggers(topics)
+    used = [*chosen, *(sensor.info for sensor in sensors), *triggers]
+    for topic in topics:
+        if topic not in used and topic.name not in unused:
+            unused[topic.name] = _explain_unused(topic, often=topic in too_many)
+    return sensors, unused
+
+
+def _explain_unused(topic: FoundTopic, *, often: bool) -> str:
+    if not topic.count:
+        return "has no message"
+    if topic.problem:
+        return topic.problem
+    if topic.kind == "camera_info":
+        return "is of no camera whose images are used: neither its name nor its frame is that of one"
+    if often:
+        return "is not taken for a trigger, because it fires as often as a sensor"
+    return "has not the name of a trigger: state it as capture.trigger if each of its messages marks a rest"
 
 
 def _choose_topics(topics: Sequence[FoundTopic]) -> tuple[list[FoundTopic], dict[str, str]]:
@@ -172,7 +200,6 @@ def _choose_topics(topics: Sequence[FoundTopic]) -> tuple[list[FoundTopic], dict
             skipped[topic.name] = f"is the camera of {chosen[device].name}"
         else:
             chosen[device] = topic
-    skipped |= {t.name: t.problem for t in topics if t.kind == "other" and t.count and t.problem}
     depths = [t for t in chosen.values() if KINDS[t.kind].convert and not _REGISTERED.search(t.name)]
     for device, topic in list(chosen.items()):
         if depths and KINDS[topic.kind].convert and _REGISTERED.search(topic.name):
@@ -230,20 +257,16 @@ def _root(sensors: Sequence[_Sensor]) -> str:
     return f"# The sensor in whose frame everything is expressed{hint}.\nroot: {_format_scalar(sensors[0].name)}\n"
 
 
-def _missing_target(chosen: Sequence[FoundTopic]) -> str:
+def _missing_target(sensors: Sequence[_Sensor]) -> str:
     """Comments in place of a target."""
-    only_scanners = all(KINDS[topic.kind].detects == "line" for topic in chosen)
+    only_scanners = all(KINDS[sensor.topic.kind].detects == "line" for sensor in sensors)
     return _NO_TARGET + (_NO_TARGET_OF_SCANNERS if only_scanners else "")
 
 
 def _capture(
-    topics: Iterable[FoundTopic], background: FoundBackground | None, mode: FoundMode | None = None
+    topics: Sequence[FoundTopic], background: FoundBackground | None, mode: FoundMode | None = None
 ) -> str:
-    triggers, too_many = find_triggers(list(topics))
-    notes = [
-        f"# Not taken for a trigger, because it fires as often as a sensor: {_single_line(t.name)}"
-        for t in too_many
-    ]
+    triggers, _ = find_triggers(topics)
     window = (
         f"background: [0.0, {background.end:.1f}]      # CHECK: s from the start, without board and operator: "
         f"{_single_line(background.entry)}"
@@ -277,7 +300,7 @@ def _capture(
             *(f"  # trigger: {_format_scalar(other.name)}" for other in triggers[1:]),
             f"  {window}",
         ]
-    return "\n".join([*notes, *lines, ""])
+    return "\n".join([*lines, ""])
 
 
 def find_triggers(topics: Sequence[FoundTopic]) -> tuple[list[FoundTopic], list[FoundTopic]]:
@@ -324,11 +347,18 @@ def _sensor(sensor: _Sensor, own_clock: bool) -> list[str]:
     return [*lines, f"    noise: {KINDS[topic.kind].drafted_noise}"]
 
 
-def _skipped_topics(skipped: dict[str, str]) -> str:
-    if not skipped:
-        return ""
-    lines = (f"#   {_single_line(name)}: {_single_line(reason)}" for name, reason in skipped.items())
-    return "\n".join(["# Also in the recording, but not drafted:", *lines, ""])
+def _unused_topics(topics: Sequence[FoundTopic], unused: Mapping[str, str]) -> str:
+    lines = [f"#   {line}" for line in _list_unused(topics, unused)]
+    return "\n".join(["# Also in the recording, but not used:", *lines, ""]) if lines else ""
+
+
+def _list_unused(topics: Sequence[FoundTopic], unused: Mapping[str, str]) -> list[str]:
+    """A line for each topic that is not used: its name, its type and why."""
+    reasons = [(topic, unused[topic.name]) for topic in topics if topic.name in unused]
+    return [
+        _single_line(f"{topic.name}{'' if topic.type in reason else f' ({topic.type})'}: {reason}")
+        for topic, reason in reasons
+    ]
 
 
 def _format_scalar(text: str) -> str:

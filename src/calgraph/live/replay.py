@@ -123,5 +123,6 @@ def _channel(topic: str, definition: TypeDefinition) -> Channel | None:
 
 
 def _explain_unreadable(topic: str, definition: TypeDefinition) -> str:
-    why = "its definition is unknown" if definition.is_ros else "it is not serialised as CDR"
+    encoding = f"sessions read CDR, and not {definition.encoding}: use calgraph calibrate for this recording"
+    why = "its definition is unknown" if definition.is_ros else encoding
     return f"{topic}: messages of type {definition.name} cannot be read: {why}"

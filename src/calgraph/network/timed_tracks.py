@@ -13,6 +13,7 @@ from calgraph.parallel.progress import Progress, no_progress
 from calgraph.recording import Recording
 from calgraph.recording.input_checks import InputMonitor
 from calgraph.result.finding import Finding
+from calgraph.sensors.untimed_scans import describe_turning
 
 # Displacement of people within a scan below which times of beams do not matter, m: clocks take the mean of it, and
 # what is left is half of it at most, the error that a pose may have by default.
@@ -44,14 +45,8 @@ def track_with_beam_times(
     findings: list[Finding] = []
     if turning := [name for name in untimed if turns.get(name)]:
         tracks, frames = track_people(rig, recording, options, progress, None, turns)
-        periods = sorted({f"{1e3 * untimed[name].period:.0f}" for name in turning})
-        findings.append(
-            Finding(
-                f"{_list_names(turning)} have no times of beams (time_increment is 0), but people are where "
-                f"scanners that turn in {' or '.join(periods)} ms measure them: beams are taken to be measured "
-                "one after the other; set time_increment in the drivers"
-            )
-        )
+        periods = [untimed[name].period for name in turning]
+        findings.append(Finding(describe_turning(turning, periods, "people are")))
     unknown = [name for name in untimed if name not in turns and _displacement(tracked[name]) > _MAX_DISPLACEMENT]
     if unknown:
         most = max(_displacement(tracked[name]) for name in unknown)

@@ -6,7 +6,7 @@ encodings; nothing else reaches them. What limits refuse, rosbags would refuse l
 
 import bz2
 import sys
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Generator, Iterable, Mapping
 from functools import partial
 from pathlib import Path
 from struct import unpack
@@ -14,7 +14,7 @@ from typing import Any, BinaryIO
 
 import apsw
 import lz4.frame
-from rosbags.interfaces import MessageDefinition, MessageDefinitionFormat
+from rosbags.interfaces import Connection, MessageDefinition, MessageDefinitionFormat
 from rosbags.rosbag1 import Reader as Reader1
 from rosbags.rosbag1 import reader as bags1
 from rosbags.rosbag2 import Reader as Reader2
@@ -38,6 +38,11 @@ else:
 _CHUNK = 0x06
 # Behind magic number and head of the first record: the profile, of which readers ignore the rest of the record.
 _PROFILE_START, _ROS2_PROFILE = 8 + 9, b"\x04\x00\x00\x00ros2"
+_SORTED_MESSAGES = (
+    "SELECT id, topic_id, timestamp FROM messages WHERE timestamp >= ? AND timestamp < ? ORDER BY timestamp, id"
+)
+# Times are whole numbers of 64 bits.
+_FIRST_TIME, _LAST_TIME = -(2**63), 2**63 - 1
 # Values of the QoS profiles of one topic: some 20 for each publisher.
 _MAX_QOS_VALUES = 5000
 
@@ -135,8 +140,24 @@ class _McapReader(storage_mcap.McapReader):
         super().meta_scan()
 
 
+class _SqliteReader(storage_sqlite3.Sqlite3Reader):
+    """A database whose messages are sorted without their content, as SQLite does it in memory without an index."""
+
+    def messages(
+        self, connections: Collection[Connection], start: int | None = None, stop: int | None = None
+    ) -> Generator[tuple[Connection, int, bytes], None, None]:
+        """Connection, arrival time (ns) and bytes of the messages of some connections, in order of time."""
+        assert self.dbconn
+        by_number = {connection.id: connection for connection in connections}
+        span = (_FIRST_TIME if start is None else start, _LAST_TIME if stop is None else stop)
+        for number, topic, time in self.dbconn.execute(_SORTED_MESSAGES, span):
+            if topic in by_number:
+                for (data,) in self.dbconn.execute("SELECT data FROM messages WHERE id = ?", (number,)):
+                    yield by_number[topic], time, data
+
+
 class _Reader2(Reader2):
-    STORAGE_PLUGINS: Mapping[str, Any] = {**Reader2.STORAGE_PLUGINS, ".mcap": _McapReader}
+    STORAGE_PLUGINS: Mapping[str, Any] = {**Reader2.STORAGE_PLUGINS, ".mcap": _McapReader, ".db3": _SqliteReader}
 
 
 def open_reader(path: Path, limits: LimitSettings) -> Reader1 | Reader2:

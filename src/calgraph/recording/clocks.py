@@ -5,6 +5,7 @@ the arrivals compare the clocks that the stamps are of: one that counts from pow
 of another zone shows as a constant difference. It is known as well as the delays are, to a tenth of a second.
 """
 
+from array import array
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -116,16 +117,17 @@ def read_arrivals(
     unread = [topic for topic in wanted if topic not in found]
     if not unread:
         return found
-    times: dict[str, list[tuple[float, float]]] = {topic: [] for topic in unread}
+    times = {topic: (array("d"), array("d")) for topic in unread}
     durations: dict[str, float] = {}
     for record in recording.records(unread):
         if record.topic not in durations:
             durations[record.topic] = _measure_duration(record.decode)
-        times[record.topic].append((record.stamp, record.arrival))
+        stamps, arrivals = times[record.topic]
+        stamps.append(record.stamp)
+        arrivals.append(record.arrival)
     for topic, duration in durations.items():
-        stamps, arrivals = np.array(times[topic]).T
-        found[topic] = Arrivals(stamps, arrivals, duration)
-        content, arrays = {"duration": duration}, {"stamps": stamps, "arrivals": arrivals}
+        found[topic] = one = Arrivals(np.array(times[topic][0]), np.array(times[topic][1]), duration)
+        content, arrays = {"duration": duration}, {"stamps": one.stamps, "arrivals": one.arrivals}
         cache.write(recording, _FORMAT, {"topic": topic}, content, arrays)
     return found
 

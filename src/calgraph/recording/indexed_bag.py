@@ -6,7 +6,7 @@ one after the other. And it follows an index that names one part of a chunk any 
 
 import heapq
 import os
-from collections.abc import Collection, Generator
+from collections.abc import Collection, Generator, Mapping
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -76,31 +76,33 @@ class LimitedBagReader(Reader):
         """
         by_number = {connection.id: connection for connection in self.connections}
         chunks: dict[int, _OpenChunk] = {}
+        ends = {info.pos: info.end_time for info in self.chunk_infos}
         for entry in heapq.merge(*(self.indexes[one.id] for one in connections or self.connections)):
             if start is not None and entry.time < start:
                 continue
             if stop is not None and entry.time >= stop:
                 return
-            chunk = chunks.get(entry.chunk_pos) or self._open_chunk(entry, chunks)
+            chunk = chunks.get(entry.chunk_pos) or self._open_chunk(entry, chunks, ends)
             number, time, data = _read_message(chunk, entry.offset)
             if time != entry.time:
                 raise ValueError("its index states another time than a message")
             yield by_number[number], entry.time, data
 
-    def _open_chunk(self, entry: IndexData, chunks: dict[int, _OpenChunk]) -> _OpenChunk:
+    def _open_chunk(self, entry: IndexData, chunks: dict[int, _OpenChunk], ends: Mapping[int, int]) -> _OpenChunk:
         """Unpacks a chunk, and closes those that have ended, or that are too many."""
         assert self.bio
         header = self.chunks[entry.chunk_pos]
         self.bio.seek(header.datapos)
         content = header.decompressor(read_bytes(self.bio, header.datasize))
-        end = next((info.end_time for info in self.chunk_infos if info.pos == entry.chunk_pos), 0)
         for position in [position for position, one in chunks.items() if one.end <= entry.time]:
             del chunks[position]
         while (
             chunks and sum(one.size for one in chunks.values()) + len(content) > self._limits.max_overlapping_bytes
         ):
             del chunks[next(iter(chunks))]
-        opened = _OpenChunk(BytesIO(content), len(content), end, _MAX_REPETITIONS * len(content))
+        opened = _OpenChunk(
+            BytesIO(content), len(content), ends.get(entry.chunk_pos, 0), _MAX_REPETITIONS * len(content)
+        )
         chunks[entry.chunk_pos] = opened
         return opened
 

@@ -14,12 +14,12 @@ from calgraph.recording import Recording, find_camera_infos, resolve_intrinsics,
 from calgraph.recording.clocks import UNKNOWN_CLOCKS, Clocks
 from calgraph.recording.input_checks import InputMonitor
 from calgraph.result.finding import Finding
+from calgraph.rig.beam_times import compensate_with_beam_times, find_untimed_scanners
 from calgraph.rig.captures.capture_mode import recognize_mode
 from calgraph.rig.captures.clock_alignment import align_views, need_activity
 from calgraph.rig.captures.detect import CaptureSet, SensorCapture, collect_detections
 from calgraph.rig.captures.detectors import draw_seeds
 from calgraph.rig.captures.holds import find_holds, limit_messages
-from calgraph.rig.captures.moving_board import compensate_motion
 from calgraph.rig.captures.sensor_detection import DetectionMethod, detect_by_sensors
 from calgraph.rig.captures.timeline import RecordingTimeline
 from calgraph.rig.captures.timeline_reading import read_rig_timeline
@@ -141,7 +141,8 @@ def _detect_in_timeline(
     _log.info("captures by mode %s: %s", recognized.mode, recognized.reason)
     if recognized.mode != "synchronized":
         return captures
-    return compensate_motion(captures, rig.settings.captures.moving_board)
+    untimed = find_untimed_scanners(rig, recording, timeline)
+    return compensate_with_beam_times(rig, captures, untimed, np.random.default_rng(options.seed))
 
 
 def _without(rig: Rig, names: Collection[str]) -> Rig:

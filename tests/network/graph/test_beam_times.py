@@ -10,9 +10,10 @@ from calgraph.errors import Rejected
 from calgraph.network.options import NetworkOptions
 from calgraph.network.timed_tracks import track_with_beam_times
 from calgraph.network.track_recording import track_people
-from calgraph.network.tracking.scan_stack import ScanRun, UntimedScans, add_beam_times, find_untimed_scans
+from calgraph.network.tracking.scan_stack import ScanRun, add_beam_times, find_untimed_scans
 from calgraph.network.tracking.track import ScannerTracks, decode_tracks, encode_tracks
 from calgraph.recording import MessageRecording
+from calgraph.sensors.untimed_scans import UntimedScans
 from calgraph.simulation import NetworkScenario
 from calgraph.simulation.network_scanners import StationaryScanner
 from calgraph.simulation.network_simulation import build_network, network_rig, network_topic, simulate_scans

@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from calgraph.geometry import Array
 from calgraph.network.graph.network_initialization import NetworkInitialization
 from calgraph.network.pairs.synchronized_tracks import TrackSamples, pair_samples, resample_tracks
-from calgraph.network.tracking.scan_stack import UntimedScans
 from calgraph.network.tracking.track import ScannerTracks
+from calgraph.sensors.untimed_scans import UntimedScans, decide_turn
+from calgraph.solver.grouped_errors import solve_with_grouped_errors
 
 # Samples of two scanners are of one person if they are nearer than this, m, and their velocities, m/s, differ by
 # less: start poses are off by some centimetres, and a scan at 5 Hz of a person who walks by 0.3 m.
@@ -31,8 +32,6 @@ _ERROR_TIME = 2.0
 # scattered 1.2 to 2.5 times as much as groups of samples imply. Differences between halves of the recording come
 # on top: where people walk the same ways all the time, errors of their centres look like times.
 _STDDEV_FACTOR = 1.5
-# Standard deviations from 0, 1 and -1 within which s is one of them, and beyond which it is not.
-_MAX_SIGMAS, _MIN_SIGMAS = 2.5, 3.5
 # Limit of samples times squared unknowns: some seconds. Samples of large networks are thinned to it.
 _MAX_PRODUCTS = 2e9
 # Unknowns of a scanner: x, y and rotation of its pose, its clock, and s.
@@ -79,8 +78,8 @@ def recognize_beam_times(
     ((common, stddev),) = _estimate_with_halves(samples_of, [list(columns.values())])
     # A common value may follow from what scanners have in common alone: it is no better known than their own are.
     stddev = max(stddev, 1 / np.sqrt(sum(1 / sigma**2 for _, sigma in own) + 1e-12))
-    decided = {name: _decide(*value) for name, value in zip(columns, own, strict=True)}
-    turns = {name: _decide(common, stddev) if turn is None else turn for name, turn in decided.items()}
+    decided = {name: decide_turn(*value) for name, value in zip(columns, own, strict=True)}
+    turns = {name: decide_turn(common, stddev) if turn is None else turn for name, turn in decided.items()}
     return {name: turn for name, turn in turns.items() if turn is not None}
 
 
@@ -182,26 +181,8 @@ def _estimate(part: _Part, shared: Sequence[Sequence[int]]) -> list[tuple[float,
     found = [(0.0, np.inf)] * len(shared)
     if A is None or len(A) < A.shape[2]:
         return found
-    weights = np.ones(len(A))
-    ridge = 1e-9 * len(A) * np.eye(A.shape[2])
-    for _ in range(10):
-        normal = np.einsum("nik,n,nil->kl", A, weights, A) + ridge
-        solution = np.linalg.solve(normal, np.einsum("nik,n,ni->k", A, weights, differences))
-        residuals = differences - A @ solution
-        lengths = np.hypot(*residuals.T)
-        weights = 1 / np.maximum(1.0, lengths / max(2 * float(np.median(lengths)), 1e-6))
-    scores = np.zeros((int(groups.max()) + 1, A.shape[2]))
-    np.add.at(scores, groups, np.einsum("nik,n,ni->nk", A, weights, residuals))
-    inverse = np.linalg.inv(normal)
-    stddev = _STDDEV_FACTOR * np.sqrt(np.diag(inverse @ (scores.T @ scores) @ inverse))
+    solution, stddev = solve_with_grouped_errors(A, differences, groups)
+    stddev = _STDDEV_FACTOR * stddev
     for k, value, sigma in zip(kept, solution[len(others) :], stddev[len(others) :], strict=True):
         found[k] = float(value), float(sigma)
     return found
-
-
-def _decide(value: float, stddev: float) -> int | None:
-    """Which of 1, 0 and -1 an estimate is; None where it may be several, or is none of them."""
-    sigmas = {turn: abs(value - turn) / max(stddev, 1e-3) for turn in (-1, 0, 1)}
-    best = min(sigmas, key=lambda turn: sigmas[turn])
-    firm = sigmas[best] < _MAX_SIGMAS and all(sigmas[turn] > _MIN_SIGMAS for turn in sigmas if turn != best)
-    return best if firm else None

