@@ -43,7 +43,7 @@ class WrongSize:
     causes: tuple[int, ...]
     """Indices of the systematic parameters of the bundle that are off for it: sizes, and footprints."""
     certain: bool
-    """Whether the size is wrong by more than leaves a sensor good, whatever the footprints are."""
+    """Whether the size is wrong by more than leaves a sensor good, with any footprint that beams have."""
 
 
 def find_wrong_sizes(solved: SolvedBundle) -> Iterator[WrongSize]:
