@@ -8,7 +8,7 @@ import pytest
 from calgraph.config import Board
 from calgraph.result.finding import Finding
 from calgraph.rig.checks.contradictions import find_systematic_errors
-from calgraph.simulation import LaserOptions, ModelErrors, MultibeamOptions, ScannerErrors
+from calgraph.simulation import CameraOptions, LaserOptions, ModelErrors, MultibeamOptions, ScannerErrors
 from detected_rigs import QUICK, DetectedRig, detect_rig
 
 FINE = QUICK.model_copy(
@@ -19,6 +19,7 @@ FINE = QUICK.model_copy(
     }
 )
 NO_LASER = FINE.model_copy(update={"laser": LaserOptions(count=0)})
+NO_CAMERA = FINE.model_copy(update={"camera": CameraOptions(count=0)})
 WIDTH, HEIGHT = 1.2, 0.9
 
 
@@ -50,6 +51,13 @@ def test_the_size_of_the_board_is_named_and_measured(wider: float, higher: float
     assert found.text.startswith("by its edges in scans of lidar, laser_front, the board is ")
     assert measured(found) == pytest.approx([WIDTH, HEIGHT], abs=0.006)
     assert f"not {WIDTH + wider:.3f} m and {HEIGHT + higher:.3f} m as rig.yaml states: measure" in found.text
+
+
+@pytest.mark.parametrize("error", [0.05, -0.08])
+def test_without_a_camera_boards_are_registered_by_the_size_that_most_have(error: float) -> None:
+    """By the stated one, no board is accepted, and its sides would not be used at all."""
+    (found,) = findings(stated_as(detect_rig(NO_CAMERA), error, error))
+    assert measured(found) == pytest.approx([WIDTH, HEIGHT], abs=0.006)
 
 
 @pytest.mark.parametrize(("wider", "weak"), [(0.05, True), (0.02, False)])
