@@ -63,7 +63,8 @@ def find_wrong_sizes(solved: SolvedBundle) -> Iterator[WrongSize]:
     prior = np.array([one.prior_stddev for one in parameters])
     # Where two sides are displaced otherwise than the other two, the solution itself estimates another size.
     sure = np.maximum(np.abs(measured) - _MAX_DEVIATION * stddev, np.abs(estimated))
-    wrong = (np.abs(measured) > _MAX_DEVIATION * stddev) | (np.abs(estimated) > MAX_PRIOR_DEVIATION * prior)
+    wrong = np.abs(measured) > _MAX_DEVIATION * np.hypot(stddev, prior)
+    wrong |= np.abs(estimated) > MAX_PRIOR_DEVIATION * prior
     known = of_size & (stddev < _MAX_MEASURED_STDDEV)
     for board in dict.fromkeys(parameters[i].of for i in np.flatnonzero(known & wrong)):
         sides = np.array([i for i in np.flatnonzero(known) if parameters[i].of == board], dtype=np.intp)
