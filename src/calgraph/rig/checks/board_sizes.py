@@ -59,7 +59,10 @@ def find_wrong_sizes(solved: SolvedBundle) -> Iterator[WrongSize]:
     if not of_size.any():
         return
     footprints = np.flatnonzero([one.quantity in FOOTPRINTS for one in parameters])
-    measured, stddev = _free_sizes(solved, of_size, footprints)
+    inward = np.where(estimated[footprints] < 0, _INWARD_STDDEV, _OUTWARD_STDDEV)
+    measured, stddev = _free_sizes(solved, of_size, footprints, inward)
+    # On a board of another size, the footprints are outwards again: its size is known no better than these.
+    likely = _free_sizes(solved, of_size, footprints, np.full(len(footprints), _OUTWARD_STDDEV))
     prior = np.array([one.prior_stddev for one in parameters])
     # Where two sides are displaced otherwise than the other two, the solution itself estimates another size.
     sure = np.maximum(np.abs(measured) - _MAX_DEVIATION * stddev, np.abs(estimated))
@@ -69,7 +72,7 @@ def find_wrong_sizes(solved: SolvedBundle) -> Iterator[WrongSize]:
     for board in dict.fromkeys(parameters[i].of for i in np.flatnonzero(known & wrong)):
         sides = np.array([i for i in np.flatnonzero(known) if parameters[i].of == board], dtype=np.intp)
         scanners = {bundle.sensors[bundle.sensor_of(k)]: k for i in sides for k in parameters[i].view_sets}
-        size = _describe_size([parameters[i] for i in sides], measured[sides], stddev[sides])
+        size = _describe_size([parameters[i] for i in sides], likely[0][sides], likely[1][sides])
         yield WrongSize(
             f"by its edges in scans of {', '.join(scanners)}, the {board} is {size}",
             (*sides.tolist(), *footprints.tolist()),
@@ -77,13 +80,15 @@ def find_wrong_sizes(solved: SolvedBundle) -> Iterator[WrongSize]:
         )
 
 
-def _free_sizes(solved: SolvedBundle, of_size: NDArray[np.bool_], footprints: Index) -> tuple[Array, Array]:
+def _free_sizes(
+    solved: SolvedBundle, of_size: NDArray[np.bool_], footprints: Index, footprint_stddev: Array
+) -> tuple[Array, Array]:
     """Deviations (E,) of all systematic parameters and their standard deviations, if sizes are not as stated."""
     bundle, x = solved.bundle, solved.minimized.state.extra
     first = 6 * bundle.body_count
     before = (bundle.prior_weights(x) / bundle.prior_stddev**2)[first:]
     after = np.where(of_size, _FREE_STDDEV**-2.0, before)
-    after[footprints] = np.where(x[footprints] < 0, _INWARD_STDDEV, _OUTWARD_STDDEV) ** -2.0
+    after[footprints] = footprint_stddev**-2.0
     H, _, _ = solved.minimized.equations.eliminate_boards()
     H[range(first, len(H)), range(first, len(H))] += after - before
     covariance = np.linalg.inv(H)[first:, first:]
