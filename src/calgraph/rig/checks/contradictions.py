@@ -382,8 +382,8 @@ def find_systematic_errors(solved: SolvedBundle, rig: Rig) -> Iterator[Finding]:
     named: set[int] = set()
     for wrong in find_wrong_sizes(solved):
         named.update(wrong.causes)
-        views = [k for i in wrong.causes for k in parameters[i].view_sets] if wrong.certain else []
-        yield Finding(wrong.text, affected_sensors(bundle, views))
+        affected = [k for i in wrong.causes for k in parameters[i].view_sets] if wrong.certain else []
+        yield Finding(wrong.text, affected_sensors(bundle, affected))
     for group in _group_parameters(bundle):
         limit = -ndtri(ndtr(-MAX_PRIOR_DEVIATION) / len(group))
         i = int(group[np.argmax(np.abs(estimates.normalized[group]))])
