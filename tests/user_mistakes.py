@@ -305,7 +305,7 @@ RESULTS: Mapping[str, tuple[str, Any, int, str]] = {
         "target.size",
         [1.1, 0.8],
         0,
-        "lidar is weak: edges of the board .* too far out; .* check it, correct rig.yaml",
+        "lidar is weak: by its edges .* the board is 1.* m wide .* not 1.100 m and 0.800 m as rig.yaml states",
     ),
     "wrong ids": (
         "target.tags",

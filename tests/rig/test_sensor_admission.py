@@ -66,6 +66,20 @@ def test_without_a_mirrored_root_the_others_are_calibrated_to_each_other_but_not
     )
 
 
+def test_of_a_root_without_pairs_the_others_keep_their_poses_but_are_not_good() -> None:
+    """With intrinsics of half the resolution it shares two captures with one of the two other cameras."""
+    world = make_world("other_resolution", "cameras", 0, "camera")
+    found, without = calibrate(world), calibrate(without_sensor(world))
+    assert (world.rig.root, found.root) == ("camera", "camera_2")
+    assert change(found, without) < 0.01
+    assert {s.verdict.grade for s in found.sensors} == {"weak"}
+    assert any(
+        "the root camera is left out, and poses are in the frame of camera_2" in s.verdict.reason
+        for s in found.sensors
+    )
+    assert "both detected the board in 2 captures, 3 are needed" in found.evidence.unconnected["camera"]
+
+
 def test_of_a_checkerboard_nothing_decides_which_of_two_is_mirrored() -> None:
     found = calibrate(make_world("mirrored_image", "five", 0, "camera"))
     assert "measurements of camera or lidar are mirrored" in found.evidence.unconnected["camera"]
@@ -90,7 +104,7 @@ def test_a_sensor_of_another_recording_is_left_out(sensor: str) -> None:
     assert [s.verdict.grade for s in found.sensors] == [s.verdict.grade for s in without.sensors]
 
 
-@pytest.mark.parametrize(("factor", "placed"), [(1.2, True), (1.8, False)])
+@pytest.mark.parametrize(("factor", "placed"), [(1.2, True), (1.4, False), (1.8, False)])
 def test_a_camera_with_a_focal_length_beyond_thirty_priors_has_no_pose(factor: float, placed: bool) -> None:
     world = scale_intrinsics(right_world("five", "camera"), factor)
     found, without = calibrate(world), calibrate(without_sensor(world))
@@ -119,5 +133,5 @@ def test_nothing_is_left_out_of_right_rigs(rig: str) -> None:
         stated, captures, _ = simulate(rig, seed)
         rng, settings = np.random.default_rng(seed), stated.settings.pairwise.board
         pairs = estimate_pairs(captures.detections, stated.board_size, rng, settings=settings)
-        admitted = admit_sensors(stated, captures, pairs, rng)
+        admitted = admit_sensors(stated, captures, pairs, rng, RigOptions())
         assert all(one is same for one, same in zip(admitted, (stated, captures, pairs), strict=True))

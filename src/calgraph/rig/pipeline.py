@@ -175,7 +175,7 @@ def build_problem_from_captures(
         captures.detections, rig.board_size, rng, lambda done: progress("pairing", done),
         settings=settings, known=known,
     )  # fmt: skip
-    rig, captures, pairs = admit_sensors(rig, captures, pairs, rng.spawn(1)[0])
+    rig, captures, pairs = admit_sensors(rig, captures, pairs, rng.spawn(1)[0], options)
     tree = span_tree(pairs)
     captures = align_symmetric_prints(rig, captures, tree.T_root_sensor)
     if method.keep == "ransac":

@@ -21,6 +21,7 @@ from calgraph.rig.bundle.problem import Problem
 from calgraph.rig.bundle.solution import RigSolution
 from calgraph.rig.captures.detect import CaptureSet
 from calgraph.rig.checks.contradictions import is_part
+from calgraph.rig.options import RigOptions
 from calgraph.rig.pairs.board_matches import Candidates, Disagreement
 from calgraph.rig.pairs.board_pair import PairwiseEstimates, estimate_pair, select_successful
 from calgraph.sensors.kinds import KINDS
@@ -69,9 +70,9 @@ class Contradiction:
 
 
 def admit_sensors(
-    rig: Rig, captures: CaptureSet, pairs: PairwiseEstimates, rng: np.random.Generator
+    rig: Rig, captures: CaptureSet, pairs: PairwiseEstimates, rng: np.random.Generator, options: RigOptions
 ) -> tuple[Rig, CaptureSet, PairwiseEstimates]:
-    """Leaves out the fewest sensors without which no two contradict each other.
+    """Leaves out the fewest sensors without which no two contradict each other, and a root without pairs.
 
     Of two, the test of handedness decides which one is impossible where a camera read coded marks; then, which one
     contradicts more of the others, or agrees with fewer of them. If all of this is equal, neither is good.
@@ -81,16 +82,19 @@ def admit_sensors(
         captures: all detections.
         pairs: estimates of all pairs.
         rng: random generator for the samples of the test of handedness.
+        options: with priors of poses, which may tie a root without pairs.
 
     Returns:
         The rig, with another root if that is left out; captures with the findings; and the pairs, in which those
         with a sensor that is left out are rejected.
     """
     contradictions = list(_find_contradictions(rig, captures, pairs, rng))
-    if not contradictions:
-        return rig, captures, pairs
     reasons, undecided = _select_impossible(rig, captures, pairs, contradictions)
-    return _leave_out(rig, captures, pairs, reasons, undecided)
+    tied = options.prior or options.rigid
+    lone = not tied and not any(rig.root in (pair.sensor_a, pair.sensor_b) for pair in select_successful(pairs))
+    if not reasons and not lone:
+        return rig, captures, pairs
+    return _leave_out(rig, captures, pairs, reasons, undecided, replace_root=lone)
 
 
 def refuse_impossible(problem: Problem, joint: RigSolution) -> Problem:
@@ -109,10 +113,12 @@ def refuse_impossible(problem: Problem, joint: RigSolution) -> Problem:
             and one.of not in reasons
             and not (is_part(one.quantity) or one.quantity in _SCALES)
         ):
-            ratio = abs(deviation) / one.prior_stddev
-            if ratio > _MAX_POSSIBLE_DEVIATION:
+            # Of a ratio, 1.4 and 1 / 1.4 are the same error.
+            is_ratio = one.stated == one.scale
+            size = abs(np.log(max(1 + deviation, np.finfo(float).eps))) if is_ratio else abs(deviation)
+            if size > _MAX_POSSIBLE_DEVIATION * one.prior_stddev:
                 what, prior = describe_deviation(one, deviation), format_size(one.prior_stddev, one)
-                reasons[one.of] = describe_contradiction(what, ratio, prior)
+                reasons[one.of] = describe_contradiction(what, abs(deviation) / one.prior_stddev, prior)
     if not reasons or (problem.rig.root in reasons and problem.solver.priors):  # these are relative to the root
         return problem
     rig, captures, pairs = _leave_out(problem.rig, problem.captures, problem.pairs, reasons, {})
@@ -127,6 +133,8 @@ def _leave_out(
     pairs: PairwiseEstimates,
     reasons: Mapping[str, str],
     undecided: Mapping[str, str],
+    *,
+    replace_root: bool = False,
 ) -> tuple[Rig, CaptureSet, PairwiseEstimates]:
     """As :func:`admit_sensors`, from the reason of each sensor that is left out, and one as likely wrong."""
     rejected = {
@@ -135,11 +143,12 @@ def _leave_out(
         if not reasons.keys().isdisjoint(names)
     }
     pairs = {**pairs, **rejected}
+    replace_root |= rig.root in reasons
     inliers = Counter[str]()
     for pair in select_successful(pairs):
         inliers.update(dict.fromkeys((pair.sensor_a, pair.sensor_b), int(pair.inliers.sum())))
     placed = tuple(name for name in rig.sensors if name in inliers)
-    root = max(placed, key=lambda name: inliers[name]) if placed and rig.root in reasons else rig.root
+    root = max(placed, key=lambda name: inliers[name]) if placed and replace_root else rig.root
     findings = []
     for name, text in reasons.items():
         doubtful = undecided.get(name)

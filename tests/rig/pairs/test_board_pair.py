@@ -205,6 +205,22 @@ def test_pairs_are_rejected_if_the_joint_solution_rejects_all_inliers(rng: np.ra
     assert select_successful(found) == []
 
 
+def test_pairs_keep_captures_with_a_common_error_that_the_joint_solution_estimates(
+    rng: np.random.Generator,
+) -> None:
+    """A range bias of 50 mm, which the pose of the pair alone contains: beyond RANSAC's gate of 30 mm."""
+    scene = make_boards(rng, 40)
+    moved = scene.copy()
+    moved[:4, :3, 3] += 0.3 * scene[:4, :3, 2]
+    a, b = (detect_boards("plane", np.eye(4), boards, rng, 0.001) for boards in (scene, moved))
+    estimate = estimate_pair("a", "b", a, b, SIZE, rng, settings=BoardPairSettings())
+    assert isinstance(estimate, PairwiseEstimate)
+    found = reselect_inliers(estimate, se3.pose(np.eye(3), np.array([0.05, 0.0, 0.0])), a, b, SIZE)
+    assert isinstance(found, PairwiseEstimate)
+    assert found.inliers[found.matches[:, 0] >= 4].mean() > 0.9
+    assert not found.inliers[found.matches[:, 0] < 4].any()
+
+
 def test_pairs_without_a_joint_pose_keep_their_inliers(rng: np.random.Generator) -> None:
     a = detect_boards("plane", np.eye(4), make_boards(rng, 12), rng)
     estimate = estimate_pair("a", "b", a, a, SIZE, rng, settings=BoardPairSettings())

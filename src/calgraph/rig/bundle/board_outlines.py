@@ -55,7 +55,7 @@ def add_outlines(
     T_root_board = state.T_root_board.copy()
     if len(half_sizes) == 1:
         unregistered = np.flatnonzero(~registered)
-        T_plane_board, registered[unregistered] = register_rectangles(
+        T_plane_board, registered[unregistered] = _register_boards(
             _edge_points(edges, state, unregistered), half_sizes[0]
         )
         T_root_board[unregistered] = T_root_board[unregistered] @ T_plane_board
@@ -173,6 +173,26 @@ def register_rectangles(points: Sequence[Array], half: Array) -> tuple[Array, ND
     certain = enough.copy()
     certain[enough] = unique
     return T, certain
+
+
+# Share of the boards with enough points to be registered by the stated size for this to be right.
+_MIN_REGISTERED_SHARE = 0.5
+# Errors of the half width and the half height that are tried if it is not, m: 10 cm of the size, in steps within
+# which outlines are accepted.
+_SIZE_ERRORS = np.arange(-2, 3) * 0.025
+
+
+def _register_boards(points: Sequence[Array], half: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """As :func:`register_rectangles`; of the size near the stated one which most boards fit, if few fit that.
+
+    The size that is tried gives the boards' poses only: the bundle estimates the error of the stated one.
+    """
+    best = register_rectangles(points, half)
+    enough = sum(len(p) >= _MIN_POINTS for p in points)
+    if best[1].sum() < _MIN_REGISTERED_SHARE * enough:
+        tried = (register_rectangles(points, half + np.array([x, y])) for x in _SIZE_ERRORS for y in _SIZE_ERRORS)
+        best = max((best, *tried), key=lambda one: int(one[1].sum()))
+    return best
 
 
 def _pad_points(points: Sequence[Array]) -> tuple[Array, NDArray[np.bool_]]:

@@ -20,6 +20,7 @@ from calgraph.rig.bundle.covariances import gradient_by_board, parameter_covaria
 from calgraph.rig.bundle.solution import MeasuredNoise, RigSolution, SolvedBundle
 from calgraph.rig.bundle.systematic_parameters import RESIDUAL_DISTORTION
 from calgraph.rig.captures.detect import CaptureSet
+from calgraph.rig.checks.board_sizes import SIZES, find_wrong_sizes
 from calgraph.rig.checks.bootstrap import bootstrap_poses
 from calgraph.rig.checks.drift_tests import DriftStatistics, find_drifts, measure_drifts
 from calgraph.sensors import DISTORTION_NAMES
@@ -378,6 +379,10 @@ def find_systematic_errors(solved: SolvedBundle, rig: Rig) -> Iterator[Finding]:
         MIN_LEARNED_SHARE,
     )
     named: set[int] = set()
+    for wrong in find_wrong_sizes(solved):
+        named.update(wrong.causes)
+        affected = [k for i in wrong.causes for k in parameters[i].view_sets] if wrong.certain else []
+        yield Finding(wrong.text, affected_sensors(bundle, affected))
     for group in _group_parameters(bundle):
         limit = -ndtri(ndtr(-MAX_PRIOR_DEVIATION) / len(group))
         i = int(group[np.argmax(np.abs(estimates.normalized[group]))])
@@ -399,10 +404,10 @@ def is_part(quantity: str) -> bool:
 
 
 def _group_parameters(bundle: Bundle) -> list[Index]:
-    """Indices of parameters that are tested together; coefficients are in none."""
+    """Indices of parameters that are tested together; coefficients and sizes of boards are in none."""
     groups: dict[tuple[str, str], list[int]] = {}
     for i, one in enumerate(bundle.extra_parameters):
-        if is_part(one.quantity):
+        if is_part(one.quantity) or one.quantity in SIZES:
             continue
         if one.of.startswith("tag "):
             key = (" of ".join(one.of.split(" of ")[1:]), "tags")

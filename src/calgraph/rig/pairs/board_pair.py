@@ -123,6 +123,9 @@ def estimate_pair(
 # Robust standard deviations of the inliers' residuals up to which matches are inliers of a joint pose; 3.5 is the
 # usual limit of modified z-scores (Iglewicz and Hoaglin, 1993).
 _RESELECTION_GATE = 3.5
+# Squares of RANSAC's gates: the median of most captures up to which it is a systematic error, which the joint
+# solution estimates (3 prior standard deviations of a range bias are 2.1), and others over it: twice the error.
+_MAX_SYSTEMATIC, _SYSTEMATIC_GATE = 4.0, 4.0
 
 
 def reselect_inliers(
@@ -153,8 +156,10 @@ def reselect_inliers(
         return swapped if isinstance(swapped, Rejected) else swapped.inverse()
     table, matches = build_matches(candidates_a, candidates_b, board_size)
     r2 = squared_residual_function(matches)(T_a_b[None])[0]
-    scale2 = float(np.median(r2[estimate.inliers])) / 0.4549  # the median of χ² with one degree of freedom
-    gate = min(1.0, _RESELECTION_GATE**2 * scale2)
+    median = float(np.median(r2[estimate.inliers]))
+    agree = 2 * estimate.inliers.sum() >= len(candidates_a.keys() & candidates_b.keys())
+    widest = max(1.0, _SYSTEMATIC_GATE * median) if agree and median < _MAX_SYSTEMATIC else 1.0
+    gate = min(widest, _RESELECTION_GATE**2 * median / 0.4549)  # the median of χ² with one degree of freedom
     inliers = select_best_of_groups(r2 / gate, group_alternatives(table, candidates_a, candidates_b))
     if inliers.sum() < matches.sample_size:
         count = int(estimate.inliers.sum())
