@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from calgraph.errors import CalibrationError
-from calgraph.rig.pipeline import explain_singular_equations
+from calgraph.rig.bundle.problem import explain_singular_equations
 
 
 @explain_singular_equations()

@@ -16,13 +16,14 @@ from calgraph.geometry import Array
 from calgraph.live.pose_picture import DrawnSensor, draw_pose
 from calgraph.live.state import Advice
 from calgraph.result import Calibration, SensorPose, Suggestion
+from calgraph.rig.bundle.problem import explain_singular_equations
 from calgraph.rig.bundle.solution import SolvedBundle
 from calgraph.rig.captures.detect import CaptureSet, state_estimated_intrinsics
 from calgraph.rig.checks.assemble import assemble_rig
 from calgraph.rig.checks.drift_tests import include_drifts, measure_drifts
 from calgraph.rig.checks.next_best_pose import suggest_board_poses
 from calgraph.rig.options import RigOptions
-from calgraph.rig.pipeline import build_problem_from_captures, explain_singular_equations, solve_after_bumps
+from calgraph.rig.pipeline import build_problem_from_captures, solve_after_bumps
 from calgraph.sensors import CameraModel
 from calgraph.sensors.kinds import KINDS
 from calgraph.verdict.grades import max_good_stddev

@@ -1,14 +1,13 @@
 """Rigs: from one recording of a board carried around a robot to its tree of transforms."""
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
 
 from calgraph.config import Cylinder, People, Rig
-from calgraph.errors import CalgraphError, CalibrationError, InputError
+from calgraph.errors import CalgraphError, InputError
 from calgraph.geometry import Array
 from calgraph.graph.spanning_tree import SpanningTree
 from calgraph.parallel.processes import forked_jobs, parallel_call
@@ -20,7 +19,7 @@ from calgraph.result.finding import Finding
 from calgraph.rig.bundle.camera_boards import align_symmetric_prints, locate_boards, scale_boards
 from calgraph.rig.bundle.estimate import solve_bundle, solve_poses
 from calgraph.rig.bundle.priors import attach_by_priors
-from calgraph.rig.bundle.problem import Problem, SolverOptions, with_prior_poses
+from calgraph.rig.bundle.problem import Problem, SolverOptions, explain_singular_equations, with_prior_poses
 from calgraph.rig.bundle.problem_file import round_trip, save_problem
 from calgraph.rig.bundle.solution import RigSolution
 from calgraph.rig.capture_collection import collect_captures, correct_late_views, separate_snapshots
@@ -130,23 +129,6 @@ def build_problem(
 def _check_board(rig: Rig) -> None:
     if isinstance(rig.target, People | Cylinder):
         raise InputError(f"target.kind: must be board for the poses of a rig, got {rig.target.kind}")
-
-
-@contextmanager
-def explain_singular_equations() -> Iterator[None]:
-    """Converts errors of linear algebra into one that states their usual cause; also a decorator.
-
-    Raises:
-        CalibrationError: equations are singular in floating point.
-    """
-    try:
-        yield
-    except np.linalg.LinAlgError as error:
-        raise CalibrationError(
-            "the equations of the joint solution are singular: the views of a board in some capture do not "
-            "determine its pose; record more captures with other poses of the board, or leave out sensors that "
-            f"detect it at its edge ({error})"
-        ) from error
 
 
 @explain_singular_equations()

@@ -1,6 +1,7 @@
 """The joint problem of a rig: all inputs of its joint solution."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import chain
 from typing import Annotated, Literal
@@ -12,7 +13,7 @@ from pydantic_core import PydanticCustomError
 from calgraph.boards.detections import BoardCorners
 from calgraph.config import Intrinsics, Rig
 from calgraph.config.settings import MatchFilter
-from calgraph.errors import InputError
+from calgraph.errors import CalibrationError, InputError
 from calgraph.geometry import Array
 from calgraph.graph.pairwise_estimate import PairwiseEstimate
 from calgraph.graph.spanning_tree import SpanningTree
@@ -32,6 +33,24 @@ from calgraph.rig.captures.detection_tables import DETECTIONS
 from calgraph.rig.pairs.board_matches import Candidates
 from calgraph.rig.pairs.board_pair import PairwiseEstimates, select_successful
 from calgraph.sensors import CameraModel
+
+
+@contextmanager
+def explain_singular_equations() -> Iterator[None]:
+    """Converts errors of linear algebra into one that states their usual cause; also a decorator.
+
+    Raises:
+        CalibrationError: equations are singular in floating point.
+    """
+    try:
+        yield
+    except np.linalg.LinAlgError as error:
+        raise CalibrationError(
+            "the equations of the joint solution are singular: the views of a board in some capture do not "
+            "determine its pose; record more captures with other poses of the board, or leave out sensors that "
+            f"detect it at its edge ({error})"
+        ) from error
+
 
 Estimator = Literal["bundle", "hypergraph"]
 
