@@ -250,3 +250,13 @@ def test_findings_in_the_recording_are_remarks_and_make_their_sensors_weak(detec
     assert calibration.evidence.remarks == ("a slip", "it zooms", "a copy")
     assert calibration["camera"].verdict == Verdict("weak", "it zooms; a copy")
     assert calibration["laser_front"].verdict == Verdict("good")
+
+
+def test_no_pose_in_the_frame_of_a_weak_root_is_good(detected: DetectedRig) -> None:
+    findings = (Finding("it is bent", ("lidar",)), Finding("it zooms", ("camera",)))
+    found = replace(detected, captures=replace(detected.captures, findings=findings))
+    calibration = assemble(found, all_pairs(detected, {}), CONNECTED)
+    assert calibration["lidar"].verdict == Verdict("weak", "it is bent")
+    assert calibration["camera"].verdict == Verdict("weak", "it zooms")
+    of_root = "the root lidar is weak, in whose frame the pose is"
+    assert calibration["laser_front"].verdict == Verdict("weak", of_root)

@@ -242,6 +242,10 @@ def assemble_rig(
     )
     if hint := _hint_at_background(rig):
         reasons = {name: [f"{cause}{hint}", *others] for name, (cause, *others) in reasons.items()}
+    if rig.root in reasons:
+        # What is wrong with the root's measurements is wrong with all poses in its frame.
+        of_root = [f"the root {rig.root} is weak, in whose frame the pose is"]
+        reasons = {name: reasons.get(name, of_root) for name in connected}
     root_first = [n for n in sorted(rig.sensors, key=lambda name: name != rig.root) if n in connected]
     return Calibration(
         root=rig.root,
