@@ -44,6 +44,7 @@ from calgraph.rig.sensor_admission import admit_sensors, agree_mostly, refuse_im
 from calgraph.rig.step_log import log_captures, log_pairs, log_solution
 from calgraph.rig.strategies import select_initialization, solve_baseline
 from calgraph.sensors import CameraModel
+from calgraph.verdict.grades import exceeds_tolerance
 
 
 def calibrate_rig(
@@ -190,12 +191,18 @@ def solve_problem(problem: Problem, jobs: int = 1) -> Calibration:
     # Candidate board poses are sampled with a fixed seed: the result depends little on the sample.
     kinds = {name: rig.sensors[name].kind for name in solved.bundle.sensors}
     suggesting = (solved, kinds, rig.board_size, np.random.default_rng(0), rig.tolerance, settings)
-    with parallel_call(suggest_board_poses, suggesting, forked_jobs(jobs)) as suggestions:
-        held_out = cross_validate(solved, folds, max(jobs - 1, 1)) if folds else {}
+    # Suggestions are for poses that are not good: those of certain ones wait for the verdict.
+    uncertain = any(
+        exceeds_tolerance(T, joint.covariance[name], rig.tolerance, settings.verdict)
+        for name, T in joint.T_root_sensor.items()
+    )
+    with parallel_call(suggest_board_poses, suggesting, forked_jobs(jobs) if uncertain else 1) as suggestions:
+        held_out = cross_validate(solved, folds, max(jobs - uncertain, 1)) if folds else {}
         drifts = measure_drifts(solved)
         joint = include_drifts(joint, solved, drifts, settings)
         calibration = assemble_rig(problem, tree, joint, held_out, drifts)
-        return add_suggestions(calibration, suggestions())
+        good = all(sensor.verdict.grade == "good" for sensor in calibration.sensors)
+        return calibration if good else add_suggestions(calibration, suggestions())
 
 
 def solve_after_bumps(problem: Problem) -> tuple[Problem, RigSolution, SpanningTree]:

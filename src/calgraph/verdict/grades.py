@@ -109,6 +109,13 @@ def max_good_stddev(tolerance: Tolerance, settings: VerdictSettings) -> Array:
     return np.asarray(tolerance.limits / ndtri((1 + settings.tolerance_confidence) / 2))
 
 
+def exceeds_tolerance(
+    T_root_sensor: Array, covariance: Array, tolerance: Tolerance, settings: VerdictSettings
+) -> bool:
+    """Whether a pose (4, 4) with a covariance (6, 6) in the root's axes is too uncertain to be good."""
+    return bool(np.any(stddev_along_axes(T_root_sensor, covariance) > max_good_stddev(tolerance, settings)))
+
+
 def find_ambiguous_poses(kinds: Mapping[str, str], pairs: Sequence[PairwiseEstimate]) -> dict[str, float]:
     """Angles (rad) to other poses that fit equally well, by 2-D scanner without a unique pose."""
     angles = {
