@@ -318,9 +318,13 @@ def evaluate(timeline: RecordingTimeline, walk: Walk) -> tuple[int, int, int, in
     """Numbers of rests that were found, of within ones, of those with drift, and of those without a true one."""
     found = [(a, b) for a, b in find_rests(timeline, SETTINGS) if a >= timeline.start + walk.empty]
     hits = within = 0
+    # What is found as one rest counts for one.
+    matched = [
+        max(walk.rests, key=lambda rest: min(b, rest[1]) - max(a, rest[0]), default=(0, 0)) for a, b in found
+    ]
     for start, end in walk.rests:
-        for a, b in found:
-            if min(b, end) - max(a, start) > min((end - start) / 2, SETTINGS.min_hold):
+        for (a, b), rest in zip(found, matched, strict=True):
+            if rest == (start, end) and min(b, end) - max(a, start) > min((end - start) / 2, SETTINGS.min_hold):
                 hits += 1
                 within += a > start - 0.2 and b < end + 0.2
                 break

@@ -33,8 +33,8 @@ _MIN_VOTE, _MAX_VOTE = -1.5, 3.0
 _INDEPENDENT = 0.1
 # Where half of a view changes it moves, also if it does so all the time: noise of no sensor does.
 _CERTAIN_ACTIVITY = 0.5
-# Logarithm of the odds against a change of state from cell to cell: boards rest and move for 2 s, 40 cells.
-_CHANGE_COST = 4.0
+# Logarithm of the odds against a change of state from cell to cell: the shortest rests and moves last 1 s, 20 cells.
+_CHANGE_COST = 3.0
 # Shares of a sensor's messages that start as motion: those of operators who move shortly, or rest shortly. At the
 # start, each message decides.
 _STARTS = (0.4, 0.7)
@@ -189,14 +189,24 @@ def _find_states(votes: Array) -> NDArray[np.bool_]:
     return states
 
 
+# Least information of a message in motion, nats: a sensor that does not see a move measures rest in all the ten
+# messages of it, which are one piece of evidence.
+_MIN_INFORMATION = -0.1
+
+
 def _measure_information(rest: Array, motion: Array) -> float:
-    """Mutual information of state and bin, nats, times the number of messages (Cover and Thomas, 2.3)."""
+    """Mutual information of state and bin, nats, times the number of messages (Cover and Thomas, 2.3).
 
-    def entropy(counts: Array) -> float:
-        some = counts[counts > 0]
-        return float(-np.sum(some * np.log(some / some.sum())))
+    What a message in motion contributes is bounded.
+    """
+    share = (rest + motion) / (rest + motion).sum()
 
-    return entropy(rest + motion) - entropy(rest) - entropy(motion)
+    def sum_terms(counts: Array, least: float) -> float:
+        some = counts > 0
+        terms = np.log(counts[some] / counts.sum() / share[some])
+        return float(counts[some] @ np.maximum(terms, least))
+
+    return sum_terms(rest, -np.inf) + sum_terms(motion, _MIN_INFORMATION)
 
 
 def _list_spans(states: NDArray[np.bool_]) -> list[list[int]]:
