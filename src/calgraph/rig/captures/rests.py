@@ -33,7 +33,7 @@ _MIN_VOTE, _MAX_VOTE = -1.5, 3.0
 _INDEPENDENT = 0.1
 # Where half of a view changes it moves, also if it does so all the time: noise of no sensor does.
 _CERTAIN_ACTIVITY = 0.5
-# Logarithm of the odds against a change of state from cell to cell: the shortest rests and moves last 1 s, 20 cells.
+# Logarithm of the odds against a change of state from cell to cell: short rests and moves last 1 s, 20 cells.
 _CHANGE_COST = 3.0
 # Shares of a sensor's messages that start as motion: those of operators who move shortly, or rest shortly. At the
 # start, each message decides.
