@@ -21,7 +21,7 @@ def test_a_pause_longer_than_half_a_second_splits_the_coverage() -> None:
 
 def test_the_first_of_two_scans_with_one_stamp_is_kept() -> None:
     (run,) = stack_scans([scan(0.0), scan(0.1, 3.0), scan(0.1, 4.0), scan(0.05, 5.0), scan(0.2, 6.0)])
-    assert run.ranges[:, 0].tolist() == [2.0, 3.0, 6.0]
+    assert run.read(np.arange(3))[:, 0].tolist() == [2.0, 3.0, 6.0]
 
 
 def test_scans_of_an_interval_are_selected() -> None:

@@ -10,7 +10,7 @@ from scipy.sparse.csgraph import connected_components
 
 from calgraph.config.settings import ClusterSettings
 from calgraph.geometry import Array
-from calgraph.network.tracking.scan_stack import ScanRun
+from calgraph.network.tracking.scan_stack import SCANS_PER_CALL, RangeFile, ScanRun
 from calgraph.network.tracking.static_scene import StaticScene
 
 
@@ -78,9 +78,11 @@ class Foreground:
 def subtract_background(runs: Sequence[ScanRun], scene: StaticScene) -> Foreground:
     """Keeps the beams that end before the static background."""
     before = np.cumsum([0, *map(len, runs)])
-    empty_run = ScanRun(np.empty(0), np.empty(0), np.empty(0), np.empty((0, 0)))
+    empty_run = ScanRun(np.empty(0), np.empty(0), np.empty(0), RangeFile(), np.empty((0, 2), dtype=np.intp))
     parts = [
-        _foreground_of_run(run, scene, int(first)) for run, first in zip((*runs, empty_run), before, strict=True)
+        _foreground_of_run(run.select(slice(k, k + SCANS_PER_CALL)), scene, int(first) + k)
+        for run, first in zip((*runs, empty_run), before, strict=True)
+        for k in range(0, max(len(run), 1), SCANS_PER_CALL)
     ]
     return Foreground(
         np.concatenate([part.scan for part in parts]),
@@ -101,14 +103,15 @@ _MAX_GAP_SPACINGS = 2.5
 
 def _foreground_of_run(run: ScanRun, scene: StaticScene, first: int) -> Foreground:
     """The foreground of successive scans, of which the first has this index."""
-    scan, beam = np.nonzero(scene.background.is_foreground(run.angles, run.ranges))
+    measured = run.read(np.arange(len(run)))
+    scan, beam = np.nonzero(scene.background.is_foreground(run.angles, measured))
     field_of_view = abs(run.angles[-1] - run.angles[0]) if len(run.angles) > 1 else 0.0
     spacing = field_of_view / max(len(run.angles) - 1, 1)
-    ranges = run.ranges[scan, beam]
+    ranges = measured[scan, beam]
     # Two beams to either side: a beam at an edge often ends between the surfaces or returns nothing.
     neighbors = beam[:, None] + np.array([-2, -1, 1, 2])
     outside = (neighbors < 0) | (neighbors >= len(run.angles))
-    neighbor_ranges = run.ranges[scan[:, None], np.clip(neighbors, 0, len(run.angles) - 1)]
+    neighbor_ranges = measured[scan[:, None], np.clip(neighbors, 0, len(run.angles) - 1)]
     # NaN, no measurement, is not nearer.
     at_occlusion = outside | (neighbor_ranges < (ranges * (1 - _MAX_GAP_SPACINGS * spacing) - _MAX_GAP)[:, None])
     return Foreground(
