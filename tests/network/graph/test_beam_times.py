@@ -23,7 +23,7 @@ ANGLES = np.linspace(-2, 2, 5)
 
 
 def make_run(increment: float = 0.0, angles: np.ndarray = ANGLES) -> ScanRun:
-    ranges = np.arange(20.0).reshape(4, 5)
+    ranges = np.arange(1.0, 21.0).reshape(4, 5)
     (run,) = stack_scans(LaserScan(k / 10, "laser", angles, row, increment) for k, row in enumerate(ranges))
     return run
 
