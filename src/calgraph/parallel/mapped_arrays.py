@@ -126,13 +126,13 @@ class _SplitValue:
     def write(self) -> _InFile:
         """The value with its arrays in a file."""
         starts = []
-        with refuse_full_folder(self.size, ", or raise `estimation.network.max_kept_bytes`"):
-            with tempfile.TemporaryFile() as file:
-                for array in self.arrays:
-                    file.write(bytes(-file.tell() % _ALIGNMENT))
-                    starts.append(file.tell())
-                    file.write(array)
-                file.flush()
-                mapped = memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
+        remedy = ", or raise `estimation.network.max_kept_bytes`"
+        with refuse_full_folder(self.size, remedy), tempfile.TemporaryFile() as file:
+            for array in self.arrays:
+                file.write(bytes(-file.tell() % _ALIGNMENT))
+                starts.append(file.tell())
+                file.write(array)
+            file.flush()
+            mapped = memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
         arrays = zip(starts, self.arrays, strict=True)
         return _InFile(self.content, tuple(mapped[start : start + array.nbytes] for start, array in arrays))

@@ -90,7 +90,7 @@ def subtract_background(runs: Sequence[ScanRun], scene: StaticScene) -> Foregrou
     return Foreground(*_join_columns(parts))
 
 
-def _join_columns(parts: Iterable[Any]) -> Iterator[Array]:
+def _join_columns(parts: Iterable[Any]) -> Iterator[Any]:
     """The fields of parts, joined one after the other; each is forgotten then, to hold one of them twice only."""
     columns = deque(list(column) for column in zip(*(vars(part).values() for part in parts), strict=True))
     while columns:
