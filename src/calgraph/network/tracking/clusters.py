@@ -144,7 +144,7 @@ def cluster_foreground(beams: Foreground, width: float, sigma: float, settings: 
     Returns:
         Objects of at least two beams that are not clearly wider than the target.
     """
-    # Of some scans at a time, for what is calculated on the way.
+    # Of some scans at a time: what is calculated on the way takes more memory than the objects.
     cuts = np.searchsorted(beams.scan, np.arange(SCANS_PER_CALL, len(beams.spacing), SCANS_PER_CALL))
     origin = beams.times[:1].sum()
     parts = [
