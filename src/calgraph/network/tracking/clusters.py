@@ -147,13 +147,12 @@ def cluster_foreground(beams: Foreground, width: float, sigma: float, settings: 
     # Of some scans at a time: what is calculated on the way takes more memory than the objects.
     cuts = np.searchsorted(beams.scan, np.arange(SCANS_PER_CALL, len(beams.spacing), SCANS_PER_CALL))
     origin = beams.times[:1].sum()
-    parts = [
+    parts = (
         _cluster_part(beams.select(slice(*ends)), origin, width, sigma, settings)
         for ends in pairwise([0, *cuts, len(beams.scan)])
-    ]
-    before = np.cumsum([0, *(len(part.points) for part in parts[:-1])])
-    parts = [replace(part, first=part.first + k) for part, k in zip(parts, before, strict=True)]
-    return Clusters(*_join_columns(parts))
+    )
+    objects = Clusters(*_join_columns(parts))
+    return replace(objects, first=np.cumsum(objects.count) - objects.count)
 
 
 def _cluster_part(
