@@ -31,7 +31,7 @@ from calgraph.sensors.cloud_to_scan import to_scans
 
 _log = logging.getLogger("calgraph")
 
-# Scans held in memory together, exceeded only by those of one scanner: 0.8 GB for scans of 1000 beams.
+# Scans read together, exceeded only by those of one scanner: 0.4 GB of ranges of 1000 beams in single precision.
 _MAX_SCANS_IN_MEMORY = 100_000
 # A pass over the messages of others takes 0.5 % of the work on all of them: four batches for each worker cost
 # little, and keep workers busy until the end.

@@ -4,6 +4,8 @@ import mmap
 import pickle
 import tempfile
 from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, TypeVar
 from weakref import finalize
@@ -14,6 +16,18 @@ Value = TypeVar("Value")
 
 # Of arrays in a file, bytes: as many as vector instructions take.
 _ALIGNMENT = 64
+
+
+@contextmanager
+def refuse_full_folder(size: int, remedy: str = "") -> Iterator[None]:
+    """Raises CalibrationError where measurements of a size, bytes, cannot be written to a temporary file."""
+    try:
+        yield
+    except OSError as error:
+        raise CalibrationError(
+            f"{tempfile.gettempdir()}: {size} bytes of measurements cannot be written there "
+            f"({error.strerror or error}); state another folder for temporary files in TMPDIR{remedy}"
+        ) from error
 
 
 class KeptValue(ABC):
@@ -112,19 +126,13 @@ class _SplitValue:
     def write(self) -> _InFile:
         """The value with its arrays in a file."""
         starts = []
-        try:
-            with tempfile.TemporaryFile() as file:
-                for array in self.arrays:
-                    file.write(bytes(-file.tell() % _ALIGNMENT))
-                    starts.append(file.tell())
-                    file.write(array)
-                file.flush()
-                mapped = memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
-        except OSError as error:
-            raise CalibrationError(
-                f"{tempfile.gettempdir()}: {self.size} bytes of measurements cannot be written there "
-                f"({error.strerror or error}); state another folder for temporary files in TMPDIR, or raise "
-                "`estimation.network.max_kept_bytes`"
-            ) from error
+        remedy = ", or raise `estimation.network.max_kept_bytes`"
+        with refuse_full_folder(self.size, remedy), tempfile.TemporaryFile() as file:
+            for array in self.arrays:
+                file.write(bytes(-file.tell() % _ALIGNMENT))
+                starts.append(file.tell())
+                file.write(array)
+            file.flush()
+            mapped = memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
         arrays = zip(starts, self.arrays, strict=True)
         return _InFile(self.content, tuple(mapped[start : start + array.nbytes] for start, array in arrays))

@@ -1,7 +1,10 @@
 """Objects in the foreground of scans: neighbouring beams that end before the static background."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +13,7 @@ from scipy.sparse.csgraph import connected_components
 
 from calgraph.config.settings import ClusterSettings
 from calgraph.geometry import Array
-from calgraph.network.tracking.scan_stack import ScanRun
+from calgraph.network.tracking.scan_stack import SCANS_PER_CALL, RangeFile, ScanRun
 from calgraph.network.tracking.static_scene import StaticScene
 
 
@@ -67,7 +70,7 @@ class Foreground:
     spacing: Array
     """(S,) angle between neighbouring beams of each scan, rad."""
 
-    def select(self, rows: NDArray[np.bool_]) -> "Foreground":
+    def select(self, rows: NDArray[np.bool_] | slice) -> "Foreground":
         """Some of the beams (P,), of the same scans."""
         return Foreground(
             self.scan[rows], self.beam[rows], self.angles[rows], self.ranges[rows], self.times[rows],
@@ -78,19 +81,20 @@ class Foreground:
 def subtract_background(runs: Sequence[ScanRun], scene: StaticScene) -> Foreground:
     """Keeps the beams that end before the static background."""
     before = np.cumsum([0, *map(len, runs)])
-    empty_run = ScanRun(np.empty(0), np.empty(0), np.empty(0), np.empty((0, 0)))
-    parts = [
-        _foreground_of_run(run, scene, int(first)) for run, first in zip((*runs, empty_run), before, strict=True)
-    ]
-    return Foreground(
-        np.concatenate([part.scan for part in parts]),
-        np.concatenate([part.beam for part in parts]),
-        np.concatenate([part.angles for part in parts]),
-        np.concatenate([part.ranges for part in parts]),
-        np.concatenate([part.times for part in parts]),
-        np.concatenate([part.at_occlusion for part in parts]),
-        np.concatenate([part.spacing for part in parts]),
+    empty_run = ScanRun(np.empty(0), np.empty(0), np.empty(0), RangeFile(), np.empty((0, 2), dtype=np.intp))
+    parts = (
+        _foreground_of_run(run.select(slice(k, k + SCANS_PER_CALL)), scene, int(first) + k)
+        for run, first in zip((*runs, empty_run), before, strict=True)
+        for k in range(0, max(len(run), 1), SCANS_PER_CALL)
     )
+    return Foreground(*_join_columns(parts))
+
+
+def _join_columns(parts: Iterable[Any]) -> Iterator[Any]:
+    """The fields of parts, joined one after the other; each is forgotten then, to hold one of them twice only."""
+    columns = deque(list(column) for column in zip(*(vars(part).values() for part in parts), strict=True))
+    while columns:
+        yield np.concatenate(columns.popleft())
 
 
 # Neighbouring points on one surface are at most this far apart, m, plus the two below: folds of clothes.
@@ -101,14 +105,15 @@ _MAX_GAP_SPACINGS = 2.5
 
 def _foreground_of_run(run: ScanRun, scene: StaticScene, first: int) -> Foreground:
     """The foreground of successive scans, of which the first has this index."""
-    scan, beam = np.nonzero(scene.background.is_foreground(run.angles, run.ranges))
+    measured = run.read(np.arange(len(run)))
+    scan, beam = np.nonzero(scene.background.is_foreground(run.angles, measured))
     field_of_view = abs(run.angles[-1] - run.angles[0]) if len(run.angles) > 1 else 0.0
     spacing = field_of_view / max(len(run.angles) - 1, 1)
-    ranges = run.ranges[scan, beam]
+    ranges = measured[scan, beam]
     # Two beams to either side: a beam at an edge often ends between the surfaces or returns nothing.
     neighbors = beam[:, None] + np.array([-2, -1, 1, 2])
     outside = (neighbors < 0) | (neighbors >= len(run.angles))
-    neighbor_ranges = run.ranges[scan[:, None], np.clip(neighbors, 0, len(run.angles) - 1)]
+    neighbor_ranges = measured[scan[:, None], np.clip(neighbors, 0, len(run.angles) - 1)]
     # NaN, no measurement, is not nearer.
     at_occlusion = outside | (neighbor_ranges < (ranges * (1 - _MAX_GAP_SPACINGS * spacing) - _MAX_GAP)[:, None])
     return Foreground(
@@ -139,9 +144,24 @@ def cluster_foreground(beams: Foreground, width: float, sigma: float, settings: 
     Returns:
         Objects of at least two beams that are not clearly wider than the target.
     """
+    # Of some scans at a time: what is calculated on the way takes more memory than the objects.
+    cuts = np.searchsorted(beams.scan, np.arange(SCANS_PER_CALL, len(beams.spacing), SCANS_PER_CALL))
+    origin = beams.times[:1].sum()
+    parts = (
+        _cluster_part(beams.select(slice(*ends)), origin, width, sigma, settings)
+        for ends in pairwise([0, *cuts, len(beams.scan)])
+    )
+    objects = Clusters(*_join_columns(parts))
+    return replace(objects, first=np.cumsum(objects.count) - objects.count)
+
+
+def _cluster_part(
+    beams: Foreground, origin: float, width: float, sigma: float, settings: ClusterSettings
+) -> Clusters:
+    """The objects in some scans, with mean times that are calculated from one time, s, for all."""
     points = beams.ranges[:, None] * np.stack([np.cos(beams.angles), np.sin(beams.angles)], axis=-1)
     if not len(points):
-        return _build_clusters(beams, points, np.empty(0, dtype=np.intp), width, settings)
+        return _build_clusters(beams, points, np.empty(0, dtype=np.intp), origin, width, settings)
     step = np.linalg.norm(np.diff(points, axis=0), axis=-1)
     allowed = (
         _MAX_GAP + _MAX_GAP_SIGMAS * sigma + _MAX_GAP_SPACINGS * beams.ranges[1:] * beams.spacing[beams.scan[1:]]
@@ -150,7 +170,7 @@ def cluster_foreground(beams: Foreground, width: float, sigma: float, settings: 
     parts = np.concatenate([[0], np.cumsum(apart)])
     merged_width = settings.max_merged_width * width + _MAX_MERGED_SIGMAS * sigma
     labels = _merge_parts(beams, points, parts, merged_width)
-    return _build_clusters(beams, points, labels, width, settings)
+    return _build_clusters(beams, points, labels, origin, width, settings)
 
 
 def _merge_parts(beams: Foreground, points: Array, parts: NDArray[np.intp], max_width: float) -> NDArray[np.intp]:
@@ -176,7 +196,12 @@ _MIN_POINTS = 2
 
 
 def _build_clusters(
-    beams: Foreground, points: Array, label: NDArray[np.intp], width: float, settings: ClusterSettings
+    beams: Foreground,
+    points: Array,
+    label: NDArray[np.intp],
+    origin: float,
+    width: float,
+    settings: ClusterSettings,
 ) -> Clusters:
     """Sorts points by cluster and drops the clusters whose size excludes the target."""
     order = np.lexsort((label, beams.scan))
@@ -193,9 +218,9 @@ def _build_clusters(
     last = first + count - 1
     at_occlusion = beams.at_occlusion[order]
     scan = beams.scan[order][first]
-    total = np.add.reduceat(beams.times[order] - beams.times[:1], first) if len(first) else np.empty(0)
+    total = np.add.reduceat(beams.times[order] - origin, first) if len(first) else np.empty(0)
     return Clusters(
         points[order], first, count, scan,
-        total / count + (beams.times[0] if len(beams.times) else 0.0), beams.times[order],
+        total / count + origin, beams.times[order],
         beams.spacing[scan] if len(scan) else np.empty(0), at_occlusion[first] | at_occlusion[last],
     )  # fmt: skip

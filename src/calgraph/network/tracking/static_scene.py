@@ -53,7 +53,7 @@ def learn_static_scene(runs: Sequence[ScanRun]) -> StaticScene | None:
     if not kept:
         return None
     angles = np.sort(max(kept, key=lambda run: len(run.angles)).angles)
-    ranges = np.concatenate([align_ranges(angles, run.angles, run.ranges) for run in kept])
+    ranges = np.concatenate([align_ranges(angles, run.angles, run.read(np.arange(len(run)))) for run in kept])
     nearest, usual, single = _static_depths(ranges)
     off = np.where(np.abs(ranges - usual) < _NOISE_WINDOW, ranges - usual, np.nan)
     spread = _robust_spread(off)
@@ -72,11 +72,9 @@ def _subsample_evenly(runs: Sequence[ScanRun], max_scans: int) -> list[ScanRun]:
     stride = 1 << max(0, int(np.ceil(np.log2(max(count, 1) / max_scans))))
     kept, passed = [], 0
     for run in runs:
-        chosen = slice(-passed % stride, None, stride)
-        thinned = ScanRun(run.angles, run.stamps[chosen], run.increments[chosen], run.ranges[chosen])
-        kept.append(thinned)
+        kept.append(run.select(slice(-passed % stride, None, stride)))
         passed += len(run)
-    return [run for run in kept if run.ranges.size]
+    return [run for run in kept if len(run) and len(run.angles)]
 
 
 # Width of a bin of depth, m; hits are counted over three bins, 0.15 m: ± 3 standard deviations of a noisy scanner

@@ -7,6 +7,7 @@ segmentation.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,12 +24,9 @@ from calgraph.network.tracking.background_registration import (
     register_windows,
     to_points,
 )
-from calgraph.network.tracking.scan_stack import ScanRun
+from calgraph.network.tracking.scan_stack import SCANS_PER_CALL, ScanRun
 from calgraph.network.tracking.track import ScannerBump
 from calgraph.sensors import align_ranges
-
-# Scans whose medians are computed in one call: bounds memory for recordings of hours.
-_MAX_SCANS_PER_CHUNK = 512
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +67,7 @@ class AlignedScans:
         rows = [np.empty((0, len(self.angles)))]
         for k in np.unique(part):
             run = self._runs[k]
-            ranges = run.ranges[scans[part == k] - self._first[k]]
+            ranges = run.read(scans[part == k] - self._first[k])
             rows.append(align_ranges(self.angles, run.angles, ranges))
         ranges = np.concatenate(rows)
         ranges[~np.isfinite(ranges)] = np.inf
@@ -93,15 +91,13 @@ def compute_window_medians(scans: AlignedScans) -> ScanWindows:
     # The middle scans of equal parts of the window.
     used = min(per_window, _MAX_SCANS_PER_WINDOW)
     chosen = first[:, None] + ((np.arange(used) + 0.5) * per_window / used).astype(np.intp)
-    step = max(1, _MAX_SCANS_PER_CHUNK // used)
-    medians = [np.empty((0, len(scans.angles)))]
+    step = max(1, SCANS_PER_CALL // used)
+    medians = np.empty((windows, len(scans.angles)))
     for k in range(0, windows, step):
         part = chosen[k : k + step]
         ranges = scans.read(part.ravel()).reshape(*part.shape, -1)
-        medians.append(np.partition(ranges, used // 2, axis=1)[:, used // 2])
-    return ScanWindows(
-        scans.angles, np.concatenate(medians), scans.stamps[first], scans.stamps[first + per_window - 1]
-    )
+        medians[k : k + step] = np.partition(ranges, used // 2, axis=1)[:, used // 2]
+    return ScanWindows(scans.angles, medians, scans.stamps[first], scans.stamps[first + per_window - 1])
 
 
 # Median of χ² with three degrees of freedom.
@@ -160,7 +156,7 @@ def analyze_stationarity(runs: Sequence[ScanRun], settings: StationaritySettings
     Medians over windows are registered to each other, and steps of the poses are searched. A step of the scanner
     displaces its whole background, so that most points have to agree with it: those of moved furniture do not.
     """
-    runs = [run for run in runs if run.ranges.size]
+    runs = [run for run in runs if len(run.angles)]
     if not runs:
         return Stationarity()
     scans = AlignedScans(runs)
@@ -220,9 +216,8 @@ _MIN_AGREEMENT = 0.6
 
 def _register(windows: ScanWindows, settings: StationaritySettings) -> _Registration:
     """Registers all windows to a few references among them."""
-    finite = np.where(np.isfinite(windows.ranges), windows.ranges, np.nan)
-    change = np.abs(np.diff(finite, axis=0))
-    by_window = np.array([_median(row) for row in change])
+    finite = (np.where(np.isfinite(row), row, np.nan) for row in windows.ranges)
+    by_window = np.array([_median(np.abs(after - before)) for before, after in pairwise(finite)])
     noise = float(np.clip(_median(by_window) * STDDEV_PER_MAD / np.sqrt(2), _MIN_NOISE, _MAX_NOISE))
     # How much a window differs from its neighbours: a reference is one at rest.
     unrest = np.maximum(np.append(by_window, 0.0), np.insert(by_window, 0, 0.0))
