@@ -305,7 +305,7 @@ RESULTS: Mapping[str, tuple[str, Any, int, str]] = {
         "target.size",
         [1.1, 0.8],
         0,
-        "lidar is weak: by its edges .* the board is 1.* m wide .* not 1.100 m and 0.800 m as rig.yaml states",
+        "by its edges .* the board is 1.* m wide .* not 1.100 m and 0.800 m as rig.yaml states",
     ),
     "wrong ids": (
         "target.tags",
@@ -382,7 +382,7 @@ RESULTS: Mapping[str, tuple[str, Any, int, str]] = {
         "sensors.lidar.noise.range",
         0.0001,
         0,
-        "lidar is weak: the noise of lidar is .* times that in rig.yaml: check its range noise",
+        "the noise of lidar is .* times that in rig.yaml: check its range noise",
     ),
 }
 """Key of rig.yaml, its wrong value, exit code, and what the terminal states."""
