@@ -59,7 +59,7 @@ def test_ascii_terminals_have_signs_in_ascii(calibrated: tuple[Path, object]) ->
     done = run_in_shell(f"inspect {shlex.quote(str(calibrated[0]))}", **_ASCII)
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout.isascii()
-    assert "(+/-: one sigma, along the worst axis)" in done.stdout
+    assert "(sigma: along and about its worst axis)" in done.stdout
 
 
 def test_json_does_not_depend_on_the_terminal(calibrated: tuple[Path, object]) -> None:

@@ -115,7 +115,7 @@ def test_terminal_and_files_state_one_number_of_captures(
     save_captures(calibration, tmp_path / "captures.csv")
     print_calibration(calibration)
     words = [line.split() for line in capsys.readouterr().out.splitlines()]
-    table = words[next(i for i, row in enumerate(words) if row[:2] == ["sensor", "captures"]) :]
+    table = words[next(i for i, row in enumerate(words) if row[:2] == ["sensor", "predicted"]) :]
     printed = next(int(row[1]) for row in table if row[:1] == [sensor])
     stated = read_yaml(tmp_path / "calibration.yaml")["quality"]["cross_validation"][sensor]["captures"]
     with (tmp_path / "captures.csv").open(encoding="utf-8", newline="") as file:

@@ -175,8 +175,9 @@ def register_rectangles(points: Sequence[Array], half: Array) -> tuple[Array, ND
     return T, certain
 
 
-# Share of the boards with enough points to be registered by the stated size for this to be right.
-_MIN_REGISTERED_SHARE = 0.5
+# Share of the boards with enough points to be registered by a size for this to be right, of several boards: one
+# of 25 sizes fits a few by chance.
+_MIN_REGISTERED_SHARE, _MIN_REGISTERED = 0.5, 5
 # Errors of the half width and the half height that are tried if it is not, m: 10 cm of the size, in steps within
 # which outlines are accepted.
 _SIZE_ERRORS = np.arange(-2, 3) * 0.025
@@ -185,13 +186,18 @@ _SIZE_ERRORS = np.arange(-2, 3) * 0.025
 def _register_boards(points: Sequence[Array], half: Array) -> tuple[Array, NDArray[np.bool_]]:
     """As :func:`register_rectangles`; of the size near the stated one which most boards fit, if few fit that.
 
-    The size that is tried gives the boards' poses only: the bundle estimates the error of the stated one.
+    The size that is tried gives the boards' poses only: the bundle estimates the error of the stated one. Of a
+    board that is nearly square, another shape would decide about a rotation by 90° that edges do not show.
     """
     best = register_rectangles(points, half)
     enough = sum(len(p) >= _MIN_POINTS for p in points)
-    if best[1].sum() < _MIN_REGISTERED_SHARE * enough:
-        tried = (register_rectangles(points, half + np.array([x, y])) for x in _SIZE_ERRORS for y in _SIZE_ERRORS)
-        best = max((best, *tried), key=lambda one: int(one[1].sum()))
+    needed = max(_MIN_REGISTERED_SHARE * enough, _MIN_REGISTERED)
+    if enough >= needed > best[1].sum():
+        square = abs(half[0] - half[1]) < np.ptp(_SIZE_ERRORS)
+        errors = [np.array([x, y]) for x in _SIZE_ERRORS for y in _SIZE_ERRORS if x == y or not square]
+        tried = (register_rectangles(points, half + error) for error in errors)
+        other = max(tried, key=lambda one: int(one[1].sum()))
+        return other if other[1].sum() >= needed else best
     return best
 
 
