@@ -27,8 +27,8 @@ def share_clauses(reasons: Mapping[str, str]) -> tuple[dict[str, str], dict[str,
     stated = {}
     for name, reason in reasons.items():
         own = [clause for clause in split_clauses(reason) if owners[clause] == [name]]
-        seen = " and ".join(mark for names, mark in marks.items() if name in names)
-        stated[name] = "; ".join([*own, *([f"see {seen}"] if seen else [])])
+        of_name = " and ".join(mark for names, mark in marks.items() if name in names)
+        stated[name] = "; ".join([*own, *([f"see {of_name}"] if of_name else [])])
     shared = {
         mark: "; ".join(clause for clause, of in owners.items() if tuple(of) == names)
         for names, mark in marks.items()

@@ -12,7 +12,8 @@ import numpy as np
 
 from calgraph.geometry import Array
 
-# Standard deviations from 0, 1 and -1 within which s is one of them, and beyond which it is not.
+# Standard deviations from 0, 1 and -1 within which s is one of them, 1 % of right ones are beyond; and beyond
+# which it is not, 0.05 % are.
 _MAX_SIGMAS, _MIN_SIGMAS = 2.5, 3.5
 
 

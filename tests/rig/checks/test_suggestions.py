@@ -3,6 +3,7 @@
 from typing import Literal
 
 import numpy as np
+import pytest
 
 from bundle_scenes import HEIGHT, WIDTH, scene
 from calgraph.config import Tolerance
@@ -12,6 +13,9 @@ from calgraph.rig.bundle.bundle_solver import minimize_bundle
 from calgraph.rig.bundle.covariances import pose_covariance
 from calgraph.rig.bundle.solution import SolvedBundle
 from calgraph.rig.checks.next_best_pose import add_suggestions, suggest_board_poses
+from calgraph.rig.options import RigOptions
+from calgraph.rig.pipeline import build_problem_from_captures, solve_problem
+from calgraph.simulation import RigScenario, build_world, simulate_detections
 
 KINDS: dict[str, Literal["camera", "lidar2d", "lidar3d"]] = {
     "lidar": "lidar3d",
@@ -51,3 +55,15 @@ def test_the_first_suggestion_for_a_weak_sensor_is_in_its_verdict() -> None:
 
 def test_good_sensors_need_no_advice() -> None:
     assert {sensor.verdict.reason for sensor in suggest("good").sensors} == {"some axis ±3 mm"}
+
+
+@pytest.mark.parametrize("tolerance", [0.05, 0.001])
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_captures_are_suggested_only_if_a_pose_is_not_good(tolerance: float, jobs: int) -> None:
+    rig, captures, _ = simulate_detections(build_world(RigScenario(), 1, images=False), 1)
+    rig = rig.model_copy(update={"tolerance": Tolerance(translation=tolerance, rotation=3.0)})
+    problem = build_problem_from_captures(rig, captures, RigOptions(), np.random.default_rng(0))
+    calibration = solve_problem(problem, jobs)
+    good = {sensor.verdict.grade for sensor in calibration.sensors} == {"good"}
+    assert good == (tolerance == 0.05)
+    assert bool(calibration.evidence.suggestions) != good

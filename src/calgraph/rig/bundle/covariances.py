@@ -111,7 +111,7 @@ class BoardInformation:
     """Information of one board's views on the parameters that they depend on, the board's pose eliminated."""
 
     columns: Index
-    """(n,) these parameters, of the G of the reduced problem: those of the sensors that see the board."""
+    """(n,) these parameters, of the G of the reduced problem: those of the sensors that detect the board."""
     information: Array
     """(n, n)."""
 

@@ -92,10 +92,10 @@ def suggest_board_poses(
         V = _multiply_covariance_with(added, V, np.arange(len(V)), V)
         after = _standard_deviations(axes, V) / limits
         name = bundle.sensors[sensor]
-        seen = zip(bundle.sensors, _predict_views(bundle, current, kinds, size, chosen), strict=True)
+        predictions = zip(bundle.sensors, _predict_views(bundle, current, kinds, size, chosen), strict=True)
         T_sensor_board = {
             by: relative_poses(T, chosen[0])
-            for (by, views), T in zip(seen, current.T_root_sensor, strict=True)
+            for (by, views), T in zip(predictions, current.T_root_sensor, strict=True)
             if len(views.board)
         }
         suggestions.append(
