@@ -66,6 +66,15 @@ def test_without_a_mirrored_root_the_others_are_calibrated_to_each_other_but_not
     )
 
 
+def test_of_a_root_whose_pairs_have_no_inliers_under_joint_poses_the_others_keep_their_poses() -> None:
+    """Ranges of the root are 10 % too long, and two cameras of a chain share no view."""
+    world = make_world("other_unit", "chain", 7, "lidar")
+    found, without = calibrate(world), calibrate(without_sensor(world))
+    assert (world.rig.root, found.root) == ("lidar", "camera")
+    assert change(found, without) < 0.5
+    assert {s.verdict.grade for s in found.sensors} == {"weak"}
+
+
 def test_of_a_root_without_pairs_the_others_keep_their_poses_but_are_not_good() -> None:
     """With intrinsics of half the resolution it shares two captures with one of the two other cameras."""
     world = make_world("other_resolution", "cameras", 0, "camera")

@@ -40,7 +40,7 @@ from calgraph.rig.pairs.board_pair import (
     select_successful,
 )
 from calgraph.rig.pairs.rig_initialization import initialize_rig
-from calgraph.rig.sensor_admission import admit_sensors, agree_mostly, refuse_impossible
+from calgraph.rig.sensor_admission import admit_sensors, agree_mostly, refuse_impossible, replace_lone_root
 from calgraph.rig.step_log import log_captures, log_pairs, log_solution
 from calgraph.rig.strategies import select_initialization, solve_baseline
 from calgraph.sensors import CameraModel
@@ -166,6 +166,7 @@ def build_problem_from_captures(
         joint = solve_poses(rig, captures, select_successful(pairs), tree.T_root_sensor)
         captures = scale_boards(captures, joint.print_scale)
         pairs = reselect_all_inliers(pairs, joint.T_root_sensor, captures.detections, rig.board_size)
+        rig, captures, pairs = replace_lone_root(rig, captures, pairs, options)
         tree = span_tree(pairs)
     log_pairs(pairs)
     solver = SolverOptions(estimator=method.estimator, keep=method.keep, folds=options.folds)

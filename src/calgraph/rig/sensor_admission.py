@@ -90,11 +90,19 @@ def admit_sensors(
     """
     contradictions = list(_find_contradictions(rig, captures, pairs, rng))
     reasons, undecided = _select_impossible(rig, captures, pairs, contradictions)
+    if reasons:
+        rig, captures, pairs = _leave_out(rig, captures, pairs, reasons, undecided)
+    return replace_lone_root(rig, captures, pairs, options)
+
+
+def replace_lone_root(
+    rig: Rig, captures: CaptureSet, pairs: PairwiseEstimates, options: RigOptions
+) -> tuple[Rig, CaptureSet, PairwiseEstimates]:
+    """Another root, with a finding, in place of one that has no pair, and no prior that ties it."""
     tied = options.prior or options.rigid
-    lone = not tied and not any(rig.root in (pair.sensor_a, pair.sensor_b) for pair in select_successful(pairs))
-    if not reasons and not lone:
+    if tied or any(rig.root in (pair.sensor_a, pair.sensor_b) for pair in select_successful(pairs)):
         return rig, captures, pairs
-    return _leave_out(rig, captures, pairs, reasons, undecided, replace_root=lone)
+    return _leave_out(rig, captures, pairs, {}, {}, replace_root=True)
 
 
 def refuse_impossible(problem: Problem, joint: RigSolution) -> Problem:
