@@ -1,8 +1,8 @@
-"""Checkerboards found by calgraph, by an earlier version of it, and by an exhaustive search: recall, errors, time.
+"""Checkerboards found by calgraph, and by an exhaustive search: recall, errors, time.
 
 python benchmarks/checkerboard_recall.py                   # 500 rendered boards and 100 images without
 python benchmarks/checkerboard_recall.py --real            # every image of ../shared/data or CALGRAPH_DATA
-python benchmarks/checkerboard_recall.py --show            # the tables of what has been measured
+python benchmarks/checkerboard_recall.py --show FILE       # the tables of what has been measured
 
 Rendered boards have 5 x 4 to 28 x 17 inner corners, in images of 0.3 to 12 Mpx, with blur, glare, shading,
 shadows, noise, JPEG, tilt, fisheyes and clutter. Corners are right if each is within a third of the shortest
@@ -10,34 +10,27 @@ distance between corners from the true one. Real images have no true corners: ri
 searches agree.
 
 The exhaustive search takes OpenCV's two detectors, images of 480 pixels to twice their size, and combinations of
-flags, until one has the right corners; what calgraph finds counts as found by it. The earlier version is that
-of ``--before``, a commit, with its settings. Each image is a row of ``--out``, a CSV; those that are there are not
-measured again. Seconds are of one processor.
+flags, until one has the right corners; what calgraph finds counts as found by it. Each image is a row of
+``--csv``; those that are there are not measured again. Seconds are of one processor.
 """
 
-import argparse
-import csv
 import os
-import subprocess
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from itertools import product
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
 from typing import Final, NamedTuple
 
 import cv2
 import numpy as np
 
-import calgraph.boards.chessboards as now
 from calgraph.boards.chessboards import CheckerboardFinder
 from calgraph.config import Checkerboard
 from checkerboard_images import Array, BoardImage, Gray, draw_empty_image, draw_image, measure_shortest_gap
+from worlds import make_parser, run_worlds
 
 DATA: Final = Path(os.environ.get("CALGRAPH_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
-SOURCE: Final = "src/calgraph/detection/chessboards.py"
-BEFORE: Final = "59c76d84"
-BEFORE_SETTINGS: Final = SimpleNamespace(checkerboard_first_side=960, checkerboard_sides=(480, 960))
 REAL_BOARDS: Final = {
     "acfr-vlp16-checkerboard": (7, 5),
     "acfr-ouster64-few-poses": (7, 5),
@@ -62,52 +55,41 @@ class Row(NamedTuple):
     columns: int
     megapixels: float
     has_board: bool
-    before: str
-    now: str
+    found: str
     exhaustive: str
-    before_seconds: float
-    now_seconds: float
-    now_error: float
+    seconds: float
+    error: float
 
 
 def main() -> None:
     """Measures the images that are not in the table, and prints the tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = make_parser(__doc__, jobs=1, path=Path("build/checkerboard_recall.csv"))
     parser.add_argument("--first", type=int, default=0, help="first seed")
     parser.add_argument("--boards", type=int, default=500)
     parser.add_argument("--empty", type=int, default=100, help="images without the board")
     parser.add_argument("--real", action="store_true", help="real images instead of rendered ones")
-    parser.add_argument("--show", action="store_true", help="measure nothing")
-    parser.add_argument("--before", default=BEFORE, help="commit of the earlier version")
-    parser.add_argument("--out", type=Path, default=Path("build/checkerboard_recall.csv"))
     arguments = parser.parse_args()
     cv2.setNumThreads(1)
-    began = time.process_time()
-    if not arguments.show:
-        rendered = _list_rendered(arguments.first, arguments.boards, arguments.empty)
-        images = _list_real() if arguments.real else rendered
-        _measure_missing(images, _load_earlier(arguments.before), arguments.out)
-    rows = _read_rows(arguments.out)
+    images = _list_real() if arguments.real else _list_rendered(arguments.first, arguments.boards, arguments.empty)
+    rows = run_worlds(Row, _measure, list(images), arguments, key=1)
     for title, real in (("rendered", False), ("real", True)):
         chosen = [row for row in rows if row.name.startswith("real") == real]
         if chosen:
             _print_tables(title, chosen, real)
-    print(f"\n{time.process_time() - began:.0f} s of a processor")
 
 
 def _list_rendered(first: int, boards: int, empty: int) -> Iterator[tuple[str, Callable[[], BoardImage]]]:
     for seed in range(first, first + boards):
-        yield f"board {seed}", lambda seed=seed: draw_image(seed)  # type: ignore[misc]
+        yield f"board {seed}", partial(draw_image, seed)
     for seed in range(first, first + empty):
-        yield f"empty {seed}", lambda seed=seed: draw_empty_image(seed)  # type: ignore[misc]
+        yield f"empty {seed}", partial(draw_empty_image, seed)
 
 
 def _list_real() -> Iterator[tuple[str, Callable[[], BoardImage]]]:
     for folder, shape in REAL_BOARDS.items():
         paths = sorted(path for path in (DATA / folder).rglob("*") if path.suffix in {".png", ".jpg"})
         for path in paths:
-            name = f"real {path.relative_to(DATA)}"
-            yield name, lambda path=path, shape=shape, folder=folder: _read_image(path, folder, shape)  # type: ignore[misc]
+            yield f"real {path.relative_to(DATA)}", partial(_read_image, path, folder, shape)
 
 
 def _read_image(path: Path, folder: str, shape: tuple[int, int]) -> BoardImage:
@@ -128,37 +110,11 @@ def _agree(gray: Gray, shape: tuple[int, int]) -> Array | None:
     return None
 
 
-def _load_earlier(commit: str) -> ModuleType:
-    """The module of checkerboards of a commit."""
-    root = Path(__file__).resolve().parents[1]
-    source = subprocess.run(
-        ["git", "-C", str(root), "show", f"{commit}:{SOURCE}"], capture_output=True, text=True, check=True
-    ).stdout
-    source = source.replace("calgraph.detection.", "calgraph.boards.")  # where it imports from today
-    module = ModuleType("earlier_chessboards")
-    exec(compile(source, f"{commit}:{SOURCE}", "exec"), module.__dict__)
-    return module
-
-
-def _measure_missing(
-    images: Iterable[tuple[str, Callable[[], BoardImage]]], earlier: ModuleType, path: Path
-) -> None:
-    """Appends a row to the table for each image that it lacks."""
-    known = {row.name for row in _read_rows(path)}
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("a", newline="") as file:
-        writer = csv.writer(file)
-        for name, make in images:
-            if name not in known:
-                writer.writerow(_measure(name, make(), earlier))
-                file.flush()
-
-
-def _measure(name: str, image: BoardImage, earlier: ModuleType) -> Row:
+def _measure(name: str, make: Callable[[], BoardImage]) -> Row:
+    image = make()
     columns, rows = image.shape
     pattern = Checkerboard(kind="checkerboard", columns=columns, rows=rows, square=0.05)
-    before_seconds, before = _time(earlier.CheckerboardFinder(pattern, BEFORE_SETTINGS), image.gray)
-    now_seconds, found = _time(now.CheckerboardFinder(pattern), image.gray)
+    seconds, found = _time(CheckerboardFinder(pattern), image.gray)
     verdict = _judge(found, image)
     exhaustive = verdict if image.corners is not None else "missed"
     if image.corners is not None and verdict != "right":
@@ -169,10 +125,8 @@ def _measure(name: str, image: BoardImage, earlier: ModuleType) -> Row:
     if verdict == "right" and found is not None and image.corners is not None:
         turns = (image.corners, image.corners[::-1, ::-1])
         error = min(float(np.sqrt(((found - turn) ** 2).sum(axis=-1).mean())) for turn in turns)
-    return Row(
-        name, image.kind, columns, image.gray.size / 1e6, image.corners is not None, _judge(before, image),
-        verdict, exhaustive, before_seconds, now_seconds, error,
-    )  # fmt: skip
+    size, has_board = image.gray.size / 1e6, image.corners is not None
+    return Row(name, image.kind, columns, size, has_board, verdict, exhaustive, seconds, error)
 
 
 def _time(finder: CheckerboardFinder, gray: Gray) -> tuple[float, Array | None]:
@@ -223,46 +177,24 @@ def _search_exhaustively(gray: Gray, shape: tuple[int, int]) -> Iterator[Array]:
                 yield np.asarray((places + 0.5) * ratio - 0.5)
 
 
-def _read_rows(path: Path) -> list[Row]:
-    if not path.exists():
-        return []
-    with path.open(newline="") as file:
-        return [
-            Row(
-                row[0], row[1], int(row[2]), float(row[3]), row[4] == "True", row[5], row[6], row[7],
-                float(row[8]), float(row[9]), float(row[10]),
-            )
-            for row in csv.reader(file)
-        ]  # fmt: skip
-
-
 def _print_tables(title: str, rows: Sequence[Row], real: bool) -> None:
     """Prints recall by class, detections that are wrong, and times."""
     boards, empty = [row for row in rows if row.has_board], [row for row in rows if not row.has_board]
     print(f"\n{title}: boards found of those that are there; wrong ones; exhaustive counts what calgraph finds")
-    print(f"{'':26}{'images':>7}{'before':>8}{'now':>6}{'exhaustive':>12}{'recall':>8}{'wrong before, now':>19}")
-    for title, chosen in _classify(boards, real).items():
-        counts = [
-            sum(getattr(row, which) == "right" for row in chosen) for which in ("before", "now", "exhaustive")
-        ]
-        wrong = [sum(getattr(row, which) == "wrong" for row in chosen) for which in ("before", "now")]
-        recall = counts[1] / max(counts[2], 1)
-        print(
-            f"{title:26}{len(chosen):7}{counts[0]:8}{counts[1]:6}{counts[2]:12}{recall:8.3f}{wrong[0]:13},{wrong[1]:5}"
+    print(f"{'':26}{'images':>7}{'found':>7}{'exhaustive':>12}{'recall':>8}{'wrong':>7}")
+    for name, chosen in _classify(boards, real).items():
+        found, exhaustive = (
+            sum(getattr(row, one) == "right" for row in chosen) for one in ("found", "exhaustive")
         )
-    print(f"{'seconds':26}{'images':>7}{'before':>8}{'now':>8}{'ratio':>7}{'wrong before, now':>19}")
+        wrong = sum(row.found == "wrong" for row in chosen)
+        print(f"{name:26}{len(chosen):7}{found:7}{exhaustive:12}{found / max(exhaustive, 1):8.3f}{wrong:7}")
+    print(f"{'':26}{'images':>7}{'wrong':>7}{'seconds':>9}")
     groups: Mapping[str, Sequence[Row]] = {"with board": boards, "without": empty, "all": rows}
     for name, chosen in groups.items():
-        if chosen:
-            before, after = (
-                sum(getattr(row, f"{which}_seconds") for row in chosen) for which in ("before", "now")
-            )
-            wrong = [sum(getattr(row, which) == "wrong" for row in chosen) for which in ("before", "now")]
-            print(
-                f"{name:26}{len(chosen):7}{before:8.2f}{after:8.2f}{after / before:7.2f}{wrong[0]:13},{wrong[1]:5}"
-            )
+        wrong = sum(row.found == "wrong" for row in chosen)
+        print(f"{name:26}{len(chosen):7}{wrong:7}{sum(row.seconds for row in chosen):9.2f}")
     if not real:
-        errors = [row.now_error for row in boards if row.now == "right"]
+        errors = [row.error for row in boards if row.found == "right"]
         print(
             f"RMS error of corners: median {np.median(errors):.3f} px, "
             f"95 % below {np.quantile(errors, 0.95):.3f} px"

@@ -2,20 +2,17 @@
 
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
-from typing import Any
 
 import numpy as np
 
-from calgraph.config import CameraSpec, PixelNoise, Rig
+from calgraph.config import Rig
 from calgraph.result import Calibration
 from calgraph.rig.captures.detect import CaptureSet
 from calgraph.rig.options import RigOptions
 from calgraph.rig.pipeline import build_problem_from_captures, solve_problem
-from calgraph.simulation import BoardErrors, IdealDetectorOptions, ModelErrors, simulate_detections
-from model_error_draws import draw_errors
-from model_error_kinds import KINDS, Wrong, cases, wrong_world
-from model_error_rigs import SCENARIOS, rig_world
-from model_errors import DRAWN_CAPTURES, SHARP, SMALL_TREMORS, with_captures
+from model_error_kinds import KINDS, cases
+from model_error_rigs import SCENARIOS
+from model_errors import DRAWN, DRAWN_CAPTURES, RIGHT, SMALL_TREMORS, TREMOR, detect
 
 Make = Callable[[], object]
 WITHOUT: Mapping[str, tuple[str, ...]] = {
@@ -44,46 +41,22 @@ def _wrong_worlds() -> Iterator[tuple[str, Make]]:
         rigs = [rig for rig in SCENARIOS if rig not in WITHOUT.get(kind, ())]
         for step in range(min(RIGS_PER_CASE, len(rigs))):
             rig = rigs[(RIGS_PER_CASE * k + step) % len(rigs)]
-            yield f"model_errors/{rig}/{kind}/{size:.6g}/0", partial(_wrong, rig, kind, size, 0)
+            yield f"model_errors/{rig}/{kind}/{size:.6g}/0", partial(_detected, rig, kind, size, 0)
 
 
-def _wrong(rig: str, kind: str, size: float, seed: int) -> Calibration:
-    wrong = wrong_world(kind, size, rig, seed)
-    assert wrong is not None
-    world = rig_world(rig, seed, wrong.scenario)
-    stated, captured, _ = simulate_detections(world, seed, wrong.options, wrong.errors)
-    return calibrated(stated, captured, seed)
+def _detected(rig: str, kind: str, size: float, seed: int) -> Calibration:
+    detected = detect(rig, kind, size, seed)
+    assert detected is not None
+    return calibrated(*detected[:2], seed)
 
 
 def _right_worlds() -> Iterator[tuple[str, Make]]:
     for rig in SCENARIOS:
         for seed in (1, 2):
-            yield f"model_errors/{rig}/right/0/{seed}", partial(_right, rig, seed)
+            yield f"model_errors/{rig}/right/0/{seed}", partial(_detected, rig, RIGHT, 0.0, seed)
     for k, rig in enumerate(SCENARIOS):
         for seed in (0, 1):
             captures = DRAWN_CAPTURES[(k + seed) % len(DRAWN_CAPTURES)]
-            yield f"model_errors/{rig}/drawn/{captures}/{seed}", partial(_drawn, rig, captures, seed)
+            yield f"model_errors/{rig}/drawn/{captures}/{seed}", partial(_detected, rig, DRAWN, captures, seed)
         tremor = SMALL_TREMORS[k % len(SMALL_TREMORS)]
-        yield f"model_errors/{rig}/sharp_tremor/{tremor:.6g}/0", partial(_trembling, rig, tremor, 0)
-
-
-def _right(rig: str, seed: int) -> Calibration:
-    stated, captured, _ = simulate_detections(rig_world(rig, seed), seed, Wrong().options, Wrong().errors)
-    return calibrated(stated, captured, seed)
-
-
-def _drawn(rig: str, captures: int, seed: int) -> Calibration:
-    rng = np.random.default_rng((seed, 15))
-    world = with_captures(rig_world(rig, seed), captures, rng)
-    stated, captured, _ = simulate_detections(world, seed, None, draw_errors(world, rng))
-    return calibrated(stated, captured, seed)
-
-
-def _trembling(rig: str, tremor: float, seed: int) -> Calibration:
-    errors, options = ModelErrors(BoardErrors(tremor=tremor)), IdealDetectorOptions(pixel=SHARP)
-    stated, captured, _ = simulate_detections(rig_world(rig, seed), seed, options, errors)
-    sensors: dict[str, Any] = {
-        name: spec.model_copy(update={"noise": PixelNoise()}) if isinstance(spec, CameraSpec) else spec
-        for name, spec in stated.sensors.items()
-    }
-    return calibrated(stated.model_copy(update={"sensors": sensors}), captured, seed)
+        yield f"model_errors/{rig}/sharp_tremor/{tremor:.6g}/0", partial(_detected, rig, TREMOR, tremor, 0)

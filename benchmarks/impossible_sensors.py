@@ -17,17 +17,14 @@ checkerboard, as mirrored tags are not found. An upside-down 2-D scanner (``reve
 turned by 180° are possible: of these, all sensors are to be good as if nothing had been done.
 """
 
-import argparse
-import csv
 import logging
 import time
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import count, islice
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -35,7 +32,6 @@ from calgraph.boards.detections import BoardCorners, Detection, PlanePatch, Segm
 from calgraph.config import Board, CameraSpec, Checkerboard, Intrinsics, RangeNoise, Rig
 from calgraph.errors import CalgraphError, Rejected
 from calgraph.geometry import Array, se3
-from calgraph.parallel.processes import parallel_map
 from calgraph.result import Calibration
 from calgraph.rig.captures.detect import CaptureSet
 from calgraph.rig.detection.from_measurements import (
@@ -49,7 +45,7 @@ from calgraph.sensors import CameraModel
 from calgraph.simulation import simulate_detections
 from model_error_draws import draw_errors
 from model_error_rigs import rig_world
-from outcome_tables import grouped, save_csv, share, worst
+from worlds import Layout, grouped, make_parser, run_worlds, share, worst
 
 Change = Callable[[Detection], Detection | Rejected]
 RIGS = ("five", "chain", "pair", "cameras")
@@ -106,40 +102,29 @@ class Row:
 
 def main() -> None:
     """Calculates worlds that are not in the file, and prints the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = make_parser(__doc__, jobs=1, path=Path("build/impossible.csv"))
     parser.add_argument("--kinds", nargs="+", choices=list(KINDS), default=list(KINDS))
     parser.add_argument("--rigs", nargs="+", choices=RIGS, default=list(RIGS))
     parser.add_argument("--seeds", nargs="+", type=int, default=[0])
-    parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--csv", type=Path, default=Path("build/impossible.csv"))
     parser.add_argument("--right", type=int, default=0, help="number of rigs without an impossible sensor")
-    parser.add_argument("--show", type=Path, help="print the table of this file alone")
     arguments = parser.parse_args()
-    logging.disable(logging.WARNING)
     warnings.simplefilter("ignore")
     if arguments.right:
         show_left_out(arguments.right)
         return
-    rows = read_rows(arguments.show or arguments.csv)
-    if not arguments.show:
-        done = {(row.kind, row.rig, row.seed, row.impossible) for row in rows}
-        work = [
-            (kind, rig, seed, sensor)
-            for seed in arguments.seeds
-            for rig in arguments.rigs
-            for kind in arguments.kinds
-            for sensor in victims(kind, rig, seed)
-            if (kind, rig, seed, sensor) not in done
-        ]
-        arguments.csv.parent.mkdir(parents=True, exist_ok=True)
-        for first in range(0, len(work), arguments.jobs):
-            rows += parallel_map(run, work[first : first + arguments.jobs], arguments.jobs, lambda _: None)
-            save_csv(arguments.csv, [asdict(one) for one in rows])
-    show(rows)
+    work = [
+        (kind, rig, seed, sensor)
+        for seed in arguments.seeds
+        for rig in arguments.rigs
+        for kind in arguments.kinds
+        for sensor in victims(kind, rig, seed)
+    ]
+    show(run_worlds(Row, run, work, arguments, key=4))
 
 
 def show_left_out(rigs: int) -> None:
     """Prints the sensors without pose of right rigs, every second one with the errors of usual hardware."""
+    logging.disable(logging.WARNING)
     fired = 0
     cases = ((seed, rig, drawn) for seed in count() for rig in RIGS for drawn in (False, True))
     for i, (seed, rig, drawn) in enumerate(islice(cases, rigs), start=1):
@@ -149,18 +134,6 @@ def show_left_out(rigs: int) -> None:
         lost = calibrate(World(stated, captures, "", {})).evidence.unconnected
         fired += bool(lost)
         print(f"{i} rigs, {fired} with a sensor left out", f"{rig} {seed} {dict(lost) or ''}", flush=True)
-
-
-def read_rows(path: Path) -> list[Row]:
-    """Those of an earlier run."""
-    if not path.exists():
-        return []
-    convert: Mapping[str, Callable[[str], Any]] = {"bool": "True".__eq__, "int": int, "float": float, "str": str}
-    with path.open(newline="", encoding="utf-8") as file:
-        return [
-            Row(**{f.name: convert[str(getattr(f.type, "__name__", f.type))](one[f.name]) for f in fields(Row)})
-            for one in csv.DictReader(file)
-        ]
 
 
 def victims(kind: str, rig: str, seed: int) -> list[str]:
@@ -438,13 +411,12 @@ def is_wrong(world: World, found: Calibration, name: str, possible: bool) -> boo
 
 def show(rows: Sequence[Row]) -> None:
     """Prints a line for each kind and rig, and totals."""
-    print(f"{'kind':20} {'rig':8} {'worlds':>6} {'kept':>5} {'named':>5} {'wrong':>5} {'sigmas':>8} {'s':>6}")
-    for (kind, rig), group in [*grouped(rows, lambda r: (r.kind, r.rig)), (("all", ""), rows)]:
-        print(
-            f"{kind:20} {rig:8} {len(group):6} {share([r for r in group if r.kept], group):>5} "
-            f"{share([r for r in group if r.named], group):>5} {share([r for r in group if r.wrong], group):>5} "
-            f"{worst([r.sigmas for r in group]):8.2f} {sum(r.seconds for r in group):6.0f}"
-        )
+    table = Layout("kind:20 rig:8 worlds:6d kept:>5 named:>5 wrong:>5 sigmas:8.2f s:6.0f")
+    print(table.head)
+    for (kind, rig), group in [*grouped(rows, lambda r: (r.kind, r.rig)), (("all", ""), list(rows))]:
+        shares = [share([row for row in group if getattr(row, one)], group) for one in ("kept", "named", "wrong")]
+        seconds = sum(row.seconds for row in group)
+        print(table.line(kind, rig, len(group), *shares, worst([row.sigmas for row in group]), seconds))
 
 
 if __name__ == "__main__":

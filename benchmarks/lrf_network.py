@@ -31,7 +31,6 @@ from typing import get_args
 import numpy as np
 
 from calgraph.geometry import Array
-from network_moved import print_moved
 from network_runs import (
     AVERAGING,
     CONDITIONS,
@@ -50,9 +49,7 @@ from network_runs import (
     list_cells,
     run,
 )  # fmt: skip
-from network_times import print_times
 
-TABLES = ("1", "2", "3", "4", "5", "summary", "time", "moved")
 DISCARDED = 0.2
 """Root mean square distance above which a plain threshold discards a pair, m."""
 COMPARED: tuple[Average, ...] = ("l1mc", "spectral", "consensus")
@@ -67,14 +64,10 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0, help="the first seed")
     parser.add_argument("--scenarios", nargs="+", default=list(SCENARIOS), choices=SCENARIOS)
     parser.add_argument("--people", type=int, nargs="+", default=[1, 2, 3, 4], help="in office and lab")
-    parser.add_argument("--tables", nargs="+", default=list(TABLES), choices=TABLES)
+    parser.add_argument("--tables", nargs="+", default=list(PRINTED), choices=PRINTED)
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     arguments = parser.parse_args()
     seeds = range(arguments.first, arguments.first + arguments.seeds)
-    if "time" in arguments.tables:
-        print_times()
-    if "moved" in arguments.tables:
-        print_moved(seeds, arguments.jobs)
     cells = [cell for name in arguments.scenarios for cell in list_cells(name, arguments.people)]
     setups = {cell: setups_of(cell, arguments.tables) for cell in cells}
     cells = [cell for cell in cells if setups[cell]]
@@ -86,7 +79,7 @@ def main() -> None:
             print(f"\r{done} of {len(jobs)} recordings", end="", file=sys.stderr, flush=True)
     print(file=sys.stderr)
     as_is = {cell: found for cell, found in runs.items() if cell.condition == "as is"}
-    for name in (name for name in arguments.tables if name in PRINTED):
+    for name in arguments.tables:
         PRINTED[name](runs if name == "5" else as_is)
 
 

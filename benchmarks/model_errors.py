@@ -3,7 +3,7 @@
 python benchmarks/model_errors.py --jobs 3                       # all kinds, rigs and seeds; 102 right runs
 python benchmarks/model_errors.py --kinds print_scale tag_size   # some kinds, and right runs of the same seeds
 python benchmarks/model_errors.py --kinds range_bias --sizes 30  # in the units of the table
-python benchmarks/model_errors.py --csv runs.csv                 # a row for each run
+python benchmarks/model_errors.py --csv runs.csv                 # a row for each run; the next one resumes it
 python benchmarks/model_errors.py --draw --runs 50               # all systematic errors drawn from their priors
 python benchmarks/model_errors.py --tremor --runs 20             # views rejected while the board trembles
 
@@ -16,12 +16,9 @@ model_error_rigs.py and model_error_kinds.py. After a bump the true pose is that
 """
 
 import argparse
-import logging
-import sys
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
-from pathlib import Path
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.linalg import LinAlgError
@@ -29,9 +26,7 @@ from scipy.stats import chi2
 
 from calgraph.config import CameraSpec, PixelNoise, Rig
 from calgraph.errors import CalgraphError
-from calgraph.geometry import se3
-from calgraph.parallel.processes import parallel_map
-from calgraph.result import Calibration
+from calgraph.result import Calibration, SensorPose
 from calgraph.rig.captures.detect import CaptureSet
 from calgraph.rig.options import RigOptions
 from calgraph.rig.pipeline import build_problem_from_captures, solve_problem
@@ -46,9 +41,23 @@ from calgraph.simulation import (
 from model_error_draws import draw_errors
 from model_error_kinds import KINDS, MODELLED, Wrong, cases, wrong_world
 from model_error_rigs import SCENARIOS, rig_world
-from outcome_tables import NAN, grouped, mean, median, rms, save_csv, share, worst
+from worlds import (
+    NAN,
+    Layout,
+    PoseError,
+    grouped,
+    make_parser,
+    mean,
+    measure_error,
+    median,
+    rms,
+    run_worlds,
+    share,
+    worst,
+)
 
-RIGHT = "right"
+RIGHT, DRAWN, TREMOR = "right", "drawn", "trembling"
+"""Kinds besides those of model_error_kinds.py."""
 MAX_SIGMAS, MAX_METRES, MAX_DEGREES = 5.0, 0.020, 1.0
 """A good pose that is off by more is confidently wrong."""
 RIGS, TREMBLING_RIGS = ("five", "chain", "pair"), ("five", "pair", "cameras")
@@ -96,7 +105,7 @@ class Outcome:
 
 def main() -> None:
     """Prints a table by rig, kind and size, and totals; or with drawn errors, or tremor."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = make_parser(__doc__, jobs=3)
     parser.add_argument("--kinds", nargs="+", choices=[*KINDS, RIGHT], default=[*KINDS, RIGHT])
     parser.add_argument("--sizes", nargs="+", type=float, default=[], help="only these, in the units of the table")
     parser.add_argument("--rigs", nargs="+", choices=list(SCENARIOS))
@@ -108,22 +117,16 @@ def main() -> None:
     parser.add_argument("--captures", nargs="+", type=int, default=list(DRAWN_CAPTURES), help="of drawn errors")
     parser.add_argument("--tremor", action="store_true", help="a board that trembles in every capture")
     parser.add_argument("--runs", type=int, default=20, help="of each rig with drawn errors or tremor")
-    parser.add_argument("--jobs", type=int, default=3)
-    parser.add_argument("--csv", type=Path, help="file to write all runs to")
     arguments = parser.parse_args()
-    logging.disable(logging.WARNING)
     arguments.rigs = arguments.rigs or (TREMBLING_RIGS if arguments.tremor else RIGS)
     if arguments.draw or arguments.tremor:
-        sizes = arguments.captures if arguments.draw else SMALL_TREMORS
-        function = run_drawn if arguments.draw else run_trembling
-        work = [(rig, size, seed) for rig in arguments.rigs for seed in range(arguments.runs) for size in sizes]
-        outcomes = run_all(function, work, arguments.jobs)
+        kind, sizes = (DRAWN, arguments.captures) if arguments.draw else (TREMOR, SMALL_TREMORS)
+        seeds = range(arguments.runs)
+        work = [(rig, kind, size, seed) for rig in arguments.rigs for seed in seeds for size in sizes]
+        outcomes = run_worlds(Outcome, run, work, arguments, key=4)
         show_drawn(outcomes) if arguments.draw else show_trembling(outcomes)
     else:
-        outcomes = run_all(run, wrong_and_right(arguments), arguments.jobs)
-        show(outcomes)
-    if arguments.csv:
-        save_csv(arguments.csv, [asdict(one) for one in outcomes])
+        show(run_worlds(Outcome, run, wrong_and_right(arguments), arguments, key=4))
 
 
 def wrong_and_right(arguments: argparse.Namespace) -> list[tuple[str, str, float, int]]:
@@ -139,37 +142,35 @@ def wrong_and_right(arguments: argparse.Namespace) -> list[tuple[str, str, float
     return work
 
 
-def run_all(
-    function: Callable[..., Outcome | None], work: Sequence[tuple[object, ...]], jobs: int
-) -> list[Outcome]:
-    """The outcomes of all runs that exist."""
-
-    def progress(done: float) -> None:
-        print(f"\r{done:.0%} of {len(work)} runs", end="", file=sys.stderr, flush=True)
-
-    found = [one for one in parallel_map(function, work, jobs, progress) if one is not None]
-    print(file=sys.stderr)
-    return found
-
-
 def run(rig: str, kind: str, size: float, seed: int) -> Outcome | None:
-    """One wrong or right run; None where the rig has no sensor that could be wrong so."""
+    """One run; None where the rig has no sensor that could be wrong so."""
+    detected = detect(rig, kind, size, seed)
+    return None if detected is None else judge((rig, kind, size, seed), *detected)
+
+
+def detect(rig: str, kind: str, size: float, seed: int) -> tuple[Rig, CaptureSet, GroundTruth] | None:
+    """The detections of a world, and the ground truth; None where the rig has no sensor that could be wrong so.
+
+    Args:
+        rig: of :data:`model_error_rigs.SCENARIOS`.
+        kind: of an error, or right, drawn, or tremor.
+        size: of the error; of drawn ones the number of captures, and of the tremor m.
+        seed: of everything that is drawn.
+    """
+    if kind == DRAWN:
+        rng = np.random.default_rng((seed, 15))
+        world = with_captures(rig_world(rig, seed), int(size), rng)
+        return simulate_detections(world, seed, None, draw_errors(world, rng))
+    if kind == TREMOR:
+        return detect_trembling(rig, size, seed)
     wrong = Wrong() if kind == RIGHT else wrong_world(kind, size, rig, seed)
     if wrong is None:
         return None
-    world = rig_world(rig, seed, wrong.scenario)
-    return judge((rig, kind, size, seed), *simulate_detections(world, seed, wrong.options, wrong.errors))
+    return simulate_detections(rig_world(rig, seed, wrong.scenario), seed, wrong.options, wrong.errors)
 
 
-def run_drawn(rig: str, captures: int, seed: int) -> Outcome:
-    """One run with all systematic errors drawn, from some of the captures of the rig."""
-    rng = np.random.default_rng((seed, 15))
-    world = with_captures(rig_world(rig, seed), captures, rng)
-    return judge((rig, "drawn", captures, seed), *simulate_detections(world, seed, None, draw_errors(world, rng)))
-
-
-def run_trembling(rig: str, tremor: float, seed: int) -> Outcome:
-    """One run with a board that trembles."""
+def detect_trembling(rig: str, tremor: float, seed: int) -> tuple[Rig, CaptureSet, GroundTruth]:
+    """The detections of a board that trembles, in sharp images."""
     errors, options = ModelErrors(BoardErrors(tremor=tremor)), IdealDetectorOptions(pixel=SHARP)
     stated, captured, truth = simulate_detections(rig_world(rig, seed), seed, options, errors)
     # Who writes a rig.yaml does not know how sharp the images are.
@@ -177,7 +178,7 @@ def run_trembling(rig: str, tremor: float, seed: int) -> Outcome:
         name: spec.model_copy(update={"noise": PixelNoise()}) if isinstance(spec, CameraSpec) else spec
         for name, spec in stated.sensors.items()
     }
-    return judge((rig, "tremor", tremor, seed), stated.model_copy(update={"sensors": sensors}), captured, truth)
+    return stated.model_copy(update={"sensors": sensors}), captured, truth
 
 
 def with_captures(world: World, count: int, rng: np.random.Generator) -> World:
@@ -198,34 +199,30 @@ def judge(case: tuple[str, str, float, int], rig: Rig, captured: CaptureSet, tru
         return Outcome(*case, crashed=crashed, seconds=time.perf_counter() - began, text=text)
     seconds = time.perf_counter() - began
     sensors = [sensor for sensor in found.sensors if sensor.parent is not None]
-    metres, degrees, sigmas, nees = [], [], [], []
-    for sensor in sensors:
-        off = se3.difference(sensor.T_root_sensor, truth.T_root_sensor[sensor.name])
-        metres.append(float(np.linalg.norm(off[:3])))
-        degrees.append(float(np.degrees(np.linalg.norm(off[3:]))))
-        sigmas.append(float(np.max(np.abs(off) / np.sqrt(np.diag(sensor.covariance)))))
-        nees.append(float(off @ np.linalg.solve(sensor.covariance, off) / 6))
-    confident = [
-        sensor.verdict.grade == "good" and (s > MAX_SIGMAS or m > MAX_METRES or d > MAX_DEGREES)
-        for sensor, m, d, s in zip(sensors, metres, degrees, sigmas, strict=True)
-    ]
+    errors = [measure_error(s.T_root_sensor, s.covariance, truth.T_root_sensor[s.name]) for s in sensors]
     verdicts = [f"{s.name} {s.verdict.grade}: {s.verdict.reason}" for s in sensors if s.verdict.grade != "good"]
     return Outcome(
         *case,
         placed=len(sensors),
         good=len(found.sensors) == len(rig.sensors) and not verdicts,
         remarks=len(found.evidence.remarks),
-        confidently_wrong=any(confident),
-        millimetres=1000 * max(metres, default=np.nan),
-        degrees=max(degrees, default=np.nan),
-        sigmas=max(sigmas, default=np.nan),
-        nees=mean(nees),
-        outside=mean([6 * one > chi2.ppf(0.99, 6) for one in nees]),
+        confidently_wrong=any(is_confidently_wrong(*pair) for pair in zip(sensors, errors, strict=True)),
+        millimetres=1000 * max((one.metres for one in errors), default=NAN),
+        degrees=max((one.degrees for one in errors), default=NAN),
+        sigmas=max((one.sigmas for one in errors), default=NAN),
+        nees=mean([one.nees for one in errors]),
+        outside=mean([6 * one.nees > chi2.ppf(0.99, 6) for one in errors]),
         rejected=rejected_share(found, captured, tuple(rig.sensors)),
         rejected_images=rejected_share(found, captured, tuple(rig.cameras())),
         seconds=seconds,
         text=" | ".join([*found.evidence.remarks, *verdicts]),
     )
+
+
+def is_confidently_wrong(sensor: SensorPose, error: PoseError) -> bool:
+    """Whether a pose is good, and off by much."""
+    far = error.sigmas > MAX_SIGMAS or error.metres > MAX_METRES or error.degrees > MAX_DEGREES
+    return sensor.verdict.grade == "good" and far
 
 
 def rejected_share(found: Calibration, captured: CaptureSet, sensors: Sequence[str]) -> float:
@@ -243,20 +240,22 @@ def is_shared(captured: CaptureSet, capture: int) -> bool:
 def show(outcomes: Sequence[Outcome]) -> None:
     """Prints a line for each rig, kind and size, and totals."""
     reference = {(o.rig, o.seed): o for o in outcomes if o.kind == RIGHT}
-    print(
-        f"{'rig':6} {'error':18} {'size':>10} {'runs':>4} {'good':>4} {'weak':>4} {'rem.':>4} {'fail':>4} "
-        f"{'conf':>4} {'mm':>7} {'max':>7} {'deg':>7} {'max':>7} {'sigmas':>7} {'NEES':>8} {'/right':>7}"
+    table = Layout(
+        "rig:6 error:18 size:>10 runs:4d good:4d weak:4d rem.:4d fail:4d conf:4d mm:7.2f max:7.1f deg:7.3f "
+        "max:7.2f sigmas:7.1f NEES:8.2f /right:7.2f"
     )
+    print(table.head)
     for (rig, kind, size), group in grouped(outcomes, lambda o: (o.rig, o.kind, o.size)):
         ratios = [o.millimetres / reference[o.rig, o.seed].millimetres for o in group]
         label = "" if kind == RIGHT else KINDS[kind].label(size)
         millimetres, degrees = [o.millimetres for o in group], [o.degrees for o in group]
         print(
-            f"{rig:6} {kind:18} {label:>10} {len(group):4d} {count(group, 'good'):4d} {weak(group):4d} "
-            f"{remarked(group):4d} {failed(group):4d} {count(group, 'confidently_wrong'):4d} "
-            f"{median(millimetres):7.2f} {worst(millimetres):7.1f} {median(degrees):7.3f} {worst(degrees):7.2f} "
-            f"{worst([o.sigmas for o in group]):7.1f} {mean([o.nees for o in group]):8.2f} {median(ratios):7.2f}"
-        )
+            table.line(
+                rig, kind, label, len(group), count(group, "good"), weak(group), remarked(group), failed(group),
+                count(group, "confidently_wrong"), median(millimetres), worst(millimetres), median(degrees),
+                worst(degrees), worst([o.sigmas for o in group]), mean([o.nees for o in group]), median(ratios),
+            )
+        )  # fmt: skip
     right, wrong = [o for o in outcomes if o.kind == RIGHT], [o for o in outcomes if o.kind != RIGHT]
     show_totals("wrong", wrong)
     for kind, group in grouped(wrong, lambda o: o.kind):
@@ -298,34 +297,39 @@ def show_totals(name: str, outcomes: Sequence[Outcome]) -> None:
 
 def show_drawn(outcomes: Sequence[Outcome]) -> None:
     """Prints the NEES by number of captures."""
-    print(
-        f"{'rig':6} {'captures':>8} {'runs':>4} {'placed':>6} {'NEES':>6} {'median':>6} {'> 99 %':>7} {'mm':>7} "
-        f"{'max':>7} {'good':>4} {'rem.':>4} {'conf':>4}"
+    table = Layout(
+        "rig:6 captures:8g runs:4d placed:6d NEES:6.2f median:6.2f >_99_%:7.1% mm:7.2f max:7.1f good:4d rem.:4d "
+        "conf:4d"
     )
+    print(table.head)
     pooled = [replace(o, rig="all") for o in outcomes]
     for (rig, _, captures), group in grouped([*outcomes, *pooled], lambda o: (o.rig, o.kind, o.size)):
         nees, millimetres = [o.nees for o in group], [o.millimetres for o in group]
         print(
-            f"{rig:6} {captures:8g} {len(group):4d} {sum(o.placed for o in group):6d} {mean(nees):6.2f} "
-            f"{median(nees):6.2f} {mean([o.outside for o in group]):7.1%} {median(millimetres):7.2f} "
-            f"{worst(millimetres):7.1f} {count(group, 'good'):4d} {remarked(group):4d} "
-            f"{count(group, 'confidently_wrong'):4d}"
-        )
+            table.line(
+                rig, captures, len(group), sum(o.placed for o in group), mean(nees), median(nees),
+                mean([o.outside for o in group]), median(millimetres), worst(millimetres), count(group, "good"),
+                remarked(group), count(group, "confidently_wrong"),
+            )
+        )  # fmt: skip
 
 
 def show_trembling(outcomes: Sequence[Outcome]) -> None:
     """Prints the share of rejected views, and the NEES."""
-    print(
-        f"{'rig':6} {'tremor':>7} {'runs':>4} {'views rejected':>14} {'images':>7} {'most':>7} {'NEES':>6} "
-        f"{'mm':>7} {'good':>4} {'rem.':>4} {'conf':>4}"
+    table = Layout(
+        "rig:6 tremor:>7 runs:4d views_rejected:14.1% images:7.1% most:7.1% NEES:6.2f mm:7.2f good:4d rem.:4d "
+        "conf:4d"
     )
+    print(table.head)
     for (rig, _, size), group in grouped(outcomes, lambda o: (o.rig, o.kind, o.size)):
+        images = [o.rejected_images for o in group]
         print(
-            f"{rig:6} {1000 * size:4g} mm {len(group):4d} {mean([o.rejected for o in group]):14.1%} "
-            f"{mean([o.rejected_images for o in group]):7.1%} {worst([o.rejected_images for o in group]):7.1%} "
-            f"{mean([o.nees for o in group]):6.2f} {median([o.millimetres for o in group]):7.2f} "
-            f"{count(group, 'good'):4d} {remarked(group):4d} {count(group, 'confidently_wrong'):4d}"
-        )
+            table.line(
+                rig, f"{1000 * size:4g} mm", len(group), mean([o.rejected for o in group]), mean(images),
+                worst(images), mean([o.nees for o in group]), median([o.millimetres for o in group]),
+                count(group, "good"), remarked(group), count(group, "confidently_wrong"),
+            )
+        )  # fmt: skip
 
 
 def count(outcomes: Iterable[Outcome], attribute: str) -> int:

@@ -10,13 +10,11 @@ hold). A sensor is confidently wrong where its verdict is good, it is off by mor
 is above 3.
 """
 
-import argparse
 import logging
 import time
 
 import numpy as np
 
-from calgraph.geometry import se3
 from calgraph.rig.options import RigOptions
 from calgraph.rig.pipeline import build_problem_from_captures, solve_problem
 from calgraph.simulation import (
@@ -30,6 +28,7 @@ from calgraph.simulation import (
     build_world,
     simulate_moving_detections,
 )
+from worlds import Layout, make_parser, measure_error, rms
 
 SPEEDS, SPREADS = (0.1, 0.3, 1.0), (0.0, 0.01, 0.05)
 MAX_TRANSLATION, MAX_ROTATION = 0.010, 0.3
@@ -56,17 +55,15 @@ def run(seed: int, motion: MovingBoardOptions) -> list[tuple[float, float, float
     for sensor in solve_problem(problem).sensors:
         if sensor.parent is None:
             continue
-        e = se3.difference(sensor.T_root_sensor, truth.T_root_sensor[sensor.name])
-        squared = float(e @ np.linalg.solve(sensor.covariance, e) / 6)
-        metres, degrees = float(np.linalg.norm(e[:3])), float(np.degrees(np.linalg.norm(e[3:])))
-        off = (metres > MAX_TRANSLATION or degrees > MAX_ROTATION) and squared > 9 / 6 * 2
-        found.append((metres, degrees, squared, off and sensor.verdict.grade == "good"))
+        error = measure_error(sensor.T_root_sensor, sensor.covariance, truth.T_root_sensor[sensor.name])
+        off = (error.metres > MAX_TRANSLATION or error.degrees > MAX_ROTATION) and error.nees > 9 / 6 * 2
+        found.append((error.metres, error.degrees, error.nees, off and sensor.verdict.grade == "good"))
     return found
 
 
 def main() -> None:
     """Prints a row for each speed and spread."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = make_parser(__doc__)
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--first", type=int, default=0, help="first seed")
     parser.add_argument("--jitter", type=float, default=0.002, help="s")
@@ -79,7 +76,8 @@ def main() -> None:
     print(
         f"{arguments.seeds} seeds, jitter {1000 * arguments.jitter:g} ms, readout {1000 * arguments.readout:g} ms"
     )
-    print(f"{'m/s':>5} {'ms':>4} {'RMS mm':>7} {'worst mm':>9} {'worst deg':>9} {'NEES':>6} {'wrong':>6} {'s':>5}")
+    table = Layout("m/s:5.1f ms:4.0f RMS_mm:7.2f worst_mm:9.2f worst_deg:9.3f NEES:6.2f wrong:6d s:5.1f")
+    print(table.head)
     for speed in arguments.speeds:
         for spread in arguments.spreads:
             motion = MovingBoardOptions(
@@ -90,12 +88,11 @@ def main() -> None:
                 rows += run(seed, motion)
             metres, degrees, squared, wrong = np.array(rows).T
             seconds = (time.perf_counter() - began) / arguments.seeds
-            print(
-                f"{speed:5.1f} {1000 * spread:4.0f} {1000 * np.sqrt(np.mean(metres**2)):7.2f} "
-                f"{1000 * metres.max():9.2f} {degrees.max():9.3f} {squared.mean():6.2f} {int(wrong.sum()):6d} "
-                f"{seconds:5.1f}",
-                flush=True,
-            )
+            line = table.line(
+                speed, 1000 * spread, 1000 * rms(metres), 1000 * metres.max(), degrees.max(), squared.mean(),
+                int(wrong.sum()), seconds,
+            )  # fmt: skip
+            print(line, flush=True)
 
 
 if __name__ == "__main__":

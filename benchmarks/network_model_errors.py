@@ -5,26 +5,26 @@ python benchmarks/network_model_errors.py --kinds legs --seeds 0 1 2        # so
 python benchmarks/network_model_errors.py --kinds bump_rotation --sizes 1   # in the units of the table
 python benchmarks/network_model_errors.py --kinds clocks --shape legs       # people as legs
 python benchmarks/network_model_errors.py --tolerance 0.1 2                 # m, degrees: what "good" means
-python benchmarks/network_model_errors.py --csv scanners.csv                # a row for each scanner
+python benchmarks/network_model_errors.py --csv scanners.csv                # a row for each scanner, resumed
+python benchmarks/network_model_errors.py --kinds right --correlation 0.7   # adjacent beams share noise
 
 A scanner is *confidently wrong* if its verdict is good and its pose is outside of the 99.9 % ellipsoid of its
 covariance by more than 5 mm or 0.1 degrees, *grossly wrong* if its verdict is good and it is off by more than
 0.5 m or 5 degrees; ``out`` counts those outside of the ellipsoid with any verdict. NEES is per degree of
 freedom (x, y, yaw). The pose is compared with the one at the end of the recording, clock offsets with those in its
-middle. Kinds are those of network_model_error_kinds.py.
+middle. Kinds are those of network_model_error_kinds.py. Noise that beams share is autoregressive along a scan,
+with the standard deviation of the scanner, and with ``--lasting`` from scan to scan as well.
 """
 
-import argparse
-import logging
 import re
 import time
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from pathlib import Path
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.linalg import LinAlgError
+from scipy.signal import lfilter
 from scipy.stats import chi2
 
 from calgraph.config import People, Tolerance
@@ -32,17 +32,23 @@ from calgraph.errors import CalgraphError
 from calgraph.geometry import se3
 from calgraph.network.options import NetworkEstimator, NetworkOptions
 from calgraph.network.pipeline import calibrate_network
-from calgraph.parallel.processes import parallel_map
 from calgraph.recording.in_memory import MessageRecording
 from calgraph.result import Calibration
-from calgraph.simulation import GroundTruth, build_network, network_rig, network_truth, simulate_scans
+from calgraph.sensors import LaserScan
+from calgraph.simulation import (
+    GroundTruth,
+    SimulatedNetwork,
+    build_network,
+    network_rig,
+    network_truth,
+    simulate_scans,
+)
 from network_model_error_kinds import KINDS, ROOMS, build_scenario, list_cases
-from outcome_tables import NAN, grouped, mean, median, save_csv, share, worst
+from worlds import NAN, Layout, grouped, make_parser, mean, median, run_worlds, share, worst
 
-HEADER = (
-    f"{'kind':14} {'size':>9} {'room':7} {'runs':>4} {'good':>4} {'weak':>4} {'miss':>4} {'rem.':>4} "
-    f"{'mm':>7} {'max':>7} {'deg':>6} {'max':>6} {'NEES':>7} {'clock':>6} {'max ms':>6} {'out':>4} "
-    f"{'conf':>4} {'gross':>5} {'s':>5}"
+TABLE = Layout(
+    "kind:14 size:>9 room:7 runs:4d good:4d weak:4d miss:4d rem.:4d mm:7.1f max:7.1f deg:6.2f max:6.2f NEES:7.2f "
+    "clock:6.1f max_ms:6.1f out:4d conf:4d gross:5d s:5.1f"
 )
 MAX_METRES, MAX_DEGREES = 0.005, 0.1
 """By which a good pose may be outside of its ellipsoid."""
@@ -108,11 +114,15 @@ class Setup(NamedTuple):
     tolerance: tuple[float, ...]
     """m, degrees."""
     state_height: bool
+    correlation: float
+    """Of the noise of adjacent beams,"""
+    lasting: float
+    """and the time in which it loses its correlation, s."""
 
 
 def main() -> None:
     """Prints a table by kind and room, and what is confidently wrong."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = make_parser(__doc__, jobs=2)
     parser.add_argument("--kinds", nargs="+", choices=list(KINDS), default=list(KINDS))
     parser.add_argument("--sizes", nargs="+", type=float, default=[], help="only these, in the units of the table")
     parser.add_argument("--rooms", nargs="+", choices=ROOMS, default=list(ROOMS))
@@ -122,31 +132,24 @@ def main() -> None:
     parser.add_argument("--state-height", action="store_true", help="rig.yaml states the height of the scan plane")
     parser.add_argument("--tolerance", nargs=2, type=float, default=[0.01, 0.3], help="m, degrees")
     parser.add_argument("--estimator", choices=["joint", "averaging"], default="joint")
-    parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--csv", type=Path, help="file to write all scanners to")
+    parser.add_argument("--correlation", type=float, default=0.0, help="of the noise of adjacent beams")
+    parser.add_argument("--lasting", type=float, default=0.0, help="in which noise loses its correlation, s")
     arguments = parser.parse_args()
-    logging.disable(logging.WARNING)
-    setup = Setup(
-        arguments.duration,
-        arguments.shape,
-        arguments.estimator,
-        tuple(arguments.tolerance),
-        arguments.state_height,
-    )
-    print(HEADER)
-    outcomes: list[Outcome] = []
-    for kind, size in list_cases(arguments.kinds, arguments.sizes):
-        work = [(kind, size, room, seed, setup) for room in arguments.rooms for seed in arguments.seeds]
-        found = [one for of_run in parallel_map(run, work, arguments.jobs) for one in of_run]
-        show_case(found)
-        outcomes += found
+    setup = Setup(*(getattr(arguments, name) for name in Setup._fields))
+    work = [
+        (kind, size, room, seed, setup)
+        for kind, size in list_cases(arguments.kinds, arguments.sizes)
+        for room in arguments.rooms
+        for seed in arguments.seeds
+    ]
+    outcomes = run_worlds(Outcome, run, work, arguments, key=4)
+    print(TABLE.head)
+    for _, group in grouped(outcomes, lambda one: (one.kind, one.size)):
+        show_case(group)
     show_totals(outcomes)
-    if arguments.csv:
-        rows = [{**asdict(one), "confidently_wrong": one.confidently_wrong} for one in outcomes]
-        save_csv(arguments.csv, rows)
 
 
-def run(kind: str, size: float, room: str, seed: int, setup: Setup) -> tuple[Outcome, ...]:
+def run(kind: str, size: float, room: str, seed: int, setup: Setup) -> list[Outcome]:
     """Simulates and calibrates one recording."""
     network = build_network(build_scenario(room, kind, size, setup.duration, setup.shape), seed)
     metres, degrees = setup.tolerance
@@ -156,7 +159,7 @@ def run(kind: str, size: float, room: str, seed: int, setup: Setup) -> tuple[Out
         assert isinstance(rig.target, People)
         target = rig.target.model_copy(update={"height": network.scenario.scanner.height})
         rig = rig.model_copy(update={"target": target})
-    scans = {rig.topics[one.name]: list(simulate_scans(network, one)) for one in network.scanners}
+    scans = {rig.topics[one.name]: list(scans_of(network, k, setup)) for k, one in enumerate(network.scanners)}
     options = NetworkOptions(estimator=setup.estimator, seed=seed)
     began = time.perf_counter()
     try:
@@ -164,11 +167,30 @@ def run(kind: str, size: float, room: str, seed: int, setup: Setup) -> tuple[Out
     except (CalgraphError, ArithmeticError, LinAlgError, LookupError, ValueError) as error:
         crashed, text = not isinstance(error, CalgraphError), f"{type(error).__name__}: {error}"
         seconds = time.perf_counter() - began
-        return (Outcome(kind, size, room, seed, "", crashed=crashed, seconds=seconds, text=text),)
+        return [Outcome(kind, size, room, seed, "", crashed=crashed, seconds=seconds, text=text)]
     seconds = time.perf_counter() - began
     truth = network_truth(network)
     names = [name for name in truth.T_root_sensor if name != truth.root]
-    return tuple(judge((kind, size, room, seed, name), found, truth, seconds) for name in names)
+    return [judge((kind, size, room, seed, name), found, truth, seconds) for name in names]
+
+
+def scans_of(network: SimulatedNetwork, number: int, setup: Setup) -> Iterator[LaserScan]:
+    """The scans of one scanner, with noise that adjacent beams share if they do."""
+    if not setup.correlation:
+        yield from simulate_scans(network, network.scanners[number])
+        return
+    scanner = network.scenario.scanner
+    quiet = network.scenario.model_copy(update={"scanner": scanner.model_copy(update={"range_noise": 0.0})})
+    silent = build_network(quiet, network.seed)
+    rng = np.random.default_rng((network.seed, 77, number))
+    noise, before = np.zeros(0), -np.inf
+    for scan in simulate_scans(silent, silent.scanners[number]):
+        white = np.sqrt(1 - setup.correlation**2) * rng.normal(size=len(scan.ranges))
+        new, _ = lfilter([1.0], [1.0, -setup.correlation], white, zi=[setup.correlation * rng.normal()])
+        kept = np.exp((before - scan.stamp) / setup.lasting) if setup.lasting and len(noise) else 0.0
+        noise = kept * noise + np.sqrt(1 - kept**2) * new if len(noise) else new
+        before = scan.stamp
+        yield replace(scan, ranges=scan.ranges + scanner.range_noise * noise)
 
 
 def judge(
@@ -212,12 +234,12 @@ def show_case(outcomes: Sequence[Outcome]) -> None:
     """Prints a line for each room of one kind and size."""
     rooms = grouped(outcomes, lambda one: one.room)
     for room, group in [*rooms, *([("all", outcomes)] if len(rooms) > 1 else [])]:
-        show_line(f"{group[0].kind:14} {KINDS[group[0].kind].label(group[0].size):>9} {room:7}", group)
+        show_line((group[0].kind, KINDS[group[0].kind].label(group[0].size), room), group)
 
 
 def show_totals(outcomes: Sequence[Outcome]) -> None:
     """Prints totals, each scanner that is confidently wrong, runs that failed, and all reasons."""
-    show_line(f"{'total':14} {'':>9} {'all':7}", outcomes)
+    show_line(("total", "", "all"), outcomes)
     good = [one for one in outcomes if one.grade == "good"]
     confident = [one for one in outcomes if one.confidently_wrong]
     print(f"\nconfidently wrong: {len(confident)} of {len(good)} good scanners ({share(confident, good)}):")
@@ -236,22 +258,22 @@ def show_totals(outcomes: Sequence[Outcome]) -> None:
         print(f"    {kind:14} {len(group):3d} x {text[:240]}")
 
 
-def show_line(label: str, group: Sequence[Outcome]) -> None:
+def show_line(label: tuple[str, str, str], group: Sequence[Outcome]) -> None:
     """Prints figures of some scanners."""
     runs = {(one.kind, one.size, one.room, one.seed): one for one in group}
     remarked = sum(one.remarks > 0 for one in runs.values())
     weak = sum(one.grade in ("weak", "unobservable") for one in group)
     clocks = np.abs([one.clock_milliseconds for one in group])
+    metres, degrees = [one.millimetres for one in group], [one.degrees for one in group]
     print(
-        f"{label} {len(runs):4d} {sum(one.grade == 'good' for one in group):4d} {weak:4d} "
-        f"{sum(one.grade == 'missing' for one in group):4d} {remarked:4d} "
-        f"{median([one.millimetres for one in group]):7.1f} {worst([one.millimetres for one in group]):7.1f} "
-        f"{median([one.degrees for one in group]):6.2f} {worst([one.degrees for one in group]):6.2f} "
-        f"{mean([one.nees for one in group]):7.2f} {median(clocks):6.1f} {worst(clocks):6.1f} "
-        f"{sum(one.outside for one in group):4d} {sum(one.confidently_wrong for one in group):4d} "
-        f"{sum(one.grossly_wrong for one in group):5d} {mean([one.seconds for one in runs.values()]):5.1f}",
-        flush=True,
-    )
+        TABLE.line(
+            *label, len(runs), sum(one.grade == "good" for one in group), weak,
+            sum(one.grade == "missing" for one in group), remarked, median(metres), worst(metres),
+            median(degrees), worst(degrees), mean([one.nees for one in group]), median(clocks), worst(clocks),
+            sum(one.outside for one in group), sum(one.confidently_wrong for one in group),
+            sum(one.grossly_wrong for one in group), mean([one.seconds for one in runs.values()]),
+        )
+    )  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -49,13 +49,14 @@ from network_measures import (
     save_answer,
 )
 from network_overlaps import SEED, find_overlaps
-from network_times import WALKERS
 
 P = ParamSpec("P")
 Result = TypeVar("Result")
 STAGES = ("tracking", "pairing", "averaging", "solving", "assembling", "writing")
 SIZES = ("30x1", "100x1", "300x1", "100x10")
 ANSWER = "answer.npz"
+WALKERS = 0.4
+"""For each scanner."""
 
 
 class Row(NamedTuple):

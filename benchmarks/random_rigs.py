@@ -13,34 +13,30 @@ connected to the root by pairs of sensors with enough varied common views (rando
 error and with noise stated about right. A crash is any exception but those of calgraph.errors.
 """
 
-import argparse
-import csv
-import logging
 import signal
-import sys
 import time
 import traceback
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from types import FrameType
-from typing import Any
 
 import cv2
 import numpy as np
 from scipy.stats import chi2
 
+from calgraph.config import Tolerance
 from calgraph.errors import CalgraphError
-from calgraph.geometry import se3
-from calgraph.parallel.processes import parallel_map
+from calgraph.geometry import Array
+from calgraph.result import Calibration
 from calgraph.rig.options import RigOptions
 from calgraph.rig.pipeline import calibrate_rig
-from outcome_tables import NAN, grouped, mean, median, share, worst
 from random_rig_draws import draw_rig, true_poses
 from random_rig_messages import record
 from random_rig_views import well_posed_sensors
+from worlds import NAN, Layout, grouped, make_parser, mean, measure_error, median, run_worlds, share, worst
 
 MAX_SIGMAS, MAX_TRANSLATION, MAX_ROTATION = 5.0, 2.0, 1.0 / 0.3
 """Standard deviations, and multiples of the tolerance."""
@@ -94,21 +90,14 @@ class SensorOutcome:
 
 def main() -> None:
     """Prints the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = make_parser(__doc__, jobs=2)
     parser.add_argument("--seeds", nargs=2, type=int, default=[0, 100], help="first, and one past the last")
     parser.add_argument("--moving", action="store_true", help="boards that never rest, in synchronized frames")
     parser.add_argument("--unknown-lenses", type=float, default=0.0, help="share of cameras without intrinsics")
-    parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--csv", type=Path, help="file to write all sensors to")
-    parser.add_argument("--read", nargs="+", type=Path, default=[], help="such files, instead of runs")
-    parser.add_argument("--minutes", type=float, default=np.inf, help="start no further rigs after this time")
     parser.add_argument("--verbose", action="store_true", help="a line for each sensor")
     arguments = parser.parse_args()
-    logging.disable(logging.WARNING)
-    if arguments.read:
-        outcomes = [one for path in arguments.read for one in load(path)]
-    else:
-        outcomes = run_all(range(*arguments.seeds), arguments)
+    work = [(seed, arguments.moving, arguments.unknown_lenses) for seed in range(*arguments.seeds)]
+    outcomes = run_worlds(SensorOutcome, run, work, arguments, key=1)
     if arguments.verbose:
         for o in outcomes:
             print(
@@ -118,32 +107,19 @@ def main() -> None:
     show(outcomes)
 
 
-def run_all(seeds: Sequence[int], arguments: argparse.Namespace) -> list[SensorOutcome]:
-    """Runs in blocks, and saves after each: an interrupted run keeps what it has."""
-    began, outcomes = time.monotonic(), []
-    block = 20 * arguments.jobs
-    for first in range(0, len(seeds), block):
-        if time.monotonic() - began > 60 * arguments.minutes:
-            break
-        rigs = [(seed, arguments.moving, arguments.unknown_lenses) for seed in seeds[first : first + block]]
-        part = parallel_map(run, rigs, arguments.jobs)
-        outcomes += [one for of_rig in part for one in of_rig]
-        if arguments.csv:
-            save(arguments.csv, outcomes)
-        print(f"\r{min(first + block, len(seeds))} of {len(seeds)} rigs", end="", file=sys.stderr, flush=True)
-    print(file=sys.stderr)
-    return outcomes
-
-
 def run(seed: int, moving: bool = False, unknown_lenses: float = 0.0) -> list[SensorOutcome]:
     """Draws, records, calibrates and compares the rig of a seed; see :func:`draw_rig`."""
     cv2.setNumThreads(1)
     began = time.process_time()
     rig = draw_rig(seed, moving, unknown_lenses)
     recording = record(rig)
-    others = [name for name in rig.stated.sensors if name != rig.stated.root]
     labels = "|".join(f"{key}={value}" for key, value in rig.labels.items())
     expected = well_posed_sensors(rig)
+    unknown = [
+        SensorOutcome(seed, name, labels, "no pose", name in expected)
+        for name in rig.stated.sensors
+        if name != rig.stated.root
+    ]
     signal.signal(signal.SIGALRM, _time_out)
     signal.alarm(TIMEOUT)
     try:
@@ -152,100 +128,47 @@ def run(seed: int, moving: bool = False, unknown_lenses: float = 0.0) -> list[Se
             warnings.simplefilter("error")
             found = calibrate_rig(rig.stated, recording, RigOptions())
     except CalgraphError as error:
-        return [
-            SensorOutcome(
-                seed,
-                name,
-                labels,
-                "failed",
-                name in expected,
-                text=str(error),
-                seconds=time.process_time() - began,
-            )
-            for name in others
-        ]
+        seconds = time.process_time() - began
+        return [replace(one, grade="failed", text=str(error), seconds=seconds) for one in unknown]
     except Exception as error:
-        where = traceback.extract_tb(error.__traceback__)[-1]
+        where, seconds = traceback.extract_tb(error.__traceback__)[-1], time.process_time() - began
         text = f"{type(error).__name__}: {error} ({Path(where.filename).name}:{where.lineno})"
-        return [
-            SensorOutcome(
-                seed, name, labels, "crashed", name in expected, text=text, seconds=time.process_time() - began
-            )
-            for name in others
-        ]
+        return [replace(one, grade="crashed", text=text, seconds=seconds) for one in unknown]
     finally:
         signal.alarm(0)
-    seconds, true, tolerance = time.process_time() - began, true_poses(rig), rig.stated.tolerance
-    outcomes = []
-    for name in others:
-        sensor = next((one for one in found.sensors if one.name == name), None)
-        if sensor is None:
-            reason = found.evidence.unconnected.get(name, "")
-            outcomes.append(
-                SensorOutcome(seed, name, labels, "no pose", name in expected, text=reason, seconds=seconds)
-            )
-            continue
-        off = se3.difference(sensor.T_root_sensor, true[name])
-        metres, degrees = float(np.linalg.norm(off[:3])), float(np.degrees(np.linalg.norm(off[3:])))
-        sigmas = float(np.max(np.abs(off) / np.sqrt(np.diag(sensor.covariance))))
-        good = sensor.verdict.grade == "good"
-        outcomes.append(
-            SensorOutcome(
-                seed,
-                name,
-                labels,
-                sensor.verdict.grade,
-                name in expected,
-                tolerance.translation,
-                1000 * metres,
-                degrees,
-                sigmas,
-                float(off @ np.linalg.solve(sensor.covariance, off) / 6),
-                bool(np.all(np.abs(off) <= tolerance.limits)),
-                good
-                and (
-                    sigmas > MAX_SIGMAS
-                    or metres > MAX_TRANSLATION * tolerance.translation
-                    or degrees > MAX_ROTATION * tolerance.rotation
-                ),
-                seconds,
-                " | ".join([sensor.verdict.reason, *found.evidence.remarks]),
-            )
-        )
-    return outcomes
+    seconds, true = time.process_time() - began, true_poses(rig)
+    return [judge(replace(one, seconds=seconds), found, true, rig.stated.tolerance) for one in unknown]
+
+
+def judge(
+    outcome: SensorOutcome, found: Calibration, true: Mapping[str, Array], tolerance: Tolerance
+) -> SensorOutcome:
+    """The outcome of a sensor, with its verdict and errors if it has a pose."""
+    sensor = next((one for one in found.sensors if one.name == outcome.sensor), None)
+    if sensor is None:
+        return replace(outcome, text=found.evidence.unconnected.get(outcome.sensor, ""))
+    error = measure_error(sensor.T_root_sensor, sensor.covariance, true[sensor.name])
+    far = (
+        error.sigmas > MAX_SIGMAS
+        or error.metres > MAX_TRANSLATION * tolerance.translation
+        or error.degrees > MAX_ROTATION * tolerance.rotation
+    )
+    return replace(
+        outcome,
+        grade=sensor.verdict.grade,
+        tolerance=tolerance.translation,
+        millimetres=1000 * error.metres,
+        degrees=error.degrees,
+        sigmas=error.sigmas,
+        nees=error.nees,
+        within=bool(np.all(np.abs(error.axes) <= tolerance.limits)),
+        confidently_wrong=sensor.verdict.grade == "good" and far,
+        text=" | ".join([sensor.verdict.reason, *found.evidence.remarks]),
+    )
 
 
 def _time_out(_signal: int, _frame: FrameType | None) -> None:
     raise TimeoutError(f"not finished after {TIMEOUT} s")
-
-
-def save(path: Path, outcomes: Sequence[SensorOutcome]) -> None:
-    """Writes a row for each sensor."""
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, [one.name for one in fields(SensorOutcome)])
-        writer.writeheader()
-        writer.writerows(asdict(o) for o in outcomes)
-
-
-def load(path: Path) -> list[SensorOutcome]:
-    """What :func:`save` wrote."""
-    with path.open(newline="", encoding="utf-8") as file:
-        return [SensorOutcome(**_parse(row)) for row in csv.DictReader(file)]
-
-
-def _parse(row: Mapping[str, str]) -> dict[str, Any]:
-    """The values of a row with their types."""
-    texts, flags = {"sensor", "labels", "grade", "text"}, {"well_posed", "within", "confidently_wrong"}
-    return {
-        key: value
-        if key in texts
-        else value == "True"
-        if key in flags
-        else int(value)
-        if key == "seed"
-        else float(value)
-        for key, value in row.items()
-    }
 
 
 def show(outcomes: Sequence[SensorOutcome]) -> None:
@@ -271,10 +194,7 @@ def show(outcomes: Sequence[SensorOutcome]) -> None:
     whole = [group for _, group in rigs if all(o.well_posed for o in group)]
     all_good = [group for group in whole if all(o.grade == "good" for o in group)]
     print(f"well posed in all sensors: {len(whole)} rigs, all good {share(all_good, whole)}")
-    print(
-        f"\n{'class':28} {'rigs':>5} {'sens.':>6} {'good':>6} {'weak':>5} {'unob.':>5} {'none':>5} {'conf':>4} "
-        f"{'NEES':>6} {'median':>6} {'>99 %':>6}"
-    )
+    print(f"\n{TABLE.head}")
     row("all", outcomes)
     row("    good", good)
     row("    well posed", posed)
@@ -291,6 +211,11 @@ def show(outcomes: Sequence[SensorOutcome]) -> None:
             )
 
 
+TABLE = Layout(
+    "class:28 rigs:5d sens.:6d good:6d weak:5d unob.:5d none:5d conf:4d NEES:6.2f median:6.2f >99_%:6.1%"
+)
+
+
 def row(title: str, outcomes: Sequence[SensorOutcome]) -> None:
     """Prints a line of the table."""
     counts = {grade: sum(o.grade == grade for o in outcomes) for grade in ("good", "weak", "unobservable")}
@@ -300,10 +225,11 @@ def row(title: str, outcomes: Sequence[SensorOutcome]) -> None:
     wrong = sum(o.confidently_wrong for o in outcomes)
     beyond = [6 * one > chi2.ppf(0.99, 6) for one in nees]
     print(
-        f"{title:28} {len({o.seed for o in outcomes}):5d} {len(outcomes):6d} {counts['good']:6d} "
-        f"{counts['weak']:5d} {counts['unobservable']:5d} {missing:5d} {wrong:4d} "
-        f"{mean(nees):6.2f} {median(nees):6.2f} {mean(beyond):6.1%}"
-    )
+        TABLE.line(
+            title, len({o.seed for o in outcomes}), len(outcomes), *counts.values(), missing, wrong, mean(nees),
+            median(nees), mean(beyond),
+        )
+    )  # fmt: skip
 
 
 def _label(outcome: SensorOutcome, name: str) -> str:

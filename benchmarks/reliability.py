@@ -1,32 +1,56 @@
-"""What calgraph answers to damaged input and to faults of the computer: the tables of docs/reliability.md.
+"""What calgraph answers to failed sensors, signals and faults of the computer: the tables of docs/reliability.md.
 
 python benchmarks/reliability.py --jobs 4                      # all tables
 python benchmarks/reliability.py --tables recordings --seeds 2 # some of them, with fewer seeds
-python benchmarks/reliability.py --only "cut off" --keep wrong # some kinds; inputs of wrong answers are kept
+python benchmarks/reliability.py --only "stamps" --keep wrong  # some kinds; inputs of wrong answers are kept
 python benchmarks/reliability.py --outcomes FILE --minutes 30  # half an hour of them; the next run continues
 
-Each input or fault is one run of the installed command line in a separate folder.
+Each input or fault is one run of the installed command line in a separate folder. Bytes that are damaged are the
+matter of fuzz_readers.py.
 """
 
 import argparse
 import sys
 import time
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-import reliability_caches as caches
-import reliability_documents as documents
-import reliability_interrupts as interrupts
-import reliability_lines as lines
-import reliability_media as media
+import reliability_faults as faults
 import reliability_recordings as recordings
-import reliability_system as system
+import reliability_signals as signals
+from reliability_answers import Answer
 from reliability_bags import FORMS, Source, simulate_source
-from reliability_cases import Case, Outcome, attempt_all, in_order, load_outcomes, save_outcome
-from reliability_mutations import YAML_MUTATIONS
-from reliability_tables import ANSWERS, STATES, Columns, describe_wrong, format_section
+from reliability_cases import Case, Outcome, attempt_all, load_outcomes, save_outcome
+from reliability_tasks import EARLIER, NEW, NOTHING, TASKS, References, write_documents
+from worlds import grouped
+
+Columns = Sequence[tuple[str, Callable[[Outcome], bool]]]
+
+
+def _has_answer(*answers: Answer) -> Callable[[Outcome], bool]:
+    return lambda one: one.judged.answer in answers
+
+
+def _has_state(state: str) -> Callable[[Outcome], bool]:
+    return lambda one: not one.judged.answer.is_wrong and one.judged.detail == state
+
+
+ANSWERS: Columns = (
+    ("tried", lambda _: True),
+    ("right", _has_answer(Answer.RIGHT)),
+    ("weak", _has_answer(Answer.WEAK)),
+    ("refused", _has_answer(Answer.REFUSED)),
+    ("wrong", lambda one: one.judged.answer.is_wrong),
+)
+"""Of damaged input."""
+STATES: Columns = (
+    ("tried", lambda _: True),
+    *((state, _has_state(state)) for state in (signals.NOT_HIT, NOTHING, EARLIER, NEW)),
+    ("lost", lambda one: one.judged.answer.is_wrong),
+)
+"""Of signals: what is there afterwards."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +62,13 @@ class Table:
     kinds: Collection[str]
     forms: Collection[str]
     list_cases: Callable[[Source, Path, int], Iterable[Case]]
+
+    def format(self, outcomes: Sequence[Outcome]) -> str:
+        """Both tables in Markdown, with rows in the order of kinds and forms, and their sum."""
+        rank = {name: number for number, name in enumerate([*self.kinds, *self.forms])}
+        ordered = sorted(outcomes, key=lambda one: (rank.get(one.kind, 0), rank.get(one.form, 0), one.name))
+        by_kind = format_table(ordered, self.heads[0], lambda one: one.kind, self.columns)
+        return f"{by_kind}\n\n{format_table(ordered, self.heads[1], lambda one: one.form, self.columns)}"
 
 
 def main() -> None:
@@ -66,97 +97,56 @@ def main() -> None:
         with TemporaryDirectory(prefix="reliability ") as name:
             scratch = Path(name)
             source = simulate_source(scratch / "source", seed=0)
+            write_documents(source, scratch / "documents")
             for table in arguments.tables:
                 listed = TABLES[table].list_cases(source, scratch, arguments.seeds)
                 cases = [case for case in listed if arguments.only in case.name and case.name not in known]
                 attempt_all(cases, scratch / "cases", arguments.jobs, arguments.keep, report, end)
     for table in arguments.tables:
-        layout = TABLES[table]
-        rows = list(in_order([one for one in outcomes if one.table == table], layout.kinds, layout.forms))
-        if rows:
-            print(f"{format_section(rows, layout.heads, layout.columns)}\n")
+        if rows := [one for one in outcomes if one.table == table]:
+            print(f"{TABLES[table].format(rows)}\n")
     wrong = describe_wrong(outcomes)
     print(f"{len(outcomes)} cases; wrong:{chr(10) if wrong else ' none'}{wrong}")
     sys.exit(1 if wrong else 0)
 
 
-def _documents(source: Source, scratch: Path) -> Path:
-    folder = scratch / "documents"
-    return folder if folder.exists() else documents.write_documents(source, folder)
+def format_table(outcomes: Sequence[Outcome], head: str, key: Callable[[Outcome], str], columns: Columns) -> str:
+    """A Markdown table with a row for each key, and their sum."""
+    rows = [f"| {head} | {' | '.join(name for name, _ in columns)} |"]
+    rows.append(f"| --- |{' ---: |' * len(columns)}")
+    for name, group in [*grouped(outcomes, key), ("**all**", list(outcomes))]:
+        rows.append(f"| {name} | {' | '.join(str(sum(map(test, group))) for _, test in columns)} |")
+    return "\n".join(rows)
 
 
-def _references(source: Source, scratch: Path, name: str) -> interrupts.References:
-    return interrupts.References(_documents(source, scratch)).measure(scratch / name)
+def describe_wrong(outcomes: Iterable[Outcome]) -> str:
+    """A line for each wrong answer; empty if there is none."""
+    return "\n".join(
+        f"- {one.name}: {one.judged.answer.value}: {one.judged.detail}"
+        for one in outcomes
+        if one.judged.answer.is_wrong
+    )
 
 
-def _list_recordings(source: Source, scratch: Path, seeds: int) -> Iterator[Case]:
-    _documents(source, scratch)  # of which check compares one with the recordings
-    return recordings.list_cases(source, recordings.write_forms(source, scratch / "forms"), seeds)
+def _list_faults(source: Source, scratch: Path, _seeds: int) -> Iterator[Case]:
+    return faults.list_cases(source, References(scratch / "documents").measure(scratch / "faults"))
+
+
+def _list_signals(_source: Source, scratch: Path, seeds: int) -> Iterator[Case]:
+    return signals.list_cases(References(scratch / "documents").measure(scratch / "signals"), seeds)
 
 
 TABLES: Mapping[str, Table] = {
     recordings.TABLE: Table(
-        ("damage of the recording", "form of the recording"), ANSWERS, recordings.KINDS, FORMS, _list_recordings
-    ),
-    media.TABLE: Table(
-        ("damage of another recording", "form of another recording"),
+        ("damage of the recording", "form of the recording"),
         ANSWERS,
-        media.KINDS,
-        media.FORMS,
-        lambda source, scratch, seeds: media.list_cases(
-            source, media.write_media(source, scratch / "media"), seeds
-        ),
+        recordings.MESSAGE_DAMAGE,
+        FORMS,
+        lambda source, _scratch, seeds: recordings.list_cases(source, seeds),
     ),
-    documents.RIG_TABLE: Table(
-        ("mutation of the rig", "form of the rig"),
-        ANSWERS,
-        YAML_MUTATIONS,
-        documents.RIGS,
-        lambda source, scratch, seeds: documents.list_rigs(source, _documents(source, scratch), seeds),
-    ),
-    documents.FILE_TABLE: Table(
-        ("mutation of another file", "file"),
-        ANSWERS,
-        documents.FILE_KINDS,
-        [one.name for one in documents.DOCUMENTS],
-        lambda source, scratch, seeds: documents.list_files(source, _documents(source, scratch), seeds),
-    ),
-    lines.TABLE: Table(
-        ("argument", "place"),
-        ANSWERS,
-        lines.KINDS,
-        lines.PLACES,
-        lambda source, scratch, _: lines.list_cases(source, _documents(source, scratch)),
-    ),
-    system.TABLE: Table(
-        ("fault", "command"),
-        ANSWERS,
-        system.FAULTS,
-        system.TASK_NAMES,
-        lambda source, scratch, _: system.list_cases(source, _references(source, scratch, "faults")),
-    ),
-    caches.TABLE: Table(
-        ("state of the cache", "command with a cache"),
-        ANSWERS,
-        caches.KINDS,
-        caches.COMMANDS,
-        lambda source, scratch, seeds: caches.list_cases(
-            source, caches.Kept(_documents(source, scratch), scratch / "caches").make(), seeds
-        ),
-    ),
-    interrupts.TABLE: Table(
-        ("signal at a random time", "command"),
-        STATES,
-        interrupts.KINDS,
-        [task.name for task in interrupts.TASKS],
-        lambda source, scratch, seeds: interrupts.list_cases(_references(source, scratch, "signals"), seeds),
-    ),
-    interrupts.SWEEP_TABLE: Table(
-        ("signal", "command"),
-        STATES,
-        [interrupts.SWEEP_TABLE],
-        [task.name for task in interrupts.TASKS],
-        lambda source, scratch, _: interrupts.list_operations(_references(source, scratch, "sweep"), scratch),
+    faults.TABLE: Table(("fault", "command"), ANSWERS, faults.FAULTS, faults.TASK_NAMES, _list_faults),
+    signals.TABLE: Table(
+        ("signal at a random time", "command"), STATES, signals.KINDS, [task.name for task in TASKS], _list_signals
     ),
 }
 

@@ -1,6 +1,5 @@
 """One small recording, its messages as ROS has them, and the same messages in every form that calgraph reads."""
 
-import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,7 +9,7 @@ import cv2
 import numpy as np
 from rosbags.convert.converter import migrate_message
 from rosbags.rosbag1 import Writer as Writer1
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
+from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 from ruamel.yaml import YAML
 
@@ -76,7 +75,7 @@ class Source:
 
     def rig_of(self, form: str) -> Mapping[str, Any]:
         """The content of rig.yaml for a form of the recording."""
-        return self.folder_rig if form in FOLDERS else self.rig
+        return self.folder_rig if form == FOLDER else self.rig
 
 
 def simulate_source(folder: Path, seed: int) -> Source:
@@ -124,17 +123,9 @@ def with_fields(item: Item, **fields: Any) -> Item:
     return replace(item, message=replace(item.message, **fields))
 
 
-def write_bag2(
-    path: Path,
-    items: Sequence[Item],
-    storage: StoragePlugin = StoragePlugin.MCAP,
-    compression: CompressionMode = CompressionMode.NONE,
-) -> Path:
+def write_bag2(path: Path, items: Sequence[Item], storage: StoragePlugin = StoragePlugin.MCAP) -> Path:
     """Writes a rosbag2 folder."""
-    with_compression = Writer(path, version=8, storage_plugin=storage)
-    if compression != CompressionMode.NONE:
-        with_compression.set_compression(compression, CompressionFormat.ZSTD)
-    with with_compression as writer:
+    with Writer(path, version=8, storage_plugin=storage) as writer:
         connections: dict[tuple[str, str], Any] = {}
         for item in items:
             key = item.topic, item.kind
@@ -145,14 +136,11 @@ def write_bag2(
     return path
 
 
-def write_bag1(path: Path, items: Sequence[Item], compression: str = "") -> Path:
+def write_bag1(path: Path, items: Sequence[Item]) -> Path:
     """Writes a ROS 1 bag."""
     path = path.with_name(f"{path.name}.bag")
-    bag = Writer1(path)
-    if compression:
-        bag.set_compression(Writer1.CompressionFormat[compression])
     cache: dict[str, object] = {}
-    with bag as writer:
+    with Writer1(path) as writer:
         connections: dict[tuple[str, str], Any] = {}
         for item in items:
             key = item.topic, item.kind
@@ -164,7 +152,7 @@ def write_bag1(path: Path, items: Sequence[Item], compression: str = "") -> Path
     return path
 
 
-def write_folder(path: Path, items: Sequence[Item], scans: str = "npz", clouds: str = "npz") -> Path:
+def write_folder(path: Path, items: Sequence[Item]) -> Path:
     """Writes a plain folder; triggers are left out."""
     path.mkdir(parents=True)
     for item in items:
@@ -175,7 +163,7 @@ def write_folder(path: Path, items: Sequence[Item], scans: str = "npz", clouds: 
         file = path / _FOLDERS[item.topic] / f"{stamp_of(item):.9f}"
         file.parent.mkdir(exist_ok=True)
         write: Callable[..., None] = _FILE_WRITERS.get(item.kind, _write_other)
-        write(file, item.message, scans, clouds)
+        write(file, item.message)
     return path
 
 
@@ -189,31 +177,25 @@ def _write_camera_info(file: Path, info: Any) -> None:
         YAML().dump(content, opened)
 
 
-def _write_image(file: Path, message: Any, *_: str) -> None:
+def _write_image(file: Path, message: Any) -> None:
     file.with_name(f"{file.name}.jpg").write_bytes(message.data.tobytes())
 
 
-def _write_raw_image(file: Path, message: Any, *_: str) -> None:
+def _write_raw_image(file: Path, message: Any) -> None:
     pixels = np.resize(message.data, (message.height, message.width, 3)) if message.data.size else np.zeros(0)
     encoded = cv2.imencode(".png", pixels)[1].tobytes() if pixels.size else b""
     file.with_name(f"{file.name}.png").write_bytes(encoded)
 
 
-def _write_scan(file: Path, message: Any, scans: str, _clouds: str) -> None:
+def _write_scan(file: Path, message: Any) -> None:
     values = {
         "stamp": message.header.stamp.sec + message.header.stamp.nanosec / 1e9, "angle_min": message.angle_min,
         "angle_increment": message.angle_increment, "time_increment": message.time_increment,
     }  # fmt: skip
-    if scans == "npz":
-        np.savez(file.with_name(f"{file.name}.npz"), ranges=message.ranges, **values)
-        return
-    cells = [f"{values['stamp']:.9f}", *(f"{float(values[name])!r}" for name in list(values)[1:])]
-    cells += [f"{value:.4f}" if np.isfinite(value) else "" for value in message.ranges]
-    header = "stamp,angle_min,angle_increment,time_increment,ranges"
-    file.with_name(f"{file.name}.csv").write_text(f"{header}\n{','.join(cells)}\n")
+    np.savez(file.with_name(f"{file.name}.npz"), ranges=message.ranges, **values)
 
 
-def _write_cloud(file: Path, message: Any, _scans: str, clouds: str) -> None:
+def _write_cloud(file: Path, message: Any) -> None:
     names = {field.name: field for field in message.fields}
     codes = {2: "u1", 4: "<u2", 6: "<u4", 7: "<f4", 8: "<f8"}
     layout = np.dtype(
@@ -228,17 +210,10 @@ def _write_cloud(file: Path, message: Any, _scans: str, clouds: str) -> None:
     points = whole.view(layout) if {"x", "y", "z"} <= set(names) else np.zeros(0, layout)
     xyz = np.column_stack([points[axis] for axis in "xyz"]) if len(points) else np.zeros((0, 3))
     extra = {name: points[name] for name in names if name not in "xyz" and len(points)}
-    if clouds == "npz":
-        np.savez(file.with_name(f"{file.name}.npz"), points=xyz, **extra)
-        return
-    head = (
-        f"VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH {len(xyz)}\nHEIGHT 1\n"
-        f"VIEWPOINT 0 0 0 1 0 0 0\nPOINTS {len(xyz)}\nDATA binary\n"
-    )
-    file.with_name(f"{file.name}.pcd").write_bytes(head.encode() + xyz.astype("<f4").tobytes())
+    np.savez(file.with_name(f"{file.name}.npz"), points=xyz, **extra)
 
 
-def _write_other(file: Path, _message: Any, *_: str) -> None:
+def _write_other(file: Path, _message: Any) -> None:
     """A message of a type that the folder has no form for: an empty file."""
     file.with_name(f"{file.name}.png").write_bytes(b"")
 
@@ -249,39 +224,10 @@ _FILE_WRITERS: Mapping[str, Callable[..., None]] = {
     "sensor_msgs/msg/LaserScan": _write_scan,
     "sensor_msgs/msg/PointCloud2": _write_cloud,
 }
-Write = Callable[[Path, Sequence[Item]], Path]
-FOLDERS: Mapping[str, Write] = {
-    "plain folder, NPZ": write_folder,
-    "plain folder, CSV and PCD": lambda path, items: write_folder(path, items, "csv", "pcd"),
-}
-MAIN_FORMS: Mapping[str, Write] = {
+FOLDER = "plain folder, NPZ"
+FORMS: Mapping[str, Callable[[Path, Sequence[Item]], Path]] = {
     "MCAP": write_bag2,
     "SQLite": lambda path, items: write_bag2(path, items, StoragePlugin.SQLITE3),
     "ROS 1 bag": write_bag1,
-    "plain folder, NPZ": write_folder,
+    FOLDER: write_folder,
 }
-"""Forms of which every kind of damage is tried."""
-FORMS: Mapping[str, Write] = {
-    **MAIN_FORMS,
-    "MCAP, zstd chunks": lambda path, items: write_bag2(path, items, compression=CompressionMode.STORAGE),
-    "MCAP, zstd messages": lambda path, items: write_bag2(path, items, compression=CompressionMode.MESSAGE),
-    "MCAP, zstd file": lambda path, items: write_bag2(path, items, compression=CompressionMode.FILE),
-    "SQLite, zstd messages": lambda path, items: write_bag2(
-        path, items, StoragePlugin.SQLITE3, CompressionMode.MESSAGE
-    ),
-    "SQLite, zstd file": lambda path, items: write_bag2(path, items, StoragePlugin.SQLITE3, CompressionMode.FILE),
-    "ROS 1 bag, BZ2": lambda path, items: write_bag1(path, items, "BZ2"),
-    "ROS 1 bag, LZ4": lambda path, items: write_bag1(path, items, "LZ4"),
-    **FOLDERS,
-}
-"""Forms of which damage of bytes is tried as well."""
-
-
-def link_copy(source: Path, target: Path) -> None:
-    """A copy of a file or folder of which single files are replaced, never changed in place: by hard links."""
-    if source.is_file():
-        os.link(source, target)
-        return
-    target.mkdir(parents=True)
-    for entry in source.iterdir():
-        link_copy(entry, target / entry.name)

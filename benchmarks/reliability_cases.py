@@ -4,7 +4,7 @@ import json
 import shutil
 import time
 import zlib
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
@@ -91,12 +91,6 @@ def load_outcomes(file: Path) -> Sequence[Outcome]:
         table, kind, form, name, answer, detail = json.loads(line)
         found[name] = Outcome(table, kind, form, name, Judged(Answer[answer], detail))
     return list(found.values())
-
-
-def in_order(outcomes: Sequence[Outcome], kinds: Collection[str], forms: Collection[str]) -> Iterator[Outcome]:
-    """Outcomes in the order of rows."""
-    rank = {name: number for number, name in enumerate([*kinds, *forms])}
-    yield from sorted(outcomes, key=lambda one: (rank.get(one.kind, 0), rank.get(one.form, 0), one.name))
 
 
 def _attempt(case: Case, scratch: Path, keep: Path | None, end: float) -> Outcome | None:

@@ -1,14 +1,13 @@
-"""Attempts with damaged recordings: calibrate, and also inspect, init and check."""
+"""Attempts with recordings of sensors that failed: calibrate, and also inspect, init and check."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from reliability_answers import Answer, Judged, find_left, judge_ending, judge_result
-from reliability_bags import FORMS, MAIN_FORMS, Source, link_copy, write_rig
-from reliability_bytes import FILE_DAMAGE, files_of
+from reliability_bags import FORMS, Source, write_rig
 from reliability_cases import Case
 from reliability_messages import MESSAGE_DAMAGE
 from reliability_runs import run
@@ -24,46 +23,21 @@ _COMMANDS: Sequence[Sequence[str]] = (
     ("check", "rig.yaml", "{recording}", "--against", "{extrinsics}", "-o", "out"),
 )
 """By seed: half of the attempts calibrate."""
-KINDS = *MESSAGE_DAMAGE, *FILE_DAMAGE
 _CODES_OF = {"check": (0, 1, 2)}
 _FEW_FILES = 12
 
 
-def list_cases(source: Source, forms: Mapping[str, Path], seeds: int) -> Iterator[Case]:
-    """All kinds of damage in the main forms; in the others, damage of bytes with a third of the seeds."""
+def list_cases(source: Source, seeds: int) -> Iterator[Case]:
+    """All kinds of damage in all forms."""
     for seed in range(seeds):
         for kind in MESSAGE_DAMAGE:
-            for form in MAIN_FORMS:
-                yield Case(TABLE, kind, form, seed, partial(_attempt_messages, source, kind, form, seed))
-        for kind in FILE_DAMAGE:
             for form in FORMS:
-                if form in MAIN_FORMS or seed % 3 == 0:
-                    yield Case(
-                        TABLE, kind, form, seed, partial(_attempt_bytes, source, forms[form], kind, form, seed)
-                    )
+                yield Case(TABLE, kind, form, seed, partial(_attempt, source, kind, form, seed))
 
 
-def write_forms(source: Source, folder: Path) -> Mapping[str, Path]:
-    """The undamaged recording in each form."""
-    return {
-        form: write(folder / f"{number} recording", source.items)
-        for number, (form, write) in enumerate(FORMS.items())
-    }
-
-
-def _attempt_messages(
-    source: Source, kind: str, form: str, seed: int, folder: Path, rng: np.random.Generator
-) -> Judged:
+def _attempt(source: Source, kind: str, form: str, seed: int, folder: Path, rng: np.random.Generator) -> Judged:
     recording = FORMS[form](folder / "recording", MESSAGE_DAMAGE[kind](source.items, rng))
     return judge_recording(source, form, recording, folder, seed)
-
-
-def _attempt_bytes(
-    source: Source, whole: Path, kind: str, form: str, seed: int, folder: Path, rng: np.random.Generator
-) -> Judged:
-    copy = folder / f"recording{whole.suffix}"
-    link_copy(whole, copy)
-    return judge_recording(source, form, FILE_DAMAGE[kind](copy, rng), folder, seed)
 
 
 def judge_recording(source: Source, form: str, recording: Path, folder: Path, seed: int) -> Judged:
@@ -94,4 +68,5 @@ def judge_output(source: Source, found: Judged | None, command: str, folder: Pat
 
 
 def _file_names(recording: Path) -> Sequence[str]:
-    return [file.name for file in files_of(recording)[:_FEW_FILES]] if recording.exists() else []
+    files = sorted(file for file in recording.rglob("*") if file.is_file())
+    return [file.name for file in files[:_FEW_FILES]]

@@ -15,8 +15,6 @@ rest that was found overlaps half of it, or half a second; ``within`` where that
 time of the messages that are used.
 """
 
-import argparse
-import csv
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -50,6 +48,7 @@ from calgraph.simulation import (
 )
 from calgraph.simulation.motion import BoardTrajectory, SimulatedHold, pose_from_placement
 from calgraph.simulation.world import simulate_measurement
+from worlds import make_parser, run_worlds
 
 MIXES = (
     ("camera", "lidar2d", "lidar16"), ("camera", "lidar16"), ("camera", "lidar64"), ("camera", "camera"),
@@ -352,16 +351,6 @@ def measure(kind: str, seed: int) -> Row:
     return Row(kind, seed, "+".join(mix), people, len(walk.rests), *hits, mode, seconds)
 
 
-def read(path: Path) -> list[Row]:
-    """The rows that were measured before."""
-    if not path.exists():
-        return []
-    with path.open(newline="") as file:
-        return [
-            Row(*(Row.__annotations__[name](value) for name, value in one.items())) for one in csv.DictReader(file)
-        ]
-
-
 def report(rows: Sequence[Row]) -> Iterator[str]:
     """Lines of a table."""
 
@@ -391,25 +380,17 @@ def report(rows: Sequence[Row]) -> Iterator[str]:
 
 def main() -> None:
     """Measures what is missing of the walks, and prints the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = make_parser(__doc__, jobs=1, path=Path("build/rests.csv"))
     parser.add_argument("--only", choices=["series", "moving", "rendered", "real"])
     parser.add_argument("--first", type=int, default=0, help="first seed")
-    parser.add_argument("--out", type=Path, default=Path("build/rests.csv"))
     arguments = parser.parse_args()
-    rows = read(arguments.out)
-    done = {(row.kind, row.seed) for row in rows}
-    arguments.out.parent.mkdir(parents=True, exist_ok=True)
-    with arguments.out.open("a", newline="") as file:
-        writer = csv.writer(file)
-        if not rows:
-            writer.writerow(Row._fields)
-        for kind, count in (("series", 160), ("moving", 40), ("rendered", 40), ("real", 1)):
-            for seed in range(arguments.first, arguments.first + count):
-                if arguments.only in (None, kind) and (kind, seed) not in done:
-                    rows.append(measure(kind, seed))
-                    writer.writerow(rows[-1])
-                    file.flush()
-    print("\n".join(report(rows)))
+    work = [
+        (kind, seed)
+        for kind, count in (("series", 160), ("moving", 40), ("rendered", 40), ("real", 1))
+        for seed in range(arguments.first, arguments.first + count)
+        if arguments.only in (None, kind)
+    ]
+    print("\n".join(report(run_worlds(Row, measure, work, arguments, key=2))))
 
 
 if __name__ == "__main__":

@@ -47,7 +47,7 @@ from calgraph.simulation import (
     simulate_network,
     simulate_rig,
 )
-from outcome_tables import rms
+from worlds import rms
 
 Story = Literal["rig", "network"]
 FACTORS = (0.5, 2.0)

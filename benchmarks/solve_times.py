@@ -1,13 +1,10 @@
-"""CPU seconds that the joint solution of a rig takes, by captures and sensors, and against scipy's least squares.
+"""CPU seconds that the joint solution of a rig takes, by captures and sensors.
 
 OMP_NUM_THREADS=1 python benchmarks/solve_times.py                                     # five sensors
 OMP_NUM_THREADS=1 python benchmarks/solve_times.py --sensors 5 10 20 --captures 120 504 1008
-OMP_NUM_THREADS=1 python benchmarks/solve_times.py --captures 120 --oracle             # against scipy
 
 Detections are simulated: clean, and with the noise that rig.yaml states. ``pairs`` is what comes before: all
-pairs, and the tree. ``bundle`` is the whole joint solution from there, rounds of measuring the noise included. The
-oracle starts where the bundle starts, with the same residuals, noise and robust cost, and stops when it is at the
-same cost; there ``once`` is a single solution of the bundle at that noise.
+pairs, and the tree. ``bundle`` is the whole joint solution from there, rounds of measuring the noise included.
 """
 
 import argparse
@@ -15,18 +12,12 @@ import logging
 import os
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from statistics import median
 from typing import TypeVar
 
 import numpy as np
-from scipy.optimize import OptimizeResult, least_squares
 
 from calgraph.boards.detections import BoardCorners
-from calgraph.graph.pairwise_estimate import select_matches
-from calgraph.rig.bundle.board_observations import group_detections
-from calgraph.rig.bundle.bundle_setup import build_bundle
-from calgraph.rig.bundle.bundle_solver import minimize_bundle
 from calgraph.rig.bundle.estimate import solve_bundle
 from calgraph.rig.bundle.problem import Problem
 from calgraph.rig.bundle.solution import RigSolution
@@ -43,13 +34,10 @@ from calgraph.simulation import (
     build_world,
     simulate_detections,
 )
-from sparse_problem import SparseProblem
 
 # By number of sensors: cameras, 2-D scanners, spinning ones, LiDARs with rings.
 RIGS = {5: (1, 3, 1, 0), 10: (3, 4, 2, 1), 20: (6, 8, 4, 2)}
 Result = TypeVar("Result")
-SAME_COST = 1e-6
-"""Relative difference of costs that counts as none."""
 
 
 def main() -> None:
@@ -58,19 +46,17 @@ def main() -> None:
     parser.add_argument("--captures", type=int, nargs="+", default=[48, 120, 504, 1008, 5040])
     parser.add_argument("--sensors", type=int, nargs="+", choices=RIGS, default=[5])
     parser.add_argument("--repeat", type=int, default=3, help="the median counts")
-    parser.add_argument("--oracle", action="store_true", help="compare with scipy.optimize.least_squares")
     arguments = parser.parse_args()
     if os.environ.get("OMP_NUM_THREADS") != "1":
         raise SystemExit("set OMP_NUM_THREADS=1: this measures one core")
     logging.disable(logging.WARNING)
-    oracle = f"{'once':>8}{'scipy':>9}{'ratio':>7}{'cost':>11}" if arguments.oracle else ""
-    print(f"{'sensors':>7}{'captures':>9}{'numbers':>10}{'pairs s':>9}{'bundle s':>9}{'ms each':>8}{oracle}")
+    print(f"{'sensors':>7}{'captures':>9}{'numbers':>10}{'pairs s':>9}{'bundle s':>9}{'ms each':>8}")
     for sensors in arguments.sensors:
         for captures in arguments.captures:
-            show(sensors, captures, arguments.repeat, arguments.oracle)
+            show(sensors, captures, arguments.repeat)
 
 
-def show(sensors: int, captures: int, repeat: int, oracle: bool) -> None:
+def show(sensors: int, captures: int, repeat: int) -> None:
     """Prints one line."""
     rig, captured, _ = simulate_detections(build_world(scenario_of(sensors, captures), 0, images=False), 0)
     # Nothing is to be selected among clean detections, and the hypergraph's time is not this one's.
@@ -79,8 +65,7 @@ def show(sensors: int, captures: int, repeat: int, oracle: bool) -> None:
     )
     seconds, _ = timed(lambda: joint_solution(problem), repeat)
     line = f"{len(rig.sensors):7d}{len(captured.holds):9d}{numbers(captured):10d}{before:9.2f}{seconds:9.3f}"
-    line += f"{1000 * seconds / len(captured.holds):8.2f}"
-    print(line + (compared(problem, repeat) if oracle else ""), flush=True)
+    print(f"{line}{1000 * seconds / len(captured.holds):8.2f}", flush=True)
 
 
 def scenario_of(sensors: int, captures: int) -> RigScenario:
@@ -108,38 +93,6 @@ def joint_solution(problem: Problem) -> RigSolution:
     """The bundle, from pairs to covariances."""
     estimates, start = select_successful(problem.pairs), problem.tree.T_root_sensor
     return solve_bundle(problem.rig, problem.captures, estimates, start, keep=problem.solver.keep)
-
-
-def compared(problem: Problem, repeat: int) -> str:
-    """One solution of the bundle beside scipy's of the same problem: seconds, their ratio, difference in cost."""
-    keep = problem.solver.keep
-    boards = group_detections([(pair, select_matches(pair, keep)) for pair in select_successful(problem.pairs)])
-    bundle, start = build_bundle(problem.rig, problem.captures, boards, problem.tree.T_root_sensor)
-    bundle = replace(bundle, bias_variance=np.zeros_like(bundle.bias_variance))
-    ours, solved = timed(lambda: minimize_bundle(bundle, start), repeat)
-    scipys, cost = timed(lambda: scipy_cost(SparseProblem(bundle, start), solved.equations.cost), 1)
-    return f"{ours:8.3f}{scipys:9.2f}{scipys / ours:7.1f}{cost / solved.equations.cost - 1:11.1e}"
-
-
-def scipy_cost(problem: SparseProblem, goal: float) -> float:
-    """The cost at which scipy's trust region stops: as soon as it is at the goal, or when it gives up."""
-
-    def at_goal(intermediate_result: OptimizeResult) -> None:
-        if intermediate_result.cost <= goal * (1 + SAME_COST):
-            raise StopIteration
-
-    found = least_squares(
-        problem.residuals,
-        np.zeros(problem.unknowns),
-        problem.jacobian,
-        x_scale="jac",
-        ftol=1e-12,
-        xtol=1e-12,
-        gtol=1e-12,
-        max_nfev=200,
-        callback=at_goal,
-    )
-    return float(found.cost)
 
 
 def timed(work: Callable[[], Result], repeat: int) -> tuple[float, Result]:

@@ -16,10 +16,9 @@ import numpy as np
 from reliability_answers import Answer, Judged, find_left, judge_ending
 from reliability_bags import Source
 from reliability_cases import Case
-from reliability_interrupts import NEW, NOTHING, TASKS, References, Task, fingerprint, state_of
-from reliability_lines import link_documents
 from reliability_recordings import judge_output
 from reliability_runs import run
+from reliability_tasks import EARLIER, NEW, NOTHING, TASKS, References, Task, fingerprint, link_documents, state_of
 
 TABLE = "faults"
 NOT_POSSIBLE = "not possible here"
@@ -123,7 +122,7 @@ def _attempt(
         return found
     place = folder / "kept" if on_disk and output != task.output else folder
     state = state_of(place / task.output, earlier, new)
-    if state not in ((NEW,) if ending.code == 0 else (NOTHING, "earlier result", NEW)):
+    if state not in ((NEW,) if ending.code == 0 else (NOTHING, EARLIER, NEW)):
         return Judged(Answer.HALF, f"exit code {ending.code}: {state}: {sorted(fingerprint(place / task.output))}")
     if left := find_left(folder, place):
         return Judged(Answer.LEFT, left[0])
