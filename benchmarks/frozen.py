@@ -108,14 +108,15 @@ def _map(
     work: "partial[tuple[str, str, float | None]]", names: Sequence[str], jobs: int
 ) -> Iterator[tuple[str, str, float | None]]:
     if jobs == 1:
-        _prepare()
+        prepare()
         yield from map(work, names)
         return
-    with get_context("fork").Pool(jobs, _prepare) as pool:
+    with get_context("fork").Pool(jobs, prepare) as pool:
         yield from pool.imap(work, names)
 
 
-def _prepare() -> None:
+def prepare() -> None:
+    """What each process does first."""
     logging.disable(logging.WARNING)
     warnings.simplefilter("ignore")
     cv2.setNumThreads(1)

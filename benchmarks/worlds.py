@@ -1,7 +1,7 @@
 """The harness of benchmarks: worlds that are run and resumed, rows in a CSV file, figures and lines of tables.
 
 A benchmark draws worlds, measures each in a function that returns its row or rows, and prints a table of them.
-Rows are dataclasses or named tuples, whose first fields say of which world they are. Averages are those of finite
+Rows are dataclasses or named tuples, whose first fields are the name of their world. Averages are those of finite
 values.
 """
 
@@ -59,7 +59,7 @@ def run_worlds(
         function: of a world: its row, its rows, or None where there is no such world.
         work: arguments of the function by world.
         arguments: of :func:`make_parser`.
-        key: so many first fields of a row, and arguments of the function, identify a world.
+        key: number of first fields of a row, and arguments of the function, that identify a world.
     """
     logging.disable(logging.WARNING)
     if arguments.show:
