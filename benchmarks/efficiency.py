@@ -16,7 +16,6 @@ most part. ``pairwise`` is the start along the spanning tree.
 How long estimators take is in solve_times.py.
 """
 
-import argparse
 import logging
 import sys
 from collections.abc import Iterator, Mapping, Sequence
@@ -49,6 +48,7 @@ from calgraph.simulation import (
 )
 from model_error_draws import draw_errors
 from simulated import poses_of, recorded
+from worlds import make_parser
 
 ESTIMATORS = "pairwise", *get_args(Estimator)
 AXES = ("x", "y", "z", "rx", "ry", "rz")
@@ -129,7 +129,7 @@ class Outcomes:
 
 def main() -> None:
     """Prints ratios to the bound, NEES and coverage; with ``--disturbed``, what slips cost."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = make_parser(__doc__)
     parser.add_argument("--level", choices=("detections", "recordings"), default="detections")
     parser.add_argument("--runs", type=int, default=200, help="of each rig")
     parser.add_argument("--scenarios", type=int, default=1, help="rigs; recordings have another one each run")

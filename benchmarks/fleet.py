@@ -9,7 +9,6 @@ between its two recordings. The run is killed (SIGKILL, no time to clean up) whe
 done, and then goes on.
 """
 
-import argparse
 import json
 import os
 import shutil
@@ -22,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from fleet_data import FleetPlan, plan_fleet, save_fleet, write_fleet
+from worlds import make_parser
 
 _COMMAND = [sys.executable, "-c", "from calgraph.cli import main; main()", "fleet"]
 _POLL = 0.2
@@ -115,7 +115,7 @@ def show_times(folder: Path, robots: Sequence[str], out: Path) -> None:
 
 def main() -> None:
     """Makes the fleet, runs it, and prints the results."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = make_parser(__doc__)
     parser.add_argument("--keep", type=Path, required=True, help="folder of recordings, made if they are missing")
     parser.add_argument("--robots", type=int, default=50)
     parser.add_argument("--broken", type=int, default=3)

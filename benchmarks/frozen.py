@@ -47,6 +47,7 @@ from frozen_options import list_option_problems
 from frozen_recordings import MissingDataError, list_recording_problems
 from frozen_rigs import Make, list_rig_problems
 from frozen_texts import describe, describe_error
+from worlds import make_parser
 
 SHOWN = 12
 """Digits of a SHA-256."""
@@ -58,7 +59,7 @@ def main() -> None:
         parser = argparse.ArgumentParser(prog="frozen.py compare", description="What differs between two folders.")
         parser.add_argument("folders", nargs=2, type=Path)
         sys.exit(0 if compare(*parser.parse_args(sys.argv[2:]).folders) else 1)
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = make_parser(__doc__)
     parser.add_argument("--out", type=Path, default=Path("build/frozen/current"))
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     parser.add_argument("--only", nargs="+", default=["*"], metavar="PATTERN", help="names of problems")

@@ -100,7 +100,7 @@ def list_option_problems() -> Iterator[tuple[str, Make]]:
         yield f"moving_boards/{speed:g}/{spread:g}/{readout:g}/0", partial(_moving, motion, 0)
     for k, lens in enumerate(intrinsics.LENSES):
         warp = 0.3 * (k % 2)
-        yield f"intrinsics/{lens}/{warp:g}/0", partial(intrinsics.measure, lens, 0, warp, rendered=False)
+        yield f"intrinsics/{lens}/{warp:g}/0", partial(intrinsics.measure, lens, 0, warp)
     for seed, warp in product(range(4), (0.0, 0.3)):
         yield f"lens_models/{warp:g}/{seed}", partial(_lens, seed, warp)
     for n, wrong, sparse in product((2, 3), (0.2, 0.4), (False, True)):

@@ -12,7 +12,6 @@ Rotation methods are followed by least-squares translations over the edges whose
     python benchmarks/graph_methods.py --seeds 200
 """
 
-import argparse
 import time
 from typing import get_args
 
@@ -24,6 +23,7 @@ from calgraph.geometry import Array, se_n
 from calgraph.graph.averaging import RotationAveraging, average_poses_by_rotations
 from calgraph.graph.pose_graph import PoseGraph
 from calgraph.graph.tree_consensus import average_poses
+from worlds import make_parser
 
 POSITION, ANGLE = 0.05, np.radians(0.7)
 NEAR, TURNED = 0.5, np.radians(5)
@@ -143,7 +143,7 @@ def held_twice(graph: PoseGraph, right: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 def main() -> None:
     """Prints everything."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = make_parser(__doc__)
     parser.add_argument("--seeds", type=int, default=200, help="graphs for each share of wrong edges")
     parser.add_argument("--dimensions", type=int, nargs="+", default=[2, 3], choices=[2, 3])
     options = parser.parse_args()

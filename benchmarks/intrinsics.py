@@ -2,7 +2,6 @@
 
 python benchmarks/intrinsics.py --seeds 20
 python benchmarks/intrinsics.py --seeds 20 --warp 0.3    # the lens has terms that no model of ours has
-python benchmarks/intrinsics.py --seeds 5 --rendered     # images, with the detection of corners in them
 
 A rig of a camera and a 16-beam LiDAR, and 24 captures of a board with an AprilGrid. Corners have a noise of 0.2
 px. Images of 680 by 510 pixels are cropped to 640 by 480, so that the principal point is up to 20 and 15 pixels
@@ -13,29 +12,24 @@ Columns: errors of the focal length, %, and of the principal point, px, RMS and 
 the joint solution; NEES per parameter; RMS errors of the camera's pose with true intrinsics and without any; NEES.
 """
 
-import argparse
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 
 from calgraph.boards.board_pose import BoardPose, fit_pose
-from calgraph.boards.camera import CameraDetector, make_board_corners
+from calgraph.boards.camera import make_board_corners
 from calgraph.boards.detections import BoardCorners
 from calgraph.config import AprilGrid, Board, Rig
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se3
 from calgraph.result import Calibration
-from calgraph.rig.captures.detect import CaptureSet, SensorCapture, collect_detections, state_estimated_intrinsics
-from calgraph.rig.captures.detectors import draw_seeds, make_detectors
-from calgraph.rig.captures.holds import Hold
-from calgraph.rig.captures.timeline import RecordingTimeline, SensorTimes
-from calgraph.rig.detection.board_views import BoardView, BoardViewFinder
+from calgraph.rig.captures.detect import CaptureSet, state_estimated_intrinsics
+from calgraph.rig.detection.board_views import BoardView
 from calgraph.rig.intrinsics.estimate import estimate_intrinsics
 from calgraph.rig.options import RigOptions
 from calgraph.rig.pipeline import build_problem_from_captures, solve_problem
-from calgraph.sensors import CameraModel, Image, Message
+from calgraph.sensors import CameraModel
 from calgraph.simulation import (
     CameraOptions,
     IdealDetectorOptions,
@@ -46,11 +40,11 @@ from calgraph.simulation import (
     World,
     build_world,
     ground_truth,
-    simulate_captures,
     simulate_detections,
     world_rig,
 )
 from calgraph.simulation.robot import MountedCamera
+from worlds import make_parser
 
 SIZE, MARGIN, NOISE = (640, 480), (40, 30), 0.2
 LENSES = {
@@ -84,11 +78,10 @@ class Outcome:
 
 def main() -> None:
     """Prints a line for each lens."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = make_parser(__doc__)
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--warp", type=float, default=0.0, help="largest displacement, px")
-    parser.add_argument("--rendered", action="store_true", help="images instead of corners: ten times as long")
     parser.add_argument("--lens", choices=LENSES, action="append")
     arguments = parser.parse_args()
     print(
@@ -97,7 +90,7 @@ def main() -> None:
     )
     for lens in arguments.lens or LENSES:
         seeds = range(arguments.first, arguments.first + arguments.seeds)
-        outcomes = [measure(lens, seed, arguments.warp, rendered=arguments.rendered) for seed in seeds]
+        outcomes = [measure(lens, seed, arguments.warp) for seed in seeds]
         _print_row(lens, [one for one in outcomes if one is not None])
 
 
@@ -120,9 +113,9 @@ def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def measure(lens: str, seed: int, warp: float, *, rendered: bool) -> Outcome | None:
+def measure(lens: str, seed: int, warp: float) -> Outcome | None:
     """One recording, with true intrinsics and without any; None if the views do not suffice."""
-    world = build_world(_scenario(lens), seed, images=rendered)
+    world = build_world(_scenario(lens), seed, images=False)
     rig, truth = world_rig(world), ground_truth(world)
     rng = np.random.default_rng([seed, 7])
     shift = np.array([rng.integers(MARGIN[0] + 1), rng.integers(MARGIN[1] + 1)])
@@ -130,7 +123,7 @@ def measure(lens: str, seed: int, warp: float, *, rendered: bool) -> Outcome | N
     K = whole.K.copy()
     K[:2, 2] -= shift
     camera = CameraModel(whole.model, *SIZE, K, whole.distortion)
-    views, collect = (_render if rendered else _simulate_corners)(world, rig, camera, shift, warp, seed)
+    views, collect = _simulate_corners(world, camera, shift, warp, seed)
     given = _calibrate(rig, collect(camera), seed)
     estimate = estimate_intrinsics(rig, "camera", views)
     if isinstance(estimate, Rejected):
@@ -183,7 +176,7 @@ _Collect = Callable[[CameraModel], CaptureSet]
 
 
 def _simulate_corners(
-    world: World, _rig: Rig, camera: CameraModel, shift: Array, warp: float, seed: int
+    world: World, camera: CameraModel, shift: Array, warp: float, seed: int
 ) -> tuple[list[BoardView], _Collect]:
     """Views with exact corners but for Gaussian noise, the warp and the crop."""
     _, captured, _ = simulate_detections(world, seed, IdealDetectorOptions(pixel=NOISE))
@@ -213,52 +206,6 @@ def _simulate_corners(
         return replace(captured, detections=detections, rejections=rejections, cameras={"camera": camera})
 
     return list(views.values()), collect
-
-
-def _render(
-    world: World, rig: Rig, camera: CameraModel, shift: Array, warp: float, seed: int
-) -> tuple[list[BoardView], _Collect]:
-    """Views of rendered images."""
-    captures = [
-        {
-            name: [_change(message, shift, warp, camera) for message in messages]
-            for name, messages in one.messages.items()
-        }
-        for one in simulate_captures(world)
-    ]
-    spec, settings = rig.cameras()["camera"], rig.settings.detection.camera
-    images = [[message for message in one["camera"] if isinstance(message, Image)] for one in captures]
-    found = [BoardViewFinder(rig.boards, spec.noise, settings=settings).find(shown) for shown in images]
-    detect = make_detectors(rig, {"camera": camera}, {}, None, draw_seeds(rig, np.random.default_rng(seed)))
-    others = [
-        SensorCapture(i, name, detect[name](messages))
-        for i, one in enumerate(captures)
-        for name, messages in one.items()
-        if name != "camera"
-    ]
-
-    def collect(camera: CameraModel) -> CaptureSet:
-        find = CameraDetector(rig.boards, camera, spec.noise, settings=settings).find
-        located = [SensorCapture(i, "camera", find(shown)) for i, shown in enumerate(images)]
-        holds = [Hold(i, float(i), i + 0.5) for i in range(len(captures))]
-        never = SensorTimes(np.zeros(0), 0.0, np.zeros(0))
-        timeline = RecordingTimeline(0.0, dict.fromkeys(rig.sensors, never), np.zeros(0))
-        return collect_detections(rig, timeline, holds, [*located, *others], {"camera": camera})
-
-    return [view for one in found if not isinstance(one, Rejected) for view in one], collect
-
-
-def _change(message: Message, shift: Array, warp: float, camera: CameraModel) -> Message:
-    """An image cropped, and displaced by what no model of the lens has; other messages as they are."""
-    if not isinstance(message, Image):
-        return message
-    x, y = shift
-    pixels = message.gray[y : y + SIZE[1], x : x + SIZE[0]]
-    if warp:
-        grid = np.stack(np.meshgrid(np.arange(SIZE[0]), np.arange(SIZE[1])), axis=-1).astype(np.float64)
-        source = (grid + _displacement(grid, warp, camera)).astype(np.float32)
-        pixels = np.asarray(cv2.remap(pixels, source[..., 0], source[..., 1], cv2.INTER_CUBIC), dtype=np.uint8)
-    return Image(message.stamp, message.frame_id, np.ascontiguousarray(pixels))
 
 
 def _displacement(pixels: Array, warp: float, camera: CameraModel) -> Array:

@@ -13,7 +13,6 @@ Columns: lenses whose model is right, lenses that are rejected; median and large
 median NEES per parameter of the focal lengths and the principal point, of lenses whose model is right.
 """
 
-import argparse
 from collections.abc import Callable
 
 import numpy as np
@@ -25,6 +24,7 @@ from calgraph.geometry import Array, se3, so3
 from calgraph.rig.detection.board_views import BoardView
 from calgraph.rig.intrinsics.estimate import estimate_intrinsics
 from calgraph.sensors import CameraModel
+from worlds import make_parser
 
 SIZE, NOISE = (1280, 960), 0.2
 RIG = Rig.model_validate({
@@ -40,7 +40,7 @@ RIG = Rig.model_validate({
 
 def main() -> None:
     """Prints a line for each kind of lens."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = make_parser(__doc__)
     parser.add_argument("--lenses", type=int, default=100)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--views", type=int, default=12)

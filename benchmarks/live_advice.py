@@ -14,8 +14,7 @@ is done:
 At the end, poses are compared with the ground truth: errors beyond the tolerance are counted.
 """
 
-import argparse
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -38,7 +37,9 @@ from calgraph.simulation import (
 from calgraph.simulation.ideal_detections import make_ideal_detector
 from calgraph.simulation.motion import draw_placements, pose_from_placement
 from calgraph.simulation.robot import MountedCamera
+from worlds import grouped, make_parser, run_worlds
 
+OPERATORS = ("suggested", "random")
 MAX_CAPTURES = 80
 POSITION_ERROR, ROTATION_ERROR = 0.1, np.radians(10)
 """Of an operator who follows a suggestion, m and rad: the length of the error, in a random direction."""
@@ -52,11 +53,14 @@ NEAREST = 0.7
 class Run:
     """Captures of one operator until the solution was done."""
 
+    seed: int
+    operator: str
+    """Suggested, or random."""
     captures: int
     done: bool
     beyond: int
     """Sensors with an error beyond the tolerance."""
-    reached: tuple[tuple[str, int], ...] = ()
+    reached: str
     """By sensor, the first capture after which it was good for the rest of the run."""
 
 
@@ -147,8 +151,9 @@ def reach(T_world_board: Array) -> Array:
     return T
 
 
-def run(seed: int, suggested: bool) -> Run:
+def run(seed: int, kind: str) -> Run:
     """Takes captures until the solution is done."""
+    suggested = kind == "suggested"
     operator = Operator(seed, int(suggested))
     solution = solve_captures(operator.rig, operator.captures())
     bad: dict[str, int] = {}
@@ -164,12 +169,8 @@ def run(seed: int, suggested: bool) -> Run:
                     bad[s.name] = operator.count
             if solution.done:
                 break
-    return Run(
-        operator.count,
-        solution.done,
-        count_errors(operator.rig, solution, operator.truth.T_root_sensor),
-        tuple(bad.items()),
-    )
+    beyond = count_errors(operator.rig, solution, operator.truth.T_root_sensor)
+    return Run(seed, kind, operator.count, solution.done, beyond, str(bad))
 
 
 def count_errors(rig: Rig, solution: LiveSolution, truth: Mapping[str, Array]) -> int:
@@ -183,29 +184,19 @@ def count_errors(rig: Rig, solution: LiveSolution, truth: Mapping[str, Array]) -
     return beyond
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
+def main() -> None:
     """Prints a row for each seed, and the medians."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = make_parser(__doc__, jobs=1)
     parser.add_argument("--seeds", type=int, nargs=2, default=(0, 20), help="first seed, and last plus one")
-    parser.add_argument("--only", choices=["suggested", "random"])
-    options = parser.parse_args(arguments)
-    kinds = [True, False] if options.only is None else [options.only == "suggested"]
-    work = [(seed, kind) for seed in range(*options.seeds) for kind in kinds]
-    results = {}
-    for seed, kind in work:
-        results[seed, kind] = result = run(seed, kind)
-        print(
-            seed,
-            "suggested" if kind else "random   ",
-            result.captures,
-            result.done,
-            result.beyond,
-            dict(result.reached),
-            flush=True,
-        )
-    for kind in kinds:
-        counts = [r.captures for (_, k), r in results.items() if k == kind]
-        print("suggested" if kind else "random", "median", np.median(counts), sorted(counts))
+    parser.add_argument("--only", choices=OPERATORS, nargs="+", default=OPERATORS)
+    arguments = parser.parse_args()
+    work = [(seed, kind) for seed in range(*arguments.seeds) for kind in arguments.only]
+    rows = run_worlds(Run, run, work, arguments, key=2)
+    for row in rows:
+        print(row.seed, f"{row.operator:9}", row.captures, row.done, row.beyond, row.reached)
+    for kind, group in grouped(rows, lambda row: row.operator):
+        counts = [row.captures for row in group]
+        print(kind, "median", np.median(counts), sorted(counts))
 
 
 if __name__ == "__main__":

@@ -5,48 +5,25 @@ python benchmarks/live_feedback.py --keep DIR            # the simulated recordi
 python benchmarks/live_feedback.py --processes 1 --repeat 23 --speed 8      # memory over 30 minutes
 """
 
-import argparse
 import asyncio
 import os
 import time
-from collections.abc import Iterator
 from concurrent.futures import Executor
-from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 
 from calgraph.config import Rig, load_rig
-from calgraph.live.live_rig import list_intrinsics_topics
 from calgraph.live.replay import ReplaySource
 from calgraph.live.rig_session import RigSession, SessionOutputs, SessionPools, count_analysis_processes
 from calgraph.live.rig_solution import solve_captures
 from calgraph.live.source import LiveMessage
 from calgraph.parallel.processes import worker_pool
-from calgraph.simulation import (
-    CameraOptions,
-    LaserOptions,
-    MultibeamOptions,
-    RigScenario,
-    SpinningOptions,
-    load_truth,
-    simulate_rig,
-)
+from calgraph.simulation import load_truth
+from live_walk import list_topics, move, simulated
+from process_costs import list_descendants, measure_memory, measure_processor_time
+from worlds import make_parser
 
-SCENARIO = RigScenario(
-    camera=CameraOptions(count=1, width=1280, height=960, rate=5.0, encoding="jpeg"),
-    laser=LaserOptions(count=3),
-    spinning=SpinningOptions(count=0),
-    multibeam=MultibeamOptions(count=1, rate=5.0),
-    bearings=(-60, -40, -20, -10, 0, 10, 20, 40, 60),
-    radii=(1.7, 2.5),
-    samples=1,
-    hold_time=2.5,
-    move_time=1.5,
-    trigger=False,
-)
 _SAMPLING_INTERVAL = 1.0
 """Between two measurements of memory and load, s."""
 
@@ -64,32 +41,15 @@ class Usage:
         """Samples the memory until it is cancelled."""
         while True:
             # Pages are counted in a thread: that takes 15 ms.
-            total = await asyncio.to_thread(lambda: sum(read_memory(pid) for pid in list_processes()))
+            total = round(await asyncio.to_thread(lambda: measure_memory(list_processes())))
             self.peak = max(self.peak, total)
             self.at.append((time.monotonic() - self._began, total))
             await asyncio.sleep(_SAMPLING_INTERVAL)
 
 
 def list_processes() -> list[int]:
-    """This process and its children."""
-    own = os.getpid()
-    children = Path(f"/proc/{own}/task/{own}/children").read_text().split()
-    return [own, *map(int, children)]
-
-
-def read_memory(pid: int) -> int:
-    """Memory of a process, pages shared by several divided among them; bytes."""
-    try:
-        lines = Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines()
-    except OSError:
-        return 0
-    return next((1024 * int(line.split()[1]) for line in lines if line.startswith("Pss:")), 0)
-
-
-def read_processor_time(pid: int) -> float:
-    """Processor time of a process until now, s."""
-    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(") ")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+    """This process and those that it has started."""
+    return [os.getpid(), *list_descendants(os.getpid())]
 
 
 class Feedback:
@@ -122,12 +82,11 @@ async def run(
     session = RigSession(rig, str(recording), session_pools, SessionOutputs(lambda _: None), solve_captures)
     watching = asyncio.create_task(watch(session, feedback))
     sampling = asyncio.create_task(usage.sample())
-    began, busy = time.monotonic(), [read_processor_time(pid) for pid in list_processes()]
-    topics = [*rig.topics.values(), *(t for one in list_intrinsics_topics(rig).values() for t in one)]
+    began, busy = time.monotonic(), [measure_processor_time(pid) for pid in list_processes()]
     shift, size = 0, 0
     for _ in range(repeat):
         last = 0
-        async for message in ReplaySource(recording, speed=speed).stream(topics):
+        async for message in ReplaySource(recording, speed=speed).stream(list_topics(rig)):
             if isinstance(message, LiveMessage):
                 moved = move(message, shift)
                 last = max(last, moved.arrival)
@@ -141,7 +100,7 @@ async def run(
     for task in (watching, sampling):
         task.cancel()
     seconds = time.monotonic() - began
-    used = [read_processor_time(pid) - before for pid, before in zip(list_processes(), busy, strict=True)]
+    used = [measure_processor_time(pid) - before for pid, before in zip(list_processes(), busy, strict=True)]
     report(session, feedback, usage, rests, seconds, size, used)
     session.close()
 
@@ -149,16 +108,6 @@ async def run(
 def first_arrival(feedback: Feedback) -> int:
     """Of all messages, ns."""
     return round(feedback.arrived[0][0] * 1e9)
-
-
-def move(message: LiveMessage, shift: int) -> LiveMessage:
-    """The message, later by a time, ns: its arrival, and the stamp of its leading header."""
-    if not shift:
-        return message
-    stamp = int.from_bytes(message.data[4:8], "little") * 10**9 + int.from_bytes(message.data[8:12], "little")
-    sec, nanosec = divmod(stamp + shift, 10**9)
-    data = message.data[:4] + sec.to_bytes(4, "little") + nanosec.to_bytes(4, "little") + message.data[12:]
-    return replace(message, arrival=message.arrival + shift, data=data)
 
 
 async def watch(session: RigSession, feedback: Feedback) -> None:
@@ -215,19 +164,9 @@ def report(
     print(f"memory: peak {usage.peak / 1e6:.0f} MB, median of the second half {np.median(half) / 1e6:.0f} MB")
 
 
-@contextmanager
-def simulated(keep: Path | None, scenario: RigScenario = SCENARIO) -> Iterator[Path]:
-    """A folder with the simulated recording."""
-    with TemporaryDirectory() as temporary:
-        folder = keep or Path(temporary)
-        if not (folder / "recording").exists():
-            simulate_rig(scenario, folder, seed=1)
-        yield folder
-
-
 def main() -> None:
     """Runs the benchmark."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = make_parser(__doc__)
     parser.add_argument("--keep", type=Path, help="folder of the simulated recording")
     parser.add_argument("--processes", type=int, help="number of processes that detect")
     parser.add_argument("--repeat", type=int, default=1, help="number of times that it is replayed")

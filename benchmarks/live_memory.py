@@ -7,32 +7,31 @@ python benchmarks/live_memory.py --keep DIR --repeat        # with hundreds of c
 taskset -c 0,1 python benchmarks/live_memory.py --keep DIR  # on two cores
 """
 
-import argparse
 import asyncio
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
 from calgraph.config import load_rig
-from calgraph.live.live_rig import list_intrinsics_topics
 from calgraph.live.recorder import Recorder
 from calgraph.live.replay import ReplaySource
 from calgraph.live.source import LiveMessage
 from calgraph.recording import open_recording
-from live_feedback import move, read_memory, simulated
+from live_walk import LIVE, list_topics, move, simulated
+from process_costs import list_descendants, measure_memory
+from worlds import make_parser
 
-_COMMAND = [sys.executable, "-c", "from calgraph.cli import main; main()", "live", "--port", "0"]
+_COMMAND = [sys.executable, "-c", LIVE, "live", "--port", "0"]
 _SAMPLING_INTERVAL = 1.0
 """Between two measurements of memory, s."""
 
 
 def main() -> None:
     """Prints memory and messages."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = make_parser(__doc__)
     parser.add_argument("--keep", type=Path, required=True, help="folder of recordings and of the session")
     parser.add_argument("--minutes", type=float, default=30.0)
     parser.add_argument("--speed", type=float, default=1.0, help="of the replay")
@@ -69,11 +68,10 @@ def main() -> None:
 async def repeat(walk: Path, long: Path, minutes: float) -> None:
     """Records the walk again and again, each time with later stamps."""
     rig = load_rig(walk / "rig.yaml")
-    topics = [*rig.topics.values(), *(t for one in list_intrinsics_topics(rig).values() for t in one)]
     recorder = Recorder(long, rig.settings.live.recorder, rig.settings.limits)
     first = last = shift = 0
     while last - first < 60e9 * minutes:
-        async for message in ReplaySource(walk / "recording", speed=0).stream(topics):
+        async for message in ReplaySource(walk / "recording", speed=0).stream(list_topics(rig)):
             if isinstance(message, LiveMessage):
                 moved = move(message, shift)
                 first, last = first or moved.arrival, max(last, moved.arrival)
@@ -88,16 +86,8 @@ def sample(process: subprocess.Popen[str], samples: list[tuple[float, int]], beg
         processes = [process.pid, *list_descendants(process.pid)]
         if any("calibrate" in read_command(one) for one in processes[1:]):
             return
-        samples.append((time.monotonic() - began, sum(read_memory(one) for one in processes)))
+        samples.append((time.monotonic() - began, round(measure_memory(processes))))
         time.sleep(_SAMPLING_INTERVAL)
-
-
-def list_descendants(process: int) -> Iterator[int]:
-    """The children of a process, and theirs."""
-    for task in Path(f"/proc/{process}/task").glob("*/children"):
-        for child in map(int, task.read_text().split()):
-            yield child
-            yield from list_descendants(child)
 
 
 def read_command(process: int) -> str:

@@ -8,7 +8,6 @@ A simulated recording is replayed through the recorder and a session; the sessio
     python benchmarks/live_network.py --plans DIR          # the floor plans as SVG files
 """
 
-import argparse
 import asyncio
 import resource
 import time
@@ -36,11 +35,12 @@ from calgraph.simulation import (
     network_truth,
     simulate_network,
 )
+from worlds import make_parser
 
 
 def main() -> None:
     """Replays a recording, and prints a line for each solution."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = make_parser(__doc__)
     parser.add_argument("--scanners", type=int, default=5)
     parser.add_argument("--people", type=int, default=2)
     parser.add_argument("--minutes", type=float, default=5.0)

@@ -10,7 +10,6 @@ Five sensors, and the 18 holds of benchmarks/live_feedback.py; --keep DIR keeps 
 again. Each session has a folder in --out DIR: with what the command printed, and screenshots. It must not exist.
 """
 
-import argparse
 import os
 import re
 import shutil
@@ -32,10 +31,11 @@ from calgraph.recording import open_recording
 from calgraph.result import Calibration, load_calibration
 from calgraph.simulation import GroundTruth, load_truth
 from live_attacks import Attack, attack
-from live_feedback import simulated
 from live_operator import Look, Operator
 from live_publishers import Publisher
 from live_sources import LOOPBACK
+from live_walk import LIVE, simulated
+from worlds import make_parser
 
 PARTS = ("button", "ros2", "fast", "cable", "attacks")
 OPTIONS = {"button": ["--manual"], "cable": ["--manual"], "fast": ["--speed", "5"]}
@@ -53,7 +53,7 @@ class LiveCommand:
 
     def __init__(self, *arguments: object) -> None:
         self.lines: list[str] = []
-        command = [sys.executable, "-c", "from calgraph.cli import main; main()", "live"]
+        command = [sys.executable, "-c", LIVE, "live"]
         self.process = subprocess.Popen(
             [*command, *map(str, arguments)], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, encoding="utf-8"
         )
@@ -271,7 +271,7 @@ def report(part: str, walk: Path, session: Session) -> None:
 
 def main() -> None:
     """Runs the benchmark."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = make_parser(__doc__)
     parser.add_argument("parts", nargs="*", choices=PARTS, default=PARTS)
     parser.add_argument("--keep", type=Path, help="folder of the simulated recording")
     parser.add_argument("--out", type=Path, required=True, help="new folder of the sessions and screenshots")

@@ -13,6 +13,7 @@ from calgraph.live.dds import SerializedSample, make_dds_type
 from calgraph.recording import open_recording
 from calgraph.recording.bags import BagRecording
 from live_sources import DOMAIN, STORE
+from live_walk import move_stamp
 
 Send = Callable[[bytes], object]
 _LATE = 0.5
@@ -85,13 +86,6 @@ def _publish(kind: str, recording: Path, port: int, online: float, commands: Any
             send[message.topic](move_stamp(message.data, shift))
             sent.value += 1
     commands.get()  # it is reached until it is killed
-
-
-def move_stamp(data: bytes, shift: int) -> bytes:
-    """The message with a later stamp in its leading header, by ns."""
-    stamp = int.from_bytes(data[4:8], "little") * 10**9 + int.from_bytes(data[8:12], "little")
-    sec, nanosec = divmod(stamp + shift, 10**9)
-    return data[:4] + sec.to_bytes(4, "little") + nanosec.to_bytes(4, "little") + data[12:]
 
 
 def _make_channels(topics: dict[str, str], context: foxglove.Context) -> dict[str, Send]:

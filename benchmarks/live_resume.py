@@ -7,7 +7,6 @@ python benchmarks/live_resume.py                       # 20 kills at real time
 python benchmarks/live_resume.py --speed 3 --keep DIR  # three times faster; the simulated recording is kept
 """
 
-import argparse
 import logging
 import signal
 import subprocess
@@ -21,7 +20,8 @@ import numpy as np
 
 from calgraph.recording import open_recording
 from calgraph.result import Calibration, load_calibration
-from live_feedback import SCENARIO, simulated
+from live_walk import LIVE, SCENARIO, simulated
+from worlds import make_parser
 
 # Smaller images and fewer holds: a minute, many times.
 _SCENARIO = SCENARIO.model_copy(
@@ -30,13 +30,13 @@ _SCENARIO = SCENARIO.model_copy(
         "bearings": (-40, -20, -10, 0, 10, 20, 40),
     }
 )
-_COMMAND = [sys.executable, "-c", "from calgraph.cli import main; main()", "live", "--port", "0"]
+_COMMAND = [sys.executable, "-c", LIVE, "live", "--port", "0"]
 _TRIGGER = "/calgraph/trigger"
 
 
 def main() -> None:
     """Prints a row for each kill; exit code 1 if over a second was lost, or a message or capture is missing."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = make_parser(__doc__)
     parser.add_argument("--kills", type=int, default=20)
     parser.add_argument("--speed", type=float, default=1.0, help="of the replay")
     parser.add_argument("--keep", type=Path, help="folder of the simulated recording")

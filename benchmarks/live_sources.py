@@ -6,7 +6,6 @@ Another process publishes images of 0.6 and 0.1 MB, 30 and 100 a second times th
 and counted, not recorded. The replay reads a recording of as many messages as fast as it can.
 """
 
-import argparse
 import asyncio
 import multiprocessing
 import os
@@ -27,6 +26,7 @@ from calgraph.config.settings import Settings
 from calgraph.live.dds import make_dds_type
 from calgraph.live.open_source import open_source
 from calgraph.live.source import LiveMessage
+from worlds import make_parser
 
 TOPICS = {"/image": (600_000, 30), "/preview": (100_000, 100)}
 """Bytes and messages per second at load 1."""
@@ -144,7 +144,7 @@ def report(name: str, address: str, seconds: float, sent: Callable[[], int]) -> 
 
 def main() -> None:
     """Measures all sources."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = make_parser(__doc__)
     parser.add_argument("--seconds", type=float, default=4.0)
     parser.add_argument("--load", type=float, default=1.0)
     given = parser.parse_args()

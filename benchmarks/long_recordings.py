@@ -3,27 +3,22 @@
 python benchmarks/long_recordings.py                                        # rests; 22 GB of temporary files
 python benchmarks/long_recordings.py --case moving                          # a board that never rests
 python benchmarks/long_recordings.py --case network --gigabytes 0.1 0.4 1.6
-python benchmarks/long_recordings.py --format bag                           # ROS 1
 python benchmarks/long_recordings.py --gigabytes 0.1 0.2                    # small
 
 A walk of half a minute is repeated with later stamps: a camera of 2 Mpx at 10 Hz, raw, a LiDAR of 16 beams and a
 2-D scanner measure a board, or 2-D scanners two people. Peaks are those of all processes of a command.
 """
 
-import argparse
 import os
 import shutil
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Final
+from typing import Final
 
-from rosbags.interfaces import Connection
-from rosbags.rosbag1 import Writer as Writer1
-from rosbags.rosbag2 import StoragePlugin
-from rosbags.rosbag2 import Writer as Writer2
+from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from calgraph.config.settings import LimitSettings
@@ -41,7 +36,9 @@ from calgraph.simulation import (
     simulate_network,
     simulate_rig,
 )
-from recording_speed import measure_cost
+from live_walk import move_stamp
+from process_costs import measure_cost
+from worlds import make_parser
 
 _RESTS: Final = RigScenario(
     camera=CameraOptions(width=1600, height=1200, field_of_view=80, rate=10.0, encoding="raw"),
@@ -54,8 +51,6 @@ _RESTS: Final = RigScenario(
     trigger=False,
 )
 _MOVING: Final = _RESTS.model_copy(update={"laser": LaserOptions(count=0), "hold_time": 0.05, "move_time": 2.5})
-# Magic number, record and summary offset of the footer of an MCAP: an offset of 0 states that there is no summary.
-_FOOTER_BYTES, _SUMMARY_OFFSET = 37, 9
 _PAUSE = 10**8
 """Between two walks, ns."""
 
@@ -87,9 +82,8 @@ class Walk:
 
 def main() -> None:
     """Prints a table of one row for each size and command."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = make_parser(__doc__)
     parser.add_argument("--case", choices=["rests", "moving", "network"], default="rests")
-    parser.add_argument("--format", choices=["mcap", "unindexed", "db3", "bag"], default="mcap")
     parser.add_argument("--gigabytes", type=float, nargs="+", default=[1.0, 4.0, 16.0])
     parser.add_argument("--commands", nargs="+", default=["inspect", "init", "calibrate"])
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes of calibrate")
@@ -100,7 +94,7 @@ def main() -> None:
         walk = _simulate(arguments.case, scratch / "walk")
         for size in arguments.gigabytes:
             recording = scratch / "recording"
-            count = _WRITERS[arguments.format](walk.repeat(1e9 * size), recording)
+            count = _write(walk.repeat(1e9 * size), recording)
             words: dict[str, list[object]] = {
                 "inspect": [recording],
                 "init": [recording, "-o", scratch / "drafted.yaml", "--force"],
@@ -136,57 +130,20 @@ def _simulate(case: str, out: Path) -> Walk:
 
 
 def _delay(message: RawMessage, shift: int) -> RawMessage:
-    """The message, later by a time, ns: its arrival, and the stamp of its leading header."""
-    data = message.data
-    stamp = int.from_bytes(data[4:8], "little") * 10**9 + int.from_bytes(data[8:12], "little")
-    sec, nanosec = divmod(stamp + shift, 10**9)
-    data = data[:4] + sec.to_bytes(4, "little") + nanosec.to_bytes(4, "little") + data[12:]
-    return message._replace(arrival=message.arrival + shift, data=data)
+    return message._replace(arrival=message.arrival + shift, data=move_stamp(message.data, shift))
 
 
-def _write_mcap(messages: Iterator[RawMessage], folder: Path) -> int:
-    return _write(messages, Writer2(folder, version=9, storage_plugin=StoragePlugin.MCAP), bytes)
-
-
-def _write_unindexed(messages: Iterator[RawMessage], folder: Path) -> int:
-    count = _write_mcap(messages, folder)
-    with next(folder.glob("*.mcap")).open("r+b") as file:
-        file.seek(_SUMMARY_OFFSET - _FOOTER_BYTES, os.SEEK_END)
-        file.write(bytes(8))
-    return count
-
-
-def _write_db3(messages: Iterator[RawMessage], folder: Path) -> int:
-    return _write(messages, Writer2(folder, version=9, storage_plugin=StoragePlugin.SQLITE3), bytes)
-
-
-def _write_bag(messages: Iterator[RawMessage], folder: Path) -> int:
-    folder.mkdir()
-    return _write(messages, Writer1(folder / "recording.bag"), None)
-
-
-def _write(messages: Iterator[RawMessage], writer: Any, convert: Callable[[bytes], bytes] | None) -> int:
-    store = get_typestore(Stores.ROS2_HUMBLE if convert else Stores.ROS1_NOETIC)
-    humble = get_typestore(Stores.ROS2_HUMBLE)
-    connections: dict[str, Connection] = {}
-    count = 0
-    with writer:
+def _write(messages: Iterator[RawMessage], folder: Path) -> int:
+    """Writes a rosbag2 folder (MCAP); the number of messages."""
+    store, connections, count = get_typestore(Stores.ROS2_HUMBLE), {}, 0
+    with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         for message in messages:
             count += 1
-            kind = message.definition.name
             if message.topic not in connections:
+                kind = message.definition.name
                 connections[message.topic] = writer.add_connection(message.topic, kind, typestore=store)
-            data = message.data if convert else humble.cdr_to_ros1(message.data, kind)
-            writer.write(connections[message.topic], message.arrival, data)
+            writer.write(connections[message.topic], message.arrival, message.data)
     return count
-
-
-_WRITERS: Final[dict[str, Callable[[Iterator[RawMessage], Path], int]]] = {
-    "mcap": _write_mcap,
-    "unindexed": _write_unindexed,
-    "db3": _write_db3,
-    "bag": _write_bag,
-}
 
 
 if __name__ == "__main__":

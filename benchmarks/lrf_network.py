@@ -21,7 +21,6 @@ diameter is tight.
     python benchmarks/lrf_network.py --seeds 20 --jobs 2 --tables 5
 """
 
-import argparse
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -49,6 +48,7 @@ from network_runs import (
     list_cells,
     run,
 )  # fmt: skip
+from worlds import make_parser
 
 DISCARDED = 0.2
 """Root mean square distance above which a plain threshold discards a pair, m."""
@@ -59,7 +59,7 @@ BY_PEOPLE = tuple(Setup("nls", False, method, False) for method in COMPARED)
 
 def main() -> None:
     """Prints the tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = make_parser(__doc__)
     parser.add_argument("--seeds", type=int, default=3, help="recordings of each kind")
     parser.add_argument("--first", type=int, default=0, help="the first seed")
     parser.add_argument("--scenarios", nargs="+", default=list(SCENARIOS), choices=SCENARIOS)

@@ -8,9 +8,7 @@ that some of its neighbours see it, too. Corners have a noise of 0.2 px; lenses 
 Detection in images is not part of it: it grows with the number of images, and runs in as many processes as asked.
 """
 
-import argparse
 import logging
-import resource
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -32,6 +30,8 @@ from calgraph.rig.intrinsics.estimate import IntrinsicsEstimate, estimate_intrin
 from calgraph.rig.options import RigOptions
 from calgraph.rig.pipeline import build_problem_from_captures, solve_problem
 from calgraph.sensors import CameraModel
+from process_costs import measure_cpu, measure_peak_memories
+from worlds import make_parser
 
 SIZE = 1280, 960
 NOISE = 0.2
@@ -97,21 +97,15 @@ def view_boards(
 @contextmanager
 def timed(step: str) -> Iterator[None]:
     """Prints how long a step takes, the CPU time of its processes, and the peak of memory so far of any one."""
-
-    def usage() -> tuple[float, float, float]:
-        both = [resource.getrusage(of) for of in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
-        cpu = sum(one.ru_utime + one.ru_stime for one in both)
-        return time.perf_counter(), cpu, max(one.ru_maxrss for one in both) / 1024
-
-    start, cpu_before, _ = usage()
+    start, cpu = time.perf_counter(), measure_cpu()
     yield
-    end, cpu, peak = usage()
-    print(f"{step:28} {end - start:7.1f} s, CPU {cpu - cpu_before:6.1f} s, peak {peak:6.0f} MB", flush=True)
+    seconds, used, peak = time.perf_counter() - start, measure_cpu() - cpu, max(measure_peak_memories())
+    print(f"{step:28} {seconds:7.1f} s, CPU {used:6.1f} s, peak {peak:6.0f} MB", flush=True)
 
 
 def main() -> None:
     """Prints the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = make_parser(__doc__)
     parser.add_argument("--cameras", type=int, default=20)
     parser.add_argument("--captures", type=int, default=95)
     parser.add_argument("--radius", type=float, default=2.5, help="of the ring, m")

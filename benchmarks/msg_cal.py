@@ -9,8 +9,6 @@ Each seed is another robot, room and walk of 120 captures, a tenth of them distu
 operators slip. Errors are means over the sensors; tables give mean and standard deviation over the seeds.
 """
 
-import argparse
-
 import numpy as np
 
 from calgraph.config.settings import BoardPairSettings, Settings
@@ -22,13 +20,14 @@ from calgraph.rig.pipeline import build_problem_from_captures, solve_problem
 from calgraph.rig.published.hypergraph import HypergraphSolution, solve_hypergraph
 from calgraph.simulation import RigScenario
 from simulated import detected, errors, poses_of
+from worlds import make_parser
 
 VARIANTS = ("pairwise", "global", "global, from identity", "global, unfiltered", "default")
 
 
 def main() -> None:
     """Prints the four tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = make_parser(__doc__)
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--disturbed", type=float, default=0.1)
     arguments = parser.parse_args()

@@ -13,7 +13,6 @@ Not mutated: text, type annotations, decorators, imports, ``__all__``, ``zip(str
 """
 
 import argparse
-import csv
 import difflib
 import hashlib
 import os
@@ -28,13 +27,14 @@ import threading
 import time
 from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from mutant_tests import SOURCE, Selection
 from mutation import Mutant, draw, find_mutants
+from worlds import append_rows, read_rows
 
 ROOT = Path(__file__).resolve().parents[1]
 NOT_COPIED = (
@@ -72,7 +72,7 @@ class Row:
 
 @dataclass
 class Record:
-    """The rows of a run, and their file, which is written again after each outcome."""
+    """The rows of a run, and their file, of which the last row of a mutant counts."""
 
     path: Path
     rows: dict[tuple[str, ...], Row] = field(default_factory=dict)
@@ -84,25 +84,14 @@ class Record:
         return tuple(str(value) for value in list(asdict(row).values())[:6])
 
     def load(self) -> None:
-        """Reads the rows of an earlier run."""
-        if self.path.exists():
-            with self.path.open(encoding="utf-8", newline="") as lines:
-                for cells in csv.DictReader(lines):
-                    numbers = {name: int(cells.pop(name)) for name in ("line", "column", "occurrence")}
-                    row = Row(**cells, **numbers)  # type: ignore[arg-type]
-                    self.rows[self.key(row)] = replace(row, seconds=float(row.seconds))
+        """Reads the rows of an earlier run, of each mutant the last one."""
+        self.rows |= {self.key(row): row for row in read_rows(Row, self.path)}
 
     def put(self, row: Row) -> None:
-        """Adds or replaces a row, and writes the file."""
+        """Adds or replaces a row, and appends it to the file."""
         with self.lock:
             self.rows[self.key(row)] = row
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            new = self.path.with_suffix(".new")
-            with new.open("w", encoding="utf-8", newline="") as lines:
-                writer = csv.DictWriter(lines, [one.name for one in fields(Row)])
-                writer.writeheader()
-                writer.writerows(asdict(one) for one in self.rows.values())
-            new.replace(self.path)
+            append_rows(Row, [row], self.path)
 
 
 def copy_checkout(target: Path) -> None:

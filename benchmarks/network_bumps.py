@@ -7,7 +7,6 @@ Nothing is calibrated: see network_model_errors.py for that.
     python benchmarks/network_bumps.py --seeds 5 --real FOLDER     # real recordings of scanners at rest
 """
 
-import argparse
 import logging
 import time
 from pathlib import Path
@@ -22,6 +21,7 @@ from calgraph.parallel.processes import parallel_map
 from calgraph.recording import open_recording
 from calgraph.sensors.cloud_to_scan import to_scans
 from calgraph.simulation import NetworkScenario, build_network, simulate_scans
+from worlds import make_parser
 
 ROOMS = ("office", "lab", "halls")
 SETTINGS = StationaritySettings()
@@ -58,7 +58,7 @@ class Outcome(NamedTuple):
 
 def main() -> None:
     """Prints the tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = make_parser(__doc__)
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--real", type=Path, help="folder of recordings of scanners at rest")

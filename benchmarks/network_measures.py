@@ -1,8 +1,5 @@
-"""Processor time and memory of this process and of those that it starts, and errors of a calibrated network."""
+"""Errors of a calibrated network against its ground truth, and against an earlier answer."""
 
-import os
-import resource
-from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,37 +12,6 @@ from network_overlaps import Overlaps
 
 GROSS_DISTANCE, GROSS_ANGLE = 0.1, np.radians(2.0)
 """Beyond either one a scanner is grossly wrong relative to its neighbours, m and rad."""
-_TICK = 1 / os.sysconf("SC_CLK_TCK")
-
-
-def measure_cpu() -> float:
-    """Processor time of this process, of those it has started that have ended, and of those that run, s."""
-    done = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
-    return sum(one.ru_utime + one.ru_stime for one in done) + sum(_measure_running(os.getpid()))
-
-
-def measure_peak_memories() -> tuple[float, float]:
-    """Most memory that this process held, and that any of those that it started and that have ended did, MB."""
-    own, others = (resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
-    return own / 1024, others / 1024
-
-
-def _measure_running(process: int) -> Iterator[float]:
-    """Processor time of each process that a process has started and not waited for, s; on Linux only."""
-    for listed in Path(f"/proc/{process}/task").glob("*/children"):
-        for child in _read_text(listed).split():
-            # After the name, which may have spaces, fields 14 to 17 are its own times and those of its children.
-            fields = _read_text(Path(f"/proc/{child}/stat")).rpartition(")")[2].split()
-            yield sum(int(field) for field in fields[11:15]) * _TICK
-            yield from _measure_running(int(child))
-
-
-def _read_text(path: Path) -> str:
-    """Of a file in /proc; empty where the process has ended."""
-    try:
-        return path.read_text()
-    except OSError:
-        return ""
 
 
 class Answer(NamedTuple):

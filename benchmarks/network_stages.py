@@ -17,15 +17,12 @@ A scanner is grossly wrong if it is off by more than 0.1 m or 2 degrees relative
 simulated again. ``--compare`` states the largest difference of poses from the answers in another such folder.
 """
 
-import argparse
-import multiprocessing
 import tempfile
 import time
-from collections.abc import Callable, Iterable
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Iterable
 from contextlib import ExitStack
 from pathlib import Path
-from typing import NamedTuple, ParamSpec, TypeVar, get_args
+from typing import NamedTuple, get_args
 
 import numpy as np
 
@@ -38,20 +35,11 @@ from calgraph.recording import open_recordings
 from calgraph.report import write_report
 from calgraph.result import save_calibration, save_captures, save_scene
 from calgraph.simulation import LayoutName, NetworkScenario, simulate_network
-from network_measures import (
-    Quality,
-    compare_answers,
-    extract_answer,
-    judge_answer,
-    load_answer,
-    measure_cpu,
-    measure_peak_memories,
-    save_answer,
-)
+from network_measures import Quality, compare_answers, extract_answer, judge_answer, load_answer, save_answer
 from network_overlaps import SEED, find_overlaps
+from process_costs import in_process, measure_cpu, measure_peak_memories
+from worlds import make_parser
 
-P = ParamSpec("P")
-Result = TypeVar("Result")
 STAGES = ("tracking", "pairing", "averaging", "solving", "assembling", "writing")
 SIZES = ("30x1", "100x1", "300x1", "100x10")
 ANSWER = "answer.npz"
@@ -77,7 +65,7 @@ class Row(NamedTuple):
 
 def main() -> None:
     """Prints the tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = make_parser(__doc__)
     parser.add_argument("--sizes", nargs="+", default=list(SIZES), help="scanners x minutes")
     parser.add_argument("--layout", default="building", choices=get_args(LayoutName))
     parser.add_argument("--jobs", type=int, default=1, help="processes of the simulation and of each calibration")
@@ -100,12 +88,6 @@ def main() -> None:
             if options.compare:
                 print_comparison(place / ANSWER, options.compare / name / ANSWER)
     print_exponents(rows)
-
-
-def in_process(function: Callable[P, Result], *arguments: P.args, **named: P.kwargs) -> Result:
-    """Calls a function in another process."""
-    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
-        return pool.submit(function, *arguments, **named).result()
 
 
 def simulate(place: Path, layout: LayoutName, size: str, jobs: int) -> None:

@@ -3,16 +3,11 @@
 python benchmarks/recording_speed.py --jobs 1 2 4                    # simulates five sensors, 170 s, 200 MB
 python benchmarks/recording_speed.py --case snapshots --jobs 1       # 32 snapshots of two cameras and a LiDAR
 python benchmarks/recording_speed.py --rig RIG.yaml --recording DIR --jobs 1 2 4   # bits compared
-python benchmarks/recording_speed.py --cache --jobs 1                # and a second run, and the solution alone
 """
 
-import argparse
 import os
-import subprocess
 import sys
-import threading
-import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final
@@ -33,6 +28,8 @@ from calgraph.simulation import (
     world_rig,
 )
 from calgraph.simulation.robot import MountedCamera
+from process_costs import measure_cost
+from worlds import make_parser
 
 _SNAPSHOTS: Final = RigScenario(
     camera=CameraOptions(count=2, width=1280, height=960, field_of_view=110),
@@ -50,32 +47,16 @@ _SNAPSHOTS: Final = RigScenario(
 """Every pose of the checkerboard is in the view of both cameras; the LiDAR has 16 beams of 1800 points."""
 _TIME_BETWEEN_SNAPSHOTS = 5.0
 """s, as someone who carries the board and releases all sensors at every pose takes."""
-_SAMPLING_INTERVAL = 0.1
-"""Between two measurements of the memory of all processes, s: at 0.02 s, they took 0.3 s of the wall time of four
-processes, which wait while their memory is measured."""
-
-
-@dataclass(frozen=True)
-class Cost:
-    """What one run of the command took."""
-
-    wall: float
-    """s."""
-    cpu: float
-    """s, user and system, of all threads and processes."""
-    peak: float
-    """Largest sum of the memory of all processes, bytes; pages that several share count once. Linux only."""
 
 
 def main() -> None:
     """Prints a table of one row for each run, and whether all results are equal."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = make_parser(__doc__)
     parser.add_argument("--case", choices=["holds", "snapshots"], default="holds", help="to simulate")
     parser.add_argument("--recording", type=Path, help="simulated if left out")
     parser.add_argument("--rig", type=Path, help="of the recording; rig.yaml beside it if left out")
     parser.add_argument("--runs", type=int, default=1)
     parser.add_argument("--jobs", type=int, nargs="+", default=[os.cpu_count() or 1], help="numbers of processes")
-    parser.add_argument("--cache", action="store_true", help="also run again with the cache, and solve alone")
     arguments = parser.parse_args()
     with TemporaryDirectory() as scratch:
         if arguments.recording is None:
@@ -99,17 +80,11 @@ def main() -> None:
         measure_cost([*start, "calibrate", str(rig), str(recording), "-o", f"{scratch}/first"], environment)
         results = []
         for run, jobs in enumerate(arguments.jobs * arguments.runs):
-            given, dump = [str(rig), str(recording), "--jobs", str(jobs)], f"{scratch}/problem{run}.npz"
-            commands = {"": ["calibrate", *given]}
-            if arguments.cache:
-                environment["CALGRAPH_CACHE"] = f"{scratch}/cache{run}"
-                filled = {"fills the cache": ["calibrate", *given, "--dump", dump], "again": ["calibrate", *given]}
-                commands = filled | {"solve": ["solve", dump]}
-            for label, words in commands.items():
-                out = Path(scratch) / f"result{run}{label}"
-                cost = measure_cost([*start, *words, "-o", str(out)], environment)
-                print(f"{jobs:4}{cost.wall:8.2f}{cost.cpu:8.2f}{cost.peak / 1e6:9.0f}  {label}", flush=True)
-                results.append((out / "calibration.yaml").read_text().partition("\nprovenance:")[0])
+            command = ["calibrate", str(rig), str(recording), "--jobs", str(jobs)]
+            out = Path(scratch) / f"result{run}"
+            cost = measure_cost([*start, *command, "-o", str(out)], environment)
+            print(f"{jobs:4}{cost.wall:8.2f}{cost.cpu:8.2f}{cost.peak / 1e6:9.0f}", flush=True)
+            results.append((out / "calibration.yaml").read_text().partition("\nprovenance:")[0])
     print(f"bits of the {len(results)} results: {'identical' if len(set(results)) == 1 else 'DIFFERENT'}")
 
 
@@ -133,60 +108,6 @@ def _simulate_snapshots(out: Path) -> None:
                     assert topic is not None
                     writer.write(topic, CameraInfo(stamp, cameras[name].frame_id or name, models[name]))
     save_yaml(out / "rig.yaml", rig.model_dump(mode="json", exclude_none=True, exclude={"settings"}))
-
-
-def measure_cost(command: list[str], environment: dict[str, str]) -> Cost:
-    """What a command takes; the program ends if it fails."""
-    began = time.perf_counter()
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, env=environment)
-    memory = _MemorySampler(process.pid)
-    memory.start()
-    # wait4 returns the usage of this process and of those it waited for; RUSAGE_CHILDREN would mix the runs.
-    _, status, usage = os.wait4(process.pid, 0)
-    wall = time.perf_counter() - began
-    memory.stop()
-    process.returncode = os.waitstatus_to_exitcode(status)
-    if process.returncode:
-        sys.exit(f"{' '.join(command)} failed with exit code {process.returncode}")
-    return Cost(wall, usage.ru_utime + usage.ru_stime, memory.peak)
-
-
-class _MemorySampler(threading.Thread):
-    """Measures the memory of a process and its children until it is stopped."""
-
-    def __init__(self, pid: int) -> None:
-        super().__init__(daemon=True)
-        self.peak = float("nan")
-        self._pid = pid
-        self._stopped = threading.Event()
-
-    def run(self) -> None:
-        while not self._stopped.wait(_SAMPLING_INTERVAL):
-            sizes = [size for pid in _family(self._pid) if (size := _proportional_size(pid)) is not None]
-            if sizes:
-                self.peak = max(sum(sizes), self.peak) if self.peak == self.peak else sum(sizes)
-
-    def stop(self) -> None:
-        self._stopped.set()
-        self.join()
-
-
-def _family(pid: int) -> list[int]:
-    """A process and its descendants."""
-    try:
-        children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
-    except OSError:
-        return []
-    return [pid, *(one for child in children for one in _family(int(child)))]
-
-
-def _proportional_size(pid: int) -> float | None:
-    """Resident bytes of a process; a page that n processes share counts as 1/n."""
-    try:
-        lines = Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines()
-    except OSError:
-        return None
-    return next((1024.0 * int(line.split()[1]) for line in lines if line.startswith("Pss:")), None)
 
 
 def _load() -> str:

@@ -9,7 +9,6 @@ Each input or fault is one run of the installed command line in a separate folde
 matter of fuzz_readers.py.
 """
 
-import argparse
 import sys
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
@@ -24,7 +23,7 @@ from reliability_answers import Answer
 from reliability_bags import FORMS, Source, simulate_source
 from reliability_cases import Case, Outcome, attempt_all, load_outcomes, save_outcome
 from reliability_tasks import EARLIER, NEW, NOTHING, TASKS, References, write_documents
-from worlds import grouped
+from worlds import grouped, make_parser
 
 Columns = Sequence[tuple[str, Callable[[Outcome], bool]]]
 
@@ -73,7 +72,7 @@ class Table:
 
 def main() -> None:
     """Prints the tables, and the wrong answers; exit code 1 if there are any."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = make_parser(__doc__)
     parser.add_argument("--tables", nargs="+", choices=list(TABLES), default=list(TABLES))
     parser.add_argument("--seeds", type=int, default=2, help="of each kind and form; some tables have multiples")
     parser.add_argument("--only", default="", help="cases whose name contains this")

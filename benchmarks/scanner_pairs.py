@@ -9,7 +9,6 @@ difference of a right pair, in standard deviations.
     python benchmarks/scanner_pairs.py --cases "100 scanners"
 """
 
-import argparse
 import time
 from collections.abc import Mapping
 from typing import Any
@@ -24,6 +23,7 @@ from calgraph.network.pairs.scanner_pair import ScannerPairEstimate, estimate_sc
 from calgraph.network.tracking.track import ScannerTracks
 from calgraph.simulation import NetworkScenario, build_network, network_rig, network_truth, simulate_scans
 from network_runs import project_poses, track_scanners
+from worlds import make_parser
 
 RIGHT = 0.5, np.radians(5)
 """Largest errors of right pairs, m and rad."""
@@ -58,7 +58,7 @@ Pairs = Mapping[tuple[str, str], ScannerPairEstimate | Rejected]
 
 def main() -> None:
     """Prints the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = make_parser(__doc__)
     parser.add_argument("--cases", nargs="+", default=list(CASES), choices=CASES)
     parser.add_argument("--seeds", type=int, default=1, help="recordings of each kind")
     parser.add_argument("--first", type=int, default=0, help="the first seed")

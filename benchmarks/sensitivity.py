@@ -10,7 +10,6 @@ sensors placed more or less, how far poses move (standard deviations, RMS over s
 the default, and NEES per degree of freedom. Values that a setting's bounds forbid are left out.
 """
 
-import argparse
 import ast
 import logging
 import pkgutil
@@ -47,7 +46,7 @@ from calgraph.simulation import (
     simulate_network,
     simulate_rig,
 )
-from worlds import rms
+from worlds import make_parser, rms
 
 Story = Literal["rig", "network"]
 FACTORS = (0.5, 2.0)
@@ -90,7 +89,7 @@ class Change:
 
 def main() -> None:
     """Prints a line for each setting and factor, the largest changes first."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = make_parser(__doc__)
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--only", default="", help="settings and constants whose names begin so")
     parser.add_argument("--every", type=int, default=1, metavar="N", help="each N-th of these")

@@ -8,7 +8,6 @@ are acceptable; wrong poses are not.
     python benchmarks/short_networks.py --seeds 150 --first 150
 """
 
-import argparse
 from concurrent.futures import ProcessPoolExecutor
 from typing import Any, NamedTuple
 
@@ -19,6 +18,7 @@ from calgraph.network.options import NetworkOptions
 from calgraph.network.pipeline import calibrate_tracks
 from calgraph.simulation import NetworkScenario, build_network, network_rig, network_truth, simulate_scans
 from network_runs import find_gross_errors, project_poses, track_scanners
+from worlds import make_parser
 
 LAYOUTS = {"office": 0.3, "lab": 0.25, "halls": 0.2, "semicircle": 0.1, "grid": 0.15}
 """How often each is drawn."""
@@ -36,7 +36,7 @@ class Outcome(NamedTuple):
 
 def main() -> None:
     """Prints how many scanners are right, grossly wrong, or not connected."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = make_parser(__doc__)
     parser.add_argument("--seeds", type=int, default=150)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--jobs", type=int, default=2)

@@ -7,7 +7,6 @@ Detections are simulated: clean, and with the noise that rig.yaml states. ``pair
 pairs, and the tree. ``bundle`` is the whole joint solution from there, rounds of measuring the noise included.
 """
 
-import argparse
 import logging
 import os
 import time
@@ -34,6 +33,7 @@ from calgraph.simulation import (
     build_world,
     simulate_detections,
 )
+from worlds import make_parser
 
 # By number of sensors: cameras, 2-D scanners, spinning ones, LiDARs with rings.
 RIGS = {5: (1, 3, 1, 0), 10: (3, 4, 2, 1), 20: (6, 8, 4, 2)}
@@ -42,7 +42,7 @@ Result = TypeVar("Result")
 
 def main() -> None:
     """Prints a line for each size of rig and number of captures."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = make_parser(__doc__)
     parser.add_argument("--captures", type=int, nargs="+", default=[48, 120, 504, 1008, 5040])
     parser.add_argument("--sensors", type=int, nargs="+", choices=RIGS, default=[5])
     parser.add_argument("--repeat", type=int, default=3, help="the median counts")

@@ -13,7 +13,6 @@ out: the camera of the k captures locates the board in each of the others; RMS o
 the LiDAR's points from its plane.
 """
 
-import argparse
 import functools
 import logging
 import os
@@ -45,6 +44,7 @@ from calgraph.rig.pipeline import build_problem_from_captures, calibrate_detecti
 from calgraph.sensors import PointCloud
 from real_recordings import VLP16
 from systematic_errors import apply_systematic, cross_covariance
+from worlds import make_parser
 
 CAPTURES = range(1, 41)
 BEYOND = float(chi2.ppf(0.99, 6))
@@ -234,7 +234,7 @@ def show_seeds(seeds: int, jobs: int) -> None:
 
 def main() -> None:
     """Prints the tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = make_parser(__doc__)
     parser.add_argument("--k", type=int, nargs="+", default=[8, 11, 12, 16, 20, 24])
     parser.add_argument("--draws", type=int, default=40)
     parser.add_argument("--ransac-seeds", type=int, default=0, help="compare this number of seeds instead")

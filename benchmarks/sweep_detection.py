@@ -6,7 +6,6 @@ python benchmarks/sweep_detection.py --scenes open wall --sensors 16 --seeds 0 1
 Every recording is searched twice: in whole clouds, and in front of the background learned from its captures.
 """
 
-import argparse
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -34,6 +33,7 @@ from calgraph.simulation.scanners import (
 )
 from calgraph.simulation.solids import BoxShape, Solid
 from calgraph.simulation.world import board_solid, build_room, operator_solids
+from worlds import make_parser
 
 _BOARD: Final = Board(
     size=(1.0, 0.8), pattern=Checkerboard(kind="checkerboard", columns=8, rows=6, square=0.1, center=(0.0, 0.0))
@@ -60,7 +60,7 @@ class Sweep:
 
 def main() -> None:
     """Prints a row for each scene and sensor, and one for all."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = make_parser(__doc__)
     parser.add_argument("--scenes", nargs="+", choices=_SCENES, default=_SCENES)
     parser.add_argument("--sensors", nargs="+", choices=_SENSORS, default=_SENSORS)
     parser.add_argument("--seeds", type=int, nargs="+", default=[0])

@@ -17,7 +17,6 @@ runs while a module is imported. The steps between detection and bundle that loo
 of cameras, pairs, tree) do not lie on the way.
 """
 
-import argparse
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -40,6 +39,7 @@ from calgraph.simulation import (
     SpinningOptions,
     simulate_rig,
 )
+from worlds import make_parser
 
 PACKAGE = Path(calgraph.__file__).parent
 SCENARIO = RigScenario(
@@ -163,7 +163,7 @@ def trace(folder: Path) -> list[Way]:
 
 def main() -> None:
     """Prints the modules of each way, and their number."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = make_parser(__doc__)
     parser.add_argument("--steps", action="store_true", help="also print the steps that reach each module")
     arguments = parser.parse_args()
     with TemporaryDirectory() as folder:

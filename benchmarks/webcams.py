@@ -14,7 +14,6 @@ priors of systematic parameters. Held out: cameras of one half, boards of the ot
 corners; RMS of their reprojection errors.
 """
 
-import argparse
 import logging
 import os
 import tomllib
@@ -44,6 +43,7 @@ from calgraph.rig.options import RigOptions
 from calgraph.rig.pipeline import build_problem_from_captures, solve_jointly, solve_problem
 from calgraph.sensors import CameraModel
 from systematic_errors import apply_systematic, cross_covariance
+from worlds import make_parser
 
 ROOT = "camera_1"
 SQUARE = 0.054
@@ -278,7 +278,7 @@ def show_deviations(
 
 def main() -> None:
     """Prints the tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = make_parser(__doc__)
     parser.add_argument("--unstamped", action="store_true", help="as if the frames of one index were of one time")
     arguments = parser.parse_args()
     logging.disable(logging.WARNING)
