@@ -157,6 +157,7 @@ def main() -> None:
     parser.add_argument("--every", type=int, default=1, metavar="N", help="each N-th of these")
     parser.add_argument("--mechanisms", nargs="+", choices=list(MECHANISMS), default=list(MECHANISMS))
     arguments = parser.parse_args()
+    prepare()
     names = select(select(list(list_problems()), SOURCES, 1), arguments.only, arguments.every)
     work = [(name, tuple(arguments.mechanisms)) for name in names]
     show(run_worlds(Row, run, work, arguments, key=1))
@@ -164,7 +165,6 @@ def main() -> None:
 
 def run(name: str, mechanisms: Sequence[str]) -> list[Row]:
     """A world with all mechanisms, and without each of them; none if its recording is missing."""
-    prepare()
     make, true = list_problems()[name], find_true_poses(name)
     with watched(mechanisms) as fired:
         try:
@@ -193,7 +193,8 @@ def find_true_poses(name: str) -> Mapping[str, Array] | None:
         detected = detect(*make.args)
         return None if detected is None else detected[2].T_root_sensor
     if name.startswith("random_rigs/"):
-        return true_poses(draw_rig(*make.args, make.keywords["moving"], make.keywords["unknown"]))
+        (seed,), options = make.args, make.keywords
+        return true_poses(draw_rig(seed, options["moving"], options["unknown"]))
     return None
 
 
@@ -242,7 +243,7 @@ def replaced(mechanism: str, function: Callable[..., Any]) -> Iterator[None]:
         yield
 
 
-def _find(place: str) -> tuple[Any, str, Callable[..., Any]]:
+def _find(place: str) -> tuple[Any, str, Any]:
     """The module or class that a name is looked up in, the name, and its function."""
     above, _, name = place.rpartition(".")
     module, _, kind = above.rpartition(".")

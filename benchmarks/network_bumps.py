@@ -4,12 +4,10 @@ A row for each bump of a random scanner at a random time, in random direction; a
 Nothing is calibrated: see network_model_errors.py for that.
 
     python benchmarks/network_bumps.py --seeds 20 --jobs 2
-    python benchmarks/network_bumps.py --seeds 5 --real FOLDER     # real recordings of scanners at rest
 """
 
 import logging
 import time
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,8 +16,6 @@ from calgraph.config.settings import StationaritySettings
 from calgraph.network.tracking.scan_stack import stack_scans
 from calgraph.network.tracking.stationarity import MIN_REST_SHARE, analyze_stationarity
 from calgraph.parallel.processes import parallel_map
-from calgraph.recording import open_recording
-from calgraph.sensors.cloud_to_scan import to_scans
 from calgraph.simulation import NetworkScenario, build_network, simulate_scans
 from worlds import make_parser
 
@@ -61,17 +57,12 @@ def main() -> None:
     parser = make_parser(__doc__)
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--real", type=Path, help="folder of recordings of scanners at rest")
     arguments = parser.parse_args()
     logging.disable(logging.WARNING)
     print(f"{'world':16}{'right':>12}{'max mm':>8}{'max deg':>9}{'max s':>7}{'ms':>7}  a recording, all scanners")
     for label in (*BUMPS, *AT_REST):
         work = [(label, room, seed) for room in ROOMS for seed in range(arguments.seeds)]
         show(label, parallel_map(check, work, arguments.jobs))
-    if arguments.real:
-        for path in sorted(arguments.real.iterdir()):
-            if path.suffix in (".bag", ".mcap"):
-                show_real(path)
 
 
 def check(label: str, room: str, seed: int) -> Outcome:
@@ -114,16 +105,6 @@ def show(label: str, outcomes: list[Outcome]) -> None:
     worst = np.max(errors, axis=0, initial=0.0, where=np.isfinite(errors))
     runtime = 1000 * np.mean([one.runtime for one in outcomes])
     print(f"{label:16}{right:>12}{worst[0]:8.1f}{worst[1]:9.3f}{worst[2]:7.2f}{runtime:7.0f}", flush=True)
-
-
-def show_real(path: Path) -> None:
-    """Prints the bumps of a real recording, by topic of 2-D scans."""
-    with open_recording(path) as recording:
-        for topic in recording.topics:
-            if topic.type.endswith("LaserScan"):
-                runs = stack_scans(to_scans(record.decode() for record in recording.records([topic.name])))
-                result = analyze_stationarity(runs, SETTINGS)
-                print(f"{path.name} {topic.name}: {len(result.bumps)} bumps, at rest {result.rest_share:.0%}")
 
 
 if __name__ == "__main__":

@@ -22,6 +22,7 @@ import reliability_signals as signals
 from reliability_answers import Answer
 from reliability_bags import FORMS, Source, simulate_source
 from reliability_cases import Case, Outcome, attempt_all, load_outcomes, save_outcome
+from reliability_messages import MESSAGE_DAMAGE
 from reliability_tasks import EARLIER, NEW, NOTHING, TASKS, References, write_documents
 from worlds import grouped, make_parser
 
@@ -139,7 +140,7 @@ TABLES: Mapping[str, Table] = {
     recordings.TABLE: Table(
         ("damage of the recording", "form of the recording"),
         ANSWERS,
-        recordings.MESSAGE_DAMAGE,
+        MESSAGE_DAMAGE,
         FORMS,
         lambda source, _scratch, seeds: recordings.list_cases(source, seeds),
     ),

@@ -23,7 +23,7 @@ Row = TypeVar("Row")
 Key = TypeVar("Key")
 NAN = float("nan")
 _READ: dict[type, Callable[[str], Any]] = {bool: "True".__eq__, int: int, float: float, str: str}
-_BLOCK = 20
+_BLOCK = 5
 """Worlds of each process between two writes of the file."""
 
 
@@ -61,7 +61,6 @@ def run_worlds(
         arguments: of :func:`make_parser`.
         key: number of first fields of a row, and arguments of the function, that identify a world.
     """
-    logging.disable(logging.WARNING)
     if arguments.show:
         return [row for path in arguments.show for row in read_rows(kind, path)]
     found = read_rows(kind, arguments.csv)
@@ -69,17 +68,16 @@ def run_worlds(
     done = {_text(_values(row)[:key]) for row in found}
     missing = [one for one in work if _text(one[:key]) not in done]
     rows = [row for row in found if _text(_values(row)[:key]) in wanted]
+    logging.disable(logging.WARNING)
     for first in range(0, len(missing), _BLOCK * arguments.jobs):
         block = missing[first : first + _BLOCK * arguments.jobs]
-
-        def progress(share: float, first: int = first, count: int = len(block)) -> None:
-            print(f"\r{first + share * count:.0f} of {len(missing)} worlds", end="", file=sys.stderr, flush=True)
-
         new: list[Row] = []
-        for one in parallel_map(function, block, arguments.jobs, progress):
+        for one in parallel_map(function, block, arguments.jobs):
             new += one if isinstance(one, list) else [] if one is None else [cast(Row, one)]
         append_rows(kind, new, arguments.csv)
         rows += new
+        print(f"\r{first + len(block)} of {len(missing)} worlds", end="", file=sys.stderr, flush=True)
+    logging.disable(logging.NOTSET)
     print(file=sys.stderr)
     return rows
 
