@@ -1,8 +1,7 @@
-"""Feedback of a live session: time from a hold to its capture and to the poses, load, and memory.
+"""Feedback of a live session: time from a hold to its capture and to the poses, and load.
 
 python benchmarks/live_feedback.py                       # five sensors, 220 MB a minute, at real time
 python benchmarks/live_feedback.py --keep DIR            # the simulated recording is kept, and used again
-python benchmarks/live_feedback.py --processes 1 --repeat 23 --speed 8      # memory over 30 minutes
 """
 
 import asyncio
@@ -20,31 +19,9 @@ from calgraph.live.rig_solution import solve_captures
 from calgraph.live.source import LiveMessage
 from calgraph.parallel.processes import worker_pool
 from calgraph.simulation import load_truth
-from live_walk import list_topics, move, simulated
-from process_costs import list_descendants, measure_memory, measure_processor_time
+from live_walk import list_topics, simulated
+from process_costs import list_descendants, measure_processor_time
 from worlds import make_parser
-
-_SAMPLING_INTERVAL = 1.0
-"""Between two measurements of memory and load, s."""
-
-
-class Usage:
-    """Memory and processor time of this process and its workers."""
-
-    def __init__(self) -> None:
-        self.peak = 0
-        """Bytes of proportional memory of all together."""
-        self.at: list[tuple[float, int]] = []
-        self._began = time.monotonic()
-
-    async def sample(self) -> None:
-        """Samples the memory until it is cancelled."""
-        while True:
-            # Pages are counted in a thread: that takes 15 ms.
-            total = round(await asyncio.to_thread(lambda: measure_memory(list_processes())))
-            self.peak = max(self.peak, total)
-            self.at.append((time.monotonic() - self._began, total))
-            await asyncio.sleep(_SAMPLING_INTERVAL)
 
 
 def list_processes() -> list[int]:
@@ -67,47 +44,28 @@ class Feedback:
 
 
 async def run(
-    rig: Rig,
-    rests: list[float],
-    recording: Path,
-    pools: tuple[Executor, Executor],
-    processes: int,
-    repeat: int,
-    speed: float,
+    rig: Rig, rests: list[float], recording: Path, pools: tuple[Executor, Executor], processes: int
 ) -> None:
     """Replays the recording to a session, and reports."""
     loop = asyncio.get_running_loop()
-    feedback, usage = Feedback(), Usage()
+    feedback, size = Feedback(), 0
     session_pools = SessionPools(pools[0], processes, pools[1], loop.call_soon_threadsafe)
     session = RigSession(rig, str(recording), session_pools, SessionOutputs(lambda _: None), solve_captures)
     watching = asyncio.create_task(watch(session, feedback))
-    sampling = asyncio.create_task(usage.sample())
     began, busy = time.monotonic(), [measure_processor_time(pid) for pid in list_processes()]
-    shift, size = 0, 0
-    for _ in range(repeat):
-        last = 0
-        async for message in ReplaySource(recording, speed=speed).stream(list_topics(rig)):
-            if isinstance(message, LiveMessage):
-                moved = move(message, shift)
-                last = max(last, moved.arrival)
-                size += len(moved.data)
-                before = time.monotonic()
-                session.feed(moved)
-                feedback.feeding.append(time.monotonic() - before)
-                feedback.arrived.append((moved.arrival / 1e9, before))
-        shift = last - first_arrival(feedback) + 10**8
+    async for message in ReplaySource(recording, speed=1.0).stream(list_topics(rig)):
+        if isinstance(message, LiveMessage):
+            size += len(message.data)
+            before = time.monotonic()
+            session.feed(message)
+            feedback.feeding.append(time.monotonic() - before)
+            feedback.arrived.append((message.arrival / 1e9, before))
     await asyncio.sleep(3.0)
-    for task in (watching, sampling):
-        task.cancel()
+    watching.cancel()
     seconds = time.monotonic() - began
     used = [measure_processor_time(pid) - before for pid, before in zip(list_processes(), busy, strict=True)]
-    report(session, feedback, usage, rests, seconds, size, used)
+    report(session, feedback, rests, seconds, size, used)
     session.close()
-
-
-def first_arrival(feedback: Feedback) -> int:
-    """Of all messages, ns."""
-    return round(feedback.arrived[0][0] * 1e9)
 
 
 async def watch(session: RigSession, feedback: Feedback) -> None:
@@ -129,13 +87,7 @@ async def watch(session: RigSession, feedback: Feedback) -> None:
 
 
 def report(
-    session: RigSession,
-    feedback: Feedback,
-    usage: Usage,
-    rests: list[float],
-    seconds: float,
-    size: int,
-    used: list[float],
+    session: RigSession, feedback: Feedback, rests: list[float], seconds: float, size: int, used: list[float]
 ) -> None:
     """Prints the figures; the board rests from the stamps ``rests`` on, s."""
     holds = session.captures().holds
@@ -160,8 +112,6 @@ def report(
     slow = np.percentile(feeding, 99)
     print(f"feeding a message: mean {feeding.mean():.2f}, 99 % {slow:.2f}, max {feeding.max():.1f} ms")
     print("load of main, analysis ..., solver: " + ", ".join(f"{100 * one / seconds:.0f} %" for one in used))
-    half = [total for at, total in usage.at if at > seconds / 2]
-    print(f"memory: peak {usage.peak / 1e6:.0f} MB, median of the second half {np.median(half) / 1e6:.0f} MB")
 
 
 def main() -> None:
@@ -169,8 +119,6 @@ def main() -> None:
     parser = make_parser(__doc__)
     parser.add_argument("--keep", type=Path, help="folder of the simulated recording")
     parser.add_argument("--processes", type=int, help="number of processes that detect")
-    parser.add_argument("--repeat", type=int, default=1, help="number of times that it is replayed")
-    parser.add_argument("--speed", type=float, default=1.0, help="of the replay")
     arguments = parser.parse_args()
     with simulated(arguments.keep) as folder:
         rig = load_rig(folder / "rig.yaml")
@@ -178,17 +126,7 @@ def main() -> None:
         rests = [board.trigger for board in load_truth(folder / "truth.yaml").boards]
         print(f"{len(rests)} holds, {processes} processes detect")
         with worker_pool(processes) as analysis, worker_pool(1) as solving:
-            asyncio.run(
-                run(
-                    rig,
-                    rests,
-                    folder / "recording",
-                    (analysis, solving),
-                    processes,
-                    arguments.repeat,
-                    arguments.speed,
-                )
-            )
+            asyncio.run(run(rig, rests, folder / "recording", (analysis, solving), processes))
 
 
 if __name__ == "__main__":
