@@ -31,6 +31,10 @@ class Wrong:
     options: IdealDetectorOptions = field(default_factory=IdealDetectorOptions)
 
 
+Make = Callable[[float, World, np.random.Generator], Wrong | None]
+"""The errors of a size in a world; None where the rig has no such sensor."""
+
+
 @dataclass(frozen=True)
 class Kind:
     """A kind of error in several sizes."""
@@ -41,8 +45,7 @@ class Kind:
     """For display."""
     factor: float
     """Of sizes, to this unit."""
-    make: Callable[[float, World, np.random.Generator], Wrong | None]
-    """None where the rig has no such sensor."""
+    make: Make
 
     def label(self, size: float) -> str:
         """A size with its unit."""
@@ -69,11 +72,29 @@ def _scaled(size: float, vector: tuple[float, ...]) -> Any:
     return tuple(size * x for x in vector)
 
 
-def _of_board(make: Callable[[float, World, np.random.Generator], BoardErrors]) -> Any:
-    return lambda size, world, rng: Wrong(ModelErrors(make(size, world, rng)))
+Draw = Callable[[float, np.random.Generator], Any]
+"""The value of an error of a size."""
 
 
-def _of_camera(make: Callable[[float, MountedCamera, np.random.Generator], CameraErrors]) -> Any:
+def _either_sign(size: float, rng: np.random.Generator) -> float:
+    return _sign(rng) * size
+
+
+def _along(*direction: float) -> Draw:
+    """Along a vector, to either side."""
+    return lambda size, rng: _scaled(_sign(rng) * size, direction)
+
+
+def _any_direction(dimension: int) -> Draw:
+    return lambda size, rng: _scaled(size, _direction(rng, dimension))
+
+
+def _board(name: str, draw: Draw = _either_sign) -> Make:
+    """An error of the board."""
+    return lambda size, _world, rng: Wrong(ModelErrors(BoardErrors(**{name: draw(size, rng)})))
+
+
+def _camera(make: Callable[[float, MountedCamera, np.random.Generator], CameraErrors]) -> Make:
     """One camera is wrong."""
 
     def of_world(size: float, world: World, rng: np.random.Generator) -> Wrong | None:
@@ -83,28 +104,32 @@ def _of_camera(make: Callable[[float, MountedCamera, np.random.Generator], Camer
     return of_world
 
 
-def _of_scanner(
-    make: Callable[[float, MountedScanner, np.random.Generator], ScannerErrors],
-    fits: Callable[[MountedScanner], bool] = lambda _scanner: True,
-) -> Any:
-    """One scanner of those that fit is wrong."""
+def _lens(name: str, draw: Draw) -> Make:
+    """An error of one camera."""
+    return _camera(lambda size, _camera, rng: CameraErrors(**{name: draw(size, rng)}))
+
+
+def _scanner(name: str, fits: Callable[[MountedScanner], bool] = lambda _scanner: True) -> Make:
+    """An error of one scanner of those that fit; of each ring, if it is one of rings."""
 
     def of_world(size: float, world: World, rng: np.random.Generator) -> Wrong | None:
         candidates = [s for s in scanners_of(world) if fits(s)]
         if not candidates:
             return None
         scanner = candidates[rng.integers(len(candidates))]
-        return Wrong(ModelErrors(scanners={scanner.name: make(size, scanner, rng)}))
+        of_rings = name.startswith("ring_")
+        value = tuple(rng.normal(0, size, ring_count(scanner)).tolist()) if of_rings else _sign(rng) * size
+        return Wrong(ModelErrors(scanners={scanner.name: ScannerErrors(**{name: value})}))
 
     return of_world
 
 
-def _of_any(make: Callable[[float, np.random.Generator], Bump]) -> Any:
+def _bump(name: str, start: float = 0.5, duration: float = 0.0) -> Make:
     """One sensor is bumped, the root as likely as any other."""
 
     def of_world(size: float, world: World, rng: np.random.Generator) -> Wrong | None:
         sensor = world.robot[rng.integers(len(world.robot))]
-        bump = make(size, rng)
+        bump = Bump(start, duration, **{name: _scaled(size, _direction(rng, 3))})
         if isinstance(sensor, MountedCamera):
             return Wrong(ModelErrors(cameras={sensor.name: CameraErrors(bump=bump)}))
         return Wrong(ModelErrors(scanners={sensor.name: ScannerErrors(bump=bump)}))
@@ -120,9 +145,13 @@ def _has_rings(scanner: MountedScanner) -> bool:
     return scanner.pattern.rings is not None
 
 
-def _displaced_tag(size: float, world: World, rng: np.random.Generator) -> BoardErrors:
+def _displaced_tag(size: float, world: World, rng: np.random.Generator) -> Wrong:
     tag = world.scenario.board.tags[rng.integers(len(world.scenario.board.tags))]
-    return BoardErrors(tag_position={tag.id: _scaled(size, _direction(rng, 2))})
+    return Wrong(ModelErrors(BoardErrors(tag_position={tag.id: _scaled(size, _direction(rng, 2))})))
+
+
+def _shift_image(size: float, camera: MountedCamera, rng: np.random.Generator) -> CameraErrors:  # noqa: ARG001
+    return CameraErrors(image_shift=_scaled(size, _direction(rng, 2)), image_shift_after=0.5)
 
 
 def _undistorted(size: float, camera: MountedCamera, rng: np.random.Generator) -> CameraErrors:  # noqa: ARG001
@@ -158,125 +187,40 @@ def _footprints(size: float, world: World, rng: np.random.Generator) -> Wrong:  
     return Wrong(ModelErrors(scanners=scanners))
 
 
-_DEGREE = float(np.degrees(1.0))
+_PERCENT, _MM, _DEGREES, _PIXELS = ("%", 100.0), ("mm", 1e3), ("deg", float(np.degrees(1.0))), ("px", 1.0)
 KINDS: Mapping[str, Kind] = {
-    "print_scale": Kind(
-        (0.01, 0.02, 0.05, 0.1), "%", 100, _of_board(lambda s, _, rng: BoardErrors(print_scale=_sign(rng) * s))
-    ),
-    "print_aspect": Kind(
-        (0.005, 0.01), "%", 100, _of_board(lambda s, _, rng: BoardErrors(print_aspect=_sign(rng) * s))
-    ),
-    "tag_size": Kind(
-        (0.01, 0.05, 0.2), "%", 100, _of_board(lambda s, _, rng: BoardErrors(tag_size=_sign(rng) * s))
-    ),
-    "tag_position": Kind((0.003, 0.01), "mm", 1e3, _of_board(_displaced_tag)),
-    "focal_length": Kind(
-        (0.01, 0.03, 0.1),
-        "%",
-        100,
-        _of_camera(lambda s, _, rng: CameraErrors(focal_length=_scaled(_sign(rng) * s, (1.0, 1.0)))),
-    ),
-    "focal_length_x": Kind(
-        (0.01, 0.03, 0.1), "%", 100, _of_camera(lambda s, _, rng: CameraErrors(focal_length=(_sign(rng) * s, 0.0)))
-    ),
-    "principal_point": Kind(
-        (10, 15, 20, 30),
-        "px",
-        1,
-        _of_camera(lambda s, _, rng: CameraErrors(principal_point=_scaled(s, _direction(rng, 2)))),
-    ),
-    "distortion_dropped": Kind((0.05, 0.2), "k1", -1, _of_camera(_undistorted)),
-    "rational_lens": Kind((0.02, 0.1), "k4", 1, _of_camera(_rational)),
-    "fisheye_lens": Kind((0.0, 0.05), "k1", 1, _of_camera(_fisheye)),
-    "range_bias": Kind(
-        (0.01, 0.03, 0.1), "mm", 1e3, _of_scanner(lambda s, _, rng: ScannerErrors(range_bias=_sign(rng) * s))
-    ),
-    "range_scale": Kind(
-        (0.003, 0.01), "%", 100, _of_scanner(lambda s, _, rng: ScannerErrors(range_scale=_sign(rng) * s))
-    ),
-    "angle_scale": Kind(
-        (0.002, 0.005, 0.01),
-        "%",
-        100,
-        _of_scanner(lambda s, _, rng: ScannerErrors(angle_scale=_sign(rng) * s), _is_2d),
-    ),
-    "ring_bias": Kind(
-        (0.01, 0.02),
-        "mm",
-        1e3,
-        _of_scanner(
-            lambda s, lidar, rng: ScannerErrors(ring_bias=tuple(rng.normal(0, s, ring_count(lidar)).tolist())),
-            _has_rings,
-        ),
-    ),
-    "ring_elevation": Kind(
-        (np.radians(0.1), np.radians(0.2)),
-        "deg",
-        _DEGREE,
-        _of_scanner(
-            lambda s, lidar, rng: ScannerErrors(
-                ring_elevation=tuple(rng.normal(0, s, ring_count(lidar)).tolist())
-            ),
-            _has_rings,
-        ),
-    ),
-    "bump_rotation": Kind(
-        (np.radians(0.3), np.radians(1.0), np.radians(3.0)),
-        "deg",
-        _DEGREE,
-        _of_any(lambda s, rng: Bump(0.5, rotation=_scaled(s, _direction(rng, 3)))),
-    ),
-    "bump_translation": Kind(
-        (0.005, 0.02), "mm", 1e3, _of_any(lambda s, rng: Bump(0.5, translation=_scaled(s, _direction(rng, 3))))
-    ),
-    "bump_at_a_third": Kind(
-        (np.radians(1.0),),
-        "deg",
-        _DEGREE,
-        _of_any(lambda s, rng: Bump(1 / 3, rotation=_scaled(s, _direction(rng, 3)))),
-    ),
-    "drift": Kind(
-        (np.radians(0.3), np.radians(1.0)),
-        "deg",
-        _DEGREE,
-        _of_any(lambda s, rng: Bump(0.0, 1.0, rotation=_scaled(s, _direction(rng, 3)))),
-    ),
-    "image_shift": Kind(
-        (5, 15, 20),
-        "px",
-        1,
-        _of_camera(
-            lambda s, _, rng: CameraErrors(image_shift=_scaled(s, _direction(rng, 2)), image_shift_after=0.5)
-        ),
-    ),
-    "bent": Kind(
-        (0.002, 0.005, 0.01), "mm", 1e3, _of_board(lambda s, _, rng: BoardErrors(bow=(_sign(rng) * s, 0.0, 0.0)))
-    ),
-    "saddle": Kind(
-        (0.002, 0.005, 0.01),
-        "mm",
-        1e3,
-        _of_board(lambda s, _, rng: BoardErrors(bow=_scaled(_sign(rng) * s, (1.0, -1.0, 0.0)))),
-    ),
-    "twisted": Kind((0.005,), "mm", 1e3, _of_board(lambda s, _, rng: BoardErrors(bow=(0.0, 0.0, _sign(rng) * s)))),
-    "board_size": Kind(
-        (0.01, 0.03), "mm", 1e3, _of_board(lambda s, _, rng: BoardErrors(size=_scaled(_sign(rng) * s, (1.0, 1.0))))
-    ),
-    "print_position": Kind(
-        (0.003, 0.01),
-        "mm",
-        1e3,
-        _of_board(lambda s, _, rng: BoardErrors(print_position=_scaled(s, _direction(rng, 2)))),
-    ),
-    "dark_tags": Kind(
-        (0.005, 0.02), "mm", 1e3, _of_board(lambda s, _, rng: BoardErrors(tag_range_bias=_sign(rng) * s))
-    ),
+    "print_scale": Kind((0.01, 0.02, 0.05, 0.1), *_PERCENT, _board("print_scale")),
+    "print_aspect": Kind((0.005, 0.01), *_PERCENT, _board("print_aspect")),
+    "tag_size": Kind((0.01, 0.05, 0.2), *_PERCENT, _board("tag_size")),
+    "tag_position": Kind((0.003, 0.01), *_MM, _displaced_tag),
+    "focal_length": Kind((0.01, 0.03, 0.1), *_PERCENT, _lens("focal_length", _along(1.0, 1.0))),
+    "focal_length_x": Kind((0.01, 0.03, 0.1), *_PERCENT, _lens("focal_length", _along(1.0, 0.0))),
+    "principal_point": Kind((10, 15, 20, 30), *_PIXELS, _lens("principal_point", _any_direction(2))),
+    "distortion_dropped": Kind((0.05, 0.2), "k1", -1, _camera(_undistorted)),
+    "rational_lens": Kind((0.02, 0.1), "k4", 1, _camera(_rational)),
+    "fisheye_lens": Kind((0.0, 0.05), "k1", 1, _camera(_fisheye)),
+    "range_bias": Kind((0.01, 0.03, 0.1), *_MM, _scanner("range_bias")),
+    "range_scale": Kind((0.003, 0.01), *_PERCENT, _scanner("range_scale")),
+    "angle_scale": Kind((0.002, 0.005, 0.01), *_PERCENT, _scanner("angle_scale", _is_2d)),
+    "ring_bias": Kind((0.01, 0.02), *_MM, _scanner("ring_bias", _has_rings)),
+    "ring_elevation": Kind((np.radians(0.1), np.radians(0.2)), *_DEGREES, _scanner("ring_elevation", _has_rings)),
+    "bump_rotation": Kind((np.radians(0.3), np.radians(1.0), np.radians(3.0)), *_DEGREES, _bump("rotation")),
+    "bump_translation": Kind((0.005, 0.02), *_MM, _bump("translation")),
+    "bump_at_a_third": Kind((np.radians(1.0),), *_DEGREES, _bump("rotation", 1 / 3)),
+    "drift": Kind((np.radians(0.3), np.radians(1.0)), *_DEGREES, _bump("rotation", 0.0, 1.0)),
+    "image_shift": Kind((5, 15, 20), *_PIXELS, _camera(_shift_image)),
+    "bent": Kind((0.002, 0.005, 0.01), *_MM, _board("bow", _along(1.0, 0.0, 0.0))),
+    "saddle": Kind((0.002, 0.005, 0.01), *_MM, _board("bow", _along(1.0, -1.0, 0.0))),
+    "twisted": Kind((0.005,), *_MM, _board("bow", _along(0.0, 0.0, 1.0))),
+    "board_size": Kind((0.01, 0.03), *_MM, _board("size", _along(1.0, 1.0))),
+    "print_position": Kind((0.003, 0.01), *_MM, _board("print_position", _any_direction(2))),
+    "dark_tags": Kind((0.005, 0.02), *_MM, _board("tag_range_bias")),
     "noise": Kind(
         (3.0,), "times", 1, lambda s, _world, _rng: Wrong(options=IdealDetectorOptions(stated_noise_factor=1 / s))
     ),
     "footprint": Kind((0.003,), "mrad", 1e3, _footprints),
-    "tremor": Kind((0.0005, 0.001), "mm", 1e3, _of_board(lambda s, _, rng: BoardErrors(tremor=s))),  # noqa: ARG005
-    "slip": Kind((0.2, 0.5), "%", 100, lambda s, _world, _rng: Wrong(scenario=(("disturbed", s),))),
+    "tremor": Kind((0.0005, 0.001), *_MM, _board("tremor", lambda size, _rng: size)),
+    "slip": Kind((0.2, 0.5), *_PERCENT, lambda s, _world, _rng: Wrong(scenario=(("disturbed", s),))),
     "late_clock": Kind((0.05, 0.2), "m/s", 1, _late),
 }
 
