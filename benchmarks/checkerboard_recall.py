@@ -14,7 +14,6 @@ flags, until one has the right corners; what calgraph finds counts as found by i
 ``--csv``; those that are there are not measured again. Seconds are of one processor.
 """
 
-import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
@@ -28,9 +27,9 @@ import numpy as np
 from calgraph.boards.chessboards import CheckerboardFinder
 from calgraph.config import Checkerboard
 from checkerboard_images import Array, BoardImage, Gray, draw_empty_image, draw_image, measure_shortest_gap
+from real_recordings import DATA
 from worlds import make_parser, run_worlds
 
-DATA: Final = Path(os.environ.get("CALGRAPH_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
 REAL_BOARDS: Final = {
     "acfr-vlp16-checkerboard": (7, 5),
     "acfr-ouster64-few-poses": (7, 5),

@@ -1,7 +1,6 @@
 """The problems of frozen.py from messages: random rigs, whole simulated recordings, and real ones."""
 
 import hashlib
-import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -39,8 +38,8 @@ from calgraph.simulation import (
 from frozen_rigs import Make
 from random_rig_draws import draw_rig
 from random_rig_messages import record
+from real_recordings import DATA
 
-DATA = Path(os.environ.get("CALGRAPH_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
 QUICK = RigScenario(
     camera=CameraOptions(width=640, height=480, texels_per_mm=0.5, distortion=(-0.2, 0.05, 0.001, -0.001)),
     laser=LaserOptions(count=1, resolution=1.0),

@@ -10,10 +10,8 @@ that of the data.
 """
 
 import csv
-import os
 import tomllib
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -26,8 +24,8 @@ from calgraph.recording.camera_info import camera_from_yaml
 from calgraph.rig.detection.board_views import BoardView
 from calgraph.rig.intrinsics.estimate import IntrinsicsEstimate, estimate_intrinsics
 from calgraph.sensors import CameraModel
+from real_recordings import DATA
 
-DATA = Path(os.environ.get("CALGRAPH_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
 WEBCAM_SQUARE = 0.054
 
 

@@ -1,6 +1,6 @@
 """Clock offsets between two scanners that one real scanner of legs stands for.
 
-python benchmarks/real_legs.py [DATA]       # DATA: the folder of real recordings, ../shared/data if left out
+python benchmarks/real_legs.py [DATA]       # the folder of real recordings; CALGRAPH_DATA or ../shared/data
 
 Of every two scans, the first is of one scanner, the second of another, with a rotation and a clock offset put in.
 Both have one viewpoint, so that errors of ranges and radii cancel: it tests clocks and noise, not the size.
@@ -22,6 +22,7 @@ from calgraph.network.tracking.track import ScannerTracks
 from calgraph.network.tracking.track_scanner import track_scanner
 from calgraph.recording import open_recording
 from calgraph.sensors import LaserScan
+from real_recordings import DATA
 
 TOPICS = {
     "positive_1": "right_scan",
@@ -62,7 +63,7 @@ def solve(scans: Sequence[LaserScan], offset: float) -> NetworkSolution:
 
 def main() -> None:
     """Prints a row for each recording and offset."""
-    data = Path(sys.argv[1] if len(sys.argv) > 1 else "../shared/data")
+    data = Path(sys.argv[1]) if len(sys.argv) > 1 else DATA
     print("recording    clock ms   found   sigma   error    x mm    y mm     deg")
     for name, topic in TOPICS.items():
         scans = read_scans(data / "real-legs-one-laser" / f"{name}.bag", topic)

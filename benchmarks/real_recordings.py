@@ -1,9 +1,10 @@
 """Real recordings against the answers that came with them.
 
-python benchmarks/real_recordings.py [DATA]      # DATA: the folder of real recordings, ../shared/data if left out
+python benchmarks/real_recordings.py [DATA]      # the folder of real recordings; CALGRAPH_DATA or ../shared/data
 """
 
 import csv
+import os
 import sys
 from pathlib import Path
 
@@ -16,6 +17,8 @@ from calgraph.result import Calibration, Edge
 from calgraph.rig.options import RigOptions
 from calgraph.rig.pipeline import calibrate_rig
 
+DATA = Path(os.environ.get("CALGRAPH_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
+"""The folder of real recordings."""
 VLP16: dict[str, object] = {
     "root": "lidar",
     "target": {
@@ -93,8 +96,7 @@ def published(data: Path) -> Array:
 
 def main() -> None:
     """Prints poses, deviations from the answers, and verdicts."""
-    beside = Path(__file__).resolve().parents[2] / "shared" / "data"
-    data = Path(sys.argv[1]) if len(sys.argv) > 1 else beside
+    data = Path(sys.argv[1]) if len(sys.argv) > 1 else DATA
     found = vlp16(data)
     camera, edge = found["camera"], found.evidence.edges[0]
     difference = se3.difference(camera.T_root_sensor, published(data))

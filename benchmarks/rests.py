@@ -15,7 +15,6 @@ rest that was found overlaps half of it, or half a second; ``within`` where that
 time of the messages that are used.
 """
 
-import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -48,6 +47,7 @@ from calgraph.simulation import (
 )
 from calgraph.simulation.motion import BoardTrajectory, SimulatedHold, pose_from_placement
 from calgraph.simulation.world import simulate_measurement
+from real_recordings import DATA
 from worlds import make_parser, run_worlds
 
 MIXES = (
@@ -57,7 +57,6 @@ MIXES = (
 )  # fmt: skip
 RENDERED = (("camera", "lidar2d"), ("camera", "lidar16"), ("camera", "camera"), ("camera", "lidar2d", "lidar16"))
 TYPES = {"camera": "Image", "lidar2d": "LaserScan", "lidar16": "PointCloud", "lidar64": "PointCloud"}
-DATA = Path(os.environ.get("CALGRAPH_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
 MAX_DRIFT = 0.002
 """m."""
 ARM = 0.4

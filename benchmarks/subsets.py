@@ -15,7 +15,6 @@ the LiDAR's points from its plane.
 
 import functools
 import logging
-import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -42,7 +41,7 @@ from calgraph.rig.detection.from_measurements import board_corners_from_pixels
 from calgraph.rig.options import RigOptions
 from calgraph.rig.pipeline import build_problem_from_captures, calibrate_detections, solve_jointly, solve_problem
 from calgraph.sensors import PointCloud
-from real_recordings import VLP16
+from real_recordings import DATA, VLP16
 from systematic_errors import apply_systematic, cross_covariance
 from worlds import make_parser
 
@@ -86,8 +85,7 @@ class Draw:
 
 def data_folder() -> Path:
     """Where the recording is."""
-    beside = Path(__file__).resolve().parents[2] / "shared" / "data"
-    return Path(os.environ.get("CALGRAPH_DATA", beside)) / "acfr-vlp16-checkerboard"
+    return DATA / "acfr-vlp16-checkerboard"
 
 
 @functools.cache

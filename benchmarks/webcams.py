@@ -15,7 +15,6 @@ corners; RMS of their reprojection errors.
 """
 
 import logging
-import os
 import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -42,6 +41,7 @@ from calgraph.rig.captures.from_detections import captures_from_detections
 from calgraph.rig.options import RigOptions
 from calgraph.rig.pipeline import build_problem_from_captures, solve_jointly, solve_problem
 from calgraph.sensors import CameraModel
+from real_recordings import DATA
 from systematic_errors import apply_systematic, cross_covariance
 from worlds import make_parser
 
@@ -62,8 +62,7 @@ class Fit:
 
 def data_folder() -> Path:
     """Where the corners are."""
-    beside = Path(__file__).resolve().parents[2] / "shared" / "data"
-    return Path(os.environ.get("CALGRAPH_DATA", beside)) / "four-webcams-charuco-corners"
+    return DATA / "four-webcams-charuco-corners"
 
 
 def read_cameras() -> Mapping[str, Mapping[str, Any]]:
