@@ -1,4 +1,4 @@
-"""How often each graph method finds all sensors, by the share of wrong edges; and how long a large graph takes.
+"""How often each graph method finds all sensors, by the share of wrong edges.
 
 Graphs join every pair of 6 to 8 sensors in a 10 m square, edges have 0.7° and 5 cm of noise, and wrong ones are
 anywhere, turned anyhow. A sensor is found if it is within 0.5 m and 5°.
@@ -114,33 +114,6 @@ def table(n: int, seeds: int) -> None:
             print(row.format(f"{wrong:.0%}", method, *rates, clear.sum(), f"{each:.1f}"), flush=True)
 
 
-def large(n: int) -> None:
-    """Prints time and success on a graph of 1000 sensors and 5000 edges, a fifth of them wrong."""
-    rng = np.random.default_rng(n)
-    graph, T, bad = random_graph(1000, 5000, n, 0.2, 100.0, rng)
-    start, cpu = time.perf_counter(), time.process_time()
-    result = average_poses(graph, rng)
-    seconds, cpu = time.perf_counter() - start, time.process_time() - cpu
-    off = np.linalg.norm(se_n.translation(result.T_root_node) - se_n.translation(T), axis=1)
-    lost = np.flatnonzero((off > NEAR) & held_twice(graph, ~bad))
-    print(
-        f"SE({n}), 1000 sensors, 5000 edges, 20 % wrong: {seconds:.1f} s ({cpu:.1f} s CPU);"
-        f" edges judged rightly {np.mean(result.inliers == ~bad):.4f}, sensors not found:"
-        f" {np.sum(off > NEAR)}, of which {len(lost)} are held by two right edges"
-    )
-
-
-def held_twice(graph: PoseGraph, right: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """(N,) whether two right edges lead to each node from nodes of which that holds too (the graph's 2-core)."""
-    held = np.ones(graph.count, dtype=np.bool_)
-    while True:
-        among = right & held[graph.edges].all(axis=1)
-        fewer = held & (np.bincount(graph.edges[among].ravel(), minlength=graph.count) >= 2)
-        if np.array_equal(fewer, held):
-            return held
-        held = fewer
-
-
 def main() -> None:
     """Prints everything."""
     parser = make_parser(__doc__)
@@ -149,7 +122,6 @@ def main() -> None:
     options = parser.parse_args()
     for n in options.dimensions:
         table(n, options.seeds)
-        large(n)
 
 
 if __name__ == "__main__":

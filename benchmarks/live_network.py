@@ -5,11 +5,9 @@ A simulated recording is replayed through the recorder and a session; the sessio
     python benchmarks/live_network.py                      # five scanners, five minutes, five times faster
     python benchmarks/live_network.py --scanners 10 --people 4 --minutes 60 --speed 20
     python benchmarks/live_network.py --keep DIR           # the simulated recording is kept and used again
-    python benchmarks/live_network.py --plans DIR          # the floor plans as SVG files
 """
 
 import asyncio
-import resource
 import time
 from collections.abc import Mapping
 from concurrent.futures import Executor
@@ -35,6 +33,7 @@ from calgraph.simulation import (
     network_truth,
     simulate_network,
 )
+from process_costs import measure_peak_memories
 from worlds import make_parser
 
 
@@ -51,7 +50,6 @@ def main() -> None:
     parser.add_argument("--speed", type=float, default=5.0, help="of the replay")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--keep", type=Path, help="folder of the simulated recording")
-    parser.add_argument("--plans", type=Path, help="folder for floor plans")
     args = parser.parse_args()
     scenario = NetworkScenario(
         layout="office" if args.scanners <= 6 else "grid",
@@ -68,14 +66,12 @@ def main() -> None:
         tolerance = Tolerance(translation=args.tolerance, rotation=rig.tolerance.rotation)
         rig = rig.model_copy(update={"tolerance": tolerance})
         source = ReplaySource(place / "recording", speed=args.speed)
-        asyncio.run(replay(rig, truth, source, Path(folder) / "session", pool, args.plans))
-    print(f"peak memory: session {peak_memory(resource.RUSAGE_SELF):.0f} MB, ", end="")
-    print(f"its process {peak_memory(resource.RUSAGE_CHILDREN):.0f} MB")
+        asyncio.run(replay(rig, truth, source, Path(folder) / "session", pool))
+    own, other = measure_peak_memories()
+    print(f"peak memory: session {own:.0f} MB, its process {other:.0f} MB")
 
 
-async def replay(
-    rig: Rig, truth: Mapping[str, Array], source: ReplaySource, folder: Path, pool: Executor, plans: Path | None
-) -> None:
+async def replay(rig: Rig, truth: Mapping[str, Array], source: ReplaySource, folder: Path, pool: Executor) -> None:
     """Replays the recording, and prints what each solution states and how wrong it is."""
     loop = asyncio.get_running_loop()
     pools = SessionPools(pool, 1, pool, loop.call_soon_threadsafe)
@@ -100,9 +96,6 @@ async def replay(
             for event, reached in (("connected", posed == len(rig.sensors)), ("done", shown.done)):
                 if reached and not events[event]:
                     events[event] = session.timeline.latest_arrival - shown.start
-            if plans:
-                plans.mkdir(parents=True, exist_ok=True)
-                (plans / f"{shown.end - shown.start:06.0f}.svg").write_text(session.state().floor_plan)
     elapsed = time.monotonic() - began
     session.close()
     while session.busy:
@@ -141,11 +134,6 @@ def measure_errors(shown: LiveNetworkSolution, truth: Mapping[str, Array]) -> tu
         errors.append(1000 * float(np.linalg.norm(off)))
         squared.append(float(off @ np.linalg.solve(one.covariance, off)) / 2)
     return errors, squared
-
-
-def peak_memory(who: int) -> float:
-    """MB."""
-    return resource.getrusage(who).ru_maxrss / 1024
 
 
 if __name__ == "__main__":

@@ -21,10 +21,10 @@ import reliability_recordings as recordings
 import reliability_signals as signals
 from reliability_answers import Answer
 from reliability_bags import FORMS, Source, simulate_source
-from reliability_cases import Case, Outcome, attempt_all, load_outcomes, save_outcome
+from reliability_cases import Case, Outcome, attempt_all
 from reliability_messages import MESSAGE_DAMAGE
 from reliability_tasks import EARLIER, NEW, NOTHING, TASKS, References, write_documents
-from worlds import grouped, make_parser
+from worlds import append_rows, grouped, make_parser, read_rows
 
 Columns = Sequence[tuple[str, Callable[[Outcome], bool]]]
 
@@ -79,15 +79,14 @@ def main() -> None:
     parser.add_argument("--only", default="", help="cases whose name contains this")
     parser.add_argument("--jobs", type=int, default=2, help="runs at a time")
     parser.add_argument("--minutes", type=float, default=1e6, help="no case is begun later; 0 prints only")
-    parser.add_argument("--outcomes", type=Path, help="file of outcomes, which are not repeated")
+    parser.add_argument("--outcomes", type=Path, help="CSV file of outcomes, which are not repeated")
     parser.add_argument("--keep", type=Path, help="folder for the inputs of wrong answers")
     arguments = parser.parse_args()
-    outcomes = list(load_outcomes(arguments.outcomes)) if arguments.outcomes else []
+    outcomes = list({one.name: one for one in read_rows(Outcome, arguments.outcomes)}.values())
 
     def report(outcome: Outcome) -> None:
         outcomes.append(outcome)
-        if arguments.outcomes:
-            save_outcome(outcome, arguments.outcomes)
+        append_rows(Outcome, [outcome], arguments.outcomes)
         if outcome.judged.answer.is_wrong:
             print("WRONG", describe_wrong([outcome]), file=sys.stderr, flush=True)
 

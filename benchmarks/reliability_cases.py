@@ -1,10 +1,9 @@
 """Cases of the reliability tables, and how they are attempted: each in a separate folder, by several threads."""
 
-import json
 import shutil
 import time
 import zlib
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
@@ -47,7 +46,14 @@ class Outcome:
     kind: str
     form: str
     name: str
-    judged: Judged
+    answer: str
+    """Name of an :class:`Answer`."""
+    detail: str = ""
+
+    @property
+    def judged(self) -> Judged:
+        """The answer with what led to it."""
+        return Judged(Answer[self.answer], self.detail)
 
 
 def attempt_all(
@@ -76,23 +82,6 @@ def attempt_all(
                 report(outcome)
 
 
-def save_outcome(outcome: Outcome, file: Path) -> None:
-    """Appends a line."""
-    content = [outcome.table, outcome.kind, outcome.form, outcome.name, outcome.judged.answer.name]
-    with file.open("a", encoding="utf-8") as opened:
-        opened.write(json.dumps([*content, outcome.judged.detail]) + "\n")
-
-
-def load_outcomes(file: Path) -> Sequence[Outcome]:
-    """The outcomes in a file, the last of each case; none if there is no file."""
-    lines = file.read_text(encoding="utf-8").splitlines() if file.exists() else []
-    found: dict[str, Outcome] = {}
-    for line in lines:
-        table, kind, form, name, answer, detail = json.loads(line)
-        found[name] = Outcome(table, kind, form, name, Judged(Answer[answer], detail))
-    return list(found.values())
-
-
 def _attempt(case: Case, scratch: Path, keep: Path | None, end: float) -> Outcome | None:
     if time.monotonic() > end:
         return None
@@ -108,7 +97,7 @@ def _attempt(case: Case, scratch: Path, keep: Path | None, end: float) -> Outcom
         shutil.copytree(folder, keep / folder.name, symlinks=True, ignore=_ignore_special)
         (keep / folder.name / "case.txt").write_text(f"{case.name}\n{judged.answer.value}: {judged.detail}\n")
     shutil.rmtree(folder, ignore_errors=True)
-    return Outcome(case.table, case.kind, case.form, case.name, judged)
+    return Outcome(case.table, case.kind, case.form, case.name, judged.answer.name, judged.detail)
 
 
 def _ignore_special(folder: str, names: list[str]) -> set[str]:
