@@ -8,7 +8,8 @@ OMP_NUM_THREADS=1 python benchmarks/ablation.py --show build/ablation.csv  # the
 Problems are those of frozen.py with a board and poses. A mechanism is left out by replacing a function of the
 package with what it returns where it finds nothing to do. It has *fired* in a world where one of its calls, in the
 whole estimator, returned something else than that; where it did not, leaving it out changes nothing, and nothing
-is run. Seconds are of one processor, of the whole problem.
+is run. (The prior of drifts increases all covariances by something: it fires where a standard deviation grows by
+more than a tenth.) Seconds are of one processor, of the whole problem.
 
 By mechanism, over the worlds in which it fired, without it and with it: RMS of the position errors without over
 that with it; mean NEES per degree of freedom; sensors that are confidently wrong, as in model_errors.py; good ones
@@ -51,7 +52,7 @@ WHOLE = "(nothing)"
 FAR = 3.0
 """Standard deviations by which a good pose must not be off."""
 _GROWTH = 1.1
-"""Ratio of standard deviations from which the prior of drifts counts: it increases all of them by something."""
+"""Ratio of standard deviations from which the prior of drifts has fired."""
 
 
 @dataclass(frozen=True)
@@ -294,6 +295,14 @@ def relative_to(true: Mapping[str, Array] | None, root: str, name: str) -> Array
     return se3.inverse(true[root]) @ true[name] if root in true else true[name]
 
 
+COUNTS: Sequence[Callable[[Row], int]] = (
+    lambda row: row.wrong,
+    lambda row: len(row.far.split()),
+    lambda row: row.weak,
+)
+"""Of sensors, in the order of the table."""
+
+
 def show(rows: Sequence[Row]) -> None:
     """Prints the table, and what became good that must not."""
     whole = {row.problem: row for row in rows if row.left_out == WHOLE}
@@ -305,21 +314,17 @@ def show(rows: Sequence[Row]) -> None:
     print(table.head)
     others = [row for row in rows if row.left_out != WHOLE]
     for name, group in grouped(others, lambda row: row.left_out):
-        without = [row for row in group if row.fired]
-        pairs = [(row, whole[row.problem]) for row in without]
-        both = [[one.millimetres for one in pair] for pair in pairs if np.isfinite(pair[0].millimetres)]
-        ratio = rms([one for one, _ in both]) / rms([one for _, one in both]) if both else NAN
-        counts = [
-            sum(count(one) for one in side)
-            for count in (lambda row: row.wrong, lambda row: len(row.far.split()), lambda row: row.weak)
-            for side in (without, [with_ for _, with_ in pairs])
-        ]
-        nees = [mean([one.nees for one in side]) for side in (without, [with_ for _, with_ in pairs])]
-        times = [sum(one.seconds for one in side) for side in (without, [with_ for _, with_ in pairs])]
+        sides = [row for row in group if row.fired], [whole[row.problem] for row in group if row.fired]
+        errors = np.array([[row.millimetres for row in side] for side in sides])
+        without, with_it = errors[:, np.isfinite(errors).all(axis=0)]
+        counts = [sum(map(count, side)) for count in COUNTS for side in sides]
+        seconds = [sum(row.seconds for row in side) for side in sides]
         print(
             table.line(
-                name, len(group), len(without), ratio, *nees, *counts, sum(bool(row.text) for row in without),
-                worst([row.moved for row in without]), times[0] / times[1] if pairs else NAN,
+                name, len(group), len(sides[0]), rms(without) / rms(with_it),
+                *(mean([row.nees for row in side]) for side in sides), *counts,
+                sum(bool(row.text) for row in sides[0]), worst([row.moved for row in sides[0]]),
+                seconds[0] / seconds[1] if seconds[1] else NAN,
             )
         )  # fmt: skip
     for row in others:

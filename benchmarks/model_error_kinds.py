@@ -118,7 +118,7 @@ def _scanner(name: str, fits: Callable[[MountedScanner], bool] = lambda _scanner
             return None
         scanner = candidates[rng.integers(len(candidates))]
         of_rings = name.startswith("ring_")
-        value = tuple(rng.normal(0, size, ring_count(scanner)).tolist()) if of_rings else _sign(rng) * size
+        value: Any = tuple(rng.normal(0, size, ring_count(scanner)).tolist()) if of_rings else _sign(rng) * size
         return Wrong(ModelErrors(scanners={scanner.name: ScannerErrors(**{name: value})}))
 
     return of_world
