@@ -132,7 +132,9 @@ def solve_bundle(
     matched = group_detections([(pair, select_matches(pair, keep)) for pair in connected])
     boards = matched
     if keep == "ransac":
-        boards = add_unambiguous_detections(matched, captured.detections, T_root_sensor)
+        paired = {name for board in matched for name in board.detection_index}
+        located = [name for name in T_root_sensor if name in paired]
+        boards = add_unambiguous_detections(matched, captured.detections, located)
     settled = _settle(rig, captured, boards, T_root_sensor)
     inliers, used = detected_nodes(matched), settled.nodes()
     bundle, solution = _solve_with_outlines(settled, rig, captured)

@@ -31,7 +31,7 @@ _MIN_NOISE_CHANGE = 5e-3
 
 
 def update_variance_components(
-    bundle: Bundle, solution: MinimizedBundle, factors: Sequence[ViewFactors], first: int = 0
+    bundle: Bundle, solution: MinimizedBundle, factors: Sequence[ViewFactors], first: int = 0, step: float = 1.0
 ) -> tuple[Bundle, float]:
     """The bundle after one step of Fisher scoring for the variances of noise and view bias (REML).
 
@@ -51,6 +51,7 @@ def update_variance_components(
         solution: its solution.
         factors: of :func:`calgraph.rig.bundle.covariances.view_covariance_factors`, from ``first`` on.
         first: index of the first views whose components are estimated; those before it keep theirs.
+        step: length of the step, of 1.
 
     Returns:
         The bundle, and the largest change of a variance in its standard errors.
@@ -78,6 +79,7 @@ def update_variance_components(
     _add_prior_of_biases(bundle, statistics, rows, before, score, fisher)
     least = np.maximum(least, before / _MAX_SHRINKAGE)
     after = np.minimum(_fisher_scoring_step(before, score, fisher, least, _FISHER_RIDGE), most)
+    after = before + step * (after - before)
     state, all_views, bias_variance = solution.state, list(bundle.all_views), bundle.bias_variance.copy()
     change = np.zeros_like(after)
     for k, (one, row) in enumerate(zip(statistics, rows, strict=True), start=first):
@@ -146,12 +148,17 @@ def _view_statistics(bundle: Bundle, equations: BundleEquations, k: int, factors
     solution_factors = factors.multiply(weighted)
     W = weighted @ se_n.transpose(directions)
     W = W - solution_factors @ se_n.transpose(solution_factors)
-    weight = _downweight_views(at, factors, unmarginalized.pose_count)
+    squared, checked = _test_poses(at, factors, p, MIN_REDUNDANCY)
+    weight = _downweight_views(squared, checked)
     among = weight[:, None] * (directions @ at.gradient[..., None])[..., 0] ** 2
     expected = np.diagonal(W, axis1=-2, axis2=-1)
     score = np.einsum("vci,vi->c", of_variance, among - expected)
     fisher = _sum_squares(W, of_variance, of_variance)
-    within, freedom = (squares.sum() / huber_variance_factor(views.dimension, HUBER_THRESHOLD), freedom.sum())
+    # The linear fit of a view that is far off does not fit it.
+    limit = chdtri(np.maximum(checked, 1), OUTLIER_SIGNIFICANCE)
+    near = np.minimum(1, limit / np.maximum(squared, limit)) ** 2
+    within = (near @ squares) / huber_variance_factor(views.dimension, HUBER_THRESHOLD)
+    freedom = near @ freedom
     score[0] += within - freedom
     fisher[0, 0] += freedom
     expected_among = np.sum(of_variance[:, 0] * expected)
@@ -173,13 +180,12 @@ MIN_REDUNDANCY = 1e-3
 _TRUNCATED_SHARE = 0.1
 
 
-def _downweight_views(at: MarginalizedViews, factors: ViewFactors, pose_count: int) -> Array:
+def _downweight_views(squared: Array, freedom: Index) -> Array:
     """(V,) weights of the squared gradients of views: those of outliers are truncated at a quantile.
 
     The mean of a truncated χ² is smaller by a factor that the weights make up for. Source: Huber, "Robust
     statistics", 1981, section 5.3 (proposal 2).
     """
-    squared, freedom = _test_poses(at, factors, pose_count, MIN_REDUNDANCY)
     d = np.maximum(freedom, 1)
     limit = chdtri(d, _TRUNCATED_SHARE)
     mean_share = chdtr(d + 2, limit) + limit / d * _TRUNCATED_SHARE
