@@ -25,8 +25,8 @@ from calgraph.rig.bundle.variance_components import (
 # Change of all variances in a round, in their standard errors, at which they have settled: a smaller change is
 # hidden by the chance of the recording.
 MAX_SETTLED_CHANGE = 0.2
-# Full steps of variances between changes of the views; later ones are halved. Where outliers are truncated, full ones
-# may alternate between two states for ever: in one of 435 problems of the frozen corpus.
+# Full steps of variances between changes of the views; later ones are halved. Where outliers are truncated, full
+# ones may alternate between two states for ever, as in one of the 213 rigs of the frozen corpus.
 _MAX_FULL_STEPS = 6
 # Levenberg–Marquardt steps in a round: noise changes between rounds, so that none needs to converge alone.
 STEPS_PER_ROUND = 4
