@@ -37,15 +37,10 @@ def consistent(excess: list[list[float]], significance: float) -> list[ViewConsi
     return [ViewConsistency(np.array(one) / unit, np.full(len(one), 3)) for one in excess]
 
 
-def select(
-    excess: list[list[float]], kept: list[list[bool]], *, settled: bool, boards: int = 4
-) -> list[list[bool]]:
+def select(excess: list[list[float]], kept: list[list[bool]], boards: int = 4) -> list[list[bool]]:
     bundle = scene(SENSORS[: len(excess)], boards=boards).bundle
     found = select_consistent_views(
-        bundle,
-        consistent(excess, OUTLIER_SIGNIFICANCE),
-        [np.array(one, dtype=np.bool_) for one in kept],
-        settled=settled,
+        bundle, consistent(excess, OUTLIER_SIGNIFICANCE), [np.array(one, dtype=np.bool_) for one in kept]
     )
     return [one.tolist() for one in found]
 
@@ -53,17 +48,14 @@ def select(
 ALL = [True] * 4
 
 
-def test_of_settled_views_those_beyond_the_limit_are_rejected() -> None:
-    assert select([[0.5, 0.99, 1.01, 0.1], [0.1] * 4], [ALL, ALL], settled=True) == [
-        [True, True, False, True],
-        ALL,
-    ]
+def test_views_beyond_the_limit_are_rejected() -> None:
+    assert select([[0.5, 0.99, 1.01, 0.1], [0.1] * 4], [ALL, ALL]) == [[True, True, False, True], ALL]
 
 
 def test_no_view_returns_to_a_board_that_no_other_locates() -> None:
     """Nothing predicts where it is, so that any view agrees with it."""
     kept = [[False, True, True, True], [False, False, True, True]]
-    assert select([[0.0, 0.1, 0.1, 0.1], [0.0, 0.1, 0.1, 0.1]], kept, settled=True) == [
+    assert select([[0.0, 0.1, 0.1, 0.1], [0.0, 0.1, 0.1, 0.1]], kept) == [
         [False, True, True, True],
         [False, True, True, True],
     ]
@@ -71,30 +63,20 @@ def test_no_view_returns_to_a_board_that_no_other_locates() -> None:
 
 def test_a_rejected_view_behind_its_camera_does_not_hide_other_outliers() -> None:
     """Its residuals, and so its statistic, are not finite."""
-    found = select([[np.inf, 0.5, 0.1, 1.5], [0.1] * 4], [[False, True, True, True], ALL], settled=True)
+    found = select([[np.inf, 0.5, 0.1, 1.5], [0.1] * 4], [[False, True, True, True], ALL])
     assert found == [[False, True, True, False], ALL]
-
-
-def test_before_variances_have_settled_only_gross_outliers_are_rejected() -> None:
-    assert select([[0.5, 2.9, 0.1, 0.1], [0.1] * 4], [ALL, ALL], settled=False) == [ALL, ALL]
-    assert select([[0.5, 3.1, 0.1, 0.1], [0.1] * 4], [ALL, ALL], settled=False)[0] == [True, False, True, True]
 
 
 def test_a_rejected_view_returns_once_it_agrees() -> None:
     without_third = [[True, True, False, True], ALL]
     agreeing, differing = [[0.5, 0.5, 0.9, 0.5], [0.1] * 4], [[0.5, 0.5, 1.1, 0.5], [0.1] * 4]
-    assert select(agreeing, without_third, settled=True) == [ALL, ALL]
-    assert select(differing, without_third, settled=True) == without_third
+    assert select(agreeing, without_third) == [ALL, ALL]
+    assert select(differing, without_third) == without_third
 
 
-def test_no_view_returns_before_variances_have_settled_and_outliers_are_gone() -> None:
+def test_no_view_returns_before_outliers_are_gone() -> None:
     without_third = [[True, True, False, True], ALL]
-    assert select([[0.5, 0.5, 0.9, 0.5], [0.1] * 4], without_third, settled=False) == without_third
-    assert select([[0.5, 1.5, 0.9, 0.5], [0.1] * 4], without_third, settled=True)[0] == [True, False, False, True]
-
-
-def test_views_with_much_smaller_statistics_than_the_worst_wait() -> None:
-    assert select([[10.0, 2.4, 2.6, 0.1], [0.1] * 4], [ALL, ALL], settled=True)[0] == [False, True, False, True]
+    assert select([[0.5, 1.5, 0.9, 0.5], [0.1] * 4], without_third)[0] == [True, False, False, True]
 
 
 def test_a_sensor_that_would_lose_more_than_the_largest_share_of_views_keeps_them() -> None:
@@ -102,7 +84,7 @@ def test_a_sensor_that_would_lose_more_than_the_largest_share_of_views_keeps_the
     everything = [True] * 20
     for outliers, rejected in ((10, True), (11, False)):
         excess = [[0.1] * 20, [2.0] * outliers + [0.1] * (20 - outliers)]
-        found = select(excess, [everything, everything], settled=True, boards=20)
+        found = select(excess, [everything, everything], boards=20)
         assert found[1] == [not (rejected and i < outliers) for i in range(20)]
 
 
@@ -165,22 +147,21 @@ def test_a_fifth_of_gross_outliers_is_rejected_and_variances_are_those_of_the_ot
     assert others <= 1
 
 
-def test_views_that_were_rejected_in_the_first_rounds_return() -> None:
-    """Biases are 4 mm; at the start they are assumed to be 0.2 mm, with which some views are gross outliers."""
-    exact, rejected_at_first = scene(SENSORS, boards=20), 0
+def test_views_that_deviate_from_the_initial_variances_are_kept() -> None:
+    """Biases are 4 mm; at the start they are assumed to be 0.2 mm, with which some views are outliers."""
+    exact, outliers_at_first = scene(SENSORS, boards=20), 0
     for seed in range(3):
         rng = np.random.default_rng(seed)
         bundle = replace(exact.measured(rng, view_bias=0.004), bias_variance=bias_variances(4, 2e-4))
         solution, every = minimize_bundle(bundle, exact.truth), [np.ones(20, dtype=np.bool_)] * 4
         factors = view_covariance_factors(bundle, solution.equations)
-        consistency = measure_consistency(solution.equations, factors, every)
-        kept = select_consistent_views(bundle, consistency, every, settled=False)
-        rejected_at_first += sum(int(np.sum(~part)) for part in kept)
+        kept = select_consistent_views(bundle, measure_consistency(solution.equations, factors), every)
+        outliers_at_first += sum(int(np.sum(~part)) for part in kept)
         rounds = MAX_ROUNDS
         settled, _, last = settle_variances(bundle, solution, rounds)
         assert all(part.all() for part in last)
         assert [len(views.board) for views in settled.views] == [20] * 4
-    assert rejected_at_first >= 3
+    assert outliers_at_first >= 3
 
 
 TREMBLING = QUICK.model_copy(update={"samples": 1})
@@ -231,13 +212,7 @@ def test_a_view_that_is_rejected_again_after_its_return_stays_out(monkeypatch: p
     judged: list[bool] = []
 
     def judge(
-        _complete: Bundle,
-        _bundle: Bundle,
-        _solution: object,
-        _factors: object,
-        kept: list[Mask],
-        *_: int,
-        **__: bool,
+        _complete: Bundle, _bundle: Bundle, _solution: object, _factors: object, kept: list[Mask], *_: int
     ) -> list[Mask]:
         judged.append(bool(kept[0][3]))
         turned = kept[0].copy()

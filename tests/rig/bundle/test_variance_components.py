@@ -48,12 +48,12 @@ def settled(exact: Scene, bundle: Bundle) -> tuple[Bundle, MinimizedBundle]:
 def consistency(bundle: Bundle, solution: MinimizedBundle) -> list[ViewConsistency]:
     """Of each sensor's views with all views."""
     factors = view_covariance_factors(bundle, solution.equations)
-    return measure_consistency(solution.equations, factors, every_view(bundle))
+    return measure_consistency(solution.equations, factors)
 
 
 def contradicting(bundle: Bundle, solution: MinimizedBundle) -> list[NDArray[np.bool_]]:
     """By sensor, a mask (V,) of the views that are rejected."""
-    selected = select_consistent_views(bundle, consistency(bundle, solution), every_view(bundle), settled=True)
+    selected = select_consistent_views(bundle, consistency(bundle, solution), every_view(bundle))
     return [~kept for kept in selected]
 
 
@@ -204,6 +204,7 @@ def named(exact: Scene, bundle: Bundle, rounds: int = 3) -> list[tuple[int, int]
     """Sensors and boards of the outlier views, rejected round by round."""
     found = []
     for _ in range(rounds):
+        bundle = replace(bundle, robust_views=True)
         wrong = contradicting(bundle, minimize_bundle(bundle, exact.truth))
         found += [(s, int(board)) for s, bad in enumerate(wrong) for board in bundle.views[s].board[bad]]
         left = tuple(views.select(~bad) for views, bad in zip(bundle.views, wrong, strict=True))

@@ -1,7 +1,7 @@
 """From matched detections to board observations: the sensors that detected one board, and its initial pose."""
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,8 @@ class BoardObservation:
     capture: int
     detection_index: Mapping[str, int]
     """By sensor, index of its detection."""
+    unmatched: frozenset[str] = frozenset()
+    """Sensors whose detection no pair has as an inlier."""
 
 
 def group_detections(matches: Sequence[tuple[PairwiseEstimate, NDArray[np.bool_]]]) -> list[BoardObservation]:
@@ -91,7 +93,10 @@ def add_unambiguous_detections(
                 i = max(fitting, key=lambda i: len(present[i].detection_index), default=len(present))
                 if i == len(present):
                     present.append(BoardObservation(capture, {}))
-                present[i] = BoardObservation(capture, {**present[i].detection_index, name: k})
+                one = present[i]
+                present[i] = replace(
+                    one, detection_index={**one.detection_index, name: k}, unmatched=one.unmatched | {name}
+                )
     shared = [board for _, found in sorted(by_capture.items()) for board in found]
     return [board for board in shared if len(board.detection_index) > 1]
 
@@ -106,15 +111,30 @@ def _identified_board(detection: Detection) -> int | None:
     return detection.board if isinstance(detection, BoardCorners) else None
 
 
+def locating_sensors(board: BoardObservation, detections: Mapping[str, Candidates]) -> frozenset[str]:
+    """The sensors with inliers on a board; without any, the one whose detection determines most of its pose."""
+
+    def rank(name: str) -> int:
+        detection = detections[name][board.capture][board.detection_index[name]]
+        return 2 if isinstance(detection, BoardCorners) else int(isinstance(detection, PlanePatch))
+
+    return frozenset(board.detection_index) - board.unmatched or frozenset({max(board.detection_index, key=rank)})
+
+
 def initial_board_pose(
     observation: BoardObservation, detections: Mapping[str, Candidates], T_root_sensor: Mapping[str, Array]
 ) -> Array:
-    """Initial ``T_root_board`` (4, 4): from a camera if one detected it, else with the plane of a scanner."""
-    found = [(T_root_sensor[name], d) for name, d in detections_of(observation, detections)]
-    cameras = [(T, d) for T, d in found if isinstance(d, BoardCorners)]
+    """Initial ``T_root_board`` (4, 4): from a camera if one detected it, else with the plane of a scanner.
+
+    Sensors that locate the board come first; but another camera determines its pose within a scanner's plane.
+    """
+    locating = locating_sensors(observation, detections)
+    detected = list(detections_of(observation, detections))
+    cameras = [(name, d) for name, d in detected if isinstance(d, BoardCorners)]
     if cameras:
-        T, best = min(cameras, key=lambda detected: float(np.trace(detected[1].covariance)))
-        return np.asarray(T @ best.T_camera_board)
+        name, best = min(cameras, key=lambda one: (one[0] not in locating, float(np.trace(one[1].covariance))))
+        return np.asarray(T_root_sensor[name] @ best.T_camera_board)
+    found = [(T_root_sensor[name], d) for name, d in detected if name in locating]
     points = np.concatenate([se3.apply(T, d.points) for T, d in found if not isinstance(d, BoardCorners)])
     center = points.mean(axis=0)
     patches = [(T, d) for T, d in found if isinstance(d, PlanePatch)]

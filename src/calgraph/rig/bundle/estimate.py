@@ -4,9 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from calgraph.boards.detections import BoardCorners, PlanePatch
 from calgraph.config import Rig
 from calgraph.config.settings import MatchFilter
 from calgraph.geometry import Array, Index
@@ -17,14 +15,13 @@ from calgraph.rig.bundle.board_observations import (
     add_unambiguous_detections,
     detected_nodes,
     group_detections,
-    initial_board_pose,
+    locating_sensors,
 )
 from calgraph.rig.bundle.board_outlines import add_outlines
-from calgraph.rig.bundle.bundle_setup import INITIAL_VIEW_BIAS, build_bundle, rebuild_bundle, update_noise
+from calgraph.rig.bundle.bundle_setup import INITIAL_VIEW_BIAS, build_bundle, update_noise
 from calgraph.rig.bundle.bundle_solver import (
     COARSE_TOLERANCE,
     Bundle,
-    BundleState,
     MinimizedBundle,
     linearize_bundle,
     minimize_bundle,
@@ -62,120 +59,44 @@ class SettledBundle:
 MAX_ROUNDS = 24
 
 
-def return_excluded_views(settled: SettledBundle, rig: Rig, captured: CaptureSet) -> SettledBundle:
-    """The settled bundle with the unambiguous detections that agree with it although no pair has them as inliers.
+def _settle(
+    rig: Rig, captured: CaptureSet, boards: Sequence[BoardObservation], T_root_sensor: Mapping[str, Array]
+) -> SettledBundle:
+    """The bundle of the views that agree, without outlines, and its solution.
 
-    Views are judged as those that the bundle itself rejects: by the Mahalanobis distance from their prediction,
-    after noise and view bias have settled with those that returned. A board without views in the bundle is located
-    by one of its detections, and the others are judged by it.
-
-    Args:
-        settled: the bundle of the pairs' inliers, without outlines.
-        rig: the rig.
-        captured: all detections.
+    Detections that no pair has as inliers are judged by the solution of the others, as these are: by the
+    Mahalanobis distance from their prediction. A board without inliers is located by one of its detections.
     """
-    located = [
-        name for name, views in zip(settled.bundle.sensors, settled.bundle.views, strict=True) if len(views.board)
-    ]
-    boards = add_unambiguous_detections(settled.boards, captured.detections, located)
-    if _count_detections(boards) == _count_detections(settled.boards):
-        return settled
-    before = settled.nodes()
-    complete, start = rebuild_bundle(rig, captured, boards, settled.bundle, settled.solution.state)
-    chosen = _choose_detections(boards, before, captured)
-    kept = _select_at_first(complete, boards, before | chosen)
-    start = _start_at_detections(complete, start, boards, chosen, captured)
-    solution = minimize_bundle(
-        select_views(complete, complete, start, kept), start, tolerance=COARSE_TOLERANCE, exact=False
-    )
-    bundle, solution, after = settle_variances(complete, solution, MAX_ROUNDS, kept=kept)
-    if not any(np.any(new & ~old) for new, old in zip(after, kept, strict=True)):
-        return settled
-    return _drop_single_views(SettledBundle(bundle, solution, boards), before)
-
-
-def _count_detections(boards: Sequence[BoardObservation]) -> int:
-    return sum(len(board.detection_index) for board in boards)
-
-
-def _choose_detections(boards: Sequence[BoardObservation], before: set[Node], captured: CaptureSet) -> set[Node]:
-    """One detection of each board that has none in the bundle: that which determines most of its pose."""
-    chosen = set()
-    for board in boards:
-        nodes = _nodes(board)
-        if before.isdisjoint(nodes):
-            chosen.add(max(nodes, key=lambda node: _rank(captured, node)))
-    return chosen
-
-
-def _nodes(board: BoardObservation) -> list[Node]:
-    return [(board.capture, name, k) for name, k in board.detection_index.items()]
-
-
-def _select_at_first(
-    complete: Bundle, boards: Sequence[BoardObservation], chosen: set[Node]
-) -> list[NDArray[np.bool_]]:
-    """(S,) masks (V,) of the views that are part of the bundle at first."""
-    return [
-        np.array(
-            [(boards[i].capture, name, boards[i].detection_index[name]) in chosen for i in views.board.tolist()],
-            dtype=np.bool_,
-        )
+    complete, start = build_bundle(rig, captured, boards, T_root_sensor)
+    complete = without_priors(complete)
+    located_by = [locating_sensors(board, captured.detections) for board in boards]
+    kept = [
+        np.array([name in located_by[i] for i in views.board.tolist()], dtype=np.bool_)
         for name, views in zip(complete.sensors, complete.views, strict=True)
     ]
+    at_first = replace(select_views(complete, complete, start, kept), robust_views=True)
+    solution = minimize_bundle(at_first, start, tolerance=COARSE_TOLERANCE, exact=False)
+    bundle, solution, _ = settle_variances(complete, solution, MAX_ROUNDS, kept=kept)
+    return _drop_lone_views(SettledBundle(bundle, solution, boards))
 
 
-def _start_at_detections(
-    complete: Bundle,
-    start: BundleState,
-    boards: Sequence[BoardObservation],
-    chosen: set[Node],
-    captured: CaptureSet,
-) -> BundleState:
-    """Start values with boards at their chosen detections, from which the others may be metres away."""
-    T_root_sensor = dict(zip(complete.sensors, start.T_root_sensor, strict=True))
-    T_root_board = start.T_root_board.copy()
-    for i, board in enumerate(boards):
-        for capture, name, k in chosen.intersection(_nodes(board)):
-            alone = BoardObservation(capture, {name: k})
-            T_root_board[i] = initial_board_pose(alone, captured.detections, T_root_sensor)
-    return replace(start, T_root_board=T_root_board)
-
-
-def _rank(captured: CaptureSet, node: Node) -> int:
-    """How much of the board's pose a detection determines."""
-    capture, name, k = node
-    detection = captured.detections[name][capture][k]
-    return 2 if isinstance(detection, BoardCorners) else int(isinstance(detection, PlanePatch))
-
-
-def _drop_single_views(settled: SettledBundle, before: set[Node]) -> SettledBundle:
+def _drop_lone_views(settled: SettledBundle) -> SettledBundle:
     """The bundle without the boards that one detection located, and that no other agrees with."""
     bundle, state = settled.bundle, settled.solution.state
     count = np.bincount(np.concatenate([views.board for views in bundle.views]), minlength=len(settled.boards))
-    old = [
-        any((board.capture, name, k) in before for name, k in board.detection_index.items())
-        for board in settled.boards
-    ]
+    old = [len(board.detection_index) > len(board.unmatched) for board in settled.boards]
     useful = (count > 1) | ((count > 0) & np.array(old, dtype=np.bool_))
+    if useful.all():
+        return settled
     number: Index = np.cumsum(useful) - 1
     views = []
     for of_sensor in bundle.views:
         some = of_sensor.select(useful[of_sensor.board])
         views.append(replace(some, board=number[some.board]))
-    nodes = settled.nodes()
-    boards = [
-        BoardObservation(
-            board.capture,
-            {name: k for name, k in board.detection_index.items() if (board.capture, name, k) in nodes},
-        )
-        for board, keep in zip(settled.boards, useful, strict=True)
-        if keep
-    ]
+    boards = [board for board, keep in zip(settled.boards, useful, strict=True) if keep]
     state = replace(state, T_root_board=state.T_root_board[useful])
     bundle = bundle.with_views(views)
-    solution = minimize_bundle(bundle, state, tolerance=COARSE_TOLERANCE, exact=False)
-    return SettledBundle(bundle, solution, boards)
+    return SettledBundle(bundle, minimize_bundle(bundle, state, tolerance=COARSE_TOLERANCE, exact=False), boards)
 
 
 _OUTLIER_VIEW = "outlier of the joint solution: inconsistent with the board's pose from the other sensors"
@@ -206,17 +127,16 @@ def solve_bundle(
         groups: sensors with exact relative poses.
     """
     connected = [e for e in estimates if e.sensor_a in T_root_sensor and e.sensor_b in T_root_sensor]
-    boards = group_detections([(pair, select_matches(pair, keep)) for pair in connected])
     if len(T_root_sensor) == 1:
         return RigSolution("bundle", T_root_sensor, np.zeros((6, 6)), {}, converged=True)
-    bundle, state = build_bundle(rig, captured, boards, T_root_sensor)
-    bundle = without_priors(bundle)
-    solution = minimize_bundle(bundle, state, tolerance=COARSE_TOLERANCE, exact=False)
-    bundle, solution, _ = settle_variances(bundle, solution, MAX_ROUNDS)
-    settled = SettledBundle(bundle, solution, boards)
+    matched = group_detections([(pair, select_matches(pair, keep)) for pair in connected])
+    boards = matched
     if keep == "ransac":
-        settled = return_excluded_views(settled, rig, captured)
-    inliers, used = detected_nodes(boards), settled.nodes()
+        paired = {name for board in matched for name in board.detection_index}
+        located = [name for name in T_root_sensor if name in paired]
+        boards = add_unambiguous_detections(matched, captured.detections, located)
+    settled = _settle(rig, captured, boards, T_root_sensor)
+    inliers, used = detected_nodes(matched), settled.nodes()
     bundle, solution = _solve_with_outlines(settled, rig, captured)
     # Priors enter last: an error of theirs must not increase the estimated noise.
     bundle = with_priors(bundle, priors, groups)

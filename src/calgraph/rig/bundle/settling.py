@@ -1,6 +1,7 @@
 """Estimates noise and view bias, and rejects outlier views, until both have settled."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,9 @@ from calgraph.rig.bundle.variance_components import (
 # Change of all variances in a round, in their standard errors, at which they have settled: a smaller change is
 # hidden by the chance of the recording.
 MAX_SETTLED_CHANGE = 0.2
+# Full steps of variances between changes of the views; later ones are halved. Where outliers are truncated, full
+# ones may alternate between two states for ever, as in one of the 213 rigs of the frozen corpus.
+_MAX_FULL_STEPS = 6
 # Levenberg–Marquardt steps in a round: noise changes between rounds, so that none needs to converge alone.
 STEPS_PER_ROUND = 4
 
@@ -37,8 +41,8 @@ def settle_variances(
 ) -> tuple[Bundle, MinimizedBundle, Sequence[NDArray[np.bool_]]]:
     """Estimates noise and view bias, and rejects outlier views, until neither changes.
 
-    Variances settle before views are judged: views that scatter as all others do are not outliers. A rejected view
-    returns once it agrees with the others, and does not return a second time.
+    Variances settle before views are judged, with robust weights of views: views that scatter as all others do are
+    not outliers. A rejected view returns once it agrees with the others, and does not return a second time.
 
     Args:
         complete: all views.
@@ -50,30 +54,34 @@ def settle_variances(
     Returns:
         The bundle of the kept views, its solution, and the masks (K,) of the views that are kept.
     """
+    complete = replace(complete, robust_views=True)
     kept = kept or [np.ones(len(views.board), dtype=np.bool_) for views in complete.all_views]
     bundle = select_views(complete, complete, solution.state, kept)
     returned = barred = [np.zeros_like(part) for part in kept]
+    full_steps = _MAX_FULL_STEPS
     for _ in range(rounds):
         before, factors = bundle, view_covariance_factors(bundle, solution.equations, first=first)
-        bundle, change = update_variance_components(bundle, solution, factors, first)
-        settled = change < MAX_SETTLED_CHANGE
-        selected = _judge_views(complete, before, solution, factors, kept, first, settled=settled)
-        # A view that was rejected again after its return would return in every third round.
-        barred = [
-            bar | (old & ~new & back) for bar, old, new, back in zip(barred, kept, selected, returned, strict=True)
-        ]
-        selected = [new & ~bar for new, bar in zip(selected, barred, strict=True)]
-        returned = [back | (new & ~old) for back, old, new in zip(returned, kept, selected, strict=True)]
-        if any(np.any(new != old) for new, old in zip(selected, kept, strict=True)):
+        step, full_steps = (1.0 if full_steps > 0 else 0.5), full_steps - 1
+        bundle, change = update_variance_components(bundle, solution, factors, first, step)
+        if change < MAX_SETTLED_CHANGE:
+            selected = _judge_views(complete, before, solution, factors, kept, first)
+            # A view that was rejected again after its return would return in every third round.
+            barred = [
+                bar | (old & ~new & back)
+                for bar, old, new, back in zip(barred, kept, selected, returned, strict=True)
+            ]
+            selected = [new & ~bar for new, bar in zip(selected, barred, strict=True)]
+            returned = [back | (new & ~old) for back, old, new in zip(returned, kept, selected, strict=True)]
+            if all(np.array_equal(new, old) for new, old in zip(selected, kept, strict=True)):
+                break
             bundle, kept = select_views(complete, before, solution.state, selected), selected
-        elif settled:
-            break
+            full_steps = _MAX_FULL_STEPS
         unchanged = zip(solution.equations.cache, before.all_views, bundle.all_views, strict=True)
         cache = [cached if new is old else None for cached, old, new in unchanged]
         solution = minimize_bundle(
             bundle, solution.state, cache, iterations=STEPS_PER_ROUND, tolerance=COARSE_TOLERANCE, exact=False
         )
-    return bundle, solution, kept
+    return replace(bundle, robust_views=False), solution, kept
 
 
 def _judge_views(
@@ -83,20 +91,20 @@ def _judge_views(
     factors: Sequence[ViewFactors],
     kept: Sequence[NDArray[np.bool_]],
     first: int,
-    *,
-    settled: bool,
 ) -> list[NDArray[np.bool_]]:
-    """(K,) masks of views of the complete bundle to keep, judged by the solution of those that are kept.
-
-    As long as variances have not settled, only gross outliers are rejected, and no view returns.
-    """
-    everything = [np.ones_like(part) for part in kept]
-    scaled, equations = select_views(complete, bundle, solution.state, everything), solution.equations
-    if not all(np.all(part) for part in kept):
-        equations = linearize_bundle(scaled, solution.state)
-        factors = view_covariance_factors(scaled, solution.equations, equations.views, first)
-    consistency = measure_consistency(equations, factors, kept, first)
-    return select_consistent_views(scaled, consistency, kept, settled=settled, first=first)
+    """(K,) masks of views of the complete bundle to keep, judged by the solution of those that are kept."""
+    consistency = measure_consistency(solution.equations, factors, first)
+    left_out = [~part for part in kept]
+    if any(part.any() for part in left_out):
+        # Without robust weights: these are of views among the others.
+        others = replace(select_views(complete, bundle, solution.state, left_out), robust_views=False)
+        equations = linearize_bundle(others, solution.state)
+        factors = view_covariance_factors(others, solution.equations, equations.views, first)
+        predicted = measure_consistency(equations, factors, first, predicted=True)
+        consistency = [
+            one.merge(other, part) for one, other, part in zip(consistency, predicted, kept[first:], strict=True)
+        ]
+    return select_consistent_views(complete, consistency, kept, first)
 
 
 def select_views(

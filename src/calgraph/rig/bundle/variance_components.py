@@ -10,6 +10,7 @@ from scipy.special import chdtr, chdtri
 from calgraph.geometry import Array, Index, se_n
 from calgraph.rig.bundle.bundle_solver import (
     HUBER_THRESHOLD,
+    OUTLIER_SIGNIFICANCE,
     Bundle,
     BundleEquations,
     MarginalizedViews,
@@ -22,12 +23,15 @@ from calgraph.rig.bundle.observations import relative_poses
 # Relative ridge on the Fisher matrix: two sensors determine the sum of their variances only, and the step along
 # the difference is zero.
 _FISHER_RIDGE = 0.01
+# Limit on the decrease of a variance in one step, four times its standard deviation: without it, steps from the
+# initial variances to zero and back take 16 rounds instead of 7 to settle.
+_MAX_SHRINKAGE = 16.0
 # Smaller relative changes of a noise are not applied: they would only cost a linearization.
 _MIN_NOISE_CHANGE = 5e-3
 
 
 def update_variance_components(
-    bundle: Bundle, solution: MinimizedBundle, factors: Sequence[ViewFactors], first: int = 0
+    bundle: Bundle, solution: MinimizedBundle, factors: Sequence[ViewFactors], first: int = 0, step: float = 1.0
 ) -> tuple[Bundle, float]:
     """The bundle after one step of Fisher scoring for the variances of noise and view bias (REML).
 
@@ -47,6 +51,7 @@ def update_variance_components(
         solution: its solution.
         factors: of :func:`calgraph.rig.bundle.covariances.view_covariance_factors`, from ``first`` on.
         first: index of the first views whose components are estimated; those before it keep theirs.
+        step: length of the step, of 1.
 
     Returns:
         The bundle, and the largest change of a variance in its standard errors.
@@ -72,7 +77,9 @@ def update_variance_components(
     least[end - [len(one.score) for one in statistics]] = [one.bounds[0] for one in statistics]
     most[end - [len(one.score) for one in statistics]] = [one.bounds[1] for one in statistics]
     _add_prior_of_biases(bundle, statistics, rows, before, score, fisher)
+    least = np.maximum(least, before / _MAX_SHRINKAGE)
     after = np.minimum(_fisher_scoring_step(before, score, fisher, least, _FISHER_RIDGE), most)
+    after = before + step * (after - before)
     state, all_views, bias_variance = solution.state, list(bundle.all_views), bundle.bias_variance.copy()
     change = np.zeros_like(after)
     for k, (one, row) in enumerate(zip(statistics, rows, strict=True), start=first):
@@ -141,12 +148,17 @@ def _view_statistics(bundle: Bundle, equations: BundleEquations, k: int, factors
     solution_factors = factors.multiply(weighted)
     W = weighted @ se_n.transpose(directions)
     W = W - solution_factors @ se_n.transpose(solution_factors)
-    weight = _downweight_views(at, factors, unmarginalized.pose_count)
+    squared, checked = _test_poses(at, factors, p, MIN_REDUNDANCY)
+    weight = _downweight_views(squared, checked)
     among = weight[:, None] * (directions @ at.gradient[..., None])[..., 0] ** 2
     expected = np.diagonal(W, axis1=-2, axis2=-1)
     score = np.einsum("vci,vi->c", of_variance, among - expected)
     fisher = _sum_squares(W, of_variance, of_variance)
-    within, freedom = (squares.sum() / huber_variance_factor(views.dimension, HUBER_THRESHOLD), freedom.sum())
+    # The linear fit of a view that is far off does not fit it.
+    limit = chdtri(np.maximum(checked, 1), OUTLIER_SIGNIFICANCE)
+    near = np.minimum(1, limit / np.maximum(squared, limit)) ** 2
+    within = (near @ squares) / huber_variance_factor(views.dimension, HUBER_THRESHOLD)
+    freedom = near @ freedom
     score[0] += within - freedom
     fisher[0, 0] += freedom
     expected_among = np.sum(of_variance[:, 0] * expected)
@@ -168,13 +180,12 @@ MIN_REDUNDANCY = 1e-3
 _TRUNCATED_SHARE = 0.1
 
 
-def _downweight_views(at: MarginalizedViews, factors: ViewFactors, pose_count: int) -> Array:
+def _downweight_views(squared: Array, freedom: Index) -> Array:
     """(V,) weights of the squared gradients of views: those of outliers are truncated at a quantile.
 
     The mean of a truncated χ² is smaller by a factor that the weights make up for. Source: Huber, "Robust
     statistics", 1981, section 5.3 (proposal 2).
     """
-    squared, freedom = _test_poses(at, factors, pose_count, MIN_REDUNDANCY)
     d = np.maximum(freedom, 1)
     limit = chdtri(d, _TRUNCATED_SHARE)
     mean_share = chdtr(d + 2, limit) + limit / d * _TRUNCATED_SHARE
@@ -256,34 +267,34 @@ class ViewConsistency:
     freedom: NDArray[np.intp]
     """(V,) its degrees of freedom."""
 
+    def merge(self, others: "ViewConsistency", part: NDArray[np.bool_]) -> "ViewConsistency":
+        """That of V views, of which these are those of a mask (V,), and the others the rest."""
+        squared, freedom = np.zeros(len(part)), np.zeros(len(part), dtype=np.intp)
+        squared[part], squared[~part] = self.squared, others.squared
+        freedom[part], freedom[~part] = self.freedom, others.freedom
+        return ViewConsistency(squared, freedom)
+
     def excess(self, significance: float) -> Array:
         """(V,) the statistic over its limit at a significance level."""
         return np.asarray(self.squared / chdtri(np.maximum(self.freedom, 1), significance))
 
 
 def measure_consistency(
-    equations: BundleEquations, factors: Sequence[ViewFactors], kept: Sequence[NDArray[np.bool_]], first: int = 0
+    equations: BundleEquations, factors: Sequence[ViewFactors], first: int = 0, *, predicted: bool = False
 ) -> list[ViewConsistency]:
     """The consistency of each view with those that a solution is made of, by view set from ``first`` on.
 
     Args:
-        equations: of all views, at the solution of those that are kept.
-        factors: of :func:`calgraph.rig.bundle.covariances.view_covariance_factors` of that solution, from
-            ``first`` on.
-        kept: (K,) masks (V,) of the views that are part of it.
+        equations: of the views, at the solution.
+        factors: of :func:`calgraph.rig.bundle.covariances.view_covariance_factors` of the solution, from ``first``
+            on.
         first: index of the first view set.
+        predicted: whether the views are not part of the solution.
     """
-    found = []
-    least = MIN_REDUNDANCY
-    of_views = zip(equations.cache[first:], equations.views[first:], factors, kept[first:], strict=True)
-    for cached, at, F, part in of_views:
-        pose_count = cached.equations.pose_count
-        squared, freedom = _test_poses(at, F, pose_count, least)
-        if not np.all(part):
-            predicted = _test_poses(at, F, pose_count, least, predicted=True)
-            squared, freedom = (np.where(part, a, b) for a, b in zip((squared, freedom), predicted, strict=True))
-        found.append(ViewConsistency(squared, freedom))
-    return found
+    return [
+        ViewConsistency(*_test_poses(at, F, cached.equations.pose_count, MIN_REDUNDANCY, predicted=predicted))
+        for cached, at, F in zip(equations.cache[first:], equations.views[first:], factors, strict=True)
+    ]
 
 
 def _test_poses(
@@ -306,34 +317,19 @@ def _test_poses(
     return np.where(finite, squared, np.inf), freedom
 
 
-# Probability that a correct view fails the χ² test for outliers: with 1,000 views, one recording in 100 loses
-# one.
-OUTLIER_SIGNIFICANCE = 1e-5
-# Test statistic over its limit beyond which a view is rejected before variances have settled: the displacement is
-# 1.7 times that of the limit, and the initial variances are larger than usual ones.
-_GROSS_OUTLIER_RATIO = 3.0
-# Views with a smaller share of the largest test statistic wait for the next round: a gross outlier biases the
-# statistics of all others.
-_MIN_SHARE_OF_WORST = 0.25
 # A sensor that would lose a larger share of its views keeps them: where most views are outliers, the model of the
 # sensor is wrong instead.
 _MAX_OUTLIER_SHARE = 0.5
 
 
 def select_consistent_views(
-    bundle: Bundle,
-    consistency: Sequence[ViewConsistency],
-    kept: Sequence[NDArray[np.bool_]],
-    *,
-    settled: bool,
-    first: int = 0,
+    bundle: Bundle, consistency: Sequence[ViewConsistency], kept: Sequence[NDArray[np.bool_]], first: int = 0
 ) -> list[NDArray[np.bool_]]:
     """By view set, a mask (V,) of the views to keep: outliers are rejected, and views that agree now return.
 
-    Of each board only the worst view is rejected. A gross outlier biases all sensors: views with much smaller
-    statistics are tested after it has been rejected. As long as variances have not settled, gross outliers only
-    are rejected, and no view returns; nor does one of a board that no view locates, with which any would agree.
-    Views before ``first`` stay as they are; ``consistency`` is of the others.
+    Of each board only the worst view is rejected. No view returns before the outliers are gone that bias the
+    solution, nor one of a board that no view locates, with which any would agree. Views before ``first`` stay as
+    they are; ``consistency`` is of the others.
     """
     judged = bundle.all_views[first:]
     worst: Array = np.zeros(1 + max(int(views.board.max(initial=-1)) for views in bundle.all_views))
@@ -343,16 +339,12 @@ def select_consistent_views(
     excess = [one.excess(OUTLIER_SIGNIFICANCE) for one in consistency]
     for views, over, part in zip(judged, excess, kept[first:], strict=True):
         worst[views.board] = np.maximum(worst[views.board], np.where(part, over, 0.0))
-    least = 1.0 if settled else _GROSS_OUTLIER_RATIO
-    limit = max(least, _MIN_SHARE_OF_WORST * worst.max(initial=0.0))
     selected = [*kept[:first]]
     for views, over, part in zip(judged, excess, kept[first:], strict=True):
-        rejected = part & (over > limit) & (over >= worst[views.board])
-        left = part & ~rejected
+        left = part & ~((over > 1.0) & (over >= worst[views.board]))
         if left.sum() < (1 - _MAX_OUTLIER_SHARE) * len(part):
             # Its model is wrong instead.
             left = part
-        # A return waits until the outliers are gone that bias the solution.
-        return_now = settled and worst.max(initial=0.0) <= 1.0
+        return_now = worst.max(initial=0.0) <= 1.0
         selected.append(left | (~part & (over <= 1.0) & located[views.board]) if return_now else left)
     return selected

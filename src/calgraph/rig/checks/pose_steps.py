@@ -12,6 +12,7 @@ from calgraph.rig.bundle.bundle_setup import set_noise
 from calgraph.rig.bundle.bundle_solver import (
     BOARD_PRIOR_INFORMATION,
     COARSE_TOLERANCE,
+    OUTLIER_SIGNIFICANCE,
     Bundle,
     BundleEquations,
     BundleState,
@@ -22,7 +23,7 @@ from calgraph.rig.bundle.bundle_solver import (
 from calgraph.rig.bundle.covariances import pose_covariance, view_covariance_factors
 from calgraph.rig.bundle.normal_equations import whitening
 from calgraph.rig.bundle.settling import settle_variances
-from calgraph.rig.bundle.variance_components import OUTLIER_SIGNIFICANCE, measure_consistency
+from calgraph.rig.bundle.variance_components import measure_consistency
 from calgraph.rig.checks.drift_tests import LAGS, measure_score_correlation, measure_serial_correlation
 
 # Prior information (m⁻², rad⁻²) on a step: makes directions that no view measures invertible.
@@ -383,11 +384,9 @@ def _depends_on_order(released: ReleasedPose, largest: float, min_views: int) ->
 def _downweight_outliers(bundle: Bundle, solution: MinimizedBundle) -> list[Array]:
     """(S,) weights (V,) of views, inverse to their Mahalanobis distance where they are outliers."""
     factors = view_covariance_factors(bundle, solution.equations)
-    everything = [np.ones(len(views.board), dtype=np.bool_) for views in bundle.views]
-    significance = OUTLIER_SIGNIFICANCE
     return [
-        1 / np.sqrt(np.maximum(one.excess(significance), 1.0))
-        for one in measure_consistency(solution.equations, factors, everything)
+        1 / np.sqrt(np.maximum(one.excess(OUTLIER_SIGNIFICANCE), 1.0))
+        for one in measure_consistency(solution.equations, factors)
     ]
 
 
