@@ -220,12 +220,11 @@ def solve_after_bumps(problem: Problem) -> tuple[Problem, RigSolution, SpanningT
     bumps = find_bumps(problem, joint)
     if not bumps:
         return problem, joint, tree
-    again: tuple[PoseStep, ...] = ()
     later = _solve_later_captures(problem, bumps)
     resolved = later is not None and set(joint.T_root_sensor) <= set(later[1].T_root_sensor)
     if later is not None and resolved:
         problem, joint, tree = later
-        again = find_bumps(problem, joint)
+    again = find_bumps(problem, joint) if resolved else ()
     findings = describe_bumps(bumps, again, problem, joint, resolved=resolved)
     captures = replace(problem.captures, findings=(*problem.captures.findings, *findings))
     return replace(problem, captures=captures), joint, tree

@@ -451,14 +451,6 @@ def retract_state(bundle: Bundle, state: BundleState, step: Array, boards: Array
     return BundleState(_restore_rigid_groups(bundle, state, T), se3.retract(state.T_root_board, boards), extra)
 
 
-def pose_jacobian(bundle: Bundle, state: BundleState) -> Array:
-    """(S·6, G) derivatives of all poses, in the root's fixed axes, by the reduced problem's parameters."""
-    J = np.zeros((6 * len(bundle.sensors), bundle.parameter_count))
-    for s in np.flatnonzero(bundle.body > 0):
-        J[6 * s : 6 * s + 6, bundle.pose_columns(int(s))] = body_jacobian(bundle, state, int(s))
-    return J
-
-
 def body_jacobian(bundle: Bundle, state: BundleState, sensor: int) -> Array:
     """(6, 6) derivative of a sensor's pose by that of its body, which is the pose of its first sensor."""
     first = int(np.flatnonzero(bundle.body == bundle.body[sensor])[0])

@@ -20,9 +20,8 @@ from calgraph.rig.bundle.bundle_solver import (
     MinimizedBundle,
     body_jacobian,
     linearize_bundle,
-    pose_jacobian,
 )
-from calgraph.rig.bundle.covariances import view_covariance_factors
+from calgraph.rig.bundle.covariances import pose_jacobian, view_covariance_factors
 from calgraph.rig.bundle.settling import MAX_SETTLED_CHANGE
 from calgraph.rig.bundle.solution import RigSolution, SolvedBundle
 from calgraph.rig.bundle.variance_components import update_variance_components
