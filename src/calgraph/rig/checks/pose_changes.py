@@ -111,7 +111,7 @@ def change_poses(bundle: Bundle, state: BundleState, equations: BundleEquations,
     """One change (B·6,) of the poses of all bodies, the root's first, by a function (C,) of the boards."""
     G, bodies = bundle.parameter_count, range(bundle.body_count + 1)
     H, g, _ = add_changes(bundle, state, equations, function, bodies)[1].eliminate_boards()
-    covariance = np.linalg.inv(H[:G, :G])
+    covariance = np.asarray(np.linalg.inv(H[:G, :G]), dtype=np.float64)
     return PoseChanges(H[None, G:, G:], H[None, G:, :G], g[None, G:], covariance, -covariance @ g[:G])
 
 
@@ -128,7 +128,7 @@ def release_poses(bundle: Bundle, state: BundleState, equations: BundleEquations
     G, bodies = bundle.parameter_count, range(bundle.body_count + 1)
     released, added = add_changes(bundle, state, equations, np.ones(len(state.T_root_board)), bodies)
     H, g, K = added.eliminate_boards()
-    covariance = np.linalg.inv(H[:G, :G])
+    covariance = np.asarray(np.linalg.inv(H[:G, :G]), dtype=np.float64)
     found = []
     for k, (views, at) in enumerate(zip(bundle.views, added.views, strict=True)):
         rows, J = G + 6 * int(bundle.body[k]) + np.arange(6), at.J_sensor
