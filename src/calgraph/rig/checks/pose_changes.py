@@ -81,7 +81,7 @@ class PoseChanges:
 
     @property
     def influence(self) -> Array:
-        """(N, m, G) minus the derivatives of the estimated parameters by the changes."""
+        """(N, m, G) derivatives of the parameters, estimated without changes, by changes."""
         return self.coupling @ self.covariance
 
     def eliminate_parameters(self, prior_information: float) -> tuple[Array, Array]:
