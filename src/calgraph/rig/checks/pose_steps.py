@@ -49,11 +49,12 @@ def score_without_any_one(released: PoseChanges, first_after: int) -> float:
 
     That of a bump remains large; that of an outlier among few views does not.
     """
-    sides = (
-        released.combine(lambda of_views, side=side: of_views[side].sum(axis=0) - of_views[side])
-        for side in (slice(first_after, None), slice(first_after))
-    )
-    return min(float(one.test(_STEP_PRIOR_INFORMATION)[0].min()) for one in sides)
+
+    def score_side(side: slice) -> float:
+        others = released.combine(lambda of_views: of_views[side].sum(axis=0) - of_views[side])
+        return float(others.test(_STEP_PRIOR_INFORMATION)[0].min())
+
+    return min(score_side(slice(first_after, None)), score_side(slice(first_after)))
 
 
 @dataclass(frozen=True, eq=False)
