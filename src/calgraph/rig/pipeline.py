@@ -28,10 +28,11 @@ from calgraph.rig.captures.detect import CaptureSet, state_estimated_intrinsics
 from calgraph.rig.captures.empty_start import resolve_background
 from calgraph.rig.captures.from_detections import GivenDetections, captures_from_detections
 from calgraph.rig.checks.assemble import assemble_rig
-from calgraph.rig.checks.bump_tests import Bump, describe_bumps, discard_earlier, find_bumps
+from calgraph.rig.checks.bump_tests import describe_bumps, discard_earlier, find_bumps
 from calgraph.rig.checks.cross_validation import cross_validate
 from calgraph.rig.checks.drift_tests import include_drifts, measure_drifts
 from calgraph.rig.checks.next_best_pose import add_suggestions, suggest_board_poses
+from calgraph.rig.checks.pose_steps import PoseStep
 from calgraph.rig.options import RigOptions, check_estimator
 from calgraph.rig.pairs.board_pair import (
     PairwiseEstimates,
@@ -219,19 +220,18 @@ def solve_after_bumps(problem: Problem) -> tuple[Problem, RigSolution, SpanningT
     bumps = find_bumps(problem, joint)
     if not bumps:
         return problem, joint, tree
-    again: tuple[Bump, ...] = ()
     later = _solve_later_captures(problem, bumps)
     resolved = later is not None and set(joint.T_root_sensor) <= set(later[1].T_root_sensor)
     if later is not None and resolved:
         problem, joint, tree = later
-        again = find_bumps(problem, joint)
-    findings = describe_bumps(bumps, again, problem.rig, joint, resolved=resolved)
+    again = find_bumps(problem, joint) if resolved else ()
+    findings = describe_bumps(bumps, again, problem, joint, resolved=resolved)
     captures = replace(problem.captures, findings=(*problem.captures.findings, *findings))
     return replace(problem, captures=captures), joint, tree
 
 
 def _solve_later_captures(
-    problem: Problem, bumps: Sequence[Bump]
+    problem: Problem, bumps: Sequence[PoseStep]
 ) -> tuple[Problem, RigSolution, SpanningTree] | None:
     """The problem of the captures after the bumps, its solution and tree; None if they do not suffice."""
     options = RigOptions(estimator=problem.solver.estimator, keep=problem.solver.keep)

@@ -65,7 +65,7 @@ def covariances(solved: SolvedBundle) -> tuple[Array, Array]:
 
 def test_the_statistic_without_a_drift_is_chi_squared() -> None:
     # The camera measures all six parameters.
-    squares = [measure_drifts(drifting(seed)).drift(1).squared for seed in range(60)]
+    squares = [measure_drifts(drifting(seed)).test_bodies()[0][1] for seed in range(60)]
     assert kstest(squares, chi2(6).cdf).pvalue > 1e-3
 
 
@@ -81,9 +81,8 @@ def test_a_drift_is_named(sensor: int) -> None:
     assert SENSORS[sensor] in first.sensors
     assert not others
     if sensor == 1:
-        drift = statistics.drift(sensor)
-        error = drift.change - 5 * DIRECTION
-        assert error @ np.linalg.solve(drift.covariance, error) < chi2.isf(1e-3, 6)
+        error = statistics.test_bodies()[1][sensor] - 5 * DIRECTION
+        assert error @ statistics.information[6:12, 6:12] @ error < chi2.isf(1e-3, 6)
 
 
 def test_a_drift_of_the_root_makes_all_weak() -> None:
@@ -94,12 +93,13 @@ def test_a_drift_of_the_root_makes_all_weak() -> None:
 def test_beside_a_drift_it_has_no_score() -> None:
     statistics = measure_drifts(drifting(0, 1, DIRECTION))
     beside = statistics.beside(1)
-    assert beside.drift(1).squared < 1e-6 * statistics.drift(1).squared
+    squared, beside_it = statistics.test_bodies()[0], beside.test_bodies()[0]
+    assert beside_it[1] < 1e-6 * squared[1]
     # That of the other sensors is as in a joint solution of both.
     rows = np.r_[6:18]
     both = statistics.information[np.ix_(rows, rows)]
     joint = statistics.score[rows] @ np.linalg.solve(both, statistics.score[rows])
-    assert statistics.drift(1).squared + beside.drift(2).squared == pytest.approx(joint)
+    assert squared[1] + beside_it[2] == pytest.approx(joint)
 
 
 def test_covariances_hold_at_the_end_of_drifts_that_are_not_found() -> None:
@@ -184,6 +184,6 @@ def test_variances_stay_where_views_do_not_determine_a_drift(monkeypatch: pytest
     solved = drifting(0, 1, 5 * DIRECTION)
     with monkeypatch.context() as without:
         without.setattr("calgraph.rig.checks.drift_tests._MAX_ROUNDS", 0)
-        expected = measure_drifts(solved).drift(1)
+        expected = measure_drifts(solved).test_bodies()[0]
     monkeypatch.setattr("calgraph.rig.checks.drift_tests._update_variances_beside_drifts", fail)
-    assert measure_drifts(solved).drift(1).squared == expected.squared
+    np.testing.assert_array_equal(measure_drifts(solved).test_bodies()[0], expected)

@@ -11,13 +11,14 @@ from calgraph.geometry import Array, se3
 from calgraph.rig.bundle.bundle_solver import Bundle, minimize_bundle
 from calgraph.rig.bundle.covariances import pose_covariance
 from calgraph.rig.bundle.observations import relative_poses
+from calgraph.rig.checks.pose_changes import release_poses
 from calgraph.rig.checks.pose_steps import (
     _SINGLE_VIEW_PROBABILITY,
     PoseStep,
-    StepStatistics,
     _select_largest,
     find_pose_steps,
-    release_poses,
+    score_steps,
+    score_without_any_one,
 )
 
 pytestmark = pytest.mark.slow
@@ -61,10 +62,9 @@ def test_the_statistic_of_a_given_time_is_chi_squared() -> None:
     for seed in range(100):
         bundle = measured(np.random.default_rng(seed))
         solution = minimize_bundle(bundle, SCENE.truth)
-        ones = [np.ones(BOARDS)] * len(SENSORS)
-        released = release_poses(bundle, solution.state, solution.equations, ones)
+        released = release_poses(bundle, solution.state, solution.equations)
         # The camera measures all six parameters.
-        statistics.append(released[1].score_steps(BOARDS // 2).squared[0])
+        statistics.append(score_steps(released[1], BOARDS // 2)[0][0])
     assert kstest(statistics, chi2(6).cdf).pvalue > 1e-3
 
 
@@ -73,9 +73,8 @@ def test_a_step_is_that_of_a_bundle_with_two_sensors(rng: np.random.Generator) -
     step = np.array([0.004, -0.003, 0.002, 0.002, -0.001, 0.003])
     bundle = measured(rng, 1, step, 12)
     solution = minimize_bundle(bundle, SCENE.truth)
-    released = release_poses(bundle, solution.state, solution.equations, [np.ones(BOARDS)] * len(SENSORS))
-    scores = released[1].score_steps(4)
-    i = int(np.flatnonzero(scores.first_after == 12)[0])
+    released = release_poses(bundle, solution.state, solution.equations)
+    squared, steps = score_steps(released[1], 4)
     after = np.arange(BOARDS) >= 12
     camera = bundle.views[1]
     split = replace(
@@ -90,8 +89,8 @@ def test_a_step_is_that_of_a_bundle_with_two_sensors(rng: np.random.Generator) -
     found = se3.difference(solved.state.T_root_sensor[3], solved.state.T_root_sensor[1])
     joint = pose_covariance(split, solved.state, solved.equations).reshape(4, 6, 4, 6)
     covariance = joint[1, :, 1] + joint[3, :, 3] - joint[1, :, 3] - joint[3, :, 1]
-    assert scores.step[i] == pytest.approx(found, abs=0.1 * float(np.sqrt(np.diag(covariance).min())))
-    assert scores.squared[i] == pytest.approx(found @ np.linalg.solve(covariance, found), rel=0.02)
+    assert steps[12 - 4] == pytest.approx(found, abs=0.1 * float(np.sqrt(np.diag(covariance).min())))
+    assert squared[12 - 4] == pytest.approx(found @ np.linalg.solve(covariance, found), rel=0.02)
 
 
 @pytest.mark.parametrize("sensor", range(3))
@@ -158,12 +157,11 @@ def test_a_bump_does_not_rest_on_one_view() -> None:
     moved = measured(np.random.default_rng(0), 2, np.array([0, 0, 0, 0, 0.03, 0]), BOARDS - 4)
     wrong = [wrong_detection(17), wrong_detection(BOARDS - 1)]
     limit, least = chi2.isf([0.1 / (3 * BOARDS), _SINGLE_VIEW_PROBABILITY], 6)
-    ones = [np.ones(BOARDS)] * len(SENSORS)
     for bundle, is_bump in [(moved, True), *((one, False) for one in wrong)]:
         solution = minimize_bundle(bundle, SCENE.truth)
-        scanner = release_poses(bundle, solution.state, solution.equations, ones)[2]
-        assert scanner.score_steps(4).squared[-1] > limit
-        assert (scanner.score_without_any_one(BOARDS - 4) > least) == is_bump
+        scanner = release_poses(bundle, solution.state, solution.equations)[2]
+        assert score_steps(scanner, 4)[0][-1] > limit
+        assert (score_without_any_one(scanner, BOARDS - 4) > least) == is_bump
 
 
 def wrong_detection(board: int) -> Bundle:
@@ -182,6 +180,4 @@ def test_a_step_has_the_least_views_on_either_side(monkeypatch: pytest.MonkeyPat
 
 
 def test_views_without_a_time_for_a_step_are_not_selected() -> None:
-    none = StepStatistics(np.zeros(0, dtype=np.intp), np.zeros(0), np.zeros((0, 6)))
-    zero = StepStatistics(np.array([3]), np.zeros(1), np.zeros((1, 6)))
-    assert _select_largest([none, zero]) == (1, 0)
+    assert _select_largest([np.zeros(0), np.zeros(1)]) == (1, 0)

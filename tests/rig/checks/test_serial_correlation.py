@@ -9,8 +9,8 @@ from bundle_scenes import bias_variances, remeasured, scene
 from calgraph.geometry import se3
 from calgraph.rig.bundle.bundle_solver import Bundle, minimize_bundle
 from calgraph.rig.bundle.observations import relative_poses
-from calgraph.rig.checks.drift_tests import measure_score_correlation, measure_serial_correlation
 from calgraph.rig.checks.pose_steps import find_pose_steps
+from calgraph.rig.checks.serial_correlation import measure_score_correlation, measure_serial_correlation
 
 BOARDS = 40
 SCENE = scene(boards=BOARDS)

@@ -337,10 +337,7 @@ def linearize_bundle(
         state: the linearization point.
         cache: (K,) earlier linearizations of the same views, or None: extrapolated where they are near enough.
     """
-    size, boards = bundle.parameter_count, len(state.T_root_board)
-    cost, H, g = _prior_equations(bundle, state)
-    H_board, g_board, H_board_sensor = np.zeros((boards, 6, 6)), np.zeros((boards, 6)), np.zeros((boards, 6, size))
-    equations, linearizations = [], []
+    equations, costs, linearizations = [], [], []
     for k, views in enumerate(bundle.all_views):
         bias, (T_sensor_board, extra) = bundle.bias_variances(k), _view_state(bundle, state, k)
         cached = cache[k] if cache else None
@@ -349,25 +346,36 @@ def linearize_bundle(
             cached = linearize_views(views, T_sensor_board, extra, bias, HUBER_THRESHOLD)
             at = cached.equations
         linearizations.append(cached)
-        A, b, costs = at.marginalize_bias(bias)
+        A, b, of_views = at.marginalize_bias(bias)
         if bundle.robust_views:
-            weight, costs = _weight_views(cached, at, costs)
+            weight, of_views = _weight_views(cached, at, of_views)
             A, b = weight[:, None, None] * A, weight[:, None] * b
-        found = MarginalizedViews(A, b, at.local_jacobian, *_pose_jacobians(bundle, state, k))
-        equations.append(found)
-        cost += float(costs.sum())
-        columns, J, Jt_board = bundle.columns(k), found.J_sensor, se_n.transpose(found.J_board)
-        H[np.ix_(columns, columns)] += found.sum_information(views.extra_of_local)
-        g[columns] += (se_n.transpose(J) @ b[..., None])[..., 0].sum(axis=0)
-        H_board[views.board] += Jt_board @ A @ found.J_board
-        g_board[views.board] += (Jt_board @ b[..., None])[..., 0]
+        equations.append(MarginalizedViews(A, b, at.local_jacobian, *view_pose_jacobians(bundle, state, k)))
+        costs.append(float(of_views.sum()))
+    extrapolated = np.inf if any(new is old for new, old in zip(linearizations, cache, strict=False)) else 0.0
+    found = sum_views(bundle, state, equations, costs)
+    return replace(found, cache=tuple(linearizations), extrapolated=extrapolated)
+
+
+def sum_views(
+    bundle: Bundle, state: BundleState, equations: Sequence[MarginalizedViews], costs: Sequence[float] = ()
+) -> BundleEquations:
+    """The normal equations of the bundle from those of all its views (K,) at a state, with their costs."""
+    size, boards = bundle.parameter_count, len(state.T_root_board)
+    cost, H, g = _prior_equations(bundle, state)
+    H_board, g_board, H_board_sensor = np.zeros((boards, 6, 6)), np.zeros((boards, 6)), np.zeros((boards, 6, size))
+    for k, (views, at) in enumerate(zip(bundle.all_views, equations, strict=True)):
+        columns, J, Jt_board = bundle.columns(k), at.J_sensor, se_n.transpose(at.J_board)
+        A, b = at.information, at.gradient[..., None]
+        H[np.ix_(columns, columns)] += at.sum_information(views.extra_of_local)
+        g[columns] += (se_n.transpose(J) @ b)[..., 0].sum(axis=0)
+        H_board[views.board] += Jt_board @ A @ at.J_board
+        g_board[views.board] += (Jt_board @ b)[..., 0]
         H_board_sensor[np.ix_(views.board, np.arange(6), columns)] += Jt_board @ A @ J
+    cost = sum(costs, cost)
     for prior in bundle.priors:
         cost += _add_sensor_prior(bundle, state, prior, H, g)
-    extrapolated = np.inf if any(new is old for new, old in zip(linearizations, cache, strict=False)) else 0.0
-    return BundleEquations(
-        cost, tuple(equations), H, g, H_board, g_board, H_board_sensor, tuple(linearizations), extrapolated
-    )
+    return BundleEquations(cost, tuple(equations), H, g, H_board, g_board, H_board_sensor, (), 0.0)
 
 
 # Probability that a correct view deviates from the others by more than a limit: with 1,000 views, one recording in
@@ -459,7 +467,7 @@ def _view_state(bundle: Bundle, state: BundleState, k: int) -> tuple[Array, Arra
     return relative_poses(T_root_sensor, state.T_root_board[board]), state.extra[bundle.extra_indices(k)]
 
 
-def _pose_jacobians(bundle: Bundle, state: BundleState, k: int) -> tuple[Array, Array]:
+def view_pose_jacobians(bundle: Bundle, state: BundleState, k: int) -> tuple[Array, Array]:
     """Derivatives (V, 6, 6) of the boards' poses before a sensor by its body, none if fixed, and by the boards."""
     views, sensor = bundle.all_views[k], bundle.sensor_of(k)
     T_root_sensor = np.broadcast_to(state.T_root_sensor[sensor], (len(views.board), 4, 4))
@@ -475,14 +483,6 @@ def retract_state(bundle: Bundle, state: BundleState, step: Array, boards: Array
         T[s] = se3.retract(T[s], J @ step[bundle.pose_columns(int(s))])
     extra = state.extra + step[len(step) - len(state.extra) :]
     return BundleState(_restore_rigid_groups(bundle, state, T), se3.retract(state.T_root_board, boards), extra)
-
-
-def pose_jacobian(bundle: Bundle, state: BundleState) -> Array:
-    """(S·6, G) derivatives of all poses, in the root's fixed axes, by the reduced problem's parameters."""
-    J = np.zeros((6 * len(bundle.sensors), bundle.parameter_count))
-    for s in np.flatnonzero(bundle.body > 0):
-        J[6 * s : 6 * s + 6, bundle.pose_columns(int(s))] = body_jacobian(bundle, state, int(s))
-    return J
 
 
 def body_jacobian(bundle: Bundle, state: BundleState, sensor: int) -> Array:

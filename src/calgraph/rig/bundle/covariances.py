@@ -14,8 +14,16 @@ from calgraph.rig.bundle.bundle_solver import (
     BundleEquations,
     BundleState,
     MarginalizedViews,
-    pose_jacobian,
+    body_jacobian,
 )
+
+
+def pose_jacobian(bundle: Bundle, state: BundleState) -> Array:
+    """(S·6, G) derivatives of all poses, in the root's fixed axes, by the reduced problem's parameters."""
+    J = np.zeros((6 * len(bundle.sensors), bundle.parameter_count))
+    for s in np.flatnonzero(bundle.body > 0):
+        J[6 * s : 6 * s + 6, bundle.pose_columns(int(s))] = body_jacobian(bundle, state, int(s))
+    return J
 
 
 def pose_covariance(bundle: Bundle, state: BundleState, equations: BundleEquations) -> Array:

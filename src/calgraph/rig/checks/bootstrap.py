@@ -19,9 +19,8 @@ from calgraph.rig.bundle.bundle_solver import (
     BundleState,
     CachedLinearization,
     minimize_bundle,
-    pose_jacobian,
 )
-from calgraph.rig.bundle.covariances import gradient_by_board, parameter_covariance, sum_information
+from calgraph.rig.bundle.covariances import gradient_by_board, parameter_covariance, pose_jacobian, sum_information
 from calgraph.rig.bundle.solution import SolvedBundle
 
 CovarianceVerdict = Literal["honest", "optimistic", "pessimistic"]

@@ -1,11 +1,10 @@
 """Tests of steps in the poses of sensors: a sensor that was bumped during the recording, and what follows."""
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from calgraph.config import Rig
 from calgraph.geometry import Index
 from calgraph.result.finding import Finding
 from calgraph.rig.bundle.board_observations import add_unambiguous_detections, group_detections
@@ -19,27 +18,7 @@ from calgraph.rig.checks.pose_steps import PoseStep, find_pose_steps
 from calgraph.rig.pairs.board_pair import select_successful
 
 
-@dataclass(frozen=True)
-class Bump:
-    """A step in the pose of a sensor between two of its captures."""
-
-    sensors: tuple[str, ...]
-    """The sensor; several if the captures do not determine which of them moved."""
-    before: tuple[int, ...]
-    """Captures in which it detected the board before the step,"""
-    after: tuple[int, ...]
-    """and after it. Captures that may lie on either side are in neither."""
-    interval: tuple[float, float]
-    """Time of the step: between these, s from the start of the recording."""
-    translation: float
-    """Displacement of the sensor, m."""
-    rotation: float
-    """Its rotation, rad."""
-    deviations: float
-    """Mahalanobis distance of the step from none."""
-
-
-def find_bumps(problem: Problem, solution: RigSolution) -> tuple[Bump, ...]:
+def find_bumps(problem: Problem, solution: RigSolution) -> tuple[PoseStep, ...]:
     """Sensors whose pose changed between two captures, the most significant change first.
 
     A score test of all sensors and times, with the variances of the solution, selects one step. As these variances
@@ -58,7 +37,7 @@ def find_bumps(problem: Problem, solution: RigSolution) -> tuple[Bump, ...]:
         return ()
     bundle, minimized, captures = _include_all_views(problem, solution.solved_bundle)
     steps = find_pose_steps(bundle, minimized)
-    return tuple(_describe(problem, captures, step) for step in steps)
+    return tuple(replace(step, before=captures[step.before], after=captures[step.after]) for step in steps)
 
 
 def _include_all_views(problem: Problem, solved: SolvedBundle) -> tuple[Bundle, MinimizedBundle, Index]:
@@ -91,25 +70,10 @@ def _remove_outlines(bundle: Bundle) -> Bundle:
     return replace(bundle.without_outlines(), extra_parameters=kept)
 
 
-def _describe(problem: Problem, captures: Index, step: PoseStep) -> Bump:
-    """The bump of a step between two captures."""
-    holds, start = {hold.index: hold for hold in problem.captures.holds}, problem.captures.start
-    before, after = captures[step.before].tolist(), captures[step.after].tolist()
-    return Bump(
-        step.sensors,
-        tuple(before),
-        tuple(after),
-        (holds[before[-1]].end - start, holds[after[0]].start - start),
-        float(np.linalg.norm(step.step[:3])),
-        float(np.linalg.norm(step.step[3:])),
-        float(np.sqrt(step.squared)),
-    )
-
-
 _EARLIER_CAPTURE = "before the sensor moved"
 
 
-def discard_earlier(captures: CaptureSet, bumps: Sequence[Bump]) -> CaptureSet:
+def discard_earlier(captures: CaptureSet, bumps: Sequence[PoseStep]) -> CaptureSet:
     """The captures without detections of sensors that moved afterwards."""
     first = {name: max(b.after[0] for b in bumps if name in b.sensors) for bump in bumps for name in bump.sensors}
     earlier = {
@@ -126,14 +90,14 @@ def discard_earlier(captures: CaptureSet, bumps: Sequence[Bump]) -> CaptureSet:
 
 
 def describe_bumps(
-    bumps: Sequence[Bump], again: Sequence[Bump], rig: Rig, joint: RigSolution, *, resolved: bool
+    bumps: Sequence[PoseStep], again: Sequence[PoseStep], problem: Problem, joint: RigSolution, *, resolved: bool
 ) -> tuple[Finding, ...]:
     """A finding for each bump: what moved, when, and what follows.
 
     Args:
         bumps: of the solution of all captures.
         again: of the solution of the captures after them.
-        rig: the rig.
+        problem: that was solved.
         joint: the solution that is published.
         resolved: whether it is that of the captures after the bumps.
     """
@@ -142,28 +106,30 @@ def describe_bumps(
         name for i, bump in enumerate(bumps) for other in bumps[:i] for name in {*bump.sensors} & {*other.sensors}
     }
     unsteady |= {name for bump in again for name in bump.sensors}
-    return tuple(_describe_bump(bump, rig, joint, unsteady, resolved=resolved) for bump in [*bumps, *again])
+    return tuple(_describe_bump(bump, problem, joint, unsteady, resolved=resolved) for bump in [*bumps, *again])
 
 
 def _describe_bump(
-    bump: Bump, rig: Rig, joint: RigSolution, unsteady: Collection[str], *, resolved: bool
+    bump: PoseStep, problem: Problem, joint: RigSolution, unsteady: Collection[str], *, resolved: bool
 ) -> Finding:
     """What moved, when, and what follows."""
     names, which = (
         " or ".join(bump.sensors),
         "" if len(bump.sensors) == 1 else ", these captures do not determine which,",
     )
-    begin, end = bump.interval
+    holds, start = {hold.index: hold for hold in problem.captures.holds}, problem.captures.start
+    begin, end = holds[bump.before[-1]].end - start, holds[bump.after[0]].start - start
     # Detections that were made elsewhere have no times.
     when = f" ({begin:.1f} to {end:.1f} s from the start)" if end > begin else ""
+    mm, degrees = 1000 * np.linalg.norm(bump.step[:3]), np.degrees(np.linalg.norm(bump.step[3:]))
     moved = (
-        f"{names}{which} moved by {1000 * bump.translation:.1f} mm and {np.degrees(bump.rotation):.2f}° "
+        f"{names}{which} moved by {mm:.1f} mm and {degrees:.2f}° "
         f"between captures {bump.before[-1]} and {bump.after[0]}{when}"
     )
     if resolved and not set(bump.sensors) & set(unsteady):
         count = len(bump.after)
         return Finding(f"{moved}: the result is its pose after that, from {count} captures")
-    weak = tuple(joint.T_root_sensor) if rig.root in bump.sensors else bump.sensors
+    weak = tuple(joint.T_root_sensor) if problem.rig.root in bump.sensors else bump.sensors
     if resolved:
         return Finding(f"{moved}, and not only then: fix it to the robot, and record again", weak)
     return Finding(f"{moved}, and the captures after that do not suffice: record again", weak)

@@ -14,9 +14,9 @@ from calgraph.geometry import Array, Index
 from calgraph.result import HeldOutError
 from calgraph.result.evidence import rms
 from calgraph.result.finding import Finding
-from calgraph.rig.bundle.bundle_solver import Bundle, BundleEquations, pose_jacobian
+from calgraph.rig.bundle.bundle_solver import Bundle, BundleEquations
 from calgraph.rig.bundle.corner_observations import CornerObservations
-from calgraph.rig.bundle.covariances import gradient_by_board, parameter_covariance, sum_information
+from calgraph.rig.bundle.covariances import gradient_by_board, parameter_covariance, pose_jacobian, sum_information
 from calgraph.rig.bundle.solution import MeasuredNoise, RigSolution, SolvedBundle
 from calgraph.rig.bundle.systematic_parameters import RESIDUAL_DISTORTION
 from calgraph.rig.captures.detect import CaptureSet

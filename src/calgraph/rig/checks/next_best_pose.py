@@ -17,9 +17,14 @@ from calgraph.config import Tolerance
 from calgraph.config.settings import DiagnosticsSettings
 from calgraph.geometry import Array, Index, se3, so3
 from calgraph.result import Calibration, SensorPose, Suggestion, Verdict
-from calgraph.rig.bundle.bundle_solver import Bundle, BundleState, linearize_bundle, pose_jacobian
+from calgraph.rig.bundle.bundle_solver import Bundle, BundleState, linearize_bundle
 from calgraph.rig.bundle.corner_observations import CornerObservations
-from calgraph.rig.bundle.covariances import BoardInformation, information_by_board, parameter_covariance
+from calgraph.rig.bundle.covariances import (
+    BoardInformation,
+    information_by_board,
+    parameter_covariance,
+    pose_jacobian,
+)
 from calgraph.rig.bundle.observations import BoardViews, relative_poses
 from calgraph.rig.bundle.range_observations import RangeObservations
 from calgraph.rig.bundle.solution import SolvedBundle

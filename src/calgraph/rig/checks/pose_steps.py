@@ -1,16 +1,16 @@
 """Tests of steps in the poses of a bundle's sensors, at all times between captures."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import chdtri, fdtri
 
 from calgraph.errors import CalibrationError
-from calgraph.geometry import Array, Index, se3, se_n
+from calgraph.geometry import Array, Index, se3
 from calgraph.rig.bundle.bundle_setup import set_noise
 from calgraph.rig.bundle.bundle_solver import (
-    BOARD_PRIOR_INFORMATION,
     COARSE_TOLERANCE,
     OUTLIER_SIGNIFICANCE,
     Bundle,
@@ -19,133 +19,43 @@ from calgraph.rig.bundle.bundle_solver import (
     MinimizedBundle,
     linearize_bundle,
     minimize_bundle,
+    sum_views,
 )
 from calgraph.rig.bundle.covariances import pose_covariance, view_covariance_factors
 from calgraph.rig.bundle.normal_equations import whitening
 from calgraph.rig.bundle.settling import settle_variances
 from calgraph.rig.bundle.variance_components import measure_consistency
-from calgraph.rig.checks.drift_tests import LAGS, measure_score_correlation, measure_serial_correlation
+from calgraph.rig.checks.pose_changes import PoseChanges, release_poses
+from calgraph.rig.checks.serial_correlation import LAGS, measure_score_correlation, measure_serial_correlation
 
 # Prior information (m⁻², rad⁻²) on a step: makes directions that no view measures invertible.
 _STEP_PRIOR_INFORMATION = 1.0
 
 
-@dataclass(frozen=True, eq=False)
-class StepStatistics:
-    """Score statistics of steps in the pose of one sensor, after each of some of its views."""
-
-    first_after: Index
-    """(T,) index of the sensor's first view after the step."""
-    squared: Array
-    """(T,) squared Mahalanobis distance of the step from zero: χ² with six degrees of freedom without one."""
-    step: Array
-    """(T, 6) most likely step in the root's fixed axes."""
-
-
-@dataclass(frozen=True, eq=False)
-class ReleasedPose:
-    """What each view of a sensor contributes to the normal equations of a step, with its board eliminated."""
-
-    information: Array
-    """(V, 6, 6) on the step,"""
-    coupling: Array
-    """(V, 6, G) between the step and the reduced problem's parameters,"""
-    score: Array
-    """(V, 6) and gradient, at the solution without a step."""
-    covariance: Array
-    """(G, G) of these parameters."""
-
-    def score_steps(self, min_views: int, order: Index | None = None) -> StepStatistics:
-        """The statistics of steps between at least ``min_views`` views each, for views in an order (V,)."""
-        views = np.arange(len(self.score)) if order is None else order
-        first_after = np.arange(min_views, len(views) - min_views + 1)
-        if not len(first_after):
-            return StepStatistics(first_after, np.zeros(0), np.zeros((0, 6)))
-        squared, step = self._solve_steps(
-            *(_sum_from(one[views])[first_after] for one in (self.information, self.coupling, self.score))
-        )
-        return StepStatistics(first_after, squared, step)
-
-    def score_without_any_one(self, first_after: int) -> float:
-        """The least statistic of a step if any one view counts as on its other side.
-
-        That of a bump remains large; that of an outlier among few views does not.
-        """
-        after = np.arange(len(self.score)) >= first_after
-        sums = (
-            tuple(
-                of_views[side].sum(axis=0) - of_views[side]
-                for of_views in (self.information, self.coupling, self.score)
-            )
-            for side in (after, ~after)
-        )
-        return min(float(self._solve_steps(*one)[0].min()) for one in sums)
-
-    def _solve_steps(self, information: Array, coupling: Array, score: Array) -> tuple[Array, Array]:
-        """The squared Mahalanobis distances (T,) and the steps (T, 6) of sums over the views after each step."""
-        information = information - coupling @ self.covariance @ se_n.transpose(coupling)
-        information = (information + se_n.transpose(information)) / 2 + _STEP_PRIOR_INFORMATION * np.eye(6)
-        step: Array = np.asarray(-np.linalg.solve(information, score[..., None])[..., 0], dtype=np.float64)
-        return np.asarray(-np.sum(score * step, axis=-1)), step
-
-
-def release_poses(
-    bundle: Bundle, state: BundleState, equations: BundleEquations, weights: Sequence[Array]
-) -> list[ReleasedPose]:
-    """The contributions of all views to steps in the pose of every sensor, the root included.
-
-    The pose of one sensor is released in the views after the step: the gradient by these six parameters at the
-    solution without them, with all other parameters eliminated, predicts the step. A board contributes to the
-    steps before it, so that sums over boards in order of time give all times together.
-
-    Source: Rao, "Large sample tests of statistical hypotheses concerning several parameters", 1948.
-
-    Args:
-        bundle: sensors' views in order of time, without outlines.
-        state: its solution.
-        equations: at the solution.
-        weights: (S,) of each view (V,), in [0, 1], to bound the influence of outliers.
+def score_steps(released: PoseChanges, min_views: int, order: Index | None = None) -> tuple[Array, Array]:
+    """Score statistics of steps in the pose of one sensor, for its views in an order (V,).
 
     Returns:
-        (S,) by sensor.
+        The squared Mahalanobis distances (T,) from no step, χ² with six degrees of freedom without one, and the
+        steps (T, 6) in the root's fixed axes: before each view with at least ``min_views`` before and from it on.
     """
-    G, boards = bundle.parameter_count, len(state.T_root_board)
-    H = np.diag(bundle.prior_weights(state.extra) * bundle.prior_stddev**-2)
-    g = H.diagonal() * np.concatenate([np.zeros(6 * bundle.body_count), state.extra])
-    H_board = np.tile(BOARD_PRIOR_INFORMATION * np.eye(6), (boards, 1, 1))
-    board_parameters = np.zeros((boards, 6, G + 1))
-    for k, (views, at, w) in enumerate(zip(bundle.views, equations.views, weights, strict=True)):
-        columns, J, Jt_board = bundle.columns(k), at.J_sensor, se_n.transpose(at.J_board)
-        A, b = w[:, None, None] * at.information, w[:, None, None] * at.gradient[..., None]
-        H[np.ix_(columns, columns)] += replace(at, information=A).sum_information(views.extra_of_local)
-        g[columns] += (se_n.transpose(J) @ b)[..., 0].sum(axis=0)
-        H_board[views.board] += Jt_board @ A @ at.J_board
-        board_parameters[np.ix_(views.board, np.arange(6), columns)] += Jt_board @ A @ J
-        board_parameters[views.board, :, -1] += (Jt_board @ b)[..., 0]
-    eliminated = np.linalg.solve(H_board, board_parameters)
-    rows = boards * 6
-    both = board_parameters[..., :-1].reshape(rows, G).T @ eliminated.reshape(rows, G + 1)
-    inverse = np.asarray(np.linalg.inv(H - both[:, :-1]), dtype=np.float64)
-    estimate = -inverse @ (g - both[:, -1])
-    released = []
-    for k, (views, at, w) in enumerate(zip(bundle.views, equations.views, weights, strict=True)):
-        T_root_sensor = np.broadcast_to(state.T_root_sensor[k], (len(views.board), 4, 4))
-        by_pose, _ = se_n.relative_pose_jacobians(T_root_sensor, state.T_root_board[views.board])
-        J = at.local_jacobian[..., :6] @ by_pose
-        JtA = w[:, None, None] * se_n.transpose(J) @ at.information
-        to_board = JtA @ at.J_board
-        information = JtA @ J - to_board @ np.linalg.solve(H_board[views.board], se_n.transpose(to_board))
-        coupled = -to_board @ eliminated[views.board]
-        coupled[..., bundle.columns(k)] += JtA @ at.J_sensor
-        coupled[..., -1] += w[:, None] * (se_n.transpose(J) @ at.gradient[..., None])[..., 0]
-        score = coupled[..., -1] + coupled[..., :-1] @ estimate
-        released.append(ReleasedPose(information, coupled[..., :-1], score, inverse))
-    return released
+    views = np.arange(len(released.gradient)) if order is None else order
+    first_after = np.arange(min_views, len(views) - min_views + 1)
+    after = released.combine(lambda of_views: np.cumsum(of_views[views[::-1]], axis=0)[::-1][first_after])
+    return after.test(_STEP_PRIOR_INFORMATION)
 
 
-def _sum_from(of_views: Array) -> Array:
-    """(V, ...) sums over each view and all after it."""
-    return np.asarray(np.cumsum(of_views[::-1], axis=0)[::-1])
+def score_without_any_one(released: PoseChanges, first_after: int) -> float:
+    """The least statistic of a step before a view if any one view counts as on its other side.
+
+    That of a bump remains large; that of an outlier among few views does not.
+    """
+
+    def score_side(side: slice) -> float:
+        others = released.combine(lambda of_views: of_views[side].sum(axis=0) - of_views[side])
+        return float(others.test(_STEP_PRIOR_INFORMATION)[0].min())
+
+    return min(score_side(slice(first_after, None)), score_side(slice(first_after)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,13 +65,11 @@ class PoseStep:
     sensors: tuple[str, ...]
     """The sensor; several if the views do not determine which of them moved."""
     before: Index
-    """Boards of its views before the step,"""
+    """Boards, or captures, of its views before the step,"""
     after: Index
     """and after it. Boards that may be on either side are in neither."""
     step: Array
     """(6,) in the root's fixed axes."""
-    squared: float
-    """Squared Mahalanobis distance from no step."""
     serial_correlation: float
     """Factor of variances by errors that successive boards have in common, beside it and the steps before."""
 
@@ -187,15 +95,10 @@ def find_pose_steps(bundle: Bundle, solution: MinimizedBundle) -> list[PoseStep]
     moving = any(len(views.twist) for views in bundle.views)
     max_bumps, min_views = (1, max(_MIN_VIEWS, 2 * LAGS)) if moving else (_MAX_BUMPS, _MIN_VIEWS)
     steps: list[PoseStep] = []
-    while len(steps) < max_bumps:
-        try:
-            found = _find_step(bundle, solution, min_views)
-        except (CalibrationError, np.linalg.LinAlgError):
-            break
-        if found is None:
-            break
-        step, bundle, solution = found
-        steps.append(step)
+    with suppress(CalibrationError, np.linalg.LinAlgError):
+        while len(steps) < max_bumps and (found := _find_step(bundle, solution, min_views)):
+            step, bundle, solution = found
+            steps.append(step)
     # Errors that depend on the board's pose change with time as well. They remain beside steps.
     return [] if steps and steps[-1].serial_correlation > 1 and not moving else steps
 
@@ -224,43 +127,45 @@ def _find_step(
 ) -> tuple[PoseStep, Bundle, MinimizedBundle] | None:
     """The most significant step, the bundle with it and its solution; None if none is significant."""
     state, weights = solution.state, _downweight_outliers(bundle, solution)
-    released = release_poses(bundle, state, solution.equations, weights)
-    scores = [one.score_steps(min_views) for one in released]
-    tests = sum(len(one.squared) for one in scores)
+    tests = sum(max(len(views.board) - 2 * min_views + 1, 0) for views in bundle.views)
     if not tests:
         return None
     trigger = float(chdtri(6, _TRIGGER_PROBABILITY / tests))
-    scores = _require_several_views(released, scores, trigger)
-    best = _select_largest(scores)
-    if scores[best[0]].squared[best[1]] <= trigger:
+
+    def score(equations: BundleEquations) -> tuple[list[PoseChanges], list[Array], list[Array]]:
+        views = [
+            replace(at, information=w[:, None, None] * at.information, gradient=w[:, None] * at.gradient)
+            for at, w in zip(equations.views, weights, strict=True)
+        ]
+        released = release_poses(bundle, state, sum_views(bundle, state, views))
+        squared, changes = zip(*(score_steps(one, min_views) for one in released), strict=True)
+        return released, _require_several_views(released, squared, min_views, trigger), list(changes)
+
+    _, squared, steps = score(solution.equations)
+    k, i = best = _select_largest(squared)
+    if squared[k][i] <= trigger:
         return None
-    split = _split_sensor(bundle, state, scores, best, _MAX_ROUNDS)
+    split = _split_sensor(bundle, state, k, min_views + i, steps[k][i])
     # The variances without the step contain its effect: with those beside the step, the tests select again.
-    rescaled = _set_variances(bundle, state, split)
-    equations = linearize_bundle(rescaled, state)
-    released = release_poses(rescaled, state, equations, weights)
-    scores = [one.score_steps(min_views) for one in released]
-    scores = _require_several_views(released, scores, trigger)
-    if not any(len(one.squared) for one in scores):
-        return None
-    again = _select_largest(scores)
-    if again != best:
-        best, split = again, _split_sensor(bundle, state, scores, again, _MAX_ROUNDS)
-    k, _ = best
+    rescaled = _copy_variances(bundle, state, split.bundle)
+    released, squared, steps = score(linearize_bundle(rescaled, state))
+    k, i = _select_largest(squared)
+    if (k, i) != best:
+        split = _split_sensor(bundle, state, k, min_views + i, steps[k][i])
     if split.bundle.bias_variance[:, 0].max() > _MAX_VIEW_BIAS**2:
         return None
     step, covariance, freedom, factor = _measure_step(split, k)
-    largest = [float(one.squared.max(initial=0.0)) for one in scores]
+    largest = [float(of_sensor.max(initial=0.0)) for of_sensor in squared]
     # A few lines on boards determine a pose poorly, and may have a far solution that its covariance does not span.
-    squared = min(float(step @ np.linalg.solve(covariance, step)), largest[k]) / factor
-    significant = squared > 6 * fdtri(6, freedom, 1 - _FALSE_ALARM_PROBABILITY / tests)
+    distance = min(float(step @ np.linalg.solve(covariance, step)), largest[k]) / factor
+    significant = distance > 6 * fdtri(6, freedom, 1 - _FALSE_ALARM_PROBABILITY / tests)
     if not significant or not _depends_on_order(released[k], largest[k], min_views):
         return None
     margin = 2 * np.log(_INDISTINGUISHABLE_RATIO)
-    names = dict.fromkeys(bundle.sensors[j] for j in range(len(scores)) if largest[j] >= largest[k] - margin)
-    likely = scores[k].first_after[scores[k].squared >= largest[k] - 2 * np.log(_MIN_TIME_LIKELIHOOD)]
+    names = dict.fromkeys(bundle.sensors[j] for j in range(len(largest)) if largest[j] >= largest[k] - margin)
+    likely = min_views + np.flatnonzero(squared[k] >= largest[k] - 2 * np.log(_MIN_TIME_LIKELIHOOD))
     boards = bundle.views[k].board
-    found = PoseStep(tuple(names), boards[: likely[0]], boards[likely[-1] :], step, squared, factor)
+    found = PoseStep(tuple(names), boards[: likely[0]], boards[likely[-1] :], step, factor)
     return found, split.complete, split.solution
 
 
@@ -278,12 +183,9 @@ class _Split:
     """The solution of these."""
 
 
-def _split_sensor(
-    bundle: Bundle, state: BundleState, scores: Sequence[StepStatistics], best: tuple[int, int], rounds: int
-) -> _Split:
+def _split_sensor(bundle: Bundle, state: BundleState, k: int, first_after: int, step: Array) -> _Split:
     """The bundle with a step: the views after it are of another sensor, whose systematic errors are the same."""
-    k, i = best
-    added, after = len(bundle.sensors), np.arange(len(bundle.views[k].board)) >= scores[k].first_after[i]
+    added, after = len(bundle.sensors), np.arange(len(bundle.views[k].board)) >= first_after
     views = [*bundle.views, bundle.views[k].select(after)]
     views[k] = bundle.views[k].select(~after)
     complete = replace(
@@ -297,13 +199,12 @@ def _split_sensor(
             for one in bundle.extra_parameters
         ),
     )
-    moved = se3.retract(state.T_root_sensor[k], scores[k].step[i])
+    moved = se3.retract(state.T_root_sensor[k], step)
     start = replace(state, T_root_sensor=np.concatenate([state.T_root_sensor, moved[None]]))
     solution = minimize_bundle(complete, start, tolerance=COARSE_TOLERANCE, exact=False)
-    settled, solution, _ = settle_variances(complete, solution, rounds)
-    settled = _pool_variances(settled, solution.state, k, added)
-    state, scales = solution.state, [views.noise_scale for views in settled.views]
-    complete = set_noise(replace(complete, bias_variance=settled.bias_variance), state, scales)
+    settled, solution, _ = settle_variances(complete, solution, _MAX_ROUNDS)
+    settled, state = _pool_variances(settled, solution.state, k, added), solution.state
+    complete = _copy_variances(complete, state, settled)
     return _Split(
         complete, minimize_bundle(complete, state, tolerance=COARSE_TOLERANCE, exact=False), settled, state
     )
@@ -319,11 +220,11 @@ def _pool_variances(bundle: Bundle, state: BundleState, k: int, added: int) -> B
     return set_noise(replace(bundle, bias_variance=bias_variance), state, scales)
 
 
-def _set_variances(bundle: Bundle, state: BundleState, split: _Split) -> Bundle:
-    """The bundle without a step, with the variances beside it."""
+def _copy_variances(bundle: Bundle, state: BundleState, other: Bundle) -> Bundle:
+    """The bundle with the variances of another one that has the same sensors, or more."""
     sensors = len(bundle.sensors)
-    scales = [views.noise_scale for views in split.bundle.views[:sensors]]
-    return set_noise(replace(bundle, bias_variance=split.bundle.bias_variance[:sensors]), state, scales)
+    scales = [views.noise_scale for views in other.views[:sensors]]
+    return set_noise(replace(bundle, bias_variance=other.bias_variance[:sensors]), state, scales)
 
 
 def _measure_step(split: _Split, k: int) -> tuple[Array, Array, float, float]:
@@ -353,9 +254,8 @@ def _measure_step(split: _Split, k: int) -> tuple[Array, Array, float, float]:
 
 def _correlate_scores(bundle: Bundle, solution: MinimizedBundle, parts: Sequence[int]) -> float:
     """The factor of :func:`measure_score_correlation` of the views of a sensor on both sides of a step."""
-    ones = [np.ones(len(views.board)) for views in bundle.views]
-    released = release_poses(bundle, solution.state, solution.equations, ones)
-    scores = np.concatenate([released[j].score for j in parts])
+    released = release_poses(bundle, solution.state, solution.equations)
+    scores = np.concatenate([released[j].eliminate_parameters(0.0)[1] for j in parts])
     information = np.sum([released[j].information.sum(axis=0) for j in parts], axis=0)
     whiten, _ = whitening(information)
     order = np.argsort(np.concatenate([bundle.views[j].board for j in parts]))
@@ -367,18 +267,16 @@ def _correlate_scores(bundle: Bundle, solution: MinimizedBundle, parts: Sequence
 _PERMUTATIONS = 199
 
 
-def _depends_on_order(released: ReleasedPose, largest: float, min_views: int) -> bool:
+def _depends_on_order(released: PoseChanges, largest: float, min_views: int) -> bool:
     """Whether a statistic is larger than the largest of all times for views in any of many random orders.
 
     Boards that slip, and other outliers, give large statistics in any order.
 
     Source: Good, "Permutation, parametric and bootstrap tests of hypotheses", 2005.
     """
-    rng, views = np.random.default_rng(0), len(released.score)
-    return all(
-        released.score_steps(min_views, rng.permutation(views)).squared.max() < largest
-        for _ in range(_PERMUTATIONS)
-    )
+    rng, views = np.random.default_rng(0), len(released.gradient)
+    orders = (rng.permutation(views) for _ in range(_PERMUTATIONS))
+    return all(score_steps(released, min_views, order)[0].max() < largest for order in orders)
 
 
 def _downweight_outliers(bundle: Bundle, solution: MinimizedBundle) -> list[Array]:
@@ -397,24 +295,21 @@ _SINGLE_VIEW_PROBABILITY = 0.05
 
 
 def _require_several_views(
-    released: Sequence[ReleasedPose], scores: Sequence[StepStatistics], trigger: float
-) -> list[StepStatistics]:
-    """The statistics, with zero in place of those above the trigger that rest on one view."""
+    released: Sequence[PoseChanges], squared: Sequence[Array], min_views: int, trigger: float
+) -> list[Array]:
+    """The statistics (S,) of steps, with zero in place of those above the trigger that rest on one view."""
     least = float(chdtri(6, _SINGLE_VIEW_PROBABILITY))
     return [
-        replace(
-            statistics,
-            squared=np.array([
-                squared if squared <= trigger or one.score_without_any_one(first) > least else 0.0
-                for first, squared in zip(statistics.first_after, statistics.squared, strict=True)
-            ]),
-        )
-        for one, statistics in zip(released, scores, strict=True)
+        np.array([
+            value if value <= trigger or score_without_any_one(one, first_after) > least else 0.0
+            for first_after, value in enumerate(of_sensor, min_views)
+        ])
+        for one, of_sensor in zip(released, squared, strict=True)
     ]  # fmt: skip
 
 
-def _select_largest(scores: Sequence[StepStatistics]) -> tuple[int, int]:
+def _select_largest(squared: Sequence[Array]) -> tuple[int, int]:
     """Index of the view set and of the time of the largest statistic."""
     # One that has no time counts less than one whose statistics are all zero.
-    k = int(np.argmax([one.squared.max(initial=-1.0) for one in scores]))
-    return k, int(np.argmax(scores[k].squared))
+    k = int(np.argmax([of_sensor.max(initial=-1.0) for of_sensor in squared]))
+    return k, int(np.argmax(squared[k]))
