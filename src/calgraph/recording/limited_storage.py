@@ -18,7 +18,7 @@ from rosbags.interfaces import MessageDefinition, MessageDefinitionFormat
 from rosbags.rosbag2 import metadata
 
 from calgraph.errors import InputError
-from calgraph.io.yaml_limits import check_yaml_limits
+from calgraph.io.yaml_reading import parse_yaml
 
 if sys.version_info >= (3, 14):
     from compression import zstd
@@ -59,12 +59,13 @@ def unpack_chunk(data: bytes, size: int, decompressor: Callable[[], Any]) -> byt
 
 def _parse_qos(text: Any) -> Any:
     """The QoS profiles of a topic, which are YAML."""
-    if isinstance(text, str):
-        try:
-            check_yaml_limits(Path("offered_qos_profiles"), text, _MAX_QOS_VALUES)
-        except InputError as error:
-            raise ValueError(str(error)) from error
-    return metadata.parse_qos(text)
+    try:
+        content = (
+            parse_yaml(text, Path("offered_qos_profiles"), _MAX_QOS_VALUES) if isinstance(text, str) else text
+        )
+    except InputError as error:
+        raise ValueError(str(error)) from error
+    return metadata.parse_qos(content)
 
 
 def _read_string(file: BinaryIO) -> str:
