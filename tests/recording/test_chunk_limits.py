@@ -55,7 +55,7 @@ def rewrite(path: Path, change: Callable[[int, bytes], bytes], *, summary: bool)
 
 
 def test_rosbags_itself_is_as_it_was_for_others() -> None:
-    assert storage_mcap.parse_qos is storage_sqlite3.parse_qos is metadata.parse_qos
+    assert all(vars(module)["parse_qos"] is metadata.parse_qos for module in (storage_mcap, storage_sqlite3))
     pixels = bytes(300_000)
     assert storage_mcap.decompress(zstd.compress(pixels), "zstd", len(pixels), 0) == pixels
     with pytest.raises(UnicodeDecodeError):

@@ -25,6 +25,8 @@ if sys.version_info >= (3, 14):
 else:
     from backports import zstd
 
+__all__ = ["DECOMPRESSORS", "storage_mcap", "storage_sqlite3", "unpack_chunk"]
+
 if TYPE_CHECKING:
     from rosbags.rosbag2 import storage_mcap, storage_sqlite3
 else:
