@@ -6,13 +6,11 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from calgraph.boards.camera import PlaneEstimator
-from calgraph.boards.detections import BoardCorners, InconsistentTags, PlanePatch, Segment
 from calgraph.config import CameraSpec, Intrinsics, Rig, SensorSpec
 from calgraph.errors import Rejected
 from calgraph.parallel.engine import THIS_PROCESS, Engine
 from calgraph.recording import NO_CACHE, Recording, RecordingCache
-from calgraph.result import Snapshot
-from calgraph.rig.captures.detect import SensorCapture
+from calgraph.rig.captures.detect import CAPTURE_TYPES, SensorCapture
 from calgraph.rig.captures.detectors import learn_backgrounds, learn_backgrounds_of_captures, make_detectors
 from calgraph.rig.captures.hold_messages import (
     PreviewSize,
@@ -60,9 +58,7 @@ class _SensorDetections:
     """Why nothing was learned in the background window; empty if there is none, or a background was learned."""
 
 
-KEPT_TYPES = (
-    _SensorDetections, SensorCapture, PlanePatch, Segment, BoardCorners, Rejected, InconsistentTags, Snapshot
-)  # fmt: skip
+KEPT_TYPES = (_SensorDetections, *CAPTURE_TYPES)
 """Classes in an entry of the cache."""
 
 
@@ -99,7 +95,7 @@ def detect_by_sensors(
     previews = plan_previews([hold for hold in holds if not hold.auxiliary], rig)
     inputs = _list_entries(rig, holds, method, previews)
     found = {
-        entry: _rename(kept, entry[0])
+        entry: replace(kept, captures=tuple(one.rename(entry[0]) for one in kept.captures))
         for entry, given in inputs.items()
         if (kept := cache.read(recording, _DETECTIONS, given, KEPT_TYPES)) is not None
     }
@@ -176,15 +172,6 @@ def _complete_entries(
         if len(detected[entry]) == len(entry[1]):
             complete = detected.pop(entry)
             yield entry, tuple(complete[capture] for capture in entry[1])
-
-
-def _rename(kept: _SensorDetections, name: str) -> _SensorDetections:
-    """The detections of a sensor that an earlier run called otherwise."""
-    captures = (
-        replace(one, sensor=name, snapshot=one.snapshot and replace(one.snapshot, sensor=name))
-        for one in kept.captures
-    )
-    return replace(kept, captures=tuple(captures))
 
 
 def _background_records(rig: Rig, recording: Recording) -> Iterable[RecordedMessage]:
