@@ -6,7 +6,7 @@ The property: it returns, or raises one of calgraph's own errors.
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
-from functools import cache, partial
+from functools import cache
 from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -34,7 +34,7 @@ from calgraph.recording.decoding import decode
 from calgraph.recording.message_types import TypeDefinition, make_message_type
 from calgraph.result import Calibration, export, load_calibration, load_scene, read_extrinsics
 from calgraph.rig.bundle.problem_file import load_problem
-from calgraph.rig.captures.detection_tables import decode_captures
+from calgraph.rig.captures.sensor_detection import KEPT_TYPES
 from calgraph.sensors import Trigger
 from calgraph.simulation import NetworkScenario, RigScenario, load_truth
 
@@ -206,7 +206,7 @@ class _OneEntry(RecordingCache):
 def _cache(data: bytes, folder: Path) -> None:
     _write(folder, f"{seeds.CACHE_KEY}.npz", data)
     recording = MessageRecording({"a": [Trigger(1.0)]})
-    _OneEntry(folder).read(recording, "detections", {}, partial(decode_captures, "camera"))
+    _OneEntry(folder).read(recording, "detections", {}, KEPT_TYPES)
 
 
 def _names(data: bytes, folder: Path) -> None:

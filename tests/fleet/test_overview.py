@@ -60,7 +60,7 @@ def test_messages_are_escaped_and_nothing_is_loaded(robots: tuple[RobotResult, .
 
 def test_the_drift_of_a_moved_sensor_is_drawn_above_the_others(robots: tuple[RobotResult, ...]) -> None:
     row = next(row for row in render_page(robots, RULES, "1.0").split("<tr ") if 'scope="row">moved' in row)
-    lines = re.findall(r'<path( class=moved)? d="M4 32L128 ([\d.]+)', row)
+    lines = re.findall(r'<path( class="moved")? d="M4 32L128 ([\d.]+)', row)
     assert [bool(moved) for moved, _ in lines] == [False, True]
     assert float(lines[1][1]) < 10 < 25 < float(lines[0][1])
 

@@ -9,8 +9,8 @@ import pytest
 
 from calgraph.config.rig_config import load_rig
 from calgraph.errors import InputError
-from calgraph.io.yaml_limits import MAX_DEPTH, MAX_NUMBER_LENGTH, MAX_RIG_VALUES, check_yaml_limits
-from calgraph.io.yaml_reading import read_documents, read_yaml, validate_content
+from calgraph.io.yaml_limits import MAX_DEPTH, MAX_NUMBER_LENGTH, MAX_RIG_VALUES
+from calgraph.io.yaml_reading import parse_yaml, read_documents, read_yaml, validate_content
 
 _LEVELS = "".join(f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]\n" for i in range(1, 9))
 ALIASES = "a0: &a0 [x, x, x, x, x, x, x, x, x, x]\n" + _LEVELS
@@ -74,12 +74,12 @@ def test_both_readers_have_limits(tmp_path: Path, read: object) -> None:
 @pytest.mark.slow  # the parser reads 100,000 values
 def test_limits_are_where_they_are_stated() -> None:
     path = Path("a.yaml")
-    check_yaml_limits(path, "[" * MAX_DEPTH + "]" * MAX_DEPTH)
-    check_yaml_limits(path, "9" * MAX_NUMBER_LENGTH)
-    check_yaml_limits(path, "'" + "9" * 5000 + "'")
-    check_yaml_limits(path, f"[{'a, ' * (MAX_RIG_VALUES - 1)}]", MAX_RIG_VALUES)
+    parse_yaml("[" * MAX_DEPTH + "]" * MAX_DEPTH, path)
+    parse_yaml("9" * MAX_NUMBER_LENGTH, path)
+    parse_yaml("'" + "9" * 5000 + "'", path)
+    parse_yaml(f"[{'a, ' * (MAX_RIG_VALUES - 1)}]", path, MAX_RIG_VALUES)
     with pytest.raises(InputError, match="has more than"):
-        check_yaml_limits(path, f"[{'a, ' * MAX_RIG_VALUES}]", MAX_RIG_VALUES)
+        parse_yaml(f"[{'a, ' * MAX_RIG_VALUES}]", path, MAX_RIG_VALUES)
 
 
 def test_aliases_of_people_remain(tmp_path: Path) -> None:

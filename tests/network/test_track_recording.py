@@ -10,10 +10,11 @@ import pytest
 from calgraph.config import Cylinder, Lidar2dSpec, People, Rig
 from calgraph.config.settings import EstimationSettings, NetworkEstimationSettings, Settings
 from calgraph.errors import Rejected
+from calgraph.io.records import encode_records
 from calgraph.network import track_recording
 from calgraph.network.options import NetworkOptions
 from calgraph.network.track_recording import forget_unused_beams, track_people
-from calgraph.network.tracking.track import ScannerTracks, encode_tracks
+from calgraph.network.tracking.track import ScannerTracks
 from calgraph.parallel.engine import Processes
 from calgraph.recording import MessageRecording, Recording, RecordingWriter, open_recording
 from calgraph.recording.input_checks import InputMonitor
@@ -77,7 +78,7 @@ def test_scanners_with_the_same_messages_are_found_across_portions(
 
 
 def serialize(found: Mapping[str, ScannerTracks | Rejected]) -> dict[str, tuple[dict[str, object], list[bytes]]]:
-    encoded = {name: encode_tracks(one) for name, one in found.items()}
+    encoded = {name: encode_records(one) for name, one in found.items()}
     return {
         name: (content, [values.tobytes() for values in arrays.values()])
         for name, (content, arrays) in encoded.items()

@@ -11,10 +11,10 @@ from calgraph.calibrate.dispatch import calibrate
 from calgraph.config import load_rig
 from calgraph.config.settings import DaskSettings
 from calgraph.errors import CalibrationError
+from calgraph.io.records import encode_records
 from calgraph.network import track_recording
 from calgraph.network.options import NetworkOptions
 from calgraph.network.track_recording import track_people
-from calgraph.network.tracking.track import encode_tracks
 from calgraph.parallel.engine import THIS_PROCESS, Engine, Processes
 from calgraph.parallel.open_cluster import DaskEngine, open_cluster
 from calgraph.recording import NO_CACHE, RecordingCache, open_recordings
@@ -90,7 +90,7 @@ def track(place: Path, engine: Engine, cache: RecordingCache = NO_CACHE, at_firs
     with open_recordings([place / "recording"]) as recording:
         options = NetworkOptions(engine=engine, cache=cache)
         found, _ = track_people(rig, recording, options, lambda *_: calls.pop()() if calls else None)
-    encoded = {name: encode_tracks(one) for name, one in found.items()}
+    encoded = {name: encode_records(one) for name, one in found.items()}
     return {
         name: (plain, [array.tobytes() for array in arrays.values()]) for name, (plain, arrays) in encoded.items()
     }

@@ -4,13 +4,14 @@ import logging
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from calgraph.errors import InputError
+from calgraph.geometry import Array
 from calgraph.recording import MessageRecording, Recording, RecordingCache, RecordingWriter, open_recording
 from calgraph.recording import cache as caches
 from calgraph.recording.recording import JoinedRecording
@@ -18,6 +19,12 @@ from calgraph.sensors import LaserScan
 
 KIND = "numbers/1"
 INPUTS: Mapping[str, Any] = {"topic": "/scan", "stamps": np.array([1.0, 2.0]), "noise": 0.02}
+
+
+@dataclass(frozen=True, eq=False)
+class Numbers:
+    first: int
+    values: Array
 
 
 def scan(stamp: float) -> LaserScan:
@@ -37,17 +44,14 @@ def recording(tmp_path: Path) -> Iterator[Recording]:
         yield opened
 
 
-def decode(_content: Mapping[str, Any], arrays: Mapping[str, Any]) -> list[float]:
-    return list(arrays["numbers"])
-
-
 def write(cache: RecordingCache, recording: Recording, inputs: Mapping[str, Any] = INPUTS) -> None:
-    cache.write(recording, KIND, inputs, {}, {"numbers": np.arange(3.0)})
+    cache.write(recording, KIND, inputs, Numbers(0, np.arange(3.0)))
 
 
 def read(path: Path, recording: Recording, inputs: Mapping[str, Any] = INPUTS, kind: str = KIND) -> object:
     """What a later run finds."""
-    return RecordingCache(path).read(recording, kind, inputs, decode)
+    found = RecordingCache(path).read(recording, kind, inputs, (Numbers,))
+    return found and found.values.tolist()
 
 
 def test_a_later_run_finds_the_result(recording: Recording, tmp_path: Path) -> None:
@@ -99,17 +103,14 @@ def test_a_result_that_cannot_be_decoded_is_removed(recording: Recording, tmp_pa
     cache = RecordingCache(tmp_path / "cache")
     write(cache, recording)
 
-    def fail(_content: object, _arrays: object) -> object:
-        raise InputError("numbers/rows: is missing")
-
-    assert cache.read(recording, KIND, INPUTS, fail) is None
+    assert cache.read(recording, KIND, INPUTS, types=()) is None
     assert read(tmp_path / "cache", recording) is None
 
 
 def test_without_a_folder_nothing_is_kept(recording: Recording) -> None:
     cache = RecordingCache(None)
     write(cache, recording)
-    assert cache.read(recording, KIND, INPUTS, decode) is None
+    assert cache.read(recording, KIND, INPUTS, (Numbers,)) is None
 
 
 def test_messages_in_memory_are_not_kept(recording: Recording, tmp_path: Path) -> None:
@@ -118,17 +119,17 @@ def test_messages_in_memory_are_not_kept(recording: Recording, tmp_path: Path) -
     memory = MessageRecording({"/scan": [scan(1.0)]})
     for one in (memory, JoinedRecording([recording, memory])):
         write(cache, one)
-        assert cache.read(one, KIND, INPUTS, decode) is None
+        assert cache.read(one, KIND, INPUTS, (Numbers,)) is None
     assert not (tmp_path / "cache").exists()
 
 
 def test_the_result_of_a_recording_that_is_being_written_is_not_kept(recording: Recording, tmp_path: Path) -> None:
     cache = RecordingCache(tmp_path / "cache")
-    assert cache.read(recording, KIND, INPUTS, decode) is None
+    assert cache.read(recording, KIND, INPUTS, (Numbers,)) is None
     with (recording.path / "recording.mcap").open("ab") as file:
         file.write(b"more")
     write(cache, recording)
-    assert cache.read(recording, KIND, INPUTS, decode) is None
+    assert cache.read(recording, KIND, INPUTS, (Numbers,)) is None
 
 
 def test_a_folder_that_cannot_be_written_to_is_one_remark(
@@ -138,6 +139,6 @@ def test_a_folder_that_cannot_be_written_to_is_one_remark(
     cache = RecordingCache(tmp_path / "file" / "cache")
     with caplog.at_level(logging.WARNING):
         for _ in range(3):
-            assert cache.read(recording, KIND, INPUTS, decode) is None
+            assert cache.read(recording, KIND, INPUTS, (Numbers,)) is None
             write(cache, recording)
     assert [record.message.partition(":")[0] for record in caplog.records] == ["the cache is not used"]

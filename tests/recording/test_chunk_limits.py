@@ -4,6 +4,7 @@ import bz2
 import struct
 import tracemalloc
 from collections.abc import Callable
+from io import BytesIO
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -14,13 +15,13 @@ import numpy as np
 import pytest
 from backports import zstd
 from rosbags.rosbag1 import Writer as Writer1
-from rosbags.rosbag2 import CompressionMode, StoragePlugin
+from rosbags.rosbag2 import CompressionMode, StoragePlugin, metadata, storage_mcap, storage_sqlite3
 from rosbags.typesys import Stores, get_typestore
 
 from calgraph.config.settings import LimitSettings
 from calgraph.errors import RecordingError
 from calgraph.recording import open_recording
-from calgraph.recording.chunk_limits import unpack_chunk
+from calgraph.recording.limited_storage import unpack_chunk
 from fuzz_mutators import pack_records, read_records
 
 MakeBag = Callable[..., Path]
@@ -51,6 +52,14 @@ def rewrite(path: Path, change: Callable[[int, bytes], bytes], *, summary: bool)
     rest = [record for record in records[end + 1 :] if record[0] != FOOTER] if summary else []
     footer = struct.pack("<QQI", len(body) if summary else 0, 0, 0)
     path.write_bytes(body + pack_records([*rest, (FOOTER, footer)]) + MAGIC)
+
+
+def test_rosbags_itself_is_as_it_was_for_others() -> None:
+    assert all(vars(module)["parse_qos"] is metadata.parse_qos for module in (storage_mcap, storage_sqlite3))
+    pixels = bytes(300_000)
+    assert storage_mcap.decompress(zstd.compress(pixels), "zstd", len(pixels), 0) == pixels
+    with pytest.raises(UnicodeDecodeError):
+        storage_mcap.read_string(BytesIO(b"\x01\0\0\0\xff"))
 
 
 @pytest.mark.parametrize("summary", [True, False])

@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import re
+from html import unescape
 from typing import Any
 
 import numpy as np
@@ -102,7 +103,7 @@ def test_ellipses_contain_95_percent_times_the_stated_factor(html: str) -> None:
 def test_visible_ellipses_are_to_scale(network: Calibration, network_rig: Rig) -> None:
     uncertain = dataclasses.replace(network, joint_covariance=100 * network.joint_covariance)
     html = render_report(uncertain, network_rig)
-    assert "the scanner's position with 95 % probability; drawn to scale." in words_of(html).replace("&#x27;", "'")
+    assert "the scanner's position with 95 % probability; drawn to scale." in unescape(words_of(html))
 
 
 def test_the_root_has_no_ellipse(html: str) -> None:

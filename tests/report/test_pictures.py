@@ -4,6 +4,7 @@ import base64
 import dataclasses
 import json
 import re
+from html import unescape
 from typing import Any
 
 import cv2
@@ -218,7 +219,7 @@ def test_every_capture_has_a_card_with_the_outcome_of_each_sensor(pictured: Cali
     assert html.count('<article class="capture">') == 12
     cards = re.findall(r'<article class="capture">.*?</article>', html, re.DOTALL)
     row = next(row for row in pictured.evidence.captures if row.capture == 3 and not row.used)
-    assert row.reason in cards[3].replace("&#x27;", "'")
+    assert row.reason in unescape(cards[3])
     assert cards[3].count("<img") == 5
 
 

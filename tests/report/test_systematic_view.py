@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calgraph.config import Intrinsics
-from calgraph.report.diagnostics_view import render_systematic_parameters
+from calgraph.report.systematic_view import render_systematic_parameters
 from calgraph.result import Calibration, EstimatedParameter, Evidence, join_covariances
 from calgraph.result.sensor_pose import SensorPose, Verdict
 
@@ -44,7 +44,7 @@ def test_estimated_intrinsics_are_stated_with_the_error_of_their_model() -> None
     text = render_systematic_parameters(
         Calibration("cam", (pose,), join_covariances([np.zeros((6, 6))]), (one,), Evidence(remarks=(remark,)))
     )
-    assert "<h3>Intrinsics of cam</h3><p>Estimated from 17 views" in text
+    assert "<h3>Intrinsics of cam</h3>\n<p>Estimated from 17 views" in text
     # Half a right angle to either side, and atan(239.5 / 320) up and down.
     assert "a field of view of 90° by 74°. Error of the lens's model (RMS): 0.21 px" in text
     assert f"<li>{remark}</li>" in text

@@ -14,12 +14,13 @@ import pytest
 
 from calgraph.config import Rig, load_rig
 from calgraph.errors import CalibrationError
+from calgraph.io.records import decode_records, encode_records
 from calgraph.parallel.engine import THIS_PROCESS, Engine
 from calgraph.recording import Recording, RecordingCache, open_recording
 from calgraph.rig.capture_collection import collect_captures
 from calgraph.rig.captures import hold_messages
 from calgraph.rig.captures.detect import CaptureSet
-from calgraph.rig.detection.board_views import BoardView, BoardViewFinder, decode_views, encode_views
+from calgraph.rig.detection.board_views import BoardView, BoardViewFinder
 from calgraph.rig.options import RigOptions
 from calgraph.simulation import (
     CameraOptions,
@@ -308,4 +309,4 @@ def test_boards_in_the_images_of_a_camera_without_intrinsics_are_searched_once(
 
 @pytest.mark.parametrize("views", [{}, {3: (VIEW,), 7: (VIEW, OTHER_VIEW)}], ids=["none", "several"])
 def test_views_of_boards_are_decoded_as_they_were(views: dict[int, tuple[BoardView, ...]]) -> None:
-    assert content(decode_views(*encode_views(views))) == content(views)
+    assert content(decode_records(*encode_records(views), (BoardView,))) == content(views)

@@ -38,22 +38,10 @@ MAX_NUMBER_LENGTH = 100
 _NUMBER = re.compile(r"[-+]?[0-9][0-9a-fA-FxoX_.:+-]*")
 
 
-def check_yaml_limits(path: Path, text: str, max_values: int = MAX_VALUES) -> None:
-    """Checks the limits of all documents in a text; a text that is not YAML passes up to its error.
-
-    Raises:
-        InputError: the text exceeds a limit, or an anchor contains its own alias.
-        ruamel.yaml.error.YAMLError: the text is not YAML.
-    """
-    limits = _Limits(path, max_values)
-    for event in YAML(typ="safe").parse(text):
-        limits.check(event)
-
-
 def create_limited_yaml(path: Path, max_values: int = MAX_VALUES) -> YAML:
-    """A loader of one text that checks the limits as :func:`check_yaml_limits` does, without parsing twice.
+    """A loader of one text, which checks the limits of a document before its values are made.
 
-    A document is checked before its values are made.
+    It raises InputError where the text exceeds a limit, or an anchor contains its own alias.
     """
     limits = _Limits(path, max_values)
 

@@ -21,9 +21,10 @@ from rosbags.typesys.store import Typestore
 from calgraph.config.settings import LimitSettings, RecorderSettings
 from calgraph.errors import InputError, RecordingError
 from calgraph.io.termination import add_cleanup, remove_cleanup
-from calgraph.live.recorded_files import METADATA, ChunkFile, finish_files, read_files, write_metadata
+from calgraph.live.recorded_files import ChunkFile, finish_files, read_files
 from calgraph.live.source import Channel, LiveMessage
 from calgraph.live.state import RecorderState
+from calgraph.recording.bag_metadata import METADATA, write_metadata
 from calgraph.recording.damage import LimitedStore
 from calgraph.recording.message_types import MessageType, TypeDefinition, make_message_type, ros2_definition
 from calgraph.recording.unfinished_mcap import finish_mcap

@@ -14,10 +14,11 @@ from calgraph.config import Rig
 from calgraph.errors import Rejected
 from calgraph.geometry import Array
 from calgraph.io.archive import read_archive, write_archive
+from calgraph.io.records import decode_records, encode_records
 from calgraph.network.options import NetworkOptions
 from calgraph.network.track_recording import track_people
 from calgraph.network.tracking.clusters import Foreground
-from calgraph.network.tracking.track import ScannerBump, ScannerTracks, decode_tracks, encode_tracks
+from calgraph.network.tracking.track import TRACK_TYPES, ScannerBump, ScannerTracks
 from calgraph.recording import Recording
 from calgraph.recording.input_checks import InputMonitor
 from calgraph.recording.recording import ClosedOnExit
@@ -139,7 +140,7 @@ class RecordingWindow(ClosedOnExit):
             yield record
 
 
-_FORMAT = "calgraph-live-tracks/1"
+_FORMAT = "calgraph-live-tracks/2"
 _MEMBER = "tracks.json"
 
 
@@ -324,21 +325,10 @@ def _name_file(folder: Path, interval: TrackedInterval) -> Path:
 
 
 def _write_tracks(path: Path, tracked: Tracked) -> None:
-    encoded = [encode_tracks(one) for one in tracked.values()]
-    write_archive(
-        path,
-        _MEMBER,
-        {"format": _FORMAT, "scanners": [content for content, _ in encoded]},
-        {f"{k}/{name}": array for k, (_, arrays) in enumerate(encoded) for name, array in arrays.items()},
-        compression=zipfile.ZIP_STORED,
-    )
+    content, arrays = encode_records(tuple(tracked.values()))
+    write_archive(path, _MEMBER, {"format": _FORMAT, "scanners": content}, arrays, compression=zipfile.ZIP_STORED)
 
 
 def _read_tracks(rig: Rig, path: Path) -> Tracked:
     content, arrays = read_archive(path, _MEMBER, _FORMAT, rig.settings.limits.max_archive_bytes)
-    tracked: dict[str, ScannerTracks | Rejected] = {}
-    for k, (name, one) in enumerate(zip(rig.sensors, content["scanners"], strict=True)):
-        prefix = f"{k}/"
-        columns = {key.removeprefix(prefix): values for key, values in arrays.items() if key.startswith(prefix)}
-        tracked[name] = decode_tracks(one, columns)
-    return tracked
+    return dict(zip(rig.sensors, decode_records(content["scanners"], arrays, TRACK_TYPES), strict=True))

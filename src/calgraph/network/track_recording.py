@@ -9,24 +9,18 @@ from typing import Any
 from calgraph.config import Cylinder, Lidar2dSpec, People, Rig, SensorSpec
 from calgraph.config.settings import CenterFeature
 from calgraph.errors import InputError, Rejected
-from calgraph.io.columns import Arrays
 from calgraph.network.joint.leg_problem import measures_legs
 from calgraph.network.options import NetworkOptions
 from calgraph.network.step_log import log_tracks
 from calgraph.network.strategies import select_center_estimator
 from calgraph.network.tracking.scan_stack import ScanRun, ScanStackBuilder, add_beam_times, find_untimed_scans
-from calgraph.network.tracking.track import ScannerTracks, decode_tracks, encode_tracks
+from calgraph.network.tracking.track import TRACK_TYPES, ScannerTracks
 from calgraph.network.tracking.track_scanner import track_runs
 from calgraph.parallel.engine import THIS_PROCESS
 from calgraph.parallel.mapped_arrays import ArrayMemory
 from calgraph.parallel.progress import Progress, no_progress
 from calgraph.recording import Recording, RecordingReference, refer_to
-from calgraph.recording.input_checks import (
-    InputMonitor,
-    TopicObservations,
-    decode_observations,
-    encode_observations,
-)
+from calgraph.recording.input_checks import InputMonitor, TopicObservations
 from calgraph.sensors.cloud_to_scan import to_scans
 
 _log = logging.getLogger("calgraph")
@@ -38,7 +32,7 @@ _MAX_SCANS_IN_MEMORY = 100_000
 _BATCHES_PER_WORKER = 4
 # Fewer scans than these are tracked faster than other processes start.
 _MIN_DIVIDED_SCANS = 1000
-_TRACKS = "tracks/2"
+_TRACKS = "tracks/3"
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +43,9 @@ class _Tracked:
     frame: str | None
     """That its first message states; None where it has none."""
     observations: TopicObservations
+
+
+_KEPT_TYPES = (_Tracked, TopicObservations, *TRACK_TYPES)
 
 
 def track_people(
@@ -73,7 +70,7 @@ def track_people(
     found = {
         name: _limit_memory(kept, memory)
         for name, given in inputs.items()
-        if (kept := options.cache.read(recording, _TRACKS, given, _decode)) is not None
+        if (kept := options.cache.read(recording, _TRACKS, given, _KEPT_TYPES)) is not None
     }
     for name, kept in found.items():
         monitor.restore(rig.topics[name], kept.observations)
@@ -86,7 +83,7 @@ def track_people(
         for name, one in tracked.items():
             found[name] = _limit_memory(one, memory)
             monitor.restore(rig.topics[name], one.observations)
-            options.cache.write(recording, _TRACKS, inputs[name], *_encode(one))
+            options.cache.write(recording, _TRACKS, inputs[name], one)
         progress("tracking", len(found) / len(rig.sensors))
     tracks = {name: found[name].tracks for name in rig.sensors}
     log_tracks(tracks)
@@ -125,16 +122,6 @@ def _list_inputs(name: str, rig: Rig, options: NetworkOptions, turn: int) -> dic
         "settings": rig.settings.tracking,
         "turn": turn,
     }
-
-
-def _encode(tracked: _Tracked) -> tuple[dict[str, Any], Arrays]:
-    content, arrays = encode_observations(tracked.observations)
-    of_tracks, columns = encode_tracks(tracked.tracks)
-    return {**content, **of_tracks, "frame": tracked.frame}, {**arrays, **columns}
-
-
-def _decode(content: Mapping[str, Any], arrays: Arrays) -> _Tracked:
-    return _Tracked(decode_tracks(content, arrays), content["frame"], decode_observations(content, arrays))
 
 
 def moving_target(rig: Rig) -> People | Cylinder:

@@ -3,29 +3,25 @@
 import json
 import logging
 import platform
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel
 
 from calgraph.errors import InputError
 from calgraph.io.cache_folder import MAX_BYTES, CacheFolder
+from calgraph.io.records import decode_records, encode_records
 from calgraph.recording.content_hash import FileState, hash_files, hash_text, read_states
 from calgraph.recording.recording import Recording
 from calgraph.recording.takes import ClockCorrectedRecording
 
 _log = logging.getLogger(__name__)
 
-Result = TypeVar("Result")
-Content = Mapping[str, Any]
-Arrays = Mapping[str, NDArray[Any]]
-
-_FORMAT = "calgraph-cache/1"
+_FORMAT = "calgraph-cache/2"
 LATER_ROOMS = (
     "cli", "report", "viewer", "printing", "simulation", "verdict", "graph",
     "rig/pairs", "rig/bundle", "rig/checks", "network/pairs", "network/graph", "network/joint", "network/checks",
@@ -53,43 +49,36 @@ class RecordingCache:
         self.reused: set[str] = set()
         """Names of the sensors whose detections or tracks were found."""
 
-    def read(
-        self,
-        recording: Recording,
-        kind: str,
-        inputs: Mapping[str, Any],
-        decode: Callable[[Content, Arrays], Result],
-    ) -> Result | None:
+    def read(self, recording: Recording, kind: str, inputs: Mapping[str, Any], types: Sequence[type] = ()) -> Any:
         """A result; None if it is not kept, or damaged.
 
         Args:
             recording: what it was computed from.
             kind: what it is, with the version of its format.
             inputs: everything else that it depends on: plain values, arrays and models.
-            decode: makes it from its JSON object and arrays; raises InputError, KeyError or ValueError where they
-                are not those of the kind.
+            types: the classes in it, see :func:`calgraph.io.records.decode_records`.
         """
         key = self._key(recording, kind, inputs)
         found = self._folder.read(key, _FORMAT) if self._folder and key else None
         if self._folder is None or key is None or found is None:
             return None
+        content, arrays = found
         try:
-            return decode(*found)
-        except (InputError, LookupError, TypeError, ValueError):
+            return decode_records(content["result"], arrays, types)
+        except (LookupError, RecursionError, TypeError, ValueError):
             self._folder.remove(key)
             return None
 
-    def write(
-        self, recording: Recording, kind: str, inputs: Mapping[str, Any], content: Content, arrays: Arrays
-    ) -> None:
-        """Keeps a result, given as a JSON object and arrays; arguments are those of :meth:`read`."""
+    def write(self, recording: Recording, kind: str, inputs: Mapping[str, Any], result: object) -> None:
+        """Keeps a result, which is no None; the other arguments are those of :meth:`read`."""
         key = self._key(recording, kind, inputs)
         if self._folder is None or key is None or not self._writable:
             return
         try:
             if read_states(recording.sources) != self._contents[recording.sources][1]:
                 return  # it is being written: the result is not of the content that was hashed
-            self._folder.write(key, _FORMAT, content, arrays)
+            content, arrays = encode_records(result)
+            self._folder.write(key, _FORMAT, {"result": content}, arrays)
         except (InputError, OSError) as error:
             self._writable = False
             _log.warning("the cache is not used: %s; set CALGRAPH_CACHE to another folder, or to off", error)

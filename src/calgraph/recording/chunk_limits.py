@@ -1,38 +1,25 @@
-"""Limits of the chunks of bags, and of YAML in them; rosbags has none. MCAPs that are not of ROS 2, too.
+"""Readers of bags that check chunks before any is unpacked; of MCAPs that are not of ROS 2 or have no end, too."""
 
-Its functions for chunks, QoS profiles and schemas are replaced by ones that do the same within limits, or for more
-encodings; nothing else reaches them. What limits refuse, rosbags would refuse later, or never come to an end with.
-"""
-
-import bz2
-import sys
-from collections.abc import Callable, Collection, Generator, Iterable, Mapping
+from collections.abc import Collection, Generator, Iterable, Mapping
 from functools import partial
 from pathlib import Path
 from struct import unpack
-from typing import Any, BinaryIO
+from typing import Any
 
 import apsw
-import lz4.frame
-from rosbags.interfaces import Connection, MessageDefinition, MessageDefinitionFormat
+from rosbags.interfaces import Connection
 from rosbags.rosbag1 import Reader as Reader1
 from rosbags.rosbag1 import reader as bags1
 from rosbags.rosbag2 import Reader as Reader2
-from rosbags.rosbag2 import ReaderError, metadata, storage_mcap, storage_sqlite3
+from rosbags.rosbag2 import ReaderError
 from rosbags.typesys.msg import normalize_msgtype
 
 from calgraph.config.settings import LimitSettings
-from calgraph.errors import InputError
-from calgraph.io.yaml_limits import check_yaml_limits
 from calgraph.recording.damage import check_unpacked_size
 from calgraph.recording.indexed_bag import LimitedBagReader
+from calgraph.recording.limited_storage import DECOMPRESSORS, storage_mcap, storage_sqlite3, unpack_chunk
 from calgraph.recording.message_types import serialization_of
 from calgraph.recording.unfinished_mcap import complete_mcap, lacks_end, replace_start
-
-if sys.version_info >= (3, 14):
-    from compression import zstd
-else:
-    from backports import zstd
 
 # Records of an MCAP.
 _CHUNK = 0x06
@@ -43,60 +30,6 @@ _SORTED_MESSAGES = (
 )
 # Times are whole numbers of 64 bits.
 _FIRST_TIME, _LAST_TIME = -(2**63), 2**63 - 1
-# Values of the QoS profiles of one topic: some 20 for each publisher.
-_MAX_QOS_VALUES = 5000
-
-
-def unpack_chunk(data: bytes, size: int, decompressor: Callable[[], Any]) -> bytes:
-    """The content of a compressed chunk, of ``size`` bytes at most, and one byte more if it is larger.
-
-    Raises:
-        EOFError: the data are cut short.
-    """
-    content = b""
-    while data and len(content) <= size:
-        frame = decompressor()
-        content += frame.decompress(data, size + 1 - len(content))
-        if not frame.eof and len(content) <= size:
-            raise EOFError("a compressed chunk is cut short")
-        data = frame.unused_data or b""
-    return content
-
-
-def _parse_qos(text: Any) -> Any:
-    """The QoS profiles of a topic, which are YAML."""
-    if isinstance(text, str):
-        try:
-            check_yaml_limits(Path("offered_qos_profiles"), text, _MAX_QOS_VALUES)
-        except InputError as error:
-            raise ValueError(str(error)) from error
-    return metadata.parse_qos(text)
-
-
-def _read_string(file: BinaryIO) -> str:
-    """A text of an MCAP, or a schema, which may be of bytes."""
-    return storage_mcap.read_bytes(file).decode(errors="replace")
-
-
-def _get_msgdef(schema: storage_mcap.Schema | None) -> MessageDefinition:
-    """The definition of a type; empty where its language is not of ROS: Foxglove's types are known without."""
-    if schema is not None and schema.encoding == "ros1msg":
-        return MessageDefinition(MessageDefinitionFormat.MSG, schema.data)
-    return _get_ros2_msgdef(schema if schema and schema.encoding in _ROS2_LANGUAGES else None)
-
-
-_ROS2_LANGUAGES = ("ros2msg", "ros2idl", "omgidl", "")
-_get_ros2_msgdef = storage_mcap.get_msgdef
-_DECOMPRESSORS: Mapping[str, Callable[[], Any]] = {
-    "lz4": lz4.frame.LZ4FrameDecompressor,
-    "zstd": zstd.ZstdDecompressor,
-    "bz2": bz2.BZ2Decompressor,
-}
-for _name in ("lz4", "zstd"):
-    storage_mcap.DECOMPRESSORS[_name] = partial(unpack_chunk, decompressor=_DECOMPRESSORS[_name])
-for _module in (storage_mcap, storage_sqlite3):
-    vars(_module).update(parse_qos=_parse_qos)
-vars(storage_mcap).update(read_string=_read_string, get_msgdef=_get_msgdef)
 
 
 class _McapReader(storage_mcap.McapReader):
@@ -173,7 +106,7 @@ def open_reader(path: Path, limits: LimitSettings) -> Reader1 | Reader2:
         bag.open()
         for position, chunk in bag.chunks.items():
             name = next(name for name, one in bags1.decompressors.items() if one is chunk.decompressor)
-            if name in _DECOMPRESSORS:
+            if name in DECOMPRESSORS:
                 bag.chunks[position] = chunk._replace(decompressor=partial(_unpack_bag_chunk, name, limits))
         return bag
     reader = _Reader2(path)
@@ -206,7 +139,7 @@ def has_index(reader: Reader1 | Reader2) -> bool:
 
 
 def _unpack_bag_chunk(name: str, limits: LimitSettings, data: bytes) -> bytes:
-    content = unpack_chunk(data, limits.max_unpacked_bytes, _DECOMPRESSORS[name])
+    content = unpack_chunk(data, limits.max_unpacked_bytes, DECOMPRESSORS[name])
     check_unpacked_size(len(content), limits)
     return content
 

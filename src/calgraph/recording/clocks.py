@@ -8,7 +8,6 @@ of another zone shows as a constant difference. It is known as well as the delay
 from array import array
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -42,7 +41,7 @@ _ZONE_STEP, _MAX_ZONE = 900.0, 26 * 3600.0
 _MAX_NAME_DISTANCE = 3 * _DELAY_STDDEV
 # Earliest stamp of a clock that was set, s since 1970: the year 1980. Clocks without a battery begin at 0.
 _FIRST_DATE = 10 * 365.25 * 86400.0
-_FORMAT = "arrivals/1"
+_FORMAT = "arrivals/2"
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +111,7 @@ def read_arrivals(
     found = {
         topic: kept
         for topic in wanted
-        if (kept := cache.read(recording, _FORMAT, {"topic": topic}, _decode)) is not None
+        if (kept := cache.read(recording, _FORMAT, {"topic": topic}, (Arrivals,))) is not None
     }
     unread = [topic for topic in wanted if topic not in found]
     if not unread:
@@ -127,13 +126,8 @@ def read_arrivals(
         arrivals.append(record.arrival)
     for topic, duration in durations.items():
         found[topic] = one = Arrivals(np.array(times[topic][0]), np.array(times[topic][1]), duration)
-        content, arrays = {"duration": duration}, {"stamps": one.stamps, "arrivals": one.arrivals}
-        cache.write(recording, _FORMAT, {"topic": topic}, content, arrays)
+        cache.write(recording, _FORMAT, {"topic": topic}, one)
     return found
-
-
-def _decode(content: Mapping[str, Any], arrays: Mapping[str, Any]) -> Arrivals:
-    return Arrivals(arrays["stamps"], arrays["arrivals"], float(content["duration"]))
 
 
 def measure_duration(message: Message) -> float:

@@ -5,7 +5,6 @@ from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,22 +27,6 @@ class TopicObservations:
     """How the intrinsics on the topic differ from the first; empty if they do not."""
     changed_at: float = 0.0
     """Stamp of the first message with others, s."""
-
-
-def encode_observations(observed: TopicObservations) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-    """The observations as a JSON object and arrays."""
-    arrays = {
-        "contents": observed.contents,
-        "first_stamps": np.array(list(observed.frames.values()), dtype=np.float64),
-        "changed_at": np.array(observed.changed_at),
-    }
-    return {"frames": list(observed.frames), "change": observed.change}, arrays
-
-
-def decode_observations(content: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> TopicObservations:
-    """The observations from what :func:`encode_observations` gives."""
-    frames = dict(zip(content["frames"], arrays["first_stamps"].tolist(), strict=True))
-    return TopicObservations(arrays["contents"], frames, content["change"], float(arrays["changed_at"]))
 
 
 @dataclass

@@ -16,10 +16,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
 
-from rosbags.rosbag2 import storage_mcap
-
 from calgraph.config.settings import LimitSettings
 from calgraph.recording.damage import check_unpacked_size
+from calgraph.recording.limited_storage import storage_mcap
 
 if TYPE_CHECKING:
     from _typeshed import WriteableBuffer

@@ -1,7 +1,7 @@
 """Writes recordings as rosbag2 with MCAP storage, as the tools of ROS 2 read them."""
 
 import shutil
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal, Self
@@ -14,8 +14,7 @@ from rosbags.typesys.store import Typestore
 
 from calgraph.errors import InputError
 from calgraph.io.atomic import make_temporary_folder, remove_temporary_folder
-from calgraph.io.text_writing import save_yaml
-from calgraph.io.yaml_reading import read_yaml
+from calgraph.recording.bag_metadata import RecordedFile, write_metadata
 from calgraph.recording.images import encode_image
 from calgraph.sensors import CameraInfo, Image, LaserScan, Message, PointCloud, Trigger
 
@@ -50,7 +49,7 @@ class RecordingWriter:
         self._definitions: dict[str, tuple[str, str]] = {}
         # rosbags names the storage file after its folder, so the unfinished one differs by its parent.
         self._unfinished = make_temporary_folder(path)
-        self._parts: list[Path] = []
+        self._files: list[RecordedFile] = []
         self._start_file()
 
     def write(
@@ -86,7 +85,7 @@ class RecordingWriter:
             InputError: the topic has messages of another type.
         """
         if self._max_duration and arrival - min(self._writer.min_timestamp, arrival) > self._max_duration:
-            self._writer.close()
+            self._end_file()
             self._start_file()
         connection = self._connections.get(topic)
         if connection is None:
@@ -99,18 +98,29 @@ class RecordingWriter:
 
     def close(self) -> None:
         """Finishes the recording and gives it its name."""
-        self._writer.close()
+        self._end_file()
+        folder = self._unfinished / self.path.name
         if self._max_duration:
-            join_bags(self._parts, self._unfinished / self.path.name)
-        (self._unfinished / self.path.name).rename(self.path)
-        self._unfinished.rmdir()
+            folder.mkdir()
+            for file in self._files:
+                file.path.rename(folder / file.path.name)
+            write_metadata(folder, self._files)
+        folder.rename(self.path)
+        shutil.rmtree(self._unfinished)
 
     def _start_file(self) -> None:
-        part = f"{self.path.name}_{len(self._parts)}" if self._max_duration else self.path.name
-        self._parts.append(self._unfinished / part)
+        part = f"{self.path.name}_{len(self._files)}" if self._max_duration else self.path.name
         self._connections: dict[str, Connection] = {}
-        self._writer = _BagWriter(self._parts[-1], version=8, storage_plugin=StoragePlugin.MCAP)
+        self._writer = _BagWriter(self._unfinished / part, version=8, storage_plugin=StoragePlugin.MCAP)
         self._writer.open()
+
+    def _end_file(self) -> None:
+        writer = self._writer
+        writer.close()
+        (path,) = writer.path.glob("*.mcap")
+        connections = (one._replace(msgcount=writer.counts[one.id]) for one in writer.connections)
+        end = max(writer.max_timestamp, writer.min_timestamp)
+        self._files.append(RecordedFile(path, writer.min_timestamp, end, tuple(connections)))
 
     def _define(self, ros_type: str) -> tuple[str, str]:
         """The definition of a type and its hash; made once, as there may be a thousand topics."""
@@ -289,51 +299,3 @@ _MAKERS: dict[type, Callable[[Typestore, Any, Encoding], tuple[str, Any]]] = {
     CameraInfo: _camera_info,
     Trigger: _trigger,
 }
-
-
-_INFORMATION = "rosbag2_bagfile_information"
-
-
-def join_bags(bags: Sequence[Path], folder: Path) -> None:
-    """Moves the storage files of rosbag2 folders into a new one, as the recorder of ROS 2 writes split recordings.
-
-    Args:
-        bags: one or more, in the order of time; they are removed.
-        folder: to create.
-    """
-    folder.mkdir()
-    parts = [read_yaml(bag / "metadata.yaml")[_INFORMATION] for bag in bags]
-    for bag, part in zip(bags, parts, strict=True):
-        for name in part["relative_file_paths"]:
-            (bag / name).rename(folder / name)
-        shutil.rmtree(bag)
-    save_yaml(folder / "metadata.yaml", {_INFORMATION: _join_metadata(parts)})
-
-
-def _join_metadata(parts: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    filled = [part for part in parts if part["message_count"]] or parts[:1]
-    start = min(_start(part) for part in filled)
-    end = max(_start(part) + part["duration"]["nanoseconds"] for part in filled)
-    return {
-        **parts[0],
-        "duration": {"nanoseconds": end - start},
-        "starting_time": {"nanoseconds_since_epoch": start},
-        "message_count": sum(part["message_count"] for part in parts),
-        "relative_file_paths": [name for part in parts for name in part["relative_file_paths"]],
-        "files": [file for part in parts for file in part["files"]],
-        "topics_with_message_count": _add_counts(parts),
-    }
-
-
-def _start(part: dict[str, Any]) -> int:
-    return int(part["starting_time"]["nanoseconds_since_epoch"])
-
-
-def _add_counts(parts: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Each topic once, with the messages in all parts."""
-    topics: dict[str, dict[str, Any]] = {}
-    for part in parts:
-        for entry in part["topics_with_message_count"]:
-            topic = topics.setdefault(entry["topic_metadata"]["name"], {**entry, "message_count": 0})
-            topic["message_count"] += entry["message_count"]
-    return list(topics.values())

@@ -4,9 +4,11 @@ from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
+from markupsafe import Markup
 
 from calgraph.report.figures import BLUE, NO_DATA, ORANGE, RULE, Figure, escape_plotly, make_figure, render_figure
-from calgraph.report.formatting import escape_html, format_count, format_fixed, format_length
+from calgraph.report.formatting import format_fixed, format_length
+from calgraph.report.templates import render
 from calgraph.report.vocabulary import NETWORK_VOCABULARY, Vocabulary
 from calgraph.result import Calibration, CaptureRow
 
@@ -15,27 +17,24 @@ _ABSENT, _REJECTED, _USED = 0, 1, 2
 _MAX_ROWS = 6000
 
 
-def render_captures(calibration: Calibration, words: Vocabulary) -> str:
+def render_captures(calibration: Calibration, words: Vocabulary) -> Markup:
     """Figure, reasons and table; a sentence where there are no captures."""
     rows = calibration.evidence.captures
     if not rows:
-        return f'<p class="empty">{words.no_items}</p>'
+        return Markup('<p class="empty">{}</p>').format(words.no_items)
     names = _ordered_names(calibration)
-    count = format_count(len({row.capture for row in rows}), words.item)
-    about, absent = words.items_caption
     shown = rows[:: len(rows) // _MAX_ROWS + 1]
-    if len(shown) < len(rows):
-        about += f" {len(shown)} of {len(rows)} rows are shown; captures.csv has all."
     draw = walk_timeline if words is NETWORK_VOCABULARY else _outcome_matrix
-    matrix = render_figure(
-        "captures", draw(shown, names), 84 + 26 * len(names), f"Outcome of each {words.item} in each sensor"
-    )
-    swatches = {"used": "used", "rejected": "not used"} | ({"absent": absent} if absent else {})
-    key = " ".join(f'<span class="swatch {css}"></span>{meaning}' for css, meaning in swatches.items())
-    return (
-        f"<p>{count}. {about}</p>"
-        f'<p class="key">{key}</p>'
-        f"{matrix}{_render_reasons(rows, names)}{_render_table(shown, names, words.item)}"
+    return render(
+        "captures.html",
+        words=words,
+        count=len({row.capture for row in rows}),
+        total=len(rows),
+        shown=shown,
+        sensors=[_count_outcomes(name, rows) for name in names],
+        figure=render_figure(
+            "captures", draw(shown, names), 84 + 26 * len(names), f"Outcome of each {words.item} in each sensor"
+        ),
     )
 
 
@@ -104,55 +103,11 @@ def _wrap_text(text: str, width: int = 60) -> str:
     return "<br>".join(map(escape_plotly, lines))
 
 
-def _render_reasons(rows: tuple[CaptureRow, ...], names: list[str]) -> str:
-    """For each sensor the number of used captures, and the most frequent reasons of rejections."""
-    body = ""
-    for name in names:
-        of_sensor = [row for row in rows if row.sensor == name]
-        used = sum(row.used for row in of_sensor)
-        common = Counter(row.reason or "no reason given" for row in of_sensor if not row.used).most_common(3)
-        why = "; ".join(f"{escape_html(reason)} ({count})" for reason, count in common)
-        share = round(100 * used / len(of_sensor)) if of_sensor else 0
-        body += (
-            f"<tr><th scope='row'>{escape_html(name)}</th><td>{used} of {len(of_sensor)}</td>"
-            f"<td><span class='bar'><span style='width:{share}%'></span></span></td>"
-            f"<td class='words'>{why}</td></tr>"
-        )
-    return (
-        '<div class="wide"><table><thead><tr><th>sensor</th><th>used</th><th></th>'
-        "<th class='words'>most frequent reasons of rejections</th></tr></thead>"
-        f"<tbody>{body}</tbody></table></div>"
-    )
-
-
-def _render_table(rows: tuple[CaptureRow, ...], names: list[str], noun: str) -> str:
-    body = "".join(_render_row(row) for row in rows)
-    sensors = "".join(f'<option value="{escape_html(name)}">{escape_html(name)}</option>' for name in names)
-    return f"""\
-<div class="filters" role="search">
-<label>sensor <select id="filter-sensor"><option value="">all</option>{sensors}</select></label>
-<label>outcome <select id="filter-outcome"><option value="">all</option><option value="used">used</option>\
-<option value="not used">not used</option></select></label>
-<label>search <input id="filter-text" type="search" placeholder="reason, {noun}"></label>
-<output id="filter-count"></output>
-</div>
-<div class="tall"><table id="capture-table"><thead><tr><th>{noun}</th><th>start, s</th><th>end, s</th>\
-<th class="words">sensor</th><th class="words">outcome</th><th>residual</th><th class="words">reason</th></tr>\
-</thead>\
-<tbody>{body}</tbody></table></div>
-"""
-
-
-def _render_row(row: CaptureRow) -> str:
-    outcome = "used" if row.used else "not used"
-    residual = "" if row.residual is None else format_length(row.residual)
-    return (
-        f'<tr data-sensor="{escape_html(row.sensor)}" data-outcome="{outcome}"><td>{row.capture}</td>'
-        f"<td>{format_fixed(row.start, 2)}</td><td>{format_fixed(row.end, 2)}</td>"
-        f"<td class='words'>{escape_html(row.sensor)}</td>"
-        f"<td class='words outcome {'used' if row.used else 'rejected'}'>{outcome}</td><td>{residual}</td>"
-        f"<td class='words'>{escape_html(row.reason)}</td></tr>\n"
-    )
+def _count_outcomes(name: str, rows: Sequence[CaptureRow]) -> tuple[str, int, int, list[tuple[str, int]]]:
+    """Of one sensor: name, numbers of used and of all captures, and the most frequent reasons of rejections."""
+    of_sensor = [row for row in rows if row.sensor == name]
+    common = Counter(row.reason or "no reason given" for row in of_sensor if not row.used).most_common(3)
+    return name, sum(row.used for row in of_sensor), len(of_sensor), common
 
 
 # Simultaneous walks are drawn in lanes, offsets from the middle of a scanner's row.

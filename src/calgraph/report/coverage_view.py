@@ -3,13 +3,16 @@
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import groupby
+from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 from numpy.typing import NDArray
 
 from calgraph.config import Rig
 from calgraph.geometry import Array, se3
-from calgraph.report.formatting import escape_html, format_count, format_fixed
+from calgraph.report.formatting import format_count, format_fixed
+from calgraph.report.templates import render
 from calgraph.report.vocabulary import Vocabulary
 from calgraph.result import Calibration, SensorPose
 from calgraph.result.calibrated_cameras import calibrated_cameras
@@ -220,69 +223,50 @@ def _join_words(things: Sequence[str]) -> str:
     return things[0] if len(things) == 1 else f"{', '.join(things[:-1])} and {things[-1]}"
 
 
-# Size of the drawing and of its margins for labels, px.
-_WIDTH, _HEIGHT, _LEFT, _RIGHT, _BELOW = 400, 230, 44, 16, 34
+# Sizes of the drawing and of its margins for labels, px.
+_WIDTH, _HEIGHT, _LEFT = 340, 230, 44
 _TICKS = 5
 
 
-def render_coverage(calibration: Calibration, rig: Rig, words: Vocabulary) -> str:
+def render_coverage(calibration: Calibration, rig: Rig, words: Vocabulary) -> Markup:
     """A figure for each sensor; a sentence where the result has no detections."""
     found = {sensor: compute_coverage(calibration, rig, sensor) for sensor in calibration.sensors}
-    shown = "".join(
-        f'<div class="cover"><h3>{escape_html(sensor.name)}</h3>{_render_picture(one, sensor.name, words)}'
-        f"<ul>{''.join(f'<li>{escape_html(remark)}</li>' for remark in one.remarks)}</ul></div>"
-        for sensor, one in found.items()
-        if one
+    return render(
+        "coverage.html",
+        words=words,
+        width=_WIDTH,
+        left=_LEFT,
+        shown=[(sensor.name, one, _draw_cells(one, words.item)) for sensor, one in found.items() if one],
+        without=[f"{s.name} ({KINDS[s.kind].title})" for s, one in found.items() if not one],
     )
-    if not shown:
-        return '<p class="empty">This result contains no detections.</p>'
-    without = [escape_html(f"{s.name} ({KINDS[s.kind].title})") for s, one in found.items() if not one]
-    rest = f"<p>No detections: {', '.join(without)}.</p>" if without else ""
-    return f'<p>{words.coverage_caption}</p><div class="grid">{shown}</div>{rest}'
 
 
-def _render_picture(of: Coverage, name: str, words: Vocabulary) -> str:
-    """The cells as an SVG, darker with more captures."""
+def _draw_cells(of: Coverage, noun: str) -> dict[str, Any]:
+    """Places in the drawing, px: the cells, darker with more captures, on the field of view, and ticks."""
     rows, columns = of.counts.shape
-    width = _WIDTH - _LEFT - _RIGHT
-    height = min(width * rows / columns, _HEIGHT) if of.axes[0] == "px" else 0.5 * _HEIGHT + 20
-    w, h = width / columns, height / rows
+    height = min(_WIDTH * rows / columns, _HEIGHT) if of.axes[0] == "px" else 0.5 * _HEIGHT + 20
+    w, h = _WIDTH / columns, height / rows
     most = max(float(of.counts.max()), 1.0)
-    cells = "".join(
-        f'<rect class="cell" x="{_LEFT + j * w:.1f}" y="{8 + i * h:.1f}" width="{w:.1f}" height="{h:.1f}" '
-        f'fill-opacity="{0.15 + 0.85 * np.log1p(n) / np.log1p(most):.2f}">'
-        f"<title>{_format_bin(of.x_edges, j)} {of.axes[0]}, {_format_bin(of.y_edges, i)} {of.axes[1]}: "
-        f"{format_count(int(n), words.item)}</title></rect>"
-        for (i, j), n in np.ndenumerate(of.counts)
-        if n
-    )
-    # Visible columns are grey; neighbouring ones are one rectangle, which avoids seams.
+    # Neighbouring visible columns are one rectangle, which avoids seams.
     turns = np.flatnonzero(np.diff(np.concatenate([[0], of.visible.astype(int), [0]]))).reshape(-1, 2)
-    field = "".join(
-        f'<rect class="field" x="{_LEFT + first * w:.1f}" y="8" width="{(last - first) * w:.1f}" '
-        f'height="{height:.1f}"/>'
-        for first, last in turns.tolist()
-    )
-    return (
-        f'<svg viewBox="0 0 {_WIDTH} {height + 8 + _BELOW:.0f}" role="img" '
-        f'aria-label="Coverage of {escape_html(name)}">'
-        f'<rect class="outside" x="{_LEFT}" y="8" width="{width}" height="{height:.1f}"/>{field}{cells}'
-        f"{_render_labels(of, width, height)}</svg>"
-    )
-
-
-def _render_labels(of: Coverage, width: float, height: float) -> str:
-    x = "".join(
-        f'<text x="{_LEFT + t * width:.0f}" y="{height + 22:.0f}" text-anchor="middle">'
-        f"{_format_tick(of.x_edges, t)}</text>"
-        for t in np.linspace(0, 1, _TICKS)
-    )
-    y = "".join(
-        f'<text x="{_LEFT - 6}" y="{12 + t * height:.0f}" text-anchor="end">{_format_tick(of.y_edges, t)}</text>'
-        for t in (0.0, 0.5, 1.0)
-    )
-    names = "image, px" if of.axes[0] == "px" else f"across: {of.axes[0]}; up: {of.axes[1]}"
-    return f'{x}{y}<text x="{_LEFT + width / 2:.0f}" y="{height + 38:.0f}" text-anchor="middle">{names}</text>'
+    return {
+        "height": height,
+        "cell": (w, h),
+        "cells": [
+            (
+                _LEFT + j * w,
+                8 + i * h,
+                0.15 + 0.85 * np.log1p(n) / np.log1p(most),
+                f"{_format_bin(of.x_edges, j)} {of.axes[0]}, {_format_bin(of.y_edges, i)} {of.axes[1]}: "
+                f"{format_count(int(n), noun)}",
+            )
+            for (i, j), n in np.ndenumerate(of.counts)
+            if n
+        ],
+        "field": [(_LEFT + first * w, (last - first) * w) for first, last in turns.tolist()],
+        "x_ticks": [(share, _format_tick(of.x_edges, share)) for share in np.linspace(0, 1, _TICKS)],
+        "y_ticks": [(share, _format_tick(of.y_edges, share)) for share in (0.0, 0.5, 1.0)],
+    }
 
 
 def _format_tick(edges: np.ndarray[tuple[int], np.dtype[np.float64]], share: float) -> str:

@@ -6,12 +6,15 @@ variables of style.css: the page substitutes their values for light mode, dark m
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 
 from calgraph.geometry import Array
+from calgraph.report.templates import render
 
 Figure = dict[str, Any]
 """``data`` and ``layout`` of a plotly figure."""
@@ -44,42 +47,38 @@ def make_figure(data: list[dict[str, Any]], **layout: Any) -> Figure:
     return {"data": data, "layout": _BASE_LAYOUT | layout}
 
 
-def render_figure(name: str, content: Figure, height: int, description: str) -> str:
+@dataclass(frozen=True)
+class Chooser:
+    """Radio buttons that change a figure."""
+
+    legend: str
+    """For screen readers."""
+    choices: Mapping[str, Mapping[str, Any]]
+    """By label what changes: which traces are ``visible`` (null: unchanged), parts of the ``layout``, and
+    ``moves`` (cos, sin, x, y) of the traces with one ``meta``."""
+    chosen: int
+    """The initial button; the figure itself is without the changes of any."""
+
+
+def render_figure(
+    name: str, content: Figure, height: int, description: str, choosers: Sequence[Chooser] = (), caption: str = ""
+) -> Markup:
     """HTML of a figure, with its data as JSON.
 
     Args:
         name: id of the element; made of letters, digits and dashes.
         content: the figure.
         height: pixels.
-        description: for screen readers; already escaped.
+        description: for screen readers.
+        choosers: buttons above the figure.
+        caption: above the buttons.
     """
-    return (
-        f'<div class="figure" id="{name}" style="height:{height}px" role="img" aria-label="{description}"></div>\n'
-        f'<script type="application/json" class="figure-data" data-for="{name}">{_to_json(content)}</script>\n'
-    )
-
-
-def render_buttons(name: str, number: int, legend: str, labels: Sequence[str], chosen: int) -> str:
-    """Radio buttons that change a figure.
-
-    Args:
-        name: of the figure, whose ``choices[number]`` hold the changes of each button: which traces are
-            ``visible`` (null: unchanged), parts of the ``layout``, and ``moves`` (cos, sin, x, y) of the traces
-            with one ``meta``.
-        number: of the group of buttons, from 0.
-        legend: of the group, for screen readers.
-        labels: of the buttons.
-        chosen: the initial button; the figure itself is without the changes of any.
-    """
-    buttons = "".join(
-        f'<label><input type="radio" name="{name}-{number}" value="{k}"{" checked" if k == chosen else ""}>'
-        f"<span>{label}</span></label>"
-        for k, label in enumerate(labels)
-    )
-    return (
-        f'<fieldset class="choice" data-for="{name}" data-of="{number}"><legend>{legend}</legend>'
-        f"{buttons}</fieldset>\n"
-    )
+    if choosers:
+        content = content | {"choices": [list(chooser.choices.values()) for chooser in choosers]}
+    return render(
+        "figure.html", name=name, content=_to_json(content), height=height, description=description,
+        choosers=choosers, caption=caption,
+    )  # fmt: skip
 
 
 def escape_plotly(text: str) -> str:
@@ -87,10 +86,10 @@ def escape_plotly(text: str) -> str:
     return text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
 
 
-def _to_json(content: Any) -> str:
+def _to_json(content: Any) -> Markup:
     """JSON that is safe inside a script element: it contains no tag."""
     text = json.dumps(_to_plain(content), ensure_ascii=False, allow_nan=False, separators=(",", ":"))
-    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+    return Markup(text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026"))
 
 
 def _to_plain(value: Any) -> Any:

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 from scipy.special import chdtri
 
 from calgraph.geometry import Array, se3
@@ -11,11 +12,11 @@ from calgraph.report.figures import (
     COLOR_CYCLE,
     INK,
     RULE,
+    Chooser,
     Figure,
     choose_enlargement,
     escape_plotly,
     make_figure,
-    render_buttons,
     render_figure,
 )
 from calgraph.report.formatting import format_angle, format_fixed, format_length
@@ -29,7 +30,7 @@ _MIN_VISIBLE, _ARROW_LENGTH = 0.016, 0.05
 _HEIGHT, _LEGEND_LINE_HEIGHT, _NAMES_PER_LINE = 680, 25, 9
 
 
-def render_floor_plan(calibration: Calibration) -> str:
+def render_floor_plan(calibration: Calibration) -> Markup:
     """The figure, with a sentence on the scale of the uncertainties."""
     extent = _plan_extent(calibration)
     factor = _choose_enlargement(calibration.sensors, extent)
@@ -43,14 +44,13 @@ def render_floor_plan(calibration: Calibration) -> str:
     ]
     states = _pose_states(calibration)
     size = "to scale" if factor == 1 else f"{factor} × enlarged"
-    words = f"<p>An ellipse contains the scanner's position with 95 % probability; drawn {size}.</p>"
+    caption = f"An ellipse contains the scanner's position with 95 % probability; drawn {size}."
     height = _HEIGHT + _LEGEND_LINE_HEIGHT * (len(calibration.sensors) // _NAMES_PER_LINE)
-    buttons = render_buttons("floor", 0, "Poses", list(states), len(states) - 1) if states else ""
     # Uncertainties exist for the final poses only.
     only_last = [False if trace.get("fill") else None for trace in traces]
-    choices = [{"moves": moves, "visible": only_last} for moves in states.values()]
-    plan = _make_plan(traces) | {"choices": [[*choices[:-1], {}]]}
-    return words + buttons + render_figure("floor", plan, height, "Floor plan of the network")
+    moved = {words: {"moves": moves, "visible": only_last} for words, moves in states.items()}
+    choosers = [Chooser("Poses", moved | {list(moved)[-1]: {}}, len(moved) - 1)] if moved else []
+    return render_figure("floor", _make_plan(traces), height, "Floor plan of the network", choosers, caption)
 
 
 def _pose_states(calibration: Calibration) -> dict[str, list[list[float]]]:

@@ -1,12 +1,6 @@
 """Formatting of numbers and names on the page."""
 
 import math
-from html import escape
-
-
-def escape_html(text: object) -> str:
-    """Any text, safe inside HTML elements and quoted attributes."""
-    return escape(str(text), quote=True)
 
 
 def format_significant(value: float, significant: int = 2) -> str:

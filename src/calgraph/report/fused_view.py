@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 from numpy.typing import NDArray
 
 from calgraph.config import Rig
@@ -19,9 +20,9 @@ from calgraph.report.figures import (
     MUTED,
     ORANGE,
     SCENE_AXIS,
+    Chooser,
     escape_plotly,
     make_figure,
-    render_buttons,
     render_figure,
 )
 from calgraph.result import BoardOutline, Calibration, Snapshot, calibrated_cameras, colorize_from_snapshots
@@ -44,11 +45,11 @@ pose in the joint solution. Drag to rotate, scroll to zoom, click in the legend 
 _EYE_DISTANCE = 1.15
 
 
-def render_fused_cloud(calibration: Calibration, rig: Rig) -> str:
+def render_fused_cloud(calibration: Calibration, rig: Rig) -> Markup:
     """The figure, with buttons for captures; empty where no camera image shows scanned points."""
     clouds = _colored_clouds(calibration, rig)
     if not clouds:
-        return ""
+        return Markup()
     traces: list[dict[str, Any]] = []
     kinds = {s.name: s.kind for s in calibration.sensors if KINDS[s.kind].measures_ranges}
     limits = _height_limits(clouds, kinds)
@@ -71,18 +72,14 @@ def render_fused_cloud(calibration: Calibration, rig: Rig) -> str:
         ),
     )
     each = len(traces) // len(clouds)
-    choices = [
-        {"visible": [*(j == k for j in range(len(clouds)) for _ in range(each)), None]} for k in range(len(clouds))
-    ]
-    buttons = render_buttons("fused", 0, "Capture", [f"capture {capture}" for capture in clouds], 0)
+    choices = {
+        f"capture {capture}": {"visible": [*(j == k for j in range(len(clouds)) for _ in range(each)), None]}
+        for k, capture in enumerate(clouds)
+    }
     share = np.mean(np.concatenate([part.colored for cloud in clouds.values() for part in cloud.values()]))
-    about = (
-        f"<p>{100 * share:.0f} % of the points are in the image of a camera and have its colours. {_CAPTION}</p>"
-    )
-    chart = render_figure(
-        "fused", content | {"choices": [choices]}, 560, "Points of the scanners in the colours of the cameras"
-    )
-    return about + buttons + chart
+    about = f"{100 * share:.0f} % of the points are in the image of a camera and have its colours. {_CAPTION}"
+    about_picture = "Points of the scanners in the colours of the cameras"
+    return render_figure("fused", content, 560, about_picture, [Chooser("Capture", choices, 0)], about)
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,12 +5,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from markupsafe import Markup
 
 from calgraph.boards.printed_boards import compute_landmarks
 from calgraph.config import Rig
 from calgraph.geometry import Array, se3
 from calgraph.report.figures import choose_enlargement
-from calgraph.report.formatting import escape_html, format_count, format_length, format_significant
+from calgraph.report.templates import render
 from calgraph.result import BoardOutline, BoardView, Calibration, SensorPose, Snapshot
 from calgraph.result.calibrated_cameras import calibrated_cameras
 from calgraph.result.evidence import rms
@@ -112,68 +113,45 @@ def _scanner_points(calibration: Calibration, views: Sequence[BoardView]) -> tup
     return np.concatenate([np.zeros((0, 3)), *points]), np.concatenate([np.zeros(0), *offs])
 
 
-# Largest number of images on the page, largest and smallest number per camera, and initially expanded ones.
-_MAX_IMAGES, _MAX_PER_CAMERA, _MIN_PER_CAMERA, _EXPANDED = 36, 8, 2, 4
+# Largest number of images on the page, largest and smallest number per camera.
+_MAX_IMAGES, _MAX_PER_CAMERA, _MIN_PER_CAMERA = 36, 8, 2
 # From blue, in front of the board, to red, behind it.
 _COLOR_RAMP = ("#2166ac", "#67a9cf", "#d1e5f0", "#ffffff", "#fddbc7", "#ef8a62", "#b2182b")
 # An image with less than this fraction of the bytes of the largest was stored at reduced size.
 _MIN_SIZE_RATIO = 0.3
 # Smallest drawn length of the median error, relative to the image width.
 _VISIBLE_ERROR = 0.01
-_CAPTION = """\
-Yellow: board and print, reprojected with the poses of the joint solution. White dots: detected corners; both
-should coincide. Pink lines: reprojection errors, enlarged. Coloured dots: points of scanners on the board, by
-distance from its plane:"""
 
 
-def render_camera_images(calibration: Calibration, rig: Rig) -> str:
+def render_camera_images(calibration: Calibration, rig: Rig) -> Markup:
     """A few images of each camera, from the largest error to the least; empty for a rig without cameras."""
     cameras = calibrated_cameras(calibration, rig)
     intrinsics = {sensor: cameras[sensor.name] for sensor in calibration.sensors if sensor.name in cameras}
     if not intrinsics:
-        return ""
+        return Markup()
     images = _full_size_images(calibration.pictures.snapshots)
     limit = _color_limit(calibration.pictures.board_views)
     each = min(max(_MAX_IMAGES // len(intrinsics), _MIN_PER_CAMERA), _MAX_PER_CAMERA)
-    shown = "".join(
-        _render_camera(calibration, rig, sensor, camera, images, each, limit)
-        for sensor, camera in intrinsics.items()
-    )
-    without = "" if images else " The images are not part of this result."
-    return f"<p>{_CAPTION}{without}</p>{_render_legend(limit)}{shown}"
-
-
-def _render_camera(
-    calibration: Calibration,
-    rig: Rig,
-    sensor: SensorPose,
-    camera: CameraModel,
-    images: Mapping[tuple[str, int], Snapshot],
-    each: int,
-    limit: float,
-) -> str:
-    title = f"<h3>{escape_html(sensor.name)}</h3>"
-    views = _rank_views([view for view in calibration.pictures.board_views if view.sensor == sensor.name], images)
-    if not views:
-        return f'{title}<p class="empty">There is no used capture with a detection of the board.</p>'
-    factor = _choose_enlargement(views, camera)
-    chosen = np.unique(np.linspace(0, len(views) - 1, min(each, len(views))).round().astype(int)).tolist()
-    shots = [
-        _render_image(
-            views[rank],
-            compute_overlay(calibration, rig, sensor, camera, views[rank].capture),
-            camera,
-            images.get((sensor.name, views[rank].capture)),
-            f"{_describe_rank(rank, len(views))} · errors enlarged {factor} ×",
-            factor,
-            limit,
-        )
-        for rank in chosen
-    ]
-    rest = "".join(shots[_EXPANDED:])
-    more = f'<details><summary>{len(shots) - _EXPANDED} more of {escape_html(sensor.name)}</summary>\
-<div class="grid large">{rest}</div></details>'
-    return f'{title}<div class="grid large">{"".join(shots[:_EXPANDED])}</div>{more if rest else ""}'
+    shown = []
+    for sensor, camera in intrinsics.items():
+        views = _rank_views([v for v in calibration.pictures.board_views if v.sensor == sensor.name], images)
+        factor = _choose_enlargement(views, camera) if views else 1
+        ranks = np.unique(np.linspace(0, len(views) - 1, min(each, len(views))).round().astype(int)).tolist()
+        shots = []
+        for rank in ranks:
+            capture = views[rank].capture
+            taken = images.get((sensor.name, capture))
+            drawn = compute_overlay(calibration, rig, sensor, camera, capture)
+            shots.append({
+                "rank": rank,
+                "capture": capture,
+                "image": b64encode(taken.image).decode() if taken else "",
+                "paths": _draw_overlay(drawn, factor, limit),
+                "error": rms(np.linalg.norm(drawn.residuals, axis=1)),
+                "distance": rms(drawn.distances[np.isfinite(drawn.points[:, 0])]),
+            })  # fmt: skip
+        shown.append((sensor.name, camera, factor, len(views), shots))
+    return render("images.html", cameras=shown, with_images=bool(images), limit=limit, ramp=_COLOR_RAMP)
 
 
 def _full_size_images(snapshots: Sequence[Snapshot]) -> dict[tuple[str, int], Snapshot]:
@@ -190,62 +168,25 @@ def _rank_views(views: Sequence[BoardView], images: Mapping[tuple[str, int], Sna
     return [view for _, view in sorted(used, key=lambda one: -(one[0] or 0.0))]
 
 
-def _describe_rank(rank: int, count: int) -> str:
-    if rank == 0:
-        return f"largest error of {format_count(count, 'image')}"
-    return "least error" if rank == count - 1 else f"error {rank + 1} of {count}"
-
-
-def _render_image(
-    view: BoardView,
-    drawn: Overlay,
-    camera: CameraModel,
-    snapshot: Snapshot | None,
-    words: str,
-    factor: int,
-    limit: float,
-) -> str:
-    size = f"{camera.width} {camera.height}"
-    described = escape_html(f"{view.sensor} in capture {view.capture}")
-    image = (
-        f'<img alt="" loading="lazy" src="data:image/jpeg;base64,{b64encode(snapshot.image).decode()}">'
-        if snapshot
-        else f'<svg style="position:static" viewBox="0 0 {size}"></svg>'
-    )
-    error = rms(np.linalg.norm(drawn.residuals, axis=1))
-    off = "" if error is None else f" · reprojection error {format_significant(error)} px RMS"
-    points = rms(drawn.distances[np.isfinite(drawn.points[:, 0])])
-    beside = "" if points is None else f" · points {format_length(points)} RMS"
-    return (
-        f'<figure class="shot"><div role="img" aria-label="{described}">{image}'
-        f'<svg viewBox="-0.5 -0.5 {size}" aria-hidden="true">{_render_overlay(drawn, factor, limit)}</svg></div>'
-        f"<figcaption><b>Capture {view.capture}</b>{off}{beside} · {words}</figcaption></figure>"
-    )
-
-
-def _render_overlay(drawn: Overlay, factor: int, limit: float) -> str:
+def _draw_overlay(drawn: Overlay, factor: int, limit: float) -> list[tuple[str, ...]]:
+    """Paths with CSS class and commands, points in a path for each colour."""
     predicted = drawn.measured - drawn.residuals
     errors = [np.stack([p, p + factor * d]) for p, d in zip(predicted, drawn.residuals, strict=True)]
-    return (
-        f"{_render_path('shade', drawn.board_outlines)}{_render_path('board', drawn.board_outlines)}"
-        f"{_render_path('mark', drawn.marks)}{_render_points(drawn, limit)}"
-        f"{_render_path('detected', drawn.measured[:, None])}{_render_path('error', errors)}"
-    )
-
-
-def _render_points(drawn: Overlay, limit: float) -> str:
-    """Points as one path for each colour."""
+    outlines = _draw_path(drawn.board_outlines)
     level = np.clip(np.round((drawn.distances / limit + 1) / 2 * (len(_COLOR_RAMP) - 1)), 0, len(_COLOR_RAMP) - 1)
-    return "".join(
-        _render_path("points", drawn.points[level == k][:, None], f' style="stroke:{color}"')
-        for k, color in enumerate(_COLOR_RAMP)
-    )
+    return [
+        ("shade", outlines),
+        ("board", outlines),
+        ("mark", _draw_path(drawn.marks)),
+        *(("points", _draw_path(drawn.points[level == k][:, None]), c) for k, c in enumerate(_COLOR_RAMP)),
+        ("detected", _draw_path(drawn.measured[:, None])),
+        ("error", _draw_path(errors)),
+    ]
 
 
-def _render_path(css: str, lines: Sequence[Array] | Array, style: str = "") -> str:
+def _draw_path(lines: Sequence[Array] | Array) -> str:
     """Lines (N, 2) as one path, interrupted where they are NaN; a single point is a dot."""
-    d = "".join(_path_commands(line) for line in lines)
-    return f'<path class="{css}"{style} d="{d}"/>' if d else ""
+    return "".join(_path_commands(line) for line in lines)
 
 
 def _path_commands(line: Array) -> str:
@@ -276,12 +217,3 @@ def _color_limit(views: Sequence[BoardView]) -> float:
     largest = max((rms(np.concatenate(values)) or 0.0 for values in residuals.values()), default=0.0)
     round_ones = (b * 10.0**e for e in range(-3, 2) for b in (1, 2, 3, 5))
     return next((step for step in round_ones if step >= 2 * largest), 50.0)
-
-
-def _render_legend(limit: float) -> str:
-    ramp = ", ".join(_COLOR_RAMP)
-    return (
-        f'<p class="key">{format_length(limit)} in front of the board'
-        f'<span class="ramp" style="background: linear-gradient(90deg, {ramp})"></span>'
-        f"{format_length(limit)} behind it</p>"
-    )

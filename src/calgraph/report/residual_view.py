@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 
 from calgraph.config import Rig
 from calgraph.geometry import Array
@@ -22,7 +23,8 @@ from calgraph.report.figures import (
     make_figure,
     render_figure,
 )
-from calgraph.report.formatting import escape_html, format_count, format_significant
+from calgraph.report.formatting import format_count, format_significant
+from calgraph.report.templates import render
 from calgraph.report.vocabulary import Vocabulary
 from calgraph.result import Calibration, SensorPose
 from calgraph.result.calibrated_cameras import calibrated_cameras
@@ -36,29 +38,24 @@ _MAX_RESIDUAL = 5.0
 _BIN_WIDTH = 0.25
 
 
-def render_histograms(calibration: Calibration, words: Vocabulary) -> str:
-    """One histogram of whitened residuals for each kind."""
-    kinds = [(kind, np.ravel(values)) for kind, values in calibration.evidence.residuals.items()]
-    if not any(np.isfinite(values).any() for _, values in kinds):
-        return _render_rms(calibration)
-    drawn = "".join(_render_histogram(i, *kind) for i, kind in enumerate(kinds))
-    return f'<h3>Whitened residuals</h3><p>{words.residuals_caption}</p><div class="grid">{drawn}</div>'
-
-
-def _render_rms(calibration: Calibration) -> str:
-    if not calibration.evidence.residual_rms:
-        return '<p class="empty">There are no residuals.</p>'
-    values = ", ".join(
-        f"{escape_html(kind)} {format_significant(rms, 3)}"
-        for kind, rms in calibration.evidence.residual_rms.items()
+def render_residuals(calibration: Calibration, words: Vocabulary) -> Markup:
+    """A histogram of whitened residuals for each kind, and for each sensor a box of its captures' distances."""
+    return render(
+        "histograms.html",
+        calibration=calibration,
+        words=words,
+        histograms=[
+            _describe_histogram(i, *kind) for i, kind in enumerate(calibration.evidence.residuals.items())
+        ],
+        distances=_render_distances(calibration, words),
     )
-    return f'<p class="empty">Only the root mean squares of the residuals are available: {values}.</p>'
 
 
-def _render_histogram(index: int, kind: str, values: Array) -> str:
+def _describe_histogram(index: int, kind: str, residuals: Array) -> dict[str, Any]:
+    values = np.ravel(residuals)
     finite = values[np.isfinite(values)]
     if not finite.size:
-        return f'<div><h3>{escape_html(kind)}</h3><p class="empty">No finite residual.</p></div>'
+        return {"kind": kind, "figure": ""}
     rms = float(np.sqrt(np.mean(finite**2)))
     facts = [format_count(finite.size, "residual"), f"RMS {format_significant(rms, 3)}"]
     beyond = int(np.sum(np.abs(finite) > _MAX_RESIDUAL))
@@ -66,10 +63,10 @@ def _render_histogram(index: int, kind: str, values: Array) -> str:
         facts.append(f"{beyond} beyond ±{_MAX_RESIDUAL:g}, in the outer bars")
     if finite.size < values.size:
         facts.append(f"{values.size - finite.size} not finite, left out")
-    drawing = render_figure(
-        f"residuals-{index}", _make_histogram(finite), 210, f"Histogram of the residuals {escape_html(kind)}"
+    figure = render_figure(
+        f"residuals-{index}", _make_histogram(finite), 210, f"Histogram of the residuals {kind}"
     )
-    return f"<div><h3>{escape_html(kind)}</h3><p class='facts'>{' · '.join(facts)}</p>{drawing}</div>"
+    return {"kind": kind, "facts": facts, "figure": figure}
 
 
 def _make_histogram(values: Array) -> Figure:
@@ -100,7 +97,7 @@ def _make_histogram(values: Array) -> Figure:
     )  # fmt: skip
 
 
-def render_distances(calibration: Calibration, words: Vocabulary) -> str:
+def _render_distances(calibration: Calibration, words: Vocabulary) -> Markup:
     """A box for each sensor with the distances of its captures or walks; empty where there are none."""
     distances: dict[str, list[float]] = {sensor.name: [] for sensor in calibration.sensors}
     for row in calibration.evidence.captures:
@@ -108,7 +105,7 @@ def render_distances(calibration: Calibration, words: Vocabulary) -> str:
             distances.setdefault(row.sensor, []).append(1e3 * row.residual)
     by_sensor = {name: values for name, values in distances.items() if values}
     if not by_sensor:
-        return ""
+        return Markup()
     boxes = [
         {
             "type": "box", "x": np.array(values).round(3), "name": escape_plotly(name),
@@ -123,10 +120,7 @@ def render_distances(calibration: Calibration, words: Vocabulary) -> str:
         xaxis={"title": {"text": "distance, mm"}, "gridcolor": RULE, "rangemode": "tozero", "fixedrange": True},
         yaxis={"autorange": "reversed", "automargin": True, "fixedrange": True},
     )  # fmt: skip
-    chart = render_figure(
-        "spreads", drawing, 70 + 34 * len(by_sensor), f"Distances of each {words.item} by sensor"
-    )
-    return f"<h3>Distances by sensor</h3><p>{words.distances_caption}</p>{chart}"
+    return render_figure("spreads", drawing, 70 + 34 * len(by_sensor), f"Distances of each {words.item} by sensor")
 
 
 # Largest number of points of a figure, and of one figure of each sensor in all, which bound the size of the page.
@@ -164,22 +158,16 @@ class _Residuals:
     """(M, 2) corners of a camera that the joint solution did not use, px; of a scanner none."""
 
 
-def render_residual_pictures(calibration: Calibration, rig: Rig, words: Vocabulary) -> str:
+def render_residual_pictures(calibration: Calibration, rig: Rig, words: Vocabulary) -> Markup:
     """Three figures for each sensor; empty where the result has no residuals in their units."""
     cameras = calibrated_cameras(calibration, rig)
     limit = min(_MAX_POINTS, _MAX_POINTS_IN_ALL // len(calibration.sensors))
     shown = [
-        _render_sensor(
-            f"errors-{k}",
-            sensor,
-            residuals,
-            cameras.get(sensor.name),
-            collapsed=len(calibration.sensors) > _MAX_EXPANDED,
-        )
+        (sensor.name, *_draw_sensor(f"errors-{k}", sensor.name, residuals, cameras.get(sensor.name)))
         for k, sensor in enumerate(calibration.sensors)
         if (residuals := _collect(calibration, sensor, limit)) is not None
     ]
-    return f"<p>{words.errors_caption}</p>{''.join(shown)}" if shown else ""
+    return render("residuals.html", words=words, sensors=shown, collapsed=len(calibration.sensors) > _MAX_EXPANDED)
 
 
 def _collect(calibration: Calibration, sensor: SensorPose, limit: int) -> _Residuals | None:
@@ -211,9 +199,10 @@ def _collect(calibration: Calibration, sensor: SensorPose, limit: int) -> _Resid
     return _Residuals(time[finite], points[finite], error[finite], shown, corners[_thin(len(corners), limit)])
 
 
-def _render_sensor(
-    name: str, sensor: SensorPose, of: _Residuals, camera: CameraModel | None, *, collapsed: bool
-) -> str:
+def _draw_sensor(
+    name: str, sensor: str, of: _Residuals, camera: CameraModel | None
+) -> tuple[str, list[tuple[str, Markup]]]:
+    """The size of a sensor's residuals, and its figures by caption."""
     size = float(np.sqrt(np.mean(np.sum(of.error**2, axis=1))))
     if of.error.shape[1] == 2:
         facts = f"reprojection error {format_error(size, 'px')} RMS"
@@ -235,15 +224,10 @@ def _render_sensor(
              _over(angle, of.error[:, 0], of.shown, "azimuth, °" if planar else "elevation, °", "mm")),
         ]  # fmt: skip
     figures.append(("Over time", _over_time(of)))
-    title = escape_html(sensor.name)
-    cells = "".join(
-        f"<div><h4>{caption}</h4>{render_figure(f'{name}-{i}', figure, _HEIGHT, f'{title}: {caption}')}</div>"
+    return facts, [
+        (caption, render_figure(f"{name}-{i}", figure, _HEIGHT, f"{sensor}: {caption}"))
         for i, (caption, figure) in enumerate(figures)
-    )
-    grid = f"<div class='grid errors'>{cells}</div>"
-    if collapsed:
-        return f"<details><summary>{title}: {facts}</summary>{grid}</details>"
-    return f"<div class='of-sensor'><h3>{title}</h3><p class='facts'>{facts}</p>{grid}</div>"
+    ]
 
 
 def _scatter(of: _Residuals) -> Figure:

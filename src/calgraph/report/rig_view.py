@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 
 from calgraph.config import Rig
 from calgraph.geometry import Array, se3
@@ -18,10 +19,10 @@ from calgraph.report.figures import (
     SCENE_AXIS,
     SKY,
     VERMILION,
+    Chooser,
     choose_enlargement,
     escape_plotly,
     make_figure,
-    render_buttons,
     render_figure,
 )
 from calgraph.result import Calibration, SensorPose
@@ -105,7 +106,7 @@ _BEAM_ELEVATIONS = (-0.26, -0.09, 0.09, 0.26)
 """Elevations of the beams drawn for a 3-D LiDAR, rad."""
 
 
-def render_rig_view(calibration: Calibration, rig: Rig) -> str:
+def render_rig_view(calibration: Calibration, rig: Rig) -> Markup:
     """The figure, with buttons for the view and for the enlargement of the uncertainties."""
     size = _axis_length(calibration)
     outlines = calibration.pictures.board_outlines
@@ -137,15 +138,15 @@ def render_rig_view(calibration: Calibration, rig: Rig) -> str:
         "scene": _make_scene(calibration, size),
     }
     view = _view_buttons(calibration, size, [trace.get("name") != "boards" for trace in fixed])
-    drawn = _size_buttons(len(fixed), len(sensors), sizes)
-    choices = {"choices": [list(view.values()), list(drawn.values())]}
-    buttons = render_buttons("rig", 0, "What to show", list(view), 0)
+    choosers, caption = [Chooser("What to show", view, 0)], ""
     if sensors:
-        scale = "to scale" if factor == 1 else f"enlarged <b>{factor} ×</b>"
-        buttons = f"<p>Ellipsoids are drawn {scale}.</p>{buttons}"
-        buttons += render_buttons("rig", 1, "Size of the ellipsoids", list(drawn), len(sizes))
-    return buttons + render_figure(
-        "rig", make_figure([*fixed, *ellipsoids], **layout) | choices, 560, "The rig in space"
+        scale = "to scale" if factor == 1 else Markup("enlarged <b>{} ×</b>").format(factor)
+        caption = Markup("Ellipsoids are drawn {}.").format(scale)
+        choosers.append(
+            Chooser("Size of the ellipsoids", _size_buttons(len(fixed), len(sensors), sizes), len(sizes))
+        )
+    return render_figure(
+        "rig", make_figure([*fixed, *ellipsoids], **layout), 560, "The rig in space", choosers, caption
     )
 
 

@@ -1,15 +1,15 @@
 """Tracks as arrays: everything of them, to the last bit."""
 
-from collections.abc import Mapping
 from dataclasses import fields, is_dataclass, replace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from calgraph.errors import InputError, Rejected
+from calgraph.errors import Rejected
+from calgraph.io.records import decode_records, encode_records
 from calgraph.network.tracking.clusters import Foreground
-from calgraph.network.tracking.track import Hits, ScannerBump, ScannerTracks, Track, decode_tracks, encode_tracks
+from calgraph.network.tracking.track import TRACK_TYPES, Hits, ScannerBump, ScannerTracks, Track
 
 RNG = np.random.default_rng(0)
 TRACK = Track(
@@ -50,17 +50,35 @@ def content(value: Any) -> Any:
         replace(TRACKED, coverage=None, foreground=None, bumps=(), background_tested=False),
         replace(TRACKED, tracks=()),
         replace(TRACKED, tracks=tuple(replace(TRACK, positions=RNG.random((3, 4))[:, :2]) for _ in range(2))),
+        replace(TRACKED, background=RNG.random((9000, 2)), coverage=RNG.random((2, 9000)).T),
         Rejected("no scan has any beam"),
     ],
-    ids=["all", "least", "no tracks", "views of arrays", "rejected"],
+    ids=["all", "least", "no tracks", "views of arrays", "large arrays", "rejected"],
 )
 def test_tracks_are_decoded_as_they_were(tracked: ScannerTracks | Rejected) -> None:
-    assert content(decode_tracks(*encode_tracks(tracked))) == content(tracked)
+    assert content(decode_records(*encode_records(tracked), TRACK_TYPES)) == content(tracked)
 
 
-@pytest.mark.parametrize("missing", ["tracks/positions", "hits/times.rows", "bumps/translation"])
-def test_missing_columns_are_input_errors(missing: str) -> None:
-    plain, arrays = encode_tracks(TRACKED)
-    kept: Mapping[str, Any] = {name: values for name, values in arrays.items() if name != missing}
-    with pytest.raises(InputError, match=f"{missing}: is missing"):
-        decode_tracks(plain, kept)
+@pytest.mark.parametrize("missing", ["float64", "int64", "bool"])
+def test_missing_and_short_arrays_are_errors(missing: str) -> None:
+    plain, arrays = encode_records(TRACKED)
+    with pytest.raises(LookupError):
+        decode_records(plain, {name: values for name, values in arrays.items() if name != missing}, TRACK_TYPES)
+    with pytest.raises(ValueError, match=f"array {missing} has no"):
+        decode_records(plain, arrays | {missing: arrays[missing][:-1]}, TRACK_TYPES)
+
+
+def test_only_given_classes_are_made() -> None:
+    plain, arrays = encode_records(TRACKED)
+    with pytest.raises(LookupError, match="ScannerBump"):
+        decode_records(plain, arrays, [one for one in TRACK_TYPES if one is not ScannerBump])
+
+
+@pytest.mark.parametrize(
+    "plain", [["bytes", -1], ["bytes", 1.5], ["array", "int64", 10**30], ["array", "int64", -1, -2],
+              ["mapping", "a"], ["mapping", ["mapping"], 1], ["Rejected"], [[]], []],
+    ids=str,
+)  # fmt: skip
+def test_damaged_values_are_errors(plain: list[object]) -> None:
+    with pytest.raises((LookupError, TypeError, ValueError)):
+        decode_records(plain, {name: np.zeros(9, name) for name in ("float64", "int64", "uint8")}, TRACK_TYPES)

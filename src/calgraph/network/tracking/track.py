@@ -1,15 +1,12 @@
-"""The result of tracking in one scanner: tracks, the static background, their archive, and corrected tracks."""
+"""The result of tracking in one scanner: tracks, the static background, and corrected tracks."""
 
-from collections.abc import Mapping
-from dataclasses import astuple, dataclass, replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.errors import Rejected
 from calgraph.geometry import Array
-from calgraph.io.columns import INDEX, NUMBER, Arrays, Column, Table
 from calgraph.network.tracking.clusters import Foreground
 from calgraph.sensors.untimed_scans import UntimedScans
 
@@ -113,6 +110,10 @@ class ScannerTracks:
         return replace(self, tracks=kept, coverage=coverage, foreground=beams, interval=interval)
 
 
+TRACK_TYPES = (ScannerTracks, Track, Hits, ScannerBump, Foreground, UntimedScans, Rejected)
+"""The classes in the tracks of a scanner, or in why it has none, which :mod:`calgraph.io.records` keeps."""
+
+
 def correct_tracks(tracked: ScannerTracks, *, clock_offset: float = 0.0, inverted: bool = False) -> ScannerTracks:
     """The same tracks with times of another clock, and in the frame of a scanner mounted the other way up.
 
@@ -150,69 +151,4 @@ def _correct_track(track: Track, clock_offset: float, signs: Array) -> Track:
         velocities=track.velocities * signs,
         covariances=track.covariances * np.outer(signs, signs),
         hits=replace(track.hits, points=track.hits.points * signs, times=track.hits.times - clock_offset),
-    )
-
-
-_TRACKS = Table("tracks", {
-    "period": INDEX, "times": Column(ragged=True), "positions": Column((2,), ragged=True),
-    "velocities": Column((2,), ragged=True), "covariances": Column((2, 2), ragged=True),
-})  # fmt: skip
-_HITS = Table("hits", {
-    "points": Column((2,), ragged=True), "times": Column(ragged=True),
-    "time_index": Column(dtype=np.intp, ragged=True),
-})  # fmt: skip
-_BUMPS = Table("bumps", {
-    "interval": Column((2,)), "translation": NUMBER, "rotation": NUMBER, "translation_stddev": NUMBER,
-    "rotation_stddev": NUMBER,
-})  # fmt: skip
-_FOREGROUND = "foreground/"
-
-
-def encode_tracks(tracked: ScannerTracks | Rejected) -> tuple[dict[str, Any], Arrays]:
-    """The tracks of one scanner, or why there are none."""
-    if isinstance(tracked, Rejected):
-        return {"rejected": tracked.reason}, {}
-    arrays: dict[str, NDArray[Any]] = {
-        "background": tracked.background,
-        "sigma": np.array(tracked.sigma),
-        "interval": np.array(tracked.interval),
-        **_TRACKS.pack([vars(track) for track in tracked.tracks]),
-        **_HITS.pack([vars(track.hits) for track in tracked.tracks]),
-        **_BUMPS.pack([vars(bump) for bump in tracked.bumps]),
-    }
-    if tracked.coverage is not None:
-        arrays["coverage"] = tracked.coverage
-    if tracked.untimed is not None:
-        arrays["untimed"] = np.array(astuple(tracked.untimed))
-    if tracked.foreground is not None:
-        arrays |= {f"{_FOREGROUND}{name}": values for name, values in vars(tracked.foreground).items()}
-    return {"rejected": None, "background_tested": tracked.background_tested}, arrays
-
-
-def decode_tracks(content: Mapping[str, Any], arrays: Arrays) -> ScannerTracks | Rejected:
-    """The tracks from what :func:`encode_tracks` gives.
-
-    Raises:
-        InputError: a column is missing, or its values do not fit the others.
-        KeyError: a key is missing.
-    """
-    if content["rejected"] is not None:
-        return Rejected(content["rejected"])
-    beams = {
-        name.removeprefix(_FOREGROUND): values for name, values in arrays.items() if name.startswith(_FOREGROUND)
-    }
-    tracks = zip(_TRACKS.unpack(arrays), _HITS.unpack(arrays), strict=True)
-    start, end = arrays["interval"].tolist()
-    return ScannerTracks(
-        tuple(Track(**track, hits=Hits(**hits)) for track, hits in tracks),
-        arrays["background"],
-        float(arrays["sigma"]),
-        arrays.get("coverage"),
-        tuple(
-            ScannerBump(**{**bump, "interval": tuple(bump["interval"].tolist())}) for bump in _BUMPS.unpack(arrays)
-        ),
-        (start, end),
-        Foreground(**beams) if beams else None,
-        content["background_tested"],
-        UntimedScans(*arrays["untimed"].tolist()) if "untimed" in arrays else None,
     )

@@ -5,7 +5,14 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain
 
-from calgraph.boards.detections import BoardCorners, Detection, DetectionResult, InconsistentTags
+from calgraph.boards.detections import (
+    BoardCorners,
+    Detection,
+    DetectionResult,
+    InconsistentTags,
+    PlanePatch,
+    Segment,
+)
 from calgraph.config import Intrinsics, Rig
 from calgraph.errors import Rejected
 from calgraph.result import Snapshot, state_intrinsics
@@ -24,6 +31,14 @@ class SensorCapture:
     detections: DetectionResult
     snapshot: Snapshot | None = None
     """A preview of its messages, where one is kept."""
+
+    def rename(self, sensor: str) -> "SensorCapture":
+        """The same of a sensor with another name."""
+        return replace(self, sensor=sensor, snapshot=self.snapshot and replace(self.snapshot, sensor=sensor))
+
+
+CAPTURE_TYPES = (SensorCapture, PlanePatch, Segment, BoardCorners, Rejected, InconsistentTags, Snapshot)
+"""The classes in what a sensor detected in a capture, which :mod:`calgraph.io.records` keeps."""
 
 
 @dataclass(frozen=True, eq=False)

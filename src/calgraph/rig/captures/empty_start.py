@@ -2,7 +2,7 @@
 
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -65,14 +65,14 @@ def resolve_background(
         "boards": [board.model_dump(mode="json", exclude={"uncertainty"}) for board in rig.boards],
         "settings": [settings.captures, settings.detection.camera],
     }
-    kept = cache.read(recording, _EMPTY_START, inputs, lambda content, _: content)
+    kept = cache.read(recording, _EMPTY_START, inputs, (EmptyStart,))
     if kept:
-        start = EmptyStart(**kept["found"]) if kept["found"] else None
+        (start,) = kept
     else:
         start = find_empty_start(
             recording, scanners, cameras, rig.boards, rig.capture, settings.captures, settings.detection.camera
         )
-        cache.write(recording, _EMPTY_START, inputs, {"found": asdict(start) if start else None}, {})
+        cache.write(recording, _EMPTY_START, inputs, (start,))
     if start is None:
         return rig, ()
     names = [name for name, spec in rig.sensors.items() if KINDS[spec.kind].measures_ranges]

@@ -2,18 +2,15 @@
 
 import logging
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, replace
 from typing import Any
 
 from calgraph.boards.camera import PlaneEstimator
 from calgraph.config import CameraSpec, Intrinsics, Rig, SensorSpec
 from calgraph.errors import Rejected
-from calgraph.io.columns import Arrays
 from calgraph.parallel.engine import THIS_PROCESS, Engine
 from calgraph.recording import NO_CACHE, Recording, RecordingCache
-from calgraph.rig.captures.detect import SensorCapture
-from calgraph.rig.captures.detection_tables import decode_captures, encode_captures
+from calgraph.rig.captures.detect import CAPTURE_TYPES, SensorCapture
 from calgraph.rig.captures.detectors import learn_backgrounds, learn_backgrounds_of_captures, make_detectors
 from calgraph.rig.captures.hold_messages import (
     PreviewSize,
@@ -31,7 +28,7 @@ from calgraph.sensors.kinds import KINDS, OpticalSpec
 
 _log = logging.getLogger(__name__)
 
-_DETECTIONS = "detections/4"
+_DETECTIONS = "detections/5"
 # In the cache: a run that is ended loses a few captures, and writing the entries takes little time.
 _ENTRIES_PER_SENSOR = 16
 _Entry = tuple[str, tuple[int, ...]]
@@ -59,6 +56,10 @@ class _SensorDetections:
     captures: tuple[SensorCapture, ...]
     no_background: str
     """Why nothing was learned in the background window; empty if there is none, or a background was learned."""
+
+
+KEPT_TYPES = (_SensorDetections, *CAPTURE_TYPES)
+"""Classes in an entry of the cache."""
 
 
 def detect_by_sensors(
@@ -94,9 +95,9 @@ def detect_by_sensors(
     previews = plan_previews([hold for hold in holds if not hold.auxiliary], rig)
     inputs = _list_entries(rig, holds, method, previews)
     found = {
-        entry: kept
+        entry: replace(kept, captures=tuple(one.rename(entry[0]) for one in kept.captures))
         for entry, given in inputs.items()
-        if (kept := cache.read(recording, _DETECTIONS, given, partial(_decode, entry[0]))) is not None
+        if (kept := cache.read(recording, _DETECTIONS, given, KEPT_TYPES)) is not None
     }
     missing = [entry for entry in inputs if entry not in found]
     unread = {name for name, _ in missing}
@@ -124,8 +125,7 @@ def detect_by_sensors(
             background = backgrounds.get(entry[0])
             reason = background.reason if isinstance(background, Rejected) else ""
             found[entry] = _SensorDetections(captures, reason)
-            content, arrays = encode_captures(captures)
-            cache.write(recording, _DETECTIONS, inputs[entry], {**content, "no_background": reason}, arrays)
+            cache.write(recording, _DETECTIONS, inputs[entry], found[entry])
     for name in rig.sensors:
         if reason := next((found[entry].no_background for entry in inputs if entry[0] == name), ""):
             # A scanner without measurements does not keep the others from being calibrated.
@@ -172,10 +172,6 @@ def _complete_entries(
         if len(detected[entry]) == len(entry[1]):
             complete = detected.pop(entry)
             yield entry, tuple(complete[capture] for capture in entry[1])
-
-
-def _decode(name: str, content: Mapping[str, Any], arrays: Arrays) -> _SensorDetections:
-    return _SensorDetections(decode_captures(name, content, arrays), content["no_background"])
 
 
 def _background_records(rig: Rig, recording: Recording) -> Iterable[RecordedMessage]:

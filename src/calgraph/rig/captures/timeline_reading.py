@@ -9,17 +9,10 @@ import numpy as np
 
 from calgraph.config import Rig
 from calgraph.geometry import Array
-from calgraph.io.columns import Arrays
 from calgraph.parallel.engine import THIS_PROCESS, Engine
 from calgraph.parallel.progress import Progress
 from calgraph.recording import PoseRecordings, Recording, RecordingCache, RecordingReference
-from calgraph.recording.input_checks import (
-    MAX_INTRINSICS_CHANGE,
-    InputMonitor,
-    TopicObservations,
-    decode_observations,
-    encode_observations,
-)
+from calgraph.recording.input_checks import MAX_INTRINSICS_CHANGE, InputMonitor, TopicObservations
 from calgraph.rig.captures.capture_mode import recognize_mode
 from calgraph.rig.captures.hold_messages import StoredMessages, count_parts, read_part, select_messages
 from calgraph.rig.captures.motion_detection import (
@@ -33,7 +26,7 @@ from calgraph.rig.captures.timeline import RecordingTimeline, SensorTimes, build
 from calgraph.rig.kinds import RIG_KINDS
 from calgraph.sensors import Message
 
-_TOPIC, _ACTIVITY = "topic/2", "activity/2"
+_TOPIC, _ACTIVITY = "topic/3", "activity/3"
 OnArrival = Callable[[float], None]
 """Called with the arrival time of records, s."""
 
@@ -77,6 +70,7 @@ class _TopicContent:
 
 
 # Of topics that are no sensors'.
+_TOPIC_TYPES = (_TopicContent, SensorTimes, TopicObservations)
 _NOTHING_MEASURED = SensorTimes(np.zeros(0), 0.0, np.zeros(0))
 _NOTHING_OBSERVED = TopicObservations(np.zeros(0, np.int64), {})
 
@@ -97,7 +91,7 @@ def read_timeline(
     known = {
         topic: content
         for topic, given in inputs.items()
-        if (content := cache.read(recording, _TOPIC, given, _decode_topic)) is not None
+        if (content := cache.read(recording, _TOPIC, given, _TOPIC_TYPES)) is not None
     }
     for topic, content in known.items():
         if topic in monitor.topics:
@@ -116,7 +110,7 @@ def read_timeline(
                 read.triggers if topic == trigger else np.zeros(0),
                 monitor.observations(topic) if topic in monitor.topics else _NOTHING_OBSERVED,
             )
-            cache.write(recording, _TOPIC, inputs[topic], *_encode_topic(known[topic]))
+            cache.write(recording, _TOPIC, inputs[topic], known[topic])
     by_sensor = {name: known[topic].times for name, topic in rig.topics.items()}
     triggers = known[rig.capture.trigger].triggers if rig.capture.trigger else np.zeros(0)
     return RecordingTimeline(recording.start, by_sensor, triggers)
@@ -138,7 +132,7 @@ def measure_activity(
     activity = {
         name: found
         for name, given in inputs.items()
-        if (found := cache.read(recording, _ACTIVITY, given, lambda _, arrays: arrays["activity"])) is not None
+        if (found := cache.read(recording, _ACTIVITY, given)) is not None
     }
     unread = {name: topic for name, topic in rig.topics.items() if name not in activity}
     if unread:
@@ -148,7 +142,7 @@ def measure_activity(
         else:
             activity |= _measure_stored(rig, stored, unread, progress, engine)
         for name in unread:
-            cache.write(recording, _ACTIVITY, inputs[name], {}, {"activity": activity[name]})
+            cache.write(recording, _ACTIVITY, inputs[name], activity[name])
     sensors = {
         name: replace(times, activity=activity[name], baseline=BASELINE)
         for name, times in timeline.sensors.items()
@@ -254,29 +248,3 @@ def _list_inputs(rig: Rig, monitor: InputMonitor) -> dict[str, dict[str, Any]]:
     if rig.capture.trigger:
         inputs.setdefault(rig.capture.trigger, {"topic": rig.capture.trigger, "role": "trigger"})
     return inputs
-
-
-def _encode_topic(content: _TopicContent) -> tuple[dict[str, Any], Arrays]:
-    times = content.times
-    plain, arrays = encode_observations(content.observations)
-    plain |= {"frame_id": times.frame_id, "message_type": times.message_type}
-    arrays |= {
-        "stamps": times.stamps,
-        "activity": times.activity,
-        "arrivals": times.arrivals,
-        "triggers": content.triggers,
-        "duration": np.array(times.duration),
-    }
-    return plain, arrays
-
-
-def _decode_topic(plain: Mapping[str, Any], arrays: Arrays) -> _TopicContent:
-    times = SensorTimes(
-        arrays["stamps"],
-        float(arrays["duration"]),
-        arrays["activity"],
-        plain["frame_id"],
-        plain["message_type"],
-        arrays["arrivals"],
-    )
-    return _TopicContent(times, arrays["triggers"], decode_observations(plain, arrays))

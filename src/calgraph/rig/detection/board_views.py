@@ -1,6 +1,6 @@
 """Boards in the images of a camera whose intrinsics are not known: their marks, and no pose."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,7 +23,6 @@ from calgraph.config import Board, PixelNoise
 from calgraph.config.settings import CameraDetectionSettings
 from calgraph.errors import InputError, Rejected
 from calgraph.geometry import Array
-from calgraph.io.columns import Arrays
 from calgraph.sensors import DetectedCorners, Image, Message
 
 
@@ -124,38 +123,3 @@ def _select_unique(marks: Marks, printed: PrintedBoard) -> Marks:
     """The marks of a board whose id was detected once: which of several is right needs a pose."""
     ids, count = np.unique(marks.ids, return_counts=True)
     return marks.select(np.isin(marks.ids, np.intersect1d(ids[count == 1], printed.landmarks.ids)))
-
-
-def encode_views(views: Mapping[int, Sequence[BoardView]]) -> tuple[dict[str, Any], Arrays]:
-    """The views of one camera, by capture, as a JSON object and arrays, to the last bit."""
-    listed = [(capture, view) for capture, of_capture in views.items() for view in of_capture]
-    content = {"views": [[capture, view.board, *view.size, *view.pixels.shape[:2]] for capture, view in listed]}
-    arrays = {
-        "ids": np.concatenate([np.zeros(0, np.intp), *(view.ids for _, view in listed)]),
-        "corners": np.concatenate([np.zeros((0, 3)), *(view.flat_corners for _, view in listed)]),
-        "pixels": np.concatenate([np.zeros((0, 2)), *(view.flat_pixels for _, view in listed)]),
-    }
-    return content, arrays
-
-
-def decode_views(content: Mapping[str, Any], arrays: Arrays) -> dict[int, tuple[BoardView, ...]]:
-    """The views from what :func:`encode_views` gives.
-
-    Raises:
-        KeyError: a key or an array is missing.
-        ValueError: an array has another size than the views.
-    """
-    views: dict[int, tuple[BoardView, ...]] = {}
-    marks = points = 0
-    for capture, board, width, height, count, k in content["views"]:
-        end = points + count * k
-        view = BoardView(
-            arrays["ids"][marks : marks + count].copy(),
-            arrays["corners"][points:end].reshape(count, k, 3).copy(),
-            arrays["pixels"][points:end].reshape(count, k, 2).copy(),
-            (width, height),
-            board,
-        )
-        views[capture] = (*views.get(capture, ()), view)
-        marks, points = marks + count, end
-    return views

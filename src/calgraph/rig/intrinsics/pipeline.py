@@ -18,7 +18,7 @@ from calgraph.rig.captures.hold_messages import PreviewSize, search_holds, selec
 from calgraph.rig.captures.holds import Hold
 from calgraph.rig.captures.sensor_detection import detect_in_hold, list_shared_inputs
 from calgraph.rig.captures.timeline import RecordingTimeline, build_timeline
-from calgraph.rig.detection.board_views import BoardView, BoardViewFinder, decode_views, encode_views
+from calgraph.rig.detection.board_views import BoardView, BoardViewFinder
 from calgraph.rig.intrinsics.estimate import IntrinsicsEstimate, estimate_intrinsics
 from calgraph.sensors import CameraModel, Message
 
@@ -92,7 +92,7 @@ def _find_views(
     views = {
         name: kept
         for name, given in inputs.items()
-        if (kept := cache.read(recording, _VIEWS, given, decode_views)) is not None
+        if (kept := cache.read(recording, _VIEWS, given, (BoardView,))) is not None
     }
     unread = {name: spec for name, spec in cameras.items() if name not in views}
     if not unread:
@@ -113,7 +113,7 @@ def _find_views(
             found[name][capture] = of_hold
     for name in unread:
         views[name] = dict(sorted(found[name].items()))
-        cache.write(recording, _VIEWS, inputs[name], *encode_views(views[name]))
+        cache.write(recording, _VIEWS, inputs[name], views[name])
     return views
 
 
