@@ -84,7 +84,7 @@ def _selects_others(result: Any, nothing: Any) -> bool:
 
 
 MECHANISMS: Mapping[str, Mechanism] = {
-    "view_return": Mechanism("rig.bundle.estimate.return_excluded_views", lambda settled, *_: settled),
+    "view_return": Mechanism("rig.bundle.estimate.add_unambiguous_detections", lambda matched, *_: matched),
     "drift_prior": Mechanism("rig.pipeline.include_drifts", lambda joint, *_: joint, _widens),
     "bumps": Mechanism("rig.pipeline.find_bumps", lambda *_: (), _has_content),
     "lost_captures": Mechanism("rig.checks.contradictions.find_lost_captures", lambda *_: (), _has_content),
@@ -93,7 +93,7 @@ MECHANISMS: Mapping[str, Mechanism] = {
         lambda _solved, drifts, _settings: tuple(find_drifts(drifts)),
         lambda result, nothing: len(result) > len(nothing),
     ),
-    "extrapolation": Mechanism("rig.bundle.bundle_solver.CachedLinearization.extrapolate", lambda *_: None),
+    "extrapolation": Mechanism("rig.bundle.linearization.CachedLinearization.extrapolate", lambda *_: None),
     "outlines": Mechanism(
         "rig.bundle.estimate.add_outlines",
         lambda bundle, state, *_: (bundle, state),

@@ -12,15 +12,9 @@ from bundle_scenes import scene
 from calgraph.errors import CalibrationError
 from calgraph.geometry import Array, se3, so3
 from calgraph.rig.bundle.bundle_parameters import SensorPrior
-from calgraph.rig.bundle.bundle_solver import (
-    Bundle,
-    BundleState,
-    CachedLinearization,
-    linearize_bundle,
-    minimize_bundle,
-    retract_state,
-)
+from calgraph.rig.bundle.bundle_solver import Bundle, BundleState, linearize_bundle, minimize_bundle, retract_state
 from calgraph.rig.bundle.covariances import pose_covariance
+from calgraph.rig.bundle.linearization import CachedLinearization
 from calgraph.rig.bundle.normal_equations import ViewNormalEquations
 from dense_bundles import dense_jacobian, residuals_after, unbiased_scene
 
@@ -197,8 +191,8 @@ def test_a_start_with_a_board_behind_a_camera_is_refused() -> None:
 
 def test_extrapolation_does_not_take_boards_out_of_a_cameras_view(monkeypatch: pytest.MonkeyPatch) -> None:
     """To first order, a board at three times its distance moves behind the camera."""
-    monkeypatch.setattr("calgraph.rig.bundle.bundle_solver._MAX_RESIDUAL_CHANGE", 1e6)
-    monkeypatch.setattr("calgraph.rig.bundle.bundle_solver._MAX_ROTATION", 0.99)
+    monkeypatch.setattr("calgraph.rig.bundle.linearization._MAX_RESIDUAL_CHANGE", 1e6)
+    monkeypatch.setattr("calgraph.rig.bundle.linearization._MAX_ROTATION", 0.99)
     exact = unbiased_scene()
     far = exact.truth.T_root_board.copy()
     camera = exact.truth.T_root_sensor[exact.bundle.sensors.index("camera"), :3, 3]

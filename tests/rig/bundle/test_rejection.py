@@ -13,10 +13,10 @@ from calgraph.geometry import se3
 from calgraph.rig.bundle.bundle_solver import Bundle, minimize_bundle
 from calgraph.rig.bundle.covariances import view_covariance_factors
 from calgraph.rig.bundle.estimate import MAX_ROUNDS
+from calgraph.rig.bundle.linearization import OUTLIER_SIGNIFICANCE
 from calgraph.rig.bundle.observations import relative_poses
 from calgraph.rig.bundle.settling import MAX_SETTLED_CHANGE, settle_variances
 from calgraph.rig.bundle.variance_components import (
-    OUTLIER_SIGNIFICANCE,
     ViewConsistency,
     measure_consistency,
     select_consistent_views,

@@ -7,8 +7,9 @@ import pytest
 
 from bundle_scenes import Scene, bias_variances, scene, with_range_bias
 from calgraph.geometry import Array, se3, so3
-from calgraph.rig.bundle.bundle_solver import linearize_bundle, linearize_views, minimize_bundle
+from calgraph.rig.bundle.bundle_solver import linearize_bundle, minimize_bundle
 from calgraph.rig.bundle.covariances import parameter_covariance
+from calgraph.rig.bundle.linearization import linearize_views
 from calgraph.rig.bundle.normal_equations import ViewNormalEquations
 from calgraph.rig.bundle.observations import relative_poses
 from calgraph.rig.bundle.range_observations import RangeObservations
@@ -108,8 +109,8 @@ def test_views_are_extrapolated_up_to_the_largest_rotation(
     share: float, extrapolated: bool, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Of 0.1 rad about the board's x axis, with any change of residuals."""
-    monkeypatch.setattr("calgraph.rig.bundle.bundle_solver._MAX_RESIDUAL_CHANGE", 1e9)
-    monkeypatch.setattr("calgraph.rig.bundle.bundle_solver._MAX_ROTATION", 0.1)
+    monkeypatch.setattr("calgraph.rig.bundle.linearization._MAX_RESIDUAL_CHANGE", 1e9)
+    monkeypatch.setattr("calgraph.rig.bundle.linearization._MAX_ROTATION", 0.1)
     views, T = lidar_views(rng)
     rotated = T @ se3.pose(so3.exp(np.array([0.1 * share, 0, 0])), np.zeros(3))
     found = linearize_views(views, T, STILL, NO_BIAS, 2.5).extrapolate(views, rotated, STILL)

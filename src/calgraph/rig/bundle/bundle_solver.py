@@ -9,79 +9,17 @@ Source: Triggs et al., "Bundle adjustment: a modern synthesis", 1999, section 6.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.special import chdtri
 
 from calgraph.errors import CalibrationError
 from calgraph.geometry import Array, Index, se3, se_n, so3
 from calgraph.rig.bundle.bundle_parameters import SensorPrior, SystematicParameter
 from calgraph.rig.bundle.corner_observations import CornerObservations
-from calgraph.rig.bundle.normal_equations import ViewNormalEquations, accumulate_biased
+from calgraph.rig.bundle.linearization import CachedLinearization, linearize_views
 from calgraph.rig.bundle.observations import BoardViews, relative_poses
 from calgraph.solver.levenberg_marquardt import minimize
-
-# A scanner's views have a hundred thousand beams, and a solver evaluates a dozen states. Near the state of the
-# last linearization, first-order extrapolation is accurate: ranges are almost linear in the board's plane,
-# corners and outlines in its pose.
-
-# Maximum root mean square change of the residuals of any view, in standard deviations: the error is of second
-# order in it. 0 linearizes at every state.
-_MAX_RESIDUAL_CHANGE = 0.3
-# Maximum rotation of a board, rad (0.6°): ranges change by its square, 1e-4, beyond first order.
-_MAX_ROTATION = 0.01
-
-
-@dataclass(frozen=True, eq=False)
-class CachedLinearization:
-    """One sensor's views, linearized at one state."""
-
-    T_sensor_board: Array
-    """(V, 4, 4)."""
-    extra: Array
-    """(e,) the sensor's extra parameters."""
-    equations: ViewNormalEquations
-
-    @cached_property
-    def scatter(self) -> tuple[Array, Index]:
-        """See :meth:`ViewNormalEquations.within_view_scatter`: extrapolation does not change it."""
-        return self.equations.within_view_scatter()
-
-    def extrapolate(self, views: BoardViews, T_sensor_board: Array, extra: Array) -> ViewNormalEquations | None:
-        """The equations at other poses (V, 4, 4) and extra parameters (e,); None beyond the limits."""
-        if not views.is_defined(T_sensor_board, extra):
-            return None
-        cosine = np.sum(self.T_sensor_board[:, :3, 2] * T_sensor_board[:, :3, 2], axis=-1)
-        change = views.local_difference(self.T_sensor_board, T_sensor_board, extra - self.extra)
-        squared, count = self.equations.squared_change(change), self.equations.residual_count
-        near = squared <= _MAX_RESIDUAL_CHANGE**2 * count
-        if not np.all(near & (cosine >= np.cos(_MAX_ROTATION))):
-            return None
-        return self.equations.extrapolate(change, views.local_jacobian(T_sensor_board))
-
-    def select(self, keep: NDArray[np.bool_] | Index) -> "CachedLinearization":
-        """That of some of the views: a mask (V,), or indices, which may repeat."""
-        return CachedLinearization(self.T_sensor_board[keep], self.extra, self.equations.select(keep))
-
-
-def linearize_views(
-    views: BoardViews, T_sensor_board: Array, extra: Array, bias_variance: Array, huber_threshold: float
-) -> CachedLinearization:
-    """Linearizes every measurement of one sensor's views.
-
-    Args:
-        views: of one sensor.
-        T_sensor_board: (V, 4, 4) the state.
-        extra: (e,) the sensor's extra parameters.
-        bias_variance: (V, 8) variances of the views' biases, as of :meth:`Bundle.bias_variances`.
-        huber_threshold: of whitened residuals.
-    """
-    residuals = views.linearize(T_sensor_board, extra)
-    equations = accumulate_biased(residuals, views.start, bias_variance, huber_threshold)
-    return CachedLinearization(T_sensor_board, extra, equations)
-
 
 # Prior information on a board's pose (m⁻², rad⁻²), 10⁻⁷ of a beam's: makes unmeasured directions invertible.
 BOARD_PRIOR_INFORMATION = 1e-4
@@ -348,7 +286,7 @@ def linearize_bundle(
         linearizations.append(cached)
         A, b, of_views = at.marginalize_bias(bias)
         if bundle.robust_views:
-            weight, of_views = _weight_views(cached, at, of_views)
+            weight, of_views = cached.weigh_views(at, of_views)
             A, b = weight[:, None, None] * A, weight[:, None] * b
         equations.append(MarginalizedViews(A, b, at.local_jacobian, *view_pose_jacobians(bundle, state, k)))
         costs.append(float(of_views.sum()))
@@ -376,29 +314,6 @@ def sum_views(
     for prior in bundle.priors:
         cost += _add_sensor_prior(bundle, state, prior, H, g)
     return BundleEquations(cost, tuple(equations), H, g, H_board, g_board, H_board_sensor, (), 0.0)
-
-
-# Probability that a correct view deviates from the others by more than a limit: with 1,000 views, one recording in
-# 100 loses one.
-OUTLIER_SIGNIFICANCE = 1e-5
-
-
-def _weight_views(cached: CachedLinearization, at: ViewNormalEquations, costs: Array) -> tuple[Array, Array]:
-    """Weights (V,) of views, and their robust costs (V,): beyond the limit, the cost is linear in the deviation.
-
-    The deviation of a view is that of its best fit from the boards and sensors, in standard deviations with its
-    bias. Source: Huber, "Robust statistics", 1981, section 7.6.
-
-    Args:
-        cached: the linearization.
-        at: extrapolated from it.
-        costs: (V,) with the biases marginalised.
-    """
-    scatter, freedom = cached.scatter
-    limit = chdtri(np.maximum(at.residual_count - freedom, 1), OUTLIER_SIGNIFICANCE)
-    squared = 2 * (costs - at.robust_cost_offset) - scatter
-    weight = np.sqrt(limit / np.maximum(squared, limit))
-    return weight, costs - 0.5 * limit * (1 / weight - 1) ** 2
 
 
 # The solution is linearized exactly if the cost fell by more than this multiple of the solver's tolerance since

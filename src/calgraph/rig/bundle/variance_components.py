@@ -10,13 +10,13 @@ from scipy.special import chdtr, chdtri
 from calgraph.geometry import Array, Index, se_n
 from calgraph.rig.bundle.bundle_solver import (
     HUBER_THRESHOLD,
-    OUTLIER_SIGNIFICANCE,
     Bundle,
     BundleEquations,
     MarginalizedViews,
     MinimizedBundle,
 )
 from calgraph.rig.bundle.covariances import ViewFactors
+from calgraph.rig.bundle.linearization import OUTLIER_SIGNIFICANCE
 from calgraph.rig.bundle.normal_equations import consistency_statistic, huber_variance_factor
 from calgraph.rig.bundle.observations import relative_poses
 

@@ -17,10 +17,10 @@ from calgraph.rig.bundle.bundle_solver import (
     Bundle,
     BundleEquations,
     BundleState,
-    CachedLinearization,
     minimize_bundle,
 )
 from calgraph.rig.bundle.covariances import gradient_by_board, parameter_covariance, pose_jacobian, sum_information
+from calgraph.rig.bundle.linearization import CachedLinearization
 from calgraph.rig.bundle.solution import SolvedBundle
 
 CovarianceVerdict = Literal["honest", "optimistic", "pessimistic"]

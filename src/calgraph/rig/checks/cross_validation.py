@@ -27,7 +27,6 @@ from calgraph.rig.bundle.bundle_solver import (
     Bundle,
     BundleEquations,
     BundleState,
-    CachedLinearization,
     MarginalizedViews,
     linearize_bundle,
     minimize_bundle,
@@ -35,6 +34,7 @@ from calgraph.rig.bundle.bundle_solver import (
 )
 from calgraph.rig.bundle.corner_observations import CornerObservations
 from calgraph.rig.bundle.covariances import parameter_covariance
+from calgraph.rig.bundle.linearization import CachedLinearization
 from calgraph.rig.bundle.normal_equations import accumulate
 from calgraph.rig.bundle.observations import BoardViews, relative_poses
 from calgraph.rig.bundle.range_observations import RangeObservations

@@ -12,7 +12,6 @@ from calgraph.geometry import Array, Index, se3
 from calgraph.rig.bundle.bundle_setup import set_noise
 from calgraph.rig.bundle.bundle_solver import (
     COARSE_TOLERANCE,
-    OUTLIER_SIGNIFICANCE,
     Bundle,
     BundleEquations,
     BundleState,
@@ -22,6 +21,7 @@ from calgraph.rig.bundle.bundle_solver import (
     sum_views,
 )
 from calgraph.rig.bundle.covariances import pose_covariance, view_covariance_factors
+from calgraph.rig.bundle.linearization import OUTLIER_SIGNIFICANCE
 from calgraph.rig.bundle.normal_equations import whitening
 from calgraph.rig.bundle.settling import settle_variances
 from calgraph.rig.bundle.variance_components import measure_consistency
