@@ -45,6 +45,9 @@ class CachedLinearization:
             at: the equations, extrapolated from these.
             costs: (V,) with the biases marginalised.
         """
+        if not np.isfinite(self.equations.JtJ).all():
+            # A step took a board behind a camera: the solver refuses infinite costs.
+            return np.ones_like(costs), costs
         scatter, freedom = self._scatter
         limit = chdtri(np.maximum(at.residual_count - freedom, 1), OUTLIER_SIGNIFICANCE)
         squared = 2 * (costs - at.robust_cost_offset) - scatter
