@@ -2,6 +2,7 @@
 
 import shutil
 import signal
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -52,6 +53,43 @@ def test_damaged_messages(source: Source, tmp_path: Path, kind: str, form: str, 
     recording = FORMS[form](tmp_path / "recording", items)
     judged = judge_recording(source, form, recording, tmp_path, 0)
     assert judged.answer is answer, judged.detail
+
+
+def cut_off(file: Path, rng: np.random.Generator) -> None:
+    data = file.read_bytes()
+    file.write_bytes(data[: int(rng.uniform(0.2, 0.95) * len(data))])
+
+
+def change_bytes(file: Path, rng: np.random.Generator) -> None:
+    """Of the first kilobytes, where headers are."""
+    data = bytearray(file.read_bytes())
+    for place in rng.integers(min(len(data), 4096), size=30):
+        data[place] = rng.integers(256)
+    file.write_bytes(data)
+
+
+@pytest.mark.parametrize("form", ["MCAP", "SQLite", "ROS 1 bag"])
+@pytest.mark.parametrize("damage", [cut_off, change_bytes])
+def test_damaged_recordings_are_calibrated_or_refused(
+    source: Source, tmp_path: Path, form: str, damage: Callable[[Path, np.random.Generator], None]
+) -> None:
+    recording = FORMS[form](tmp_path / "recording", source.items)
+    files = [recording] if recording.is_file() else [file for file in recording.rglob("*") if file.is_file()]
+    damage(max(files, key=lambda file: file.stat().st_size), np.random.default_rng(1))
+    judged = judge_recording(source, form, recording, tmp_path, 0)
+    assert not judged.answer.is_wrong, judged
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("damage", [cut_off, change_bytes])
+def test_a_damaged_rig_is_used_or_refused(
+    source: Source, tmp_path: Path, seed: int, damage: Callable[[Path, np.random.Generator], None]
+) -> None:
+    (tmp_path / "recording").symlink_to(source.folder / "recording")
+    write_rig(tmp_path / "rig.yaml", source.rig)
+    damage(tmp_path / "rig.yaml", np.random.default_rng(seed))
+    judged = judge_ending(run(FAST, tmp_path), ["rig.yaml"])
+    assert judged is None or not judged.answer.is_wrong, judged
 
 
 @pytest.mark.parametrize(
