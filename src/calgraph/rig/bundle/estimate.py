@@ -54,8 +54,8 @@ class SettledBundle:
         }
 
 
-# Rounds of solving, estimating noise and rejecting views, without outlines: 11 of 12 simulated rigs converge in 2
-# to 5.
+# Rounds of solving, estimating noise and rejecting views, without outlines: of 38 rigs of the frozen corpus, 33
+# settle in 3 to 5, and one takes all.
 MAX_ROUNDS = 24
 
 
@@ -220,8 +220,7 @@ def cramer_rao(
     return {name: blocks[i, :, i] for i, name in enumerate(bundle.sensors)}
 
 
-# Rounds with outlines. Most simulated rigs use all: the few edges of a board determine their noise poorly, and it
-# changes little else.
+# Rounds with outlines: all of 35 rigs of the frozen corpus settle in 2 to 6.
 _MAX_OUTLINE_ROUNDS = 12
 
 

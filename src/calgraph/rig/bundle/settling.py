@@ -26,7 +26,8 @@ from calgraph.rig.bundle.variance_components import (
 # hidden by the chance of the recording.
 MAX_SETTLED_CHANGE = 0.2
 # Full steps of variances between changes of the views; later ones are halved. Where outliers are truncated, full
-# ones may alternate between two states for ever, as in one of the 213 rigs of the frozen corpus.
+# ones may alternate between two states for ever, as in one of the 213 rigs of the frozen corpus. Most rigs settle
+# in five.
 _MAX_FULL_STEPS = 6
 # Levenberg–Marquardt steps in a round: noise changes between rounds, so that none needs to converge alone.
 STEPS_PER_ROUND = 4
