@@ -54,7 +54,7 @@ class SettledBundle:
         }
 
 
-# Rounds of solving, estimating noise and rejecting views, without outlines: of 38 rigs of the frozen corpus, 33
+# Rounds of solving, estimating noise and rejecting views, without outlines: of 38 rigs of the frozen corpus, 32
 # settle in 3 to 5, and one takes all.
 MAX_ROUNDS = 24
 
