@@ -7,12 +7,14 @@ import numpy as np
 
 from calgraph.config import PixelNoise, RangeNoise
 from calgraph.geometry import Array, se3, so3
+from calgraph.rig.bundle.bundle_parameters import LocalParameters
 from calgraph.rig.bundle.bundle_setup import _MIN_INCIDENCE_COSINE
 from calgraph.rig.bundle.bundle_solver import Bundle, BundleState
 from calgraph.rig.bundle.corner_observations import CornerObservations, PrintedCorners
-from calgraph.rig.bundle.observations import BoardViews, no_extra, relative_poses
-from calgraph.rig.bundle.range_observations import SCANNER_PARAMETERS, RangeObservations
+from calgraph.rig.bundle.observations import BoardViews, relative_poses
+from calgraph.rig.bundle.range_observations import RangeObservations
 from calgraph.sensors import CameraModel
+from calgraph.sensors.kinds.stated import RangeUncertainty
 
 CAMERA = CameraModel("pinhole", 640, 480, np.array([[400, 0, 319.5], [0, 400, 239.5], [0, 0, 1]]), np.zeros(0))
 PIXEL, RANGE = PixelNoise(pixel=0.3), RangeNoise(range=0.012, angle=1e-5)
@@ -58,7 +60,7 @@ def bias_variances(sensors: int, stddev: float) -> Array:
 
 def remeasured(views: BoardViews, T_sensor_board: Array, rng: np.random.Generator, noise: float) -> BoardViews:
     """The views with measurements of boards at other poses, and noise a multiple of the stated one."""
-    error = views.linearize(T_sensor_board, np.zeros(views.extra_count)).residual
+    error = views.linearize(T_sensor_board, np.zeros(views.parameters.count)).residual
     if isinstance(views, CornerObservations):
         sigma = views.noise.pixel * views.noise_scale
         return replace(views, pixels=views.pixels + sigma * (error + noise * rng.normal(size=error.shape)))
@@ -106,7 +108,7 @@ def views_of(name: str, T_sensor_board: Array) -> BoardViews:
         start = np.arange(count) * len(CORNERS)
         printed = PrintedCorners.from_nominal(np.tile(CORNERS, (count, 1)))
         return CornerObservations(
-            np.arange(count), start, printed, pixels, CAMERA, PIXEL, extra_of_local=no_extra(count)
+            np.arange(count), start, printed, pixels, CAMERA, PIXEL, parameters=LocalParameters.exact(count, {})
         )
     points_of = _cut if name.startswith("laser") else _swept
     ends = [points_of(T) for T in T_sensor_board]
@@ -115,15 +117,15 @@ def views_of(name: str, T_sensor_board: Array) -> BoardViews:
     return RangeObservations(
         np.arange(count), start, np.concatenate(ends) / ranges[:, None], ranges, RANGE,
         np.full(len(ranges), RANGE.range), _MIN_INCIDENCE_COSINE,
-        extra_of_local=no_extra(count),
+        parameters=LocalParameters.exact(count, {}),
     )  # fmt: skip
 
 
 def with_range_bias(views: RangeObservations) -> RangeObservations:
     """The views of a scanner with a range bias as its only systematic error."""
-    local = np.full((len(views.board), len(SCANNER_PARAMETERS)), -1, dtype=np.intp)
-    local[:, SCANNER_PARAMETERS.index("range bias")] = 0
-    return replace(views, extra_of_local=local, extra_count=1)
+    bias, _ = RangeUncertainty().beam_errors()
+    index = np.zeros((len(views.board), 1), dtype=np.intp)
+    return replace(views, errors=(bias,), parameters=LocalParameters({"beams": slice(0, 1)}, index, 1))
 
 
 def _swept(T_sensor_board: Array) -> Array:

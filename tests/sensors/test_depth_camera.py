@@ -68,7 +68,7 @@ def test_noise_grows_with_the_square_of_the_depth_and_has_a_floor() -> None:
 
 
 def test_each_shape_of_errors_has_its_prior() -> None:
-    named = DepthCameraUncertainty(depth_bias=0.004, depth_warp=0.002).error_shapes()
-    shapes = DepthNoise().error_shapes(np.array([2.5]), np.array([[0.6, 0.0, 0.8]]))
-    assert [stddev for _, stddev in named] == [0.004, 0.002, 0.002, 0.002]
-    np.testing.assert_allclose(shapes, [[5.0, 3.75, 0.0, 2.8125]])
+    _, _, *errors = DepthCameraUncertainty(depth_bias=0.004, depth_warp=0.002).beam_errors()
+    assert [one.stddev for one in errors] == [0.004, 0.002, 0.002, 0.002]
+    shapes = [2.5**one.power * one.lengthen(np.array([[0.6, 0.0, 0.8]])) for one in errors if one.lengthen]
+    np.testing.assert_allclose(shapes, [[5.0], [3.75], [0.0], [2.8125]])

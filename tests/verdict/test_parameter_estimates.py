@@ -3,13 +3,18 @@
 import numpy as np
 import pytest
 
-from calgraph.result import EstimatedParameter
-from calgraph.verdict.parameter_estimates import ParameterEstimates
+from calgraph.sensors.kinds.stated import RangeUncertainty
+from calgraph.verdict.parameter_estimates import DescribedParameter, ParameterEstimates
+
+
+def range_bias(of: str) -> DescribedParameter:
+    error, _ = RangeUncertainty().beam_errors()
+    return DescribedParameter(of, error.quantity, error.unit, clause=error.clause)
 
 
 def test_parameters_with_the_same_effect_are_alternatives() -> None:
     # Their difference is observed with a standard deviation of 0.1; priors of 1 and 2 split it.
-    parameters = [EstimatedParameter(of, "range bias", "m", 0.0, 1.0, 0.0, 1.0) for of in "ab"]
+    parameters = [range_bias(of) for of in "ab"]
     prior, direction = np.diag([1.0, 0.25]), np.array([1.0, -1.0])
     covariance = np.linalg.inv(prior + 100 * np.outer(direction, direction))
     estimates = ParameterEstimates(
@@ -31,7 +36,7 @@ def test_parameters_with_the_same_effect_are_alternatives() -> None:
 
 
 def test_at_most_three_causes_are_named_the_likeliest_first() -> None:
-    parameters = [EstimatedParameter(of, "range bias", "m", 0.0, 1.0, 0.0, 1.0) for of in "abcd"]
+    parameters = [range_bias(of) for of in "abcd"]
     prior_stddev = np.array([1.0, 4.0, 2.0, 3.0])
     covariance = np.asarray(np.linalg.inv(np.diag(prior_stddev**-2) + 1e4))
     estimates = ParameterEstimates(parameters, covariance @ np.full(4, 5e4), prior_stddev, covariance, 0.05)
@@ -44,7 +49,7 @@ def test_parameters_that_deviate_together_have_the_deviation_that_they_have_in_c
     names: str, of: str, bias: float
 ) -> None:
     """Ranges of scanners of a network: data determine differences to 0.1 mm, and what is common to 10 mm."""
-    parameters = [EstimatedParameter(one, "range bias", "m", 0.0, 0.02, 0.0, 0.02) for one in names]
+    parameters = [range_bias(one) for one in names]
     count = len(names)
     mean = np.full((count, count), 1 / count)
     information = (np.eye(count) - mean) / 1e-4**2 + mean / 0.01**2 * count
@@ -66,19 +71,16 @@ def test_parameters_that_deviate_together_have_the_deviation_that_they_have_in_c
 
 
 @pytest.mark.parametrize(
-    ("of", "quantity", "sign", "text"),
+    ("of", "quantity", "sign", "clause", "text"),
     [
-        ("board", "width", 1, "the board is 49 mm wider than stated"),
-        ("b", "range bias", -1, "ranges of b are 49 mm shorter than they should be"),
+        ("board", "width", 1, "the {of} is {size} wider|narrower", "the board is 49 mm wider"),
+        ("b", "range bias", -1, range_bias("b").clause, "ranges of b are 49 mm shorter than they should be"),
     ],
 )
 def test_other_quantities_and_opposite_deviations_are_named_with_their_own_sizes(
-    of: str, quantity: str, sign: int, text: str
+    of: str, quantity: str, sign: int, clause: str, text: str
 ) -> None:
-    parameters = [
-        EstimatedParameter("a", "range bias", "m", 0.0, 0.02, 0.0, 0.02),
-        EstimatedParameter(of, quantity, "m", 0.0, 0.02, 0.0, 0.02),
-    ]
+    parameters = [range_bias("a"), DescribedParameter(of, quantity, "m", clause=clause)]
     information = np.array([[1, -sign], [-sign, 1]]) / 1e-4**2 + np.eye(2) / 0.02**2
     covariance = np.asarray(np.linalg.inv(np.eye(2) / 0.02**2 + information))
     deviation = np.array([0.05, 0.049 * sign])

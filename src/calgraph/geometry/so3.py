@@ -90,8 +90,6 @@ def left_jacobian_inverse(phi: Array) -> Array:
     return np.asarray(np.eye(3) - 0.5 * K + c * (K @ K))
 
 
-def rotate_z(angle: Array, vectors: Array) -> Array:
-    """Vectors (N, 3) rotated by angles (N,) about the z axis, column-major."""
-    c, s = np.cos(angle), np.sin(angle)
-    x, y, z = vectors.T
-    return np.asarray(np.stack([c * x - s * y, s * x + c * y, z]).T)
+def rotate(phi: Array, vectors: Array) -> Array:
+    """Vectors (..., 3) rotated by rotation vectors ``phi`` (..., 3), rad (Rodrigues' formula)."""
+    return np.asarray((exp(phi) @ vectors[..., None])[..., 0])

@@ -19,8 +19,8 @@ from calgraph.graph.spanning_tree import find_spanning_tree
 from calgraph.result.finding import Finding
 from calgraph.rig.bundle.problem import Problem
 from calgraph.rig.bundle.solution import RigSolution
+from calgraph.rig.bundle.systematic_parameters import COEFFICIENTS
 from calgraph.rig.captures.detect import CaptureSet
-from calgraph.rig.checks.contradictions import is_part
 from calgraph.rig.options import RigOptions
 from calgraph.rig.pairs.board_matches import Candidates, Disagreement
 from calgraph.rig.pairs.board_pair import PairwiseEstimates, estimate_pair, select_successful
@@ -119,7 +119,7 @@ def refuse_impossible(problem: Problem, joint: RigSolution) -> Problem:
         if (
             one.of in bundle.sensors
             and one.of not in reasons
-            and not (is_part(one.quantity) or one.quantity in _SCALES)
+            and not (one.family in COEFFICIENTS or one.quantity in _SCALES)
         ):
             # Of a ratio, 1.4 and 1 / 1.4 are the same error.
             is_ratio = one.stated == one.scale

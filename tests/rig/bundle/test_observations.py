@@ -9,12 +9,13 @@ from bundle_scenes import CAMERA, CORNERS, PIXEL, scene, views_of, with_range_bi
 from calgraph.boards.detections import PlanePatch
 from calgraph.config import RangeNoise
 from calgraph.geometry import Array, se3, so3
+from calgraph.rig.bundle.bundle_parameters import LocalParameters
 from calgraph.rig.bundle.bundle_setup import _MIN_INCIDENCE_COSINE
 from calgraph.rig.bundle.corner_observations import CornerObservations, PrintedCorners
-from calgraph.rig.bundle.observations import BoardViews, LinearizedResiduals, no_extra, relative_poses
+from calgraph.rig.bundle.observations import BoardViews, LinearizedResiduals, relative_poses
 from calgraph.rig.bundle.range_observations import RangeObservations
 from calgraph.sensors import CameraModel
-from calgraph.sensors.kinds import DepthNoise
+from calgraph.sensors.kinds import DepthCameraUncertainty, DepthNoise
 
 STEP = 1e-6
 PLUMB_BOB = CameraModel("pinhole", 640, 480, CAMERA.K, np.array([-0.25, 0.08, 0.002, -0.003, -0.01]))
@@ -52,7 +53,7 @@ def numerical(views: BoardViews, T: Array, extra: Array) -> Array:
 def corners(camera: CameraModel) -> CornerObservations:
     return CornerObservations(
         np.array([0]), np.array([0]), PrintedCorners.from_nominal(CORNERS), np.full((len(CORNERS), 2), 200.0),
-        camera, PIXEL, extra_of_local=no_extra(1),
+        camera, PIXEL, parameters=LocalParameters.exact(1, {}),
     )  # fmt: skip
 
 
@@ -152,7 +153,7 @@ def test_no_views_have_no_residuals(kind: str) -> None:
 def one_beam(direction: Array, measured: float) -> RangeObservations:
     return RangeObservations(
         np.array([0]), np.array([0]), direction[None], np.array([measured]), RangeNoise(range=0.012, angle=1e-5),
-        np.array([0.012]), _MIN_INCIDENCE_COSINE, extra_of_local=no_extra(1),
+        np.array([0.012]), _MIN_INCIDENCE_COSINE, parameters=LocalParameters.exact(1, {}),
     )  # fmt: skip
 
 
@@ -172,19 +173,16 @@ def test_errors_that_vary_over_the_view_are_differentiated_and_do_not_fit_the_no
     def views(ranges: Array) -> RangeObservations:
         patch = PlanePatch(np.append(n, -h), np.eye(3), ranges, directions, T[0, :3, 3])
         found = RangeObservations.from_detections([0], [patch], noise, _MIN_INCIDENCE_COSINE)
-        shapes = noise.error_shapes(found.ranges, found.directions)
-        found = replace(found, shapes=shapes, extra_of_local=np.arange(8)[None], extra_count=8)
+        parameters = replace(LocalParameters.exact(1, {"beams": 6, "bow": 2}), index=np.arange(8)[None], count=8)
+        found = replace(found, errors=DepthCameraUncertainty().beam_errors(), parameters=parameters)
         found = replace(found, half_size=np.array([[0.5, 0.4]]), registered=np.array([True]))
         return found.update_noise(T, 1.0)
 
-    extra = np.array([0.01, 0.002, 0.001, 0.001, 0.004, 0.002, -0.002, 0.003])
+    extra = np.array([0.01, 0.002, 0.004, 0.002, -0.002, 0.003, 0.001, 0.001])
     at = views(exact)
     np.testing.assert_allclose(
         jacobian(at.linearize(T, extra), at)[:, 6:], numerical(at, T, extra)[:, 6:], atol=1e-4, rtol=1e-5
     )
     noisy = views(exact + rng.normal(0.0, 0.01, len(exact)))
-    assert noisy.shapes is not None
-    np.testing.assert_allclose(noisy.shapes, noise.error_shapes(exact, directions), rtol=1e-9)
-    selected = noisy.select(np.array([True])).shapes
-    assert selected is not None
-    np.testing.assert_array_equal(selected, noisy.shapes)
+    by_errors = [one.linearize(T, extra).jacobian[:, 0, 3:9] * one.sigma[:, None] for one in (at, noisy)]
+    np.testing.assert_allclose(by_errors[1], by_errors[0], rtol=1e-9)

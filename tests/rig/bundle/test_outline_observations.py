@@ -8,17 +8,17 @@ from numpy.typing import NDArray
 
 from bundle_scenes import HEIGHT, WIDTH, scene
 from calgraph.boards.detections import PlanePatch
+from calgraph.config import Lidar2dUncertainty
 from calgraph.geometry import Array, se3, so3
-from calgraph.rig.bundle.bundle_parameters import SystematicParameter
+from calgraph.rig.bundle.bundle_parameters import LocalParameters, SystematicParameter
 from calgraph.rig.bundle.bundle_solver import linearize_bundle, minimize_bundle
 from calgraph.rig.bundle.covariances import pose_covariance
 from calgraph.rig.bundle.observations import relative_poses
-from calgraph.rig.bundle.outline_observations import FOOTPRINTS, OUTLINE_PARAMETERS, OutlineObservations
+from calgraph.rig.bundle.outline_observations import OutlineObservations
 
 HALF = np.array([WIDTH, HEIGHT]) / 2
 BEFORE = se3.pose(so3.exp(np.array([2.8, 0.3, -0.2])), np.array([0.2, -0.1, 2.0]))
 STEP = 0.02
-OF_FOOTPRINTS = [OUTLINE_PARAMETERS.index(quantity) for quantity in FOOTPRINTS]
 # Number of edges on each side of a board.
 EACH = 6
 
@@ -50,9 +50,10 @@ def outline(T_sensor_board: Array, edges: list[Array]) -> OutlineObservations:
     views = OutlineObservations.from_edges(
         range(len(edges)), [patch(one) for one in edges], np.tile(HALF, (len(edges), 1))
     )
-    local = np.full((len(edges), len(OUTLINE_PARAMETERS)), -1, dtype=np.intp)
-    local[:, OF_FOOTPRINTS] = 0
-    return replace(views, extra_of_local=local, extra_count=1).update_noise(T_sensor_board, 1.0)
+    index = views.parameters.index.copy()
+    index[:, views.parameters["varying"]] = 0
+    parameters = replace(views.parameters, index=index, count=1)
+    return replace(views, parameters=parameters).update_noise(T_sensor_board, 1.0)
 
 
 def test_derivatives_of_outlines_are_the_numerical_ones() -> None:
@@ -61,8 +62,11 @@ def test_derivatives_of_outlines_are_the_numerical_ones() -> None:
     views = outline(T, [edges_of(one, crossings(rng)) for one in T])
     # Elsewhere than where they were made for: then their places on the boards matter.
     T = se3.retract(T, np.tile([0.02, -0.01, 0.1, 0.1, -0.1, 0.02], (2, 1)))
-    count = len(OUTLINE_PARAMETERS)
-    views = replace(views, extra_of_local=np.tile(np.arange(count), (2, 1)), extra_count=count)
+    turns = tuple(error for error in Lidar2dUncertainty().beam_errors() if error.turn)
+    none = LocalParameters.exact(2, {"size": 2, "print": 3, "beams": len(turns), "varying": 2})
+    count = none.index.shape[1]
+    parameters = replace(none, index=np.tile(np.arange(count), (2, 1)), count=count)
+    views = replace(views, parameters=parameters, turns=turns)
     extra = np.array([0.003, -0.002, 0.01, -0.02, 0.05, 0.01, 0.003, -0.004])
 
     def residual(step: Array) -> Array:

@@ -160,7 +160,7 @@ def test_sums_of_rings_are_those_of_dense_columns(bundle_and_state: tuple[Bundle
     bundle, state = bundle_and_state
     k = bundle.sensors.index("lidar")
     views = bundle.views[k]
-    assert views.ring_count > 5
+    assert views.parameters.ring_count > 5
     T, extra = poses_and_extra(bundle, state, k)
     # Also with outliers that are down-weighted: one in ten beams is far off.
     assert isinstance(views, RangeObservations)

@@ -146,7 +146,7 @@ def test_the_view_with_the_most_corners_is_predicted() -> None:
         both.pixels[8:],
         both.camera,
         both.noise,
-        extra_of_local=both.extra_of_local,
+        parameters=both.parameters,
     )
     found = predict_observations(fewer, "camera", detected, detected, (WIDTH, HEIGHT))
     assert isinstance(found, CornerObservations)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.config import Cylinder, People
+from calgraph.config import Cylinder, Lidar2dUncertainty, People
 from calgraph.geometry import Array, Index
 from calgraph.network.checks.consistency_tests import (
     FALSE_ALARM_PROBABILITY,
@@ -33,6 +33,7 @@ from calgraph.verdict.parameter_estimates import (
     MAX_PARAMETER_CORRELATION,
     MAX_PRIOR_DEVIATION,
     MIN_LEARNED_SHARE,
+    DescribedParameter,
     ParameterEstimates,
 )
 
@@ -188,6 +189,16 @@ def _measure_radius_deviation(target: People | Cylinder, solved: SolvedNetwork) 
     return float(np.max(np.abs(radii / stated - 1)))
 
 
+# What an error means: beside those of a scanner's beams, those by the tilt of its scan plane and by its clock.
+_CLAUSES = {one.quantity: one.clause for one in Lidar2dUncertainty().beam_errors()} | {
+    "stretch along x": "ranges of {of} along its x axis are {size} longer|shorter than on average, as by a tilt "
+    "of its scan plane",
+    "stretch along diagonal": "ranges of {of} at 45° are {size} longer|shorter than on average, as by a tilt of "
+    "its scan plane",
+    "clock drift": "the clock of {of} is {size} faster|slower than that of the root",
+}
+
+
 def find_systematic_errors(errors: SystematicErrors, names: Sequence[str]) -> Iterator[Finding]:
     """Systematic errors that are larger than their priors allow, one of each scanner: the largest.
 
@@ -223,13 +234,13 @@ def find_systematic_errors(errors: SystematicErrors, names: Sequence[str]) -> It
 def _select_estimates(errors: SystematicErrors, names: Sequence[str], scanners: Index) -> ParameterEstimates:
     """The estimated errors of some scanners; those of scanners far from each other are independent."""
     selected = errors.select(scanners)
-    parameters = selected.summarize([names[scanner] for scanner in scanners])
-    by_tilt = np.array([one.quantity in TILT_ERRORS for one in parameters])
+    summary = selected.summarize([names[scanner] for scanner in scanners])
+    by_tilt = np.array([one.quantity in TILT_ERRORS for one in summary])
     estimated = np.flatnonzero(selected.prior)
     return ParameterEstimates(
-        parameters,
-        np.array([one.value - one.stated for one in parameters]),
-        np.array([one.prior for one in parameters]) * np.where(by_tilt, MAX_PRIOR_DEVIATION / 2, 1),
+        [DescribedParameter(one.of, one.quantity, one.unit, clause=_CLAUSES[one.quantity]) for one in summary],
+        np.array([one.value - one.stated for one in summary]),
+        np.array([one.prior for one in summary]) * np.where(by_tilt, MAX_PRIOR_DEVIATION / 2, 1),
         selected.covariance.expand(0.0)[np.ix_(estimated, estimated)],
         MIN_LEARNED_SHARE,
     )

@@ -135,7 +135,7 @@ class Bundle:
     def bias_components(self, k: int) -> tuple[int, ...]:
         """Columns of ``bias_variance`` that views k have: a displacement, a rotation, rings, and the stamp."""
         views = self.all_views[k]
-        return (0, 1, *([2] if views.ring_count else []), *([3] if len(views.twist) else []))
+        return (0, 1, *([2] if views.parameters.ring_count else []), *([3] if len(views.twist) else []))
 
     def least_bias_variance(self, k: int) -> Array:
         """(4,) least variances of the bias of views k, in the columns of ``bias_variance``."""
@@ -193,7 +193,7 @@ class MarginalizedViews:
         return self.local_jacobian[..., :6] @ self.by_board
 
     def sum_information(self, extra_of_local: Index) -> Array:
-        """(n, n) information of all views on the columns of the reduced problem.
+        """(n, n) information of all views, whose :attr:`LocalParameters.index` is given, on those columns.
 
         The derivatives by extra parameters are the same in all views of one kind of board: these are summed first.
         """
@@ -305,7 +305,7 @@ def sum_views(
     for k, (views, at) in enumerate(zip(bundle.all_views, equations, strict=True)):
         columns, J, Jt_board = bundle.columns(k), at.J_sensor, se_n.transpose(at.J_board)
         A, b = at.information, at.gradient[..., None]
-        H[np.ix_(columns, columns)] += at.sum_information(views.extra_of_local)
+        H[np.ix_(columns, columns)] += at.sum_information(views.parameters.index)
         g[columns] += (se_n.transpose(J) @ b)[..., 0].sum(axis=0)
         H_board[views.board] += Jt_board @ A @ at.J_board
         g_board[views.board] += (Jt_board @ b)[..., 0]

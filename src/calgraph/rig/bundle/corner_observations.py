@@ -11,24 +11,16 @@ from calgraph.boards.detections import BoardCorners
 from calgraph.config import PixelNoise
 from calgraph.geometry import Array, Index, so3
 from calgraph.rig.bundle.board_motions import select_motions, stack_motions, velocity_along_sensor
+from calgraph.rig.bundle.bundle_parameters import NO_PARAMETERS, LocalParameters
 from calgraph.rig.bundle.observations import (
     LinearizedResiduals,
     difference_along_sensor,
-    gather_extra,
-    no_extra,
-    pose_and_extra_jacobian,
     select_measurements,
     start_indices,
     view_indices,
 )
 from calgraph.rig.bundle.residual_distortion import ResidualDistortion
 from calgraph.sensors import CameraModel
-
-BOARD_PARAMETERS = ("print scale", "print aspect", "tag size", "bow along x", "bow along y", "thickness")
-"""Systematic parameters of a board, in the order of a view's local parameters."""
-TAG_PARAMETERS = ("x", "y", "rotation")
-TIME_PARAMETERS = ("stamp delay", "readout time")
-"""Systematic parameters of an image's times, s: from the stamp to the middle row, and from first to last row."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,12 +53,11 @@ class PrintedCorners:
         """Corners (N, 3) of an erroneous print, and their derivatives (N, 3, 6 + 3 M).
 
         Args:
-            board: (N, 6) values of ``BOARD_PARAMETERS``: relative scale, aspect (width over height) and size of
-                tags, bows and thickness, m.
+            board: (N, 6) relative scale, aspect (width over height) and size of tags, bows and thickness, m.
             tags: (N, M, 3) displacements of the M tags of each corner's board, m and rad.
         """
         scale, aspect, tag_size, *heights = board.T
-        first = len(BOARD_PARAMETERS)
+        first = board.shape[1]
         each, index = np.arange(len(self.tag)), np.maximum(self.tag, 0)
         on_tag = self.tag >= 0
         x, y, angle = (tags[each, index] * on_tag[:, None]).T if tags.shape[1] else np.zeros((3, len(each)))
@@ -99,9 +90,7 @@ class CornerObservations:
     """Printed corners in a camera's images, through its full model: pixels.
 
     Implements :class:`calgraph.rig.bundle.observations.BoardViews`. The local parameters are the board's pose,
-    then the camera's relative focal length and pixel aspect, principal point (px) and distortion coefficients,
-    then ``BOARD_PARAMETERS``, three displacements for each tag of the view's board, ``TIME_PARAMETERS`` if boards
-    move, and the coefficients of the residual distortion.
+    then systematic parameters.
     """
 
     board: Index
@@ -112,19 +101,16 @@ class CornerObservations:
     camera: CameraModel
     noise: PixelNoise
     noise_scale: float = 1.0
-    extra_of_local: Index = field(default_factory=lambda: np.zeros((0, 0), dtype=np.intp))
-    """(V, m) index of the local parameters after the pose in the sensor's extra parameters; -1 for exact ones.
-    m = 0 if all are exact."""
-    extra_count: int = 0
-    timed: bool = False
-    """Whether ``TIME_PARAMETERS`` are among the local parameters."""
+    parameters: LocalParameters = NO_PARAMETERS
+    """In blocks ``lens``, of :func:`adjust_camera`; ``print`` and ``tags``, of :meth:`PrintedCorners.displace`;
+    ``times``, s, if boards move: from the stamp to the middle row, and from first to last row; ``residual
+    distortion``. None if all are exact."""
     twist: Array = field(default_factory=lambda: np.zeros((0, 6)))
     """See :class:`BoardViews`."""
     motion_variance: Array = field(default_factory=lambda: np.zeros((0, 6)))
     """See :class:`BoardViews`."""
     residual_distortion: ResidualDistortion | None = None
     """What the lens displaces beyond its model; None if nothing."""
-    ring_count: ClassVar[int] = 0
     dimension: ClassVar[int] = 2
 
     @classmethod
@@ -143,7 +129,7 @@ class CornerObservations:
             np.concatenate([np.empty((0, 2)), *(d.pixels for d in detections)]),
             camera,
             noise,
-            extra_of_local=no_extra(len(board)),
+            parameters=LocalParameters.exact(len(board), {}),
             twist=stack_motions([d.twist for d in detections]),
             motion_variance=stack_motions([d.motion_variance for d in detections]),
         )
@@ -153,18 +139,18 @@ class CornerObservations:
         camera, corners, by_print, times = self._displace(extra)
         points, R, rotated = self._place(corners, T_sensor_board)
         by_times, turn = np.zeros((len(points), 3, times.shape[1])), None
-        if self.timed and len(self.twist):
+        if times.shape[1] and len(self.twist):
             points, by_times, turn = self._move_points(points, times)
         pixels, by_point = camera.project_with_jacobian(points)
         by_times = by_point @ by_times
         if turn is not None:
             by_point = by_point + by_point @ turn
         derivatives = [by_point, -by_point @ so3.hat(rotated)]
-        if self.extra_of_local.shape[1]:
+        if self.parameters.blocks:
             by_lens = _project_by_lens(self.camera, camera, points)
             derivatives += [by_lens, by_point @ R @ by_print, by_times]
         if self.residual_distortion and len(self.board):
-            coefficients = gather_extra(self.extra_of_local[0, -self.residual_distortion.count :], extra)
+            coefficients = self.parameters.gather(extra)[0, self.parameters["residual distortion"]]
             pixels, by_pixel, by_field = self.residual_distortion.displace(pixels, coefficients)
             derivatives = [*(by_pixel @ one for one in derivatives), by_field]
         sigma = self.noise_scale * self.noise.pixel
@@ -174,18 +160,13 @@ class CornerObservations:
 
     def _displace(self, extra: Array) -> tuple[CameraModel, Array, Array, Array]:
         """The camera, corners (N, 3) and their derivatives (N, 3, n) by errors of the print, and times (V, t)."""
-        local = gather_extra(self.extra_of_local, extra)
-        end = local.shape[1] - (self.residual_distortion.count if self.residual_distortion else 0)
-        first = end - len(TIME_PARAMETERS) * self.timed
-        times = local[:, first:end]
-        if not first:
-            return self.camera, self.printed.nominal, np.zeros((len(self.pixels), 3, 0)), times
-        lens = 4 + len(self.camera.distortion)
-        camera = adjust_camera(self.camera, local[0, :lens]) if len(local) else self.camera
-        of_print = local[view_indices(self.start, len(self.pixels)), lens:first]
-        of_board, of_tags = np.split(of_print, [len(BOARD_PARAMETERS)], axis=1)
-        tags = of_tags.reshape(len(of_tags), of_tags.shape[1] // len(TAG_PARAMETERS), len(TAG_PARAMETERS))
-        return camera, *self.printed.displace(of_board, tags), times
+        local, block = self.parameters.gather(extra), self.parameters
+        if not block.blocks:
+            return self.camera, self.printed.nominal, np.zeros((len(self.pixels), 3, 0)), local
+        camera = adjust_camera(self.camera, local[0, block["lens"]]) if len(local) else self.camera
+        of_corner = local[view_indices(self.start, len(self.pixels))]
+        tags = of_corner[:, block["tags"]].reshape(len(of_corner), block.size("tags") // 3, 3)
+        return camera, *self.printed.displace(of_corner[:, block["print"]], tags), local[:, block["times"]]
 
     def _place(self, corners: Array, T_sensor_board: Array) -> tuple[Array, Array, Array]:
         """Points (N, 3) before the camera, the rotations (N, 3, 3) of their boards, and rotated corners (N, 3)."""
@@ -198,7 +179,7 @@ class CornerObservations:
         """See :class:`BoardViews`."""
         camera, corners, _, times = self._displace(extra)
         points, _, _ = self._place(corners, T_sensor_board)
-        if self.timed and len(self.twist):
+        if times.shape[1] and len(self.twist):
             points, _, _ = self._move_points(points, times)
         return bool(np.isfinite(camera.project(points)).all())
 
@@ -207,7 +188,7 @@ class CornerObservations:
 
         Args:
             points: in the camera frame.
-            times: (V, 2) ``TIME_PARAMETERS``.
+            times: (V, 2) of the block ``times``.
 
         Returns:
             Points (N, 3), and their derivatives by the times (N, 3, 2) and by the points at the time of the stamp
@@ -224,13 +205,12 @@ class CornerObservations:
 
     def local_jacobian(self, T_sensor_board: Array) -> Array:  # noqa: ARG002
         """See :class:`BoardViews`: the pose itself, and the extra parameters that each view depends on."""
-        return pose_and_extra_jacobian(self.extra_of_local, self.extra_count)
+        return self.parameters.jacobian(np.eye(6)[None])
 
     def local_difference(self, T_before: Array, T_sensor_board: Array, extra: Array) -> Array:
         """See :class:`BoardViews`."""
-        return np.concatenate(
-            [difference_along_sensor(T_before, T_sensor_board), gather_extra(self.extra_of_local, extra)], axis=-1
-        )
+        of_pose = difference_along_sensor(T_before, T_sensor_board)
+        return np.concatenate([of_pose, self.parameters.gather(extra)], axis=-1)
 
     def update_noise(self, T_sensor_board: Array, scale: float) -> "CornerObservations":  # noqa: ARG002
         """See :class:`BoardViews`."""
@@ -245,7 +225,7 @@ class CornerObservations:
             start=start,
             printed=self.printed.select(kept),
             pixels=self.pixels[kept],
-            extra_of_local=self.extra_of_local[keep],
+            parameters=self.parameters.select(keep),
             twist=select_motions(self.twist, keep),
             motion_variance=select_motions(self.motion_variance, keep),
         )

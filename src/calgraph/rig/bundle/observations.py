@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.geometry import Array, Index, se3
+from calgraph.rig.bundle.bundle_parameters import LocalParameters
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,16 +65,8 @@ class BoardViews(Protocol):
         """Dimension k of each measurement."""
 
     @property
-    def extra_count(self) -> int:
-        """Number e of the sensor's extra parameters."""
-
-    @property
-    def extra_of_local(self) -> Index:
-        """(V, m) index of the last m local parameters in the extra parameters; -1 for those that are exact."""
-
-    @property
-    def ring_count(self) -> int:
-        """Number of the last local parameters that are biased from view to view: of rings, and footprints."""
+    def parameters(self) -> LocalParameters:
+        """The sensor's systematic parameters: the local parameters after those of the pose."""
 
     @property
     def twist(self) -> Array:
@@ -117,21 +110,6 @@ def difference_along_sensor(T_before: Array, T_sensor_board: Array) -> Array:
     return se3.difference(T_sensor_board, T_before)
 
 
-def no_extra(views: int) -> Index:
-    """(V, 0) local parameters besides the pose, of views without systematic errors."""
-    return np.zeros((views, 0), dtype=np.intp)
-
-
-def gather_extra(extra_of_local: Index, extra: Array) -> Array:
-    """Values (V, m) of local parameters from extra parameters (e,); zero where the index (V, m) is -1."""
-    return np.append(extra, 0.0)[extra_of_local]
-
-
-def select_extra(extra_of_local: Index, extra_count: int) -> Array:
-    """Derivatives (V, m, e) of :func:`gather_extra`."""
-    return np.asarray(extra_of_local[..., None] == np.arange(extra_count), dtype=np.float64)
-
-
 def start_indices(counts: Sequence[int]) -> Index:
     """(V,) the first measurement of each view, from the number of measurements of each."""
     return np.cumsum([0, *counts], dtype=np.intp)[:-1]
@@ -147,16 +125,3 @@ def select_measurements(start: Index, count: int, keep: NDArray[np.bool_] | Inde
     counts = np.diff(start, append=count)[keep]
     after = start_indices(counts.tolist())
     return after, np.repeat(start[keep] - after, counts) + np.arange(counts.sum())
-
-
-def pose_and_extra_jacobian(extra_of_local: Index, extra_count: int) -> Array:
-    """(V, 6 + m, 6 + e) derivatives of a pose and m local parameters by the pose and the extra parameters.
-
-    Read-only: views with the same extra parameters share one matrix, as those of a lens have a hundred.
-    """
-    views, m = extra_of_local.shape
-    shared = bool((extra_of_local == extra_of_local[:1]).all())
-    J = np.zeros((min(views, 1) if shared else views, 6 + m, 6 + extra_count))
-    J[:, :6, :6] = np.eye(6)
-    J[:, 6:, 6:] = select_extra(extra_of_local[: len(J)], extra_count)
-    return np.broadcast_to(J, (views, *J.shape[1:]))

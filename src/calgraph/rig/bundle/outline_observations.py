@@ -14,28 +14,23 @@ from numpy.typing import NDArray
 from calgraph.boards.detections import PlanePatch, Segment
 from calgraph.geometry import Array, Index, se3, se_n, so3
 from calgraph.rig.bundle.board_motions import select_motions, stack_motions, velocity_along_sensor
+from calgraph.rig.bundle.bundle_parameters import NO_PARAMETERS, LocalParameters
 from calgraph.rig.bundle.observations import (
     LinearizedResiduals,
     difference_along_sensor,
-    gather_extra,
-    no_extra,
-    pose_and_extra_jacobian,
     select_measurements,
     start_indices,
     view_indices,
 )
+from calgraph.sensors.kinds.stated import BeamError, turn_beams
 
 # Cosine of incidence at which smaller ones are truncated: keeps intersections finite. Such edges are not used.
 _MIN_COSINE = 1e-3
 
 
 FOOTPRINTS = ("azimuth footprint", "elevation footprint")
-"""Systematic parameters of outlines that also vary from view to view, the last local parameters."""
-OUTLINE_PARAMETERS = ("width", "height", "print x", "print y", "print rotation", "angle scale", *FOOTPRINTS)
-"""Systematic parameters of outlines, in the order of a view's local parameters after the pose: errors of the
-board's size, the position of the print on the board (m, rad), the relative scale of azimuths, and how far outwards
-the scanner measures sides between beams of different azimuth and elevation, which also varies from view to
-view."""
+"""How far outwards a scanner measures sides between beams of different azimuth and elevation."""
+_BLOCKS = {"size": 2, "print": 3, "varying": len(FOOTPRINTS)}
 
 
 # Minimum cosine of incidence (84°) of either beam: an error of 1 mrad moves a flatter one by more than 10 mm a
@@ -81,9 +76,11 @@ class OutlineObservations:
     along: Array
     """(M,) coordinate of the edge along its side, board frame, m."""
     noise_scale: float = 1.0
-    extra_of_local: Index = field(default_factory=lambda: np.zeros((0, 0), dtype=np.intp))
-    """(V, 8) or (V, 0) index of ``OUTLINE_PARAMETERS`` in the scanner's extra parameters; -1 for exact ones."""
-    extra_count: int = 0
+    parameters: LocalParameters = NO_PARAMETERS
+    """In blocks ``size``, errors of the board's width and height, m; ``print``, place x, y and rotation of the print
+    on the board, m and rad; ``beams``, of the errors that turn these; ``varying``, footprints, m."""
+    turns: tuple[BeamError, ...] = ()
+    """Systematic errors of the beams' directions, in the order of their parameters."""
     twist: Array = field(default_factory=lambda: np.zeros((0, 6)))
     """See :class:`BoardViews`."""
     motion_variance: Array = field(default_factory=lambda: np.zeros((0, 6)))
@@ -105,7 +102,7 @@ class OutlineObservations:
             np.ones(len(edges)),
             np.zeros((len(edges), 3)),
             np.zeros(len(edges)),
-            extra_of_local=no_extra(len(board)),
+            parameters=LocalParameters.exact(len(board), _BLOCKS),
             twist=stack_motions([d.twist for d in detections]),
             motion_variance=stack_motions([d.motion_variance for d in detections]),
         )
@@ -124,9 +121,10 @@ class OutlineObservations:
         """See :class:`BoardViews`: the direction to the point of the side relative to the plane of sight."""
         used = self.used
         view, axis, sign = self._view[used], self.side[used] // 2, 2.0 * (self.side[used] % 2) - 1
-        local = gather_extra(self.extra_of_local, extra)[view]
-        parameters = local.T if local.shape[1] else np.zeros((8, len(used)))
-        width, height, px, py, turn, angle_scale, azimuth, elevation = parameters
+        block, local = self.parameters, self.parameters.gather(extra)
+        of_edge = local[view].T
+        (width, height), (azimuth, elevation) = of_edge[block["size"]], of_edge[block["varying"]]
+        px, py, turn = of_edge[block["print"]]
         upright = self._separates_rings[used]
         outward = np.where(upright, elevation, azimuth) + np.where(axis == 0, width, height) / 2
         on_board = np.where(axis[:, None] == [0, 1], 0.0, self.along[used, None])
@@ -141,40 +139,39 @@ class OutlineObservations:
         point = rotated + T_sensor_board[view, :3, 3]
         distance = np.linalg.norm(point, axis=-1, keepdims=True)
         direction, sigma = point / distance, self.sigma[used, None]
-        # A scaled azimuth rotates the plane of sight about the scanner's axis.
-        at = self._azimuth[used]
-        across = so3.rotate_z(angle_scale * at, self.across[used])
+        # An error of the beams' directions turns the plane of sight with them.
+        middle = self.edges[used].sum(axis=1)
+        middle /= np.linalg.norm(middle, axis=-1, keepdims=True)
+        rotation, turns = turn_beams(self.turns, middle, of_edge[block["beams"]])
+        across = so3.rotate(rotation, self.across[used]) if self.turns else self.across[used]
         angle = np.sum(across * direction, axis=-1, keepdims=True)
         by_point = (across - angle * direction) / (distance * sigma)
-        by_local = [by_point, np.cross(rotated, by_point)]
-        if local.shape[1]:
-            by_board = (by_point[:, None] @ R[..., :2])[:, 0]
-            by_outward = np.sum(by_board * normal, axis=-1)
-            by_turn = by_board[:, 0] * turned[:, 1] - by_board[:, 1] * turned[:, 0]
-            by_azimuth = (direction[:, 1] * across[:, 0] - direction[:, 0] * across[:, 1]) * at / sigma[:, 0]
-            by_local.append(np.column_stack([
-                0.5 * by_outward * (axis == 0), 0.5 * by_outward * (axis == 1), -by_board, by_turn, by_azimuth,
-                by_outward * ~upright, by_outward * upright,
-            ]))  # fmt: skip
-        jacobian = np.concatenate(by_local, axis=-1)[:, None]
+        by_board = (by_point[:, None] @ R[..., :2])[:, 0]
+        by_outward = np.sum(by_board * normal, axis=-1)
+        by_turn = by_board[:, 0] * turned[:, 1] - by_board[:, 1] * turned[:, 0]
+        jacobian = np.zeros((len(used), 6 + local.shape[1]))
+        jacobian[:, :3], jacobian[:, 3:6], by_parameters = by_point, np.cross(rotated, by_point), jacobian[:, 6:]
+        by_parameters[:, block["size"]] = 0.5 * by_outward[:, None] * (axis[:, None] == [0, 1])
+        by_parameters[:, block["print"]] = np.column_stack([-by_board, by_turn])
+        by_parameters[:, block["beams"]] = np.einsum("kni,ni->nk", np.cross(turns, across), direction) / sigma
+        by_parameters[:, block["varying"]] = by_outward[:, None] * (upright[:, None] == [False, True])
         return LinearizedResiduals(
             angle / sigma,
-            jacobian,
+            jacobian[:, None],
             self.local_jacobian(T_sensor_board),
             6,
-            ring_count=self.ring_count,
+            ring_count=block.ring_count,
             velocity=velocity_along_sensor(self.twist, T_sensor_board),
         )
 
     def local_jacobian(self, T_sensor_board: Array) -> Array:  # noqa: ARG002
         """See :class:`BoardViews`: the pose itself, and the extra parameters of each view."""
-        return pose_and_extra_jacobian(self.extra_of_local, self.extra_count)
+        return self.parameters.jacobian(np.eye(6)[None])
 
     def local_difference(self, T_before: Array, T_sensor_board: Array, extra: Array) -> Array:
         """See :class:`BoardViews`."""
-        return np.concatenate(
-            [difference_along_sensor(T_before, T_sensor_board), gather_extra(self.extra_of_local, extra)], axis=-1
-        )
+        of_pose = difference_along_sensor(T_before, T_sensor_board)
+        return np.concatenate([of_pose, self.parameters.gather(extra)], axis=-1)
 
     def is_defined(self, T_sensor_board: Array, extra: Array) -> bool:  # noqa: ARG002
         """See :class:`BoardViews`."""
@@ -229,7 +226,7 @@ class OutlineObservations:
             sigma=self.sigma[kept],
             across=self.across[kept],
             along=self.along[kept],
-            extra_of_local=self.extra_of_local[keep],
+            parameters=self.parameters.select(keep),
             twist=select_motions(self.twist, keep),
             motion_variance=select_motions(self.motion_variance, keep),
         )
@@ -242,21 +239,10 @@ class OutlineObservations:
         return self._view[dense], (on_board + past_board)[dense] / 2
 
     @property
-    def ring_count(self) -> int:
-        """2, of the footprints, each of which acts on some of the edges as the bias of a ring does on ranges."""
-        return 2 if self.extra_of_local.shape[1] else 0
-
-    @property
     def _separates_rings(self) -> NDArray[np.bool_]:
         """(M,) whether the two beams of an edge differ in elevation rather than in azimuth."""
         apart = np.abs(self.edges[:, 1] - self.edges[:, 0])
         return np.asarray(apart[:, 2] > np.hypot(apart[:, 0], apart[:, 1]))
-
-    @property
-    def _azimuth(self) -> Array:
-        """(M,) azimuth of the edges, sensor frame, rad."""
-        x, y, _ = self.edges.sum(axis=1).T
-        return np.asarray(np.arctan2(y, x))
 
     @property
     def _view(self) -> Index:

@@ -12,20 +12,9 @@ from calgraph.boards.detections import PlanePatch, Segment
 from calgraph.config import RangeNoise
 from calgraph.geometry import Array, Index, se3, so3
 from calgraph.rig.bundle.board_motions import select_motions, stack_motions, velocity_along_sensor
-from calgraph.rig.bundle.observations import (
-    LinearizedResiduals,
-    gather_extra,
-    no_extra,
-    select_extra,
-    select_measurements,
-    start_indices,
-    view_indices,
-)
-
-SCANNER_PARAMETERS = ("range bias", "range scale", "bow along x", "bow along y")
-"""Systematic parameters of ranges, in the order of a view's local parameters after the plane."""
-BIAS_COLUMN = 3
-"""Of the local parameters, that of a range bias: a ring's bias acts in the same way on some of the beams."""
+from calgraph.rig.bundle.bundle_parameters import NO_PARAMETERS, LocalParameters
+from calgraph.rig.bundle.observations import LinearizedResiduals, select_measurements, start_indices, view_indices
+from calgraph.sensors.kinds.stated import BeamError, turn_beams
 
 # Limit on the beams of all views of a scanner, half a kilobyte each in a solution. Rests of a second before 16
 # beams have 6,000 each: of 250 rests (16 GB of raw images), 1,000 each remain, whose noise is 0.4 mm in the view's
@@ -38,9 +27,7 @@ class RangeObservations:
     """Ranges along a scanner's beams to the plane of the board: metres.
 
     Implements :class:`calgraph.rig.bundle.observations.BoardViews`. The local parameters are three of the
-    plane, ``SCANNER_PARAMETERS`` (m, or relative), the relative scale of azimuths where there are, the errors
-    that vary over the view (m), the delay of
-    stamps (s) if boards move, and one bias a ring.
+    plane, then systematic parameters.
     """
 
     board: Index
@@ -56,13 +43,10 @@ class RangeObservations:
     """Least cosine between a beam and the board's normal: at grazing incidence the range is not linear in the
     pose."""
     noise_scale: float = 1.0
-    azimuth: Array | None = None
-    """(N,) rad, of scanners whose azimuths may be scaled."""
-    shapes: Array | None = None
-    """(N, K) errors of ranges that vary over the view, by their parameters; constant within a minimisation."""
+    errors: tuple[BeamError, ...] = ()
+    """Systematic errors of the beams, in the order of their parameters."""
     ring: Index | None = None
     """(N,) index of each beam's ring, ascending within a view; None without rings."""
-    ring_count: int = 0
     half_size: Array = field(default_factory=lambda: np.zeros((0, 2)))
     """(V, 2) half width and height of each bowed board, m; infinite where it is not known which board it is."""
     registered: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
@@ -70,11 +54,9 @@ class RangeObservations:
     bow_shape: Array | None = None
     """(N, 2) height of each beam's end on a board with a bow of 1 m along x and y; constant within a
     minimisation."""
-    extra_of_local: Index = field(default_factory=lambda: np.zeros((0, 0), dtype=np.intp))
-    """(V, m) as of :class:`calgraph.rig.bundle.corner_observations.CornerObservations`."""
-    extra_count: int = 0
-    timed: bool = False
-    """Whether the last local parameter before those of rings is the delay of stamps, s."""
+    parameters: LocalParameters = NO_PARAMETERS
+    """In blocks ``beams``, of the errors; ``bow`` along x and y of the board, m; ``delay`` of stamps, s, if boards
+    move; ``varying``, a bias of each ring, m. None if all are exact."""
     twist: Array = field(default_factory=lambda: np.zeros((0, 6)))
     """See :class:`BoardViews`."""
     motion_variance: Array = field(default_factory=lambda: np.zeros((0, 6)))
@@ -103,7 +85,7 @@ class RangeObservations:
             noise,
             noise.of_beams(ranges, directions),
             min_cosine,
-            extra_of_local=no_extra(len(board)),
+            parameters=LocalParameters.exact(len(board), {}),
             twist=stack_motions([d.twist for d in detections]),
             motion_variance=stack_motions([d.motion_variance for d in detections]),
         )
@@ -115,9 +97,9 @@ class RangeObservations:
         0.01, is neglected.
         """
         velocity = velocity_along_sensor(self.twist, T_sensor_board)
-        local, view = gather_extra(self.extra_of_local, extra), view_indices(self.start, len(self.ranges))
-        if not local.shape[1]:
-            h, cosine = self._intersect_planes(T_sensor_board)
+        block, view = self.parameters, view_indices(self.start, len(self.ranges))
+        if not block.blocks:
+            h, cosine = self._intersect_planes(T_sensor_board, self.directions)
             distance = np.repeat(h, self._counts) / cosine
             # Column-major, in the order of computation.
             columns = np.empty((3, len(self.ranges)))
@@ -125,68 +107,65 @@ class RangeObservations:
             residual = (distance - self.ranges) / self.sigma
             by_plane = self.local_jacobian(T_sensor_board)
             return LinearizedResiduals(residual[:, None], columns.T[:, None], by_plane, 3, velocity=velocity)
+        local = block.gather(extra)
+        # All but bows and biases of rings are the same in all views.
         shared = local[0] if len(local) else np.zeros(local.shape[1])
-        bias, scale = shared[:2]
-        directions, by_azimuth = self.directions, None
-        if self.azimuth is not None:
-            turn = shared[len(SCANNER_PARAMETERS)] * self.azimuth
-            directions = so3.rotate_z(turn, self.directions)
-            across = np.stack([-directions[:, 1], directions[:, 0], np.zeros(len(turn))])
-            by_azimuth = across.T * self.azimuth[:, None]
-        T_measured, by_delay, local_jacobian = T_sensor_board, None, self.local_jacobian(T_sensor_board)
-        if self.timed and velocity is not None:
-            delay = shared[local.shape[1] - self.ring_count - 1]
-            T_measured = se3.retract(T_sensor_board, delay * velocity)
+        T_measured, by_delay, by_pose = T_sensor_board, None, _plane_jacobian(T_sensor_board)
+        if block.size("delay") and velocity is not None:
+            moved = shared[block["delay"]] * velocity
+            T_measured = se3.retract(T_sensor_board, moved)
             by_delay = _plane_velocity(T_measured, self.twist)
-            local_jacobian = self.local_jacobian(T_measured)
-            local_jacobian[..., :3] += local_jacobian[..., :3] @ so3.hat(delay * velocity[:, 3:])
-            local_jacobian[..., 3:6] = local_jacobian[..., 3:6] @ so3.exp(delay * velocity[:, 3:])
+            by_pose = _plane_jacobian(T_measured)
+            by_pose[..., :3] += by_pose[..., :3] @ so3.hat(moved[:, 3:])
+            by_pose[..., 3:] = by_pose[..., 3:] @ so3.exp(moved[:, 3:])
+        of_beams, directions = shared[block["beams"]], self.directions
+        turning = [i for i, error in enumerate(self.errors) if error.turn]
+        if turning:
+            rotation, turns = turn_beams([self.errors[i] for i in turning], directions, of_beams[turning, None])
+            directions = so3.rotate(rotation, directions)
         h, cosine = self._intersect_planes(T_measured, directions)
         height = np.repeat(h, self._counts)
         if self.bow_shape is not None:
-            height = height + np.sum(self.bow_shape * local[view, 2:4], axis=-1)
-        distance, stretch = height / cosine, (1 + scale) / self.sigma
-        q = 3 + local.shape[1] - self.ring_count
-        columns = np.empty((q, len(self.ranges)))
+            height = height + np.sum(self.bow_shape * local[view, block["bow"]], axis=-1)
+        distance = height / cosine
+        predicted, stretch = distance, np.ones(len(distance))
+        q = 3 + local.shape[1] - block.ring_count
+        columns = np.zeros((q, len(self.ranges)))
+        by_parameters = columns[3:]
+        by_beams = by_parameters[block["beams"]]
+        for error, value, by_error in zip(self.errors, of_beams, by_beams, strict=True):
+            if error.lengthen:
+                shape = error.lengthen(self.directions)
+                by_error += shape * distance**error.power
+                predicted = predicted + value * by_error
+                if error.power:
+                    stretch += value * error.power * shape * distance ** (error.power - 1)
+        if turning:
+            n = np.repeat(T_measured[:, :3, 2], self._counts, axis=0)
+            across = np.einsum("ni,kni->kn", n, np.cross(turns, directions))
+            by_beams[turning] -= across * stretch * distance / cosine
         np.multiply(directions.T, stretch / cosine**2, out=columns[:3])
-        columns[BIAS_COLUMN], columns[4] = 1 / self.sigma, distance / self.sigma
-        columns[5:7] = 0 if self.bow_shape is None else (stretch / cosine) * self.bow_shape.T
-        if by_azimuth is not None:
-            n = np.repeat(T_measured[:, :3, 2].T, self._counts, axis=1)
-            columns[7] = -np.einsum("in,ni->n", n, by_azimuth) * stretch * distance / cosine
-        if self.shapes is not None:
-            first = len(SCANNER_PARAMETERS) + (self.azimuth is not None)
-            count = self.shapes.shape[1]
-            columns[3 + first : 3 + first + count] = self.shapes.T / self.sigma
-        if self.timed:
-            columns[-1] = 0 if by_delay is None else np.einsum("in,ni->n", columns[:3], by_delay[view])
-        predicted = (1 + scale) * distance + bias
-        if self.shapes is not None:
-            predicted = predicted + self.shapes @ shared[first : first + count]
+        if self.bow_shape is not None:
+            by_parameters[block["bow"]] = (stretch / cosine) * self.bow_shape.T
+        if by_delay is not None:
+            by_parameters[block["delay"]] = np.einsum("in,ni->n", columns[:3], by_delay[view])
+        columns /= self.sigma
         if self.ring is not None:
-            predicted = predicted + local[view, local.shape[1] - self.ring_count + self.ring]
-        residual = (predicted - self.ranges) / self.sigma
+            predicted = predicted + local[:, block["varying"]][view, self.ring]
         return LinearizedResiduals(
-            residual[:, None],
+            ((predicted - self.ranges) / self.sigma)[:, None],
             columns.T[:, None],
-            local_jacobian,
+            block.jacobian(by_pose),
             3,
             self.ring,
-            self.ring_count,
-            BIAS_COLUMN,
+            block.ring_count,
+            self._bias_column,
             velocity,
         )
 
     def local_jacobian(self, T_sensor_board: Array) -> Array:
         """See :class:`BoardViews`: derivatives of ``n dh - h dn``, and the extra parameters of each view."""
-        n, h = _board_planes(T_sensor_board)
-        views, m = self.extra_of_local.shape
-        basis = np.zeros((views, 3 + m, 6 + self.extra_count))
-        basis[:, :3, :3] = n[:, :, None] * n[:, None]
-        lever = np.cross(n, T_sensor_board[:, :3, 3])
-        basis[:, :3, 3:6] = h[:, None, None] * so3.hat(n) + n[:, :, None] * lever[:, None]
-        basis[:, 3:, 6:] = select_extra(self.extra_of_local, self.extra_count)
-        return basis
+        return self.parameters.jacobian(_plane_jacobian(T_sensor_board))
 
     def local_difference(self, T_before: Array, T_sensor_board: Array, extra: Array) -> Array:
         """See :class:`BoardViews`: ``n dh - h dn`` and the extra parameters.
@@ -195,7 +174,7 @@ class RangeObservations:
         """
         (n, h), (n_after, h_after) = _board_planes(T_before), _board_planes(T_sensor_board)
         planes = n * (h_after - h)[:, None] - h[:, None] * (n_after - n)
-        return np.concatenate([planes, gather_extra(self.extra_of_local, extra)], axis=-1)
+        return np.concatenate([planes, self.parameters.gather(extra)], axis=-1)
 
     def is_defined(self, T_sensor_board: Array, extra: Array) -> bool:  # noqa: ARG002
         """See :class:`BoardViews`."""
@@ -203,12 +182,10 @@ class RangeObservations:
 
     def update_noise(self, T_sensor_board: Array, scale: float) -> "RangeObservations":
         """See :class:`BoardViews`: the error of a beam's direction grows with the tangent of its incidence."""
-        h, cosine = self._intersect_planes(T_sensor_board)
+        h, cosine = self._intersect_planes(T_sensor_board, self.directions)
         tangent2 = np.maximum(1 / cosine**2 - 1, 0)
         expected = np.repeat(h, self._counts) / cosine
         along = self.noise.of_beams(expected, self.directions)
-        # Not at the measured ranges: parameters of these shapes would then fit the noise of the ranges.
-        shapes = None if self.shapes is None else self.noise.error_shapes(expected, self.directions)
         sigma = scale * np.sqrt(along**2 + (self.noise.angle * self.ranges) ** 2 * tangent2)
         shape = None
         if np.isfinite(self.half_size).any():
@@ -220,7 +197,7 @@ class RangeObservations:
             ])  # fmt: skip
             half, known = np.repeat(self.half_size, counts, axis=0), np.repeat(self.registered, counts)[:, None]
             shape = np.where(known, bow_shape(on_board.T, half), round_bow_shape(on_board.T, half))
-        return replace(self, sigma=sigma, noise_scale=scale, bow_shape=shape, shapes=shapes)
+        return replace(self, sigma=sigma, noise_scale=scale, bow_shape=shape)
 
     def select(self, keep: NDArray[np.bool_] | Index) -> "RangeObservations":
         """See :class:`BoardViews`."""
@@ -232,29 +209,24 @@ class RangeObservations:
             directions=self.directions.T[:, kept].T,
             ranges=self.ranges[kept],
             sigma=self.sigma[kept],
-            azimuth=None if self.azimuth is None else self.azimuth[kept],
-            shapes=None if self.shapes is None else self.shapes[kept],
             ring=None if self.ring is None else self.ring[kept],
             half_size=self.half_size[keep] if len(self.half_size) else self.half_size,
             registered=self.registered[keep] if len(self.registered) else self.registered,
             bow_shape=None if self.bow_shape is None else self.bow_shape[kept],
-            extra_of_local=self.extra_of_local[keep],
+            parameters=self.parameters.select(keep),
             twist=select_motions(self.twist, keep),
             motion_variance=select_motions(self.motion_variance, keep),
         )
 
-    def with_rings(self, ring: Index, count: int) -> "RangeObservations":
-        """The same beams in the order of their rings (N,), of which there are ``count``, within each view."""
+    def with_rings(self, ring: Index) -> "RangeObservations":
+        """The same beams in the order of their rings (N,) within each view."""
         order = np.lexsort([ring, view_indices(self.start, len(self.ranges))])
         return replace(
             self,
             directions=self.directions.T[:, order].T,
             ranges=self.ranges[order],
             sigma=self.sigma[order],
-            azimuth=None if self.azimuth is None else self.azimuth[order],
-            shapes=None if self.shapes is None else self.shapes[order],
             ring=ring[order],
-            ring_count=count,
         )
 
     def with_beams(self, board: Index, start: Index, directions: Array, ranges: Array) -> "RangeObservations":
@@ -270,32 +242,35 @@ class RangeObservations:
             directions=directions,
             ranges=ranges,
             sigma=np.ones(len(ranges)),
-            azimuth=None if self.azimuth is None else np.arctan2(directions[:, 1], directions[:, 0]),
-            shapes=None if self.shapes is None else self.noise.error_shapes(ranges, directions),
             half_size=self.half_size[first] if len(self.half_size) else self.half_size,
             registered=self.registered[first] if len(self.registered) else self.registered,
             bow_shape=None,
-            extra_of_local=self.extra_of_local[first],
+            parameters=self.parameters.select(first),
             twist=np.zeros((0, 6)),
             motion_variance=np.zeros((0, 6)),
         )
         if self.ring is None:
             return beams
-        count = np.bincount(self.ring, minlength=self.ring_count)
-        elevation = np.bincount(self.ring, self.directions[:, 2], self.ring_count) / np.maximum(count, 1)
+        rings = self.parameters.ring_count
+        count = np.bincount(self.ring, minlength=rings)
+        elevation = np.bincount(self.ring, self.directions[:, 2], rings) / np.maximum(count, 1)
         nearest = np.argmin(np.abs(directions[:, 2:] - elevation), axis=1)
-        return beams.with_rings(nearest, self.ring_count)
+        return beams.with_rings(nearest)
 
     @property
     def _counts(self) -> Index:
         """(V,) number of beams of each view."""
         return np.diff(self.start, append=len(self.ranges))
 
-    def _intersect_planes(self, T_sensor_board: Array, directions: Array | None = None) -> tuple[Array, Array]:
+    @property
+    def _bias_column(self) -> int:
+        """Of the local parameters, that of a range bias: a ring's bias acts in the same way on some beams."""
+        return 3 + [error.quantity for error in self.errors].index("range bias")
+
+    def _intersect_planes(self, T_sensor_board: Array, directions: Array) -> tuple[Array, Array]:
         """Offsets of the planes (V,), and cosines (N,) between beams and normals."""
         n, h = _board_planes(T_sensor_board)
-        beams = self.directions if directions is None else directions
-        cosine = np.einsum("in,in->n", beams.T, np.repeat(n.T, self._counts, axis=1))
+        cosine = np.einsum("in,in->n", directions.T, np.repeat(n.T, self._counts, axis=1))
         return h, np.copysign(np.maximum(np.abs(cosine), self.min_cosine), cosine)
 
 
@@ -332,6 +307,14 @@ def _spread_evenly(count: int, limit: int) -> Index:
     if count <= limit:
         return np.arange(count)
     return np.sort(np.argpartition(np.arange(count) * ((math.sqrt(5) - 1) / 2) % 1, limit)[:limit])
+
+
+def _plane_jacobian(T_sensor_board: Array) -> Array:
+    """(V, 3, 6) derivatives of ``n dh - h dn`` by the poses of boards (V, 4, 4)."""
+    n, h = _board_planes(T_sensor_board)
+    lever = np.cross(n, T_sensor_board[:, :3, 3])
+    by_rotation = h[:, None, None] * so3.hat(n) + n[:, :, None] * lever[:, None]
+    return np.concatenate([n[:, :, None] * n[:, None], by_rotation], axis=-1)
 
 
 def _plane_velocity(T_sensor_board: Array, twist: Array) -> Array:

@@ -4,45 +4,41 @@ What the data do not determine, the prior does: its standard deviation is part o
 """
 
 import math
-from collections.abc import Hashable, Iterator, Sequence
+from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import chain
 
 import numpy as np
 
 from calgraph.boards.printed_boards import compute_landmarks
-from calgraph.config import Board, CameraSpec, Lidar2dSpec, Lidar2dUncertainty, Lidar3dUncertainty, Rig, SensorSpec
+from calgraph.config import Board, CameraSpec, Lidar2dSpec, Lidar3dUncertainty, Rig, SensorSpec
 from calgraph.geometry import Array, Index
 from calgraph.result import EstimatedParameter
-from calgraph.rig.bundle.bundle_parameters import SystematicParameter
+from calgraph.rig.bundle.bundle_parameters import LocalParameters, SystematicParameter
 from calgraph.rig.bundle.bundle_solver import Bundle, BundleEquations, BundleState
-from calgraph.rig.bundle.corner_observations import TIME_PARAMETERS, CornerObservations, PrintedCorners
+from calgraph.rig.bundle.corner_observations import CornerObservations, PrintedCorners
 from calgraph.rig.bundle.covariances import parameter_covariance
 from calgraph.rig.bundle.observations import BoardViews, view_indices
 from calgraph.rig.bundle.outline_observations import FOOTPRINTS, OutlineObservations
 from calgraph.rig.bundle.range_observations import RangeObservations, bow_shape
 from calgraph.rig.bundle.residual_distortion import ResidualDistortion
 from calgraph.sensors import DISTORTION_NAMES, CameraModel
-from calgraph.sensors.kinds.stated import RangeUncertainty
+from calgraph.sensors.kinds.stated import BeamError, RangeUncertainty
 
 _ESTIMATED_COEFFICIENTS = {"pinhole": 5, "fisheye": 4}
 """Number of estimated distortion coefficients: those of the denominator of a rational model, which come after
 these, have nearly the same effect."""
 
 _PRINT_SCALE = "print scale"
-RESIDUAL_DISTORTION = "residual distortion"
-"""First words of the quantities of its coefficients."""
+DISTORTION, RESIDUAL_DISTORTION, RINGS, TAGS = "distortion", "residual distortion", "rings", "tags"
+"""Families of parameters, see :class:`SystematicParameter`."""
+COEFFICIENTS = frozenset({DISTORTION, RESIDUAL_DISTORTION})
+"""Those of parameters that have a meaning together only."""
+_EDGES = "edges of the board in scans of {of} are {size} too far out|in"
 
 
-@dataclass(frozen=True)
-class _Candidate:
-    """A systematic parameter, before the views that depend on it are known."""
-
-    of: str
-    quantity: str
-    unit: str
-    prior_stddev: float
-    stated: float = 0.0
-    scale: float = 1.0
+_Blocks = Mapping[str, Sequence[SystematicParameter | None]]
+"""Systematic parameters before their views are known, by the names of their blocks; None for those that are not."""
 
 
 @dataclass
@@ -57,35 +53,30 @@ class ParameterTable:
         """The table of a bundle's parameters, to which others are added."""
         return cls(list(parameters), {(one.of, one.quantity): i for i, one in enumerate(parameters)})
 
-    def index_extra(
-        self, view_set: int, candidates: Sequence[Sequence[_Candidate | None]], board: Index
-    ) -> tuple[Index, int]:
-        """Numbers the parameters of a set of views.
+    def assign(self, view_set: int, candidates: Sequence[_Blocks], board: Index) -> LocalParameters:
+        """The local parameters of a set of views.
 
         Args:
             view_set: index of the views in the bundle.
-            candidates: of each kind of board the local parameters; None for those that do not exist.
+            candidates: of each kind of board, in blocks of the same sizes.
             board: (V,) index of each view's kind of board; -1 for the last.
-
-        Returns:
-            ``extra_of_local`` (V, m) and the number of extra parameters.
         """
-        rows = np.full((len(candidates), len(candidates[0])), -1, dtype=np.intp)
+        none = LocalParameters.exact(len(board), {name: len(block) for name, block in candidates[0].items()})
+        rows = np.full((len(candidates), none.index.shape[1]), -1, dtype=np.intp)
         for b in np.unique(board):
-            rows[b] = [self._add(one, view_set) for one in candidates[b]]
-        of_view = rows[board].reshape(len(board), rows.shape[1])
+            rows[b] = [self._add(one, view_set) for one in chain(*candidates[b].values())]
+        of_view = rows[board].reshape(none.index.shape)
         used = np.array([i for i, one in enumerate(self.parameters) if view_set in one.view_sets], dtype=np.intp)
-        return np.where(of_view < 0, -1, np.searchsorted(used, of_view)), len(used)
+        index = np.where(of_view < 0, -1, np.searchsorted(used, of_view))
+        return replace(none, index=index, count=len(used))
 
-    def _add(self, one: _Candidate | None, view_set: int) -> int:
+    def _add(self, one: SystematicParameter | None, view_set: int) -> int:
         """The number of a parameter of these views; -1 for one that is exact."""
         if one is None or one.prior_stddev == 0:
             return -1
         number = self._number.setdefault((one.of, one.quantity), len(self.parameters))
         if number == len(self.parameters):
-            self.parameters.append(
-                SystematicParameter(one.of, one.quantity, one.unit, one.prior_stddev, (), one.stated, one.scale)
-            )
+            self.parameters.append(one)
         before = self.parameters[number]
         if view_set not in before.view_sets:
             self.parameters[number] = replace(before, view_sets=(*before.view_sets, view_set))
@@ -105,7 +96,7 @@ def add_systematic_parameters(
     """
     table = ParameterTable()
     all_views: list[BoardViews] = []
-    prints = [_print_of(board, i, len(rig.boards)) for i, board in enumerate(rig.boards)]
+    prints = [_print_of(board, of) for of, board in _name_boards(rig)]
     for k, (name, views) in enumerate(zip(bundle.sensors, bundle.views, strict=True)):
         spec, number = rig.sensors[name], board_number[views.board]
         if isinstance(views, CornerObservations):
@@ -139,25 +130,26 @@ def add_outline_parameters(
     table = ParameterTable.of_bundle(bundle.extra_parameters)
     found = []
     for i, (outline, sensor) in enumerate(zip(outlines, scanners, strict=True)):
-        footprints: list[_Candidate | None] = [
-            _Candidate(bundle.sensors[sensor], quantity, "m", _OFFSET_STDDEV) for quantity in FOOTPRINTS
+        name, spec = bundle.sensors[sensor], rig.sensors[bundle.sensors[sensor]]
+        assert isinstance(spec.uncertainty, RangeUncertainty)
+        turns = tuple(error for error in spec.uncertainty.beam_errors() if error.turn)
+        own: _Blocks = {
+            "beams": [_error_of(name, error) for error in turns],
+            "varying": [
+                SystematicParameter(name, quantity, "m", _OFFSET_STDDEV, clause=_EDGES)
+                if quantity == FOOTPRINTS[0] or not isinstance(spec, Lidar2dSpec)
+                else None
+                for quantity in FOOTPRINTS
+            ],
+        }
+        of_boards: list[_Blocks] = [
+            {"size": list(_sizes(of, board)), "print": list(_print_position(of, board)), **own}
+            for of, board in _name_boards(rig)
         ]
-        azimuths: _Candidate | None = None
-        if isinstance(spec := rig.sensors[bundle.sensors[sensor]], Lidar2dSpec):
-            footprints[1] = None
-            azimuths = _Candidate(bundle.sensors[sensor], "angle scale", "", spec.uncertainty.angle_scale, 1.0)
-        of_boards: list[list[_Candidate | None]] = []
-        for b, board in enumerate(rig.boards):
-            name, prior = board_name(b, len(rig.boards)), board.uncertainty
-            size = [
-                _Candidate(name, quantity, "m", prior.size, stated)
-                for quantity, stated in zip(("width", "height"), board.size, strict=True)
-            ]
-            of_boards.append([*size, *_print_position(name, board), azimuths, *footprints])
         # A board that no camera identified has its only outline, and no print.
-        of_boards.append([*of_boards[0][:2], None, None, None, azimuths, *footprints])
-        extra_of_local, count = table.index_extra(len(bundle.views) + i, of_boards, board_number[outline.board])
-        found.append(replace(outline, extra_of_local=extra_of_local, extra_count=count))
+        of_boards.append({**of_boards[0], "print": [None, None, None]})
+        parameters = table.assign(len(bundle.views) + i, of_boards, board_number[outline.board])
+        found.append(replace(outline, turns=turns, parameters=parameters))
     return found, tuple(table.parameters)
 
 
@@ -177,13 +169,18 @@ def summarize_systematic_parameters(
             stddev=float(np.sqrt(variance)) * abs(one.scale),
         )
         for one, value, variance in zip(bundle.extra_parameters, state.extra, variances, strict=True)
-        if not one.quantity.startswith(RESIDUAL_DISTORTION)
+        if one.family != RESIDUAL_DISTORTION
     )
 
 
 def board_name(number: int, count: int) -> str:
     """What a board of the rig is called."""
     return f"board {number + 1}" if count > 1 else "board"
+
+
+def _name_boards(rig: Rig) -> list[tuple[str, Board]]:
+    """The boards with what they are called."""
+    return [(board_name(b, len(rig.boards)), board) for b, board in enumerate(rig.boards)]
 
 
 def estimated_print_scales(bundle: Bundle, state: BundleState, count: int) -> dict[int, float]:
@@ -206,51 +203,68 @@ def _add_to_camera(
     number: Index,
 ) -> CornerObservations:
     camera = _with_estimated_distortion(views.camera)
-    lens: list[_Candidate | None] = list(_lens_parameters(name, camera, spec))
     corner_number = number[view_indices(views.start, len(views.pixels))]
     behind = np.unique(corner_number[views.printed.on_back])
     prints = [replace(one, on_back=b in behind) for b, one in enumerate(prints)]
     most_tags = max((len(one.placed_tags) or one.on_back for one in prints), default=0)
     # A board at rest is the same at all times.
-    timed = len(views.twist) > 0
-    of_times = [_stamp_delay(k, name, spec), _readout_time(name, spec)] if timed else []
+    of_times = [_stamp_delay(k, name, spec), _readout_time(name, spec)] if len(views.twist) else []
     # Of lenses whose intrinsics were estimated; others, and those like their models, have none.
     size = spec.stated_intrinsics.model_error if spec.stated_intrinsics else None
     field = ResidualDistortion.over_images(camera) if size else None
     coefficients = [
-        _Candidate(name, f"{RESIDUAL_DISTORTION} {i + 1}", "px", stddev)
+        SystematicParameter(name, f"{RESIDUAL_DISTORTION} {i + 1}", "px", stddev, family=RESIDUAL_DISTORTION)
         for i, stddev in enumerate((size * field.stddev).tolist() if size and field else ())
     ]
-    candidates = [[*lens, *one.parameters(most_tags), *of_times, *coefficients] for one in prints]
-    extra_of_local, count = table.index_extra(k, candidates, number)
+    lens = list(_lens_parameters(name, camera, spec))
+    candidates: list[_Blocks] = [
+        {
+            "lens": lens,
+            "print": list(one.parameters()),
+            "tags": list(one.places_of_tags(most_tags)),
+            "times": of_times,
+            "residual distortion": coefficients,
+        }
+        for one in prints
+    ]
+    parameters = table.assign(k, candidates, number)
     printed = _locate_corners(views.printed, corner_number, prints)
-    return replace(
-        views, camera=camera, printed=printed, extra_of_local=extra_of_local, extra_count=count, timed=timed,
-        residual_distortion=field,
-    )  # fmt: skip
+    return replace(views, camera=camera, printed=printed, parameters=parameters, residual_distortion=field)
 
 
-def _stamp_delay(k: int, name: str, spec: SensorSpec) -> _Candidate | None:
+def _stamp_delay(k: int, name: str, spec: SensorSpec) -> SystematicParameter | None:
     """That of sensor k; delays are relative to the root's, as a common one is a displacement of all boards."""
-    return _Candidate(name, TIME_PARAMETERS[0], "s", spec.uncertainty.stamp_delay) if k else None
+    clause = "{of} measures {size} later|earlier than its stamps state"
+    delay = SystematicParameter(name, "stamp delay", "s", spec.uncertainty.stamp_delay, clause=clause)
+    return delay if k else None
 
 
-def _readout_time(name: str, spec: CameraSpec) -> _Candidate:
-    return _Candidate(name, TIME_PARAMETERS[1], "s", spec.uncertainty.readout_time)
+def _readout_time(name: str, spec: CameraSpec) -> SystematicParameter:
+    clause = "{of} reads the last row of an image {size} later|earlier than stated"
+    return SystematicParameter(name, "readout time", "s", spec.uncertainty.readout_time, clause=clause)
 
 
-def _lens_parameters(name: str, camera: CameraModel, spec: CameraSpec) -> Iterator[_Candidate | None]:
+def _lens_parameters(name: str, camera: CameraModel, spec: CameraSpec) -> Iterator[SystematicParameter | None]:
     prior = spec.uncertainty
     fx, fy = camera.focal.tolist()
     mean = (fx + fy) / 2
-    yield _Candidate(name, "focal length", "px", prior.focal_length, mean, mean)
-    yield _Candidate(name, "pixel aspect", "", prior.pixel_aspect, fx / fy, fx / fy)
+    yield SystematicParameter(
+        name, "focal length", "px", prior.focal_length, stated=mean, scale=mean,
+        clause="the focal length of {of} is {size} longer|shorter than stated",
+    )  # fmt: skip
+    yield SystematicParameter(
+        name, "pixel aspect", "", prior.pixel_aspect, stated=fx / fy, scale=fx / fy,
+        clause="pixels of {of} are {size} narrower|wider for their height than stated",
+    )  # fmt: skip
     for quantity, stated in zip(("cx", "cy"), camera.principal_point.tolist(), strict=True):
-        yield _Candidate(name, quantity, "px", prior.principal_point, stated)
+        yield SystematicParameter(name, quantity, "px", prior.principal_point, stated=stated)
     effect = _displacement_at_corner(camera)
     estimated = _ESTIMATED_COEFFICIENTS[camera.model]
     for i, (quantity, stated) in enumerate(zip(DISTORTION_NAMES[camera.model], camera.distortion, strict=False)):
-        yield _Candidate(name, quantity, "", prior.distortion / effect[i], stated) if i < estimated else None
+        coefficient = SystematicParameter(
+            name, quantity, "", prior.distortion / effect[i], stated=stated, family=DISTORTION
+        )
+        yield coefficient if i < estimated else None
 
 
 def _with_estimated_distortion(camera: CameraModel) -> CameraModel:
@@ -294,16 +308,30 @@ class _Print:
         """The tags, if each was placed by itself; those of a grid are one print."""
         return self.tags if self.board.tags else ()
 
-    def parameters(self, most_tags: int) -> Iterator[_Candidate | None]:
-        """In the order of a corner's local parameters, for up to ``most_tags`` tags."""
+    def parameters(self) -> Iterator[SystematicParameter | None]:
+        """In the order in which :meth:`PrintedCorners.displace` takes them."""
         prior, several = self.board.uncertainty, len(self.tags) > 1
-        placed = self.placed_tags if several else ()
-        yield _Candidate(self.name, _PRINT_SCALE, "", prior.print_scale, 1.0)
-        yield _Candidate(self.name, "print aspect", "", prior.print_aspect, 1.0)
+        yield SystematicParameter(
+            self.name, _PRINT_SCALE, "", prior.print_scale, stated=1.0,
+            clause="the print on the {of} is {size} larger|smaller than stated",
+        )  # fmt: skip
+        yield SystematicParameter(
+            self.name, "print aspect", "", prior.print_aspect, stated=1.0,
+            clause="the print on the {of} is {size} wider|narrower for its height than stated",
+        )  # fmt: skip
+        size = SystematicParameter(
+            self.name, "tag size", "", prior.tag_size, stated=1.0,
+            clause="tags on the {of} are {size} larger|smaller than stated",
+        )  # fmt: skip
         # A single tag defines the board's frame and scale: it has no other tags to disagree with.
-        yield _Candidate(self.name, "tag size", "", prior.tag_size, 1.0) if several else None
+        yield size if several else None
         yield from _bow_parameters(self.name, self.board)
-        yield _Candidate(self.name, "thickness", "m", _THICKNESS_STDDEV, _THICKNESS) if self.on_back else None
+        thickness = SystematicParameter(self.name, "thickness", "m", _THICKNESS_STDDEV, stated=_THICKNESS)
+        yield thickness if self.on_back else None
+
+    def places_of_tags(self, most_tags: int) -> Iterator[SystematicParameter | None]:
+        """Places x, y and rotation of each of ``most_tags`` tags at most; a print on the back counts as one."""
+        placed = self.placed_tags if len(self.tags) > 1 else ()
         if self.on_back:
             # It is glued on to the edge of the board as the print on the front is.
             yield from _print_position(self.name, self.board, "print on the back", math.sqrt(2))
@@ -314,27 +342,50 @@ class _Print:
             number, corners = placed[i]
             tag = f"tag {number}" if self.name == "board" else f"tag {number} of {self.name}"
             arm = float(np.linalg.norm(corners[0] - corners[1])) / 2
-            yield _Candidate(tag, "x", "m", prior.tag_position)
-            yield _Candidate(tag, "y", "m", prior.tag_position)
-            yield _Candidate(tag, "rotation", "rad", prior.tag_position / arm)
+            stddev = self.board.uncertainty.tag_position
+            yield from _place(tag, "", stddev, stddev / arm, "{of}", TAGS)
 
 
-def _print_of(board: Board, number: int, count: int) -> _Print:
+def _print_of(board: Board, name: str) -> _Print:
     marks = compute_landmarks(board)
     tags = zip(marks.ids.tolist(), marks.corners, strict=True) if marks.corners.shape[1] == 4 else ()
-    return _Print(board_name(number, count), board, tuple(tags))
+    return _Print(name, board, tuple(tags))
 
 
-def _bow_parameters(name: str, board: Board) -> Iterator[_Candidate]:
-    yield _Candidate(name, "bow along x", "m", board.uncertainty.bow)
-    yield _Candidate(name, "bow along y", "m", board.uncertainty.bow)
+def _bow_parameters(name: str, board: Board) -> Iterator[SystematicParameter]:
+    for axis in "xy":
+        clause = f"the {{of}} is bent by {{size}} along {axis}"
+        yield SystematicParameter(name, f"bow along {axis}", "m", board.uncertainty.bow, clause=clause)
 
 
-def _print_position(name: str, board: Board, of: str = "print", factor: float = 1.0) -> Iterator[_Candidate]:
+def _print_position(
+    name: str, board: Board, of: str = "print", factor: float = 1.0
+) -> Iterator[SystematicParameter]:
     prior = factor * board.uncertainty.print_position
-    yield _Candidate(name, f"{of} x", "m", prior)
-    yield _Candidate(name, f"{of} y", "m", prior)
-    yield _Candidate(name, f"{of} rotation", "rad", prior / (0.5 * max(board.size)))
+    return _place(name, f"{of} ", prior, prior / (0.5 * max(board.size)), "the print on the {of}")
+
+
+def _place(
+    of: str, prefix: str, position: float, rotation: float, what: str, family: str = ""
+) -> Iterator[SystematicParameter]:
+    """Place and rotation of something printed, with their prior standard deviations, m and rad."""
+    for axis in "xy":
+        clause = f"{what} is {{size}} along {axis} from the stated place"
+        yield SystematicParameter(of, f"{prefix}{axis}", "m", position, family=family, clause=clause)
+    clause = f"{what} is rotated by {{size}} from the stated place"
+    yield SystematicParameter(of, f"{prefix}rotation", "rad", rotation, family=family, clause=clause)
+
+
+def _sizes(name: str, board: Board) -> Iterator[SystematicParameter]:
+    clauses = ("the {of} is {size} wider|narrower than stated", "the {of} is {size} higher|lower than stated")
+    for quantity, stated, clause in zip(("width", "height"), board.size, clauses, strict=True):
+        yield SystematicParameter(name, quantity, "m", board.uncertainty.size, stated=stated, clause=clause)
+
+
+def _error_of(name: str, error: BeamError) -> SystematicParameter:
+    return SystematicParameter(
+        name, error.quantity, error.unit, error.stddev, stated=error.stated, clause=error.clause
+    )
 
 
 def _locate_corners(printed: PrintedCorners, number: Index, prints: Sequence[_Print]) -> PrintedCorners:
@@ -361,36 +412,34 @@ def _add_to_scanner(
 ) -> RangeObservations:
     prior = spec.uncertainty
     assert isinstance(prior, RangeUncertainty)
-    shared: list[_Candidate | None] = [
-        _Candidate(name, "range bias", "m", prior.range_bias),
-        _Candidate(name, "range scale", "", prior.range_scale, 1.0),
-    ]
-    last: list[_Candidate | None] = []
-    timed = len(views.twist) > 0
-    delay = [_stamp_delay(k, name, spec)] if timed else []
-    if isinstance(prior, Lidar2dUncertainty):
-        views = replace(views, azimuth=np.arctan2(views.directions[:, 1], views.directions[:, 0]))
-        last = [_Candidate(name, "angle scale", "", prior.angle_scale, 1.0), *delay]
-    elif shapes := prior.error_shapes():
-        views = replace(views, shapes=views.noise.error_shapes(views.ranges, views.directions))
-        last = [*(_Candidate(name, quantity, "m", stddev) for quantity, stddev in shapes), *delay]
-    else:
-        last = [*delay]
+    biases: list[SystematicParameter] = []
+    if isinstance(prior, Lidar3dUncertainty):
         elevations, ring = find_rings(views.directions)
-        if len(elevations) and isinstance(prior, Lidar3dUncertainty):
-            views = views.with_rings(ring, len(elevations))
-            last += [
-                _Candidate(name, f"bias of ring {i + 1} ({np.degrees(e):+.1f}°)", "m", prior.ring_bias)
-                for i, e in enumerate(elevations)
-            ]
-    bows = [list(_bow_parameters(board_name(b, len(rig.boards)), board)) for b, board in enumerate(rig.boards)]
+        if len(elevations):
+            views, biases = views.with_rings(ring), list(_ring_biases(name, prior, elevations))
+    errors = prior.beam_errors()
+    bows = [list(_bow_parameters(of, board)) for of, board in _name_boards(rig)]
     # The last row is of boards that no camera identified: of several, it is not known which one each is.
     size, bow = (rig.boards[0].size, bows[0]) if len(bows) == 1 else ((np.inf, np.inf), (None, None))
-    candidates = [[*shared, *of_board, *last] for of_board in (*bows, bow)]
-    extra_of_local, count = table.index_extra(k, candidates, number)
+    candidates: list[_Blocks] = [
+        {
+            "beams": [_error_of(name, error) for error in errors],
+            "bow": of_board,
+            "delay": [_stamp_delay(k, name, spec)] if len(views.twist) else [],
+            "varying": biases,
+        }
+        for of_board in (*bows, bow)
+    ]
+    parameters = table.assign(k, candidates, number)
     half = np.array([*(board.size for board in rig.boards), size])[number].reshape(-1, 2) / 2
-    views = replace(views, half_size=half, registered=number >= 0, timed=timed)
-    return replace(views, extra_of_local=extra_of_local, extra_count=count)
+    return replace(views, half_size=half, registered=number >= 0, errors=errors, parameters=parameters)
+
+
+def _ring_biases(name: str, prior: Lidar3dUncertainty, elevations: Array) -> Iterator[SystematicParameter]:
+    for number, elevation in enumerate(np.degrees(elevations).tolist(), 1):
+        ring = f"ring {number} ({elevation:+.1f}°)"
+        clause = f"ranges of {ring} of {{of}} are {{size}} longer|shorter than those of the others"
+        yield SystematicParameter(name, f"bias of {ring}", "m", prior.ring_bias, family=RINGS, clause=clause)
 
 
 # Minimum gap between the elevations of two rings of a 3-D scanner, rad (0.1°): the closest rings of scanners with

@@ -126,7 +126,7 @@ _MAX_VARIANCE_FACTOR = 4.0
 def _view_statistics(bundle: Bundle, equations: BundleEquations, k: int, factors: ViewFactors) -> _ViewStatistics:
     """Those of views k, with their ``factors`` of :func:`view_covariance_factors`."""
     unmarginalized, at, views = equations.cache[k].equations, equations.views[k], bundle.all_views[k]
-    p, R = unmarginalized.pose_count, views.ring_count
+    p, R = unmarginalized.pose_count, views.parameters.ring_count
     squares, freedom = unmarginalized.within_view_scatter()
     components = np.array(bundle.bias_components(k), dtype=np.intp)
     by_pose, q = se_n.transpose(at.local_jacobian[..., :6]), at.information.shape[-1]

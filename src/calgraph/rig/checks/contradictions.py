@@ -18,12 +18,11 @@ from calgraph.rig.bundle.bundle_solver import Bundle, BundleEquations
 from calgraph.rig.bundle.corner_observations import CornerObservations
 from calgraph.rig.bundle.covariances import gradient_by_board, parameter_covariance, pose_jacobian, sum_information
 from calgraph.rig.bundle.solution import MeasuredNoise, RigSolution, SolvedBundle
-from calgraph.rig.bundle.systematic_parameters import RESIDUAL_DISTORTION
+from calgraph.rig.bundle.systematic_parameters import COEFFICIENTS, DISTORTION, TAGS
 from calgraph.rig.captures.detect import CaptureSet
 from calgraph.rig.checks.board_sizes import SIZES, find_wrong_sizes
 from calgraph.rig.checks.bootstrap import bootstrap_poses
 from calgraph.rig.checks.drift_tests import DriftStatistics, find_drifts, measure_drifts
-from calgraph.sensors import DISTORTION_NAMES
 from calgraph.sensors.kinds import KINDS
 from calgraph.verdict.grades import axis_names
 from calgraph.verdict.parameter_estimates import (
@@ -354,7 +353,6 @@ def _squared_distance(error: Array, covariance: Array) -> tuple[float, int]:
 # Deviation of a systematic parameter, in prior standard deviations, beyond which no sensor is good that another
 # parameter, which the data do not distinguish from it, concerns: twice that of a contradiction.
 _MAX_GOOD_DEVIATION = 6.0
-_COEFFICIENTS = frozenset(name for names in DISTORTION_NAMES.values() for name in names)
 
 
 def find_systematic_errors(solved: SolvedBundle, rig: Rig) -> Iterator[Finding]:
@@ -398,31 +396,21 @@ def find_systematic_errors(solved: SolvedBundle, rig: Rig) -> Iterator[Finding]:
             yield from _find_wrong_distortion(bundle, estimates, k, views, prior, MAX_PRIOR_DEVIATION)
 
 
-def is_part(quantity: str) -> bool:
-    """Whether a parameter is a coefficient of several that together have a meaning."""
-    return quantity in _COEFFICIENTS or quantity.startswith(RESIDUAL_DISTORTION)
-
-
 def _group_parameters(bundle: Bundle) -> list[Index]:
     """Indices of parameters that are tested together; coefficients and sizes of boards are in none."""
     groups: dict[tuple[str, str], list[int]] = {}
     for i, one in enumerate(bundle.extra_parameters):
-        if is_part(one.quantity) or one.quantity in SIZES:
+        if one.family in COEFFICIENTS or one.quantity in SIZES:
             continue
-        if one.of.startswith("tag "):
-            key = (" of ".join(one.of.split(" of ")[1:]), "tags")
-        elif one.quantity.startswith("bias of ring"):
-            key = (one.of, "rings")
-        else:
-            key = (one.of, one.quantity)
-        groups.setdefault(key, []).append(i)
+        of = one.of.partition(" of ")[2] if one.family == TAGS else one.of
+        groups.setdefault((of, one.family or one.quantity), []).append(i)
     return [np.array(group, dtype=np.intp) for group in groups.values()]
 
 
 def _describe_error(bundle: Bundle, estimates: ParameterEstimates, i: int, others: Index) -> Finding:
     """The finding of parameter i, or of others that could explain the data as well."""
     parameters = bundle.extra_parameters
-    named = np.array([j for j in others if not is_part(parameters[j].quantity)], dtype=np.intp)
+    named = np.array([j for j in others if parameters[j].family not in COEFFICIENTS], dtype=np.intp)
     text, causes = estimates.describe(i, named)
     if abs(estimates.deviation[i]) > _MAX_GOOD_DEVIATION * estimates.prior_stddev[i]:
         causes = [i, *others]  # of an error of this size, those that the text does not name are suspect as well
@@ -443,8 +431,8 @@ def _find_wrong_distortion(
     (pixels, at the image's corner) allows little at that corner, at least its displacement is allowed.
     """
     index = [
-        i for i, one in enumerate(estimates.parameters)
-        if one.of == bundle.sensors[k] and one.quantity in _COEFFICIENTS
+        i for i, one in enumerate(bundle.extra_parameters)
+        if one.of == bundle.sensors[k] and one.family == DISTORTION
     ]  # fmt: skip
     if not index or not len(views.pixels):
         return

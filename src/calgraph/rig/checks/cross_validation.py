@@ -205,8 +205,8 @@ def _compare_with_prediction(
 def _bias_variances(bundle: Bundle, sensor: int) -> Array:
     """(V, 6 + e) variances of the biases of a sensor's views, in its pose and in its extra parameters."""
     views, variances = bundle.views[sensor], bundle.bias_variances(sensor)
-    rings = views.extra_of_local[:1, views.extra_of_local.shape[1] - views.ring_count :].ravel()
-    of_extra = np.zeros((len(variances), views.extra_count))
+    rings = views.parameters.index[:1, views.parameters["varying"]].ravel()
+    of_extra = np.zeros((len(variances), views.parameters.count))
     of_extra[:, rings[rings >= 0]] = variances[:, 6:7]
     return np.concatenate([variances[:, :6], of_extra], axis=1)
 

@@ -126,7 +126,7 @@ def _predict_information(
     bundle: Bundle, current: BundleState, kinds: Mapping[str, str], size: tuple[float, float], candidates: Array
 ) -> Iterator[BoardInformation]:
     """Of the views that the sensors are predicted to have of each candidate (K, 4, 4)."""
-    numbers = sum((6 + views.extra_of_local.shape[1]) ** 2 for views in bundle.views)
+    numbers = sum((6 + views.parameters.index.shape[1]) ** 2 for views in bundle.views)
     together = max(int(_BATCH_NUMBERS / numbers), 1)
     for batch in np.split(candidates, range(together, len(candidates), together)):
         views = _predict_views(bundle, current, kinds, size, batch)

@@ -244,7 +244,7 @@ def _summarize(
     views, extra = bundle.views[0], solution.state.extra
     assert isinstance(views, CornerObservations)
     size = 4 + len(views.camera.distortion)
-    index = bundle.extra_indices(0)[views.extra_of_local[0, :size]]
+    index = bundle.extra_indices(0)[views.parameters.index[0, views.parameters["lens"]]]
     residual = views.linearize(solution.state.T_root_board[views.board], extra[bundle.extra_indices(0)]).residual
     freedom = max(residual.size - 6 * len(detections) - size, 1)
     scale, error = float(np.sqrt(np.sum(residual**2) / freedom)), ModelError(0.0, 0.0, 0.0)
@@ -273,7 +273,7 @@ def _eliminate_all_but_field(bundle: Bundle, solution: MinimizedBundle, freedom:
     views, extra = bundle.views[0], solution.state.extra
     assert isinstance(views, CornerObservations)
     assert views.residual_distortion
-    field = views.extra_of_local[0, -views.residual_distortion.count :]
+    field = views.parameters.index[0, views.parameters["residual distortion"]]
     others = np.setdiff1d(np.arange(len(extra)), field)
     H, g, _ = solution.equations.eliminate_boards()
     prior = bundle.prior_weights(extra)[field] * bundle.prior_stddev[field] ** -2

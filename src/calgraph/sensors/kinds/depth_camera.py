@@ -9,7 +9,7 @@ from calgraph.geometry import Array
 from calgraph.io.quantities import AngleSigma, LengthStddev, RangeSigma, Ratio
 from calgraph.sensors.camera_model import CameraModel
 from calgraph.sensors.kinds.sensor_kind import OPTICAL_AXES, SensorKind
-from calgraph.sensors.kinds.stated import Intrinsics, OpticalSpec, RangeNoise, RangeUncertainty
+from calgraph.sensors.kinds.stated import BeamError, Intrinsics, OpticalSpec, RangeNoise, RangeUncertainty
 from calgraph.sensors.messages import Image, Message, PointCloud
 
 # Standard deviation below which no depth is measured, m: near the camera time of flight and millimetres of the
@@ -43,13 +43,6 @@ class DepthNoise(RangeNoise):
         """Standard deviations (N,) of ranges (N,) along directions (N, 3), m."""
         return self.at(ranges * directions[:, 2]) / directions[:, 2]
 
-    def error_shapes(self, ranges: Array, directions: Array) -> Array:
-        """(N, 4) errors of ranges by one of disparities: the same in the image, linear in it, and radial."""
-        x, y, z = directions.T
-        growth = (ranges * z) ** 2 / z
-        shapes = np.stack([np.ones(len(z)), x / z, y / z, (x**2 + y**2) / z**2], axis=1)
-        return np.asarray(growth[:, None] * shapes)
-
 
 class DepthCameraUncertainty(RangeUncertainty):
     """Prior standard deviations of a depth camera's systematic errors; 0 means exact."""
@@ -65,10 +58,36 @@ class DepthCameraUncertainty(RangeUncertainty):
     """The same at 45° from the optical axis over that on the axis, along x, along y, and radially. Rectification
     leaves half of such an error, in the directions in which the two images of a stereo camera are turned."""
 
-    def error_shapes(self) -> tuple[tuple[str, float], ...]:
-        """See :class:`RangeUncertainty`; in the order of :meth:`DepthNoise.error_shapes`."""
-        warps = ("depth warp along x", "depth warp along y", "radial depth warp")
-        return ("depth bias at 1 m", self.depth_bias), *((name, self.depth_warp) for name in warps)
+    def beam_errors(self) -> tuple[BeamError, ...]:
+        """See :class:`RangeUncertainty`; also errors of disparities: the same in the image, linear in it, radial.
+
+        They are in m at a depth of 1 m and grow with its square: one unit lengthens a range r along (x, y, z) by
+        ``(r z)² / z``.
+        """
+        return (
+            *super().beam_errors(),
+            BeamError("depth bias at 1 m", "m", self.depth_bias, lengthen=_lengthen_equally, power=2),
+            BeamError("depth warp along x", "m", self.depth_warp, lengthen=_lengthen_along_x, power=2),
+            BeamError("depth warp along y", "m", self.depth_warp, lengthen=_lengthen_along_y, power=2),
+            BeamError("radial depth warp", "m", self.depth_warp, lengthen=_lengthen_radially, power=2),
+        )
+
+
+def _lengthen_equally(directions: Array) -> Array:
+    return np.asarray(directions[:, 2])
+
+
+def _lengthen_along_x(directions: Array) -> Array:
+    return np.asarray(directions[:, 0])
+
+
+def _lengthen_along_y(directions: Array) -> Array:
+    return np.asarray(directions[:, 1])
+
+
+def _lengthen_radially(directions: Array) -> Array:
+    x, y, z = directions.T
+    return np.asarray((x**2 + y**2) / z)
 
 
 class DepthCameraSpec(OpticalSpec):

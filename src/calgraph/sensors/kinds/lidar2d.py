@@ -4,10 +4,11 @@ from typing import Literal
 
 import numpy as np
 
+from calgraph.geometry import Array
 from calgraph.io.quantities import DegreeStddev, Metres, Ratio, Tilt
 from calgraph.io.strict_model import StrictModel
 from calgraph.sensors.kinds.sensor_kind import LEVEL_AXES, SensorKind, foxglove_types
-from calgraph.sensors.kinds.stated import ClockOffset, Name, RangeNoise, RangeUncertainty
+from calgraph.sensors.kinds.stated import BeamError, ClockOffset, Name, RangeNoise, RangeUncertainty
 from calgraph.sensors.messages import LaserScan, Message, PointCloud
 
 
@@ -23,6 +24,17 @@ class Lidar2dUncertainty(RangeUncertainty):
     clock_drift: Ratio = 3e-5
     """Relative error of the clock's rate; only in networks, beside the clock offset. Quartz oscillators of
     computers and scanners are specified to ±50 ppm over temperature: 3 ms in a minute."""
+
+    def beam_errors(self) -> tuple[BeamError, ...]:
+        """See :class:`RangeUncertainty`; also of the angle between beams."""
+        wider = "angles between beams of {of} are {size} larger|smaller than stated"
+        scale = BeamError("angle scale", "", self.angle_scale, 1.0, turn=_turn_by_azimuth, clause=wider)
+        return *super().beam_errors(), scale
+
+
+def _turn_by_azimuth(directions: Array) -> Array:
+    azimuth = np.arctan2(directions[:, 1], directions[:, 0])
+    return azimuth[:, None] * np.array([0.0, 0.0, 1.0])
 
 
 class Lidar2dSpec(StrictModel):

@@ -1,5 +1,7 @@
 """What rig.yaml states of sensors of several kinds: clocks, noise and prior standard deviations."""
 
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
@@ -102,9 +104,44 @@ class RangeNoise(StrictModel):
         """Standard deviations (N,) of ranges (N,) along directions (N, 3), m."""
         return np.full(len(ranges), self.range)
 
-    def error_shapes(self, ranges: Array, directions: Array) -> Array:  # noqa: ARG002
-        """(N, K) errors of ranges by each of the ``error_shapes`` of the uncertainty: none."""
-        return np.zeros((len(ranges), 0))
+
+@dataclass(frozen=True)
+class BeamError:
+    """A systematic error of a scanner: its prior, how it changes beams, and what users are told about it."""
+
+    quantity: str
+    """What it is called in results and, without a clause, in messages."""
+    unit: str
+    """``m``, ``rad``, or nothing for ratios."""
+    stddev: float
+    """Prior standard deviation; 0 means exact."""
+    stated: float = 0.0
+    lengthen: Callable[[Array], Array] | None = None
+    """By how much (N,), m, one unit lengthens the ranges of 1 m along directions (N, 3), sensor frame;"""
+    power: int = 0
+    """others as much times this power of them."""
+    turn: Callable[[Array], Array] | None = None
+    """Rotation vectors (N, 3), rad, by which one unit turns directions (N, 3), sensor frame."""
+    clause: str = ""
+    """See :class:`calgraph.verdict.parameter_estimates.DescribedParameter`."""
+
+
+def turn_beams(errors: Sequence[BeamError], directions: Array, values: Array) -> tuple[Array, Array]:
+    """Rotation vectors (N, 3) of directions (N, 3) by E errors of values (E, N) or (E, 1), and (E, N, 3) by units.
+
+    The derivative of a turned vector v by a value is the cross product of the latter and v; where several errors
+    turn, to first order in the others.
+    """
+    turns = np.zeros((len(errors), *directions.shape))
+    for turn, error in zip(turns, errors, strict=True):
+        if error.turn:
+            turn[:] = error.turn(directions)
+    return np.sum(values[..., None] * turns, axis=0), turns
+
+
+def lengthen_equally(directions: Array) -> Array:
+    """The same (N,) for all directions (N, 3): see :attr:`BeamError.lengthen`."""
+    return np.ones(len(directions))
 
 
 class TimeUncertainty(StrictModel):
@@ -126,9 +163,13 @@ class RangeUncertainty(TimeUncertainty):
     Triangulating and cheap phase-shift scanners need 1 %: Hokuyo URG-04LX and RPLIDAR A1 state 1 % of the
     range."""
 
-    def error_shapes(self) -> tuple[tuple[str, float], ...]:
-        """Names and prior standard deviations, m, of errors that vary over the view, of kinds that have any."""
-        return ()
+    def beam_errors(self) -> tuple[BeamError, ...]:
+        """The table of all systematic errors of one scanner's beams; kinds with more of them add theirs."""
+        longer = "ranges of {of} are {size} longer|shorter than they should be"
+        return (
+            BeamError("range bias", "m", self.range_bias, lengthen=lengthen_equally, clause=longer),
+            BeamError("range scale", "", self.range_scale, 1.0, lengthen_equally, power=1, clause=longer),
+        )
 
 
 class OpticalSpec(StrictModel):
