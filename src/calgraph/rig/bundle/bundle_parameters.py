@@ -65,7 +65,7 @@ class LocalParameters:
 
     def size(self, block: str) -> int:
         """Number of columns of a block."""
-        return self[block].stop - self[block].start
+        return int(self[block].stop - self[block].start)
 
     @property
     def ring_count(self) -> int:

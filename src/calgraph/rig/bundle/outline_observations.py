@@ -77,8 +77,8 @@ class OutlineObservations:
     """(M,) coordinate of the edge along its side, board frame, m."""
     noise_scale: float = 1.0
     parameters: LocalParameters = NO_PARAMETERS
-    """In blocks ``size``, errors of the board's width and height, m; ``print``, place x, y and rotation of the print
-    on the board, m and rad; ``beams``, of the errors that turn these; ``varying``, footprints, m."""
+    """In blocks ``size``, width and height of the board, m; ``print``, place and rotation of the print on it, m
+    and rad; ``beams``, of the errors that turn these; ``varying``, footprints, m."""
     turns: tuple[BeamError, ...] = ()
     """Systematic errors of the beams' directions, in the order of their parameters."""
     twist: Array = field(default_factory=lambda: np.zeros((0, 6)))
@@ -153,7 +153,7 @@ class OutlineObservations:
         jacobian[:, :3], jacobian[:, 3:6], by_parameters = by_point, np.cross(rotated, by_point), jacobian[:, 6:]
         by_parameters[:, block["size"]] = 0.5 * by_outward[:, None] * (axis[:, None] == [0, 1])
         by_parameters[:, block["print"]] = np.column_stack([-by_board, by_turn])
-        by_parameters[:, block["beams"]] = np.einsum("kni,ni->nk", np.cross(turns, across), direction) / sigma
+        by_parameters[:, block["beams"]] = np.einsum("kni,ni->nk", so3.cross(turns, across), direction) / sigma
         by_parameters[:, block["varying"]] = by_outward[:, None] * (upright[:, None] == [False, True])
         return LinearizedResiduals(
             angle / sigma,

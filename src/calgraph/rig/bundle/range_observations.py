@@ -98,15 +98,6 @@ class RangeObservations:
         """
         velocity = velocity_along_sensor(self.twist, T_sensor_board)
         block, view = self.parameters, view_indices(self.start, len(self.ranges))
-        if not block.blocks:
-            h, cosine = self._intersect_planes(T_sensor_board, self.directions)
-            distance = np.repeat(h, self._counts) / cosine
-            # Column-major, in the order of computation.
-            columns = np.empty((3, len(self.ranges)))
-            np.multiply(self.directions.T, 1 / (cosine**2 * self.sigma), out=columns)
-            residual = (distance - self.ranges) / self.sigma
-            by_plane = self.local_jacobian(T_sensor_board)
-            return LinearizedResiduals(residual[:, None], columns.T[:, None], by_plane, 3, velocity=velocity)
         local = block.gather(extra)
         # All but bows and biases of rings are the same in all views.
         shared = local[0] if len(local) else np.zeros(local.shape[1])
@@ -127,39 +118,38 @@ class RangeObservations:
         height = np.repeat(h, self._counts)
         if self.bow_shape is not None:
             height = height + np.sum(self.bow_shape * local[view, block["bow"]], axis=-1)
-        distance = height / cosine
-        predicted, stretch = distance, np.ones(len(distance))
-        q = 3 + local.shape[1] - block.ring_count
-        columns = np.zeros((q, len(self.ranges)))
+        distance, weight = height / cosine, 1 / self.sigma
+        predicted, stretch = distance, np.ones(1)
+        columns = np.zeros((3 + local.shape[1] - block.ring_count, len(self.ranges)))
         by_parameters = columns[3:]
         by_beams = by_parameters[block["beams"]]
         for error, value, by_error in zip(self.errors, of_beams, by_beams, strict=True):
             if error.lengthen:
-                shape = error.lengthen(self.directions)
-                by_error += shape * distance**error.power
-                predicted = predicted + value * by_error
-                if error.power:
-                    stretch += value * error.power * shape * distance ** (error.power - 1)
+                shape, growth = error.lengthen(self.directions), np.zeros(1)
+                for _ in range(error.power):
+                    shape, growth = shape * distance, error.power * shape
+                predicted, stretch = predicted + value * shape, stretch + value * growth
+                np.multiply(shape, weight, out=by_error)
+        by_height = stretch * weight / cosine
         if turning:
             n = np.repeat(T_measured[:, :3, 2], self._counts, axis=0)
-            across = np.einsum("ni,kni->kn", n, np.cross(turns, directions))
-            by_beams[turning] -= across * stretch * distance / cosine
-        np.multiply(directions.T, stretch / cosine**2, out=columns[:3])
+            for i, turn in zip(turning, turns, strict=True):
+                by_beams[i] -= np.einsum("ni,ni->n", n, so3.cross(turn, directions)) * distance * by_height
+        np.multiply(directions.T, by_height / cosine, out=columns[:3])
         if self.bow_shape is not None:
-            by_parameters[block["bow"]] = (stretch / cosine) * self.bow_shape.T
+            np.multiply(by_height, self.bow_shape.T, out=by_parameters[block["bow"]])
         if by_delay is not None:
             by_parameters[block["delay"]] = np.einsum("in,ni->n", columns[:3], by_delay[view])
-        columns /= self.sigma
         if self.ring is not None:
             predicted = predicted + local[:, block["varying"]][view, self.ring]
         return LinearizedResiduals(
-            ((predicted - self.ranges) / self.sigma)[:, None],
+            ((predicted - self.ranges) * weight)[:, None],
             columns.T[:, None],
             block.jacobian(by_pose),
             3,
             self.ring,
             block.ring_count,
-            self._bias_column,
+            0 if self.ring is None else self._bias_column,
             velocity,
         )
 

@@ -38,7 +38,7 @@ _EDGES = "edges of the board in scans of {of} are {size} too far out|in"
 
 
 _Blocks = Mapping[str, Sequence[SystematicParameter | None]]
-"""Systematic parameters before their views are known, by the names of their blocks; None for those that are not."""
+"""Systematic parameters before their views are known, by the names of their blocks; None for those left out."""
 
 
 @dataclass

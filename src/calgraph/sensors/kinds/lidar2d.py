@@ -33,8 +33,9 @@ class Lidar2dUncertainty(RangeUncertainty):
 
 
 def _turn_by_azimuth(directions: Array) -> Array:
-    azimuth = np.arctan2(directions[:, 1], directions[:, 0])
-    return azimuth[:, None] * np.array([0.0, 0.0, 1.0])
+    rotations = np.zeros_like(directions)
+    rotations[:, 2] = np.arctan2(directions[:, 1], directions[:, 0])
+    return np.asarray(rotations, dtype=np.float64)
 
 
 class Lidar2dSpec(StrictModel):

@@ -117,9 +117,9 @@ class BeamError:
     """Prior standard deviation; 0 means exact."""
     stated: float = 0.0
     lengthen: Callable[[Array], Array] | None = None
-    """By how much (N,), m, one unit lengthens the ranges of 1 m along directions (N, 3), sensor frame;"""
+    """By how much (N,) or (1,), m, one unit lengthens ranges of 1 m along directions (N, 3), sensor frame;"""
     power: int = 0
-    """others as much times this power of them."""
+    """others by as much times this power of them."""
     turn: Callable[[Array], Array] | None = None
     """Rotation vectors (N, 3), rad, by which one unit turns directions (N, 3), sensor frame."""
     clause: str = ""
@@ -139,9 +139,9 @@ def turn_beams(errors: Sequence[BeamError], directions: Array, values: Array) ->
     return np.sum(values[..., None] * turns, axis=0), turns
 
 
-def lengthen_equally(directions: Array) -> Array:
-    """The same (N,) for all directions (N, 3): see :attr:`BeamError.lengthen`."""
-    return np.ones(len(directions))
+def lengthen_equally(directions: Array) -> Array:  # noqa: ARG001
+    """(1,), the same for all directions (N, 3): see :attr:`BeamError.lengthen`."""
+    return np.ones(1)
 
 
 class TimeUncertainty(StrictModel):
