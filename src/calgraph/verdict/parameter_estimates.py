@@ -19,8 +19,8 @@ class DescribedParameter:
     """``range bias`` and so on."""
     unit: str
     """``m``, ``px``, ``rad``, ``s``, or nothing for ratios."""
-    clause: str = field(default="{quantity} of {of} is {size} larger|smaller than stated", kw_only=True)
-    """What a deviation means, with the words for a positive and for a negative one."""
+    clause: str = field(default="", kw_only=True)
+    """What a deviation means, with the words for a positive and for a negative one; by default as below."""
 
 
 def describe_deviation(parameter: DescribedParameter, deviation: float, of: str = "") -> str:
@@ -32,7 +32,8 @@ def describe_deviation(parameter: DescribedParameter, deviation: float, of: str 
         of: what it is a parameter of, where it stands for several.
     """
     word = r"\2" if deviation < 0 else r"\1"
-    return re.sub(r"(\w+)\|(\w+)", word, parameter.clause).format(
+    clause = parameter.clause or "{quantity} of {of} is {size} larger|smaller than stated"
+    return re.sub(r"(\w+)\|(\w+)", word, clause).format(
         of=of or parameter.of, quantity=parameter.quantity, size=format_size(deviation, parameter)
     )
 
