@@ -186,16 +186,6 @@ def board_name(number: int, count: int) -> str:
     return f"board {number + 1}" if count > 1 else "board"
 
 
-def estimated_print_scales(bundle: Bundle, state: BundleState, count: int) -> dict[int, float]:
-    """True over stated size of the print on each of the rig's boards (``count``) for which the bundle has it."""
-    numbers = {board_name(number, count): number for number in range(count)}
-    return {
-        numbers[one.of]: one.stated + one.scale * float(value)
-        for one, value in zip(bundle.extra_parameters, state.extra, strict=True)
-        if one.quantity == _PRINT_SCALE
-    }
-
-
 def _add_to_camera(
     table: ParameterTable,
     k: int,
