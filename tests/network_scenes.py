@@ -4,10 +4,9 @@ import numpy as np
 
 from calgraph.config.settings import NetworkEstimationSettings, TrackingSettings
 from calgraph.geometry import Array, se2
-from calgraph.network.joint.ellipse_equations import raycast_ellipses
-from calgraph.network.joint.model_error import TUKEY_LIMIT
+from calgraph.network.joint.ellipses import raycast_ellipses
 from calgraph.network.joint.problem import BodyPath, BodyScans
-from calgraph.network.joint.scan_equations import TukeyLoss
+from calgraph.network.joint.scan_equations import TUKEY_LIMIT, TukeyLoss
 from calgraph.network.joint.scanner_unknowns import SYSTEMATIC_ERRORS
 from calgraph.network.joint.schur import BodyEquations
 from calgraph.network.joint.solver import NetworkEquations
@@ -43,7 +42,7 @@ def simulate_scans(
         0.15 / np.linalg.norm(offset, axis=1)
     )
     direction = np.column_stack([np.cos(angle), np.sin(angle)])
-    origin, radii = (np.broadcast_to(x, direction.shape) for x in (T[:2, 2], path.radii))
+    origin, radii = (np.broadcast_to(x, direction.shape) for x in (T[:2, 2], path.shape))
     ranges = raycast_ellipses(origin, direction, pose[:, :2], pose[:, 2], radii).ranges + rng.normal(
         0, SIGMA, len(at)
     )

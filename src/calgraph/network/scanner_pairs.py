@@ -14,7 +14,6 @@ from calgraph.network.graph.clock_consensus import MAX_EVIDENCE_RATIO, SAME_CLOC
 from calgraph.network.graph.clock_mounting_consensus import ClockMountingSolution, resolve_clocks_and_mountings
 from calgraph.network.graph.network_initialization import NetworkInitialization, initialize_network
 from calgraph.network.options import NetworkMethod, NetworkOptions
-from calgraph.network.pairs.candidate_pairs import label_parts
 from calgraph.network.pairs.clock_mounting_search import (
     FIRM_EVIDENCE,
     describe_difference,
@@ -30,6 +29,7 @@ from calgraph.network.tracking.track import ScannerTracks, correct_tracks
 from calgraph.parallel.progress import Progress
 from calgraph.result import Calibration
 from calgraph.result.finding import Finding
+from calgraph.solver.connected_parts import label_parts
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +84,7 @@ def average_pairs(
     return initialize_network(
         rig.root,
         corrected.pairs,
-        {name: ScannerObservations.from_tracks(one) for name, one in corrected.tracked.items()},
+        _build_observations(corrected.tracked),
         rng,
         averaging=select_averaging(method.average),
         weighted=method.weights == "weighted",
@@ -158,8 +158,8 @@ def _find_differences(
 def _label_parts(tracked: Mapping[str, ScannerTracks], pairs: Iterable[ScannerPairEstimate]) -> dict[str, int]:
     """Number of the part of each scanner that pairs connect."""
     node = {name: k for k, name in enumerate(tracked)}
-    connected = [(node[pair.sensor_a], node[pair.sensor_b]) for pair in pairs]
-    return dict(zip(node, label_parts(len(node), connected).tolist(), strict=True))
+    connected = np.array([(node[pair.sensor_a], node[pair.sensor_b]) for pair in pairs], dtype=np.intp)
+    return dict(zip(node, label_parts(len(node), connected.reshape(-1, 2)).tolist(), strict=True))
 
 
 def _build_observations(tracked: Mapping[str, ScannerTracks]) -> dict[str, ScannerObservations]:

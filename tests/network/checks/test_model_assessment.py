@@ -6,7 +6,6 @@ from functools import cache
 import numpy as np
 import pytest
 
-from calgraph.config import People
 from calgraph.geometry import Array, se2
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
 from calgraph.network.checks.model_assessment import ModelAssessment, add_position_errors, assess_network_model
@@ -24,7 +23,6 @@ from solved_networks import no_change, solve_two_walks
 NAMES = ("west", "east", "north")
 TRACKED = [ScannerTracks((), np.zeros((0, 2)), SIGMA)] * 3
 EDGES = np.array([[0, 1], [0, 2]])
-AXES = (0.25, 0.15)
 PAIR_SIGMA = 0.02
 """Of averaged poses, m and rad."""
 
@@ -48,11 +46,7 @@ def with_noise_at_limit() -> SolvedNetwork:
 
 
 def assess(
-    solved: SolvedNetwork | None,
-    averaging_error: float = 0.0,
-    axes: tuple[float, float] = AXES,
-    *,
-    replaceable: bool = True,
+    solved: SolvedNetwork | None, averaging_error: float = 0.0, *, replaceable: bool = True
 ) -> ModelAssessment:
     """With averaged poses of which the last is off by ``averaging_error``, m."""
     joint = NetworkSolution(T_ROOT, OFFSET, relate_all(1e-6 * np.eye(12), 3), True, 0.005, solved)
@@ -61,7 +55,6 @@ def assess(
     T_i_j = np.array([se2.inverse(averaged[i]) @ averaged[j] for i, j in EDGES])
     graph = PoseGraph(3, EDGES, T_i_j, np.tile(np.eye(3) / PAIR_SIGMA**2, (2, 1, 1)))
     return assess_network_model(
-        People(kind="people", axes=axes),
         joint,
         TRACKED,
         NetworkInitialization({}, graph, NAMES, PoseGraphSolution(averaged, np.array([True, True]))),
@@ -169,4 +162,7 @@ def test_averages_of_legs_may_be_farther_off_than_their_covariance_states() -> N
 
 @pytest.mark.parametrize("axes", [(0.18, 0.15), (0.25, 0.19)])
 def test_averages_with_stated_radii_that_are_wrong_are_no_evidence(axes: tuple[float, float]) -> None:
-    assert assess(solve(), averaging_error=0.2, axes=axes).findings == ()
+    solved = solve()
+    bodies = (replace(body, radii=np.array(axes)) for body in solved.problem.bodies)
+    stated = replace(solved, problem=replace(solved.problem, bodies=tuple(bodies)))
+    assert assess(stated, averaging_error=0.2).findings == ()

@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 
-from calgraph.network.joint.beam_residuals import list_beam_residuals
+from calgraph.network.joint.body_equations import predict_beams
 from calgraph.network.joint.contributions import Contributions, split_contributions
 from calgraph.network.joint.estimate import SolvedNetwork
-from calgraph.network.joint.model_error import TUKEY_LIMIT
-from calgraph.network.joint.scan_equations import TukeyLoss
+from calgraph.network.joint.scan_equations import TUKEY_LIMIT, TukeyLoss
 from calgraph.network.joint.solver import linearize_network
 from leg_scenes import build_network
 from network_scenes import eliminate_densely
@@ -86,7 +85,7 @@ def test_beams_without_noise_have_no_residuals_at_the_true_state_of_legs() -> No
     beams = [
         one
         for body, path in zip(network.bodies, state.paths, strict=True)
-        for one in list_beam_residuals(network, state, body, path)
+        for one in predict_beams(network, state, body, path)
     ]
     assert [one.scans.scanner for one in beams] == [0, 1, 2, 0, 1, 2]
     for one in beams:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from calgraph.geometry import Array
-from calgraph.network.joint.ellipse_equations import RaycastHits, raycast_ellipses, rotate_by_small_angles
+from calgraph.network.joint.ellipses import RaycastHits, raycast_ellipses, rotate_by_small_angles
 from calgraph.simulation.network_beams import cast_ellipses
 
 ORIGIN = np.zeros((1, 2))

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calgraph.network.joint.leg_problem import LegObservations
 from calgraph.network.joint.leg_solution import LegNoise, estimate_noise
+from calgraph.network.joint.legs import LegObservations
 from calgraph.network.joint.solver import optimize_network
 from leg_scenes import build_network
 

@@ -4,23 +4,20 @@ import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from heapq import heappop, heappush
 from types import MappingProxyType
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.config import Cylinder, Lidar2dSpec, Rig
-from calgraph.config.target import Target
+from calgraph.config import Lidar2dSpec, Rig
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, Index, diagonal_blocks, se2
 from calgraph.graph.pose_graph import PoseGraph
+from calgraph.graph.spanning_tree import walk_tree
 from calgraph.network.graph.network_graph import compute_joint_covariance
 from calgraph.network.graph.network_initialization import NetworkInitialization
-from calgraph.network.joint.beam_residuals import BeamResiduals, list_beam_residuals
+from calgraph.network.joint.body_equations import PredictedBeams, predict_beams
 from calgraph.network.joint.estimate import NetworkSolution
-from calgraph.network.joint.leg_problem import LegObservations
 from calgraph.network.joint.planar_poses import lift_covariance
 from calgraph.network.joint.problem import BodyObservations, BodyPath, NetworkProblem, NetworkState
 from calgraph.network.joint.track_association import MAX_DISTANCE
@@ -118,7 +115,7 @@ def assemble_network(
         systematic=joint.systematic.summarize(names) if joint and joint.systematic else (),
         evidence=Evidence(
             estimator="averaging" if joint is None else "joint",
-            bodies=_describe_bodies(rig.target, joint) if joint else None,
+            bodies=_describe_bodies(joint) if joint else None,
             tolerance=rig.tolerance,
             edges=tuple(
                 _build_edge(pair, found, inlier_poses, parents) for pair, found in initialization.pairs.items()
@@ -181,11 +178,10 @@ def _assemble_poses(
     )
 
 
-def _describe_bodies(target: Target, joint: NetworkSolution) -> ModelledBodies | None:
+def _describe_bodies(joint: NetworkSolution) -> ModelledBodies | None:
     if joint.solved is None or not (bodies := joint.solved.problem.bodies):
         return None
-    whole: Literal["ellipses", "cylinders"] = "cylinders" if isinstance(target, Cylinder) else "ellipses"
-    return ModelledBodies("legs" if isinstance(bodies[0], LegObservations) else whole, len(bodies))
+    return ModelledBodies(bodies[0].kind, len(bodies))
 
 
 def _collect_stated_poses(rig: Rig, T_root_sensor: Mapping[str, Array]) -> dict[str, StatedPose]:
@@ -218,22 +214,8 @@ def _finite_or_none(value: float) -> float | None:
 def _find_parents(inliers: PoseGraph, names: tuple[str, ...]) -> dict[str, str]:
     """Each scanner's neighbour on the way to the root, over the edges with the most information."""
     by_information = np.argsort(-np.linalg.eigvalsh(inliers.information)[:, 0], kind="stable")
-    ends = inliers.edges[by_information].tolist()
-    of_node: list[list[int]] = [[] for _ in names]
-    for rank, (i, j) in enumerate(ends):
-        of_node[i].append(rank)
-        of_node[j].append(rank)
-    parents: dict[str, str] = {}
-    reached, leaving = {0}, of_node[0].copy()  # ascending, so a heap
-    while leaving:
-        i, j = ends[heappop(leaving)]
-        parent, child = (i, j) if i in reached else (j, i)
-        if child not in reached:
-            parents[names[child]] = names[parent]
-            reached.add(child)
-            for rank in of_node[child]:
-                heappush(leaving, rank)
-    return parents
+    tree = walk_tree(len(names), inliers.edges[by_information].tolist(), [0])
+    return {names[step.child]: names[step.parent] for step in tree}
 
 
 def _build_edge(
@@ -340,14 +322,14 @@ def _list_inlier_rows(
 ) -> list[tuple[int, int, float, Array]]:
     """Each scanner's inlier beams on a body: their number, sum of squared residuals, and every n-th (S,) row."""
     listed = []
-    for beams in list_beam_residuals(network, state, body, path):
+    for beams in predict_beams(network, state, body, path):
         rows = _inlier_rows(beams)
         scanner = beams.scans.scanner
         listed.append((scanner, len(rows), float(rows[:, 3] @ rows[:, 3]), rows[:: step[scanner]].copy()))
     return listed
 
 
-def _inlier_rows(beams: BeamResiduals) -> Array:
+def _inlier_rows(beams: PredictedBeams) -> Array:
     """(N, 4) time by the scanner's clock, end of the beam, and measured minus predicted range."""
     scans = beams.scans
     time = scans.times[beams.scan] + scans.beam_delay

@@ -3,13 +3,12 @@
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2
 from calgraph.graph.pose_graph import PoseGraph
-from calgraph.network.graph.conflicting_evidence import AmbiguousPart
+from calgraph.graph.spanning_tree import fundamental_cuts
+from calgraph.network.graph.cuts import AmbiguousPart
 from calgraph.network.graph.network_initialization import NetworkInitialization
 from calgraph.network.pairs.scanner_pair import ScannerPairEstimate
 from calgraph.network.tracking.track import ScannerBump, ScannerTracks
@@ -64,8 +63,13 @@ def find_poorly_supported_parts(
         min_matched_share: least share of matched positions among those that both scanners should detect.
     """
     findings = []
-    ends = np.unique(np.sort(inliers.edges, axis=1), axis=0)
-    for k, (i, j) in enumerate(ends.tolist()):
+    ends = np.sort(inliers.edges, axis=1)
+    cuts = fundamental_cuts(inliers, np.ones(len(ends)))
+    for edge, part in sorted(cuts, key=lambda cut: tuple(ends[cut[0]])):
+        across = part[ends[:, 0]] != part[ends[:, 1]]
+        if len(np.unique(inliers.pair_of_edge[across])) > 1:
+            continue
+        i, j = ends[edge].tolist()
         found = pairs.get((names[i], names[j])) or pairs.get((names[j], names[i]))
         if found is None or isinstance(found, Rejected):
             continue
@@ -74,9 +78,6 @@ def find_poorly_supported_parts(
             found.hypotheses, key=lambda one: float(np.linalg.norm(se2.difference(T_a_b, one.T_a_b)[:2]))
         )
         if nearest.matched_share >= min_matched_share:
-            continue
-        part = _separate(np.delete(ends, k, axis=0), len(names))
-        if not part.any():
             continue
         scanners = tuple(names[node] for node in np.flatnonzero(part).tolist())
         findings.append(
@@ -101,13 +102,6 @@ def describe_ambiguous_parts(names: Sequence[str], parts: Sequence[AmbiguousPart
         )
         for part in parts
     ]
-
-
-def _separate(ends: Array, count: int) -> Array:
-    """(count,) mask of the nodes that these edges (E, 2) do not connect to the root."""
-    adjacency = coo_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(count, count))
-    part = connected_components(adjacency, directed=False)[1]
-    return np.asarray(part != part[0])
 
 
 # Intervals shorter than this are stated as one time, s.

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.config import Cylinder, People
 from calgraph.geometry import Array, Index
 from calgraph.network.checks.consistency_tests import (
     FALSE_ALARM_PROBABILITY,
@@ -18,10 +17,9 @@ from calgraph.network.checks.consistency_tests import (
 )
 from calgraph.network.graph.network_graph import compute_joint_covariance
 from calgraph.network.graph.network_initialization import NetworkInitialization
-from calgraph.network.joint.beam_residuals import list_beam_residuals
+from calgraph.network.joint.body_equations import predict_beams
 from calgraph.network.joint.contributions import split_contributions
 from calgraph.network.joint.estimate import NetworkSolution, SolvedNetwork
-from calgraph.network.joint.leg_problem import LegObservations
 from calgraph.network.joint.model_error import MAX_HEADING_SIGMA, MAX_POSITION_SIGMA
 from calgraph.network.joint.problem import BodyObservations, BodyPath, NetworkProblem, NetworkState
 from calgraph.network.joint.range_noise import MAX_EXCESS
@@ -49,7 +47,6 @@ class ModelAssessment:
 
 
 def assess_network_model(
-    target: People | Cylinder,
     joint: NetworkSolution,
     tracked: Sequence[ScannerTracks],
     initialization: NetworkInitialization,
@@ -63,14 +60,13 @@ def assess_network_model(
     where anything but the averaged pairs contradicts it, and these do as well.
 
     Args:
-        target: the kind of bodies, with their stated size.
         joint: the joint solution.
         tracked: the tracks of each of its scanners.
         initialization: averaged poses of the same from the pairs alone.
         replaceable: whether averaged poses may replace the joint solution.
         max_stddev: of the position of a scanner whose pose is good, m.
     """
-    assessment = _test_model(target, joint, tracked, initialization, replaceable, max_stddev)
+    assessment = _test_model(joint, tracked, initialization, replaceable, max_stddev)
     if assessment.joint is None or assessment.joint.systematic is None:
         return assessment
     errors = find_systematic_errors(assessment.joint.systematic, initialization.names)
@@ -98,7 +94,6 @@ _LEG_AVERAGING_VARIANCE = 2.0
 
 
 def _test_model(
-    target: People | Cylinder,
     joint: NetworkSolution,
     tracked: Sequence[ScannerTracks],
     initialization: NetworkInitialization,
@@ -123,11 +118,11 @@ def _test_model(
     if scatter.p < FALSE_ALARM_PROBABILITY and scatter.ratio > _MAX_GOOD_SCATTER:
         findings.append(_describe_scatter(scatter, names))
     refuted = any(finding.refutes for finding in findings)
-    legs = isinstance(solved.problem.bodies[0], LegObservations)
-    if legs or _measure_radius_deviation(target, solved) < _MAX_RADIUS_DEVIATION:
+    whole = solved.problem.bodies[0].is_whole
+    if not whole or _measure_radius_deviation(solved) < _MAX_RADIUS_DEVIATION:
         inliers = initialization.graph.select_edges(averaged.inliers)
         covariance = compute_joint_covariance(inliers, averaged.T_root_node)
-        covariance *= _LEG_AVERAGING_VARIANCE if legs else 1.0
+        covariance *= 1.0 if whole else _LEG_AVERAGING_VARIANCE
         disagreement = [*find_disagreement(joint, averaged.T_root_node, covariance, names)]
         refuted |= bool(findings and disagreement)
         findings += disagreement
@@ -180,11 +175,11 @@ def _describe_scatter(scatter: Scatter, names: Sequence[str]) -> Finding:
     )
 
 
-def _measure_radius_deviation(target: People | Cylinder, solved: SolvedNetwork) -> float:
+def _measure_radius_deviation(solved: SolvedNetwork) -> float:
     """Largest relative deviation of the mean radii of all bodies from the stated ones."""
-    stated: Array = np.array(target.axes) if isinstance(target, People) else np.full(2, target.diameter / 2)
+    stated, _ = solved.problem.bodies[0].shape_prior
     beams = [sum(len(scans.ranges) for scans in body.scans) for body in solved.problem.bodies]
-    radii = np.average([path.radii for path in solved.state.paths], axis=0, weights=beams)
+    radii = np.average([path.shape for path in solved.state.paths], axis=0, weights=beams)
     return float(np.max(np.abs(radii / stated - 1)))
 
 
@@ -377,7 +372,7 @@ def _multiply_adjacent(
 ) -> list[tuple[int, float, float]]:
     """Each scanner of a body, with the weighted sums of products and of mean squares of adjacent residuals."""
     sums = []
-    for beams in list_beam_residuals(network, state, body, path):
+    for beams in predict_beams(network, state, body, path):
         weights = beams.scans.weight
         weight = np.sqrt(weights[:-1] * weights[1:]) * (beams.scan[:-1] == beams.scan[1:])
         first, second = beams.residual[:-1], beams.residual[1:]

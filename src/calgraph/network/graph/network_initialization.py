@@ -10,10 +10,14 @@ from calgraph.errors import Rejected
 from calgraph.geometry import Array
 from calgraph.graph.pose_graph import PoseAveraging, PoseGraph, PoseGraphSolution
 from calgraph.network.graph.clock_consensus import average_clocks
-from calgraph.network.graph.conflicting_evidence import (
+from calgraph.network.graph.cuts import (
     AmbiguousPart,
+    AveragedGraph,
     find_ambiguous_parts,
+    find_chance_connections,
     find_conflicting_evidence,
+    find_visibility_conflict,
+    is_confirmed_by_visibility,
 )
 from calgraph.network.graph.network_graph import (
     average_network,
@@ -22,11 +26,6 @@ from calgraph.network.graph.network_graph import (
     edge_weights,
     edges_by_chance,
     published_weights,
-)
-from calgraph.network.graph.visibility_check import (
-    find_chance_connections,
-    find_visibility_conflict,
-    is_confirmed_by_visibility,
 )
 from calgraph.network.pairs.clock_mounting_search import describe_difference
 from calgraph.network.pairs.scanner_pair import ScannerPairEstimate
@@ -97,8 +96,8 @@ def initialize_network(
         if weighted:
             weights = published_weights(names, estimates) if averaging else edge_weights(evidence)
         solution, graph = average_network(graph, rng, weights, averaging)
-        by_chance = edges_by_chance(names, estimates, len(observations))
-        unsure = find_chance_connections(graph, solution, by_chance)
+        averaged = AveragedGraph(graph, solution, evidence)
+        unsure = find_chance_connections(averaged, edges_by_chance(names, estimates, len(observations)))
         if unsure.any():
             why = (
                 "the tracks match, but only where people walk straight at one speed, as different people do by "
@@ -108,15 +107,14 @@ def initialize_network(
             continue
         # A root without any connection may have no observations.
         of_nodes = [observations[name] for name in names if name in observations]
-        missed = find_visibility_conflict(graph, of_nodes, solution, evidence)
+        missed = find_visibility_conflict(averaged, of_nodes)
         if missed:
             why = f"under its pose, scanners miss {missed.missed_share:.0%} of the people in their open view"
             pairs = _reject_edges(pairs, names, missed.edges, Rejected(why))
             continue
-        conflict = find_conflicting_evidence(graph, names, estimates, solution)
+        conflict = find_conflicting_evidence(averaged, names)
         if not conflict:
-            ambiguous = find_ambiguous_parts(graph, evidence, solution)
-            return NetworkInitialization(pairs, graph, names, solution, tuple(ambiguous))
+            return NetworkInitialization(pairs, graph, names, solution, tuple(find_ambiguous_parts(averaged)))
         if is_confirmed_by_visibility(of_nodes, conflict.T_root_node, conflict.part):
             pairs = _reject_edges(pairs, names, conflict.weaker_edges, Rejected("contradicts better evidence"))
         else:
