@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import cho_solve_banded, cholesky_banded, solveh_banded
 
-from calgraph.geometry import STDDEV_PER_MAD, Array, Index, se2, se_n
+from calgraph.geometry import Array, Index, estimate_spread, se2, se_n
 from calgraph.network.joint.body_batches import BodyBatches
 from calgraph.network.joint.body_equations import predict_beams, update_weights
 from calgraph.network.joint.leg_tracks import ACCELERATION_DENSITY, LegTrack, track_legs
@@ -115,7 +115,7 @@ def _estimate_range_noise(
             residuals[scans.scanner].append(absolute)
     by_scanner = [np.concatenate([np.zeros(0), *parts]) for parts in residuals]
     estimated = [
-        STDDEV_PER_MAD * np.median(absolute) if len(absolute) >= MIN_BEAMS else stated
+        estimate_spread(absolute) if len(absolute) >= MIN_BEAMS else stated
         for absolute, stated in zip(by_scanner, background, strict=True)
     ]
     return np.asarray(np.clip(estimated, MIN_RATIO * background, np.hypot(background, MAX_EXCESS)))

@@ -9,7 +9,7 @@ from functools import partial
 
 import numpy as np
 
-from calgraph.geometry import STDDEV_PER_MAD, Array, Index
+from calgraph.geometry import Array, Index, estimate_spread
 from calgraph.network.joint.body_equations import predict_beams
 from calgraph.network.joint.problem import BodyObservations, BodyPath, NetworkProblem, NetworkState
 from calgraph.network.joint.scan_equations import TUKEY_LIMIT, ScanEquations, TukeyLoss
@@ -56,7 +56,7 @@ def estimate_range_noise(
     by_scanner = [np.concatenate([np.zeros(0), *parts]) for parts in residuals]
     shrinkage = loss.median_shrinkage * np.minimum(leverage / np.maximum(effective_beams, 1), _MAX_LEVERAGE)
     sigma = [
-        STDDEV_PER_MAD * np.median(absolute) / (1 - shrunk) if len(absolute) >= MIN_BEAMS else stated
+        estimate_spread(absolute) / (1 - shrunk) if len(absolute) >= MIN_BEAMS else stated
         for absolute, shrunk, stated in zip(by_scanner, shrinkage, background, strict=True)
     ]
     return np.asarray(np.clip(sigma, MIN_RATIO * background, np.hypot(background, MAX_EXCESS)))

@@ -11,7 +11,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calgraph.config.settings import ScannerPairSettings
 from calgraph.geometry import Array, se2
@@ -27,11 +26,8 @@ from calgraph.network.pairs.pose_hypotheses import propose_poses
 from calgraph.network.pairs.scanner_pair import (
     COARSE_PAIRS,
     DEPTH_STDDEV,
-    DETECTION_RADIUS,
     FINE_MODEL_ERROR,
     MAX_EXHAUSTIVE,
-    MAX_MISSED_SHARE,
-    MIN_EXPECTED,
     MIN_MATCHED_TIME,
     MIN_SAMPLES,
     PROPOSAL_STDDEV,
@@ -39,8 +35,9 @@ from calgraph.network.pairs.scanner_pair import (
     SAME_ANGLE,
     SAME_POSITION,
     ScannerPairEstimate,
+    miss_detections,
 )
-from calgraph.network.pairs.synchronized_tracks import Indices, SimultaneousPairs, pair_samples
+from calgraph.network.pairs.synchronized_tracks import Indices, pair_samples
 from calgraph.network.pairs.track_registration import (
     GATE,
     MAX_MODEL_ERROR,
@@ -49,7 +46,7 @@ from calgraph.network.pairs.track_registration import (
     register_tracks,
 )
 from calgraph.network.pairs.track_similarity import compute_track_similarity
-from calgraph.network.pairs.visibility_map import ScannerObservations, contradicts_visibility
+from calgraph.network.pairs.visibility_map import ScannerObservations
 from calgraph.parallel.engine import THIS_PROCESS, Engine
 
 # Most registrations of a hypothesis, each with the samples shifted to the clock offset of the previous one.
@@ -240,7 +237,7 @@ def _select_starts(
             continue
         T = propose_poses(subsample_pairs(pairs, _PAIRS, MIN_SAMPLES), rng, _PROPOSALS)
         rough = subsample_pairs(pairs, ROUGH_PAIRS, MIN_SAMPLES)
-        T = T[~_contradicts(T, a, moved, rough, len(pairs), PROPOSAL_STDDEV)]
+        T = T[~miss_detections(T, a, moved, rough, len(pairs), PROPOSAL_STDDEV)]
         coarse = subsample_pairs(pairs, COARSE_PAIRS, MIN_SAMPLES)
         costs = compute_pose_costs(T, coarse, PROPOSAL_STDDEV, GATE)
         candidates += [(float(costs[k]), delay, T[k]) for k in np.argsort(costs)[:_REGISTERED]]
@@ -278,24 +275,7 @@ def _register(
         if rest and shift + 1 < _MAX_SHIFTS:
             delay += rest
             continue
-        if _contradicts(T_a_b[None], a, moved, sampled, len(pairs), 0.0)[0]:
+        if miss_detections(T_a_b[None], a, moved, sampled, len(pairs), 0.0)[0]:
             return None
         return build_hypothesis(fit, sampled, a.samples, moved.samples, len(pairs), of_rest)
     return None
-
-
-def _contradicts(
-    T: Array,
-    a: ScannerObservations,
-    b: ScannerObservations,
-    sampled: SimultaneousPairs,
-    count: int,
-    pose_error: float,
-) -> NDArray[np.bool_]:
-    """(K,) which poses imply too many missed detections, by a selection of ``count`` pairs."""
-    return contradicts_visibility(
-        T, sampled, a.visibility, b.visibility,
-        radius=DETECTION_RADIUS + pose_error,
-        min_expected=MIN_EXPECTED * len(sampled) / count,
-        max_missed_share=MAX_MISSED_SHARE,
-    )  # fmt: skip

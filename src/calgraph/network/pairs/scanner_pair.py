@@ -300,7 +300,7 @@ MIN_SAMPLES = 20
 # width, errors of clocks and of the pose.
 DETECTION_RADIUS = 0.5
 # Expected detections from which the pose of a pair is tested by missed ones: 2 s of one person.
-MIN_EXPECTED = 20
+_MIN_EXPECTED = 20
 # Share of missed detections above which a pose is rejected: under correct poses it is mostly below 0.2, and up to
 # 0.5 where furniture occludes people from one of the two.
 MAX_MISSED_SHARE = 0.5
@@ -348,12 +348,7 @@ def _evaluate_hypotheses(
     rough, coarse, fine = (subsample_pairs(pairs, count, MIN_SAMPLES) for count in wanted)
 
     def contradict(poses: Array, subsampled: SimultaneousPairs, pose_error: float) -> NDArray[np.bool_]:
-        return contradicts_visibility(
-            poses, subsampled, a.observations.visibility, b.observations.visibility,
-            radius=DETECTION_RADIUS + pose_error,
-            min_expected=MIN_EXPECTED * len(subsampled) / len(pairs),
-            max_missed_share=MAX_MISSED_SHARE,
-        )  # fmt: skip
+        return miss_detections(poses, a.observations, b.observations, subsampled, len(pairs), pose_error)
 
     def register(T: Array, subsampled: SimultaneousPairs, model_error: float) -> TrackRegistration | None:
         return register_tracks(T, subsampled, model_error, prior)
@@ -405,6 +400,23 @@ def _evaluate_hypotheses(
     if icp:
         kept = [_align_with_background(h, a, b) for h in kept]
     return ScannerPairEstimate(*names, tuple(kept))
+
+
+def miss_detections(
+    T_a_b: Array,
+    a: ScannerObservations,
+    b: ScannerObservations,
+    sampled: SimultaneousPairs,
+    count: int,
+    pose_error: float,
+) -> NDArray[np.bool_]:
+    """(K,) which poses with an error, m, imply too many missed detections, by a selection of ``count`` pairs."""
+    return contradicts_visibility(
+        T_a_b, sampled, a.visibility, b.visibility,
+        radius=DETECTION_RADIUS + pose_error,
+        min_expected=_MIN_EXPECTED * len(sampled) / count,
+        max_missed_share=MAX_MISSED_SHARE,
+    )  # fmt: skip
 
 
 # Hypotheses of a pair that are kept at most.
