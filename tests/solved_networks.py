@@ -8,9 +8,8 @@ import numpy as np
 from calgraph.network.joint.body_batches import BodyBatches
 from calgraph.network.joint.body_equations import update_weights
 from calgraph.network.joint.ellipses import EllipseObservations
-from calgraph.network.joint.estimate import SolvedNetwork
 from calgraph.network.joint.problem import BodyObservations, BodyPath, BodyScans, NetworkProblem, NetworkState
-from calgraph.network.joint.solver import optimize_network
+from calgraph.network.joint.solver import NetworkEquations, optimize_network
 from calgraph.network.joint.splines import Knots
 from calgraph.network.pairs.scanner_pair import CLOCK_SIGMA
 from network_scenes import DENSITY, EXACT, OFFSET, SETTINGS, SIGMA, T_ROOT, simulate_scans
@@ -26,15 +25,13 @@ def no_change(_body: int, scans: BodyScans) -> BodyScans:
     return scans
 
 
-def replace_bodies(solved: SolvedNetwork, bodies: Sequence[BodyObservations]) -> SolvedNetwork:
+def replace_bodies(solved: NetworkEquations, bodies: Sequence[BodyObservations]) -> NetworkEquations:
     """The solution as if it was that of other measurements."""
-    problem = replace(solved.problem, bodies=tuple(bodies))
-    return replace(
-        solved, problem=problem, equations=replace(solved.equations, batches=BodyBatches.place(problem.bodies))
-    )
+    problem = replace(solved.network, bodies=tuple(bodies))
+    return replace(solved, network=problem, batches=BodyBatches.place(problem.bodies))
 
 
-def solve_two_walks(rng: np.random.Generator, change: Change = no_change) -> SolvedNetwork:
+def solve_two_walks(rng: np.random.Generator, change: Change = no_change) -> NetworkEquations:
     """The solution of two people's walks, with robust weights."""
     paths = [_simulate_path(phase) for phase in (0.0, 2.0)]
     bodies = []
@@ -58,7 +55,7 @@ def solve_two_walks(rng: np.random.Generator, change: Change = no_change) -> Sol
     for _ in range(6):
         network, batches = update_weights(network, state, BodyBatches.place(network.bodies))
         state, equations = optimize_network(network, state, iterations=6, batches=batches)
-    return SolvedNetwork(network, state, equations)
+    return equations
 
 
 def _simulate_path(phase: float) -> tuple[Knots, BodyPath]:

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calgraph.config import Cylinder, People, Rig
+from calgraph.config import Rig
 from calgraph.errors import Rejected
 from calgraph.geometry import se2
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
@@ -18,7 +18,7 @@ from calgraph.network.checks.assemble import (
     assemble_network,
 )
 from calgraph.network.graph.network_initialization import NetworkInitialization
-from calgraph.network.joint.estimate import NetworkSolution, SolvedNetwork
+from calgraph.network.joint.estimate import NetworkSolution
 from calgraph.network.joint.solver import linearize_network
 from calgraph.network.pairs.hypothesis_evidence import PoseHypothesis
 from calgraph.network.pairs.scanner_pair import ScannerPairEstimate
@@ -205,17 +205,16 @@ def test_heights_and_tilts_are_those_of_rig_yaml() -> None:
 
 def test_bodies_of_the_joint_solution_are_named() -> None:
     problem, state = build_network()
-    solved = SolvedNetwork(problem, state, linearize_network(problem, state))
-    ellipse = replace(
-        solved, problem=replace(problem, bodies=solve_two_walks(np.random.default_rng(0)).problem.bodies)
-    )
-    for target, one, expected in (
-        (People(), solved, f"legs ({len(problem.bodies)} tracked)"),
-        (People(), ellipse, "ellipses (2 tracked)"),
-        (Cylinder(diameter=0.5), ellipse, "cylinders (2 tracked)"),
+    solved = linearize_network(problem, state)
+    people = solve_two_walks(np.random.default_rng(0))
+    cylinders = tuple(replace(body, faces_forward=False) for body in people.network.bodies)
+    for one, expected in (
+        (solved, f"legs ({len(problem.bodies)} tracked)"),
+        (people, "ellipses (2 tracked)"),
+        (replace(people, network=replace(people.network, bodies=cylinders)), "cylinders (2 tracked)"),
     ):
         joint = NetworkSolution(T_ROOT, OFFSET, relate_all(np.eye(12), 3), True, 0.005, one)
-        assert str(_describe_bodies(target, joint)) == expected
+        assert str(_describe_bodies(joint)) == expected
     assert assemble().evidence.bodies is None
 
 

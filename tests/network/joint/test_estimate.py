@@ -12,7 +12,7 @@ from calgraph.config.settings import NetworkEstimationSettings
 from calgraph.geometry import Array, se2
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
 from calgraph.network.joint import body_batches
-from calgraph.network.joint.ellipses import EllipseObservations, raycast_ellipses
+from calgraph.network.joint.ellipses import EllipseObservations
 from calgraph.network.joint.estimate import (
     _CYLINDER_RADIUS_SIGMA,
     _PEOPLE_RADII_SIGMA,
@@ -30,7 +30,7 @@ from calgraph.network.joint.track_association import BodyTracks
 from calgraph.network.tracking.track import Hits, ScannerTracks, Track
 from calgraph.parallel.engine import Processes
 from dense_covariances import relate_all
-from network_scenes import DENSITY, OFFSET, SETTINGS, SIGMA, T_ROOT, build_track, simulate_scans
+from network_scenes import DENSITY, OFFSET, SETTINGS, SIGMA, T_ROOT, build_track, meet_ellipses, simulate_scans
 
 PEOPLE, ROUND = People(kind="people", axes=(0.25, 0.15)), Cylinder(kind="cylinder", diameter=0.5)
 SECONDS = 12.0
@@ -61,7 +61,7 @@ def add_arms(scans: BodyScans, knots: Knots, path: BodyPath, swing: float, rng: 
     for side in (1, -1):
         arm = pose[:, :2] + side * (path.shape[0] * left + forth * ahead)
         origin, radii = (np.broadcast_to(x, direction.shape) for x in (T[:2, 2], np.array([0.045, 0.06])))
-        hit = raycast_ellipses(origin, direction, arm, pose[:, 2], radii).ranges
+        hit = meet_ellipses(origin, direction, arm, pose[:, 2], radii).ranges
         ranges = np.fmin(ranges, hit + rng.normal(0, SIGMA, len(hit)))
     return replace(scans, ranges=ranges)
 

@@ -27,8 +27,8 @@ def estimate(bias: float) -> LegNoise:
         ]
         legs.append(replace(leg, scans=tuple(noisy), bias_variance=1e-4))
     problem = replace(problem, bodies=tuple(legs))
-    state, equations = optimize_network(problem, state, iterations=10)
-    return estimate_noise(problem, state, equations, BACKGROUND)
+    _, equations = optimize_network(problem, state, iterations=10)
+    return estimate_noise(equations, BACKGROUND)
 
 
 def test_range_noise_is_that_of_the_ranges() -> None:

@@ -58,7 +58,7 @@ def test_poses_and_clocks_are_found(solved: tuple[NetworkSolution, Array, Array]
 def test_bodies_are_legs_and_most_beams_are_used(solved: tuple[NetworkSolution, Array, Array]) -> None:
     network = solved[0].solved
     assert network is not None
-    legs = network.problem.bodies
+    legs = network.network.bodies
     assert len(legs) >= 4
     assert all(isinstance(leg, LegObservations) for leg in legs)
     weight = np.concatenate([scans.weight for leg in legs for scans in leg.scans])

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from calgraph.geometry import Array
-from calgraph.network.joint.ellipses import EllipseObservations, raycast_ellipses
+from calgraph.network.joint.ellipses import EllipseObservations
 from calgraph.network.joint.model_error import estimate_model_error
 from calgraph.network.joint.problem import BodyPath, BodyScans, NetworkProblem, NetworkState
 from calgraph.network.joint.splines import Knots, evaluate_spline
-from network_scenes import DENSITY, EXACT, LOSS, OFFSET, SETTINGS, SIGMA, T_ROOT, simulate_scans
+from network_scenes import DENSITY, EXACT, LOSS, OFFSET, SETTINGS, SIGMA, T_ROOT, meet_ellipses, simulate_scans
 
 SECONDS = 60.0
 INITIAL = np.array([0.005, 0.05]) ** 2
@@ -46,7 +46,7 @@ def displace_scans(
     origin, radii = np.broadcast_to(T[:2, 2], direction.shape), np.broadcast_to(body_path.shape, direction.shape)
 
     def ranges(at: Array) -> Array:
-        return raycast_ellipses(origin, direction, at[:, :2], at[:, 2], radii).ranges
+        return meet_ellipses(origin, direction, at[:, :2], at[:, 2], radii).ranges
 
     hit = scans.ranges + ranges(pose + displacement) - ranges(pose)
     hits = np.isfinite(hit)

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from calgraph.geometry import Array, se2
-from calgraph.network.joint.ellipses import EllipseObservations, raycast_ellipses
+from calgraph.network.joint.ellipses import EllipseObservations
 from calgraph.network.joint.problem import BodyObservations, BodyPath, NetworkProblem, NetworkState
 from calgraph.network.joint.range_noise import estimate_range_noise
 from calgraph.network.joint.solver import linearize_network, optimize_network
 from calgraph.network.joint.splines import Knots, evaluate_spline
-from network_scenes import DENSITY, EXACT, LOSS, OFFSET, SETTINGS, SIGMA, T_ROOT, simulate_scans
+from network_scenes import DENSITY, EXACT, LOSS, OFFSET, SETTINGS, SIGMA, T_ROOT, meet_ellipses, simulate_scans
 
 BACKGROUND = np.array([0.013])
 
@@ -39,7 +39,7 @@ def update_weights(body: BodyObservations, state: NetworkState) -> BodyObservati
     (body_path,), (scans,) = state.paths, body.scans
     at = np.repeat(scans.times - OFFSET[scans.scanner], np.diff(scans.first_beam, append=len(scans.ranges)))
     pose, T = evaluate_spline(body_path.control, *body.knots.basis_at(at)[:2]), T_ROOT[scans.scanner]
-    hits = raycast_ellipses(T[:2, 2], scans.direction @ T[:2, :2].T, pose[:, :2], pose[:, 2], body_path.shape)
+    hits = meet_ellipses(T[:2, 2], scans.direction @ T[:2, :2].T, pose[:, :2], pose[:, 2], body_path.shape)
     weight = LOSS.compute_weights((hits.ranges - scans.ranges) / SIGMA, hits.cos_incidence > 0.35)
     return replace(body, scans=(replace(scans, weight=weight),))
 

@@ -8,7 +8,7 @@ from scipy.optimize import least_squares
 
 from calgraph.geometry import Array, se2
 from calgraph.network.joint.body_equations import linearize_scans, predict_scanner
-from calgraph.network.joint.ellipses import EllipseObservations, compute_heading_offsets, raycast_ellipses
+from calgraph.network.joint.ellipses import EllipseObservations, compute_heading_offsets
 from calgraph.network.joint.path_equations import add_scans, index_scans
 from calgraph.network.joint.problem import BodyPath, NetworkProblem, NetworkState, WallConstraint
 from calgraph.network.joint.scanner_unknowns import (
@@ -36,6 +36,7 @@ from network_scenes import (
     T_ROOT,
     eliminate_densely,
     list_body_equations,
+    meet_ellipses,
     simulate_scans,
 )
 
@@ -137,7 +138,7 @@ def residuals(x: Array, net: NetworkProblem, like: NetworkState) -> Array:
         angle = (1 + angle_scale) * azimuth + along_x * sin - along_diagonal * cos
         direction = np.column_stack([np.cos(angle), np.sin(angle)]) @ T[:2, :2].T
         origin, radii = (np.broadcast_to(v, direction.shape) for v in (T[:2, 2], body_path.shape))
-        true = raycast_ellipses(origin, direction, pose[:, :2], pose[:, 2], radii).ranges
+        true = meet_ellipses(origin, direction, pose[:, :2], pose[:, 2], radii).ranges
         stretch = 1 + range_scale + mean_stretch(along_x, along_diagonal) + along_x * cos + along_diagonal * sin
         found.append((stretch * true + bias - scans.ranges) / SIGMA)
     h, path = body.knots.step, body_path.control
@@ -413,7 +414,7 @@ def test_beams_hit_the_body_where_it_is_at_their_time(rng: np.random.Generator) 
     at = scans.times[index_scans(scans)] - OFFSET[1] + delay
     exact = np.column_stack([2.0 + 1.2 * at, 2.0 - 0.5 * at, 0.4 + 2.0 * at])
     direction = scans.direction @ T_ROOT[1, :2, :2].T
-    expected = raycast_ellipses(T_ROOT[1, :2, 2], direction, exact[:, :2], exact[:, 2], RADII).ranges
+    expected = meet_ellipses(T_ROOT[1, :2, 2], direction, exact[:, :2], exact[:, 2], RADII).ranges
     assert np.isfinite(expected).sum() > 100
     np.testing.assert_allclose(scans.ranges + beams.error, expected, atol=1e-6)
 

@@ -94,7 +94,7 @@ def assemble_network(
     }
     T_root_scanner = averaged.T_root_node if joint is None else joint.T_root_scanner
     planar = dict(zip(names, T_root_scanner, strict=True))
-    matches = match_across_scanners(samples, planar, MAX_DISTANCE)
+    matches = match_across_scanners(samples, planar)
     inliers = initialization.graph.select_edges(averaged.inliers)
     covariance = lift_covariance(
         compute_joint_covariance(inliers, averaged.T_root_node) if joint is None else joint.pose_covariance
@@ -120,7 +120,7 @@ def assemble_network(
             edges=tuple(
                 _build_edge(pair, found, inlier_poses, parents) for pair, found in initialization.pairs.items()
             ),
-            captures=build_walk_rows(samples, matches, start, _MIN_SHARED_TICKS),
+            captures=build_walk_rows(samples, matches, start),
             unconnected={
                 name: _explain_unconnected(name, rig.root, followed, initialization.pairs)
                 for name in rig.sensors
@@ -179,7 +179,7 @@ def _assemble_poses(
 
 
 def _describe_bodies(joint: NetworkSolution) -> ModelledBodies | None:
-    if joint.solved is None or not (bodies := joint.solved.problem.bodies):
+    if joint.solved is None or not (bodies := joint.solved.network.bodies):
         return None
     return ModelledBodies(bodies[0].kind, len(bodies))
 
@@ -296,12 +296,12 @@ def collect_beam_views(
     if joint.solved is None:
         return (), {}
     solved = joint.solved
-    measured = solved.problem.count_beams()
+    measured = solved.network.count_beams()
     limit = min(_MAX_BEAMS, _MAX_BEAMS_IN_ALL // max(int(np.count_nonzero(measured)), 1))
     # Rows of one body are in order of time, those of all are not: each scanner's are thinned again.
     list_rows = partial(_list_inlier_rows, step=1 + measured // (_ROWS_PER_BEAM * limit))
     by_scanner: dict[int, list[tuple[int, float, Array]]] = {}
-    for of_body in solved.equations.batches.map(list_rows, solved.problem, solved.state):
+    for of_body in solved.batches.map(list_rows, solved.network, solved.state):
         for scanner, *of_scanner in of_body:
             by_scanner.setdefault(scanner, []).append(of_scanner)
     views, fit = [], {}
@@ -351,8 +351,6 @@ _MAX_GAP_TICKS = 10
 class CrossScannerMatches:
     """Positions that several scanners of a network detected at the same time."""
 
-    max_distance: float
-    """Of simultaneous positions of one person, m."""
     distance: Mapping[str, Array]
     """(S,) by scanner, from each of its samples to its nearest match, m; infinite without a match."""
     others_active: Mapping[str, NDArray[np.bool_]]
@@ -362,23 +360,22 @@ class CrossScannerMatches:
 
 
 def match_across_scanners(
-    samples: Mapping[str, TrackSamples], T_root_scanner: Mapping[str, Array], max_distance: float
+    samples: Mapping[str, TrackSamples], T_root_scanner: Mapping[str, Array]
 ) -> CrossScannerMatches:
     """Matches the samples of all pairs of connected scanners that detected anything near each other.
 
     Args:
         samples: by scanner; those without a pose are left out.
         T_root_scanner: poses (3, 3) of the connected scanners.
-        max_distance: of simultaneous positions of one person, m.
     """
     names = [name for name in samples if name in T_root_scanner]
     distance = {name: np.full(len(samples[name].tick), np.inf) for name in names}
     residuals = [np.zeros((0, 2))]
-    for a, b in _list_near_scanners(names, samples, T_root_scanner, max_distance):
+    for a, b in _list_near_scanners(names, samples, T_root_scanner):
         both = pair_samples(samples[a], samples[b])
         offset = se2.apply(T_root_scanner[a], both.x_a) - se2.apply(T_root_scanner[b], both.x_b)
         d = np.linalg.norm(offset, axis=-1)
-        matched = np.flatnonzero(d < max_distance)
+        matched = np.flatnonzero(d < MAX_DISTANCE)
         matched = matched[both.are_mutual_nearest(matched, d[matched])] if len(matched) else matched
         np.minimum.at(distance[a], both.row_a[matched], d[matched])
         np.minimum.at(distance[b], both.row_b[matched], d[matched])
@@ -389,19 +386,16 @@ def match_across_scanners(
         return_counts=True,
     )
     others_active = {name: np.isin(samples[name].tick, ticks[scanners > 1]) for name in names}
-    return CrossScannerMatches(max_distance, distance, others_active, pooled[:: len(pooled) // _MAX_RESIDUALS + 1])
+    return CrossScannerMatches(distance, others_active, pooled[:: len(pooled) // _MAX_RESIDUALS + 1])
 
 
 def _list_near_scanners(
-    names: Sequence[str],
-    samples: Mapping[str, TrackSamples],
-    T_root_scanner: Mapping[str, Array],
-    max_distance: float,
+    names: Sequence[str], samples: Mapping[str, TrackSamples], T_root_scanner: Mapping[str, Array]
 ) -> Iterator[tuple[str, str]]:
-    """Pairs of scanners the bounding boxes of whose positions in the root frame are within a distance."""
+    """Pairs of scanners the bounding boxes of whose positions in the root frame are within the distance."""
     names = [name for name in names if len(samples[name].tick)]
     positions = [se2.apply(T_root_scanner[name], samples[name].positions) for name in names]
-    low = np.array([x.min(axis=0) for x in positions]).reshape(-1, 2) - max_distance
+    low = np.array([x.min(axis=0) for x in positions]).reshape(-1, 2) - MAX_DISTANCE
     high = np.array([x.max(axis=0) for x in positions]).reshape(-1, 2)
     for k, name in enumerate(names):
         near = np.all((low[k + 1 :] <= high[k]) & (low[k] <= high[k + 1 :]), axis=1)
@@ -418,7 +412,7 @@ def _whiten(
 
 
 def build_walk_rows(
-    samples: Mapping[str, TrackSamples], matches: CrossScannerMatches, start: float, min_ticks: int
+    samples: Mapping[str, TrackSamples], matches: CrossScannerMatches, start: float
 ) -> tuple[CaptureRow, ...]:
     """One row for each scanner and walk, in order of time: whether another scanner detected it too, or why not.
 
@@ -426,14 +420,13 @@ def build_walk_rows(
         samples: by scanner.
         matches: of the connected ones among them.
         start: of the recording, s.
-        min_ticks: matched samples of a shared walk.
     """
     rows = [
         (
             float(of_scanner.times[walk[0]]) - start,
             float(of_scanner.times[walk[-1]]) - start,
             name,
-            *_assess_walk(name, walk, matches, min_ticks, of_scanner.tick_period),
+            *_assess_walk(name, walk, matches, of_scanner.tick_period),
         )
         for name, of_scanner in samples.items()
         for walk in _split_walks(of_scanner)
@@ -442,21 +435,21 @@ def build_walk_rows(
 
 
 def _assess_walk(
-    name: str, walk: NDArray[np.intp], matches: CrossScannerMatches, min_ticks: int, tick_period: float
+    name: str, walk: NDArray[np.intp], matches: CrossScannerMatches, tick_period: float
 ) -> tuple[bool, str, float | None]:
     """Whether the samples of a walk have matches, why not, and their RMS distance, m."""
     if name not in matches.distance:
         return False, "its scanner is not calibrated", None
     d = matches.distance[name][walk]
     d = d[np.isfinite(d)]
-    if len(d) >= min_ticks:
+    if len(d) >= _MIN_SHARED_TICKS:
         return True, "", float(np.sqrt(np.mean(d**2)))
     if len(d):
-        return False, f"another scanner detected it for less than {min_ticks * tick_period:g} s", None
+        return False, f"another scanner detected it for less than {_MIN_SHARED_TICKS * tick_period:g} s", None
     if matches.others_active[name][walk].any():
         return (
             False,
-            f"other scanners detected people at that time, but not within {matches.max_distance:g} m of it",
+            f"other scanners detected people at that time, but not within {MAX_DISTANCE:g} m of it",
             None,
         )
     return False, "no other scanner detected a person at that time", None

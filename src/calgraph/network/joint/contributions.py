@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 
 from calgraph.geometry import Array, Index
 from calgraph.network.joint.body_equations import linearize_scans
-from calgraph.network.joint.estimate import SolvedNetwork
 from calgraph.network.joint.path_equations import add_scans
 from calgraph.network.joint.problem import BodyObservations, BodyPath, NetworkProblem, NetworkState
 from calgraph.network.joint.scan_equations import TUKEY_LIMIT, TukeyLoss
 from calgraph.network.joint.scanner_matrix import NearInverse, ScannerMatrix
 from calgraph.network.joint.scanner_unknowns import CLOCK, SCANNER_UNKNOWNS, compute_root_times, list_columns
 from calgraph.network.joint.schur import BodyEquations, compute_back_substitution, eliminate_path
+from calgraph.network.joint.solver import NetworkEquations
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,9 +177,8 @@ def _select_block(matrix: Array, selected: NDArray[np.bool_]) -> Array:
     return matrix if selected.all() else matrix[np.ix_(selected, selected)]
 
 
-def split_contributions(solved: SolvedNetwork, interval: float) -> NetworkContributions:
+def split_contributions(equations: NetworkEquations, interval: float) -> NetworkContributions:
     """Splits the normal equations of a solution by body and interval of time, s."""
-    equations = solved.equations
     # Gradients of a redescending loss have less variance, and change less with the unknowns, than the information
     # in its weights predicts. Scaled to that information, priors weigh more.
     scale = TukeyLoss(TUKEY_LIMIT).score_to_information ** -0.5

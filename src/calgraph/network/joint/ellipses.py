@@ -30,27 +30,18 @@ class RaycastHits:
     (2, m)."""
 
 
-def raycast_ellipses(origin: Array, direction: Array, centre: Array, heading: Array, radii: Array) -> RaycastHits:
+def raycast_ellipses(origin: Array, direction: Array, centre: Array, axis: Array, radii: Array) -> RaycastHits:
     """Intersects each beam with its ellipse; all in one frame.
+
+    The hit ``h``, in the axes of the ellipse and divided by its radii, satisfies ``|h| = 1``: the implicit
+    derivative of this equation is that of the range.
 
     Args:
         origin: (N, 2) of the beams, m; or (2,) of all of them.
         direction: (N, 2) unit vectors.
         centre: (N, 2) of the ellipses, m.
-        heading: (N,) direction of their second radius, rad.
+        axis: (2, N) unit vectors along their second radius, the heading.
         radii: (N, 2) across and along the heading, m; or (2,) of all of them.
-    """
-    axis = np.stack([np.cos(heading), np.sin(heading)])
-    return raycast_ellipses_by_axis(origin, direction, centre, axis, radii)
-
-
-def raycast_ellipses_by_axis(
-    origin: Array, direction: Array, centre: Array, axis: Array, radii: Array
-) -> RaycastHits:
-    """As :func:`raycast_ellipses`, with headings given as unit vectors (2, N).
-
-    The hit ``h``, in the axes of the ellipse and divided by its radii, satisfies ``|h| = 1``: the implicit
-    derivative of this equation is that of the range.
     """
     c, s = axis
     (x, y), (dx, dy), (radius_across, radius_along) = (origin - centre).T, direction.T, radii.T
@@ -128,7 +119,7 @@ class EllipseObservations(BodyObservations):
         x, y, _ = pose.T[:, scan] + beams.delay * rate.T[:, scan]
         cos, sin = np.cos(pose[:, 2])[scan], np.sin(pose[:, 2])[scan]
         axis = rotate_by_small_angles(cos, sin, beams.delay * rate[scan, 2])
-        hits = raycast_ellipses_by_axis(beams.origin, beams.direction.T, np.stack([x, y]).T, axis, path.shape)
+        hits = raycast_ellipses(beams.origin, beams.direction.T, np.stack([x, y]).T, axis, path.shape)
         jacobian = beams.stretch * hits.jacobian.T
         across = jacobian[1] * beams.direction[0] - jacobian[0] * beams.direction[1]
         return BodyHits(

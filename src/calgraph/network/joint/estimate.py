@@ -62,17 +62,6 @@ _BODIES_PER_FILE = 100
 
 
 @dataclass(frozen=True, eq=False)
-class SolvedNetwork:
-    """The problem of a joint solution, with its minimum."""
-
-    problem: NetworkProblem
-    """With the noise, model error and robust weights of the last round."""
-    state: NetworkState
-    equations: NetworkEquations
-    """The normal equations at the state, that of the last accepted step."""
-
-
-@dataclass(frozen=True, eq=False)
 class NetworkSolution:
     """The joint solution of a network of S scanners."""
 
@@ -87,8 +76,9 @@ class NetworkSolution:
     """Whether clock offsets were estimated."""
     model_error: float
     """Standard deviation of the position of bodies in a scan about their smooth path, m."""
-    solved: SolvedNetwork | None = None
-    """What was solved, for tests of the solution; None where only the result is given."""
+    solved: NetworkEquations | None = None
+    """At the minimum, with the noise, model error and robust weights of the last round, for tests of the solution;
+    None where only the result is given."""
     systematic: SystematicErrors | None = None
     """Systematic errors of the scanners."""
 
@@ -189,9 +179,10 @@ def solve_network(
         and len(foregrounds) == len(tracked)
         and measures_legs(target, tracked, settings.legs)
     ):
-        network, state, equations = solve_legs(network, state, foregrounds, add_walls, engine)
+        equations = solve_legs(network, state, foregrounds, add_walls, engine)
     else:
-        network, state, equations = _solve_bodies(network, state, edges, add_walls, engine)
+        equations = _solve_bodies(network, state, edges, add_walls, engine)
+    network, state = equations.network, equations.state
     covariance, pairs = compute_network_covariance(equations), list_known_pairs(network)
     return NetworkSolution(
         state.T_root_scanner,
@@ -199,7 +190,7 @@ def solve_network(
         covariance.select_pairs(pairs, slice(FIRST_SYSTEMATIC)),
         estimate_clocks,
         float(np.sqrt(network.model_error_variance[0])),
-        solved=SolvedNetwork(network, state, equations),
+        solved=equations,
         systematic=SystematicErrors(
             state.systematic, covariance.select_pairs(pairs, slice(FIRST_SYSTEMATIC, None)), prior_sigma
         ),
@@ -239,7 +230,7 @@ def _solve_bodies(
     edges: Sequence[WallConstraint],
     add_walls: AddWalls,
     engine: MapEngine,
-) -> tuple[NetworkProblem, NetworkState, NetworkEquations]:
+) -> NetworkEquations:
     """Solves for scanners and ellipses, from the noise of the background and the priors of rig.yaml."""
     background, prior_sigma = network.range_sigma, network.systematic_sigma
     network = replace(network, walls=select_bridges(network, (), edges))
@@ -256,7 +247,7 @@ def _solve_bodies(
         network = replace(
             network,
             model_error_variance=estimate_model_error(network, state, batches),
-            systematic_sigma=estimate_systematic_sigma(network, state, equations, prior_sigma, engine),
+            systematic_sigma=estimate_systematic_sigma(equations, prior_sigma, engine),
         )
         change = np.abs(network.model_error_variance / previous - 1)
         last = rounds_left == 0 or bool(np.all(change < _TOLERANCE))
@@ -273,7 +264,7 @@ def _solve_bodies(
         if last:
             break
         previous = network.model_error_variance
-    return network, state, equations
+    return equations
 
 
 def _observe_bodies(

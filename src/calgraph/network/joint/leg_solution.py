@@ -58,33 +58,27 @@ _MIN_BIAS_SIGMA = 0.0005
 _ACCELERATION_DENSITY_RANGE = (10.0, 100.0)
 
 
-def estimate_noise(
-    network: NetworkProblem, state: NetworkState, equations: NetworkEquations, background: Array
-) -> LegNoise:
+def estimate_noise(equations: NetworkEquations, background: Array) -> LegNoise:
     """Estimates all variances from a solution of legs.
 
     Args:
-        network: with the weights of its last solution.
-        state: of that solution.
-        equations: of that solution.
+        equations: of the solution.
         background: (S,) noise of each scanner's background, m.
     """
     return LegNoise(
-        _estimate_range_noise(network, state, equations, background),
-        _estimate_bias_variance(network, state, equations, _MIN_BIAS_SIGMA),
-        _estimate_acceleration_density(network, state, equations, _ACCELERATION_DENSITY_RANGE),
+        _estimate_range_noise(equations, background),
+        _estimate_bias_variance(equations, _MIN_BIAS_SIGMA),
+        _estimate_acceleration_density(equations, _ACCELERATION_DENSITY_RANGE),
     )
 
 
-def _estimate_acceleration_density(
-    network: NetworkProblem, state: NetworkState, equations: NetworkEquations, limits: tuple[float, float]
-) -> float:
+def _estimate_acceleration_density(equations: NetworkEquations, limits: tuple[float, float]) -> float:
     """Squared second differences of the control points, over the number of them that the data determine.
 
     As for the biases, it is a step of the fixed-point iteration for restricted maximum likelihood, for given
     scanners and shapes.
     """
-    of_legs = equations.batches.map(_measure_bends, network, state, equations.body_equations)
+    of_legs = equations.map(_measure_bends)
     squares, determined = np.sum(of_legs, axis=0) if of_legs else (0.0, 0.0)
     return float(np.clip(squares / max(determined, 1.0), *limits)) if of_legs else limits[1]
 
@@ -101,16 +95,14 @@ def _measure_bends(
     return float(np.sum(bend**2)) / leg.knots.step**3, float(np.sum(2 - np.minimum(variance / prior, 2)))
 
 
-def _estimate_range_noise(
-    network: NetworkProblem, state: NetworkState, equations: NetworkEquations, background: Array
-) -> Array:
+def _estimate_range_noise(equations: NetworkEquations, background: Array) -> Array:
     """(S,) noise of ranges, m: median absolute residual, each divided by the root of one minus its leverage.
 
     Scanners with few beams on legs have the noise (S,) of their background.
     """
     residuals: list[list[Array]] = [[] for _ in background]
-    of_legs = equations.batches.map(_list_residuals, network, state, equations.body_equations)
-    for leg, of_scanners in zip(network.bodies, of_legs, strict=True):
+    of_legs = equations.map(_list_residuals)
+    for leg, of_scanners in zip(equations.network.bodies, of_legs, strict=True):
         for scans, absolute in zip(leg.scans, of_scanners, strict=True):
             residuals[scans.scanner].append(absolute)
     by_scanner = [np.concatenate([np.zeros(0), *parts]) for parts in residuals]
@@ -146,16 +138,14 @@ def _interpolate_covariance(path_covariance: Array, first: Index, weights: Array
     return total
 
 
-def _estimate_bias_variance(
-    network: NetworkProblem, state: NetworkState, equations: NetworkEquations, min_sigma: float
-) -> float:
+def _estimate_bias_variance(equations: NetworkEquations, min_sigma: float) -> float:
     """Variance of the biases, m²: their sum of squares over the number of them that the data determine.
 
     It is a step of the fixed-point iteration for restricted maximum likelihood (Harville, 1977, section 5).
     """
     covariance = compute_network_covariance(equations)
     of_scanners = [covariance.select(columns) for columns in equations.columns]
-    of_legs = equations.batches.map(_measure_biases, network, state, equations.body_equations, of_scanners)
+    of_legs = equations.map(_measure_biases, of_scanners)
     squares, determined = np.sum(of_legs, axis=0) if of_legs else (0.0, 0.0)
     return max(float(squares) / max(float(determined), 1.0), min_sigma**2)
 
@@ -329,7 +319,7 @@ def solve_legs(
     foregrounds: Sequence[Foreground],
     add_walls: AddWalls,
     engine: MapEngine = THIS_PROCESS,
-) -> tuple[NetworkProblem, NetworkState, NetworkEquations]:
+) -> NetworkEquations:
     """Solves jointly for the unknowns of scanners, and the paths and shapes of legs.
 
     Args:
@@ -340,7 +330,7 @@ def solve_legs(
         engine: evaluates legs.
 
     Returns:
-        The problem of the last round, with its minimum and the normal equations there.
+        The normal equations at the minimum of the last round.
     """
     background = network.range_sigma
     prior_sigma = systematic_sigma = network.systematic_sigma
@@ -362,11 +352,11 @@ def solve_legs(
             candidates = [
                 replace(candidate, path=path) for candidate, path in zip(candidates, state.paths, strict=True)
             ]
-            noise = estimate_noise(network, state, equations, background)
-            systematic_sigma = estimate_systematic_sigma(network, state, equations, prior_sigma, engine)
+            noise = estimate_noise(equations, background)
+            systematic_sigma = estimate_systematic_sigma(equations, prior_sigma, engine)
         if tracking > 0 and np.abs(state.clock_offset - clocks).max() < _CLOCK_TOLERANCE:
             break
-    return network, state, equations
+    return equations
 
 
 # Minimum number of beams of a scanner on a leg, otherwise they are not used: they would determine its bias

@@ -39,7 +39,6 @@ from calgraph.network.pairs.scanner_pair import (
 )
 from calgraph.network.pairs.synchronized_tracks import Indices, pair_samples
 from calgraph.network.pairs.track_registration import (
-    GATE,
     MAX_MODEL_ERROR,
     NuisancePrior,
     compute_pose_costs,
@@ -239,7 +238,7 @@ def _select_starts(
         rough = subsample_pairs(pairs, ROUGH_PAIRS, MIN_SAMPLES)
         T = T[~miss_detections(T, a, moved, rough, len(pairs), PROPOSAL_STDDEV)]
         coarse = subsample_pairs(pairs, COARSE_PAIRS, MIN_SAMPLES)
-        costs = compute_pose_costs(T, coarse, PROPOSAL_STDDEV, GATE)
+        costs = compute_pose_costs(T, coarse, PROPOSAL_STDDEV)
         candidates += [(float(costs[k]), delay, T[k]) for k in np.argsort(costs)[:_REGISTERED]]
     starts: list[tuple[int, Array]] = []
     for _, delay, T in sorted(candidates, key=lambda candidate: candidate[0]):
