@@ -22,7 +22,12 @@ from calgraph.network.pairs.clock_mounting_search import (
     search_clocks_and_mountings,
     select_searched_pairs,
 )
-from calgraph.network.pairs.scanner_pair import CLOCK_SIGMA, ScannerPairEstimate, estimate_scanner_pairs
+from calgraph.network.pairs.scanner_pair import (
+    CLOCK_SIGMA,
+    ScannerPairEstimate,
+    ScannerPairs,
+    estimate_scanner_pairs,
+)
 from calgraph.network.pairs.visibility_map import ScannerObservations
 from calgraph.network.strategies import select_depth_stddev
 from calgraph.network.tracking.track import ScannerTracks, correct_tracks
@@ -38,7 +43,7 @@ class CorrectedPairs:
 
     tracked: Mapping[str, ScannerTracks]
     """Corrected tracks by scanner."""
-    pairs: Mapping[tuple[str, str], ScannerPairEstimate | Rejected]
+    pairs: ScannerPairs
     """Pairs of scanners that were registered."""
     clock_offset: Mapping[str, float] = field(default_factory=dict)
     """By which tracks were corrected: clock of a scanner minus the root's, s; none where it is 0."""
@@ -121,7 +126,7 @@ def _stated_mountings(rig: Rig, earlier: Calibration | None) -> dict[str, bool]:
 def _find_differences(
     rig: Rig,
     tracked: Mapping[str, ScannerTracks],
-    pairs: Mapping[tuple[str, str], ScannerPairEstimate | Rejected],
+    pairs: ScannerPairs,
     stated: frozenset[str],
     options: NetworkOptions,
 ) -> ClockMountingSolution:
@@ -167,7 +172,7 @@ def _build_observations(tracked: Mapping[str, ScannerTracks]) -> dict[str, Scann
 
 
 def _reject_refused(
-    pairs: Mapping[tuple[str, str], ScannerPairEstimate | Rejected], solution: ClockMountingSolution
+    pairs: ScannerPairs, solution: ClockMountingSolution
 ) -> dict[tuple[str, str], ScannerPairEstimate | Rejected]:
     """Without pairs whose tracks match clearly better with a clock offset that the network refuses."""
     kept = dict(pairs)
@@ -194,7 +199,7 @@ _MAX_NAMED_OFFSET = 5.0
 def _find_distant_clocks(
     rig: Rig,
     tracked: Mapping[str, ScannerTracks],
-    pairs: Mapping[tuple[str, str], ScannerPairEstimate | Rejected],
+    pairs: ScannerPairs,
     clocks: Mapping[str, float],
     options: NetworkOptions,
 ) -> list[Finding]:

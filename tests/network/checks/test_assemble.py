@@ -10,18 +10,12 @@ from calgraph.config import Rig
 from calgraph.errors import Rejected
 from calgraph.geometry import se2
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
-from calgraph.network.checks.assemble import (
-    NetworkPairs,
-    _build_edge,
-    _describe_bodies,
-    _explain_unconnected,
-    assemble_network,
-)
+from calgraph.network.checks.assemble import _build_edge, _describe_bodies, _explain_unconnected, assemble_network
 from calgraph.network.graph.network_initialization import NetworkInitialization
 from calgraph.network.joint.estimate import NetworkSolution
 from calgraph.network.joint.solver import linearize_network
 from calgraph.network.pairs.hypothesis_evidence import PoseHypothesis
-from calgraph.network.pairs.scanner_pair import ScannerPairEstimate
+from calgraph.network.pairs.scanner_pair import ScannerPairEstimate, ScannerPairs
 from calgraph.network.tracking.track import ScannerTracks, Track
 from calgraph.result import Calibration, StatedPose, Verdict
 from calgraph.result.finding import Finding
@@ -77,7 +71,7 @@ def assemble(
         }
     )
     estimates = [build_pair(k, 0.03 if k == 0 else 0.0) for k in range(3)]
-    pairs: NetworkPairs = {(pair.sensor_a, pair.sensor_b): pair for pair in estimates}
+    pairs: ScannerPairs = {(pair.sensor_a, pair.sensor_b): pair for pair in estimates}
     pairs = {**pairs, ("west", "cellar"): Rejected("too few"), ("east", "cellar"): Rejected("too few")}
     T = np.array([pair.T_a_b for pair in estimates])
     graph = PoseGraph(3, PAIRS, T, INFORMATION[:, None, None] * np.eye(3))
@@ -220,7 +214,7 @@ def test_bodies_of_the_joint_solution_are_named() -> None:
 
 def test_rare_reasons_come_first_and_those_that_differ_in_numbers_are_one() -> None:
     """A scanner of a large network was compared with many others elsewhere, and matches one by chance."""
-    pairs: NetworkPairs = {(f"s{k}", "cellar"): Rejected(f"only {0.5 * k} s") for k in range(20)}
+    pairs: ScannerPairs = {(f"s{k}", "cellar"): Rejected(f"only {0.5 * k} s") for k in range(20)}
     pairs = {**pairs, ("west", "cellar"): Rejected("by chance")}
     tracked = dict.fromkeys(("cellar", "west"), build_tracks(0))
     assert _explain_unconnected("cellar", "west", tracked, pairs) == (

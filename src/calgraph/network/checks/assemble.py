@@ -22,7 +22,7 @@ from calgraph.network.joint.planar_poses import lift_covariance
 from calgraph.network.joint.problem import BodyObservations, BodyPath, NetworkProblem, NetworkState
 from calgraph.network.joint.track_association import MAX_DISTANCE
 from calgraph.network.pairs.hypothesis_evidence import PoseHypothesis
-from calgraph.network.pairs.scanner_pair import ScannerPairEstimate
+from calgraph.network.pairs.scanner_pair import ScannerPairEstimate, ScannerPairs
 from calgraph.network.pairs.synchronized_tracks import (
     SimultaneousPairs,
     TrackSamples,
@@ -50,8 +50,6 @@ _ADVICE = "let people walk farther and in more directions where the views of sca
 # Partners that a reason names: a scanner of a large network that no pair connects has up to 150.
 _LISTED_PARTNERS = 8
 _DIGITS = re.compile(r"[0-9.]+")
-
-NetworkPairs = Mapping[tuple[str, str], ScannerPairEstimate | Rejected]
 
 
 # Ticks (TICK_PERIOD of pairs) at which another scanner has to track a walk for the report to call it shared: half
@@ -248,7 +246,7 @@ def _count_shared(hypothesis: PoseHypothesis) -> int:
 
 
 def _explain_unconnected(
-    name: str, root: str, followed: Mapping[str, ScannerTracks | Rejected], pairs: NetworkPairs
+    name: str, root: str, followed: Mapping[str, ScannerTracks | Rejected], pairs: ScannerPairs
 ) -> str:
     tracks, of_root = followed[name], followed[root]
     if isinstance(tracks, Rejected):

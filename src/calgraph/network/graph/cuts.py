@@ -30,10 +30,8 @@ from calgraph.network.pairs.scanner_pair import (
     SAME_TURN,
 )
 from calgraph.network.pairs.synchronized_tracks import pair_samples
-from calgraph.network.pairs.visibility_map import ScannerObservations, find_missed_detections
+from calgraph.network.pairs.visibility_map import Flags, ScannerObservations, find_missed_detections
 from calgraph.solver.connected_parts import label_parts
-
-Flags = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)

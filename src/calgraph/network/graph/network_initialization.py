@@ -28,17 +28,15 @@ from calgraph.network.graph.network_graph import (
     published_weights,
 )
 from calgraph.network.pairs.clock_mounting_search import describe_difference
-from calgraph.network.pairs.scanner_pair import ScannerPairEstimate
+from calgraph.network.pairs.scanner_pair import ScannerPairEstimate, ScannerPairs
 from calgraph.network.pairs.visibility_map import ScannerObservations
-
-Pairs = Mapping[tuple[str, str], ScannerPairEstimate | Rejected]
 
 
 @dataclass(frozen=True, eq=False)
 class NetworkInitialization:
     """Start poses of those scanners of a network whose poses nothing contradicts."""
 
-    pairs: Pairs
+    pairs: ScannerPairs
     """The given pairs without hypotheses that the network contradicts; rejected where none is left."""
     graph: PoseGraph
     """Of the remaining hypotheses, with their model error as estimated."""
@@ -66,7 +64,7 @@ class NetworkInitialization:
 
 def initialize_network(
     root: str,
-    pairs: Pairs,
+    pairs: ScannerPairs,
     observations: Mapping[str, ScannerObservations],
     rng: np.random.Generator,
     *,
@@ -122,12 +120,14 @@ def initialize_network(
             pairs = _reject_scanners(pairs, part, Rejected(conflict.reason))
 
 
-def _reject_scanners(pairs: Pairs, scanners: Set[str], reason: Rejected) -> Pairs:
+def _reject_scanners(pairs: ScannerPairs, scanners: Set[str], reason: Rejected) -> ScannerPairs:
     """The pairs with all those of some scanners rejected."""
     return {ends: reason if scanners & set(ends) else found for ends, found in pairs.items()}
 
 
-def _reject_edges(pairs: Pairs, names: Sequence[str], edges: NDArray[np.bool_], reason: Rejected) -> Pairs:
+def _reject_edges(
+    pairs: ScannerPairs, names: Sequence[str], edges: NDArray[np.bool_], reason: Rejected
+) -> ScannerPairs:
     """The pairs without the hypotheses of some edges (E,), in the order of :func:`build_network_graph`."""
     rejected, connected = iter(edges), set(names)
     kept_pairs: dict[tuple[str, str], ScannerPairEstimate | Rejected] = {}

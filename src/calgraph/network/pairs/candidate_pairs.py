@@ -9,8 +9,8 @@ from collections.abc import Collection, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.geometry import Array, se2
-from calgraph.network.pairs.synchronized_tracks import Indices, TrackSamples, pair_samples
+from calgraph.geometry import Array, Index, se2
+from calgraph.network.pairs.synchronized_tracks import TrackSamples, pair_samples
 from calgraph.solver.connected_parts import label_parts
 
 Ends = tuple[int, int]
@@ -81,7 +81,7 @@ def select_separated_pairs(similarity: Array, sure: Collection[Ends], tried: Col
         partners = min(2 * partners, most)
 
 
-def select_pairs_between_parts(similarity: Array, part: Indices, partners: int, pairs_of_part: int) -> set[Ends]:
+def select_pairs_between_parts(similarity: Array, part: Index, partners: int, pairs_of_part: int) -> set[Ends]:
     """Pairs of scanners of different parts, of the most similar tracks: at least one alignment agrees.
 
     Args:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calgraph.config.settings import ScannerPairSettings
-from calgraph.geometry import Array, se2
+from calgraph.geometry import Array, Index, se2
 from calgraph.network.pairs.candidate_pairs import select_pairs_between_parts
 from calgraph.network.pairs.hypothesis_evidence import (
     MAX_CLOCK_STDDEV,
@@ -37,7 +37,7 @@ from calgraph.network.pairs.scanner_pair import (
     ScannerPairEstimate,
     miss_detections,
 )
-from calgraph.network.pairs.synchronized_tracks import Indices, pair_samples
+from calgraph.network.pairs.synchronized_tracks import pair_samples
 from calgraph.network.pairs.track_registration import (
     MAX_MODEL_ERROR,
     NuisancePrior,
@@ -129,7 +129,7 @@ _PAIRS_OF_PART = 100
 
 
 def select_searched_pairs(
-    observations: Mapping[str, ScannerObservations], part: Indices, settings: ScannerPairSettings
+    observations: Mapping[str, ScannerObservations], part: Index, settings: ScannerPairSettings
 ) -> list[tuple[str, str]]:
     """Pairs of scanners of different parts, in their order, whose clocks and mountings are to be searched.
 

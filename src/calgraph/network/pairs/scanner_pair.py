@@ -87,6 +87,10 @@ class ScannerPairEstimate:
         return self.hypotheses[0].information
 
 
+ScannerPairs = Mapping[tuple[str, str], ScannerPairEstimate | Rejected]
+"""By the names of both scanners: what they tracked together, or why there is no pose."""
+
+
 # Prior standard deviation of clock offsets, s: clocks set by NTP or by hand of a driver's start time.
 CLOCK_SIGMA = 0.1
 # Scanners up to which all pairs are registered: 28 pairs take less than a second.
