@@ -12,6 +12,7 @@ from calgraph.geometry import se2
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
 from calgraph.network.checks.assemble import _build_edge, _describe_bodies, _explain_unconnected, assemble_network
 from calgraph.network.graph.network_initialization import NetworkInitialization
+from calgraph.network.joint.ellipses import EllipseObservations
 from calgraph.network.joint.estimate import NetworkSolution
 from calgraph.network.joint.solver import linearize_network
 from calgraph.network.pairs.hypothesis_evidence import PoseHypothesis
@@ -201,7 +202,8 @@ def test_bodies_of_the_joint_solution_are_named() -> None:
     problem, state = build_network()
     solved = linearize_network(problem, state)
     people = solve_two_walks(np.random.default_rng(0))
-    cylinders = tuple(replace(body, faces_forward=False) for body in people.network.bodies)
+    ellipses = [one for one in people.network.bodies if isinstance(one, EllipseObservations)]
+    cylinders = tuple(replace(one, faces_forward=False) for one in ellipses)
     for one, expected in (
         (solved, f"legs ({len(problem.bodies)} tracked)"),
         (people, "ellipses (2 tracked)"),

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from calgraph.geometry import Array
-from calgraph.network.joint.ellipses import RaycastHits, rotate_by_small_angles
+from calgraph.network.joint.ellipses import RaycastHits
+from calgraph.network.joint.scanner_unknowns import rotate_by_small_angles
 from calgraph.simulation.network_beams import cast_ellipses
 from network_scenes import meet_ellipses
 

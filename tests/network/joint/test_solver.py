@@ -125,6 +125,7 @@ def residuals(x: Array, net: NetworkProblem, like: NetworkState) -> Array:
     """All residuals of the problem, implemented independently."""
     state = unpack(x, like)
     [body], [body_path], [wall] = net.bodies, state.paths, net.walls
+    assert isinstance(body, EllipseObservations)
     found = []
     for scans in body.scans:
         beams = len(scans.ranges) // len(scans.times)
@@ -390,6 +391,7 @@ def test_walls_alone_determine_a_scanner_without_bodies(rng: np.random.Generator
 def test_the_heading_of_a_cylinder_has_no_effect(rng: np.random.Generator) -> None:
     net, truth = build_network(rng)
     [body] = net.bodies
+    assert isinstance(body, EllipseObservations)
     cylinder = replace(body, radii=np.full(2, 0.2), radii_sigma=np.full(2, 1e-7))
     body_path = replace(truth.paths[0], shape=np.full(2, 0.2))
     state = replace(truth, paths=(body_path,))
