@@ -7,12 +7,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from calgraph.boards.tags import Gray, Marks, empty_marks
 from calgraph.config import Charuco, Checkerboard, dictionary
 from calgraph.geometry import Array
+from calgraph.solver.connected_parts import label_parts
 
 _BLUR = 1.2
 """Standard deviation, pixels, of the blur of reduced images: that of a corner in a sharp one, and less than half
@@ -128,7 +128,7 @@ def _group_saddles(saddles: Array, corners: int) -> list[_Group]:
     one = np.repeat(np.arange(len(saddles)), _NEIGHBOURS)[linked.ravel()]
     links = coo_matrix((np.ones(len(one)), (one, neighbours[:, 1:][linked])), shape=(len(saddles),) * 2).tocsr()
     # Both must be near for each other: clutter is less dense than a board, or denser.
-    _, label = connected_components(links.minimum(links.T), directed=False)
+    label = label_parts(len(saddles), np.transpose(links.minimum(links.T).nonzero()))
     groups = []
     for number, count in enumerate(np.bincount(label)):
         if _LEAST * corners <= count <= _MOST * corners:

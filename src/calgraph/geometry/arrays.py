@@ -28,6 +28,11 @@ def find_median(values: Array) -> float:
     return float((ordered[middle - 1] + ordered[middle]) / 2)
 
 
+def estimate_spread(residuals: Array) -> float:
+    """Standard deviation of normal residuals (N,) by their median absolute value, which outliers hardly change."""
+    return STDDEV_PER_MAD * find_median(np.abs(residuals))
+
+
 def diagonal_blocks(M: Array, size: int) -> Array:
     """The blocks (n, size, size) on the diagonal of a matrix (n·size, n·size)."""
     count = len(M) // size

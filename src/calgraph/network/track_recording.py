@@ -9,7 +9,7 @@ from typing import Any
 from calgraph.config import Cylinder, Lidar2dSpec, People, Rig, SensorSpec
 from calgraph.config.settings import CenterFeature
 from calgraph.errors import InputError, Rejected
-from calgraph.network.joint.leg_problem import measures_legs
+from calgraph.network.joint.legs import measures_legs
 from calgraph.network.options import NetworkOptions
 from calgraph.network.step_log import log_tracks
 from calgraph.network.strategies import select_center_estimator

@@ -39,6 +39,7 @@ from calgraph.rig.bundle.normal_equations import accumulate
 from calgraph.rig.bundle.observations import BoardViews, relative_poses
 from calgraph.rig.bundle.range_observations import RangeObservations
 from calgraph.rig.bundle.solution import SolvedBundle
+from calgraph.solver.squared_distances import compute_squared_distances
 
 # Gauss–Newton steps that locate boards with sensors fixed; they start from the solution of all captures.
 _BOARD_STEPS = 2
@@ -191,7 +192,10 @@ def _compare_with_prediction(
     root, inverse = _symmetric_roots(A, least)
     # Along directions that the sensor does not measure, a first-order step may be arbitrarily long: it is zero.
     x = _multiply(root @ inverse, x)
-    squared, dof = _squared_distances(_multiply(root, x) + _multiply(inverse, b), root @ (X @ root + inverse))
+    # In units of the sensor's noise: predicted directions have a variance of one or more, the others none.
+    error, covariance = _multiply(root, x) + _multiply(inverse, b), root @ (X @ root + inverse)
+    covariance = (covariance + se_n.transpose(covariance)) / 2
+    squared, dof = compute_squared_distances(error, covariance, 0.5, np.ones(len(meters)))
     tested = dof > 0
     T_predicted = se3.retract(T_board, x[:, :6] / meters[:6])
     T_own = se3.retract(T_board, -_multiply(inverse @ inverse, b)[:, :6] / meters[:6])
@@ -262,18 +266,6 @@ def _symmetric_roots(A: Array, least: Array) -> tuple[Array, Array]:
     return (vectors * (size * observed)[..., None, :]) @ transposed, (
         vectors * (observed / size)[..., None, :]
     ) @ transposed
-
-
-def _squared_distances(error: Array, covariance: Array) -> tuple[Array, NDArray[np.intp]]:
-    """Squared Mahalanobis distances (V,) and their degrees of freedom.
-
-    In units of the sensor's noise: predicted directions have a variance of one or more, the others none.
-    """
-    values, vectors = np.linalg.eigh((covariance + se_n.transpose(covariance)) / 2)
-    predicted = values > 0.5
-    along = _multiply(se_n.transpose(vectors), error)
-    squared = np.sum(predicted * along**2 / np.where(predicted, values, 1.0), axis=-1)
-    return squared, np.asarray(predicted.sum(axis=-1), dtype=np.intp)
 
 
 def _observes_tilt(A: Array, T_sensor_board: Array, lever: float, max_stddev: float) -> NDArray[np.bool_]:
