@@ -3,7 +3,7 @@
 Residuals are ranges along the beams, each at its time of measurement.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -107,8 +107,8 @@ _HEADING_RIDGE = 1e-6
 
 def linearize_body(
     network: NetworkProblem, state: NetworkState, body: BodyObservations, path: BodyPath
-) -> tuple[BodyEquations, float]:
-    """The equations of an ellipse and its cost."""
+) -> BodyEquations:
+    """The equations of an ellipse."""
     count, size = body.knots.count, 2 + SCANNER_UNKNOWNS * len(body.scans)
     stretch = compute_stretch(state, body)
     band, gradient, cost = _linearize_path_prior(network, body, path, stretch)
@@ -123,7 +123,7 @@ def linearize_body(
     cost += add_scans(
         equations, (linearize_ellipse_scans(network, state, body, path, k) for k in range(len(body.scans)))
     )
-    return equations, cost
+    return replace(equations, cost=cost)
 
 
 def linearize_ellipse_scans(

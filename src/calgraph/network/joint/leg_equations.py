@@ -201,8 +201,8 @@ def linearize_leg_scans(
 
 def linearize_leg(
     network: NetworkProblem, state: NetworkState, leg: LegObservations, path: LegPath
-) -> tuple[BodyEquations, float]:
-    """A leg's equations and its cost; the local unknowns are its shape (B,) and the bias of each scanner (L,)."""
+) -> BodyEquations:
+    """A leg's equations; the local unknowns are its shape (B,) and the bias of each scanner (L,)."""
     count, shapes = leg.knots.count, len(path.shape)
     local = shapes + len(leg.scans)
     size = local + SCANNER_UNKNOWNS * len(leg.scans)
@@ -221,7 +221,7 @@ def linearize_leg(
     cost += add_scans(
         equations, (linearize_leg_scans(network, state, leg, path, k) for k in range(len(leg.scans)))
     )
-    return equations, cost
+    return replace(equations, cost=cost)
 
 
 def _compute_scanner_jacobian(

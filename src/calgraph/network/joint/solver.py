@@ -194,10 +194,8 @@ def linearize_network(
     """
     batches = batches or BodyBatches.place(network.bodies)
     H, g = ScannerMatrix.zeros(order or order_scanners(network)), np.zeros(SCANNER_UNKNOWNS * network.count)
-    costs, kept = batches.map_and_keep(_linearize, network, state)
-    cost = 0.0
-    for body_cost in costs:
-        cost += body_cost
+    kept = batches.keep(_linearize, network, state)
+    cost = sum(batches.map(_read_cost, network, state, kept), 0.0)
     cost += _add_walls(state, network.walls, H, g)
     if network.prior:
         cost += network.prior.add_to_equations(state.T_root_scanner, H, g)
@@ -307,13 +305,21 @@ def apply_step(state: NetworkState, step: Array, body_steps: Sequence[Array]) ->
 
 def _linearize(
     network: NetworkProblem, state: NetworkState, body: BodyObservations, path: BodyPath
-) -> tuple[float, BodyEquations]:
-    """One body's cost and its equations."""
+) -> BodyEquations:
+    """One body's equations."""
     if isinstance(body, LegObservations) and isinstance(path, LegPath):
-        equations, cost = linearize_leg(network, state, body, path)
-    else:
-        equations, cost = linearize_body(network, state, body, path)
-    return cost, equations
+        return linearize_leg(network, state, body, path)
+    return linearize_body(network, state, body, path)
+
+
+def _read_cost(
+    _network: NetworkProblem,
+    _state: NetworkState,
+    _body: BodyObservations,
+    _path: BodyPath,
+    equations: BodyEquations,
+) -> float:
+    return equations.cost
 
 
 def _add_walls(state: NetworkState, walls: Sequence[WallConstraint], H: ScannerMatrix, g: Array) -> float:
