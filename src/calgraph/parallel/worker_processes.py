@@ -131,7 +131,7 @@ class WorkerProcesses:
 
     def _receive(self, timeout: float | None) -> None:
         """Takes the outcomes of calls; with no limit in time, that of one call at least."""
-        busy = {worker.connection: worker for worker in self._started if worker.call}
+        busy: dict[Any, _Worker] = {worker.connection: worker for worker in self._started if worker.call}
         for connection in wait(list(busy), timeout) if busy else ():
             if not busy[connection].receive():
                 self._started.remove(busy[connection])
@@ -240,7 +240,7 @@ class _Worker:
 
 
 def _start_worker(max_kept_bytes: float) -> _Worker:
-    context = multiprocessing.get_context(START_METHOD)
+    context: Any = multiprocessing.get_context(START_METHOD)
     inherited = {number: kept.recipe for number, kept in existing.items()} if START_METHOD == "fork" else {}
     try:
         with warnings.catch_warnings():
