@@ -13,6 +13,7 @@ import warnings
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
 from functools import partial
 from multiprocessing.connection import Connection, wait
 from typing import Any, TypeVar
@@ -68,8 +69,8 @@ class WorkerProcesses:
                     unread = False
                 except Exception as error:
                     # Earlier results come before it.
-                    calls.append(_Call(function, (), waiting, None))
-                    calls[-1].outcome, unread = (False, error), False
+                    calls.append(_Call(function, (), waiting, outcome=(False, error)))
+                    unread = False
                 else:
                     calls.append(_Call(function, arguments, waiting, _find_home(arguments, places)))
                     waiting.append(calls[-1])
@@ -79,7 +80,7 @@ class WorkerProcesses:
     def start(self, function: Callable[..., Result], *arguments: Any) -> Callable[[], Result]:
         """Starts a call; returns a function that waits for its result and returns it."""
         waiting = deque[_Call]()
-        call = _Call(function, arguments, waiting, None)
+        call = _Call(function, arguments, waiting)
         waiting.append(call)
         self._send(waiting)
         return partial(self._finish, call)
@@ -155,25 +156,20 @@ def start_workers(workers: int, max_kept_bytes: float = math.inf) -> Iterator[Wo
         remove_cleanup(processes)
 
 
+@dataclass(eq=False)
 class _Call:
     """A call, and what has become of it."""
 
-    def __init__(
-        self,
-        function: Callable[..., Any],
-        arguments: Sequence[Any],
-        waiting: "deque[_Call]",
-        home: "_Worker | None",
-    ) -> None:
-        self.function, self.arguments = function, arguments
-        self.waiting = waiting
-        """The calls to send next, to which it returns if its process is killed."""
-        self.home = home
-        """The process that has to do it, since it has values; None if any may."""
-        self.lost = 0
-        """Processes that were killed with it."""
-        self.outcome: tuple[bool, Any] | None = None
-        """Whether it succeeded, and its result or error."""
+    function: Callable[..., Any]
+    arguments: Sequence[Any]
+    waiting: "deque[_Call]"
+    """The calls to send next, to which it returns if its process is killed."""
+    home: "_Worker | None" = None
+    """The process that has to do it, since it has values; None if any may."""
+    lost: int = 0
+    """Processes that were killed with it."""
+    outcome: tuple[bool, Any] | None = None
+    """Whether it succeeded, and its result or error."""
 
     def give(self) -> Any:
         """The result, or raises the error."""
@@ -184,36 +180,37 @@ class _Call:
         return result
 
 
+@dataclass(eq=False)
 class _Worker:
     """A process as this one knows it."""
 
-    def __init__(self, process: Any, connection: Connection, known: set[int]) -> None:
-        self.process, self.connection = process, connection
-        self.call: _Call | None = None
-        """Under way."""
-        self.computed = set[int]()
-        """Numbers of the values that it has."""
-        self._known = known
-        """Numbers of those that it has or can compute."""
-        self._released = set[int]()
-        """Numbers of those that no call takes any more, to be sent with the next call."""
+    process: Any
+    connection: Connection
+    known: set[int]
+    """Numbers of the values that it has or can compute."""
+    computed: set[int] = field(default_factory=set)
+    """Numbers of those that it has."""
+    released: set[int] = field(default_factory=set)
+    """Numbers of those that no call takes any more, to be sent with the next call."""
+    call: _Call | None = None
+    """Under way."""
 
     def forget(self) -> None:
         """Has the process release the values that no longer exist."""
-        released = self._known - set(existing.keys())
-        self._released |= released
-        self._known -= released
+        released = self.known - set(existing.keys())
+        self.released |= released
+        self.known -= released
         self.computed -= released
 
     def send(self, call: _Call) -> None:
         """Sends a call to the process, which has none."""
         content = io.BytesIO()
-        pickler = _CallPickler(content, self._known)
-        pickler.dump((call.function, call.arguments, self._released))
+        pickler = _CallPickler(content, self.known)
+        pickler.dump((call.function, call.arguments, self.released))
         self.call = call
         self.computed |= {kept.number for kept in _list_kept(call.arguments)}
-        self._known |= pickler.sent
-        self._released = set()
+        self.known |= pickler.sent
+        self.released = set()
         with suppress(OSError):  # it was killed, which is found where its result is waited for
             self.connection.send_bytes(content.getbuffer())
 
