@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from distributed import Future
 
 from calgraph.config.settings import DaskSettings
 from calgraph.errors import CalibrationError, InputError
@@ -91,6 +92,15 @@ def test_a_stream_is_read_little_ahead_and_keeps_its_order(engine: DaskEngine, t
 
     assert list(engine.map(touch_file, work())) == list(range(60))
     assert max(unfinished) < 4 * 2
+
+
+def test_results_of_calls_that_finish_while_the_engine_looks_are_not_lost(
+    engine: DaskEngine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # A thread of the client receives that calls have finished.
+    read = Future.status.fget
+    monkeypatch.setattr(Future, "status", property(lambda future: (read(future), time.sleep(0.02))[0]))
+    assert list(engine.map(multiply, (([k], 2) for k in range(20)))) == [[2 * k] for k in range(20)]
 
 
 def test_results_of_a_stream_come_before_the_error_of_a_call(engine: DaskEngine) -> None:

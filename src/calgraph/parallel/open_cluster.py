@@ -87,11 +87,13 @@ class DaskEngine:
     def _take_finished(self, submitted: "deque[Future]") -> Iterator[Any]:
         """The results of the first calls that have finished, in one transfer, or the error of the very first."""
         finished = list(takewhile(lambda future: future.status == "finished", submitted))
-        if not finished and submitted and submitted[0].done():
-            submitted.popleft().result()
-        for result in self._client.gather(finished):
-            submitted.popleft()
-            yield result
+        if finished:
+            for result in self._client.gather(finished):
+                submitted.popleft()
+                yield result
+        # Not `done()`: it may have finished since, with a result that is to be given.
+        elif submitted and submitted[0].status in ("error", "cancelled"):
+            submitted[0].result()
 
     def _count_ahead(self) -> int:
         """The number of unfinished calls of a stream; workers may come and go."""
