@@ -97,9 +97,14 @@ def test_a_stream_is_read_little_ahead_and_keeps_its_order(engine: DaskEngine, t
 def test_results_of_calls_that_finish_while_the_engine_looks_are_not_lost(
     engine: DaskEngine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    # A thread of the client receives that calls have finished.
     read = Future.status.fget
-    monkeypatch.setattr(Future, "status", property(lambda future: (read(future), time.sleep(0.02))[0]))
+
+    def read_slowly(future: Future) -> str:
+        status: str = read(future)
+        time.sleep(0.02)  # in which a thread of the client receives that calls have finished
+        return status
+
+    monkeypatch.setattr(Future, "status", property(read_slowly))
     assert list(engine.map(multiply, (([k], 2) for k in range(20)))) == [[2 * k] for k in range(20)]
 
 
