@@ -78,7 +78,7 @@ def build_track(
 
 def list_body_equations(equations: NetworkEquations) -> list[BodyEquations]:
     """Of each body."""
-    return [of_body for batch in equations.body_equations.handles for of_body in batch]
+    return equations.map(lambda _network, _state, _body, _path, of_body: of_body)
 
 
 def eliminate_densely(equations: NetworkEquations) -> Array:

@@ -10,7 +10,8 @@ from calgraph.config import Cylinder, People, Rig
 from calgraph.errors import CalgraphError, InputError
 from calgraph.geometry import Array
 from calgraph.graph.spanning_tree import SpanningTree
-from calgraph.parallel.processes import forked_jobs, parallel_call
+from calgraph.parallel.engine import parallel_call
+from calgraph.parallel.processes import forked_jobs
 from calgraph.parallel.progress import Progress, no_progress
 from calgraph.recording import Recording, convert_images, resolve_intrinsics
 from calgraph.recording.sensor_topics import check_sensor_topics
@@ -168,7 +169,7 @@ def solve_problem(problem: Problem, jobs: int = 1) -> Calibration:
 
     Args:
         problem: to solve.
-        jobs: maximum number of processes; see :func:`calgraph.parallel.processes.parallel_stream`.
+        jobs: maximum number of processes; see :class:`calgraph.parallel.engine.Processes`.
 
     Raises:
         CalibrationError: its equations are singular.

@@ -149,8 +149,8 @@ def linearize_scans(
 
 def linearize_body(
     network: NetworkProblem, state: NetworkState, body: BodyObservations, path: BodyPath
-) -> tuple[float, BodyEquations]:
-    """The cost of a body and its equations."""
+) -> BodyEquations:
+    """The equations of a body."""
     columns, (mean, information) = list_columns([scans.scanner for scans in body.scans]), body.shape_prior
     equations = BodyEquations.zeros(body.knots.count, len(mean), columns)
     cost = _add_path_prior(equations, network, state, body, path)
@@ -159,7 +159,7 @@ def linearize_body(
     equations.corner_gradient[own] += information * deviation
     cost += 0.5 * float(information @ deviation**2)
     cost += add_scans(equations, (linearize_scans(network, state, body, path, k) for k in range(len(body.scans))))
-    return cost, equations
+    return replace(equations, cost=cost)
 
 
 def _add_path_prior(

@@ -54,6 +54,7 @@ from calgraph.network.pairs.scanner_pair import CLOCK_SIGMA
 from calgraph.network.pairs.synchronized_tracks import TICK_PERIOD
 from calgraph.network.tracking.track import ScannerTracks, Track
 from calgraph.parallel.engine import THIS_PROCESS, MapEngine
+from calgraph.parallel.kept_values import Kept
 from calgraph.parallel.mapped_arrays import ArrayMemory
 from calgraph.solver.connected_parts import label_parts
 
@@ -391,12 +392,10 @@ def register_walls(
     }
     prior_covariance = np.diag(np.square([_WALL_POSITION_SIGMA, _WALL_POSITION_SIGMA, _WALL_ROTATION_SIGMA]))
     beam_errors, _ = linearize_beam_errors(state.systematic)
-    backgrounds = engine.put(
-        [
-            icp.StaticBackground(correct_points(scanner.background, errors))
-            for scanner, errors in zip(tracked, state.systematic, strict=True)
-        ]
-    )
+    backgrounds = [
+        Kept.of(icp.StaticBackground(correct_points(scanner.background, errors)))
+        for scanner, errors in zip(tracked, state.systematic, strict=True)
+    ]
     work = []
     for a, b in sorted(pairs):
         T_a_b = se2.inverse(state.T_root_scanner[a]) @ state.T_root_scanner[b]

@@ -90,7 +90,7 @@ def estimate_model_error(
     beams = int(network.count_beams().sum())
     batches = batches or BodyBatches.place(network.bodies)
     batches = batches.thin(1 + beams // _MAX_BEAMS)
-    _, kept = batches.map_and_keep(_collect_equations, network, state)
+    kept = batches.keep(_collect_equations, network, state)
     score_to_information = TukeyLoss(TUKEY_LIMIT).score_to_information
     variances = network.model_error_variance.copy()
 
@@ -139,8 +139,8 @@ _STRIDE_DURATION = 1.0
 
 def _collect_equations(
     network: NetworkProblem, state: NetworkState, body: BodyObservations, path: BodyPath
-) -> tuple[None, _ScanEquations]:
-    """Nothing, and the equations of a body."""
+) -> _ScanEquations:
+    """The equations of a body."""
     duration = _STRIDE_DURATION
     collected, parts = [], []
     for k, beams in enumerate(predict_beams(network, state, body, path)):
@@ -152,7 +152,7 @@ def _collect_equations(
         np.concatenate([one.gradient[:, :3] for one in collected]),
         np.concatenate([one.cost for one in collected]),
     )
-    return None, _ScanEquations(of_pose, np.concatenate(parts), len(body.scans))
+    return _ScanEquations(of_pose, np.concatenate(parts), len(body.scans))
 
 
 def _compare_scanners(

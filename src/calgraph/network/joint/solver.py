@@ -192,10 +192,8 @@ def linearize_network(
     """
     batches = batches or BodyBatches.place(network.bodies)
     H, g = ScannerMatrix.zeros(order or order_scanners(network)), np.zeros(SCANNER_UNKNOWNS * network.count)
-    costs, kept = batches.map_and_keep(linearize_body, network, state)
-    cost = 0.0
-    for body_cost in costs:
-        cost += body_cost
+    kept = batches.keep(linearize_body, network, state)
+    cost = sum(batches.map(_read_cost, network, state, kept), 0.0)
     cost += _add_walls(state, network.walls, H, g)
     if network.prior:
         cost += network.prior.add_to_equations(state.T_root_scanner, H, g)
@@ -311,6 +309,16 @@ def _move_path(body: BodyObservations, path: BodyPath, step: Array) -> BodyPath:
     moved = path.shape + shape
     moved[: body.radius_count] = np.maximum(moved[: body.radius_count], _MIN_RADIUS)
     return BodyPath(path.control + control.reshape(-1, 3), moved)
+
+
+def _read_cost(
+    _network: NetworkProblem,
+    _state: NetworkState,
+    _body: BodyObservations,
+    _path: BodyPath,
+    equations: BodyEquations,
+) -> float:
+    return equations.cost
 
 
 def _add_walls(state: NetworkState, walls: Sequence[WallConstraint], H: ScannerMatrix, g: Array) -> float:

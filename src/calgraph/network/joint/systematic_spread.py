@@ -14,6 +14,7 @@ from calgraph.geometry import Array, Index
 from calgraph.network.joint.scanner_unknowns import FIRST_SYSTEMATIC, SCANNER_UNKNOWNS, compute_prior_covariance
 from calgraph.network.joint.solver import COMMON_ERROR_SHARE, NetworkEquations
 from calgraph.parallel.engine import THIS_PROCESS, MapEngine
+from calgraph.parallel.kept_values import Kept
 
 # Shares per factor of two: the evidence of a standard deviation changes little from one to the next.
 _SHARES_PER_OCTAVE = 2
@@ -77,11 +78,11 @@ def estimate_systematic_sigma(
     octaves = -np.log2(_MIN_SYSTEMATIC_SHARE)
     shares = np.exp2(-np.linspace(0, octaves, 1 + int(np.ceil(_SHARES_PER_OCTAVE * octaves))))
     share = np.ones(prior_sigma.shape[1])
-    groups = engine.put(_marginalize_poses(equations, prior_sigma))
+    groups = [Kept.of(one) for one in _marginalize_poses(equations, prior_sigma)]
     estimated = np.flatnonzero((prior_sigma > 0).any(axis=0))
     for kind in np.tile(estimated, _SWEEPS):
         work = [(group, share.copy(), int(kind), shares) for group in groups]
-        log_evidence = np.sum(engine.map(_Likelihood.log_evidence, work), axis=0)
+        log_evidence = np.sum(list(engine.map(_Likelihood.log_evidence, work)), axis=0)
         weight = np.exp(log_evidence - log_evidence.max())
         # Few scanners leave the share uncertain: its root mean square is safer than its mean.
         share[kind] = np.sqrt(weight @ shares**2 / weight.sum())

@@ -47,6 +47,7 @@ from calgraph.network.pairs.track_registration import (
 from calgraph.network.pairs.track_similarity import compute_track_similarity
 from calgraph.network.pairs.visibility_map import ScannerObservations
 from calgraph.parallel.engine import THIS_PROCESS, Engine
+from calgraph.parallel.kept_values import Kept
 
 # Most registrations of a hypothesis, each with the samples shifted to the clock offset of the previous one.
 _MAX_SHIFTS = 3
@@ -181,7 +182,7 @@ def search_clocks_and_mountings(
     """
     prior = NuisancePrior(clock_sigma, DEPTH_STDDEV)
     generators = rng.spawn(len(pairs))
-    data = dict(zip(observations, engine.put(list(observations.values())), strict=True))
+    data = {name: Kept.of(one) for name, one in observations.items()}
     work = [
         (ends, data[ends[0]], data[ends[1]], prior, generator, settings)
         for ends, generator in zip(pairs, generators, strict=True)

@@ -10,7 +10,6 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,6 +46,7 @@ from calgraph.network.pairs.track_similarity import compute_track_similarity
 from calgraph.network.pairs.visibility_map import ScannerObservations, contradicts_visibility
 from calgraph.network.tracking.track import ScannerTracks
 from calgraph.parallel.engine import THIS_PROCESS, Engine
+from calgraph.parallel.kept_values import Kept
 
 # Fewer pairs than these are evaluated faster than other processes start.
 _MIN_PARALLEL_PAIRS = 6
@@ -129,7 +129,7 @@ def estimate_scanner_pairs(
     batch = _PairBatch(
         tuple(tracked),
         scanners,
-        tuple(engine.put(scanners)),
+        tuple(Kept.of(scanner) for scanner in scanners),
         icp,
         NuisancePrior(clock_sigma, DEPTH_STDDEV if depth_stddev is None else depth_stddev),
         engine,
@@ -149,8 +149,8 @@ class _PairBatch:
 
     names: tuple[str, ...]
     scanners: tuple[_ScannerData, ...]
-    handles: tuple[Any, ...]
-    """Of the scanners, for calls of the engine."""
+    kept: tuple[Kept, ...]
+    """The scanners, for calls of the engine."""
     icp: bool
     prior: NuisancePrior
     engine: Engine
@@ -159,15 +159,18 @@ class _PairBatch:
         self, pairs: Sequence[Ends], generators: Sequence[np.random.Generator], progress: Callable[[float], None]
     ) -> list[ScannerPairEstimate | Rejected]:
         """Estimates pairs of scanners, given by their indices, each with its random generator."""
-        divided = len(pairs) >= _MIN_PARALLEL_PAIRS
-        engine, data = (self.engine, self.handles) if divided else (THIS_PROCESS, self.scanners)
+        engine = self.engine if len(pairs) >= _MIN_PARALLEL_PAIRS else THIS_PROCESS
         work = []
         for (i, j), rng in zip(pairs, generators, strict=True):
             # Random numbers are drawn here, so that results do not depend on the engine.
             proposals = _propose_hypotheses(self.scanners[i], self.scanners[j], rng)
             ends = self.names[i], self.names[j]
-            work.append((ends, data[i], data[j], proposals, self.icp, self.prior))
-        return engine.map(_evaluate_hypotheses, work, progress)
+            work.append((ends, self.kept[i], self.kept[j], proposals, self.icp, self.prior))
+        estimates = []
+        for found in engine.map(_evaluate_hypotheses, work):
+            estimates.append(found)
+            progress(len(estimates) / len(work))
+        return estimates
 
 
 # Pairs of each scanner that are registered first, those with the most similar tracks. In simulated grids of 30

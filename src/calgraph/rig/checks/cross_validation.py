@@ -16,7 +16,9 @@ from numpy.typing import NDArray
 
 from calgraph.errors import InputError
 from calgraph.geometry import Array, Index, se3, se_n
-from calgraph.parallel.processes import forked_jobs, parallel_stream
+from calgraph.parallel.engine import Processes
+from calgraph.parallel.kept_values import Kept
+from calgraph.parallel.processes import forked_jobs
 from calgraph.result import HeldOutError
 from calgraph.result.evidence import rms
 from calgraph.rig.bundle.board_motions import velocity_along_sensor
@@ -76,7 +78,7 @@ def cross_validate(solved: SolvedBundle, folds: int, jobs: int = 1) -> dict[str,
     Args:
         solved: the solution of all captures.
         folds: number of groups of captures; each group is held out as a whole.
-        jobs: maximum number of processes, see :func:`parallel_stream`; they do not change the
+        jobs: maximum number of processes; they do not change the
             result.
 
     Returns:
@@ -95,8 +97,9 @@ def cross_validate(solved: SolvedBundle, folds: int, jobs: int = 1) -> dict[str,
     _, number = np.unique(solved.captures, return_inverse=True)
     fold_of = number % folds
     errors: dict[str, list[_PredictionErrors]] = {name: [] for name in bundle.sensors}
-    work = [(fold_of == fold,) for fold in np.unique(fold_of)]
-    for found in parallel_stream(_hold_out, work, solved, forked_jobs(jobs)):
+    given = Kept.of(solved)
+    work = [(given, fold_of == fold) for fold in np.unique(fold_of)]
+    for found in Processes(forked_jobs(jobs)).map(_hold_out, work):
         for name, error in found.items():
             errors[name].append(error)
     summaries = {name: _summarize(found, units[name], solved.captures) for name, found in errors.items()}
