@@ -192,12 +192,12 @@ class MarginalizedViews:
         """(V, q, 6) derivatives of the local parameters by the board's pose."""
         return self.local_jacobian[..., :6] @ self.by_board
 
-    def sum_information(self, extra_of_local: Index) -> Array:
-        """(n, n) information of all views on the columns of the reduced problem.
+    def sum_information(self, J: Array, extra_of_local: Index) -> Array:
+        """(n, n) information of all views on the columns of the reduced problem, with ``J_sensor`` J.
 
         The derivatives by extra parameters are the same in all views of one kind of board: these are summed first.
         """
-        J, b = self.J_sensor, self.by_sensor.shape[-1]
+        b = self.by_sensor.shape[-1]
         H = np.zeros((J.shape[-1], J.shape[-1]))
         H[:b] = (se_n.transpose(J[..., :b]) @ self.information @ J).sum(axis=0)
         H[b:, :b] = H[:b, b:].T
@@ -303,13 +303,14 @@ def sum_views(
     cost, H, g = _prior_equations(bundle, state)
     H_board, g_board, H_board_sensor = np.zeros((boards, 6, 6)), np.zeros((boards, 6)), np.zeros((boards, 6, size))
     for k, (views, at) in enumerate(zip(bundle.all_views, equations, strict=True)):
-        columns, J, Jt_board = bundle.columns(k), at.J_sensor, se_n.transpose(at.J_board)
-        A, b = at.information, at.gradient[..., None]
-        H[np.ix_(columns, columns)] += at.sum_information(views.extra_of_local)
+        columns, J, J_board, b = bundle.columns(k), at.J_sensor, at.J_board, at.gradient[..., None]
+        Jt_board = se_n.transpose(J_board)
+        Jt_board_A = Jt_board @ at.information
+        H[np.ix_(columns, columns)] += at.sum_information(J, views.extra_of_local)
         g[columns] += (se_n.transpose(J) @ b)[..., 0].sum(axis=0)
-        H_board[views.board] += Jt_board @ A @ at.J_board
+        H_board[views.board] += Jt_board_A @ J_board
         g_board[views.board] += (Jt_board @ b)[..., 0]
-        H_board_sensor[np.ix_(views.board, np.arange(6), columns)] += Jt_board @ A @ J
+        H_board_sensor[np.ix_(views.board, np.arange(6), columns)] += Jt_board_A @ J
     cost = sum(costs, cost)
     for prior in bundle.priors:
         cost += _add_sensor_prior(bundle, state, prior, H, g)
