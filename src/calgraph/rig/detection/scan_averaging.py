@@ -82,7 +82,10 @@ def average_scans(
     kept = kept[answered[kept] > 0]
     ranges = ranges[:, kept]
     max_deviation = max(SAME_SURFACE_SIGMAS * noise.range, MIN_THICKNESS)
-    near = np.abs(ranges - np.nanmedian(ranges, axis=0)) < max_deviation if len(kept) else ranges > 0
+    # NaN is sorted to the end; np.nanmedian takes three times as long.
+    middle = np.stack([(answered[kept] - 1) // 2, answered[kept] // 2])
+    median = np.take_along_axis(np.sort(ranges, axis=0), middle, axis=0).mean(axis=0)
+    near = np.abs(ranges - median) < max_deviation
     steady = 2 * near.sum(axis=0) > answered[kept]
     if not steady.any():
         return None
