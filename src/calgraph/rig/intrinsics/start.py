@@ -87,7 +87,7 @@ def _solve_homographies(corners: Array, rays: Array) -> Array:
 
     Rays that a camera does not have are NaN.
     """
-    valid, places = np.isfinite(rays).all(axis=-1), corners[:, :2]
+    valid, places = np.asarray(np.isfinite(rays).all(axis=-1)), corners[:, :2]
     rays = np.where(valid[..., None], rays, 0.0)
     middle = places.mean(axis=0)
     scale = np.sqrt(np.mean((places - middle) ** 2))
@@ -97,7 +97,7 @@ def _solve_homographies(corners: Array, rays: Array) -> Array:
     H = np.linalg.eigh(se_n.transpose(A) @ A)[1][..., 0].reshape(-1, 3, 3)
     H = np.where(np.sum(rays * (x @ se_n.transpose(H)), axis=(1, 2))[:, None, None] < 0, -H, H)
     lengths = np.linalg.norm(H[..., :2], axis=1)
-    has_pose = np.asarray((valid.sum(axis=1) >= 4) & lengths.all(axis=1))
+    has_pose = (valid.sum(axis=1) >= 4) & lengths.all(axis=1)
     lengths = np.where(has_pose[:, None], lengths, 1.0)
     a, b = np.moveaxis(H[..., :2] / lengths[:, None], -1, 0)
     R = se_n.nearest_rotation(np.stack([a, b, np.cross(a, b)], axis=-1))
