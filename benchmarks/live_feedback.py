@@ -83,7 +83,7 @@ async def watch(session: RigSession, feedback: Feedback) -> None:
         if session.solution and session.solutions != solutions:
             solutions = session.solutions
             feedback.solved.append((now, session.solution.captures))
-        await session.wait_for_change(state)
+        await asyncio.sleep(0.01)
 
 
 def report(

@@ -22,8 +22,6 @@ class GivenSession:
 
     def __init__(self, state: SessionState) -> None:
         self._state = state
-        self._loop: asyncio.AbstractEventLoop | None = None
-        self._changed = asyncio.Event()
         self.encoded = 0
         """How often the state was asked for."""
         self.pictures: dict[str, bytes] = {}
@@ -34,12 +32,6 @@ class GivenSession:
     def state(self) -> SessionState:
         self.encoded += 1
         return self._state
-
-    async def wait_for_change(self, state: SessionState) -> None:
-        self._loop = asyncio.get_running_loop()
-        while self._state is state:
-            self._changed.clear()
-            await self._changed.wait()
 
     def picture(self, sensor: str) -> bytes | None:
         return self.pictures.get(sensor)
@@ -56,8 +48,6 @@ class GivenSession:
     def show(self, state: SessionState) -> None:
         """From now on this is the state; from any thread."""
         self._state = state
-        if self._loop:
-            self._loop.call_soon_threadsafe(self._changed.set)
 
     def next_command(self) -> str:
         return self.commands.get(timeout=PATIENCE)

@@ -1,6 +1,5 @@
 """A live session of a network: when it calibrates, and what it states."""
 
-import asyncio
 from collections.abc import Callable
 from concurrent.futures import Executor, Future
 from dataclasses import replace
@@ -64,7 +63,10 @@ class Fed:
         self.recorded = 0.0
         """s"""
         pools = SessionPools(WaitingExecutor(), 1, self.pool, lambda function: function())
-        self.session = NetworkSession(RIG, "test", pools, Path("recording"), clock=lambda: self.now)
+        self.lines: list[str] = []
+        self.session = NetworkSession(
+            RIG, "test", pools, self.lines.append, Path("recording"), clock=lambda: self.now
+        )
 
     def feed(self, seconds: float, names: tuple[str, ...] = NAMES, delay: dict[str, float] | None = None) -> None:
         for _ in range(round(10 * seconds)):
@@ -133,20 +135,15 @@ def test_the_last_solution_is_given_to_the_next(fed: Fed) -> None:
     assert fed.pool.calls[-1][2][3] is found
 
 
-def test_the_state_is_another_object_after_a_solution(fed: Fed) -> None:
+def test_poses_within_tolerance_are_printed_once(fed: Fed) -> None:
+    good = tuple(posed(name, "good", 0.5) for name in NAMES)
     fed.feed(9)
-    before = fed.session.state()
-    assert fed.session.state() is before
-
-    async def wait() -> None:
-        waiting = asyncio.ensure_future(fed.session.wait_for_change(before))
-        await asyncio.sleep(0)
-        assert not waiting.done()
-        fed.pool.finish(solution(9.0))
-        await asyncio.wait_for(waiting, 5)
-
-    asyncio.run(wait())
-    assert fed.session.state() is not before
+    fed.pool.finish(solution(9.0))
+    for end in (20.0, 40.0):
+        assert len(fed.lines) == (end > 20)
+        fed.feed(20)
+        fed.pool.finish(solution(end, *good))
+    assert fed.lines == ["All sensors are within tolerance: finish"]
 
 
 def test_scanners_without_messages_are_named(fed: Fed) -> None:

@@ -92,7 +92,7 @@ def test_a_page_receives_an_empty_message_where_nothing_changes() -> None:
 
 
 def test_changes_beyond_the_rate_are_merged_and_the_last_one_comes(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("calgraph.live.page_app._MAX_RATE", 4)
+    monkeypatch.setattr("calgraph.live.page_app._RATE", 4)
     with ServedPage(GivenSession(STATE)) as served, open_socket(served) as page:
         json.loads(page.recv(timeout=PATIENCE))
         for number in range(1, 1001):
@@ -105,7 +105,7 @@ def test_changes_beyond_the_rate_are_merged_and_the_last_one_comes(monkeypatch: 
 
 
 def test_a_page_that_reads_nothing_is_closed_and_delays_no_other(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("calgraph.live.page_app._MAX_RATE", 1000)
+    monkeypatch.setattr("calgraph.live.page_app._RATE", 1000)
     settings = PageSettings(timeout=0.5, max_pages=2)
     with ServedPage(GivenSession(STATE), settings=settings) as served:
         stuck = socket.create_connection(("127.0.0.1", served.server.port), timeout=PATIENCE)

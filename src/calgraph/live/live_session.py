@@ -37,10 +37,7 @@ class CapturingSession(Protocol):
         """Does what the operator wants."""
 
     def state(self) -> SessionState:
-        """The session now; another object after each change."""
-
-    async def wait_for_change(self, state: SessionState) -> None:
-        """Returns as soon as :meth:`state` is another object than ``state``."""
+        """The session now."""
 
     def picture(self, sensor: str) -> bytes | None:
         """The view of a sensor, a JPEG image."""
@@ -73,17 +70,12 @@ class OperatorView:
         self._lost = self._gaps = 0
         self._end: tuple[Phase, str, bool] | None = None
         self._report: Path | None = None
-        self._state: SessionState | None = None
-        self._shown: SessionState | None = None
-        """The session's state that ``_state`` was made of."""
-        self._change = asyncio.Event()
         self.finish_wanted = asyncio.Event()
         """Set when the operator ends the session."""
 
     def show_recorder(self, recorder: RecordingStatus) -> None:
         """From now on shows what is recorded."""
         self._recorder = recorder
-        self._note_change()
 
     def note(self, notice: Notice) -> None:
         """Shows what happened to the connection."""
@@ -95,7 +87,6 @@ class OperatorView:
             self._lost += notice.count
         self._notices.appendleft(notice.text)
         self._print_line(notice.text)
-        self._note_change()
 
     def show_end(self, phase: Phase, headline: str, report: Path | None = None, *, done: bool = False) -> None:
         """From now on shows a phase of the end of the session, in place of those of the captures.
@@ -107,41 +98,22 @@ class OperatorView:
             done: whether all poses are good.
         """
         self._end, self._report = (phase, headline, done), report
-        self._note_change()
 
     def state(self) -> SessionState:
-        """The session now. Whenever something has changed it is another object."""
+        """The session now."""
         shown = self._session.state()
-        if self._state is None or shown is not self._shown:
-            self._shown = shown
-            recorded = self._recorder.state if self._recorder else RecorderState()
-            phase, headline, done = self._end or (shown.phase, shown.headline, shown.done)
-            self._state = replace(
-                shown,
-                phase=phase,
-                headline=headline,
-                done=done,
-                connected=self._connected,
-                notices=(*self._notices, *shown.notices)[:_SHOWN_NOTICES],
-                recorder=replace(recorded, lost=self._lost, gaps=self._gaps),
-                report=self._report is not None,
-            )
-        return self._state
-
-    async def wait_for_change(self, state: SessionState) -> None:
-        """Returns as soon as :meth:`state` is another object than ``state``."""
-        while self.state() is state:
-            self._change.clear()
-            assert self._shown is not None
-            waiting = {
-                asyncio.ensure_future(self._change.wait()),
-                asyncio.ensure_future(self._session.wait_for_change(self._shown)),
-            }
-            try:
-                await asyncio.wait(waiting, return_when=asyncio.FIRST_COMPLETED)
-            finally:
-                for task in waiting:
-                    task.cancel()
+        recorded = self._recorder.state if self._recorder else RecorderState()
+        phase, headline, done = self._end or (shown.phase, shown.headline, shown.done)
+        return replace(
+            shown,
+            phase=phase,
+            headline=headline,
+            done=done,
+            connected=self._connected,
+            notices=(*self._notices, *shown.notices)[:_SHOWN_NOTICES],
+            recorder=replace(recorded, lost=self._lost, gaps=self._gaps),
+            report=self._report is not None,
+        )
 
     def picture(self, sensor: str) -> bytes | None:
         """The view of a sensor with the board drawn in, a JPEG image; None before the first."""
@@ -163,10 +135,6 @@ class OperatorView:
             self.finish_wanted.set()
         else:
             self._session.command(command)
-
-    def _note_change(self) -> None:
-        self._state = None
-        self._change.set()
 
 
 # Time between two looks at whether other processes still work, s: much less than their calls take.
@@ -360,7 +328,8 @@ def run_session(rig: Rig, source: Source, folder: SessionFolder, options: LiveOp
     """
     with asyncio.Runner() as runner, _open_pools(rig, runner.get_loop().call_soon_threadsafe) as pools:
         triggers = TriggerQueue()
-        session = _make_session(rig, source.name, folder, pools, triggers)
+        outputs = SessionOutputs(triggers.put, folder.exclude, options.print_line)
+        session = _make_session(rig, source.name, folder, pools, outputs)
         if options.manual:
             session.command(Command("manual"))
         try:
@@ -382,12 +351,12 @@ def _open_pools(rig: Rig, post: Post) -> Iterator[SessionPools]:
 
 
 def _make_session(
-    rig: Rig, source: str, folder: SessionFolder, pools: SessionPools, triggers: TriggerQueue
+    rig: Rig, source: str, folder: SessionFolder, pools: SessionPools, outputs: SessionOutputs
 ) -> FedSession:
     """A session that goes on where the recording in the folder ends."""
     if rig.is_network:
-        return NetworkSession(rig, source, pools, folder.recording)
-    session = RigSession(rig, source, pools, SessionOutputs(triggers.put, folder.exclude), solve_captures)
+        return NetworkSession(rig, source, pools, outputs.print_line, folder.recording)
+    session = RigSession(rig, source, pools, outputs, solve_captures)
     if folder.last_arrival() >= 0:
         with open_recording(folder.recording, rig.settings.limits) as recording:
             session.rebuild(recording, Processes(pools.analysis_processes))
@@ -407,7 +376,7 @@ async def _run(
     handle_interrupt(lambda: loop.call_soon_threadsafe(task.cancel))
     view = OperatorView(session, options.print_line)
     async with serve_page(view, options.host, options.port, settings=rig.settings.live.page) as server:
-        async with _printing_events(view, options.print_line), _recording(rig, folder, session) as recorder:
+        async with _recording(rig, folder, session) as recorder:
             view.show_recorder(recorder)
             options.announce(server)
             max_lead = _choose_max_lead(source, options)
@@ -454,27 +423,3 @@ async def _recording(rig: Rig, folder: SessionFolder, session: FedSession) -> As
         session.close()
         with suppress(RecordingError):  # its state has the error
             await recorder.close()
-
-
-@asynccontextmanager
-async def _printing_events(view: OperatorView, print_line: Callable[[str], object]) -> AsyncIterator[None]:
-    """Prints captures meanwhile."""
-    task = asyncio.create_task(_print_events(view, print_line))
-    try:
-        yield
-    finally:
-        task.cancel()
-        with suppress(asyncio.CancelledError):
-            await task
-
-
-async def _print_events(view: OperatorView, print_line: Callable[[str], object]) -> None:
-    before = view.state()
-    while True:
-        await view.wait_for_change(before)
-        state = view.state()
-        if state.event.number != before.event.number:
-            print_line(state.event.text)
-        if state.done and not before.done:
-            print_line("All sensors are within tolerance: finish")
-        before = state

@@ -2,7 +2,7 @@
 
 import logging
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -53,11 +53,10 @@ class MessageAnalysis:
     Args:
         rig: of the session.
         source: name of the source, for error messages.
-        changed: called when something is to be shown.
     """
 
-    def __init__(self, rig: Rig, source: str, changed: Callable[[], None]) -> None:
-        self._rig, self._changed = rig, changed
+    def __init__(self, rig: Rig, source: str) -> None:
+        self._rig = rig
         self._reader = RecordReader(source, rig.settings.limits)
         self._sensor_of = {topic: name for name, topic in rig.topics.items()}
         # Offsets that are to be estimated are known when the recording is calibrated.
@@ -134,7 +133,6 @@ class MessageAnalysis:
         names = [name] if name else self.detectors.cameras_of(topic)
         for one in names:
             self.sensors[one].note_malformed(str(error))
-        self._changed()
 
     def _queue(self, name: str, record: RecordedMessage) -> None:
         """Has a message analysed: drawn, measured, and the room learned from it."""
@@ -193,7 +191,6 @@ class MessageAnalysis:
         if isinstance(background, Rejected):
             _log.warning("%s: %s; it detects the board by size and shape", name, background.reason)
         self.detectors.set_background(name, background)
-        self._changed()
 
     def _measure_changes(self, queue: JobQueue) -> bool:
         waiting = [name for name, sensor in self.sensors.items() if sensor.waiting and not sensor.measuring]
@@ -222,11 +219,8 @@ class MessageAnalysis:
             for record, change in zip(records, measured.changes, strict=True)
             if change is not None
         ]
-        was_moving = self.rests.is_moving(name)
         quiet = all(self._is_of_background(record) for record in records)
         self.rests.add(name, [s for s, _ in usable], [c for _, c in usable], measured.last, quiet=quiet)
-        if self.rests.is_moving(name) != was_moving:
-            self._changed()
 
     def _fail_measuring(self, name: str, error: BaseException) -> None:
         self.sensors[name].measuring = ()
@@ -260,7 +254,6 @@ class MessageAnalysis:
     def _set_view(self, name: str, view: SensorView) -> None:
         self.sensors[name].drawing = False
         self.sensors[name].set_view(view)
-        self._changed()
 
 
 class LiveDetectors:

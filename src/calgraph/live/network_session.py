@@ -1,6 +1,5 @@
 """A live session of a network: from its messages to poses again and again, and what people should do."""
 
-import asyncio
 import math
 import time
 from collections import deque
@@ -21,7 +20,7 @@ from calgraph.live.job_queue import JobQueue
 from calgraph.live.live_timeline import LiveTimeline
 from calgraph.live.network_solution import LiveNetworkSolution, ScannerSolution, solve_recording
 from calgraph.live.record_reader import RecordReader
-from calgraph.live.rig_session import SessionPools
+from calgraph.live.rig_session import ALL_DONE, SessionPools
 from calgraph.live.source import LiveMessage
 from calgraph.live.state import Advice, Command, Phase, SensorState, SessionState
 from calgraph.live.tracked_intervals import MIN_INTERVAL
@@ -109,6 +108,7 @@ class NetworkSession:
         rig: the network, as its user wrote it.
         source: name of the source.
         pools: where it computes: ``solving``.
+        print_line: takes a line on poses that are all within tolerance.
         recording: path of the recording that receives the messages.
         solve: calibrates.
         clock: time by which the load is limited, s.
@@ -119,6 +119,7 @@ class NetworkSession:
         rig: Rig,
         source: str,
         pools: SessionPools,
+        print_line: Callable[[str], object],
         recording: Path,
         *,
         solve: Solve = solve_recording,
@@ -126,6 +127,7 @@ class NetworkSession:
     ) -> None:
         self.rig = rig
         self._source, self._recording, self._solve, self._clock = source, recording, solve, clock
+        self._print_line = print_line
         self._reader = RecordReader(source, rig.settings.limits)
         self._sensor_of = {topic: name for name, topic in rig.topics.items()}
         self.timeline = LiveTimeline(rig.sensors)
@@ -140,9 +142,6 @@ class NetworkSession:
         self._began, self._next = 0.0, -math.inf
         """When the last solution began and when the next may, s."""
         self._problem = ""
-        self._state: SessionState | None = None
-        self._shown_at = -math.inf
-        self._change = asyncio.Event()
 
     def feed(self, message: LiveMessage) -> None:
         """Takes a message that has been recorded; scans are read from the recording, by another process."""
@@ -156,35 +155,23 @@ class NetworkSession:
                 self.timeline.add(name, record)
             except RecordingError as error:
                 self._messages[name].note_malformed(str(error))
-                self._note_change()
-        if self.timeline.latest_arrival - self._shown_at >= 1 / self.rig.settings.live.view.rate:
-            self._shown_at = self.timeline.latest_arrival
-            self._note_change()
         self._start_solving()
 
     def command(self, command: Command) -> None:
         """Nothing is triggered or discarded; ``finish`` concerns who owns the session."""
 
     def state(self) -> SessionState:
-        """The session now, without what concerns source and recorder; another object after each change."""
-        if self._state is None:
-            self._state = describe_network_session(
-                self.rig,
-                self._source,
-                self.timeline,
-                self._messages,
-                self.solution,
-                self._forecast,
-                self._floor_plan,
-                self._problem,
-            )
-        return self._state
-
-    async def wait_for_change(self, state: SessionState) -> None:
-        """Returns as soon as :meth:`state` is another object than ``state``."""
-        while self._state is state:
-            self._change.clear()
-            await self._change.wait()
+        """The session now, without what concerns source and recorder."""
+        return describe_network_session(
+            self.rig,
+            self._source,
+            self.timeline,
+            self._messages,
+            self.solution,
+            self._forecast,
+            self._floor_plan,
+            self._problem,
+        )
 
     def picture(self, sensor: str) -> bytes | None:
         """None: the floor plan shows all scanners."""
@@ -239,19 +226,15 @@ class NetworkSession:
     def _set_solution(self, solution: LiveNetworkSolution | None) -> None:
         self._set_next()
         if solution is not None:
+            if solution.done and not (self.solution and self.solution.done):
+                self._print_line(ALL_DONE)
             self.solution, self._problem = solution, ""
             self._forecast.add(solution)
             self._floor_plan = draw_floor_plan(solution, self.rig.root, self.rig.tolerance)
-        self._note_change()
 
     def _fail_solving(self, error: BaseException) -> None:
         self._set_next()
         self._problem = f"No poses from the recording until now: {error}"
-        self._note_change()
-
-    def _note_change(self) -> None:
-        self._state = None
-        self._change.set()
 
 
 # Messages whose delays are compared: a second of the slowest scanners, and more of others.

@@ -25,10 +25,7 @@ class SessionView(Protocol):
     """A session as the page uses it, all calls in one asyncio loop. None of them blocks."""
 
     def state(self) -> SessionState:
-        """The session now. Whenever something has changed it is another object."""
-
-    async def wait_for_change(self, state: SessionState) -> None:
-        """Returns as soon as :meth:`state` is another object than ``state``."""
+        """The session now."""
 
     def picture(self, sensor: str) -> bytes | None:
         """The view of a sensor with the board drawn in, a JPEG image; None before the first."""
@@ -95,8 +92,8 @@ _REPORT_POLICY = (
 )
 
 
-# Maximum rate at which a page receives the state, Hz: as fast as a reader follows.
-_MAX_RATE = 10.0
+# Rate at which the state is looked at for changes, which pages receive, Hz: as fast as a reader follows.
+_RATE = 10.0
 # Commands that a page may send in fast succession before the rate counts.
 _COMMAND_BURST = 20
 # Commands per second that a page may send on average: no finger is faster for long.
@@ -148,14 +145,14 @@ class PageApp:
                 await task
 
     async def _follow(self) -> None:
-        """Encodes the state whenever it has changed, at the maximum rate; the last change is never left out."""
+        """Encodes the state, and notes whether it has changed."""
         while True:
-            state = self._view.state()
-            self._fields = _encode(state)
-            self._changed.set()
-            self._changed = asyncio.Event()
-            await asyncio.sleep(1 / _MAX_RATE)
-            await self._view.wait_for_change(state)
+            fields = _encode(self._view.state())
+            if fields != self._fields:
+                self._fields = fields
+                self._changed.set()
+                self._changed = asyncio.Event()
+            await asyncio.sleep(1 / _RATE)
 
     async def _answer_picture(self, request: Request) -> Response:
         picture = self._view.picture(request.query_params.get("sensor", ""))

@@ -1,6 +1,5 @@
 """A live session of a rig: from its messages to captures, poses, and the state that the operator is shown."""
 
-import asyncio
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -126,11 +125,17 @@ class SessionOutputs:
     """Records a trigger."""
     exclude: Callable[[tuple[float, float]], object] = field(default=lambda _window: None)
     """Takes a window, s from the start of the recording, of a capture that is to be left out."""
+    print_line: Callable[[str], object] = field(default=lambda _text: None)
+    """Takes a line on a capture, and on poses that are all within tolerance."""
 
 
 def count_analysis_processes(rig: Rig) -> int:
     """The number of processes that detect on this machine: one core is left to the recorder and the page."""
     return max(1, min(available_cores() - 1, rig.settings.live.analysis_processes))
+
+
+ALL_DONE = "All sensors are within tolerance: finish"
+"""What an operator reads who has done enough."""
 
 
 class RigSession:
@@ -153,8 +158,8 @@ class RigSession:
         self.rig = prepare_live_rig(rig)
         """The rig of the recording: with the trigger of the session, and a background window."""
         self._source, self._outputs, self._solve = source, outputs, solve
-        self.analysis = MessageAnalysis(self.rig, source, self._note_change)
-        self.taker = CaptureTaker(self.rig, self.analysis, self._write_trigger, self._note_change)
+        self.analysis = MessageAnalysis(self.rig, source)
+        self.taker = CaptureTaker(self.rig, self.analysis, self._write_trigger, outputs.print_line)
         self._queue = JobQueue(pools.analysis, pools.analysis_processes, self._post_to(pools.post))
         self._solver = JobQueue(pools.solving, 1, self._post_to(pools.post))
         self.solution: LiveSolution | None = None
@@ -164,9 +169,6 @@ class RigSession:
         """Number of solutions so far."""
         self._solved_captures: tuple[object, ...] = ()
         self._problem = ""
-        self._state: SessionState | None = None
-        self._shown_at = float("-inf")
-        self._change = asyncio.Event()
         self._pumping = False
 
     def rebuild(self, recording: Recording, engine: Engine = THIS_PROCESS) -> None:
@@ -187,17 +189,11 @@ class RigSession:
         background = recording.records([t for t in self.rig.topics.values() if t in present], *times)
         self.analysis.restore(rebuilt.timeline, recording.end, rebuilt.cameras, background)
         self.taker.restore(rebuilt.captures, self.taker.finder.now())
-        self._note_change()
         self._pump()
 
     def feed(self, message: LiveMessage) -> None:
         """Takes a message that has been recorded; the work is left to other processes, which may skip it."""
         self.analysis.feed(message)
-        # Rates and ages are shown without any other change.
-        arrival = self.analysis.timeline.latest_arrival
-        if arrival - self._shown_at >= 1 / self.rig.settings.live.view.rate:
-            self._shown_at = arrival
-            self._note_change()
         self._pump()
 
     def command(self, command: Command) -> None:
@@ -209,24 +205,15 @@ class RigSession:
                 self.taker.automatic = command.action == "automatic"
             case "discard":
                 self._discard()
-        self._note_change()
         self._pump()
 
     def state(self) -> SessionState:
-        """The session now, without what concerns source and recorder; another object after each change."""
-        if self._state is None:
-            killed = self._queue.problem or self._solver.problem
-            problem = f"Only recording goes on: {killed}" if killed else self._problem
-            self._state = describe_rig_session(
-                self.rig, self._source, self.analysis, self.taker, self.solution, self.solutions, problem
-            )
-        return self._state
-
-    async def wait_for_change(self, state: SessionState) -> None:
-        """Returns as soon as :meth:`state` is another object than ``state``."""
-        while self._state is state:
-            self._change.clear()
-            await self._change.wait()
+        """The session now, without what concerns source and recorder."""
+        killed = self._queue.problem or self._solver.problem
+        problem = f"Only recording goes on: {killed}" if killed else self._problem
+        return describe_rig_session(
+            self.rig, self._source, self.analysis, self.taker, self.solution, self.solutions, problem
+        )
 
     def picture(self, sensor: str) -> bytes | None:
         """The view of a sensor with the board drawn in, a JPEG image; None before the first."""
@@ -305,15 +292,15 @@ class RigSession:
         captures = self.taker.captures
         if not captures:  # they were left out meanwhile
             return
+        if solution.done and not (self.solution and self.solution.done):
+            self._outputs.print_line(ALL_DONE)
         self.solution = solution
         self._scene = encode_scene(make_scene(self.rig, solution, captures, self.analysis.detectors.cameras))
         self._problem = ""
         self.solutions += 1
-        self._note_change()
 
     def _fail_solving(self, error: BaseException) -> None:
         self._problem = f"No poses from the captures until now: {error}"
-        self._note_change()
 
     def _write_trigger(self, stamp: float) -> None:
         self._outputs.record(make_trigger(stamp, self.analysis.timeline.latest_arrival))
@@ -329,10 +316,6 @@ class RigSession:
         start, end = capture.hold.start - begin, capture.hold.end - begin
         margin = (end - start) / 10
         self._outputs.exclude((start + margin, end - margin))
-
-    def _note_change(self) -> None:
-        self._state = None
-        self._change.set()
 
 
 @dataclass(frozen=True, eq=False)
@@ -478,8 +461,7 @@ def describe_rig_session(
     return SessionState(
         kind="rig",
         phase=phase,
-        headline=problem
-        or ("All sensors are within tolerance: finish" if done and phase == "ready" else headline),
+        headline=problem or (ALL_DONE if done and phase == "ready" else headline),
         source=source,
         automatic=taker.automatic,
         root=rig.root,
