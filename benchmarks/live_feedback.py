@@ -70,7 +70,7 @@ async def run(
 
 async def watch(session: RigSession, feedback: Feedback) -> None:
     """Notes when captures and solutions come."""
-    number, captures, solutions = 0, 0, 0
+    number, captures, solution = 0, 0, None
     while True:
         state = session.state()
         now = time.monotonic()
@@ -80,8 +80,8 @@ async def watch(session: RigSession, feedback: Feedback) -> None:
         if state.captures != captures:
             captures = state.captures
             feedback.captured.append(now)
-        if session.solution and session.solutions != solutions:
-            solutions = session.solutions
+        if session.solution and session.solution is not solution:
+            solution = session.solution
             feedback.solved.append((now, session.solution.captures))
         await asyncio.sleep(0.01)
 

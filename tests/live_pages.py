@@ -25,7 +25,6 @@ class GivenSession:
         self.encoded = 0
         """How often the state was asked for."""
         self.pictures: dict[str, bytes] = {}
-        self.scene_json: bytes | None = None
         self.report_file: Path | None = None
         self.commands: queue.Queue[str] = queue.Queue()
 
@@ -35,9 +34,6 @@ class GivenSession:
 
     def picture(self, sensor: str) -> bytes | None:
         return self.pictures.get(sensor)
-
-    def scene(self) -> bytes | None:
-        return self.scene_json
 
     def report(self) -> Path | None:
         return self.report_file

@@ -10,7 +10,8 @@ from calgraph.config import Tolerance
 from calgraph.geometry import se2
 from calgraph.live.floor_grid import FloorGrid
 from calgraph.live.floor_plan import draw_floor_plan
-from calgraph.live.network_solution import LiveNetworkSolution, ScannerSolution
+from calgraph.live.network_solution import LiveNetworkSolution
+from calgraph.live.sensor_solution import SensorSolution
 
 SVG = "{http://www.w3.org/2000/svg}"
 
@@ -24,20 +25,20 @@ def grid(width: int = 20, height: int = 10) -> FloorGrid:
 
 def scanner(
     name: str, x: float = 0.0, y: float = 0.0, sigma: float = 0.004, grade: str = "good"
-) -> ScannerSolution:
-    return ScannerSolution(
+) -> SensorSolution:
+    return SensorSolution(
         name,
-        3,
+        "lidar2d",
         se2.to_se3(se2.pose(0.5, np.array([x, y]))),
-        np.diag([sigma, sigma / 2]) ** 2,
-        np.array([sigma, sigma / 2, 0.001]),
+        np.array([sigma, sigma / 2, 0, 0, 0, 0.001]),
+        np.diag([sigma, sigma / 2, 0]) ** 2,
         0.8,
         grade,
         clock_offset=-0.012,
     )
 
 
-def solution(*scanners: ScannerSolution) -> LiveNetworkSolution:
+def solution(*scanners: SensorSolution) -> LiveNetworkSolution:
     return LiveNetworkSolution(scanners, grid(), 0.0, 60.0, 60.0, 60.0)
 
 
@@ -60,7 +61,7 @@ def test_scanners_are_named_in_the_plan_and_listed_with_their_errors() -> None:
 
 
 def test_scanners_without_a_pose_are_listed_first_with_what_is_missing() -> None:
-    apart = [ScannerSolution("blind"), ScannerSolution("alone", 4)]
+    apart = [SensorSolution("blind", "lidar2d"), SensorSolution("alone", "lidar2d", tracks=4)]
     shown = texts(draw(solution(scanner("root"), *apart, scanner("laser", 2.0))))
     assert shown[-8:-4] == ["blind", "alone", "root", "laser"]
     assert shown[-4:-2] == ["no person detected", "not calibrated"]
@@ -117,5 +118,5 @@ def test_a_network_of_many_scanners_in_a_large_hall_fits() -> None:
 
 
 def test_without_connected_scanners_there_is_the_list() -> None:
-    found = replace(solution(ScannerSolution("root"), ScannerSolution("laser")), grid=None)
+    found = replace(solution(SensorSolution("root", "lidar2d"), SensorSolution("laser", "lidar2d")), grid=None)
     assert texts(draw(found)) == ["root", "laser", "no person detected", "no person detected"]

@@ -11,8 +11,9 @@ import pytest
 
 from calgraph.config import Rig
 from calgraph.live.network_session import NetworkSession
-from calgraph.live.network_solution import LiveNetworkSolution, ScannerSolution
+from calgraph.live.network_solution import LiveNetworkSolution
 from calgraph.live.rig_session import SessionPools
+from calgraph.live.sensor_solution import SensorSolution
 from calgraph.live.source import LiveMessage
 from calgraph.sensors import LaserScan
 from live_sessions import make_live_message
@@ -28,10 +29,10 @@ RIG = Rig.model_validate(
 )
 
 
-def posed(name: str, grade: str, uncertainty: float, reason: str = "") -> ScannerSolution:
+def posed(name: str, grade: str, uncertainty: float, reason: str = "") -> SensorSolution:
     """A scanner with a pose, standard deviations of 2 mm and 2 mrad."""
-    covariance, stddev = np.eye(2) * 4e-6, np.full(3, 0.002)
-    return ScannerSolution(name, 3, np.eye(4), covariance, stddev, uncertainty, grade, reason)
+    covariance, stddev = np.eye(3) * 4e-6, np.full(6, 0.002)
+    return SensorSolution(name, "lidar2d", np.eye(4), stddev, covariance, uncertainty, grade, reason)
 
 
 class WaitingExecutor(Executor):
@@ -81,9 +82,9 @@ def scan(name: str, at: float, delay: float = 0.0) -> LiveMessage:
     return make_live_message(f"/{name}", message, EPOCH + at)
 
 
-def solution(end: float, *scanners: ScannerSolution, seconds: float = 1.0) -> LiveNetworkSolution:
+def solution(end: float, *scanners: SensorSolution, seconds: float = 1.0) -> LiveNetworkSolution:
     """One of three scanners without poses, if none are given."""
-    known = scanners or tuple(ScannerSolution(name) for name in NAMES)
+    known = scanners or tuple(SensorSolution(name, "lidar2d") for name in NAMES)
     return LiveNetworkSolution(known, None, EPOCH, EPOCH + end, end, end, seconds=seconds)
 
 
@@ -178,8 +179,8 @@ def test_unusable_messages_are_counted(fed: Fed) -> None:
 
 def test_people_are_sent_to_scanners_that_have_detected_no_person(fed: Fed) -> None:
     fed.feed(9)
-    apart = ScannerSolution("c", reason="no object of the target's size was detected")
-    fed.pool.finish(solution(9.0, posed("a", "good", 0.0), ScannerSolution("b", 3), apart))
+    apart = SensorSolution("c", "lidar2d", reason="no object of the target's size was detected")
+    fed.pool.finish(solution(9.0, posed("a", "good", 0.0), SensorSolution("b", "lidar2d", tracks=3), apart))
     state = fed.session.state()
     assert state.headline == "Walk where c detects you, and on to where another scanner does"
     assert state.advice is not None

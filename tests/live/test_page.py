@@ -14,8 +14,8 @@ import pytest
 from playwright.sync_api import Browser, Page, sync_playwright
 
 from calgraph.config.settings import PageSettings
-from calgraph.live.rig_session import SceneFrame, SceneView, encode_scene
-from calgraph.live.state import Advice, CaptureEvent, RecorderState, SensorState, SessionState
+from calgraph.live.sensor_solution import SensorSolution
+from calgraph.live.state import Advice, CaptureEvent, RecorderState, SceneState, SensorState, SessionState
 from live_pages import PATIENCE, GivenSession, ServedPage
 
 CHROMIUM = shutil.which("chromium")
@@ -32,13 +32,20 @@ SENSORS = (
                 stddev_degrees=0.4, progress=0.8, coverage=(0.5,) * 9, picture=1),
     SensorState(HOSTILE + "x" * 80, "lidar2d", problem="no message for 6 s"),
 )  # fmt: skip
+SCENE = SceneState(
+    (
+        SensorSolution("lidar", "lidar3d", np.eye(4)),
+        SensorSolution("camera", "camera", np.eye(4), np.full(6, 0.01), np.eye(3) * 1e-4, 2.0, "weak"),
+    ),
+    (np.array([[1.0, 0, 0], [1, 1, 0], [1, 1, 1], [1, 0, 1]]),),
+)
 RIG = SessionState(
     "rig", "ready", "Hold the board still in a new pose", "ws://robot:8765", connected=True, root="lidar",
-    sensors=SENSORS, captures=3, tolerance_mm=10.0, tolerance_degrees=0.3, scene=1,
+    sensors=SENSORS, captures=3, tolerance_mm=10.0, tolerance_degrees=0.3, scene=SCENE,
     advice=Advice("Hold the board 2.2 m in front of lidar, tilted back by 25°", POSE, "σ of z: 12 mm → 6 mm"),
 )  # fmt: skip
 NETWORK = replace(
-    RIG, kind="network", floor_plan='<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 360 300"/>', scene=0
+    RIG, kind="network", floor_plan='<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 360 300"/>', scene=None
 )
 
 
@@ -80,12 +87,6 @@ class Opened:
 def opened(browser: Browser) -> Iterator[Opened]:
     session = GivenSession(RIG)
     session.pictures["camera"] = jpeg()
-    frames = [
-        SceneFrame("lidar", "lidar3d", np.eye(4)),
-        SceneFrame("camera", "camera", np.eye(4), np.eye(3) * 1e-4, "weak"),
-    ]
-    boards = np.array([[[1.0, 0, 0], [1, 1, 0], [1, 1, 1], [1, 0, 1]]])
-    session.scene_json = encode_scene(SceneView(frames, boards))
     with ServedPage(session) as served:
         context = browser.new_context(viewport={"width": PORTRAIT[0], "height": PORTRAIT[1]})
         found = Opened(session, context.new_page())

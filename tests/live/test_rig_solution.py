@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from calgraph.config import Rig
-from calgraph.live.rig_solution import LiveSolution, SensorSolution, solve_captures
+from calgraph.live.rig_solution import LiveSolution, solve_captures
+from calgraph.live.sensor_solution import SensorSolution
 from calgraph.result import Calibration
 from calgraph.rig.captures.detect import CaptureSet
 from calgraph.rig.options import RigOptions

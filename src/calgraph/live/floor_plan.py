@@ -9,7 +9,8 @@ import numpy as np
 from calgraph.config import Tolerance
 from calgraph.geometry import Array
 from calgraph.live.floor_grid import Cells, FloorGrid
-from calgraph.live.network_solution import LiveNetworkSolution, ScannerSolution
+from calgraph.live.network_solution import LiveNetworkSolution
+from calgraph.live.sensor_solution import SensorSolution
 
 # Sizes in px of a phone in the operator's hand, 360 px wide.
 _WIDTH, _MARGIN, _MAX_HEIGHT, _ROW, _LEGEND = 360, 22, 460, 24, 30
@@ -57,7 +58,7 @@ def draw_floor_plan(solution: LiveNetworkSolution, root: str, tolerance: Toleran
 
 
 def _draw_plan(
-    grid: FloorGrid, scanners: Sequence[ScannerSolution], tolerance: Tolerance
+    grid: FloorGrid, scanners: Sequence[SensorSolution], tolerance: Tolerance
 ) -> tuple[list[str], float]:
     """The plan, and its height."""
     size = grid.cell * np.array(grid.walked.shape)
@@ -69,7 +70,7 @@ def _draw_plan(
         """The y axis of the root's frame is up, that of images points down."""
         return np.asarray(corner + (points - grid.origin) * [scale, -scale])
 
-    posed = [(scanner, scanner.T_root_scanner) for scanner in scanners if scanner.T_root_scanner is not None]
+    posed = [(scanner, scanner.T_root_sensor) for scanner in scanners if scanner.T_root_sensor is not None]
     placed = [_PlacedScanner(scanner, T, to_pixels(T[:2, 3])) for scanner, T in posed]
     return [
         _draw_cells(grid.wanted, corner, grid.cell * scale, f'stroke="{_WANTED}" stroke-opacity=".5"'),
@@ -84,8 +85,8 @@ def _draw_plan(
 
 
 class _PlacedScanner(NamedTuple):
-    scanner: ScannerSolution
-    T_root_scanner: Array
+    scanner: SensorSolution
+    T_root_sensor: Array
     place: Array
     """(2,) px."""
 
@@ -107,7 +108,7 @@ def _draw_errors(placed: Sequence[_PlacedScanner], tolerance: Tolerance) -> list
     for scanner, _, (x, y) in placed:
         if scanner.covariance is None or not scanner.covariance.any():
             continue
-        variances, directions = np.linalg.eigh(scanner.covariance)
+        variances, directions = np.linalg.eigh(scanner.covariance[:2, :2])
         radii = _TOLERANCE_RADIUS * _SIGMAS * np.sqrt(np.maximum(variances, 0)) / tolerance.translation
         radii = np.clip(radii, 1.0, _MAX_RADII * _TOLERANCE_RADIUS)
         turn = -float(np.degrees(np.arctan2(directions[1, 1], directions[0, 1])))
@@ -195,13 +196,13 @@ def _draw_legend(grid: FloorGrid, top: float, tolerance: Tolerance) -> list[str]
     ]
 
 
-def _draw_list(scanners: Sequence[ScannerSolution], root: str, top: float) -> list[str]:
+def _draw_list(scanners: Sequence[SensorSolution], root: str, top: float) -> list[str]:
     """A line for each scanner: its name, and the error or why there is none."""
     dots, names, errors = [], [], []
-    for k, scanner in enumerate(sorted(scanners, key=lambda one: one.T_root_scanner is not None)):
+    for k, scanner in enumerate(sorted(scanners, key=lambda one: one.T_root_sensor is not None)):
         y = top + _ROW * (k + 0.5)
         color = _COLORS[scanner.grade]
-        posed = scanner.T_root_scanner is not None
+        posed = scanner.T_root_sensor is not None
         dots.append(f'<circle cx="14" cy="{y:.0f}" r="6" fill="{color if posed else "none"}" stroke="{color}"/>')
         names.append(f'<text x="28" y="{y + 4.5:.1f}">{_escape_name(scanner.name)}</text>')
         fill = "" if posed else f' fill="{color}"'
@@ -214,17 +215,16 @@ def _draw_list(scanners: Sequence[ScannerSolution], root: str, top: float) -> li
     ]
 
 
-def _describe_scanner(scanner: ScannerSolution, root: str) -> str:
-    if scanner.T_root_scanner is None:
+def _describe_scanner(scanner: SensorSolution, root: str) -> str:
+    if scanner.T_root_sensor is None:
         return "no person detected" if not scanner.tracks else "not calibrated"
     if scanner.name == root:
         return "origin of the plan"
-    assert scanner.stddev is not None
     clock = ""
     if scanner.clock_offset is not None:
         clock = f" · clock {1000 * scanner.clock_offset:+.0f} ms".replace("-", "\N{MINUS SIGN}")
     error = _SIGMAS * scanner.stddev
-    return f"±{_round(1000 * float(error[:2].max()))} mm ±{_round(np.degrees(error[2]))}° (95 %){clock}"
+    return f"±{_round(1000 * float(error[:3].max()))} mm ±{_round(np.degrees(error[5]))}° (95 %){clock}"
 
 
 def _round(value: float) -> str:

@@ -42,9 +42,6 @@ class CapturingSession(Protocol):
     def picture(self, sensor: str) -> bytes | None:
         """The view of a sensor, a JPEG image."""
 
-    def scene(self) -> bytes | None:
-        """The 3-D view."""
-
 
 class RecordingStatus(Protocol):
     """What has been recorded."""
@@ -118,10 +115,6 @@ class OperatorView:
     def picture(self, sensor: str) -> bytes | None:
         """The view of a sensor with the board drawn in, a JPEG image; None before the first."""
         return self._session.picture(sensor)
-
-    def scene(self) -> bytes | None:
-        """The 3-D view; None before the first."""
-        return self._session.scene()
 
     def report(self) -> Path | None:
         """The report of the calibration; None as long as there is none."""

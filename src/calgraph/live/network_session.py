@@ -18,9 +18,10 @@ from calgraph.live.capture_finder import SILENCE, name_sensors
 from calgraph.live.floor_plan import draw_floor_plan
 from calgraph.live.job_queue import JobQueue
 from calgraph.live.live_timeline import LiveTimeline
-from calgraph.live.network_solution import LiveNetworkSolution, ScannerSolution, solve_recording
+from calgraph.live.network_solution import LiveNetworkSolution, solve_recording
 from calgraph.live.record_reader import RecordReader
 from calgraph.live.rig_session import ALL_DONE, SessionPools
+from calgraph.live.sensor_solution import SensorSolution
 from calgraph.live.source import LiveMessage
 from calgraph.live.state import Advice, Command, Phase, SensorState, SessionState
 from calgraph.live.tracked_intervals import MIN_INTERVAL
@@ -54,9 +55,7 @@ class Forecast:
         """Takes a solution; those that used no new messages replace the last."""
         duration = solution.recorded
         uncertainties = {
-            scanner.name: scanner.uncertainty
-            for scanner in solution.scanners
-            if scanner.T_root_scanner is not None
+            scanner.name: scanner.uncertainty for scanner in solution.scanners if scanner.T_root_sensor is not None
         }
         if self._history and duration <= self._history[-1][0]:
             self._history.pop()
@@ -175,9 +174,6 @@ class NetworkSession:
 
     def picture(self, sensor: str) -> bytes | None:
         """None: the floor plan shows all scanners."""
-
-    def scene(self) -> bytes | None:
-        """None: networks are shown as a floor plan."""
 
     @property
     def minutes_left(self) -> float | None:
@@ -332,19 +328,19 @@ def _format_minutes(minutes: float) -> str:
     return "1 minute" if minutes <= 1 else f"{math.ceil(minutes)} minutes"
 
 
-def _find_unconnected(solution: LiveNetworkSolution) -> list[ScannerSolution]:
+def _find_unconnected(solution: LiveNetworkSolution) -> list[SensorSolution]:
     """The scanners without a pose, those that have detected no person first."""
-    apart = [one for one in solution.scanners if one.T_root_scanner is None]
+    apart = [one for one in solution.scanners if one.T_root_sensor is None]
     return sorted(apart, key=lambda one: one.tracks > 0)
 
 
-def _find_weak(solution: LiveNetworkSolution) -> list[ScannerSolution]:
+def _find_weak(solution: LiveNetworkSolution) -> list[SensorSolution]:
     """The scanners with a pose that is not good, the worst first."""
-    weak = [one for one in solution.scanners if one.T_root_scanner is not None and one.grade != "good"]
+    weak = [one for one in solution.scanners if one.T_root_sensor is not None and one.grade != "good"]
     return sorted(weak, key=lambda one: -one.uncertainty)
 
 
-def _say_where_to_walk(scanner: ScannerSolution) -> str:
+def _say_where_to_walk(scanner: SensorSolution) -> str:
     if not scanner.tracks:
         return f"Walk where {scanner.name} detects you, and on to where another scanner does"
     return f"Walk where {scanner.name} and another scanner both detect you, in curves"
@@ -390,7 +386,7 @@ def _describe_sensor(
     rig: Rig,
     timeline: LiveTimeline,
     messages: Mapping[str, ScannerMessages],
-    solved: ScannerSolution | None,
+    solved: SensorSolution | None,
 ) -> SensorState:
     age = timeline.age(name)
     problems = []
@@ -400,8 +396,7 @@ def _describe_sensor(
         problems.append(f"no messages for {age:.0f} s")
     if clock := _describe_clock(name, messages):
         problems.append(clock)
-    stddev = None if solved is None or name == rig.root else solved.stddev
-    return SensorState(
+    state = SensorState(
         name=name,
         kind=rig.sensors[name].kind,
         rate=timeline.rate(name),
@@ -409,11 +404,8 @@ def _describe_sensor(
         problem="; ".join(problems),
         reason=solved.reason if solved else "",
         captures=solved.tracks if solved else 0,
-        stddev_mm=None if stddev is None else 1000 * float(stddev[:2].max()),
-        stddev_degrees=None if stddev is None else float(np.degrees(stddev[2])),
-        progress=solved.progress if solved else 0.0,
-        grade=solved.grade if solved else "",
     )
+    return state.with_pose(solved, rig.root)
 
 
 def _is_silent(name: str, timeline: LiveTimeline) -> bool:

@@ -10,6 +10,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Literal, Protocol, get_args
 
+import numpy as np
 from pydantic_core import to_json
 from starlette.applications import Starlette
 from starlette.requests import Request
@@ -29,9 +30,6 @@ class SessionView(Protocol):
 
     def picture(self, sensor: str) -> bytes | None:
         """The view of a sensor with the board drawn in, a JPEG image; None before the first."""
-
-    def scene(self) -> bytes | None:
-        """The 3-D view as :func:`calgraph.live.rig_session.encode_scene` writes it; None before the first."""
 
     def report(self) -> Path | None:
         """The report of the calibration; None as long as there is none."""
@@ -126,7 +124,6 @@ class PageApp:
             routes=[
                 *assets,
                 Route("/picture", self._answer_picture),
-                Route("/scene", self._answer_scene),
                 Route("/report", self._answer_report),
                 WebSocketRoute("/state", self._serve_page),
             ]
@@ -157,10 +154,6 @@ class PageApp:
     async def _answer_picture(self, request: Request) -> Response:
         picture = self._view.picture(request.query_params.get("sensor", ""))
         return _not_found() if picture is None else Response(picture, media_type="image/jpeg")
-
-    async def _answer_scene(self, _: Request) -> Response:
-        scene = self._view.scene()
-        return _not_found() if scene is None else Response(scene, media_type="application/json")
 
     async def _answer_report(self, _: Request) -> Response:
         report = self._view.report()
@@ -234,7 +227,10 @@ class PageApp:
 
 def _encode(state: SessionState) -> Mapping[str, bytes]:
     """The fields of the state, each as JSON; numbers that are not finite are null."""
-    return {field.name: to_json(getattr(state, field.name), inf_nan_mode="null") for field in fields(state)}
+    return {
+        field.name: to_json(getattr(state, field.name), inf_nan_mode="null", fallback=np.ndarray.tolist)
+        for field in fields(state)
+    }
 
 
 def _read_assets() -> Mapping[str, bytes]:

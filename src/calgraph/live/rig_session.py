@@ -1,13 +1,10 @@
 """A live session of a rig: from its messages to captures, poses, and the state that the operator is shown."""
 
-import json
-import math
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calgraph.boards.detections import BoardCorners, DetectionResult
 from calgraph.config import Intrinsics, Rig
@@ -20,9 +17,10 @@ from calgraph.live.job_queue import JobQueue, Post
 from calgraph.live.live_captures import LiveCapture, collect_live_captures, count_coverage
 from calgraph.live.live_rig import make_trigger, prepare_live_rig
 from calgraph.live.message_analysis import MessageAnalysis
-from calgraph.live.rig_solution import LiveSolution, SensorSolution
+from calgraph.live.rig_solution import LiveSolution
+from calgraph.live.sensor_solution import SensorSolution
 from calgraph.live.source import LiveMessage
-from calgraph.live.state import Command, Phase, SensorState, SessionState
+from calgraph.live.state import Command, Phase, SceneState, SensorState, SessionState
 from calgraph.parallel.engine import THIS_PROCESS, Engine
 from calgraph.parallel.processes import available_cores
 from calgraph.recording import Recording, resolve_intrinsics
@@ -32,72 +30,6 @@ from calgraph.rig.captures.sensor_detection import DetectionMethod, detect_by_se
 from calgraph.rig.captures.timeline import RecordingTimeline, build_timeline
 from calgraph.sensors import CameraModel
 from calgraph.sensors.kinds import KINDS
-
-
-@dataclass(frozen=True, eq=False)
-class SceneFrame:
-    """One sensor with a pose."""
-
-    name: str
-    kind: str
-    """camera, lidar2d or lidar3d: a camera is drawn as a frustum along z, scanners as a disc around z."""
-    T_root_sensor: NDArray[np.float64]
-    """(4, 4)."""
-    covariance: NDArray[np.float64] | None = None
-    """(3, 3) of the position in the root frame, m^2; drawn as an ellipsoid. None for the root."""
-    grade: str = ""
-    """good, weak or unobservable."""
-    field_of_view: tuple[float, float] | None = None
-    """Of a camera: horizontal and vertical, rad; None where its intrinsics are unknown."""
-
-
-@dataclass(frozen=True, eq=False)
-class SceneView:
-    """The 3-D view at one moment; coordinates in the root frame, m."""
-
-    frames: Sequence[SceneFrame]
-    boards: NDArray[np.float64]
-    """(N, 4, 3): corners of the board in each capture, in order around its outline."""
-    suggested: NDArray[np.float64] | None = None
-    """(4, 3): where the board should be next."""
-
-
-def encode_scene(scene: SceneView) -> bytes:
-    """The scene as JSON that the page reads.
-
-    ``{"frames": [{"name", "kind", "pose": 4x4, "covariance": 3x3 or null, "grade", "field_of_view": [h, v] or
-    null}], "boards": [4x3, ...], "suggested": 4x3 or null}``, numbers with four decimals. A frame or board with
-    a number that is not finite is left out.
-    """
-    frames = [
-        {
-            "name": frame.name,
-            "kind": frame.kind,
-            "pose": _round(frame.T_root_sensor),
-            # Variances of some mm^2 need more decimals than positions.
-            "covariance": None if frame.covariance is None else _round(frame.covariance, 10),
-            "grade": frame.grade,
-            "field_of_view": frame.field_of_view,
-        }
-        for frame in scene.frames
-        if _is_finite(frame.T_root_sensor)
-        and (frame.covariance is None or _is_finite(frame.covariance))
-        and (frame.field_of_view is None or all(map(math.isfinite, frame.field_of_view)))
-    ]
-    boards = [_round(board) for board in scene.boards if _is_finite(board)]
-    suggested = None if scene.suggested is None or not _is_finite(scene.suggested) else _round(scene.suggested)
-    text = json.dumps({"frames": frames, "boards": boards, "suggested": suggested}, allow_nan=False)
-    return text.encode()
-
-
-def _is_finite(values: NDArray[np.float64]) -> bool:
-    return bool(np.all(np.isfinite(values)))
-
-
-def _round(values: NDArray[np.float64], decimals: int = 4) -> list[list[float]]:
-    rows: list[list[float]] = np.round(np.asarray(values, dtype=float), decimals).tolist()
-    return rows
-
 
 Solve = Callable[[Rig, CaptureSet, LiveSolution | None], LiveSolution]
 """Computes the poses from the captures until now and the last solution; defined at module level."""
@@ -164,9 +96,7 @@ class RigSession:
         self._solver = JobQueue(pools.solving, 1, self._post_to(pools.post))
         self.solution: LiveSolution | None = None
         """The last one; None before the first."""
-        self._scene: bytes | None = None
-        self.solutions = 0
-        """Number of solutions so far."""
+        self._scene: SceneState | None = None
         self._solved_captures: tuple[object, ...] = ()
         self._problem = ""
         self._pumping = False
@@ -212,7 +142,7 @@ class RigSession:
         killed = self._queue.problem or self._solver.problem
         problem = f"Only recording goes on: {killed}" if killed else self._problem
         return describe_rig_session(
-            self.rig, self._source, self.analysis, self.taker, self.solution, self.solutions, problem
+            self.rig, self._source, self.analysis, self.taker, self.solution, self._scene, problem
         )
 
     def picture(self, sensor: str) -> bytes | None:
@@ -220,10 +150,6 @@ class RigSession:
         activity = self.analysis.sensors.get(sensor)
         view = activity.view if activity else None
         return view.picture or None if view else None
-
-    def scene(self) -> bytes | None:
-        """The 3-D view of the last solution; None before the first."""
-        return self._scene
 
     def captures(self) -> CaptureSet:
         """The captures so far."""
@@ -295,9 +221,8 @@ class RigSession:
         if solution.done and not (self.solution and self.solution.done):
             self._outputs.print_line(ALL_DONE)
         self.solution = solution
-        self._scene = encode_scene(make_scene(self.rig, solution, captures, self.analysis.detectors.cameras))
+        self._scene = make_scene(self.rig, solution, captures)
         self._problem = ""
-        self.solutions += 1
 
     def _fail_solving(self, error: BaseException) -> None:
         self._problem = f"No poses from the captures until now: {error}"
@@ -375,47 +300,21 @@ def _make_capture(rig: Rig, hold: Hold, found: Mapping[str, DetectionResult]) ->
     return LiveCapture(hold, {name: found.get(name, Rejected(NO_INTRINSICS)) for name in rig.sensors})
 
 
-def make_scene(
-    rig: Rig, solution: LiveSolution, captures: Sequence[LiveCapture], cameras: Mapping[str, CameraModel]
-) -> SceneView:
-    """The sensors that have poses, and the board where a camera detected it, in the frame of the root.
+def make_scene(rig: Rig, solution: LiveSolution, captures: Sequence[LiveCapture]) -> SceneState:
+    """The sensors that have poses, and the board where a camera detected it.
 
     Args:
         rig: of the session.
         solution: the last one.
         captures: so far.
-        cameras: intrinsics by camera.
     """
     poses = {one.name: one.T_root_sensor for one in solution.sensors if one.T_root_sensor is not None}
-    frames = [_make_frame(rig, one, one.T_root_sensor, cameras) for one in solution.sensors if one.name in poses]
+    # Nothing is drawn at infinity.
+    drawn = [one for one in solution.sensors if one.covariance is None or np.isfinite(one.covariance).all()]
     boards = [board for capture in captures if (board := _locate_board(rig, capture, poses)) is not None]
     suggestion = solution.suggestion
     suggested = None if suggestion is None else _outline(rig.board_size, suggestion.T_root_board)
-    return SceneView(frames, np.array(boards) if boards else np.zeros((0, 4, 3)), suggested)
-
-
-def _make_frame(
-    rig: Rig, sensor: SensorSolution, T_root_sensor: Array | None, cameras: Mapping[str, CameraModel]
-) -> SceneFrame:
-    assert T_root_sensor is not None
-    R, variances = T_root_sensor[:3, :3], sensor.stddev[:3] ** 2
-    camera = cameras.get(sensor.name)
-    return SceneFrame(
-        sensor.name,
-        sensor.kind,
-        T_root_sensor,
-        None if sensor.name == rig.root else R @ np.diag(variances) @ R.T,
-        sensor.grade,
-        _measure_field_of_view(camera) if camera else None,
-    )
-
-
-def _measure_field_of_view(camera: CameraModel) -> tuple[float, float]:
-    """Horizontal and vertical field of view, rad."""
-    u, v = camera.principal_point
-    rays = camera.rays(np.array([[0.0, v], [camera.width - 1.0, v], [u, 0.0], [u, camera.height - 1.0]]))
-    left, right, top, bottom = rays / np.linalg.norm(rays, axis=1, keepdims=True)
-    return float(np.arccos(left @ right)), float(np.arccos(top @ bottom))
+    return SceneState(tuple(one for one in drawn if one.name in poses), tuple(boards), suggested)
 
 
 def _locate_board(rig: Rig, capture: LiveCapture, poses: Mapping[str, Array]) -> Array | None:
@@ -440,7 +339,7 @@ def describe_rig_session(
     analysis: MessageAnalysis,
     taker: CaptureTaker,
     solution: LiveSolution | None,
-    solutions: int,
+    scene: SceneState | None,
     problem: str,
 ) -> SessionState:
     """The state of a session.
@@ -451,7 +350,7 @@ def describe_rig_session(
         analysis: of its messages.
         taker: of its captures.
         solution: the last one; None before the first.
-        solutions: number of solutions so far.
+        scene: of the last solution.
         problem: what keeps the session from working; empty if nothing does.
     """
     solved = {one.name: one for one in solution.sensors} if solution else {}
@@ -474,7 +373,7 @@ def describe_rig_session(
         tolerance_mm=1000 * rig.tolerance.translation,
         tolerance_degrees=rig.tolerance.rotation,
         done=done,
-        scene=solutions,
+        scene=scene,
     )
 
 
@@ -513,10 +412,8 @@ def _describe_sensor(
     problem = problems.get(name, "")
     if activity.malformed and not problem:
         problem = f"{activity.malformed} unusable messages: {activity.problem}"
-    stddev = None if solved is None or name == rig.root else np.asarray(solved.stddev)
-    known = stddev is not None and bool(np.isfinite(stddev).all())
     view = activity.view
-    return SensorState(
+    state = SensorState(
         name=name,
         kind=rig.sensors[name].kind,
         rate=timeline.rate(name),
@@ -527,9 +424,6 @@ def _describe_sensor(
         moving=analysis.rests.is_moving(name),
         captures=sum(name in capture.sensors for capture in taker.captures),
         coverage=count_coverage(name, rig, analysis.detectors.cameras.get(name), taker.captures),
-        stddev_mm=1000 * float(stddev[:3].max()) if known and stddev is not None else None,
-        stddev_degrees=float(np.degrees(stddev[3:].max())) if known and stddev is not None else None,
-        progress=solved.progress if solved else 0.0,
-        grade=solved.grade if solved else "",
         picture=activity.pictures,
     )
+    return state.with_pose(solved, rig.root)

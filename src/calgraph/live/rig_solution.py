@@ -5,7 +5,7 @@ held-out captures: cross-validation and bootstrap take longest.
 """
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 from calgraph.config import Rig
 from calgraph.errors import CalgraphError
 from calgraph.geometry import Array
-from calgraph.live.pose_picture import DrawnSensor, draw_pose
+from calgraph.live.pose_picture import draw_pose
+from calgraph.live.sensor_solution import SensorSolution, describe_pose
 from calgraph.live.state import Advice
-from calgraph.result import Calibration, SensorPose, Suggestion
+from calgraph.result import Calibration, Suggestion
 from calgraph.rig.bundle.problem import explain_singular_equations
 from calgraph.rig.bundle.solution import SolvedBundle
 from calgraph.rig.captures.detect import CaptureSet, state_estimated_intrinsics
@@ -108,26 +109,6 @@ def _count_shared(captures: CaptureSet, a: str, b: str) -> int:
 
 
 @dataclass(frozen=True, eq=False)
-class SensorSolution:
-    """What is known of one sensor's pose."""
-
-    name: str
-    kind: str
-    """camera, lidar2d or lidar3d."""
-    T_root_sensor: Array | None = None
-    """(4, 4); None as long as nothing connects the sensor to the root."""
-    stddev: Array = field(default_factory=lambda: np.full(6, np.nan))
-    """(6,) along and about the axes of the sensor, m and rad; zero for the root, NaN without a pose."""
-    progress: float = 0.0
-    """The least ratio of the largest acceptable standard deviation to that of an axis, limited to 0..1: 1 where
-    all errors are within the tolerance with the probability of verdicts."""
-    grade: str = ""
-    """good, weak or unobservable; empty without a pose."""
-    reason: str = ""
-    """Why it is not good, or not connected, in words."""
-
-
-@dataclass(frozen=True, eq=False)
 class LiveSolution:
     """The calibration of a rig from the captures until now."""
 
@@ -180,7 +161,7 @@ def solve_captures(rig: Rig, captures: CaptureSet, start: LiveSolution | None = 
     if solved and not missing and not done:
         repeated = start and start.captures != len(captures.holds)
         suggestion = suggest_next_pose(rig, solved, start.suggestion if start and repeated else None)
-    picture = _draw_suggestion(rig, captures.cameras, sensors, suggestion) if suggestion else ""
+    picture = _draw_suggestion(rig, sensors, suggestion) if suggestion else ""
     advice = None if done else _advise(sensors, missing, suggestion, picture)
     return LiveSolution(sensors, done, len(captures.holds), advice, missing=missing, suggestion=suggestion)
 
@@ -206,26 +187,22 @@ def _advise(
 _MIN_ANGLE = float(np.radians(5))
 
 
-def _draw_suggestion(
-    rig: Rig, cameras: Mapping[str, CameraModel], sensors: Sequence[SensorSolution], suggestion: Suggestion
-) -> str:
+def _draw_suggestion(rig: Rig, sensors: Sequence[SensorSolution], suggestion: Suggestion) -> str:
     """The picture of a suggestion, as viewed by its sensor, or a camera."""
-    drawn = [
-        DrawnSensor(one.name, one.kind, one.T_root_sensor, _half_view_angle(cameras.get(one.name)))
-        for one in sorted(sensors, key=lambda one: one.name != rig.root)
-        if one.T_root_sensor is not None
-    ]
-    up = estimate_up({one.name: one.kind for one in drawn}, {one.name: one.T_root_sensor for one in drawn})
+    drawn = sorted((one for one in sensors if one.T_root_sensor is not None), key=lambda one: one.name != rig.root)
+    poses = {one.name: one.T_root_sensor for one in drawn if one.T_root_sensor is not None}
+    up = estimate_up({one.name: one.kind for one in drawn}, poses)
     return draw_pose(drawn, suggestion.T_root_board, rig.board_size, up, suggestion.sensor, _MIN_ANGLE)
 
 
-def _half_view_angle(camera: CameraModel | None) -> float:
-    """Half of the horizontal field of view, rad; 0 without intrinsics."""
+def _measure_field_of_view(camera: CameraModel | None) -> tuple[float, float] | None:
+    """Horizontal and vertical field of view, rad; None without intrinsics."""
     if camera is None:
-        return 0.0
-    rays = camera.rays(np.array([[0.0, camera.K[1, 2]], [camera.width - 1.0, camera.K[1, 2]]]))
-    left, right = rays / np.linalg.norm(rays, axis=1, keepdims=True)
-    return float(np.arccos(np.clip(left @ right, -1, 1))) / 2
+        return None
+    u, v = camera.principal_point
+    rays = camera.rays(np.array([[0.0, v], [camera.width - 1.0, v], [u, 0.0], [u, camera.height - 1.0]]))
+    left, right, top, bottom = rays / np.linalg.norm(rays, axis=1, keepdims=True)
+    return float(np.arccos(np.clip(left @ right, -1, 1))), float(np.arccos(np.clip(top @ bottom, -1, 1)))
 
 
 def _leave_out_unprojected(rig: Rig, captures: CaptureSet) -> CaptureSet:
@@ -271,27 +248,19 @@ def _describe_sensors(
 ) -> tuple[SensorSolution, ...]:
     poses = {sensor.name: sensor for sensor in calibration.sensors} if calibration else {}
     limits = max_good_stddev(rig.tolerance, rig.settings.diagnostics.verdict)
-    return tuple(
-        _describe_pose(poses[name], limits, alone=len(poses) == 1)
-        if name in poses
-        else SensorSolution(name, spec.kind, reason=explain_unconnected(name, rig, captures, poses))
-        for name, spec in rig.sensors.items()
-    )
-
-
-def _describe_pose(sensor: SensorPose, limits: Array, *, alone: bool) -> SensorSolution:
-    stddev = sensor.axis_stddev
-    progress = float(np.min(limits / np.maximum(stddev, np.finfo(float).tiny)).clip(0.0, 1.0))
-    # A root to which nothing is connected is no result.
-    return SensorSolution(
-        sensor.name,
-        sensor.kind,
-        sensor.T_root_sensor,
-        stddev,
-        0.0 if alone else progress,
-        "" if alone else sensor.verdict.grade,
-        sensor.verdict.reason,
-    )
+    found = []
+    for name, spec in rig.sensors.items():
+        if name in poses:
+            one = replace(
+                describe_pose(poses[name], limits),
+                field_of_view=_measure_field_of_view(captures.cameras.get(name)),
+            )
+            # A root to which nothing is connected is no result.
+            found.append(one if len(poses) > 1 else replace(one, uncertainty=float("inf"), grade=""))
+        else:
+            reason = explain_unconnected(name, rig, captures, poses)
+            found.append(SensorSolution(name, spec.kind, reason=reason))
+    return tuple(found)
 
 
 def suggest_next_pose(rig: Rig, solved: SolvedBundle, last: Suggestion | None) -> Suggestion | None:

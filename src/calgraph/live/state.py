@@ -1,7 +1,12 @@
-"""What the operator's page shows: the state of a session at one moment, as plain values."""
+"""What the operator's page shows: the state of a session at one moment."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
+
+import numpy as np
+
+from calgraph.geometry import Array
+from calgraph.live.sensor_solution import SensorSolution
 
 Phase = Literal["connecting", "background", "ready", "waiting", "measuring", "finishing", "finished", "failed"]
 """``background``: the views must stay free of board and operator; ``ready``: for a capture; ``waiting``: a capture
@@ -45,6 +50,19 @@ class SensorState:
     picture: int = 0
     """Counts the pictures of its view; 0 before the first."""
 
+    def with_pose(self, solved: SensorSolution | None, root: str) -> "SensorState":
+        """The state with what is known of the sensor's pose."""
+        if solved is None:
+            return self
+        known = self.name != root and bool(np.isfinite(solved.stddev).all())
+        return replace(
+            self,
+            stddev_mm=1000 * float(solved.stddev[:3].max()) if known else None,
+            stddev_degrees=float(np.degrees(solved.stddev[3:].max())) if known else None,
+            progress=solved.progress,
+            grade=solved.grade,
+        )
+
 
 @dataclass(frozen=True)
 class Advice:
@@ -84,6 +102,18 @@ class RecorderState:
     problem: str = ""
 
 
+@dataclass(frozen=True, eq=False)
+class SceneState:
+    """The 3-D view; coordinates in the root frame, m."""
+
+    sensors: tuple[SensorSolution, ...]
+    """Those with poses."""
+    boards: tuple[Array, ...]
+    """(4, 3): corners of the board in each capture, in order around its outline."""
+    suggested: Array | None = None
+    """(4, 3): where the board should be next."""
+
+
 @dataclass(frozen=True)
 class SessionState:
     """A session at one moment."""
@@ -110,8 +140,8 @@ class SessionState:
     recorder: RecorderState = field(default_factory=RecorderState)
     floor_plan: str = ""
     """Of a network: an SVG image of scanners, walls and where people walked."""
-    scene: int = 0
-    """Counts the versions of the 3-D view; 0 before the first."""
+    scene: SceneState | None = None
+    """The 3-D view; None before the first poses."""
     report: bool = False
     """Whether a report is there."""
 
