@@ -75,7 +75,7 @@ async def replay(rig: Rig, truth: Mapping[str, Array], source: ReplaySource, fol
     """Replays the recording, and prints what each solution states and how wrong it is."""
     loop = asyncio.get_running_loop()
     pools = SessionPools(pool, 1, pool, loop.call_soon_threadsafe)
-    session = NetworkSession(rig, source.name, pools, print, folder)
+    session = NetworkSession(rig, source.name, pools, folder, print)
     recorder = Recorder(folder, rig.settings.live.recorder, rig.settings.limits)
     shown: LiveNetworkSolution | None = None
     began, worked, events = time.monotonic(), 0.0, {"connected": 0.0, "done": 0.0}

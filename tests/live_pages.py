@@ -11,7 +11,7 @@ from typing import Self
 
 from calgraph.config.settings import PageSettings
 from calgraph.live.server import PageServer, serve_page
-from calgraph.live.state import Command, SessionState
+from calgraph.live.state import Action, SessionState
 
 PATIENCE = 30.0
 """s; long enough for any machine, and waited in failing tests only."""
@@ -38,8 +38,8 @@ class GivenSession:
     def report(self) -> Path | None:
         return self.report_file
 
-    def command(self, command: Command) -> None:
-        self.commands.put(command.action)
+    def command(self, action: Action) -> None:
+        self.commands.put(action)
 
     def show(self, state: SessionState) -> None:
         """From now on this is the state; from any thread."""

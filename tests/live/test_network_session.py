@@ -66,7 +66,7 @@ class Fed:
         pools = SessionPools(WaitingExecutor(), 1, self.pool, lambda function: function())
         self.lines: list[str] = []
         self.session = NetworkSession(
-            RIG, "test", pools, self.lines.append, Path("recording"), clock=lambda: self.now
+            RIG, "test", pools, Path("recording"), self.lines.append, clock=lambda: self.now
         )
 
     def feed(self, seconds: float, names: tuple[str, ...] = NAMES, delay: dict[str, float] | None = None) -> None:

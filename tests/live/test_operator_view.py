@@ -1,21 +1,16 @@
 """What the page shows of a session besides its captures, and which commands reach it."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from calgraph.live.live_session import OperatorView
 from calgraph.live.source import Notice
-from calgraph.live.state import Command, RecorderState, SessionState
+from calgraph.live.state import RecorderState, SessionState
 from live_pages import GivenSession
 
 STATE = SessionState("rig", "ready", "Hold the board still in a new pose", "ws://robot:8765")
-
-
-@dataclass
-class GivenRecorder:
-    state: RecorderState
 
 
 def make_view(printed: list[str] | None = None) -> tuple[OperatorView, GivenSession]:
@@ -58,7 +53,7 @@ def test_the_connection_is_that_of_the_last_notice_on_it(kinds: list[str], conne
 
 def test_messages_that_the_source_lost_are_counted_with_those_recorded() -> None:
     view, _ = make_view()
-    view.show_recorder(GivenRecorder(RecorderState(messages=12)))
+    view.show_recorder(lambda: RecorderState(messages=12))
     view.note(Notice("lost", "3 messages lost", "/scan", 3))
     view.note(Notice("lost", "2 messages lost", "/scan", 2))
     view.note(Notice("refused", "not a message", "/scan", 7))
@@ -74,15 +69,15 @@ def test_connections_that_broke_are_counted_once_each() -> None:
 
 def test_commands_reach_the_session_until_it_ends() -> None:
     view, session = make_view()
-    view.command(Command("trigger"))
+    view.command("trigger")
     view.show_end("finishing", "The whole recording is being calibrated")
-    view.command(Command("discard"))
+    view.command("discard")
     assert session.commands.qsize() == 1
 
 
 def test_finish_is_for_who_owns_the_session() -> None:
     view, session = make_view()
-    view.command(Command("finish"))
+    view.command("finish")
     assert view.finish_wanted.is_set()
     assert session.commands.empty()
 

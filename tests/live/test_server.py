@@ -269,7 +269,7 @@ def test_a_network_needs_the_token_of_the_link(public: ServedPage) -> None:
     assert [public.get(path)[0] for path in ("/", "/picture?sensor=camera", "/report", "/page.js")] == [403] * 4
     with pytest.raises(InvalidStatus):
         open_socket(public)
-    assert count(public, "missing tokens") == 6
+    assert count(public, "missing tokens") == 5
 
 
 def test_the_link_sets_a_cookie_that_opens_everything(public: ServedPage) -> None:

@@ -15,7 +15,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from calgraph.config.settings import ConnectionSettings
 from calgraph.errors import InputError
-from calgraph.live.source import Channel, LiveMessage, Notice, NoticeLimiter
+from calgraph.live.source import Channel, LiveMessage, Notice
 from calgraph.live.topic_watch import TopicWatch
 from calgraph.recording.message_types import ros2_definition
 
@@ -284,9 +284,9 @@ class DdsSource:
         readers = await asyncio.to_thread(DdsReaders, topics, self._domain, self._namespace)
         stop = threading.Event()
         thread = threading.Thread(target=_read, args=(readers, events, stop), daemon=True)
-        watch, notices = TopicWatch(settings), NoticeLimiter(settings.notice_interval)
-        subscribed: set[str] = set()
-        discovery_end = now() + settings.discovery_time
+        where = f"in domain {self._domain} of ROS 2"
+        watch = TopicWatch(topics, settings, now(), lambda topic: f"{topic}: nothing publishes it {where}")
+        present: set[str] = set()
         thread.start()
         try:
             yield Notice("connected", f"joined domain {self._domain} of ROS 2")
@@ -294,27 +294,20 @@ class DdsSource:
                 async for event in events.take():
                     if isinstance(event, Channel):
                         watch.start(event, now())
-                        subscribed.add(event.topic)
+                        present.add(event.topic)
                     elif isinstance(event, Notice):
                         if event.kind == "ended":
                             yield event
                             return
-                        notices.add(event.kind, event.text, event.topic, event.count)
-                        subscribed |= {event.topic} if event.topic else set()
+                        watch.note(event)
+                        present |= {event.topic} if event.topic else set()
                     else:
-                        if lost := watch.observe(event, now()):
-                            notices.add(lost.kind, lost.text, lost.topic, lost.count)
+                        watch.observe(event, now())
                         yield event
-                if now() >= discovery_end:
-                    discovery_end = float("inf")
-                    for topic in topics:
-                        if topic not in subscribed:
-                            text = f"{topic}: nothing publishes it in domain {self._domain} of ROS 2"
-                            notices.add("missing", text, topic)
-                for one in (*events.take_lost(), *watch.find_silent(now())):
-                    notices.add(one.kind, one.text, one.topic, one.count)
-                for one in notices.take(now()):
-                    yield one
+                for lost in events.take_lost():
+                    watch.note(lost)
+                for notice in watch.take_notices(now(), present):
+                    yield notice
         finally:
             stop.set()
             await asyncio.to_thread(thread.join)

@@ -14,14 +14,15 @@ from calgraph.io.termination import handle_interrupt
 from calgraph.live.job_queue import Post
 from calgraph.live.live_rig import list_intrinsics_topics
 from calgraph.live.network_session import NetworkSession
+from calgraph.live.page_app import ShownSession
 from calgraph.live.recorder import Recorder
 from calgraph.live.replay import ReplaySource
-from calgraph.live.rig_session import RigSession, SessionOutputs, SessionPools, count_analysis_processes
+from calgraph.live.rig_session import RigSession, SessionPools, count_analysis_processes
 from calgraph.live.rig_solution import solve_captures
 from calgraph.live.server import PageServer, serve_page
 from calgraph.live.session_folder import SessionFolder
 from calgraph.live.source import LiveMessage, Notice, Source
-from calgraph.live.state import Command, Phase, RecorderState, SessionState
+from calgraph.live.state import Action, Phase, RecorderState, SessionState
 from calgraph.parallel.engine import Processes
 from calgraph.parallel.processes import worker_pool
 from calgraph.recording import open_recording
@@ -30,25 +31,25 @@ from calgraph.recording import open_recording
 _SHOWN_NOTICES = 5
 
 
-class CapturingSession(Protocol):
+class Session(ShownSession, Protocol):
     """A session of a rig or of a network. All calls are made in one asyncio loop, and none blocks."""
 
-    def command(self, command: Command) -> None:
-        """Does what the operator wants."""
-
-    def state(self) -> SessionState:
-        """The session now."""
-
-    def picture(self, sensor: str) -> bytes | None:
-        """The view of a sensor, a JPEG image."""
-
-
-class RecordingStatus(Protocol):
-    """What has been recorded."""
+    triggers: deque[LiveMessage]
+    """That are to be recorded, each before the messages that follow it."""
 
     @property
-    def state(self) -> RecorderState:
-        """It now."""
+    def busy(self) -> bool:
+        """Whether other processes work for it."""
+
+    @property
+    def lag(self) -> float:
+        """Time by which the processes that detect are behind the messages, s; 0 as soon as they wait for more."""
+
+    def feed(self, message: LiveMessage) -> None:
+        """Takes a message that has been recorded."""
+
+    def close(self) -> None:
+        """Ends the session: results of calls under way are ignored."""
 
 
 class OperatorView:
@@ -59,9 +60,9 @@ class OperatorView:
         print_line: takes a line on what has happened to the connection.
     """
 
-    def __init__(self, session: CapturingSession, print_line: Callable[[str], object]) -> None:
+    def __init__(self, session: ShownSession, print_line: Callable[[str], object]) -> None:
         self._session, self._print_line = session, print_line
-        self._recorder: RecordingStatus | None = None
+        self._recorded: Callable[[], RecorderState] = RecorderState
         self._notices: deque[str] = deque(maxlen=_SHOWN_NOTICES)
         self._connected = False
         self._lost = self._gaps = 0
@@ -70,9 +71,9 @@ class OperatorView:
         self.finish_wanted = asyncio.Event()
         """Set when the operator ends the session."""
 
-    def show_recorder(self, recorder: RecordingStatus) -> None:
+    def show_recorder(self, recorded: Callable[[], RecorderState]) -> None:
         """From now on shows what is recorded."""
-        self._recorder = recorder
+        self._recorded = recorded
 
     def note(self, notice: Notice) -> None:
         """Shows what happened to the connection."""
@@ -99,7 +100,6 @@ class OperatorView:
     def state(self) -> SessionState:
         """The session now."""
         shown = self._session.state()
-        recorded = self._recorder.state if self._recorder else RecorderState()
         phase, headline, done = self._end or (shown.phase, shown.headline, shown.done)
         return replace(
             shown,
@@ -108,7 +108,7 @@ class OperatorView:
             done=done,
             connected=self._connected,
             notices=(*self._notices, *shown.notices)[:_SHOWN_NOTICES],
-            recorder=replace(recorded, lost=self._lost, gaps=self._gaps),
+            recorder=replace(self._recorded(), lost=self._lost, gaps=self._gaps),
             report=self._report is not None,
         )
 
@@ -120,75 +120,25 @@ class OperatorView:
         """The report of the calibration; None as long as there is none."""
         return self._report
 
-    def command(self, command: Command) -> None:
-        """Takes a command of the operator; none has an effect once the session ends."""
+    def command(self, action: Action) -> None:
+        """Does what the operator wants, until the session ends."""
         if self._end:
             return
-        if command.action == "finish":
+        if action == "finish":
             self.finish_wanted.set()
         else:
-            self._session.command(command)
+            self._session.command(action)
 
 
 # Time between two looks at whether other processes still work, s: much less than their calls take.
 _IDLE_CHECK = 0.002
 
 
-class MessageSink(Protocol):
-    """Where messages are recorded."""
-
-    async def write(self, message: LiveMessage) -> None:
-        """Records a message; waits while too many wait for the disk.
-
-        Raises:
-            RecordingError: the recording has ended, and why.
-        """
-
-
-class FedSession(CapturingSession, Protocol):
-    """A session that takes messages."""
-
-    @property
-    def busy(self) -> bool:
-        """Whether other processes work for it."""
-
-    @property
-    def lag(self) -> float:
-        """Time by which the processes that detect are behind the messages, s; 0 as soon as they wait for more."""
-
-    def feed(self, message: LiveMessage) -> None:
-        """Takes a message that has been recorded."""
-
-    def close(self) -> None:
-        """Ends the session: results of calls under way are ignored."""
-
-
-class TriggerQueue:
-    """Triggers of a session that are to be recorded, each before the messages that follow it."""
-
-    def __init__(self) -> None:
-        self._waiting: deque[LiveMessage] = deque()
-
-    def put(self, trigger: LiveMessage) -> None:
-        """Adds one."""
-        self._waiting.append(trigger)
-
-    async def record(self, recorder: MessageSink) -> None:
-        """Records those that wait.
-
-        Raises:
-            RecordingError: the recording has ended, and why.
-        """
-        while self._waiting:
-            await recorder.write(self._waiting.popleft())
-
-
 async def record_session(
     source: Source,
     rig: Rig,
-    recorder: MessageSink,
-    session: FedSession,
-    triggers: TriggerQueue,
+    write: Callable[[LiveMessage], Awaitable[None]],
+    session: Session,
     view: OperatorView,
     *,
     max_lead: float,
@@ -198,9 +148,9 @@ async def record_session(
     Args:
         source: of the messages.
         rig: whose topics are recorded.
-        recorder: gets every message before the session does.
+        write: records a message, which it gets before the session does; raises RecordingError where the recording
+            has ended, with the reason.
         session: takes the captures.
-        triggers: of the session.
         view: shows notices of the source, and has the operator's wish to finish.
         max_lead: time by which messages may be ahead of the detection before they wait until it has caught up, s;
             with 0 each waits until all before it are analysed. Infinite for robots, which do not wait.
@@ -230,8 +180,8 @@ async def record_session(
 
     async def record(message: LiveMessage) -> bool:
         try:
-            await triggers.record(recorder)
-            await recorder.write(message)
+            await record_triggers()
+            await write(message)
         except RecordingError as error:
             view.note(Notice("ended", str(error)))
             return False
@@ -242,6 +192,10 @@ async def record_session(
             while session.lag:
                 await asyncio.sleep(_IDLE_CHECK)
         return True
+
+    async def record_triggers() -> None:
+        while session.triggers:
+            await write(session.triggers.popleft())
 
     async def wait_until_idle() -> None:
         while session.busy:
@@ -257,7 +211,7 @@ async def record_session(
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
     with suppress(RecordingError):  # the view shows it already
-        await triggers.record(recorder)
+        await record_triggers()
 
 
 # Exit code of commands that calibrate nothing.
@@ -320,13 +274,11 @@ def run_session(rig: Rig, source: Source, folder: SessionFolder, options: LiveOp
         KeyboardInterrupt: the program was interrupted; the recording is complete until then.
     """
     with asyncio.Runner() as runner, _open_pools(rig, runner.get_loop().call_soon_threadsafe) as pools:
-        triggers = TriggerQueue()
-        outputs = SessionOutputs(triggers.put, folder.exclude, options.print_line)
-        session = _make_session(rig, source.name, folder, pools, outputs)
+        session = _make_session(rig, source.name, folder, pools, options.print_line)
         if options.manual:
-            session.command(Command("manual"))
+            session.command("manual")
         try:
-            return runner.run(_run(rig, source, folder, session, triggers, options))
+            return runner.run(_run(rig, source, folder, session, options))
         except asyncio.CancelledError:
             raise KeyboardInterrupt from None
 
@@ -344,36 +296,29 @@ def _open_pools(rig: Rig, post: Post) -> Iterator[SessionPools]:
 
 
 def _make_session(
-    rig: Rig, source: str, folder: SessionFolder, pools: SessionPools, outputs: SessionOutputs
-) -> FedSession:
+    rig: Rig, source: str, folder: SessionFolder, pools: SessionPools, print_line: Callable[[str], object]
+) -> Session:
     """A session that goes on where the recording in the folder ends."""
     if rig.is_network:
-        return NetworkSession(rig, source, pools, outputs.print_line, folder.recording)
-    session = RigSession(rig, source, pools, outputs, solve_captures)
+        return NetworkSession(rig, source, pools, folder.recording, print_line)
+    session = RigSession(rig, source, pools, solve_captures, exclude=folder.exclude, print_line=print_line)
     if folder.last_arrival() >= 0:
         with open_recording(folder.recording, rig.settings.limits) as recording:
             session.rebuild(recording, Processes(pools.analysis_processes))
     return session
 
 
-async def _run(
-    rig: Rig,
-    source: Source,
-    folder: SessionFolder,
-    session: FedSession,
-    triggers: TriggerQueue,
-    options: LiveOptions,
-) -> int:
+async def _run(rig: Rig, source: Source, folder: SessionFolder, session: Session, options: LiveOptions) -> int:
     loop, task = asyncio.get_running_loop(), asyncio.current_task()
     assert task
     handle_interrupt(lambda: loop.call_soon_threadsafe(task.cancel))
     view = OperatorView(session, options.print_line)
     async with serve_page(view, options.host, options.port, settings=rig.settings.live.page) as server:
         async with _recording(rig, folder, session) as recorder:
-            view.show_recorder(recorder)
+            view.show_recorder(lambda: recorder.state)
             options.announce(server)
             max_lead = _choose_max_lead(source, options)
-            await record_session(source, rig, recorder, session, triggers, view, max_lead=max_lead)
+            await record_session(source, rig, recorder.write, session, view, max_lead=max_lead)
         if recorder.state.problem:
             options.print_line(recorder.state.problem)
         if folder.last_arrival() < 0:
@@ -407,7 +352,7 @@ def _choose_max_lead(source: Source, options: LiveOptions) -> float:
 
 
 @asynccontextmanager
-async def _recording(rig: Rig, folder: SessionFolder, session: FedSession) -> AsyncIterator[Recorder]:
+async def _recording(rig: Rig, folder: SessionFolder, session: Session) -> AsyncIterator[Recorder]:
     """The recorder of a session; both are closed at the end."""
     recorder = Recorder(folder.recording, rig.settings.live.recorder, rig.settings.limits)
     try:

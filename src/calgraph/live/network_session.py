@@ -23,7 +23,7 @@ from calgraph.live.record_reader import RecordReader
 from calgraph.live.rig_session import ALL_DONE, SessionPools
 from calgraph.live.sensor_solution import SensorSolution
 from calgraph.live.source import LiveMessage
-from calgraph.live.state import Advice, Command, Phase, SensorState, SessionState
+from calgraph.live.state import Action, Advice, Phase, SensorState, SessionState
 from calgraph.live.tracked_intervals import MIN_INTERVAL
 from calgraph.result.reasons import split_clauses
 
@@ -107,8 +107,8 @@ class NetworkSession:
         rig: the network, as its user wrote it.
         source: name of the source.
         pools: where it computes: ``solving``.
-        print_line: takes a line on poses that are all within tolerance.
         recording: path of the recording that receives the messages.
+        print_line: takes a line on poses that are all within tolerance.
         solve: calibrates.
         clock: time by which the load is limited, s.
     """
@@ -118,13 +118,15 @@ class NetworkSession:
         rig: Rig,
         source: str,
         pools: SessionPools,
-        print_line: Callable[[str], object],
         recording: Path,
+        print_line: Callable[[str], object],
         *,
         solve: Solve = solve_recording,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.rig = rig
+        self.triggers: deque[LiveMessage] = deque()
+        """None: there are no captures."""
         self._source, self._recording, self._solve, self._clock = source, recording, solve, clock
         self._print_line = print_line
         self._reader = RecordReader(source, rig.settings.limits)
@@ -156,20 +158,32 @@ class NetworkSession:
                 self._messages[name].note_malformed(str(error))
         self._start_solving()
 
-    def command(self, command: Command) -> None:
+    def command(self, action: Action) -> None:
         """Nothing is triggered or discarded; ``finish`` concerns who owns the session."""
 
     def state(self) -> SessionState:
         """The session now, without what concerns source and recorder."""
-        return describe_network_session(
-            self.rig,
-            self._source,
-            self.timeline,
-            self._messages,
-            self.solution,
-            self._forecast,
-            self._floor_plan,
-            self._problem,
+        rig, solution = self.rig, self.solution
+        solved = {one.name: one for one in solution.scanners} if solution else {}
+        sensors = (
+            _describe_sensor(one, rig, self.timeline, self._messages, solved.get(one)) for one in rig.sensors
+        )
+        done = solution is not None and solution.done
+        phase, headline = _describe_phase(rig, self.timeline, solution, self._forecast)
+        lag = _describe_lag(self.timeline, solution)
+        return SessionState(
+            kind="network",
+            phase=phase,
+            headline=self._problem or headline,
+            source=self._source,
+            root=rig.root,
+            sensors=tuple(sensors),
+            advice=None if solution is None or done else _advise(solution, self._forecast),
+            tolerance_mm=1000 * rig.tolerance.translation,
+            tolerance_degrees=rig.tolerance.rotation,
+            done=done,
+            notices=(*([lag] if lag else []), *(solution.remarks if solution else ())),
+            floor_plan=self._floor_plan,
         )
 
     def picture(self, sensor: str) -> bytes | None:
@@ -252,48 +266,6 @@ class ScannerMessages:
         """Counts a message that cannot be used."""
         self.malformed += 1
         self.problem = problem
-
-
-def describe_network_session(
-    rig: Rig,
-    source: str,
-    timeline: LiveTimeline,
-    messages: Mapping[str, ScannerMessages],
-    solution: LiveNetworkSolution | None,
-    forecast: Forecast,
-    floor_plan: str,
-    problem: str,
-) -> SessionState:
-    """The state of a session.
-
-    Args:
-        rig: the network.
-        source: name of the source.
-        timeline: when scanners measured.
-        messages: by scanner.
-        solution: the last one.
-        forecast: of the solutions so far.
-        floor_plan: the image of the solution.
-        problem: what keeps the session from working; empty if nothing does.
-    """
-    solved = {one.name: one for one in solution.scanners} if solution else {}
-    done = solution is not None and solution.done
-    phase, headline = _describe_phase(rig, timeline, solution, forecast)
-    lag = _describe_lag(timeline, solution)
-    return SessionState(
-        kind="network",
-        phase=phase,
-        headline=problem or headline,
-        source=source,
-        root=rig.root,
-        sensors=tuple(_describe_sensor(name, rig, timeline, messages, solved.get(name)) for name in rig.sensors),
-        advice=None if solution is None or done else _advise(solution, forecast),
-        tolerance_mm=1000 * rig.tolerance.translation,
-        tolerance_degrees=rig.tolerance.rotation,
-        done=done,
-        notices=(*([lag] if lag else []), *(solution.remarks if solution else ())),
-        floor_plan=floor_plan,
-    )
 
 
 def _describe_phase(

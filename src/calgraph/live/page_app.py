@@ -19,11 +19,11 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from calgraph.config.settings import PageSettings
-from calgraph.live.state import Action, Command, SessionState
+from calgraph.live.state import Action, SessionState
 
 
-class SessionView(Protocol):
-    """A session as the page uses it, all calls in one asyncio loop. None of them blocks."""
+class ShownSession(Protocol):
+    """A session that can be shown and commanded, all calls in one asyncio loop. None of them blocks."""
 
     def state(self) -> SessionState:
         """The session now."""
@@ -31,11 +31,15 @@ class SessionView(Protocol):
     def picture(self, sensor: str) -> bytes | None:
         """The view of a sensor with the board drawn in, a JPEG image; None before the first."""
 
+    def command(self, action: Action) -> None:
+        """Does what the operator wants."""
+
+
+class SessionView(ShownSession, Protocol):
+    """A session as the page uses it."""
+
     def report(self) -> Path | None:
         """The report of the calibration; None as long as there is none."""
-
-    def command(self, command: Command) -> None:
-        """Takes a command of the operator."""
 
 
 Refusal = Literal[
@@ -77,7 +81,7 @@ class Refusals:
 
 
 MEDIA_TYPES = {"html": "text/html", "css": "text/css", "js": "text/javascript"}
-_COMMANDS = {action: Command(action) for action in get_args(Action)}
+_ACTIONS: Mapping[object, Action] = {action: action for action in get_args(Action)}
 # Of a message that a page sends: one word.
 MAX_MESSAGE_BYTES = 64
 # By close code of the protocol (RFC 6455, 7.4.1): beyond that, not a frame of the protocol, and text not in UTF-8.
@@ -216,13 +220,13 @@ class PageApp:
             now = time.monotonic()
             allowed = min(_COMMAND_BURST, allowed + (now - since) * _COMMAND_RATE)
             since = now
-            command = _COMMANDS.get(message.get("text"))
-            if command is None or allowed < 1:
-                self._refusals.add("commands in too fast succession" if command else "unknown commands")
+            action = _ACTIONS.get(message.get("text"))
+            if action is None or allowed < 1:
+                self._refusals.add("commands in too fast succession" if action else "unknown commands")
                 await socket.close(1008)
                 return
             allowed -= 1
-            self._view.command(command)
+            self._view.command(action)
 
 
 def _encode(state: SessionState) -> Mapping[str, bytes]:

@@ -5,16 +5,14 @@ from collections.abc import AsyncIterator, Awaitable, Callable, Collection, Iter
 from pathlib import Path
 
 from rosbags.interfaces import MessageDefinitionFormat
-from rosbags.typesys import Stores, get_typestore
 
 from calgraph.config.settings import LimitSettings
 from calgraph.errors import InputError
-from calgraph.live.source import Channel, LiveMessage, Notice, SchemaFormat
+from calgraph.live.source import Channel, LiveMessage, Notice, SchemaFormat, make_message
 from calgraph.recording import Recording, open_recording
-from calgraph.recording.bags import BagRecording, RawMessage
-from calgraph.recording.message_types import TypeDefinition, complete_definition, ros2_definition
+from calgraph.recording.bags import BagRecording
+from calgraph.recording.message_types import TypeDefinition, complete_definition
 from calgraph.recording.recording import explain_missing_topic
-from calgraph.recording.writer import serialize_message
 
 
 class ReplaySource:
@@ -56,17 +54,11 @@ class ReplaySource:
             for topic in topics:
                 if topic not in present:
                     yield Notice("missing", f"{self._path}: {explain_missing_topic(topic, present)}", topic)
-            channels: dict[tuple[str, TypeDefinition], Channel | None] = {}
             wait = self._start_pacing()
-            for message in _raw_messages(recording, set(topics).intersection(present), self._start_after):
-                key = (message.topic, message.definition)
-                if key not in channels:
-                    channels[key] = _channel(*key)
-                    if channels[key] is None:
-                        yield Notice("missing", _explain_unreadable(*key), message.topic)
-                if channel := channels[key]:
-                    await wait(message.arrival)
-                    yield LiveMessage(channel, message.arrival, message.data)
+            for item in _list_messages(recording, set(topics).intersection(present), self._start_after):
+                if isinstance(item, LiveMessage):
+                    await wait(item.arrival)
+                yield item
             yield Notice("ended", f"the recording {self._path} is at its end")
 
     def _start_pacing(self) -> Callable[[int], Awaitable[None]]:
@@ -85,27 +77,27 @@ class ReplaySource:
         return wait
 
 
-def _raw_messages(recording: Recording, topics: Collection[str], after: int) -> Iterator[RawMessage]:
+def _list_messages(recording: Recording, topics: Collection[str], after: int) -> Iterator[LiveMessage | Notice]:
+    """The messages that arrived later than a time, ns, and notices of what cannot be read."""
     if isinstance(recording, BagRecording):
-        return recording.raw_messages(topics, after)
+        channels: dict[tuple[str, TypeDefinition], Channel | None] = {}
+        for raw in recording.raw_messages(topics, after):
+            key = (raw.topic, raw.definition)
+            if key not in channels:
+                channels[key] = _channel(*key)
+                if channels[key] is None:
+                    yield Notice("missing", _explain_unreadable(*key), raw.topic)
+            if channel := channels[key]:
+                yield LiveMessage(channel, raw.arrival, raw.data)
+        return
     if any(topic.time_base == "pose" for topic in recording.topics):
         raise InputError(
             f"{recording.path}: its files are numbered by pose and have no times to replay: use calgraph calibrate"
         )
-    return _serialized_messages(recording, topics, after)
-
-
-def _serialized_messages(recording: Recording, topics: Collection[str], after: int) -> Iterator[RawMessage]:
-    """Messages of folders and videos, as ROS 2 would have recorded them."""
-    store = get_typestore(Stores.ROS2_HUMBLE)
     for record in recording.records(topics, max(0, after) / 1e9):
         arrival = round(record.arrival * 1e9)
-        if arrival <= after:
-            continue
-        ros_type, data = serialize_message(store, record.decode())
-        definition = ros2_definition(ros_type)
-        assert definition is not None
-        yield RawMessage(record.topic, definition, arrival, bytes(data))
+        if arrival > after:
+            yield make_message(record.topic, record.decode(), arrival)
 
 
 def _channel(topic: str, definition: TypeDefinition) -> Channel | None:

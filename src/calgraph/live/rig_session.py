@@ -1,5 +1,6 @@
 """A live session of a rig: from its messages to captures, poses, and the state that the operator is shown."""
 
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
@@ -20,7 +21,7 @@ from calgraph.live.message_analysis import MessageAnalysis
 from calgraph.live.rig_solution import LiveSolution
 from calgraph.live.sensor_solution import SensorSolution
 from calgraph.live.source import LiveMessage
-from calgraph.live.state import Command, Phase, SceneState, SensorState, SessionState
+from calgraph.live.state import Action, Phase, SceneState, SensorState, SessionState
 from calgraph.parallel.engine import THIS_PROCESS, Engine
 from calgraph.parallel.processes import available_cores
 from calgraph.recording import Recording, resolve_intrinsics
@@ -49,18 +50,6 @@ class SessionPools:
     """Has results handled in the thread of the session: ``loop.call_soon_threadsafe``."""
 
 
-@dataclass(frozen=True)
-class SessionOutputs:
-    """Where a session writes."""
-
-    record: Callable[[LiveMessage], object]
-    """Records a trigger."""
-    exclude: Callable[[tuple[float, float]], object] = field(default=lambda _window: None)
-    """Takes a window, s from the start of the recording, of a capture that is to be left out."""
-    print_line: Callable[[str], object] = field(default=lambda _text: None)
-    """Takes a line on a capture, and on poses that are all within tolerance."""
-
-
 def count_analysis_processes(rig: Rig) -> int:
     """The number of processes that detect on this machine: one core is left to the recorder and the page."""
     return max(1, min(available_cores() - 1, rig.settings.live.analysis_processes))
@@ -80,18 +69,28 @@ class RigSession:
         rig: as its user wrote it.
         source: name of the source.
         pools: where it computes.
-        outputs: where it writes.
         solve: computes poses; none are computed if left out.
+        exclude: takes a window, s from the start of the recording, of a capture that is to be left out.
+        print_line: takes a line on a capture, and on poses that are all within tolerance.
     """
 
     def __init__(
-        self, rig: Rig, source: str, pools: SessionPools, outputs: SessionOutputs, solve: Solve | None = None
+        self,
+        rig: Rig,
+        source: str,
+        pools: SessionPools,
+        solve: Solve | None = None,
+        *,
+        exclude: Callable[[tuple[float, float]], object],
+        print_line: Callable[[str], object],
     ) -> None:
         self.rig = prepare_live_rig(rig)
         """The rig of the recording: with the trigger of the session, and a background window."""
-        self._source, self._outputs, self._solve = source, outputs, solve
+        self.triggers: deque[LiveMessage] = deque()
+        """That are to be recorded."""
+        self._source, self._solve, self._exclude, self._print_line = source, solve, exclude, print_line
         self.analysis = MessageAnalysis(self.rig, source)
-        self.taker = CaptureTaker(self.rig, self.analysis, self._write_trigger, outputs.print_line)
+        self.taker = CaptureTaker(self.rig, self.analysis, self._write_trigger, print_line)
         self._queue = JobQueue(pools.analysis, pools.analysis_processes, self._post_to(pools.post))
         self._solver = JobQueue(pools.solving, 1, self._post_to(pools.post))
         self.solution: LiveSolution | None = None
@@ -126,23 +125,48 @@ class RigSession:
         self.analysis.feed(message)
         self._pump()
 
-    def command(self, command: Command) -> None:
+    def command(self, action: Action) -> None:
         """Does what the operator wants; ``finish`` concerns who owns the session."""
-        match command.action:
+        match action:
             case "trigger":
                 self.taker.request()
             case "automatic" | "manual":
-                self.taker.automatic = command.action == "automatic"
+                self.taker.automatic = action == "automatic"
             case "discard":
                 self._discard()
         self._pump()
 
     def state(self) -> SessionState:
         """The session now, without what concerns source and recorder."""
-        killed = self._queue.problem or self._solver.problem
-        problem = f"Only recording goes on: {killed}" if killed else self._problem
-        return describe_rig_session(
-            self.rig, self._source, self.analysis, self.taker, self.solution, self._scene, problem
+        solution, taker = self.solution, self.taker
+        solved = {one.name: one for one in solution.sensors} if solution else {}
+        done = bool(solution and solution.done)
+        problems = taker.finder.find_problems()
+        phase, headline = _describe_phase(self.analysis, taker)
+        if killed := self._queue.problem or self._solver.problem:
+            headline = f"Only recording goes on: {killed}"
+        elif self._problem:
+            headline = self._problem
+        elif done and phase == "ready":
+            headline = ALL_DONE
+        return SessionState(
+            kind="rig",
+            phase=phase,
+            headline=headline,
+            source=self._source,
+            automatic=taker.automatic,
+            root=self.rig.root,
+            sensors=tuple(
+                _describe_sensor(name, self.rig, self.analysis, taker, problems.get(name, ""), solved.get(name))
+                for name in self.rig.sensors
+            ),
+            captures=len(taker.captures),
+            event=taker.event,
+            advice=solution.advice if solution else None,
+            tolerance_mm=1000 * self.rig.tolerance.translation,
+            tolerance_degrees=self.rig.tolerance.rotation,
+            done=done,
+            scene=self._scene,
         )
 
     def picture(self, sensor: str) -> bytes | None:
@@ -219,7 +243,7 @@ class RigSession:
         if not captures:  # they were left out meanwhile
             return
         if solution.done and not (self.solution and self.solution.done):
-            self._outputs.print_line(ALL_DONE)
+            self._print_line(ALL_DONE)
         self.solution = solution
         self._scene = make_scene(self.rig, solution, captures)
         self._problem = ""
@@ -228,7 +252,7 @@ class RigSession:
         self._problem = f"No poses from the captures until now: {error}"
 
     def _write_trigger(self, stamp: float) -> None:
-        self._outputs.record(make_trigger(stamp, self.analysis.timeline.latest_arrival))
+        self.triggers.append(make_trigger(stamp, self.analysis.timeline.latest_arrival))
 
     def _discard(self) -> None:
         capture = self.taker.discard()
@@ -240,7 +264,7 @@ class RigSession:
         # Within the capture, so that rounding does not touch those before and after.
         start, end = capture.hold.start - begin, capture.hold.end - begin
         margin = (end - start) / 10
-        self._outputs.exclude((start + margin, end - margin))
+        self._exclude((start + margin, end - margin))
 
 
 @dataclass(frozen=True, eq=False)
@@ -333,50 +357,6 @@ def _outline(size: tuple[float, float], T_root_board: Array) -> Array:
     return se3.apply(T_root_board, corners)
 
 
-def describe_rig_session(
-    rig: Rig,
-    source: str,
-    analysis: MessageAnalysis,
-    taker: CaptureTaker,
-    solution: LiveSolution | None,
-    scene: SceneState | None,
-    problem: str,
-) -> SessionState:
-    """The state of a session.
-
-    Args:
-        rig: of the session.
-        source: name of the source.
-        analysis: of its messages.
-        taker: of its captures.
-        solution: the last one; None before the first.
-        scene: of the last solution.
-        problem: what keeps the session from working; empty if nothing does.
-    """
-    solved = {one.name: one for one in solution.sensors} if solution else {}
-    done = bool(solution and solution.done)
-    problems = taker.finder.find_problems()
-    phase, headline = _describe_phase(analysis, taker)
-    return SessionState(
-        kind="rig",
-        phase=phase,
-        headline=problem or (ALL_DONE if done and phase == "ready" else headline),
-        source=source,
-        automatic=taker.automatic,
-        root=rig.root,
-        sensors=tuple(
-            _describe_sensor(name, rig, analysis, taker, problems, solved.get(name)) for name in rig.sensors
-        ),
-        captures=len(taker.captures),
-        event=taker.event,
-        advice=solution.advice if solution else None,
-        tolerance_mm=1000 * rig.tolerance.translation,
-        tolerance_degrees=rig.tolerance.rotation,
-        done=done,
-        scene=scene,
-    )
-
-
 def _describe_phase(analysis: MessageAnalysis, taker: CaptureTaker) -> tuple[Phase, str]:
     unheard = [name for name in analysis.sensors if analysis.timeline.age(name) is None]
     waiting = taker.waiting
@@ -404,12 +384,11 @@ def _describe_sensor(
     rig: Rig,
     analysis: MessageAnalysis,
     taker: CaptureTaker,
-    problems: Mapping[str, str],
+    problem: str,
     solved: SensorSolution | None,
 ) -> SensorState:
     timeline, activity = analysis.timeline, analysis.sensors[name]
     age = timeline.age(name)
-    problem = problems.get(name, "")
     if activity.malformed and not problem:
         problem = f"{activity.malformed} unusable messages: {activity.problem}"
     view = activity.view

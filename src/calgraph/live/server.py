@@ -10,7 +10,6 @@ from collections.abc import AsyncIterator, Callable, Iterable
 from contextlib import asynccontextmanager, nullcontext
 from dataclasses import dataclass
 from http.cookies import CookieError, SimpleCookie
-from typing import TYPE_CHECKING
 
 from starlette.datastructures import Headers, MutableHeaders, QueryParams
 from starlette.responses import HTMLResponse, Response
@@ -20,10 +19,6 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 from calgraph.config.settings import PageSettings
 from calgraph.errors import InputError
 from calgraph.live.page_app import Refusal, Refusals, SessionView
-
-if TYPE_CHECKING:
-    from starlette.types import ASGIApp, Receive, Scope, Send
-
 
 DEFAULT_HOST = "127.0.0.1"
 DEFAULT_PORT = 8790
@@ -121,33 +116,26 @@ def _listen(host: str, port: int, settings: PageSettings) -> socket.socket:
     """A socket that listens; other programs on the port are refused, those just ended are not."""
     where = f"`host` {host}, `port` {port}"
     try:
-        family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
-        listening = socket.socket(family, kind, protocol)
+        family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        is_dual = family == socket.AF_INET6 and socket.has_dualstack_ipv6()
+        listening = socket.create_server(
+            address, family=family, backlog=settings.max_connections, dualstack_ipv6=is_dual
+        )
     except (OSError, UnicodeError) as error:
-        raise _no_address(where, error) from None
-    try:
-        listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        if hasattr(socket, "TCP_USER_TIMEOUT"):
-            # Otherwise Linux keeps connections to phones that are out of reach for a quarter of an hour.
-            milliseconds = round(settings.timeout * _MS_PER_SECOND)
-            listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, milliseconds)
-        listening.bind(address)
-        listening.listen(settings.max_connections)
-    except OSError as error:
-        listening.close()
-        if error.errno == errno.EADDRINUSE:
+        number = getattr(error, "errno", None)
+        if number == errno.EADDRINUSE:
             reason = "another program listens on that port; give another one, or 0 for any that is free"
-        elif error.errno == errno.EACCES:
+        elif number == errno.EACCES:
             reason = "needs the rights of an administrator; give a port of 1024 or more"
         else:
-            raise _no_address(where, error) from None
+            reason = f"is no address of this machine ({error}); 0.0.0.0 means all of them"
         raise InputError(f"{where}: {reason}") from None
+    if hasattr(socket, "TCP_USER_TIMEOUT"):
+        # Otherwise Linux keeps connections to phones that are out of reach for a quarter of an hour.
+        milliseconds = round(settings.timeout * _MS_PER_SECOND)
+        listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, milliseconds)
     listening.setblocking(False)
     return listening
-
-
-def _no_address(where: str, error: Exception) -> InputError:
-    return InputError(f"{where}: is no address of this machine ({error}); 0.0.0.0 means all of them")
 
 
 def _list_names(host: str) -> tuple[str, ...]:
@@ -156,10 +144,10 @@ def _list_names(host: str) -> tuple[str, ...]:
     return ("localhost", host, name, f"{name}.local")
 
 
-def _report_errors(app: "ASGIApp") -> "ASGIApp":
+def _report_errors(app: ASGIApp) -> ASGIApp:
     """Hands exceptions, which are errors of the program, to the loop's handler; the server goes on."""
 
-    async def guarded(scope: "Scope", receive: "Receive", send: "Send") -> None:
+    async def guarded(scope: Scope, receive: Receive, send: Send) -> None:
         try:
             await app(scope, receive, send)
         except Exception as error:

@@ -1,10 +1,17 @@
 """The interface of a live source: messages as they arrive, and notices of what happens to the connection."""
 
 import re
-from collections.abc import AsyncIterator, Collection, Iterator
+from collections.abc import AsyncIterator, Collection
 from dataclasses import dataclass
+from functools import cache
 from typing import Literal, Protocol
 
+from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys.store import Typestore
+
+from calgraph.recording.message_types import ros2_definition
+from calgraph.recording.writer import serialize_message
+from calgraph.sensors import Message
 from calgraph.sensors.kinds.stated import CONTROL_CHARACTERS
 
 Encoding = Literal["cdr", "ros1"]
@@ -79,35 +86,26 @@ _MAX_TEXT = 300
 _CONTROL_CHARACTERS = re.compile(f"[{CONTROL_CHARACTERS}]+")
 
 
-class NoticeLimiter:
-    """Collects notices, and gives one for all of a kind and topic that came within an interval (s).
-
-    Times are those of one clock, s.
-    """
-
-    def __init__(self, interval: float) -> None:
-        self._interval = interval
-        self._waiting: dict[tuple[NoticeKind, str | None], tuple[str, int]] = {}
-        self._given: dict[tuple[NoticeKind, str | None], float] = {}
-
-    def add(self, kind: NoticeKind, text: str, topic: str | None = None, count: int = 0) -> None:
-        """Adds a notice; of several, the first one's text is given, and the sum of their counts."""
-        first, before = self._waiting.get((kind, topic), (text, 0))
-        self._waiting[kind, topic] = first, before + count
-
-    def take(self, now: float) -> Iterator[Notice]:
-        """The notices whose interval is over."""
-        if not self._waiting:
-            return
-        for key in list(self._waiting):
-            if now - self._given.get(key, float("-inf")) >= self._interval:
-                text, count = self._waiting.pop(key)
-                self._given[key] = now
-                kind, topic = key
-                yield Notice(kind, clean_text(text), topic, count)
-
-
 def clean_text(text: str) -> str:
     """A text that may come from a server, on one line."""
     line = _CONTROL_CHARACTERS.sub(" ", text)
     return line if len(line) <= _MAX_TEXT else f"{line[:_MAX_TEXT]} ..."
+
+
+def make_message(topic: str, message: Message, arrival: int) -> LiveMessage:
+    """A message as a node of ROS 2 sends it.
+
+    Args:
+        topic: of the message.
+        message: its content.
+        arrival: of the message, ns.
+    """
+    kind, data = serialize_message(_load_store(), message)
+    definition = ros2_definition(kind)
+    assert definition is not None
+    return LiveMessage(Channel(topic, kind, "cdr", "ros2msg", definition.text), arrival, bytes(data))
+
+
+@cache
+def _load_store() -> Typestore:
+    return get_typestore(Stores.ROS2_HUMBLE)

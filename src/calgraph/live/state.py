@@ -14,6 +14,9 @@ is triggered, and the board still moves; ``measuring``: sensors measure the boar
 recording is calibrated as a whole; ``failed``: the session ended with an error."""
 
 Action = Literal["trigger", "automatic", "manual", "discard", "finish"]
+"""What an operator wants. ``trigger``: take a capture as soon as the board rests; ``automatic`` and ``manual``:
+whether captures are taken without the button; ``discard``: leave out the last capture; ``finish``: end the
+recording, and calibrate it."""
 
 
 @dataclass(frozen=True)
@@ -144,12 +147,3 @@ class SessionState:
     """The 3-D view; None before the first poses."""
     report: bool = False
     """Whether a report is there."""
-
-
-@dataclass(frozen=True)
-class Command:
-    """What the operator wants."""
-
-    action: Action
-    """``trigger``: take a capture as soon as the board rests; ``automatic`` and ``manual``: whether captures are
-    taken without the button; ``discard``: leave out the last capture; ``finish``: end and calibrate the whole."""
