@@ -3,6 +3,7 @@
 import json
 import re
 import socket
+import subprocess
 import sys
 import time
 from collections.abc import Iterator
@@ -353,7 +354,10 @@ def test_an_address_of_another_machine_is_an_input_error(host: str) -> None:
         ServedPage(GivenSession(STATE), host).__enter__()
 
 
-def test_without_the_extra_the_command_that_installs_it_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "uvicorn", None)
-    with pytest.raises(InputError, match=r"pip install 'calgraph\[live\]'"):
-        ServedPage(GivenSession(STATE)).__enter__()
+@pytest.mark.parametrize("library", ["starlette", "uvicorn", "websockets"])
+def test_without_the_extra_the_command_that_installs_it_is_named(library: str) -> None:
+    code = f"import sys; sys.modules[{library!r}] = None; from calgraph.cli import main; main()"
+    command = [sys.executable, "-c", code, "live"]
+    ended = subprocess.run(command, check=False, capture_output=True, text=True, timeout=PATIENCE)
+    assert ended.returncode == 2
+    assert "pip install 'calgraph[live]'" in ended.stderr

@@ -21,7 +21,7 @@ from calgraph.live.live_rig import prepare_live_rig
 from calgraph.live.live_session import FinalCalibration, LiveOptions, run_session
 from calgraph.live.open_source import open_source
 from calgraph.live.replay import ReplaySource
-from calgraph.live.server import DEFAULT_HOST, DEFAULT_PORT, PageServer, check_page_libraries
+from calgraph.live.server import DEFAULT_HOST, DEFAULT_PORT, PageServer
 from calgraph.live.session_folder import SessionFolder, create_session, resume_session
 from calgraph.live.source import Source
 from calgraph.result import Calibration, load_calibration
@@ -92,7 +92,6 @@ def live(
 
     Exit code: that of calgraph calibrate; 130 if it was interrupted by Ctrl-C.
     """
-    check_page_libraries()
     if resume:
         _check_alone(rig_file, out, overrides)
         folder = resume_session(resume)

@@ -11,14 +11,23 @@ from contextlib import asynccontextmanager, nullcontext
 from dataclasses import dataclass
 from http.cookies import CookieError, SimpleCookie
 
-from starlette.datastructures import Headers, MutableHeaders, QueryParams
-from starlette.responses import HTMLResponse, Response
-from starlette.types import ASGIApp, Message, Receive, Scope, Send
-from uvicorn.protocols.http.h11_impl import H11Protocol
-
 from calgraph.config.settings import PageSettings
 from calgraph.errors import InputError
-from calgraph.live.page_app import Refusal, Refusals, SessionView
+
+try:
+    import uvicorn
+    import websockets  # noqa: F401  # of uvicorn
+    from starlette.datastructures import Headers, MutableHeaders, QueryParams
+    from starlette.responses import HTMLResponse, Response
+    from starlette.types import ASGIApp, Message, Receive, Scope, Send
+    from uvicorn.protocols.http.h11_impl import H11Protocol
+
+    from calgraph.live.page_app import MAX_MESSAGE_BYTES, PageApp, Refusal, Refusals, SessionView
+except ImportError:
+    raise InputError(
+        "live capture needs starlette, uvicorn and websockets, which are not installed:"
+        " pip install 'calgraph[live]'"
+    ) from None
 
 DEFAULT_HOST = "127.0.0.1"
 DEFAULT_PORT = 8790
@@ -39,23 +48,6 @@ class PageServer:
     """Number of pages that were ever open."""
 
 
-def check_page_libraries() -> None:
-    """Checks that the page can be served.
-
-    Raises:
-        InputError: a library is missing.
-    """
-    try:
-        import starlette  # noqa: F401
-        import uvicorn  # noqa: F401
-        import websockets  # noqa: F401
-    except ImportError:
-        raise InputError(
-            "live capture needs starlette, uvicorn and websockets, which are not installed:"
-            " pip install 'calgraph[live]'"
-        ) from None
-
-
 @asynccontextmanager
 async def serve_page(
     view: SessionView, host: str = DEFAULT_HOST, port: int = DEFAULT_PORT, *, settings: PageSettings
@@ -69,13 +61,8 @@ async def serve_page(
         settings: of the page.
 
     Raises:
-        InputError: the address cannot be used, or a library is missing.
+        InputError: the address cannot be used.
     """
-    check_page_libraries()
-    import uvicorn
-
-    from calgraph.live.page_app import MAX_MESSAGE_BYTES, PageApp
-
     listening = _listen(host, port, settings)
     address, port, *_ = listening.getsockname()
     refusals = Refusals()
