@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 from calgraph.config import Capture, Rig
-from calgraph.live.record_reader import RecordReader
 from calgraph.live.rig_session import RigSession, SessionPools, count_analysis_processes
 from calgraph.live.rig_solution import LiveSolution
 from calgraph.live.sensor_solution import SensorSolution
@@ -80,8 +79,7 @@ def session(walk: tuple[Rig, list[LiveMessage], GroundTruth]) -> tuple[RigSessio
 
 def record(messages: Sequence[LiveMessage], rig: Rig) -> SimulatedRecording:
     """The recording of messages."""
-    reader = RecordReader("recorded", rig.settings.limits)
-    return build_recording(reader.read(message) for message in messages)
+    return build_recording(message.read("recorded", rig.settings.limits) for message in messages)
 
 
 def calibrated_captures(rig: Rig, messages: Sequence[LiveMessage]) -> CaptureSet:
@@ -439,7 +437,7 @@ def solve_camera(rig: Rig, captures: CaptureSet, _start: LiveSolution | None) ->
         SensorSolution("camera", "camera", np.eye(4), stddev, np.diag(stddev[:3] ** 2), 2.0, "weak"),
         SensorSolution("laser_left", "lidar2d"),
     )
-    return LiveSolution(sensors, False, len(captures.holds))
+    return LiveSolution(sensors, len(captures.holds))
 
 
 def test_other_processes_detect_and_solve_what_one_process_does(

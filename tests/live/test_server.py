@@ -55,7 +55,7 @@ def cookie_of(page: ServedPage) -> str:
 
 
 def count(page: ServedPage, reason: Refusal) -> int:
-    return page.server.refusals.count(reason)
+    return page.server.refusals[reason]
 
 
 def test_page_and_its_files_are_served_with_headers_that_allow_own_files_only(local: ServedPage) -> None:

@@ -25,7 +25,6 @@ from calgraph.live.live_rig import list_intrinsics_topics
 from calgraph.live.live_timeline import LiveTimeline
 from calgraph.live.message_ring import MessageRing
 from calgraph.live.motion import RestMonitor
-from calgraph.live.record_reader import RecordReader
 from calgraph.live.source import LiveMessage
 from calgraph.live.view_pictures import SensorView, find_reduction, make_view
 from calgraph.recording.takes import shift_record
@@ -56,8 +55,7 @@ class MessageAnalysis:
     """
 
     def __init__(self, rig: Rig, source: str) -> None:
-        self._rig = rig
-        self._reader = RecordReader(source, rig.settings.limits)
+        self._rig, self._source = rig, source
         self._sensor_of = {topic: name for name, topic in rig.topics.items()}
         # Offsets that are to be estimated are known when the recording is calibrated.
         offsets = {name: spec.clock_offset for name, spec in rig.sensors.items()}
@@ -118,7 +116,7 @@ class MessageAnalysis:
         if name is None and topic not in self.detectors.intrinsics_topics:
             return
         try:
-            record = self._reader.read(message)
+            record = message.read(self._source, self._rig.settings.limits)
             if name is None:
                 self.detectors.add_intrinsics(record)
                 return

@@ -19,7 +19,6 @@ from calgraph.live.floor_plan import draw_floor_plan
 from calgraph.live.job_queue import JobQueue
 from calgraph.live.live_timeline import LiveTimeline
 from calgraph.live.network_solution import LiveNetworkSolution, solve_recording
-from calgraph.live.record_reader import RecordReader
 from calgraph.live.rig_session import ALL_DONE, SessionPools
 from calgraph.live.sensor_solution import SensorSolution
 from calgraph.live.source import LiveMessage
@@ -129,7 +128,6 @@ class NetworkSession:
         """None: there are no captures."""
         self._source, self._recording, self._solve, self._clock = source, recording, solve, clock
         self._print_line = print_line
-        self._reader = RecordReader(source, rig.settings.limits)
         self._sensor_of = {topic: name for name, topic in rig.topics.items()}
         self.timeline = LiveTimeline(rig.sensors)
         self._messages = {name: ScannerMessages() for name in rig.sensors}
@@ -151,7 +149,7 @@ class NetworkSession:
         name = self._sensor_of.get(message.channel.topic)
         if name is not None:
             try:
-                record = self._reader.read(message)
+                record = message.read(self._source, self.rig.settings.limits)
                 self._messages[name].delays.append(record.stamp - arrival)
                 self.timeline.add(name, record)
             except RecordingError as error:

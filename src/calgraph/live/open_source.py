@@ -15,7 +15,6 @@ from calgraph.live.dds import DdsSource
 from calgraph.live.foxglove import FoxgloveSource
 from calgraph.live.replay import ReplaySource
 from calgraph.live.source import LiveMessage, Notice, Source
-from calgraph.live.topic_watch import StampReader
 
 
 def open_source(text: str, settings: Settings, *, speed: float = 1.0, start_after: int = -1) -> Source:
@@ -72,7 +71,7 @@ class AlignedSource:
     async def stream(self, topics: Collection[str]) -> AsyncIterator[LiveMessage | Notice]:
         """Messages and notices of the source; see :meth:`Source.stream`. The first messages come delayed."""
         now = asyncio.get_running_loop().time
-        reader, offsets, waiting = StampReader(), dict[str, int](), list[LiveMessage]()
+        offsets, waiting = dict[str, int](), list[LiveMessage]()
         end = math.inf
         # A generator, whose connection is closed with it.
         async with aclosing(cast(Any, self._source.stream(topics))) as items, _Following(items) as following:
@@ -85,7 +84,7 @@ class AlignedSource:
                 elif item is not None:
                     end = end if waiting else now() + _ALIGNMENT_TIME
                     waiting.append(item)
-                    if (stamp := reader.read(item)) is not None:
+                    if (stamp := item.read_stamp()) is not None:
                         offsets.setdefault(item.channel.topic, item.arrival - stamp)
                 elif not offsets:
                     # Without stamps they cannot be compared.

@@ -60,23 +60,12 @@ Refusal = Literal[
 ]
 
 
-class Refusals:
+class Refusals(Counter[Refusal]):
     """Counts by reason."""
-
-    def __init__(self) -> None:
-        self._counts: Counter[Refusal] = Counter()
-
-    def add(self, reason: Refusal) -> None:
-        """Counts one refusal."""
-        self._counts[reason] += 1
-
-    def count(self, reason: Refusal) -> int:
-        """How many were refused for this reason."""
-        return self._counts[reason]
 
     def describe(self) -> str:
         """One line, ``refused: 3 wrong tokens, 2 foreign origins``; empty where nothing was refused."""
-        counts = ", ".join(f"{count} {reason}" for reason, count in self._counts.most_common())
+        counts = ", ".join(f"{count} {reason}" for reason, count in self.most_common())
         return counts and f"refused: {counts}"
 
 
@@ -167,7 +156,7 @@ class PageApp:
 
     async def _serve_page(self, socket: WebSocket) -> None:
         if self._pages >= self._settings.max_pages:
-            self._refusals.add("pages beyond the limit")
+            self._refusals["pages beyond the limit"] += 1
             await socket.close(1013)
             return
         self._pages += 1
@@ -215,14 +204,14 @@ class PageApp:
             message = await socket.receive()
             if message["type"] == "websocket.disconnect":
                 if refusal := _REFUSED.get(message.get("code", 0)):
-                    self._refusals.add(refusal)
+                    self._refusals[refusal] += 1
                 return
             now = time.monotonic()
             allowed = min(_COMMAND_BURST, allowed + (now - since) * _COMMAND_RATE)
             since = now
             action = _ACTIONS.get(message.get("text"))
             if action is None or allowed < 1:
-                self._refusals.add("commands in too fast succession" if action else "unknown commands")
+                self._refusals["commands in too fast succession" if action else "unknown commands"] += 1
                 await socket.close(1008)
                 return
             allowed -= 1

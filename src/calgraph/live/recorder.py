@@ -16,7 +16,6 @@ from typing import Literal
 
 from mcap.writer import CompressionType, Writer
 from rosbags.convert.converter import is_same_wireformat
-from rosbags.interfaces import MessageDefinitionFormat
 from rosbags.typesys.store import Typestore
 
 from calgraph.config.settings import LimitSettings, RecorderSettings
@@ -27,7 +26,7 @@ from calgraph.live.source import Channel, LiveMessage
 from calgraph.live.state import RecorderState
 from calgraph.recording.bag_metadata import METADATA, write_metadata
 from calgraph.recording.damage import LimitedStore
-from calgraph.recording.message_types import MessageType, TypeDefinition, make_message_type, ros2_definition
+from calgraph.recording.message_types import MessageType, make_message_type, ros2_definition
 from calgraph.recording.unfinished_mcap import finish_mcap
 
 _HEADER = "std_msgs/msg/Header"
@@ -56,7 +55,7 @@ def make_cdr_schema(channel: Channel) -> CdrSchema:
     if channel.encoding == "cdr":
         idl = channel.schema_format == "ros2idl"
         return CdrSchema("ros2idl" if idl else "ros2msg", channel.schema, bytes)
-    source = make_message_type(TypeDefinition(channel.type, MessageDefinitionFormat.MSG, channel.schema, "ros1"))
+    source = channel.message_type
     if source.store is None:
         raise ValueError(f"the definition of type {channel.type} is unknown")
     store = _find_ros2_store(source, source.store)

@@ -3,7 +3,7 @@
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -111,13 +111,13 @@ class RigSession:
         Raises:
             RecordingError: it cannot be read.
         """
-        rebuilt = rebuild_captures(self.rig, recording, self.analysis.detectors.seeds, engine)
+        timeline, cameras, captures = rebuild_captures(self.rig, recording, self.analysis.detectors.seeds, engine)
         window = self.rig.capture.background
         present = {topic.name for topic in recording.topics}
         times = [recording.start + time for time in window] if window else [0.0, 0.0]
         background = recording.records([t for t in self.rig.topics.values() if t in present], *times)
-        self.analysis.restore(rebuilt.timeline, recording.end, rebuilt.cameras, background)
-        self.taker.restore(rebuilt.captures, self.taker.finder.now())
+        self.analysis.restore(timeline, recording.end, cameras, background)
+        self.taker.restore(captures, self.taker.finder.now())
         self._pump()
 
     def feed(self, message: LiveMessage) -> None:
@@ -267,18 +267,12 @@ class RigSession:
         self._exclude((start + margin, end - margin))
 
 
-@dataclass(frozen=True, eq=False)
-class RebuiltSession:
-    """The captures of a recording, and when its sensors measured."""
+def rebuild_captures(
+    rig: Rig, recording: Recording, seeds: Mapping[str, int], engine: Engine
+) -> tuple[RecordingTimeline, Mapping[str, CameraModel], list[LiveCapture]]:
+    """When sensors measured in the recording of an interrupted session, intrinsics by camera, and its captures.
 
-    timeline: RecordingTimeline
-    cameras: Mapping[str, CameraModel]
-    """Intrinsics by camera, as far as the recording has any."""
-    captures: tuple[LiveCapture, ...] = field(default=())
-
-
-def rebuild_captures(rig: Rig, recording: Recording, seeds: Mapping[str, int], engine: Engine) -> RebuiltSession:
-    """The captures of the recording of an interrupted session; sensors may be missing in it.
+    Sensors may be missing in it.
 
     Args:
         rig: of the session; see :func:`calgraph.live.live_rig.prepare_live_rig`.
@@ -299,7 +293,7 @@ def rebuild_captures(rig: Rig, recording: Recording, seeds: Mapping[str, int], e
     try:
         holds = limit_messages(find_holds(timeline, rig.capture, rig.settings.captures), rig)
     except CalibrationError:  # none yet
-        return RebuiltSession(timeline, cameras)
+        return timeline, cameras, []
     detecting = {
         name: spec for name, spec in recorded.items() if KINDS[spec.kind].measures_ranges or name in cameras
     }
@@ -314,9 +308,7 @@ def rebuild_captures(rig: Rig, recording: Recording, seeds: Mapping[str, int], e
     by_hold: dict[int, dict[str, DetectionResult]] = {hold.index: {} for hold in holds}
     for one in found:
         by_hold[one.capture][one.sensor] = one.detections
-    return RebuiltSession(
-        timeline, cameras, tuple(_make_capture(rig, hold, by_hold[hold.index]) for hold in holds)
-    )
+    return timeline, cameras, [_make_capture(rig, hold, by_hold[hold.index]) for hold in holds]
 
 
 def _make_capture(rig: Rig, hold: Hold, found: Mapping[str, DetectionResult]) -> LiveCapture:

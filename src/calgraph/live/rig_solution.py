@@ -114,8 +114,6 @@ class LiveSolution:
 
     sensors: tuple[SensorSolution, ...]
     """In the order of rig.yaml."""
-    done: bool
-    """Whether all sensors have good poses."""
     captures: int
     """Number of captures that it was computed from."""
     advice: Advice | None = None
@@ -126,6 +124,11 @@ class LiveSolution:
     """Sensors that should detect the board together next; None where all have a pose."""
     suggestion: Suggestion | None = None
     """The next best board pose, where all sensors have a pose and some are not good."""
+
+    @property
+    def done(self) -> bool:
+        """Whether all sensors have good poses."""
+        return all(sensor.grade == "good" for sensor in self.sensors)
 
 
 def solve_captures(rig: Rig, captures: CaptureSet, start: LiveSolution | None = None) -> LiveSolution:
@@ -147,7 +150,6 @@ def solve_captures(rig: Rig, captures: CaptureSet, start: LiveSolution | None = 
         missing = find_missing_pair(rig, captures, ())
         return LiveSolution(
             _describe_sensors(rig, captures, None),
-            False,
             len(captures.holds),
             Advice(str(missing)) if missing else None,
             problem=str(error),
@@ -163,7 +165,7 @@ def solve_captures(rig: Rig, captures: CaptureSet, start: LiveSolution | None = 
         suggestion = suggest_next_pose(rig, solved, start.suggestion if start and repeated else None)
     picture = _draw_suggestion(rig, sensors, suggestion) if suggestion else ""
     advice = None if done else _advise(sensors, missing, suggestion, picture)
-    return LiveSolution(sensors, done, len(captures.holds), advice, missing=missing, suggestion=suggestion)
+    return LiveSolution(sensors, len(captures.holds), advice, missing=missing, suggestion=suggestion)
 
 
 def _advise(

@@ -9,7 +9,6 @@ import socket
 from collections.abc import AsyncIterator, Callable, Iterable
 from contextlib import asynccontextmanager, nullcontext
 from dataclasses import dataclass
-from http.cookies import CookieError, SimpleCookie
 
 from calgraph.config.settings import PageSettings
 from calgraph.errors import InputError
@@ -17,7 +16,8 @@ from calgraph.errors import InputError
 try:
     import uvicorn
     import websockets  # noqa: F401  # of uvicorn
-    from starlette.datastructures import Headers, MutableHeaders, QueryParams
+    from starlette.datastructures import MutableHeaders
+    from starlette.requests import HTTPConnection
     from starlette.responses import HTMLResponse, Response
     from starlette.types import ASGIApp, Message, Receive, Scope, Send
     from uvicorn.protocols.http.h11_impl import H11Protocol
@@ -154,7 +154,7 @@ def make_bounded_protocol(settings: PageSettings, refusals: Refusals) -> type[as
         def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
             super().connection_made(transport)
             if len(self.connections) > settings.max_connections:
-                refusals.add("connections beyond the limit")
+                refusals["connections beyond the limit"] += 1
                 transport.abort()
             else:
                 self._deadline = self.loop.call_later(settings.timeout, self._end_without_request)
@@ -165,13 +165,13 @@ def make_bounded_protocol(settings: PageSettings, refusals: Refusals) -> type[as
             super().connection_lost(exc)
 
         def send_400_response(self, msg: str) -> None:
-            refusals.add("malformed requests")
+            refusals["malformed requests"] += 1
             super().send_400_response(msg)
 
         def _end_without_request(self) -> None:
             # A websocket has another protocol by now.
             if self.cycle is None and self.transport.get_protocol() is self:
-                refusals.add("requests that took too long")
+                refusals["requests that took too long"] += 1
                 self.transport.abort()
 
     return BoundedProtocol
@@ -224,8 +224,8 @@ class AccessCheck:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answers a request, or lets the application answer it."""
-        headers = Headers(scope=scope)
-        host = headers.get("host", "")
+        request = HTTPConnection(scope)
+        host = request.headers.get("host", "")
 
         async def send_guarded(message: Message) -> None:
             if message["type"] == "http.response.start":
@@ -234,9 +234,9 @@ class AccessCheck:
                 _add_headers(MutableHeaders(scope=message), known, is_local=self._token is None)
             await send(message)
 
-        refusal, answer = self._check(scope, headers, host)
+        refusal, answer = self._check(request, host)
         if refusal:
-            self._refusals.add(refusal)
+            self._refusals[refusal] += 1
         if answer is None:
             await self._app(scope, receive, send_guarded)
         elif scope["type"] == "websocket":
@@ -245,20 +245,21 @@ class AccessCheck:
         else:
             await answer(scope, receive, send_guarded)
 
-    def _check(self, scope: Scope, headers: Headers, host: str) -> tuple[Refusal | None, Response | None]:
+    def _check(self, request: HTTPConnection, host: str) -> tuple[Refusal | None, Response | None]:
         """The reason of a refusal, and the answer that replaces the application's."""
         if not self._is_known(host):
             return "foreign hosts", _refuse("This address is not that of calgraph live.", 421)
-        if scope["type"] == "websocket" and headers.get("origin") != f"http://{host}":
+        is_websocket = request.scope["type"] == "websocket"
+        if is_websocket and request.headers.get("origin") != f"http://{host}":
             return "foreign origins", _refuse("", 403)
         if self._token is None:
             return None, None
-        given = self._token_of_link(scope)
-        if given is not None and scope["type"] == "http":
+        given = request.query_params.get("token") if request.scope["path"] == "/" else None
+        if given is not None and not is_websocket:
             if _is_token(given, self._token):
                 return None, self._admit()
             return "wrong tokens", _refuse(_OLD_LINK, 403)
-        kept = self._token_of_cookie(headers)
+        kept = request.cookies.get(self._cookie)
         if kept is None:
             return "missing tokens", _refuse("Open the link with the token that calgraph live shows.", 403)
         if not _is_token(kept, self._token):
@@ -276,18 +277,6 @@ class AccessCheck:
             return name in self._names
         return self._token is not None or address.is_loopback
 
-    @staticmethod
-    def _token_of_link(scope: Scope) -> str | None:
-        return QueryParams(scope["query_string"]).get("token") if scope["path"] == "/" else None
-
-    def _token_of_cookie(self, headers: Headers) -> str | None:
-        cookie = SimpleCookie()
-        try:
-            cookie.load(headers.get("cookie", ""))
-        except CookieError:
-            return None
-        return cookie[self._cookie].value if self._cookie in cookie else None
-
     def _admit(self) -> Response:
         # A redirect would be part of the navigation to the link: where that began on a page of another site, such
         # as a chat, browsers send no cookie that is SameSite=Strict. A refresh begins here.
@@ -297,9 +286,9 @@ class AccessCheck:
 
     def _count_status(self, status: int) -> None:
         if status == 404:
-            self._refusals.add("unknown addresses")
+            self._refusals["unknown addresses"] += 1
         elif status == 405:
-            self._refusals.add("wrong methods")
+            self._refusals["wrong methods"] += 1
 
 
 def _is_token(given: str, token: str) -> bool:

@@ -3,15 +3,19 @@
 import re
 from collections.abc import AsyncIterator, Collection
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from typing import Literal, Protocol
 
+from rosbags.interfaces import MessageDefinitionFormat
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
-from calgraph.recording.message_types import ros2_definition
+from calgraph.config.settings import LimitSettings
+from calgraph.recording.message_types import MessageType, TypeDefinition, make_message_type, ros2_definition
+from calgraph.recording.record_list import make_record
 from calgraph.recording.writer import serialize_message
-from calgraph.sensors import Message
+from calgraph.sensors import Message, RecordedMessage
+from calgraph.sensors.kinds import SENSOR_TYPES
 from calgraph.sensors.kinds.stated import CONTROL_CHARACTERS
 
 Encoding = Literal["cdr", "ros1"]
@@ -31,6 +35,13 @@ class Channel:
     schema: str
     """The definitions of the type and of those it contains."""
 
+    @cached_property
+    def message_type(self) -> MessageType:
+        """The type of its messages."""
+        idl = self.schema_format == "ros2idl"
+        text_format = MessageDefinitionFormat.IDL if idl else MessageDefinitionFormat.MSG
+        return make_message_type(TypeDefinition(self.type, text_format, self.schema, self.encoding))
+
 
 @dataclass(frozen=True, eq=False)
 class LiveMessage:
@@ -41,6 +52,28 @@ class LiveMessage:
     """When the source's server received it, by its clock; ns since the epoch."""
     data: bytes
     """Serialised as the channel's encoding states."""
+
+    def read_stamp(self) -> int | None:
+        """The header's stamp of a sensor's message, ns; None of other messages, and of headers without one."""
+        if self.channel.type not in SENSOR_TYPES:
+            return None
+        try:
+            return self.channel.message_type.header_stamp(self.data) or None
+        except Exception:  # damaged: the decoder states why
+            return None
+
+    def read(self, source: str, limits: LimitSettings) -> RecordedMessage:
+        """The record as a recording has it; the stamp is the arrival where it has no header.
+
+        Args:
+            source: name of the source, for error messages.
+            limits: of the content of messages.
+
+        Raises:
+            RecordingError: its header cannot be read.
+        """
+        channel = self.channel
+        return make_record(channel.message_type, channel.topic, self.arrival / 1e9, self.data, source, limits)
 
 
 NoticeKind = Literal["connected", "disconnected", "missing", "lost", "refused", "ended"]

@@ -3,13 +3,10 @@
 import math
 from collections import deque
 from collections.abc import Callable, Collection, Iterator
-from dataclasses import dataclass, field, replace
-
-from rosbags.interfaces import MessageDefinitionFormat
+from dataclasses import dataclass, replace
 
 from calgraph.config.settings import ConnectionSettings
 from calgraph.live.source import Channel, LiveMessage, Notice, NoticeKind, clean_text
-from calgraph.recording.message_types import MessageType, TypeDefinition, make_message_type
 from calgraph.sensors.kinds import SENSOR_TYPES
 
 
@@ -19,12 +16,11 @@ class _Topic:
 
     last_time: float
     """Of its last message, or of the subscription; s of the caller's clock."""
-    kind: MessageType | None = None
-    """Of a sensor's messages."""
+    intervals: deque[int]
+    """Between the last stamps of a sensor, ns."""
     received: bool = False
     silent: bool = False
     last_stamp: int | None = None
-    intervals: deque[int] = field(default_factory=deque)
 
 
 # Number of last messages of a sensor whose stamps state its usual interval: their median.
@@ -88,9 +84,7 @@ class TopicWatch:
 
     def start(self, channel: Channel, now: float) -> None:
         """Watches a topic from now on."""
-        kind = _find_sensor_type(channel)
-        intervals: deque[int] = deque(maxlen=_USUAL_INTERVALS)
-        self._topics[channel.topic] = _Topic(now, kind, intervals=intervals)
+        self._topics[channel.topic] = _Topic(now, deque(maxlen=_USUAL_INTERVALS))
 
     def stop(self, topic: str) -> None:
         """Does not watch a topic any more."""
@@ -100,9 +94,9 @@ class TopicWatch:
         """Takes note of a message, and of messages that are missing before it."""
         topic = self._topics[message.channel.topic]
         topic.last_time, topic.received, topic.silent = now, True, False
-        if topic.kind is None:
+        if message.channel.type not in SENSOR_TYPES:
             return
-        stamp, before = _stamp(topic.kind, message), topic.last_stamp
+        stamp, before = message.read_stamp() or message.arrival, topic.last_stamp
         topic.last_stamp = stamp
         if before is None or stamp <= before:
             return
@@ -138,41 +132,3 @@ class TopicWatch:
         ordered = sorted(topic.intervals)
         median = ordered[len(ordered) // 2]
         return median if ordered[-2] < _GAP_RATIO * median else None
-
-
-class StampReader:
-    """Reads stamps of sensors' messages."""
-
-    def __init__(self) -> None:
-        self._kinds: dict[Channel, MessageType | None] = {}
-
-    def read(self, message: LiveMessage) -> int | None:
-        """The header's stamp, ns; None of other messages, and of headers without one."""
-        if message.channel not in self._kinds:
-            self._kinds[message.channel] = _find_sensor_type(message.channel)
-        kind = self._kinds[message.channel]
-        if kind is None:
-            return None
-        try:
-            return kind.header_stamp(message.data) or None
-        except Exception:  # damaged: the decoder states why
-            return None
-
-
-def _find_sensor_type(channel: Channel) -> MessageType | None:
-    """The type of a sensor's messages; None of others."""
-    return make_message_type(_definition(channel)) if channel.type in SENSOR_TYPES else None
-
-
-def _stamp(kind: MessageType, message: LiveMessage) -> int:
-    """The header's stamp, or the arrival, ns."""
-    try:
-        return kind.header_stamp(message.data) or message.arrival
-    except Exception:  # damaged: the decoder states why
-        return message.arrival
-
-
-def _definition(channel: Channel) -> TypeDefinition:
-    idl = channel.schema_format == "ros2idl"
-    text_format = MessageDefinitionFormat.IDL if idl else MessageDefinitionFormat.MSG
-    return TypeDefinition(channel.type, text_format, channel.schema, channel.encoding)
