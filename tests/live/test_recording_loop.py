@@ -38,6 +38,7 @@ class GivenSource:
     """Gives what it is given; an exception among it is raised, and None waits for ever."""
 
     name = "given"
+    max_lead = float("inf")
 
     def __init__(self, *items: LiveMessage | Notice | Exception | None) -> None:
         self._items = items
@@ -72,10 +73,11 @@ class Loop:
     ) -> None:
         self.log: list[str] = []
         self.source = GivenSource(*items)
+        self.source.max_lead = max_lead
         self.triggers: deque[LiveMessage] = deque()
         self.trigger_after: int | None = None
         self.view = OperatorView(GivenSession(SessionState("rig", "ready", "", "given")), self.log.append)
-        self._disk, self._busy, self.lags, self._max_lead = disk, busy, list(lags), max_lead
+        self._disk, self._busy, self.lags = disk, busy, list(lags)
 
     @property
     def busy(self) -> bool:
@@ -104,7 +106,7 @@ class Loop:
     def run(self) -> None:
         asyncio.run(
             asyncio.wait_for(
-                record_session(self.source, RIG, self.write, self, self.view, max_lead=self._max_lead),  # type: ignore[arg-type]
+                record_session(self.source, RIG, self.write, self, self.view),  # type: ignore[arg-type]
                 30.0,
             )
         )

@@ -100,7 +100,7 @@ def live(
     with closing(folder):
         rig = load_rig(folder.rig_file)
         opened = _open_source(source or folder.source, rig, speed, folder.last_arrival())
-        options = LiveOptions(host, port, manual, speed == 0, _calibrate, _announce, _print_line)
+        options = LiveOptions(host, port, manual, _calibrate, _announce, _print_line)
         allow_interrupts()
         try:
             code = run_session(rig, opened, folder, options)

@@ -1,6 +1,7 @@
 """A live source that is ROS 2 itself: DDS through cyclonedds, without an installation of ROS."""
 
 import asyncio
+import math
 import os
 import re
 import threading
@@ -250,6 +251,8 @@ class DdsSource:
     Raises:
         InputError: the address is malformed, or cyclonedds is not installed.
     """
+
+    max_lead = math.inf
 
     def __init__(self, address: str, settings: ConnectionSettings) -> None:
         match = _ADDRESS.fullmatch(address)

@@ -3,6 +3,7 @@
 import asyncio
 import errno
 import json
+import math
 import os
 import struct
 import time
@@ -56,6 +57,8 @@ class FoxgloveSource:
     Raises:
         InputError: the address is malformed, or websockets is not installed.
     """
+
+    max_lead = math.inf
 
     def __init__(self, address: str, settings: ConnectionSettings) -> None:
         try:

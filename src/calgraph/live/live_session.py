@@ -16,7 +16,6 @@ from calgraph.live.live_rig import list_intrinsics_topics
 from calgraph.live.network_session import NetworkSession
 from calgraph.live.page_app import ShownSession
 from calgraph.live.recorder import Recorder
-from calgraph.live.replay import ReplaySource
 from calgraph.live.rig_session import RigSession, SessionPools, count_analysis_processes
 from calgraph.live.rig_solution import solve_captures
 from calgraph.live.server import PageServer, serve_page
@@ -135,13 +134,7 @@ _IDLE_CHECK = 0.002
 
 
 async def record_session(
-    source: Source,
-    rig: Rig,
-    write: Callable[[LiveMessage], Awaitable[None]],
-    session: Session,
-    view: OperatorView,
-    *,
-    max_lead: float,
+    source: Source, rig: Rig, write: Callable[[LiveMessage], Awaitable[None]], session: Session, view: OperatorView
 ) -> None:
     """Records and feeds messages until the source or the recording ends, or the operator wants to finish.
 
@@ -152,8 +145,6 @@ async def record_session(
             has ended, with the reason.
         session: takes the captures.
         view: shows notices of the source, and has the operator's wish to finish.
-        max_lead: time by which messages may be ahead of the detection before they wait until it has caught up, s;
-            with 0 each waits until all before it are analysed. Infinite for robots, which do not wait.
 
     Raises:
         InputError: the source cannot be used.
@@ -186,9 +177,9 @@ async def record_session(
             view.note(Notice("ended", str(error)))
             return False
         session.feed(message)
-        if not max_lead:
+        if not source.max_lead:
             await wait_until_idle()
-        elif session.lag > max_lead:
+        elif session.lag > source.max_lead:
             while session.lag:
                 await asyncio.sleep(_IDLE_CHECK)
         return True
@@ -242,9 +233,6 @@ class LiveOptions:
     port: int
     manual: bool
     """Whether captures are only taken with the button, until the operator states otherwise."""
-    wait: bool
-    """Whether messages wait for the analysis of those before; see
-    :func:`calgraph.live.recording_loop.record_session`."""
     calibrate: Callable[[SessionFolder], Awaitable[FinalCalibration]]
     """Calibrates the whole recording into the folder of the result."""
     announce: Callable[[PageServer], object]
@@ -317,8 +305,7 @@ async def _run(rig: Rig, source: Source, folder: SessionFolder, session: Session
         async with _recording(rig, folder, session) as recorder:
             view.show_recorder(lambda: recorder.state)
             options.announce(server)
-            max_lead = _choose_max_lead(source, options)
-            await record_session(source, rig, recorder.write, session, view, max_lead=max_lead)
+            await record_session(source, rig, recorder.write, session, view)
         if recorder.state.problem:
             options.print_line(recorder.state.problem)
         if folder.last_arrival() < 0:
@@ -337,18 +324,6 @@ async def _run(rig: Rig, source: Source, folder: SessionFolder, session: Session
             with suppress(asyncio.CancelledError):
                 await asyncio.Event().wait()
     return end.exit_code
-
-
-# Time by which a replayed recording may be ahead of the detection before it waits, s: no rest of the board begins
-# and ends in it. Robots do not wait.
-_MAX_REPLAY_LEAD = 0.5
-
-
-def _choose_max_lead(source: Source, options: LiveOptions) -> float:
-    """Time by which messages may be ahead of the detection, s."""
-    if options.wait:
-        return 0.0
-    return _MAX_REPLAY_LEAD if isinstance(source, ReplaySource) else float("inf")
 
 
 @asynccontextmanager

@@ -34,6 +34,10 @@ class _GrowingTimes:
     """Of the last messages, s."""
     latest: float | None = None
     """Stamp of the message that arrived last, s: one damaged stamp may be later than all others."""
+    malformed: int = 0
+    """Number of messages that could not be used."""
+    problem: str = ""
+    """Why the last of them could not."""
 
     def measure_period(self) -> None:
         """Measures the period of the last messages."""
@@ -104,6 +108,16 @@ class LiveTimeline:
             # Clouds without points, of lost packets, have no duration.
             times.measured = not isinstance(message, PointCloud) or not message.is_empty
 
+    def note_malformed(self, name: str, problem: str) -> None:
+        """Counts a message of a sensor that cannot be used."""
+        self._times[name].malformed += 1
+        self._times[name].problem = problem
+
+    def describe_malformed(self, name: str) -> str:
+        """How many messages of a sensor could not be used, and why the last one; empty if there are none."""
+        times = self._times[name]
+        return f"{times.malformed} unusable messages: {times.problem}" if times.malformed else ""
+
     def message_type(self, name: str) -> str:
         """Type of the sensor's messages; empty before the first."""
         return self._times[name].message_type
@@ -123,6 +137,12 @@ class LiveTimeline:
         if times.latest is None or not times.arrivals:
             return None
         return times.arrivals[-1] - times.latest - times.duration
+
+    def delay(self, name: str) -> float | None:
+        """Median of the sensor's last stamps minus arrivals, s; None before the first message."""
+        times = self._times[name]
+        pairs = list(zip(reversed(times.stamps), reversed(times.arrivals), strict=False))[:_RECENT]
+        return median(stamp - arrival for stamp, arrival in pairs) if pairs else None
 
     def period(self, name: str) -> float:
         """Median time between the sensor's last measurements, s; infinite for fewer than two."""

@@ -125,12 +125,8 @@ class MessageAnalysis:
             self._queue(name, record)
             self.timeline.add(name, record)
         except CalgraphError as error:
-            self._note_malformed(topic, name, error)
-
-    def _note_malformed(self, topic: str, name: str | None, error: CalgraphError) -> None:
-        names = [name] if name else self.detectors.cameras_of(topic)
-        for one in names:
-            self.sensors[one].note_malformed(str(error))
+            for one in [name] if name else self.detectors.cameras_of(topic):
+                self.timeline.note_malformed(one, str(error))
 
     def _queue(self, name: str, record: RecordedMessage) -> None:
         """Has a message analysed: drawn, measured, and the room learned from it."""
@@ -211,7 +207,7 @@ class MessageAnalysis:
         sensor.measuring = ()
         for change in measured.changes:
             if change is None:
-                sensor.note_malformed(measured.problem)
+                self.timeline.note_malformed(name, measured.problem)
         usable = [
             (record.stamp, change)
             for record, change in zip(records, measured.changes, strict=True)
@@ -222,7 +218,7 @@ class MessageAnalysis:
 
     def _fail_measuring(self, name: str, error: BaseException) -> None:
         self.sensors[name].measuring = ()
-        self.sensors[name].note_malformed(str(error))
+        self.timeline.note_malformed(name, str(error))
 
     def _draw(self, queue: JobQueue) -> bool:
         settings = self._rig.settings.live.view
@@ -373,10 +369,6 @@ class SensorActivity:
     """Arrival of the message that was drawn last, s."""
     view: SensorView | None = None
     pictures: int = 0
-    malformed: int = 0
-    """Number of its messages that could not be used."""
-    problem: str = ""
-    """Why the last of them could not."""
     sharpness: deque[float] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -386,11 +378,6 @@ class SensorActivity:
     def oldest_unmeasured(self) -> float | None:
         """Arrival of the first message whose change is not known yet, s; None if there is none."""
         return next((record.arrival for record in (*self.measuring, *self.waiting)), None)
-
-    def note_malformed(self, problem: str) -> None:
-        """Counts a message that cannot be used."""
-        self.malformed += 1
-        self.problem = problem
 
     def set_view(self, view: SensorView) -> None:
         """Takes a new picture."""

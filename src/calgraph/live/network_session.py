@@ -3,8 +3,7 @@
 import math
 import time
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -130,7 +129,6 @@ class NetworkSession:
         self._print_line = print_line
         self._sensor_of = {topic: name for name, topic in rig.topics.items()}
         self.timeline = LiveTimeline(rig.sensors)
-        self._messages = {name: ScannerMessages() for name in rig.sensors}
         self._queue = JobQueue(pools.solving, 1, lambda function: pools.post(lambda: self._handle(function)))
         self._folder = TemporaryDirectory(prefix="calgraph-tracks-", ignore_cleanup_errors=True)
         add_cleanup(self, self._folder.cleanup)
@@ -144,16 +142,13 @@ class NetworkSession:
 
     def feed(self, message: LiveMessage) -> None:
         """Takes a message that has been recorded; scans are read from the recording, by another process."""
-        arrival = message.arrival / 1e9
-        self.timeline.note_arrival(arrival)
+        self.timeline.note_arrival(message.arrival / 1e9)
         name = self._sensor_of.get(message.channel.topic)
         if name is not None:
             try:
-                record = message.read(self._source, self.rig.settings.limits)
-                self._messages[name].delays.append(record.stamp - arrival)
-                self.timeline.add(name, record)
+                self.timeline.add(name, message.read(self._source, self.rig.settings.limits))
             except RecordingError as error:
-                self._messages[name].note_malformed(str(error))
+                self.timeline.note_malformed(name, str(error))
         self._start_solving()
 
     def command(self, action: Action) -> None:
@@ -163,9 +158,7 @@ class NetworkSession:
         """The session now, without what concerns source and recorder."""
         rig, solution = self.rig, self.solution
         solved = {one.name: one for one in solution.scanners} if solution else {}
-        sensors = (
-            _describe_sensor(one, rig, self.timeline, self._messages, solved.get(one)) for one in rig.sensors
-        )
+        sensors = (_describe_sensor(one, rig, self.timeline, solved.get(one)) for one in rig.sensors)
         done = solution is not None and solution.done
         phase, headline = _describe_phase(rig, self.timeline, solution, self._forecast)
         lag = _describe_lag(self.timeline, solution)
@@ -243,27 +236,6 @@ class NetworkSession:
     def _fail_solving(self, error: BaseException) -> None:
         self._set_next()
         self._problem = f"No poses from the recording until now: {error}"
-
-
-# Messages whose delays are compared: a second of the slowest scanners, and more of others.
-_DELAYS = 15
-
-
-@dataclass
-class ScannerMessages:
-    """What is known of the messages of one scanner besides their times."""
-
-    delays: "deque[float]" = field(default_factory=lambda: deque(maxlen=_DELAYS))
-    """Stamps minus arrivals of the last ones, s."""
-    malformed: int = 0
-    """Number of its messages that could not be used."""
-    problem: str = ""
-    """Why the last of them could not."""
-
-    def note_malformed(self, problem: str) -> None:
-        """Counts a message that cannot be used."""
-        self.malformed += 1
-        self.problem = problem
 
 
 def _describe_phase(
@@ -351,27 +323,16 @@ def _describe_lag(timeline: LiveTimeline, solution: LiveNetworkSolution | None) 
     return "; ".join(notes)
 
 
-def _describe_sensor(
-    name: str,
-    rig: Rig,
-    timeline: LiveTimeline,
-    messages: Mapping[str, ScannerMessages],
-    solved: SensorSolution | None,
-) -> SensorState:
+def _describe_sensor(name: str, rig: Rig, timeline: LiveTimeline, solved: SensorSolution | None) -> SensorState:
     age = timeline.age(name)
-    problems = []
-    if malformed := messages[name].malformed:
-        problems.append(f"{malformed} unusable messages: {messages[name].problem}")
-    if _is_silent(name, timeline):
-        problems.append(f"no messages for {age:.0f} s")
-    if clock := _describe_clock(name, messages):
-        problems.append(clock)
+    silence = f"no messages for {age:.0f} s" if _is_silent(name, timeline) else ""
+    problems = timeline.describe_malformed(name), silence, _describe_clock(name, rig, timeline)
     state = SensorState(
         name=name,
         kind=rig.sensors[name].kind,
         rate=timeline.rate(name),
         age=age,
-        problem="; ".join(problems),
+        problem="; ".join(filter(None, problems)),
         reason=solved.reason if solved else "",
         captures=solved.tracks if solved else 0,
     )
@@ -388,9 +349,9 @@ def _is_silent(name: str, timeline: LiveTimeline) -> bool:
 _MAX_CLOCK_DIFFERENCE = 1.0
 
 
-def _describe_clock(name: str, messages: Mapping[str, ScannerMessages]) -> str:
+def _describe_clock(name: str, rig: Rig, timeline: LiveTimeline) -> str:
     """By how much a scanner's clock differs from those of the others, if it is much; else empty."""
-    delays = {one: float(np.median(found.delays)) for one, found in messages.items() if found.delays}
+    delays = {one: delay for one in rig.sensors if (delay := timeline.delay(one)) is not None}
     if name not in delays or len(delays) < 2:
         return ""
     # Which one of two is right is unknown.

@@ -60,6 +60,8 @@ class AlignedSource:
         settings: of connections.
     """
 
+    max_lead = math.inf
+
     def __init__(self, source: Source, settings: ConnectionSettings) -> None:
         self._source, self._settings = source, settings
 

@@ -14,6 +14,10 @@ from calgraph.recording.bags import BagRecording
 from calgraph.recording.message_types import TypeDefinition, complete_definition
 from calgraph.recording.recording import explain_missing_topic
 
+# Time by which a replayed recording may be ahead of the detection before it waits, s: no rest of the board begins
+# and ends in it.
+_MAX_LEAD = 0.5
+
 
 class ReplaySource:
     """Replays a recording.
@@ -33,6 +37,7 @@ class ReplaySource:
             raise InputError(
                 f"`speed` {speed:g}: give 1 for real time, 5 for five times as fast, 0 to skip nothing"
             )
+        self.max_lead = _MAX_LEAD if speed else 0.0
         self._path, self._speed, self._start_after, self._limits = path, speed, start_after, limits
 
     @property

@@ -381,15 +381,13 @@ def _describe_sensor(
 ) -> SensorState:
     timeline, activity = analysis.timeline, analysis.sensors[name]
     age = timeline.age(name)
-    if activity.malformed and not problem:
-        problem = f"{activity.malformed} unusable messages: {activity.problem}"
     view = activity.view
     state = SensorState(
         name=name,
         kind=rig.sensors[name].kind,
         rate=timeline.rate(name),
         age=age,
-        problem=problem,
+        problem=problem or timeline.describe_malformed(name),
         sees_board=view.sees_board if view else None,
         reason=activity.explain_view(),
         moving=analysis.rests.is_moving(name),

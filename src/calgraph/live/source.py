@@ -100,6 +100,10 @@ class Notice:
 class Source(Protocol):
     """Where live messages come from."""
 
+    max_lead: float
+    """Time by which messages may be ahead of the detection before they wait until it has caught up, s; with 0 each
+    waits until all before it are analysed. Infinite for robots, which do not wait."""
+
     @property
     def name(self) -> str:
         """What the user gave: an address, or the path of a recording."""
