@@ -41,7 +41,7 @@ class TopicWatch:
         topics: wanted.
         settings: of connections.
         now: when the source began, s; all times are of one clock.
-        explain_missing: says why a topic that is wanted is not there.
+        explain_missing: states why a topic that is wanted is not there.
     """
 
     def __init__(
