@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from calgraph.config import Rig
+from calgraph.live.floor_grid import FloorGrid
 from calgraph.live.network_session import NetworkSession
 from calgraph.live.network_solution import LiveNetworkSolution
 from calgraph.live.rig_session import SessionPools
@@ -201,7 +202,9 @@ def test_the_time_that_is_left_is_stated(fed: Fed) -> None:
 
 def test_it_is_done_when_all_scanners_are_good(fed: Fed) -> None:
     fed.feed(9)
-    fed.pool.finish(solution(9.0, *(posed(name, "good", 0.4) for name in NAMES)))
+    cells = np.zeros((2, 2), dtype=np.bool_)
+    floor = FloorGrid(np.zeros(2), 0.5, cells, cells, np.zeros((1, 2)))
+    fed.pool.finish(replace(solution(9.0, *(posed(name, "good", 0.4) for name in NAMES)), grid=floor))
     state = fed.session.state()
     assert state.done
     assert state.phase == "ready"
@@ -209,7 +212,9 @@ def test_it_is_done_when_all_scanners_are_good(fed: Fed) -> None:
     assert state.sensors[0].stddev_mm is None
     assert state.sensors[1].stddev_mm == pytest.approx(2)
     assert state.sensors[1].stddev_degrees == pytest.approx(np.degrees(0.002))
-    assert state.floor_plan.startswith("<svg")
+    assert state.scene is not None
+    assert state.scene.floor is floor
+    assert tuple(one.name for one in state.scene.sensors) == NAMES
 
 
 def test_the_state_says_that_solutions_are_late(fed: Fed) -> None:

@@ -139,29 +139,21 @@ def test_no_captures_give_advice_for_the_first_pair(simulated: tuple[Rig, Captur
     assert solution.advice is not None
     assert solution.advice.text.startswith("Show the board to camera and lidar together, in several places")
     assert all(sensor.T_root_sensor is None for sensor in solution.sensors if sensor.name != "lidar")
-    assert by_name(solution)["laser_left"].reason == "laser_left has not detected the board yet"
     assert {sensor.progress for sensor in solution.sensors} == {0.0}
 
 
-def test_two_captures_name_what_pairs_have_in_common(simulated: tuple[Rig, CaptureSet]) -> None:
-    rig, captures = simulated
-    solution = solve_captures(rig, select(captures, (0, 1)))
-    shared = len(captures.detections["camera"].keys() & captures.detections["lidar"].keys() & {0, 1})
-    assert f"{shared} with lidar" in by_name(solution)["camera"].reason
-
-
-def test_sensors_without_common_captures_are_named(simulated: tuple[Rig, CaptureSet]) -> None:
+def test_sensors_without_common_captures_have_no_pose(simulated: tuple[Rig, CaptureSet]) -> None:
     rig, captures = simulated
     alone = {name: {list(by)[k]: list(by.values())[k]} for k, (name, by) in enumerate(captures.detections.items())}
     solution = solve_captures(rig, replace(captures, detections=alone))
-    assert by_name(solution)["camera"].reason == "camera has not detected the board together with another sensor"
+    assert by_name(solution)["camera"].T_root_sensor is None
     assert not solution.done
 
 
 def test_cameras_without_intrinsics_wait(simulated: tuple[Rig, CaptureSet]) -> None:
     rig, captures = simulated
     solution = solve_captures(rig, replace(captures, cameras={}))
-    assert by_name(solution)["camera"].reason == "the intrinsics of camera are not known yet"
+    assert by_name(solution)["camera"].T_root_sensor is None
     assert by_name(solution)["laser_front"].T_root_sensor is not None
 
 

@@ -119,8 +119,8 @@ def test_a_page_that_reads_nothing_is_closed_and_delays_no_other(monkeypatch: py
         stuck.sendall("\r\n".join([*lines, "", ""]).encode())
         with open_socket(served) as page:
             for number in range(1, 60):
-                served.session.show(replace(STATE, floor_plan=str(number) * 100_000))
-                while "floor_plan" not in json.loads(page.recv(timeout=PATIENCE)):
+                served.session.show(replace(STATE, root=str(number) * 100_000))
+                while "root" not in json.loads(page.recv(timeout=PATIENCE)):
                     pass
             with stuck, open_when_allowed(served) as another:
                 assert another.recv(timeout=PATIENCE)

@@ -60,7 +60,7 @@ def test_the_board_of_a_scanner_is_drawn_in_green(
 ) -> None:
     """A plane as its points, a segment as a line."""
     detect = {"found": () if found is None else (found,)}
-    monkeypatch.setattr(view_pictures, "decode_detector", lambda _: lambda _: detect["found"])
+    monkeypatch.setattr(view_pictures, "make_detector", lambda _: lambda _: detect["found"])
     cloud = PointCloud(0.0, "", np.array([[4.0, 0.0, 0.0]]))
     view = make_view(lambda: cloud, b"detector", None, (), 1, SETTINGS)
     blue, green, red = np.moveaxis(decode(view.picture).astype(int), 2, 0)

@@ -7,7 +7,7 @@ from functools import partial
 from calgraph.boards.detections import DetectionResult
 from calgraph.config import Rig
 from calgraph.errors import Rejected
-from calgraph.live.analysis_jobs import Decoder, detect_board
+from calgraph.live.analysis_jobs import Decoder, DetectorInputs, detect_board
 from calgraph.live.capture_finder import Candidate, CaptureFinder, Waiting, limit_hold, name_sensors
 from calgraph.live.job_queue import JobQueue
 from calgraph.live.live_captures import LiveCapture, explain_rejection, find_same_pose, has_board
@@ -38,7 +38,7 @@ class _Search:
     arrival: float
     """Of the last message before it, s."""
     requested: bool
-    waiting: list[tuple[str, bytes, Sequence[Decoder]]]
+    waiting: list[tuple[DetectorInputs, Sequence[Decoder]]]
     missing: set[str]
     """Sensors without result."""
     results: dict[str, DetectionResult] = field(default_factory=dict)
@@ -142,7 +142,7 @@ class CaptureTaker:
             if records is None:
                 search.results[name] = Rejected("its messages of this capture are no longer in memory")
             else:
-                search.waiting.append((name, detectors.encode(name), [record.decode for record in records]))
+                search.waiting.append((detectors.state_inputs(name), [record.decode for record in records]))
         search.missing -= set(search.results)
         self._request, self._search = None, search
         self.waiting = Waiting("measuring")
@@ -153,11 +153,11 @@ class CaptureTaker:
         search = self._search
         if search is None or not search.waiting:
             return False
-        name, encoded, decoders = search.waiting.pop(0)
+        inputs, decoders = search.waiting.pop(0)
         queue.run(
-            detect_board, encoded, name, decoders,
-            done=partial(self._add_result, search, name),
-            failed=lambda error: self._add_result(search, name, Rejected(str(error))),
+            detect_board, inputs, decoders,
+            done=partial(self._add_result, search, inputs.name),
+            failed=lambda error: self._add_result(search, inputs.name, Rejected(str(error))),
         )  # fmt: skip
         return True
 

@@ -5,6 +5,7 @@ from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from uuid import uuid4
 
 import numpy as np
 
@@ -12,8 +13,8 @@ from calgraph.config import CameraSpec, Rig
 from calgraph.config.settings import ViewSettings
 from calgraph.errors import CalgraphError, Rejected
 from calgraph.live.analysis_jobs import (
+    DetectorInputs,
     MeasuredChanges,
-    encode_detector,
     learn_live_background,
     measure_changes,
     reduce_camera,
@@ -126,7 +127,7 @@ class MessageAnalysis:
             self.timeline.add(name, record)
         except CalgraphError as error:
             for one in [name] if name else self.detectors.cameras_of(topic):
-                self.timeline.note_malformed(one, str(error))
+                self.timeline.sensors[one].note_malformed(str(error))
 
     def _queue(self, name: str, record: RecordedMessage) -> None:
         """Has a message analysed: drawn, measured, and the room learned from it."""
@@ -134,8 +135,8 @@ class MessageAnalysis:
         sensor.latest = record
         if self._is_of_background(record) and KINDS[self._rig.sensors[name].kind].measures_ranges:
             self._keep_background(name, record)
-        slow = self.timeline.period(name) > MAX_MOTION_PERIOD
-        if slow and len(self.timeline.stamps_from(name, 0.0)) > 1:
+        slow = self.timeline.sensors[name].period > MAX_MOTION_PERIOD
+        if slow and len(self.timeline.sensors[name].stamps) > 1:
             return
         # Periods vary by some percent: of a sensor at the highest rate every message is measured.
         if abs(record.stamp - self._last_queued.get(name, float("-inf"))) > 0.9 / MAX_RATE:
@@ -207,7 +208,7 @@ class MessageAnalysis:
         sensor.measuring = ()
         for change in measured.changes:
             if change is None:
-                self.timeline.note_malformed(name, measured.problem)
+                self.timeline.sensors[name].note_malformed(measured.problem)
         usable = [
             (record.stamp, change)
             for record, change in zip(records, measured.changes, strict=True)
@@ -218,7 +219,7 @@ class MessageAnalysis:
 
     def _fail_measuring(self, name: str, error: BaseException) -> None:
         self.sensors[name].measuring = ()
-        self.timeline.note_malformed(name, str(error))
+        self.timeline.sensors[name].note_malformed(str(error))
 
     def _draw(self, queue: JobQueue) -> bool:
         settings = self._rig.settings.live.view
@@ -236,10 +237,11 @@ class MessageAnalysis:
         record, sensor.latest, sensor.drawing = sensor.latest, None, True
         assert record is not None
         sensor.drawn_at = record.arrival
-        encoded = self.detectors.encode(name, reduced=True) if self.detectors.is_ready(name) else None
+        factor = self.detectors.reduction(name)
+        inputs = self.detectors.state_inputs(name, factor)
         queue.run(
-            make_view, record.decode, encoded,
-            self.detectors.reduced_camera(name), self._rig.boards, self.detectors.reduction(name), settings,
+            make_view, record.decode, inputs if self.detectors.is_ready(name) else None,
+            inputs.camera, self._rig.boards, factor, settings,
             done=partial(self._set_view, name),
             failed=lambda error: self._set_view(name, SensorView(b"", None, str(error))),
         )  # fmt: skip
@@ -267,7 +269,8 @@ class LiveDetectors:
         self._backgrounds: dict[str, Background | Rejected] = {}
         self._preferred: dict[str, str] = {}
         self._topics = list_intrinsics_topics(rig)
-        self._encoded: dict[tuple[str, int], bytes] = {}
+        self._session, self._changes = uuid4().hex, 0
+        """What tells these detectors from those of other sessions, and how often their inputs have changed."""
 
     @property
     def intrinsics_topics(self) -> frozenset[str]:
@@ -286,9 +289,8 @@ class LiveDetectors:
         self._preferred |= dict.fromkeys(wanted, record.topic)
         message = record.decode()
         if isinstance(message, CameraInfo):
-            for name in wanted:
-                self.cameras[name] = message.camera
-                self._forget(name)
+            self.cameras |= dict.fromkeys(wanted, message.camera)
+            self._changes += 1
 
     def cameras_of(self, topic: str) -> list[str]:
         """The cameras whose intrinsics a topic may have."""
@@ -302,10 +304,7 @@ class LiveDetectors:
     def set_background(self, name: str, background: Background | Rejected) -> None:
         """Takes what a scanner has learned, or why it has not."""
         self._backgrounds[name] = background
-        self._forget(name)
-
-    def _forget(self, name: str) -> None:
-        self._encoded = {key: one for key, one in self._encoded.items() if key[0] != name}
+        self._changes += 1
 
     def is_ready(self, name: str) -> bool:
         """Whether messages of a sensor can be searched: scanners learn the room first."""
@@ -316,32 +315,23 @@ class LiveDetectors:
         camera = self.cameras.get(name)
         return find_reduction(camera) if camera else 1
 
-    def reduced_camera(self, name: str) -> CameraModel | None:
-        """The intrinsics of a camera's reduced images; None of scanners, and where they are not known."""
-        camera = self.cameras.get(name)
-        return reduce_camera(camera, self.reduction(name)) if camera else None
-
-    def encode(self, name: str, *, reduced: bool = False) -> bytes:
-        """The detector of a sensor that is ready, for other processes.
-
-        Args:
-            name: of the sensor.
-            reduced: whether it is for reduced images.
-        """
-        factor = self.reduction(name) if reduced else 1
-        if (name, factor) not in self._encoded:
-            camera = self.reduced_camera(name) if reduced else self.cameras.get(name)
-            background = self._backgrounds.get(name)
-            self._encoded[name, factor] = encode_detector(
-                self._rig, name, camera, None if isinstance(background, Rejected) else background, self.seeds
-            )
-        return self._encoded[name, factor]
+    def state_inputs(self, name: str, factor: int = 1) -> DetectorInputs:
+        """What the detector of a sensor is made from, for images of a camera that are reduced by a factor."""
+        camera, background = self.cameras.get(name), self._backgrounds.get(name)
+        return DetectorInputs(
+            name,
+            (self._session, self._changes, factor),
+            self._rig.model_copy(update={"sensors": {name: self._rig.sensors[name]}}),
+            reduce_camera(camera, factor) if camera else None,
+            None if isinstance(background, Rejected) else background,
+            self.seeds,
+        )
 
     def restore(self, cameras: Mapping[str, CameraModel]) -> None:
         """Takes intrinsics that are in a recording, by camera."""
         self.cameras |= cameras
         self._preferred |= {name: self._topics[name][0] for name in cameras if name in self._topics}
-        self._encoded = {}
+        self._changes += 1
 
 
 # Number of images that this median is of: 20 s.

@@ -3,25 +3,22 @@
 import math
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
-
-import numpy as np
 
 from calgraph.config import Rig
 from calgraph.config.settings import LiveNetworkSettings
 from calgraph.errors import RecordingError
 from calgraph.io.termination import add_cleanup, remove_cleanup
 from calgraph.live.capture_finder import SILENCE, name_sensors
-from calgraph.live.floor_plan import draw_floor_plan
 from calgraph.live.job_queue import JobQueue
 from calgraph.live.live_timeline import LiveTimeline
 from calgraph.live.network_solution import LiveNetworkSolution, solve_recording
 from calgraph.live.rig_session import ALL_DONE, SessionPools
 from calgraph.live.sensor_solution import SensorSolution
 from calgraph.live.source import LiveMessage
-from calgraph.live.state import Action, Advice, Phase, SensorState, SessionState
+from calgraph.live.state import Action, Advice, Phase, SceneState, SensorState, SessionState
 from calgraph.live.tracked_intervals import MIN_INTERVAL
 from calgraph.result.reasons import split_clauses
 
@@ -135,7 +132,7 @@ class NetworkSession:
         self.solution: LiveNetworkSolution | None = None
         """The last one; None before the first."""
         self._forecast = Forecast(rig.settings.live.network)
-        self._floor_plan = ""
+        self._scene: SceneState | None = None
         self._began, self._next = 0.0, -math.inf
         """When the last solution began and when the next may, s."""
         self._problem = ""
@@ -148,7 +145,7 @@ class NetworkSession:
             try:
                 self.timeline.add(name, message.read(self._source, self.rig.settings.limits))
             except RecordingError as error:
-                self.timeline.note_malformed(name, str(error))
+                self.timeline.sensors[name].note_malformed(str(error))
         self._start_solving()
 
     def command(self, action: Action) -> None:
@@ -174,7 +171,7 @@ class NetworkSession:
             tolerance_degrees=rig.tolerance.rotation,
             done=done,
             notices=(*([lag] if lag else []), *(solution.remarks if solution else ())),
-            floor_plan=self._floor_plan,
+            scene=self._scene,
         )
 
     def picture(self, sensor: str) -> bytes | None:
@@ -231,7 +228,8 @@ class NetworkSession:
                 self._print_line(ALL_DONE)
             self.solution, self._problem = solution, ""
             self._forecast.add(solution)
-            self._floor_plan = draw_floor_plan(solution, self.rig.root, self.rig.tolerance)
+            connected = tuple(one for one in solution.scanners if one.T_root_sensor is not None)
+            self._scene = SceneState(connected, floor=solution.grid) if solution.grid else None
 
     def _fail_solving(self, error: BaseException) -> None:
         self._set_next()
@@ -326,11 +324,13 @@ def _describe_lag(timeline: LiveTimeline, solution: LiveNetworkSolution | None) 
 def _describe_sensor(name: str, rig: Rig, timeline: LiveTimeline, solved: SensorSolution | None) -> SensorState:
     age = timeline.age(name)
     silence = f"no messages for {age:.0f} s" if _is_silent(name, timeline) else ""
-    problems = timeline.describe_malformed(name), silence, _describe_clock(name, rig, timeline)
+    difference = timeline.find_wrong_clocks().get(name, 0.0)
+    clock = f"its clock is {abs(difference):.1f} s {'ahead of' if difference > 0 else 'behind'} the others"
+    problems = timeline.sensors[name].describe_malformed(), silence, clock if difference else ""
     state = SensorState(
         name=name,
         kind=rig.sensors[name].kind,
-        rate=timeline.rate(name),
+        rate=timeline.sensors[name].rate,
         age=age,
         problem="; ".join(filter(None, problems)),
         reason=solved.reason if solved else "",
@@ -342,21 +342,3 @@ def _describe_sensor(name: str, rig: Rig, timeline: LiveTimeline, solved: Sensor
 def _is_silent(name: str, timeline: LiveTimeline) -> bool:
     age = timeline.age(name)
     return age is not None and age > SILENCE
-
-
-# Difference of a scanner's clock from the median of all, s, from which it is named: the calibration measures
-# smaller ones.
-_MAX_CLOCK_DIFFERENCE = 1.0
-
-
-def _describe_clock(name: str, rig: Rig, timeline: LiveTimeline) -> str:
-    """By how much a scanner's clock differs from those of the others, if it is much; else empty."""
-    delays = {one: delay for one in rig.sensors if (delay := timeline.delay(one)) is not None}
-    if name not in delays or len(delays) < 2:
-        return ""
-    # Which one of two is right is unknown.
-    others: Sequence[float] = [value for one, value in delays.items() if one != name or len(delays) > 2]
-    difference = delays[name] - float(np.median(others))
-    if abs(difference) <= _MAX_CLOCK_DIFFERENCE:
-        return ""
-    return f"its clock is {abs(difference):.1f} s {'ahead of' if difference > 0 else 'behind'} the others"

@@ -5,7 +5,6 @@ import time
 from collections import Counter
 from collections.abc import AsyncIterator, Callable, Coroutine, Mapping
 from contextlib import asynccontextmanager, suppress
-from dataclasses import fields
 from importlib.resources import files
 from pathlib import Path
 from typing import Literal, Protocol, get_args
@@ -135,13 +134,17 @@ class PageApp:
                 await task
 
     async def _follow(self) -> None:
-        """Encodes the state, and notes whether it has changed."""
+        """Encodes what is new in the state, and notes whether it has changed."""
+        before: SessionState | None = None
         while True:
-            fields = _encode(self._view.state())
+            state = self._view.state()
+            new = {name: value for name, value in vars(state).items() if value is not getattr(before, name, self)}
+            fields = {**self._fields, **{name: _encode(value) for name, value in new.items()}}
             if fields != self._fields:
                 self._fields = fields
                 self._changed.set()
                 self._changed = asyncio.Event()
+            before = state
             await asyncio.sleep(1 / _RATE)
 
     async def _answer_picture(self, request: Request) -> Response:
@@ -218,12 +221,9 @@ class PageApp:
             self._view.command(action)
 
 
-def _encode(state: SessionState) -> Mapping[str, bytes]:
-    """The fields of the state, each as JSON; numbers that are not finite are null."""
-    return {
-        field.name: to_json(getattr(state, field.name), inf_nan_mode="null", fallback=np.ndarray.tolist)
-        for field in fields(state)
-    }
+def _encode(value: object) -> bytes:
+    """A value as JSON; numbers that are not finite are null."""
+    return to_json(value, inf_nan_mode="null", fallback=np.ndarray.tolist)
 
 
 def _read_assets() -> Mapping[str, bytes]:

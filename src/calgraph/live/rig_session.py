@@ -1,16 +1,15 @@
 """A live session of a rig: from its messages to captures, poses, and the state that the operator is shown."""
 
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
 from dataclasses import dataclass
 
 import numpy as np
 
-from calgraph.boards.detections import BoardCorners, DetectionResult
+from calgraph.boards.detections import DetectionResult
 from calgraph.config import Intrinsics, Rig
 from calgraph.errors import CalibrationError, Rejected
-from calgraph.geometry import Array, se3
 from calgraph.live.analysis_jobs import NO_INTRINSICS
 from calgraph.live.capture_finder import name_sensors
 from calgraph.live.capture_taker import CaptureTaker
@@ -21,7 +20,7 @@ from calgraph.live.message_analysis import MessageAnalysis
 from calgraph.live.rig_solution import LiveSolution
 from calgraph.live.sensor_solution import SensorSolution
 from calgraph.live.source import LiveMessage
-from calgraph.live.state import Action, Phase, SceneState, SensorState, SessionState
+from calgraph.live.state import Action, Phase, SensorState, SessionState
 from calgraph.parallel.engine import THIS_PROCESS, Engine
 from calgraph.parallel.processes import available_cores
 from calgraph.recording import Recording, resolve_intrinsics
@@ -95,7 +94,6 @@ class RigSession:
         self._solver = JobQueue(pools.solving, 1, self._post_to(pools.post))
         self.solution: LiveSolution | None = None
         """The last one; None before the first."""
-        self._scene: SceneState | None = None
         self._solved_captures: tuple[object, ...] = ()
         self._problem = ""
         self._pumping = False
@@ -166,7 +164,7 @@ class RigSession:
             tolerance_mm=1000 * self.rig.tolerance.translation,
             tolerance_degrees=self.rig.tolerance.rotation,
             done=done,
-            scene=self._scene,
+            scene=solution.scene if solution else None,
         )
 
     def picture(self, sensor: str) -> bytes | None:
@@ -239,13 +237,11 @@ class RigSession:
         return self.rig.model_copy(update={"sensors": {**self.rig.sensors, **sensors}})
 
     def _set_solution(self, solution: LiveSolution) -> None:
-        captures = self.taker.captures
-        if not captures:  # they were left out meanwhile
+        if not self.taker.captures:  # they were left out meanwhile
             return
         if solution.done and not (self.solution and self.solution.done):
             self._print_line(ALL_DONE)
         self.solution = solution
-        self._scene = make_scene(self.rig, solution, captures)
         self._problem = ""
 
     def _fail_solving(self, error: BaseException) -> None:
@@ -260,7 +256,7 @@ class RigSession:
         if capture is None or begin is None:
             return
         if not self.taker.captures:
-            self.solution = self._scene = None
+            self.solution = None
         # Within the capture, so that rounding does not touch those before and after.
         start, end = capture.hold.start - begin, capture.hold.end - begin
         margin = (end - start) / 10
@@ -316,39 +312,6 @@ def _make_capture(rig: Rig, hold: Hold, found: Mapping[str, DetectionResult]) ->
     return LiveCapture(hold, {name: found.get(name, Rejected(NO_INTRINSICS)) for name in rig.sensors})
 
 
-def make_scene(rig: Rig, solution: LiveSolution, captures: Sequence[LiveCapture]) -> SceneState:
-    """The sensors that have poses, and the board where a camera detected it.
-
-    Args:
-        rig: of the session.
-        solution: the last one.
-        captures: so far.
-    """
-    poses = {one.name: one.T_root_sensor for one in solution.sensors if one.T_root_sensor is not None}
-    # Nothing is drawn at infinity.
-    drawn = [one for one in solution.sensors if one.covariance is None or np.isfinite(one.covariance).all()]
-    boards = [board for capture in captures if (board := _locate_board(rig, capture, poses)) is not None]
-    suggestion = solution.suggestion
-    suggested = None if suggestion is None else _outline(rig.board_size, suggestion.T_root_board)
-    return SceneState(tuple(one for one in drawn if one.name in poses), tuple(boards), suggested)
-
-
-def _locate_board(rig: Rig, capture: LiveCapture, poses: Mapping[str, Array]) -> Array | None:
-    """(4, 3) corners of the board that a camera with a pose detected; None if none did."""
-    for name, T_root_camera in poses.items():
-        found = capture.detections[name]
-        best = None if isinstance(found, Rejected) else found[0]
-        if isinstance(best, BoardCorners):
-            return _outline(rig.boards[best.board].size, T_root_camera @ best.T_camera_board)
-    return None
-
-
-def _outline(size: tuple[float, float], T_root_board: Array) -> Array:
-    """(4, 3) corners of a board of a width and height, m."""
-    corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * [size[0] / 2, size[1] / 2, 0.0]
-    return se3.apply(T_root_board, corners)
-
-
 def _describe_phase(analysis: MessageAnalysis, taker: CaptureTaker) -> tuple[Phase, str]:
     unheard = [name for name in analysis.sensors if analysis.timeline.age(name) is None]
     waiting = taker.waiting
@@ -385,9 +348,9 @@ def _describe_sensor(
     state = SensorState(
         name=name,
         kind=rig.sensors[name].kind,
-        rate=timeline.rate(name),
+        rate=timeline.sensors[name].rate,
         age=age,
-        problem=problem or timeline.describe_malformed(name),
+        problem=problem or timeline.sensors[name].describe_malformed(),
         sees_board=view.sees_board if view else None,
         reason=activity.explain_view(),
         moving=analysis.rests.is_moving(name),

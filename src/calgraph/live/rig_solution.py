@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from calgraph.config import Rig
 from calgraph.errors import CalgraphError
-from calgraph.geometry import Array
+from calgraph.geometry import Array, se3
 from calgraph.live.pose_picture import draw_pose
 from calgraph.live.sensor_solution import SensorSolution, describe_pose
-from calgraph.live.state import Advice
+from calgraph.live.state import Advice, SceneState
 from calgraph.result import Calibration, Suggestion
 from calgraph.rig.bundle.problem import explain_singular_equations
 from calgraph.rig.bundle.solution import SolvedBundle
@@ -31,30 +31,6 @@ from calgraph.verdict.grades import max_good_stddev
 
 # How well a sensor alone locates the board: a partner that measures its plane needs the fewest shared captures.
 _PARTNER_RANK = {name: rank for rank, name in enumerate(KINDS)}
-
-
-def explain_unconnected(name: str, rig: Rig, captures: CaptureSet, connected: Collection[str]) -> str:
-    """Why a sensor has no pose yet, as a sentence.
-
-    Args:
-        name: the sensor.
-        rig: the rig.
-        captures: the detections until now.
-        connected: the sensors that have a pose, the root included.
-    """
-    if name in rig.cameras() and name not in captures.cameras:
-        return f"the intrinsics of {name} are not known yet"
-    if not captures.detections[name]:
-        return f"{name} has not detected the board yet"
-    shared = {other: _count_shared(captures, name, other) for other in rig.sensors if other != name}
-    if not any(shared.values()):
-        return f"{name} has not detected the board together with another sensor"
-    within = {other: count for other, count in shared.items() if other in connected}
-    if connected and not any(within.values()):
-        others = ", ".join(other for other, count in shared.items() if count)
-        return f"{name} has detected the board together with {others} only, which nothing connects to {rig.root}"
-    counts = ", ".join(f"{count} with {other}" for other, count in (within or shared).items() if count)
-    return f"{name} needs more captures together with other sensors, with the board tilted differently: {counts}"
 
 
 @dataclass(frozen=True)
@@ -118,12 +94,12 @@ class LiveSolution:
     """Number of captures that it was computed from."""
     advice: Advice | None = None
     """The next board pose; None where all sensors are good, and where no pose has a relevant gain."""
-    problem: str = ""
-    """Why the captures could not be solved, if they could not."""
     missing: MissingPair | None = None
     """Sensors that should detect the board together next; None where all have a pose."""
     suggestion: Suggestion | None = None
     """The next best board pose, where all sensors have a pose and some are not good."""
+    scene: SceneState | None = None
+    """The sensors that have poses, the boards of the captures, and the next one."""
 
     @property
     def done(self) -> bool:
@@ -140,21 +116,15 @@ def solve_captures(rig: Rig, captures: CaptureSet, start: LiveSolution | None = 
         start: the last solution.
 
     Returns:
-        The solution, for any captures: sensors that nothing connects to the root have no pose, and the reason in
-        words.
+        The solution, for any captures: sensors that nothing connects to the root have no pose.
     """
     rig, captures = state_estimated_intrinsics(rig, captures), _leave_out_unprojected(rig, captures)
     try:
         calibration, solved = _solve(rig, captures, _select_known_poses(start))
-    except CalgraphError as error:
+    except CalgraphError:
         missing = find_missing_pair(rig, captures, ())
-        return LiveSolution(
-            _describe_sensors(rig, captures, None),
-            len(captures.holds),
-            Advice(str(missing)) if missing else None,
-            problem=str(error),
-            missing=missing,
-        )
+        advice = Advice(str(missing)) if missing else None
+        return LiveSolution(_describe_sensors(rig, captures, None), len(captures.holds), advice, missing)
     sensors = _describe_sensors(rig, captures, calibration)
     done = all(sensor.grade == "good" for sensor in sensors)
     connected = {sensor.name for sensor in sensors if sensor.T_root_sensor is not None}
@@ -165,7 +135,19 @@ def solve_captures(rig: Rig, captures: CaptureSet, start: LiveSolution | None = 
         suggestion = suggest_next_pose(rig, solved, start.suggestion if start and repeated else None)
     picture = _draw_suggestion(rig, sensors, suggestion) if suggestion else ""
     advice = None if done else _advise(sensors, missing, suggestion, picture)
-    return LiveSolution(sensors, len(captures.holds), advice, missing=missing, suggestion=suggestion)
+    scene = _make_scene(rig, sensors, calibration, suggestion)
+    return LiveSolution(sensors, len(captures.holds), advice, missing, suggestion, scene)
+
+
+def _make_scene(
+    rig: Rig, sensors: Sequence[SensorSolution], calibration: Calibration, suggestion: Suggestion | None
+) -> SceneState:
+    posed = (one for one in sensors if one.T_root_sensor is not None)
+    # Nothing is drawn at infinity.
+    drawn = tuple(one for one in posed if one.covariance is None or np.isfinite(one.covariance).all())
+    boards = tuple(outline.corners for outline in calibration.pictures.board_outlines)
+    corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * [*rig.board_size, 0.0] / 2
+    return SceneState(drawn, boards, se3.apply(suggestion.T_root_board, corners) if suggestion else None)
 
 
 def _advise(
@@ -260,8 +242,7 @@ def _describe_sensors(
             # A root to which nothing is connected is no result.
             found.append(one if len(poses) > 1 else replace(one, uncertainty=float("inf"), grade=""))
         else:
-            reason = explain_unconnected(name, rig, captures, poses)
-            found.append(SensorSolution(name, spec.kind, reason=reason))
+            found.append(SensorSolution(name, spec.kind))
     return tuple(found)
 
 

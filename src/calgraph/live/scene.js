@@ -1,5 +1,5 @@
-// The 3-D view of wide screens: sensors with poses, boards of the captures, and where the board should be next.
-// A parallel projection that orbits the middle of the scene. Coordinates: z up, m.
+// Sensors with poses: of rigs with the boards of the captures and the next one, in a parallel projection that orbits
+// the middle of the scene; of networks from above, on the floor with its walls and walks. Coordinates: z up, m.
 
 import { byId } from "./dom.js";
 
@@ -7,9 +7,16 @@ const COLORS = { good: "#3be28d", weak: "#ffbd45", unobservable: "#ff7369" };
 const ROOT = "#ffffff";
 const BOARD = "#8fa3b8";
 const SUGGESTED = "#6bbcff";
+const WALKED = "#1f4a78";
+const WANTED = "#9a6c18";
+const WALL = "#b8c4d0";
 // Standard deviations of some mm would not be visible in a view of some m.
 const ENLARGEMENT = 20;
 const SIZE = 0.25;
+// From above: radius of a scanner and of its tolerance, px; largest one of an error (95 %), over that of the tolerance.
+const RADIUS = 11;
+const LARGEST_ERROR = 3.5;
+const SIGMAS = 1.96;
 const TURN_PER_PIXEL = 0.008;
 const TURN_PER_KEY = 0.15;
 const ZOOM_PER_KEY = 1.2;
@@ -19,19 +26,24 @@ const ELEVATIONS = [-0.3, 1.55];
 
 const canvas = byId("scene");
 const context = canvas.getContext("2d");
-const view = { azimuth: -2.2, elevation: 0.6, zoom: 1 };
+const FROM_ABOVE = { azimuth: -Math.PI / 2, elevation: Math.PI / 2, zoom: 1 };
+let view = { azimuth: -2.2, elevation: 0.6, zoom: 1 };
 let scene = null;
 let root = "";
-// Lowest and highest coordinates of sensors and boards.
+// m.
+let tolerance = 0;
+// Lowest and highest coordinates of sensors, boards and floor.
 let bounds = [[-1, -1, -1], [1, 1, 1]];
 
 /** Shows the scene of a state, if it is another one. */
 export function showScene(state) {
   byId("no-scene").hidden = Boolean(state.scene);
   if (state.scene === scene) return;
-  [scene, root] = [state.scene, state.root];
+  [scene, root, tolerance] = [state.scene, state.root, state.tolerance_mm / 1000];
+  if (scene?.floor) view = FROM_ABOVE;
   const origins = scene?.sensors.map((sensor) => originOf(sensor.T_root_sensor)) ?? [];
-  const points = [...origins, ...(scene?.boards.flat() ?? []), ...(scene?.suggested ?? [])];
+  const walls = scene?.floor?.walls.map(([x, y]) => [x, y, 0]) ?? [];
+  const points = [...origins, ...walls, ...(scene?.boards.flat() ?? []), ...(scene?.suggested ?? [])];
   if (points.length) {
     bounds = [Math.min, Math.max].map((choose) => [0, 1, 2].map(
       (axis) => points.reduce((found, point) => choose(found, point[axis]), points[0][axis]),
@@ -44,10 +56,11 @@ const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 const originOf = (pose) => pose.slice(0, 3).map((row) => row[3]);
 const colorOf = (sensor) => (sensor.name === root ? ROOT : (COLORS[sensor.grade] ?? BOARD));
 
-/** All points lie within the radius: at the first zoom, nine tenths of the shorter side show them. */
+/** Pixels per m: at the first zoom, nine tenths of the shorter side show all points from any side. */
 function scale() {
-  const radius = Math.max(0.5, Math.hypot(...bounds[1].map((value, axis) => value - bounds[0][axis])) / 2);
-  return (view.zoom * 0.45 * Math.min(canvas.clientWidth, canvas.clientHeight)) / radius;
+  const size = bounds[1].map((value, axis) => Math.max(1, value - bounds[0][axis]));
+  const [width, height] = view === FROM_ABOVE ? size : [Math.hypot(...size), Math.hypot(...size)];
+  return view.zoom * 0.9 * Math.min(canvas.clientWidth / width, canvas.clientHeight / height);
 }
 
 /** Directions of the screen in the scene: right, and down. */
@@ -70,7 +83,8 @@ function draw() {
   context.setTransform(ratio, 0, 0, ratio, 0, 0);
   context.lineJoin = "round";
   if (!scene) return;
-  drawFloor();
+  drawGrid();
+  if (scene.floor) drawFloor(scene.floor);
   for (const board of scene.boards) fillBoard(board, BOARD, 0.14);
   if (scene.suggested) fillBoard(scene.suggested, SUGGESTED, 0.4);
   scene.sensors.forEach(drawSensor);
@@ -78,7 +92,7 @@ function draw() {
 }
 
 /** A grid of 1 m at the height of the lowest point. */
-function drawFloor() {
+function drawGrid() {
   const [low, high] = bounds;
   const [x0, y0, x1, y1] = [Math.floor(low[0]) - 1, Math.floor(low[1]) - 1, Math.ceil(high[0]) + 1, Math.ceil(high[1]) + 1];
   // Scenes of some km, which only wrong poses make, have no grid.
@@ -87,6 +101,20 @@ function drawFloor() {
   context.lineWidth = 1;
   for (let x = x0; x <= x1; x += 1) strokePath([[x, y0, low[2]], [x, y1, low[2]]]);
   for (let y = y0; y <= y1; y += 1) strokePath([[x0, y, low[2]], [x1, y, low[2]]]);
+}
+
+function drawFloor({ origin, cell, walked, wanted, walls }) {
+  const cells = (chosen) => chosen.flatMap((column, i) => column.flatMap((isChosen, j) => (isChosen ? [[i, j]] : [])));
+  // Slightly too wide, so that no gap shows between cells.
+  const width = cell * scale() + 0.5;
+  const squares = (color, points, size) => {
+    context.fillStyle = color;
+    for (const [x, y] of points) context.fillRect(...project([x, y, 0]).map((middle) => middle - size / 2), size, size);
+  };
+  const middles = (chosen) => cells(chosen).map((place) => place.map((index, axis) => origin[axis] + cell * (index + 0.5)));
+  squares(WANTED, middles(wanted), width);
+  squares(WALKED, middles(walked), width);
+  squares(WALL, walls, 2);
 }
 
 function drawSensor(sensor) {
@@ -105,20 +133,28 @@ function outlineOf({ kind, T_root_sensor: pose, field_of_view: field }) {
     const corners = [at(-x, -y, SIZE), at(x, -y, SIZE), at(x, y, SIZE), at(-x, y, SIZE)];
     return [[...corners, corners[0]], ...corners.map((corner) => [at(0, 0, 0), corner])];
   }
+  const radius = scene.floor ? RADIUS / scale() : SIZE / 2;
   const angles = Array.from({ length: 33 }, (_, index) => (index * Math.PI) / 16);
-  const circle = (z) => angles.map((angle) => at((Math.cos(angle) * SIZE) / 2, (Math.sin(angle) * SIZE) / 2, z));
+  const circle = (z) => angles.map((angle) => at(Math.cos(angle) * radius, Math.sin(angle) * radius, z));
   const circles = kind === "lidar3d" ? [circle(-SIZE / 4), circle(SIZE / 4)] : [circle(0)];
-  return [...circles, [at(0, 0, 0), at(SIZE, 0, 0)]];
+  return [...circles, [at(0, 0, 0), at(2 * radius, 0, 0)]];
 }
 
-/** The ellipsoid of one standard deviation, enlarged, as the ellipse that it is on the screen. */
+/**
+ * The ellipsoid of one standard deviation, enlarged, as the ellipse that it is on the screen; from above, that of 95 %
+ * at the scale at which the circle of the scanner is the tolerance.
+ */
 function drawUncertainty(sensor) {
   const [right, down] = axes();
   const project2 = (u, v) => dot(u, sensor.covariance.map((row) => dot(row, v))) * scale() ** 2;
   const [a, b, c] = [project2(right, right), project2(right, down), project2(down, down)];
   const mean = (a + c) / 2;
   const difference = Math.hypot((a - c) / 2, b);
-  const radii = [mean + difference, Math.max(0, mean - difference)].map((value) => ENLARGEMENT * Math.sqrt(value));
+  const enlargement = scene.floor ? (SIGMAS * RADIUS) / (tolerance * scale()) : ENLARGEMENT;
+  const limit = scene.floor ? LARGEST_ERROR * RADIUS : Infinity;
+  const radii = [mean + difference, Math.max(0, mean - difference)].map(
+    (value) => Math.min(limit, enlargement * Math.sqrt(value)),
+  );
   // Of a sensor that is hardly determined, the ellipse would fill the screen.
   if (radii[0] > canvas.clientHeight) return;
   const [x, y] = project(originOf(sensor.T_root_sensor));
@@ -220,7 +256,7 @@ const keys = {
   "-": () => magnify(1 / ZOOM_PER_KEY),
 };
 canvas.addEventListener("keydown", (event) => {
-  if (!keys[event.key]) return;
+  if (!keys[event.key] || view === FROM_ABOVE) return;
   event.preventDefault();
   keys[event.key]();
 });

@@ -85,7 +85,8 @@ function describeTolerance(sensor, state) {
 
 function describeTracks(sensor) {
   const rate = sensor.rate ? `${formatLength(sensor.rate)} scans/s` : "no scans";
-  return `${formatCount(sensor.captures, "track")} · ${rate}`;
+  const clock = sensor.clock_ms === null ? "" : ` · clock ${sensor.clock_ms > 0 ? "+" : ""}${Math.round(sensor.clock_ms)} ms`;
+  return `${formatCount(sensor.captures, "track")} · ${rate}${clock}`;
 }
 
 function showCoverage(card, sensor) {

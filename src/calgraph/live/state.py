@@ -6,6 +6,7 @@ from typing import Literal
 import numpy as np
 
 from calgraph.geometry import Array
+from calgraph.live.floor_grid import FloorGrid
 from calgraph.live.sensor_solution import SensorSolution
 
 Phase = Literal["connecting", "background", "ready", "waiting", "measuring", "finishing", "finished", "failed"]
@@ -50,6 +51,8 @@ class SensorState:
     """Tolerance over uncertainty, limited to 0..1: 1 where the pose is within tolerance with 95 %."""
     grade: str = ""
     """good, weak or unobservable; empty without a pose."""
+    clock_ms: float | None = None
+    """Its clock minus the root's, ms; None where it is not estimated."""
     picture: int = 0
     """Counts the pictures of its view; 0 before the first."""
 
@@ -64,6 +67,7 @@ class SensorState:
             stddev_degrees=float(np.degrees(solved.stddev[3:].max())) if known else None,
             progress=solved.progress,
             grade=solved.grade,
+            clock_ms=None if solved.clock_offset is None else 1000 * solved.clock_offset,
         )
 
 
@@ -107,14 +111,16 @@ class RecorderState:
 
 @dataclass(frozen=True, eq=False)
 class SceneState:
-    """The 3-D view; coordinates in the root frame, m."""
+    """The sensors in space; coordinates in the root frame, m."""
 
     sensors: tuple[SensorSolution, ...]
     """Those with poses."""
-    boards: tuple[Array, ...]
+    boards: tuple[Array, ...] = ()
     """(4, 3): corners of the board in each capture, in order around its outline."""
     suggested: Array | None = None
     """(4, 3): where the board should be next."""
+    floor: FloorGrid | None = None
+    """Of a network, which is seen from above."""
 
 
 @dataclass(frozen=True)
@@ -141,9 +147,7 @@ class SessionState:
     notices: tuple[str, ...] = ()
     """The last ones, newest first."""
     recorder: RecorderState = field(default_factory=RecorderState)
-    floor_plan: str = ""
-    """Of a network: an SVG image of scanners, walls and where people walked."""
     scene: SceneState | None = None
-    """The 3-D view; None before the first poses."""
+    """None before the first poses."""
     report: bool = False
     """Whether a report is there."""

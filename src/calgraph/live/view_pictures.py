@@ -12,7 +12,7 @@ from calgraph.config import Board
 from calgraph.config.settings import ViewSettings
 from calgraph.errors import CalgraphError, Rejected
 from calgraph.geometry import Array
-from calgraph.live.analysis_jobs import UnprojectedBoard, decode_detector
+from calgraph.live.analysis_jobs import DetectorInputs, UnprojectedBoard, make_detector
 from calgraph.sensors import CameraModel, Image, LaserScan, Message, PointCloud
 
 Pixels = NDArray[np.uint8]
@@ -48,7 +48,7 @@ def find_reduction(camera: CameraModel) -> int:
 
 def make_view(
     decode: Callable[[], Message],
-    encoded: bytes | None,
+    inputs: DetectorInputs | None,
     camera: CameraModel | None,
     boards: Sequence[Board],
     factor: int,
@@ -58,8 +58,7 @@ def make_view(
 
     Args:
         decode: decodes the message.
-        encoded: the detector; see :func:`calgraph.live.analysis_jobs.encode_detector`. Of cameras it is for images
-            reduced by ``factor``. None if the board is not searched.
+        inputs: of the detector; of cameras for images reduced by ``factor``. None if the board is not searched.
         camera: intrinsics of the reduced images.
         boards: of the rig.
         factor: by which images are reduced.
@@ -69,7 +68,7 @@ def make_view(
         message = decode()
         if isinstance(message, Image):
             message = _reduce(message, factor)
-        found = decode_detector(encoded)([message]) if encoded else None
+        found = make_detector(inputs)([message]) if inputs else None
     except CalgraphError as error:
         return SensorView(b"", None, str(error))
     if isinstance(message, Image):
