@@ -10,7 +10,6 @@ from uuid import uuid4
 import numpy as np
 
 from calgraph.config import CameraSpec, Rig
-from calgraph.config.settings import ViewSettings
 from calgraph.errors import CalgraphError, Rejected
 from calgraph.live.analysis_jobs import (
     DetectorInputs,
@@ -42,6 +41,8 @@ _log = logging.getLogger(__name__)
 _MESSAGES_PER_CALL = 8
 
 
+# Maximum number of pictures of a sensor per second: operators see motion, and processes are free for captures.
+_PICTURE_RATE = 3.0
 # Maximum number of messages of a sensor that wait for it: 2 s; older ones are skipped, and the next is compared
 # with the last one measured.
 _MAX_WAITING = 20
@@ -66,7 +67,7 @@ class MessageAnalysis:
         self.ring = MessageRing(rig.settings.live.ring)
         self.rests = RestMonitor(rig.sensors)
         self.detectors = LiveDetectors(rig)
-        self.sensors = {name: SensorActivity(rig.settings.live.view) for name in rig.sensors}
+        self.sensors = {name: SensorActivity() for name in rig.sensors}
         self._last_queued: dict[str, float] = {}
 
     @property
@@ -222,13 +223,12 @@ class MessageAnalysis:
         self.timeline.sensors[name].note_malformed(str(error))
 
     def _draw(self, queue: JobQueue) -> bool:
-        settings = self._rig.settings.live.view
         due = [
             name
             for name, sensor in self.sensors.items()
             if sensor.latest
             and not sensor.drawing
-            and sensor.latest.arrival - sensor.drawn_at >= 1 / settings.rate
+            and sensor.latest.arrival - sensor.drawn_at >= 1 / _PICTURE_RATE
         ]
         if not due:
             return False
@@ -241,7 +241,7 @@ class MessageAnalysis:
         inputs = self.detectors.state_inputs(name, factor)
         queue.run(
             make_view, record.decode, inputs if self.detectors.is_ready(name) else None,
-            inputs.camera, self._rig.boards, factor, settings,
+            inputs.camera, self._rig.boards, factor,
             done=partial(self._set_view, name),
             failed=lambda error: self._set_view(name, SensorView(b"", None, str(error))),
         )  # fmt: skip
@@ -345,7 +345,6 @@ _SHARPNESS_RATIO = 0.5
 class SensorActivity:
     """The messages of one sensor that wait for other processes, and its last view."""
 
-    settings: ViewSettings
     waiting: deque[RecordedMessage] = field(default_factory=deque)
     """Messages whose change is to be measured."""
     measuring: Sequence[RecordedMessage] = ()
@@ -359,10 +358,7 @@ class SensorActivity:
     """Arrival of the message that was drawn last, s."""
     view: SensorView | None = None
     pictures: int = 0
-    sharpness: deque[float] = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.sharpness = deque(maxlen=_SHARPNESS_IMAGES)
+    sharpness: deque[float] = field(default_factory=lambda: deque(maxlen=_SHARPNESS_IMAGES))
 
     @property
     def oldest_unmeasured(self) -> float | None:

@@ -322,7 +322,6 @@ def _describe_lag(timeline: LiveTimeline, solution: LiveNetworkSolution | None) 
 
 
 def _describe_sensor(name: str, rig: Rig, timeline: LiveTimeline, solved: SensorSolution | None) -> SensorState:
-    age = timeline.age(name)
     silence = f"no messages for {age:.0f} s" if _is_silent(name, timeline) else ""
     difference = timeline.find_wrong_clocks().get(name, 0.0)
     clock = f"its clock is {abs(difference):.1f} s {'ahead of' if difference > 0 else 'behind'} the others"
@@ -331,7 +330,6 @@ def _describe_sensor(name: str, rig: Rig, timeline: LiveTimeline, solved: Sensor
         name=name,
         kind=rig.sensors[name].kind,
         rate=timeline.sensors[name].rate,
-        age=age,
         problem="; ".join(filter(None, problems)),
         reason=solved.reason if solved else "",
         captures=solved.tracks if solved else 0,

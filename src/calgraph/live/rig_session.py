@@ -343,13 +343,11 @@ def _describe_sensor(
     solved: SensorSolution | None,
 ) -> SensorState:
     timeline, activity = analysis.timeline, analysis.sensors[name]
-    age = timeline.age(name)
     view = activity.view
     state = SensorState(
         name=name,
         kind=rig.sensors[name].kind,
         rate=timeline.sensors[name].rate,
-        age=age,
         problem=problem or timeline.sensors[name].describe_malformed(),
         sees_board=view.sees_board if view else None,
         reason=activity.explain_view(),

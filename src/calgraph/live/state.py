@@ -29,8 +29,6 @@ class SensorState:
     """camera, lidar2d or lidar3d."""
     rate: float = 0.0
     """Messages per second of late."""
-    age: float | None = None
-    """s since its last message; None if there was none."""
     problem: str = ""
     """What keeps it from working: no message, another type, a wrong clock; empty if nothing does."""
     sees_board: bool | None = None
