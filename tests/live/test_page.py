@@ -353,7 +353,8 @@ def read_scene(opened: Opened) -> NDArray[np.uint8]:
     """(H, W, 4) the scene: red, green, blue, opacity."""
     url = opened.page.evaluate("document.getElementById('scene').toDataURL()")
     encoded = np.frombuffer(b64decode(url.partition(",")[2]), np.uint8)
-    return np.asarray(cv2.imdecode(encoded, cv2.IMREAD_UNCHANGED)[..., [2, 1, 0, 3]], dtype=np.uint8)
+    pixels = np.asarray(cv2.imdecode(encoded, cv2.IMREAD_UNCHANGED), dtype=np.uint8)
+    return pixels[..., [2, 1, 0, 3]]
 
 
 def count_in_quarters(pixels: NDArray[np.uint8], color: tuple[int, int, int]) -> list[int]:

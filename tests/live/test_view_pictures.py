@@ -59,7 +59,7 @@ def test_the_board_of_a_scanner_is_drawn_in_green(
     detect = {"found": () if found is None else (found,)}
     monkeypatch.setattr(view_pictures, "make_detector", lambda _: lambda _: detect["found"])
     cloud = PointCloud(0.0, "", np.array([[4.0, 0.0, 0.0]]))
-    view = make_view(lambda: cloud, b"detector", None, (), 1)
+    view = make_view(lambda: cloud, b"detector", None, (), 1)  # type: ignore[arg-type]  # for none
     blue, green, red = np.moveaxis(decode(view.picture).astype(int), 2, 0)
     is_green = (green > 80) & (green > red + 20) & (green > blue + 20)  # of three pixels, JPEG keeps less colour
     across = round(48 * ENDS[1, 1])

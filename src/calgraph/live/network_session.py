@@ -240,7 +240,7 @@ def _describe_phase(
     rig: Rig, timeline: LiveTimeline, solution: LiveNetworkSolution | None, forecast: Forecast
 ) -> tuple[Phase, str]:
     unheard = [name for name in rig.sensors if timeline.age(name) is None]
-    silent = [name for name in rig.sensors if _is_silent(name, timeline)]
+    silent = [name for name in rig.sensors if _describe_silence(name, timeline)]
     if unheard:
         return "connecting", f"Waiting for messages of {name_sensors(unheard)}"
     if silent:
@@ -322,9 +322,9 @@ def _describe_lag(timeline: LiveTimeline, solution: LiveNetworkSolution | None) 
 
 
 def _describe_sensor(name: str, rig: Rig, timeline: LiveTimeline, solved: SensorSolution | None) -> SensorState:
-    silence = f"no messages for {age:.0f} s" if _is_silent(name, timeline) else ""
     difference = timeline.find_wrong_clocks().get(name, 0.0)
     clock = f"its clock is {abs(difference):.1f} s {'ahead of' if difference > 0 else 'behind'} the others"
+    silence = _describe_silence(name, timeline)
     problems = timeline.sensors[name].describe_malformed(), silence, clock if difference else ""
     state = SensorState(
         name=name,
@@ -337,6 +337,6 @@ def _describe_sensor(name: str, rig: Rig, timeline: LiveTimeline, solved: Sensor
     return state.with_pose(solved, rig.root)
 
 
-def _is_silent(name: str, timeline: LiveTimeline) -> bool:
+def _describe_silence(name: str, timeline: LiveTimeline) -> str:
     age = timeline.age(name)
-    return age is not None and age > SILENCE
+    return f"no messages for {age:.0f} s" if age is not None and age > SILENCE else ""
