@@ -109,6 +109,27 @@ def test_wrong_poses_of_an_earlier_solution_are_replaced(
     np.testing.assert_allclose(again.T_root_sensor[:3, 3], expected.T_root_sensor[:3, 3], atol=1e-3)
 
 
+def test_the_scene_has_sensors_the_boards_of_all_captures_and_the_next_one(
+    simulated: tuple[Rig, CaptureSet], solved: LiveSolution
+) -> None:
+    rig, captures = simulated
+    assert solved.scene is not None
+    assert [sensor.name for sensor in solved.scene.sensors] == list(rig.sensors)
+    boards = np.array(solved.scene.boards)
+    assert len(boards) == len(captures.holds)
+    sides = np.linalg.norm(np.diff(boards, axis=1), axis=2)
+    # Boards that only a scanner detected are as large as the points on them.
+    np.testing.assert_allclose(np.median(sides, axis=0), [*rig.board_size, rig.board_size[0]], atol=1e-6)
+    assert solved.suggestion is not None
+    assert solved.scene.suggested is not None
+    np.testing.assert_allclose(
+        solved.scene.suggested.mean(axis=0), solved.suggestion.T_root_board[:3, 3], atol=1e-9
+    )
+    np.testing.assert_allclose(
+        np.linalg.norm(np.diff(solved.scene.suggested, axis=0), axis=1), np.median(sides, axis=0), atol=1e-6
+    )
+
+
 def test_grades_are_those_of_a_calibration(solved: LiveSolution, calibrated: Calibration) -> None:
     grades = {sensor.name: sensor.verdict.grade for sensor in calibrated.sensors}
     assert {name: sensor.grade for name, sensor in by_name(solved).items()} == grades
