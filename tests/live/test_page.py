@@ -391,4 +391,4 @@ def test_the_error_of_a_scanner_is_drawn_at_the_scale_of_its_tolerance(opened: O
 def test_a_scanner_states_its_clock(opened: Opened) -> None:
     scanner = replace(SENSORS[2], problem="", clock_ms=-12.4)
     opened.show(replace(NETWORK, sensors=(scanner,), headline="clock"))
-    assert "clock -12 ms" in opened.page.locator(".card").inner_text()
+    assert "clock -12\N{NO-BREAK SPACE}ms" in opened.page.locator(".card").inner_text()

@@ -3,7 +3,7 @@
 import asyncio
 import os
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
@@ -60,11 +60,18 @@ def ignore(_: object) -> None:
     """Takes windows and lines that do not matter."""
 
 
+@pytest.fixture(scope="module", autouse=True)
+def draw_seldom() -> Iterator[None]:
+    """Pictures take longest."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("calgraph.live.message_analysis._PICTURE_RATE", 0.4)
+        yield
+
+
 @pytest.fixture(scope="module")
 def walk() -> tuple[Rig, list[LiveMessage], GroundTruth]:
     """A rig of five sensors, its messages, and the truth."""
     rig, recording, truth = simulate_scenario(SCENARIO, seed=3)
-    rig = change_settings(rig, "view", rate=0.4)
     return rig, list(send_messages(recording)), truth
 
 
