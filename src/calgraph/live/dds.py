@@ -8,7 +8,7 @@ import threading
 import time
 from collections.abc import AsyncIterator, Callable, Collection, Iterator
 from contextlib import suppress
-from functools import cache, partial
+from functools import cache
 from typing import Any
 
 from rosbags.interfaces import Nodetype
@@ -254,7 +254,10 @@ class DdsSource:
 
         readers = await asyncio.to_thread(DdsReaders, topics, self._domain, self._namespace)
         stop = threading.Event()
-        post = partial(loop.call_soon_threadsafe, receive)
+
+        def post(event: Event) -> None:
+            loop.call_soon_threadsafe(receive, event)
+
         thread = threading.Thread(target=_read, args=(readers, post, stop), daemon=True)
         where = f"in domain {self._domain} of ROS 2"
         watch = TopicWatch(topics, settings, loop.time(), lambda topic: f"{topic}: nothing publishes it {where}")
@@ -289,7 +292,7 @@ class DdsSource:
             await asyncio.to_thread(thread.join)
 
 
-def _read(readers: DdsReaders, post: Callable[[Event], object], stop: threading.Event) -> None:
+def _read(readers: DdsReaders, post: Callable[[Event], None], stop: threading.Event) -> None:
     """Reads until it is to stop; the function of a thread."""
     try:
         while not stop.is_set():

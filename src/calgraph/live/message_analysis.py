@@ -270,7 +270,7 @@ class LiveDetectors:
         self._preferred: dict[str, str] = {}
         self._topics = list_intrinsics_topics(rig)
         self._session, self._changes = uuid4().hex, 0
-        """What tells these detectors from those of other sessions, and how often their inputs have changed."""
+        """Which detectors these are, of all in this process, and how often their inputs have changed."""
 
     @property
     def intrinsics_topics(self) -> frozenset[str]:

@@ -118,7 +118,7 @@ class SceneState:
     suggested: Array | None = None
     """(4, 3): where the board should be next."""
     floor: FloorGrid | None = None
-    """Of a network, which is seen from above."""
+    """Of a network, which is drawn from above."""
 
 
 @dataclass(frozen=True)
