@@ -3,6 +3,7 @@
 import asyncio
 import shlex
 import sys
+from collections.abc import Collection
 from contextlib import closing
 from pathlib import Path
 from typing import Annotated
@@ -99,7 +100,7 @@ def live(
         folder = _create_session(rig_file, source, out, speed, overrides)
     with closing(folder):
         rig = load_rig(folder.rig_file)
-        opened = _open_source(source or folder.source, rig, speed, folder.last_arrival())
+        opened = _open_source(source or folder.source, rig, speed, *folder.find_last())
         options = LiveOptions(host, port, manual, _calibrate, _announce, _print_line)
         allow_interrupts()
         try:
@@ -132,8 +133,11 @@ def _check_alone(rig_file: Path | None, out: Path | None, overrides: list[str] |
         raise InputError(f"{', '.join(extra)}: not with --resume, which goes on with the session's own rig.yaml")
 
 
-def _open_source(text: str, rig: Rig, speed: float | None, start_after: int = -1) -> Source:
-    opened = open_source(text, rig.settings, speed=1.0 if speed is None else speed, start_after=start_after)
+def _open_source(
+    text: str, rig: Rig, speed: float | None, start_after: int = -1, but: Collection[str] | None = None
+) -> Source:
+    pace = 1.0 if speed is None else speed
+    opened = open_source(text, rig.settings, speed=pace, start_after=start_after, but=but)
     if speed is not None and not isinstance(opened, ReplaySource):
         raise InputError(f"--speed: only for recordings, and {text} is an address")
     return opened

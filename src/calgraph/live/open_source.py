@@ -17,7 +17,9 @@ from calgraph.live.replay import ReplaySource
 from calgraph.live.source import LiveMessage, Notice, Source
 
 
-def open_source(text: str, settings: Settings, *, speed: float = 1.0, start_after: int = -1) -> Source:
+def open_source(
+    text: str, settings: Settings, *, speed: float = 1.0, start_after: int = -1, but: Collection[str] | None = None
+) -> Source:
     """The source that a text names; it connects when it is streamed.
 
     Args:
@@ -25,7 +27,8 @@ def open_source(text: str, settings: Settings, *, speed: float = 1.0, start_afte
             ``ros2://DOMAIN/NAMESPACE``, or the path of a recording.
         settings: of connections, and limits of what is read.
         speed: of a recording: 1 is real time, 5 five times as fast, 0 as fast as messages are consumed.
-        start_after: of a recording: only messages that arrived later, ns; to resume a session.
+        start_after: of a recording, to resume a session; see :class:`ReplaySource`. Likewise ``but``.
+        but: topics.
 
     Raises:
         InputError: it is none of these.
@@ -37,7 +40,7 @@ def open_source(text: str, settings: Settings, *, speed: float = 1.0, start_afte
     path = Path(text)
     if not path.exists():
         raise InputError(f"{text}: is neither an address nor an existing recording{suggest_name(path)}")
-    return ReplaySource(path, speed=speed, start_after=start_after, limits=settings.limits)
+    return ReplaySource(path, speed=speed, start_after=start_after, but=but, limits=settings.limits)
 
 
 _NS_PER_SECOND = 1e9

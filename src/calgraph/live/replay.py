@@ -26,19 +26,27 @@ class ReplaySource:
         path: anything that :func:`calgraph.recording.open_recording` opens. Messages of bags are given as they are
             stored; others are serialised as ROS 2 does.
         speed: 1 is real time, 5 five times as fast; 0 is as fast as messages are consumed.
-        start_after: only messages that arrived later, ns.
+        start_after: only messages that arrived later, ns,
+        but: or then, on other topics than these; None: on none.
         limits: of what is read.
     """
 
     def __init__(
-        self, path: Path, *, speed: float = 1.0, start_after: int = -1, limits: LimitSettings = LimitSettings()
+        self,
+        path: Path,
+        *,
+        speed: float = 1.0,
+        start_after: int = -1,
+        but: Collection[str] | None = None,
+        limits: LimitSettings = LimitSettings(),
     ) -> None:
         if not 0 <= speed < float("inf"):
             raise InputError(
                 f"`speed` {speed:g}: give 1 for real time, 5 for five times as fast, 0 to skip nothing"
             )
         self.max_lead = _MAX_LEAD if speed else 0.0
-        self._path, self._speed, self._start_after, self._limits = path, speed, start_after, limits
+        self._path, self._speed, self._limits = path, speed, limits
+        self._start_after, self._but = start_after, but
 
     @property
     def name(self) -> str:
@@ -60,8 +68,11 @@ class ReplaySource:
                 if topic not in present:
                     yield Notice("missing", f"{self._path}: {explain_missing_topic(topic, present)}", topic)
             wait = self._start_pacing()
-            for item in _list_messages(recording, set(topics).intersection(present), self._start_after):
+            after = self._start_after if self._but is None else self._start_after - 1
+            for item in _list_messages(recording, set(topics).intersection(present), after):
                 if isinstance(item, LiveMessage):
+                    if item.arrival == self._start_after and item.channel.topic in (self._but or ()):
+                        continue
                     await wait(item.arrival)
                 yield item
             yield Notice("ended", f"the recording {self._path} is at its end")
