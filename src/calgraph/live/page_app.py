@@ -138,8 +138,10 @@ class PageApp:
         before: SessionState | None = None
         while True:
             state = self._view.state()
-            new = {name: value for name, value in vars(state).items() if value is not getattr(before, name, self)}
-            fields = {**self._fields, **{name: _encode(value) for name, value in new.items()}}
+            new = [
+                name for name, value in vars(state).items() if before is None or value is not vars(before)[name]
+            ]
+            fields = {**self._fields, **{name: _encode(vars(state)[name]) for name in new}}
             if fields != self._fields:
                 self._fields = fields
                 self._changed.set()
