@@ -112,7 +112,7 @@ def test_the_last_message_of_the_source_is_found_behind_a_trigger(session: Path)
             await recorder.close()
 
         asyncio.run(run())
-        assert folder.find_last() == (LAST, {"/b", "/c"})
+        assert folder.find_last() == (LAST, frozenset({"/b", "/c"}))
 
 
 def test_a_session_is_not_overwritten(session: Path) -> None:
