@@ -384,8 +384,8 @@ def test_the_error_of_a_scanner_is_drawn_at_the_scale_of_its_tolerance(opened: O
         opened.show(replace(NETWORK, scene=SceneState((scanner,), floor=bare), headline=f"{share}"))
         opacity = read_scene(opened)[..., 3]
         widths.append(np.ptp(np.flatnonzero(((opacity > 50) & (opacity < 80)).sum(axis=0) > 4)))
-    # Tolerances have a radius of 11 px.
-    assert widths == pytest.approx([11, 44], abs=4)
+    # Tolerances have a radius of 11 px; columns with few pixels at the sides are left out of both.
+    assert widths[1] - widths[0] == pytest.approx(22 * (2.0 - 0.5), abs=3)
 
 
 def test_a_scanner_states_its_clock(opened: Opened) -> None:
