@@ -1,0 +1,263 @@
+"""Lattices of saddle points in an image: the inner corners of checkerboards.
+
+At a corner of four squares brightness has a saddle: its two edges, along which brightness does not change, lead to
+its neighbours, at which dark and bright are exchanged. Lattices grow from crosses of five corners (A. Geiger,
+F. Moosmann, O. Car, B. Schuster: Automatic camera and range sensor calibration using a single shot, 2012).
+"""
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from calgraph.geometry import Array
+
+Gray = NDArray[np.uint8]
+Indices = NDArray[np.intp]
+
+
+class Saddles(NamedTuple):
+    """Saddle points of brightness."""
+
+    points: Array
+    """(N, 2) pixels."""
+    curvatures: Array
+    """(N, 3) second derivatives xx, xy, yy, scaled to a determinant of -1."""
+
+
+# Standard deviation of the blur before derivatives, pixels: that of a corner in a sharp image, and less than half
+# the smallest distance of corners, 3 pixels.
+_BLUR = 1.2
+# Minimum curvature over the median of the image, and in grey values besides: of normal noise, one in a million
+# pixels has 7.3 times the median, and a contrast of 3 grey values has 0.3.
+_MIN_NOISE_RATIO, _MIN_GRAY_CURVATURE = 8.0, 0.3
+# Step between the pixels of which the median is taken: one in 25 is enough for it.
+_MEDIAN_STEP = 5
+# Maximum sum of the two curvatures over the root of their product: 0 where straight edges cross at any angle, more
+# at ends of edges.
+_MAX_IMBALANCE = 0.8
+# Minimum curvature, in ranges of brightness around the saddle: corners of boards have 0.1 to 0.2.
+_MIN_CURVATURE = 0.1
+# Half width of the square in which that range is taken, pixels.
+_REACH = 3
+
+
+def find_saddles(gray: Gray) -> Saddles:
+    """Pixels of an image (height, width) that are brightest along one line and darkest along another."""
+    smooth = cv2.GaussianBlur(gray.astype(np.float32), (0, 0), _BLUR)
+    # The kernels' sums of weights are 4.
+    xx, yy, xy = (cv2.Sobel(smooth, -1, *order, scale=0.25) for order in ((2, 0), (0, 2), (1, 1)))
+    # Products by OpenCV: NumPy's take three times as long for images.
+    squared = cv2.subtract(cv2.multiply(xy, xy), cv2.multiply(xx, yy))
+    least = _MIN_NOISE_RATIO * float(np.median(np.abs(xy[::_MEDIAN_STEP, ::_MEDIAN_STEP]))) + _MIN_GRAY_CURVATURE
+    highest = cv2.dilate(squared, np.ones((3, 3), dtype=np.uint8))
+    row, column = np.divmod(np.flatnonzero(squared > least**2), gray.shape[1])
+    is_peak = squared[row, column] == highest[row, column]
+    row, column = row[is_peak], column[is_peak]
+    a, b, c, power = (image[row, column].astype(np.float64) for image in (xx, xy, yy, squared))
+    padded = cv2.copyMakeBorder(smooth, _REACH, _REACH, _REACH, _REACH, cv2.BORDER_REPLICATE)
+    windows = np.lib.stride_tricks.sliding_window_view(padded, (2 * _REACH + 1, 2 * _REACH + 1))
+    around = windows[row, column].astype(np.float64)
+    kept = (a + c) ** 2 < _MAX_IMBALANCE**2 * power
+    kept &= power > (_MIN_CURVATURE * np.ptp(around, axis=(1, 2))) ** 2
+    row, column, a, b, c, power, around = (values[kept] for values in (row, column, a, b, c, power, around))
+    # Where the gradient is zero: one step of Newton's method, of at most a pixel.
+    gx = 0.5 * (around[:, _REACH, _REACH + 1] - around[:, _REACH, _REACH - 1])
+    gy = 0.5 * (around[:, _REACH + 1, _REACH] - around[:, _REACH - 1, _REACH])
+    step = np.stack([c * gx - b * gy, a * gy - b * gx], axis=-1) / power[:, None]
+    points = np.stack([column, row], axis=-1) + step.clip(-1, 1)
+    return Saddles(points, np.stack([a, b, c], axis=-1) / np.sqrt(power)[:, None])
+
+
+# Smallest share of corners that are found at saddles, as glare hides some, and of each row and column. A line
+# beside the board with as large a share as the first is of a larger board.
+_MIN_SHARE, _MIN_LINE_SHARE = 0.8, 0.5
+
+
+def find_lattice(gray: Gray, rows: int, columns: int) -> Array | None:
+    """Pixels (rows, columns, 2) of the inner corners of a whole checkerboard, in some orientation.
+
+    Corners at no saddle are predicted by their neighbours; the result may lie outside of the image there.
+
+    Args:
+        gray: image (height, width) in which neighbouring corners are 3 pixels apart at least, and sharp.
+        rows: number of inner corners in a column.
+        columns: in a row.
+    """
+    saddles = find_saddles(gray)
+    if len(saddles.points) < _MIN_SHARE * rows * columns:
+        return None
+    tree = KDTree(saddles.points)
+    tried = np.zeros(len(saddles.points), dtype=np.bool_)
+    # The last place is that of index -1, which cells of a lattice without a saddle have.
+    places = np.append(saddles.points, [[np.nan, np.nan]], axis=0)
+    for cross in _find_crosses(saddles, tree):
+        if not tried[cross].any():
+            lattice = _grow_lattice(cross, saddles.curvatures, places, tree, max(rows, columns))
+            tried[lattice[lattice >= 0]] = True
+            board = _cut_board(lattice, rows, columns)
+            if board is not None:
+                return _complete(places[board])
+    return None
+
+
+# Neighbours of a saddle among which are those of its board: where tilt shortens squares to a third, six are nearer
+# than the two in the next rows, and four are as near.
+_NEIGHBOURS = 12
+# Largest second derivative along the line between neighbours, over that along the bisectors of edges:
+# 0 along edges that cross at a right angle, 0.7 where they cross at 45 degrees.
+_MAX_EDGE_CURVATURE = 0.85
+# Smallest sine of the angle between the two edges of a corner.
+_MIN_EDGE_SINE = 0.4
+# Maximum distance of a corner from its opposite neighbour's mirror image, over the shorter of the two distances.
+_MAX_CROSS_BEND = 0.5
+# Product of two saddles' derivatives below which they are of opposite signs: equal ones have 2, crossed ones -2.
+_MAX_PRODUCT = -0.5
+
+
+def _find_crosses(saddles: Saddles, tree: KDTree) -> Indices:
+    """Saddles (M, 5) with a neighbour on either side along both edges: the middle, and two opposite pairs."""
+    points, curvatures = saddles
+    count = min(_NEIGHBOURS + 1, len(points))
+    neighbours = tree.query(points, k=count)[1][:, 1:]
+    away = points[neighbours] - points[:, None]
+    lengths = np.linalg.norm(away, axis=-1)
+    along = away / np.maximum(lengths, 1e-9)[..., None]
+    off = np.maximum(*(np.abs(_curve_along(one, along)) for one in (curvatures[:, None], curvatures[neighbours])))
+    linked = _are_opposite(curvatures[:, None], curvatures[neighbours]) & (off < _MAX_EDGE_CURVATURE)
+    row = np.arange(len(points))
+
+    def choose_nearest(allowed: NDArray[np.bool_]) -> tuple[Indices, NDArray[np.bool_]]:
+        nearest = np.where(allowed, lengths, np.inf).argmin(axis=1)
+        return nearest, allowed[row, nearest]
+
+    def choose_opposite(side: Indices) -> tuple[Indices, NDArray[np.bool_]]:
+        bend = np.linalg.norm(away + away[row, side][:, None], axis=-1)
+        return choose_nearest(linked & (bend < _MAX_CROSS_BEND * np.minimum(lengths, lengths[row, side][:, None])))
+
+    right, is_cross = choose_nearest(linked)
+    sines = np.abs(along[..., 0] * along[row, right, 1][:, None] - along[..., 1] * along[row, right, 0][:, None])
+    down, has_down = choose_nearest(linked & (sines > _MIN_EDGE_SINE))
+    arms = [right, down]
+    is_cross &= has_down
+    for side in (right, down):
+        opposite, found = choose_opposite(side)
+        arms.append(opposite)
+        is_cross &= found
+    return np.stack([row, *(neighbours[row, arm] for arm in arms)], axis=-1)[is_cross]
+
+
+def _are_opposite(one: Array, other: Array) -> NDArray[np.bool_]:
+    """Whether saddles with derivatives (..., 3) have dark and bright exchanged."""
+    return np.asarray((one * other) @ [1.0, 2.0, 1.0] < _MAX_PRODUCT)
+
+
+def _curve_along(curvatures: Array, directions: Array) -> Array:
+    """Second derivative of saddles (..., 3) along directions (..., 2)."""
+    x, y = directions[..., 0], directions[..., 1]
+    return curvatures[..., 0] * x * x + 2 * curvatures[..., 1] * x * y + curvatures[..., 2] * y * y
+
+
+_ARMS = ((0, 0), (0, 1), (1, 0), (0, -1), (-1, 0))
+"""Rows and columns of the saddles of a cross, from its middle."""
+# Maximum distance of a saddle from where its neighbours predict it, in distances to the nearest of them.
+_MAX_OFFSET = 0.35
+# Lines by which a lattice may be longer than the board: what is beside a board adds some saddles.
+_MOST_SURPLUS = 3
+
+
+def _grow_lattice(cross: Indices, curvatures: Array, places: Array, tree: KDTree, longest: int) -> Indices:
+    """Saddles by row and column of the lattice that contains a cross, -1 where there is none.
+
+    Args:
+        cross: (5) saddles.
+        curvatures: (N, 3) of all saddles.
+        places: (N + 1, 2) of all saddles, and NaN.
+        tree: of the places.
+        longest: number of corners in the longer line of the board.
+    """
+    half = longest + _MOST_SURPLUS + 3
+    lattice = np.full((2 * half + 1, 2 * half + 1), -1)
+    for (down, right), member in zip(_ARMS, cross, strict=True):
+        lattice[half + down, half + right] = member
+    free = np.ones(len(curvatures), dtype=np.bool_)
+    free[cross] = False
+    while True:
+        predicted = _predict_places(places[lattice])
+        row, column = np.nonzero((lattice < 0) & np.isfinite(predicted[..., 0]))
+        expected = predicted[row, column]
+        beside = np.stack([lattice[row + down, column + right] for down, right in _ARMS[1:]])
+        steps = np.linalg.norm(places[beside] - expected, axis=-1)
+        nearest = np.nanargmin(steps, axis=0), np.arange(len(row))
+        distance, saddle = tree.query(expected)
+        fits = (distance < _MAX_OFFSET * steps[nearest]) & free[saddle]
+        fits &= _are_opposite(curvatures[beside[nearest]], curvatures[saddle])
+        # A saddle that is expected at two cells is at the first one.
+        saddle, first = np.unique(saddle[fits], return_index=True)
+        lattice[row[fits][first], column[fits][first]] = saddle
+        free[saddle] = False
+        if not len(saddle) or _is_too_long(lattice, longest):
+            return lattice
+
+
+def _is_too_long(lattice: Indices, longest: int) -> bool:
+    """Whether a lattice has more lines than that of a board with a number of corners in its longer line."""
+    return bool(np.ptp(np.nonzero(lattice >= 0), axis=1).max() >= longest + _MOST_SURPLUS)
+
+
+def _predict_places(places: Array) -> Array:
+    """Where the neighbours of each cell (rows, columns, 2) put it, NaN if they do not, and in two at borders.
+
+    Three neighbours are corners of a parallelogram with it, which perspective bends less than the line of two.
+    """
+    height, width = places.shape[:2]
+
+    def shift(down: int, right: int) -> Array:
+        return places[2 + down : height - 2 + down, 2 + right : width - 2 + right]
+
+    lines = [2 * shift(down, right) - shift(2 * down, 2 * right) for down, right in _ARMS[1:]]
+    turns = [shift(down, 0) + shift(0, right) - shift(down, right) for down in (-1, 1) for right in (-1, 1)]
+    predicted = np.full_like(places, np.nan)
+    inner = predicted[2:-2, 2:-2]
+    for guesses in (np.stack(turns), np.stack(lines)):
+        known = np.isfinite(guesses)
+        count = known.sum(axis=0)
+        mean = np.where(known, guesses, 0).sum(axis=0) / np.where(count, count, np.nan)
+        np.copyto(inner, mean, where=np.isnan(inner))
+    return predicted
+
+
+def _cut_board(lattice: Indices, rows: int, columns: int) -> Indices | None:
+    """The part (rows, columns) of a lattice with most saddles, none if it is no whole board or of a larger one."""
+    if _is_too_long(lattice, max(rows, columns)):
+        return None
+
+    def count_saddles(turned: Indices) -> NDArray[np.intp]:
+        windows = np.lib.stride_tricks.sliding_window_view(turned >= 0, (rows, columns))
+        return np.asarray(windows.sum(axis=(2, 3)), dtype=np.intp)
+
+    turned = max(lattice, lattice.T, key=lambda one: count_saddles(one).max())
+    counts = count_saddles(turned)
+    top, left = np.unravel_index(counts.argmax(), counts.shape)
+    down, right = slice(top, top + rows), slice(left, left + columns)
+    filled = turned >= 0
+    board = filled[down, right]
+    within = *board.mean(axis=0), *board.mean(axis=1)
+    beside = (
+        *filled[down, [left - 1, left + columns]].mean(axis=0),
+        *filled[[top - 1, top + rows], right].mean(axis=1),
+    )
+    if board.mean() < _MIN_SHARE or min(within) < _MIN_LINE_SHARE or max(beside) > _MIN_SHARE:
+        return None
+    return turned[down, right]
+
+
+def _complete(places: Array) -> Array:
+    """Places (rows, columns, 2) of corners, with those that are NaN predicted by their neighbours."""
+    padded = np.pad(places, ((2, 2), (2, 2), (0, 0)), constant_values=np.nan)
+    inner = padded[2:-2, 2:-2]
+    while np.isnan(inner).any():
+        np.copyto(inner, _predict_places(padded)[2:-2, 2:-2], where=np.isnan(inner))
+    return inner
