@@ -4,8 +4,9 @@ from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from calgraph.boards.saddle_lattices import find_lattice
+from calgraph.boards.saddle_lattices import MIN_SHARE, find_lattice
 from calgraph.boards.tags import Gray, Marks, empty_marks
 from calgraph.config import Charuco, Checkerboard, dictionary
 from calgraph.geometry import Array
@@ -37,27 +38,31 @@ class CheckerboardFinder:
         self.pattern = pattern
 
     def find(self, gray: Gray) -> Marks:
-        """All inner corners of the board in an image (height, width), or none."""
+        """The inner corners of a whole board in an image (height, width) but for hidden ones, or none."""
         corners = self._find_corners(gray)
         if corners is None:
             return empty_marks(1)
         corners = _orient_corners(gray, corners, self.pattern.columns == self.pattern.rows)
         if corners is None:
             return empty_marks(1)
-        return Marks(np.arange(corners.shape[0] * corners.shape[1]), corners.reshape(-1, 1, 2))
+        number = np.flatnonzero(corners[..., 2])
+        return Marks(number, corners.reshape(-1, 1, 3)[number, :, :2])
 
     def _find_corners(self, gray: Gray) -> Array | None:
-        """Corners (rows, columns, 2) in some orientation, refined in the full image."""
+        """Corners (rows, columns, 3) in some orientation, refined in the full image, each with 1 if it is seen."""
         for small in reversed(_reduce(gray)):
-            lattice = find_lattice(small, self.pattern.rows, self.pattern.columns)
-            if lattice is None or _measure_gap(lattice) < _MIN_GAP:
+            found = find_lattice(small, self.pattern.rows, self.pattern.columns)
+            if found is None or _measure_gap(found.places) < _MIN_GAP:
                 continue
-            lattice = (lattice + 0.5) * gray.shape[::-1] / small.shape[::-1] - 0.5
+            lattice = (found.places + 0.5) * gray.shape[::-1] / small.shape[::-1] - 0.5
             if (lattice < 0).any() or (lattice > np.array(gray.shape[::-1]) - 1).any():
                 continue
-            for corners in (_refine_corners(gray, lattice), lattice):
-                if _is_regular(corners, _MAX_BEND):
-                    return corners
+            refined, is_refined = _refine_corners(gray, lattice)
+            is_seen = found.is_seen & is_refined
+            if is_seen.mean() >= MIN_SHARE and _is_regular(refined, _MAX_BEND):
+                return np.dstack([refined, is_seen])
+            if _is_regular(lattice, _MAX_BEND):
+                return np.dstack([lattice, found.is_seen])
         return None
 
 
@@ -128,19 +133,19 @@ _CHECKERBOARD_WINDOW = 0.35
 # Maximum half width of the window of sub-pixel refinement, pixels: larger ones are slow and bend with the lens.
 _MAX_CHECKERBOARD_WINDOW = 12
 
-# Largest step of refinement, in squares: it fails in glare and at blurred corners that are close together, where
-# those that were found are good to a fraction of a pixel, too.
+# Largest step of refinement, in squares: it fails in glare, at shadows, and at blurred corners that are close
+# together. Where it fails at most corners, as in blur, those that were found are good to a fraction of a pixel.
 _MAX_REFINEMENT = 0.25
 
 
-def _refine_corners(gray: Gray, lattice: Array) -> Array:
-    """Corners (rows, columns, 2) refined to sub-pixel accuracy in the full image."""
+def _refine_corners(gray: Gray, lattice: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Corners (rows, columns, 2) refined to sub-pixel accuracy in the full image, and where that succeeds."""
     # A window of fewer pixels than two to each side holds no edge.
     reach = int(np.clip(_CHECKERBOARD_WINDOW * _measure_gap(lattice), 2, _MAX_CHECKERBOARD_WINDOW))
     start = lattice.reshape(-1, 1, 2).astype(np.float32)
     refined = np.reshape(cv2.cornerSubPix(gray, start, (reach, reach), (-1, -1), _CRITERIA), lattice.shape)
-    moved = np.linalg.norm(refined - lattice, axis=-1, keepdims=True)
-    return np.where(moved < _MAX_REFINEMENT * _measure_gap(lattice), refined, lattice).astype(np.float64)
+    succeeds = np.linalg.norm(refined - lattice, axis=-1) < _MAX_REFINEMENT * _measure_gap(lattice)
+    return np.where(succeeds[..., None], refined, lattice).astype(np.float64), succeeds
 
 
 def _measure_gap(lattice: Array) -> float:
@@ -149,7 +154,7 @@ def _measure_gap(lattice: Array) -> float:
 
 
 def _orient_corners(gray: Gray, lattice: Array, square: bool) -> Array | None:
-    """The corners (rows, columns, 2) row by row from the top left of the print."""
+    """The corners (rows, columns, 3), of which two are pixels, row by row from the top left of the print."""
     orientations = [lattice, lattice[::-1], lattice[:, ::-1], lattice[::-1, ::-1]]
     if square:
         orientations += [np.swapaxes(turn, 0, 1) for turn in orientations]
@@ -169,6 +174,7 @@ def _compute_handedness(lattice: Array) -> float:
 
 def _first_square_is_dark(gray: Gray, lattice: Array) -> bool:
     """Whether the squares of the same colour as the top-left one are the dark ones."""
+    lattice = lattice[..., :2]
     middles = 0.25 * (lattice[:-1, :-1] + lattice[1:, :-1] + lattice[:-1, 1:] + lattice[1:, 1:])
     column, row = np.rint(middles).astype(int).reshape(-1, 2).T
     values = gray[row.clip(0, gray.shape[0] - 1), column.clip(0, gray.shape[1] - 1)].astype(np.float64)

@@ -73,13 +73,21 @@ def find_saddles(gray: Gray) -> Saddles:
 
 # Smallest share of corners that are found at saddles, as glare hides some, and of each row and column. A line
 # beside the board with as large a share as the first is of a larger board.
-_MIN_SHARE, _MIN_LINE_SHARE = 0.8, 0.5
+MIN_SHARE, _MIN_LINE_SHARE = 0.8, 0.5
 
 
-def find_lattice(gray: Gray, rows: int, columns: int) -> Array | None:
-    """Pixels (rows, columns, 2) of the inner corners of a whole checkerboard, in some orientation.
+class Lattice(NamedTuple):
+    """The inner corners of a checkerboard."""
 
-    Corners at no saddle are predicted by their neighbours; the result may lie outside of the image there.
+    places: Array
+    """(rows, columns, 2) pixels; those of hidden corners are predicted by their neighbours, and may lie outside of
+    the image."""
+    is_seen: NDArray[np.bool_]
+    """(rows, columns) whether there is a saddle."""
+
+
+def find_lattice(gray: Gray, rows: int, columns: int) -> Lattice | None:
+    """The inner corners of a whole checkerboard, in some orientation.
 
     Args:
         gray: image (height, width) in which neighbouring corners are 3 pixels apart at least, and sharp.
@@ -87,7 +95,7 @@ def find_lattice(gray: Gray, rows: int, columns: int) -> Array | None:
         columns: in a row.
     """
     saddles = find_saddles(gray)
-    if len(saddles.points) < _MIN_SHARE * rows * columns:
+    if len(saddles.points) < MIN_SHARE * rows * columns:
         return None
     tree = KDTree(saddles.points)
     tried = np.zeros(len(saddles.points), dtype=np.bool_)
@@ -99,7 +107,7 @@ def find_lattice(gray: Gray, rows: int, columns: int) -> Array | None:
             tried[lattice[lattice >= 0]] = True
             board = _cut_board(lattice, rows, columns)
             if board is not None:
-                return _complete(places[board])
+                return Lattice(_complete(places[board]), board >= 0)
     return None
 
 
@@ -249,7 +257,7 @@ def _cut_board(lattice: Indices, rows: int, columns: int) -> Indices | None:
         *filled[down, [left - 1, left + columns]].mean(axis=0),
         *filled[[top - 1, top + rows], right].mean(axis=1),
     )
-    if board.mean() < _MIN_SHARE or min(within) < _MIN_LINE_SHARE or max(beside) > _MIN_SHARE:
+    if board.mean() < MIN_SHARE or min(within) < _MIN_LINE_SHARE or max(beside) > MIN_SHARE:
         return None
     return turned[down, right]
 
