@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.boards.saddle_lattices import MIN_SHARE, find_lattice
+from calgraph.boards.saddle_lattices import MIN_SEEN, find_lattice
 from calgraph.boards.tags import Gray, Marks, empty_marks
 from calgraph.config import Charuco, Checkerboard, dictionary
 from calgraph.geometry import Array
@@ -59,7 +59,7 @@ class CheckerboardFinder:
                 continue
             refined, is_refined = _refine_corners(gray, lattice)
             is_seen = found.is_seen & is_refined
-            if is_seen.mean() >= MIN_SHARE and _is_regular(refined, _MAX_BEND):
+            if is_seen.mean() >= MIN_SEEN and _is_regular(refined, _MAX_BEND):
                 return np.dstack([refined, is_seen])
             if _is_regular(lattice, _MAX_BEND):
                 return np.dstack([lattice, found.is_seen])

@@ -15,6 +15,7 @@ from scipy.spatial import KDTree
 from calgraph.geometry import Array
 
 Gray = NDArray[np.uint8]
+Brightness = NDArray[np.float32]
 Indices = NDArray[np.intp]
 
 
@@ -44,16 +45,15 @@ _MIN_CURVATURE = 0.1
 _REACH = 3
 
 
-def find_saddles(gray: Gray) -> Saddles:
-    """Pixels of an image (height, width) that are brightest along one line and darkest along another."""
-    smooth = cv2.GaussianBlur(gray.astype(np.float32), (0, 0), _BLUR)
+def _find_saddles(smooth: Brightness) -> Saddles:
+    """Pixels of a blurred image (height, width) that are brightest along one line and darkest along another."""
     # The kernels' sums of weights are 4.
     xx, yy, xy = (cv2.Sobel(smooth, -1, *order, scale=0.25) for order in ((2, 0), (0, 2), (1, 1)))
     # Products by OpenCV: NumPy's take three times as long for images.
     squared = cv2.subtract(cv2.multiply(xy, xy), cv2.multiply(xx, yy))
     least = _MIN_NOISE_RATIO * float(np.median(np.abs(xy[::_MEDIAN_STEP, ::_MEDIAN_STEP]))) + _MIN_GRAY_CURVATURE
     highest = cv2.dilate(squared, np.ones((3, 3), dtype=np.uint8))
-    row, column = np.divmod(np.flatnonzero(squared > least**2), gray.shape[1])
+    row, column = np.divmod(np.flatnonzero(squared > least**2), smooth.shape[1])
     is_peak = squared[row, column] == highest[row, column]
     row, column = row[is_peak], column[is_peak]
     a, b, c, power = (image[row, column].astype(np.float64) for image in (xx, xy, yy, squared))
@@ -69,11 +69,6 @@ def find_saddles(gray: Gray) -> Saddles:
     step = np.stack([c * gx - b * gy, a * gy - b * gx], axis=-1) / power[:, None]
     points = np.stack([column, row], axis=-1) + step.clip(-1, 1)
     return Saddles(points, np.stack([a, b, c], axis=-1) / np.sqrt(power)[:, None])
-
-
-# Smallest share of corners that are found at saddles, as glare hides some, and of each row and column. A line
-# beside the board with as large a share as the first is of a larger board.
-MIN_SHARE, _MIN_LINE_SHARE = 0.8, 0.5
 
 
 class Lattice(NamedTuple):
@@ -94,20 +89,21 @@ def find_lattice(gray: Gray, rows: int, columns: int) -> Lattice | None:
         rows: number of inner corners in a column.
         columns: in a row.
     """
-    saddles = find_saddles(gray)
-    if len(saddles.points) < MIN_SHARE * rows * columns:
+    smooth = np.asarray(cv2.GaussianBlur(gray.astype(np.float32), (0, 0), _BLUR), dtype=np.float32)
+    saddles = _find_saddles(smooth)
+    if len(saddles.points) < MIN_SEEN * rows * columns:
         return None
     tree = KDTree(saddles.points)
     tried = np.zeros(len(saddles.points), dtype=np.bool_)
     # The last place is that of index -1, which cells of a lattice without a saddle have.
     places = np.append(saddles.points, [[np.nan, np.nan]], axis=0)
-    for cross in _find_crosses(saddles, tree):
-        if not tried[cross].any():
+    for cross in _find_crosses(saddles, tree, (rows > 2) + (columns > 2)):
+        if not tried[cross[cross >= 0]].any():
             lattice = _grow_lattice(cross, saddles.curvatures, places, tree, max(rows, columns))
             tried[lattice[lattice >= 0]] = True
-            board = _cut_board(lattice, rows, columns)
+            board = _cut_board(places[lattice], smooth, rows, columns)
             if board is not None:
-                return Lattice(_complete(places[board]), board >= 0)
+                return board
     return None
 
 
@@ -125,8 +121,14 @@ _MAX_CROSS_BEND = 0.5
 _MAX_PRODUCT = -0.5
 
 
-def _find_crosses(saddles: Saddles, tree: KDTree) -> Indices:
-    """Saddles (M, 5) with a neighbour on either side along both edges: the middle, and two opposite pairs."""
+def _find_crosses(saddles: Saddles, tree: KDTree, pairs: int) -> Indices:
+    """Saddles (M, 5) with neighbours along both edges: the middle, one along each, and those opposite of them.
+
+    Args:
+        saddles: of an image.
+        tree: of their points.
+        pairs: edges along which there must be a neighbour on either side; the index of one that lacks is -1.
+    """
     points, curvatures = saddles
     count = min(_NEIGHBOURS + 1, len(points))
     neighbours = tree.query(points, k=count)[1][:, 1:]
@@ -145,16 +147,17 @@ def _find_crosses(saddles: Saddles, tree: KDTree) -> Indices:
         bend = np.linalg.norm(away + away[row, side][:, None], axis=-1)
         return choose_nearest(linked & (bend < _MAX_CROSS_BEND * np.minimum(lengths, lengths[row, side][:, None])))
 
-    right, is_cross = choose_nearest(linked)
+    right, has_right = choose_nearest(linked)
     sines = np.abs(along[..., 0] * along[row, right, 1][:, None] - along[..., 1] * along[row, right, 0][:, None])
     down, has_down = choose_nearest(linked & (sines > _MIN_EDGE_SINE))
-    arms = [right, down]
-    is_cross &= has_down
-    for side in (right, down):
-        opposite, found = choose_opposite(side)
-        arms.append(opposite)
-        is_cross &= found
-    return np.stack([row, *(neighbours[row, arm] for arm in arms)], axis=-1)[is_cross]
+    left, has_left = choose_opposite(right)
+    up, has_up = choose_opposite(down)
+    arms = [
+        np.where(has, neighbours[row, arm], -1)
+        for arm, has in ((right, has_right), (down, has_down), (left, has_left), (up, has_up))
+    ]
+    is_cross = has_right & has_down & (has_left.astype(int) + has_up >= pairs)
+    return np.stack([row, *arms], axis=-1)[is_cross]
 
 
 def _are_opposite(one: Array, other: Array) -> NDArray[np.bool_]:
@@ -180,7 +183,7 @@ def _grow_lattice(cross: Indices, curvatures: Array, places: Array, tree: KDTree
     """Saddles by row and column of the lattice that contains a cross, -1 where there is none.
 
     Args:
-        cross: (5) saddles.
+        cross: (5) saddles, -1 where there is none.
         curvatures: (N, 3) of all saddles.
         places: (N + 1, 2) of all saddles, and NaN.
         tree: of the places.
@@ -191,7 +194,7 @@ def _grow_lattice(cross: Indices, curvatures: Array, places: Array, tree: KDTree
     for (down, right), member in zip(_ARMS, cross, strict=True):
         lattice[half + down, half + right] = member
     free = np.ones(len(curvatures), dtype=np.bool_)
-    free[cross] = False
+    free[cross[cross >= 0]] = False
     while True:
         predicted = _predict_places(places[lattice])
         row, column = np.nonzero((lattice < 0) & np.isfinite(predicted[..., 0]))
@@ -206,13 +209,13 @@ def _grow_lattice(cross: Indices, curvatures: Array, places: Array, tree: KDTree
         saddle, first = np.unique(saddle[fits], return_index=True)
         lattice[row[fits][first], column[fits][first]] = saddle
         free[saddle] = False
-        if not len(saddle) or _is_too_long(lattice, longest):
+        if not len(saddle) or _is_too_long(lattice >= 0, longest):
             return lattice
 
 
-def _is_too_long(lattice: Indices, longest: int) -> bool:
+def _is_too_long(is_saddle: NDArray[np.bool_], longest: int) -> bool:
     """Whether a lattice has more lines than that of a board with a number of corners in its longer line."""
-    return bool(np.ptp(np.nonzero(lattice >= 0), axis=1).max() >= longest + _MOST_SURPLUS)
+    return bool(np.ptp(np.nonzero(is_saddle), axis=1).max() >= longest + _MOST_SURPLUS)
 
 
 def _predict_places(places: Array) -> Array:
@@ -237,29 +240,74 @@ def _predict_places(places: Array) -> Array:
     return predicted
 
 
-def _cut_board(lattice: Indices, rows: int, columns: int) -> Indices | None:
-    """The part (rows, columns) of a lattice with most saddles, none if it is no whole board or of a larger one."""
-    if _is_too_long(lattice, max(rows, columns)):
-        return None
+# Smallest shares of corners with a saddle, as glare hides some, and of those between four squares: boards in glare
+# have 0.93, and holes in a sheet, whose lattices have gaps, 0.9.
+MIN_SEEN, _MIN_SHARE = 0.8, 0.92
+# Share that is exceeded by both in every line of the board, and in no line beside it: by a share of a line, a board
+# that is shifted by one line would have fewer corners.
+_LINE_SHARE = 0.5
 
-    def count_saddles(turned: Indices) -> NDArray[np.intp]:
-        windows = np.lib.stride_tricks.sliding_window_view(turned >= 0, (rows, columns))
-        return np.asarray(windows.sum(axis=(2, 3)), dtype=np.intp)
 
-    turned = max(lattice, lattice.T, key=lambda one: count_saddles(one).max())
-    counts = count_saddles(turned)
-    top, left = np.unravel_index(counts.argmax(), counts.shape)
-    down, right = slice(top, top + rows), slice(left, left + columns)
-    filled = turned >= 0
-    board = filled[down, right]
-    within = *board.mean(axis=0), *board.mean(axis=1)
-    beside = (
-        *filled[down, [left - 1, left + columns]].mean(axis=0),
-        *filled[[top - 1, top + rows], right].mean(axis=1),
-    )
-    if board.mean() < MIN_SHARE or min(within) < _MIN_LINE_SHARE or max(beside) > MIN_SHARE:
+def _cut_board(places: Array, smooth: Brightness, rows: int, columns: int) -> Lattice | None:
+    """The part (rows, columns) of a lattice that is a checkerboard, none if it is no whole board or of a larger one.
+
+    At the rim of a board are saddles that continue its lattice, but no corners of four squares.
+
+    Args:
+        places: (M, M, 2) of saddles, NaN where there is none.
+        smooth: image in which they are.
+        rows: number of inner corners in a column.
+        columns: in a row.
+    """
+    is_saddle = np.isfinite(places[..., 0])
+    if is_saddle.sum() < MIN_SEEN * rows * columns or _is_too_long(is_saddle, max(rows, columns)):
         return None
-    return turned[down, right]
+    places = _complete(places)
+    is_corner = _are_between_squares(places, smooth)
+    for turn in ((0, 1), (1, 0)):
+        corners, saddles = is_corner.transpose(turn), is_saddle.transpose(turn)
+        windows = np.lib.stride_tricks.sliding_window_view(corners[1:-1, 1:-1], (rows, columns))
+        count = windows.sum(axis=(2, 3))
+        top, left = np.add(np.unravel_index(count.argmax(), count.shape), 1)
+        down, right = slice(top, top + rows), slice(left, left + columns)
+        beside = corners[down, [left - 1, left + columns]], corners[[top - 1, top + rows], right].T
+        board, seen = corners[down, right], saddles[down, right]
+        lines = [one.mean(axis=axis).min() for one in (board, seen) for axis in (0, 1)]
+        if (
+            board.mean() >= _MIN_SHARE
+            and seen.mean() >= MIN_SEEN
+            and min(lines) > _LINE_SHARE
+            and max(one.mean(axis=0).max() for one in beside) <= _LINE_SHARE
+        ):
+            return Lattice(places.transpose((*turn, 2))[down, right], seen)
+    return None
+
+
+# Distance from a corner along both edges at which the brightness of its squares is taken, in squares: outer ones may
+# be cropped to a half.
+_WITHIN_SQUARE = 0.3
+# Smallest difference between the darker of two bright squares at a corner and the brighter of the two dark ones, over
+# that of all four: 0 or less where squares meet the rim of a board, whatever is behind, 0.2 where a shadow ends.
+_MIN_CONTRAST = 0.1
+
+
+def _are_between_squares(places: Array, smooth: Brightness) -> NDArray[np.bool_]:
+    """Which places (rows, columns, 2) are corners of four squares, dark and bright in turn; not those at the ends."""
+    middle = places[1:-1, 1:-1]
+    up, down = places[:-2, 1:-1] - middle, places[2:, 1:-1] - middle
+    left, right = places[1:-1, :-2] - middle, places[1:-1, 2:] - middle
+    x, y = np.moveaxis(
+        middle + _WITHIN_SQUARE * np.stack([up + left, down + right, up + right, down + left]), -1, 0
+    ).astype(np.float32)
+    values = cv2.remap(
+        smooth, x.reshape(-1, x.shape[2]), y.reshape(-1, x.shape[2]), cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE
+    ).reshape(x.shape)
+    # The squares of one diagonal are the dark ones at every other corner.
+    parity = np.indices(x.shape[1:]).sum(axis=0) % 2 == 0
+    one, other = np.where(parity, values, values[[2, 3, 0, 1]]).reshape(2, 2, *x.shape[1:])
+    least = _MIN_CONTRAST * np.ptp(values, axis=0)
+    ways = [bright.min(axis=0) - dark.max(axis=0) > least for bright, dark in ((one, other), (other, one))]
+    return np.pad(max(ways, key=np.count_nonzero), 1)
 
 
 def _complete(places: Array) -> Array:
