@@ -1,12 +1,13 @@
 """Detection of chessboard corners in an image: of checkerboards by saddle points, of ChArUco boards by OpenCV."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.boards.saddle_lattices import MIN_SEEN, find_lattice
+from calgraph.boards.saddle_lattices import MIN_SEEN, find_lattice, is_whole_board
 from calgraph.boards.tags import Gray, Marks, empty_marks
 from calgraph.config import Charuco, Checkerboard, dictionary
 from calgraph.geometry import Array
@@ -19,6 +20,9 @@ board at 64 degrees that fills the image has 0.48, and a corner that is off by h
 
 # Smallest distance of corners in the image in which they are found, pixels: below, rows are confused.
 _MIN_GAP = 3.0
+# Smallest distance of corners, pixels, in the image in which it is decided whether they are a whole board: the rim of
+# the board and its margin are not blurred with the squares.
+_CLEAR_GAP = 16.0
 # Longest side of the largest image that is searched, pixels.
 _LARGEST_SIDE = 1920
 # Shorter side, pixels, above which images are halved: blurred corners are sharp in small images, which take a
@@ -50,20 +54,35 @@ class CheckerboardFinder:
 
     def _find_corners(self, gray: Gray) -> Array | None:
         """Corners (rows, columns, 3) in some orientation, refined in the full image, each with 1 if it is seen."""
-        for small in reversed(_reduce(gray)):
+        images = _reduce(gray)
+        for small in reversed(images):
             found = find_lattice(small, self.pattern.rows, self.pattern.columns)
             if found is None or _measure_gap(found.places) < _MIN_GAP:
                 continue
-            lattice = (found.places + 0.5) * gray.shape[::-1] / small.shape[::-1] - 0.5
+            lattice = _rescale(found.places, small, gray)
             if (lattice < 0).any() or (lattice > np.array(gray.shape[::-1]) - 1).any():
                 continue
-            refined, is_refined = _refine_corners(gray, lattice)
+            corners, is_refined = _refine_corners(gray, lattice)
             is_seen = found.is_seen & is_refined
-            if is_seen.mean() >= MIN_SEEN and _is_regular(refined, _MAX_BEND):
-                return np.dstack([refined, is_seen])
-            if _is_regular(lattice, _MAX_BEND):
-                return np.dstack([lattice, found.is_seen])
+            if is_seen.mean() < MIN_SEEN or not _is_regular(corners, _MAX_BEND):
+                corners, is_seen = lattice, found.is_seen
+            if _is_regular(corners, _MAX_BEND) and _is_bounded([gray, *images], corners):
+                return np.dstack([corners, is_seen])
         return None
+
+
+def _is_bounded(images: Sequence[Gray], corners: Array) -> bool:
+    """Whether corners (rows, columns, 2) of the first of images, each a half of the last one, are a whole board's."""
+    for image in reversed(images):
+        places = _rescale(corners, images[0], image)
+        if _measure_gap(places) >= _CLEAR_GAP:
+            break
+    return is_whole_board(image, places)
+
+
+def _rescale(pixels: Array, source: Gray, target: Gray) -> Array:
+    """Pixels (..., 2) of an image in another one that shows the same."""
+    return np.asarray((pixels + 0.5) * target.shape[::-1] / source.shape[::-1] - 0.5)
 
 
 def _reduce(gray: Gray) -> list[Gray]:

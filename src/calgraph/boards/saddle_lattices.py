@@ -45,6 +45,10 @@ _MIN_CURVATURE = 0.1
 _REACH = 3
 
 
+def _blur(gray: Gray) -> Brightness:
+    return np.asarray(cv2.GaussianBlur(gray.astype(np.float32), (0, 0), _BLUR), dtype=np.float32)
+
+
 def _find_saddles(smooth: Brightness) -> Saddles:
     """Pixels of a blurred image (height, width) that are brightest along one line and darkest along another."""
     # The kernels' sums of weights are 4.
@@ -89,7 +93,7 @@ def find_lattice(gray: Gray, rows: int, columns: int) -> Lattice | None:
         rows: number of inner corners in a column.
         columns: in a row.
     """
-    smooth = np.asarray(cv2.GaussianBlur(gray.astype(np.float32), (0, 0), _BLUR), dtype=np.float32)
+    smooth = _blur(gray)
     saddles = _find_saddles(smooth)
     if len(saddles.points) < MIN_SEEN * rows * columns:
         return None
@@ -270,22 +274,37 @@ def _cut_board(places: Array, smooth: Brightness, rows: int, columns: int) -> La
         count = windows.sum(axis=(2, 3))
         top, left = np.add(np.unravel_index(count.argmax(), count.shape), 1)
         down, right = slice(top, top + rows), slice(left, left + columns)
-        beside = corners[down, [left - 1, left + columns]], corners[[top - 1, top + rows], right].T
-        board, seen = corners[down, right], saddles[down, right]
-        lines = [one.mean(axis=axis).min() for one in (board, seen) for axis in (0, 1)]
+        seen = saddles[down, right]
         if (
-            board.mean() >= _MIN_SHARE
-            and seen.mean() >= MIN_SEEN
-            and min(lines) > _LINE_SHARE
-            and max(one.mean(axis=0).max() for one in beside) <= _LINE_SHARE
+            seen.mean() >= MIN_SEEN
+            and _find_weakest_line(seen) > _LINE_SHARE
+            and _is_bounded(corners[top - 1 : top + rows + 1, left - 1 : left + columns + 1])
         ):
             return Lattice(places.transpose((*turn, 2))[down, right], seen)
     return None
 
 
-# Distance from a corner along both edges at which the brightness of its squares is taken, in squares: outer ones may
-# be cropped to a half.
-_WITHIN_SQUARE = 0.3
+def is_whole_board(gray: Gray, places: Array) -> bool:
+    """Whether places (rows, columns, 2) in an image are corners of four squares, and those beside them are not."""
+    padded = np.pad(places, ((2, 2), (2, 2), (0, 0)), constant_values=np.nan)
+    return _is_bounded(_are_between_squares(_complete(padded), _blur(gray))[1:-1, 1:-1])
+
+
+def _is_bounded(is_corner: NDArray[np.bool_]) -> bool:
+    """Whether there are corners at all places (rows, columns) but the first and last lines, as few as glare allows."""
+    board = is_corner[1:-1, 1:-1]
+    beside = is_corner[[0, -1], 1:-1].mean(axis=1).max(), is_corner[1:-1, [0, -1]].mean(axis=0).max()
+    return bool(board.mean() >= _MIN_SHARE and _find_weakest_line(board) > _LINE_SHARE >= max(beside))
+
+
+def _find_weakest_line(is_there: NDArray[np.bool_]) -> float:
+    """Smallest share of places (rows, columns) in a row or a column at which something is."""
+    return float(min(is_there.mean(axis=axis).min() for axis in (0, 1)))
+
+
+# Distances from a corner along both edges at which the brightness of its squares is taken, in squares: outer ones may
+# be cropped to a half. At a place beside a corner, or where no squares are, not all of them are in four squares.
+_WITHIN_SQUARE = (0.2, 0.3, 0.4)
 # Smallest difference between the darker of two bright squares at a corner and the brighter of the two dark ones, over
 # that of all four: 0 or less where squares meet the rim of a board, whatever is behind, 0.2 where a shadow ends.
 _MIN_CONTRAST = 0.1
@@ -296,16 +315,14 @@ def _are_between_squares(places: Array, smooth: Brightness) -> NDArray[np.bool_]
     middle = places[1:-1, 1:-1]
     up, down = places[:-2, 1:-1] - middle, places[2:, 1:-1] - middle
     left, right = places[1:-1, :-2] - middle, places[1:-1, 2:] - middle
-    x, y = np.moveaxis(
-        middle + _WITHIN_SQUARE * np.stack([up + left, down + right, up + right, down + left]), -1, 0
-    ).astype(np.float32)
-    values = cv2.remap(
-        smooth, x.reshape(-1, x.shape[2]), y.reshape(-1, x.shape[2]), cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE
-    ).reshape(x.shape)
+    diagonals = np.stack([up + left, down + right, up + right, down + left])
+    within = middle + np.multiply.outer(_WITHIN_SQUARE, diagonals).swapaxes(0, 1)
+    x, y = np.moveaxis(within.reshape(-1, middle.shape[1], 2), -1, 0).astype(np.float32)
+    values = cv2.remap(smooth, x, y, cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE).reshape(2, -1, *middle.shape[:2])
     # The squares of one diagonal are the dark ones at every other corner.
-    parity = np.indices(x.shape[1:]).sum(axis=0) % 2 == 0
-    one, other = np.where(parity, values, values[[2, 3, 0, 1]]).reshape(2, 2, *x.shape[1:])
-    least = _MIN_CONTRAST * np.ptp(values, axis=0)
+    parity = np.indices(middle.shape[:2]).sum(axis=0) % 2 == 0
+    one, other = np.where(parity, values, values[::-1])
+    least = _MIN_CONTRAST * np.ptp(values, axis=(0, 1))
     ways = [bright.min(axis=0) - dark.max(axis=0) > least for bright, dark in ((one, other), (other, one))]
     return np.pad(max(ways, key=np.count_nonzero), 1)
 
