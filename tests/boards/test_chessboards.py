@@ -119,6 +119,41 @@ def test_a_board_that_is_partly_hidden_is_not_found(hidden: tuple[int, int, int,
     assert len(corners(covered)) == 0
 
 
+def draw_squares(columns: int, rows: int, behind: int, pitch: int = 40) -> Gray:
+    """A board with inner corners from (139.5, 139.5) px, without a margin, in front of a wall."""
+    squares = np.where(np.indices((rows + 1, columns + 1)).sum(axis=0) % 2, 220, 20)
+    image = np.full((480, 640), behind, dtype=np.uint8)
+    image[100 : 100 + pitch * (rows + 1), 100 : 100 + pitch * (columns + 1)] = np.kron(
+        squares, np.ones((pitch,) * 2)
+    )
+    return np.asarray(cv2.GaussianBlur(image, (0, 0), 1.0), dtype=np.uint8)
+
+
+@pytest.mark.parametrize("behind", [20, 60, 120, 220])
+@pytest.mark.parametrize(("columns", "rows"), [(2, 2), (7, 2), (2, 5), (3, 3), (7, 5), (6, 6)])
+def test_corners_of_the_rim_are_no_inner_ones(columns: int, rows: int, behind: int) -> None:
+    pattern = Checkerboard(kind="checkerboard", columns=columns, rows=rows, square=0.08)
+    found = CheckerboardFinder(pattern).find(draw_squares(columns, rows, behind)).pixels[:, 0]
+    x, y = np.meshgrid(139.5 + 40 * np.arange(columns), 139.5 + 40 * np.arange(rows))
+    np.testing.assert_allclose(found, np.column_stack([x.ravel(), y.ravel()]), atol=0.1)
+
+
+@pytest.mark.parametrize("behind", [60, 120])
+@pytest.mark.parametrize("cut", [slice(0, 410), slice(160, 640)])
+def test_a_board_cut_off_by_the_image_is_not_continued_beyond_its_rim(behind: int, cut: slice) -> None:
+    assert len(corners(draw_squares(8, 5, behind)[:, cut])) == 0
+
+
+def test_holes_of_a_sheet_are_no_board() -> None:
+    sheet = np.full((480, 640), 120, dtype=np.uint8)
+    for row in range(22):
+        for column in range(30):
+            cv2.circle(sheet, (10 + 20 * column + 10 * (row % 2), 10 + 20 * row), 7, (20,), -1)
+    for columns, rows in ((3, 3), (4, 3), (7, 5)):
+        pattern = Checkerboard(kind="checkerboard", columns=columns, rows=rows, square=0.08)
+        assert len(CheckerboardFinder(pattern).find(sheet)) == 0
+
+
 def test_an_image_of_few_pixels_has_no_board() -> None:
     assert len(corners(np.full((2, 3), 90, dtype=np.uint8))) == 0
 

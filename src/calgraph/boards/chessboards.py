@@ -20,8 +20,8 @@ board at 64 degrees that fills the image has 0.48, and a corner that is off by h
 
 # Smallest distance of corners in the image in which they are found, pixels: below, rows are confused.
 _MIN_GAP = 3.0
-# Smallest distance of corners, pixels, in the image in which it is decided whether they are a whole board: the rim of
-# the board and its margin are not blurred with the squares.
+# Smallest distance of corners, pixels, in the image in which it is decided whether they are a whole board: its rim
+# and its margin are not blurred with the squares.
 _CLEAR_GAP = 16.0
 # Longest side of the largest image that is searched, pixels.
 _LARGEST_SIDE = 1920
@@ -53,7 +53,7 @@ class CheckerboardFinder:
         return Marks(number, corners.reshape(-1, 1, 3)[number, :, :2])
 
     def _find_corners(self, gray: Gray) -> Array | None:
-        """Corners (rows, columns, 3) in some orientation, refined in the full image, each with 1 if it is seen."""
+        """Corners (rows, columns, 3) in some orientation, refined in the full image, with 1 at visible ones."""
         images = _reduce(gray)
         for small in reversed(images):
             found = find_lattice(small, self.pattern.rows, self.pattern.columns)
@@ -72,7 +72,7 @@ class CheckerboardFinder:
 
 
 def _is_bounded(images: Sequence[Gray], corners: Array) -> bool:
-    """Whether corners (rows, columns, 2) of the first of images, each a half of the last one, are a whole board's."""
+    """Whether corners (rows, columns, 2) of the largest image, the first, are those of a whole board."""
     for image in reversed(images):
         places = _rescale(corners, images[0], image)
         if _measure_gap(places) >= _CLEAR_GAP:

@@ -247,13 +247,13 @@ def _predict_places(places: Array) -> Array:
 # Smallest shares of corners with a saddle, as glare hides some, and of those between four squares: boards in glare
 # have 0.93, and holes in a sheet, whose lattices have gaps, 0.9.
 MIN_SEEN, _MIN_SHARE = 0.8, 0.92
-# Share that is exceeded by both in every line of the board, and in no line beside it: by a share of a line, a board
-# that is shifted by one line would have fewer corners.
+# Share that is exceeded by both in every line of the board, and in no line beside it: shifted by a line, a board
+# would have fewer corners.
 _LINE_SHARE = 0.5
 
 
 def _cut_board(places: Array, smooth: Brightness, rows: int, columns: int) -> Lattice | None:
-    """The part (rows, columns) of a lattice that is a checkerboard, none if it is no whole board or of a larger one.
+    """The part (rows, columns) of a lattice that is a checkerboard, none if it is not whole or of a larger one.
 
     At the rim of a board are saddles that continue its lattice, but no corners of four squares.
 
@@ -285,13 +285,13 @@ def _cut_board(places: Array, smooth: Brightness, rows: int, columns: int) -> La
 
 
 def is_whole_board(gray: Gray, places: Array) -> bool:
-    """Whether places (rows, columns, 2) in an image are corners of four squares, and those beside them are not."""
+    """Whether places (rows, columns, 2) in an image are corners of four squares, and those beside are not."""
     padded = np.pad(places, ((2, 2), (2, 2), (0, 0)), constant_values=np.nan)
     return _is_bounded(_are_between_squares(_complete(padded), _blur(gray))[1:-1, 1:-1])
 
 
 def _is_bounded(is_corner: NDArray[np.bool_]) -> bool:
-    """Whether there are corners at all places (rows, columns) but the first and last lines, as few as glare allows."""
+    """Whether places (rows, columns) are corners but in the first and last lines, except for a few in glare."""
     board = is_corner[1:-1, 1:-1]
     beside = is_corner[[0, -1], 1:-1].mean(axis=1).max(), is_corner[1:-1, [0, -1]].mean(axis=0).max()
     return bool(board.mean() >= _MIN_SHARE and _find_weakest_line(board) > _LINE_SHARE >= max(beside))
@@ -302,23 +302,25 @@ def _find_weakest_line(is_there: NDArray[np.bool_]) -> float:
     return float(min(is_there.mean(axis=axis).min() for axis in (0, 1)))
 
 
-# Distances from a corner along both edges at which the brightness of its squares is taken, in squares: outer ones may
-# be cropped to a half. At a place beside a corner, or where no squares are, not all of them are in four squares.
+# Distances from a corner along both edges at which the brightness of its squares is taken, in squares: outer ones
+# may be cropped to a half. Beside a corner, or where no squares are, brightness at some of them differs.
 _WITHIN_SQUARE = (0.2, 0.3, 0.4)
-# Smallest difference between the darker of two bright squares at a corner and the brighter of the two dark ones, over
-# that of all four: 0 or less where squares meet the rim of a board, whatever is behind, 0.2 where a shadow ends.
+# Smallest difference between the darker of two bright squares at a corner and the brighter of the two dark ones,
+# over that of all four: 0 or less at the rim of a board in front of any background, 0.2 where a shadow ends.
 _MIN_CONTRAST = 0.1
 
 
 def _are_between_squares(places: Array, smooth: Brightness) -> NDArray[np.bool_]:
-    """Which places (rows, columns, 2) are corners of four squares, dark and bright in turn; not those at the ends."""
+    """Which places (rows, columns, 2) are corners of four squares, dark and bright in turn; none at the ends."""
     middle = places[1:-1, 1:-1]
     up, down = places[:-2, 1:-1] - middle, places[2:, 1:-1] - middle
     left, right = places[1:-1, :-2] - middle, places[1:-1, 2:] - middle
     diagonals = np.stack([up + left, down + right, up + right, down + left])
     within = middle + np.multiply.outer(_WITHIN_SQUARE, diagonals).swapaxes(0, 1)
     x, y = np.moveaxis(within.reshape(-1, middle.shape[1], 2), -1, 0).astype(np.float32)
-    values = cv2.remap(smooth, x, y, cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE).reshape(2, -1, *middle.shape[:2])
+    values = cv2.remap(smooth, x, y, cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE).reshape(
+        2, -1, *middle.shape[:2]
+    )
     # The squares of one diagonal are the dark ones at every other corner.
     parity = np.indices(middle.shape[:2]).sum(axis=0) % 2 == 0
     one, other = np.where(parity, values, values[::-1])
