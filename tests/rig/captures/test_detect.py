@@ -171,9 +171,12 @@ def test_limited_messages_are_spread_over_the_hold() -> None:
 @pytest.mark.parametrize("start", np.arange(0.0, 1 / 3, 0.02).tolist())
 def test_cameras_that_expose_together_give_images_of_the_same_times(start: float) -> None:
     names = ("camera", "camera_2")
-    sensors = {name: CameraSpec(kind="camera", topic=f"/{name}") for name in names}
     pattern = Checkerboard(kind="checkerboard", columns=5, rows=6, square=0.1)
-    rig = Rig(root="camera", target=Board(size=(1, 1), pattern=pattern), sensors=sensors)
+    rig = Rig(
+        root="camera",
+        target=Board(size=(1, 1), pattern=pattern),
+        sensors={name: CameraSpec(kind="camera", topic=f"/{name}") for name in names},
+    )
     times = np.arange(start, 10, 1 / 3)
     stamps = {name: t[(t > 4.0) & (t < 5.0)] for name, t in zip(names, (times, times + 0.02), strict=True)}
     (hold,) = limit_messages([Hold(0, 4.0, 5.0, stamps)], rig)

@@ -245,7 +245,7 @@ def _find_common_times(stamps: Sequence[Array]) -> Array:
 
 def _select_nearest(stamps: Array, times: Array) -> Array:
     """Those of the stamps (N,), ascending, that are nearest to times (M,)."""
-    return stamps[np.unique(np.abs(stamps - times[:, None]).argmin(axis=1))]
+    return np.asarray(stamps[np.unique(np.abs(stamps - times[:, None]).argmin(axis=1))])
 
 
 def sample_evenly(stamps: Array, count: int) -> Array:
