@@ -32,7 +32,7 @@ from unittest import mock
 
 import numpy as np
 
-from calgraph.errors import CalgraphError, Rejected
+from calgraph.errors import CalgraphError
 from calgraph.geometry import Array, se3
 from calgraph.result import Calibration
 from calgraph.rig.checks.drift_tests import find_drifts
@@ -76,13 +76,6 @@ def _widens(result: Any, nothing: Any) -> bool:
     return bool(np.any(after > _GROWTH**2 * before))
 
 
-def _selects_others(result: Any, nothing: Any) -> bool:
-    return any(
-        not isinstance(pair, Rejected) and not np.array_equal(pair.inliers, nothing[names].inliers)
-        for names, pair in result.items()
-    )
-
-
 MECHANISMS: Mapping[str, Mechanism] = {
     "view_return": Mechanism("rig.bundle.estimate.add_unambiguous_detections", lambda matched, *_: matched),
     "drift_prior": Mechanism("rig.pipeline.include_drifts", lambda joint, *_: joint, _widens),
@@ -113,7 +106,6 @@ MECHANISMS: Mapping[str, Mechanism] = {
         lambda rig, captures, pairs, *_: (rig, captures, pairs),
         lambda result, nothing: any(a is not b for a, b in zip(result, nothing, strict=True)),
     ),
-    "reselection": Mechanism("rig.pipeline.reselect_all_inliers", lambda pairs, *_: pairs, _selects_others),
 }
 
 

@@ -129,12 +129,13 @@ def _measure(name: str, make: Callable[[], BoardImage]) -> Row:
 
 
 def _time(finder: CheckerboardFinder, gray: Gray) -> tuple[float, Array | None]:
-    """Seconds of a processor, and corners (rows, columns, 2)."""
+    """Seconds of a processor, and corners (rows, columns, 2), NaN where they are hidden."""
     began = time.process_time()
     marks = finder.find(gray)
     seconds = time.process_time() - began
-    shape = finder.pattern.rows, finder.pattern.columns, 2
-    return seconds, marks.pixels.reshape(shape) if len(marks) else None
+    corners = np.full((finder.pattern.rows * finder.pattern.columns, 2), np.nan)
+    corners[marks.ids] = marks.pixels[:, 0]
+    return seconds, corners.reshape(finder.pattern.rows, finder.pattern.columns, 2) if len(marks) else None
 
 
 def _judge(found: Array | None, image: BoardImage) -> str:
@@ -152,7 +153,7 @@ def _is_right(found: Array, true: Array, any_turn: bool) -> bool:
     """Whether corners (rows, columns, 2) are the true ones, or these from the other ends."""
     tolerance = TOLERANCE * measure_shortest_gap(true)
     turns = [true, true[::-1, ::-1], true[::-1], true[:, ::-1]] if any_turn else [true]
-    return any(bool((np.linalg.norm(found - turn, axis=-1) < tolerance).all()) for turn in turns)
+    return any(bool(np.nanmax(np.linalg.norm(found - turn, axis=-1)) < tolerance) for turn in turns)
 
 
 def _search_exhaustively(gray: Gray, shape: tuple[int, int]) -> Iterator[Array]:

@@ -14,7 +14,7 @@ import numpy as np
 
 from calgraph.config import Rig, load_rig
 from calgraph.live.replay import ReplaySource
-from calgraph.live.rig_session import RigSession, SessionOutputs, SessionPools, count_analysis_processes
+from calgraph.live.rig_session import RigSession, SessionPools, count_analysis_processes
 from calgraph.live.rig_solution import solve_captures
 from calgraph.live.source import LiveMessage
 from calgraph.parallel.processes import worker_pool
@@ -50,7 +50,9 @@ async def run(
     loop = asyncio.get_running_loop()
     feedback, size = Feedback(), 0
     session_pools = SessionPools(pools[0], processes, pools[1], loop.call_soon_threadsafe)
-    session = RigSession(rig, str(recording), session_pools, SessionOutputs(lambda _: None), solve_captures)
+    session = RigSession(
+        rig, str(recording), session_pools, solve_captures, exclude=print, print_line=feedback.texts.append
+    )
     watching = asyncio.create_task(watch(session, feedback))
     began, busy = time.monotonic(), [measure_processor_time(pid) for pid in list_processes()]
     async for message in ReplaySource(recording, speed=1.0).stream(list_topics(rig)):
@@ -70,20 +72,16 @@ async def run(
 
 async def watch(session: RigSession, feedback: Feedback) -> None:
     """Notes when captures and solutions come."""
-    number, captures, solutions = 0, 0, 0
+    captures, solution = 0, None
     while True:
-        state = session.state()
         now = time.monotonic()
-        if state.event.number != number:
-            number = state.event.number
-            feedback.texts.append(state.event.text)
-        if state.captures != captures:
-            captures = state.captures
+        if len(session.taker.captures) != captures:
+            captures = len(session.taker.captures)
             feedback.captured.append(now)
-        if session.solution and session.solutions != solutions:
-            solutions = session.solutions
+        if session.solution and session.solution is not solution:
+            solution = session.solution
             feedback.solved.append((now, session.solution.captures))
-        await session.wait_for_change(state)
+        await asyncio.sleep(0.01)
 
 
 def report(

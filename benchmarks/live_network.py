@@ -75,7 +75,7 @@ async def replay(rig: Rig, truth: Mapping[str, Array], source: ReplaySource, fol
     """Replays the recording, and prints what each solution states and how wrong it is."""
     loop = asyncio.get_running_loop()
     pools = SessionPools(pool, 1, pool, loop.call_soon_threadsafe)
-    session = NetworkSession(rig, source.name, pools, folder)
+    session = NetworkSession(rig, source.name, pools, folder, print)
     recorder = Recorder(folder, rig.settings.live.recorder, rig.settings.limits)
     shown: LiveNetworkSolution | None = None
     began, worked, events = time.monotonic(), 0.0, {"connected": 0.0, "done": 0.0}
@@ -92,7 +92,7 @@ async def replay(rig: Rig, truth: Mapping[str, Array], source: ReplaySource, fol
             shown = session.solution
             worked += shown.seconds
             print_solution(shown, session, truth)
-            posed = sum(one.T_root_scanner is not None for one in shown.scanners)
+            posed = sum(one.T_root_sensor is not None for one in shown.scanners)
             for event, reached in (("connected", posed == len(rig.sensors)), ("done", shown.done)):
                 if reached and not events[event]:
                     events[event] = session.timeline.latest_arrival - shown.start
@@ -115,7 +115,7 @@ def print_solution(shown: LiveNetworkSolution, session: NetworkSession, truth: M
     recorded = session.timeline.latest_arrival - shown.start
     print(
         f"{recorded:8.0f}s{shown.used:6.0f}s{recorded - (shown.end - shown.start):5.0f}s{shown.seconds:5.1f}s"
-        f"{sum(one.T_root_scanner is not None for one in shown.scanners):7d}"
+        f"{sum(one.T_root_sensor is not None for one in shown.scanners):7d}"
         f"{sum(one.grade == 'good' for one in shown.scanners):6d}"
         f"{max(stddevs, default=np.nan):7.1f}mm{max(errors, default=np.nan):6.1f}mm"
         f"{np.mean(squared) if squared else np.nan:6.1f}"
@@ -128,11 +128,11 @@ def measure_errors(shown: LiveNetworkSolution, truth: Mapping[str, Array]) -> tu
     """Position errors, mm, and their squares over the covariances, per degree of freedom."""
     errors, squared = [], []
     for one in shown.scanners:
-        if one.T_root_scanner is None or one.covariance is None or not one.covariance.any():
+        if one.T_root_sensor is None or one.covariance is None or not one.covariance.any():
             continue
-        off = (one.T_root_scanner - truth[one.name])[:2, 3]
+        off = (one.T_root_sensor - truth[one.name])[:2, 3]
         errors.append(1000 * float(np.linalg.norm(off)))
-        squared.append(float(off @ np.linalg.solve(one.covariance, off)) / 2)
+        squared.append(float(off @ np.linalg.solve(one.covariance[:2, :2], off)) / 2)
     return errors, squared
 
 

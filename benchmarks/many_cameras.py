@@ -22,7 +22,7 @@ from calgraph.boards.printed_boards import compute_landmarks
 from calgraph.config import Rig
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se3, so3
-from calgraph.parallel.processes import parallel_map
+from calgraph.parallel.engine import Processes
 from calgraph.result import state_intrinsics
 from calgraph.rig.captures.from_detections import captures_from_detections
 from calgraph.rig.detection.board_views import BoardView
@@ -121,7 +121,7 @@ def main() -> None:
     print(f"{arguments.cameras} cameras, {min(counts)} to {max(counts)} views each, {sum(counts)} in all")
     with timed("intrinsics"):
         work = [(rig, name, list(of.values())) for name, of in views.items()]
-        found = dict(zip(views, parallel_map(estimate_intrinsics, work, arguments.jobs), strict=True))
+        found = dict(zip(views, Processes(arguments.jobs).map(estimate_intrinsics, work), strict=True))
     failed = {name: one.reason for name, one in found.items() if isinstance(one, Rejected)}
     for name, reason in failed.items():
         print(f"{name}: {reason}")

@@ -15,7 +15,7 @@ import numpy as np
 from calgraph.config.settings import StationaritySettings
 from calgraph.network.tracking.scan_stack import stack_scans
 from calgraph.network.tracking.stationarity import MIN_REST_SHARE, analyze_stationarity
-from calgraph.parallel.processes import parallel_map
+from calgraph.parallel.engine import Processes
 from calgraph.simulation import NetworkScenario, build_network, simulate_scans
 from worlds import make_parser
 
@@ -62,7 +62,7 @@ def main() -> None:
     print(f"{'world':16}{'right':>12}{'max mm':>8}{'max deg':>9}{'max s':>7}{'ms':>7}  a recording, all scanners")
     for label in (*BUMPS, *AT_REST):
         work = [(label, room, seed) for room in ROOMS for seed in range(arguments.seeds)]
-        show(label, parallel_map(check, work, arguments.jobs))
+        show(label, list(Processes(arguments.jobs).map(check, work)))
 
 
 def check(label: str, room: str, seed: int) -> Outcome:

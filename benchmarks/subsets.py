@@ -29,7 +29,7 @@ from calgraph.boards.printed_boards import compute_landmarks
 from calgraph.config import Rig
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se3
-from calgraph.parallel.processes import parallel_map
+from calgraph.parallel.engine import Processes
 from calgraph.recording import open_recording
 from calgraph.rig.bundle.bundle_solver import linearize_bundle, retract_state
 from calgraph.rig.bundle.observations import relative_poses
@@ -191,7 +191,7 @@ def show_subsets(sizes: Sequence[int], draws: int, jobs: int) -> None:
     """Prints a line for each number of captures."""
     print("   k  lost  good  median M/6: all, good  mean M/6: all, good  beyond 99 % of good  ", end="")
     print("held out, mm  apart, mm  stated, mm")
-    found = parallel_map(compare_draw, [(k, draw) for k in sizes for draw in range(draws)], jobs)
+    found = list(Processes(jobs).map(compare_draw, [(k, draw) for k in sizes for draw in range(draws)]))
     for i, k in enumerate(sizes):
         kept = [one for one in found[i * draws : (i + 1) * draws] if one.found]
         squared = np.array([one.squared for one in kept])
@@ -223,7 +223,7 @@ def show_seeds(seeds: int, jobs: int) -> None:
     print("captures  largest deviation over stated standard deviation  grades")
     for k in (40, 16, 12, 11, 8):
         chosen = tuple(sorted(rng.choice(CAPTURES, k, replace=False).tolist()))
-        found = parallel_map(calibrate_with_seed, [(chosen, seed) for seed in range(seeds)], jobs)
+        found = list(Processes(jobs).map(calibrate_with_seed, [(chosen, seed) for seed in range(seeds)]))
         _, first, stddev = found[0]
         deviation = max(float(np.max(np.abs(se3.difference(T, first)) / stddev)) for _, T, _ in found)
         grades = ", ".join(f"{grade} {n}" for grade, n in Counter(grade for grade, _, _ in found).items())

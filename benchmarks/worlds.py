@@ -17,7 +17,7 @@ from typing import Any, NamedTuple, TypeVar, cast, get_type_hints
 import numpy as np
 
 from calgraph.geometry import Array, se3
-from calgraph.parallel.processes import parallel_map
+from calgraph.parallel.engine import Processes
 
 Row = TypeVar("Row")
 Key = TypeVar("Key")
@@ -72,7 +72,7 @@ def run_worlds(
     for first in range(0, len(missing), _BLOCK * arguments.jobs):
         block = missing[first : first + _BLOCK * arguments.jobs]
         new: list[Row] = []
-        for one in parallel_map(function, block, arguments.jobs):
+        for one in Processes(arguments.jobs).map(function, block):
             new += one if isinstance(one, list) else [] if one is None else [cast(Row, one)]
         append_rows(kind, new, arguments.csv)
         rows += new

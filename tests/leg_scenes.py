@@ -4,9 +4,8 @@ import numpy as np
 
 from calgraph.config.settings import NetworkEstimationSettings
 from calgraph.geometry import Array, se2
-from calgraph.network.joint.leg_equations import _MAX_EDGE_RATIO, raycast_legs
-from calgraph.network.joint.leg_problem import HARMONICS, LegObservations, LegPath
-from calgraph.network.joint.problem import BodyScans, NetworkProblem, NetworkState
+from calgraph.network.joint.legs import _MAX_EDGE_RATIO, HARMONICS, LegObservations, raycast_legs
+from calgraph.network.joint.problem import BodyPath, BodyScans, NetworkProblem, NetworkState
 from calgraph.network.joint.scanner_unknowns import SYSTEMATIC_ERRORS
 from calgraph.network.joint.splines import Knots, evaluate_spline
 from calgraph.network.tracking.clusters import Foreground
@@ -26,10 +25,10 @@ def walk_leg(side: float, times: Array) -> Array:
     return np.column_stack([x[:, None] * forward + (0.9 + side * 0.08) * left, heading])
 
 
-def build_path(side: float) -> tuple[Knots, LegPath]:
+def build_path(side: float) -> tuple[Knots, BodyPath]:
     """A leg's true path; its control points are nearly its positions."""
     knots = Knots.spanning(-0.3, DURATION + 0.3, 0.06)
-    return knots, LegPath.from_shape(walk_leg(side, knots.control_times()), SHAPE, np.zeros(3))
+    return knots, BodyPath(walk_leg(side, knots.control_times()), np.append(SHAPE, np.zeros(3)))
 
 
 def cast_beams(scanner: int, side: float, times: Array) -> BodyScans:
@@ -79,19 +78,7 @@ def build_network() -> tuple[NetworkProblem, NetworkState]:
         knots, path = build_path(side)
         scans = tuple(cast_beams(s, side, scan_times(s)) for s in range(3))
         control = path.control[:, 2]
-        legs.append(
-            LegObservations(
-                knots,
-                scans,
-                np.full(2, 0.065),
-                np.full(2, 0.015),
-                True,
-                control,
-                np.full(len(control), 10.0),
-                1e-5,
-                30.0,
-            )
-        )
+        legs.append(LegObservations(knots, scans, control, np.full(len(control), 10.0), 1e-5, 30.0))
         paths.append(path)
     problem = NetworkProblem(
         3,

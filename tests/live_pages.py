@@ -11,7 +11,7 @@ from typing import Self
 
 from calgraph.config.settings import PageSettings
 from calgraph.live.server import PageServer, serve_page
-from calgraph.live.state import Command, SessionState
+from calgraph.live.state import Action, SessionState
 
 PATIENCE = 30.0
 """s; long enough for any machine, and waited in failing tests only."""
@@ -22,12 +22,9 @@ class GivenSession:
 
     def __init__(self, state: SessionState) -> None:
         self._state = state
-        self._loop: asyncio.AbstractEventLoop | None = None
-        self._changed = asyncio.Event()
         self.encoded = 0
         """How often the state was asked for."""
         self.pictures: dict[str, bytes] = {}
-        self.scene_json: bytes | None = None
         self.report_file: Path | None = None
         self.commands: queue.Queue[str] = queue.Queue()
 
@@ -35,29 +32,18 @@ class GivenSession:
         self.encoded += 1
         return self._state
 
-    async def wait_for_change(self, state: SessionState) -> None:
-        self._loop = asyncio.get_running_loop()
-        while self._state is state:
-            self._changed.clear()
-            await self._changed.wait()
-
     def picture(self, sensor: str) -> bytes | None:
         return self.pictures.get(sensor)
-
-    def scene(self) -> bytes | None:
-        return self.scene_json
 
     def report(self) -> Path | None:
         return self.report_file
 
-    def command(self, command: Command) -> None:
-        self.commands.put(command.action)
+    def command(self, action: Action) -> None:
+        self.commands.put(action)
 
     def show(self, state: SessionState) -> None:
         """From now on this is the state; from any thread."""
         self._state = state
-        if self._loop:
-            self._loop.call_soon_threadsafe(self._changed.set)
 
     def next_command(self) -> str:
         return self.commands.get(timeout=PATIENCE)

@@ -4,10 +4,9 @@ import numpy as np
 
 from calgraph.config.settings import NetworkEstimationSettings, TrackingSettings
 from calgraph.geometry import Array, se2
-from calgraph.network.joint.ellipse_equations import raycast_ellipses
-from calgraph.network.joint.model_error import TUKEY_LIMIT
+from calgraph.network.joint.ellipses import RaycastHits, raycast_ellipses
 from calgraph.network.joint.problem import BodyPath, BodyScans
-from calgraph.network.joint.scan_equations import TukeyLoss
+from calgraph.network.joint.scan_equations import TUKEY_LIMIT, TukeyLoss
 from calgraph.network.joint.scanner_unknowns import SYSTEMATIC_ERRORS
 from calgraph.network.joint.schur import BodyEquations
 from calgraph.network.joint.solver import NetworkEquations
@@ -22,6 +21,11 @@ T_ROOT = np.stack([np.eye(3), se2.pose(2.5, np.array([6.0, 1.0])), se2.pose(-1.5
 OFFSET = np.array([0.0, 0.03, -0.02])
 EXACT = np.zeros((3, len(SYSTEMATIC_ERRORS)))
 """Systematic errors of the scanners, or their prior standard deviations."""
+
+
+def meet_ellipses(origin: Array, direction: Array, centre: Array, heading: Array, radii: Array) -> RaycastHits:
+    """Where beams (N, 2) meet ellipses with headings (N,), rad."""
+    return raycast_ellipses(origin, direction, centre, np.stack([np.cos(heading), np.sin(heading)]), radii)
 
 
 def simulate_scans(
@@ -43,8 +47,8 @@ def simulate_scans(
         0.15 / np.linalg.norm(offset, axis=1)
     )
     direction = np.column_stack([np.cos(angle), np.sin(angle)])
-    origin, radii = (np.broadcast_to(x, direction.shape) for x in (T[:2, 2], path.radii))
-    ranges = raycast_ellipses(origin, direction, pose[:, :2], pose[:, 2], radii).ranges + rng.normal(
+    origin, radii = (np.broadcast_to(x, direction.shape) for x in (T[:2, 2], path.shape))
+    ranges = meet_ellipses(origin, direction, pose[:, :2], pose[:, 2], radii).ranges + rng.normal(
         0, SIGMA, len(at)
     )
     beam = direction @ T[:2, :2]
@@ -74,7 +78,7 @@ def build_track(
 
 def list_body_equations(equations: NetworkEquations) -> list[BodyEquations]:
     """Of each body."""
-    return [of_body for batch in equations.body_equations.handles for of_body in batch]
+    return equations.map(lambda _network, _state, _body, _path, of_body: of_body)
 
 
 def eliminate_densely(equations: NetworkEquations) -> Array:

@@ -6,15 +6,13 @@ from dataclasses import replace
 import numpy as np
 
 from calgraph.network.joint.body_batches import BodyBatches
-from calgraph.network.joint.ellipse_equations import compute_residuals, raycast_body
-from calgraph.network.joint.estimate import SolvedNetwork
-from calgraph.network.joint.path_equations import evaluate_at
+from calgraph.network.joint.body_equations import update_weights
+from calgraph.network.joint.ellipses import EllipseObservations
 from calgraph.network.joint.problem import BodyObservations, BodyPath, BodyScans, NetworkProblem, NetworkState
-from calgraph.network.joint.range_noise import MIN_COS_INCIDENCE
-from calgraph.network.joint.solver import optimize_network
+from calgraph.network.joint.solver import NetworkEquations, optimize_network
 from calgraph.network.joint.splines import Knots
 from calgraph.network.pairs.scanner_pair import CLOCK_SIGMA
-from network_scenes import DENSITY, EXACT, LOSS, OFFSET, SETTINGS, SIGMA, T_ROOT, simulate_scans
+from network_scenes import DENSITY, EXACT, OFFSET, SETTINGS, SIGMA, T_ROOT, simulate_scans
 
 SECONDS = 24.0
 MIDDLE = SECONDS / 2
@@ -27,22 +25,20 @@ def no_change(_body: int, scans: BodyScans) -> BodyScans:
     return scans
 
 
-def replace_bodies(solved: SolvedNetwork, bodies: Sequence[BodyObservations]) -> SolvedNetwork:
+def replace_bodies(solved: NetworkEquations, bodies: Sequence[BodyObservations]) -> NetworkEquations:
     """The solution as if it was that of other measurements."""
-    problem = replace(solved.problem, bodies=tuple(bodies))
-    return replace(
-        solved, problem=problem, equations=replace(solved.equations, batches=BodyBatches.place(problem.bodies))
-    )
+    problem = replace(solved.network, bodies=tuple(bodies))
+    return replace(solved, network=problem, batches=BodyBatches.place(problem.bodies))
 
 
-def solve_two_walks(rng: np.random.Generator, change: Change = no_change) -> SolvedNetwork:
+def solve_two_walks(rng: np.random.Generator, change: Change = no_change) -> NetworkEquations:
     """The solution of two people's walks, with robust weights."""
     paths = [_simulate_path(phase) for phase in (0.0, 2.0)]
     bodies = []
     for index, (knots, path) in enumerate(paths):
         times = np.arange(0.05, SECONDS, 0.08)
         scans = tuple(change(index, simulate_scans(k, knots, path, times + 0.02 * k, rng)) for k in range(3))
-        bodies.append(BodyObservations(knots, scans, path.radii, 0.3 * path.radii, faces_forward=True))
+        bodies.append(EllipseObservations(knots, scans, path.shape, 0.3 * path.shape, faces_forward=True))
     network = NetworkProblem(
         3,
         tuple(bodies),
@@ -57,9 +53,9 @@ def solve_two_walks(rng: np.random.Generator, change: Change = no_change) -> Sol
     )
     state = NetworkState(T_ROOT, OFFSET, EXACT, tuple(path for _, path in paths))
     for _ in range(6):
-        network = replace(network, bodies=tuple(update_weights(network, state)))
-        state, equations = optimize_network(network, state, iterations=6)
-    return SolvedNetwork(network, state, equations)
+        network, batches = update_weights(network, state, BodyBatches.place(network.bodies))
+        state, equations = optimize_network(network, state, iterations=6, batches=batches)
+    return equations
 
 
 def _simulate_path(phase: float) -> tuple[Knots, BodyPath]:
@@ -68,18 +64,3 @@ def _simulate_path(phase: float) -> tuple[Knots, BodyPath]:
     position = np.column_stack([3 + 1.4 * np.sin(t), 2.2 + 0.9 * np.sin(1.5 * t + 0.4)])
     heading = np.unwrap(np.arctan2(1.35 * np.cos(1.5 * t + 0.4), 1.4 * np.cos(t)))
     return knots, BodyPath(np.column_stack([position, heading]), np.array([0.25, 0.15]))
-
-
-def update_weights(network: NetworkProblem, state: NetworkState) -> list[BodyObservations]:
-    """The bodies with robust weights at a state."""
-    bodies = []
-    for body, path in zip(network.bodies, state.paths, strict=True):
-        scans = []
-        for one in body.scans:
-            _, _, pose, rate = evaluate_at(network, state, body, path, one)
-            hits = raycast_body(state, path, one, pose, rate)
-            used = hits.cos_incidence > MIN_COS_INCIDENCE
-            weight = LOSS.compute_weights(compute_residuals(network, one, hits)[0], used)
-            scans.append(replace(one, weight=weight))
-        bodies.append(replace(body, scans=tuple(scans)))
-    return bodies

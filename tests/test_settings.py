@@ -106,7 +106,7 @@ def test_a_file_of_an_earlier_version_that_states_all_settings_is_valid(tmp_path
     """As rig.resolved.yaml does: those of today, and those that are constants now."""
     stated = {key: value for key, value in values(Settings()) if value is not None}
     rig = load(tmp_path, nest({**stated, "captures.min_hold": 0.7, **FORMER}))
-    assert len(FORMER) == 694
+    assert len(FORMER) == 697
     assert dict(values(rig.settings)) == {**dict(values(Settings())), "captures.min_hold": 0.7}
 
 

@@ -2,10 +2,30 @@
 
 import numpy as np
 
+from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2
+from calgraph.network.pairs.scanner_pair import CLOCK_SIGMA, ScannerPairEstimate, estimate_scanner_pairs
 from calgraph.network.pairs.synchronized_tracks import TICK_PERIOD, SimultaneousPairs, TrackSamples, pair_samples
+from calgraph.network.tracking.track import ScannerTracks
 
 T_A_B = se2.pose(2.1, np.array([5.0, 1.5]))
+
+
+def estimate_scanner_pair(
+    name_a: str,
+    name_b: str,
+    a: ScannerTracks,
+    b: ScannerTracks,
+    rng: np.random.Generator,
+    *,
+    icp: bool = True,
+    depth_stddev: float | None = None,
+    clock_sigma: float = CLOCK_SIGMA,
+) -> ScannerPairEstimate | Rejected:
+    """The only pair of two scanners."""
+    tracked = {name_a: a, name_b: b}
+    found = estimate_scanner_pairs(tracked, rng, icp=icp, depth_stddev=depth_stddev, clock_sigma=clock_sigma)
+    return found[name_a, name_b]
 
 
 def walk_along_curve(seconds: float, number: int = 0) -> tuple[Array, Array]:

@@ -23,19 +23,19 @@ OPTIONS = RunOptions("calgraph fleet")
 
 @dataclass(frozen=True)
 class KillingEngine(Processes):
-    """Two processes, of which one is killed whenever it works on certain recordings."""
+    """Its process is killed whenever it works on certain recordings, also when the call is repeated."""
 
     jobs: int = 2
     killing: frozenset[str] = frozenset()
     calls: list[str] = field(default_factory=list)
 
-    def stream(self, function: Callable[..., Any], work: Iterable[tuple[Any, ...]], shared: Any) -> Iterator[Any]:
+    def map(self, function: Callable[..., Any], work: Iterable[tuple[Any, ...]]) -> Iterator[Any]:
         for arguments in work:
-            task: RecordingTask = arguments[0]
+            task: RecordingTask = arguments[1]
             self.calls.append(task.recording)
             if task.recording in self.killing:
                 raise WorkerKilledError("a process was killed")
-            yield function(shared, *arguments)
+            yield function(*arguments)
 
 
 def test_each_failure_is_that_of_one_recording(tmp_path: Path) -> None:
@@ -81,7 +81,7 @@ def test_a_recording_whose_process_is_killed_twice_is_named_and_the_others_go_on
     found = dict(analyze_recordings(tasks, OPTIONS, engine))
     kinds = {task.recording: result.failure.kind for task, result in found.items() if result.failure}
     assert kinds == {"day-0": "input", "day-1": "input", "day-2": "killed", "day-3": "input", "day-4": "input"}
-    assert engine.calls == ["day-0", "day-1", "day-2", "day-2", "day-3", "day-4"]
+    assert engine.calls == ["day-0", "day-1", "day-2", "day-3", "day-4"]
     stored = load_result(tasks[2].folder)
     assert stored is not None
     assert stored.failure == found[tasks[2]].failure
@@ -89,19 +89,17 @@ def test_a_recording_whose_process_is_killed_twice_is_named_and_the_others_go_on
 
 def test_results_in_folders_are_not_lost_when_a_process_is_killed(tmp_path: Path) -> None:
     class OutOfOrder(KillingEngine):
-        def stream(
-            self, function: Callable[..., Any], work: Iterable[tuple[Any, ...]], shared: Any
-        ) -> Iterator[Any]:
+        def map(self, function: Callable[..., Any], work: Iterable[tuple[Any, ...]]) -> Iterator[Any]:
             work = list(work)
             if len(work) > 1:
                 # The second one is complete when the first one's process is killed.
-                function(shared, *work[1])
-            yield from super().stream(function, work, shared)
+                function(*work[1])
+            yield from super().map(function, work)
 
     tasks = [make_task(tmp_path, recording=f"day-{k}") for k in range(2)]
     engine = OutOfOrder(killing=frozenset({"day-0"}))
     found = dict(analyze_recordings(tasks, OPTIONS, engine))
-    assert engine.calls == ["day-0", "day-0"]
+    assert engine.calls == ["day-0"]
     assert {task.recording: one.failure.kind for task, one in found.items() if one.failure} == {
         "day-0": "killed", "day-1": "input",
     }  # fmt: skip

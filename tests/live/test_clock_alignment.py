@@ -20,6 +20,7 @@ class GivenSource:
     """Gives messages, the last ones a little later than the others."""
 
     name = "ws://robot"
+    max_lead = float("inf")
 
     def __init__(self, given: Sequence[LiveMessage | Notice], late: Sequence[LiveMessage] = ()) -> None:
         self._given, self._late = given, late

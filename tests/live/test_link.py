@@ -17,8 +17,9 @@ def server(host: str, token: str | None = "secret-token_1") -> PageServer:
 
 
 def read_blocks(text: str) -> str:
-    """What a phone reads of a code of half blocks, black on white."""
-    halves = {" ": (1, 1), "▀": (0, 1), "▄": (1, 0), "█": (0, 0)}
+    """What a phone reads of a code of half blocks, white on black."""
+    assert text.startswith("\x1b[38;5;231;48;5;16m")
+    halves = {" ": (0, 0), "▀": (1, 0), "▄": (0, 1), "█": (1, 1)}
     lines = re.sub("\x1b[^m]*m", "", text).split("\n")
     rows = [[halves[block] for block in line] for line in lines]
     modules = np.array(rows, dtype=np.uint8).transpose(0, 2, 1).reshape(2 * len(rows), -1)

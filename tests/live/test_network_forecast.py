@@ -5,15 +5,17 @@ import pytest
 
 from calgraph.config.settings import LiveNetworkSettings
 from calgraph.live.network_session import Forecast
-from calgraph.live.network_solution import LiveNetworkSolution, ScannerSolution
+from calgraph.live.network_solution import LiveNetworkSolution
+from calgraph.live.sensor_solution import SensorSolution
 
 
 def solution(seconds: float, **uncertainties: float) -> LiveNetworkSolution:
     scanners = tuple(
-        ScannerSolution(name, T_root_scanner=np.eye(4), uncertainty=value) for name, value in uncertainties.items()
+        SensorSolution(name, "lidar2d", T_root_sensor=np.eye(4), uncertainty=value)
+        for name, value in uncertainties.items()
     )
     return LiveNetworkSolution(
-        (*scanners, ScannerSolution("apart")), None, 100.0, 100.0 + seconds, seconds, seconds
+        (*scanners, SensorSolution("apart", "lidar2d")), None, 100.0, 100.0 + seconds, seconds, seconds
     )
 
 

@@ -1,6 +1,5 @@
 """A live session of a network: when it calibrates, and what it states."""
 
-import asyncio
 from collections.abc import Callable
 from concurrent.futures import Executor, Future
 from dataclasses import replace
@@ -11,9 +10,11 @@ import numpy as np
 import pytest
 
 from calgraph.config import Rig
+from calgraph.live.floor_grid import FloorGrid
 from calgraph.live.network_session import NetworkSession
-from calgraph.live.network_solution import LiveNetworkSolution, ScannerSolution
+from calgraph.live.network_solution import LiveNetworkSolution
 from calgraph.live.rig_session import SessionPools
+from calgraph.live.sensor_solution import SensorSolution
 from calgraph.live.source import LiveMessage
 from calgraph.sensors import LaserScan
 from live_sessions import make_live_message
@@ -29,10 +30,10 @@ RIG = Rig.model_validate(
 )
 
 
-def posed(name: str, grade: str, uncertainty: float, reason: str = "") -> ScannerSolution:
+def posed(name: str, grade: str, uncertainty: float, reason: str = "") -> SensorSolution:
     """A scanner with a pose, standard deviations of 2 mm and 2 mrad."""
-    covariance, stddev = np.eye(2) * 4e-6, np.full(3, 0.002)
-    return ScannerSolution(name, 3, np.eye(4), covariance, stddev, uncertainty, grade, reason)
+    covariance, stddev = np.eye(3) * 4e-6, np.full(6, 0.002)
+    return SensorSolution(name, "lidar2d", np.eye(4), stddev, covariance, uncertainty, grade, reason)
 
 
 class WaitingExecutor(Executor):
@@ -64,7 +65,10 @@ class Fed:
         self.recorded = 0.0
         """s"""
         pools = SessionPools(WaitingExecutor(), 1, self.pool, lambda function: function())
-        self.session = NetworkSession(RIG, "test", pools, Path("recording"), clock=lambda: self.now)
+        self.lines: list[str] = []
+        self.session = NetworkSession(
+            RIG, "test", pools, Path("recording"), self.lines.append, clock=lambda: self.now
+        )
 
     def feed(self, seconds: float, names: tuple[str, ...] = NAMES, delay: dict[str, float] | None = None) -> None:
         for _ in range(round(10 * seconds)):
@@ -79,9 +83,9 @@ def scan(name: str, at: float, delay: float = 0.0) -> LiveMessage:
     return make_live_message(f"/{name}", message, EPOCH + at)
 
 
-def solution(end: float, *scanners: ScannerSolution, seconds: float = 1.0) -> LiveNetworkSolution:
+def solution(end: float, *scanners: SensorSolution, seconds: float = 1.0) -> LiveNetworkSolution:
     """One of three scanners without poses, if none are given."""
-    known = scanners or tuple(ScannerSolution(name) for name in NAMES)
+    known = scanners or tuple(SensorSolution(name, "lidar2d") for name in NAMES)
     return LiveNetworkSolution(known, None, EPOCH, EPOCH + end, end, end, seconds=seconds)
 
 
@@ -133,20 +137,15 @@ def test_the_last_solution_is_given_to_the_next(fed: Fed) -> None:
     assert fed.pool.calls[-1][2][3] is found
 
 
-def test_the_state_is_another_object_after_a_solution(fed: Fed) -> None:
+def test_poses_within_tolerance_are_printed_once(fed: Fed) -> None:
+    good = tuple(posed(name, "good", 0.5) for name in NAMES)
     fed.feed(9)
-    before = fed.session.state()
-    assert fed.session.state() is before
-
-    async def wait() -> None:
-        waiting = asyncio.ensure_future(fed.session.wait_for_change(before))
-        await asyncio.sleep(0)
-        assert not waiting.done()
-        fed.pool.finish(solution(9.0))
-        await asyncio.wait_for(waiting, 5)
-
-    asyncio.run(wait())
-    assert fed.session.state() is not before
+    fed.pool.finish(solution(9.0))
+    for end in (20.0, 40.0):
+        assert len(fed.lines) == (end > 20)
+        fed.feed(20)
+        fed.pool.finish(solution(end, *good))
+    assert fed.lines == ["All sensors are within tolerance: finish"]
 
 
 def test_scanners_without_messages_are_named(fed: Fed) -> None:
@@ -181,8 +180,8 @@ def test_unusable_messages_are_counted(fed: Fed) -> None:
 
 def test_people_are_sent_to_scanners_that_have_detected_no_person(fed: Fed) -> None:
     fed.feed(9)
-    apart = ScannerSolution("c", reason="no object of the target's size was detected")
-    fed.pool.finish(solution(9.0, posed("a", "good", 0.0), ScannerSolution("b", 3), apart))
+    apart = SensorSolution("c", "lidar2d", reason="no object of the target's size was detected")
+    fed.pool.finish(solution(9.0, posed("a", "good", 0.0), SensorSolution("b", "lidar2d", tracks=3), apart))
     state = fed.session.state()
     assert state.headline == "Walk where c detects you, and on to where another scanner does"
     assert state.advice is not None
@@ -203,7 +202,9 @@ def test_the_time_that_is_left_is_stated(fed: Fed) -> None:
 
 def test_it_is_done_when_all_scanners_are_good(fed: Fed) -> None:
     fed.feed(9)
-    fed.pool.finish(solution(9.0, *(posed(name, "good", 0.4) for name in NAMES)))
+    cells = np.zeros((2, 2), dtype=np.bool_)
+    floor = FloorGrid(np.zeros(2), 0.5, cells, cells, np.zeros((1, 2)))
+    fed.pool.finish(replace(solution(9.0, *(posed(name, "good", 0.4) for name in NAMES)), grid=floor))
     state = fed.session.state()
     assert state.done
     assert state.phase == "ready"
@@ -211,7 +212,9 @@ def test_it_is_done_when_all_scanners_are_good(fed: Fed) -> None:
     assert state.sensors[0].stddev_mm is None
     assert state.sensors[1].stddev_mm == pytest.approx(2)
     assert state.sensors[1].stddev_degrees == pytest.approx(np.degrees(0.002))
-    assert state.floor_plan.startswith("<svg")
+    assert state.scene is not None
+    assert state.scene.floor is floor
+    assert tuple(one.name for one in state.scene.sensors) == NAMES
 
 
 def test_the_state_says_that_solutions_are_late(fed: Fed) -> None:

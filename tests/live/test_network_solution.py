@@ -53,8 +53,8 @@ def with_intervals(rig: Rig, monkeypatch: pytest.MonkeyPatch, interval: float, m
 
 def assert_same_poses(live: LiveNetworkSolution, calibration: Calibration) -> None:
     for scanner in live.scanners:
-        assert scanner.T_root_scanner is not None
-        np.testing.assert_array_equal(scanner.T_root_scanner, calibration[scanner.name].T_root_sensor)
+        assert scanner.T_root_sensor is not None
+        np.testing.assert_array_equal(scanner.T_root_sensor, calibration[scanner.name].T_root_sensor)
         assert scanner.grade == calibration[scanner.name].verdict.grade
 
 
@@ -68,14 +68,12 @@ def test_standard_deviations_are_along_the_axes_of_the_scanner(
     recorded: Recorded, solution: LiveNetworkSolution
 ) -> None:
     root, *others = solution.scanners
-    assert root.stddev is not None
-    assert root.stddev.tolist() == [0, 0, 0]
+    assert root.stddev.tolist() == [0] * 6
     for scanner in others:
         sensor = recorded[2][scanner.name]
         R = sensor.T_root_sensor[:2, :2]
         expected = np.sqrt(np.diag(R.T @ sensor.covariance[:2, :2] @ R))
-        assert scanner.stddev is not None
-        np.testing.assert_allclose(scanner.stddev, [*expected, np.sqrt(sensor.covariance[5, 5])])
+        np.testing.assert_allclose(scanner.stddev, [*expected, 0, 0, 0, np.sqrt(sensor.covariance[5, 5])])
         # 95 % within 10 mm.
         assert scanner.uncertainty == pytest.approx(1.96 * scanner.stddev[:2].max() / 0.01, rel=1e-3)
         assert scanner.progress == pytest.approx(min(1, 1 / scanner.uncertainty))
@@ -88,9 +86,9 @@ def test_poses_of_joined_intervals_agree_with_those_of_the_whole(
     found = solve(with_intervals(rig, monkeypatch, 8, 4), path, tmp_path)
     assert len(found.progress.intervals) == len(list(tmp_path.iterdir())) == 2
     for scanner in found.scanners[1:]:
-        assert scanner.T_root_scanner is not None
+        assert scanner.T_root_sensor is not None
         sensor = calibration[scanner.name]
-        off = np.abs(scanner.T_root_scanner[:2, 3] - sensor.T_root_sensor[:2, 3])
+        off = np.abs(scanner.T_root_sensor[:2, 3] - sensor.T_root_sensor[:2, 3])
         assert np.all(off < 3 * np.sqrt(np.diag(sensor.covariance)[:2]))
 
 
@@ -105,8 +103,8 @@ def test_intervals_in_files_are_not_tracked_again(
     again = solve(rig, path, tmp_path, first)
     assert file.stat().st_mtime_ns == written
     for one, other in zip(first.scanners, again.scanners, strict=True):
-        assert one.T_root_scanner is not None
-        np.testing.assert_array_equal(one.T_root_scanner, other.T_root_scanner)
+        assert one.T_root_sensor is not None
+        np.testing.assert_array_equal(one.T_root_sensor, other.T_root_sensor)
 
 
 def test_a_long_recording_is_tracked_in_several_calls(
@@ -133,7 +131,7 @@ def test_scanners_without_messages_have_the_reason(recorded: Recorded, tmp_path:
             writer.write(record.topic, record.decode(), record.arrival)
     found = solve(rig, tmp_path / "two", tmp_path / "tracks")
     assert found.scanners[2].reason == "it has sent no messages yet"
-    assert found.scanners[2].T_root_scanner is None
+    assert found.scanners[2].T_root_sensor is None
 
 
 def test_a_lone_root_has_no_pose(recorded: Recorded, tmp_path: Path) -> None:
@@ -142,7 +140,7 @@ def test_a_lone_root_has_no_pose(recorded: Recorded, tmp_path: Path) -> None:
         for record in recording.records(end=recording.start + 1):
             writer.write(record.topic, record.decode(), record.arrival)
     found = solve(rig, tmp_path / "short", tmp_path / "tracks")
-    assert [one.T_root_scanner for one in found.scanners] == [None] * 3
+    assert [one.T_root_sensor for one in found.scanners] == [None] * 3
     assert not replace(found, scanners=()).done
     assert found.grid is None
 
@@ -192,6 +190,6 @@ def test_a_scanner_moved_between_two_intervals_has_its_pose_after_that(
     assert len(found.progress.intervals) == 2
     (other,) = found.scanners[1:]
     truth = load_truth(tmp_path / "network/truth.yaml").T_root_sensor[other.name]
-    assert other.T_root_scanner is not None
-    assert np.linalg.norm((other.T_root_scanner - truth)[:2, 3]) < 0.02
+    assert other.T_root_sensor is not None
+    assert np.linalg.norm((other.T_root_sensor - truth)[:2, 3]) < 0.02
     assert any("moved by" in remark for remark in (*found.remarks, other.reason))

@@ -1,22 +1,16 @@
 """What the page shows of a session besides its captures, and which commands reach it."""
 
-import asyncio
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from calgraph.live.live_session import OperatorView
 from calgraph.live.source import Notice
-from calgraph.live.state import Command, RecorderState, SessionState
+from calgraph.live.state import RecorderState, SessionState
 from live_pages import GivenSession
 
 STATE = SessionState("rig", "ready", "Hold the board still in a new pose", "ws://robot:8765")
-
-
-@dataclass
-class GivenRecorder:
-    state: RecorderState
 
 
 def make_view(printed: list[str] | None = None) -> tuple[OperatorView, GivenSession]:
@@ -59,7 +53,7 @@ def test_the_connection_is_that_of_the_last_notice_on_it(kinds: list[str], conne
 
 def test_messages_that_the_source_lost_are_counted_with_those_recorded() -> None:
     view, _ = make_view()
-    view.show_recorder(GivenRecorder(RecorderState(messages=12)))
+    view.show_recorder(lambda: RecorderState(messages=12))
     view.note(Notice("lost", "3 messages lost", "/scan", 3))
     view.note(Notice("lost", "2 messages lost", "/scan", 2))
     view.note(Notice("refused", "not a message", "/scan", 7))
@@ -75,15 +69,15 @@ def test_connections_that_broke_are_counted_once_each() -> None:
 
 def test_commands_reach_the_session_until_it_ends() -> None:
     view, session = make_view()
-    view.command(Command("trigger"))
+    view.command("trigger")
     view.show_end("finishing", "The whole recording is being calibrated")
-    view.command(Command("discard"))
+    view.command("discard")
     assert session.commands.qsize() == 1
 
 
 def test_finish_is_for_who_owns_the_session() -> None:
     view, session = make_view()
-    view.command(Command("finish"))
+    view.command("finish")
     assert view.finish_wanted.is_set()
     assert session.commands.empty()
 
@@ -97,28 +91,3 @@ def test_the_end_and_its_report_are_shown(tmp_path: Path) -> None:
     assert (state.phase, state.headline, state.report) == ("finished", "All 4 poses are good", True)
     assert state.done
     assert view.report() == tmp_path / "report.html"
-
-
-@pytest.mark.parametrize("cause", ["session", "notice", "end"])
-def test_each_change_is_another_state(cause: str) -> None:
-    async def wait() -> tuple[SessionState, SessionState]:
-        view, session = make_view()
-        before = view.state()
-        assert view.state() is before
-        waiting = asyncio.create_task(view.wait_for_change(before))
-        await asyncio.sleep(0)
-        await asyncio.sleep(0)
-        assert not waiting.done()
-        match cause:
-            case "session":
-                session.show(SessionState("rig", "measuring", "Hold still", "ws://robot:8765"))
-            case "notice":
-                view.note(Notice("connected", "connected to ws://robot:8765"))
-            case "end":
-                view.show_end("finishing", "The whole recording is being calibrated")
-        await asyncio.wait_for(waiting, 30.0)
-        return before, view.state()
-
-    before, after = asyncio.run(wait())
-    assert after is not before
-    assert after != before

@@ -2,6 +2,7 @@
 
 import shutil
 import socket
+from base64 import b64decode
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -11,11 +12,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from playwright.sync_api import Browser, Page, sync_playwright
 
 from calgraph.config.settings import PageSettings
-from calgraph.live.rig_session import SceneFrame, SceneView, encode_scene
-from calgraph.live.state import Advice, CaptureEvent, RecorderState, SensorState, SessionState
+from calgraph.live.floor_grid import FloorGrid
+from calgraph.live.sensor_solution import SensorSolution
+from calgraph.live.state import Advice, CaptureEvent, RecorderState, SceneState, SensorState, SessionState
 from live_pages import PATIENCE, GivenSession, ServedPage
 
 CHROMIUM = shutil.which("chromium")
@@ -32,14 +35,22 @@ SENSORS = (
                 stddev_degrees=0.4, progress=0.8, coverage=(0.5,) * 9, picture=1),
     SensorState(HOSTILE + "x" * 80, "lidar2d", problem="no message for 6 s"),
 )  # fmt: skip
+SCENE = SceneState(
+    (
+        SensorSolution("lidar", "lidar3d", np.eye(4)),
+        SensorSolution("camera", "camera", np.eye(4), np.full(6, 0.01), np.eye(3) * 1e-4, 2.0, "weak"),
+    ),
+    (np.array([[1.0, 0, 0], [1, 1, 0], [1, 1, 1], [1, 0, 1]]),),
+)
 RIG = SessionState(
     "rig", "ready", "Hold the board still in a new pose", "ws://robot:8765", connected=True, root="lidar",
-    sensors=SENSORS, captures=3, tolerance_mm=10.0, tolerance_degrees=0.3, scene=1,
+    sensors=SENSORS, captures=3, tolerance_mm=10.0, tolerance_degrees=0.3, scene=SCENE,
     advice=Advice("Hold the board 2.2 m in front of lidar, tilted back by 25°", POSE, "σ of z: 12 mm → 6 mm"),
 )  # fmt: skip
-NETWORK = replace(
-    RIG, kind="network", floor_plan='<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 360 300"/>', scene=0
+FLOOR = FloorGrid(
+    np.zeros(2), 0.5, np.eye(8, dtype=np.bool_), np.eye(8, dtype=np.bool_)[::-1], np.array([[0.0, 0.0], [4, 4]])
 )
+NETWORK = replace(RIG, kind="network", scene=replace(SCENE, boards=(), floor=FLOOR))
 
 
 def jpeg() -> bytes:
@@ -80,12 +91,6 @@ class Opened:
 def opened(browser: Browser) -> Iterator[Opened]:
     session = GivenSession(RIG)
     session.pictures["camera"] = jpeg()
-    frames = [
-        SceneFrame("lidar", "lidar3d", np.eye(4)),
-        SceneFrame("camera", "camera", np.eye(4), np.eye(3) * 1e-4, "weak"),
-    ]
-    boards = np.array([[[1.0, 0, 0], [1, 1, 0], [1, 1, 1], [1, 0, 1]]])
-    session.scene_json = encode_scene(SceneView(frames, boards))
     with ServedPage(session) as served:
         context = browser.new_context(viewport={"width": PORTRAIT[0], "height": PORTRAIT[1]})
         found = Opened(session, context.new_page())
@@ -265,7 +270,7 @@ def test_nothing_is_wider_than_the_screen_and_buttons_are_large(
     assert all(box and min(box["width"], box["height"]) >= 48 for box in buttons)
     assert all(box and box["y"] >= 0 and box["y"] + box["height"] <= size[1] for box in buttons)
     if state is NETWORK:
-        assert opened.page.locator("#floor-plan").is_visible()
+        assert opened.page.locator("#scene").is_visible()
 
 
 @pytest.mark.parametrize("size", [SMALL, PORTRAIT, LANDSCAPE, (1024, 768), WIDE, (1920, 1080)])
@@ -320,7 +325,7 @@ CONTRAST = """() => {
         replace(RIG, phase="waiting"),
         replace(RIG, done=True),
         replace(RIG, phase="failed", report=True),
-        replace(NETWORK, floor_plan=""),
+        replace(NETWORK, scene=None),
     ],
     ids=["problems", "waiting", "done", "failed", "network"],
 )
@@ -342,3 +347,48 @@ def test_wide_screens_draw_the_scene_which_turns(opened: Opened) -> None:
     opened.page.locator("#scene").focus()
     opened.page.keyboard.press("ArrowLeft")
     assert picture() != before
+
+
+def read_scene(opened: Opened) -> NDArray[np.uint8]:
+    """(H, W, 4) the scene: red, green, blue, opacity."""
+    url = opened.page.evaluate("document.getElementById('scene').toDataURL()")
+    encoded = np.frombuffer(b64decode(url.partition(",")[2]), np.uint8)
+    pixels = np.asarray(cv2.imdecode(encoded, cv2.IMREAD_UNCHANGED), dtype=np.uint8)
+    return pixels[..., [2, 1, 0, 3]]
+
+
+def count_in_quarters(pixels: NDArray[np.uint8], color: tuple[int, int, int]) -> list[int]:
+    """How many pixels have a colour: at the top left and right, and at the bottom left and right."""
+    found = (pixels[..., :3] == color).all(axis=-1)
+    return [int(side.sum()) for half in np.array_split(found, 2) for side in np.array_split(half, 2, axis=1)]
+
+
+def test_the_floor_plan_has_walks_and_where_to_walk_seen_from_above(opened: Opened) -> None:
+    """x is to the right and y is up: walks along the diagonal from the origin, wanted areas along the other."""
+    opened.show(replace(NETWORK, headline="walk"))
+    pixels = read_scene(opened)
+    top_left, top_right, bottom_left, bottom_right = count_in_quarters(pixels, (0x1F, 0x4A, 0x78))
+    assert min(top_right, bottom_left) > 100
+    assert max(top_left, bottom_right) < 0.1 * top_right
+    top_left, top_right, bottom_left, bottom_right = count_in_quarters(pixels, (0x9A, 0x6C, 0x18))
+    assert min(top_left, bottom_right) > 100
+    assert max(top_right, bottom_left) < 0.1 * top_left
+
+
+def test_the_error_of_a_scanner_is_drawn_at_the_scale_of_its_tolerance(opened: Opened) -> None:
+    bare = replace(FLOOR, walked=np.zeros((8, 8), dtype=np.bool_), wanted=np.zeros((8, 8), dtype=np.bool_))
+    widths = []
+    for share in (0.5, 2.0):
+        variance = (share * RIG.tolerance_mm / 1000 / 1.96) ** 2
+        scanner = replace(SCENE.sensors[1], kind="lidar2d", name="", covariance=np.eye(3) * variance)
+        opened.show(replace(NETWORK, scene=SceneState((scanner,), floor=bare), headline=f"{share}"))
+        opacity = read_scene(opened)[..., 3]
+        widths.append(np.ptp(np.flatnonzero(((opacity > 50) & (opacity < 80)).sum(axis=0) > 4)))
+    # Tolerances have a radius of 11 px; columns with few pixels at the sides are left out of both.
+    assert widths[1] - widths[0] == pytest.approx(22 * (2.0 - 0.5), abs=3)
+
+
+def test_a_scanner_states_its_clock(opened: Opened) -> None:
+    scanner = replace(SENSORS[2], problem="", clock_ms=-12.4)
+    opened.show(replace(NETWORK, sensors=(scanner,), headline="clock"))
+    assert "clock -12\N{NO-BREAK SPACE}ms" in opened.page.locator(".card").inner_text()

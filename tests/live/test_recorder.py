@@ -2,6 +2,7 @@
 
 import asyncio
 import os
+import resource
 import shutil
 import signal
 import subprocess
@@ -286,21 +287,16 @@ def test_a_disk_that_cannot_be_written_to_is_named(tmp_path: Path, monkeypatch: 
             await recorder.write(block(number, 2000))
         while recorder.state.messages < 5:
             await asyncio.sleep(0)
-        stored = recorder._file._file
-
-        class Full:
-            def write(self, data: Any) -> int:
-                stored.write(data[:100])
-                raise OSError(28, "No space left on device")
-
-            def __getattr__(self, name: str) -> Any:
-                return getattr(stored, name)
-
-        monkeypatch.setattr(recorder._file, "_file", Full())
-        for number in range(5, 10):
-            await recorder.write(block(number, 2000))
-        with pytest.raises(RecordingError, match=r"recording_0\.mcap: cannot be written to \(No space left"):
-            await recorder.close()
+        before, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+        # Of the next chunk 100 bytes are written.
+        resource.setrlimit(resource.RLIMIT_FSIZE, (recorder.path.stat().st_size + 100, hard))
+        try:
+            for number in range(5, 10):
+                await recorder.write(block(number, 2000))
+            with pytest.raises(RecordingError, match=r"recording_0\.mcap: cannot be written to \(File too large"):
+                await recorder.close()
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (before, hard))
         return recorder.state.messages
 
     assert asyncio.run(run()) == 5

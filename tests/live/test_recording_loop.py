@@ -1,15 +1,16 @@
 """The loop of a live session: what is recorded before what is fed, and what ends it."""
 
 import asyncio
+from collections import deque
 from collections.abc import AsyncIterator, Collection, Sequence
 
 import pytest
 
 from calgraph.config import Rig
 from calgraph.errors import InputError, RecordingError
-from calgraph.live.live_session import OperatorView, TriggerQueue, record_session
+from calgraph.live.live_session import OperatorView, record_session
 from calgraph.live.source import Channel, LiveMessage, Notice
-from calgraph.live.state import Command, SessionState
+from calgraph.live.state import SessionState
 from live_pages import GivenSession
 
 RIG = Rig.model_validate(
@@ -37,6 +38,7 @@ class GivenSource:
     """Gives what it is given; an exception among it is raised, and None waits for ever."""
 
     name = "given"
+    max_lead = float("inf")
 
     def __init__(self, *items: LiveMessage | Notice | Exception | None) -> None:
         self._items = items
@@ -71,10 +73,11 @@ class Loop:
     ) -> None:
         self.log: list[str] = []
         self.source = GivenSource(*items)
-        self.triggers = TriggerQueue()
+        self.source.max_lead = max_lead
+        self.triggers: deque[LiveMessage] = deque()
         self.trigger_after: int | None = None
         self.view = OperatorView(GivenSession(SessionState("rig", "ready", "", "given")), self.log.append)
-        self._disk, self._busy, self.lags, self._max_lead = disk, busy, list(lags), max_lead
+        self._disk, self._busy, self.lags = disk, busy, list(lags)
 
     @property
     def busy(self) -> bool:
@@ -93,9 +96,9 @@ class Loop:
     def feed(self, one: LiveMessage) -> None:
         self.log.append(f"fed {one.arrival}")
         if one.arrival == self.trigger_after:
-            self.triggers.put(message(one.arrival, "/trigger"))
+            self.triggers.append(message(one.arrival, "/trigger"))
         if one.arrival == 99:
-            self.view.command(Command("finish"))
+            self.view.command("finish")
 
     def __getattr__(self, name: str) -> object:
         return getattr(self.view, name)
@@ -103,7 +106,7 @@ class Loop:
     def run(self) -> None:
         asyncio.run(
             asyncio.wait_for(
-                record_session(self.source, RIG, self, self, self.triggers, self.view, max_lead=self._max_lead),  # type: ignore[arg-type]
+                record_session(self.source, RIG, self.write, self, self.view),  # type: ignore[arg-type]
                 30.0,
             )
         )

@@ -83,6 +83,21 @@ def test_a_resumed_replay_starts_after_the_last_message(bag: Path) -> None:
     assert [one.arrival for one in rest] == [one.arrival for one in everything[7:]]
 
 
+def test_of_messages_that_arrive_at_once_the_unrecorded_ones_follow(tmp_path: Path) -> None:
+    """A camera's image and its CameraInfo arrive at once; a session may be killed between them."""
+    with RecordingWriter(tmp_path / "bag") as writer:
+        for topic, second in (("/a", 1), ("/b", 1), ("/a", 2), ("/b", 2)):
+            writer.write(topic, Trigger(EPOCH + second), EPOCH + second)
+
+    def replay(but: list[str]) -> list[tuple[str, int]]:
+        source = ReplaySource(tmp_path / "bag", speed=0, start_after=(EPOCH + 1) * 10**9, but=but)
+        given = messages(collect(source, ["/a", "/b"]))
+        return [(one.channel.topic, round(one.arrival / 1e9) - EPOCH) for one in given]
+
+    assert replay(["/a"]) == [("/b", 1), ("/a", 2), ("/b", 2)]
+    assert replay(["/a", "/b"]) == [("/a", 2), ("/b", 2)]
+
+
 def test_no_message_is_early_and_all_come_within_the_time_that_the_speed_states(bag: Path) -> None:
     async def run() -> list[tuple[float, int]]:
         source = ReplaySource(bag, speed=5)

@@ -1,9 +1,9 @@
 """A live session of a rig takes the captures that the calibration of its recording finds."""
 
 import asyncio
-import json
 import os
-from collections.abc import Callable, Sequence
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 
 from calgraph.config import Capture, Rig
-from calgraph.live.record_reader import RecordReader
-from calgraph.live.rig_session import RigSession, SessionOutputs, SessionPools, count_analysis_processes
-from calgraph.live.rig_solution import LiveSolution, SensorSolution
+from calgraph.live.rig_session import RigSession, SessionPools, count_analysis_processes
+from calgraph.live.rig_solution import LiveSolution
+from calgraph.live.sensor_solution import SensorSolution
 from calgraph.live.source import LiveMessage
-from calgraph.live.state import Command
+from calgraph.live.state import SceneState
 from calgraph.parallel.processes import worker_pool
 from calgraph.rig.capture_collection import collect_captures
 from calgraph.rig.captures.detect import CaptureSet
@@ -56,16 +56,27 @@ def change_settings(rig: Rig, group: str, **values: float) -> Rig:
     return rig.model_copy(update={"settings": rig.settings.model_copy(update={"live": changed})})
 
 
+def ignore(_: object) -> None:
+    """Takes windows and lines that do not matter."""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def draw_seldom() -> Iterator[None]:
+    """Pictures take longest."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("calgraph.live.message_analysis._PICTURE_RATE", 0.4)
+        yield
+
+
 @pytest.fixture(scope="module")
 def walk() -> tuple[Rig, list[LiveMessage], GroundTruth]:
     """A rig of five sensors, its messages, and the truth."""
     rig, recording, truth = simulate_scenario(SCENARIO, seed=3)
-    rig = change_settings(rig, "view", rate=0.4)
     return rig, list(send_messages(recording)), truth
 
 
 @pytest.fixture(scope="module")
-def session(walk: tuple[Rig, list[LiveMessage], GroundTruth]) -> tuple[RigSession, list[LiveMessage]]:
+def session(walk: tuple[Rig, list[LiveMessage], GroundTruth]) -> tuple[RigSession, deque[LiveMessage]]:
     """A session without the button that has received all messages, and its triggers."""
     rig, messages, _ = walk
     running, triggers = start_session(rig)
@@ -76,8 +87,7 @@ def session(walk: tuple[Rig, list[LiveMessage], GroundTruth]) -> tuple[RigSessio
 
 def record(messages: Sequence[LiveMessage], rig: Rig) -> SimulatedRecording:
     """The recording of messages."""
-    reader = RecordReader("recorded", rig.settings.limits)
-    return build_recording(reader.read(message) for message in messages)
+    return build_recording(message.read("recorded", rig.settings.limits) for message in messages)
 
 
 def calibrated_captures(rig: Rig, messages: Sequence[LiveMessage]) -> CaptureSet:
@@ -105,7 +115,7 @@ def assert_equal_captures(live: CaptureSet, recorded: CaptureSet) -> None:
 
 
 def test_captures_are_those_of_the_recording_to_the_bit(
-    walk: tuple[Rig, list[LiveMessage], GroundTruth], session: tuple[RigSession, list[LiveMessage]]
+    walk: tuple[Rig, list[LiveMessage], GroundTruth], session: tuple[RigSession, deque[LiveMessage]]
 ) -> None:
     running, triggers = session
     live = running.captures()
@@ -114,7 +124,7 @@ def test_captures_are_those_of_the_recording_to_the_bit(
 
 
 def test_every_automatic_capture_lies_in_a_hold(
-    walk: tuple[Rig, list[LiveMessage], GroundTruth], session: tuple[RigSession, list[LiveMessage]]
+    walk: tuple[Rig, list[LiveMessage], GroundTruth], session: tuple[RigSession, deque[LiveMessage]]
 ) -> None:
     holds = session[0].captures().holds
     assert [(b.trigger <= h.start, h.end <= b.end) for b, h in zip(walk[2].boards, holds, strict=True)] == [
@@ -132,7 +142,7 @@ def feed_until(running: RigSession, messages: Sequence[LiveMessage], time: float
 
 
 def test_an_interrupted_session_continues_with_its_captures(
-    walk: tuple[Rig, list[LiveMessage], GroundTruth], session: tuple[RigSession, list[LiveMessage]]
+    walk: tuple[Rig, list[LiveMessage], GroundTruth], session: tuple[RigSession, deque[LiveMessage]]
 ) -> None:
     rig, messages, _ = walk
     first, triggers = start_session(rig)
@@ -165,10 +175,10 @@ def test_a_resumed_session_measures_noise_in_the_recorded_background(
 def test_the_button_waits_until_the_board_rests(walk: tuple[Rig, list[LiveMessage], GroundTruth]) -> None:
     rig, messages, truth = walk
     running, triggers = start_session(rig)
-    running.command(Command("manual"))
+    running.command("manual")
     rest = feed_until(running, messages, 6.4)
     assert not triggers
-    running.command(Command("trigger"))
+    running.command("trigger")
     state = running.state()
     assert state.phase == "waiting"
     assert state.headline.startswith("Hold the board still (motion in ")
@@ -183,10 +193,10 @@ def test_the_button_waits_until_the_board_rests(walk: tuple[Rig, list[LiveMessag
 def test_the_second_press_searches_a_moving_board(walk: tuple[Rig, list[LiveMessage], GroundTruth]) -> None:
     rig, messages, _ = walk
     running, _ = start_session(rig)
-    running.command(Command("manual"))
+    running.command("manual")
     rest = feed_until(running, messages, 6.4)
-    running.command(Command("trigger"))
-    running.command(Command("trigger"))
+    running.command("trigger")
+    running.command("trigger")
     for message in rest[:40]:
         running.feed(message)
     assert not running.captures().holds
@@ -200,9 +210,9 @@ def test_a_board_that_never_rests_is_refused_with_the_sensors_that_see_it_move(
 ) -> None:
     rig, messages, _ = walk
     running, triggers = start_session(change_settings(rig, "capture", timeout=0.3))
-    running.command(Command("manual"))
+    running.command("manual")
     rest = feed_until(running, messages, 4.3)
-    running.command(Command("trigger"))
+    running.command("trigger")
     feed_until(running, rest, 0.35)
     event = running.state().event
     assert (event.number, event.taken) == (1, False)
@@ -222,7 +232,7 @@ def test_a_silent_sensor_refuses_captures_by_name(walk: tuple[Rig, list[LiveMess
     assert {sensor.name: sensor.problem for sensor in state.sensors if sensor.problem} == {
         "laser_left": "has sent no message for 7 s"
     }
-    running.command(Command("trigger"))
+    running.command("trigger")
     assert running.state().event.text == "No capture: laser_left has sent no message for 7 s"
 
 
@@ -233,7 +243,7 @@ def test_a_capture_that_is_left_out_is_excluded_from_the_recording(
     excluded: list[tuple[float, float]] = []
     running, triggers = start_session(rig, exclude=excluded.append)
     rest = feed_until(running, messages, 6.0)
-    running.command(Command("discard"))
+    running.command("discard")
     for message in rest:
         running.feed(message)
     assert len(triggers) == 3
@@ -252,7 +262,7 @@ def test_clocks_that_differ_from_arrivals_do_not_keep_captures_from_being_taken_
     excluded: list[tuple[float, float]] = []
     running, triggers = start_session(rig, exclude=excluded.append)
     rest = feed_until(running, later, 6.0)
-    running.command(Command("discard"))
+    running.command("discard")
     for message in rest:
         running.feed(message)
     assert len(triggers) == 3
@@ -273,7 +283,7 @@ def test_the_lag_is_the_age_of_the_first_message_that_is_not_analysed(
 ) -> None:
     rig, messages, _ = walk
     pools = SessionPools(BusyExecutor(), 1, BusyExecutor(), lambda function: function())
-    busy = RigSession(rig, "simulated", pools, SessionOutputs(lambda _: None))
+    busy = RigSession(rig, "simulated", pools, exclude=ignore, print_line=ignore)
     idle, _ = start_session(rig)
     feed_until(busy, messages, 1.0)
     feed_until(idle, messages, 1.0)
@@ -282,7 +292,7 @@ def test_the_lag_is_the_age_of_the_first_message_that_is_not_analysed(
 
 
 def test_unusable_messages_are_counted_and_change_nothing(
-    walk: tuple[Rig, list[LiveMessage], GroundTruth], session: tuple[RigSession, list[LiveMessage]]
+    walk: tuple[Rig, list[LiveMessage], GroundTruth], session: tuple[RigSession, deque[LiveMessage]]
 ) -> None:
     rig, messages, _ = walk
     running, triggers = start_session(rig)
@@ -294,7 +304,7 @@ def test_unusable_messages_are_counted_and_change_nothing(
     assert all("unusable messages" in sensor.problem for sensor in running.state().sensors)
 
 
-def test_the_state_says_what_each_sensor_detects(session: tuple[RigSession, list[LiveMessage]]) -> None:
+def test_the_state_says_what_each_sensor_detects(session: tuple[RigSession, deque[LiveMessage]]) -> None:
     state = session[0].state()
     assert (state.phase, state.captures, state.event.taken) == ("ready", 3, True)
     assert {sensor.name: (sensor.sees_board, sensor.reason) for sensor in state.sensors} == {
@@ -337,7 +347,7 @@ def test_a_clock_that_differs_is_named_unless_it_is_stated(
 
 
 def test_damaged_stamps_do_not_end_captures(
-    walk: tuple[Rig, list[LiveMessage], GroundTruth], session: tuple[RigSession, list[LiveMessage]]
+    walk: tuple[Rig, list[LiveMessage], GroundTruth], session: tuple[RigSession, deque[LiveMessage]]
 ) -> None:
     rig, messages, _ = walk
     running, triggers = start_session(rig)
@@ -419,7 +429,7 @@ def test_a_killed_process_is_shown_and_messages_are_still_taken(
 ) -> None:
     rig, messages, _ = walk
     pools = SessionPools(KilledExecutor(), 1, ImmediateExecutor(), lambda function: function())
-    running = RigSession(rig, "simulated", pools, SessionOutputs(lambda _: None))
+    running = RigSession(rig, "simulated", pools, exclude=ignore, print_line=ignore)
     for message in messages[:60]:
         running.feed(message)
     state = running.state()
@@ -431,44 +441,38 @@ def solve_camera(rig: Rig, captures: CaptureSet, _start: LiveSolution | None) ->
     """A pose of the camera that is as uncertain as its captures are few."""
     stddev = np.array([1, 2, 4, 0.001, 0.002, 0.003]) * 1e-3 / len(captures.holds)
     sensors = (
-        SensorSolution(rig.root, "lidar3d", np.eye(4), np.zeros(6), 1.0, "good"),
-        SensorSolution("camera", "camera", np.eye(4), stddev, 0.5, "weak"),
+        SensorSolution(rig.root, "lidar3d", np.eye(4), np.zeros(6), np.zeros((3, 3)), 0.0, "good"),
+        SensorSolution("camera", "camera", np.eye(4), stddev, np.diag(stddev[:3] ** 2), 2.0, "weak"),
         SensorSolution("laser_left", "lidar2d"),
     )
-    return LiveSolution(sensors, False, len(captures.holds))
+    return LiveSolution(sensors, len(captures.holds), scene=SceneState(sensors[:2]))
 
 
 def test_other_processes_detect_and_solve_what_one_process_does(
-    walk: tuple[Rig, list[LiveMessage], GroundTruth], session: tuple[RigSession, list[LiveMessage]]
+    walk: tuple[Rig, list[LiveMessage], GroundTruth], session: tuple[RigSession, deque[LiveMessage]]
 ) -> None:
     rig, messages, _ = walk
-    triggers: list[LiveMessage] = []
+    lines: list[str] = []
 
     async def run() -> RigSession:
         with worker_pool(1) as analysis, worker_pool(1) as solving:
             post = asyncio.get_running_loop().call_soon_threadsafe
             pools = SessionPools(analysis, 1, solving, post)
-            running = RigSession(rig, "simulated", pools, SessionOutputs(triggers.append), solve_camera)
-            shown = running.state()
+            running = RigSession(rig, "simulated", pools, solve_camera, exclude=ignore, print_line=lines.append)
             for message in messages[:160]:
                 running.feed(message)
                 while running.busy:
                     await asyncio.sleep(0)
-            await asyncio.wait_for(running.wait_for_change(shown), 60)
             running.close()
             return running
 
     running = asyncio.run(run())
-    assert [trigger.data for trigger in triggers] == [trigger.data for trigger in session[1][:1]]
+    assert [trigger.data for trigger in running.triggers] == [session[1][0].data]
+    assert lines == [running.state().event.text]
     assert running.picture("camera")
-    scene = json.loads(running.scene() or b"")
-    assert [frame["name"] for frame in scene["frames"]] == ["lidar", "camera"]
-    np.testing.assert_allclose(scene["frames"][1]["covariance"], np.diag([1e-6, 4e-6, 16e-6]))
-    np.testing.assert_allclose(scene["frames"][1]["field_of_view"], np.radians([90.0, 73.7]), atol=0.01)
-    # As seen by the camera, whose pose is that of the root.
-    (board,) = np.array(scene["boards"])
-    assert np.linalg.norm(board[1] - board[0]) == pytest.approx(1.2, abs=0.01)
-    assert board[:, 2].mean() == pytest.approx(1.7, abs=0.4)
+    scene = running.state().scene
+    assert scene is not None
+    assert [sensor.name for sensor in scene.sensors] == ["lidar", "camera"]
     sensors = {sensor.name: sensor for sensor in running.state().sensors}
     assert sensors["camera"].stddev_mm == pytest.approx(4.0)
     assert sensors["camera"].progress == 0.5

@@ -4,6 +4,7 @@ import asyncio
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -93,6 +94,25 @@ def test_the_last_arrival_is_exact(session: Path) -> None:
         assert folder.last_arrival() == -1
         record_trigger(folder)
         assert folder.last_arrival() == LAST
+
+
+def test_the_last_message_of_the_source_is_found_behind_a_trigger(session: Path) -> None:
+    """Triggers have the arrival of the message before, which is not exact."""
+    with resume_session(session) as folder:
+        assert folder.find_last() == (-1, frozenset())
+
+        async def run() -> None:
+            recorder = Recorder(folder.recording, RecorderSettings(), LimitSettings(min_free_disk=0))
+            trigger = make_trigger(1.0, 0.0)
+            for topic, arrival in (("/a", LAST - 10**6), ("/b", LAST), ("/c", LAST)):
+                await recorder.write(
+                    replace(trigger, channel=replace(trigger.channel, topic=topic), arrival=arrival)
+                )
+            await recorder.write(replace(trigger, arrival=LAST + 200))
+            await recorder.close()
+
+        asyncio.run(run())
+        assert folder.find_last() == (LAST, frozenset({"/b", "/c"}))
 
 
 def test_a_session_is_not_overwritten(session: Path) -> None:

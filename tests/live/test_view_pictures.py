@@ -5,13 +5,10 @@ import numpy as np
 import pytest
 
 from calgraph.boards.detections import Detection, PlanePatch, Segment
-from calgraph.config.settings import ViewSettings
 from calgraph.live import view_pictures
 from calgraph.live.message_analysis import SensorActivity
 from calgraph.live.view_pictures import SensorView, find_reduction, make_view
 from calgraph.sensors import CameraModel, Image, LaserScan, PointCloud
-
-SETTINGS = ViewSettings()
 
 
 def decode(picture: bytes) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:
@@ -26,7 +23,7 @@ def test_large_images_become_small_pictures(rng: np.random.Generator) -> None:
     )
     factor = find_reduction(camera)
     assert factor == 3
-    view = make_view(lambda: Image(0.0, "", pixels), None, None, (), factor, SETTINGS)
+    view = make_view(lambda: Image(0.0, "", pixels), None, None, (), factor)
     assert decode(view.picture).shape == (360, 480, 3)
     assert len(view.picture) < 30_000
     assert view.sees_board is None
@@ -37,7 +34,7 @@ def test_scanners_are_drawn_from_above_with_x_up() -> None:
     scan = LaserScan(0.0, "", angles, np.array([4.0, 2.0]))
     cloud = PointCloud(0.0, "", scan.points)
     for message in (scan, cloud):
-        picture = decode(make_view(lambda one=message: one, None, None, (), 1, SETTINGS).picture)  # type: ignore[misc]
+        picture = decode(make_view(lambda one=message: one, None, None, (), 1).picture)  # type: ignore[misc]
         bright = picture.max(axis=2) > 90
         assert bright[240 - 192, 240]
         assert bright[240, 240 - 96]
@@ -60,9 +57,9 @@ def test_the_board_of_a_scanner_is_drawn_in_green(
 ) -> None:
     """A plane as its points, a segment as a line."""
     detect = {"found": () if found is None else (found,)}
-    monkeypatch.setattr(view_pictures, "decode_detector", lambda _: lambda _: detect["found"])
+    monkeypatch.setattr(view_pictures, "make_detector", lambda _: lambda _: detect["found"])
     cloud = PointCloud(0.0, "", np.array([[4.0, 0.0, 0.0]]))
-    view = make_view(lambda: cloud, b"detector", None, (), 1, SETTINGS)
+    view = make_view(lambda: cloud, b"detector", None, (), 1)  # type: ignore[arg-type]  # for none
     blue, green, red = np.moveaxis(decode(view.picture).astype(int), 2, 0)
     is_green = (green > 80) & (green > red + 20) & (green > blue + 20)  # of three pixels, JPEG keeps less colour
     across = round(48 * ENDS[1, 1])
@@ -72,13 +69,13 @@ def test_the_board_of_a_scanner_is_drawn_in_green(
 
 
 def test_an_unusable_message_has_no_picture() -> None:
-    view = make_view(lambda: LaserScan(0.0, "", np.zeros(1), np.array([-1.0])), None, None, (), 1, SETTINGS)
+    view = make_view(lambda: LaserScan(0.0, "", np.zeros(1), np.array([-1.0])), None, None, (), 1)
     assert (view.picture, view.sees_board) == (b"", None)
     assert "negative" in view.reason or "-1" in view.reason
 
 
 def test_an_image_is_blurred_if_it_is_less_sharp_than_those_before() -> None:
-    activity = SensorActivity(SETTINGS)
+    activity = SensorActivity()
     for sharpness in (100.0, 110.0, 90.0, 105.0):
         activity.set_view(SensorView(b"jpeg", False, "no tag of family tag36h11 found", sharpness))
         assert activity.explain_view() == "not in view"

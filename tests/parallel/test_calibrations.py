@@ -110,7 +110,7 @@ def test_a_worker_that_is_killed_changes_no_bit(engine: DaskEngine, network: Pat
     killed: list[int] = []
 
     def kill() -> None:
-        killed.append(engine.map(os.getpid, [()])[0])
+        killed.append(next(engine.map(os.getpid, [()])))
         os.kill(killed[0], signal.SIGKILL)
 
     assert track(network, engine, at_first=kill) == track(network, THIS_PROCESS)

@@ -8,9 +8,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from distributed import Future
 
 from calgraph.config.settings import DaskSettings
 from calgraph.errors import CalibrationError, InputError
+from calgraph.parallel.kept_values import Kept
 from calgraph.parallel.open_cluster import DaskEngine, open_cluster
 
 SETTINGS = DaskSettings(max_lost_workers=1)
@@ -59,15 +61,13 @@ def touch_file(folder: Path, number: int) -> int:
     return number
 
 
-def split(number: int) -> tuple[int, list[int]]:
-    return number, [10 * number]
+def multiply(numbers: list[int], factor: int) -> list[int]:
+    return [factor * number for number in numbers]
 
 
 def test_results_come_in_the_order_of_the_work(engine: DaskEngine) -> None:
-    reported: list[float] = []
-    assert engine.map(math.factorial, [(k,) for k in range(5)], reported.append) == [1, 1, 2, 6, 24]
-    assert reported == pytest.approx([0.2, 0.4, 0.6, 0.8, 1.0])
-    assert engine.map(math.factorial, []) == []
+    assert list(engine.map(math.factorial, [(k,) for k in range(5)])) == [1, 1, 2, 6, 24]
+    assert list(engine.map(math.factorial, [])) == []
 
 
 def test_calls_run_in_other_processes(engine: DaskEngine) -> None:
@@ -79,57 +79,71 @@ def test_calls_run_in_other_processes(engine: DaskEngine) -> None:
 
 def test_an_error_keeps_its_type_and_message(engine: DaskEngine) -> None:
     with pytest.raises(InputError, match=r"^sensors\.1: is upside down$"):
-        engine.map(refuse, [(1,), (1,)])
+        list(engine.map(refuse, [(1,), (1,)]))
 
 
 def test_a_stream_is_read_little_ahead_and_keeps_its_order(engine: DaskEngine, tmp_path: Path) -> None:
     unfinished: list[int] = []
 
-    def work() -> Iterator[tuple[int]]:
+    def work() -> Iterator[tuple[Path, int]]:
         for number in range(60):
             unfinished.append(number - len(list(tmp_path.iterdir())))
-            yield (number,)
+            yield tmp_path, number
 
-    assert list(engine.stream(touch_file, work(), tmp_path)) == list(range(60))
+    assert list(engine.map(touch_file, work())) == list(range(60))
     assert max(unfinished) < 4 * 2
 
 
+def test_results_of_calls_that_finish_while_the_engine_looks_are_not_lost(
+    engine: DaskEngine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read = Future.status.fget
+
+    def read_slowly(future: Future) -> str:
+        status: str = read(future)
+        time.sleep(0.02)  # in which a thread of the client receives that calls have finished
+        return status
+
+    monkeypatch.setattr(Future, "status", property(read_slowly))
+    assert list(engine.map(multiply, (([k], 2) for k in range(20)))) == [[2 * k] for k in range(20)]
+
+
 def test_results_of_a_stream_come_before_the_error_of_a_call(engine: DaskEngine) -> None:
-    stream = engine.stream(add_unless_three, ((k,) for k in range(1, 6)), 10)
+    stream = engine.map(add_unless_three, ((10, k) for k in range(1, 6)))
     assert [next(stream), next(stream)] == [11, 12]
     with pytest.raises(InputError, match=r"^sensors\.3: is upside down$"):
         next(stream)
 
 
 def test_results_of_a_stream_come_before_the_error_of_its_source(engine: DaskEngine) -> None:
-    def work() -> Iterator[tuple[int]]:
-        yield (1,)
+    def work() -> Iterator[tuple[list[int], int]]:
+        yield [10], 1
         raise InputError("recording: is damaged")
 
-    stream = engine.stream(add, work(), [10])
+    stream = engine.map(add, work())
     assert next(stream) == 11
     with pytest.raises(InputError, match="recording: is damaged"):
         next(stream)
 
 
-def test_handles_stand_for_values(engine: DaskEngine) -> None:
-    ten, twenty = engine.put([[10], [20]])
-    assert engine.map(add, [(ten, 1), (twenty, 2), (ten, 3)]) == [11, 22, 13]
-    results, kept = engine.map_and_keep(split, [(1,), (2,)])
-    assert results == [1, 2]
-    assert engine.map(add, [(handle, 0) for handle in kept]) == [10, 20]
+def test_kept_values_are_arguments(engine: DaskEngine) -> None:
+    ten, twenty = Kept.of([10]), Kept.of([20])
+    assert list(engine.map(add, [(ten, 1), (twenty, 2), (ten, 3)])) == [11, 22, 13]
+    computed = [Kept(multiply, one, 5) for one in (ten, twenty)]
+    assert list(engine.map(add, [(kept, 0) for kept in computed])) == [50, 100]
 
 
 def test_calls_of_a_lost_worker_are_repeated(engine: DaskEngine, tmp_path: Path) -> None:
-    (handle,) = engine.put([tmp_path])
-    _, kept = engine.map_and_keep(split, [(k,) for k in range(4)])
-    assert engine.map(end_worker_once, [(handle, k) for k in range(8)]) == [k * k for k in range(8)]
+    folder = Kept.of(tmp_path)
+    kept = [Kept(multiply, [k], 10) for k in range(4)]
+    assert list(engine.map(add, [(one, 0) for one in kept])) == [0, 10, 20, 30]
+    assert list(engine.map(end_worker_once, [(folder, k) for k in range(8)])) == [k * k for k in range(8)]
     assert (tmp_path / "killed").exists()
     # Values that the worker kept are computed again.
-    assert engine.map(add, [(one, 0) for one in kept]) == [0, 10, 20, 30]
+    assert list(engine.map(add, [(one, 0) for one in kept])) == [0, 10, 20, 30]
 
 
 @pytest.mark.slow
 def test_a_call_that_ends_all_workers_is_reported(engine: DaskEngine) -> None:
     with pytest.raises(CalibrationError, match="several workers of the cluster were lost by the same call"):
-        engine.map(end_worker, [(1,)])
+        list(engine.map(end_worker, [(1,)]))

@@ -101,7 +101,7 @@ if __name__ == "__main__":
     handle_signals()
     with open_cluster("local", 2, DaskSettings(), dashboard=False) as engine:
         print(*set(engine.map(os.getpid, [()] * 20)), flush=True)
-        engine.map(time.sleep, [(60.0,)])
+        list(engine.map(time.sleep, [(60.0,)]))
 """
 
 

@@ -18,7 +18,9 @@ import pytest
 
 from calgraph.errors import CalibrationError, InputError
 from calgraph.parallel import processes
-from calgraph.parallel.processes import forked_jobs, parallel_call, parallel_map, parallel_stream, worker_pool
+from calgraph.parallel.engine import Processes, parallel_call
+from calgraph.parallel.kept_values import Kept
+from calgraph.parallel.processes import forked_jobs, worker_pool
 
 
 def refused(number: int) -> int:
@@ -32,9 +34,7 @@ def killed(number: int) -> int:
 
 @pytest.mark.parametrize("jobs", [1, 2, 8])
 def test_results_come_in_the_order_of_the_work(jobs: int) -> None:
-    reported: list[float] = []
-    assert parallel_map(math.factorial, [(k,) for k in range(5)], jobs, reported.append) == [1, 1, 2, 6, 24]
-    assert reported == pytest.approx([0.2, 0.4, 0.6, 0.8, 1.0])
+    assert list(Processes(jobs).map(math.factorial, [(k,) for k in range(5)])) == [1, 1, 2, 6, 24]
 
 
 def test_short_work_is_divided_only_where_processes_are_forked(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -45,19 +45,19 @@ def test_short_work_is_divided_only_where_processes_are_forked(monkeypatch: pyte
 
 
 def test_no_work_has_no_results() -> None:
-    assert parallel_map(math.factorial, [], 2) == []
+    assert list(Processes(2).map(math.factorial, [])) == []
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_an_error_keeps_its_type_and_message(jobs: int) -> None:
     with pytest.raises(InputError, match=r"^sensors\.1: is upside down$"):
-        parallel_map(refused, [(1,), (1,)], jobs)
+        list(Processes(jobs).map(refused, [(1,), (1,)]))
     assert multiprocessing.active_children() == []
 
 
 def test_a_killed_process_is_reported() -> None:
     with pytest.raises(CalibrationError, match=r"killed.*reduce `jobs`"):
-        parallel_map(killed, [(1,), (2,)], 2)
+        list(Processes(2).map(killed, [(1,), (2,)]))
 
 
 def describe_process(name: str) -> tuple[str, bool]:
@@ -73,9 +73,8 @@ def test_a_call_is_in_another_process_if_there_may_be_several(jobs: int) -> None
 
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_an_error_of_a_call_is_raised_where_its_result_is_wanted(jobs: int) -> None:
-    with parallel_call(refused, (1,), jobs) as result:
-        pass
-    with pytest.raises(InputError, match=r"^sensors\.1: is upside down$"):
+    match = r"^sensors\.1: is upside down$"
+    with parallel_call(refused, (1,), jobs) as result, pytest.raises(InputError, match=match):
         result()
 
 
@@ -99,12 +98,12 @@ def touch_file(folder: Path, number: int) -> int:
 def test_a_stream_is_read_little_ahead_and_keeps_its_order(tmp_path: Path, jobs: int) -> None:
     unfinished: list[int] = []
 
-    def work() -> Iterator[tuple[int]]:
+    def work() -> Iterator[tuple[Path, int]]:
         for number in range(10, 60):
             unfinished.append(number - 10 - len(list(tmp_path.iterdir())))
-            yield (number,)
+            yield tmp_path, number
 
-    assert list(parallel_stream(touch_file, work(), tmp_path, jobs)) == list(range(310, 360))
+    assert list(Processes(jobs).map(touch_file, work())) == list(range(310, 360))
     assert max(unfinished) < (1 if jobs == 1 else 4 * jobs)
 
 
@@ -121,12 +120,12 @@ def wait_for_last(folder: Path, number: int) -> int:
 
 
 def test_one_long_call_of_a_stream_does_not_hold_up_the_others(tmp_path: Path) -> None:
-    results = list(parallel_stream(wait_for_last, ((k,) for k in range(10, 40)), tmp_path, 2))
+    results = list(Processes(2).map(wait_for_last, ((tmp_path, k) for k in range(10, 40))))
     assert results == list(range(10, 40))
 
 
 def test_a_stream_that_is_not_read_to_its_end_leaves_no_process() -> None:
-    results = parallel_stream(add_unless_three, ((k,) for k in range(10, 100)), partial(sum, ()), 2)
+    results = Processes(2).map(add_unless_three, ((partial(sum, ()), k) for k in range(10, 100)))
     assert [next(results), next(results)] == [10, 11]
     results.close()  # type: ignore[attr-defined]
     assert multiprocessing.active_children() == []
@@ -135,14 +134,15 @@ def test_a_stream_that_is_not_read_to_its_end_leaves_no_process() -> None:
 @pytest.mark.parametrize("jobs", [1, 3])
 @pytest.mark.parametrize("failing", ["call", "stream"])
 def test_results_before_an_error_of_a_stream_are_kept(failing: str, jobs: int) -> None:
-    def work() -> Iterator[tuple[int]]:
-        yield (0,)
-        yield (1,)
+    def work() -> Iterator[tuple[Kept, int]]:
+        zero = Kept.of(partial(sum, ()))
+        yield zero, 0
+        yield zero, 1
         if failing == "call":
-            yield (3,)
+            yield zero, 3
         raise InputError("the file ends too early")
 
-    results = parallel_stream(add_unless_three, work(), partial(sum, ()), jobs)
+    results = Processes(jobs).map(add_unless_three, work())
     assert [next(results), next(results)] == [0, 1]
     with pytest.raises(InputError, match="upside down" if failing == "call" else "ends too early"):
         next(results)
@@ -151,59 +151,64 @@ def test_results_before_an_error_of_a_stream_are_kept(failing: str, jobs: int) -
 
 def test_a_killed_process_of_a_stream_is_reported() -> None:
     with pytest.raises(CalibrationError, match=r"killed.*reduce `jobs`"):
-        list(parallel_stream(killed_with, ((k,) for k in range(9)), None, 2))
-
-
-def killed_with(_shared: None, number: int) -> int:
-    return killed(number)
+        list(Processes(2).map(killed, ((k,) for k in range(9))))
 
 
 @pytest.mark.parametrize("error", [OSError(errno.EROFS, "Read-only file system"), ImportError("no sem_open")])
-def test_one_process_does_the_work_where_there_is_no_shared_memory(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, error: Exception
-) -> None:
+def test_a_worker_pool_needs_shared_memory(monkeypatch: pytest.MonkeyPatch, error: Exception) -> None:
     def fail(*_arguments: object, **_options: object) -> None:
         raise error
 
     monkeypatch.setattr("calgraph.parallel.processes.ProcessPoolExecutor", fail)
-    assert parallel_map(math.factorial, [(k,) for k in range(4)], 3) == [1, 1, 2, 6]
-    assert list(parallel_stream(add_unless_three, ((k,) for k in range(10, 13)), partial(sum, ()), 3)) == [
-        10,
-        11,
-        12,
-    ]
-    assert "several processes are not possible here" in caplog.text
+    with pytest.raises(CalibrationError, match="several processes are not possible here"), worker_pool(2):
+        pass
 
 
-@pytest.mark.parametrize(
-    ("error", "reason"),
-    [
-        (OSError(errno.EAGAIN, "Resource temporarily unavailable"), "Resource temporarily unavailable"),
-        (RuntimeError("can't start new thread"), "can't start new thread"),
-    ],
-)
-def test_processes_that_cannot_be_started_are_reported(
-    monkeypatch: pytest.MonkeyPatch, error: Exception, reason: str
-) -> None:
+@pytest.mark.skipif(sys.platform != "linux", reason="workers are forked on Linux only")
+def test_processes_that_cannot_be_started_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail() -> int:
+        raise OSError(errno.EAGAIN, "Resource temporarily unavailable")
+
+    monkeypatch.setattr("os.fork", fail)
+    message = r"^processes cannot be started \(Resource temporarily unavailable\); reduce `jobs`$"
+    with pytest.raises(CalibrationError, match=message):
+        list(Processes(2).map(math.factorial, [(1,), (2,)]))
+    with pytest.raises(CalibrationError, match=message), worker_pool(2):
+        pass
+
+
+def test_threads_of_a_worker_pool_that_cannot_be_started_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*_arguments: object) -> None:
-        raise error
+        raise RuntimeError("can't start new thread")
 
     monkeypatch.setattr("calgraph.parallel.processes.ProcessPoolExecutor.submit", fail)
-    message = rf"^processes cannot be started \({reason}\); reduce `jobs`$"
-    with pytest.raises(CalibrationError, match=message):
-        parallel_map(math.factorial, [(1,), (2,)], 2)
-    with pytest.raises(CalibrationError, match=message):
-        list(parallel_stream(add_unless_three, [(1,), (2,)], partial(sum, ()), 2))
+    message = r"^processes cannot be started \(can't start new thread\); reduce `jobs`$"
+    with pytest.raises(CalibrationError, match=message), worker_pool(2):
+        pass
+
+
+def map_here(numbers: list[int]) -> list[bool]:
+    """Whether each call is in this process."""
+    own = os.getpid()
+    return [process == own for process in Processes(2).map(get_process, [(number,) for number in numbers])]
+
+
+def get_process(_number: int) -> int:
+    return os.getpid()
+
+
+def test_a_worker_has_no_processes_of_its_own() -> None:
+    assert list(Processes(2).map(map_here, [([1, 2],), ([3, 4],)])) == [[True, True]] * 2
 
 
 _FEW_FILES = """
 import os, resource, time
 from calgraph.errors import CalibrationError
-from calgraph.parallel.processes import parallel_map
+from calgraph.parallel.engine import Processes
 used = len(os.listdir("/proc/self/fd"))
 resource.setrlimit(resource.RLIMIT_NOFILE, (used + {free}, used + {free}))
 try:
-    parallel_map(time.sleep, [(0.0,)] * 40, 40)
+    list(Processes(40).map(time.sleep, [(5.0,)] * 40))
     print("done")
 except CalibrationError as error:
     print(error)
@@ -219,9 +224,9 @@ def test_workers_end_where_not_all_can_be_started(free: int) -> None:
 
 _WAITING = """
 import os, sys, time
-from calgraph.parallel.processes import parallel_map
+from calgraph.parallel.engine import Processes
 print(os.getpid(), flush=True)
-parallel_map(time.sleep, [(600,)] * 3, 3)
+list(Processes(3).map(time.sleep, [(600,)] * 3))
 """
 
 
@@ -239,7 +244,7 @@ def test_workers_end_with_a_parent_that_is_killed() -> None:
 
 _STOPPED_BETWEEN_WORKERS = """
 import os, signal, sys
-from calgraph.parallel.processes import parallel_map
+from calgraph.parallel.engine import Processes
 {handler}
 forks = []
 def stop_before_second(event, _arguments):
@@ -248,7 +253,7 @@ def stop_before_second(event, _arguments):
         if len(forks) == 2:
             os.kill(os.getpid(), signal.{name})
 sys.addaudithook(stop_before_second)
-parallel_map(abs, [(1,), (2,)], 2)
+list(Processes(2).map(abs, [(1,), (2,)]))
 """
 
 
@@ -270,25 +275,23 @@ def test_a_signal_between_the_starts_of_two_workers_ends_the_program(name: str, 
 
 _STOPPED_BY_A_WORKER = """
 import os, signal, time
-from calgraph.parallel.processes import parallel_map, parallel_stream
+from calgraph.parallel.engine import Processes
 from calgraph.io.termination import handle_signals
 signal.signal(signal.SIGINT, signal.default_int_handler)  # background jobs of shells ignore it
 handle_signals()
 def stop_program(seconds):
     os.kill(os.getppid(), signal.{name})
     time.sleep(seconds)
-def stop_with(_shared, seconds):
-    stop_program(seconds)
 """
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="workers are forked on Linux only")
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
 @pytest.mark.parametrize(
-    "call", ["parallel_map(stop_program, [(600,)] * 9, 3)", "list(parallel_stream(stop_with, [(600,)] * 9, 1, 3))"]
+    "call", ["Processes(3).map(stop_program, [(600,)] * 9)", "Processes(3).map(stop_program, iter([(600,)] * 9))"]
 )
 def test_a_signal_does_not_wait_for_calls_that_workers_carry_out(name: str, call: str) -> None:
-    code = _STOPPED_BY_A_WORKER.replace("{name}", name) + call
+    code = _STOPPED_BY_A_WORKER.replace("{name}", name) + f"list({call})"
     # The end of its output is that of all its processes.
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
     assert (done.returncode, done.stdout, done.stderr) == (128 + getattr(signal, name), "", "")

@@ -7,6 +7,7 @@ import pytest
 
 from calgraph.config.settings import DaskSettings
 from calgraph.geometry import Array
+from calgraph.parallel.kept_values import Kept
 from calgraph.parallel.open_cluster import open_cluster
 
 pytestmark = pytest.mark.slow
@@ -14,8 +15,8 @@ pytestmark = pytest.mark.slow
 SIZE = 10_000_000
 
 
-def make_numbers(value: int) -> tuple[int, Array]:
-    return os.getpid(), np.full(SIZE, float(value))
+def make_numbers(value: int) -> Array:
+    return np.full(SIZE, float(value))
 
 
 def take_last(numbers: Array) -> tuple[int, float]:
@@ -24,6 +25,7 @@ def take_last(numbers: Array) -> tuple[int, float]:
 
 def test_values_beyond_the_memory_of_a_worker_are_kept_on_disk() -> None:
     with open_cluster("local", 1, DaskSettings(worker_memory=1.0)) as engine:
-        (process, *_), kept = engine.map_and_keep(make_numbers, [(n,) for n in range(20)])
+        kept = [Kept(make_numbers, n) for n in range(20)]
+        (process, _), *_ = engine.map(take_last, [(numbers,) for numbers in kept])
         # In the same process, which was not ended.
-        assert engine.map(take_last, [(numbers,) for numbers in kept]) == [(process, n) for n in range(20)]
+        assert list(engine.map(take_last, [(numbers,) for numbers in kept])) == [(process, n) for n in range(20)]

@@ -11,7 +11,7 @@ import pytest
 
 from calgraph.config.settings import LimitSettings
 from calgraph.errors import InputError, RecordingError
-from calgraph.parallel.processes import parallel_stream
+from calgraph.parallel.engine import Processes
 from calgraph.recording import open_recording, open_recordings, video
 from calgraph.sensors import Image, RecordedMessage
 from videos import write_video
@@ -197,15 +197,15 @@ def test_a_video_alone_in_a_folder_has_its_topic(tmp_path: Path) -> None:
         assert [(topic.name, topic.count) for topic in recording.topics] == [("left", 2), ("right", 2)]
 
 
-def mean_gray(_: None, decode: Callable[[], Image]) -> float:
+def mean_gray(decode: Callable[[], Image]) -> float:
     return float(decode().gray.mean())
 
 
 def test_frames_are_the_same_in_several_processes(tmp_path: Path) -> None:
     path = write_video(tmp_path / "cam.mp4", GRAYS, STAMPS, b_frames=2)
     with open_recording(path) as recording:
-        here = list(parallel_stream(mean_gray, ((r.decode,) for r in recording.records()), None, 1))
-        there = list(parallel_stream(mean_gray, ((r.decode,) for r in recording.records()), None, 2))
+        here = list(Processes(1).map(mean_gray, ((r.decode,) for r in recording.records())))
+        there = list(Processes(2).map(mean_gray, ((r.decode,) for r in recording.records())))
     assert here == there
     assert len(here) == 40
 

@@ -292,9 +292,9 @@ def test_boards_in_the_images_of_a_camera_without_intrinsics_are_searched_once(
     searched: list[int] = []
     original = BoardViewFinder.find
 
-    def find(finder: BoardViewFinder, images: Any) -> Any:
+    def find(finder: BoardViewFinder, images: Any, **options: Any) -> Any:
         searched.append(len(images))
-        return original(finder, images)
+        return original(finder, images, **options)
 
     monkeypatch.setattr(BoardViewFinder, "find", find)
     without = collect(folder, rig, None)

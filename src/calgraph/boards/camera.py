@@ -159,16 +159,16 @@ class CameraDetector:
         self, printed: PrintedBoard, grays: Sequence[Gray], marks_by_image: Sequence[Marks]
     ) -> BoardCorners | Rejected:
         """One board in all images."""
-        detected: list[tuple[Marks, BoardPose]] = []
-        first_rejection: Rejected | None = None
-        for gray, marks in zip(grays, marks_by_image, strict=True):
-            result = self._find_in_image(printed, gray, marks)
-            if isinstance(result, Rejected):
-                first_rejection = first_rejection or result
-            else:
-                detected.append(result)
+        results = [self._find_in_image(printed, *of_image) for of_image in zip(grays, marks_by_image, strict=True)]
+        detected = [one for one in results if isinstance(one, tuple)]
         if not detected:
-            return first_rejection or Rejected("no image in this capture")
+            # The reason takes as long as the search, and only that of the first image is stated.
+            first = results[0]
+            return (
+                first
+                if isinstance(first, Rejected)
+                else Rejected(explain_missing(printed, marks_by_image[0], grays[0]))
+            )
         on_board = np.intersect1d(np.concatenate([marks.ids for marks in marks_by_image]), printed.landmarks.ids)
         if len(detected) == 1:
             return self._make_detection(printed, *detected[0], on_board)
@@ -181,11 +181,11 @@ class CameraDetector:
 
     def _find_in_image(
         self, printed: PrintedBoard, gray: Gray, found: Marks
-    ) -> tuple[Marks, BoardPose] | Rejected:
-        """The marks of the board, each once, and its pose, in one image."""
+    ) -> tuple[Marks, BoardPose] | Rejected | None:
+        """The marks of the board, each once, and its pose, in one image; None if it has none of them."""
         marks = found.select(np.isin(found.ids, printed.landmarks.ids))
         if not len(marks):
-            return Rejected(explain_missing(printed, found, gray))
+            return None
         pose = self._fit(printed, marks)
         if isinstance(pose, Rejected):
             return pose

@@ -15,7 +15,8 @@ import numpy as np
 
 from calgraph.config import Rig, Tolerance
 from calgraph.io.text_writing import format_json, save_yaml
-from calgraph.parallel.processes import forked_jobs, parallel_call
+from calgraph.parallel.engine import parallel_call
+from calgraph.parallel.processes import forked_jobs
 from calgraph.recording import NO_CACHE, Recording, RecordingCache
 from calgraph.recording.remote import find_copy, is_url
 from calgraph.result import (

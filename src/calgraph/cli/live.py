@@ -3,6 +3,7 @@
 import asyncio
 import shlex
 import sys
+from collections.abc import Collection
 from contextlib import closing
 from pathlib import Path
 from typing import Annotated
@@ -21,7 +22,7 @@ from calgraph.live.live_rig import prepare_live_rig
 from calgraph.live.live_session import FinalCalibration, LiveOptions, run_session
 from calgraph.live.open_source import open_source
 from calgraph.live.replay import ReplaySource
-from calgraph.live.server import DEFAULT_HOST, DEFAULT_PORT, PageServer, check_page_libraries
+from calgraph.live.server import DEFAULT_HOST, DEFAULT_PORT, PageServer
 from calgraph.live.session_folder import SessionFolder, create_session, resume_session
 from calgraph.live.source import Source
 from calgraph.result import Calibration, load_calibration
@@ -92,7 +93,6 @@ def live(
 
     Exit code: that of calgraph calibrate; 130 if it was interrupted by Ctrl-C.
     """
-    check_page_libraries()
     if resume:
         _check_alone(rig_file, out, overrides)
         folder = resume_session(resume)
@@ -100,8 +100,8 @@ def live(
         folder = _create_session(rig_file, source, out, speed, overrides)
     with closing(folder):
         rig = load_rig(folder.rig_file)
-        opened = _open_source(source or folder.source, rig, speed, folder.last_arrival())
-        options = LiveOptions(host, port, manual, speed == 0, _calibrate, _announce, _print_line)
+        opened = _open_source(source or folder.source, rig, speed, *folder.find_last())
+        options = LiveOptions(host, port, manual, _calibrate, _announce, _print_line)
         allow_interrupts()
         try:
             code = run_session(rig, opened, folder, options)
@@ -133,8 +133,11 @@ def _check_alone(rig_file: Path | None, out: Path | None, overrides: list[str] |
         raise InputError(f"{', '.join(extra)}: not with --resume, which goes on with the session's own rig.yaml")
 
 
-def _open_source(text: str, rig: Rig, speed: float | None, start_after: int = -1) -> Source:
-    opened = open_source(text, rig.settings, speed=1.0 if speed is None else speed, start_after=start_after)
+def _open_source(
+    text: str, rig: Rig, speed: float | None, start_after: int = -1, but: Collection[str] | None = None
+) -> Source:
+    pace = 1.0 if speed is None else speed
+    opened = open_source(text, rig.settings, speed=pace, start_after=start_after, but=but)
     if speed is not None and not isinstance(opened, ReplaySource):
         raise InputError(f"--speed: only for recordings, and {text} is an address")
     return opened

@@ -496,18 +496,6 @@ class LiveCaptureSettings(StrictModel):
     """The same of its rotation, degrees."""
 
 
-class ViewSettings(StrictModel):
-    """Pictures of the views with the detected board."""
-
-    rate: float = Field(default=3.0, gt=0)
-    """Maximum number of pictures of a sensor per second: operators see motion, and processes are free for
-    captures."""
-    width: int = Field(default=480, ge=16)
-    """Width of a picture, px: that of a phone with two pictures beside each other; 15 kB as a JPEG."""
-    quality: int = Field(default=60, ge=1, le=100)
-    """Quality of the JPEG: lower ones blur outlines."""
-
-
 class LiveSettings(StrictModel):
     """Live capture."""
 
@@ -517,7 +505,6 @@ class LiveSettings(StrictModel):
     page: PageSettings = PageSettings()
     ring: MessageRingSettings = MessageRingSettings()
     capture: LiveCaptureSettings = LiveCaptureSettings()
-    view: ViewSettings = ViewSettings()
     analysis_processes: int = Field(default=3, ge=1)
     """Maximum number of processes that detect; at least one core is left to the recorder and the page."""
 

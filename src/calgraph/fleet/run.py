@@ -93,8 +93,7 @@ def analyze_recordings(
 ) -> Iterator[tuple[RecordingTask, RecordingResult]]:
     """Calibrates or checks recordings; each result is in its folder before it is given.
 
-    A process that is killed ends all that work with it. The recordings that were under way are repeated one by
-    one: one that has its process killed again has failed, and the others go on.
+    A recording whose process is killed, also when the engine repeats it, has failed; the others go on.
 
     Raises:
         InputError: the folder of the results cannot be written to.
@@ -105,25 +104,15 @@ def analyze_recordings(
         (task.folder / FILE_NAME).unlink(missing_ok=True)
     while remaining:
         try:
-            for result in engine.stream(analyze_recording, [(task,) for task in remaining], options):
+            for result in engine.map(analyze_recording, [(options, task) for task in remaining]):
                 yield remaining.pop(0), result
         except WorkerKilledError:
-            # Later ones than the first may be complete, but were not given.
+            killed = remaining.pop(0)
+            yield killed, write_failure(killed, Failure("killed", _KILLED_TWICE))
+            # Later ones may be complete, but were not given.
             finished = find_finished(remaining)
-            unfinished = [task for task in remaining if task not in finished]
             yield from finished.items()
-            # Calls begin in the order of the work.
-            for task in unfinished[: engine.workers]:
-                yield task, _repeat_alone(task, options, engine)
-            remaining = unfinished[engine.workers :]
-
-
-def _repeat_alone(task: RecordingTask, options: RunOptions, engine: Engine) -> RecordingResult:
-    try:
-        (result,) = engine.stream(analyze_recording, [(task,)], options)
-    except WorkerKilledError:
-        return write_failure(task, Failure("killed", _KILLED_TWICE))
-    return result
+            remaining = [task for task in remaining if task not in finished]
 
 
 def collect_robots(

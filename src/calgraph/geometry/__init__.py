@@ -6,6 +6,8 @@ from calgraph.geometry.arrays import (
     Array,
     Index,
     diagonal_blocks,
+    estimate_spread,
+    find_column_medians,
     find_median,
     invert_2x2,
     measure_lengths,
@@ -13,6 +15,6 @@ from calgraph.geometry.arrays import (
 from calgraph.geometry.local_lines import fit_local_lines
 
 __all__ = [
-    "STDDEV_PER_MAD", "Array", "Index", "diagonal_blocks", "ellipse", "find_median", "fit_local_lines",
-    "invert_2x2", "measure_lengths", "plane", "se2", "se3", "se_n", "so3",
+    "STDDEV_PER_MAD", "Array", "Index", "diagonal_blocks", "ellipse", "estimate_spread", "find_column_medians",
+    "find_median", "fit_local_lines", "invert_2x2", "measure_lengths", "plane", "se2", "se3", "se_n", "so3",
 ]  # fmt: skip

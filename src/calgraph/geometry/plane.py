@@ -60,9 +60,10 @@ def tangent_basis(normals: Array) -> Array:
     sign = np.where(z >= 0, 1.0, -1.0)
     a = -1.0 / (sign + z)
     b = x * y * a
-    u = np.stack([1 + sign * x * x * a, sign * b, -sign * x], axis=-1)
-    v = np.stack([b, sign + y * y * a, -y], axis=-1)
-    return np.stack([u, v], axis=-1)
+    basis = np.empty((*normals.shape, 2))
+    basis[..., 0, 0], basis[..., 1, 0], basis[..., 2, 0] = 1 + sign * x * x * a, sign * b, -sign * x
+    basis[..., 0, 1], basis[..., 1, 1], basis[..., 2, 1] = b, sign + y * y * a, -y
+    return basis
 
 
 def retract(planes: Array, delta: Array) -> Array:

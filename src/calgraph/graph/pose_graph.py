@@ -6,11 +6,10 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from calgraph.errors import CalibrationError
 from calgraph.geometry import Array, se_n
+from calgraph.solver.connected_parts import label_parts
 
 Edges = NDArray[np.intp]
 
@@ -50,9 +49,7 @@ class PoseGraph:
 
     def find_reachable(self) -> NDArray[np.bool_]:
         """(N,) whether some chain of edges connects a node to the root."""
-        i, j = self.edges.T
-        adjacency = coo_array((np.ones(len(i)), (i, j)), shape=(self.count, self.count))
-        labels = connected_components(adjacency, directed=False)[1]
+        labels = label_parts(self.count, self.edges)
         return np.asarray(labels == labels[self.root], dtype=np.bool_)
 
     def require_connected(self) -> None:

@@ -1,12 +1,14 @@
 """The minimum spanning tree of a rig's pairs: which sensors are connected to the root, and start poses."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from heapq import heappop, heappush
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
-from scipy.sparse.csgraph import depth_first_order, minimum_spanning_tree
+from scipy.sparse.csgraph import minimum_spanning_tree
 
 from calgraph.config.settings import BoardPairSettings
 from calgraph.geometry import Array
@@ -53,14 +55,15 @@ def grow_tree(
 ) -> SpanningTree:
     """The tree with all sensors that estimates connect to it, extended as :func:`find_spanning_tree` does."""
     poses, parents = dict(tree.T_root_sensor), dict(tree.parents)
-    directed = [*estimates, *(e.inverse() for e in estimates)]
-    while True:
-        leaving = [e for e in directed if e.sensor_a in poses and e.sensor_b not in poses]
-        if not leaving:
-            return SpanningTree(tree.root, parents, poses)
-        best = min(leaving, key=lambda e: (unobservable_stddev(e, max_stddev), e.squared_error))
-        parents[best.sensor_b] = best.sensor_a
-        poses[best.sensor_b] = poses[best.sensor_a] @ best.T_a_b
+    ranked = sorted(estimates, key=lambda e: (unobservable_stddev(e, max_stddev), e.squared_error))
+    names = list(dict.fromkeys([*poses, *(end for e in ranked for end in (e.sensor_a, e.sensor_b))]))
+    ends = [(names.index(e.sensor_a), names.index(e.sensor_b)) for e in ranked]
+    for step in walk_tree(len(names), ends, range(len(poses))):
+        estimate, parent, child = ranked[step.edge], names[step.parent], names[step.child]
+        parents[child] = parent
+        directed = estimate if estimate.sensor_a == parent else estimate.inverse()
+        poses[child] = poses[parent] @ directed.T_a_b
+    return SpanningTree(tree.root, parents, poses)
 
 
 def unobservable_stddev(estimate: PairwiseEstimate, max_stddev: float) -> float:
@@ -89,21 +92,55 @@ def fundamental_cuts(graph: PoseGraph, evidence: Array) -> list[tuple[int, NDArr
         graph: connected by edges with evidence.
         evidence: (E,) weight of each edge, not negative.
     """
-    used = np.flatnonzero(evidence)
-    graph = graph.select_edges(used)
-    tree = np.flatnonzero(find_minimum_tree(graph, 1 / evidence[used]))
-    i, j = graph.edges[tree].T
-    adjacency = coo_array((np.ones(len(tree)), (i, j)), shape=(graph.count, graph.count))
-    order, parent = depth_first_order(adjacency, graph.root, directed=False)
-    # Of nodes in depth-first order, a subtree is a range: its first node, and as many as it has.
-    size = np.ones(graph.count, dtype=np.intp)
-    for node in order[:0:-1].tolist():
-        size[parent[node]] += size[node]
-    position = np.full(graph.count, -1)
-    position[order] = np.arange(len(order))
-    beyond = np.where(parent[j] == i, j, i)
-    begin, end = position[beyond], position[beyond] + size[beyond]
-    return [
-        (int(used[edge]), (position < 0) | (position >= first) & (position < last))
-        for edge, first, last in zip(tree.tolist(), begin.tolist(), end.tolist(), strict=True)
-    ]
+    ranked = np.argsort(-evidence, kind="stable")
+    ranked = ranked[evidence[ranked] > 0]
+    tree = walk_tree(graph.count, graph.edges[ranked].tolist(), [graph.root])
+    reached = np.isin(np.arange(graph.count), [graph.root, *(step.child for step in tree)])
+    parts = list_parts(graph.count, tree) | ~reached
+    cuts = [(int(ranked[step.edge]), part) for step, part in zip(tree, parts, strict=True)]
+    return sorted(cuts, key=lambda cut: cut[0])
+
+
+class TreeStep(NamedTuple):
+    """How a tree reaches a node."""
+
+    edge: int
+    parent: int
+    child: int
+
+
+def walk_tree(count: int, ranked: Sequence[tuple[int, int]], start: Iterable[int]) -> list[TreeStep]:
+    """Grows the spanning tree that prefers the first of ranked edges (Prim), parents before their children.
+
+    Args:
+        count: of the nodes.
+        ranked: both ends of each edge.
+        start: nodes that the tree starts with.
+    """
+    of_node: list[list[int]] = [[] for _ in range(count)]
+    for rank, ends in enumerate(ranked):
+        for node in ends:
+            of_node[node].append(rank)
+    reached, tree = set(start), list[TreeStep]()
+    leaving = sorted(rank for node in reached for rank in of_node[node])
+    while leaving:
+        edge = heappop(leaving)
+        parent, child = ranked[edge] if ranked[edge][0] in reached else reversed(ranked[edge])
+        if child in reached:
+            continue
+        reached.add(child)
+        tree.append(TreeStep(edge, parent, child))
+        for rank in of_node[child]:
+            heappush(leaving, rank)
+    return tree
+
+
+def list_parts(count: int, tree: Sequence[TreeStep]) -> NDArray[np.bool_]:
+    """(T, N) which of the nodes each step of a tree leads to: its child, and what is beyond."""
+    parts = np.zeros((len(tree), count), dtype=np.bool_)
+    row = {step.child: k for k, step in enumerate(tree)}
+    for k, step in reversed(list(enumerate(tree))):
+        parts[k, step.child] = True
+        if step.parent in row:
+            parts[row[step.parent]] |= parts[k]
+    return parts

@@ -1,9 +1,8 @@
 """What other processes compute of live messages: changes of views, backgrounds, and detections."""
 
-import pickle
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 
 import numpy as np
@@ -74,34 +73,35 @@ def learn_live_background(rig: Rig, name: str, decoders: Sequence[Decoder]) -> B
         return Rejected(str(error))
 
 
-def encode_detector(
-    rig: Rig, name: str, camera: CameraModel | None, background: Background | None, seeds: Mapping[str, int]
-) -> bytes:
-    """All that the detector of a sensor is made from, for other processes.
+@dataclass(frozen=True)
+class DetectorInputs:
+    """All that the detector of a sensor is made from, for other processes."""
 
-    Args:
-        rig: the rig.
-        name: of the sensor.
-        camera: intrinsics of a camera; without any it detects no more than :class:`UnprojectedBoard`.
-        background: of a scanner, if one was learned.
-        seeds: by sensor; see :func:`calgraph.rig.captures.detectors.draw_seeds`.
-    """
-    part = rig.model_copy(update={"sensors": {name: rig.sensors[name]}})
-    cameras = {name: camera} if camera else {}
-    backgrounds = {name: background} if background else {}
-    return pickle.dumps((part, cameras, backgrounds, {name: seeds[name]}))
+    name: str
+    """Of the sensor."""
+    version: tuple[str, int, int]
+    """Another one for each change of what follows."""
+    rig: Rig = field(compare=False)
+    """With this sensor only."""
+    camera: CameraModel | None = field(compare=False)
+    """Intrinsics of a camera; without any it detects no more than :class:`UnprojectedBoard`."""
+    background: Background | None = field(compare=False)
+    """Of a scanner, if one was learned."""
+    seeds: Mapping[str, int] = field(compare=False)
+    """By sensor; see :func:`calgraph.rig.captures.detectors.draw_seeds`."""
 
 
 @lru_cache(maxsize=_KEPT)
-def decode_detector(encoded: bytes) -> Detector:
-    """The detector that :func:`encode_detector` describes; made once in each process."""
-    rig, cameras, backgrounds, seeds = pickle.loads(encoded)  # noqa: S301 - from this program
-    (spec,) = rig.sensors.values()
-    if isinstance(spec, CameraSpec) and not cameras:
+def make_detector(inputs: DetectorInputs) -> Detector:
+    """The detector; made once in each process."""
+    rig, name = inputs.rig, inputs.name
+    spec = rig.sensors[name]
+    if isinstance(spec, CameraSpec) and inputs.camera is None:
         finder = BoardViewFinder(rig.boards, spec.noise, settings=rig.settings.detection.camera)
         return partial(_find_unprojected, finder)
-    (detector,) = make_detectors(rig, cameras, backgrounds, None, seeds).values()
-    return detector
+    cameras = {name: inputs.camera} if inputs.camera else {}
+    backgrounds = {name: inputs.background} if inputs.background else {}
+    return make_detectors(rig, cameras, backgrounds, None, inputs.seeds)[name]
 
 
 def _find_unprojected(finder: BoardViewFinder, messages: Sequence[Message]) -> Rejected:
@@ -112,14 +112,14 @@ def _find_unprojected(finder: BoardViewFinder, messages: Sequence[Message]) -> R
     return UnprojectedBoard(NO_INTRINSICS, tuple(map(tuple, pixels)))
 
 
-def detect_board(encoded: bytes, name: str, decoders: Sequence[Decoder]) -> DetectionResult:
+def detect_board(inputs: DetectorInputs, decoders: Sequence[Decoder]) -> DetectionResult:
     """The detections of one sensor in the messages of one capture.
 
     Raises:
         RecordingError: the content of a message is unusable.
         InputError: images do not have the size that the intrinsics are for.
     """
-    return detect_in_hold({name: decode_detector(encoded)}, 0, name, decoders, None).detections
+    return detect_in_hold({inputs.name: make_detector(inputs)}, 0, inputs.name, decoders, None).detections
 
 
 def reduce_camera(camera: CameraModel, factor: int) -> CameraModel:

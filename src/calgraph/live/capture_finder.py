@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from statistics import median
 
 from calgraph.config import Rig
 from calgraph.errors import CalibrationError
@@ -41,9 +40,6 @@ class Waiting:
 
 # Time without messages, s, after which a sensor is taken for silent; three periods of slow ones.
 SILENCE = 2.0
-# Maximum difference of a sensor's latency, from the end of a measurement to its arrival, from that of the others,
-# s, that is none of clocks: networks and drivers take some tenths.
-_MAX_CLOCK_DIFFERENCE = 1.0
 # Time from the last motion to the start of a capture, s: 0.1 s before the end of a move by 1 m the board is still
 # 10 mm from its place, and moves no more than noise.
 _SETTLE = 0.2
@@ -70,37 +66,32 @@ class CaptureFinder:
     def fast_sensors(self) -> list[str]:
         """Those whose messages show motion."""
         limit = MAX_MOTION_PERIOD
-        return [name for name in self._rig.sensors if self._timeline.period(name) <= limit]
+        return [name for name in self._rig.sensors if self._timeline.sensors[name].period <= limit]
 
     def find_problems(self) -> dict[str, str]:
         """By sensor that keeps captures from being taken, why: a predicate."""
-        latencies = {
-            name: late for name in self._rig.sensors if (late := self._timeline.latency(name)) is not None
-        }
-        typical = median(latencies.values()) if latencies else 0.0
-        problems = {
-            name: self._find_problem(name, latencies.get(name, typical) - typical) for name in self._rig.sensors
-        }
+        clocks = self._timeline.find_wrong_clocks()
+        problems = {name: self._find_problem(name, clocks.get(name, 0.0)) for name in self._rig.sensors}
         return {name: problem for name, problem in problems.items() if problem}
 
-    def _find_problem(self, name: str, late: float) -> str:
-        timeline, kind = self._timeline, self._rig.sensors[name].kind
-        age, period, sent = timeline.age(name), timeline.period(name), timeline.message_type(name)
-        slow = max(period if period < float("inf") else 0.0, timeline.duration(name))
+    def _find_problem(self, name: str, ahead: float) -> str:
+        times, kind = self._timeline.sensors[name], self._rig.sensors[name].kind
+        age = self._timeline.age(name)
+        slow = max(times.period if times.period < float("inf") else 0.0, times.duration)
         if age is None:
             return "sends no messages"
         if age > max(SILENCE, 3 * slow):
             return f"has sent no message for {age:.0f} s"
-        if not is_message_of_kind(sent, kind):
-            return f"sends {sent} messages, and its kind is {kind}"
-        if abs(late) > _MAX_CLOCK_DIFFERENCE:
-            side = "late" if late > 0 else "early"
-            return f"has a clock that is {abs(late):.1f} s {side}: state its clock_offset"
+        if not is_message_of_kind(times.message_type, kind):
+            return f"sends {times.message_type} messages, and its kind is {kind}"
+        if ahead:
+            side = "early" if ahead > 0 else "late"
+            return f"has a clock that is {abs(ahead):.1f} s {side}: state its clock_offset"
         return ""
 
     def now(self) -> float:
         """After the stamps of all measurements so far, s."""
-        stamps = [self._timeline.last_stamp(name) for name in self._rig.sensors]
+        stamps = [times.latest for times in self._timeline.sensors.values()]
         return max((stamp for stamp in stamps if stamp is not None), default=0.0) + _GAP
 
     def find(self, forced: float | None = None, judged: float | None = None) -> Candidate | Waiting:
@@ -121,7 +112,9 @@ class CaptureFinder:
         if rest is not None and rest.start == judged:
             return Waiting("ready")
         start = self._choose_start(forced if rest is None else rest.start + _SETTLE)
-        measuring = [name for name in self._rig.sensors if len(self._timeline.stamps_from(name, start)) < 2]
+        measuring = [
+            name for name in self._rig.sensors if len(self._timeline.sensors[name].stamps_from(start)) < 2
+        ]
         hold = None if measuring else self._find_hold(start)
         if hold is not None:
             measuring = self._find_unfinished(hold, rest)
@@ -149,21 +142,21 @@ class CaptureFinder:
 
     def _find_unfinished(self, hold: Hold, rest: Rest | None) -> list[str]:
         """Sensors of which messages of the hold may still come, or may still show motion."""
-        timeline = self._timeline
         unfinished = [
             name
-            for name in self._rig.sensors
-            if (timeline.last_stamp(name) or 0.0) + timeline.duration(name) < hold.end - _GAP
+            for name, times in self._timeline.sensors.items()
+            if (times.latest or 0.0) + times.duration < hold.end - _GAP
         ]
         if rest is None:
             return unfinished
         end = max(hold.end, rest.start + self._rig.settings.captures.min_hold)
         for name, measured in rest.measured.items():
-            stamps = timeline.stamps_from(name, hold.start)
+            times = self._timeline.sensors[name]
+            stamps = times.stamps_from(hold.start)
             # Of fast sensors some messages are not measured.
-            skipped = 1 / MAX_RATE if timeline.period(name) < 1 / MAX_RATE else 0.0
+            skipped = 1 / MAX_RATE if times.period < 1 / MAX_RATE else 0.0
             last = stamps[stamps <= end][-1:]
-            if (stamps[-1] < end - timeline.period(name) or measured < last - skipped) and name not in unfinished:
+            if (stamps[-1] < end - times.period or measured < last - skipped) and name not in unfinished:
                 unfinished.append(name)
         return unfinished
 

@@ -7,7 +7,7 @@ from functools import partial
 from calgraph.boards.detections import DetectionResult
 from calgraph.config import Rig
 from calgraph.errors import Rejected
-from calgraph.live.analysis_jobs import Decoder, detect_board
+from calgraph.live.analysis_jobs import Decoder, DetectorInputs, detect_board
 from calgraph.live.capture_finder import Candidate, CaptureFinder, Waiting, limit_hold, name_sensors
 from calgraph.live.job_queue import JobQueue
 from calgraph.live.live_captures import LiveCapture, explain_rejection, find_same_pose, has_board
@@ -38,7 +38,7 @@ class _Search:
     arrival: float
     """Of the last message before it, s."""
     requested: bool
-    waiting: list[tuple[str, bytes, Sequence[Decoder]]]
+    waiting: list[tuple[DetectorInputs, Sequence[Decoder]]]
     missing: set[str]
     """Sensors without result."""
     results: dict[str, DetectionResult] = field(default_factory=dict)
@@ -51,7 +51,7 @@ class CaptureTaker:
         rig: of the session.
         analysis: of its messages.
         write_trigger: records the trigger of a capture that begins at a stamp, s.
-        changed: called when something is to be shown.
+        print_line: takes a line on each capture that is taken or refused.
     """
 
     def __init__(
@@ -59,9 +59,9 @@ class CaptureTaker:
         rig: Rig,
         analysis: MessageAnalysis,
         write_trigger: Callable[[float], None],
-        changed: Callable[[], None],
+        print_line: Callable[[str], object],
     ) -> None:
-        self._rig, self._analysis, self._write_trigger, self._changed = rig, analysis, write_trigger, changed
+        self._rig, self._analysis, self._write_trigger, self._print_line = rig, analysis, write_trigger, print_line
         self._settings = rig.settings.live.capture
         self.finder = CaptureFinder(rig, analysis.timeline, analysis.ring, analysis.rests)
         self.captures: list[LiveCapture] = []
@@ -102,7 +102,6 @@ class CaptureTaker:
         elif not self._request:
             self._request = _Request(arrival, None if self.finder.fast_sensors() else self.finder.now())
         self.advance()
-        self._changed()
 
     def advance(self) -> None:
         """Begins to search a capture that can be taken now."""
@@ -114,20 +113,15 @@ class CaptureTaker:
             if request or self.automatic:
                 self._begin(found)
             else:
-                self._wait(Waiting("ready"))
+                self.waiting = Waiting("ready")
             return
-        self._wait(found)
+        self.waiting = found
         if request is None:
             return
         waited = self._analysis.timeline.latest_arrival - request.arrival
         if found.problem or waited > self._settings.timeout:
             self._request = None
             self._announce(f"No capture: {_explain_waiting(found)}", taken=False)
-
-    def _wait(self, waiting: Waiting) -> None:
-        if waiting != self.waiting:
-            self.waiting = waiting
-            self._changed()
 
     def _begin(self, candidate: Candidate) -> None:
         """Has the messages of a candidate searched, once the detectors of all sensors are ready."""
@@ -148,10 +142,10 @@ class CaptureTaker:
             if records is None:
                 search.results[name] = Rejected("its messages of this capture are no longer in memory")
             else:
-                search.waiting.append((name, detectors.encode(name), [record.decode for record in records]))
+                search.waiting.append((detectors.state_inputs(name), [record.decode for record in records]))
         search.missing -= set(search.results)
         self._request, self._search = None, search
-        self._wait(Waiting("measuring"))
+        self.waiting = Waiting("measuring")
         self._judge_if_complete(search)
 
     def start_job(self, queue: JobQueue) -> bool:
@@ -159,11 +153,11 @@ class CaptureTaker:
         search = self._search
         if search is None or not search.waiting:
             return False
-        name, encoded, decoders = search.waiting.pop(0)
+        inputs, decoders = search.waiting.pop(0)
         queue.run(
-            detect_board, encoded, name, decoders,
-            done=partial(self._add_result, search, name),
-            failed=lambda error: self._add_result(search, name, Rejected(str(error))),
+            detect_board, inputs, decoders,
+            done=partial(self._add_result, search, inputs.name),
+            failed=lambda error: self._add_result(search, inputs.name, Rejected(str(error))),
         )  # fmt: skip
         return True
 
@@ -176,7 +170,6 @@ class CaptureTaker:
         if not search.missing and search is self._search:
             self._search = None
             self._judge(search)
-            self._changed()
 
     def _judge(self, search: _Search) -> None:
         """Takes the capture, or states why not."""
@@ -215,7 +208,7 @@ class CaptureTaker:
 
     def _announce(self, text: str, *, taken: bool) -> None:
         self.event = CaptureEvent(self.event.number + 1, taken, text)
-        self._changed()
+        self._print_line(text)
 
     def restore(self, captures: Sequence[LiveCapture], latest: float) -> None:
         """Continues with captures of before; none begins before ``latest``, s."""

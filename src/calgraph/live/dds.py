@@ -1,12 +1,13 @@
 """A live source that is ROS 2 itself: DDS through cyclonedds, without an installation of ROS."""
 
 import asyncio
+import math
 import os
 import re
 import threading
 import time
-from collections import deque
 from collections.abc import AsyncIterator, Callable, Collection, Iterator
+from contextlib import suppress
 from functools import cache
 from typing import Any
 
@@ -15,7 +16,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from calgraph.config.settings import ConnectionSettings
 from calgraph.errors import InputError
-from calgraph.live.source import Channel, LiveMessage, Notice, NoticeLimiter
+from calgraph.live.source import Channel, LiveMessage, Notice
 from calgraph.live.topic_watch import TopicWatch
 from calgraph.recording.message_types import ros2_definition
 
@@ -194,51 +195,6 @@ _MAX_DOMAIN = 232
 _WAIT = 0.1
 
 
-class _Events:
-    """What a thread has received and the loop has not yet taken; bounded."""
-
-    def __init__(self, loop: asyncio.AbstractEventLoop, max_bytes: int) -> None:
-        self._loop, self._max_bytes = loop, max_bytes
-        self._events: deque[Event] = deque()
-        self._bytes = 0
-        self._lost: dict[str, int] = {}
-        self._lock = threading.Lock()
-        self._arrived = asyncio.Event()
-
-    def put(self, event: Event) -> None:
-        """Called by the thread; messages that do not fit are counted."""
-        with self._lock:
-            if isinstance(event, LiveMessage):
-                if self._bytes + len(event.data) > self._max_bytes:
-                    topic = event.channel.topic
-                    self._lost[topic] = self._lost.get(topic, 0) + 1
-                    return
-                self._bytes += len(event.data)
-            self._events.append(event)
-        self._loop.call_soon_threadsafe(self._arrived.set)
-
-    async def take(self) -> AsyncIterator[Event]:
-        """What has been received, after waiting for it for some time."""
-        try:
-            async with asyncio.timeout(_WAIT):
-                await self._arrived.wait()
-        except TimeoutError:
-            return
-        self._arrived.clear()
-        while self._events:
-            with self._lock:
-                event = self._events.popleft()
-                self._bytes -= len(event.data) if isinstance(event, LiveMessage) else 0
-            yield event
-
-    def take_lost(self) -> Iterator[Notice]:
-        """The messages that did not fit."""
-        with self._lock:
-            lost, self._lost = self._lost, {}
-        for topic, count in lost.items():
-            yield Notice("lost", f"{topic}: messages arrive faster than they are recorded", topic, count)
-
-
 class DdsSource:
     """The topics of a ROS 2 domain.
 
@@ -250,6 +206,8 @@ class DdsSource:
     Raises:
         InputError: the address is malformed, or cyclonedds is not installed.
     """
+
+    max_lead = math.inf
 
     def __init__(self, address: str, settings: ConnectionSettings) -> None:
         match = _ADDRESS.fullmatch(address)
@@ -279,54 +237,68 @@ class DdsSource:
         Raises:
             InputError: the domain cannot be joined.
         """
-        settings, now = self._settings, asyncio.get_running_loop().time
-        events = _Events(asyncio.get_running_loop(), settings.max_queue_bytes)
+        settings, loop = self._settings, asyncio.get_running_loop()
+        events: asyncio.Queue[Event] = asyncio.Queue()
+        waiting = 0
+
+        def receive(event: Event) -> None:
+            """Has an event wait to be taken; messages that do not fit are counted."""
+            nonlocal waiting
+            size = len(event.data) if isinstance(event, LiveMessage) else 0
+            if isinstance(event, LiveMessage) and waiting + size > settings.max_queue_bytes:
+                topic = event.channel.topic
+                watch.note(Notice("lost", f"{topic}: messages arrive faster than they are recorded", topic, 1))
+                return
+            waiting += size
+            events.put_nowait(event)
+
         readers = await asyncio.to_thread(DdsReaders, topics, self._domain, self._namespace)
         stop = threading.Event()
-        thread = threading.Thread(target=_read, args=(readers, events, stop), daemon=True)
-        watch, notices = TopicWatch(settings), NoticeLimiter(settings.notice_interval)
-        subscribed: set[str] = set()
-        discovery_end = now() + settings.discovery_time
+
+        def post(event: Event) -> None:
+            loop.call_soon_threadsafe(receive, event)
+
+        thread = threading.Thread(target=_read, args=(readers, post, stop), daemon=True)
+        where = f"in domain {self._domain} of ROS 2"
+        watch = TopicWatch(topics, settings, loop.time(), lambda topic: f"{topic}: nothing publishes it {where}")
+        present: set[str] = set()
+        next_notices = loop.time() + _WAIT
         thread.start()
         try:
             yield Notice("connected", f"joined domain {self._domain} of ROS 2")
             while True:
-                async for event in events.take():
+                with suppress(TimeoutError):
+                    async with asyncio.timeout(_WAIT):
+                        event = await events.get()
                     if isinstance(event, Channel):
-                        watch.start(event, now())
-                        subscribed.add(event.topic)
+                        watch.start(event, loop.time())
+                        present.add(event.topic)
                     elif isinstance(event, Notice):
                         if event.kind == "ended":
                             yield event
                             return
-                        notices.add(event.kind, event.text, event.topic, event.count)
-                        subscribed |= {event.topic} if event.topic else set()
+                        watch.note(event)
+                        present |= {event.topic} if event.topic else set()
                     else:
-                        if lost := watch.observe(event, now()):
-                            notices.add(lost.kind, lost.text, lost.topic, lost.count)
+                        waiting -= len(event.data)
+                        watch.observe(event, loop.time())
                         yield event
-                if now() >= discovery_end:
-                    discovery_end = float("inf")
-                    for topic in topics:
-                        if topic not in subscribed:
-                            text = f"{topic}: nothing publishes it in domain {self._domain} of ROS 2"
-                            notices.add("missing", text, topic)
-                for one in (*events.take_lost(), *watch.find_silent(now())):
-                    notices.add(one.kind, one.text, one.topic, one.count)
-                for one in notices.take(now()):
-                    yield one
+                if loop.time() >= next_notices:
+                    next_notices = loop.time() + _WAIT
+                    for notice in watch.take_notices(loop.time(), present):
+                        yield notice
         finally:
             stop.set()
             await asyncio.to_thread(thread.join)
 
 
-def _read(readers: DdsReaders, events: _Events, stop: threading.Event) -> None:
+def _read(readers: DdsReaders, post: Callable[[Event], None], stop: threading.Event) -> None:
     """Reads until it is to stop; the function of a thread."""
     try:
         while not stop.is_set():
             for event in readers.read(_WAIT, time.time_ns):
-                events.put(event)
+                post(event)
     except Exception as error:  # the stream ends with its text
-        events.put(Notice("ended", f"reading from DDS failed: {error}"))
+        post(Notice("ended", f"reading from DDS failed: {error}"))
     finally:
         readers.close()

@@ -1,6 +1,6 @@
-// What an operator notices without reading: sounds, vibration, a flash of the screen; and the screen stays on.
+// What an operator notices without reading: sounds, vibration, a flash of the screen.
 
-import { byId, setOptionalText } from "./dom.js";
+import { byId } from "./dom.js";
 
 // Frequency in Hz, start and duration in s, waveform: rising for taken, low and twice for refused.
 const SOUNDS = {
@@ -20,7 +20,6 @@ export function startFeedback() {
     const Audio = window.AudioContext ?? window.webkitAudioContext;
     if (!audio && Audio) audio = new Audio();
     audio?.resume();
-    keepScreenOn();
   };
   for (const kind of ["pointerdown", "keydown"]) window.addEventListener(kind, start, { passive: true });
   document.addEventListener("visibilitychange", () => {
@@ -57,21 +56,4 @@ export function flash(kind) {
   // Reading a size makes the browser notice that the class was removed: the animation begins again.
   void layer.offsetWidth;
   layer.className = kind;
-}
-
-let lock = null;
-
-async function keepScreenOn() {
-  if (!navigator.wakeLock) {
-    const text = "This browser turns the screen off as usual (it keeps it on over https only): set a long time until lock.";
-    setOptionalText(byId("screen"), text);
-    return;
-  }
-  if (lock && !lock.released) return;
-  try {
-    lock = await navigator.wakeLock.request("screen");
-  } catch {
-    // Refused where the battery is low; the next touch tries again.
-    lock = null;
-  }
 }

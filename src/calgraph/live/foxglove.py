@@ -3,6 +3,7 @@
 import asyncio
 import errno
 import json
+import math
 import os
 import struct
 import time
@@ -15,7 +16,7 @@ from rosbags.typesys.msg import normalize_msgtype
 
 from calgraph.config.settings import ConnectionSettings
 from calgraph.errors import InputError
-from calgraph.live.source import Channel, Encoding, LiveMessage, Notice, NoticeLimiter, SchemaFormat, clean_text
+from calgraph.live.source import Channel, Encoding, LiveMessage, Notice, SchemaFormat, clean_text
 from calgraph.live.topic_watch import TopicWatch
 from calgraph.recording.recording import explain_missing_topic
 
@@ -56,6 +57,8 @@ class FoxgloveSource:
     Raises:
         InputError: the address is malformed, or websockets is not installed.
     """
+
+    max_lead = math.inf
 
     def __init__(self, address: str, settings: ConnectionSettings) -> None:
         try:
@@ -210,13 +213,10 @@ class FoxgloveClient:
 
     def __init__(self, topics: Collection[str], settings: ConnectionSettings, now: float) -> None:
         self._topics = tuple(topics)
-        self._discovery_end = now + settings.discovery_time
-        self._discovered = False
         self._advertised: dict[int, _Advertised] = {}
         self._subscriptions: dict[int, tuple[int, Channel] | None] = {}
         """By number: number and content of the channel; None once it has ended."""
-        self._watch = TopicWatch(settings)
-        self._notices = NoticeLimiter(settings.notice_interval)
+        self._watch = TopicWatch(topics, settings, now, self._explain_missing)
         self._requests: list[str] = []
 
     def receive(self, frame: str | bytes, now: float) -> LiveMessage | None:
@@ -236,15 +236,13 @@ class FoxgloveClient:
 
     def take_notices(self, now: float) -> Iterator[Notice]:
         """The notices by now."""
-        if not self._discovered and now >= self._discovery_end:
-            self._discovered = True
-            present = sorted({one.topic for one in self._advertised.values()})
-            for topic in self._topics:
-                if topic not in present:
-                    self._notices.add("missing", f"the server {explain_missing_topic(topic, present)}", topic)
-        for silent in self._watch.find_silent(now):
-            self._notices.add(silent.kind, silent.text, silent.topic)
-        return self._notices.take(now)
+        return self._watch.take_notices(now, self._list_present())
+
+    def _list_present(self) -> list[str]:
+        return sorted({one.topic for one in self._advertised.values()})
+
+    def _explain_missing(self, topic: str) -> str:
+        return f"the server {explain_missing_topic(topic, self._list_present())}"
 
     def _receive_binary(self, frame: bytes, now: float) -> LiveMessage | None:
         if len(frame) < _DATA_HEADER.size or frame[0] != _MESSAGE_DATA:
@@ -259,8 +257,7 @@ class FoxgloveClient:
         if subscription is None:
             return None  # sent before the server knew that the channel is not wanted any more
         message = LiveMessage(subscription[1], arrival, frame[_DATA_HEADER.size :])
-        if lost := self._watch.observe(message, now):
-            self._notices.add(lost.kind, lost.text, lost.topic, lost.count)
+        self._watch.observe(message, now)
         return message
 
     def _receive_text(self, frame: str, now: float) -> None:
@@ -310,12 +307,11 @@ class FoxgloveClient:
             if topic in subscribed or not channels:
                 continue
             if not readable:
-                self._notices.add(
-                    "missing",
+                text = (
                     f"{topic} cannot be read: it is {channels[0][1].problem}. {_describe_readable()}: run the "
-                    "foxglove_bridge of ROS, which serves these",
-                    topic,
+                    "foxglove_bridge of ROS, which serves these"
                 )
+                self._watch.note(Notice("missing", text, topic))
                 continue
             channel_id, channel = readable[0]
             number = len(self._subscriptions) + 1
@@ -332,16 +328,16 @@ class FoxgloveClient:
                 topic = subscription[1].topic
                 self._subscriptions[number] = None
                 self._watch.stop(topic)
-                self._notices.add("missing", f"the server does not serve {topic} any more", topic)
+                self._watch.note(Notice("missing", f"the server does not serve {topic} any more", topic))
 
     def _report_status(self, level: int, message: str) -> None:
         """Warnings and errors of the server; that of a full buffer does not state how many messages are lost."""
         if level >= _WARNING:
             dropped = "drop" in message.lower()
-            self._notices.add("lost" if dropped else "refused", f"the server reports: {message}")
+            self._watch.note(Notice("lost" if dropped else "refused", f"the server reports: {message}"))
 
     def _refuse(self, text: str) -> None:
-        self._notices.add("refused", text, count=1)
+        self._watch.note(Notice("refused", text, count=1))
 
 
 def _describe_readable() -> str:

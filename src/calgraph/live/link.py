@@ -1,5 +1,6 @@
 """The link to the operator's page, and its QR code for a phone."""
 
+import io
 import ipaddress
 import socket
 from urllib.parse import urlencode
@@ -11,9 +12,8 @@ _ANY_ADDRESS = {socket.AF_INET: "192.0.2.1", socket.AF_INET6: "2001:db8::1"}
 _ANY_PORT = 9
 # Modules of light around the code; readers of phones need two, the standard has four.
 _BORDER = 2
-_BLOCKS = {(False, False): " ", (True, False): "▀", (False, True): "▄", (True, True): "█"}
-# Colours by number, which themes of terminals do not change.
-_BLACK_ON_WHITE = "\x1b[38;5;16;48;5;231m"
+# Colours by number, which themes of terminals do not change: light modules are drawn, dark ones are the ground.
+_WHITE_ON_BLACK = "\x1b[38;5;231;48;5;16m"
 _RESET = "\x1b[0m"
 
 
@@ -47,15 +47,10 @@ def draw_qr_code(text: str) -> str:
         import segno
     except ImportError:
         return ""
+    drawn = io.StringIO()
     # The lowest error correction gives the smallest code: a screen has no scratches.
-    code = segno.make(text, error="l", boost_error=False, micro=False)
-    rows = [[bool(module) for module in row] for row in code.matrix_iter(border=_BORDER)]
-    rows += [[False] * len(rows[0])] * (len(rows) % 2)
-    lines = (
-        "".join(_BLOCKS[pair] for pair in zip(*two, strict=True))
-        for two in zip(rows[::2], rows[1::2], strict=True)
-    )
-    return "\n".join(f"{_BLACK_ON_WHITE}{line}{_RESET}" for line in lines)
+    segno.make(text, error="l", boost_error=False, micro=False).terminal(drawn, border=_BORDER, compact=True)
+    return "\n".join(f"{_WHITE_ON_BLACK}{line}{_RESET}" for line in drawn.getvalue().splitlines())
 
 
 def _list_hosts(host: str) -> list[str]:

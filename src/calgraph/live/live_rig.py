@@ -1,16 +1,9 @@
 """The rig of a live session: captures are triggered, and scanners learn the room first."""
 
-from functools import cache
-
-from rosbags.typesys import Stores, get_typestore
-from rosbags.typesys.store import Typestore
-
 from calgraph.config import Capture, Rig
 from calgraph.errors import InputError
-from calgraph.live.source import Channel, LiveMessage
+from calgraph.live.source import LiveMessage, make_message
 from calgraph.recording import list_camera_info_topics
-from calgraph.recording.message_types import ros2_definition
-from calgraph.recording.writer import serialize_message
 from calgraph.sensors import Trigger
 from calgraph.sensors.kinds import KINDS
 
@@ -47,13 +40,4 @@ def make_trigger(stamp: float, arrival: float) -> LiveMessage:
         stamp: start of the capture by the sensors' clock, s.
         arrival: of the message, s.
     """
-    kind, data = serialize_message(_load_store(), Trigger(stamp))
-    definition = ros2_definition(kind)
-    assert definition is not None
-    channel = Channel(TRIGGER_TOPIC, kind, "cdr", "ros2msg", definition.text)
-    return LiveMessage(channel, round(arrival * 1e9), bytes(data))
-
-
-@cache
-def _load_store() -> Typestore:
-    return get_typestore(Stores.ROS2_HUMBLE)
+    return make_message(TRIGGER_TOPIC, Trigger(stamp), round(arrival * 1e9))

@@ -14,14 +14,14 @@ from calgraph.io.termination import handle_interrupt
 from calgraph.live.job_queue import Post
 from calgraph.live.live_rig import list_intrinsics_topics
 from calgraph.live.network_session import NetworkSession
+from calgraph.live.page_app import ShownSession
 from calgraph.live.recorder import Recorder
-from calgraph.live.replay import ReplaySource
-from calgraph.live.rig_session import RigSession, SessionOutputs, SessionPools, count_analysis_processes
+from calgraph.live.rig_session import RigSession, SessionPools, count_analysis_processes
 from calgraph.live.rig_solution import solve_captures
 from calgraph.live.server import PageServer, serve_page
 from calgraph.live.session_folder import SessionFolder
 from calgraph.live.source import LiveMessage, Notice, Source
-from calgraph.live.state import Command, Phase, RecorderState, SessionState
+from calgraph.live.state import Action, Phase, RecorderState, SessionState
 from calgraph.parallel.engine import Processes
 from calgraph.parallel.processes import worker_pool
 from calgraph.recording import open_recording
@@ -30,162 +30,11 @@ from calgraph.recording import open_recording
 _SHOWN_NOTICES = 5
 
 
-class CapturingSession(Protocol):
+class Session(ShownSession, Protocol):
     """A session of a rig or of a network. All calls are made in one asyncio loop, and none blocks."""
 
-    def command(self, command: Command) -> None:
-        """Does what the operator wants."""
-
-    def state(self) -> SessionState:
-        """The session now; another object after each change."""
-
-    async def wait_for_change(self, state: SessionState) -> None:
-        """Returns as soon as :meth:`state` is another object than ``state``."""
-
-    def picture(self, sensor: str) -> bytes | None:
-        """The view of a sensor, a JPEG image."""
-
-    def scene(self) -> bytes | None:
-        """The 3-D view."""
-
-
-class RecordingStatus(Protocol):
-    """What has been recorded."""
-
-    @property
-    def state(self) -> RecorderState:
-        """It now."""
-
-
-class OperatorView:
-    """What the page shows of a session, and where its commands go: a :class:`SessionView`.
-
-    Args:
-        session: takes the captures.
-        print_line: takes a line on what has happened to the connection.
-    """
-
-    def __init__(self, session: CapturingSession, print_line: Callable[[str], object]) -> None:
-        self._session, self._print_line = session, print_line
-        self._recorder: RecordingStatus | None = None
-        self._notices: deque[str] = deque(maxlen=_SHOWN_NOTICES)
-        self._connected = False
-        self._lost = self._gaps = 0
-        self._end: tuple[Phase, str, bool] | None = None
-        self._report: Path | None = None
-        self._state: SessionState | None = None
-        self._shown: SessionState | None = None
-        """The session's state that ``_state`` was made of."""
-        self._change = asyncio.Event()
-        self.finish_wanted = asyncio.Event()
-        """Set when the operator ends the session."""
-
-    def show_recorder(self, recorder: RecordingStatus) -> None:
-        """From now on shows what is recorded."""
-        self._recorder = recorder
-        self._note_change()
-
-    def note(self, notice: Notice) -> None:
-        """Shows what happened to the connection."""
-        if notice.kind == "disconnected" and self._connected:
-            self._gaps += 1
-        if notice.kind in ("connected", "disconnected", "ended"):
-            self._connected = notice.kind == "connected"
-        if notice.kind == "lost":
-            self._lost += notice.count
-        self._notices.appendleft(notice.text)
-        self._print_line(notice.text)
-        self._note_change()
-
-    def show_end(self, phase: Phase, headline: str, report: Path | None = None, *, done: bool = False) -> None:
-        """From now on shows a phase of the end of the session, in place of those of the captures.
-
-        Args:
-            phase: ``finishing``, ``finished`` or ``failed``.
-            headline: one sentence.
-            report: of the calibration, if there is one.
-            done: whether all poses are good.
-        """
-        self._end, self._report = (phase, headline, done), report
-        self._note_change()
-
-    def state(self) -> SessionState:
-        """The session now. Whenever something has changed it is another object."""
-        shown = self._session.state()
-        if self._state is None or shown is not self._shown:
-            self._shown = shown
-            recorded = self._recorder.state if self._recorder else RecorderState()
-            phase, headline, done = self._end or (shown.phase, shown.headline, shown.done)
-            self._state = replace(
-                shown,
-                phase=phase,
-                headline=headline,
-                done=done,
-                connected=self._connected,
-                notices=(*self._notices, *shown.notices)[:_SHOWN_NOTICES],
-                recorder=replace(recorded, lost=self._lost, gaps=self._gaps),
-                report=self._report is not None,
-            )
-        return self._state
-
-    async def wait_for_change(self, state: SessionState) -> None:
-        """Returns as soon as :meth:`state` is another object than ``state``."""
-        while self.state() is state:
-            self._change.clear()
-            assert self._shown is not None
-            waiting = {
-                asyncio.ensure_future(self._change.wait()),
-                asyncio.ensure_future(self._session.wait_for_change(self._shown)),
-            }
-            try:
-                await asyncio.wait(waiting, return_when=asyncio.FIRST_COMPLETED)
-            finally:
-                for task in waiting:
-                    task.cancel()
-
-    def picture(self, sensor: str) -> bytes | None:
-        """The view of a sensor with the board drawn in, a JPEG image; None before the first."""
-        return self._session.picture(sensor)
-
-    def scene(self) -> bytes | None:
-        """The 3-D view; None before the first."""
-        return self._session.scene()
-
-    def report(self) -> Path | None:
-        """The report of the calibration; None as long as there is none."""
-        return self._report
-
-    def command(self, command: Command) -> None:
-        """Takes a command of the operator; none has an effect once the session ends."""
-        if self._end:
-            return
-        if command.action == "finish":
-            self.finish_wanted.set()
-        else:
-            self._session.command(command)
-
-    def _note_change(self) -> None:
-        self._state = None
-        self._change.set()
-
-
-# Time between two looks at whether other processes still work, s: much less than their calls take.
-_IDLE_CHECK = 0.002
-
-
-class MessageSink(Protocol):
-    """Where messages are recorded."""
-
-    async def write(self, message: LiveMessage) -> None:
-        """Records a message; waits while too many wait for the disk.
-
-        Raises:
-            RecordingError: the recording has ended, and why.
-        """
-
-
-class FedSession(CapturingSession, Protocol):
-    """A session that takes messages."""
+    triggers: deque[LiveMessage]
+    """That are to be recorded, each before the messages that follow it."""
 
     @property
     def busy(self) -> bool:
@@ -202,47 +51,100 @@ class FedSession(CapturingSession, Protocol):
         """Ends the session: results of calls under way are ignored."""
 
 
-class TriggerQueue:
-    """Triggers of a session that are to be recorded, each before the messages that follow it."""
+class OperatorView:
+    """What the page shows of a session, and where its commands go: a :class:`SessionView`.
 
-    def __init__(self) -> None:
-        self._waiting: deque[LiveMessage] = deque()
+    Args:
+        session: takes the captures.
+        print_line: takes a line on what has happened to the connection.
+    """
 
-    def put(self, trigger: LiveMessage) -> None:
-        """Adds one."""
-        self._waiting.append(trigger)
+    def __init__(self, session: ShownSession, print_line: Callable[[str], object]) -> None:
+        self._session, self._print_line = session, print_line
+        self._recorded: Callable[[], RecorderState] = RecorderState
+        self._notices: deque[str] = deque(maxlen=_SHOWN_NOTICES)
+        self._connected = False
+        self._lost = self._gaps = 0
+        self._end: tuple[Phase, str, bool] | None = None
+        self._report: Path | None = None
+        self.finish_wanted = asyncio.Event()
+        """Set when the operator ends the session."""
 
-    async def record(self, recorder: MessageSink) -> None:
-        """Records those that wait.
+    def show_recorder(self, recorded: Callable[[], RecorderState]) -> None:
+        """From now on shows what is recorded."""
+        self._recorded = recorded
 
-        Raises:
-            RecordingError: the recording has ended, and why.
+    def note(self, notice: Notice) -> None:
+        """Shows what happened to the connection."""
+        if notice.kind == "disconnected" and self._connected:
+            self._gaps += 1
+        if notice.kind in ("connected", "disconnected", "ended"):
+            self._connected = notice.kind == "connected"
+        if notice.kind == "lost":
+            self._lost += notice.count
+        self._notices.appendleft(notice.text)
+        self._print_line(notice.text)
+
+    def show_end(self, phase: Phase, headline: str, report: Path | None = None, *, done: bool = False) -> None:
+        """From now on shows a phase of the end of the session, in place of those of the captures.
+
+        Args:
+            phase: ``finishing``, ``finished`` or ``failed``.
+            headline: one sentence.
+            report: of the calibration, if there is one.
+            done: whether all poses are good.
         """
-        while self._waiting:
-            await recorder.write(self._waiting.popleft())
+        self._end, self._report = (phase, headline, done), report
+
+    def state(self) -> SessionState:
+        """The session now."""
+        shown = self._session.state()
+        phase, headline, done = self._end or (shown.phase, shown.headline, shown.done)
+        return replace(
+            shown,
+            phase=phase,
+            headline=headline,
+            done=done,
+            connected=self._connected,
+            notices=(*self._notices, *shown.notices)[:_SHOWN_NOTICES],
+            recorder=replace(self._recorded(), lost=self._lost, gaps=self._gaps),
+            report=self._report is not None,
+        )
+
+    def picture(self, sensor: str) -> bytes | None:
+        """The view of a sensor with the board drawn in, a JPEG image; None before the first."""
+        return self._session.picture(sensor)
+
+    def report(self) -> Path | None:
+        """The report of the calibration; None as long as there is none."""
+        return self._report
+
+    def command(self, action: Action) -> None:
+        """Does what the operator wants, until the session ends."""
+        if self._end:
+            return
+        if action == "finish":
+            self.finish_wanted.set()
+        else:
+            self._session.command(action)
+
+
+# Time between two looks at whether other processes still work, s: much less than their calls take.
+_IDLE_CHECK = 0.002
 
 
 async def record_session(
-    source: Source,
-    rig: Rig,
-    recorder: MessageSink,
-    session: FedSession,
-    triggers: TriggerQueue,
-    view: OperatorView,
-    *,
-    max_lead: float,
+    source: Source, rig: Rig, write: Callable[[LiveMessage], Awaitable[None]], session: Session, view: OperatorView
 ) -> None:
     """Records and feeds messages until the source or the recording ends, or the operator wants to finish.
 
     Args:
         source: of the messages.
         rig: whose topics are recorded.
-        recorder: gets every message before the session does.
+        write: records a message, which it gets before the session does; raises RecordingError where the recording
+            has ended, with the reason.
         session: takes the captures.
-        triggers: of the session.
         view: shows notices of the source, and has the operator's wish to finish.
-        max_lead: time by which messages may be ahead of the detection before they wait until it has caught up, s;
-            with 0 each waits until all before it are analysed. Infinite for robots, which do not wait.
 
     Raises:
         InputError: the source cannot be used.
@@ -269,18 +171,22 @@ async def record_session(
 
     async def record(message: LiveMessage) -> bool:
         try:
-            await triggers.record(recorder)
-            await recorder.write(message)
+            await record_triggers()
+            await write(message)
         except RecordingError as error:
             view.note(Notice("ended", str(error)))
             return False
         session.feed(message)
-        if not max_lead:
+        if not source.max_lead:
             await wait_until_idle()
-        elif session.lag > max_lead:
+        elif session.lag > source.max_lead:
             while session.lag:
                 await asyncio.sleep(_IDLE_CHECK)
         return True
+
+    async def record_triggers() -> None:
+        while session.triggers:
+            await write(session.triggers.popleft())
 
     async def wait_until_idle() -> None:
         while session.busy:
@@ -296,7 +202,7 @@ async def record_session(
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
     with suppress(RecordingError):  # the view shows it already
-        await triggers.record(recorder)
+        await record_triggers()
 
 
 # Exit code of commands that calibrate nothing.
@@ -327,9 +233,6 @@ class LiveOptions:
     port: int
     manual: bool
     """Whether captures are only taken with the button, until the operator states otherwise."""
-    wait: bool
-    """Whether messages wait for the analysis of those before; see
-    :func:`calgraph.live.recording_loop.record_session`."""
     calibrate: Callable[[SessionFolder], Awaitable[FinalCalibration]]
     """Calibrates the whole recording into the folder of the result."""
     announce: Callable[[PageServer], object]
@@ -359,12 +262,11 @@ def run_session(rig: Rig, source: Source, folder: SessionFolder, options: LiveOp
         KeyboardInterrupt: the program was interrupted; the recording is complete until then.
     """
     with asyncio.Runner() as runner, _open_pools(rig, runner.get_loop().call_soon_threadsafe) as pools:
-        triggers = TriggerQueue()
-        session = _make_session(rig, source.name, folder, pools, triggers)
+        session = _make_session(rig, source.name, folder, pools, options.print_line)
         if options.manual:
-            session.command(Command("manual"))
+            session.command("manual")
         try:
-            return runner.run(_run(rig, source, folder, session, triggers, options))
+            return runner.run(_run(rig, source, folder, session, options))
         except asyncio.CancelledError:
             raise KeyboardInterrupt from None
 
@@ -382,36 +284,28 @@ def _open_pools(rig: Rig, post: Post) -> Iterator[SessionPools]:
 
 
 def _make_session(
-    rig: Rig, source: str, folder: SessionFolder, pools: SessionPools, triggers: TriggerQueue
-) -> FedSession:
+    rig: Rig, source: str, folder: SessionFolder, pools: SessionPools, print_line: Callable[[str], object]
+) -> Session:
     """A session that goes on where the recording in the folder ends."""
     if rig.is_network:
-        return NetworkSession(rig, source, pools, folder.recording)
-    session = RigSession(rig, source, pools, SessionOutputs(triggers.put, folder.exclude), solve_captures)
+        return NetworkSession(rig, source, pools, folder.recording, print_line)
+    session = RigSession(rig, source, pools, solve_captures, exclude=folder.exclude, print_line=print_line)
     if folder.last_arrival() >= 0:
         with open_recording(folder.recording, rig.settings.limits) as recording:
             session.rebuild(recording, Processes(pools.analysis_processes))
     return session
 
 
-async def _run(
-    rig: Rig,
-    source: Source,
-    folder: SessionFolder,
-    session: FedSession,
-    triggers: TriggerQueue,
-    options: LiveOptions,
-) -> int:
+async def _run(rig: Rig, source: Source, folder: SessionFolder, session: Session, options: LiveOptions) -> int:
     loop, task = asyncio.get_running_loop(), asyncio.current_task()
     assert task
     handle_interrupt(lambda: loop.call_soon_threadsafe(task.cancel))
     view = OperatorView(session, options.print_line)
     async with serve_page(view, options.host, options.port, settings=rig.settings.live.page) as server:
-        async with _printing_events(view, options.print_line), _recording(rig, folder, session) as recorder:
-            view.show_recorder(recorder)
+        async with _recording(rig, folder, session) as recorder:
+            view.show_recorder(lambda: recorder.state)
             options.announce(server)
-            max_lead = _choose_max_lead(source, options)
-            await record_session(source, rig, recorder, session, triggers, view, max_lead=max_lead)
+            await record_session(source, rig, recorder.write, session, view)
         if recorder.state.problem:
             options.print_line(recorder.state.problem)
         if folder.last_arrival() < 0:
@@ -432,20 +326,8 @@ async def _run(
     return end.exit_code
 
 
-# Time by which a replayed recording may be ahead of the detection before it waits, s: no rest of the board begins
-# and ends in it. Robots do not wait.
-_MAX_REPLAY_LEAD = 0.5
-
-
-def _choose_max_lead(source: Source, options: LiveOptions) -> float:
-    """Time by which messages may be ahead of the detection, s."""
-    if options.wait:
-        return 0.0
-    return _MAX_REPLAY_LEAD if isinstance(source, ReplaySource) else float("inf")
-
-
 @asynccontextmanager
-async def _recording(rig: Rig, folder: SessionFolder, session: FedSession) -> AsyncIterator[Recorder]:
+async def _recording(rig: Rig, folder: SessionFolder, session: Session) -> AsyncIterator[Recorder]:
     """The recorder of a session; both are closed at the end."""
     recorder = Recorder(folder.recording, rig.settings.live.recorder, rig.settings.limits)
     try:
@@ -454,27 +336,3 @@ async def _recording(rig: Rig, folder: SessionFolder, session: FedSession) -> As
         session.close()
         with suppress(RecordingError):  # its state has the error
             await recorder.close()
-
-
-@asynccontextmanager
-async def _printing_events(view: OperatorView, print_line: Callable[[str], object]) -> AsyncIterator[None]:
-    """Prints captures meanwhile."""
-    task = asyncio.create_task(_print_events(view, print_line))
-    try:
-        yield
-    finally:
-        task.cancel()
-        with suppress(asyncio.CancelledError):
-            await task
-
-
-async def _print_events(view: OperatorView, print_line: Callable[[str], object]) -> None:
-    before = view.state()
-    while True:
-        await view.wait_for_change(before)
-        state = view.state()
-        if state.event.number != before.event.number:
-            print_line(state.event.text)
-        if state.done and not before.done:
-            print_line("All sensors are within tolerance: finish")
-        before = state

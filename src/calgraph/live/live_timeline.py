@@ -15,10 +15,13 @@ from calgraph.sensors import PointCloud, RecordedMessage
 
 # The period of a sensor and its rate are those of its last messages: drivers change them, and connections break.
 _RECENT = 21
+# Maximum difference of a sensor's clock from the others, s, that is one of latencies: networks and drivers take
+# some tenths.
+_MAX_CLOCK_DIFFERENCE = 1.0
 
 
 @dataclass
-class _GrowingTimes:
+class GrowingTimes:
     """When one sensor measured so far."""
 
     stamps: "array[float]" = field(default_factory=lambda: array("d"))
@@ -26,20 +29,51 @@ class _GrowingTimes:
     arrivals: "array[float]" = field(default_factory=lambda: array("d"))
     """Of the last messages, s."""
     duration: float = 0.0
+    """Of one measurement, s; 0 where the messages do not state it."""
     frame_id: str = ""
     message_type: str = ""
+    """Empty before the first message with content."""
     measured: bool = False
     """Whether the duration is known."""
     period: float = float("inf")
-    """Of the last messages, s."""
+    """Median time between the last measurements, s; infinite for fewer than two."""
     latest: float | None = None
     """Stamp of the message that arrived last, s: one damaged stamp may be later than all others."""
+    malformed: int = 0
+    """Number of messages that could not be used."""
+    problem: str = ""
+    """Why the last of them could not."""
+
+    @property
+    def rate(self) -> float:
+        """Messages per second of late."""
+        arrivals = self.arrivals[-_RECENT:]
+        duration = arrivals[-1] - arrivals[0] if len(arrivals) > 1 else 0.0
+        return (len(arrivals) - 1) / duration if duration > 0 else 0.0
+
+    @property
+    def ahead(self) -> float | None:
+        """Median of the ends of the last measurements minus their arrivals, s; None before the first message."""
+        pairs = list(zip(reversed(self.stamps), reversed(self.arrivals), strict=False))[:_RECENT]
+        return median(stamp - arrival for stamp, arrival in pairs) + self.duration if pairs else None
 
     def measure_period(self) -> None:
         """Measures the period of the last messages."""
         recent = self.stamps[-_RECENT:]
         if len(recent) > 1:
             self.period = median(b - a for a, b in pairwise(recent))
+
+    def stamps_from(self, start: float) -> Array:
+        """(N,) stamps of the measurements at ``start`` or later, s."""
+        return np.array(self.stamps[bisect_left(self.stamps, start) :])
+
+    def note_malformed(self, problem: str) -> None:
+        """Counts a message that cannot be used."""
+        self.malformed, self.problem = self.malformed + 1, problem
+
+    def describe_malformed(self) -> str:
+        """How many messages could not be used, and why the last one; empty if there are none."""
+        return f"{self.malformed} unusable messages: {self.problem}" if self.malformed else ""
 
 
 class LiveTimeline:
@@ -52,7 +86,8 @@ class LiveTimeline:
     """
 
     def __init__(self, sensors: Collection[str]) -> None:
-        self._times = {name: _GrowingTimes() for name in sensors}
+        self.sensors = {name: GrowingTimes() for name in sensors}
+        """By name."""
         self.start: float | None = None
         """The first arrival of a message, s; windows in rig.yaml count from here. None before it."""
         self.latest_arrival = 0.0
@@ -62,18 +97,16 @@ class LiveTimeline:
         """Begins with what was recorded before, until the arrival ``end``, s."""
         self.start, self.latest_arrival = timeline.start, end
         for name, times in timeline.sensors.items():
-            known = bool(times.message_type)
             stamps = array("d", times.stamps.tolist())
-            self._times[name] = _GrowingTimes(
+            self.sensors[name] = GrowingTimes(
                 stamps,
-                array("d"),
-                times.duration,
-                times.frame_id,
-                times.message_type,
-                known,
+                duration=times.duration,
+                frame_id=times.frame_id,
+                message_type=times.message_type,
+                measured=bool(times.message_type),
                 latest=stamps[-1] if stamps else None,
             )
-            self._times[name].measure_period()
+            self.sensors[name].measure_period()
 
     def note_arrival(self, arrival: float) -> None:
         """Notes that a message of any topic arrived, s."""
@@ -86,7 +119,7 @@ class LiveTimeline:
         Raises:
             RecordingError: the content of the first message is unusable; its stamp is kept.
         """
-        times = self._times[name]
+        times = self.sensors[name]
         if not times.stamps or record.stamp >= times.stamps[-1]:
             times.stamps.append(record.stamp)
         else:
@@ -104,44 +137,20 @@ class LiveTimeline:
             # Clouds without points, of lost packets, have no duration.
             times.measured = not isinstance(message, PointCloud) or not message.is_empty
 
-    def message_type(self, name: str) -> str:
-        """Type of the sensor's messages; empty before the first."""
-        return self._times[name].message_type
-
-    def last_stamp(self, name: str) -> float | None:
-        """Stamp of the sensor's message that arrived last, s; None before the first."""
-        return self._times[name].latest
-
     def age(self, name: str) -> float | None:
         """Time from the last arrival of the sensor's messages to the last of all, s; None before the first."""
-        arrivals = self._times[name].arrivals
+        arrivals = self.sensors[name].arrivals
         return max(self.latest_arrival - arrivals[-1], 0.0) if arrivals else None
 
-    def latency(self, name: str) -> float | None:
-        """Time from the end of the sensor's last measurement to its arrival, s; None before the first message."""
-        times = self._times[name]
-        if times.latest is None or not times.arrivals:
-            return None
-        return times.arrivals[-1] - times.latest - times.duration
-
-    def period(self, name: str) -> float:
-        """Median time between the sensor's last measurements, s; infinite for fewer than two."""
-        return self._times[name].period
-
-    def rate(self, name: str) -> float:
-        """Messages per second of late."""
-        arrivals = self._times[name].arrivals[-_RECENT:]
-        duration = arrivals[-1] - arrivals[0] if len(arrivals) > 1 else 0.0
-        return (len(arrivals) - 1) / duration if duration > 0 else 0.0
-
-    def duration(self, name: str) -> float:
-        """Duration of one measurement, s; 0 where the messages do not state it."""
-        return self._times[name].duration
-
-    def stamps_from(self, name: str, start: float) -> Array:
-        """(N,) stamps of the sensor's measurements at ``start`` or later, s."""
-        stamps = self._times[name].stamps
-        return np.array(stamps[bisect_left(stamps, start) :])
+    def find_wrong_clocks(self) -> dict[str, float]:
+        """By sensor, by how much its clock is ahead of those of the others, s, where that is much."""
+        ahead = {name: one for name, times in self.sensors.items() if (one := times.ahead) is not None}
+        differences = {}
+        for name, own in ahead.items():
+            # Which one of two is right is unknown.
+            others = [one for other, one in ahead.items() if other != name or len(ahead) > 2]
+            differences[name] = own - median(others) if others else 0.0
+        return {name: one for name, one in differences.items() if abs(one) > _MAX_CLOCK_DIFFERENCE}
 
     def snapshot(self, triggers: Sequence[float], start: float = -np.inf) -> RecordingTimeline:
         """The timeline so far, without activity.
@@ -151,8 +160,8 @@ class LiveTimeline:
             start: measurements before it are left out, s.
         """
         sensors = {}
-        for name, times in self._times.items():
-            stamps = self.stamps_from(name, start)
+        for name, times in self.sensors.items():
+            stamps = times.stamps_from(start)
             activity = np.zeros(len(stamps))
             sensors[name] = SensorTimes(stamps, times.duration, activity, times.frame_id, times.message_type)
         return RecordingTimeline(self.start or 0.0, sensors, np.unique(np.array(triggers, dtype=np.float64)))

@@ -2,18 +2,18 @@
 
 import logging
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from uuid import uuid4
 
 import numpy as np
 
 from calgraph.config import CameraSpec, Rig
-from calgraph.config.settings import ViewSettings
 from calgraph.errors import CalgraphError, Rejected
 from calgraph.live.analysis_jobs import (
+    DetectorInputs,
     MeasuredChanges,
-    encode_detector,
     learn_live_background,
     measure_changes,
     reduce_camera,
@@ -25,7 +25,6 @@ from calgraph.live.live_rig import list_intrinsics_topics
 from calgraph.live.live_timeline import LiveTimeline
 from calgraph.live.message_ring import MessageRing
 from calgraph.live.motion import RestMonitor
-from calgraph.live.record_reader import RecordReader
 from calgraph.live.source import LiveMessage
 from calgraph.live.view_pictures import SensorView, find_reduction, make_view
 from calgraph.recording.takes import shift_record
@@ -42,6 +41,8 @@ _log = logging.getLogger(__name__)
 _MESSAGES_PER_CALL = 8
 
 
+# Maximum number of pictures of a sensor per second: operators see motion, and processes are free for captures.
+_PICTURE_RATE = 3.0
 # Maximum number of messages of a sensor that wait for it: 2 s; older ones are skipped, and the next is compared
 # with the last one measured.
 _MAX_WAITING = 20
@@ -53,12 +54,10 @@ class MessageAnalysis:
     Args:
         rig: of the session.
         source: name of the source, for error messages.
-        changed: called when something is to be shown.
     """
 
-    def __init__(self, rig: Rig, source: str, changed: Callable[[], None]) -> None:
-        self._rig, self._changed = rig, changed
-        self._reader = RecordReader(source, rig.settings.limits)
+    def __init__(self, rig: Rig, source: str) -> None:
+        self._rig, self._source = rig, source
         self._sensor_of = {topic: name for name, topic in rig.topics.items()}
         # Offsets that are to be estimated are known when the recording is calibrated.
         offsets = {name: spec.clock_offset for name, spec in rig.sensors.items()}
@@ -68,7 +67,7 @@ class MessageAnalysis:
         self.ring = MessageRing(rig.settings.live.ring)
         self.rests = RestMonitor(rig.sensors)
         self.detectors = LiveDetectors(rig)
-        self.sensors = {name: SensorActivity(rig.settings.live.view) for name in rig.sensors}
+        self.sensors = {name: SensorActivity() for name in rig.sensors}
         self._last_queued: dict[str, float] = {}
 
     @property
@@ -119,7 +118,7 @@ class MessageAnalysis:
         if name is None and topic not in self.detectors.intrinsics_topics:
             return
         try:
-            record = self._reader.read(message)
+            record = message.read(self._source, self._rig.settings.limits)
             if name is None:
                 self.detectors.add_intrinsics(record)
                 return
@@ -128,13 +127,8 @@ class MessageAnalysis:
             self._queue(name, record)
             self.timeline.add(name, record)
         except CalgraphError as error:
-            self._note_malformed(topic, name, error)
-
-    def _note_malformed(self, topic: str, name: str | None, error: CalgraphError) -> None:
-        names = [name] if name else self.detectors.cameras_of(topic)
-        for one in names:
-            self.sensors[one].note_malformed(str(error))
-        self._changed()
+            for one in [name] if name else self.detectors.cameras_of(topic):
+                self.timeline.sensors[one].note_malformed(str(error))
 
     def _queue(self, name: str, record: RecordedMessage) -> None:
         """Has a message analysed: drawn, measured, and the room learned from it."""
@@ -142,8 +136,8 @@ class MessageAnalysis:
         sensor.latest = record
         if self._is_of_background(record) and KINDS[self._rig.sensors[name].kind].measures_ranges:
             self._keep_background(name, record)
-        slow = self.timeline.period(name) > MAX_MOTION_PERIOD
-        if slow and len(self.timeline.stamps_from(name, 0.0)) > 1:
+        slow = self.timeline.sensors[name].period > MAX_MOTION_PERIOD
+        if slow and len(self.timeline.sensors[name].stamps) > 1:
             return
         # Periods vary by some percent: of a sensor at the highest rate every message is measured.
         if abs(record.stamp - self._last_queued.get(name, float("-inf"))) > 0.9 / MAX_RATE:
@@ -193,7 +187,6 @@ class MessageAnalysis:
         if isinstance(background, Rejected):
             _log.warning("%s: %s; it detects the board by size and shape", name, background.reason)
         self.detectors.set_background(name, background)
-        self._changed()
 
     def _measure_changes(self, queue: JobQueue) -> bool:
         waiting = [name for name, sensor in self.sensors.items() if sensor.waiting and not sensor.measuring]
@@ -216,30 +209,26 @@ class MessageAnalysis:
         sensor.measuring = ()
         for change in measured.changes:
             if change is None:
-                sensor.note_malformed(measured.problem)
+                self.timeline.sensors[name].note_malformed(measured.problem)
         usable = [
             (record.stamp, change)
             for record, change in zip(records, measured.changes, strict=True)
             if change is not None
         ]
-        was_moving = self.rests.is_moving(name)
         quiet = all(self._is_of_background(record) for record in records)
         self.rests.add(name, [s for s, _ in usable], [c for _, c in usable], measured.last, quiet=quiet)
-        if self.rests.is_moving(name) != was_moving:
-            self._changed()
 
     def _fail_measuring(self, name: str, error: BaseException) -> None:
         self.sensors[name].measuring = ()
-        self.sensors[name].note_malformed(str(error))
+        self.timeline.sensors[name].note_malformed(str(error))
 
     def _draw(self, queue: JobQueue) -> bool:
-        settings = self._rig.settings.live.view
         due = [
             name
             for name, sensor in self.sensors.items()
             if sensor.latest
             and not sensor.drawing
-            and sensor.latest.arrival - sensor.drawn_at >= 1 / settings.rate
+            and sensor.latest.arrival - sensor.drawn_at >= 1 / _PICTURE_RATE
         ]
         if not due:
             return False
@@ -248,10 +237,11 @@ class MessageAnalysis:
         record, sensor.latest, sensor.drawing = sensor.latest, None, True
         assert record is not None
         sensor.drawn_at = record.arrival
-        encoded = self.detectors.encode(name, reduced=True) if self.detectors.is_ready(name) else None
+        factor = self.detectors.reduction(name)
+        inputs = self.detectors.state_inputs(name, factor)
         queue.run(
-            make_view, record.decode, encoded,
-            self.detectors.reduced_camera(name), self._rig.boards, self.detectors.reduction(name), settings,
+            make_view, record.decode, inputs if self.detectors.is_ready(name) else None,
+            inputs.camera, self._rig.boards, factor,
             done=partial(self._set_view, name),
             failed=lambda error: self._set_view(name, SensorView(b"", None, str(error))),
         )  # fmt: skip
@@ -260,7 +250,6 @@ class MessageAnalysis:
     def _set_view(self, name: str, view: SensorView) -> None:
         self.sensors[name].drawing = False
         self.sensors[name].set_view(view)
-        self._changed()
 
 
 class LiveDetectors:
@@ -280,7 +269,8 @@ class LiveDetectors:
         self._backgrounds: dict[str, Background | Rejected] = {}
         self._preferred: dict[str, str] = {}
         self._topics = list_intrinsics_topics(rig)
-        self._encoded: dict[tuple[str, int], bytes] = {}
+        self._session, self._changes = uuid4().hex, 0
+        """Which detectors these are, of all in this process, and how often their inputs have changed."""
 
     @property
     def intrinsics_topics(self) -> frozenset[str]:
@@ -299,9 +289,8 @@ class LiveDetectors:
         self._preferred |= dict.fromkeys(wanted, record.topic)
         message = record.decode()
         if isinstance(message, CameraInfo):
-            for name in wanted:
-                self.cameras[name] = message.camera
-                self._forget(name)
+            self.cameras |= dict.fromkeys(wanted, message.camera)
+            self._changes += 1
 
     def cameras_of(self, topic: str) -> list[str]:
         """The cameras whose intrinsics a topic may have."""
@@ -315,10 +304,7 @@ class LiveDetectors:
     def set_background(self, name: str, background: Background | Rejected) -> None:
         """Takes what a scanner has learned, or why it has not."""
         self._backgrounds[name] = background
-        self._forget(name)
-
-    def _forget(self, name: str) -> None:
-        self._encoded = {key: one for key, one in self._encoded.items() if key[0] != name}
+        self._changes += 1
 
     def is_ready(self, name: str) -> bool:
         """Whether messages of a sensor can be searched: scanners learn the room first."""
@@ -329,32 +315,23 @@ class LiveDetectors:
         camera = self.cameras.get(name)
         return find_reduction(camera) if camera else 1
 
-    def reduced_camera(self, name: str) -> CameraModel | None:
-        """The intrinsics of a camera's reduced images; None of scanners, and where they are not known."""
-        camera = self.cameras.get(name)
-        return reduce_camera(camera, self.reduction(name)) if camera else None
-
-    def encode(self, name: str, *, reduced: bool = False) -> bytes:
-        """The detector of a sensor that is ready, for other processes.
-
-        Args:
-            name: of the sensor.
-            reduced: whether it is for reduced images.
-        """
-        factor = self.reduction(name) if reduced else 1
-        if (name, factor) not in self._encoded:
-            camera = self.reduced_camera(name) if reduced else self.cameras.get(name)
-            background = self._backgrounds.get(name)
-            self._encoded[name, factor] = encode_detector(
-                self._rig, name, camera, None if isinstance(background, Rejected) else background, self.seeds
-            )
-        return self._encoded[name, factor]
+    def state_inputs(self, name: str, factor: int = 1) -> DetectorInputs:
+        """What the detector of a sensor is made from, for images of a camera that are reduced by a factor."""
+        camera, background = self.cameras.get(name), self._backgrounds.get(name)
+        return DetectorInputs(
+            name,
+            (self._session, self._changes, factor),
+            self._rig.model_copy(update={"sensors": {name: self._rig.sensors[name]}}),
+            reduce_camera(camera, factor) if camera else None,
+            None if isinstance(background, Rejected) else background,
+            self.seeds,
+        )
 
     def restore(self, cameras: Mapping[str, CameraModel]) -> None:
         """Takes intrinsics that are in a recording, by camera."""
         self.cameras |= cameras
         self._preferred |= {name: self._topics[name][0] for name in cameras if name in self._topics}
-        self._encoded = {}
+        self._changes += 1
 
 
 # Number of images that this median is of: 20 s.
@@ -368,7 +345,6 @@ _SHARPNESS_RATIO = 0.5
 class SensorActivity:
     """The messages of one sensor that wait for other processes, and its last view."""
 
-    settings: ViewSettings
     waiting: deque[RecordedMessage] = field(default_factory=deque)
     """Messages whose change is to be measured."""
     measuring: Sequence[RecordedMessage] = ()
@@ -382,24 +358,12 @@ class SensorActivity:
     """Arrival of the message that was drawn last, s."""
     view: SensorView | None = None
     pictures: int = 0
-    malformed: int = 0
-    """Number of its messages that could not be used."""
-    problem: str = ""
-    """Why the last of them could not."""
-    sharpness: deque[float] = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.sharpness = deque(maxlen=_SHARPNESS_IMAGES)
+    sharpness: deque[float] = field(default_factory=lambda: deque(maxlen=_SHARPNESS_IMAGES))
 
     @property
     def oldest_unmeasured(self) -> float | None:
         """Arrival of the first message whose change is not known yet, s; None if there is none."""
         return next((record.arrival for record in (*self.measuring, *self.waiting)), None)
-
-    def note_malformed(self, problem: str) -> None:
-        """Counts a message that cannot be used."""
-        self.malformed += 1
-        self.problem = problem
 
     def set_view(self, view: SensorView) -> None:
         """Takes a new picture."""

@@ -1,29 +1,24 @@
 """A live session of a network: from its messages to poses again and again, and what people should do."""
 
-import asyncio
 import math
 import time
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
-
-import numpy as np
 
 from calgraph.config import Rig
 from calgraph.config.settings import LiveNetworkSettings
 from calgraph.errors import RecordingError
 from calgraph.io.termination import add_cleanup, remove_cleanup
 from calgraph.live.capture_finder import SILENCE, name_sensors
-from calgraph.live.floor_plan import draw_floor_plan
 from calgraph.live.job_queue import JobQueue
 from calgraph.live.live_timeline import LiveTimeline
-from calgraph.live.network_solution import LiveNetworkSolution, ScannerSolution, solve_recording
-from calgraph.live.record_reader import RecordReader
-from calgraph.live.rig_session import SessionPools
+from calgraph.live.network_solution import LiveNetworkSolution, solve_recording
+from calgraph.live.rig_session import ALL_DONE, SessionPools
+from calgraph.live.sensor_solution import SensorSolution
 from calgraph.live.source import LiveMessage
-from calgraph.live.state import Advice, Command, Phase, SensorState, SessionState
+from calgraph.live.state import Action, Advice, Phase, SceneState, SensorState, SessionState
 from calgraph.live.tracked_intervals import MIN_INTERVAL
 from calgraph.result.reasons import split_clauses
 
@@ -55,9 +50,7 @@ class Forecast:
         """Takes a solution; those that used no new messages replace the last."""
         duration = solution.recorded
         uncertainties = {
-            scanner.name: scanner.uncertainty
-            for scanner in solution.scanners
-            if scanner.T_root_scanner is not None
+            scanner.name: scanner.uncertainty for scanner in solution.scanners if scanner.T_root_sensor is not None
         }
         if self._history and duration <= self._history[-1][0]:
             self._history.pop()
@@ -110,6 +103,7 @@ class NetworkSession:
         source: name of the source.
         pools: where it computes: ``solving``.
         recording: path of the recording that receives the messages.
+        print_line: takes a line on poses that are all within tolerance.
         solve: calibrates.
         clock: time by which the load is limited, s.
     """
@@ -120,77 +114,68 @@ class NetworkSession:
         source: str,
         pools: SessionPools,
         recording: Path,
+        print_line: Callable[[str], object],
         *,
         solve: Solve = solve_recording,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.rig = rig
+        self.triggers: deque[LiveMessage] = deque()
+        """None: there are no captures."""
         self._source, self._recording, self._solve, self._clock = source, recording, solve, clock
-        self._reader = RecordReader(source, rig.settings.limits)
+        self._print_line = print_line
         self._sensor_of = {topic: name for name, topic in rig.topics.items()}
         self.timeline = LiveTimeline(rig.sensors)
-        self._messages = {name: ScannerMessages() for name in rig.sensors}
         self._queue = JobQueue(pools.solving, 1, lambda function: pools.post(lambda: self._handle(function)))
         self._folder = TemporaryDirectory(prefix="calgraph-tracks-", ignore_cleanup_errors=True)
         add_cleanup(self, self._folder.cleanup)
         self.solution: LiveNetworkSolution | None = None
         """The last one; None before the first."""
         self._forecast = Forecast(rig.settings.live.network)
-        self._floor_plan = ""
+        self._scene: SceneState | None = None
         self._began, self._next = 0.0, -math.inf
         """When the last solution began and when the next may, s."""
         self._problem = ""
-        self._state: SessionState | None = None
-        self._shown_at = -math.inf
-        self._change = asyncio.Event()
 
     def feed(self, message: LiveMessage) -> None:
         """Takes a message that has been recorded; scans are read from the recording, by another process."""
-        arrival = message.arrival / 1e9
-        self.timeline.note_arrival(arrival)
+        self.timeline.note_arrival(message.arrival / 1e9)
         name = self._sensor_of.get(message.channel.topic)
         if name is not None:
             try:
-                record = self._reader.read(message)
-                self._messages[name].delays.append(record.stamp - arrival)
-                self.timeline.add(name, record)
+                self.timeline.add(name, message.read(self._source, self.rig.settings.limits))
             except RecordingError as error:
-                self._messages[name].note_malformed(str(error))
-                self._note_change()
-        if self.timeline.latest_arrival - self._shown_at >= 1 / self.rig.settings.live.view.rate:
-            self._shown_at = self.timeline.latest_arrival
-            self._note_change()
+                self.timeline.sensors[name].note_malformed(str(error))
         self._start_solving()
 
-    def command(self, command: Command) -> None:
+    def command(self, action: Action) -> None:
         """Nothing is triggered or discarded; ``finish`` concerns who owns the session."""
 
     def state(self) -> SessionState:
-        """The session now, without what concerns source and recorder; another object after each change."""
-        if self._state is None:
-            self._state = describe_network_session(
-                self.rig,
-                self._source,
-                self.timeline,
-                self._messages,
-                self.solution,
-                self._forecast,
-                self._floor_plan,
-                self._problem,
-            )
-        return self._state
-
-    async def wait_for_change(self, state: SessionState) -> None:
-        """Returns as soon as :meth:`state` is another object than ``state``."""
-        while self._state is state:
-            self._change.clear()
-            await self._change.wait()
+        """The session now, without what concerns source and recorder."""
+        rig, solution = self.rig, self.solution
+        solved = {one.name: one for one in solution.scanners} if solution else {}
+        sensors = (_describe_sensor(one, rig, self.timeline, solved.get(one)) for one in rig.sensors)
+        done = solution is not None and solution.done
+        phase, headline = _describe_phase(rig, self.timeline, solution, self._forecast)
+        lag = _describe_lag(self.timeline, solution)
+        return SessionState(
+            kind="network",
+            phase=phase,
+            headline=self._problem or headline,
+            source=self._source,
+            root=rig.root,
+            sensors=tuple(sensors),
+            advice=None if solution is None or done else _advise(solution, self._forecast),
+            tolerance_mm=1000 * rig.tolerance.translation,
+            tolerance_degrees=rig.tolerance.rotation,
+            done=done,
+            notices=(*([lag] if lag else []), *(solution.remarks if solution else ())),
+            scene=self._scene,
+        )
 
     def picture(self, sensor: str) -> bytes | None:
         """None: the floor plan shows all scanners."""
-
-    def scene(self) -> bytes | None:
-        """None: networks are shown as a floor plan."""
 
     @property
     def minutes_left(self) -> float | None:
@@ -239,89 +224,23 @@ class NetworkSession:
     def _set_solution(self, solution: LiveNetworkSolution | None) -> None:
         self._set_next()
         if solution is not None:
+            if solution.done and not (self.solution and self.solution.done):
+                self._print_line(ALL_DONE)
             self.solution, self._problem = solution, ""
             self._forecast.add(solution)
-            self._floor_plan = draw_floor_plan(solution, self.rig.root, self.rig.tolerance)
-        self._note_change()
+            connected = tuple(one for one in solution.scanners if one.T_root_sensor is not None)
+            self._scene = SceneState(connected, floor=solution.grid) if solution.grid else None
 
     def _fail_solving(self, error: BaseException) -> None:
         self._set_next()
         self._problem = f"No poses from the recording until now: {error}"
-        self._note_change()
-
-    def _note_change(self) -> None:
-        self._state = None
-        self._change.set()
-
-
-# Messages whose delays are compared: a second of the slowest scanners, and more of others.
-_DELAYS = 15
-
-
-@dataclass
-class ScannerMessages:
-    """What is known of the messages of one scanner besides their times."""
-
-    delays: "deque[float]" = field(default_factory=lambda: deque(maxlen=_DELAYS))
-    """Stamps minus arrivals of the last ones, s."""
-    malformed: int = 0
-    """Number of its messages that could not be used."""
-    problem: str = ""
-    """Why the last of them could not."""
-
-    def note_malformed(self, problem: str) -> None:
-        """Counts a message that cannot be used."""
-        self.malformed += 1
-        self.problem = problem
-
-
-def describe_network_session(
-    rig: Rig,
-    source: str,
-    timeline: LiveTimeline,
-    messages: Mapping[str, ScannerMessages],
-    solution: LiveNetworkSolution | None,
-    forecast: Forecast,
-    floor_plan: str,
-    problem: str,
-) -> SessionState:
-    """The state of a session.
-
-    Args:
-        rig: the network.
-        source: name of the source.
-        timeline: when scanners measured.
-        messages: by scanner.
-        solution: the last one.
-        forecast: of the solutions so far.
-        floor_plan: the image of the solution.
-        problem: what keeps the session from working; empty if nothing does.
-    """
-    solved = {one.name: one for one in solution.scanners} if solution else {}
-    done = solution is not None and solution.done
-    phase, headline = _describe_phase(rig, timeline, solution, forecast)
-    lag = _describe_lag(timeline, solution)
-    return SessionState(
-        kind="network",
-        phase=phase,
-        headline=problem or headline,
-        source=source,
-        root=rig.root,
-        sensors=tuple(_describe_sensor(name, rig, timeline, messages, solved.get(name)) for name in rig.sensors),
-        advice=None if solution is None or done else _advise(solution, forecast),
-        tolerance_mm=1000 * rig.tolerance.translation,
-        tolerance_degrees=rig.tolerance.rotation,
-        done=done,
-        notices=(*([lag] if lag else []), *(solution.remarks if solution else ())),
-        floor_plan=floor_plan,
-    )
 
 
 def _describe_phase(
     rig: Rig, timeline: LiveTimeline, solution: LiveNetworkSolution | None, forecast: Forecast
 ) -> tuple[Phase, str]:
     unheard = [name for name in rig.sensors if timeline.age(name) is None]
-    silent = [name for name in rig.sensors if _is_silent(name, timeline)]
+    silent = [name for name in rig.sensors if _describe_silence(name, timeline)]
     if unheard:
         return "connecting", f"Waiting for messages of {name_sensors(unheard)}"
     if silent:
@@ -349,19 +268,19 @@ def _format_minutes(minutes: float) -> str:
     return "1 minute" if minutes <= 1 else f"{math.ceil(minutes)} minutes"
 
 
-def _find_unconnected(solution: LiveNetworkSolution) -> list[ScannerSolution]:
+def _find_unconnected(solution: LiveNetworkSolution) -> list[SensorSolution]:
     """The scanners without a pose, those that have detected no person first."""
-    apart = [one for one in solution.scanners if one.T_root_scanner is None]
+    apart = [one for one in solution.scanners if one.T_root_sensor is None]
     return sorted(apart, key=lambda one: one.tracks > 0)
 
 
-def _find_weak(solution: LiveNetworkSolution) -> list[ScannerSolution]:
+def _find_weak(solution: LiveNetworkSolution) -> list[SensorSolution]:
     """The scanners with a pose that is not good, the worst first."""
-    weak = [one for one in solution.scanners if one.T_root_scanner is not None and one.grade != "good"]
+    weak = [one for one in solution.scanners if one.T_root_sensor is not None and one.grade != "good"]
     return sorted(weak, key=lambda one: -one.uncertainty)
 
 
-def _say_where_to_walk(scanner: ScannerSolution) -> str:
+def _say_where_to_walk(scanner: SensorSolution) -> str:
     if not scanner.tracks:
         return f"Walk where {scanner.name} detects you, and on to where another scanner does"
     return f"Walk where {scanner.name} and another scanner both detect you, in curves"
@@ -402,55 +321,22 @@ def _describe_lag(timeline: LiveTimeline, solution: LiveNetworkSolution | None) 
     return "; ".join(notes)
 
 
-def _describe_sensor(
-    name: str,
-    rig: Rig,
-    timeline: LiveTimeline,
-    messages: Mapping[str, ScannerMessages],
-    solved: ScannerSolution | None,
-) -> SensorState:
-    age = timeline.age(name)
-    problems = []
-    if malformed := messages[name].malformed:
-        problems.append(f"{malformed} unusable messages: {messages[name].problem}")
-    if _is_silent(name, timeline):
-        problems.append(f"no messages for {age:.0f} s")
-    if clock := _describe_clock(name, messages):
-        problems.append(clock)
-    stddev = None if solved is None or name == rig.root else solved.stddev
-    return SensorState(
+def _describe_sensor(name: str, rig: Rig, timeline: LiveTimeline, solved: SensorSolution | None) -> SensorState:
+    difference = timeline.find_wrong_clocks().get(name, 0.0)
+    clock = f"its clock is {abs(difference):.1f} s {'ahead of' if difference > 0 else 'behind'} the others"
+    silence = _describe_silence(name, timeline)
+    problems = timeline.sensors[name].describe_malformed(), silence, clock if difference else ""
+    state = SensorState(
         name=name,
         kind=rig.sensors[name].kind,
-        rate=timeline.rate(name),
-        age=age,
-        problem="; ".join(problems),
+        rate=timeline.sensors[name].rate,
+        problem="; ".join(filter(None, problems)),
         reason=solved.reason if solved else "",
         captures=solved.tracks if solved else 0,
-        stddev_mm=None if stddev is None else 1000 * float(stddev[:2].max()),
-        stddev_degrees=None if stddev is None else float(np.degrees(stddev[2])),
-        progress=solved.progress if solved else 0.0,
-        grade=solved.grade if solved else "",
     )
+    return state.with_pose(solved, rig.root)
 
 
-def _is_silent(name: str, timeline: LiveTimeline) -> bool:
+def _describe_silence(name: str, timeline: LiveTimeline) -> str:
     age = timeline.age(name)
-    return age is not None and age > SILENCE
-
-
-# Difference of a scanner's clock from the median of all, s, from which it is named: the calibration measures
-# smaller ones.
-_MAX_CLOCK_DIFFERENCE = 1.0
-
-
-def _describe_clock(name: str, messages: Mapping[str, ScannerMessages]) -> str:
-    """By how much a scanner's clock differs from those of the others, if it is much; else empty."""
-    delays = {one: float(np.median(found.delays)) for one, found in messages.items() if found.delays}
-    if name not in delays or len(delays) < 2:
-        return ""
-    # Which one of two is right is unknown.
-    others: Sequence[float] = [value for one, value in delays.items() if one != name or len(delays) > 2]
-    difference = delays[name] - float(np.median(others))
-    if abs(difference) <= _MAX_CLOCK_DIFFERENCE:
-        return ""
-    return f"its clock is {abs(difference):.1f} s {'ahead of' if difference > 0 else 'behind'} the others"
+    return f"no messages for {age:.0f} s" if age is not None and age > SILENCE else ""

@@ -10,12 +10,10 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-import numpy as np
-
 from calgraph.config import Rig
 from calgraph.errors import CalgraphError, Rejected
-from calgraph.geometry import Array
 from calgraph.live.floor_grid import FloorGrid, build_floor_grid
+from calgraph.live.sensor_solution import SensorSolution, describe_pose
 from calgraph.live.tracked_intervals import (
     Tracked,
     TrackingProgress,
@@ -30,48 +28,15 @@ from calgraph.network.tracking.track import ScannerTracks
 from calgraph.network.tracking.track_scanner import MAX_SCAN_GAP
 from calgraph.recording import Recording, open_recording
 from calgraph.recording.input_checks import InputMonitor
-from calgraph.result import Calibration, SensorPose
-from calgraph.result.calibration import UNMEASURED_IN_PLANE
+from calgraph.result import Calibration
 from calgraph.verdict.grades import max_good_stddev
-
-# Axes that a network measures: x, y, yaw.
-_MEASURED = np.delete(np.arange(6), UNMEASURED_IN_PLANE)
-
-
-@dataclass(frozen=True, eq=False)
-class ScannerSolution:
-    """What is known of one scanner's pose."""
-
-    name: str
-    tracks: int = 0
-    """Number of tracks of people."""
-    T_root_scanner: Array | None = None
-    """(4, 4); None as long as nothing connects the scanner to the root."""
-    covariance: Array | None = None
-    """(2, 2) of the position in the root's axes, m²."""
-    stddev: Array | None = None
-    """(3,) along x and y of the scanner, m, and of yaw, rad; zero for the root."""
-    uncertainty: float = float("inf")
-    """Largest ratio of a standard deviation to the largest with which errors are within the tolerance."""
-    grade: str = ""
-    """good, weak or unobservable; empty without a pose."""
-    reason: str = ""
-    """Why it is not good, or not connected, in words."""
-    clock_offset: float | None = None
-    """Its clock minus the root's, s; None where that is not known."""
-    clock_offset_stddev: float | None = None
-
-    @property
-    def progress(self) -> float:
-        """1 where all errors are within the tolerance with the probability of verdicts, less before; 0..1."""
-        return min(1.0, 1 / max(self.uncertainty, 1e-9))
 
 
 @dataclass(frozen=True, eq=False)
 class LiveNetworkSolution:
     """The calibration of a network from what was recorded until some time."""
 
-    scanners: tuple[ScannerSolution, ...]
+    scanners: tuple[SensorSolution, ...]
     """In the order of rig.yaml."""
     grid: FloorGrid | None
     """Walls, where people walked and where they should; None as long as nothing is connected."""
@@ -161,42 +126,26 @@ def _solve(
     )
 
 
-def _find_unfinished(scanners: tuple[ScannerSolution, ...]) -> tuple[str, ...]:
+def _find_unfinished(scanners: tuple[SensorSolution, ...]) -> tuple[str, ...]:
     """Names of the connected scanners that are not within tolerance."""
-    return tuple(one.name for one in scanners if one.T_root_scanner is not None and one.grade != "good")
+    return tuple(one.name for one in scanners if one.T_root_sensor is not None and one.grade != "good")
 
 
-def _describe_scanners(rig: Rig, tracked: Tracked, calibration: Calibration | None) -> tuple[ScannerSolution, ...]:
+def _describe_scanners(rig: Rig, tracked: Tracked, calibration: Calibration | None) -> tuple[SensorSolution, ...]:
     poses = {sensor.name: sensor for sensor in calibration.sensors} if calibration else {}
     unconnected: Mapping[str, str] = calibration.evidence.unconnected if calibration else {}
-    limits = max_good_stddev(rig.tolerance, rig.settings.diagnostics.verdict)[_MEASURED]
+    limits = max_good_stddev(rig.tolerance, rig.settings.diagnostics.verdict)
     scanners = []
     for name in rig.sensors:
         found = tracked[name]
         count = len(found.tracks) if isinstance(found, ScannerTracks) else 0
         # A root to which nothing is connected is no result.
         if name in poses and len(poses) > 1:
-            scanners.append(_describe_pose(poses[name], count, limits))
+            scanners.append(replace(describe_pose(poses[name], limits), tracks=count))
         else:
             reason = unconnected.get(name, found.reason if isinstance(found, Rejected) else "")
-            scanners.append(ScannerSolution(name, count, reason=reason))
+            scanners.append(SensorSolution(name, rig.sensors[name].kind, reason=reason, tracks=count))
     return tuple(scanners)
-
-
-def _describe_pose(sensor: SensorPose, tracks: int, limits: Array) -> ScannerSolution:
-    stddev = sensor.axis_stddev[_MEASURED]
-    return ScannerSolution(
-        sensor.name,
-        tracks,
-        sensor.T_root_sensor,
-        sensor.measured_covariance[:2, :2],
-        stddev,
-        float(np.max(stddev / limits)),
-        sensor.verdict.grade,
-        sensor.verdict.reason,
-        sensor.clock_offset,
-        sensor.clock_offset_stddev,
-    )
 
 
 @contextmanager

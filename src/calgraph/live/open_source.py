@@ -2,11 +2,11 @@
 
 import asyncio
 import math
-from collections.abc import AsyncIterator, Collection, Mapping
-from contextlib import aclosing, suppress
+from collections.abc import AsyncIterator, Collection, Iterator, Mapping, Sequence
+from contextlib import aclosing
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Self, cast
+from typing import Any, cast
 
 from calgraph.config.settings import ConnectionSettings, Settings
 from calgraph.errors import InputError
@@ -15,10 +15,11 @@ from calgraph.live.dds import DdsSource
 from calgraph.live.foxglove import FoxgloveSource
 from calgraph.live.replay import ReplaySource
 from calgraph.live.source import LiveMessage, Notice, Source
-from calgraph.live.topic_watch import StampReader
 
 
-def open_source(text: str, settings: Settings, *, speed: float = 1.0, start_after: int = -1) -> Source:
+def open_source(
+    text: str, settings: Settings, *, speed: float = 1.0, start_after: int = -1, but: Collection[str] | None = None
+) -> Source:
     """The source that a text names; it connects when it is streamed.
 
     Args:
@@ -26,7 +27,8 @@ def open_source(text: str, settings: Settings, *, speed: float = 1.0, start_afte
             ``ros2://DOMAIN/NAMESPACE``, or the path of a recording.
         settings: of connections, and limits of what is read.
         speed: of a recording: 1 is real time, 5 five times as fast, 0 as fast as messages are consumed.
-        start_after: of a recording: only messages that arrived later, ns; to resume a session.
+        start_after: of a recording, to resume a session; see :class:`ReplaySource`. Likewise ``but``.
+        but: topics.
 
     Raises:
         InputError: it is none of these.
@@ -38,7 +40,7 @@ def open_source(text: str, settings: Settings, *, speed: float = 1.0, start_afte
     path = Path(text)
     if not path.exists():
         raise InputError(f"{text}: is neither an address nor an existing recording{suggest_name(path)}")
-    return ReplaySource(path, speed=speed, start_after=start_after, limits=settings.limits)
+    return ReplaySource(path, speed=speed, start_after=start_after, but=but, limits=settings.limits)
 
 
 _NS_PER_SECOND = 1e9
@@ -61,6 +63,8 @@ class AlignedSource:
         settings: of connections.
     """
 
+    max_lead = math.inf
+
     def __init__(self, source: Source, settings: ConnectionSettings) -> None:
         self._source, self._settings = source, settings
 
@@ -70,36 +74,40 @@ class AlignedSource:
         return self._source.name
 
     async def stream(self, topics: Collection[str]) -> AsyncIterator[LiveMessage | Notice]:
-        """Messages and notices of the source; see :meth:`Source.stream`. The first messages come delayed."""
+        """Messages and notices of the source; see :meth:`Source.stream`.
+
+        The first messages come with what follows them after that time.
+        """
         now = asyncio.get_running_loop().time
-        reader, offsets, waiting = StampReader(), dict[str, int](), list[LiveMessage]()
-        end = math.inf
+        offsets, waiting = dict[str, int](), list[LiveMessage]()
+        end, shift = math.inf, None
         # A generator, whose connection is closed with it.
-        async with aclosing(cast(Any, self._source.stream(topics))) as items, _Following(items) as following:
-            while not (offsets and now() >= end):
-                item = await following.take(max(end - now(), 0.0))
-                if item is None and following.ended:
-                    break
+        async with aclosing(cast(Any, self._source.stream(topics))) as items:
+            async for item in items:
+                is_over = now() >= end
                 if isinstance(item, Notice):
                     yield item
-                elif item is not None:
+                elif shift is None:
                     end = end if waiting else now() + _ALIGNMENT_TIME
                     waiting.append(item)
-                    if (stamp := reader.read(item)) is not None:
+                    if (stamp := item.read_stamp()) is not None:
                         offsets.setdefault(item.channel.topic, item.arrival - stamp)
-                elif not offsets:
-                    # Without stamps they cannot be compared.
-                    for one in waiting:
+                else:
+                    yield _shift(item, shift)
+                if is_over and waiting:
+                    # Messages without stamps do not wait for some.
+                    shift = self._choose_shift(offsets) if offsets else None
+                    for one in self._release(waiting, shift or 0):
                         yield one
                     waiting.clear()
                     end = math.inf
-            shift = self._choose_shift(offsets)
-            if shift:
-                yield Notice("connected", self._describe(shift))
-            for one in waiting:
-                yield replace(one, arrival=one.arrival - shift)
-            while (item := await following.take()) is not None:
-                yield item if isinstance(item, Notice) else replace(item, arrival=item.arrival - shift)
+        for one in self._release(waiting, self._choose_shift(offsets)):
+            yield one
+
+    def _release(self, waiting: Sequence[LiveMessage], shift: int) -> Iterator[LiveMessage | Notice]:
+        if waiting and shift:
+            yield Notice("connected", self._describe(shift))
+        yield from (_shift(one, shift) for one in waiting)
 
     def _choose_shift(self, offsets: Mapping[str, int]) -> int:
         """The median difference of the topics, ns; 0 where it is a latency."""
@@ -117,35 +125,5 @@ class AlignedSource:
         )
 
 
-class _Following:
-    """The next item of a stream, which is awaited for a limited time without an effect on the stream."""
-
-    def __init__(self, items: AsyncIterator[LiveMessage | Notice]) -> None:
-        self._items = items
-        self._next: asyncio.Future[LiveMessage | Notice] | None = None
-        self.ended = False
-
-    async def take(self, timeout: float = math.inf) -> LiveMessage | Notice | None:
-        """The next item; None where none comes in time (s), and at the end."""
-        if self._next is None:
-            self._next = asyncio.ensure_future(anext(self._items))
-        await asyncio.wait({self._next}, timeout=None if timeout == math.inf else timeout)
-        if not self._next.done():
-            return None
-        try:
-            return self._next.result()
-        except StopAsyncIteration:
-            self.ended = True
-            return None
-        finally:
-            self._next = None
-
-    async def __aenter__(self) -> Self:
-        return self
-
-    async def __aexit__(self, *_: object) -> None:
-        """Ends the stream where an item of it is awaited."""
-        if self._next is not None:
-            self._next.cancel()
-            with suppress(asyncio.CancelledError, StopAsyncIteration):
-                await self._next
+def _shift(message: LiveMessage, shift: int) -> LiveMessage:
+    return replace(message, arrival=message.arrival - shift)

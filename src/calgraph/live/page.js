@@ -38,10 +38,10 @@ function show(before) {
   setText(byId("headline"), state.headline);
   byId("headline").classList.toggle("long", state.headline.length > LONG);
   setText(byId("sensors-title"), state.kind === "network" ? "Scanners" : "Sensors");
+  setText(byId("space-title"), state.kind === "network" ? "Floor plan" : "Sensors and boards");
   showEvent(before);
   showOverall();
   showAdvice();
-  showPlan();
   showSensors(state);
   showScene(state);
   showRecorder();
@@ -99,12 +99,6 @@ function showAdvice() {
   setPicture(byId("advice-picture"), advice.picture);
   setPicture(byId("large-picture"), advice.picture);
   byId("enlarge").hidden = !advice.picture;
-}
-
-function showPlan() {
-  byId("plan").hidden = state.kind !== "network";
-  setPicture(byId("floor-plan"), state.floor_plan);
-  byId("no-plan").hidden = Boolean(state.floor_plan);
 }
 
 function showRecorder() {

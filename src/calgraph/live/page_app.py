@@ -5,11 +5,11 @@ import time
 from collections import Counter
 from collections.abc import AsyncIterator, Callable, Coroutine, Mapping
 from contextlib import asynccontextmanager, suppress
-from dataclasses import fields
 from importlib.resources import files
 from pathlib import Path
 from typing import Literal, Protocol, get_args
 
+import numpy as np
 from pydantic_core import to_json
 from starlette.applications import Starlette
 from starlette.requests import Request
@@ -18,29 +18,27 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from calgraph.config.settings import PageSettings
-from calgraph.live.state import Action, Command, SessionState
+from calgraph.live.state import Action, SessionState
 
 
-class SessionView(Protocol):
-    """A session as the page uses it, all calls in one asyncio loop. None of them blocks."""
+class ShownSession(Protocol):
+    """A session that can be shown and commanded, all calls in one asyncio loop. None of them blocks."""
 
     def state(self) -> SessionState:
-        """The session now. Whenever something has changed it is another object."""
-
-    async def wait_for_change(self, state: SessionState) -> None:
-        """Returns as soon as :meth:`state` is another object than ``state``."""
+        """The session now."""
 
     def picture(self, sensor: str) -> bytes | None:
         """The view of a sensor with the board drawn in, a JPEG image; None before the first."""
 
-    def scene(self) -> bytes | None:
-        """The 3-D view as :func:`calgraph.live.rig_session.encode_scene` writes it; None before the first."""
+    def command(self, action: Action) -> None:
+        """Does what the operator wants."""
+
+
+class SessionView(ShownSession, Protocol):
+    """A session as the page uses it."""
 
     def report(self) -> Path | None:
         """The report of the calibration; None as long as there is none."""
-
-    def command(self, command: Command) -> None:
-        """Takes a command of the operator."""
 
 
 Refusal = Literal[
@@ -61,28 +59,17 @@ Refusal = Literal[
 ]
 
 
-class Refusals:
+class Refusals(Counter[Refusal]):
     """Counts by reason."""
-
-    def __init__(self) -> None:
-        self._counts: Counter[Refusal] = Counter()
-
-    def add(self, reason: Refusal) -> None:
-        """Counts one refusal."""
-        self._counts[reason] += 1
-
-    def count(self, reason: Refusal) -> int:
-        """How many were refused for this reason."""
-        return self._counts[reason]
 
     def describe(self) -> str:
         """One line, ``refused: 3 wrong tokens, 2 foreign origins``; empty where nothing was refused."""
-        counts = ", ".join(f"{count} {reason}" for reason, count in self._counts.most_common())
+        counts = ", ".join(f"{count} {reason}" for reason, count in self.most_common())
         return counts and f"refused: {counts}"
 
 
 MEDIA_TYPES = {"html": "text/html", "css": "text/css", "js": "text/javascript"}
-_COMMANDS = {action: Command(action) for action in get_args(Action)}
+_ACTIONS: Mapping[object, Action] = {action: action for action in get_args(Action)}
 # Of a message that a page sends: one word.
 MAX_MESSAGE_BYTES = 64
 # By close code of the protocol (RFC 6455, 7.4.1): beyond that, not a frame of the protocol, and text not in UTF-8.
@@ -95,8 +82,8 @@ _REPORT_POLICY = (
 )
 
 
-# Maximum rate at which a page receives the state, Hz: as fast as a reader follows.
-_MAX_RATE = 10.0
+# Rate at which the state is looked at for changes, which pages receive, Hz: as fast as a reader follows.
+_RATE = 10.0
 # Commands that a page may send in fast succession before the rate counts.
 _COMMAND_BURST = 20
 # Commands per second that a page may send on average: no finger is faster for long.
@@ -129,7 +116,6 @@ class PageApp:
             routes=[
                 *assets,
                 Route("/picture", self._answer_picture),
-                Route("/scene", self._answer_scene),
                 Route("/report", self._answer_report),
                 WebSocketRoute("/state", self._serve_page),
             ]
@@ -148,22 +134,24 @@ class PageApp:
                 await task
 
     async def _follow(self) -> None:
-        """Encodes the state whenever it has changed, at the maximum rate; the last change is never left out."""
+        """Encodes what is new in the state, and notes whether it has changed."""
+        before: SessionState | None = None
         while True:
             state = self._view.state()
-            self._fields = _encode(state)
-            self._changed.set()
-            self._changed = asyncio.Event()
-            await asyncio.sleep(1 / _MAX_RATE)
-            await self._view.wait_for_change(state)
+            new = [
+                name for name, value in vars(state).items() if before is None or value is not vars(before)[name]
+            ]
+            fields = {**self._fields, **{name: _encode(vars(state)[name]) for name in new}}
+            if fields != self._fields:
+                self._fields = fields
+                self._changed.set()
+                self._changed = asyncio.Event()
+            before = state
+            await asyncio.sleep(1 / _RATE)
 
     async def _answer_picture(self, request: Request) -> Response:
         picture = self._view.picture(request.query_params.get("sensor", ""))
         return _not_found() if picture is None else Response(picture, media_type="image/jpeg")
-
-    async def _answer_scene(self, _: Request) -> Response:
-        scene = self._view.scene()
-        return _not_found() if scene is None else Response(scene, media_type="application/json")
 
     async def _answer_report(self, _: Request) -> Response:
         report = self._view.report()
@@ -173,7 +161,7 @@ class PageApp:
 
     async def _serve_page(self, socket: WebSocket) -> None:
         if self._pages >= self._settings.max_pages:
-            self._refusals.add("pages beyond the limit")
+            self._refusals["pages beyond the limit"] += 1
             await socket.close(1013)
             return
         self._pages += 1
@@ -221,23 +209,23 @@ class PageApp:
             message = await socket.receive()
             if message["type"] == "websocket.disconnect":
                 if refusal := _REFUSED.get(message.get("code", 0)):
-                    self._refusals.add(refusal)
+                    self._refusals[refusal] += 1
                 return
             now = time.monotonic()
             allowed = min(_COMMAND_BURST, allowed + (now - since) * _COMMAND_RATE)
             since = now
-            command = _COMMANDS.get(message.get("text"))
-            if command is None or allowed < 1:
-                self._refusals.add("commands in too fast succession" if command else "unknown commands")
+            action = _ACTIONS.get(message.get("text"))
+            if action is None or allowed < 1:
+                self._refusals["commands in too fast succession" if action else "unknown commands"] += 1
                 await socket.close(1008)
                 return
             allowed -= 1
-            self._view.command(command)
+            self._view.command(action)
 
 
-def _encode(state: SessionState) -> Mapping[str, bytes]:
-    """The fields of the state, each as JSON; numbers that are not finite are null."""
-    return {field.name: to_json(getattr(state, field.name), inf_nan_mode="null") for field in fields(state)}
+def _encode(value: object) -> bytes:
+    """A value as JSON; numbers that are not finite are null."""
+    return to_json(value, inf_nan_mode="null", fallback=np.ndarray.tolist)
 
 
 def _read_assets() -> Mapping[str, bytes]:

@@ -11,6 +11,7 @@ from html import escape
 import numpy as np
 
 from calgraph.geometry import Array, se3
+from calgraph.live.sensor_solution import SensorSolution
 from calgraph.sensors.kinds import KINDS
 
 _WIDTH, _PLAN_HEIGHT, _PANEL_HEIGHT = 360, 330, 170
@@ -19,19 +20,6 @@ _MARGIN = 40.0
 _BOARD, _PERSON, _TEXT, _FAINT = "#ffe14d", "#c9b8ff", "#f4f6f8", "#8b97a5"
 _PERSON_DISTANCE = 0.55
 """Of the operator behind the board, m."""
-
-
-@dataclass(frozen=True, eq=False)
-class DrawnSensor:
-    """A sensor of the robot in the picture."""
-
-    name: str
-    kind: str
-    """camera, lidar2d or lidar3d."""
-    T_root_sensor: Array
-    """(4, 4)."""
-    half_angle: float = 0.0
-    """Half of a camera's horizontal field of view, rad; 0 if unknown."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +55,7 @@ def measure_turn(T_root_board: Array, center: Array, up: Array) -> BoardTurn:
 
 
 def draw_pose(
-    sensors: Sequence[DrawnSensor],
+    sensors: Sequence[SensorSolution],
     T_root_board: Array,
     size: tuple[float, float],
     up: Array,
@@ -84,7 +72,7 @@ def draw_pose(
         viewer: the sensor whose view of the board is shown.
         least_angle: smaller turns and tilts are not mentioned, rad.
     """
-    center = np.mean([sensor.T_root_sensor[:3, 3] for sensor in sensors], axis=0)
+    center = np.mean([sensor.origin for sensor in sensors], axis=0)
     turn = measure_turn(T_root_board, center, up)
     words = turn.words(least_angle)
     shown = next(sensor for sensor in sensors if sensor.name == viewer)
@@ -104,7 +92,7 @@ def draw_pose(
 
 
 def _draw_plan(
-    sensors: Sequence[DrawnSensor],
+    sensors: Sequence[SensorSolution],
     T_root_board: Array,
     size: tuple[float, float],
     up: Array,
@@ -119,7 +107,7 @@ def _draw_plan(
     normal = _flatten(T_root_board[:3, 2], up)
     half = 0.5 * size[0] * np.cross(up, normal)
     person = board - _PERSON_DISTANCE * _flatten(center - board, up)
-    points = np.array([*(s.T_root_sensor[:3, 3] for s in sensors), board - half, board + half, person])
+    points = np.array([*(one.origin for one in sensors), board - half, board + half, person])
     flat = (points - center) @ axes.T
     # Space for the robot's outline, and for names beside it.
     low, high = np.minimum(flat.min(axis=0), [-1.2, -0.45]), np.maximum(flat.max(axis=0), [1.2, 0.45])
@@ -132,17 +120,17 @@ def _draw_plan(
 
     drawn = []
     for sensor in sensors:
-        if sensor.half_angle:
+        if sensor.field_of_view:
             ahead = np.arctan2(*(axes @ _flatten(_viewing_axis(sensor), up))[::-1])
             rim = [
-                place(sensor.T_root_sensor[:3, 3]) + 4 * scale * np.array([np.cos(a), np.sin(a)])
-                for a in ahead + sensor.half_angle * np.linspace(-1, 1, 9)
+                place(sensor.origin) + 4 * scale * np.array([np.cos(a), np.sin(a)])
+                for a in ahead + sensor.field_of_view[0] / 2 * np.linspace(-1, 1, 9)
             ]
-            path = _path([place(sensor.T_root_sensor[:3, 3]), *rim])
+            path = _path([place(sensor.origin), *rim])
             drawn.append(f'<path d="{path}Z" fill="{KINDS[sensor.kind].color}" opacity=".13"/>')
     o, b = place(center), place(board)
-    drawn += _draw_robot([place(sensor.T_root_sensor[:3, 3]) for sensor in sensors], scale)
-    drawn += _draw_names(sensors, [place(sensor.T_root_sensor[:3, 3]) for sensor in sensors])
+    drawn += _draw_robot([place(sensor.origin) for sensor in sensors], scale)
+    drawn += _draw_names(sensors, [place(sensor.origin) for sensor in sensors])
     drawn += _draw_person_above(place(person), b - place(person), scale)
     drawn.append(_line([place(board - half), place(board + half)], _BOARD, 6))
     drawn.append(_arrow(b, b + 0.32 * scale * (axes @ normal), _BOARD))
@@ -166,7 +154,7 @@ def _draw_robot(positions: Sequence[Array], scale: float) -> list[str]:
     ]
 
 
-def _draw_names(sensors: Sequence[DrawnSensor], positions: Sequence[Array]) -> list[str]:
+def _draw_names(sensors: Sequence[SensorSolution], positions: Sequence[Array]) -> list[str]:
     """Dots of the sensors, and their names to the left and right in the order of their heights in the picture."""
     drawn, order = [], sorted(range(len(sensors)), key=lambda k: float(positions[k][1]))
     middle = float(np.mean([p[0] for p in positions]))
@@ -200,13 +188,13 @@ def _draw_person_above(at: Array, towards: Array, scale: float) -> list[str]:
     ]
 
 
-def _draw_side(T_root_board: Array, up: Array, sensor: DrawnSensor, tilt: float, word: str) -> list[str]:
+def _draw_side(T_root_board: Array, up: Array, sensor: SensorSolution, tilt: float, word: str) -> list[str]:
     """The board's tilt and height from the side: robot to the left, operator to the right."""
     x, y, half = 88.0, _PLAN_HEIGHT + 98.0, 34.0
     edge = half * np.array([np.sin(tilt), -np.cos(tilt)])
     at = np.array([x, y])
     below = _PLAN_HEIGHT + _PANEL_HEIGHT
-    above = float((T_root_board[:3, 3] - sensor.T_root_sensor[:3, 3]) @ up)
+    above = float((T_root_board[:3, 3] - sensor.origin) @ up)
     height = f"{abs(above):.1f} m {'above' if above > 0 else 'below'}" if abs(above) >= 0.05 else "level with"
     return [
         f'<path d="M8 {_PLAN_HEIGHT}H{_WIDTH - 8}M178 {_PLAN_HEIGHT + 8}V{_PLAN_HEIGHT + _PANEL_HEIGHT - 8}" '
@@ -226,9 +214,9 @@ def _draw_side(T_root_board: Array, up: Array, sensor: DrawnSensor, tilt: float,
     ]
 
 
-def _draw_view(sensor: DrawnSensor, T_root_board: Array, size: tuple[float, float], up: Array) -> list[str]:
+def _draw_view(sensor: SensorSolution, T_root_board: Array, size: tuple[float, float], up: Array) -> list[str]:
     """The board as the sensor views it, over its outline when upright and facing the sensor."""
-    eye, board = sensor.T_root_sensor[:3, 3], T_root_board[:3, 3]
+    eye, board = sensor.origin, T_root_board[:3, 3]
     sight = (board - eye) / np.linalg.norm(board - eye)
     right = _flatten(np.cross(sight, up), np.zeros(3))
     axes = np.stack([right, -np.cross(right, sight), sight])
@@ -255,8 +243,9 @@ def _project(points: Array, axes: Array) -> Array:
     return np.asarray(viewed[:, :2] / viewed[:, 2:])
 
 
-def _viewing_axis(sensor: DrawnSensor) -> Array:
+def _viewing_axis(sensor: SensorSolution) -> Array:
     """(3,) the forward axis of a sensor."""
+    assert sensor.T_root_sensor is not None
     return np.asarray(sensor.T_root_sensor[:3, 2 if KINDS[sensor.kind].optical else 0])
 
 

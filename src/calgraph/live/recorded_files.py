@@ -2,7 +2,6 @@
 
 import os
 import re
-from contextlib import suppress
 from pathlib import Path
 
 from calgraph.config.settings import LimitSettings
@@ -14,70 +13,25 @@ _PART = ".part"
 _NAME = re.compile(rf"recording_(\d+)\.mcap({re.escape(_PART)})?")
 
 
-class ChunkFile:
-    """A new file of a recording, to which an MCAP's writer writes; what is flushed is written whole or not at all.
+def name_next_file(folder: Path) -> Path:
+    """The file of the next run."""
+    numbers = [int(match[1]) for file in folder.iterdir() if (match := _NAME.fullmatch(file.name))]
+    return folder / f"recording_{max(numbers, default=-1) + 1}.mcap"
 
-    It gets its name when it is flushed first, so that no file of the recording is without a message.
 
-    Raises:
-        OSError: the file cannot be made.
-    """
+def name_part(file: Path) -> Path:
+    """Where a file is written until it has a message, so that no file of the recording is without."""
+    return file.with_name(file.name + _PART)
 
-    def __init__(self, folder: Path) -> None:
-        numbers = [int(match[1]) for file in folder.iterdir() if (match := _NAME.fullmatch(file.name))]
-        self.path = folder / f"recording_{max(numbers, default=-1) + 1}.mcap"
-        self._part = self.path.with_name(self.path.name + _PART)
-        self._file = self._part.open("xb", buffering=0)
-        self._pending: list[bytes] = []
-        self._position = 0
-        self.size = 0
-        """What has been flushed, bytes."""
 
-    @property
-    def is_empty(self) -> bool:
-        """Whether nothing has been flushed."""
-        return self.size == 0
-
-    def write(self, data: bytes | bytearray | memoryview) -> int:
-        """Takes bytes, which the next flush writes."""
-        copied = bytes(data)
-        self._pending.append(copied)
-        self._position += len(copied)
-        return len(copied)
-
-    def tell(self) -> int:
-        """Where the next bytes will be."""
-        return self._position
-
-    def flush(self) -> None:
-        """Writes what was taken.
-
-        Raises:
-            OSError: it cannot be written; the file is as it was before.
-        """
-        rest = memoryview(b"".join(self._pending))
+def sync_folder(path: Path) -> None:
+    """Has the disk store names of files, where the system can."""
+    if hasattr(os, "O_DIRECTORY"):
+        descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY)
         try:
-            while rest:
-                rest = rest[self._file.write(rest) :]
-        except OSError:
-            with suppress(OSError):
-                self._file.truncate(self.size)
-            raise
-        self._pending.clear()
-        if self.is_empty:
-            self._part.rename(self.path)
-            _sync_folder(self.path.parent)
-        self.size = self._position
-
-    def sync(self) -> None:
-        """Has the disk store what was flushed."""
-        os.fsync(self._file.fileno())
-
-    def close(self) -> None:
-        """Closes the file, and removes it if nothing was flushed."""
-        self._file.close()
-        if self.is_empty:
-            self._part.unlink()
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
 
 
 def finish_files(folder: Path, limits: LimitSettings) -> None:
@@ -119,13 +73,3 @@ def _list_files(folder: Path) -> list[Path]:
     """The files of all runs in their order, those without a name included."""
     found = [(int(match[1]), file) for file in folder.iterdir() if (match := _NAME.fullmatch(file.name))]
     return [file for _, file in sorted(found)]
-
-
-def _sync_folder(folder: Path) -> None:
-    """Has the disk store names of files, where the system can."""
-    if hasattr(os, "O_DIRECTORY"):
-        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)

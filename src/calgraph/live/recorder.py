@@ -1,6 +1,7 @@
 """Recording of live messages as they arrive, in files that are readable whenever the program ends."""
 
 import asyncio
+import os
 import shutil
 import threading
 import time
@@ -11,22 +12,21 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from queue import Empty, SimpleQueue
-from typing import Any, Literal, cast
+from typing import Literal
 
 from mcap.writer import CompressionType, Writer
 from rosbags.convert.converter import is_same_wireformat
-from rosbags.interfaces import MessageDefinitionFormat
 from rosbags.typesys.store import Typestore
 
 from calgraph.config.settings import LimitSettings, RecorderSettings
 from calgraph.errors import InputError, RecordingError
 from calgraph.io.termination import add_cleanup, remove_cleanup
-from calgraph.live.recorded_files import ChunkFile, finish_files, read_files
+from calgraph.live.recorded_files import finish_files, name_next_file, name_part, read_files, sync_folder
 from calgraph.live.source import Channel, LiveMessage
 from calgraph.live.state import RecorderState
 from calgraph.recording.bag_metadata import METADATA, write_metadata
 from calgraph.recording.damage import LimitedStore
-from calgraph.recording.message_types import MessageType, TypeDefinition, make_message_type, ros2_definition
+from calgraph.recording.message_types import MessageType, make_message_type, ros2_definition
 from calgraph.recording.unfinished_mcap import finish_mcap
 
 _HEADER = "std_msgs/msg/Header"
@@ -55,7 +55,7 @@ def make_cdr_schema(channel: Channel) -> CdrSchema:
     if channel.encoding == "cdr":
         idl = channel.schema_format == "ros2idl"
         return CdrSchema("ros2idl" if idl else "ros2msg", channel.schema, bytes)
-    source = make_message_type(TypeDefinition(channel.type, MessageDefinitionFormat.MSG, channel.schema, "ros1"))
+    source = channel.message_type
     if source.store is None:
         raise ValueError(f"the definition of type {channel.type} is unknown")
     store = _find_ros2_store(source, source.store)
@@ -122,10 +122,11 @@ class Recorder:
                 raise InputError(f"{folder}: {self._describe_full_disk()}")
             (folder / METADATA).unlink(missing_ok=True)
             finish_files(folder, limits)
-            self._file = ChunkFile(folder)
+            self.path = name_next_file(folder)
+            self._file = name_part(self.path).open("xb")
         except OSError as error:
             raise InputError(f"{folder}: cannot be written to ({error.strerror or error})") from error
-        self._writer = Writer(cast(Any, self._file), chunk_size=_NO_LIMIT, compression=CompressionType.NONE)
+        self._writer = Writer(self._file, chunk_size=_NO_LIMIT, compression=CompressionType.NONE)
         self._writer.start("ros2")
         self._channels: dict[Channel, tuple[int, CdrSchema] | str] = {}
         """Number and schema of each channel, or why its messages cannot be recorded."""
@@ -151,11 +152,6 @@ class Recorder:
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         self._thread.start()
         add_cleanup(self, self._close_at_once)
-
-    @property
-    def path(self) -> Path:
-        """The file."""
-        return self._file.path
 
     @property
     def state(self) -> RecorderState:
@@ -205,14 +201,16 @@ class Recorder:
             self._writer.finish()  # type: ignore[no-untyped-call]
             if self._count:
                 self._file.flush()
-                self._file.sync()
+                os.fsync(self._file.fileno())
         except Exception as error:  # without this thread messages would only be queued
             reason = getattr(error, "strerror", None) or error
             self._fail(f"cannot be written to ({reason}): the recording has ended")
         # What follows is of use to the tools of ROS 2; calgraph reads the files without.
-        with suppress(Exception):
+        with suppress(OSError):  # what could not be written is tried again
             self._file.close()
-            finish_mcap(self._file.path, self._limits)
+        with suppress(Exception):
+            name_part(self.path).unlink(missing_ok=True)
+            finish_mcap(self.path, self._limits)
         with suppress(Exception):
             write_metadata(self._folder, read_files(self._folder, self._limits))
 
@@ -294,9 +292,13 @@ class Recorder:
         """
         if self._count:
             self._writer.flush()  # type: ignore[no-untyped-call]
+            self._file.flush()
+            if not self._state.messages:
+                name_part(self.path).rename(self.path)
+                sync_folder(self._folder)
         now = time.monotonic()
         if self._settings.sync_period and now - self._sync_time > self._settings.sync_period:
-            self._file.sync()
+            os.fsync(self._file.fileno())
             self._sync_time = now
         free = shutil.disk_usage(self._folder).free
         self._update_state(now, free)
@@ -306,7 +308,7 @@ class Recorder:
         self._wake()
 
     def _update_state(self, now: float, free: int) -> None:
-        size = self._file.size
+        size = self._file.tell()
         self._sizes.append((now, size))
         while now - self._sizes[0][0] > _RATE_WINDOW:
             self._sizes.popleft()
@@ -336,6 +338,6 @@ class Recorder:
     def _fail(self, reason: str) -> None:
         """Ends the recording with an error."""
         with self._ending:
-            self._failure = f"{self._file.path}: {reason}"
+            self._failure = f"{self.path}: {reason}"
         self._state = replace(self._state, problem=self._failure)
         self._wake()

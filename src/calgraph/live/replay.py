@@ -5,16 +5,18 @@ from collections.abc import AsyncIterator, Awaitable, Callable, Collection, Iter
 from pathlib import Path
 
 from rosbags.interfaces import MessageDefinitionFormat
-from rosbags.typesys import Stores, get_typestore
 
 from calgraph.config.settings import LimitSettings
 from calgraph.errors import InputError
-from calgraph.live.source import Channel, LiveMessage, Notice, SchemaFormat
+from calgraph.live.source import Channel, LiveMessage, Notice, SchemaFormat, make_message
 from calgraph.recording import Recording, open_recording
-from calgraph.recording.bags import BagRecording, RawMessage
-from calgraph.recording.message_types import TypeDefinition, complete_definition, ros2_definition
+from calgraph.recording.bags import BagRecording
+from calgraph.recording.message_types import TypeDefinition, complete_definition
 from calgraph.recording.recording import explain_missing_topic
-from calgraph.recording.writer import serialize_message
+
+# Time by which a replayed recording may be ahead of the detection before it waits, s: no rest of the board begins
+# and ends in it.
+_MAX_LEAD = 0.5
 
 
 class ReplaySource:
@@ -24,18 +26,27 @@ class ReplaySource:
         path: anything that :func:`calgraph.recording.open_recording` opens. Messages of bags are given as they are
             stored; others are serialised as ROS 2 does.
         speed: 1 is real time, 5 five times as fast; 0 is as fast as messages are consumed.
-        start_after: only messages that arrived later, ns.
+        start_after: only messages that arrived later, ns,
+        but: or then, on other topics than these; None: on none.
         limits: of what is read.
     """
 
     def __init__(
-        self, path: Path, *, speed: float = 1.0, start_after: int = -1, limits: LimitSettings = LimitSettings()
+        self,
+        path: Path,
+        *,
+        speed: float = 1.0,
+        start_after: int = -1,
+        but: Collection[str] | None = None,
+        limits: LimitSettings = LimitSettings(),
     ) -> None:
         if not 0 <= speed < float("inf"):
             raise InputError(
                 f"`speed` {speed:g}: give 1 for real time, 5 for five times as fast, 0 to skip nothing"
             )
-        self._path, self._speed, self._start_after, self._limits = path, speed, start_after, limits
+        self.max_lead = _MAX_LEAD if speed else 0.0
+        self._path, self._speed, self._limits = path, speed, limits
+        self._start_after, self._but = start_after, but
 
     @property
     def name(self) -> str:
@@ -56,17 +67,14 @@ class ReplaySource:
             for topic in topics:
                 if topic not in present:
                     yield Notice("missing", f"{self._path}: {explain_missing_topic(topic, present)}", topic)
-            channels: dict[tuple[str, TypeDefinition], Channel | None] = {}
             wait = self._start_pacing()
-            for message in _raw_messages(recording, set(topics).intersection(present), self._start_after):
-                key = (message.topic, message.definition)
-                if key not in channels:
-                    channels[key] = _channel(*key)
-                    if channels[key] is None:
-                        yield Notice("missing", _explain_unreadable(*key), message.topic)
-                if channel := channels[key]:
-                    await wait(message.arrival)
-                    yield LiveMessage(channel, message.arrival, message.data)
+            after = self._start_after if self._but is None else self._start_after - 1
+            for item in _list_messages(recording, set(topics).intersection(present), after):
+                if isinstance(item, LiveMessage):
+                    if item.arrival == self._start_after and item.channel.topic in (self._but or ()):
+                        continue
+                    await wait(item.arrival)
+                yield item
             yield Notice("ended", f"the recording {self._path} is at its end")
 
     def _start_pacing(self) -> Callable[[int], Awaitable[None]]:
@@ -85,27 +93,27 @@ class ReplaySource:
         return wait
 
 
-def _raw_messages(recording: Recording, topics: Collection[str], after: int) -> Iterator[RawMessage]:
+def _list_messages(recording: Recording, topics: Collection[str], after: int) -> Iterator[LiveMessage | Notice]:
+    """The messages that arrived later than a time, ns, and notices of what cannot be read."""
     if isinstance(recording, BagRecording):
-        return recording.raw_messages(topics, after)
+        channels: dict[tuple[str, TypeDefinition], Channel | None] = {}
+        for raw in recording.raw_messages(topics, after):
+            key = (raw.topic, raw.definition)
+            if key not in channels:
+                channels[key] = _channel(*key)
+                if channels[key] is None:
+                    yield Notice("missing", _explain_unreadable(*key), raw.topic)
+            if channel := channels[key]:
+                yield LiveMessage(channel, raw.arrival, raw.data)
+        return
     if any(topic.time_base == "pose" for topic in recording.topics):
         raise InputError(
             f"{recording.path}: its files are numbered by pose and have no times to replay: use calgraph calibrate"
         )
-    return _serialized_messages(recording, topics, after)
-
-
-def _serialized_messages(recording: Recording, topics: Collection[str], after: int) -> Iterator[RawMessage]:
-    """Messages of folders and videos, as ROS 2 would have recorded them."""
-    store = get_typestore(Stores.ROS2_HUMBLE)
     for record in recording.records(topics, max(0, after) / 1e9):
         arrival = round(record.arrival * 1e9)
-        if arrival <= after:
-            continue
-        ros_type, data = serialize_message(store, record.decode())
-        definition = ros2_definition(ros_type)
-        assert definition is not None
-        yield RawMessage(record.topic, definition, arrival, bytes(data))
+        if arrival > after:
+            yield make_message(record.topic, record.decode(), arrival)
 
 
 def _channel(topic: str, definition: TypeDefinition) -> Channel | None:

@@ -1,19 +1,15 @@
 """A live session of a rig: from its messages to captures, poses, and the state that the operator is shown."""
 
-import asyncio
-import json
-import math
-from collections.abc import Callable, Mapping, Sequence
+from collections import deque
+from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from calgraph.boards.detections import BoardCorners, DetectionResult
+from calgraph.boards.detections import DetectionResult
 from calgraph.config import Intrinsics, Rig
 from calgraph.errors import CalibrationError, Rejected
-from calgraph.geometry import Array, se3
 from calgraph.live.analysis_jobs import NO_INTRINSICS
 from calgraph.live.capture_finder import name_sensors
 from calgraph.live.capture_taker import CaptureTaker
@@ -21,9 +17,10 @@ from calgraph.live.job_queue import JobQueue, Post
 from calgraph.live.live_captures import LiveCapture, collect_live_captures, count_coverage
 from calgraph.live.live_rig import make_trigger, prepare_live_rig
 from calgraph.live.message_analysis import MessageAnalysis
-from calgraph.live.rig_solution import LiveSolution, SensorSolution
+from calgraph.live.rig_solution import LiveSolution
+from calgraph.live.sensor_solution import SensorSolution
 from calgraph.live.source import LiveMessage
-from calgraph.live.state import Command, Phase, SensorState, SessionState
+from calgraph.live.state import Action, Phase, SensorState, SessionState
 from calgraph.parallel.engine import THIS_PROCESS, Engine
 from calgraph.parallel.processes import available_cores
 from calgraph.recording import Recording, resolve_intrinsics
@@ -33,72 +30,6 @@ from calgraph.rig.captures.sensor_detection import DetectionMethod, detect_by_se
 from calgraph.rig.captures.timeline import RecordingTimeline, build_timeline
 from calgraph.sensors import CameraModel
 from calgraph.sensors.kinds import KINDS
-
-
-@dataclass(frozen=True, eq=False)
-class SceneFrame:
-    """One sensor with a pose."""
-
-    name: str
-    kind: str
-    """camera, lidar2d or lidar3d: a camera is drawn as a frustum along z, scanners as a disc around z."""
-    T_root_sensor: NDArray[np.float64]
-    """(4, 4)."""
-    covariance: NDArray[np.float64] | None = None
-    """(3, 3) of the position in the root frame, m^2; drawn as an ellipsoid. None for the root."""
-    grade: str = ""
-    """good, weak or unobservable."""
-    field_of_view: tuple[float, float] | None = None
-    """Of a camera: horizontal and vertical, rad; None where its intrinsics are unknown."""
-
-
-@dataclass(frozen=True, eq=False)
-class SceneView:
-    """The 3-D view at one moment; coordinates in the root frame, m."""
-
-    frames: Sequence[SceneFrame]
-    boards: NDArray[np.float64]
-    """(N, 4, 3): corners of the board in each capture, in order around its outline."""
-    suggested: NDArray[np.float64] | None = None
-    """(4, 3): where the board should be next."""
-
-
-def encode_scene(scene: SceneView) -> bytes:
-    """The scene as JSON that the page reads.
-
-    ``{"frames": [{"name", "kind", "pose": 4x4, "covariance": 3x3 or null, "grade", "field_of_view": [h, v] or
-    null}], "boards": [4x3, ...], "suggested": 4x3 or null}``, numbers with four decimals. A frame or board with
-    a number that is not finite is left out.
-    """
-    frames = [
-        {
-            "name": frame.name,
-            "kind": frame.kind,
-            "pose": _round(frame.T_root_sensor),
-            # Variances of some mm^2 need more decimals than positions.
-            "covariance": None if frame.covariance is None else _round(frame.covariance, 10),
-            "grade": frame.grade,
-            "field_of_view": frame.field_of_view,
-        }
-        for frame in scene.frames
-        if _is_finite(frame.T_root_sensor)
-        and (frame.covariance is None or _is_finite(frame.covariance))
-        and (frame.field_of_view is None or all(map(math.isfinite, frame.field_of_view)))
-    ]
-    boards = [_round(board) for board in scene.boards if _is_finite(board)]
-    suggested = None if scene.suggested is None or not _is_finite(scene.suggested) else _round(scene.suggested)
-    text = json.dumps({"frames": frames, "boards": boards, "suggested": suggested}, allow_nan=False)
-    return text.encode()
-
-
-def _is_finite(values: NDArray[np.float64]) -> bool:
-    return bool(np.all(np.isfinite(values)))
-
-
-def _round(values: NDArray[np.float64], decimals: int = 4) -> list[list[float]]:
-    rows: list[list[float]] = np.round(np.asarray(values, dtype=float), decimals).tolist()
-    return rows
-
 
 Solve = Callable[[Rig, CaptureSet, LiveSolution | None], LiveSolution]
 """Computes the poses from the captures until now and the last solution; defined at module level."""
@@ -118,19 +49,13 @@ class SessionPools:
     """Has results handled in the thread of the session: ``loop.call_soon_threadsafe``."""
 
 
-@dataclass(frozen=True)
-class SessionOutputs:
-    """Where a session writes."""
-
-    record: Callable[[LiveMessage], object]
-    """Records a trigger."""
-    exclude: Callable[[tuple[float, float]], object] = field(default=lambda _window: None)
-    """Takes a window, s from the start of the recording, of a capture that is to be left out."""
-
-
 def count_analysis_processes(rig: Rig) -> int:
     """The number of processes that detect on this machine: one core is left to the recorder and the page."""
     return max(1, min(available_cores() - 1, rig.settings.live.analysis_processes))
+
+
+ALL_DONE = "All sensors are within tolerance: finish"
+"""What an operator reads who has done enough."""
 
 
 class RigSession:
@@ -143,30 +68,34 @@ class RigSession:
         rig: as its user wrote it.
         source: name of the source.
         pools: where it computes.
-        outputs: where it writes.
         solve: computes poses; none are computed if left out.
+        exclude: takes a window, s from the start of the recording, of a capture that is to be left out.
+        print_line: takes a line on a capture, and on poses that are all within tolerance.
     """
 
     def __init__(
-        self, rig: Rig, source: str, pools: SessionPools, outputs: SessionOutputs, solve: Solve | None = None
+        self,
+        rig: Rig,
+        source: str,
+        pools: SessionPools,
+        solve: Solve | None = None,
+        *,
+        exclude: Callable[[tuple[float, float]], object],
+        print_line: Callable[[str], object],
     ) -> None:
         self.rig = prepare_live_rig(rig)
         """The rig of the recording: with the trigger of the session, and a background window."""
-        self._source, self._outputs, self._solve = source, outputs, solve
-        self.analysis = MessageAnalysis(self.rig, source, self._note_change)
-        self.taker = CaptureTaker(self.rig, self.analysis, self._write_trigger, self._note_change)
+        self.triggers: deque[LiveMessage] = deque()
+        """That are to be recorded."""
+        self._source, self._solve, self._exclude, self._print_line = source, solve, exclude, print_line
+        self.analysis = MessageAnalysis(self.rig, source)
+        self.taker = CaptureTaker(self.rig, self.analysis, self._write_trigger, print_line)
         self._queue = JobQueue(pools.analysis, pools.analysis_processes, self._post_to(pools.post))
         self._solver = JobQueue(pools.solving, 1, self._post_to(pools.post))
         self.solution: LiveSolution | None = None
         """The last one; None before the first."""
-        self._scene: bytes | None = None
-        self.solutions = 0
-        """Number of solutions so far."""
         self._solved_captures: tuple[object, ...] = ()
         self._problem = ""
-        self._state: SessionState | None = None
-        self._shown_at = float("-inf")
-        self._change = asyncio.Event()
         self._pumping = False
 
     def rebuild(self, recording: Recording, engine: Engine = THIS_PROCESS) -> None:
@@ -180,63 +109,69 @@ class RigSession:
         Raises:
             RecordingError: it cannot be read.
         """
-        rebuilt = rebuild_captures(self.rig, recording, self.analysis.detectors.seeds, engine)
+        timeline, cameras, captures = rebuild_captures(self.rig, recording, self.analysis.detectors.seeds, engine)
         window = self.rig.capture.background
         present = {topic.name for topic in recording.topics}
         times = [recording.start + time for time in window] if window else [0.0, 0.0]
         background = recording.records([t for t in self.rig.topics.values() if t in present], *times)
-        self.analysis.restore(rebuilt.timeline, recording.end, rebuilt.cameras, background)
-        self.taker.restore(rebuilt.captures, self.taker.finder.now())
-        self._note_change()
+        self.analysis.restore(timeline, recording.end, cameras, background)
+        self.taker.restore(captures, self.taker.finder.now())
         self._pump()
 
     def feed(self, message: LiveMessage) -> None:
         """Takes a message that has been recorded; the work is left to other processes, which may skip it."""
         self.analysis.feed(message)
-        # Rates and ages are shown without any other change.
-        arrival = self.analysis.timeline.latest_arrival
-        if arrival - self._shown_at >= 1 / self.rig.settings.live.view.rate:
-            self._shown_at = arrival
-            self._note_change()
         self._pump()
 
-    def command(self, command: Command) -> None:
+    def command(self, action: Action) -> None:
         """Does what the operator wants; ``finish`` concerns who owns the session."""
-        match command.action:
+        match action:
             case "trigger":
                 self.taker.request()
             case "automatic" | "manual":
-                self.taker.automatic = command.action == "automatic"
+                self.taker.automatic = action == "automatic"
             case "discard":
                 self._discard()
-        self._note_change()
         self._pump()
 
     def state(self) -> SessionState:
-        """The session now, without what concerns source and recorder; another object after each change."""
-        if self._state is None:
-            killed = self._queue.problem or self._solver.problem
-            problem = f"Only recording goes on: {killed}" if killed else self._problem
-            self._state = describe_rig_session(
-                self.rig, self._source, self.analysis, self.taker, self.solution, self.solutions, problem
-            )
-        return self._state
-
-    async def wait_for_change(self, state: SessionState) -> None:
-        """Returns as soon as :meth:`state` is another object than ``state``."""
-        while self._state is state:
-            self._change.clear()
-            await self._change.wait()
+        """The session now, without what concerns source and recorder."""
+        solution, taker = self.solution, self.taker
+        solved = {one.name: one for one in solution.sensors} if solution else {}
+        done = bool(solution and solution.done)
+        problems = taker.finder.find_problems()
+        phase, headline = _describe_phase(self.analysis, taker)
+        if killed := self._queue.problem or self._solver.problem:
+            headline = f"Only recording goes on: {killed}"
+        elif self._problem:
+            headline = self._problem
+        elif done and phase == "ready":
+            headline = ALL_DONE
+        return SessionState(
+            kind="rig",
+            phase=phase,
+            headline=headline,
+            source=self._source,
+            automatic=taker.automatic,
+            root=self.rig.root,
+            sensors=tuple(
+                _describe_sensor(name, self.rig, self.analysis, taker, problems.get(name, ""), solved.get(name))
+                for name in self.rig.sensors
+            ),
+            captures=len(taker.captures),
+            event=taker.event,
+            advice=solution.advice if solution else None,
+            tolerance_mm=1000 * self.rig.tolerance.translation,
+            tolerance_degrees=self.rig.tolerance.rotation,
+            done=done,
+            scene=solution.scene if solution else None,
+        )
 
     def picture(self, sensor: str) -> bytes | None:
         """The view of a sensor with the board drawn in, a JPEG image; None before the first."""
         activity = self.analysis.sensors.get(sensor)
         view = activity.view if activity else None
         return view.picture or None if view else None
-
-    def scene(self) -> bytes | None:
-        """The 3-D view of the last solution; None before the first."""
-        return self._scene
 
     def captures(self) -> CaptureSet:
         """The captures so far."""
@@ -302,21 +237,18 @@ class RigSession:
         return self.rig.model_copy(update={"sensors": {**self.rig.sensors, **sensors}})
 
     def _set_solution(self, solution: LiveSolution) -> None:
-        captures = self.taker.captures
-        if not captures:  # they were left out meanwhile
+        if not self.taker.captures:  # they were left out meanwhile
             return
+        if solution.done and not (self.solution and self.solution.done):
+            self._print_line(ALL_DONE)
         self.solution = solution
-        self._scene = encode_scene(make_scene(self.rig, solution, captures, self.analysis.detectors.cameras))
         self._problem = ""
-        self.solutions += 1
-        self._note_change()
 
     def _fail_solving(self, error: BaseException) -> None:
         self._problem = f"No poses from the captures until now: {error}"
-        self._note_change()
 
     def _write_trigger(self, stamp: float) -> None:
-        self._outputs.record(make_trigger(stamp, self.analysis.timeline.latest_arrival))
+        self.triggers.append(make_trigger(stamp, self.analysis.timeline.latest_arrival))
 
     def _discard(self) -> None:
         capture = self.taker.discard()
@@ -324,29 +256,19 @@ class RigSession:
         if capture is None or begin is None:
             return
         if not self.taker.captures:
-            self.solution = self._scene = None
+            self.solution = None
         # Within the capture, so that rounding does not touch those before and after.
         start, end = capture.hold.start - begin, capture.hold.end - begin
         margin = (end - start) / 10
-        self._outputs.exclude((start + margin, end - margin))
-
-    def _note_change(self) -> None:
-        self._state = None
-        self._change.set()
+        self._exclude((start + margin, end - margin))
 
 
-@dataclass(frozen=True, eq=False)
-class RebuiltSession:
-    """The captures of a recording, and when its sensors measured."""
+def rebuild_captures(
+    rig: Rig, recording: Recording, seeds: Mapping[str, int], engine: Engine
+) -> tuple[RecordingTimeline, Mapping[str, CameraModel], list[LiveCapture]]:
+    """When sensors measured in the recording of an interrupted session, intrinsics by camera, and its captures.
 
-    timeline: RecordingTimeline
-    cameras: Mapping[str, CameraModel]
-    """Intrinsics by camera, as far as the recording has any."""
-    captures: tuple[LiveCapture, ...] = field(default=())
-
-
-def rebuild_captures(rig: Rig, recording: Recording, seeds: Mapping[str, int], engine: Engine) -> RebuiltSession:
-    """The captures of the recording of an interrupted session; sensors may be missing in it.
+    Sensors may be missing in it.
 
     Args:
         rig: of the session; see :func:`calgraph.live.live_rig.prepare_live_rig`.
@@ -367,7 +289,7 @@ def rebuild_captures(rig: Rig, recording: Recording, seeds: Mapping[str, int], e
     try:
         holds = limit_messages(find_holds(timeline, rig.capture, rig.settings.captures), rig)
     except CalibrationError:  # none yet
-        return RebuiltSession(timeline, cameras)
+        return timeline, cameras, []
     detecting = {
         name: spec for name, spec in recorded.items() if KINDS[spec.kind].measures_ranges or name in cameras
     }
@@ -382,118 +304,12 @@ def rebuild_captures(rig: Rig, recording: Recording, seeds: Mapping[str, int], e
     by_hold: dict[int, dict[str, DetectionResult]] = {hold.index: {} for hold in holds}
     for one in found:
         by_hold[one.capture][one.sensor] = one.detections
-    return RebuiltSession(
-        timeline, cameras, tuple(_make_capture(rig, hold, by_hold[hold.index]) for hold in holds)
-    )
+    return timeline, cameras, [_make_capture(rig, hold, by_hold[hold.index]) for hold in holds]
 
 
 def _make_capture(rig: Rig, hold: Hold, found: Mapping[str, DetectionResult]) -> LiveCapture:
     """A capture with all sensors of the rig in its order."""
     return LiveCapture(hold, {name: found.get(name, Rejected(NO_INTRINSICS)) for name in rig.sensors})
-
-
-def make_scene(
-    rig: Rig, solution: LiveSolution, captures: Sequence[LiveCapture], cameras: Mapping[str, CameraModel]
-) -> SceneView:
-    """The sensors that have poses, and the board where a camera detected it, in the frame of the root.
-
-    Args:
-        rig: of the session.
-        solution: the last one.
-        captures: so far.
-        cameras: intrinsics by camera.
-    """
-    poses = {one.name: one.T_root_sensor for one in solution.sensors if one.T_root_sensor is not None}
-    frames = [_make_frame(rig, one, one.T_root_sensor, cameras) for one in solution.sensors if one.name in poses]
-    boards = [board for capture in captures if (board := _locate_board(rig, capture, poses)) is not None]
-    suggestion = solution.suggestion
-    suggested = None if suggestion is None else _outline(rig.board_size, suggestion.T_root_board)
-    return SceneView(frames, np.array(boards) if boards else np.zeros((0, 4, 3)), suggested)
-
-
-def _make_frame(
-    rig: Rig, sensor: SensorSolution, T_root_sensor: Array | None, cameras: Mapping[str, CameraModel]
-) -> SceneFrame:
-    assert T_root_sensor is not None
-    R, variances = T_root_sensor[:3, :3], sensor.stddev[:3] ** 2
-    camera = cameras.get(sensor.name)
-    return SceneFrame(
-        sensor.name,
-        sensor.kind,
-        T_root_sensor,
-        None if sensor.name == rig.root else R @ np.diag(variances) @ R.T,
-        sensor.grade,
-        _measure_field_of_view(camera) if camera else None,
-    )
-
-
-def _measure_field_of_view(camera: CameraModel) -> tuple[float, float]:
-    """Horizontal and vertical field of view, rad."""
-    u, v = camera.principal_point
-    rays = camera.rays(np.array([[0.0, v], [camera.width - 1.0, v], [u, 0.0], [u, camera.height - 1.0]]))
-    left, right, top, bottom = rays / np.linalg.norm(rays, axis=1, keepdims=True)
-    return float(np.arccos(left @ right)), float(np.arccos(top @ bottom))
-
-
-def _locate_board(rig: Rig, capture: LiveCapture, poses: Mapping[str, Array]) -> Array | None:
-    """(4, 3) corners of the board that a camera with a pose detected; None if none did."""
-    for name, T_root_camera in poses.items():
-        found = capture.detections[name]
-        best = None if isinstance(found, Rejected) else found[0]
-        if isinstance(best, BoardCorners):
-            return _outline(rig.boards[best.board].size, T_root_camera @ best.T_camera_board)
-    return None
-
-
-def _outline(size: tuple[float, float], T_root_board: Array) -> Array:
-    """(4, 3) corners of a board of a width and height, m."""
-    corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * [size[0] / 2, size[1] / 2, 0.0]
-    return se3.apply(T_root_board, corners)
-
-
-def describe_rig_session(
-    rig: Rig,
-    source: str,
-    analysis: MessageAnalysis,
-    taker: CaptureTaker,
-    solution: LiveSolution | None,
-    solutions: int,
-    problem: str,
-) -> SessionState:
-    """The state of a session.
-
-    Args:
-        rig: of the session.
-        source: name of the source.
-        analysis: of its messages.
-        taker: of its captures.
-        solution: the last one; None before the first.
-        solutions: number of solutions so far.
-        problem: what keeps the session from working; empty if nothing does.
-    """
-    solved = {one.name: one for one in solution.sensors} if solution else {}
-    done = bool(solution and solution.done)
-    problems = taker.finder.find_problems()
-    phase, headline = _describe_phase(analysis, taker)
-    return SessionState(
-        kind="rig",
-        phase=phase,
-        headline=problem
-        or ("All sensors are within tolerance: finish" if done and phase == "ready" else headline),
-        source=source,
-        automatic=taker.automatic,
-        root=rig.root,
-        sensors=tuple(
-            _describe_sensor(name, rig, analysis, taker, problems, solved.get(name)) for name in rig.sensors
-        ),
-        captures=len(taker.captures),
-        event=taker.event,
-        advice=solution.advice if solution else None,
-        tolerance_mm=1000 * rig.tolerance.translation,
-        tolerance_degrees=rig.tolerance.rotation,
-        done=done,
-        scene=solutions,
-    )
 
 
 def _describe_phase(analysis: MessageAnalysis, taker: CaptureTaker) -> tuple[Phase, str]:
@@ -523,31 +339,21 @@ def _describe_sensor(
     rig: Rig,
     analysis: MessageAnalysis,
     taker: CaptureTaker,
-    problems: Mapping[str, str],
+    problem: str,
     solved: SensorSolution | None,
 ) -> SensorState:
     timeline, activity = analysis.timeline, analysis.sensors[name]
-    age = timeline.age(name)
-    problem = problems.get(name, "")
-    if activity.malformed and not problem:
-        problem = f"{activity.malformed} unusable messages: {activity.problem}"
-    stddev = None if solved is None or name == rig.root else np.asarray(solved.stddev)
-    known = stddev is not None and bool(np.isfinite(stddev).all())
     view = activity.view
-    return SensorState(
+    state = SensorState(
         name=name,
         kind=rig.sensors[name].kind,
-        rate=timeline.rate(name),
-        age=age,
-        problem=problem,
+        rate=timeline.sensors[name].rate,
+        problem=problem or timeline.sensors[name].describe_malformed(),
         sees_board=view.sees_board if view else None,
         reason=activity.explain_view(),
         moving=analysis.rests.is_moving(name),
         captures=sum(name in capture.sensors for capture in taker.captures),
         coverage=count_coverage(name, rig, analysis.detectors.cameras.get(name), taker.captures),
-        stddev_mm=1000 * float(stddev[:3].max()) if known and stddev is not None else None,
-        stddev_degrees=float(np.degrees(stddev[3:].max())) if known and stddev is not None else None,
-        progress=solved.progress if solved else 0.0,
-        grade=solved.grade if solved else "",
         picture=activity.pictures,
     )
+    return state.with_pose(solved, rig.root)

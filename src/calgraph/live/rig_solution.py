@@ -5,17 +5,18 @@ held-out captures: cross-validation and bootstrap take longest.
 """
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.config import Rig
 from calgraph.errors import CalgraphError
-from calgraph.geometry import Array
-from calgraph.live.pose_picture import DrawnSensor, draw_pose
-from calgraph.live.state import Advice
-from calgraph.result import Calibration, SensorPose, Suggestion
+from calgraph.geometry import Array, se3
+from calgraph.live.pose_picture import draw_pose
+from calgraph.live.sensor_solution import SensorSolution, describe_pose
+from calgraph.live.state import Advice, SceneState
+from calgraph.result import Calibration, Suggestion
 from calgraph.rig.bundle.problem import explain_singular_equations
 from calgraph.rig.bundle.solution import SolvedBundle
 from calgraph.rig.captures.detect import CaptureSet, state_estimated_intrinsics
@@ -30,30 +31,6 @@ from calgraph.verdict.grades import max_good_stddev
 
 # How well a sensor alone locates the board: a partner that measures its plane needs the fewest shared captures.
 _PARTNER_RANK = {name: rank for rank, name in enumerate(KINDS)}
-
-
-def explain_unconnected(name: str, rig: Rig, captures: CaptureSet, connected: Collection[str]) -> str:
-    """Why a sensor has no pose yet, as a sentence.
-
-    Args:
-        name: the sensor.
-        rig: the rig.
-        captures: the detections until now.
-        connected: the sensors that have a pose, the root included.
-    """
-    if name in rig.cameras() and name not in captures.cameras:
-        return f"the intrinsics of {name} are not known yet"
-    if not captures.detections[name]:
-        return f"{name} has not detected the board yet"
-    shared = {other: _count_shared(captures, name, other) for other in rig.sensors if other != name}
-    if not any(shared.values()):
-        return f"{name} has not detected the board together with another sensor"
-    within = {other: count for other, count in shared.items() if other in connected}
-    if connected and not any(within.values()):
-        others = ", ".join(other for other, count in shared.items() if count)
-        return f"{name} has detected the board together with {others} only, which nothing connects to {rig.root}"
-    counts = ", ".join(f"{count} with {other}" for other, count in (within or shared).items() if count)
-    return f"{name} needs more captures together with other sensors, with the board tilted differently: {counts}"
 
 
 @dataclass(frozen=True)
@@ -108,43 +85,26 @@ def _count_shared(captures: CaptureSet, a: str, b: str) -> int:
 
 
 @dataclass(frozen=True, eq=False)
-class SensorSolution:
-    """What is known of one sensor's pose."""
-
-    name: str
-    kind: str
-    """camera, lidar2d or lidar3d."""
-    T_root_sensor: Array | None = None
-    """(4, 4); None as long as nothing connects the sensor to the root."""
-    stddev: Array = field(default_factory=lambda: np.full(6, np.nan))
-    """(6,) along and about the axes of the sensor, m and rad; zero for the root, NaN without a pose."""
-    progress: float = 0.0
-    """The least ratio of the largest acceptable standard deviation to that of an axis, limited to 0..1: 1 where
-    all errors are within the tolerance with the probability of verdicts."""
-    grade: str = ""
-    """good, weak or unobservable; empty without a pose."""
-    reason: str = ""
-    """Why it is not good, or not connected, in words."""
-
-
-@dataclass(frozen=True, eq=False)
 class LiveSolution:
     """The calibration of a rig from the captures until now."""
 
     sensors: tuple[SensorSolution, ...]
     """In the order of rig.yaml."""
-    done: bool
-    """Whether all sensors have good poses."""
     captures: int
     """Number of captures that it was computed from."""
     advice: Advice | None = None
     """The next board pose; None where all sensors are good, and where no pose has a relevant gain."""
-    problem: str = ""
-    """Why the captures could not be solved, if they could not."""
     missing: MissingPair | None = None
     """Sensors that should detect the board together next; None where all have a pose."""
     suggestion: Suggestion | None = None
     """The next best board pose, where all sensors have a pose and some are not good."""
+    scene: SceneState | None = None
+    """The sensors that have poses, the boards of the captures, and the next one."""
+
+    @property
+    def done(self) -> bool:
+        """Whether all sensors have good poses."""
+        return all(sensor.grade == "good" for sensor in self.sensors)
 
 
 def solve_captures(rig: Rig, captures: CaptureSet, start: LiveSolution | None = None) -> LiveSolution:
@@ -156,22 +116,15 @@ def solve_captures(rig: Rig, captures: CaptureSet, start: LiveSolution | None = 
         start: the last solution.
 
     Returns:
-        The solution, for any captures: sensors that nothing connects to the root have no pose, and the reason in
-        words.
+        The solution, for any captures: sensors that nothing connects to the root have no pose.
     """
     rig, captures = state_estimated_intrinsics(rig, captures), _leave_out_unprojected(rig, captures)
     try:
         calibration, solved = _solve(rig, captures, _select_known_poses(start))
-    except CalgraphError as error:
+    except CalgraphError:
         missing = find_missing_pair(rig, captures, ())
-        return LiveSolution(
-            _describe_sensors(rig, captures, None),
-            False,
-            len(captures.holds),
-            Advice(str(missing)) if missing else None,
-            problem=str(error),
-            missing=missing,
-        )
+        advice = Advice(str(missing)) if missing else None
+        return LiveSolution(_describe_sensors(rig, captures, None), len(captures.holds), advice, missing)
     sensors = _describe_sensors(rig, captures, calibration)
     done = all(sensor.grade == "good" for sensor in sensors)
     connected = {sensor.name for sensor in sensors if sensor.T_root_sensor is not None}
@@ -180,9 +133,21 @@ def solve_captures(rig: Rig, captures: CaptureSet, start: LiveSolution | None = 
     if solved and not missing and not done:
         repeated = start and start.captures != len(captures.holds)
         suggestion = suggest_next_pose(rig, solved, start.suggestion if start and repeated else None)
-    picture = _draw_suggestion(rig, captures.cameras, sensors, suggestion) if suggestion else ""
+    picture = _draw_suggestion(rig, sensors, suggestion) if suggestion else ""
     advice = None if done else _advise(sensors, missing, suggestion, picture)
-    return LiveSolution(sensors, done, len(captures.holds), advice, missing=missing, suggestion=suggestion)
+    scene = _make_scene(rig, sensors, calibration, suggestion)
+    return LiveSolution(sensors, len(captures.holds), advice, missing, suggestion, scene)
+
+
+def _make_scene(
+    rig: Rig, sensors: Sequence[SensorSolution], calibration: Calibration, suggestion: Suggestion | None
+) -> SceneState:
+    posed = (one for one in sensors if one.T_root_sensor is not None)
+    # Nothing is drawn at infinity.
+    drawn = tuple(one for one in posed if one.covariance is None or np.isfinite(one.covariance).all())
+    boards = tuple(outline.corners for outline in calibration.pictures.board_outlines)
+    corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * [*rig.board_size, 0.0] / 2
+    return SceneState(drawn, boards, se3.apply(suggestion.T_root_board, corners) if suggestion else None)
 
 
 def _advise(
@@ -206,26 +171,22 @@ def _advise(
 _MIN_ANGLE = float(np.radians(5))
 
 
-def _draw_suggestion(
-    rig: Rig, cameras: Mapping[str, CameraModel], sensors: Sequence[SensorSolution], suggestion: Suggestion
-) -> str:
+def _draw_suggestion(rig: Rig, sensors: Sequence[SensorSolution], suggestion: Suggestion) -> str:
     """The picture of a suggestion, as viewed by its sensor, or a camera."""
-    drawn = [
-        DrawnSensor(one.name, one.kind, one.T_root_sensor, _half_view_angle(cameras.get(one.name)))
-        for one in sorted(sensors, key=lambda one: one.name != rig.root)
-        if one.T_root_sensor is not None
-    ]
-    up = estimate_up({one.name: one.kind for one in drawn}, {one.name: one.T_root_sensor for one in drawn})
+    drawn = sorted((one for one in sensors if one.T_root_sensor is not None), key=lambda one: one.name != rig.root)
+    poses = {one.name: one.T_root_sensor for one in drawn if one.T_root_sensor is not None}
+    up = estimate_up({one.name: one.kind for one in drawn}, poses)
     return draw_pose(drawn, suggestion.T_root_board, rig.board_size, up, suggestion.sensor, _MIN_ANGLE)
 
 
-def _half_view_angle(camera: CameraModel | None) -> float:
-    """Half of the horizontal field of view, rad; 0 without intrinsics."""
+def _measure_field_of_view(camera: CameraModel | None) -> tuple[float, float] | None:
+    """Horizontal and vertical field of view, rad; None without intrinsics."""
     if camera is None:
-        return 0.0
-    rays = camera.rays(np.array([[0.0, camera.K[1, 2]], [camera.width - 1.0, camera.K[1, 2]]]))
-    left, right = rays / np.linalg.norm(rays, axis=1, keepdims=True)
-    return float(np.arccos(np.clip(left @ right, -1, 1))) / 2
+        return None
+    u, v = camera.principal_point
+    rays = camera.rays(np.array([[0.0, v], [camera.width - 1.0, v], [u, 0.0], [u, camera.height - 1.0]]))
+    left, right, top, bottom = rays / np.linalg.norm(rays, axis=1, keepdims=True)
+    return float(np.arccos(np.clip(left @ right, -1, 1))), float(np.arccos(np.clip(top @ bottom, -1, 1)))
 
 
 def _leave_out_unprojected(rig: Rig, captures: CaptureSet) -> CaptureSet:
@@ -271,27 +232,18 @@ def _describe_sensors(
 ) -> tuple[SensorSolution, ...]:
     poses = {sensor.name: sensor for sensor in calibration.sensors} if calibration else {}
     limits = max_good_stddev(rig.tolerance, rig.settings.diagnostics.verdict)
-    return tuple(
-        _describe_pose(poses[name], limits, alone=len(poses) == 1)
-        if name in poses
-        else SensorSolution(name, spec.kind, reason=explain_unconnected(name, rig, captures, poses))
-        for name, spec in rig.sensors.items()
-    )
-
-
-def _describe_pose(sensor: SensorPose, limits: Array, *, alone: bool) -> SensorSolution:
-    stddev = sensor.axis_stddev
-    progress = float(np.min(limits / np.maximum(stddev, np.finfo(float).tiny)).clip(0.0, 1.0))
-    # A root to which nothing is connected is no result.
-    return SensorSolution(
-        sensor.name,
-        sensor.kind,
-        sensor.T_root_sensor,
-        stddev,
-        0.0 if alone else progress,
-        "" if alone else sensor.verdict.grade,
-        sensor.verdict.reason,
-    )
+    found = []
+    for name, spec in rig.sensors.items():
+        if name in poses:
+            one = replace(
+                describe_pose(poses[name], limits),
+                field_of_view=_measure_field_of_view(captures.cameras.get(name)),
+            )
+            # A root to which nothing is connected is no result.
+            found.append(one if len(poses) > 1 else replace(one, uncertainty=float("inf"), grade=""))
+        else:
+            found.append(SensorSolution(name, spec.kind))
+    return tuple(found)
 
 
 def suggest_next_pose(rig: Rig, solved: SolvedBundle, last: Suggestion | None) -> Suggestion | None:

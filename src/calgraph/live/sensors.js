@@ -85,7 +85,9 @@ function describeTolerance(sensor, state) {
 
 function describeTracks(sensor) {
   const rate = sensor.rate ? `${formatLength(sensor.rate)} scans/s` : "no scans";
-  return `${formatCount(sensor.captures, "track")} · ${rate}`;
+  const offset = sensor.clock_ms === null ? null : Math.round(sensor.clock_ms);
+  const clock = offset === null ? "" : ` · clock ${offset > 0 ? "+" : ""}${offset}\u00a0ms`;
+  return `${formatCount(sensor.captures, "track")} · ${rate}${clock}`;
 }
 
 function showCoverage(card, sensor) {

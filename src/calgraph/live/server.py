@@ -9,21 +9,25 @@ import socket
 from collections.abc import AsyncIterator, Callable, Iterable
 from contextlib import asynccontextmanager, nullcontext
 from dataclasses import dataclass
-from http.cookies import CookieError, SimpleCookie
-from typing import TYPE_CHECKING
-
-from starlette.datastructures import Headers, MutableHeaders, QueryParams
-from starlette.responses import HTMLResponse, Response
-from starlette.types import ASGIApp, Message, Receive, Scope, Send
-from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from calgraph.config.settings import PageSettings
 from calgraph.errors import InputError
-from calgraph.live.page_app import Refusal, Refusals, SessionView
 
-if TYPE_CHECKING:
-    from starlette.types import ASGIApp, Receive, Scope, Send
+try:
+    import uvicorn
+    import websockets  # noqa: F401  # of uvicorn
+    from starlette.datastructures import MutableHeaders
+    from starlette.requests import HTTPConnection
+    from starlette.responses import HTMLResponse, Response
+    from starlette.types import ASGIApp, Message, Receive, Scope, Send
+    from uvicorn.protocols.http.h11_impl import H11Protocol
 
+    from calgraph.live.page_app import MAX_MESSAGE_BYTES, PageApp, Refusal, Refusals, SessionView
+except ImportError:
+    raise InputError(
+        "live capture needs starlette, uvicorn and websockets, which are not installed:"
+        " pip install 'calgraph[live]'"
+    ) from None
 
 DEFAULT_HOST = "127.0.0.1"
 DEFAULT_PORT = 8790
@@ -44,23 +48,6 @@ class PageServer:
     """Number of pages that were ever open."""
 
 
-def check_page_libraries() -> None:
-    """Checks that the page can be served.
-
-    Raises:
-        InputError: a library is missing.
-    """
-    try:
-        import starlette  # noqa: F401
-        import uvicorn  # noqa: F401
-        import websockets  # noqa: F401
-    except ImportError:
-        raise InputError(
-            "live capture needs starlette, uvicorn and websockets, which are not installed:"
-            " pip install 'calgraph[live]'"
-        ) from None
-
-
 @asynccontextmanager
 async def serve_page(
     view: SessionView, host: str = DEFAULT_HOST, port: int = DEFAULT_PORT, *, settings: PageSettings
@@ -74,13 +61,8 @@ async def serve_page(
         settings: of the page.
 
     Raises:
-        InputError: the address cannot be used, or a library is missing.
+        InputError: the address cannot be used.
     """
-    check_page_libraries()
-    import uvicorn
-
-    from calgraph.live.page_app import MAX_MESSAGE_BYTES, PageApp
-
     listening = _listen(host, port, settings)
     address, port, *_ = listening.getsockname()
     refusals = Refusals()
@@ -121,33 +103,26 @@ def _listen(host: str, port: int, settings: PageSettings) -> socket.socket:
     """A socket that listens; other programs on the port are refused, those just ended are not."""
     where = f"`host` {host}, `port` {port}"
     try:
-        family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
-        listening = socket.socket(family, kind, protocol)
+        family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        is_dual = family == socket.AF_INET6 and socket.has_dualstack_ipv6()
+        listening = socket.create_server(
+            address, family=family, backlog=settings.max_connections, dualstack_ipv6=is_dual
+        )
     except (OSError, UnicodeError) as error:
-        raise _no_address(where, error) from None
-    try:
-        listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        if hasattr(socket, "TCP_USER_TIMEOUT"):
-            # Otherwise Linux keeps connections to phones that are out of reach for a quarter of an hour.
-            milliseconds = round(settings.timeout * _MS_PER_SECOND)
-            listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, milliseconds)
-        listening.bind(address)
-        listening.listen(settings.max_connections)
-    except OSError as error:
-        listening.close()
-        if error.errno == errno.EADDRINUSE:
+        number = getattr(error, "errno", None)
+        if number == errno.EADDRINUSE:
             reason = "another program listens on that port; give another one, or 0 for any that is free"
-        elif error.errno == errno.EACCES:
+        elif number == errno.EACCES:
             reason = "needs the rights of an administrator; give a port of 1024 or more"
         else:
-            raise _no_address(where, error) from None
+            reason = f"is no address of this machine ({error}); 0.0.0.0 means all of them"
         raise InputError(f"{where}: {reason}") from None
+    if hasattr(socket, "TCP_USER_TIMEOUT"):
+        # Otherwise Linux keeps connections to phones that are out of reach for a quarter of an hour.
+        milliseconds = round(settings.timeout * _MS_PER_SECOND)
+        listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, milliseconds)
     listening.setblocking(False)
     return listening
-
-
-def _no_address(where: str, error: Exception) -> InputError:
-    return InputError(f"{where}: is no address of this machine ({error}); 0.0.0.0 means all of them")
 
 
 def _list_names(host: str) -> tuple[str, ...]:
@@ -156,10 +131,10 @@ def _list_names(host: str) -> tuple[str, ...]:
     return ("localhost", host, name, f"{name}.local")
 
 
-def _report_errors(app: "ASGIApp") -> "ASGIApp":
+def _report_errors(app: ASGIApp) -> ASGIApp:
     """Hands exceptions, which are errors of the program, to the loop's handler; the server goes on."""
 
-    async def guarded(scope: "Scope", receive: "Receive", send: "Send") -> None:
+    async def guarded(scope: Scope, receive: Receive, send: Send) -> None:
         try:
             await app(scope, receive, send)
         except Exception as error:
@@ -179,7 +154,7 @@ def make_bounded_protocol(settings: PageSettings, refusals: Refusals) -> type[as
         def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
             super().connection_made(transport)
             if len(self.connections) > settings.max_connections:
-                refusals.add("connections beyond the limit")
+                refusals["connections beyond the limit"] += 1
                 transport.abort()
             else:
                 self._deadline = self.loop.call_later(settings.timeout, self._end_without_request)
@@ -190,13 +165,13 @@ def make_bounded_protocol(settings: PageSettings, refusals: Refusals) -> type[as
             super().connection_lost(exc)
 
         def send_400_response(self, msg: str) -> None:
-            refusals.add("malformed requests")
+            refusals["malformed requests"] += 1
             super().send_400_response(msg)
 
         def _end_without_request(self) -> None:
             # A websocket has another protocol by now.
             if self.cycle is None and self.transport.get_protocol() is self:
-                refusals.add("requests that took too long")
+                refusals["requests that took too long"] += 1
                 self.transport.abort()
 
     return BoundedProtocol
@@ -249,8 +224,8 @@ class AccessCheck:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answers a request, or lets the application answer it."""
-        headers = Headers(scope=scope)
-        host = headers.get("host", "")
+        request = HTTPConnection(scope)
+        host = request.headers.get("host", "")
 
         async def send_guarded(message: Message) -> None:
             if message["type"] == "http.response.start":
@@ -259,9 +234,9 @@ class AccessCheck:
                 _add_headers(MutableHeaders(scope=message), known, is_local=self._token is None)
             await send(message)
 
-        refusal, answer = self._check(scope, headers, host)
+        refusal, answer = self._check(request, host)
         if refusal:
-            self._refusals.add(refusal)
+            self._refusals[refusal] += 1
         if answer is None:
             await self._app(scope, receive, send_guarded)
         elif scope["type"] == "websocket":
@@ -270,20 +245,21 @@ class AccessCheck:
         else:
             await answer(scope, receive, send_guarded)
 
-    def _check(self, scope: Scope, headers: Headers, host: str) -> tuple[Refusal | None, Response | None]:
+    def _check(self, request: HTTPConnection, host: str) -> tuple[Refusal | None, Response | None]:
         """The reason of a refusal, and the answer that replaces the application's."""
         if not self._is_known(host):
             return "foreign hosts", _refuse("This address is not that of calgraph live.", 421)
-        if scope["type"] == "websocket" and headers.get("origin") != f"http://{host}":
+        is_websocket = request.scope["type"] == "websocket"
+        if is_websocket and request.headers.get("origin") != f"http://{host}":
             return "foreign origins", _refuse("", 403)
         if self._token is None:
             return None, None
-        given = self._token_of_link(scope)
-        if given is not None and scope["type"] == "http":
+        given = request.query_params.get("token") if request.scope["path"] == "/" else None
+        if given is not None and not is_websocket:
             if _is_token(given, self._token):
                 return None, self._admit()
             return "wrong tokens", _refuse(_OLD_LINK, 403)
-        kept = self._token_of_cookie(headers)
+        kept = request.cookies.get(self._cookie)
         if kept is None:
             return "missing tokens", _refuse("Open the link with the token that calgraph live shows.", 403)
         if not _is_token(kept, self._token):
@@ -301,18 +277,6 @@ class AccessCheck:
             return name in self._names
         return self._token is not None or address.is_loopback
 
-    @staticmethod
-    def _token_of_link(scope: Scope) -> str | None:
-        return QueryParams(scope["query_string"]).get("token") if scope["path"] == "/" else None
-
-    def _token_of_cookie(self, headers: Headers) -> str | None:
-        cookie = SimpleCookie()
-        try:
-            cookie.load(headers.get("cookie", ""))
-        except CookieError:
-            return None
-        return cookie[self._cookie].value if self._cookie in cookie else None
-
     def _admit(self) -> Response:
         # A redirect would be part of the navigation to the link: where that began on a page of another site, such
         # as a chat, browsers send no cookie that is SameSite=Strict. A refresh begins here.
@@ -322,9 +286,9 @@ class AccessCheck:
 
     def _count_status(self, status: int) -> None:
         if status == 404:
-            self._refusals.add("unknown addresses")
+            self._refusals["unknown addresses"] += 1
         elif status == 405:
-            self._refusals.add("wrong methods")
+            self._refusals["wrong methods"] += 1
 
 
 def _is_token(given: str, token: str) -> bool:

@@ -14,12 +14,17 @@ from calgraph.errors import InputError
 from calgraph.io.strict_model import StrictModel
 from calgraph.io.text_writing import save_yaml
 from calgraph.io.yaml_reading import read_yaml, validate_content
+from calgraph.live.live_rig import TRIGGER_TOPIC
 from calgraph.live.recorded_files import finish_files, read_files
+from calgraph.recording import open_recording
+from calgraph.recording.bags import BagRecording
 
 _LOCK = "session.lock"
 _NOTES = "session.yaml"
 _RIG = "rig.yaml"
 _RECORDING = "recording"
+# Arrivals of triggers are those of the messages before as floating-point numbers, which differ by less, ns.
+_TRIGGER_ERROR = 1000
 
 
 class _Notes(StrictModel):
@@ -61,6 +66,21 @@ class SessionFolder:
             return -1
         files = read_files(self.recording, load_rig(self.rig_file).settings.limits)
         return max((file.end for file in files), default=-1)
+
+    def find_last(self) -> tuple[int, frozenset[str]]:
+        """Arrival of the last recorded message of the source, ns, and the topics that have one of this arrival.
+
+        Sources have messages of the same arrival, of which some may not have been written.
+        """
+        end = self.last_arrival()
+        if end < 0:
+            return end, frozenset()
+        with open_recording(self.recording, load_rig(self.rig_file).settings.limits) as recording:
+            assert isinstance(recording, BagRecording)
+            topics = [topic.name for topic in recording.topics if topic.name != TRIGGER_TOPIC]
+            found = [(raw.arrival, raw.topic) for raw in recording.raw_messages(topics, end - _TRIGGER_ERROR)]
+        last = max((arrival for arrival, _ in found), default=end)
+        return last, frozenset(topic for arrival, topic in found if arrival == last)
 
     def exclude(self, window: tuple[float, float]) -> None:
         """Adds a window to ``capture.exclude`` of rig.yaml.

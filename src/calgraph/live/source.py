@@ -1,10 +1,21 @@
 """The interface of a live source: messages as they arrive, and notices of what happens to the connection."""
 
 import re
-from collections.abc import AsyncIterator, Collection, Iterator
+from collections.abc import AsyncIterator, Collection
 from dataclasses import dataclass
+from functools import cache, cached_property
 from typing import Literal, Protocol
 
+from rosbags.interfaces import MessageDefinitionFormat
+from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys.store import Typestore
+
+from calgraph.config.settings import LimitSettings
+from calgraph.recording.message_types import MessageType, TypeDefinition, make_message_type, ros2_definition
+from calgraph.recording.record_list import make_record
+from calgraph.recording.writer import serialize_message
+from calgraph.sensors import Message, RecordedMessage
+from calgraph.sensors.kinds import SENSOR_TYPES
 from calgraph.sensors.kinds.stated import CONTROL_CHARACTERS
 
 Encoding = Literal["cdr", "ros1"]
@@ -24,6 +35,13 @@ class Channel:
     schema: str
     """The definitions of the type and of those it contains."""
 
+    @cached_property
+    def message_type(self) -> MessageType:
+        """The type of its messages."""
+        idl = self.schema_format == "ros2idl"
+        text_format = MessageDefinitionFormat.IDL if idl else MessageDefinitionFormat.MSG
+        return make_message_type(TypeDefinition(self.type, text_format, self.schema, self.encoding))
+
 
 @dataclass(frozen=True, eq=False)
 class LiveMessage:
@@ -34,6 +52,28 @@ class LiveMessage:
     """When the source's server received it, by its clock; ns since the epoch."""
     data: bytes
     """Serialised as the channel's encoding states."""
+
+    def read_stamp(self) -> int | None:
+        """The header's stamp of a sensor's message, ns; None of other messages, and of headers without one."""
+        if self.channel.type not in SENSOR_TYPES:
+            return None
+        try:
+            return self.channel.message_type.header_stamp(self.data) or None
+        except Exception:  # damaged: the decoder states why
+            return None
+
+    def read(self, source: str, limits: LimitSettings) -> RecordedMessage:
+        """The record as a recording has it; the stamp is the arrival where it has no header.
+
+        Args:
+            source: name of the source, for error messages.
+            limits: of the content of messages.
+
+        Raises:
+            RecordingError: its header cannot be read.
+        """
+        channel = self.channel
+        return make_record(channel.message_type, channel.topic, self.arrival / 1e9, self.data, source, limits)
 
 
 NoticeKind = Literal["connected", "disconnected", "missing", "lost", "refused", "ended"]
@@ -60,6 +100,10 @@ class Notice:
 class Source(Protocol):
     """Where live messages come from."""
 
+    max_lead: float
+    """Time by which messages may be ahead of the detection before they wait until it has caught up, s; with 0 each
+    waits until all before it are analysed. Infinite for robots, which do not wait."""
+
     @property
     def name(self) -> str:
         """What the user gave: an address, or the path of a recording."""
@@ -79,35 +123,26 @@ _MAX_TEXT = 300
 _CONTROL_CHARACTERS = re.compile(f"[{CONTROL_CHARACTERS}]+")
 
 
-class NoticeLimiter:
-    """Collects notices, and gives one for all of a kind and topic that came within an interval (s).
-
-    Times are those of one clock, s.
-    """
-
-    def __init__(self, interval: float) -> None:
-        self._interval = interval
-        self._waiting: dict[tuple[NoticeKind, str | None], tuple[str, int]] = {}
-        self._given: dict[tuple[NoticeKind, str | None], float] = {}
-
-    def add(self, kind: NoticeKind, text: str, topic: str | None = None, count: int = 0) -> None:
-        """Adds a notice; of several, the first one's text is given, and the sum of their counts."""
-        first, before = self._waiting.get((kind, topic), (text, 0))
-        self._waiting[kind, topic] = first, before + count
-
-    def take(self, now: float) -> Iterator[Notice]:
-        """The notices whose interval is over."""
-        if not self._waiting:
-            return
-        for key in list(self._waiting):
-            if now - self._given.get(key, float("-inf")) >= self._interval:
-                text, count = self._waiting.pop(key)
-                self._given[key] = now
-                kind, topic = key
-                yield Notice(kind, clean_text(text), topic, count)
-
-
 def clean_text(text: str) -> str:
     """A text that may come from a server, on one line."""
     line = _CONTROL_CHARACTERS.sub(" ", text)
     return line if len(line) <= _MAX_TEXT else f"{line[:_MAX_TEXT]} ..."
+
+
+def make_message(topic: str, message: Message, arrival: int) -> LiveMessage:
+    """A message as a node of ROS 2 sends it.
+
+    Args:
+        topic: of the message.
+        message: its content.
+        arrival: of the message, ns.
+    """
+    kind, data = serialize_message(_load_store(), message)
+    definition = ros2_definition(kind)
+    assert definition is not None
+    return LiveMessage(Channel(topic, kind, "cdr", "ros2msg", definition.text), arrival, bytes(data))
+
+
+@cache
+def _load_store() -> Typestore:
+    return get_typestore(Stores.ROS2_HUMBLE)

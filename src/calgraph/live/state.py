@@ -1,7 +1,13 @@
-"""What the operator's page shows: the state of a session at one moment, as plain values."""
+"""What the operator's page shows: the state of a session at one moment."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
+
+import numpy as np
+
+from calgraph.geometry import Array
+from calgraph.live.floor_grid import FloorGrid
+from calgraph.live.sensor_solution import SensorSolution
 
 Phase = Literal["connecting", "background", "ready", "waiting", "measuring", "finishing", "finished", "failed"]
 """``background``: the views must stay free of board and operator; ``ready``: for a capture; ``waiting``: a capture
@@ -9,6 +15,9 @@ is triggered, and the board still moves; ``measuring``: sensors measure the boar
 recording is calibrated as a whole; ``failed``: the session ended with an error."""
 
 Action = Literal["trigger", "automatic", "manual", "discard", "finish"]
+"""What an operator wants. ``trigger``: take a capture as soon as the board rests; ``automatic`` and ``manual``:
+whether captures are taken without the button; ``discard``: leave out the last capture; ``finish``: end the
+recording, and calibrate it."""
 
 
 @dataclass(frozen=True)
@@ -20,8 +29,6 @@ class SensorState:
     """camera, lidar2d or lidar3d."""
     rate: float = 0.0
     """Messages per second of late."""
-    age: float | None = None
-    """s since its last message; None if there was none."""
     problem: str = ""
     """What keeps it from working: no message, another type, a wrong clock; empty if nothing does."""
     sees_board: bool | None = None
@@ -42,8 +49,24 @@ class SensorState:
     """Tolerance over uncertainty, limited to 0..1: 1 where the pose is within tolerance with 95 %."""
     grade: str = ""
     """good, weak or unobservable; empty without a pose."""
+    clock_ms: float | None = None
+    """Its clock minus the root's, ms; None where it is not estimated."""
     picture: int = 0
     """Counts the pictures of its view; 0 before the first."""
+
+    def with_pose(self, solved: SensorSolution | None, root: str) -> "SensorState":
+        """The state with what is known of the sensor's pose."""
+        if solved is None:
+            return self
+        known = self.name != root and bool(np.isfinite(solved.stddev).all())
+        return replace(
+            self,
+            stddev_mm=1000 * float(solved.stddev[:3].max()) if known else None,
+            stddev_degrees=float(np.degrees(solved.stddev[3:].max())) if known else None,
+            progress=solved.progress,
+            grade=solved.grade,
+            clock_ms=None if solved.clock_offset is None else 1000 * solved.clock_offset,
+        )
 
 
 @dataclass(frozen=True)
@@ -84,6 +107,20 @@ class RecorderState:
     problem: str = ""
 
 
+@dataclass(frozen=True, eq=False)
+class SceneState:
+    """The sensors in space; coordinates in the root frame, m."""
+
+    sensors: tuple[SensorSolution, ...]
+    """Those with poses."""
+    boards: tuple[Array, ...] = ()
+    """(4, 3): corners of the board in each capture, in order around its outline."""
+    suggested: Array | None = None
+    """(4, 3): where the board should be next."""
+    floor: FloorGrid | None = None
+    """Of a network, which is drawn from above."""
+
+
 @dataclass(frozen=True)
 class SessionState:
     """A session at one moment."""
@@ -108,18 +145,7 @@ class SessionState:
     notices: tuple[str, ...] = ()
     """The last ones, newest first."""
     recorder: RecorderState = field(default_factory=RecorderState)
-    floor_plan: str = ""
-    """Of a network: an SVG image of scanners, walls and where people walked."""
-    scene: int = 0
-    """Counts the versions of the 3-D view; 0 before the first."""
+    scene: SceneState | None = None
+    """None before the first poses."""
     report: bool = False
     """Whether a report is there."""
-
-
-@dataclass(frozen=True)
-class Command:
-    """What the operator wants."""
-
-    action: Action
-    """``trigger``: take a capture as soon as the board rests; ``automatic`` and ``manual``: whether captures are
-    taken without the button; ``discard``: leave out the last capture; ``finish``: end and calibrate the whole."""

@@ -1,14 +1,12 @@
-"""What a source notices about topics from their messages: gaps between stamps, and silence."""
+"""What a source notices about topics: those that are missing, gaps between stamps, and silence."""
 
+import math
 from collections import deque
-from collections.abc import Iterator
-from dataclasses import dataclass, field
-
-from rosbags.interfaces import MessageDefinitionFormat
+from collections.abc import Callable, Collection, Iterator
+from dataclasses import dataclass, replace
 
 from calgraph.config.settings import ConnectionSettings
-from calgraph.live.source import Channel, LiveMessage, Notice
-from calgraph.recording.message_types import MessageType, TypeDefinition, make_message_type
+from calgraph.live.source import Channel, LiveMessage, Notice, NoticeKind, clean_text
 from calgraph.sensors.kinds import SENSOR_TYPES
 
 
@@ -18,12 +16,11 @@ class _Topic:
 
     last_time: float
     """Of its last message, or of the subscription; s of the caller's clock."""
-    kind: MessageType | None = None
-    """Of a sensor's messages."""
+    intervals: deque[int]
+    """Between the last stamps of a sensor, ns."""
     received: bool = False
     silent: bool = False
     last_stamp: int | None = None
-    intervals: deque[int] = field(default_factory=deque)
 
 
 # Number of last messages of a sensor whose stamps state its usual interval: their median.
@@ -36,58 +33,94 @@ _MIN_GAP = 0.05
 
 
 class TopicWatch:
-    """Watches the topics that a source is subscribed to.
+    """Watches the topics that a source is subscribed to, and collects its notices.
 
     Only of sensors, which measure at a constant rate, it knows how many messages are missing.
+
+    Args:
+        topics: wanted.
+        settings: of connections.
+        now: when the source began, s; all times are of one clock.
+        explain_missing: states why a topic that is wanted is not there.
     """
 
-    def __init__(self, settings: ConnectionSettings) -> None:
-        self._settings = settings
+    def __init__(
+        self,
+        topics: Collection[str],
+        settings: ConnectionSettings,
+        now: float,
+        explain_missing: Callable[[str], str],
+    ) -> None:
+        self._wanted, self._settings, self._explain_missing = topics, settings, explain_missing
+        self._discovery_end = now + settings.discovery_time
         self._topics: dict[str, _Topic] = {}
+        self._waiting: dict[tuple[NoticeKind, str | None], Notice] = {}
+        self._given: dict[tuple[NoticeKind, str | None], float] = {}
+
+    def note(self, notice: Notice) -> None:
+        """Adds a notice; of several of a kind and topic, the first text is given, and the sum of their counts."""
+        key = notice.kind, notice.topic
+        first = self._waiting.get(key)
+        self._waiting[key] = replace(first, count=first.count + notice.count) if first else notice
+
+    def take_notices(self, now: float, present: Collection[str]) -> Iterator[Notice]:
+        """The notices by now; one of a kind and topic in ``notice_interval``.
+
+        Args:
+            now: s.
+            present: topics that are served.
+        """
+        if now >= self._discovery_end:
+            self._discovery_end = math.inf
+            for topic in self._wanted:
+                if topic not in present:
+                    self.note(Notice("missing", self._explain_missing(topic), topic))
+        self._note_silent(now)
+        for key in list(self._waiting):
+            if now - self._given.get(key, -math.inf) >= self._settings.notice_interval:
+                self._given[key] = now
+                notice = self._waiting.pop(key)
+                yield replace(notice, text=clean_text(notice.text))
 
     def start(self, channel: Channel, now: float) -> None:
         """Watches a topic from now on."""
-        kind = _find_sensor_type(channel)
-        intervals: deque[int] = deque(maxlen=_USUAL_INTERVALS)
-        self._topics[channel.topic] = _Topic(now, kind, intervals=intervals)
+        self._topics[channel.topic] = _Topic(now, deque(maxlen=_USUAL_INTERVALS))
 
     def stop(self, topic: str) -> None:
         """Does not watch a topic any more."""
         self._topics.pop(topic, None)
 
-    def observe(self, message: LiveMessage, now: float) -> Notice | None:
-        """Takes note of a message; messages that are missing before it, if any."""
+    def observe(self, message: LiveMessage, now: float) -> None:
+        """Takes note of a message, and of messages that are missing before it."""
         topic = self._topics[message.channel.topic]
         topic.last_time, topic.received, topic.silent = now, True, False
-        if topic.kind is None:
-            return None
-        stamp, before = _stamp(topic.kind, message), topic.last_stamp
+        if message.channel.type not in SENSOR_TYPES:
+            return
+        stamp, before = message.read_stamp() or message.arrival, topic.last_stamp
         topic.last_stamp = stamp
         if before is None or stamp <= before:
-            return None
+            return
         usual = self._usual_interval(topic)
         topic.intervals.append(stamp - before)
         if usual is None or stamp - before < max(_GAP_RATIO * usual, _MIN_GAP * 1e9):
-            return None
+            return
         missing = round((stamp - before) / usual) - 1
         name = message.channel.topic
-        return Notice(
-            "lost",
+        text = (
             f"{name}: {missing} messages are missing: none for {(stamp - before) / 1e9:.2f} s, where one each "
-            f"{usual / 1e9:.3f} s is usual. The sensor, the network or the server dropped them",
-            name,
-            missing,
+            f"{usual / 1e9:.3f} s is usual. The sensor, the network or the server dropped them"
         )
+        self.note(Notice("lost", text, name, missing))
 
-    def find_silent(self, now: float) -> Iterator[Notice]:
-        """The topics that have become silent: those without any message, and sensors that stopped."""
+    def _note_silent(self, now: float) -> None:
+        """Adds the topics that have become silent: those without any message, and sensors that stopped."""
         for name, topic in self._topics.items():
             usual = self._usual_interval(topic)
             regular = not topic.received or usual is not None
             limit = max(self._settings.silence, _GAP_RATIO * (usual or 0) / 1e9)
             if regular and not topic.silent and now - topic.last_time >= limit:
                 topic.silent = True
-                yield Notice("missing", f"{name}: no message for {now - topic.last_time:.0f} s", name)
+                self.note(Notice("missing", f"{name}: no message for {now - topic.last_time:.0f} s", name))
 
     def _usual_interval(self, topic: _Topic) -> int | None:
         """The usual time between two stamps, ns; None where it is not known or not constant.
@@ -99,41 +132,3 @@ class TopicWatch:
         ordered = sorted(topic.intervals)
         median = ordered[len(ordered) // 2]
         return median if ordered[-2] < _GAP_RATIO * median else None
-
-
-class StampReader:
-    """Reads stamps of sensors' messages."""
-
-    def __init__(self) -> None:
-        self._kinds: dict[Channel, MessageType | None] = {}
-
-    def read(self, message: LiveMessage) -> int | None:
-        """The header's stamp, ns; None of other messages, and of headers without one."""
-        if message.channel not in self._kinds:
-            self._kinds[message.channel] = _find_sensor_type(message.channel)
-        kind = self._kinds[message.channel]
-        if kind is None:
-            return None
-        try:
-            return kind.header_stamp(message.data) or None
-        except Exception:  # damaged: the decoder states why
-            return None
-
-
-def _find_sensor_type(channel: Channel) -> MessageType | None:
-    """The type of a sensor's messages; None of others."""
-    return make_message_type(_definition(channel)) if channel.type in SENSOR_TYPES else None
-
-
-def _stamp(kind: MessageType, message: LiveMessage) -> int:
-    """The header's stamp, or the arrival, ns."""
-    try:
-        return kind.header_stamp(message.data) or message.arrival
-    except Exception:  # damaged: the decoder states why
-        return message.arrival
-
-
-def _definition(channel: Channel) -> TypeDefinition:
-    idl = channel.schema_format == "ros2idl"
-    text_format = MessageDefinitionFormat.IDL if idl else MessageDefinitionFormat.MSG
-    return TypeDefinition(channel.type, text_format, channel.schema, channel.encoding)

@@ -9,17 +9,15 @@ from numpy.typing import NDArray
 
 from calgraph.boards.detections import BoardCorners, Detection, DetectionResult, PlanePatch, Segment
 from calgraph.config import Board
-from calgraph.config.settings import ViewSettings
 from calgraph.errors import CalgraphError, Rejected
-from calgraph.geometry import Array
-from calgraph.live.analysis_jobs import UnprojectedBoard, decode_detector
+from calgraph.geometry import Array, se3
+from calgraph.live.analysis_jobs import DetectorInputs, UnprojectedBoard, make_detector
+from calgraph.report.image_view import sample_outline
 from calgraph.sensors import CameraModel, Image, LaserScan, Message, PointCloud
 
 Pixels = NDArray[np.uint8]
 # Colours in OpenCV's order, on a dark background: the board is the brightest.
 _BACKGROUND, _POINTS, _BOARD, _SENSOR = (24, 18, 15), (215, 195, 170), (90, 255, 120), (60, 160, 255)
-# Points between the corners of a board, so that its outline follows the distortion.
-_EDGE_POINTS = np.linspace(0, 1, 9)[:-1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +34,9 @@ class SensorView:
     """Variance of the Laplacian of an image; 0 of scanners."""
 
 
+# Width of a picture, px: that of a phone with two pictures beside each other; and quality of its JPEG of 15 kB:
+# lower ones blur outlines.
+_WIDTH, _QUALITY = 480, 60
 # Minimum width of the images in which the board is searched for a picture, px: larger ones are reduced by a whole
 # factor to no less, which takes a quarter of the time.
 _DETECTION_WIDTH = 800
@@ -48,35 +49,32 @@ def find_reduction(camera: CameraModel) -> int:
 
 def make_view(
     decode: Callable[[], Message],
-    encoded: bytes | None,
+    inputs: DetectorInputs | None,
     camera: CameraModel | None,
     boards: Sequence[Board],
     factor: int,
-    settings: ViewSettings,
 ) -> SensorView:
     """Detects the board in one message and draws both.
 
     Args:
         decode: decodes the message.
-        encoded: the detector; see :func:`calgraph.live.analysis_jobs.encode_detector`. Of cameras it is for images
-            reduced by ``factor``. None if the board is not searched.
+        inputs: of the detector; of cameras for images reduced by ``factor``. None if the board is not searched.
         camera: intrinsics of the reduced images.
         boards: of the rig.
         factor: by which images are reduced.
-        settings: of the picture.
     """
     try:
         message = decode()
         if isinstance(message, Image):
             message = _reduce(message, factor)
-        found = decode_detector(encoded)([message]) if encoded else None
+        found = make_detector(inputs)([message]) if inputs else None
     except CalgraphError as error:
         return SensorView(b"", None, str(error))
     if isinstance(message, Image):
-        picture = _draw_image(message, found, camera, boards, settings)
+        picture = _draw_image(message, found, camera, boards)
         sharpness = float(cv2.Laplacian(message.gray, cv2.CV_64F).var())
     else:
-        picture, sharpness = _draw_from_above(message, found, settings), 0.0
+        picture, sharpness = _draw_from_above(message, found), 0.0
     reason = found.reason if isinstance(found, Rejected) else ""
     sees_board = not reason or isinstance(found, UnprojectedBoard)
     return SensorView(picture, None if found is None else sees_board, reason, sharpness)
@@ -98,26 +96,25 @@ def _list_found(found: DetectionResult | None) -> tuple[Detection, ...]:
 
 
 def _draw_image(
-    image: Image,
-    found: DetectionResult | None,
-    camera: CameraModel | None,
-    boards: Sequence[Board],
-    settings: ViewSettings,
+    image: Image, found: DetectionResult | None, camera: CameraModel | None, boards: Sequence[Board]
 ) -> bytes:
     height, width = image.pixels.shape[:2]
-    scale = min(settings.width / width, 1.0)
+    scale = min(_WIDTH / width, 1.0)
     size = max(round(width * scale), 1), max(round(height * scale), 1)
     pixels = np.asarray(cv2.resize(image.pixels, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
     colored = cv2.cvtColor(pixels, cv2.COLOR_GRAY2BGR) if pixels.ndim == 2 else pixels
     canvas = np.ascontiguousarray(colored, dtype=np.uint8)
     for one in _list_found(found):
         if isinstance(one, BoardCorners) and camera:
-            outline = camera.project(_outline_board(boards[one.board], one.T_camera_board))
-            _draw_line(canvas, scale * outline, closed=True)
+            corners = (
+                np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * [*boards[one.board].size, 0.0] / 2
+            )
+            outline = sample_outline(se3.apply(one.T_camera_board, corners))
+            _draw_line(canvas, scale * camera.project(outline), closed=True)
             _draw_corners(canvas, scale * one.pixels)
     if isinstance(found, UnprojectedBoard):
         _draw_corners(canvas, scale * np.array(found.pixels))
-    return _encode_picture(canvas, settings)
+    return _encode_picture(canvas)
 
 
 def _draw_corners(canvas: Pixels, pixels: Array) -> None:
@@ -125,23 +122,13 @@ def _draw_corners(canvas: Pixels, pixels: Array) -> None:
         cv2.circle(canvas, (round(float(u)), round(float(v))), 2, _BOARD, -1, cv2.LINE_AA)
 
 
-def _outline_board(board: Board, T_camera_board: Array) -> Array:
-    """(N, 3) points along the edges of a board, camera frame, m."""
-    corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * np.array(board.size) / 2
-    edges = [
-        a + t * (b - a) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True) for t in _EDGE_POINTS
-    ]
-    points = np.column_stack([np.array(edges), np.zeros(len(edges))])
-    return np.asarray(points @ T_camera_board[:3, :3].T + T_camera_board[:3, 3])
-
-
 # Largest distance that pictures of scanners show, m: boards are carried nearer, and are well visible.
 _MAX_RANGE = 5.0
 
 
-def _draw_from_above(message: Message, found: DetectionResult | None, settings: ViewSettings) -> bytes:
+def _draw_from_above(message: Message, found: DetectionResult | None) -> bytes:
     """The points of a scanner from above, x up, y to the left."""
-    size = settings.width
+    size = _WIDTH
     scale = size / (2 * _MAX_RANGE)
     canvas: Pixels = np.full((size, size, 3), _BACKGROUND, dtype=np.uint8)
     if isinstance(message, LaserScan):
@@ -154,7 +141,7 @@ def _draw_from_above(message: Message, found: DetectionResult | None, settings: 
         elif isinstance(one, Segment):
             _draw_line(canvas, _project_from_above(one.endpoints, size, scale), closed=False)
     cv2.circle(canvas, (size // 2, size // 2), 4, _SENSOR, -1, cv2.LINE_AA)
-    return _encode_picture(canvas, settings)
+    return _encode_picture(canvas)
 
 
 def _project_from_above(points: Array, size: int, scale: float) -> Array:
@@ -175,5 +162,5 @@ def _draw_line(canvas: Pixels, pixels: Array, *, closed: bool) -> None:
     cv2.polylines(canvas, [limited], closed, _BOARD, 4, cv2.LINE_AA)
 
 
-def _encode_picture(canvas: Pixels, settings: ViewSettings) -> bytes:
-    return cv2.imencode(".jpg", canvas, [cv2.IMWRITE_JPEG_QUALITY, settings.quality])[1].tobytes()
+def _encode_picture(canvas: Pixels) -> bytes:
+    return cv2.imencode(".jpg", canvas, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes()

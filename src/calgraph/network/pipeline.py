@@ -173,7 +173,6 @@ def _assess_and_assemble(
     contradictions: Sequence[Finding] = ()
     if joint is not None:
         assessment = assess_network_model(
-            moving_target(rig),
             joint,
             [corrected.tracked[name] for name in initialization.names],
             initialization,

@@ -14,7 +14,6 @@ from calgraph.network.graph.clock_consensus import MAX_EVIDENCE_RATIO, SAME_CLOC
 from calgraph.network.graph.clock_mounting_consensus import ClockMountingSolution, resolve_clocks_and_mountings
 from calgraph.network.graph.network_initialization import NetworkInitialization, initialize_network
 from calgraph.network.options import NetworkMethod, NetworkOptions
-from calgraph.network.pairs.candidate_pairs import label_parts
 from calgraph.network.pairs.clock_mounting_search import (
     FIRM_EVIDENCE,
     describe_difference,
@@ -23,13 +22,19 @@ from calgraph.network.pairs.clock_mounting_search import (
     search_clocks_and_mountings,
     select_searched_pairs,
 )
-from calgraph.network.pairs.scanner_pair import CLOCK_SIGMA, ScannerPairEstimate, estimate_scanner_pairs
+from calgraph.network.pairs.scanner_pair import (
+    CLOCK_SIGMA,
+    ScannerPairEstimate,
+    ScannerPairs,
+    estimate_scanner_pairs,
+)
 from calgraph.network.pairs.visibility_map import ScannerObservations
 from calgraph.network.strategies import select_depth_stddev
 from calgraph.network.tracking.track import ScannerTracks, correct_tracks
 from calgraph.parallel.progress import Progress
 from calgraph.result import Calibration
 from calgraph.result.finding import Finding
+from calgraph.solver.connected_parts import label_parts
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +43,7 @@ class CorrectedPairs:
 
     tracked: Mapping[str, ScannerTracks]
     """Corrected tracks by scanner."""
-    pairs: Mapping[tuple[str, str], ScannerPairEstimate | Rejected]
+    pairs: ScannerPairs
     """Pairs of scanners that were registered."""
     clock_offset: Mapping[str, float] = field(default_factory=dict)
     """By which tracks were corrected: clock of a scanner minus the root's, s; none where it is 0."""
@@ -84,7 +89,7 @@ def average_pairs(
     return initialize_network(
         rig.root,
         corrected.pairs,
-        {name: ScannerObservations.from_tracks(one) for name, one in corrected.tracked.items()},
+        _build_observations(corrected.tracked),
         rng,
         averaging=select_averaging(method.average),
         weighted=method.weights == "weighted",
@@ -121,7 +126,7 @@ def _stated_mountings(rig: Rig, earlier: Calibration | None) -> dict[str, bool]:
 def _find_differences(
     rig: Rig,
     tracked: Mapping[str, ScannerTracks],
-    pairs: Mapping[tuple[str, str], ScannerPairEstimate | Rejected],
+    pairs: ScannerPairs,
     stated: frozenset[str],
     options: NetworkOptions,
 ) -> ClockMountingSolution:
@@ -158,8 +163,8 @@ def _find_differences(
 def _label_parts(tracked: Mapping[str, ScannerTracks], pairs: Iterable[ScannerPairEstimate]) -> dict[str, int]:
     """Number of the part of each scanner that pairs connect."""
     node = {name: k for k, name in enumerate(tracked)}
-    connected = [(node[pair.sensor_a], node[pair.sensor_b]) for pair in pairs]
-    return dict(zip(node, label_parts(len(node), connected).tolist(), strict=True))
+    connected = np.array([(node[pair.sensor_a], node[pair.sensor_b]) for pair in pairs], dtype=np.intp)
+    return dict(zip(node, label_parts(len(node), connected.reshape(-1, 2)).tolist(), strict=True))
 
 
 def _build_observations(tracked: Mapping[str, ScannerTracks]) -> dict[str, ScannerObservations]:
@@ -167,7 +172,7 @@ def _build_observations(tracked: Mapping[str, ScannerTracks]) -> dict[str, Scann
 
 
 def _reject_refused(
-    pairs: Mapping[tuple[str, str], ScannerPairEstimate | Rejected], solution: ClockMountingSolution
+    pairs: ScannerPairs, solution: ClockMountingSolution
 ) -> dict[tuple[str, str], ScannerPairEstimate | Rejected]:
     """Without pairs whose tracks match clearly better with a clock offset that the network refuses."""
     kept = dict(pairs)
@@ -194,7 +199,7 @@ _MAX_NAMED_OFFSET = 5.0
 def _find_distant_clocks(
     rig: Rig,
     tracked: Mapping[str, ScannerTracks],
-    pairs: Mapping[tuple[str, str], ScannerPairEstimate | Rejected],
+    pairs: ScannerPairs,
     clocks: Mapping[str, float],
     options: NetworkOptions,
 ) -> list[Finding]:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from calgraph.errors import Rejected
 from calgraph.network.graph.network_initialization import NetworkInitialization
 from calgraph.network.joint.estimate import NetworkSolution
-from calgraph.network.pairs.scanner_pair import ScannerPairEstimate
+from calgraph.network.pairs.scanner_pair import ScannerPairs
 from calgraph.network.tracking.track import ScannerTracks
 
 _log = logging.getLogger("calgraph")
@@ -21,11 +21,7 @@ def log_tracks(tracks: Mapping[str, ScannerTracks | Rejected]) -> None:
             _log.info("tracks of %s: %d", name, len(found.tracks))
 
 
-def log_network(
-    pairs: Mapping[tuple[str, str], ScannerPairEstimate | Rejected],
-    start: NetworkInitialization,
-    joint: NetworkSolution | None,
-) -> None:
+def log_network(pairs: ScannerPairs, start: NetworkInitialization, joint: NetworkSolution | None) -> None:
     """Logs the pairs of a network, and the size of its solution."""
     for (a, b), pair in pairs.items():
         if isinstance(pair, Rejected):

@@ -9,7 +9,7 @@ from typing import Any
 from calgraph.config import Cylinder, Lidar2dSpec, People, Rig, SensorSpec
 from calgraph.config.settings import CenterFeature
 from calgraph.errors import InputError, Rejected
-from calgraph.network.joint.leg_problem import measures_legs
+from calgraph.network.joint.legs import measures_legs
 from calgraph.network.options import NetworkOptions
 from calgraph.network.step_log import log_tracks
 from calgraph.network.strategies import select_center_estimator
@@ -17,6 +17,7 @@ from calgraph.network.tracking.scan_stack import ScanRun, ScanStackBuilder, add_
 from calgraph.network.tracking.track import TRACK_TYPES, ScannerTracks
 from calgraph.network.tracking.track_scanner import track_runs
 from calgraph.parallel.engine import THIS_PROCESS
+from calgraph.parallel.kept_values import Kept
 from calgraph.parallel.mapped_arrays import ArrayMemory
 from calgraph.parallel.progress import Progress, no_progress
 from calgraph.recording import Recording, RecordingReference, refer_to
@@ -154,8 +155,8 @@ def _track_unread(
         engine, batches = THIS_PROCESS, 1
     limit = min(_MAX_SCANS_IN_MEMORY, -(-sum(scans) // batches))
     feature = options.select_method(rig.settings.published).feature
-    shared = rig, refer_to(recording, rig.settings.limits), feature, dict(turns)
-    return engine.stream(_track_batch, ((batch,) for batch in _divide(names, scans, limit)), shared)
+    shared = Kept.of((rig, refer_to(recording, rig.settings.limits), feature, dict(turns)))
+    return engine.map(_track_batch, ((shared, batch) for batch in _divide(names, scans, limit)))
 
 
 def _divide(names: Sequence[str], scans: Sequence[int], limit: int) -> Iterator[list[str]]:

@@ -1,100 +1,56 @@
 """Where the calls of a calibration run: in processes of this machine, or on a cluster."""
 
+import multiprocessing
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Protocol, TypeVar
 
-from calgraph.parallel.mapped_arrays import ArrayMemory, KeptValue
-from calgraph.parallel.processes import forked_jobs, parallel_map, parallel_stream
+from calgraph.parallel.kept_values import Kept, call_with_values
+from calgraph.parallel.mapped_arrays import ArrayMemory
+from calgraph.parallel.processes import forked_jobs
 from calgraph.parallel.worker_processes import start_workers
 
 Result = TypeVar("Result")
 
 
 class MapEngine(Protocol):
-    """Evaluates lists of independent calls. Results do not depend on where, nor on how many run at a time.
+    """Evaluates independent calls. Results do not depend on where, nor on how many run at a time.
 
-    Values that several calls take are made available once. A handle then stands for each of them among the
-    arguments of calls, not within other arguments, and the call gets the value. A value is available as long as
-    its handle exists.
+    What several calls take, and what calls leave for later ones, is a :class:`Kept` value.
     """
 
     @property
     def workers(self) -> int:
         """Calls of the engine that may run at the same time."""
 
-    def map(
-        self,
-        function: Callable[..., Result],
-        work: Sequence[tuple[Any, ...]],
-        progress: Callable[[float], None] = lambda _done: None,
-    ) -> list[Result]:
-        """Calls a function once per tuple of arguments.
+    def map(self, function: Callable[..., Result], work: Iterable[tuple[Any, ...]]) -> Iterator[Result]:
+        """Calls a function once per tuple of arguments; the work is read while calls run.
 
         Args:
             function: defined at module level; a call may be repeated, on another machine.
-            work: arguments of each call.
-            progress: called with the completed fraction, 0..1.
+            work: arguments of each call, which are pickled unless the call is in this process.
 
-        Returns:
-            Results in the order of the work.
-
-        Raises:
-            CalibrationError: the engine cannot go on; or what ``function`` raises.
-        """
-
-    def put(self, values: Sequence[Any]) -> list[Any]:
-        """Makes values available to calls.
-
-        Returns:
-            The handle of each.
-        """
-
-    def map_and_keep(
-        self, function: Callable[..., tuple[Result, Any]], work: Sequence[tuple[Any, ...]]
-    ) -> tuple[list[Result], list[Any]]:
-        """Calls a function that returns a result and a value for later calls, which stays where it is.
-
-        Args:
-            function: as for :meth:`map`; returns the result and the value.
-            work: arguments of each call.
-
-        Returns:
-            Results in the order of the work, and handles of the values.
+        Yields:
+            Results in the order of the work, before an error: that of the first call that fails, else of the
+            work.
 
         Raises:
-            CalibrationError: the engine cannot go on; or what ``function`` raises.
+            WorkerKilledError: the process of a call was killed, also when it was repeated.
+            CalibrationError: the engine cannot go on; or what ``function`` or the work raises.
         """
 
 
 class Engine(MapEngine, Protocol):
-    """Evaluates independent calls, also those of a stream."""
+    """Evaluates independent calls, and has workers that stay."""
 
     @property
     def jobs(self) -> int:
         """Processes of this machine that may work at the same time, for calls that the engine does not run."""
 
-    def stream(
-        self, function: Callable[..., Result], work: Iterable[tuple[Any, ...]], shared: Any
-    ) -> Iterator[Result]:
-        """Calls a function once per tuple of arguments of a stream, which is read while calls run.
-
-        Args:
-            function: as for :meth:`map`; called with ``shared`` and the arguments.
-            work: arguments of each call.
-            shared: first argument of all calls.
-
-        Yields:
-            Results in the order of the work, before an error: that of the first call that fails, else of the
-            stream.
-
-        Raises:
-            CalibrationError: the engine cannot go on; or what ``function`` or the stream raises.
-        """
-
     def keep_workers(self, max_kept_bytes: int) -> AbstractContextManager[MapEngine]:
-        """Workers for maps that follow each other: until the block ends, they keep values without sending them.
+        """Workers for maps that follow each other: kept values stay until the block ends, not until a map ends.
 
         Args:
             max_kept_bytes: of arrays that each process of this machine keeps in memory for calls; further ones are
@@ -104,49 +60,54 @@ class Engine(MapEngine, Protocol):
 
 @dataclass(frozen=True)
 class Processes:
-    """Processes of this machine, see :mod:`processes`; all calls run in this one if there is one only.
-
-    Handles are the values themselves: a forked process has those of this one.
-    """
+    """Processes of this machine, see :mod:`worker_processes`; all calls run in this one if there is one only."""
 
     jobs: int = 1
 
     @property
     def workers(self) -> int:
-        """See :attr:`Engine.workers`."""
+        """See :attr:`MapEngine.workers`."""
         return self.jobs
 
-    def map(
-        self,
-        function: Callable[..., Result],
-        work: Sequence[tuple[Any, ...]],
-        progress: Callable[[float], None] = lambda _done: None,
-    ) -> list[Result]:
-        """See :meth:`Engine.map`."""
-        return parallel_map(function, work, self.jobs, progress)
-
-    def put(self, values: Sequence[Any]) -> list[Any]:
-        """See :meth:`Engine.put`."""
-        return list(values)
-
-    def map_and_keep(
-        self, function: Callable[..., tuple[Result, Any]], work: Sequence[tuple[Any, ...]]
-    ) -> tuple[list[Result], list[Any]]:
-        """See :meth:`Engine.map_and_keep`."""
-        pairs = self.map(function, work)
-        return [result for result, _ in pairs], [value for _, value in pairs]
-
-    def stream(
-        self, function: Callable[..., Result], work: Iterable[tuple[Any, ...]], shared: Any
-    ) -> Iterator[Result]:
-        """See :meth:`Engine.stream`."""
-        return parallel_stream(function, work, shared, self.jobs)
+    def map(self, function: Callable[..., Result], work: Iterable[tuple[Any, ...]]) -> Iterator[Result]:
+        """See :meth:`MapEngine.map`."""
+        jobs = min(self.jobs, len(work)) if isinstance(work, Sequence) else self.jobs
+        with _open_workers(jobs) as workers:
+            yield from workers.map(function, work)
 
     def keep_workers(self, max_kept_bytes: int) -> AbstractContextManager[MapEngine]:
         """See :meth:`Engine.keep_workers`."""
         # Elsewhere, each would import everything again.
-        jobs = forked_jobs(self.jobs)
-        return start_workers(jobs, max_kept_bytes) if jobs > 1 else nullcontext(_ThisProcess(max_kept_bytes))
+        return _open_workers(forked_jobs(self.jobs), max_kept_bytes)
+
+
+THIS_PROCESS = Processes()
+"""No other process."""
+
+
+@contextmanager
+def parallel_call(
+    function: Callable[..., Result], arguments: tuple[Any, ...], jobs: int
+) -> Iterator[Callable[[], Result]]:
+    """Calls a function in another process while the block runs.
+
+    Args:
+        function: defined at module level; its result is pickled.
+        arguments: of the call; pickled only where processes are not forked.
+        jobs: maximum number of processes; with 1 the function is called in this one, where the result is wanted.
+
+    Yields:
+        A function that waits for the result and returns it.
+
+    Raises:
+        WorkerKilledError: the process was killed, also when the call was repeated.
+        CalibrationError: processes cannot be started; or what ``function`` raises.
+    """
+    if jobs < 2:
+        yield partial(function, *arguments)
+        return
+    with start_workers(1) as workers:
+        yield workers.start(function, *(Kept.of(argument) for argument in arguments))
 
 
 class _ThisProcess:
@@ -154,41 +115,17 @@ class _ThisProcess:
 
     workers = 1
 
-    def __init__(self, max_kept_bytes: int) -> None:
-        self._memory = ArrayMemory(max_kept_bytes)
+    def __init__(self, memory: ArrayMemory) -> None:
+        self._memory = memory
 
-    def map(
-        self,
-        function: Callable[..., Result],
-        work: Sequence[tuple[Any, ...]],
-        progress: Callable[[float], None] = lambda _done: None,
-    ) -> list[Result]:
+    def map(self, function: Callable[..., Result], work: Iterable[tuple[Any, ...]]) -> Iterator[Result]:
         """See :meth:`MapEngine.map`."""
-        results = []
-        for done, arguments in enumerate(work, start=1):
-            results.append(function(*(self._load(argument) for argument in arguments)))
-            progress(done / len(work))
-        return results
-
-    def put(self, values: Sequence[Any]) -> list[Any]:
-        """See :meth:`MapEngine.put`."""
-        return [self._memory.keep(value) for value in values]
-
-    def map_and_keep(
-        self, function: Callable[..., tuple[Result, Any]], work: Sequence[tuple[Any, ...]]
-    ) -> tuple[list[Result], list[Any]]:
-        """See :meth:`MapEngine.map_and_keep`."""
-        results, handles = [], []
         for arguments in work:
-            result, value = function(*(self._load(argument) for argument in arguments))
-            results.append(result)
-            handles.append(self._memory.keep(value))
-        return results, handles
-
-    @staticmethod
-    def _load(argument: Any) -> Any:
-        return argument.load() if isinstance(argument, KeptValue) else argument
+            yield call_with_values(function, arguments, self._memory)
 
 
-THIS_PROCESS = Processes()
-"""No other process."""
+def _open_workers(jobs: int, *max_kept_bytes: int) -> AbstractContextManager[MapEngine]:
+    # Workers have none of their own.
+    if jobs > 1 and not multiprocessing.current_process().daemon:
+        return start_workers(jobs, *max_kept_bytes)
+    return nullcontext(_ThisProcess(ArrayMemory(*max_kept_bytes)))

@@ -1,10 +1,10 @@
 """Arrays beyond a limit are mapped from temporary files: the system keeps in memory what it has room for."""
 
+import math
 import mmap
 import pickle
 import tempfile
-from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, TypeVar
@@ -30,12 +30,12 @@ def refuse_full_folder(size: int, remedy: str = "") -> Iterator[None]:
         ) from error
 
 
-class KeptValue(ABC):
-    """A value that is kept in memory, or whose arrays are in a file."""
+@dataclass(frozen=True, eq=False)
+class LimitedValue:
+    """A value whose arrays are in memory, or in a file without a name, which ends with the last of them."""
 
-    @abstractmethod
-    def load(self) -> Any:
-        """The value; mapped arrays cannot be changed."""
+    value: Any
+    """Mapped arrays cannot be changed."""
 
 
 class ArrayMemory:
@@ -45,94 +45,55 @@ class ArrayMemory:
         max_bytes: of arrays in memory; further ones are in files.
     """
 
-    def __init__(self, max_bytes: int) -> None:
+    def __init__(self, max_bytes: float = math.inf) -> None:
         self._left = max_bytes
 
-    def keep(self, value: Any) -> KeptValue:
+    def keep(self, value: Any) -> LimitedValue:
         """Keeps a value for as long as the result exists.
 
         Args:
-            value: of a type that can be pickled.
+            value: of a type that can be pickled, if memory is limited.
 
         Raises:
             CalibrationError: the folder of temporary files has too little space.
         """
-        split = _SplitValue.split(value)
-        if split.size > self._left:
-            return split.write()
-        kept = _InMemory(value)
-        self._left -= split.size
-        finalize(kept, self._release, split.size)
+        limited, size = self._limit(value)
+        kept = LimitedValue(limited)
+        finalize(kept, self._take, -size)
         return kept
 
     def limit(self, value: Value) -> Value:
         """The value itself, which counts from now on, or a copy with mapped arrays; otherwise as :meth:`keep`."""
-        split = _SplitValue.split(value)
-        if split.size > self._left:
-            copy: Value = split.write().load()
-            return copy
-        self._left -= split.size
-        return value
+        limited, _ = self._limit(value)
+        return limited
 
-    def _release(self, size: int) -> None:
-        self._left += size
-
-
-@dataclass(frozen=True, eq=False)
-class _InMemory(KeptValue):
-    """A value in memory."""
-
-    value: Any
-
-    def load(self) -> Any:
-        """See :meth:`KeptValue.load`."""
-        return self.value
-
-
-@dataclass(frozen=True, eq=False)
-class _InFile(KeptValue):
-    """A value whose arrays are in a file without a name, which ends with the last of them."""
-
-    content: bytes
-    """Without the arrays."""
-    arrays: tuple[memoryview, ...]
-    """The bytes of each."""
-
-    def load(self) -> Any:
-        """See :meth:`KeptValue.load`."""
-        # Only this process has written the content.
-        return pickle.loads(self.content, buffers=self.arrays)  # noqa: S301
-
-
-@dataclass(frozen=True, eq=False)
-class _SplitValue:
-    """The content of a value without its arrays, and these."""
-
-    content: bytes
-    arrays: tuple[memoryview, ...]
-    """The bytes of each, in memory."""
-
-    @classmethod
-    def split(cls, value: Any) -> "_SplitValue":
+    def _limit(self, value: Value) -> tuple[Value, int]:
+        """The value or its copy, and the size that it takes of the memory."""
+        if math.isinf(self._left):
+            return value, 0
         buffers: list[pickle.PickleBuffer] = []
         content = pickle.dumps(value, protocol=5, buffer_callback=buffers.append)
-        return cls(content, tuple(buffer.raw() for buffer in buffers))
+        arrays = [buffer.raw() for buffer in buffers]
+        size = sum(array.nbytes for array in arrays)
+        if size > self._left:
+            # Only this process has written the content.
+            return pickle.loads(content, buffers=_map_arrays(arrays, size)), 0  # noqa: S301
+        self._take(size)
+        return value, size
 
-    @property
-    def size(self) -> int:
-        """Of the arrays, bytes."""
-        return sum(array.nbytes for array in self.arrays)
+    def _take(self, size: int) -> None:
+        self._left -= size
 
-    def write(self) -> _InFile:
-        """The value with its arrays in a file."""
-        starts = []
-        remedy = ", or raise `estimation.network.max_kept_bytes`"
-        with refuse_full_folder(self.size, remedy), tempfile.TemporaryFile() as file:
-            for array in self.arrays:
-                file.write(bytes(-file.tell() % _ALIGNMENT))
-                starts.append(file.tell())
-                file.write(array)
-            file.flush()
-            mapped = memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
-        arrays = zip(starts, self.arrays, strict=True)
-        return _InFile(self.content, tuple(mapped[start : start + array.nbytes] for start, array in arrays))
+
+def _map_arrays(arrays: Sequence[memoryview], size: int) -> Iterator[memoryview]:
+    """The bytes of each array, mapped from a file; the size is that of all."""
+    starts = []
+    remedy = ", or raise `estimation.network.max_kept_bytes`"
+    with refuse_full_folder(size, remedy), tempfile.TemporaryFile() as file:
+        for array in arrays:
+            file.write(bytes(-file.tell() % _ALIGNMENT))
+            starts.append(file.tell())
+            file.write(array)
+        file.flush()
+        mapped = memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
+    return (mapped[start : start + array.nbytes] for start, array in zip(starts, arrays, strict=True))

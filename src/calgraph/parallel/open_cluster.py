@@ -6,13 +6,15 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
-from operator import itemgetter
+from itertools import takewhile
 from typing import TYPE_CHECKING, Any, TypeVar
+from weakref import WeakKeyDictionary
 
 from calgraph.config.settings import DaskSettings
 from calgraph.errors import CalibrationError, InputError, WorkerKilledError
 from calgraph.io.atomic import temporary_folder
 from calgraph.parallel.engine import MapEngine
+from calgraph.parallel.kept_values import Kept
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -27,9 +29,8 @@ _COUNT_INTERVAL = 1.0
 class DaskEngine:
     """Calls on the workers of a cluster; see :class:`calgraph.parallel.engine.Engine`.
 
-    A call of a worker that is lost is repeated on another one, and so are the calls whose results it had. Handles
-    are futures, whose values are computed again in the same way: data that are put there are part of a task, and
-    remain in the scheduler's memory.
+    A call of a worker that is lost is repeated on another one. Kept values are futures: those that are given are
+    part of a task, and remain in the scheduler's memory.
 
     Args:
         client: connected.
@@ -42,54 +43,21 @@ class DaskEngine:
     def __init__(self, client: "Client", settings: DaskSettings) -> None:
         self._client, self._settings = client, settings
         self._address = str(client.scheduler.address)
+        self._kept: WeakKeyDictionary[Kept, Future] = WeakKeyDictionary()
 
     @property
     def workers(self) -> int:
         """Workers that the cluster has now."""
         return len(self._client.scheduler_info(n_workers=-1)["workers"])
 
-    def map(
-        self,
-        function: Callable[..., Result],
-        work: Sequence[tuple[Any, ...]],
-        progress: Callable[[float], None] = lambda _done: None,
-    ) -> list[Result]:
-        """See :meth:`calgraph.parallel.engine.Engine.map`."""
-        from distributed import as_completed
-
-        with self._futures() as submitted:
-            submitted += [self._submit(function, *arguments) for arguments in work]
-            for done, future in enumerate(as_completed(submitted), start=1):
-                if future.status == "error":
-                    future.result()
-                progress(done / len(submitted))
-            return list(self._client.gather(list(submitted)))
-
-    def put(self, values: Sequence[Any]) -> list[Any]:
-        """See :meth:`calgraph.parallel.engine.Engine.put`."""
-        with self._explained_errors():
-            return [self._submit(_return, value) for value in values]
-
-    def map_and_keep(
-        self, function: Callable[..., tuple[Result, Any]], work: Sequence[tuple[Any, ...]]
-    ) -> tuple[list[Result], list[Any]]:
-        """See :meth:`calgraph.parallel.engine.Engine.map_and_keep`."""
-        with self._explained_errors():
-            both = [self._submit(function, *arguments) for arguments in work]
-            kept = [self._submit(itemgetter(1), pair) for pair in both]
-        return self.map(itemgetter(0), [(pair,) for pair in both]), kept
-
-    def stream(
-        self, function: Callable[..., Result], work: Iterable[tuple[Any, ...]], shared: Any
-    ) -> Iterator[Result]:
-        """See :meth:`calgraph.parallel.engine.Engine.stream`."""
+    def map(self, function: Callable[..., Result], work: Iterable[tuple[Any, ...]]) -> Iterator[Result]:
+        """See :meth:`calgraph.parallel.engine.MapEngine.map`."""
         from distributed import wait
 
+        error: Exception | None = None
         with self._futures() as submitted:
-            handle = self._submit(_return, shared)
             unfinished: set[Future] = set()
             source, limit, counted = iter(work), self._count_ahead(), time.monotonic()
-            error: Exception | None = None
             while True:
                 try:
                     arguments = next(source)
@@ -98,16 +66,17 @@ class DaskEngine:
                 except Exception as raised:
                     error = raised  # earlier results come before it
                     break
-                submitted.append(self._submit(function, handle, *arguments))
+                submitted.append(self._submit(function, arguments))
                 unfinished.add(submitted[-1])
-                if len(unfinished) >= limit:
+                # Arguments of a list are in memory already.
+                if len(unfinished) >= limit and not isinstance(work, Sequence):
                     unfinished = set(wait(unfinished, return_when="FIRST_COMPLETED").not_done)
                     if time.monotonic() - counted > _COUNT_INTERVAL:
                         limit, counted = self._count_ahead(), time.monotonic()
-                while submitted and submitted[0].done():
-                    yield submitted.popleft().result()
+                    yield from self._take_finished(submitted)
             while submitted:
-                yield submitted.popleft().result()
+                wait([submitted[0]])
+                yield from self._take_finished(submitted)
         if error is not None:
             raise error
 
@@ -115,12 +84,30 @@ class DaskEngine:
         """See :meth:`Engine.keep_workers`: workers of a cluster stay, with separate limits."""
         return nullcontext(self)
 
+    def _take_finished(self, submitted: "deque[Future]") -> Iterator[Any]:
+        """The results of the first calls that have finished, in one transfer, or the error of the very first."""
+        finished = list(takewhile(lambda future: future.status == "finished", submitted))
+        if finished:
+            for result in self._client.gather(finished):
+                submitted.popleft()
+                yield result
+        # Not `done()`: it may have finished since, with a result that is to be given.
+        elif submitted and submitted[0].status in ("error", "cancelled"):
+            submitted[0].result()
+
     def _count_ahead(self) -> int:
         """The number of unfinished calls of a stream; workers may come and go."""
         return self._settings.calls_ahead * max(self.workers, 1)
 
-    def _submit(self, function: Callable[..., Any], *arguments: Any) -> "Future":
-        return self._client.submit(function, *arguments, pure=False, retries=self._settings.retries)
+    def _submit(self, function: Callable[..., Any], arguments: Sequence[Any]) -> "Future":
+        given = [self._place(argument) if isinstance(argument, Kept) else argument for argument in arguments]
+        return self._client.submit(function, *given, pure=False, retries=self._settings.retries)
+
+    def _place(self, kept: Kept) -> "Future":
+        """The future of a kept value, which Dask computes again where it is lost."""
+        if kept not in self._kept:
+            self._kept[kept] = self._submit(*kept.recipe)
+        return self._kept[kept]
 
     @contextmanager
     def _futures(self) -> "Iterator[deque[Future]]":
@@ -158,11 +145,6 @@ class DaskEngine:
                 f"the scheduler at {self._address} was lost; run the command again: what was finished is taken "
                 "from the cache"
             ) from error
-
-
-def _return(value: Result) -> Result:
-    """The value: as the result of a task, Dask computes it again where it is lost."""
-    return value
 
 
 _log = logging.getLogger("calgraph")

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calgraph.errors import RecordingError
-from calgraph.geometry import STDDEV_PER_MAD, Array
+from calgraph.geometry import Array, estimate_spread
 from calgraph.recording.cache import NO_CACHE, RecordingCache
 from calgraph.recording.recording import JoinedRecording, Recording
 from calgraph.sensors import LaserScan, Message, PointCloud
@@ -249,7 +249,7 @@ def find_differences(topics: Mapping[str, Arrivals]) -> dict[str, ClockDifferenc
     if of_recorder:  # nothing arrives before it is measured
         group = group[group >= -_MAX_LEAD]
     typical = float(np.median(group))
-    spread = STDDEV_PER_MAD * float(np.median(np.abs(group - typical)))
+    spread = estimate_spread(group - typical)
     of_recorder = of_recorder and abs(typical) < _MAX_LEAD
     found = {}
     for name, one in topics.items():

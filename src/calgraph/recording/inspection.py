@@ -8,7 +8,7 @@ import numpy as np
 
 from calgraph.config import FoundTopic, Kind
 from calgraph.errors import RecordingError
-from calgraph.geometry import STDDEV_PER_MAD, Array
+from calgraph.geometry import Array, estimate_spread
 from calgraph.recording.bags import BagRecording
 from calgraph.recording.camera_info import MAX_UNCALIBRATED
 from calgraph.recording.clocks import Arrivals, find_differences, measure_duration
@@ -250,7 +250,7 @@ def _timing(stamps: Array, arrivals: Array, start: float) -> Timing:
     if not len(periods):
         return Timing(float(stamps[0] - start), None, None, None, delay)
     median = float(np.median(periods))
-    jitter = STDDEV_PER_MAD * float(np.median(np.abs(periods - median)))
+    jitter = estimate_spread(periods - median)
     rate = 1 / median if median > 0 else None
     return Timing(float(stamps[0] - start), rate, jitter, float(periods.max()), delay)
 

@@ -53,7 +53,7 @@ def compute_overlay(
     points, distance = _scanner_points(calibration, views)
     return Overlay(
         board_outlines=tuple(
-            project_to_image(_sample_outline(o.corners), sensor, camera, _IMAGE_MARGIN) for o in outlines
+            project_to_image(sample_outline(o.corners), sensor, camera, _IMAGE_MARGIN) for o in outlines
         ),
         marks=tuple(mark for o in outlines for mark in _project_print(o, rig, sensor, camera)),
         measured=np.concatenate([np.zeros((0, 2)), *(view.measured for view in of_camera)]),
@@ -78,7 +78,7 @@ def _residuals_or_nan(view: BoardView) -> Array:
     return np.full_like(view.measured, np.nan) if view.residuals is None else view.residuals
 
 
-def _sample_outline(corners: Array) -> Array:
+def sample_outline(corners: Array) -> Array:
     """(N, 3) points along the closed outline of corners (K, 3)."""
     t = np.linspace(0, 1, _SAMPLES_PER_EDGE, endpoint=False)[:, None, None]
     along = (1 - t) * corners + t * np.roll(corners, -1, axis=0)
@@ -90,7 +90,7 @@ def _project_print(outline: BoardOutline, rig: Rig, sensor: SensorPose, camera: 
     if outline.board is None or outline.board >= len(rig.boards):
         return ()
     marks = compute_landmarks(rig.boards[outline.board]).corners
-    lines = [mark if len(mark) == 1 else _sample_outline(mark) for mark in marks]
+    lines = [mark if len(mark) == 1 else sample_outline(mark) for mark in marks]
     if not lines:
         return ()
     points = se3.apply(_board_pose(outline.corners), np.concatenate(lines))

@@ -10,7 +10,8 @@ from markupsafe import Markup
 
 from calgraph.config import Rig
 from calgraph.io.atomic import write_text
-from calgraph.parallel.processes import forked_jobs, parallel_call
+from calgraph.parallel.engine import parallel_call
+from calgraph.parallel.processes import forked_jobs
 from calgraph.report.capture_view import render_captures
 from calgraph.report.coverage_view import render_coverage
 from calgraph.report.floor_view import render_floor_plan
@@ -37,7 +38,7 @@ def write_report(calibration: Calibration, rig: Rig, path: Path | str, jobs: int
         rig: its configuration. Cameras without intrinsics have no images with overlays;
             :func:`calgraph.recording.resolve_intrinsics` adds them.
         path: the file, e.g. ``OUT/report.html``.
-        jobs: maximum number of processes; see :func:`calgraph.parallel.processes.parallel_call`.
+        jobs: maximum number of processes; see :func:`calgraph.parallel.engine.parallel_call`.
 
     Raises:
         InputError: ``path`` cannot be written.

@@ -10,14 +10,15 @@ from calgraph.config import Cylinder, People, Rig
 from calgraph.errors import CalgraphError, InputError
 from calgraph.geometry import Array
 from calgraph.graph.spanning_tree import SpanningTree
-from calgraph.parallel.processes import forked_jobs, parallel_call
+from calgraph.parallel.engine import parallel_call
+from calgraph.parallel.processes import forked_jobs
 from calgraph.parallel.progress import Progress, no_progress
 from calgraph.recording import Recording, convert_images, resolve_intrinsics
 from calgraph.recording.sensor_topics import check_sensor_topics
 from calgraph.result import Calibration
 from calgraph.result.finding import Finding
-from calgraph.rig.bundle.camera_boards import align_symmetric_prints, locate_boards, scale_boards
-from calgraph.rig.bundle.estimate import solve_bundle, solve_poses
+from calgraph.rig.bundle.camera_boards import align_symmetric_prints, locate_boards
+from calgraph.rig.bundle.estimate import solve_bundle
 from calgraph.rig.bundle.priors import attach_by_priors
 from calgraph.rig.bundle.problem import Problem, SolverOptions, explain_singular_equations, with_prior_poses
 from calgraph.rig.bundle.problem_file import round_trip, save_problem
@@ -34,14 +35,9 @@ from calgraph.rig.checks.drift_tests import include_drifts, measure_drifts
 from calgraph.rig.checks.next_best_pose import add_suggestions, suggest_board_poses
 from calgraph.rig.checks.pose_steps import PoseStep
 from calgraph.rig.options import RigOptions, check_estimator
-from calgraph.rig.pairs.board_pair import (
-    PairwiseEstimates,
-    estimate_pairs,
-    reselect_all_inliers,
-    select_successful,
-)
+from calgraph.rig.pairs.board_pair import PairwiseEstimates, estimate_pairs, select_successful
 from calgraph.rig.pairs.rig_initialization import initialize_rig
-from calgraph.rig.sensor_admission import admit_sensors, agree_mostly, refuse_impossible, replace_lone_root
+from calgraph.rig.sensor_admission import admit_sensors, agree_mostly, refuse_impossible
 from calgraph.rig.step_log import log_captures, log_pairs, log_solution
 from calgraph.rig.strategies import select_initialization, solve_baseline
 from calgraph.sensors import CameraModel
@@ -162,13 +158,6 @@ def build_problem_from_captures(
     rig, captures, pairs = admit_sensors(rig, captures, pairs, rng.spawn(1)[0], options)
     tree = span_tree(pairs)
     captures = align_symmetric_prints(rig, captures, tree.T_root_sensor)
-    if method.keep == "ransac":
-        # RANSAC selects inliers from minimal samples; select them once more under joint poses of all sensors.
-        joint = solve_poses(rig, captures, select_successful(pairs), tree.T_root_sensor)
-        captures = scale_boards(captures, joint.print_scale)
-        pairs = reselect_all_inliers(pairs, joint.T_root_sensor, captures.detections, rig.board_size)
-        rig, captures, pairs = replace_lone_root(rig, captures, pairs, options)
-        tree = span_tree(pairs)
     log_pairs(pairs)
     solver = SolverOptions(estimator=method.estimator, keep=method.keep, folds=options.folds)
     return round_trip(with_prior_poses(Problem(rig, captures, pairs, tree, solver), options.prior, options.rigid))
@@ -180,7 +169,7 @@ def solve_problem(problem: Problem, jobs: int = 1) -> Calibration:
 
     Args:
         problem: to solve.
-        jobs: maximum number of processes; see :func:`calgraph.parallel.processes.parallel_stream`.
+        jobs: maximum number of processes; see :class:`calgraph.parallel.engine.Processes`.
 
     Raises:
         CalibrationError: its equations are singular.

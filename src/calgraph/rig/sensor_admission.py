@@ -92,10 +92,10 @@ def admit_sensors(
     reasons, undecided = _select_impossible(rig, captures, pairs, contradictions)
     if reasons:
         rig, captures, pairs = _leave_out(rig, captures, pairs, reasons, undecided)
-    return replace_lone_root(rig, captures, pairs, options)
+    return _replace_lone_root(rig, captures, pairs, options)
 
 
-def replace_lone_root(
+def _replace_lone_root(
     rig: Rig, captures: CaptureSet, pairs: PairwiseEstimates, options: RigOptions
 ) -> tuple[Rig, CaptureSet, PairwiseEstimates]:
     """Another root, with a finding, in place of one that has no pair, and no prior that ties it."""

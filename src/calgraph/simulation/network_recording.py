@@ -16,7 +16,8 @@ from rosbags.typesys import Stores, get_typestore
 from calgraph.config.settings import LimitSettings
 from calgraph.io.atomic import make_temporary_folder, remove_temporary_folder
 from calgraph.io.text_writing import save_yaml
-from calgraph.parallel.processes import parallel_stream
+from calgraph.parallel.engine import Processes
+from calgraph.parallel.kept_values import Kept
 from calgraph.recording.bag_files import BagFiles
 from calgraph.recording.bags import BagRecording
 from calgraph.recording.writer import RecordingWriter, serialize_message
@@ -99,12 +100,13 @@ def _simulate_groups(
     with ExitStack() as stack:
         place = make_temporary_folder(recording)
         stack.callback(remove_temporary_folder, place)
-        work = [(group, place / str(k)) for k, group in enumerate(groups)]
+        given = Kept.of(network)
+        work = [(given, group, place / str(k)) for k, group in enumerate(groups)]
         done = 0
-        for count in parallel_stream(_write_group, work, network, jobs):
+        for count in Processes(jobs).map(_write_group, work):
             done += count
             report(done)
-        yield [_read_group(path, stack) for _, path in work]
+        yield [_read_group(path, stack) for *_, path in work]
 
 
 def _write_group(network: SimulatedNetwork, scanners: range, path: Path) -> int:

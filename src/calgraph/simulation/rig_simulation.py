@@ -44,12 +44,25 @@ def simulate_rig(
     Raises:
         InputError: the scenario contradicts itself, or there is a recording in ``out`` already.
     """
-    world = build_world(scenario, seed, robot=robot)
+    write_rig(build_world(scenario, seed, robot=robot), out, progress)
+
+
+def write_rig(world: World, out: Path, progress: Progress | None = None) -> None:
+    """Writes the files of :func:`simulate_rig` of a world.
+
+    Args:
+        world: robot, room and board.
+        out: folder, created if missing.
+        progress: called with the number of messages written and in total.
+
+    Raises:
+        InputError: there is a recording in ``out`` already.
+    """
     arrivals = _schedule_messages(world)
     with RecordingWriter(out / "recording") as writer:
         for done, (arrival, sensor, index) in enumerate(arrivals):
             for topic, message in _messages_of_event(world, sensor, index):
-                writer.write(topic, message, arrival, encoding=scenario.camera.encoding)
+                writer.write(topic, message, arrival, encoding=world.scenario.camera.encoding)
             if progress is not None:
                 progress(done + 1, len(arrivals))
     rig = world_rig(world)

@@ -6,22 +6,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calgraph.config import Cylinder, People, Rig
+from calgraph.config import Rig
 from calgraph.errors import Rejected
 from calgraph.geometry import se2
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
-from calgraph.network.checks.assemble import (
-    NetworkPairs,
-    _build_edge,
-    _describe_bodies,
-    _explain_unconnected,
-    assemble_network,
-)
+from calgraph.network.checks.assemble import _build_edge, _describe_bodies, _explain_unconnected, assemble_network
 from calgraph.network.graph.network_initialization import NetworkInitialization
-from calgraph.network.joint.estimate import NetworkSolution, SolvedNetwork
+from calgraph.network.joint.ellipses import EllipseObservations
+from calgraph.network.joint.estimate import NetworkSolution
 from calgraph.network.joint.solver import linearize_network
 from calgraph.network.pairs.hypothesis_evidence import PoseHypothesis
-from calgraph.network.pairs.scanner_pair import ScannerPairEstimate
+from calgraph.network.pairs.scanner_pair import ScannerPairEstimate, ScannerPairs
 from calgraph.network.tracking.track import ScannerTracks, Track
 from calgraph.result import Calibration, StatedPose, Verdict
 from calgraph.result.finding import Finding
@@ -77,7 +72,7 @@ def assemble(
         }
     )
     estimates = [build_pair(k, 0.03 if k == 0 else 0.0) for k in range(3)]
-    pairs: NetworkPairs = {(pair.sensor_a, pair.sensor_b): pair for pair in estimates}
+    pairs: ScannerPairs = {(pair.sensor_a, pair.sensor_b): pair for pair in estimates}
     pairs = {**pairs, ("west", "cellar"): Rejected("too few"), ("east", "cellar"): Rejected("too few")}
     T = np.array([pair.T_a_b for pair in estimates])
     graph = PoseGraph(3, PAIRS, T, INFORMATION[:, None, None] * np.eye(3))
@@ -205,23 +200,23 @@ def test_heights_and_tilts_are_those_of_rig_yaml() -> None:
 
 def test_bodies_of_the_joint_solution_are_named() -> None:
     problem, state = build_network()
-    solved = SolvedNetwork(problem, state, linearize_network(problem, state))
-    ellipse = replace(
-        solved, problem=replace(problem, bodies=solve_two_walks(np.random.default_rng(0)).problem.bodies)
-    )
-    for target, one, expected in (
-        (People(), solved, f"legs ({len(problem.bodies)} tracked)"),
-        (People(), ellipse, "ellipses (2 tracked)"),
-        (Cylinder(diameter=0.5), ellipse, "cylinders (2 tracked)"),
+    solved = linearize_network(problem, state)
+    people = solve_two_walks(np.random.default_rng(0))
+    ellipses = [one for one in people.network.bodies if isinstance(one, EllipseObservations)]
+    cylinders = tuple(replace(one, faces_forward=False) for one in ellipses)
+    for one, expected in (
+        (solved, f"legs ({len(problem.bodies)} tracked)"),
+        (people, "ellipses (2 tracked)"),
+        (replace(people, network=replace(people.network, bodies=cylinders)), "cylinders (2 tracked)"),
     ):
         joint = NetworkSolution(T_ROOT, OFFSET, relate_all(np.eye(12), 3), True, 0.005, one)
-        assert str(_describe_bodies(target, joint)) == expected
+        assert str(_describe_bodies(joint)) == expected
     assert assemble().evidence.bodies is None
 
 
 def test_rare_reasons_come_first_and_those_that_differ_in_numbers_are_one() -> None:
     """A scanner of a large network was compared with many others elsewhere, and matches one by chance."""
-    pairs: NetworkPairs = {(f"s{k}", "cellar"): Rejected(f"only {0.5 * k} s") for k in range(20)}
+    pairs: ScannerPairs = {(f"s{k}", "cellar"): Rejected(f"only {0.5 * k} s") for k in range(20)}
     pairs = {**pairs, ("west", "cellar"): Rejected("by chance")}
     tracked = dict.fromkeys(("cellar", "west"), build_tracks(0))
     assert _explain_unconnected("cellar", "west", tracked, pairs) == (

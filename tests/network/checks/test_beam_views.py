@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from calgraph.network.checks.assemble import _MAX_BEAMS, collect_beam_views
-from calgraph.network.joint.estimate import NetworkSolution, SolvedNetwork
+from calgraph.network.joint.estimate import NetworkSolution
 from calgraph.network.joint.problem import BodyScans
+from calgraph.network.joint.solver import NetworkEquations
 from dense_covariances import relate_all
 from network_scenes import SIGMA
 from solved_networks import replace_bodies, solve_two_walks
@@ -22,7 +23,7 @@ def joint() -> NetworkSolution:
     return as_solution(solved)
 
 
-def as_solution(solved: SolvedNetwork) -> NetworkSolution:
+def as_solution(solved: NetworkEquations) -> NetworkSolution:
     state = solved.state
     return NetworkSolution(state.T_root_scanner, state.clock_offset, relate_all(np.eye(12), 3), True, 0.0, solved)
 
@@ -41,7 +42,7 @@ def test_a_range_that_is_too_long_has_a_positive_residual(joint: NetworkSolution
     def lengthen(scans: BodyScans) -> BodyScans:
         return replace(scans, ranges=scans.ranges + (0.1 if scans.scanner == 1 else 0.0))
 
-    problem = joint.solved.problem
+    problem = joint.solved.network
     bodies = tuple(replace(body, scans=tuple(map(lengthen, body.scans))) for body in problem.bodies)
     longer = replace(joint, solved=replace_bodies(joint.solved, bodies))
     views, _ = collect_beam_views(longer, NAMES, START)
@@ -56,7 +57,7 @@ def test_times_are_of_the_roots_clock_from_the_start(joint: NetworkSolution) -> 
     (_, east, _), _ = collect_beam_views(late, NAMES, START)
     (_, before, _), _ = collect_beam_views(replace(joint, clock_offset=np.zeros(3)), NAMES, START)
     np.testing.assert_allclose(east.times, before.times - 2.5)
-    earliest = min(scans.times[0] for body in joint.solved.problem.bodies for scans in body.scans)
+    earliest = min(scans.times[0] for body in joint.solved.network.bodies for scans in body.scans)
     assert min(before.times) == pytest.approx(earliest - START, abs=0.5)
     assert (np.diff(before.times) >= 0).all()
 
@@ -67,7 +68,7 @@ def test_outliers_are_left_out_and_beams_thinned(joint: NetworkSolution) -> None
     def reject(scans: BodyScans) -> BodyScans:
         return replace(scans, weight=np.where(np.arange(len(scans.weight)) % 2, scans.weight, 0.0))
 
-    problem = joint.solved.problem
+    problem = joint.solved.network
     bodies = tuple(replace(body, scans=tuple(map(reject, body.scans))) for body in problem.bodies)
     half = replace(joint, solved=replace_bodies(joint.solved, bodies))
     views, fit = collect_beam_views(half, NAMES, START)

@@ -14,7 +14,7 @@ from calgraph.network.checks.consistency_tests import (
 )
 from calgraph.network.checks.model_assessment import _INTERVAL
 from calgraph.network.joint.contributions import Contributions, NetworkContributions, split_contributions
-from calgraph.network.joint.estimate import NetworkSolution, SolvedNetwork
+from calgraph.network.joint.estimate import NetworkSolution
 from calgraph.network.joint.problem import BodyScans
 from calgraph.network.joint.solver import linearize_network, optimize_network
 from calgraph.result.finding import Finding
@@ -106,9 +106,9 @@ def test_white_noise_scatters_as_expected(seed: int) -> None:
 
 def test_one_body_cannot_be_compared_with_another() -> None:
     solved = solve_two_walks(np.random.default_rng(0))
-    problem = replace(solved.problem, bodies=solved.problem.bodies[:1])
+    problem = replace(solved.network, bodies=solved.network.bodies[:1])
     state = replace(solved.state, paths=solved.state.paths[:1])
-    one = SolvedNetwork(problem, state, linearize_network(problem, state))
+    one = linearize_network(problem, state)
     parts = join(split_contributions(one, _INTERVAL))
     assert not any("two groups" in found.text for found in find_inconsistent_parts(parts, NAMES, 1.0))
 
@@ -159,11 +159,11 @@ def test_a_scanner_with_data_in_one_half_is_not_compared() -> None:
 
     solved = solve_two_walks(np.random.default_rng(0))
     bodies = tuple(
-        replace(body, scans=tuple(leave(0, scans) for scans in body.scans)) for body in solved.problem.bodies
+        replace(body, scans=tuple(leave(0, scans) for scans in body.scans)) for body in solved.network.bodies
     )
-    network = replace(solved.problem, bodies=bodies)
-    state, equations = optimize_network(network, solved.state, iterations=6)
-    parts = join(split_contributions(SolvedNetwork(network, state, equations), _INTERVAL))
+    network = replace(solved.network, bodies=bodies)
+    _, equations = optimize_network(network, solved.state, iterations=6)
+    parts = join(split_contributions(equations, _INTERVAL))
     found = find_inconsistent_parts(parts, NAMES, 1.0)
     assert not any("the first and the second half" in one.text for one in found)
 

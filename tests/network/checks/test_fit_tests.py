@@ -12,10 +12,10 @@ from calgraph.network.checks.model_assessment import (
     find_poor_fit,
     measure_outline_errors,
 )
-from calgraph.network.joint.estimate import SolvedNetwork
 from calgraph.network.joint.model_error import MAX_HEADING_SIGMA, MAX_POSITION_SIGMA
 from calgraph.network.joint.problem import BodyScans
 from calgraph.network.joint.range_noise import MAX_EXCESS
+from calgraph.network.joint.solver import NetworkEquations
 from calgraph.result.finding import Finding
 from network_scenes import SIGMA
 from solved_networks import replace_bodies, solve_two_walks
@@ -26,57 +26,57 @@ NOISE_LIMIT = np.hypot(SIGMA, MAX_EXCESS)
 
 
 @pytest.fixture(scope="module")
-def solved() -> SolvedNetwork:
+def solved() -> NetworkEquations:
     return solve_two_walks(np.random.default_rng(0))
 
 
-def find(solved: SolvedNetwork) -> list[Finding]:
+def find(solved: NetworkEquations) -> list[Finding]:
     return list(find_poor_fit(solved, NAMES, BACKGROUND))
 
 
-def with_noise(solved: SolvedNetwork, sigma: Array) -> SolvedNetwork:
-    return replace(solved, problem=replace(solved.problem, range_sigma=sigma))
+def with_noise(solved: NetworkEquations, sigma: Array) -> NetworkEquations:
+    return replace(solved, network=replace(solved.network, range_sigma=sigma))
 
 
-def with_model_error(solved: SolvedNetwork, position: float, heading: float) -> SolvedNetwork:
+def with_model_error(solved: NetworkEquations, position: float, heading: float) -> NetworkEquations:
     variance = np.array([position, heading]) ** 2
-    return replace(solved, problem=replace(solved.problem, model_error_variance=variance))
+    return replace(solved, network=replace(solved.network, model_error_variance=variance))
 
 
-def test_a_right_model_fits(solved: SolvedNetwork) -> None:
+def test_a_right_model_fits(solved: NetworkEquations) -> None:
     assert find(solved) == []
 
 
-def test_noise_at_its_limit_refutes_the_model_and_makes_its_scanner_weak(solved: SolvedNetwork) -> None:
+def test_noise_at_its_limit_refutes_the_model_and_makes_its_scanner_weak(solved: NetworkEquations) -> None:
     (found,) = find(with_noise(solved, np.array([SIGMA, NOISE_LIMIT, SIGMA])))
     assert found.text.startswith("the range noise of east at people is at its limit, 5 times that at walls")
     assert (found.sensors, found.refutes) == (("east",), True)
 
 
-def test_noise_of_the_root_at_its_limit_makes_all_scanners_weak(solved: SolvedNetwork) -> None:
+def test_noise_of_the_root_at_its_limit_makes_all_scanners_weak(solved: NetworkEquations) -> None:
     (found,) = find(with_noise(solved, np.array([NOISE_LIMIT, SIGMA, SIGMA])))
     assert found.sensors == NAMES
 
 
-def test_a_position_error_at_its_limit_refutes_the_model(solved: SolvedNetwork) -> None:
+def test_a_position_error_at_its_limit_refutes_the_model(solved: NetworkEquations) -> None:
     (found,) = find(with_model_error(solved, MAX_POSITION_SIGMA, 0.1))
     assert found.text.startswith("scanners disagree about people by 100 mm in each scan")
     assert (found.sensors, found.refutes) == (NAMES, True)
 
 
-def test_a_heading_error_at_its_limit_does_not_refute_the_model(solved: SolvedNetwork) -> None:
+def test_a_heading_error_at_its_limit_does_not_refute_the_model(solved: NetworkEquations) -> None:
     (found,) = find(with_model_error(solved, 0.001, MAX_HEADING_SIGMA))
     assert found.text.startswith("scanners disagree about people by 29° in each scan")
     assert (found.sensors, found.refutes) == (NAMES, False)
 
 
-def test_a_scanner_of_whose_beams_few_have_a_weight_is_weak(solved: SolvedNetwork) -> None:
+def test_a_scanner_of_whose_beams_few_have_a_weight_is_weak(solved: NetworkEquations) -> None:
     def drop_half(scans: BodyScans) -> BodyScans:
         kept = np.arange(len(scans.weight)) % 2 == 0
         return replace(scans, weight=scans.weight * (kept | (scans.scanner != 2)))
 
     bodies = tuple(
-        replace(body, scans=tuple(drop_half(scans) for scans in body.scans)) for body in solved.problem.bodies
+        replace(body, scans=tuple(drop_half(scans) for scans in body.scans)) for body in solved.network.bodies
     )
     (found,) = find(replace_bodies(solved, bodies))
     assert found.text.startswith("only 4")
@@ -113,7 +113,7 @@ def test_correlated_beams_make_poses_weak_whose_error_exceeds_the_tolerance() ->
     assert list(find_correlated_beams(NAMES, np.full(3, 0.1), np.zeros(3), 0.002)) == []
 
 
-def test_correlated_noise_that_walls_have_as_well_is_no_error_of_the_outline(solved: SolvedNetwork) -> None:
+def test_correlated_noise_that_walls_have_as_well_is_no_error_of_the_outline(solved: NetworkEquations) -> None:
     noisy = with_noise(solved, SIGMA * np.array([2, 0.9, 2]))
     errors = measure_outline_errors(noisy, BACKGROUND, CORRELATION)
     np.testing.assert_allclose(errors, [0, 0, np.sqrt(0.3 * 3) * SIGMA])
@@ -122,11 +122,11 @@ def test_correlated_noise_that_walls_have_as_well_is_no_error_of_the_outline(sol
     assert found.sensors == ()
 
 
-def test_residuals_of_white_noise_are_not_correlated(solved: SolvedNetwork) -> None:
+def test_residuals_of_white_noise_are_not_correlated(solved: NetworkEquations) -> None:
     np.testing.assert_array_less(np.abs(correlate_adjacent_beams(solved)), 0.12)
 
 
-def test_beams_of_different_scans_are_not_adjacent(solved: SolvedNetwork) -> None:
+def test_beams_of_different_scans_are_not_adjacent(solved: NetworkEquations) -> None:
     # One beam a scan: there are no adjacent ones.
     bodies = tuple(
         replace(
@@ -136,7 +136,7 @@ def test_beams_of_different_scans_are_not_adjacent(solved: SolvedNetwork) -> Non
                 for scans in body.scans
             ),
         )
-        for body in solved.problem.bodies
+        for body in solved.network.bodies
     )
     alone = replace_bodies(solved, bodies)
     np.testing.assert_array_equal(correlate_adjacent_beams(alone), 0)

@@ -6,15 +6,16 @@ from functools import cache
 import numpy as np
 import pytest
 
-from calgraph.config import People
 from calgraph.geometry import Array, se2
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
+from calgraph.network.checks.consistency_tests import Scatter
 from calgraph.network.checks.model_assessment import ModelAssessment, add_position_errors, assess_network_model
 from calgraph.network.graph.network_initialization import NetworkInitialization
-from calgraph.network.joint.estimate import NetworkSolution, SolvedNetwork
+from calgraph.network.joint.ellipses import EllipseObservations
+from calgraph.network.joint.estimate import NetworkSolution
 from calgraph.network.joint.problem import BodyScans
 from calgraph.network.joint.range_noise import MAX_EXCESS
-from calgraph.network.joint.solver import linearize_network
+from calgraph.network.joint.solver import NetworkEquations, linearize_network
 from calgraph.network.tracking.track import ScannerTracks
 from dense_covariances import relate_all
 from leg_scenes import build_network
@@ -24,13 +25,12 @@ from solved_networks import no_change, solve_two_walks
 NAMES = ("west", "east", "north")
 TRACKED = [ScannerTracks((), np.zeros((0, 2)), SIGMA)] * 3
 EDGES = np.array([[0, 1], [0, 2]])
-AXES = (0.25, 0.15)
 PAIR_SIGMA = 0.02
 """Of averaged poses, m and rad."""
 
 
 @cache
-def solve(alternating: bool = False) -> SolvedNetwork:
+def solve(alternating: bool = False) -> NetworkEquations:
     """The solution of a right recording, or of one in which errors change every five seconds."""
 
     def alternate(_body: int, scans: BodyScans) -> BodyScans:
@@ -42,17 +42,13 @@ def solve(alternating: bool = False) -> SolvedNetwork:
     return solve_two_walks(np.random.default_rng(0), alternate if alternating else no_change)
 
 
-def with_noise_at_limit() -> SolvedNetwork:
+def with_noise_at_limit() -> NetworkEquations:
     limit = np.hypot(SIGMA, MAX_EXCESS)
-    return replace(solve(), problem=replace(solve().problem, range_sigma=np.full(3, limit)))
+    return replace(solve(), network=replace(solve().network, range_sigma=np.full(3, limit)))
 
 
 def assess(
-    solved: SolvedNetwork | None,
-    averaging_error: float = 0.0,
-    axes: tuple[float, float] = AXES,
-    *,
-    replaceable: bool = True,
+    solved: NetworkEquations | None, averaging_error: float = 0.0, *, replaceable: bool = True
 ) -> ModelAssessment:
     """With averaged poses of which the last is off by ``averaging_error``, m."""
     joint = NetworkSolution(T_ROOT, OFFSET, relate_all(1e-6 * np.eye(12), 3), True, 0.005, solved)
@@ -61,7 +57,6 @@ def assess(
     T_i_j = np.array([se2.inverse(averaged[i]) @ averaged[j] for i, j in EDGES])
     graph = PoseGraph(3, EDGES, T_i_j, np.tile(np.eye(3) / PAIR_SIGMA**2, (2, 1, 1)))
     return assess_network_model(
-        People(kind="people", axes=axes),
         joint,
         TRACKED,
         NetworkInitialization({}, graph, NAMES, PoseGraphSolution(averaged, np.array([True, True]))),
@@ -90,7 +85,8 @@ def test_errors_of_outlines_add_to_position_variances() -> None:
 def test_correlated_beams_of_another_shape_widen_the_covariance(monkeypatch: pytest.MonkeyPatch) -> None:
     module = "calgraph.network.checks.model_assessment"
     monkeypatch.setattr(f"{module}.correlate_adjacent_beams", lambda _: np.array([0.0, 0.0, 0.8]))
-    noisy = replace(solve(), problem=replace(solve().problem, range_sigma=SIGMA * np.array([1, 1, 3])))
+    monkeypatch.setattr(f"{module}.measure_scatter", lambda _: Scatter(1.0, 1.0))
+    noisy = replace(solve(), network=replace(solve().network, range_sigma=SIGMA * np.array([1, 1, 3])))
     found = assess(noisy)
     (finding,) = found.findings
     assert "north at people have a correlation of 0.80" in finding.text
@@ -105,8 +101,8 @@ def test_a_solution_without_its_problem_is_not_tested() -> None:
 
 
 def test_a_solution_without_bodies_is_not_tested() -> None:
-    problem, state = replace(solve().problem, bodies=()), replace(solve().state, paths=())
-    nothing = SolvedNetwork(problem, state, linearize_network(problem, state))
+    problem, state = replace(solve().network, bodies=()), replace(solve().state, paths=())
+    nothing = linearize_network(problem, state)
     assert assess(nothing, averaging_error=1.0).findings == ()
 
 
@@ -154,14 +150,14 @@ def test_parts_and_averaged_pairs_that_both_disagree_refute_the_model() -> None:
 
 def test_averages_are_evidence_against_legs_whatever_their_radii() -> None:
     problem, state = build_network()
-    legs = SolvedNetwork(problem, state, linearize_network(problem, state))
+    legs = linearize_network(problem, state)
     assert any("from averaged pairs" in finding.text for finding in assess(legs, averaging_error=0.2).findings)
 
 
 def test_averages_of_legs_may_be_farther_off_than_their_covariance_states() -> None:
     """5.5 standard deviations of 2 cm, of which legs make 28 mm."""
     problem, state = build_network()
-    legs = SolvedNetwork(problem, state, linearize_network(problem, state))
+    legs = linearize_network(problem, state)
     for solved, disagree in ((legs, False), (solve(), True)):
         found = assess(solved, averaging_error=0.11).findings
         assert any("from averaged pairs" in finding.text for finding in found) is disagree
@@ -169,4 +165,8 @@ def test_averages_of_legs_may_be_farther_off_than_their_covariance_states() -> N
 
 @pytest.mark.parametrize("axes", [(0.18, 0.15), (0.25, 0.19)])
 def test_averages_with_stated_radii_that_are_wrong_are_no_evidence(axes: tuple[float, float]) -> None:
-    assert assess(solve(), averaging_error=0.2, axes=axes).findings == ()
+    solved = solve()
+    bodies = [one for one in solved.network.bodies if isinstance(one, EllipseObservations)]
+    stated_otherwise = tuple(replace(one, radii=np.array(axes)) for one in bodies)
+    stated = replace(solved, network=replace(solved.network, bodies=stated_otherwise))
+    assert assess(stated, averaging_error=0.2).findings == ()

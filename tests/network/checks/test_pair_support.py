@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from calgraph.graph.pose_graph import PoseGraph
+from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
 from calgraph.network.checks.findings import _MIN_MATCHED_SHARE, find_poorly_supported_parts
+from calgraph.network.graph.network_initialization import NetworkInitialization
 from calgraph.network.pairs.hypothesis_evidence import PoseHypothesis
 from calgraph.network.pairs.scanner_pair import ScannerPairEstimate
 from calgraph.result.finding import Finding
@@ -26,7 +27,8 @@ def find(shares: dict[tuple[int, int], float]) -> list[Finding]:
         )
         for (i, j), share in shares.items()
     }
-    return find_poorly_supported_parts(graph, NAMES, np.tile(np.eye(3), (len(NAMES), 1, 1)), pairs, LIMIT)
+    solution = PoseGraphSolution(np.tile(np.eye(3), (len(NAMES), 1, 1)), np.ones(count, dtype=np.bool_))
+    return find_poorly_supported_parts(NetworkInitialization(pairs, graph, NAMES, solution))
 
 
 def test_a_part_behind_one_poor_pair_is_named() -> None:

@@ -23,7 +23,6 @@ T_ROOT = {
 }
 START = 1000.0
 SIGMA = 0.02
-MAX_DISTANCE, MIN_TICKS = 0.5, 5
 
 
 def simulate_walk(begin: float, end: float, y: float) -> Array:
@@ -65,11 +64,11 @@ def samples(rng: np.random.Generator) -> dict[str, TrackSamples]:
 
 
 def match(samples: dict[str, TrackSamples], names: tuple[str, ...] = tuple(T_ROOT)) -> CrossScannerMatches:
-    return match_across_scanners(samples, {name: T_ROOT[name] for name in names}, MAX_DISTANCE)
+    return match_across_scanners(samples, {name: T_ROOT[name] for name in names})
 
 
 def rows_of(name: str, samples: dict[str, TrackSamples], connected: tuple[str, ...]) -> list[CaptureRow]:
-    rows = build_walk_rows(samples, match(samples, connected), START, MIN_TICKS)
+    rows = build_walk_rows(samples, match(samples, connected), START)
     return [row for row in rows if row.sensor == name]
 
 
@@ -125,7 +124,7 @@ def test_times_count_from_the_start_of_the_recording(samples: dict[str, TrackSam
 
 
 def test_walks_are_numbered_in_order_of_time(samples: dict[str, TrackSamples]) -> None:
-    rows = build_walk_rows(samples, match(samples), START, MIN_TICKS)
+    rows = build_walk_rows(samples, match(samples), START)
     assert [row.capture for row in rows] == list(range(6))
     assert [row.start for row in rows] == sorted(row.start for row in rows)
 
@@ -154,7 +153,7 @@ def test_without_tracks_there_are_no_matches(rng: np.random.Generator) -> None:
     samples = {n: resample_tracks(build_tracks(n, [], rng)) for n in T_ROOT}
     matches = match(samples)
     assert matches.residuals.shape == (0, 2)
-    assert build_walk_rows(samples, matches, START, MIN_TICKS) == ()
+    assert build_walk_rows(samples, matches, START) == ()
 
 
 def test_the_floor_plan_is_in_the_root_frame(rng: np.random.Generator) -> None:
@@ -229,9 +228,7 @@ def stand(ticks: int) -> TrackSamples:
 
 @pytest.mark.parametrize(("ticks", "kept"), [(19_990, 19_990), (20_010, 10_005)])
 def test_the_histogram_has_at_most_20_000_residuals(ticks: int, kept: int) -> None:
-    matches = match_across_scanners(
-        dict.fromkeys("ab", stand(ticks)), {"a": np.eye(3), "b": np.eye(3)}, MAX_DISTANCE
-    )
+    matches = match_across_scanners(dict.fromkeys("ab", stand(ticks)), {"a": np.eye(3), "b": np.eye(3)})
     assert len(matches.residuals) == kept
 
 

@@ -4,7 +4,7 @@ import numpy as np
 
 from calgraph.geometry import Array, se2
 from calgraph.graph.pose_graph import PoseGraphSolution
-from calgraph.network.graph.conflicting_evidence import AmbiguousPart, find_ambiguous_parts
+from calgraph.network.graph.cuts import AmbiguousPart, AveragedGraph, find_ambiguous_parts
 from calgraph.network.graph.network_graph import build_network_graph
 from calgraph.network.pairs.hypothesis_evidence import PoseHypothesis
 from calgraph.network.pairs.scanner_pair import ScannerPairEstimate
@@ -29,7 +29,7 @@ def find(*edges: Edge) -> list[AmbiguousPart]:
     by_pair = sorted(edges, key=lambda edge: list(pairs).index(edge[0]))
     evidence = np.array([edge[1] for edge in by_pair])
     inliers = np.array([edge[2] == 0 for edge in by_pair])
-    return find_ambiguous_parts(graph, evidence, PoseGraphSolution(poses, inliers))
+    return find_ambiguous_parts(AveragedGraph(graph, PoseGraphSolution(poses, inliers), evidence))
 
 
 def test_nothing_is_ambiguous_without_alternatives() -> None:

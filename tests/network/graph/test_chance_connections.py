@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from calgraph.errors import Rejected
 from calgraph.geometry import se2
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
+from calgraph.network.graph.cuts import AveragedGraph, find_chance_connections
 from calgraph.network.graph.network_initialization import NetworkInitialization, initialize_network
-from calgraph.network.graph.visibility_check import find_chance_connections
 from calgraph.network.pairs.hypothesis_evidence import PoseHypothesis
 from calgraph.network.pairs.scanner_pair import ScannerPairEstimate
 from calgraph.network.pairs.visibility_map import ScannerObservations
@@ -32,7 +32,7 @@ def found(ends: list[tuple[int, int]], by_chance: list[int], outliers: tuple[int
     inliers = ~np.isin(np.arange(count), outliers)
     solution = PoseGraphSolution(np.tile(np.eye(3), (5, 1, 1)), inliers)
     chance: NDArray[np.bool_] = np.isin(np.arange(count), by_chance)
-    return np.flatnonzero(find_chance_connections(graph, solution, chance)).tolist()
+    return np.flatnonzero(find_chance_connections(AveragedGraph(graph, solution, np.ones(count)), chance)).tolist()
 
 
 ROW = [(0, 1), (1, 2), (2, 3), (3, 4)]

@@ -6,8 +6,8 @@ import numpy as np
 
 from calgraph.geometry import Array, se2
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
-from calgraph.network.graph.conflicting_evidence import ConflictingEvidence, find_conflicting_evidence
-from calgraph.network.graph.network_graph import build_network_graph
+from calgraph.network.graph.cuts import AveragedGraph, ConflictingEvidence, find_conflicting_evidence
+from calgraph.network.graph.network_graph import build_network_graph, edge_evidence
 from calgraph.network.pairs.hypothesis_evidence import PoseHypothesis
 from calgraph.network.pairs.scanner_pair import ScannerPairEstimate
 
@@ -34,13 +34,9 @@ def doubted(*pairs: ScannerPairEstimate) -> tuple[PoseGraph, tuple[str, ...], Co
     poses: Array = np.array([se2.inverse(T["a"]) @ T[name] for name in names])
     i, j = graph.edges.T
     off = se2.difference(se2.inverse(poses[i]) @ poses[j], graph.T_i_j)
-    return (
-        graph,
-        names,
-        find_conflicting_evidence(
-            graph, names, pairs, PoseGraphSolution(poses, np.hypot(off[:, 0], off[:, 1]) < 0.1)
-        ),
-    )
+    solution = PoseGraphSolution(poses, np.hypot(off[:, 0], off[:, 1]) < 0.1)
+    averaged = AveragedGraph(graph, solution, edge_evidence(names, pairs))
+    return graph, names, find_conflicting_evidence(averaged, names)
 
 
 AB = ScannerPairEstimate("a", "b", (found("a", "b", 200),))

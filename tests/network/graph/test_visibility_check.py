@@ -9,14 +9,15 @@ from numpy.typing import NDArray
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2
 from calgraph.graph.pose_graph import PoseGraphSolution
-from calgraph.network.graph import visibility_check
-from calgraph.network.graph.network_graph import build_network_graph
-from calgraph.network.graph.network_initialization import NetworkInitialization, initialize_network
-from calgraph.network.graph.visibility_check import (
+from calgraph.network.graph import cuts
+from calgraph.network.graph.cuts import (
+    AveragedGraph,
     VisibilityConflict,
     _compare_detections,
     find_visibility_conflict,
 )
+from calgraph.network.graph.network_graph import build_network_graph
+from calgraph.network.graph.network_initialization import NetworkInitialization, initialize_network
 from calgraph.network.pairs.hypothesis_evidence import PoseHypothesis
 from calgraph.network.pairs.scanner_pair import ScannerPairEstimate
 from calgraph.network.pairs.visibility_map import ScannerObservations
@@ -66,7 +67,9 @@ def judged(T_a_d: Array, seen: dict[str, ScannerObservations]) -> VisibilityConf
     graph, names = build_network_graph("a", pairs)
     poses = np.array([T_a_d if name == "d" else T[name] for name in names])
     averaged = PoseGraphSolution(poses, np.ones(3, dtype=np.bool_))
-    return find_visibility_conflict(graph, [seen[name] for name in names], averaged, np.full(3, 200.0))
+    return find_visibility_conflict(
+        AveragedGraph(graph, averaged, np.full(3, 200.0)), [seen[name] for name in names]
+    )
 
 
 def test_nothing_is_refuted_where_all_are_in_their_places() -> None:
@@ -92,11 +95,11 @@ def test_of_several_cuts_the_weakest_is_refuted(monkeypatch: pytest.MonkeyPatch)
         def count_across(self, part: NDArray[np.bool_]) -> tuple[int, int]:
             return 100, 70 if part.tolist() == [False, False, False, True] else 90
 
-    monkeypatch.setattr(visibility_check, "_compare_detections", lambda *_: Detections())
+    monkeypatch.setattr(cuts, "_compare_detections", lambda *_: Detections())
     chain = [ScannerPairEstimate(a, b, (right(a, b),)) for a, b in pairwise(NAMES)]
     graph, names = build_network_graph("a", chain)
     solution = PoseGraphSolution(np.array([T[name] for name in names]), np.ones(3, dtype=np.bool_))
-    found = find_visibility_conflict(graph, [], solution, np.array([300.0, 200.0, 100.0]))
+    found = find_visibility_conflict(AveragedGraph(graph, solution, np.array([300.0, 200.0, 100.0])), [])
     assert found
     assert found.edges.tolist() == [False, False, True]
     assert found.missed_share == 0.7

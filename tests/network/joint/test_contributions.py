@@ -3,12 +3,10 @@
 import numpy as np
 import pytest
 
-from calgraph.network.joint.beam_residuals import list_beam_residuals
+from calgraph.network.joint.body_equations import predict_beams
 from calgraph.network.joint.contributions import Contributions, split_contributions
-from calgraph.network.joint.estimate import SolvedNetwork
-from calgraph.network.joint.model_error import TUKEY_LIMIT
-from calgraph.network.joint.scan_equations import TukeyLoss
-from calgraph.network.joint.solver import linearize_network
+from calgraph.network.joint.scan_equations import TUKEY_LIMIT, TukeyLoss
+from calgraph.network.joint.solver import NetworkEquations, linearize_network
 from leg_scenes import build_network
 from network_scenes import eliminate_densely
 from solved_networks import SECONDS, solve_two_walks
@@ -18,7 +16,7 @@ pytestmark = pytest.mark.slow
 SHRINKAGE = TukeyLoss(TUKEY_LIMIT).score_to_information ** 0.5
 
 
-def split(solved: SolvedNetwork, interval: float) -> Contributions:
+def split(solved: NetworkEquations, interval: float) -> Contributions:
     """The parts over all scanners."""
     return split_contributions(solved, interval).select(np.arange(3))
 
@@ -31,7 +29,7 @@ def parts() -> Contributions:
 def test_parts_and_priors_add_up_to_the_information_of_the_whole() -> None:
     solved = solve_two_walks(np.random.default_rng(0))
     parts = split(solved, 3.0)
-    H = eliminate_densely(solved.equations)
+    H = eliminate_densely(solved)
     np.testing.assert_allclose(
         parts.sum_information(np.ones(len(parts.body))) + SHRINKAGE * parts.prior, H, rtol=1e-9, atol=1e-3
     )
@@ -73,10 +71,10 @@ def test_unknowns_are_named_by_scanner_and_kind(parts: Contributions) -> None:
 
 def test_a_leg_is_one_part() -> None:
     problem, state = build_network()
-    solved = SolvedNetwork(problem, state, linearize_network(problem, state))
+    solved = linearize_network(problem, state)
     parts = split(solved, 1.0)
     np.testing.assert_array_equal(parts.body, [0, 1])
-    H = eliminate_densely(solved.equations)
+    H = eliminate_densely(solved)
     information = parts.sum_information(np.ones(len(parts.body)))
     np.testing.assert_allclose(information + SHRINKAGE * parts.prior, H, rtol=1e-9, atol=1e-3)
 
@@ -86,7 +84,7 @@ def test_beams_without_noise_have_no_residuals_at_the_true_state_of_legs() -> No
     beams = [
         one
         for body, path in zip(network.bodies, state.paths, strict=True)
-        for one in list_beam_residuals(network, state, body, path)
+        for one in predict_beams(network, state, body, path)
     ]
     assert [one.scans.scanner for one in beams] == [0, 1, 2, 0, 1, 2]
     for one in beams:

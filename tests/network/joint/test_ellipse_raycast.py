@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 
 from calgraph.geometry import Array
-from calgraph.network.joint.ellipse_equations import RaycastHits, raycast_ellipses, rotate_by_small_angles
+from calgraph.network.joint.ellipses import RaycastHits
+from calgraph.network.joint.scanner_unknowns import rotate_by_small_angles
 from calgraph.simulation.network_beams import cast_ellipses
+from network_scenes import meet_ellipses
 
 ORIGIN = np.zeros((1, 2))
 
@@ -29,7 +31,7 @@ def differentiate(arguments: tuple[Array, ...], step: float = 1e-6) -> Array:
     for k in range(5):
         step_k = step * np.eye(5)[k]
         ahead, behind = (
-            raycast_ellipses(
+            meet_ellipses(
                 origin, direction, centre + s * step_k[:2], heading + s * step_k[2], radii + s * step_k[3:]
             ).ranges
             for s in (1, -1)
@@ -41,7 +43,7 @@ def differentiate(arguments: tuple[Array, ...], step: float = 1e-6) -> Array:
 def cast_beam(angle: float, centre: tuple[float, float], heading: float) -> RaycastHits:
     """One beam from the origin to a person."""
     direction = np.array([[np.cos(angle), np.sin(angle)]])
-    return raycast_ellipses(ORIGIN, direction, np.array([centre]), np.array([heading]), np.array([[0.25, 0.15]]))
+    return meet_ellipses(ORIGIN, direction, np.array([centre]), np.array([heading]), np.array([[0.25, 0.15]]))
 
 
 def test_ranges_equal_those_of_the_simulation(rng: np.random.Generator) -> None:
@@ -51,14 +53,14 @@ def test_ranges_equal_those_of_the_simulation(rng: np.random.Generator) -> None:
         cast_ellipses(origin[k], angles[k : k + 1], centre[k : k + 1], heading[k : k + 1], radii[k])[0]
         for k in range(500)
     ]
-    ranges = raycast_ellipses(origin, direction, centre, heading, radii).ranges
+    ranges = meet_ellipses(origin, direction, centre, heading, radii).ranges
     np.testing.assert_allclose(np.where(np.isnan(ranges), np.inf, ranges), expected, rtol=1e-7)
 
 
 @pytest.mark.parametrize(("nearest", "farthest"), [(1.0, 20.0), (0.01, 0.2), (50.0, 100.0)])
 def test_the_jacobian_equals_finite_differences(nearest: float, farthest: float, rng: np.random.Generator) -> None:
     arguments = sample_beams(rng, 2000, nearest, farthest)
-    hits = raycast_ellipses(*arguments)
+    hits = meet_ellipses(*arguments)
     not_grazing = hits.cos_incidence > 0.1
     np.testing.assert_allclose(
         hits.jacobian[not_grazing], differentiate(arguments)[not_grazing], rtol=1e-3, atol=1e-3
@@ -67,7 +69,7 @@ def test_the_jacobian_equals_finite_differences(nearest: float, farthest: float,
 
 def test_the_jacobian_equals_finite_differences_at_grazing_incidence(rng: np.random.Generator) -> None:
     arguments = sample_beams(rng, 20000, 1.0, 5.0)
-    hits = raycast_ellipses(*arguments)
+    hits = meet_ellipses(*arguments)
     grazing = (hits.cos_incidence > 0.02) & (hits.cos_incidence < 0.1)
     expected = differentiate(arguments, step=1e-8)[grazing]
     size = np.abs(expected).max(axis=1, keepdims=True)

@@ -12,7 +12,7 @@ from calgraph.config.settings import NetworkEstimationSettings
 from calgraph.geometry import Array, se2
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
 from calgraph.network.joint import body_batches
-from calgraph.network.joint.ellipse_equations import raycast_ellipses
+from calgraph.network.joint.ellipses import EllipseObservations
 from calgraph.network.joint.estimate import (
     _CYLINDER_RADIUS_SIGMA,
     _PEOPLE_RADII_SIGMA,
@@ -23,14 +23,14 @@ from calgraph.network.joint.estimate import (
     select_bridges,
     solve_network,
 )
-from calgraph.network.joint.problem import BodyObservations, BodyPath, BodyScans, NetworkProblem, WallConstraint
+from calgraph.network.joint.problem import BodyPath, BodyScans, NetworkProblem, WallConstraint
 from calgraph.network.joint.scanner_unknowns import SYSTEMATIC_ERRORS
 from calgraph.network.joint.splines import Knots, evaluate_spline
 from calgraph.network.joint.track_association import BodyTracks
 from calgraph.network.tracking.track import Hits, ScannerTracks, Track
 from calgraph.parallel.engine import Processes
 from dense_covariances import relate_all
-from network_scenes import DENSITY, OFFSET, SETTINGS, SIGMA, T_ROOT, build_track, simulate_scans
+from network_scenes import DENSITY, OFFSET, SETTINGS, SIGMA, T_ROOT, build_track, meet_ellipses, simulate_scans
 
 PEOPLE, ROUND = People(kind="people", axes=(0.25, 0.15)), Cylinder(kind="cylinder", diameter=0.5)
 SECONDS = 12.0
@@ -59,9 +59,9 @@ def add_arms(scans: BodyScans, knots: Knots, path: BodyPath, swing: float, rng: 
     direction, forth = scans.direction @ T[:2, :2].T, swing * np.sin(2 * np.pi * 0.9 * at)[:, None]
     ranges = scans.ranges
     for side in (1, -1):
-        arm = pose[:, :2] + side * (path.radii[0] * left + forth * ahead)
+        arm = pose[:, :2] + side * (path.shape[0] * left + forth * ahead)
         origin, radii = (np.broadcast_to(x, direction.shape) for x in (T[:2, 2], np.array([0.045, 0.06])))
-        hit = raycast_ellipses(origin, direction, arm, pose[:, 2], radii).ranges
+        hit = meet_ellipses(origin, direction, arm, pose[:, 2], radii).ranges
         ranges = np.fmin(ranges, hit + rng.normal(0, SIGMA, len(hit)))
     return replace(scans, ranges=ranges)
 
@@ -242,7 +242,7 @@ def test_only_edges_between_unconnected_parts_are_bridges() -> None:
     # Scanners 0 and 1 measured one body, 1 and 2 only outliers on another one; 3 and 4 share walls.
     knots = Knots.spanning(0.0, 1.0, 0.2)
     bodies = tuple(
-        BodyObservations(knots, (scans(a, weight), scans(b, weight)), np.ones(2), np.ones(2), True)
+        EllipseObservations(knots, (scans(a, weight), scans(b, weight)), np.ones(2), np.ones(2), True)
         for a, b, weight in ((0, 1, 1.0), (1, 2, 0.0))
     )
     network = NetworkProblem(

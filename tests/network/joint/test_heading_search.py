@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from calgraph.geometry import Array
+from calgraph.network.joint.ellipses import EllipseObservations
 from calgraph.network.joint.heading_search import _find_cheapest_sequence, search_headings
-from calgraph.network.joint.problem import BodyObservations, BodyPath, NetworkProblem, NetworkState
+from calgraph.network.joint.problem import BodyPath, NetworkProblem, NetworkState
 from calgraph.network.joint.splines import Knots
 from network_scenes import DENSITY, EXACT, OFFSET, SETTINGS, SIGMA, T_ROOT, simulate_scans
 
@@ -29,7 +30,7 @@ def scene(
     """The problem of three scanners, and the true state but for a constant heading."""
     path = BodyPath(simulate_turn(side), RADII)
     scans = tuple(simulate_scans(s, KNOTS, path, np.arange(0.1 + 0.013 * s, 4.9, 0.07), rng) for s in range(3))
-    body = BodyObservations(KNOTS, scans, RADII, 0.3 * RADII, faces_forward)
+    body = EllipseObservations(KNOTS, scans, RADII, 0.3 * RADII, faces_forward)
     network = NetworkProblem(
         3, (body,), (), np.full(3, SIGMA), np.array([0.005, 0.05]) ** 2, 0.1, EXACT, 0.0, DENSITY, SETTINGS
     )

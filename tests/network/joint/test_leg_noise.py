@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calgraph.network.joint.leg_problem import LegObservations
 from calgraph.network.joint.leg_solution import LegNoise, estimate_noise
+from calgraph.network.joint.legs import LegObservations
 from calgraph.network.joint.solver import optimize_network
 from leg_scenes import build_network
 
@@ -27,8 +27,8 @@ def estimate(bias: float) -> LegNoise:
         ]
         legs.append(replace(leg, scans=tuple(noisy), bias_variance=1e-4))
     problem = replace(problem, bodies=tuple(legs))
-    state, equations = optimize_network(problem, state, iterations=10)
-    return estimate_noise(problem, state, equations, BACKGROUND)
+    _, equations = optimize_network(problem, state, iterations=10)
+    return estimate_noise(equations, BACKGROUND)
 
 
 def test_range_noise_is_that_of_the_ranges() -> None:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from calgraph.geometry import Array
-from calgraph.network.joint.leg_equations import LegHits, raycast_legs
+from calgraph.network.joint.legs import LegHits, raycast_legs
 
 HARMONICS = (3, 4)
 

@@ -8,7 +8,7 @@ from calgraph.config.settings import NetworkEstimationSettings, TrackingSettings
 from calgraph.geometry import Array, se2
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
 from calgraph.network.joint.estimate import NetworkSolution, solve_network
-from calgraph.network.joint.leg_problem import LegObservations
+from calgraph.network.joint.legs import LegObservations
 from calgraph.network.tracking.track import ScannerTracks
 from calgraph.network.tracking.track_scanner import track_scanner
 from calgraph.simulation import NetworkScenario, build_network, network_rig, network_truth, simulate_scans
@@ -58,10 +58,10 @@ def test_poses_and_clocks_are_found(solved: tuple[NetworkSolution, Array, Array]
 def test_bodies_are_legs_and_most_beams_are_used(solved: tuple[NetworkSolution, Array, Array]) -> None:
     network = solved[0].solved
     assert network is not None
-    legs = network.problem.bodies
+    legs = network.network.bodies
     assert len(legs) >= 4
     assert all(isinstance(leg, LegObservations) for leg in legs)
     weight = np.concatenate([scans.weight for leg in legs for scans in leg.scans])
     assert np.mean(weight > 0) > 0.9
-    radii = np.array([path.radii for path in network.state.paths])
+    radii = np.array([path.shape[0] for path in network.state.paths])
     assert np.median(radii) == pytest.approx(0.06, abs=0.008)

@@ -8,7 +8,6 @@ import pytest
 from calgraph.config import People
 from calgraph.config.settings import LegSettings
 from calgraph.geometry import Array
-from calgraph.network.joint.leg_problem import measures_legs
 from calgraph.network.joint.leg_solution import (
     LegCandidate,
     ScannerBeams,
@@ -17,6 +16,7 @@ from calgraph.network.joint.leg_solution import (
     predict_headings,
 )
 from calgraph.network.joint.leg_tracks import track_legs
+from calgraph.network.joint.legs import measures_legs
 from calgraph.network.joint.scanner_unknowns import RANGE_BIAS, SYSTEMATIC_ERRORS
 from calgraph.network.joint.splines import evaluate_spline
 from calgraph.network.tracking.leg_clusters import cluster_legs

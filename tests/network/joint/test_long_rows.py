@@ -69,7 +69,7 @@ def accumulate(T: Array, errors: Array) -> Array:
 
 def test_poses_of_a_long_row_are_at_the_minimum(solution: NetworkSolution) -> None:
     assert solution.solved is not None
-    (step, _), _ = solution.solved.equations.solve(0.0)
+    (step, _), _ = solution.solved.solve(0.0)
     poses = step.reshape(COUNT, -1)[1:, :3]
     sigma = np.sqrt(np.diagonal(solution.pose_covariance)).reshape(-1, 3)[1:]
     assert np.abs(poses / sigma).max() < 0.2

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from calgraph.geometry import Array
-from calgraph.network.joint.ellipse_equations import raycast_ellipses
+from calgraph.network.joint.ellipses import EllipseObservations
 from calgraph.network.joint.model_error import estimate_model_error
-from calgraph.network.joint.problem import BodyObservations, BodyPath, BodyScans, NetworkProblem, NetworkState
+from calgraph.network.joint.problem import BodyPath, BodyScans, NetworkProblem, NetworkState
 from calgraph.network.joint.splines import Knots, evaluate_spline
-from network_scenes import DENSITY, EXACT, LOSS, OFFSET, SETTINGS, SIGMA, T_ROOT, simulate_scans
+from network_scenes import DENSITY, EXACT, LOSS, OFFSET, SETTINGS, SIGMA, T_ROOT, meet_ellipses, simulate_scans
 
 SECONDS = 60.0
 INITIAL = np.array([0.005, 0.05]) ** 2
@@ -29,7 +29,7 @@ def simulate_network(
         displace_scans(simulate_scans(s, knots, body_path, times, rng), knots, body_path, position, heading, rng)
         for s in range(3)
     )
-    body = BodyObservations(knots, scans, body_path.radii, 0.1 * body_path.radii, faces_forward=False)
+    body = EllipseObservations(knots, scans, body_path.shape, 0.1 * body_path.shape, faces_forward=False)
     network = NetworkProblem(3, (body,), (), np.full(3, SIGMA), INITIAL, 0.1, EXACT, 0.0, DENSITY, SETTINGS)
     return network, NetworkState(T_ROOT, OFFSET, EXACT, (body_path,))
 
@@ -43,10 +43,10 @@ def displace_scans(
     displacement = rng.normal(0, [position, position, heading], (len(scans.times), 3))[scan]
     T = T_ROOT[scans.scanner]
     direction = scans.direction @ T[:2, :2].T
-    origin, radii = np.broadcast_to(T[:2, 2], direction.shape), np.broadcast_to(body_path.radii, direction.shape)
+    origin, radii = np.broadcast_to(T[:2, 2], direction.shape), np.broadcast_to(body_path.shape, direction.shape)
 
     def ranges(at: Array) -> Array:
-        return raycast_ellipses(origin, direction, at[:, :2], at[:, 2], radii).ranges
+        return meet_ellipses(origin, direction, at[:, :2], at[:, 2], radii).ranges
 
     hit = scans.ranges + ranges(pose + displacement) - ranges(pose)
     hits = np.isfinite(hit)

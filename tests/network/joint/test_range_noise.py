@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from calgraph.geometry import Array, se2
-from calgraph.network.joint.ellipse_equations import raycast_ellipses
+from calgraph.network.joint.ellipses import EllipseObservations
 from calgraph.network.joint.problem import BodyObservations, BodyPath, NetworkProblem, NetworkState
-from calgraph.network.joint.range_noise import MIN_COS_INCIDENCE, estimate_range_noise
+from calgraph.network.joint.range_noise import estimate_range_noise
 from calgraph.network.joint.solver import linearize_network, optimize_network
 from calgraph.network.joint.splines import Knots, evaluate_spline
-from network_scenes import DENSITY, EXACT, LOSS, OFFSET, SETTINGS, SIGMA, T_ROOT, simulate_scans
+from network_scenes import DENSITY, EXACT, LOSS, OFFSET, SETTINGS, SIGMA, T_ROOT, meet_ellipses, simulate_scans
 
 BACKGROUND = np.array([0.013])
 
@@ -23,7 +23,7 @@ def simulate_solution(seconds: float, rng: np.random.Generator) -> tuple[Network
     path = np.column_stack([3 + 1.4 * np.sin(t), 2.2 + 0.9 * np.sin(1.5 * t + 0.4), t])
     body_path = BodyPath(path, np.array([0.25, 0.15]))
     scans = simulate_scans(0, knots, body_path, np.arange(0.05, seconds, 0.08), rng)
-    body = BodyObservations(knots, (scans,), body_path.radii, 0.1 * body_path.radii, faces_forward=False)
+    body = EllipseObservations(knots, (scans,), body_path.shape, 0.1 * body_path.shape, faces_forward=False)
     network = NetworkProblem(
         1, (body,), (), np.array([SIGMA]), np.array([0.0005, 0.002]) ** 2, 0.0, EXACT[:1], 0.0, DENSITY, SETTINGS
     )
@@ -39,8 +39,8 @@ def update_weights(body: BodyObservations, state: NetworkState) -> BodyObservati
     (body_path,), (scans,) = state.paths, body.scans
     at = np.repeat(scans.times - OFFSET[scans.scanner], np.diff(scans.first_beam, append=len(scans.ranges)))
     pose, T = evaluate_spline(body_path.control, *body.knots.basis_at(at)[:2]), T_ROOT[scans.scanner]
-    hits = raycast_ellipses(T[:2, 2], scans.direction @ T[:2, :2].T, pose[:, :2], pose[:, 2], body_path.radii)
-    weight = LOSS.compute_weights((hits.ranges - scans.ranges) / SIGMA, hits.cos_incidence > MIN_COS_INCIDENCE)
+    hits = meet_ellipses(T[:2, 2], scans.direction @ T[:2, :2].T, pose[:, :2], pose[:, 2], body_path.shape)
+    weight = LOSS.compute_weights((hits.ranges - scans.ranges) / SIGMA, hits.cos_incidence > 0.35)
     return replace(body, scans=(replace(scans, weight=weight),))
 
 

@@ -7,17 +7,10 @@ import pytest
 from scipy.optimize import least_squares
 
 from calgraph.geometry import Array, se2
-from calgraph.network.joint.ellipse_equations import (
-    RaycastHits,
-    compute_heading_offsets,
-    compute_residuals,
-    linearize_ellipse_scans,
-    raycast_body,
-    raycast_ellipses,
-)
-from calgraph.network.joint.path_equations import add_scans, evaluate_at, index_scans
-from calgraph.network.joint.problem import BodyObservations, BodyPath, NetworkProblem, NetworkState, WallConstraint
-from calgraph.network.joint.scan_equations import SCAN_PARAMETERS
+from calgraph.network.joint.body_equations import linearize_scans, predict_scanner
+from calgraph.network.joint.ellipses import EllipseObservations, compute_heading_offsets
+from calgraph.network.joint.path_equations import add_scans, index_scans
+from calgraph.network.joint.problem import BodyPath, NetworkProblem, NetworkState, WallConstraint
 from calgraph.network.joint.scanner_unknowns import (
     BEAM_ERRORS,
     CLOCK,
@@ -43,6 +36,7 @@ from network_scenes import (
     T_ROOT,
     eliminate_densely,
     list_body_equations,
+    meet_ellipses,
     simulate_scans,
 )
 
@@ -81,7 +75,7 @@ def build_network(
     scans = tuple(
         simulate_scans(s, knots, body_path, np.arange(0.1 + 0.013 * s, 2.9, every), rng) for s in range(3)
     )
-    body = BodyObservations(knots, scans, RADII * 1.1, 0.3 * RADII, faces)
+    body = EllipseObservations(knots, scans, RADII * 1.1, 0.3 * RADII, faces)
     T_0_1 = se2.retract(T_ROOT[1:2], np.array([[0.01, -0.01, 0.002]]))[0]
     by_errors = np.random.default_rng(3).normal(size=(3, 2 * len(BEAM_ERRORS))) * [[1.0], [1.0], [0.2]]
     wall = WallConstraint(0, 1, T_0_1, np.diag([1e4, 1e2, 1e5]), by_errors)
@@ -109,7 +103,7 @@ def perturb(state: NetworkState, rng: np.random.Generator, size: float = 1.0) ->
         se2.retract(state.T_root_scanner, steps),
         state.clock_offset + size * np.array([0.0, 0.02, -0.02]),
         size * rng.normal(0, 1, SYSTEMATIC_SIGMA.shape) * SYSTEMATIC_SIGMA,
-        (BodyPath(path, body_path.radii * 1.05),),
+        (BodyPath(path, body_path.shape * 1.05),),
     )
 
 
@@ -131,6 +125,7 @@ def residuals(x: Array, net: NetworkProblem, like: NetworkState) -> Array:
     """All residuals of the problem, implemented independently."""
     state = unpack(x, like)
     [body], [body_path], [wall] = net.bodies, state.paths, net.walls
+    assert isinstance(body, EllipseObservations)
     found = []
     for scans in body.scans:
         beams = len(scans.ranges) // len(scans.times)
@@ -143,15 +138,15 @@ def residuals(x: Array, net: NetworkProblem, like: NetworkState) -> Array:
         cos, sin = np.cos(2 * azimuth), np.sin(2 * azimuth)
         angle = (1 + angle_scale) * azimuth + along_x * sin - along_diagonal * cos
         direction = np.column_stack([np.cos(angle), np.sin(angle)]) @ T[:2, :2].T
-        origin, radii = (np.broadcast_to(v, direction.shape) for v in (T[:2, 2], body_path.radii))
-        true = raycast_ellipses(origin, direction, pose[:, :2], pose[:, 2], radii).ranges
+        origin, radii = (np.broadcast_to(v, direction.shape) for v in (T[:2, 2], body_path.shape))
+        true = meet_ellipses(origin, direction, pose[:, :2], pose[:, 2], radii).ranges
         stretch = 1 + range_scale + mean_stretch(along_x, along_diagonal) + along_x * cos + along_diagonal * sin
         found.append((stretch * true + bias - scans.ranges) / SIGMA)
     h, path = body.knots.step, body_path.control
     stretch = 1 + np.mean(state.systematic[:, 1])
     found.append((stretch * np.diff(path[:, :2], n=2, axis=0) / np.sqrt(h**3 * 0.5)).ravel())
     found.append(np.diff(path[:, 2]) / np.sqrt(h * 5.0))
-    found.append((body_path.radii - body.radii) / body.radii_sigma)
+    found.append((body_path.shape - body.radii) / body.radii_sigma)
     found.append(state.clock_offset / CLOCK_SIGMA)
     T_a_b = se2.inverse(state.T_root_scanner[0]) @ state.T_root_scanner[1]
     for kind, common in enumerate([0.5, 0.5, 0.5, 0.0, 0.0, 0.0]):
@@ -172,7 +167,7 @@ def pack(state: NetworkState) -> Array:
     steps = se2.difference(state.T_root_scanner[1:], T_ROOT[1:])
     systematic = state.systematic.ravel()[ESTIMATED]
     return np.concatenate(
-        [steps.ravel(), state.clock_offset[1:], systematic, body_path.radii, body_path.control.ravel()]
+        [steps.ravel(), state.clock_offset[1:], systematic, body_path.shape, body_path.control.ravel()]
     )
 
 
@@ -282,7 +277,7 @@ def test_terms_of_all_scans_are_the_sum_of_those_of_intervals(rng: np.random.Gen
     shape = len(whole.band), whole.shape_count, whole.columns
     at_once, in_parts = BodyEquations.zeros(*shape), BodyEquations.zeros(*shape)
     for k in range(len(body.scans)):
-        terms = linearize_ellipse_scans(net, truth, body, path, k)
+        terms = linearize_scans(net, truth, body, path, k)
         add_scans(at_once, [terms])
         middle = len(terms.first) // 3
         for scans in (slice(middle), slice(middle, None)):
@@ -306,10 +301,10 @@ def test_the_predicted_decrease_is_that_of_the_cost(damping: float, rng: np.rand
     # Near the minimum, where the quadratic model is accurate.
     away = np.zeros((net.count, SCANNER_UNKNOWNS))
     away[1:, : CLOCK + 1] = 1e-3
-    state = apply_step(state, away.ravel(), [np.zeros(size) for size in body_sizes(equations)])
+    state = apply_step(net, state, away.ravel(), [np.zeros(size) for size in body_sizes(equations)])
     equations = linearize_network(net, state)
     step, predicted = equations.solve(damping)
-    decrease = equations.cost - linearize_network(net, apply_step(state, *step)).cost
+    decrease = equations.cost - linearize_network(net, apply_step(net, state, *step)).cost
     assert decrease == pytest.approx(predicted, rel=0.05)
 
 
@@ -396,8 +391,9 @@ def test_walls_alone_determine_a_scanner_without_bodies(rng: np.random.Generator
 def test_the_heading_of_a_cylinder_has_no_effect(rng: np.random.Generator) -> None:
     net, truth = build_network(rng)
     [body] = net.bodies
+    assert isinstance(body, EllipseObservations)
     cylinder = replace(body, radii=np.full(2, 0.2), radii_sigma=np.full(2, 1e-7))
-    body_path = replace(truth.paths[0], radii=np.full(2, 0.2))
+    body_path = replace(truth.paths[0], shape=np.full(2, 0.2))
     state = replace(truth, paths=(body_path,))
     H = eliminate_densely(linearize_network(replace(net, bodies=(cylinder,)), state))
     turned = replace(body_path, control=body_path.control + np.array([0, 0, 1.0]))
@@ -413,23 +409,22 @@ def test_beams_hit_the_body_where_it_is_at_their_time(rng: np.random.Generator) 
     body_path = BodyPath(np.column_stack([2.0 + 1.2 * t, 2.0 - 0.5 * t, 0.4 + 2.0 * t]), RADII)
     scans = simulate_scans(1, knots, body_path, np.arange(0.1, 1.9, 0.1), rng)
     delay = rng.uniform(-0.03, 0.03, len(scans.ranges))
-    body = BodyObservations(knots, (replace(scans, beam_delay=delay),), RADII, 0.3 * RADII, False)
+    body = EllipseObservations(knots, (replace(scans, beam_delay=delay),), RADII, 0.3 * RADII, False)
     state = NetworkState(T_ROOT, OFFSET, EXACT, (body_path,))
     net, _ = build_network(rng)
-    _, _, pose, rate = evaluate_at(net, state, body, body_path, body.scans[0])
-    hits = raycast_body(state, body_path, body.scans[0], pose, rate)
+    beams = predict_scanner(net, state, body, body_path, 0)
     at = scans.times[index_scans(scans)] - OFFSET[1] + delay
     exact = np.column_stack([2.0 + 1.2 * at, 2.0 - 0.5 * at, 0.4 + 2.0 * at])
     direction = scans.direction @ T_ROOT[1, :2, :2].T
-    expected = raycast_ellipses(T_ROOT[1, :2, 2], direction, exact[:, :2], exact[:, 2], RADII).ranges
+    expected = meet_ellipses(T_ROOT[1, :2, 2], direction, exact[:, :2], exact[:, 2], RADII).ranges
     assert np.isfinite(expected).sum() > 100
-    np.testing.assert_allclose(hits.ranges, expected, atol=1e-6)
+    np.testing.assert_allclose(scans.ranges + beams.error, expected, atol=1e-6)
 
 
 def test_headings_are_compared_with_the_direction_of_motion_modulo_pi() -> None:
     knots = Knots.spanning(0.0, 1.0, 0.2)
     t = knots.control_times()
-    body = BodyObservations(knots, (), RADII, 0.3 * RADII, True)
+    body = EllipseObservations(knots, (), RADII, 0.3 * RADII, True)
     walking = np.column_stack([np.cos(0.7) * t, np.sin(0.7) * t])
     offset, weight = compute_heading_offsets(body, walking, np.array([0.9, 0.5 + np.pi]))
     np.testing.assert_allclose(offset, np.tile([0.2, -0.2], (knots.count, 1)))
@@ -453,16 +448,31 @@ def test_the_gradient_by_headings_includes_the_direction_of_motion(rng: np.rando
 
 
 def test_missed_beams_cost_as_stated_and_do_not_pull(rng: np.random.Generator) -> None:
-    net, _ = build_network(rng)
-    hits = RaycastHits(np.array([np.nan, 2.0, 2.0]), np.array([np.nan, 0.04, 0.06]), np.ones((3, SCAN_PARAMETERS)))
-    residual, jacobian = compute_residuals(net, replace(net.bodies[0].scans[0], ranges=np.ones(3)), hits)
-    np.testing.assert_allclose(residual, [4.0, 4.0, 1.0 / SIGMA])
-    np.testing.assert_allclose(jacobian, np.outer([0.0, 0.0, 1.0 / SIGMA], np.ones(SCAN_PARAMETERS)))
+    # Beams past a circle, at 2° from its tangent, and through its centre.
+    net, truth = build_network(rng)
+    [body], [path] = net.bodies, truth.paths
+    at, scans = np.array([2.0, 0.0]), body.scans[0]
+    still = replace(path, control=np.tile([*at, 0.0], (len(path.control), 1)), shape=np.full(2, 0.2))
+    angles = np.arcsin(np.array([0.2001, 0.1999, 0.0]) / 2.0)
+    directions = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    one = replace(
+        scans,
+        times=scans.times[:1],
+        first_beam=scans.first_beam[:1],
+        direction=directions,
+        ranges=np.ones(3),
+        beam_delay=np.zeros(3),
+        weight=np.ones(3),
+    )
+    beams = predict_scanner(net, truth, replace(body, scans=(one,)), still, 0)
+    np.testing.assert_allclose(beams.residual, [4.0, 4.0, 0.8 / SIGMA])
+    np.testing.assert_array_equal(beams.jacobian[:, :2], 0.0)
+    np.testing.assert_allclose(beams.jacobian[0, 2], 1 / SIGMA)
 
 
 def test_radii_stay_above_two_centimetres(rng: np.random.Generator) -> None:
     net, truth = build_network(rng)
     body_step = np.zeros(3 * net.bodies[0].knots.count + 2)
     body_step[-2:] = -0.2
-    [path] = apply_step(truth, np.zeros(SIZE), [body_step]).paths
-    np.testing.assert_allclose(path.radii, [0.05, 0.02])
+    [path] = apply_step(net, truth, np.zeros(SIZE), [body_step]).paths
+    np.testing.assert_allclose(path.shape, [0.05, 0.02])

@@ -56,7 +56,7 @@ def estimate(bias: Array, current: Array, gain: float = 0.3) -> Array:
     equations = NetworkEquations(
         0.0, network, state, BodyBatches.place(()), KeptValues(()), matrix, g, estimated, np.zeros(size)
     )
-    return estimate_systematic_sigma(network, state, equations, PRIOR)
+    return estimate_systematic_sigma(equations, PRIOR)
 
 
 @pytest.fixture(autouse=True)

@@ -13,9 +13,10 @@ from calgraph.network.pairs.clock_mounting_search import (
     search_clocks_and_mountings,
     select_searched_pairs,
 )
-from calgraph.network.pairs.scanner_pair import CLOCK_SIGMA, ScannerPairEstimate, estimate_scanner_pair
+from calgraph.network.pairs.scanner_pair import CLOCK_SIGMA, ScannerPairEstimate
 from calgraph.network.pairs.visibility_map import ScannerObservations
 from calgraph.network.tracking.track import ScannerTracks, Track, correct_tracks
+from track_pairs import estimate_scanner_pair
 
 SETTINGS = ScannerPairSettings()
 T_A_B = se2.pose(2.1, np.array([5.0, 1.5]))

@@ -56,7 +56,7 @@ def test_each_of_a_few_samples_is_looked_up() -> None:
     pairs = pair_samples(a, b)
     fit = TrackRegistration(SAME_POSE, np.zeros(3), np.arange(len(pairs)), 0.07)
     # At each tick of b there is one sample in reach.
-    assert _count_by_chance(fit, pairs, b, 4.0, 300) == pytest.approx(10 * (1 - np.exp(-1)))
+    assert _count_by_chance(fit, pairs, b) == pytest.approx(10 * (1 - np.exp(-1)))
 
 
 @pytest.mark.parametrize("wanted", [40, 100])

@@ -22,7 +22,7 @@ from calgraph.network.pairs.hypothesis_evidence import (
     select_distinct,
     subsample_pairs,
 )
-from calgraph.network.pairs.scanner_pair import ScannerPairEstimate, estimate_scanner_pair, estimate_scanner_pairs
+from calgraph.network.pairs.scanner_pair import ScannerPairEstimate, estimate_scanner_pairs
 from calgraph.network.pairs.synchronized_tracks import TrackSamples, pair_samples
 from calgraph.network.pairs.track_registration import NuisancePrior, TrackRegistration
 from calgraph.network.strategies import select_center_estimator
@@ -30,7 +30,7 @@ from calgraph.network.tracking.track import ScannerTracks, Track
 from calgraph.network.tracking.track_scanner import track_scanner
 from calgraph.recording import open_recording
 from calgraph.sensors import LaserScan
-from track_pairs import T_A_B, observe_walks, walk_along_curve
+from track_pairs import T_A_B, estimate_scanner_pair, observe_walks, walk_along_curve
 
 STEP = 0.04  # s, of the simulated truth
 SIGMA = 0.04  # m, of a smoothed position
@@ -373,7 +373,7 @@ def test_the_distinct_hypotheses_of_least_cost_are_kept() -> None:
 
 
 def test_the_radius_of_matches_by_chance_contains_the_model_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With a gate of 4, twice the standard deviation of a distance: 3 cm from each scanner, 7 cm from models."""
+    """The root of the gate times the deviation of a distance: 3 cm from each scanner, 7 cm from models."""
     radii: list[float] = []
 
     def count_none(x: Array, _T: Array, _samples: object, radius: float) -> Array:
@@ -383,8 +383,8 @@ def test_the_radius_of_matches_by_chance_contains_the_model_error(monkeypatch: p
     monkeypatch.setattr(hypothesis_evidence, "_count_neighbours", count_none)
     pairs = observe_walks([walk_along_curve(5.0)], np.random.default_rng(0), stated_sigma=0.03)
     fit = TrackRegistration(T_A_B, np.zeros(3), np.arange(len(pairs)), 0.07)
-    _count_by_chance(fit, pairs, pairs.b, 4.0, 300)
-    assert radii == pytest.approx([2 * np.sqrt(2 * 0.03**2 + 0.07**2)])
+    _count_by_chance(fit, pairs, pairs.b)
+    assert radii == pytest.approx([np.sqrt(9.21 * (2 * 0.03**2 + 0.07**2))])
 
 
 def with_matches(observations: int = 100, chance: float = 0.0, share: float = 1.0) -> PoseHypothesis:

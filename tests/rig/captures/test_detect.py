@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from calgraph.boards.detections import Segment
-from calgraph.config import Board, Lidar2dSpec, Rig
+from calgraph.config import Board, CameraSpec, Checkerboard, Lidar2dSpec, Rig
 from calgraph.errors import RecordingError, Rejected
 from calgraph.parallel.engine import Processes
 from calgraph.recording import MessageRecording
@@ -166,3 +166,20 @@ def test_limited_messages_are_spread_over_the_hold() -> None:
     chosen = hold.stamps["laser"]
     assert len(chosen) == 20
     assert (chosen[0], chosen[-1]) == (0.0, 10.0)
+
+
+@pytest.mark.parametrize("start", np.arange(0.0, 1 / 3, 0.02).tolist())
+def test_cameras_that_expose_together_give_images_of_the_same_times(start: float) -> None:
+    names = ("camera", "camera_2")
+    pattern = Checkerboard(kind="checkerboard", columns=5, rows=6, square=0.1)
+    rig = Rig(
+        root="camera",
+        target=Board(size=(1, 1), pattern=pattern),
+        sensors={name: CameraSpec(kind="camera", topic=f"/{name}") for name in names},
+    )
+    times = np.arange(start, 10, 1 / 3)
+    stamps = {name: t[(t > 4.0) & (t < 5.0)] for name, t in zip(names, (times, times + 0.02), strict=True)}
+    (hold,) = limit_messages([Hold(0, 4.0, 5.0, stamps)], rig)
+    first, second = (hold.stamps[name] for name in names)
+    assert len(first) == 2
+    np.testing.assert_allclose(second - first, 0.02)

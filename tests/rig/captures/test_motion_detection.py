@@ -97,7 +97,7 @@ def test_blocks_that_are_measured_apart_have_the_changes_of_the_whole(
     ]
     whole, parts = ActivityMeter(BASELINE), ActivityMeter(BASELINE)
     decoders = iter([partial(copy, cloud) for cloud in clouds])
-    blocks = [measure_block(None, list(islice(decoders, size))) for size in sizes]
+    blocks = [measure_block(list(islice(decoders, size))) for size in sizes]
     changes = [change for block in blocks for change in parts.join(block)]
     np.testing.assert_array_equal(changes, [whole.measure_change(cloud) for cloud in clouds])
     assert changes[2] > 0.3

@@ -13,8 +13,9 @@ from calgraph.rig.bundle.bundle_solver import Bundle, minimize_bundle
 from calgraph.rig.bundle.covariances import gradient_by_board
 from calgraph.rig.bundle.observations import relative_poses
 from calgraph.rig.bundle.solution import SolvedBundle
-from calgraph.rig.checks.contradictions import _squared_distance, compare_halves, find_changes
+from calgraph.rig.checks.contradictions import compare_halves, find_changes
 from calgraph.rig.checks.drift_tests import measure_drifts
+from calgraph.solver.squared_distances import compute_squared_distances
 
 BOARDS, SEEDS = 16, 30
 FIRST = np.arange(BOARDS) < BOARDS // 2
@@ -72,7 +73,7 @@ def test_covariances_of_differences_hold() -> None:
         bundle = exact.measured(np.random.default_rng(seed), view_bias=0.002)
         bundle = replace(bundle, bias_variance=bias_variances(3, 0.002))
         difference, covariance = compare(solve(exact, bundle))
-        squares.append(_squared_distance(difference, covariance)[0] / 12)
+        squares.append(compute_squared_distances(difference, covariance, 1e-12)[0] / 12)
     # The standard deviation of the mean is 7 %; robust weights and linearization cost some more.
     assert 0.8 < np.mean(squares) < 1.25
 
@@ -105,6 +106,6 @@ def test_a_drift_is_named_with_its_size(rng: np.random.Generator) -> None:
 
 
 def test_directions_without_covariance_are_not_compared() -> None:
-    squared, freedom = _squared_distance(np.array([2.0, 0.0]), np.diag([4.0, 0.0]))
+    squared, freedom = compute_squared_distances(np.array([2.0, 0.0]), np.diag([4.0, 0.0]), 1e-12)
     assert squared == pytest.approx(1.0)
     assert freedom == 1

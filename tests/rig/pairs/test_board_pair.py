@@ -10,13 +10,7 @@ from calgraph.errors import Rejected
 from calgraph.geometry import Array, se3, so3
 from calgraph.graph.pairwise_estimate import PairwiseEstimate
 from calgraph.rig.pairs.board_matches import Disagreement
-from calgraph.rig.pairs.board_pair import (
-    estimate_pair,
-    estimate_pairs,
-    reselect_all_inliers,
-    reselect_inliers,
-    select_successful,
-)
+from calgraph.rig.pairs.board_pair import estimate_pair, estimate_pairs
 from calgraph.rig.pairs.line_matches import evaluate_coplanarity
 
 
@@ -168,68 +162,6 @@ def test_refinement_on_the_inliers_fits_them_better(rng: np.random.Generator) ->
     assert error(refined.T_a_b, T_a_b) < (0.005, 0.1)
 
 
-@pytest.mark.parametrize(("kind_a", "kind_b"), [("plane", "plane"), ("plane", "line"), ("line", "plane")])
-def test_inliers_under_a_better_pose_exclude_what_ransac_tolerates(
-    kind_a: str, kind_b: str, rng: np.random.Generator
-) -> None:
-    # 25 mm are within the gate of RANSAC, 3 * 10 mm, but not within 3.5 standard deviations of 2 mm.
-    scene, T_a_b = make_boards(rng, 80), random_pose(rng, rotation=0.6)
-    moved = scene.copy()
-    moved[:8, :3, 3] += 0.025 * scene[:8, :3, 2]
-    a = detect_boards(kind_a, np.eye(4), scene, rng, 0.001)
-    b = detect_boards(kind_b, se3.inverse(T_a_b), moved, rng, 0.001)
-    estimate = estimate_pair("a", "b", a, b, SIZE, rng, settings=BoardPairSettings())
-    assert isinstance(estimate, PairwiseEstimate), estimate
-    found = reselect_inliers(estimate, T_a_b, a, b, SIZE)
-    assert isinstance(found, PairwiseEstimate), found
-    captures, inliers = found.matches[:, 0], found.inliers
-    assert estimate.inliers[captures < 8].mean() > 0.7
-    assert inliers[captures < 8].mean() < 0.2
-    assert inliers[captures >= 8].mean() > 0.9
-    np.testing.assert_allclose(found.T_a_b, T_a_b, atol=1e-12)
-    assert (found.sensor_a, found.sensor_b) == ("a", "b")
-
-
-def test_pairs_are_rejected_if_the_joint_solution_rejects_all_inliers(rng: np.random.Generator) -> None:
-    scene = make_boards(rng, 12)
-    a = detect_boards("plane", np.eye(4), scene, rng)
-    estimate = estimate_pair("a", "b", a, a, SIZE, rng, settings=BoardPairSettings())
-    assert isinstance(estimate, PairwiseEstimate)
-    elsewhere = se3.pose(np.eye(3), np.array([0.0, 0.0, 5.0]))
-    poses = {"a": np.eye(4), "b": elsewhere}
-    found = reselect_all_inliers(
-        {("a", "b"): estimate, ("b", "c"): Rejected("none")}, poses, {"a": a, "b": a}, SIZE
-    )
-    assert found["a", "b"] == Rejected("all 12 shared captures were rejected as outliers by the joint solution")
-    assert found["b", "c"] == Rejected("none")
-    assert select_successful(found) == []
-
-
-def test_pairs_keep_captures_with_a_common_error_that_the_joint_solution_estimates(
-    rng: np.random.Generator,
-) -> None:
-    """A range bias of 50 mm, which the pose of the pair alone contains: beyond RANSAC's gate of 30 mm."""
-    scene = make_boards(rng, 40)
-    moved = scene.copy()
-    moved[:4, :3, 3] += 0.3 * scene[:4, :3, 2]
-    a, b = (detect_boards("plane", np.eye(4), boards, rng, 0.001) for boards in (scene, moved))
-    estimate = estimate_pair("a", "b", a, b, SIZE, rng, settings=BoardPairSettings())
-    assert isinstance(estimate, PairwiseEstimate)
-    found = reselect_inliers(estimate, se3.pose(np.eye(3), np.array([0.05, 0.0, 0.0])), a, b, SIZE)
-    assert isinstance(found, PairwiseEstimate)
-    assert found.inliers[found.matches[:, 0] >= 4].mean() > 0.9
-    assert not found.inliers[found.matches[:, 0] < 4].any()
-
-
-def test_pairs_without_a_joint_pose_keep_their_inliers(rng: np.random.Generator) -> None:
-    a = detect_boards("plane", np.eye(4), make_boards(rng, 12), rng)
-    estimate = estimate_pair("a", "b", a, a, SIZE, rng, settings=BoardPairSettings())
-    assert isinstance(estimate, PairwiseEstimate)
-    assert reselect_all_inliers({("a", "b"): estimate}, {"a": np.eye(4)}, {"a": a, "b": a}, SIZE) == {
-        ("a", "b"): estimate
-    }
-
-
 @pytest.mark.parametrize(("kind", "count", "inliers"), [("plane", 3, 3), ("line", 9, 8)])
 def test_pairs_need_more_residuals_than_unknowns(
     kind: str, count: int, inliers: int, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
@@ -273,27 +205,12 @@ def test_a_rejected_pair_states_the_number_of_candidates(rng: np.random.Generato
     assert "among 12 shared captures, with up to 2 candidates for the board in one: " in found.reason
 
 
-def test_the_gate_of_reselection_is_in_standard_deviations(
-    rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("calgraph.rig.pairs.board_pair._RESELECTION_GATE", np.sqrt(0.4549))
-    # Half of the squared residuals are below the median, which is 0.4549 standard deviations squared.
-    scene, T_a_b = make_boards(rng, 200), random_pose(rng)
-    a, b = (detect_boards("plane", T, scene, rng) for T in (np.eye(4), se3.inverse(T_a_b)))
-    estimate = estimate_pair("a", "b", a, b, SIZE, rng, settings=BoardPairSettings())
-    assert isinstance(estimate, PairwiseEstimate)
-    found = reselect_inliers(estimate, T_a_b, a, b, SIZE)
-    assert isinstance(found, PairwiseEstimate)
-    assert found.inliers.mean() == pytest.approx(0.5, abs=0.03)
-
-
 def test_residuals_are_rms_distances_of_the_two_planes(rng: np.random.Generator) -> None:
     # A translation by d moves a plane by n d.
     a = detect_boards("plane", np.eye(4), make_boards(rng, 30), rng, 1e-9)
-    estimate = estimate_pair("a", "b", a, a, SIZE, rng, settings=BoardPairSettings())
-    assert isinstance(estimate, PairwiseEstimate)
     d = np.array([0.02, -0.01, 0.005])
-    found = reselect_inliers(estimate, se3.pose(np.eye(3), d), a, a, SIZE)
+    known = se3.pose(np.eye(3), d)
+    found = estimate_pair("a", "b", a, a, SIZE, rng, settings=BoardPairSettings(), known=known)
     assert isinstance(found, PairwiseEstimate)
     normals = np.array([one.plane[:3] for (one,) in a.values() if isinstance(one, PlanePatch)])
     np.testing.assert_allclose(found.residuals, np.abs(normals @ d), atol=1e-6)

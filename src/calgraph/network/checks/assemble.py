@@ -4,28 +4,25 @@ import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from heapq import heappop, heappush
 from types import MappingProxyType
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.config import Cylinder, Lidar2dSpec, Rig
-from calgraph.config.target import Target
+from calgraph.config import Lidar2dSpec, Rig
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, Index, diagonal_blocks, se2
 from calgraph.graph.pose_graph import PoseGraph
+from calgraph.graph.spanning_tree import walk_tree
 from calgraph.network.graph.network_graph import compute_joint_covariance
 from calgraph.network.graph.network_initialization import NetworkInitialization
-from calgraph.network.joint.beam_residuals import BeamResiduals, list_beam_residuals
+from calgraph.network.joint.body_equations import PredictedBeams, predict_beams
 from calgraph.network.joint.estimate import NetworkSolution
-from calgraph.network.joint.leg_problem import LegObservations
 from calgraph.network.joint.planar_poses import lift_covariance
 from calgraph.network.joint.problem import BodyObservations, BodyPath, NetworkProblem, NetworkState
 from calgraph.network.joint.track_association import MAX_DISTANCE
 from calgraph.network.pairs.hypothesis_evidence import PoseHypothesis
-from calgraph.network.pairs.scanner_pair import ScannerPairEstimate
+from calgraph.network.pairs.scanner_pair import ScannerPairEstimate, ScannerPairs
 from calgraph.network.pairs.synchronized_tracks import (
     SimultaneousPairs,
     TrackSamples,
@@ -53,8 +50,6 @@ _ADVICE = "let people walk farther and in more directions where the views of sca
 # Partners that a reason names: a scanner of a large network that no pair connects has up to 150.
 _LISTED_PARTNERS = 8
 _DIGITS = re.compile(r"[0-9.]+")
-
-NetworkPairs = Mapping[tuple[str, str], ScannerPairEstimate | Rejected]
 
 
 # Ticks (TICK_PERIOD of pairs) at which another scanner has to track a walk for the report to call it shared: half
@@ -97,7 +92,7 @@ def assemble_network(
     }
     T_root_scanner = averaged.T_root_node if joint is None else joint.T_root_scanner
     planar = dict(zip(names, T_root_scanner, strict=True))
-    matches = match_across_scanners(samples, planar, MAX_DISTANCE)
+    matches = match_across_scanners(samples, planar)
     inliers = initialization.graph.select_edges(averaged.inliers)
     covariance = lift_covariance(
         compute_joint_covariance(inliers, averaged.T_root_node) if joint is None else joint.pose_covariance
@@ -118,12 +113,12 @@ def assemble_network(
         systematic=joint.systematic.summarize(names) if joint and joint.systematic else (),
         evidence=Evidence(
             estimator="averaging" if joint is None else "joint",
-            bodies=_describe_bodies(rig.target, joint) if joint else None,
+            bodies=_describe_bodies(joint) if joint else None,
             tolerance=rig.tolerance,
             edges=tuple(
                 _build_edge(pair, found, inlier_poses, parents) for pair, found in initialization.pairs.items()
             ),
-            captures=build_walk_rows(samples, matches, start, _MIN_SHARED_TICKS),
+            captures=build_walk_rows(samples, matches, start),
             unconnected={
                 name: _explain_unconnected(name, rig.root, followed, initialization.pairs)
                 for name in rig.sensors
@@ -181,11 +176,10 @@ def _assemble_poses(
     )
 
 
-def _describe_bodies(target: Target, joint: NetworkSolution) -> ModelledBodies | None:
-    if joint.solved is None or not (bodies := joint.solved.problem.bodies):
+def _describe_bodies(joint: NetworkSolution) -> ModelledBodies | None:
+    if joint.solved is None or not (bodies := joint.solved.network.bodies):
         return None
-    whole: Literal["ellipses", "cylinders"] = "cylinders" if isinstance(target, Cylinder) else "ellipses"
-    return ModelledBodies("legs" if isinstance(bodies[0], LegObservations) else whole, len(bodies))
+    return ModelledBodies(bodies[0].kind, len(bodies))
 
 
 def _collect_stated_poses(rig: Rig, T_root_sensor: Mapping[str, Array]) -> dict[str, StatedPose]:
@@ -218,22 +212,8 @@ def _finite_or_none(value: float) -> float | None:
 def _find_parents(inliers: PoseGraph, names: tuple[str, ...]) -> dict[str, str]:
     """Each scanner's neighbour on the way to the root, over the edges with the most information."""
     by_information = np.argsort(-np.linalg.eigvalsh(inliers.information)[:, 0], kind="stable")
-    ends = inliers.edges[by_information].tolist()
-    of_node: list[list[int]] = [[] for _ in names]
-    for rank, (i, j) in enumerate(ends):
-        of_node[i].append(rank)
-        of_node[j].append(rank)
-    parents: dict[str, str] = {}
-    reached, leaving = {0}, of_node[0].copy()  # ascending, so a heap
-    while leaving:
-        i, j = ends[heappop(leaving)]
-        parent, child = (i, j) if i in reached else (j, i)
-        if child not in reached:
-            parents[names[child]] = names[parent]
-            reached.add(child)
-            for rank in of_node[child]:
-                heappush(leaving, rank)
-    return parents
+    tree = walk_tree(len(names), inliers.edges[by_information].tolist(), [0])
+    return {names[step.child]: names[step.parent] for step in tree}
 
 
 def _build_edge(
@@ -266,7 +246,7 @@ def _count_shared(hypothesis: PoseHypothesis) -> int:
 
 
 def _explain_unconnected(
-    name: str, root: str, followed: Mapping[str, ScannerTracks | Rejected], pairs: NetworkPairs
+    name: str, root: str, followed: Mapping[str, ScannerTracks | Rejected], pairs: ScannerPairs
 ) -> str:
     tracks, of_root = followed[name], followed[root]
     if isinstance(tracks, Rejected):
@@ -314,12 +294,12 @@ def collect_beam_views(
     if joint.solved is None:
         return (), {}
     solved = joint.solved
-    measured = solved.problem.count_beams()
+    measured = solved.network.count_beams()
     limit = min(_MAX_BEAMS, _MAX_BEAMS_IN_ALL // max(int(np.count_nonzero(measured)), 1))
     # Rows of one body are in order of time, those of all are not: each scanner's are thinned again.
     list_rows = partial(_list_inlier_rows, step=1 + measured // (_ROWS_PER_BEAM * limit))
     by_scanner: dict[int, list[tuple[int, float, Array]]] = {}
-    for of_body in solved.equations.batches.map(list_rows, solved.problem, solved.state):
+    for of_body in solved.batches.map(list_rows, solved.network, solved.state):
         for scanner, *of_scanner in of_body:
             by_scanner.setdefault(scanner, []).append(of_scanner)
     views, fit = [], {}
@@ -340,14 +320,14 @@ def _list_inlier_rows(
 ) -> list[tuple[int, int, float, Array]]:
     """Each scanner's inlier beams on a body: their number, sum of squared residuals, and every n-th (S,) row."""
     listed = []
-    for beams in list_beam_residuals(network, state, body, path):
+    for beams in predict_beams(network, state, body, path):
         rows = _inlier_rows(beams)
         scanner = beams.scans.scanner
         listed.append((scanner, len(rows), float(rows[:, 3] @ rows[:, 3]), rows[:: step[scanner]].copy()))
     return listed
 
 
-def _inlier_rows(beams: BeamResiduals) -> Array:
+def _inlier_rows(beams: PredictedBeams) -> Array:
     """(N, 4) time by the scanner's clock, end of the beam, and measured minus predicted range."""
     scans = beams.scans
     time = scans.times[beams.scan] + scans.beam_delay
@@ -369,8 +349,6 @@ _MAX_GAP_TICKS = 10
 class CrossScannerMatches:
     """Positions that several scanners of a network detected at the same time."""
 
-    max_distance: float
-    """Of simultaneous positions of one person, m."""
     distance: Mapping[str, Array]
     """(S,) by scanner, from each of its samples to its nearest match, m; infinite without a match."""
     others_active: Mapping[str, NDArray[np.bool_]]
@@ -380,23 +358,22 @@ class CrossScannerMatches:
 
 
 def match_across_scanners(
-    samples: Mapping[str, TrackSamples], T_root_scanner: Mapping[str, Array], max_distance: float
+    samples: Mapping[str, TrackSamples], T_root_scanner: Mapping[str, Array]
 ) -> CrossScannerMatches:
     """Matches the samples of all pairs of connected scanners that detected anything near each other.
 
     Args:
         samples: by scanner; those without a pose are left out.
         T_root_scanner: poses (3, 3) of the connected scanners.
-        max_distance: of simultaneous positions of one person, m.
     """
     names = [name for name in samples if name in T_root_scanner]
     distance = {name: np.full(len(samples[name].tick), np.inf) for name in names}
     residuals = [np.zeros((0, 2))]
-    for a, b in _list_near_scanners(names, samples, T_root_scanner, max_distance):
+    for a, b in _list_near_scanners(names, samples, T_root_scanner):
         both = pair_samples(samples[a], samples[b])
         offset = se2.apply(T_root_scanner[a], both.x_a) - se2.apply(T_root_scanner[b], both.x_b)
         d = np.linalg.norm(offset, axis=-1)
-        matched = np.flatnonzero(d < max_distance)
+        matched = np.flatnonzero(d < MAX_DISTANCE)
         matched = matched[both.are_mutual_nearest(matched, d[matched])] if len(matched) else matched
         np.minimum.at(distance[a], both.row_a[matched], d[matched])
         np.minimum.at(distance[b], both.row_b[matched], d[matched])
@@ -407,19 +384,16 @@ def match_across_scanners(
         return_counts=True,
     )
     others_active = {name: np.isin(samples[name].tick, ticks[scanners > 1]) for name in names}
-    return CrossScannerMatches(max_distance, distance, others_active, pooled[:: len(pooled) // _MAX_RESIDUALS + 1])
+    return CrossScannerMatches(distance, others_active, pooled[:: len(pooled) // _MAX_RESIDUALS + 1])
 
 
 def _list_near_scanners(
-    names: Sequence[str],
-    samples: Mapping[str, TrackSamples],
-    T_root_scanner: Mapping[str, Array],
-    max_distance: float,
+    names: Sequence[str], samples: Mapping[str, TrackSamples], T_root_scanner: Mapping[str, Array]
 ) -> Iterator[tuple[str, str]]:
-    """Pairs of scanners the bounding boxes of whose positions in the root frame are within a distance."""
+    """Pairs of scanners the bounding boxes of whose positions in the root frame are within the distance."""
     names = [name for name in names if len(samples[name].tick)]
     positions = [se2.apply(T_root_scanner[name], samples[name].positions) for name in names]
-    low = np.array([x.min(axis=0) for x in positions]).reshape(-1, 2) - max_distance
+    low = np.array([x.min(axis=0) for x in positions]).reshape(-1, 2) - MAX_DISTANCE
     high = np.array([x.max(axis=0) for x in positions]).reshape(-1, 2)
     for k, name in enumerate(names):
         near = np.all((low[k + 1 :] <= high[k]) & (low[k] <= high[k + 1 :]), axis=1)
@@ -436,7 +410,7 @@ def _whiten(
 
 
 def build_walk_rows(
-    samples: Mapping[str, TrackSamples], matches: CrossScannerMatches, start: float, min_ticks: int
+    samples: Mapping[str, TrackSamples], matches: CrossScannerMatches, start: float
 ) -> tuple[CaptureRow, ...]:
     """One row for each scanner and walk, in order of time: whether another scanner detected it too, or why not.
 
@@ -444,14 +418,13 @@ def build_walk_rows(
         samples: by scanner.
         matches: of the connected ones among them.
         start: of the recording, s.
-        min_ticks: matched samples of a shared walk.
     """
     rows = [
         (
             float(of_scanner.times[walk[0]]) - start,
             float(of_scanner.times[walk[-1]]) - start,
             name,
-            *_assess_walk(name, walk, matches, min_ticks, of_scanner.tick_period),
+            *_assess_walk(name, walk, matches, of_scanner.tick_period),
         )
         for name, of_scanner in samples.items()
         for walk in _split_walks(of_scanner)
@@ -460,21 +433,21 @@ def build_walk_rows(
 
 
 def _assess_walk(
-    name: str, walk: NDArray[np.intp], matches: CrossScannerMatches, min_ticks: int, tick_period: float
+    name: str, walk: NDArray[np.intp], matches: CrossScannerMatches, tick_period: float
 ) -> tuple[bool, str, float | None]:
     """Whether the samples of a walk have matches, why not, and their RMS distance, m."""
     if name not in matches.distance:
         return False, "its scanner is not calibrated", None
     d = matches.distance[name][walk]
     d = d[np.isfinite(d)]
-    if len(d) >= min_ticks:
+    if len(d) >= _MIN_SHARED_TICKS:
         return True, "", float(np.sqrt(np.mean(d**2)))
     if len(d):
-        return False, f"another scanner detected it for less than {min_ticks * tick_period:g} s", None
+        return False, f"another scanner detected it for less than {_MIN_SHARED_TICKS * tick_period:g} s", None
     if matches.others_active[name][walk].any():
         return (
             False,
-            f"other scanners detected people at that time, but not within {matches.max_distance:g} m of it",
+            f"other scanners detected people at that time, but not within {MAX_DISTANCE:g} m of it",
             None,
         )
     return False, "no other scanner detected a person at that time", None

@@ -14,6 +14,7 @@ from calgraph.geometry import Array, se2
 from calgraph.network.joint.contributions import Contributions, NetworkContributions
 from calgraph.network.joint.estimate import NetworkSolution
 from calgraph.result.finding import Finding
+from calgraph.solver.squared_distances import compute_squared_distances
 
 # Information (1/m², 1/rad², 1/s²) that keeps stated differences from growing where the data hardly determine them:
 # standard deviations of 1 m, 1 rad and 1 s.
@@ -177,15 +178,10 @@ def compute_p_value(
         min_relative_variance: below which a variance is zero, in squares of the scale.
         scale: (n,) standard deviations; those of the covariance if left out.
     """
-    scale = np.sqrt(np.maximum(np.diag(covariance), np.finfo(float).tiny)) if scale is None else scale
-    if not (scale > 0).any():
-        return 1.0
-    if not (scale > 0).all():
+    if scale is not None:
         # Unknowns without any information have a scale of zero.
         informed = np.flatnonzero(scale > 0)
-        part = covariance[np.ix_(informed, informed)]
-        return compute_p_value(error[informed], part, min_relative_variance, scale[informed])
-    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
-    regular = values > min_relative_variance
-    along = vectors.T @ (error / scale)
-    return float(chdtrc(regular.sum(), np.sum(along[regular] ** 2 / values[regular])))
+        if not len(informed):
+            return 1.0
+        error, covariance, scale = error[informed], covariance[np.ix_(informed, informed)], scale[informed]
+    return float(chdtrc(*compute_squared_distances(error, covariance, min_relative_variance, scale)[::-1]))

@@ -3,15 +3,12 @@
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from calgraph.errors import Rejected
-from calgraph.geometry import Array, se2
-from calgraph.graph.pose_graph import PoseGraph
-from calgraph.network.graph.conflicting_evidence import AmbiguousPart
+from calgraph.geometry import se2
+from calgraph.graph.spanning_tree import fundamental_cuts
+from calgraph.network.graph.cuts import AmbiguousPart
 from calgraph.network.graph.network_initialization import NetworkInitialization
-from calgraph.network.pairs.scanner_pair import ScannerPairEstimate
 from calgraph.network.tracking.track import ScannerBump, ScannerTracks
 from calgraph.result.finding import Finding
 
@@ -30,42 +27,29 @@ def collect_network_findings(
         initialization: averaged poses of the connected scanners.
         start: of the recording, s.
     """
-    names, averaged = initialization.names, initialization.solution
     return (
-        *describe_bumps(names[0], tracks, start),
-        *describe_ambiguous_parts(names, initialization.ambiguous),
-        *find_poorly_supported_parts(
-            initialization.graph.select_edges(averaged.inliers),
-            names,
-            averaged.T_root_node,
-            initialization.pairs,
-            _MIN_MATCHED_SHARE,
-        ),
+        *describe_bumps(initialization.names[0], tracks, start),
+        *_describe_ambiguous_parts(initialization.names, initialization.ambiguous),
+        *find_poorly_supported_parts(initialization),
     )
 
 
-def find_poorly_supported_parts(
-    inliers: PoseGraph,
-    names: Sequence[str],
-    T_root_scanner: Array,
-    pairs: Mapping[tuple[str, str], ScannerPairEstimate | Rejected],
-    min_matched_share: float,
-) -> list[Finding]:
+def find_poorly_supported_parts(initialization: NetworkInitialization) -> list[Finding]:
     """Finds parts of a network that one pair alone connects to the root, and in which few positions match.
 
     No cycle checks such a pair. Where both scanners detect people at most times, but at other places, the pair may
     match the wrong people, or reflections of people in a mirror.
-
-    Args:
-        inliers: the pairs that agree with the poses.
-        names: of the S scanners, the root first.
-        T_root_scanner: (S, 3, 3) their poses.
-        pairs: hypotheses by pair of scanners.
-        min_matched_share: least share of matched positions among those that both scanners should detect.
     """
+    names, pairs, averaged = initialization.names, initialization.pairs, initialization.solution
+    inliers, T_root_scanner = initialization.graph.select_edges(averaged.inliers), averaged.T_root_node
     findings = []
-    ends = np.unique(np.sort(inliers.edges, axis=1), axis=0)
-    for k, (i, j) in enumerate(ends.tolist()):
+    ends = np.sort(inliers.edges, axis=1)
+    cuts = fundamental_cuts(inliers, np.ones(len(ends)))
+    for edge, part in sorted(cuts, key=lambda cut: tuple(ends[cut[0]])):
+        across = part[ends[:, 0]] != part[ends[:, 1]]
+        if len(np.unique(inliers.pair_of_edge[across])) > 1:
+            continue
+        i, j = ends[edge].tolist()
         found = pairs.get((names[i], names[j])) or pairs.get((names[j], names[i]))
         if found is None or isinstance(found, Rejected):
             continue
@@ -73,10 +57,7 @@ def find_poorly_supported_parts(
         nearest = min(
             found.hypotheses, key=lambda one: float(np.linalg.norm(se2.difference(T_a_b, one.T_a_b)[:2]))
         )
-        if nearest.matched_share >= min_matched_share:
-            continue
-        part = _separate(np.delete(ends, k, axis=0), len(names))
-        if not part.any():
+        if nearest.matched_share >= _MIN_MATCHED_SHARE:
             continue
         scanners = tuple(names[node] for node in np.flatnonzero(part).tolist())
         findings.append(
@@ -90,7 +71,7 @@ def find_poorly_supported_parts(
     return findings
 
 
-def describe_ambiguous_parts(names: Sequence[str], parts: Sequence[AmbiguousPart]) -> list[Finding]:
+def _describe_ambiguous_parts(names: Sequence[str], parts: Sequence[AmbiguousPart]) -> list[Finding]:
     """Reasons why scanners are weak that may as well be elsewhere."""
     return [
         Finding(
@@ -101,13 +82,6 @@ def describe_ambiguous_parts(names: Sequence[str], parts: Sequence[AmbiguousPart
         )
         for part in parts
     ]
-
-
-def _separate(ends: Array, count: int) -> Array:
-    """(count,) mask of the nodes that these edges (E, 2) do not connect to the root."""
-    adjacency = coo_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(count, count))
-    part = connected_components(adjacency, directed=False)[1]
-    return np.asarray(part != part[0])
 
 
 # Intervals shorter than this are stated as one time, s.

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.config import Cylinder, Lidar2dUncertainty, People
+from calgraph.config import Lidar2dUncertainty
 from calgraph.geometry import Array, Index
 from calgraph.network.checks.consistency_tests import (
     FALSE_ALARM_PROBABILITY,
@@ -18,15 +18,14 @@ from calgraph.network.checks.consistency_tests import (
 )
 from calgraph.network.graph.network_graph import compute_joint_covariance
 from calgraph.network.graph.network_initialization import NetworkInitialization
-from calgraph.network.joint.beam_residuals import list_beam_residuals
+from calgraph.network.joint.body_equations import predict_beams
 from calgraph.network.joint.contributions import split_contributions
-from calgraph.network.joint.estimate import NetworkSolution, SolvedNetwork
-from calgraph.network.joint.leg_problem import LegObservations
+from calgraph.network.joint.estimate import NetworkSolution
 from calgraph.network.joint.model_error import MAX_HEADING_SIGMA, MAX_POSITION_SIGMA
 from calgraph.network.joint.problem import BodyObservations, BodyPath, NetworkProblem, NetworkState
 from calgraph.network.joint.range_noise import MAX_EXCESS
 from calgraph.network.joint.scanner_unknowns import TILT_ERRORS, SystematicErrors
-from calgraph.network.joint.solver import MAX_JOINT_COVARIANCE
+from calgraph.network.joint.solver import MAX_JOINT_COVARIANCE, NetworkEquations
 from calgraph.network.tracking.track import ScannerTracks
 from calgraph.result.finding import Finding
 from calgraph.verdict.parameter_estimates import (
@@ -50,7 +49,6 @@ class ModelAssessment:
 
 
 def assess_network_model(
-    target: People | Cylinder,
     joint: NetworkSolution,
     tracked: Sequence[ScannerTracks],
     initialization: NetworkInitialization,
@@ -64,14 +62,13 @@ def assess_network_model(
     where anything but the averaged pairs contradicts it, and these do as well.
 
     Args:
-        target: the kind of bodies, with their stated size.
         joint: the joint solution.
         tracked: the tracks of each of its scanners.
         initialization: averaged poses of the same from the pairs alone.
         replaceable: whether averaged poses may replace the joint solution.
         max_stddev: of the position of a scanner whose pose is good, m.
     """
-    assessment = _test_model(target, joint, tracked, initialization, replaceable, max_stddev)
+    assessment = _test_model(joint, tracked, initialization, replaceable, max_stddev)
     if assessment.joint is None or assessment.joint.systematic is None:
         return assessment
     errors = find_systematic_errors(assessment.joint.systematic, initialization.names)
@@ -99,7 +96,6 @@ _LEG_AVERAGING_VARIANCE = 2.0
 
 
 def _test_model(
-    target: People | Cylinder,
     joint: NetworkSolution,
     tracked: Sequence[ScannerTracks],
     initialization: NetworkInitialization,
@@ -107,7 +103,7 @@ def _test_model(
     max_stddev: float,
 ) -> ModelAssessment:
     """The tests of the model; those of systematic errors need one that holds."""
-    if (solved := joint.solved) is None or not solved.problem.bodies:
+    if (solved := joint.solved) is None or not solved.network.bodies:
         return ModelAssessment(joint)
     names, averaged = initialization.names, initialization.solution
     background = np.array([one.sigma for one in tracked])
@@ -124,11 +120,11 @@ def _test_model(
     if scatter.p < FALSE_ALARM_PROBABILITY and scatter.ratio > _MAX_GOOD_SCATTER:
         findings.append(_describe_scatter(scatter, names))
     refuted = any(finding.refutes for finding in findings)
-    legs = isinstance(solved.problem.bodies[0], LegObservations)
-    if legs or _measure_radius_deviation(target, solved) < _MAX_RADIUS_DEVIATION:
+    whole = solved.network.bodies[0].is_whole
+    if not whole or _measure_radius_deviation(solved) < _MAX_RADIUS_DEVIATION:
         inliers = initialization.graph.select_edges(averaged.inliers)
         covariance = compute_joint_covariance(inliers, averaged.T_root_node)
-        covariance *= _LEG_AVERAGING_VARIANCE if legs else 1.0
+        covariance *= 1.0 if whole else _LEG_AVERAGING_VARIANCE
         disagreement = [*find_disagreement(joint, averaged.T_root_node, covariance, names)]
         refuted |= bool(findings and disagreement)
         findings += disagreement
@@ -152,9 +148,9 @@ _INTERVAL = 5.0
 _MAX_PARTS = 2000
 
 
-def _test_parts(solved: SolvedNetwork, names: Sequence[str]) -> tuple[Scatter, list[Finding]]:
+def _test_parts(solved: NetworkEquations, names: Sequence[str]) -> tuple[Scatter, list[Finding]]:
     """How far parts of the data scatter, and which of them give other poses."""
-    walked = sum(body.knots.duration for body in solved.problem.bodies)
+    walked = sum(body.knots.duration for body in solved.network.bodies)
     parts = split_contributions(solved, max(_INTERVAL, walked / _MAX_PARTS))
     scatter = measure_scatter(parts)
     groups = parts.group_scanners(MAX_JOINT_COVARIANCE)
@@ -181,11 +177,11 @@ def _describe_scatter(scatter: Scatter, names: Sequence[str]) -> Finding:
     )
 
 
-def _measure_radius_deviation(target: People | Cylinder, solved: SolvedNetwork) -> float:
+def _measure_radius_deviation(solved: NetworkEquations) -> float:
     """Largest relative deviation of the mean radii of all bodies from the stated ones."""
-    stated: Array = np.array(target.axes) if isinstance(target, People) else np.full(2, target.diameter / 2)
-    beams = [sum(len(scans.ranges) for scans in body.scans) for body in solved.problem.bodies]
-    radii = np.average([path.radii for path in solved.state.paths], axis=0, weights=beams)
+    stated, _ = solved.network.bodies[0].shape_prior
+    beams = [sum(len(scans.ranges) for scans in body.scans) for body in solved.network.bodies]
+    radii = np.average([path.shape for path in solved.state.paths], axis=0, weights=beams)
     return float(np.max(np.abs(radii / stated - 1)))
 
 
@@ -246,7 +242,7 @@ def _select_estimates(errors: SystematicErrors, names: Sequence[str], scanners: 
     )
 
 
-def find_poor_fit(solved: SolvedNetwork, names: Sequence[str], background: Array) -> Iterator[Finding]:
+def find_poor_fit(solved: NetworkEquations, names: Sequence[str], background: Array) -> Iterator[Finding]:
     """The findings of all tests of the fit.
 
     Args:
@@ -264,8 +260,8 @@ def find_poor_fit(solved: SolvedNetwork, names: Sequence[str], background: Array
 _LIMIT_SHARE = 0.95
 
 
-def _find_noise_at_limit(solved: SolvedNetwork, names: Sequence[str], background: Array) -> Iterator[Finding]:
-    network = solved.problem
+def _find_noise_at_limit(solved: NetworkEquations, names: Sequence[str], background: Array) -> Iterator[Finding]:
+    network = solved.network
     limit = np.hypot(background, MAX_EXCESS)
     if len(scanners := np.flatnonzero(network.range_sigma > _LIMIT_SHARE * limit)):
         ratio = float(np.max(network.range_sigma[scanners] / background[scanners]))
@@ -278,8 +274,8 @@ def _find_noise_at_limit(solved: SolvedNetwork, names: Sequence[str], background
         )
 
 
-def _find_model_error_at_limit(solved: SolvedNetwork, names: Sequence[str]) -> Iterator[Finding]:
-    position, heading = np.sqrt(solved.problem.model_error_variance).tolist()
+def _find_model_error_at_limit(solved: NetworkEquations, names: Sequence[str]) -> Iterator[Finding]:
+    position, heading = np.sqrt(solved.network.model_error_variance).tolist()
     sizes = []
     if far := position > _LIMIT_SHARE * MAX_POSITION_SIGMA:
         sizes.append(f"{1000 * position:.0f} mm")
@@ -301,9 +297,9 @@ def _find_model_error_at_limit(solved: SolvedNetwork, names: Sequence[str]) -> I
 _MIN_WEIGHTED_SHARE = 0.6
 
 
-def _find_unused_beams(solved: SolvedNetwork, names: Sequence[str]) -> Iterator[Finding]:
+def _find_unused_beams(solved: NetworkEquations, names: Sequence[str]) -> Iterator[Finding]:
     used, total = np.zeros((2, len(names)))
-    for body in solved.problem.bodies:
+    for body in solved.network.bodies:
         for scans in body.scans:
             used[scans.scanner] += np.count_nonzero(scans.weight)
             total[scans.scanner] += len(scans.weight)
@@ -347,7 +343,7 @@ def find_correlated_beams(
         )
 
 
-def measure_outline_errors(solved: SolvedNetwork, background: Array, correlation: Array) -> Array:
+def measure_outline_errors(solved: NetworkEquations, background: Array, correlation: Array) -> Array:
     """(S,) standard deviations of what adjacent beams on a body have in common and walls do not show, m.
 
     Noise that walls have as well is that of the scanner: the model error and the scatter of parts contain its
@@ -359,7 +355,7 @@ def measure_outline_errors(solved: SolvedNetwork, background: Array, correlation
         background: (S,) noise of each scanner's static background, m.
         correlation: (S,) of :func:`correlate_adjacent_beams`.
     """
-    excess = np.maximum(solved.problem.range_sigma**2 - background**2, 0)
+    excess = np.maximum(solved.network.range_sigma**2 - background**2, 0)
     return np.asarray(np.sqrt(np.where(correlation > _MAX_BEAM_CORRELATION, correlation * excess, 0)))
 
 
@@ -373,10 +369,10 @@ def add_position_errors(joint: NetworkSolution, errors: Array) -> NetworkSolutio
     return joint.scale_covariance(np.concatenate([[1.0], factor]))
 
 
-def correlate_adjacent_beams(solved: SolvedNetwork) -> Array:
+def correlate_adjacent_beams(solved: NetworkEquations) -> Array:
     """(S,) correlation of the weighted residuals of each scanner's adjacent beams on a body; 0 without beams."""
-    products, squares = np.zeros((2, solved.problem.count))
-    for of_body in solved.equations.batches.map(_multiply_adjacent, solved.problem, solved.state):
+    products, squares = np.zeros((2, solved.network.count))
+    for of_body in solved.batches.map(_multiply_adjacent, solved.network, solved.state):
         for scanner, product, square in of_body:
             products[scanner] += product
             squares[scanner] += square
@@ -388,7 +384,7 @@ def _multiply_adjacent(
 ) -> list[tuple[int, float, float]]:
     """Each scanner of a body, with the weighted sums of products and of mean squares of adjacent residuals."""
     sums = []
-    for beams in list_beam_residuals(network, state, body, path):
+    for beams in predict_beams(network, state, body, path):
         weights = beams.scans.weight
         weight = np.sqrt(weights[:-1] * weights[1:]) * (beams.scan[:-1] == beams.scan[1:])
         first, second = beams.residual[:-1], beams.residual[1:]

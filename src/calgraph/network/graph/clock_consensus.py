@@ -7,7 +7,6 @@ delays show in cycles: correct offsets of all pairs across a cut agree.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from heapq import heappop, heappush
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +14,7 @@ from scipy.sparse import csc_array, csr_array
 from scipy.sparse.linalg import splu
 
 from calgraph.geometry import Array
+from calgraph.graph.spanning_tree import TreeStep, list_parts, walk_tree
 from calgraph.network.pairs.clock_mounting_search import FIRM_EVIDENCE, MIN_LATERAL_SPREAD, ClockMountingHypothesis
 
 # Rounds of reweighting, after which weights of clock offsets change by less than a percent.
@@ -51,13 +51,13 @@ def resolve_clocks(node: Mapping[str, int], hypotheses: Sequence[ClockMountingHy
     remaining, refused = list(hypotheses), list[ClockMountingHypothesis]()
     while True:
         used = _best_of_pairs(remaining)
-        tree = _spanning_tree(len(node), node, used)
-        offset, stddev = _average_clocks(len(node), node, used, tree)
-        unconfirmed = next(
-            (found for h in tree if (found := _unconfirmed(h, tree, node, hypotheses, offset))), None
-        )
+        tree = _ClockTree.grow(node, used)
+        offset, stddev = _average_clocks(node, used, tree)
+        cuts = range(len(tree.steps))
+        found = (_unconfirmed(k, tree, node, hypotheses, offset) for k in cuts)
+        unconfirmed = next(filter(None, found), None)
         if unconfirmed is None:
-            on_a_line = tuple(h for h in tree if _rests_on_a_line(h, tree, node, used))
+            on_a_line = tuple(tree.hypotheses[k] for k in cuts if _rests_on_a_line(k, tree, node, used))
             return ClockSolution(offset, stddev, _best_of_pairs(refused), on_a_line)
         refused += [h for h in remaining if h in unconfirmed]
         remaining = [h for h in remaining if h not in unconfirmed]
@@ -74,9 +74,9 @@ def average_clocks(names: Sequence[str], hypotheses: Sequence[ClockMountingHypot
     """
     node = {name: k for k, name in enumerate(names)}
     used = _best_of_pairs([h for h in hypotheses if np.isfinite(h.clock_stddev)])
-    tree = _spanning_tree(len(node), node, used)
-    offset, stddev = _average_clocks(len(node), node, used, tree)
-    clocks = np.column_stack([offset, np.sqrt(_variance_factor(node, used, offset, len(tree))) * stddev])
+    tree = _ClockTree.grow(node, used)
+    offset, stddev = _average_clocks(node, used, tree)
+    clocks = np.column_stack([offset, np.sqrt(_variance_factor(node, used, offset, len(tree.steps))) * stddev])
     clocks[clocks[:, 1] == 0] = np.nan
     return clocks
 
@@ -104,36 +104,24 @@ def _best_of_pairs(hypotheses: Sequence[ClockMountingHypothesis]) -> tuple[Clock
     return tuple(best.values())
 
 
-def _spanning_tree(
-    count: int, node: Mapping[str, int], used: Sequence[ClockMountingHypothesis]
-) -> list[ClockMountingHypothesis]:
-    """The maximum spanning tree of descending hypotheses, in the order from node 0."""
-    of_node: list[list[int]] = [[] for _ in range(count)]
-    for k, h in enumerate(used):
-        of_node[node[h.sensor_a]].append(k)
-        of_node[node[h.sensor_b]].append(k)
-    reached, tree, leaving = {0}, list[ClockMountingHypothesis](), of_node[0].copy()  # ascending, so a heap
-    while leaving:
-        h = used[heappop(leaving)]
-        for name in (h.sensor_a, h.sensor_b):
-            if node[name] not in reached:
-                reached.add(node[name])
-                tree.append(h)
-                for k in of_node[node[name]]:
-                    heappush(leaving, k)
-    return tree
+@dataclass(frozen=True, eq=False)
+class _ClockTree:
+    """The maximum spanning tree of descending hypotheses, with its fundamental cuts."""
 
+    steps: Sequence[TreeStep]
+    hypotheses: Sequence[ClockMountingHypothesis]
+    """That of each step."""
+    parts: NDArray[np.bool_]
+    """(T, N) the nodes that each connects to node 0."""
 
-def _beyond(
-    edge: ClockMountingHypothesis, tree: Sequence[ClockMountingHypothesis], node: Mapping[str, int]
-) -> set[int]:
-    """The nodes that an edge of the tree connects to node 0."""
-    reached = {0}
-    for h in tree:
-        both = {node[h.sensor_a], node[h.sensor_b]}
-        if h is not edge and both & reached:
-            reached |= both
-    return {node[name] for h in tree for name in (h.sensor_a, h.sensor_b)} - reached
+    @classmethod
+    def grow(cls, node: Mapping[str, int], used: Sequence[ClockMountingHypothesis]) -> "_ClockTree":
+        steps = walk_tree(len(node), [(node[h.sensor_a], node[h.sensor_b]) for h in used], [0])
+        return cls(steps, [used[step.edge] for step in steps], list_parts(len(node), steps))
+
+    def crosses(self, k: int, node: Mapping[str, int], h: ClockMountingHypothesis) -> bool:
+        """Whether a hypothesis is across the k-th cut."""
+        return bool(self.parts[k, node[h.sensor_a]] != self.parts[k, node[h.sensor_b]])
 
 
 # Offset from which tracks are corrected before poses are estimated, s: smaller ones are within the prior of clock
@@ -147,17 +135,13 @@ MAX_EVIDENCE_RATIO = 0.7
 
 
 def _unconfirmed(
-    edge: ClockMountingHypothesis,
-    tree: Sequence[ClockMountingHypothesis],
-    node: Mapping[str, int],
-    hypotheses: Sequence[ClockMountingHypothesis],
-    offset: Array,
+    k: int, tree: _ClockTree, node: Mapping[str, int], hypotheses: Sequence[ClockMountingHypothesis], offset: Array
 ) -> list[ClockMountingHypothesis]:
-    """The hypotheses across the cut of an edge that agree with its clock offset, if that is not confirmed."""
+    """The hypotheses across the k-th cut that agree with its clock offset, if that is not confirmed."""
+    edge = tree.hypotheses[k]
     if abs(edge.clock_offset) <= MIN_CLOCK_OFFSET:
         return []
-    part = _beyond(edge, tree, node)
-    across = [h for h in hypotheses if (node[h.sensor_a] in part) != (node[h.sensor_b] in part)]
+    across = [h for h in hypotheses if tree.crosses(k, node, h)]
     agreeing = [h for h in across if abs(_residual(h, node, offset)) <= SAME_CLOCK]
     supporting = {(h.sensor_a, h.sensor_b) for h in agreeing}
     contradicting = {(h.sensor_a, h.sensor_b) for h in across} - supporting
@@ -169,17 +153,14 @@ def _unconfirmed(
 
 
 def _rests_on_a_line(
-    edge: ClockMountingHypothesis,
-    tree: Sequence[ClockMountingHypothesis],
-    node: Mapping[str, int],
-    used: Sequence[ClockMountingHypothesis],
+    k: int, tree: _ClockTree, node: Mapping[str, int], used: Sequence[ClockMountingHypothesis]
 ) -> bool:
-    """Whether clocks across an edge differ by what no other pair confirms, where people may follow each other."""
+    """Whether clocks across a cut differ by what no other pair confirms, where people may follow each other."""
+    edge = tree.hypotheses[k]
     differs = abs(edge.clock_offset) > MIN_CLOCK_OFFSET
     if not differs or edge.lateral_spread >= MIN_LATERAL_SPREAD:
         return False
-    part = _beyond(edge, tree, node)
-    return sum((node[h.sensor_a] in part) != (node[h.sensor_b] in part) for h in used) == 1
+    return sum(tree.crosses(k, node, h) for h in used) == 1
 
 
 def _residual(h: ClockMountingHypothesis, node: Mapping[str, int], offset: Array) -> float:
@@ -187,24 +168,18 @@ def _residual(h: ClockMountingHypothesis, node: Mapping[str, int], offset: Array
 
 
 def _average_clocks(
-    count: int,
-    node: Mapping[str, int],
-    used: Sequence[ClockMountingHypothesis],
-    tree: Sequence[ClockMountingHypothesis],
+    node: Mapping[str, int], used: Sequence[ClockMountingHypothesis], tree: _ClockTree
 ) -> tuple[Array, Array]:
     """(N,) offsets from node 0 and their standard deviations, s.
 
     Least squares with Cauchy weights, which start at the offsets along the tree.
     """
-    offsets, reached = np.zeros(count), {0}
-    for h in tree:
-        i, j = node[h.sensor_a], node[h.sensor_b]
-        if i in reached:
-            offsets[j] = offsets[i] + h.clock_offset
-        else:
-            offsets[i] = offsets[j] - h.clock_offset
-        reached |= {i, j}
-    free = sorted(reached - {0})
+    count = len(node)
+    offsets = np.zeros(count)
+    for step, h in zip(tree.steps, tree.hypotheses, strict=True):
+        forward = step.parent == node[h.sensor_a]
+        offsets[step.child] = offsets[step.parent] + (h.clock_offset if forward else -h.clock_offset)
+    free = sorted(step.child for step in tree.steps)
     stddev = np.zeros(count)
     if not free:
         return offsets, stddev

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from calgraph.config.settings import ScannerPairSettings
 from calgraph.geometry import Array
+from calgraph.graph.spanning_tree import list_parts, walk_tree
 from calgraph.network.graph.clock_consensus import MAX_EVIDENCE_RATIO, MIN_CLOCK_OFFSET, resolve_clocks
 from calgraph.network.pairs.clock_mounting_search import ClockMountingHypothesis
 from calgraph.network.pairs.hypothesis_evidence import MIN_WEIGHT_OF_EVIDENCE
@@ -99,40 +100,26 @@ def _select_mountings(
     """
     gain = evidence[0] - evidence[1]
     count = len(gain)
+    # The clearest pairs first; those without a difference connect what no other pair does with the root.
+    i, j = np.nonzero(np.triu(gain))
+    clearest = np.argsort(-np.abs(gain[i, j]), kind="stable")
+    ranked = np.concatenate(
+        [np.stack([i, j], axis=1)[clearest], np.stack([np.zeros(count - 1), np.arange(1, count)], axis=1)]
+    )
+    tree = walk_tree(count, ranked.astype(np.intp).tolist(), fixed)
     signs = np.ones(count, dtype=np.intp)
-    parent: dict[int, int] = dict.fromkeys(fixed, -1)
-    order = []
-    # Of nodes that are not reached, the clearest pair with one that is; of equal ones the first.
-    clearest, nearest = np.full(count, -1.0), np.full(count, count)
-    added = sorted(fixed)
-    while True:
-        for i in added:
-            size = np.abs(gain[i])
-            nearer = (size > clearest) | ((size == clearest) & (i < nearest))
-            clearest[nearer], nearest[nearer] = size[nearer], i
-        if len(parent) == count:
-            break
-        open_nodes = np.setdiff1d(np.arange(count), list(parent))
-        j = int(open_nodes[np.lexsort((open_nodes, nearest[open_nodes], -clearest[open_nodes]))[0]])
-        i = int(nearest[j])
-        parent[j], added = i, [j]
-        order.append(j)
-        signs[j] = signs[i] if gain[i, j] >= 0 else -signs[i]
+    for _, parent, child in tree:
+        signs[child] = signs[parent] if gain[parent, child] >= 0 else -signs[parent]
     improved = True
     while improved:
         improved = False
-        for k in order:
+        for _, _, k in tree:
             if signs[k] * float(gain[k] @ signs) < 0:
                 signs[k] *= -1
                 improved = True
     ambiguous = np.zeros(count, dtype=np.bool_)
     ends = np.argwhere(np.any(evidence > 0, axis=0))
-    for first in order:
-        inside = {first}
-        for k in order:  # parents come before their children
-            if parent[k] in inside:
-                inside.add(k)
-        part = np.array([k in inside for k in range(count)])
+    for part in list_parts(count, tree):
         chosen, other = _evidence_across(evidence, ends, signs, part)
         if chosen > 0 and other > max_evidence_ratio * chosen:
             ambiguous |= part

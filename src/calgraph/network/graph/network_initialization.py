@@ -10,10 +10,14 @@ from calgraph.errors import Rejected
 from calgraph.geometry import Array
 from calgraph.graph.pose_graph import PoseAveraging, PoseGraph, PoseGraphSolution
 from calgraph.network.graph.clock_consensus import average_clocks
-from calgraph.network.graph.conflicting_evidence import (
+from calgraph.network.graph.cuts import (
     AmbiguousPart,
+    AveragedGraph,
     find_ambiguous_parts,
+    find_chance_connections,
     find_conflicting_evidence,
+    find_visibility_conflict,
+    is_confirmed_by_visibility,
 )
 from calgraph.network.graph.network_graph import (
     average_network,
@@ -23,23 +27,16 @@ from calgraph.network.graph.network_graph import (
     edges_by_chance,
     published_weights,
 )
-from calgraph.network.graph.visibility_check import (
-    find_chance_connections,
-    find_visibility_conflict,
-    is_confirmed_by_visibility,
-)
 from calgraph.network.pairs.clock_mounting_search import describe_difference
-from calgraph.network.pairs.scanner_pair import ScannerPairEstimate
+from calgraph.network.pairs.scanner_pair import ScannerPairEstimate, ScannerPairs
 from calgraph.network.pairs.visibility_map import ScannerObservations
-
-Pairs = Mapping[tuple[str, str], ScannerPairEstimate | Rejected]
 
 
 @dataclass(frozen=True, eq=False)
 class NetworkInitialization:
     """Start poses of those scanners of a network whose poses nothing contradicts."""
 
-    pairs: Pairs
+    pairs: ScannerPairs
     """The given pairs without hypotheses that the network contradicts; rejected where none is left."""
     graph: PoseGraph
     """Of the remaining hypotheses, with their model error as estimated."""
@@ -67,7 +64,7 @@ class NetworkInitialization:
 
 def initialize_network(
     root: str,
-    pairs: Pairs,
+    pairs: ScannerPairs,
     observations: Mapping[str, ScannerObservations],
     rng: np.random.Generator,
     *,
@@ -97,8 +94,8 @@ def initialize_network(
         if weighted:
             weights = published_weights(names, estimates) if averaging else edge_weights(evidence)
         solution, graph = average_network(graph, rng, weights, averaging)
-        by_chance = edges_by_chance(names, estimates, len(observations))
-        unsure = find_chance_connections(graph, solution, by_chance)
+        averaged = AveragedGraph(graph, solution, evidence)
+        unsure = find_chance_connections(averaged, edges_by_chance(names, estimates, len(observations)))
         if unsure.any():
             why = (
                 "the tracks match, but only where people walk straight at one speed, as different people do by "
@@ -108,15 +105,14 @@ def initialize_network(
             continue
         # A root without any connection may have no observations.
         of_nodes = [observations[name] for name in names if name in observations]
-        missed = find_visibility_conflict(graph, of_nodes, solution, evidence)
+        missed = find_visibility_conflict(averaged, of_nodes)
         if missed:
             why = f"under its pose, scanners miss {missed.missed_share:.0%} of the people in their open view"
             pairs = _reject_edges(pairs, names, missed.edges, Rejected(why))
             continue
-        conflict = find_conflicting_evidence(graph, names, estimates, solution)
+        conflict = find_conflicting_evidence(averaged, names)
         if not conflict:
-            ambiguous = find_ambiguous_parts(graph, evidence, solution)
-            return NetworkInitialization(pairs, graph, names, solution, tuple(ambiguous))
+            return NetworkInitialization(pairs, graph, names, solution, tuple(find_ambiguous_parts(averaged)))
         if is_confirmed_by_visibility(of_nodes, conflict.T_root_node, conflict.part):
             pairs = _reject_edges(pairs, names, conflict.weaker_edges, Rejected("contradicts better evidence"))
         else:
@@ -124,12 +120,14 @@ def initialize_network(
             pairs = _reject_scanners(pairs, part, Rejected(conflict.reason))
 
 
-def _reject_scanners(pairs: Pairs, scanners: Set[str], reason: Rejected) -> Pairs:
+def _reject_scanners(pairs: ScannerPairs, scanners: Set[str], reason: Rejected) -> ScannerPairs:
     """The pairs with all those of some scanners rejected."""
     return {ends: reason if scanners & set(ends) else found for ends, found in pairs.items()}
 
 
-def _reject_edges(pairs: Pairs, names: Sequence[str], edges: NDArray[np.bool_], reason: Rejected) -> Pairs:
+def _reject_edges(
+    pairs: ScannerPairs, names: Sequence[str], edges: NDArray[np.bool_], reason: Rejected
+) -> ScannerPairs:
     """The pairs without the hypotheses of some edges (E,), in the order of :func:`build_network_graph`."""
     rejected, connected = iter(edges), set(names)
     kept_pairs: dict[tuple[str, str], ScannerPairEstimate | Rejected] = {}

@@ -7,6 +7,7 @@ from typing import Any
 
 from calgraph.network.joint.problem import BodyObservations, NetworkProblem, NetworkState
 from calgraph.parallel.engine import THIS_PROCESS, MapEngine
+from calgraph.parallel.kept_values import Kept
 
 # Beams of a batch: their equations take about 20 ms, of which calls and results are a tenth.
 _BATCH_BEAMS = 20_000
@@ -16,10 +17,10 @@ _BATCHES_PER_PART = 250
 
 @dataclass(frozen=True, eq=False)
 class KeptValues:
-    """One value for each body, which an engine keeps."""
+    """One value for each body, which stays where the calls for it run."""
 
-    handles: tuple[Any, ...]
-    """By batch."""
+    batches: tuple[Kept, ...]
+    """A list of them by batch."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,8 +30,8 @@ class BodyBatches:
     engine: MapEngine
     bodies: tuple[slice, ...]
     """Of each batch, among those of the network."""
-    handles: tuple[Any, ...]
-    """Of the bodies of each batch."""
+    kept: tuple[Kept, ...]
+    """The bodies of each batch."""
 
     @classmethod
     def place(cls, bodies: Sequence[BodyObservations], engine: MapEngine = THIS_PROCESS) -> "BodyBatches":
@@ -42,17 +43,17 @@ class BodyBatches:
                 bounds.append(index + 1)
                 beams = 0
         slices = tuple(slice(*pair) for pair in pairwise(bounds))
-        return cls(engine, slices, tuple(engine.put([bodies[selected] for selected in slices])))
+        return cls(engine, slices, tuple(Kept.of(bodies[selected]) for selected in slices))
 
     def divide(self) -> Iterator["BodyBatches"]:
         """Parts of successive batches, whose results are in memory together."""
         for first in range(0, len(self.bodies), _BATCHES_PER_PART):
             part = slice(first, first + _BATCHES_PER_PART)
-            yield replace(self, bodies=self.bodies[part], handles=self.handles[part])
+            yield replace(self, bodies=self.bodies[part], kept=self.kept[part])
 
     def thin(self, step: int) -> "BodyBatches":
         """Every n-th batch."""
-        return replace(self, bodies=self.bodies[::step], handles=self.handles[::step])
+        return replace(self, bodies=self.bodies[::step], kept=self.kept[::step])
 
     def map(
         self, function: Callable[..., Any], network: NetworkProblem, state: NetworkState, *others: Any
@@ -72,23 +73,21 @@ class BodyBatches:
         results = self.engine.map(_call_each, self._list_work(function, network, state, others))
         return [result for batch in results for result in batch]
 
-    def map_and_keep(
-        self, function: Callable[..., tuple[Any, Any]], network: NetworkProblem, state: NetworkState, *others: Any
-    ) -> tuple[list[Any], KeptValues]:
-        """Does the same with a function that returns a result and a value to keep."""
-        results, handles = self.engine.map_and_keep(
-            _call_each_and_keep, self._list_work(function, network, state, others)
-        )
-        return [result for batch in results for result in batch], KeptValues(tuple(handles))
+    def keep(
+        self, function: Callable[..., Any], network: NetworkProblem, state: NetworkState, *others: Any
+    ) -> KeptValues:
+        """The results of the same calls, which are computed where calls take them, and stay there."""
+        work = self._list_work(function, network, state, others)
+        return KeptValues(tuple(Kept(_call_each, *arguments) for arguments in work))
 
     def _list_work(
         self, function: Callable[..., Any], network: NetworkProblem, state: NetworkState, others: tuple[Any, ...]
     ) -> list[tuple[Any, ...]]:
-        [shared] = self.engine.put([(replace(network, bodies=(), walls=(), prior=None), replace(state, paths=()))])
+        shared = Kept.of((replace(network, bodies=(), walls=(), prior=None), replace(state, paths=())))
         return [
             (
-                *(function, shared, self.handles[n], state.paths[selected]),
-                *(other.handles[n] if isinstance(other, KeptValues) else other[selected] for other in others),
+                *(function, shared, self.kept[n], state.paths[selected]),
+                *(other.batches[n] if isinstance(other, KeptValues) else other[selected] for other in others),
             )
             for n, selected in enumerate(self.bodies)
         ]
@@ -96,10 +95,3 @@ class BodyBatches:
 
 def _call_each(function: Callable[..., Any], shared: tuple[Any, Any], *of_bodies: Sequence[Any]) -> list[Any]:
     return [function(*shared, *of_body) for of_body in zip(*of_bodies, strict=True)]
-
-
-def _call_each_and_keep(
-    function: Callable[..., tuple[Any, Any]], shared: tuple[Any, Any], *of_bodies: Sequence[Any]
-) -> tuple[list[Any], list[Any]]:
-    pairs = _call_each(function, shared, *of_bodies)
-    return [result for result, _ in pairs], [value for _, value in pairs]

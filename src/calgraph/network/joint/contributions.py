@@ -11,16 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.geometry import Array, Index
-from calgraph.network.joint.ellipse_equations import linearize_ellipse_scans
-from calgraph.network.joint.estimate import SolvedNetwork
-from calgraph.network.joint.leg_problem import LegPath
-from calgraph.network.joint.model_error import TUKEY_LIMIT
+from calgraph.network.joint.body_equations import linearize_scans
 from calgraph.network.joint.path_equations import add_scans
 from calgraph.network.joint.problem import BodyObservations, BodyPath, NetworkProblem, NetworkState
-from calgraph.network.joint.scan_equations import TukeyLoss
+from calgraph.network.joint.scan_equations import TUKEY_LIMIT, TukeyLoss
 from calgraph.network.joint.scanner_matrix import NearInverse, ScannerMatrix
 from calgraph.network.joint.scanner_unknowns import CLOCK, SCANNER_UNKNOWNS, compute_root_times, list_columns
 from calgraph.network.joint.schur import BodyEquations, compute_back_substitution, eliminate_path
+from calgraph.network.joint.solver import NetworkEquations
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,9 +177,8 @@ def _select_block(matrix: Array, selected: NDArray[np.bool_]) -> Array:
     return matrix if selected.all() else matrix[np.ix_(selected, selected)]
 
 
-def split_contributions(solved: SolvedNetwork, interval: float) -> NetworkContributions:
+def split_contributions(equations: NetworkEquations, interval: float) -> NetworkContributions:
     """Splits the normal equations of a solution by body and interval of time, s."""
-    equations = solved.equations
     # Gradients of a redescending loss have less variance, and change less with the unknowns, than the information
     # in its weights predicts. Scaled to that information, priors weigh more.
     scale = TukeyLoss(TUKEY_LIMIT).score_to_information ** -0.5
@@ -221,11 +218,11 @@ def _split_body(
 
     The information is the lower triangle of (m, m), row by row: there are many of them.
 
-    A leg is one part: the biases of scanners make its intervals depend on each other.
+    A body with biases is one part: they make its intervals depend on each other.
     """
     size = len(equations.columns)
     H, g = eliminate_path(equations, 0.0)
-    if isinstance(path, LegPath):
+    if body.has_biases:
         middle = body.knots.start + body.knots.duration / 2
         return [(middle, _take_triangle(H, estimated), g[estimated])]
     substitution = compute_back_substitution(equations)[:, :-1]
@@ -236,7 +233,7 @@ def _split_body(
     def part_of(times: Array) -> Index:
         return np.clip((times - body.knots.start) / interval, 0, count - 1).astype(np.intp)
 
-    all_terms = [linearize_ellipse_scans(network, state, body, path, k) for k in range(len(body.scans))]
+    all_terms = [linearize_scans(network, state, body, path, k) for k in range(len(body.scans))]
     # Scans of a scanner are in order of time.
     ends = [
         np.searchsorted(part_of(compute_root_times(network, state, scans)), np.arange(count + 1))

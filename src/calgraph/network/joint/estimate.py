@@ -2,13 +2,10 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import pairwise
 
 import numpy as np
 from scipy.linalg import solveh_banded
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from calgraph.config import Cylinder, Lidar2dUncertainty, People
 from calgraph.config.settings import NetworkEstimationSettings, TrackingSettings
@@ -16,12 +13,13 @@ from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
 from calgraph.network.joint.body_batches import BodyBatches
-from calgraph.network.joint.ellipse_equations import MIN_WALKING_SPEED, compute_residuals, raycast_body
+from calgraph.network.joint.body_equations import update_weights
+from calgraph.network.joint.ellipses import MIN_WALKING_SPEED, EllipseObservations
 from calgraph.network.joint.heading_search import search_headings
-from calgraph.network.joint.leg_problem import measures_legs
 from calgraph.network.joint.leg_solution import SECOND_PATH_SIGMA, AddWalls, solve_legs
-from calgraph.network.joint.model_error import TUKEY_LIMIT, estimate_model_error
-from calgraph.network.joint.path_equations import compute_smoothness_information, evaluate_at
+from calgraph.network.joint.legs import measures_legs
+from calgraph.network.joint.model_error import estimate_model_error
+from calgraph.network.joint.path_equations import compute_smoothness_information
 from calgraph.network.joint.planar_poses import NearCovariances
 from calgraph.network.joint.problem import (
     BodyObservations,
@@ -31,8 +29,7 @@ from calgraph.network.joint.problem import (
     NetworkState,
     WallConstraint,
 )
-from calgraph.network.joint.range_noise import MIN_COS_INCIDENCE, estimate_range_noise
-from calgraph.network.joint.scan_equations import TukeyLoss
+from calgraph.network.joint.range_noise import estimate_range_noise
 from calgraph.network.joint.scanner_prior import ScannerPrior
 from calgraph.network.joint.scanner_unknowns import (
     CLOCK,
@@ -57,21 +54,12 @@ from calgraph.network.pairs.scanner_pair import CLOCK_SIGMA
 from calgraph.network.pairs.synchronized_tracks import TICK_PERIOD
 from calgraph.network.tracking.track import ScannerTracks, Track
 from calgraph.parallel.engine import THIS_PROCESS, MapEngine
+from calgraph.parallel.kept_values import Kept
 from calgraph.parallel.mapped_arrays import ArrayMemory
+from calgraph.solver.connected_parts import label_parts
 
 # People whose beams are in one file, if they are not in memory: systems allow tens of thousands of mapped files.
 _BODIES_PER_FILE = 100
-
-
-@dataclass(frozen=True, eq=False)
-class SolvedNetwork:
-    """The problem of a joint solution, with its minimum."""
-
-    problem: NetworkProblem
-    """With the noise, model error and robust weights of the last round."""
-    state: NetworkState
-    equations: NetworkEquations
-    """The normal equations at the state, that of the last accepted step."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,8 +77,9 @@ class NetworkSolution:
     """Whether clock offsets were estimated."""
     model_error: float
     """Standard deviation of the position of bodies in a scan about their smooth path, m."""
-    solved: SolvedNetwork | None = None
-    """What was solved, for tests of the solution; None where only the result is given."""
+    solved: NetworkEquations | None = None
+    """At the minimum, with the noise, model error and robust weights of the last round, for tests of the solution;
+    None where only the result is given."""
     systematic: SystematicErrors | None = None
     """Systematic errors of the scanners."""
 
@@ -191,9 +180,10 @@ def solve_network(
         and len(foregrounds) == len(tracked)
         and measures_legs(target, tracked, settings.legs)
     ):
-        network, state, equations = solve_legs(network, state, foregrounds, add_walls, engine)
+        equations = solve_legs(network, state, foregrounds, add_walls, engine)
     else:
-        network, state, equations = _solve_bodies(network, state, edges, add_walls, engine)
+        equations = _solve_bodies(network, state, edges, add_walls, engine)
+    network, state = equations.network, equations.state
     covariance, pairs = compute_network_covariance(equations), list_known_pairs(network)
     return NetworkSolution(
         state.T_root_scanner,
@@ -201,7 +191,7 @@ def solve_network(
         covariance.select_pairs(pairs, slice(FIRST_SYSTEMATIC)),
         estimate_clocks,
         float(np.sqrt(network.model_error_variance[0])),
-        solved=SolvedNetwork(network, state, equations),
+        solved=equations,
         systematic=SystematicErrors(
             state.systematic, covariance.select_pairs(pairs, slice(FIRST_SYSTEMATIC, None)), prior_sigma
         ),
@@ -241,24 +231,24 @@ def _solve_bodies(
     edges: Sequence[WallConstraint],
     add_walls: AddWalls,
     engine: MapEngine,
-) -> tuple[NetworkProblem, NetworkState, NetworkEquations]:
+) -> NetworkEquations:
     """Solves for scanners and ellipses, from the noise of the background and the priors of rig.yaml."""
     background, prior_sigma = network.range_sigma, network.systematic_sigma
     network = replace(network, walls=select_bridges(network, (), edges))
     batches = BodyBatches.place(network.bodies, engine)
     for path_sigma in (_FIRST_PATH_SIGMA, SECOND_PATH_SIGMA):
         network = replace(network, range_sigma=np.hypot(background, path_sigma))
-        network, batches = _update_weights(network, state, batches, _INITIAL_NEAR_SIDE_FACTOR)
+        network, batches = update_weights(network, state, batches, _INITIAL_NEAR_SIDE_FACTOR)
         state, equations = optimize_network(network, state, iterations=_ITERATIONS, batches=batches)
         state = search_headings(network, state, batches)
     previous = np.full(2, np.inf)
     for rounds_left in reversed(range(_MAX_ROUNDS)):
         range_sigma = estimate_range_noise(network, state, equations, background)
-        network, batches = _update_weights(replace(network, range_sigma=range_sigma), state, batches)
+        network, batches = update_weights(replace(network, range_sigma=range_sigma), state, batches)
         network = replace(
             network,
             model_error_variance=estimate_model_error(network, state, batches),
-            systematic_sigma=estimate_systematic_sigma(network, state, equations, prior_sigma, engine),
+            systematic_sigma=estimate_systematic_sigma(equations, prior_sigma, engine),
         )
         change = np.abs(network.model_error_variance / previous - 1)
         last = rounds_left == 0 or bool(np.all(change < _TOLERANCE))
@@ -275,7 +265,7 @@ def _solve_bodies(
         if last:
             break
         previous = network.model_error_variance
-    return network, state, equations
+    return equations
 
 
 def _observe_bodies(
@@ -295,12 +285,12 @@ _PEOPLE_RADII_SIGMA = 0.3
 _CYLINDER_RADIUS_SIGMA = 1e-4
 
 
-def _build_observations(body: BodyTracks, target: People | Cylinder) -> BodyObservations:
+def _build_observations(body: BodyTracks, target: People | Cylinder) -> EllipseObservations:
     radii = _prior_radii(target)
     people = isinstance(target, People)
     sigma = _PEOPLE_RADII_SIGMA * radii if people else np.full(2, _CYLINDER_RADIUS_SIGMA)
     scans = tuple(collect_scans(scanner, tracks) for scanner, tracks in sorted(body.by_scanner().items()))
-    return BodyObservations(_place_knots(body), scans, radii, sigma, faces_forward=people)
+    return EllipseObservations(_place_knots(body), scans, radii, sigma, faces_forward=people)
 
 
 # Interval of a path's control points, s: two or three for a step of half a second, the fastest motion of a torso.
@@ -377,34 +367,6 @@ def _initialize_path(
     return BodyPath(np.column_stack([control, heading]), _prior_radii(target))
 
 
-def _update_weights(
-    network: NetworkProblem, state: NetworkState, batches: BodyBatches, near_side_factor: float = 1.0
-) -> tuple[NetworkProblem, BodyBatches]:
-    """The network with robust weights of beams at a state, and its bodies; the factor is that of the weights."""
-    compute_weights = partial(_compute_weights, near_side_factor=near_side_factor)
-    memory, bodies = ArrayMemory(network.settings.max_kept_bytes), list[BodyObservations]()
-    for part in batches.divide():
-        weights = memory.limit(part.map(compute_weights, network, state))
-        for body, of_scanners in zip(network.bodies[len(bodies) :], weights, strict=False):
-            scans = (replace(one, weight=weight) for one, weight in zip(body.scans, of_scanners, strict=True))
-            bodies.append(replace(body, scans=tuple(scans)))
-    return replace(network, bodies=tuple(bodies)), BodyBatches.place(bodies, batches.engine)
-
-
-def _compute_weights(
-    network: NetworkProblem, state: NetworkState, body: BodyObservations, path: BodyPath, near_side_factor: float
-) -> list[Array]:
-    """Weights (N,) of each scanner's beams on a body."""
-    weights = []
-    for scans in body.scans:
-        _, _, pose, rate = evaluate_at(network, state, body, path, scans)
-        hits = raycast_body(state, path, scans, pose, rate)
-        residual, _ = compute_residuals(network, scans, hits)
-        used = hits.cos_incidence > MIN_COS_INCIDENCE
-        weights.append(TukeyLoss(TUKEY_LIMIT).compute_weights(residual, used, near_side_factor))
-    return weights
-
-
 # Error of the joint poses at which the registration of walls starts, m: bounds which walls correspond.
 _WALL_POSITION_SIGMA = 0.05
 # The error of the joint poses at which the registration of walls starts, rad.
@@ -430,12 +392,10 @@ def register_walls(
     }
     prior_covariance = np.diag(np.square([_WALL_POSITION_SIGMA, _WALL_POSITION_SIGMA, _WALL_ROTATION_SIGMA]))
     beam_errors, _ = linearize_beam_errors(state.systematic)
-    backgrounds = engine.put(
-        [
-            icp.StaticBackground(correct_points(scanner.background, errors))
-            for scanner, errors in zip(tracked, state.systematic, strict=True)
-        ]
-    )
+    backgrounds = [
+        Kept.of(icp.StaticBackground(correct_points(scanner.background, errors)))
+        for scanner, errors in zip(tracked, state.systematic, strict=True)
+    ]
     work = []
     for a, b in sorted(pairs):
         T_a_b = se2.inverse(state.T_root_scanner[a]) @ state.T_root_scanner[b]
@@ -458,6 +418,5 @@ def select_bridges(
     scanners = [[scans.scanner for scans in body.scans if scans.weight.any()] for body in network.bodies]
     connected = [pair for of_body in scanners for pair in pairwise(of_body)]
     ends = np.array([*connected, *((wall.a, wall.b) for wall in walls)], dtype=np.intp).reshape(-1, 2)
-    adjacency = coo_array((np.ones(len(ends)), ends.T), shape=(network.count, network.count))
-    part = connected_components(adjacency, directed=False)[1]
+    part = label_parts(network.count, ends)
     return tuple(edge for edge in edges if part[edge.a] != part[edge.b])

@@ -10,14 +10,15 @@ import numpy as np
 
 from calgraph.geometry import Array, Index
 from calgraph.network.joint.body_batches import BodyBatches
-from calgraph.network.joint.ellipse_equations import (
-    TURNING_DENSITY,
-    compute_heading_offsets,
-    rotate_by_small_angles,
-)
+from calgraph.network.joint.ellipses import TURNING_DENSITY, EllipseObservations, compute_heading_offsets
 from calgraph.network.joint.path_equations import evaluate_at, index_scans
 from calgraph.network.joint.problem import BodyObservations, BodyPath, BodyScans, NetworkProblem, NetworkState
-from calgraph.network.joint.scanner_unknowns import RANGE_BIAS, compute_stretches, compute_turns
+from calgraph.network.joint.scanner_unknowns import (
+    RANGE_BIAS,
+    compute_stretches,
+    compute_turns,
+    rotate_by_small_angles,
+)
 
 
 def search_headings(
@@ -38,7 +39,9 @@ def search_headings(
 _GRID_SIZE = 18
 
 
-def _search_body(network: NetworkProblem, state: NetworkState, body: BodyObservations, path: BodyPath) -> BodyPath:
+def _search_body(
+    network: NetworkProblem, state: NetworkState, body: EllipseObservations, path: BodyPath
+) -> BodyPath:
     if not body.faces_forward:
         return path
     size = _GRID_SIZE
@@ -86,7 +89,7 @@ def _compute_beam_costs(
     systematic, double_azimuth = state.systematic[scans.scanner], scans.double_azimuth[:, used]
     direction = rotate_by_small_angles(x, y, compute_turns(systematic, scans.azimuth[used], double_azimuth)).T
     sigma = np.hypot(network.range_sigma[scans.scanner], _PATH_SIGMA)
-    ranges = _raycast_grid(T[:2, 2] - centre, direction, path.radii, grid)
+    ranges = _raycast_grid(T[:2, 2] - centre, direction, path.shape, grid)
     ranges = compute_stretches(systematic, double_azimuth)[:, None] * ranges + systematic[RANGE_BIAS]
     cost = 0.5 * ((ranges - scans.ranges[used, None]) / sigma) ** 2
     return nearest[scan], _BEAM_WEIGHT * np.fmin(cost, _MAX_BEAM_COST)

@@ -10,16 +10,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import cho_solve_banded, cholesky_banded, solveh_banded
 
-from calgraph.geometry import STDDEV_PER_MAD, Array, Index, se2, se_n
+from calgraph.geometry import Array, Index, estimate_spread, se2, se_n
 from calgraph.network.joint.body_batches import BodyBatches
-from calgraph.network.joint.leg_equations import compute_leg_residuals, raycast_leg
-from calgraph.network.joint.leg_problem import LegObservations, LegPath, compute_shape_prior
+from calgraph.network.joint.body_equations import predict_beams, update_weights
 from calgraph.network.joint.leg_tracks import ACCELERATION_DENSITY, LegTrack, track_legs
-from calgraph.network.joint.model_error import TUKEY_LIMIT
-from calgraph.network.joint.path_equations import compute_smoothness_information, evaluate_at, index_scans
-from calgraph.network.joint.problem import BodyScans, NetworkProblem, NetworkState
+from calgraph.network.joint.legs import OUTLINE, LegObservations, compute_outline_prior
+from calgraph.network.joint.path_equations import compute_smoothness_information
+from calgraph.network.joint.problem import BodyPath, BodyScans, NetworkProblem, NetworkState
 from calgraph.network.joint.range_noise import MAX_EXCESS, MIN_BEAMS, MIN_RATIO
-from calgraph.network.joint.scan_equations import TukeyLoss
 from calgraph.network.joint.scanner_unknowns import correct_points
 from calgraph.network.joint.schur import (
     BodyEquations,
@@ -36,8 +34,8 @@ from calgraph.parallel.engine import THIS_PROCESS, MapEngine
 
 # Beams of a greater leverage determine the path: their residuals have no information.
 _MAX_LEVERAGE = 0.7
-# Beams whose range changes faster with their offset from the centre are near the edge, and not used.
-_MAX_SLOPE = 1.0
+# Beams whose range is less certain, m, are near the edge, and not used: the noise of ranges at walls.
+_MAX_EDGE_SIGMA = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,39 +58,33 @@ _MIN_BIAS_SIGMA = 0.0005
 _ACCELERATION_DENSITY_RANGE = (10.0, 100.0)
 
 
-def estimate_noise(
-    network: NetworkProblem, state: NetworkState, equations: NetworkEquations, background: Array
-) -> LegNoise:
+def estimate_noise(equations: NetworkEquations, background: Array) -> LegNoise:
     """Estimates all variances from a solution of legs.
 
     Args:
-        network: with the weights of its last solution.
-        state: of that solution.
-        equations: of that solution.
+        equations: of the solution.
         background: (S,) noise of each scanner's background, m.
     """
     return LegNoise(
-        _estimate_range_noise(network, state, equations, background),
-        _estimate_bias_variance(network, state, equations, _MIN_BIAS_SIGMA),
-        _estimate_acceleration_density(network, state, equations, _ACCELERATION_DENSITY_RANGE),
+        _estimate_range_noise(equations, background),
+        _estimate_bias_variance(equations, _MIN_BIAS_SIGMA),
+        _estimate_acceleration_density(equations, _ACCELERATION_DENSITY_RANGE),
     )
 
 
-def _estimate_acceleration_density(
-    network: NetworkProblem, state: NetworkState, equations: NetworkEquations, limits: tuple[float, float]
-) -> float:
+def _estimate_acceleration_density(equations: NetworkEquations, limits: tuple[float, float]) -> float:
     """Squared second differences of the control points, over the number of them that the data determine.
 
     As for the biases, it is a step of the fixed-point iteration for restricted maximum likelihood, for given
     scanners and shapes.
     """
-    of_legs = equations.batches.map(_measure_bends, network, state, equations.body_equations)
+    of_legs = equations.map(_measure_bends)
     squares, determined = np.sum(of_legs, axis=0) if of_legs else (0.0, 0.0)
     return float(np.clip(squares / max(determined, 1.0), *limits)) if of_legs else limits[1]
 
 
 def _measure_bends(
-    _network: NetworkProblem, _state: NetworkState, leg: LegObservations, path: LegPath, equations: BodyEquations
+    _network: NetworkProblem, _state: NetworkState, leg: LegObservations, path: BodyPath, equations: BodyEquations
 ) -> tuple[float, float]:
     """Sum of squared second differences of one leg, and how many of them the data determine."""
     bend = np.diff(path.control[:, :2], 2, axis=0)
@@ -103,41 +95,36 @@ def _measure_bends(
     return float(np.sum(bend**2)) / leg.knots.step**3, float(np.sum(2 - np.minimum(variance / prior, 2)))
 
 
-def _estimate_range_noise(
-    network: NetworkProblem, state: NetworkState, equations: NetworkEquations, background: Array
-) -> Array:
+def _estimate_range_noise(equations: NetworkEquations, background: Array) -> Array:
     """(S,) noise of ranges, m: median absolute residual, each divided by the root of one minus its leverage.
 
     Scanners with few beams on legs have the noise (S,) of their background.
     """
     residuals: list[list[Array]] = [[] for _ in background]
-    of_legs = equations.batches.map(_list_residuals, network, state, equations.body_equations)
-    for leg, of_scanners in zip(network.bodies, of_legs, strict=True):
+    of_legs = equations.map(_list_residuals)
+    for leg, of_scanners in zip(equations.network.bodies, of_legs, strict=True):
         for scans, absolute in zip(leg.scans, of_scanners, strict=True):
             residuals[scans.scanner].append(absolute)
     by_scanner = [np.concatenate([np.zeros(0), *parts]) for parts in residuals]
     estimated = [
-        STDDEV_PER_MAD * np.median(absolute) if len(absolute) >= MIN_BEAMS else stated
+        estimate_spread(absolute) if len(absolute) >= MIN_BEAMS else stated
         for absolute, stated in zip(by_scanner, background, strict=True)
     ]
     return np.asarray(np.clip(estimated, MIN_RATIO * background, np.hypot(background, MAX_EXCESS)))
 
 
 def _list_residuals(
-    network: NetworkProblem, state: NetworkState, leg: LegObservations, path: LegPath, equations: BodyEquations
+    network: NetworkProblem, state: NetworkState, leg: LegObservations, path: BodyPath, equations: BodyEquations
 ) -> list[Array]:
     """Absolute residuals of each scanner's beams on one leg, corrected for their leverage, m."""
     path_covariance = compute_path_covariance(equations.band)[..., :2, :2]
     residuals = []
-    for scans, bias in zip(leg.scans, path.bias.tolist(), strict=True):
-        first, weights, pose, rate = evaluate_at(network, state, leg, path, scans)
-        hits = raycast_leg(state, path, scans, pose, rate)
-        residual, sigma = compute_leg_residuals(network, scans, hits, bias)
-        covariance = _interpolate_covariance(path_covariance, first, weights)[index_scans(scans)]
-        J = hits.jacobian[:, :2] / sigma[:, None]
-        leverage = scans.weight * np.einsum("ni,nij,nj->n", J, covariance, J)
-        used = (np.abs(hits.slope) < _MAX_SLOPE) & (leverage < _MAX_LEVERAGE)
-        residuals.append(np.abs(residual * sigma)[used] / np.sqrt(1 - leverage[used]))
+    for beams in predict_beams(network, state, leg, path):
+        covariance = _interpolate_covariance(path_covariance, beams.first, beams.weights)[beams.scan]
+        J = beams.jacobian[:2].T
+        leverage = beams.scans.weight * np.einsum("ni,nij,nj->n", J, covariance, J)
+        used = (np.abs(beams.hits.edge_sigma) < _MAX_EDGE_SIGMA) & (leverage < _MAX_LEVERAGE)
+        residuals.append(np.abs(beams.residual * beams.sigma)[used] / np.sqrt(1 - leverage[used]))
     return residuals
 
 
@@ -151,16 +138,14 @@ def _interpolate_covariance(path_covariance: Array, first: Index, weights: Array
     return total
 
 
-def _estimate_bias_variance(
-    network: NetworkProblem, state: NetworkState, equations: NetworkEquations, min_sigma: float
-) -> float:
+def _estimate_bias_variance(equations: NetworkEquations, min_sigma: float) -> float:
     """Variance of the biases, m²: their sum of squares over the number of them that the data determine.
 
     It is a step of the fixed-point iteration for restricted maximum likelihood (Harville, 1977, section 5).
     """
     covariance = compute_network_covariance(equations)
     of_scanners = [covariance.select(columns) for columns in equations.columns]
-    of_legs = equations.batches.map(_measure_biases, network, state, equations.body_equations, of_scanners)
+    of_legs = equations.map(_measure_biases, of_scanners)
     squares, determined = np.sum(of_legs, axis=0) if of_legs else (0.0, 0.0)
     return max(float(squares) / max(float(determined), 1.0), min_sigma**2)
 
@@ -169,7 +154,7 @@ def _measure_biases(
     _network: NetworkProblem,
     _state: NetworkState,
     leg: LegObservations,
-    path: LegPath,
+    path: BodyPath,
     equations: BodyEquations,
     covariance: Array,
 ) -> tuple[float, float]:
@@ -177,10 +162,11 @@ def _measure_biases(
 
     The covariance (UL, UL) is that of the scanners.
     """
-    by_scanners = compute_back_substitution(equations)[-len(path.bias) :, :-1]
-    variance = _bias_variances(equations, len(path.bias))
+    bias = path.shape[OUTLINE:]
+    by_scanners = compute_back_substitution(equations)[-len(bias) :, :-1]
+    variance = _bias_variances(equations, len(bias))
     variance += np.einsum("ij,jk,ik->i", by_scanners, covariance, by_scanners)
-    return float(path.bias @ path.bias), float(np.sum(1 - np.minimum(variance / leg.bias_variance, 1)))
+    return float(bias @ bias), float(np.sum(1 - np.minimum(variance / leg.bias_variance, 1)))
 
 
 def _bias_variances(equations: BodyEquations, count: int) -> Array:
@@ -207,7 +193,7 @@ class LegCandidate:
     """First time at which it was tracked, s."""
     end: float
     """Last time, s."""
-    path: LegPath
+    path: BodyPath
 
 
 @dataclass(frozen=True, eq=False)
@@ -333,7 +319,7 @@ def solve_legs(
     foregrounds: Sequence[Foreground],
     add_walls: AddWalls,
     engine: MapEngine = THIS_PROCESS,
-) -> tuple[NetworkProblem, NetworkState, NetworkEquations]:
+) -> NetworkEquations:
     """Solves jointly for the unknowns of scanners, and the paths and shapes of legs.
 
     Args:
@@ -344,7 +330,7 @@ def solve_legs(
         engine: evaluates legs.
 
     Returns:
-        The problem of the last round, with its minimum and the normal equations there.
+        The normal equations at the minimum of the last round.
     """
     background = network.range_sigma
     prior_sigma = systematic_sigma = network.systematic_sigma
@@ -358,28 +344,19 @@ def solve_legs(
         for round_ in range(_ROUNDS):
             network = replace(network, systematic_sigma=systematic_sigma)
             network, state, candidates = _associate(network, state, candidates, beams, noise)
+            network, batches = update_weights(network, state, BodyBatches.place(network.bodies, engine))
             # The averaged poses may be too far off for the registration of walls.
             if tracking + round_ > 0:
                 network = add_walls(network, state)
-            batches = BodyBatches.place(network.bodies, engine)
             state, equations = optimize_network(network, state, iterations=_ITERATIONS, batches=batches)
             candidates = [
-                replace(candidate, path=path)
-                for candidate, (_, path) in zip(candidates, _list_legs(network, state), strict=True)
+                replace(candidate, path=path) for candidate, path in zip(candidates, state.paths, strict=True)
             ]
-            noise = estimate_noise(network, state, equations, background)
-            systematic_sigma = estimate_systematic_sigma(network, state, equations, prior_sigma, engine)
+            noise = estimate_noise(equations, background)
+            systematic_sigma = estimate_systematic_sigma(equations, prior_sigma, engine)
         if tracking > 0 and np.abs(state.clock_offset - clocks).max() < _CLOCK_TOLERANCE:
             break
-    return network, state, equations
-
-
-def _list_legs(network: NetworkProblem, state: NetworkState) -> list[tuple[LegObservations, LegPath]]:
-    return [
-        (leg, path)
-        for leg, path in zip(network.bodies, state.paths, strict=True)
-        if isinstance(leg, LegObservations) and isinstance(path, LegPath)
-    ]
+    return equations
 
 
 # Minimum number of beams of a scanner on a leg, otherwise they are not used: they would determine its bias
@@ -394,7 +371,7 @@ def _associate(
     beams: Sequence[ScannerBeams],
     noise: LegNoise,
 ) -> tuple[NetworkProblem, NetworkState, list[LegCandidate]]:
-    """The problem of the legs that at least two scanners measure, with robust weights, and its start values."""
+    """The problem of the legs that at least two scanners measure, and its start values."""
     network = replace(network, range_sigma=noise.range_sigma)
     by_scanner = [
         associate_beams(
@@ -417,47 +394,26 @@ def _associate(
             bodies.append(leg)
             paths.append(path)
     state = replace(state, paths=tuple(paths))
-    return _update_weights(replace(network, bodies=tuple(bodies)), state), state, measured
+    return replace(network, bodies=tuple(bodies)), state, measured
 
 
 def _observe_leg(
     leg: LegCandidate, scans: tuple[BodyScans, ...], noise: LegNoise
-) -> tuple[LegObservations, LegPath]:
+) -> tuple[LegObservations, BodyPath]:
     """A leg with its beams; biases start at zero, as the scanners that measure it change."""
     heading, information = predict_headings(leg.path.control[:, :2], leg.knots.step)
     # Headings of the path and of its prior differ by whole turns if the person turned while standing.
     turns = np.round((leg.path.control[:, 2] - heading) / (2 * np.pi))
-    (mean, *_), (sigma, *_) = compute_shape_prior()
     observations = LegObservations(
         leg.knots,
         scans,
-        np.full(2, mean),
-        np.full(2, sigma),
-        faces_forward=True,
         heading=heading + 2 * np.pi * turns,
         heading_information=information,
         bias_variance=noise.bias_variance,
         acceleration_density=noise.acceleration_density,
     )
-    return observations, LegPath.from_shape(leg.path.control, leg.path.shape, np.zeros(len(scans)))
-
-
-def _update_weights(network: NetworkProblem, state: NetworkState) -> NetworkProblem:
-    """The network with robust weights of beams at a state."""
-    loss = TukeyLoss(TUKEY_LIMIT)
-
-    def compute_weights(leg: LegObservations, path: LegPath, k: int) -> Array:
-        scans = leg.scans[k]
-        _, _, pose, rate = evaluate_at(network, state, leg, path, scans)
-        hits = raycast_leg(state, path, scans, pose, rate)
-        residual, _ = compute_leg_residuals(network, scans, hits, float(path.bias[k]))
-        return loss.compute_weights(residual, np.ones(len(residual), dtype=np.bool_))
-
-    bodies = []
-    for leg, path in _list_legs(network, state):
-        scans = [replace(one, weight=compute_weights(leg, path, k)) for k, one in enumerate(leg.scans)]
-        bodies.append(replace(leg, scans=tuple(scans)))
-    return replace(network, bodies=tuple(bodies))
+    shape = np.concatenate([leg.path.shape[:OUTLINE], np.zeros(len(scans))])
+    return observations, BodyPath(leg.path.control, shape)
 
 
 # Information, 1/m², that keeps control points without positions invertible; the smoothness determines them.
@@ -486,10 +442,8 @@ def initialize_leg(track: LegTrack) -> LegCandidate:
     band[0] += _RIDGE
     positions = solveh_banded(band, right, lower=True)
     heading, _ = predict_headings(positions, interval)
-    shape, _ = compute_shape_prior()
-    return LegCandidate(
-        knots, start, end, LegPath.from_shape(np.column_stack([positions, heading]), shape, np.zeros(0))
-    )
+    outline, _ = compute_outline_prior()
+    return LegCandidate(knots, start, end, BodyPath(np.column_stack([positions, heading]), outline))
 
 
 # Time over which a path is averaged for the direction of the walk, s: a stride, one swing of a leg.

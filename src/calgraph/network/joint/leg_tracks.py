@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from calgraph.geometry import Array, Index, se2
-from calgraph.network.tracking.association import GATED_COST
+from calgraph.network.tracking.association import GATE, GATED_COST
 from calgraph.network.tracking.leg_clusters import LegClusters
 
 
@@ -106,9 +106,6 @@ def track_legs(clusters: Sequence[LegClusters], T_root_scanner: Array, clock_off
     return sorted((leg for leg in legs if _is_walking(leg)), key=lambda leg: float(leg.times[0]))
 
 
-# Maximum squared Mahalanobis distance of a cluster from a prediction: a correct one exceeds it with probability
-# 1e-3 (χ², two degrees of freedom).
-_GATE = 13.8
 # Spectral density of a leg's acceleration, m²/s³: a shin changes its speed by 3 m/s twice in a stride of a
 # second, with a correlation time of 0.15 s.
 ACCELERATION_DENSITY = 30.0
@@ -133,7 +130,7 @@ def _match(active: _ActiveLegs, index: Index, times: Array, positions: Array, va
         offset = positions - active.mean[:, None, :2] - dt[..., None] * active.mean[:, None, 2:]
         S = p_ahead + variance
         squared = np.einsum("kcd,kcd->kc", offset, offset)
-        inside = (squared <= _GATE * S) & (squared <= _MAX_DISTANCE**2)
+        inside = (squared <= GATE * S) & (squared <= _MAX_DISTANCE**2)
         cost = np.where(inside, squared / S + 2 * np.log(S), GATED_COST)
         rows, columns = linear_sum_assignment(cost)
         good = inside[rows, columns]

@@ -13,10 +13,9 @@ import numpy as np
 
 from calgraph.geometry import Array, Index, se_n
 from calgraph.network.joint.body_batches import BodyBatches
-from calgraph.network.joint.ellipse_equations import build_scan_equations
-from calgraph.network.joint.path_equations import evaluate_at
+from calgraph.network.joint.body_equations import predict_beams
 from calgraph.network.joint.problem import BodyObservations, BodyPath, NetworkProblem, NetworkState
-from calgraph.network.joint.scan_equations import ScanEquations, TukeyLoss
+from calgraph.network.joint.scan_equations import TUKEY_LIMIT, ScanEquations, TukeyLoss
 from calgraph.network.joint.scanner_unknowns import compute_root_times
 
 # Variances that are tried together, and how many times: between the last of them, 8 % of a standard deviation
@@ -72,9 +71,6 @@ class _ScanEquations:
 # Beams of the bodies that are compared, evenly among all of larger networks: those of about 1500 strides of 5
 # scanners, which determine a standard deviation to 2 %.
 _MAX_BEAMS = 500_000
-# Limit of Tukey's biweight, standard deviations. The textbook's 4.685 has an efficiency of 95 % for Gaussian
-# noise, this one 64 %, but the former takes swinging arms for the torso.
-TUKEY_LIMIT = 2.5
 
 
 def estimate_model_error(
@@ -94,7 +90,7 @@ def estimate_model_error(
     beams = int(network.count_beams().sum())
     batches = batches or BodyBatches.place(network.bodies)
     batches = batches.thin(1 + beams // _MAX_BEAMS)
-    _, kept = batches.map_and_keep(_collect_equations, network, state)
+    kept = batches.keep(_collect_equations, network, state)
     score_to_information = TukeyLoss(TUKEY_LIMIT).score_to_information
     variances = network.model_error_variance.copy()
 
@@ -143,21 +139,20 @@ _STRIDE_DURATION = 1.0
 
 def _collect_equations(
     network: NetworkProblem, state: NetworkState, body: BodyObservations, path: BodyPath
-) -> tuple[None, _ScanEquations]:
-    """Nothing, and the equations of a body."""
+) -> _ScanEquations:
+    """The equations of a body."""
     duration = _STRIDE_DURATION
     collected, parts = [], []
-    for k, scans in enumerate(body.scans):
-        _, _, pose, rate = evaluate_at(network, state, body, path, scans)
-        stride = (compute_root_times(network, state, scans) - body.knots.start) / duration
-        collected.append(build_scan_equations(network, state, path, scans, pose, rate))
+    for k, beams in enumerate(predict_beams(network, state, body, path)):
+        stride = (compute_root_times(network, state, beams.scans) - body.knots.start) / duration
+        collected.append(beams.sum_over_scans())
         parts.append(np.maximum(stride, 0).astype(np.intp) * len(body.scans) + k)
     of_pose = ScanEquations(
         np.concatenate([one.information[:, :3, :3] for one in collected]),
         np.concatenate([one.gradient[:, :3] for one in collected]),
         np.concatenate([one.cost for one in collected]),
     )
-    return None, _ScanEquations(of_pose, np.concatenate(parts), len(body.scans))
+    return _ScanEquations(of_pose, np.concatenate(parts), len(body.scans))
 
 
 def _compare_scanners(

@@ -105,26 +105,22 @@ def compute_stretch(state: NetworkState, body: BodyObservations) -> float:
     return 1 + float(np.mean([state.systematic[scans.scanner, RANGE_SCALE] for scans in body.scans]))
 
 
-def add_stretch(
-    equations: tuple[Array, Array, Array], control: Array, gradient: Array, stretch: float, scanners: int
-) -> None:
+def add_stretch(equations: BodyEquations, control: Array, gradient: Array, stretch: float, scanners: int) -> None:
     """Adds the derivatives of a path's smoothness by the range scales of its scanners.
 
     Args:
-        equations: border (K, 3, n), corner (n, n) and its gradient (n,) of a body, changed in place; the unknowns
-            of the scanners are the last.
+        equations: of the body, changed in place.
         control: (K, 2) positions of control points, m.
         gradient: (K, 2) of the smoothness by them.
         stretch: of the path.
         scanners: number of scanners, L.
     """
-    border, corner, corner_gradient = equations
-    first = len(corner) - SCANNER_UNKNOWNS * scanners + FIRST_SYSTEMATIC + RANGE_SCALE
+    first = equations.shape_count + FIRST_SYSTEMATIC + RANGE_SCALE
     columns = first + SCANNER_UNKNOWNS * np.arange(scanners)
     share, slope = 1 / (stretch * scanners), float(np.sum(control * gradient))
-    border[:, :2, columns] += share * gradient[:, :, None]
-    corner[np.ix_(columns, columns)] += share**2 * slope
-    corner_gradient[columns] += share * slope
+    equations.border[:, :2, columns] += share * gradient[:, :, None]
+    equations.corner[np.ix_(columns, columns)] += share**2 * slope
+    equations.corner_gradient[columns] += share * slope
 
 
 def compute_smoothness_information(step: float, acceleration_density: float) -> Array:

@@ -1,9 +1,12 @@
 """The joint estimation problem of a network: measurements, priors, and the values of all unknowns."""
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import ClassVar, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calgraph.config.settings import NetworkEstimationSettings
 from calgraph.geometry import Array, Index
@@ -42,18 +45,110 @@ class BodyScans:
 
 
 @dataclass(frozen=True, eq=False)
-class BodyObservations:
-    """All measurements of one body, and the prior of its radii."""
+class BodyPath:
+    """Estimated path and shape of one body."""
+
+    control: Array
+    """(K, 3) control points of position, m, and heading, rad."""
+    shape: Array
+    """(B,) numbers, m: what they are is of the body."""
+
+
+@dataclass(frozen=True, eq=False)
+class PathPrior:
+    """Prior of a path: smooth, with headings near given ones."""
+
+    acceleration_density: float
+    """Spectral density of the acceleration, m²/s³."""
+    turning_density: float
+    """Spectral density of the turning rate, rad²/s."""
+    heading_offset: Array
+    """(K,) of the headings at the control points from those of the prior, rad."""
+    heading_information: Array
+    """(K,) 1/rad²."""
+    ridge: tuple[float, float]
+    """Zero-gradient information of positions, 1/m², and headings, 1/rad², which keeps those invertible that
+    nothing determines."""
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedBeams:
+    """N beams of V scans in the root frame, and the body at the scans' times."""
+
+    origin: Array
+    """(2,) m."""
+    direction: Array
+    """(2, N) unit vectors."""
+    scan: Index
+    """(N,) of each beam."""
+    delay: Array
+    """(N,) after the mean time of the scan, s."""
+    stretch: Array
+    """(N,) measured over true ranges."""
+    pose: Array
+    """(V, 3)."""
+    rate: Array
+    """(V, 3) of the pose, 1/s."""
+
+
+@dataclass(frozen=True, eq=False)
+class BodyHits:
+    """Where N beams meet a body."""
+
+    ranges: Array
+    """(N,) true ones, m; NaN where a beam misses."""
+    jacobian: Array
+    """(3 + O, N) of measured ranges by the body's position (2, m) and heading (rad) and O numbers of its outline
+    (m)."""
+    by_turn: Array
+    """(N,) of measured ranges by a turn of the beam about the scanner, m/rad."""
+    hit: NDArray[np.bool_]
+    """(N,) whether a beam counts as meeting the body."""
+    frontal: NDArray[np.bool_]
+    """(N,) whether it does so at an angle at which its range may count."""
+    edge_sigma: Array
+    """(N,) standard deviation of the range by errors across the beam, m."""
+
+
+@dataclass(frozen=True, eq=False)
+class BodyObservations(ABC):
+    """All measurements of one body, with all that the solution knows of bodies of its kind.
+
+    Its shape has O numbers of the outline, and then, if it has biases, one of each of its L scanners.
+    """
 
     knots: Knots
     scans: tuple[BodyScans, ...]
     """By scanner."""
-    radii: Array
-    """(2,) prior mean across and along its heading, m."""
-    radii_sigma: Array
-    """(2,) prior standard deviation, m."""
-    faces_forward: bool
-    """Whether its heading follows its direction of motion, as people's does and a cylinder's does not."""
+    has_biases: ClassVar[bool]
+    """Whether what is not modelled of it is a bias of each scanner's ranges; a displacement in each scan if
+    not."""
+    is_whole: ClassVar[bool]
+    """Whether a track, which follows a person, is one of it."""
+    radius_count: ClassVar[int]
+    """Number of radii, with which its shape begins."""
+
+    @property
+    @abstractmethod
+    def kind(self) -> Literal["ellipses", "cylinders", "legs"]:
+        """Of several of these bodies."""
+
+    @property
+    @abstractmethod
+    def shape_prior(self) -> tuple[Array, Array]:
+        """Mean (B,), m, and information (B,), 1/m²."""
+
+    @abstractmethod
+    def find_path_prior(self, network: "NetworkProblem", path: BodyPath) -> PathPrior:
+        """The prior of its path."""
+
+    @abstractmethod
+    def raycast(self, path: BodyPath, beams: PlacedBeams) -> BodyHits:
+        """Predicts where beams meet it."""
+
+    @abstractmethod
+    def differentiate_by_scale(self, path: BodyPath) -> Array:
+        """(O,) derivatives of its outline by the scale of all lengths."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,20 +197,6 @@ class NetworkProblem:
             for scans in body.scans:
                 count[scans.scanner] += len(scans.ranges)
         return count
-
-
-@dataclass(frozen=True, eq=False)
-class BodyPath:
-    """Estimated path and radii of one body."""
-
-    control: Array
-    """(K, 3) control points of position, m, and heading, rad."""
-    radii: Array
-    """(2,) across and along the heading, m."""
-
-    def retract(self, step: Array, min_radius: float) -> "BodyPath":
-        """The path after a step (3K + 2,) of control points and radii."""
-        return BodyPath(self.control + step[:-2].reshape(-1, 3), np.maximum(self.radii + step[-2:], min_radius))
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,12 +9,10 @@ from functools import partial
 
 import numpy as np
 
-from calgraph.geometry import STDDEV_PER_MAD, Array, Index
-from calgraph.network.joint.ellipse_equations import compute_residuals, raycast_body
-from calgraph.network.joint.model_error import TUKEY_LIMIT
-from calgraph.network.joint.path_equations import evaluate_at
+from calgraph.geometry import Array, Index, estimate_spread
+from calgraph.network.joint.body_equations import predict_beams
 from calgraph.network.joint.problem import BodyObservations, BodyPath, NetworkProblem, NetworkState
-from calgraph.network.joint.scan_equations import ScanEquations, TukeyLoss, sum_over_scans
+from calgraph.network.joint.scan_equations import TUKEY_LIMIT, ScanEquations, TukeyLoss
 from calgraph.network.joint.schur import BodyEquations, compute_path_covariance
 from calgraph.network.joint.solver import NetworkEquations
 
@@ -58,15 +56,10 @@ def estimate_range_noise(
     by_scanner = [np.concatenate([np.zeros(0), *parts]) for parts in residuals]
     shrinkage = loss.median_shrinkage * np.minimum(leverage / np.maximum(effective_beams, 1), _MAX_LEVERAGE)
     sigma = [
-        STDDEV_PER_MAD * np.median(absolute) / (1 - shrunk) if len(absolute) >= MIN_BEAMS else stated
+        estimate_spread(absolute) / (1 - shrunk) if len(absolute) >= MIN_BEAMS else stated
         for absolute, shrunk, stated in zip(by_scanner, shrinkage, background, strict=True)
     ]
     return np.asarray(np.clip(sigma, MIN_RATIO * background, np.hypot(background, MAX_EXCESS)))
-
-
-# Minimum cosine of incidence, 70°: beyond, errors of a beam's direction exceed those of its range (1 mrad at 5 m
-# gives 14 mm), and its width covers more than the outline.
-MIN_COS_INCIDENCE = 0.35
 
 
 def _measure_body(
@@ -80,19 +73,10 @@ def _measure_body(
     """Every n-th (S,) absolute residual, m, and the sum of the leverages of each scanner's beams."""
     path_covariance = compute_path_covariance(equations.band)
     measured = []
-    for scans in body.scans:
-        first, weights, pose, rate = evaluate_at(network, state, body, path, scans)
-        hits = raycast_body(state, path, scans, pose, rate)
-        absolute = np.abs(hits.ranges - scans.ranges)[hits.cos_incidence > MIN_COS_INCIDENCE]
-        scan_equations = sum_over_scans(
-            *compute_residuals(network, scans, hits), scans.weight, scans.first_beam
-        ).marginalize_model_error(network.model_error_variance[[0, 0, 1]])
-        measured.append(
-            (
-                absolute[:: step[scans.scanner]].copy(),
-                _sum_leverages(weights, first, scan_equations, path_covariance),
-            )
-        )
+    for beams in predict_beams(network, state, body, path):
+        absolute = np.abs(beams.error)[beams.hits.frontal][:: step[beams.scans.scanner]].copy()
+        scan_equations = beams.sum_over_scans().marginalize_model_error(network.model_error_variance[[0, 0, 1]])
+        measured.append((absolute, _sum_leverages(beams.weights, beams.first, scan_equations, path_covariance)))
     return measured
 
 

@@ -15,18 +15,13 @@ from scipy.special import erf
 from calgraph.geometry import Array, Index
 from calgraph.solver.marginalization import marginalize_bias
 
-RANGE_ERROR, AZIMUTH_ERRORS = 5, np.arange(6, 9)
-"""Parameters of a scan besides the body's: an error of all its ranges, and those that depend on the azimuth."""
-SCAN_PARAMETERS = 6 + len(AZIMUTH_ERRORS)
-"""Number of the parameters of a scan of an ellipse."""
-
 
 @dataclass(frozen=True, eq=False)
 class ScanEquations:
     """Normal equations of V scans.
 
-    The P parameters of each are the body's pose (3) and radii (2), an error of all ranges (m), the angle scale and
-    the two stretches.
+    The P parameters of each are the body's pose (3) and outline (O), an error of all ranges (m), the angle scale
+    and the two stretches.
     """
 
     information: Array
@@ -52,12 +47,10 @@ class ScanTerms:
     weights: Array
     """(V, 4) of these control points."""
     equations: ScanEquations
-    """Over the body's pose (3), parameters of its shape, an error of all ranges, which may be one of these, and
-    the errors that depend on the azimuth."""
     scanner_jacobian: Array
-    """(V, q, U) of these q parameters, relative to the scanner, by the scanner's unknowns."""
+    """(V, P, U) of the parameters, relative to the scanner, by the scanner's unknowns."""
     shape_rows: slice
-    """Those of the q parameters that are unknowns of the body's shape."""
+    """Those of the P parameters that are unknowns of the body's shape."""
     shape_columns: Index
     """Their places among all unknowns of its shape."""
 
@@ -80,11 +73,11 @@ def sum_over_scans(residual: Array, jacobian: Array, weight: Array, first_beam: 
 
     Args:
         residual: (N,) whitened.
-        jacobian: (N, P) whitened.
+        jacobian: (P, N) whitened.
         weight: (N,).
         first_beam: (V,) the first beam of each scan.
     """
-    rows = np.concatenate([jacobian.T, residual[None]])
+    rows = np.concatenate([jacobian, residual[None]])
     weighted = weight * rows
     # One row at a time over all beams: scans have few beams, and there are many scans.
     products = [np.add.reduceat(weighted[i] * rows[i:], first_beam, axis=1) for i in range(len(rows))]
@@ -96,6 +89,11 @@ def sum_over_scans(residual: Array, jacobian: Array, weight: Array, first_beam: 
 
 # Median of the absolute value of a standard normal variable.
 _MEDIAN = 0.6745
+
+
+# Limit of Tukey's biweight, standard deviations. The textbook's 4.685 has an efficiency of 95 % for Gaussian
+# noise, this one 64 %, but the former takes swinging arms for the torso.
+TUKEY_LIMIT = 2.5
 
 
 @dataclass(frozen=True)

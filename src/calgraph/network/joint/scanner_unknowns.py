@@ -19,7 +19,6 @@ from calgraph.config import Lidar2dUncertainty
 from calgraph.geometry import Array, Index
 from calgraph.network.joint.planar_poses import NearCovariances
 from calgraph.network.joint.problem import BodyScans, NetworkProblem, NetworkState
-from calgraph.network.joint.scan_equations import AZIMUTH_ERRORS, RANGE_ERROR, SCAN_PARAMETERS
 from calgraph.result import EstimatedParameter
 
 SYSTEMATIC_ERRORS = (
@@ -43,6 +42,8 @@ CLOCK, FIRST_SYSTEMATIC = 3, 4
 """Columns of the clock offset and of the first systematic error."""
 RANGE_BIAS, RANGE_SCALE, ANGLE_SCALE, STRETCH_X, STRETCH_DIAGONAL, CLOCK_DRIFT = range(len(SYSTEMATIC_ERRORS))
 """Columns of the systematic errors."""
+# Those whose effect depends on the azimuth.
+_AZIMUTH_ERRORS = [ANGLE_SCALE, STRETCH_X, STRETCH_DIAGONAL]
 # Stretch below which the mean stretch is smooth, that of a tilt of 1.1°: the root has no derivative at zero.
 _MIN_STRETCH = 1e-4
 _UNITS = ("m", "", "", "", "", "")
@@ -172,6 +173,17 @@ def linearize_beam_errors(systematic: Array) -> tuple[Array, Array]:
     return errors, derivative
 
 
+def rotate_by_small_angles(c: Array, s: Array, angle: Array) -> Array:
+    """Rotates unit vectors with components ``c`` and ``s`` (N,) by small angles (N,), rad: (2, N).
+
+    A body turns by less than 0.1 rad within a scan, where the Taylor series is exact to 2e-9. It is much faster
+    than sines and cosines of every beam's angle.
+    """
+    square = angle * angle
+    cos, sin = 1 - square / 2 + square * square / 24, angle * (1 - square / 6 + square * square / 120)
+    return np.stack([c * cos - s * sin, s * cos + c * sin])
+
+
 def compute_stretches(systematic: Array, double_azimuth: Array) -> Array:
     """(N,) measured over true ranges, less the range bias, at doubled azimuths as unit vectors (2, N)."""
     mean, _ = compute_mean_stretch(systematic)
@@ -215,21 +227,31 @@ def compute_scan_stretches(state: NetworkState, scans: BodyScans) -> Array:
 
 
 def compute_scanner_jacobian(
-    network: NetworkProblem, state: NetworkState, scans: BodyScans, radii: Array, pose: Array, rate: Array
+    network: NetworkProblem, state: NetworkState, scans: BodyScans, lengths: Array, pose: Array, rate: Array
 ) -> Array:
-    """(V, P, U) of the P parameters of :class:`ScanEquations` by the scanner's unknowns."""
-    G = np.zeros((len(pose), SCAN_PARAMETERS, SCANNER_UNKNOWNS))
+    """(V, P, U) of the P parameters of :class:`ScanEquations` by the scanner's unknowns.
+
+    Args:
+        network: the problem.
+        state: values of its unknowns.
+        scans: V of the scanner.
+        lengths: (O,) derivatives of the body's outline by the scale of all lengths.
+        pose: (V, 3) of the body.
+        rate: (V, 3) of the pose, 1/s.
+    """
+    outline = 3 + len(lengths)
+    G = np.zeros((len(pose), outline + 1 + len(_AZIMUTH_ERRORS), SCANNER_UNKNOWNS))
     arm = pose[:, :2] - state.T_root_scanner[scans.scanner, :2, 2]
     G[:, 0, 0] = G[:, 1, 1] = G[:, 2, 2] = -1
     G[:, 0, 2], G[:, 1, 2] = arm[:, 1], -arm[:, 0]
     G[:, :3, CLOCK] = -rate
     systematic = G[..., FIRST_SYSTEMATIC:]
-    systematic[:, RANGE_ERROR, RANGE_BIAS] = 1
-    # Ranges are homogeneous in relative positions and radii (Euler's theorem).
+    systematic[:, outline, RANGE_BIAS] = 1
+    # Ranges are homogeneous in relative positions and lengths (Euler's theorem).
     stretch = compute_scan_stretches(state, scans)
     systematic[:, :2, RANGE_SCALE] = arm / stretch
-    systematic[:, 3:5, RANGE_SCALE] = radii / stretch
-    systematic[:, AZIMUTH_ERRORS, [ANGLE_SCALE, STRETCH_X, STRETCH_DIAGONAL]] = 1
+    systematic[:, 3:outline, RANGE_SCALE] = lengths / stretch
+    systematic[:, [outline + 1, outline + 2, outline + 3], _AZIMUTH_ERRORS] = 1
     systematic[:, :3, CLOCK_DRIFT] = G[:, :3, CLOCK] * (scans.times - network.mid_time)[:, None]
     return G
 

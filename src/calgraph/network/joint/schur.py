@@ -30,6 +30,8 @@ class BodyEquations:
     """(B + UL,)."""
     columns: Index
     """(UL,) rows and columns of these scanners in the equations of all scanners."""
+    cost: float = 0.0
+    """Half the squared residuals at the state."""
 
     @property
     def shape_count(self) -> int:

@@ -15,9 +15,7 @@ from numpy.typing import NDArray
 
 from calgraph.geometry import Array, Index, se2
 from calgraph.network.joint.body_batches import BodyBatches, KeptValues
-from calgraph.network.joint.ellipse_equations import linearize_body
-from calgraph.network.joint.leg_equations import linearize_leg
-from calgraph.network.joint.leg_problem import LegObservations, LegPath
+from calgraph.network.joint.body_equations import linearize_body
 from calgraph.network.joint.planar_poses import NearCovariances
 from calgraph.network.joint.problem import BodyObservations, BodyPath, NetworkProblem, NetworkState, WallConstraint
 from calgraph.network.joint.scanner_matrix import NearInverse, ScannerMatrix
@@ -194,10 +192,8 @@ def linearize_network(
     """
     batches = batches or BodyBatches.place(network.bodies)
     H, g = ScannerMatrix.zeros(order or order_scanners(network)), np.zeros(SCANNER_UNKNOWNS * network.count)
-    costs, kept = batches.map_and_keep(_linearize, network, state)
-    cost = 0.0
-    for body_cost in costs:
-        cost += body_cost
+    kept = batches.keep(linearize_body, network, state)
+    cost = sum(batches.map(_read_cost, network, state, kept), 0.0)
     cost += _add_walls(state, network.walls, H, g)
     if network.prior:
         cost += network.prior.add_to_equations(state.T_root_scanner, H, g)
@@ -284,7 +280,7 @@ def optimize_network(
     minimum = minimize(
         state,
         lambda state, _: linearize_network(network, state, batches, order),
-        lambda state, step: apply_step(state, *step),
+        lambda state, step: apply_step(network, state, *step),
         iterations=iterations,
         tolerance=tolerance,
         relative_tolerance=relative_tolerance,
@@ -293,10 +289,12 @@ def optimize_network(
     return minimum.state, minimum.linearization
 
 
-def apply_step(state: NetworkState, step: Array, body_steps: Sequence[Array]) -> NetworkState:
+def apply_step(
+    network: NetworkProblem, state: NetworkState, step: Array, body_steps: Sequence[Array]
+) -> NetworkState:
     """The state after steps (US,) of scanners, and of each body's path and shape."""
     steps = step.reshape(-1, SCANNER_UNKNOWNS)
-    paths = tuple(path.retract(body, _MIN_RADIUS) for path, body in zip(state.paths, body_steps, strict=True))
+    paths = tuple(_move_path(*one) for one in zip(network.bodies, state.paths, body_steps, strict=True))
     return NetworkState(
         se2.retract(state.T_root_scanner, steps[:, :3]),
         state.clock_offset + steps[:, CLOCK],
@@ -305,15 +303,22 @@ def apply_step(state: NetworkState, step: Array, body_steps: Sequence[Array]) ->
     )
 
 
-def _linearize(
-    network: NetworkProblem, state: NetworkState, body: BodyObservations, path: BodyPath
-) -> tuple[float, BodyEquations]:
-    """One body's cost and its equations."""
-    if isinstance(body, LegObservations) and isinstance(path, LegPath):
-        equations, cost = linearize_leg(network, state, body, path)
-    else:
-        equations, cost = linearize_body(network, state, body, path)
-    return cost, equations
+def _move_path(body: BodyObservations, path: BodyPath, step: Array) -> BodyPath:
+    """The path after a step (3K + B,) of control points and shape."""
+    control, shape = np.split(step, [path.control.size])
+    moved = path.shape + shape
+    moved[: body.radius_count] = np.maximum(moved[: body.radius_count], _MIN_RADIUS)
+    return BodyPath(path.control + control.reshape(-1, 3), moved)
+
+
+def _read_cost(
+    _network: NetworkProblem,
+    _state: NetworkState,
+    _body: BodyObservations,
+    _path: BodyPath,
+    equations: BodyEquations,
+) -> float:
+    return equations.cost
 
 
 def _add_walls(state: NetworkState, walls: Sequence[WallConstraint], H: ScannerMatrix, g: Array) -> float:

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from calgraph.geometry import Array, Index
-from calgraph.network.joint.problem import NetworkProblem, NetworkState
 from calgraph.network.joint.scanner_unknowns import FIRST_SYSTEMATIC, SCANNER_UNKNOWNS, compute_prior_covariance
 from calgraph.network.joint.solver import COMMON_ERROR_SHARE, NetworkEquations
 from calgraph.parallel.engine import THIS_PROCESS, MapEngine
+from calgraph.parallel.kept_values import Kept
 
 # Shares per factor of two: the evidence of a standard deviation changes little from one to the next.
 _SHARES_PER_OCTAVE = 2
@@ -66,17 +66,11 @@ _MIN_SYSTEMATIC_SHARE = 1 / 64
 
 
 def estimate_systematic_sigma(
-    network: NetworkProblem,
-    state: NetworkState,
-    equations: NetworkEquations,
-    prior_sigma: Array,
-    engine: MapEngine = THIS_PROCESS,
+    equations: NetworkEquations, prior_sigma: Array, engine: MapEngine = THIS_PROCESS
 ) -> Array:
     """(S, E) standard deviations of systematic errors, from the posterior of their share.
 
     Args:
-        network: with the priors of the equations.
-        state: of the equations.
         equations: near the minimum.
         prior_sigma: (S, E) the largest standard deviations; 0 for what is exact.
         engine: evaluates groups of scanners.
@@ -84,11 +78,11 @@ def estimate_systematic_sigma(
     octaves = -np.log2(_MIN_SYSTEMATIC_SHARE)
     shares = np.exp2(-np.linspace(0, octaves, 1 + int(np.ceil(_SHARES_PER_OCTAVE * octaves))))
     share = np.ones(prior_sigma.shape[1])
-    groups = engine.put(_marginalize_poses(network, state, equations, prior_sigma))
+    groups = [Kept.of(one) for one in _marginalize_poses(equations, prior_sigma)]
     estimated = np.flatnonzero((prior_sigma > 0).any(axis=0))
     for kind in np.tile(estimated, _SWEEPS):
         work = [(group, share.copy(), int(kind), shares) for group in groups]
-        log_evidence = np.sum(engine.map(_Likelihood.log_evidence, work), axis=0)
+        log_evidence = np.sum(list(engine.map(_Likelihood.log_evidence, work)), axis=0)
         weight = np.exp(log_evidence - log_evidence.max())
         # Few scanners leave the share uncertain: its root mean square is safer than its mean.
         share[kind] = np.sqrt(weight @ shares**2 / weight.sum())
@@ -101,14 +95,13 @@ def estimate_systematic_sigma(
 _SYSTEMATIC_GROUP = 100
 
 
-def _marginalize_poses(
-    network: NetworkProblem, state: NetworkState, equations: NetworkEquations, prior_sigma: Array
-) -> list[_Likelihood]:
+def _marginalize_poses(equations: NetworkEquations, prior_sigma: Array) -> list[_Likelihood]:
     """The likelihoods of the estimated systematic errors of groups of scanners near each other.
 
     That of a group is what its posterior contains beside its prior: information and score of the data.
     """
     size, common_share = _SYSTEMATIC_GROUP, COMMON_ERROR_SHARE
+    network, state = equations.network, equations.state
     H, g = equations.eliminate_bodies()
     factor = H.factor()
     mean = state.systematic.ravel() - factor.solve(g).reshape(network.count, -1)[:, FIRST_SYSTEMATIC:].ravel()

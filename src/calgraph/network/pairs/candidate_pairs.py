@@ -8,11 +8,10 @@ from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
-from calgraph.geometry import Array, se2
-from calgraph.network.pairs.synchronized_tracks import Indices, TrackSamples, pair_samples
+from calgraph.geometry import Array, Index, se2
+from calgraph.network.pairs.synchronized_tracks import TrackSamples, pair_samples
+from calgraph.solver.connected_parts import label_parts
 
 Ends = tuple[int, int]
 """Indices of two scanners, ascending."""
@@ -73,7 +72,7 @@ def select_separated_pairs(similarity: Array, sure: Collection[Ends], tried: Col
 
     The number of partners of each scanner is doubled up to its maximum until there are untried ones.
     """
-    part = label_parts(len(similarity), sure)
+    part = label_parts(len(similarity), np.array(sorted(sure), dtype=np.intp).reshape(-1, 2))
     partners, most = _PARTNERS_BETWEEN_PARTS, _MAX_PARTNERS_BETWEEN_PARTS
     while True:
         untried = select_pairs_between_parts(similarity, part, partners, _PAIRS_OF_PART) - set(tried)
@@ -82,14 +81,7 @@ def select_separated_pairs(similarity: Array, sure: Collection[Ends], tried: Col
         partners = min(2 * partners, most)
 
 
-def label_parts(count: int, connected: Collection[Ends]) -> Indices:
-    """(N,) number of the part of each of ``count`` scanners, those that chains of pairs connect."""
-    ends = np.array(sorted(connected), dtype=np.intp).reshape(-1, 2)
-    adjacency = coo_array((np.ones(len(ends)), ends.T), shape=(count, count))
-    return np.asarray(connected_components(adjacency, directed=False)[1], dtype=np.intp)
-
-
-def select_pairs_between_parts(similarity: Array, part: Indices, partners: int, pairs_of_part: int) -> set[Ends]:
+def select_pairs_between_parts(similarity: Array, part: Index, partners: int, pairs_of_part: int) -> set[Ends]:
     """Pairs of scanners of different parts, of the most similar tracks: at least one alignment agrees.
 
     Args:

@@ -11,10 +11,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calgraph.config.settings import ScannerPairSettings
-from calgraph.geometry import Array, se2
+from calgraph.geometry import Array, Index, se2
 from calgraph.network.pairs.candidate_pairs import select_pairs_between_parts
 from calgraph.network.pairs.hypothesis_evidence import (
     MAX_CLOCK_STDDEV,
@@ -27,11 +26,8 @@ from calgraph.network.pairs.pose_hypotheses import propose_poses
 from calgraph.network.pairs.scanner_pair import (
     COARSE_PAIRS,
     DEPTH_STDDEV,
-    DETECTION_RADIUS,
     FINE_MODEL_ERROR,
     MAX_EXHAUSTIVE,
-    MAX_MISSED_SHARE,
-    MIN_EXPECTED,
     MIN_MATCHED_TIME,
     MIN_SAMPLES,
     PROPOSAL_STDDEV,
@@ -39,18 +35,19 @@ from calgraph.network.pairs.scanner_pair import (
     SAME_ANGLE,
     SAME_POSITION,
     ScannerPairEstimate,
+    miss_detections,
 )
-from calgraph.network.pairs.synchronized_tracks import Indices, SimultaneousPairs, pair_samples
+from calgraph.network.pairs.synchronized_tracks import pair_samples
 from calgraph.network.pairs.track_registration import (
-    GATE,
     MAX_MODEL_ERROR,
     NuisancePrior,
     compute_pose_costs,
     register_tracks,
 )
 from calgraph.network.pairs.track_similarity import compute_track_similarity
-from calgraph.network.pairs.visibility_map import ScannerObservations, contradicts_visibility
+from calgraph.network.pairs.visibility_map import ScannerObservations
 from calgraph.parallel.engine import THIS_PROCESS, Engine
+from calgraph.parallel.kept_values import Kept
 
 # Most registrations of a hypothesis, each with the samples shifted to the clock offset of the previous one.
 _MAX_SHIFTS = 3
@@ -133,7 +130,7 @@ _PAIRS_OF_PART = 100
 
 
 def select_searched_pairs(
-    observations: Mapping[str, ScannerObservations], part: Indices, settings: ScannerPairSettings
+    observations: Mapping[str, ScannerObservations], part: Index, settings: ScannerPairSettings
 ) -> list[tuple[str, str]]:
     """Pairs of scanners of different parts, in their order, whose clocks and mountings are to be searched.
 
@@ -185,7 +182,7 @@ def search_clocks_and_mountings(
     """
     prior = NuisancePrior(clock_sigma, DEPTH_STDDEV)
     generators = rng.spawn(len(pairs))
-    data = dict(zip(observations, engine.put(list(observations.values())), strict=True))
+    data = {name: Kept.of(one) for name, one in observations.items()}
     work = [
         (ends, data[ends[0]], data[ends[1]], prior, generator, settings)
         for ends, generator in zip(pairs, generators, strict=True)
@@ -240,9 +237,9 @@ def _select_starts(
             continue
         T = propose_poses(subsample_pairs(pairs, _PAIRS, MIN_SAMPLES), rng, _PROPOSALS)
         rough = subsample_pairs(pairs, ROUGH_PAIRS, MIN_SAMPLES)
-        T = T[~_contradicts(T, a, moved, rough, len(pairs), PROPOSAL_STDDEV)]
+        T = T[~miss_detections(T, a, moved, rough, len(pairs), PROPOSAL_STDDEV)]
         coarse = subsample_pairs(pairs, COARSE_PAIRS, MIN_SAMPLES)
-        costs = compute_pose_costs(T, coarse, PROPOSAL_STDDEV, GATE)
+        costs = compute_pose_costs(T, coarse, PROPOSAL_STDDEV)
         candidates += [(float(costs[k]), delay, T[k]) for k in np.argsort(costs)[:_REGISTERED]]
     starts: list[tuple[int, Array]] = []
     for _, delay, T in sorted(candidates, key=lambda candidate: candidate[0]):
@@ -278,24 +275,7 @@ def _register(
         if rest and shift + 1 < _MAX_SHIFTS:
             delay += rest
             continue
-        if _contradicts(T_a_b[None], a, moved, sampled, len(pairs), 0.0)[0]:
+        if miss_detections(T_a_b[None], a, moved, sampled, len(pairs), 0.0)[0]:
             return None
         return build_hypothesis(fit, sampled, a.samples, moved.samples, len(pairs), of_rest)
     return None
-
-
-def _contradicts(
-    T: Array,
-    a: ScannerObservations,
-    b: ScannerObservations,
-    sampled: SimultaneousPairs,
-    count: int,
-    pose_error: float,
-) -> NDArray[np.bool_]:
-    """(K,) which poses imply too many missed detections, by a selection of ``count`` pairs."""
-    return contradicts_visibility(
-        T, sampled, a.visibility, b.visibility,
-        radius=DETECTION_RADIUS + pose_error,
-        min_expected=MIN_EXPECTED * len(sampled) / count,
-        max_missed_share=MAX_MISSED_SHARE,
-    )  # fmt: skip

@@ -185,7 +185,7 @@ def build_hypothesis(
         count: number of simultaneous pairs, of which ``pairs`` are a selection.
         prior: of the registration.
     """
-    scale, gate = count / len(pairs), GATE
+    scale = count / len(pairs)
     expected = count_expected(fit.T_a_b, pairs, a, b)
     covariance = compute_registration_covariance(fit, pairs, prior)
     matched = pairs.x_a[fit.matches]
@@ -193,9 +193,9 @@ def build_hypothesis(
         fit.T_a_b,
         np.asarray(np.linalg.inv(covariance[:3, :3]), dtype=np.float64),
         round(len(fit.matches) * scale),
-        _count_by_chance(fit, pairs, b, gate, _MAX_QUERIES) * scale,
+        _count_by_chance(fit, pairs, b) * scale,
         min(len(fit.matches) / expected, 1.0),
-        float(compute_pose_costs(fit.T_a_b[None], pairs, MAX_MODEL_ERROR, gate)[0]),
+        float(compute_pose_costs(fit.T_a_b[None], pairs, MAX_MODEL_ERROR)[0]),
         fit.model_error,
         uses_background=False,
         clock_offset=float(fit.nuisance[0]) - prior.clock_mean,
@@ -204,16 +204,14 @@ def build_hypothesis(
     )
 
 
-def _count_by_chance(
-    fit: TrackRegistration, pairs: SimultaneousPairs, b: TrackSamples, gate: float, max_queries: int
-) -> float:
+def _count_by_chance(fit: TrackRegistration, pairs: SimultaneousPairs, b: TrackSamples) -> float:
     """Expected number of a's samples that match one of b by chance, from matches at all times.
 
     If both scanners detect people all the time in one narrow passage, the number is large under any pose that
     superimposes the passages.
     """
-    radius = np.sqrt(gate * (float(np.median(pairs.variance)) + fit.model_error**2))
-    sampled = pairs.a.positions[:: max(1, len(pairs.a.tick) // max_queries)]
+    radius = np.sqrt(GATE * (float(np.median(pairs.variance)) + fit.model_error**2))
+    sampled = pairs.a.positions[:: max(1, len(pairs.a.tick) // _MAX_QUERIES)]
     near = _count_neighbours(sampled, se2.inverse(fit.T_a_b), b, radius)
     return float(np.mean(1 - np.exp(-near / len(np.unique(b.tick))))) * len(pairs.a.tick)
 

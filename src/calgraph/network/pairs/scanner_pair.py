@@ -10,7 +10,6 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,7 +36,6 @@ from calgraph.network.pairs.icp import StaticBackground, align_backgrounds
 from calgraph.network.pairs.pose_hypotheses import propose_poses
 from calgraph.network.pairs.synchronized_tracks import SimultaneousPairs, pair_samples
 from calgraph.network.pairs.track_registration import (
-    GATE,
     MAX_MODEL_ERROR,
     NuisancePrior,
     TrackRegistration,
@@ -48,6 +46,7 @@ from calgraph.network.pairs.track_similarity import compute_track_similarity
 from calgraph.network.pairs.visibility_map import ScannerObservations, contradicts_visibility
 from calgraph.network.tracking.track import ScannerTracks
 from calgraph.parallel.engine import THIS_PROCESS, Engine
+from calgraph.parallel.kept_values import Kept
 
 # Fewer pairs than these are evaluated faster than other processes start.
 _MIN_PARALLEL_PAIRS = 6
@@ -88,6 +87,10 @@ class ScannerPairEstimate:
         return self.hypotheses[0].information
 
 
+ScannerPairs = Mapping[tuple[str, str], ScannerPairEstimate | Rejected]
+"""By the names of both scanners: what they tracked together, or why there is no pose."""
+
+
 # Prior standard deviation of clock offsets, s: clocks set by NTP or by hand of a driver's start time.
 CLOCK_SIGMA = 0.1
 # Scanners up to which all pairs are registered: 28 pairs take less than a second.
@@ -104,7 +107,7 @@ def estimate_scanner_pairs(
     engine: Engine = THIS_PROCESS,
     progress: Callable[[float], None] = lambda _done: None,
 ) -> dict[tuple[str, str], ScannerPairEstimate | Rejected]:
-    """Estimates the relative poses of pairs of scanners, as :func:`estimate_scanner_pair` does.
+    """Estimates the relative poses of pairs of scanners from the people that both tracked.
 
     Pairs of networks with many scanners that cannot have tracked the same people are left out, see
     :mod:`calgraph.network.pairs.candidate_pairs`.
@@ -126,9 +129,9 @@ def estimate_scanner_pairs(
     batch = _PairBatch(
         tuple(tracked),
         scanners,
-        tuple(engine.put(scanners)),
+        tuple(Kept.of(scanner) for scanner in scanners),
         icp,
-        _nuisance_prior(clock_sigma, depth_stddev),
+        NuisancePrior(clock_sigma, DEPTH_STDDEV if depth_stddev is None else depth_stddev),
         engine,
     )
     names = batch.names
@@ -146,8 +149,8 @@ class _PairBatch:
 
     names: tuple[str, ...]
     scanners: tuple[_ScannerData, ...]
-    handles: tuple[Any, ...]
-    """Of the scanners, for calls of the engine."""
+    kept: tuple[Kept, ...]
+    """The scanners, for calls of the engine."""
     icp: bool
     prior: NuisancePrior
     engine: Engine
@@ -156,15 +159,18 @@ class _PairBatch:
         self, pairs: Sequence[Ends], generators: Sequence[np.random.Generator], progress: Callable[[float], None]
     ) -> list[ScannerPairEstimate | Rejected]:
         """Estimates pairs of scanners, given by their indices, each with its random generator."""
-        divided = len(pairs) >= _MIN_PARALLEL_PAIRS
-        engine, data = (self.engine, self.handles) if divided else (THIS_PROCESS, self.scanners)
+        engine = self.engine if len(pairs) >= _MIN_PARALLEL_PAIRS else THIS_PROCESS
         work = []
         for (i, j), rng in zip(pairs, generators, strict=True):
             # Random numbers are drawn here, so that results do not depend on the engine.
             proposals = _propose_hypotheses(self.scanners[i], self.scanners[j], rng)
             ends = self.names[i], self.names[j]
-            work.append((ends, data[i], data[j], proposals, self.icp, self.prior))
-        return engine.map(_evaluate_hypotheses, work, progress)
+            work.append((ends, self.kept[i], self.kept[j], proposals, self.icp, self.prior))
+        estimates = []
+        for found in engine.map(_evaluate_hypotheses, work):
+            estimates.append(found)
+            progress(len(estimates) / len(work))
+        return estimates
 
 
 # Pairs of each scanner that are registered first, those with the most similar tracks. In simulated grids of 30
@@ -227,46 +233,9 @@ def _report_round(progress: Callable[[float], None], rounds: int, done: float) -
     progress(1 - 0.5**rounds * (1 - done / 2))
 
 
-def estimate_scanner_pair(
-    name_a: str,
-    name_b: str,
-    a: ScannerTracks,
-    b: ScannerTracks,
-    rng: np.random.Generator,
-    *,
-    icp: bool = True,
-    depth_stddev: float | None = None,
-    clock_sigma: float = CLOCK_SIGMA,
-) -> ScannerPairEstimate | Rejected:
-    """Estimates ``T_a_b`` from the people that both scanners tracked.
-
-    Args:
-        name_a: name of scanner a.
-        name_b: name of scanner b.
-        a: its tracks and background.
-        b: those of b.
-        rng: random generator for the selection of hypotheses.
-        icp: whether to match the static background, too.
-        depth_stddev: prior standard deviation of the distance from tracked to true centres along the beam, m; that
-            of ``DEPTH_STDDEV`` if None.
-        clock_sigma: prior standard deviation of the clock offset of two scanners, s.
-
-    Returns:
-        The best hypotheses, or the reason why there is none.
-    """
-    of_a, of_b = _ScannerData.from_tracks(a), _ScannerData.from_tracks(b)
-    proposals = _propose_hypotheses(of_a, of_b, rng)
-    prior = _nuisance_prior(clock_sigma, depth_stddev)
-    return _evaluate_hypotheses((name_a, name_b), of_a, of_b, proposals, icp, prior)
-
-
 # Prior standard deviation of the distance from tracked to true centres along the beam, m, for ellipses of fixed
 # size: bodies differ from it by some centimetres.
 DEPTH_STDDEV = 0.03
-
-
-def _nuisance_prior(clock_sigma: float, depth_stddev: float | None) -> NuisancePrior:
-    return NuisancePrior(clock_sigma, DEPTH_STDDEV if depth_stddev is None else depth_stddev)
 
 
 # Minimum duration of matches, s: two steps of a person, which determine position and direction.
@@ -300,7 +269,7 @@ MIN_SAMPLES = 20
 # width, errors of clocks and of the pose.
 DETECTION_RADIUS = 0.5
 # Expected detections from which the pose of a pair is tested by missed ones: 2 s of one person.
-MIN_EXPECTED = 20
+_MIN_EXPECTED = 20
 # Share of missed detections above which a pose is rejected: under correct poses it is mostly below 0.2, and up to
 # 0.5 where furniture occludes people from one of the two.
 MAX_MISSED_SHARE = 0.5
@@ -348,18 +317,13 @@ def _evaluate_hypotheses(
     rough, coarse, fine = (subsample_pairs(pairs, count, MIN_SAMPLES) for count in wanted)
 
     def contradict(poses: Array, subsampled: SimultaneousPairs, pose_error: float) -> NDArray[np.bool_]:
-        return contradicts_visibility(
-            poses, subsampled, a.observations.visibility, b.observations.visibility,
-            radius=DETECTION_RADIUS + pose_error,
-            min_expected=MIN_EXPECTED * len(subsampled) / len(pairs),
-            max_missed_share=MAX_MISSED_SHARE,
-        )  # fmt: skip
+        return miss_detections(poses, a.observations, b.observations, subsampled, len(pairs), pose_error)
 
     def register(T: Array, subsampled: SimultaneousPairs, model_error: float) -> TrackRegistration | None:
         return register_tracks(T, subsampled, model_error, prior)
 
     proposals = proposals[~contradict(proposals, rough, PROPOSAL_STDDEV)]
-    costs = compute_pose_costs(proposals, coarse, PROPOSAL_STDDEV, GATE)
+    costs = compute_pose_costs(proposals, coarse, PROPOSAL_STDDEV)
     registrations = [
         fit
         for T in select_distinct(proposals, costs, _COARSE_COUNT, SAME_POSITION, SAME_ANGLE)
@@ -387,7 +351,7 @@ def _evaluate_hypotheses(
     best = max((h.weight_of_evidence() for h in kept), default=np.inf)
     if best < _UNAMBIGUOUS_EVIDENCE:
         # Registrations that start with a large model error settle between the two people of a couple.
-        costs = compute_pose_costs(proposals, coarse, _COUPLE_STDDEV, GATE)
+        costs = compute_pose_costs(proposals, coarse, _COUPLE_STDDEV)
         distinct = select_distinct(proposals, costs, _COUPLE_COUNT, MIN_COUPLE_SHIFT, SAME_TURN)
         fits = [fit for T in distinct if (fit := register(T, coarse, _COUPLE_STDDEV))]
         fits = [fine_fit for fit in fits if (fine_fit := register(fit.T_a_b, fine, _COUPLE_STDDEV))]
@@ -405,6 +369,23 @@ def _evaluate_hypotheses(
     if icp:
         kept = [_align_with_background(h, a, b) for h in kept]
     return ScannerPairEstimate(*names, tuple(kept))
+
+
+def miss_detections(
+    T_a_b: Array,
+    a: ScannerObservations,
+    b: ScannerObservations,
+    sampled: SimultaneousPairs,
+    count: int,
+    pose_error: float,
+) -> NDArray[np.bool_]:
+    """(K,) which poses with an error, m, imply too many missed detections, by a selection of ``count`` pairs."""
+    return contradicts_visibility(
+        T_a_b, sampled, a.visibility, b.visibility,
+        radius=DETECTION_RADIUS + pose_error,
+        min_expected=_MIN_EXPECTED * len(sampled) / count,
+        max_missed_share=MAX_MISSED_SHARE,
+    )  # fmt: skip
 
 
 # Hypotheses of a pair that are kept at most.

@@ -11,19 +11,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from calgraph.geometry import Array
+from calgraph.geometry import Array, Index
 from calgraph.network.tracking.track import ScannerTracks, Track
-
-Indices = NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)
 class TrackSamples:
     """Positions of the objects that one scanner tracked, at ticks of the common clock: S, ascending in tick."""
 
-    tick: Indices
+    tick: Index
     """(S,) time in ticks."""
-    trajectory: Indices
+    trajectory: Index
     """(S,) index of the trajectory: tracks of successive periods that continue each other."""
     positions: Array
     """(S, 2) m, sensor frame."""
@@ -78,21 +76,21 @@ class SimultaneousPairs:
 
     a: TrackSamples
     b: TrackSamples
-    row_a: Indices
+    row_a: Index
     """(M,) ascending indices into a."""
-    row_b: Indices
+    row_b: Index
     """(M,) indices into b."""
 
     def __len__(self) -> int:
         return len(self.row_a)
 
     @cached_property
-    def run_starts_a(self) -> Indices:
+    def run_starts_a(self) -> Index:
         """Row of the first combination of each sample of a."""
         return _run_starts(self.row_a)
 
     @cached_property
-    def trajectories(self) -> Indices:
+    def trajectories(self) -> Index:
         """(M,) one number for each combination of a trajectory of a with a trajectory of b."""
         of_a, of_b = self.a.trajectory[self.row_a], self.b.trajectory[self.row_b]
         return np.asarray(of_a * (int(self.b.trajectory.max()) + 1) + of_b)
@@ -128,7 +126,7 @@ class SimultaneousPairs:
         traces = [np.trace(s.covariances, axis1=1, axis2=2) for s in (self.a, self.b)]
         return np.asarray((traces[0][self.row_a] + traces[1][self.row_b]) / 2)
 
-    def are_mutual_nearest(self, rows: Indices, d2: Array) -> NDArray[np.bool_]:
+    def are_mutual_nearest(self, rows: Index, d2: Array) -> NDArray[np.bool_]:
         """(n,) mask of ascending rows (n,) that are mutual nearest neighbours by squared distances ``d2`` (n,)."""
         return _is_minimum_of_run(self.row_a[rows], d2) & _is_minimum_of_group(self.row_b[rows], d2)
 
@@ -202,7 +200,7 @@ def _join_tracks(tracks: Sequence[Track]) -> list[list[Track]]:
     return trajectories
 
 
-def _find_nearest(of: Indices, other: Indices, distance: Array) -> dict[int, int]:
+def _find_nearest(of: Index, other: Index, distance: Array) -> dict[int, int]:
     """For each index in ``of`` (n,) the one of ``other`` (n,) at the least distance (n,)."""
     order = np.lexsort((other, distance, of))
     firsts = order[_run_starts(of[order])]
@@ -217,7 +215,7 @@ _MAX_GAP_INTERVALS = 2.5
 _ACCELERATION = 1.0
 
 
-def _interpolate_at_ticks(tracks: Sequence[Track], number: int) -> tuple[Indices, Indices, Array, Array, Array]:
+def _interpolate_at_ticks(tracks: Sequence[Track], number: int) -> tuple[Index, Index, Array, Array, Array]:
     """Cubic Hermite interpolation of one trajectory through its positions and velocities, except in long gaps."""
     t = np.concatenate([track.times for track in tracks])
     x = np.concatenate([track.positions for track in tracks])
@@ -255,20 +253,20 @@ def _normalize(x: Array) -> Array:
     return np.asarray(x / np.maximum(np.hypot(x[:, :1], x[:, 1:]), 1e-6))
 
 
-def _is_minimum_of_group(group: Indices, value: Array) -> NDArray[np.bool_]:
+def _is_minimum_of_group(group: Index, value: Array) -> NDArray[np.bool_]:
     order = np.argsort(group, kind="stable")
     out = np.empty(len(group), dtype=bool)
     out[order] = _is_minimum_of_run(group[order], value[order])
     return out
 
 
-def _is_minimum_of_run(ascending: Indices, value: Array) -> NDArray[np.bool_]:
+def _is_minimum_of_run(ascending: Index, value: Array) -> NDArray[np.bool_]:
     starts = _run_starts(ascending)
     least = np.minimum.reduceat(value, starts)
     return np.asarray(value == np.repeat(least, np.diff(starts, append=len(value))))
 
 
-def _run_starts(ascending: Indices) -> Indices:
+def _run_starts(ascending: Index) -> Index:
     begins = np.ones(len(ascending), dtype=np.bool_)
     np.not_equal(ascending[1:], ascending[:-1], out=begins[1:])
     return np.flatnonzero(begins)

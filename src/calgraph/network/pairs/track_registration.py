@@ -82,7 +82,7 @@ def register_tracks(
     """
     nuisance = np.zeros(3)
     for _ in range(_STEPS):
-        matches, d2 = _associate(T_a_b, nuisance, pairs, model_error, GATE)
+        matches, d2 = _associate(T_a_b, nuisance, pairs, model_error)
         if len(matches) < _MIN_MATCHES:
             return None
         r, J, S = _linearize(T_a_b, nuisance, pairs, matches)
@@ -92,18 +92,18 @@ def register_tracks(
         T_a_b = se2.retract(T_a_b, step[:3])
         nuisance = nuisance + step[3:]
         model_error = _estimate_model_error(r + J @ step, S)
-    matches, _ = _associate(T_a_b, nuisance, pairs, model_error, GATE)
+    matches, _ = _associate(T_a_b, nuisance, pairs, model_error)
     return TrackRegistration(T_a_b, nuisance, matches, model_error) if len(matches) >= _MIN_MATCHES else None
 
 
-def compute_pose_costs(T_a_b: Array, pairs: SimultaneousPairs, model_error: float, gate: float) -> Array:
+def compute_pose_costs(T_a_b: Array, pairs: SimultaneousPairs, model_error: float) -> Array:
     """Truncated squared distances to the nearest neighbours over the gate: mean (K,) over a's samples.
 
     Covariances are replaced by their mean over all directions, for speed.
     """
     x_a, y_a = pairs.x_a.T
     x_b, y_b = pairs.x_b.T
-    scale = 1 / (gate * (pairs.variance + model_error**2))
+    scale = 1 / (GATE * (pairs.variance + model_error**2))
     out = np.empty(len(T_a_b))
     for k, T in enumerate(T_a_b):  # the arrays of one pose fit into the processor's cache
         x = T[0, 0] * x_b + T[0, 1] * y_b + (T[0, 2] - x_a)
@@ -114,20 +114,20 @@ def compute_pose_costs(T_a_b: Array, pairs: SimultaneousPairs, model_error: floa
 
 
 def _associate(
-    T_a_b: Array, nuisance: Array, pairs: SimultaneousPairs, model_error: float, gate: float
+    T_a_b: Array, nuisance: Array, pairs: SimultaneousPairs, model_error: float
 ) -> tuple[NDArray[np.intp], Array]:
     """Rows (P,) of mutual nearest neighbours within the gate, and their squared Mahalanobis distances."""
     differences = _compute_differences(T_a_b, nuisance, pairs)
     rough = np.sum(differences**2, axis=1) / (pairs.variance + model_error**2)
     # The exact covariance matters for the gate only, not for the choice of the nearest neighbour. Its largest
     # variance is at most twice the mean, so that this rough gate loses no match.
-    near = np.flatnonzero(rough < 4 * gate)
+    near = np.flatnonzero(rough < 4 * GATE)
     if not len(near):
         return near, np.zeros(0)
     near = near[pairs.are_mutual_nearest(near, rough[near])]
     r, _, S = _linearize(T_a_b, nuisance, pairs, near)
     d2 = _mahalanobis2(r, invert_2x2(S + model_error**2 * np.eye(2)))
-    return near[d2 < gate], d2[d2 < gate]
+    return near[d2 < GATE], d2[d2 < GATE]
 
 
 def _linearize(

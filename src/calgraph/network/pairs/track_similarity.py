@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.geometry import Array
-from calgraph.network.pairs.synchronized_tracks import TICK_PERIOD, Indices, TrackSamples
+from calgraph.geometry import Array, Index
+from calgraph.network.pairs.synchronized_tracks import TICK_PERIOD, TrackSamples
 
 # Pairs of trajectories, of all stretches, that are compared together: their moments take about 100 MB.
 _MAX_COMPARED = 500_000
@@ -25,7 +25,7 @@ _MAX_COMPARED = 500_000
 class _Stretch:
     """Trajectories of scanners during one stretch of time: R, ascending by scanner."""
 
-    scanner: Indices
+    scanner: Index
     """(R,)."""
     positions: NDArray[np.complex128]
     """(R, ticks) x + iy in the frame of the scanner, m; 0 where it has none."""
@@ -37,7 +37,7 @@ class _Stretch:
 class _Alignments:
     """Least-squares alignments of a trajectory of a with one of b: M."""
 
-    pair: Indices
+    pair: Index
     """(M,) index of a times the number of scanners plus index of b."""
     angle: Array
     """(M,) of b in a, rad."""
@@ -201,7 +201,7 @@ _SAME_POSITION = 0.5
 _SAME_ANGLE = float(np.radians(20))
 
 
-def _count_votes(found: _Alignments) -> tuple[Indices, Array]:
+def _count_votes(found: _Alignments) -> tuple[Index, Array]:
     """Pairs (P,) and the largest weight (P,) of alignments that agree with one of the best of their pair."""
     order = np.lexsort((-found.score, found.pair))
     pair, angle, center_a, center_b, weight = (column[order] for column in _columns(found)[:-1])

@@ -8,13 +8,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 from calgraph.config.settings import ClusterSettings
 from calgraph.geometry import Array
 from calgraph.network.tracking.scan_stack import SCANS_PER_CALL, RangeFile, ScanRun
 from calgraph.network.tracking.static_scene import StaticScene
+from calgraph.solver.connected_parts import label_parts
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,9 +185,7 @@ def _merge_parts(beams: Foreground, points: Array, parts: NDArray[np.intp], max_
         extent = np.maximum(high[i], high[j]) - np.minimum(low[i], low[j])
         near = (scan[i] == scan[j]) & (np.hypot(extent[:, 0], extent[:, 1]) < max_width)
         links.append(np.stack([i[near], j[near]]))
-    i, j = np.concatenate(links, axis=1)
-    graph = coo_matrix((np.ones(len(i)), (i, j)), shape=(len(first), len(first)))
-    return np.asarray(connected_components(graph, directed=False)[1][parts], dtype=np.intp)
+    return label_parts(len(first), np.concatenate(links, axis=1).T)[parts]
 
 
 # Minimum number of beams on an object: one beam is a mixed pixel or noise.

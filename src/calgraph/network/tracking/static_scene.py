@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.geometry import STDDEV_PER_MAD, Array
+from calgraph.geometry import STDDEV_PER_MAD, Array, find_column_medians
 from calgraph.network.tracking.scan_stack import ScanRun
 from calgraph.sensors import ScanBackground, align_ranges
 
@@ -57,7 +57,7 @@ def learn_static_scene(runs: Sequence[ScanRun]) -> StaticScene | None:
     nearest, usual, single = _static_depths(ranges)
     off = np.where(np.abs(ranges - usual) < _NOISE_WINDOW, ranges - usual, np.nan)
     spread = _robust_spread(off)
-    mean_range = usual + _column_median(off)
+    mean_range = usual + find_column_medians(off)
     margin = np.maximum(_MARGIN, _MARGIN_SIGMAS * np.where(np.isfinite(spread), spread, 0.0))
     clean = single & np.isfinite(mean_range)
     points = np.stack([mean_range * np.cos(angles), mean_range * np.sin(angles)], axis=-1)
@@ -125,18 +125,9 @@ def _static_depths(ranges: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
     return nearest, usual, any_static & (farthest - nearest < 2 * depth_bin)
 
 
-def _column_median(values: Array) -> Array:
-    """Medians of the columns of (S, B), NaN ignored; NaN where a column is empty."""
-    ordered = np.sort(values, axis=0)  # NaN last
-    count = np.isfinite(values).sum(axis=0)
-    columns = np.arange(values.shape[1])
-    low, high = np.maximum((count - 1) // 2, 0), np.minimum(count // 2, len(values) - 1)
-    return np.asarray((ordered[low, columns] + ordered[high, columns]) / 2)
-
-
 def _robust_spread(values: Array) -> Array:
     """Standard deviation of each column of (S, B) by its median absolute deviation; NaN where it is empty."""
-    return STDDEV_PER_MAD * _column_median(np.abs(values - _column_median(values)))
+    return STDDEV_PER_MAD * find_column_medians(np.abs(values - find_column_medians(values)))
 
 
 # Neighbouring static points on one surface are at most this far apart, m, plus the spacing below: legs of

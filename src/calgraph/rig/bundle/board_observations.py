@@ -5,13 +5,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from calgraph.boards.detections import BoardCorners, Detection, PlanePatch
 from calgraph.geometry import Array, plane, se3, so3
 from calgraph.graph.pairwise_estimate import PairwiseEstimate
 from calgraph.rig.pairs.board_matches import Candidates
+from calgraph.solver.connected_parts import label_parts
 
 Node = tuple[int, str, int]
 """Capture, sensor, and index of its detection."""
@@ -42,8 +41,7 @@ def group_detections(matches: Sequence[tuple[PairwiseEstimate, NDArray[np.bool_]
     nodes: dict[Node, int] = {}
     ends = np.array([[nodes.setdefault(end, len(nodes)) for end in edge] for edge in edges], dtype=np.intp)
     ends = ends.reshape(-1, 2)
-    adjacency = coo_array((np.ones(len(ends)), ends.T), shape=(len(nodes), len(nodes)))
-    labels = connected_components(adjacency, directed=False)[1]
+    labels = label_parts(len(nodes), ends)
     links = np.bincount(ends.ravel(), minlength=len(nodes))
     components: dict[int, list[tuple[int, Node]]] = {}
     for node, n in nodes.items():

@@ -9,14 +9,13 @@ Source: Triggs et al., "Bundle adjustment: a modern synthesis", 1999, section 6.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 
 from calgraph.errors import CalibrationError
 from calgraph.geometry import Array, Index, se3, se_n, so3
 from calgraph.rig.bundle.bundle_parameters import SensorPrior, SystematicParameter
-from calgraph.rig.bundle.corner_observations import CornerObservations
 from calgraph.rig.bundle.linearization import CachedLinearization, linearize_views
 from calgraph.rig.bundle.observations import BoardViews, relative_poses
 from calgraph.solver.levenberg_marquardt import minimize
@@ -110,6 +109,13 @@ class Bundle:
         """Number of bodies besides the root's."""
         return int(self.body.max())
 
+    @cached_property
+    def board_kinds(self) -> tuple[tuple[Index, Index], ...]:
+        """(K,) the first views of each kind of board, whose extra parameters are the same, and each one's kind."""
+        extra = (views.parameters.index for views in self.all_views)
+        found = (np.unique(one, axis=0, return_index=True, return_inverse=True) for one in extra)
+        return tuple((first, kind.ravel()) for _, first, kind in found)
+
     @property
     def parameter_count(self) -> int:
         """Number G of parameters of the reduced problem."""
@@ -192,18 +198,17 @@ class MarginalizedViews:
         """(V, q, 6) derivatives of the local parameters by the board's pose."""
         return self.local_jacobian[..., :6] @ self.by_board
 
-    def sum_information(self, extra_of_local: Index) -> Array:
-        """(n, n) information of all views, whose :attr:`LocalParameters.index` is given, on those columns.
+    def sum_information(self, J: Array, first_of_kind: Index, kind: Index) -> Array:
+        """(n, n) information of all views on the columns of the reduced problem, with ``J_sensor`` J.
 
         The derivatives by extra parameters are the same in all views of one kind of board: these are summed first.
         """
-        J, b = self.J_sensor, self.by_sensor.shape[-1]
+        b = self.by_sensor.shape[-1]
         H = np.zeros((J.shape[-1], J.shape[-1]))
         H[:b] = (se_n.transpose(J[..., :b]) @ self.information @ J).sum(axis=0)
         H[b:, :b] = H[:b, b:].T
-        _, first, kind = np.unique(extra_of_local, axis=0, return_index=True, return_inverse=True)
-        for i, v in enumerate(first):
-            H[b:, b:] += J[v, :, b:].T @ self.information[kind.ravel() == i].sum(axis=0) @ J[v, :, b:]
+        for i, v in enumerate(first_of_kind):
+            H[b:, b:] += J[v, :, b:].T @ self.information[kind == i].sum(axis=0) @ J[v, :, b:]
         return H
 
 
@@ -303,13 +308,14 @@ def sum_views(
     cost, H, g = _prior_equations(bundle, state)
     H_board, g_board, H_board_sensor = np.zeros((boards, 6, 6)), np.zeros((boards, 6)), np.zeros((boards, 6, size))
     for k, (views, at) in enumerate(zip(bundle.all_views, equations, strict=True)):
-        columns, J, Jt_board = bundle.columns(k), at.J_sensor, se_n.transpose(at.J_board)
-        A, b = at.information, at.gradient[..., None]
-        H[np.ix_(columns, columns)] += at.sum_information(views.parameters.index)
+        columns, J, J_board, b = bundle.columns(k), at.J_sensor, at.J_board, at.gradient[..., None]
+        Jt_board = se_n.transpose(J_board)
+        Jt_board_A = Jt_board @ at.information
+        H[np.ix_(columns, columns)] += at.sum_information(J, *bundle.board_kinds[k])
         g[columns] += (se_n.transpose(J) @ b)[..., 0].sum(axis=0)
-        H_board[views.board] += Jt_board @ A @ at.J_board
+        H_board[views.board] += Jt_board_A @ J_board
         g_board[views.board] += (Jt_board @ b)[..., 0]
-        H_board_sensor[np.ix_(views.board, np.arange(6), columns)] += Jt_board @ A @ J
+        H_board_sensor[np.ix_(views.board, np.arange(6), columns)] += Jt_board_A @ J
     cost = sum(costs, cost)
     for prior in bundle.priors:
         cost += _add_sensor_prior(bundle, state, prior, H, g)
@@ -366,9 +372,8 @@ def minimize_bundle(
         refine=refine if exact else None,
     )
     minimum = run(linearize=linearize)
-    of_cameras = [k for k, views in enumerate(bundle.all_views) if isinstance(views, CornerObservations)]
-    found = (bundle.all_views[k].linearize(*_view_state(bundle, minimum.state, k)) for k in of_cameras)
-    if (exact and not minimum.converged) or not all(np.isfinite(at.residual).all() for at in found):
+    defined = (one.is_defined(*_view_state(bundle, minimum.state, k)) for k, one in enumerate(bundle.all_views))
+    if (exact and not minimum.converged) or not all(defined):
         # Extrapolation keeps robust weights: its steps may lead off the minimum, or boards out of a camera's view.
         minimum = run(linearize=lambda state, _: linearize_bundle(bundle, state))
     if not np.isfinite(minimum.linearization.cost):

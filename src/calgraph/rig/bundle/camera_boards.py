@@ -39,35 +39,6 @@ def locate_boards(rig: Rig, captured: CaptureSet) -> CaptureSet:
     return replace(captured, detections=detections)
 
 
-def scale_boards(captured: CaptureSet, print_scale: Mapping[int, float]) -> CaptureSet:
-    """The captures with the boards as far from cameras as prints of another size are.
-
-    A camera alone does not determine the size of a print: its positions of the board are proportional to it.
-
-    Args:
-        captured: all detections.
-        print_scale: true over stated size by index of the board; 1 for others.
-    """
-    return replace(
-        captured,
-        detections={
-            name: {
-                capture: tuple(_scale(one, print_scale) for one in found) for capture, found in by_capture.items()
-            }
-            if name in captured.cameras
-            else by_capture
-            for name, by_capture in captured.detections.items()
-        },
-    )
-
-
-def _scale(detection: Detection, print_scale: Mapping[int, float]) -> Detection:
-    assert isinstance(detection, BoardCorners)
-    T = detection.T_camera_board.copy()
-    T[:3, 3] *= print_scale.get(detection.board, 1.0)
-    return _move(detection, T)
-
-
 def _locate(rig: Rig, captured: CaptureSet, name: str) -> Mapping[int, tuple[Detection, ...]]:
     """The detections of one camera with other poses."""
     detections = captured.detections[name]

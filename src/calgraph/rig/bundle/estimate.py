@@ -31,7 +31,7 @@ from calgraph.rig.bundle.observations import relative_poses, stack_poses
 from calgraph.rig.bundle.priors import PosePrior, RigidGroup, apply_rigid_groups, with_priors, without_priors
 from calgraph.rig.bundle.settling import STEPS_PER_ROUND, select_views, settle_variances
 from calgraph.rig.bundle.solution import MeasuredNoise, RigSolution, SolvedBundle
-from calgraph.rig.bundle.systematic_parameters import estimated_print_scales, summarize_systematic_parameters
+from calgraph.rig.bundle.systematic_parameters import summarize_systematic_parameters
 from calgraph.rig.captures.detect import CaptureSet
 
 
@@ -157,39 +157,6 @@ def solve_bundle(
         },
         systematic=summarize_systematic_parameters(bundle, solution.state, solution.equations),
         solved_bundle=SolvedBundle(bundle, solution, np.array([board.capture for board in settled.boards])),
-    )
-
-
-@dataclass(frozen=True, eq=False)
-class PrintScaledPoses:
-    """Joint poses of sensors, and the scale of the prints that they imply."""
-
-    T_root_sensor: Mapping[str, Array]
-    """(4, 4) by sensor, the root first."""
-    print_scale: Mapping[int, float]
-    """True over stated size by index of the board; boards whose size is exact are left out."""
-
-
-def solve_poses(
-    rig: Rig, captured: CaptureSet, estimates: Sequence[PairwiseEstimate], T_root_sensor: Mapping[str, Array]
-) -> PrintScaledPoses:
-    """Joint poses of all connected sensors with the stated noise, to reselect the inliers of pairs.
-
-    Args:
-        rig: the rig.
-        captured: detections, and the cameras' intrinsics.
-        estimates: pairs with their inliers.
-        T_root_sensor: start poses (4, 4) of the connected sensors, the root first.
-    """
-    connected = [e for e in estimates if e.sensor_a in T_root_sensor and e.sensor_b in T_root_sensor]
-    if not connected:
-        return PrintScaledPoses(T_root_sensor, {})
-    boards = group_detections([(pair, select_matches(pair, "ransac")) for pair in connected])
-    bundle, state = build_bundle(rig, captured, boards, T_root_sensor)
-    solution = minimize_bundle(without_priors(bundle), state, tolerance=COARSE_TOLERANCE, exact=False)
-    return PrintScaledPoses(
-        dict(zip(bundle.sensors, solution.state.T_root_sensor, strict=True)),
-        estimated_print_scales(bundle, solution.state, len(rig.boards)),
     )
 
 

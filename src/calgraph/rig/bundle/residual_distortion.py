@@ -92,11 +92,8 @@ class ResidualDistortion:
             (N, 2), and the derivatives (N, 2, 2) by the pixels and (N, 2, 2 K + R) by the coefficients.
         """
         K = len(self.frequency)
-        phase = (pixels - self.origin)[:, None] * self.frequency
-        factor = np.where(self.frequency > 0, np.sqrt(2), 1.0)
-        cos, sin = factor * np.cos(phase), -factor * self.frequency * np.sin(phase)
-        shape = cos[..., 0] * cos[..., 1]
-        slope = np.stack([sin[..., 0] * cos[..., 1], cos[..., 0] * sin[..., 1]], axis=-1)
+        (cos_x, sin_x), (cos_y, sin_y) = (self._make_waves(pixels, axis) for axis in range(2))
+        shape, slope = cos_x * cos_y, np.stack([sin_x * cos_y, cos_x * sin_y], axis=-1)
         by_axis, of_radius = coefficients[: 2 * K].reshape(2, K), coefficients[2 * K :]
         away = pixels - self.center
         radius = np.maximum(np.linalg.norm(away, axis=-1), 1e-9)
@@ -114,6 +111,13 @@ class ResidualDistortion:
             + np.einsum("ak,nkb->nab", by_axis, slope)
         )
         return pixels + shape @ by_axis.T + away * (radius * length)[:, None], by_pixel, J
+
+    def _make_waves(self, pixels: Array, axis: int) -> tuple[Array, Array]:
+        """The cosines (N, K) along an axis at pixels (N, 2), and their slopes: few frequencies are distinct."""
+        distinct, index = np.unique(self.frequency[:, axis], return_inverse=True)
+        phase = (pixels[:, axis] - self.origin[axis])[:, None] * distinct
+        factor = np.where(distinct > 0, np.sqrt(2), 1.0)
+        return (factor * np.cos(phase))[:, index], (-factor * distinct * np.sin(phase))[:, index]
 
 
 def _frequencies(length: float, highest: float) -> Array:

@@ -29,6 +29,9 @@ MAX_SETTLED_CHANGE = 0.2
 # ones may alternate between two states for ever, as in one of the 213 rigs of the frozen corpus. Most rigs settle
 # in five.
 _MAX_FULL_STEPS = 6
+# Steps after which variances count as settled, and views are judged: twice as many. One rig of 38 alternates with
+# half steps, too.
+_MAX_STEPS = 12
 # Levenberg–Marquardt steps in a round: noise changes between rounds, so that none needs to converge alone.
 STEPS_PER_ROUND = 4
 
@@ -59,12 +62,12 @@ def settle_variances(
     kept = kept or [np.ones(len(views.board), dtype=np.bool_) for views in complete.all_views]
     bundle = select_views(complete, complete, solution.state, kept)
     returned = barred = [np.zeros_like(part) for part in kept]
-    full_steps = _MAX_FULL_STEPS
-    for _ in range(rounds):
+    steps = 0
+    for left in reversed(range(rounds)):
         before, factors = bundle, view_covariance_factors(bundle, solution.equations, first=first)
-        step, full_steps = (1.0 if full_steps > 0 else 0.5), full_steps - 1
+        step, steps = (1.0 if steps < _MAX_FULL_STEPS else 0.5), steps + 1
         bundle, change = update_variance_components(bundle, solution, factors, first, step)
-        if change < MAX_SETTLED_CHANGE:
+        if change < MAX_SETTLED_CHANGE or steps == _MAX_STEPS or left == 0:
             selected = _judge_views(complete, before, solution, factors, kept, first)
             # A view that was rejected again after its return would return in every third round.
             barred = [
@@ -76,7 +79,7 @@ def settle_variances(
             if all(np.array_equal(new, old) for new, old in zip(selected, kept, strict=True)):
                 break
             bundle, kept = select_views(complete, before, solution.state, selected), selected
-            full_steps = _MAX_FULL_STEPS
+            steps = 0
         unchanged = zip(solution.equations.cache, before.all_views, bundle.all_views, strict=True)
         cache = [cached if new is old else None for cached, old, new in unchanged]
         solution = minimize_bundle(

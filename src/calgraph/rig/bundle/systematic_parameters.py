@@ -29,7 +29,6 @@ _ESTIMATED_COEFFICIENTS = {"pinhole": 5, "fisheye": 4}
 """Number of estimated distortion coefficients: those of the denominator of a rational model, which come after
 these, have nearly the same effect."""
 
-_PRINT_SCALE = "print scale"
 DISTORTION, RESIDUAL_DISTORTION, RINGS, TAGS = "distortion", "residual distortion", "rings", "tags"
 """Families of parameters, see :class:`SystematicParameter`."""
 COEFFICIENTS = frozenset({DISTORTION, RESIDUAL_DISTORTION})
@@ -183,16 +182,6 @@ def _name_boards(rig: Rig) -> list[tuple[str, Board]]:
     return [(board_name(b, len(rig.boards)), board) for b, board in enumerate(rig.boards)]
 
 
-def estimated_print_scales(bundle: Bundle, state: BundleState, count: int) -> dict[int, float]:
-    """True over stated size of the print on each of the rig's boards (``count``) for which the bundle has it."""
-    numbers = {board_name(number, count): number for number in range(count)}
-    return {
-        numbers[one.of]: one.stated + one.scale * float(value)
-        for one, value in zip(bundle.extra_parameters, state.extra, strict=True)
-        if one.quantity == _PRINT_SCALE
-    }
-
-
 def _add_to_camera(
     table: ParameterTable,
     k: int,
@@ -312,7 +301,7 @@ class _Print:
         """In the order in which :meth:`PrintedCorners.displace` takes them."""
         prior, several = self.board.uncertainty, len(self.tags) > 1
         yield SystematicParameter(
-            self.name, _PRINT_SCALE, "", prior.print_scale, stated=1.0,
+            self.name, "print scale", "", prior.print_scale, stated=1.0,
             clause="the print on the {of} is {size} larger|smaller than stated",
         )  # fmt: skip
         yield SystematicParameter(

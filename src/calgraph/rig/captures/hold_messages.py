@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from calgraph.config import Rig
 from calgraph.geometry import Array
 from calgraph.parallel.engine import THIS_PROCESS, Engine, Processes
+from calgraph.parallel.kept_values import Kept
 from calgraph.recording import Recording, RecordingReference, refer_to
 from calgraph.result import Snapshot
 from calgraph.rig.captures.holds import Hold
@@ -184,11 +185,13 @@ def search_holds(
     searched: Iterator[Result]
     if isinstance(messages, StoredMessages):
         parts = _divide(messages, holds, topics, skipped, count_parts(engine))
-        given = messages.reference, search, shared, topics, sizes, skipped
-        searched = chain.from_iterable(engine.stream(_search_part, parts, given))
+        given = Kept.of((messages.reference, search, shared, topics, sizes, skipped))
+        searched = chain.from_iterable(engine.map(_search_part, [(given, *part) for part in parts]))
     else:
         engine = engine if len(holds) * len(topics) >= _MIN_PARALLEL_SEARCHES else THIS_PROCESS
-        searched = engine.stream(search, gather_messages(messages, holds, topics, sizes, skipped), shared)
+        given = Kept.of(shared)
+        gathered = gather_messages(messages, holds, topics, sizes, skipped)
+        searched = engine.map(search, ((given, *one) for one in gathered))
     for done, found in enumerate(searched, start=1):
         yield found
         progress(done)

@@ -40,7 +40,7 @@ class ActivityBlock:
     """What later messages are to be compared with; None if that depends on earlier blocks."""
 
 
-def measure_block(_shared: None, decoders: Sequence[Callable[[], Message]]) -> ActivityBlock:
+def measure_block(decoders: Sequence[Callable[[], Message]]) -> ActivityBlock:
     """The changes among messages, from functions that decode them."""
     meter = BlockMeter()
     for decode in decoders:

@@ -10,6 +10,7 @@ import numpy as np
 from calgraph.config import Rig
 from calgraph.geometry import Array
 from calgraph.parallel.engine import THIS_PROCESS, Engine
+from calgraph.parallel.kept_values import Kept
 from calgraph.parallel.progress import Progress
 from calgraph.recording import PoseRecordings, Recording, RecordingCache, RecordingReference
 from calgraph.recording.input_checks import MAX_INTRINSICS_CHANGE, InputMonitor, TopicObservations
@@ -175,7 +176,7 @@ def _measure_sent(
 
     meters = {name: ActivityMeter(BASELINE) for name in topics}
     changes: dict[str, list[float]] = {name: [] for name in topics}
-    for block in engine.stream(measure_block, gather_blocks(), None):
+    for block in engine.map(measure_block, gather_blocks()):
         name = order.popleft()
         changes[name] += meters[name].join(block)
     return {name: _sort_changes(changes[name], stamps[name]) for name in topics}
@@ -189,7 +190,8 @@ def _measure_stored(
     stamps: dict[str, list[float]] = {name: [] for name in topics}
     changes: dict[str, list[float]] = {name: [] for name in topics}
     parts = _divide_time(rig, messages.timeline, topics, count_parts(engine))
-    blocks_of_parts = engine.stream(_measure_part, parts, (messages.reference, topics))
+    given = Kept.of((messages.reference, topics))
+    blocks_of_parts = engine.map(_measure_part, [(given, *part) for part in parts])
     for (_, last), blocks in zip(parts, blocks_of_parts, strict=True):
         progress(last)
         for name, (of_block, block) in blocks.items():

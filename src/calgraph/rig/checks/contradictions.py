@@ -24,6 +24,7 @@ from calgraph.rig.checks.board_sizes import SIZES, find_wrong_sizes
 from calgraph.rig.checks.bootstrap import bootstrap_poses
 from calgraph.rig.checks.drift_tests import DriftStatistics, find_drifts, measure_drifts
 from calgraph.sensors.kinds import KINDS
+from calgraph.solver.squared_distances import compute_squared_distances
 from calgraph.verdict.grades import axis_names
 from calgraph.verdict.parameter_estimates import (
     MAX_PARAMETER_CORRELATION,
@@ -305,7 +306,7 @@ def find_changes(
             if name in named or not axes[of_sensor].any():
                 continue
             off, C = difference[of_sensor], drifts.serial_correlation * covariance[of_sensor, of_sensor]
-            squared, freedom = _squared_distance(off, C)
+            squared, freedom = compute_squared_distances(off, C, _RANK_TOLERANCE)
             # The variances of view biases have about as many degrees of freedom as there are captures.
             if squared > freedom * fdtri(freedom, count, confidence):
                 named.add(name)
@@ -339,15 +340,6 @@ def compare_halves(
         difference = (g_prior + gradient[boards].sum(axis=0)) @ A - (g_prior + gradient[~boards].sum(axis=0)) @ B
         shared = A.T @ prior @ B
         yield difference, axes @ (A + B) - shared - shared.T
-
-
-def _squared_distance(error: Array, covariance: Array) -> tuple[float, int]:
-    """Squared Mahalanobis distance and its degrees of freedom."""
-    scale = np.sqrt(np.maximum(np.diag(covariance), np.finfo(float).tiny))
-    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
-    regular = values > _RANK_TOLERANCE * values[-1]
-    along = vectors.T @ (error / scale)
-    return float(np.sum(along[regular] ** 2 / values[regular])), int(regular.sum())
 
 
 # Deviation of a systematic parameter, in prior standard deviations, beyond which no sensor is good that another

@@ -16,7 +16,9 @@ from numpy.typing import NDArray
 
 from calgraph.errors import InputError
 from calgraph.geometry import Array, Index, se3, se_n
-from calgraph.parallel.processes import forked_jobs, parallel_stream
+from calgraph.parallel.engine import Processes
+from calgraph.parallel.kept_values import Kept
+from calgraph.parallel.processes import forked_jobs
 from calgraph.result import HeldOutError
 from calgraph.result.evidence import rms
 from calgraph.rig.bundle.board_motions import velocity_along_sensor
@@ -39,6 +41,7 @@ from calgraph.rig.bundle.normal_equations import accumulate
 from calgraph.rig.bundle.observations import BoardViews, relative_poses
 from calgraph.rig.bundle.range_observations import RangeObservations
 from calgraph.rig.bundle.solution import SolvedBundle
+from calgraph.solver.squared_distances import compute_squared_distances
 
 # Gauss–Newton steps that locate boards with sensors fixed; they start from the solution of all captures.
 _BOARD_STEPS = 2
@@ -75,7 +78,7 @@ def cross_validate(solved: SolvedBundle, folds: int, jobs: int = 1) -> dict[str,
     Args:
         solved: the solution of all captures.
         folds: number of groups of captures; each group is held out as a whole.
-        jobs: maximum number of processes, see :func:`parallel_stream`; they do not change the
+        jobs: maximum number of processes; they do not change the
             result.
 
     Returns:
@@ -94,8 +97,9 @@ def cross_validate(solved: SolvedBundle, folds: int, jobs: int = 1) -> dict[str,
     _, number = np.unique(solved.captures, return_inverse=True)
     fold_of = number % folds
     errors: dict[str, list[_PredictionErrors]] = {name: [] for name in bundle.sensors}
-    work = [(fold_of == fold,) for fold in np.unique(fold_of)]
-    for found in parallel_stream(_hold_out, work, solved, forked_jobs(jobs)):
+    given = Kept.of(solved)
+    work = [(given, fold_of == fold) for fold in np.unique(fold_of)]
+    for found in Processes(forked_jobs(jobs)).map(_hold_out, work):
         for name, error in found.items():
             errors[name].append(error)
     summaries = {name: _summarize(found, units[name], solved.captures) for name, found in errors.items()}
@@ -191,7 +195,10 @@ def _compare_with_prediction(
     root, inverse = _symmetric_roots(A, least)
     # Along directions that the sensor does not measure, a first-order step may be arbitrarily long: it is zero.
     x = _multiply(root @ inverse, x)
-    squared, dof = _squared_distances(_multiply(root, x) + _multiply(inverse, b), root @ (X @ root + inverse))
+    # In units of the sensor's noise: predicted directions have a variance of one or more, the others none.
+    error, covariance = _multiply(root, x) + _multiply(inverse, b), root @ (X @ root + inverse)
+    covariance = (covariance + se_n.transpose(covariance)) / 2
+    squared, dof = compute_squared_distances(error, covariance, 0.5, np.ones(len(meters)))
     tested = dof > 0
     T_predicted = se3.retract(T_board, x[:, :6] / meters[:6])
     T_own = se3.retract(T_board, -_multiply(inverse @ inverse, b)[:, :6] / meters[:6])
@@ -262,18 +269,6 @@ def _symmetric_roots(A: Array, least: Array) -> tuple[Array, Array]:
     return (vectors * (size * observed)[..., None, :]) @ transposed, (
         vectors * (observed / size)[..., None, :]
     ) @ transposed
-
-
-def _squared_distances(error: Array, covariance: Array) -> tuple[Array, NDArray[np.intp]]:
-    """Squared Mahalanobis distances (V,) and their degrees of freedom.
-
-    In units of the sensor's noise: predicted directions have a variance of one or more, the others none.
-    """
-    values, vectors = np.linalg.eigh((covariance + se_n.transpose(covariance)) / 2)
-    predicted = values > 0.5
-    along = _multiply(se_n.transpose(vectors), error)
-    squared = np.sum(predicted * along**2 / np.where(predicted, values, 1.0), axis=-1)
-    return squared, np.asarray(predicted.sum(axis=-1), dtype=np.intp)
 
 
 def _observes_tilt(A: Array, T_sensor_board: Array, lever: float, max_stddev: float) -> NDArray[np.bool_]:

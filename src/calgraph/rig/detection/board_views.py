@@ -75,8 +75,10 @@ class BoardViewFinder:
         # The finders of libraries cannot be pickled; another process makes them again.
         return BoardViewFinder, (self._boards, self._noise, self._settings)
 
-    def find(self, messages: Sequence[Message]) -> tuple[BoardView, ...] | Rejected:
+    def find(self, messages: Sequence[Message], *, explain: bool = True) -> tuple[BoardView, ...] | Rejected:
         """Every board in the images of one capture, in which it rests; corners of several images are averaged.
+
+        To ``explain`` why there is none takes as long as the search.
 
         Raises:
             InputError: the messages are corners that another program detected.
@@ -95,20 +97,22 @@ class BoardViewFinder:
         marks = {finder: [finder.find(gray) for gray in images] for finder, images in grays_of.items()}
         views, reasons = [], []
         for printed in self._printed:
-            view = self._find_board(printed, marks[printed.finder], grays_of[printed.finder][0])
+            view = self._find_board(printed, marks[printed.finder], grays_of[printed.finder][0], explain)
             if isinstance(view, BoardView):
                 views.append(view)
             else:
                 reasons.append(view.reason)
-        return tuple(views) if views else Rejected("; ".join(reasons) + explain_exposure(grays))
+        if views:
+            return tuple(views)
+        return Rejected("; ".join(reasons) + explain_exposure(grays) if explain else "no board")
 
     def _find_board(
-        self, printed: PrintedBoard, marks_by_image: Sequence[Marks], gray: Gray
+        self, printed: PrintedBoard, marks_by_image: Sequence[Marks], gray: Gray, explain: bool
     ) -> BoardView | Rejected:
         of_board = [_select_unique(marks, printed) for marks in marks_by_image]
         detected = [marks for marks in of_board if len(marks)]
         if not detected:
-            return Rejected(explain_missing(printed, marks_by_image[0], gray))
+            return Rejected(explain_missing(printed, marks_by_image[0], gray) if explain else "no board")
         marks: Marks | Rejected = detected[0]
         if len(detected) > 1:
             noise = max(self._noise.pixel, MIN_MOTION_NOISE)

@@ -120,8 +120,12 @@ class CloudBackground:
         """Which of the points (N, 3), m, are neither at nor behind the background: (N,)."""
         keys = pack_voxels(find_voxels(points, self.voxel))
         in_background = self.keys[np.minimum(np.searchsorted(self.keys, keys), len(self.keys) - 1)] == keys
-        max_range = self.max_range[find_direction_cells(points, self.max_range.shape)]
-        return np.asarray(~in_background & (measure_lengths(points) < max_range))
+        # Few points are outside of the background's voxels: only their directions are needed.
+        foreground, outside = ~in_background, np.flatnonzero(~in_background)
+        others = points.take(outside, axis=0)
+        max_range = self.max_range[find_direction_cells(others, self.max_range.shape)]
+        foreground[outside] = measure_lengths(others) < max_range
+        return np.asarray(foreground)
 
 
 def find_voxels(points: Array, voxel: float) -> NDArray[np.int64]:

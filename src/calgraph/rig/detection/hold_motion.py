@@ -7,7 +7,7 @@ from scipy.special import chdtri
 
 from calgraph.boards.detections import Detection, PlanePatch, Segment
 from calgraph.errors import Rejected
-from calgraph.geometry import STDDEV_PER_MAD, Array, find_median, measure_lengths, plane
+from calgraph.geometry import Array, estimate_spread, find_median, measure_lengths, plane
 
 # Distance from the board's surface, m, beyond which a return is of another one: five times the noise of a 2-D
 # scanner (20 mm).
@@ -59,7 +59,7 @@ def has_moved(board: PlanePatch | Segment, messages: Sequence[Array]) -> bool:
     designs = [np.column_stack([np.ones(len(points)), points @ axes]) for points in halves]
     fits = [np.linalg.lstsq(A, points @ n)[0] for A, points in zip(designs, halves, strict=True)]
     residuals = [points @ n - A @ fit for A, points, fit in zip(designs, halves, fits, strict=True)]
-    variance = (STDDEV_PER_MAD * find_median(np.abs(np.concatenate(residuals)))) ** 2
+    variance = estimate_spread(np.concatenate(residuals)) ** 2
     step = fits[1] - fits[0]
     if np.sqrt(np.mean((designs[0] @ step) ** 2)) < _MAX_DISPLACEMENT:
         return False

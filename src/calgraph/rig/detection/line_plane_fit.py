@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from calgraph.config.settings import ScannerDetectionSettings
-from calgraph.geometry import STDDEV_PER_MAD, Array, Index, find_median, measure_lengths, plane
+from calgraph.geometry import Array, Index, estimate_spread, measure_lengths, plane
 from calgraph.sensors import SAME_DIRECTION
 
 WhitenedResiduals = Callable[[Array], tuple[Array, Array]]
@@ -132,7 +132,7 @@ def _fit_robustly(
             if np.abs(step).max() < 1e-9:
                 break
         residuals, J = whitened(parameters)
-        scale = max(1.0, STDDEV_PER_MAD * find_median(np.abs(residuals[inliers])))
+        scale = max(1.0, estimate_spread(residuals[inliers]))
         inliers = np.abs(residuals) < OUTLIER_SIGMAS * scale
     if inliers.sum() <= J.shape[1]:
         return None

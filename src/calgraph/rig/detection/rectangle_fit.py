@@ -118,12 +118,13 @@ def _find_fullest_window(values: Array, counted: Mask, width: float) -> Mask:
     # Rows, and values that do not count, are offset by more than a window, so that one search serves all rows.
     separation = float(values.max() - low) + 2 * width
     ordered = np.sort(np.where(counted, values - low, separation), axis=1)
-    rows = 3 * separation * np.arange(len(values))[:, None]
-    ends = np.searchsorted((ordered + rows).ravel(), (ordered + rows + width).ravel(), side="right")
+    row = np.arange(len(values))
+    offset = ordered + 3 * separation * row[:, None]
+    ends = np.searchsorted(offset.ravel(), (offset + width).ravel(), side="right")
     counts = np.where(
         ordered < separation, ends.reshape(ordered.shape) - np.arange(ordered.size).reshape(ordered.shape), 0
     )
-    start = low + np.take_along_axis(ordered, counts.argmax(axis=1)[:, None], axis=1)
+    start = low + ordered[row, counts.argmax(axis=1)][:, None]
     return np.asarray((values >= start - _ROUNDING) & (values <= start + width + _ROUNDING))
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.config import RangeNoise
-from calgraph.geometry import Array, Index
+from calgraph.geometry import Array, Index, find_column_medians
 from calgraph.sensors import LaserScan, align_ranges
 
 
@@ -82,7 +82,7 @@ def average_scans(
     kept = kept[answered[kept] > 0]
     ranges = ranges[:, kept]
     max_deviation = max(SAME_SURFACE_SIGMAS * noise.range, MIN_THICKNESS)
-    near = np.abs(ranges - np.nanmedian(ranges, axis=0)) < max_deviation if len(kept) else ranges > 0
+    near = np.abs(ranges - find_column_medians(ranges)) < max_deviation
     steady = 2 * near.sum(axis=0) > answered[kept]
     if not steady.any():
         return None

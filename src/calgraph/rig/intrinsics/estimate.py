@@ -229,14 +229,16 @@ def _fit_models(
     }
     fits = {model: fit for model, fit in outcomes.items() if isinstance(fit, LensFit)}
     if fits:
-        # An undistorted pinhole is far from wide lenses, and a fisheye near most: one starts from the other, too.
+        # An undistorted pinhole is far from wide lenses, and a fisheye near most: one starts from the other, too,
+        # unless it fits the same corners as well.
         best = min(fits, key=lambda model: fits[model].noise)
         other: LensModel = "fisheye" if best == "pinhole" else "pinhole"
-        T = _poses(fits[best], len(views))
-        start = convert_model(views, fits[best].camera, T, other, MAX_ROUNDS)
-        again = fit_lens(rig, name, views, start, settings) if start else Rejected("")
-        if isinstance(again, LensFit) and (other not in fits or again.noise < fits[other].noise):
-            fits[other] = again
+        if not (other in fits and fits[other].fits_as_well(fits[best])):
+            T = _poses(fits[best], len(views))
+            start = convert_model(views, fits[best].camera, T, other, MAX_ROUNDS)
+            again = fit_lens(rig, name, views, start, settings) if start else Rejected("")
+            if isinstance(again, LensFit) and (other not in fits or again.noise < fits[other].noise):
+                fits[other] = again
     failures = {model: one.reason for model, one in outcomes.items() if isinstance(one, Rejected)}
     fits = {model: fits[model] for model in models if model in fits}
     least = min((fit.noise for fit in fits.values()), default=0.0)

@@ -95,6 +95,11 @@ class LensFit:
     deviance: float = 0.0
     """-2 log of the likelihood of the residuals, px."""
 
+    def fits_as_well(self, best: "LensFit") -> bool:
+        """Whether it fits the same corners as another fit with no more noise than rounds may differ by."""
+        same = _count_corners(self.detections) == _count_corners(best.detections)
+        return same and self.noise < (1 + _SETTLED_NOISE_CHANGE) * best.noise
+
 
 # Minimum number of corners of a view: four determine the pose of the board, and all others the lens.
 MIN_CORNERS = 8
@@ -134,10 +139,9 @@ def fit_lens(
             fit = _adjust_lens(rig, name, detections, camera, noise)
         except (CalibrationError, InputError, np.linalg.LinAlgError):
             return Rejected(f"no {camera.model} camera projects the boards to where they are in the images")
-        settled = abs(fit.noise / noise - 1) < _SETTLED_NOISE_CHANGE
-        camera, noise = fit.camera, max(fit.noise, MIN_NOISE)
+        before, camera, noise = noise, fit.camera, max(fit.noise, MIN_NOISE)
         found = _locate_boards(views, camera, noise)
-        if settled and _count_corners(found) == _count_corners(detections):
+        if abs(noise / before - 1) < _SETTLED_NOISE_CHANGE and _count_corners(found) == _count_corners(detections):
             break
         detections = found
     assert fit is not None

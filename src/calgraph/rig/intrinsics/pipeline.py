@@ -125,7 +125,7 @@ def _find_in_hold(
     size: PreviewSize | None,  # noqa: ARG001
 ) -> tuple[int, str, tuple[BoardView, ...] | Rejected]:
     """The views of boards in one camera's images of one hold, from functions that decode them."""
-    return capture, name, finders[name].find([decode() for decode in decoders])
+    return capture, name, finders[name].find([decode() for decode in decoders], explain=False)
 
 
 def calibrate_intrinsics(

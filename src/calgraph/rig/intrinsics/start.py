@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 
 from calgraph.errors import InputError
-from calgraph.geometry import Array, se3, so3
+from calgraph.geometry import Array, se3, se_n, so3
 from calgraph.rig.detection.board_views import BoardView
 from calgraph.sensors import CameraModel
 from calgraph.solver.levenberg_marquardt import DenseLinearization, minimize
@@ -57,54 +57,54 @@ def search_focal_length(views: Sequence[BoardView], model: LensModel) -> Intrins
     ratio = _MAX_FOCAL_LENGTH / _MIN_FOCAL_LENGTH
     steps = int(np.ceil(np.log(ratio) / np.log(_FOCAL_LENGTH_RATIO)))
     distortion = np.zeros(COEFFICIENTS[model])
-    starts = []
+    cameras = []
     for focal in width * _MIN_FOCAL_LENGTH * _FOCAL_LENGTH_RATIO ** np.arange(steps + 1):
         K = np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1]])
-        starts.append(locate_views(views, CameraModel(model, width, height, K, distortion)))
-    return min(starts, key=lambda start: start.error)
+        cameras.append(CameraModel(model, width, height, K, distortion))
+    return min(locate_views(views, cameras), key=lambda start: start.error)
 
 
-def locate_views(views: Sequence[BoardView], camera: CameraModel) -> IntrinsicsStart:
-    """The poses of boards before a camera, each by the homography between rays and corners."""
+def locate_views(views: Sequence[BoardView], cameras: Sequence[CameraModel]) -> list[IntrinsicsStart]:
+    """The poses of boards before each of the cameras, each by the homography between rays and corners."""
     starts = np.cumsum([len(view.flat_pixels) for view in views])[:-1]
-    rays = np.split(camera.rays(np.concatenate([view.flat_pixels for view in views])), starts)
-    T = np.array([_solve_homography(view.flat_corners, part) for view, part in zip(views, rays, strict=True)])
-    points = np.concatenate([se3.apply(pose, view.flat_corners) for pose, view in zip(T, views, strict=True)])
-    distances = np.linalg.norm(camera.project(points) - np.concatenate([v.flat_pixels for v in views]), axis=-1)
+    pixels = np.concatenate([view.flat_pixels for view in views])
+    rays = np.split(np.array([camera.rays(pixels) for camera in cameras]), starts, axis=1)
+    T = np.stack(
+        [_solve_homographies(view.flat_corners, part) for view, part in zip(views, rays, strict=True)], axis=1
+    )
+    points = [se3.apply(T[:, i], view.flat_corners) for i, view in enumerate(views)]
+    projected = [camera.project(one) for camera, one in zip(cameras, np.concatenate(points, axis=1), strict=True)]
+    distances = np.linalg.norm(np.array(projected) - pixels, axis=-1)
     # A view without a pose is as wrong as can be.
-    largest = float(max(camera.width, camera.height))
+    largest = float(max(cameras[0].width, cameras[0].height))
     bounded = np.minimum(np.where(np.isfinite(distances), distances, largest), largest)
-    errors = [np.median(part) for part in np.split(bounded, starts)]
-    return IntrinsicsStart(camera, T, float(np.mean(errors)))
+    errors = np.mean([np.median(part, axis=1) for part in np.split(bounded, starts, axis=1)], axis=0)
+    return [IntrinsicsStart(*found) for found in zip(cameras, T, errors.tolist(), strict=True)]
 
 
-def _solve_homography(corners: Array, rays: Array) -> Array:
-    """The pose (4, 4) of coplanar corners (N, 3) in the direction of rays (N, 3); NaN without one."""
-    none = np.full((4, 4), np.nan)
-    valid = np.isfinite(rays).all(axis=-1)
-    if valid.sum() < 4:
-        return none
-    rays, places = rays[valid], corners[valid, :2]
+def _solve_homographies(corners: Array, rays: Array) -> Array:
+    """Poses (K, 4, 4) of coplanar corners (N, 3) in the direction of rays (K, N, 3) of K cameras; NaN without one.
+
+    Rays that a camera does not have are NaN.
+    """
+    valid, places = np.asarray(np.isfinite(rays).all(axis=-1)), corners[:, :2]
+    rays = np.where(valid[..., None], rays, 0.0)
     middle = places.mean(axis=0)
     scale = np.sqrt(np.mean((places - middle) ** 2))
     x = np.column_stack([(places - middle) / scale, np.ones(len(places))])
     # d x (H x) = 0 for every ray d.
-    A = np.einsum("nij,nk->nijk", so3.hat(rays), x).reshape(-1, 9)
-    H = np.linalg.eigh(A.T @ A)[1][:, 0].reshape(3, 3)
-    if np.sum(rays * (x @ H.T)) < 0:
-        H = -H
-    lengths = np.linalg.norm(H[:, :2], axis=0)
-    if not lengths.all():
-        return none
-    size = np.sqrt(lengths.prod())
-    a, b = (H[:, :2] / lengths).T
-    U, _, Vt = np.linalg.svd(np.column_stack([a, b, np.cross(a, b)]))
-    R = U @ np.diag([1, 1, np.linalg.det(U @ Vt)]) @ Vt
-    t = H[:, 2] * scale / size - R[:, :2] @ middle
+    A = np.einsum("knij,nl->knijl", so3.hat(rays), x).reshape(len(rays), -1, 9)
+    H = np.linalg.eigh(se_n.transpose(A) @ A)[1][..., 0].reshape(-1, 3, 3)
+    H = np.where(np.sum(rays * (x @ se_n.transpose(H)), axis=(1, 2))[:, None, None] < 0, -H, H)
+    lengths = np.linalg.norm(H[..., :2], axis=1)
+    has_pose = (valid.sum(axis=1) >= 4) & lengths.all(axis=1)
+    lengths = np.where(has_pose[:, None], lengths, 1.0)
+    a, b = np.moveaxis(H[..., :2] / lengths[:, None], -1, 0)
+    R = se_n.nearest_rotation(np.stack([a, b, np.cross(a, b)], axis=-1))
+    t = H[..., 2] * scale / np.sqrt(lengths.prod(axis=1))[:, None] - R[..., :2] @ middle
     # The face of a board in view is towards the camera.
-    if R[:, 2] @ (t + R[:, :2] @ middle) >= 0:
-        return none
-    return se3.pose(R, t)
+    has_pose &= np.sum(R[..., 2] * (t + R[..., :2] @ middle), axis=1) < 0
+    return np.where(has_pose[:, None, None], se3.pose(R, t), np.nan)
 
 
 def convert_model(
@@ -138,4 +138,4 @@ def convert_model(
         minimum = minimize(start, linearize, retract, iterations=max_steps, tolerance=1e-6)
     except (np.linalg.LinAlgError, InputError):
         return None
-    return locate_views(views, minimum.state) if np.isfinite(minimum.linearization.cost) else None
+    return locate_views(views, [minimum.state])[0] if np.isfinite(minimum.linearization.cost) else None

@@ -120,54 +120,6 @@ def estimate_pair(
     return _evaluate_estimate((sensor_a, sensor_b), T_a_b, table, matches, found.inliers, angle)
 
 
-# Robust standard deviations of the inliers' residuals up to which matches are inliers of a joint pose; 3.5 is the
-# usual limit of modified z-scores (Iglewicz and Hoaglin, 1993).
-_RESELECTION_GATE = 3.5
-# Squares of RANSAC's gates: the median of most captures up to which it is a systematic error, which the joint
-# solution estimates (3 prior standard deviations of a range bias are 2.1), and others over it: twice the error.
-_MAX_SYSTEMATIC, _SYSTEMATIC_GATE = 4.0, 4.0
-
-
-def reselect_inliers(
-    estimate: PairwiseEstimate,
-    T_a_b: Array,
-    candidates_a: Candidates,
-    candidates_b: Candidates,
-    board_size: tuple[float, float],
-) -> PairwiseEstimate | Rejected:
-    """Reselects a pair's inliers under a pose from the joint solution of all sensors.
-
-    The gate of RANSAC is wide; here it is relative to the robust standard deviation of the inliers' residuals.
-
-    Args:
-        estimate: as found by :func:`estimate_pair`.
-        T_a_b: pose (4, 4) from the joint solution.
-        candidates_a: detections by the estimate's sensor a.
-        candidates_b: detections by its sensor b.
-        board_size: width and height of the (largest) board, m.
-
-    Returns:
-        The estimate at ``T_a_b`` with the new inliers; rejected if fewer than a minimal sample are left.
-    """
-    capture = estimate.matches[0, 0]
-    if (geometric_kind(candidates_a[capture][0]), geometric_kind(candidates_b[capture][0])) == ("line", "plane"):
-        T_b_a = se3.inverse(T_a_b)
-        swapped = reselect_inliers(estimate.inverse(), T_b_a, candidates_b, candidates_a, board_size)
-        return swapped if isinstance(swapped, Rejected) else swapped.inverse()
-    table, matches = build_matches(candidates_a, candidates_b, board_size)
-    r2 = squared_residual_function(matches)(T_a_b[None])[0]
-    median = float(np.median(r2[estimate.inliers]))
-    agree = 2 * estimate.inliers.sum() >= len(candidates_a.keys() & candidates_b.keys())
-    widest = max(1.0, _SYSTEMATIC_GATE * median) if agree and median < _MAX_SYSTEMATIC else 1.0
-    gate = min(widest, _RESELECTION_GATE**2 * median / 0.4549)  # the median of χ² with one degree of freedom
-    inliers = select_best_of_groups(r2 / gate, group_alternatives(table, candidates_a, candidates_b))
-    if inliers.sum() < matches.sample_size:
-        count = int(estimate.inliers.sum())
-        return Rejected(f"all {count} shared captures were rejected as outliers by the joint solution")
-    sensors = estimate.sensor_a, estimate.sensor_b
-    return _evaluate_estimate(sensors, T_a_b, table, matches, inliers, estimate.alternative_pose_angle)
-
-
 def _min_match_count(matches: Matches, count: int) -> int:
     """Number of matches with more residuals than a pose has unknowns: fewer fit some pose without redundancy."""
     residuals_per_match = matches.linearize(np.eye(4)[None]).residuals.size // count
@@ -229,25 +181,3 @@ def estimate_pairs(
 def select_successful(pairs: PairwiseEstimates) -> list[PairwiseEstimate]:
     """Selects the pairs that were not rejected."""
     return [pair for pair in pairs.values() if not isinstance(pair, Rejected)]
-
-
-def reselect_all_inliers(
-    pairs: PairwiseEstimates,
-    T_root_sensor: Mapping[str, Array],
-    detections: Mapping[str, Candidates],
-    board_size: tuple[float, float],
-) -> PairwiseEstimates:
-    """Reselects the inliers of every pair under joint poses, as :func:`reselect_inliers` does.
-
-    Args:
-        pairs: as estimated.
-        T_root_sensor: joint poses (4, 4); pairs with a sensor that has none stay as they are.
-        detections: by sensor and capture.
-        board_size: width and height of the (largest) board, m.
-    """
-    chosen = dict(pairs)
-    for (a, b), pair in pairs.items():
-        if not isinstance(pair, Rejected) and a in T_root_sensor and b in T_root_sensor:
-            T_a_b = se3.inverse(T_root_sensor[a]) @ T_root_sensor[b]
-            chosen[a, b] = reselect_inliers(pair, T_a_b, detections[a], detections[b], board_size)
-    return chosen

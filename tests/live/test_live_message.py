@@ -7,20 +7,19 @@ from rosbags.typesys import Stores, get_typestore
 from calgraph.config.settings import LimitSettings
 from calgraph.errors import RecordingError
 from calgraph.live.live_rig import make_trigger
-from calgraph.live.record_reader import RecordReader
 from calgraph.live.source import Channel, LiveMessage
-from calgraph.sensors import LaserScan, Trigger
+from calgraph.sensors import LaserScan, RecordedMessage, Trigger
 from live_sessions import make_live_message
 
 SCAN = LaserScan(12.25, "laser", np.linspace(-1, 1, 5), np.array([1.0, 2.0, np.nan, 4.0, 5.0]), 0.001)
 
 
-def make_reader() -> RecordReader:
-    return RecordReader("ws://robot:8765", LimitSettings())
+def read(message: LiveMessage) -> RecordedMessage:
+    return message.read("ws://robot:8765", LimitSettings())
 
 
 def test_a_message_of_ros_2_has_stamp_and_content() -> None:
-    record = make_reader().read(make_live_message("/scan", SCAN, 12.5))
+    record = read(make_live_message("/scan", SCAN, 12.5))
     assert (record.topic, record.stamp, record.arrival) == ("/scan", 12.25, 12.5)
     scan = record.decode()
     assert isinstance(scan, LaserScan)
@@ -39,7 +38,7 @@ def test_a_message_of_ros_1_has_stamp_and_content() -> None:
     name = "sensor_msgs/msg/LaserScan"
     schema, _ = store.generate_msgdef(name, ros_version=1)
     channel = Channel("/scan", name, "ros1", "ros1msg", schema)
-    record = make_reader().read(LiveMessage(channel, 8 * 10**9, bytes(store.serialize_ros1(scan, name))))
+    record = read(LiveMessage(channel, 8 * 10**9, bytes(store.serialize_ros1(scan, name))))
     assert record.stamp == 7.5
     decoded = record.decode()
     assert isinstance(decoded, LaserScan)
@@ -48,7 +47,7 @@ def test_a_message_of_ros_1_has_stamp_and_content() -> None:
 
 def test_a_trigger_is_read_with_the_stamp_of_its_capture() -> None:
     stamp = 1_700_000_000.123456
-    record = make_reader().read(make_trigger(stamp, stamp + 2))
+    record = read(make_trigger(stamp, stamp + 2))
     assert record.stamp == pytest.approx(stamp, abs=3e-7)
     assert record.arrival == pytest.approx(stamp + 2, abs=3e-7)
     assert isinstance(record.decode(), Trigger)
@@ -57,4 +56,4 @@ def test_a_trigger_is_read_with_the_stamp_of_its_capture() -> None:
 def test_a_message_that_is_too_short_names_source_and_topic() -> None:
     message = make_live_message("/scan", SCAN, 12.5)
     with pytest.raises(RecordingError, match=r"^ws://robot:8765: topic /scan, arrival 12\.500000: .*8 bytes"):
-        make_reader().read(LiveMessage(message.channel, message.arrival, message.data[:8]))
+        read(LiveMessage(message.channel, message.arrival, message.data[:8]))

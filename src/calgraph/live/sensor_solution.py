@@ -1,0 +1,67 @@
+"""What is known of one sensor's pose while it is recorded, in rigs and networks."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from calgraph.geometry import Array
+from calgraph.result import SensorPose
+
+
+@dataclass(frozen=True, eq=False)
+class SensorSolution:
+    """What is known of one sensor's pose."""
+
+    name: str
+    kind: str
+    """camera, lidar2d or lidar3d."""
+    T_root_sensor: Array | None = None
+    """(4, 4); None as long as nothing connects the sensor to the root."""
+    stddev: Array = field(default_factory=lambda: np.full(6, np.nan))
+    """(6,) along and about the axes of the sensor, m and rad; zero for the root, and for axes that a network does
+    not measure; NaN without a pose."""
+    covariance: Array | None = None
+    """(3, 3) of the position in the root's axes, m²; None without a pose."""
+    uncertainty: float = float("inf")
+    """Largest ratio of a standard deviation to the largest with which errors are within the tolerance."""
+    grade: str = ""
+    """good, weak or unobservable; empty without a pose."""
+    reason: str = ""
+    """Why it is not good, or not connected, in words."""
+    clock_offset: float | None = None
+    """Its clock minus the root's, s; None where that is not known."""
+    tracks: int = 0
+    """Of a network: number of tracks of people."""
+    field_of_view: tuple[float, float] | None = None
+    """Of a camera with intrinsics: horizontal and vertical, rad."""
+
+    @property
+    def progress(self) -> float:
+        """1 where all errors are within the tolerance with the probability of verdicts, less before; 0..1."""
+        return min(1.0, 1 / max(self.uncertainty, 1e-9))
+
+    @property
+    def origin(self) -> Array:
+        """(3,) in the frame of the root, m; of a sensor with a pose."""
+        assert self.T_root_sensor is not None
+        return self.T_root_sensor[:3, 3]
+
+
+def describe_pose(sensor: SensorPose, limits: Array) -> SensorSolution:
+    """What a calibration knows of a sensor.
+
+    Args:
+        sensor: of a calibration.
+        limits: (6,) standard deviations up to which errors are within the tolerance, m and rad.
+    """
+    return SensorSolution(
+        sensor.name,
+        sensor.kind,
+        sensor.T_root_sensor,
+        sensor.axis_stddev,
+        sensor.measured_covariance[:3, :3],
+        float(np.max(sensor.axis_stddev / limits)),
+        sensor.verdict.grade,
+        sensor.verdict.reason,
+        sensor.clock_offset,
+    )
