@@ -6,6 +6,7 @@ it; as the board's size is given, each such pair of beams is a measurement acros
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
@@ -22,7 +23,7 @@ from calgraph.rig.bundle.observations import (
     start_indices,
     view_indices,
 )
-from calgraph.sensors.kinds.stated import BeamError, turn_beams
+from calgraph.sensors.kinds.stated import BeamError, list_turns
 
 # Cosine of incidence at which smaller ones are truncated: keeps intersections finite. Such edges are not used.
 _MIN_COSINE = 1e-3
@@ -140,10 +141,9 @@ class OutlineObservations:
         distance = np.linalg.norm(point, axis=-1, keepdims=True)
         direction, sigma = point / distance, self.sigma[used, None]
         # An error of the beams' directions turns the plane of sight with them.
-        middle = self.edges[used].sum(axis=1)
-        middle /= np.linalg.norm(middle, axis=-1, keepdims=True)
-        rotation, turns = turn_beams(self.turns, middle, of_edge[block["beams"]])
-        across = so3.rotate(rotation, self.across[used]) if self.turns else self.across[used]
+        turns, across = self._turns, self.across[used]
+        if self.turns:
+            across = so3.rotate(np.einsum("ien,en->ni", turns, of_edge[block["beams"]]), across)
         angle = np.sum(across * direction, axis=-1, keepdims=True)
         by_point = (across - angle * direction) / (distance * sigma)
         by_board = (by_point[:, None] @ R[..., :2])[:, 0]
@@ -153,7 +153,9 @@ class OutlineObservations:
         jacobian[:, :3], jacobian[:, 3:6], by_parameters = by_point, np.cross(rotated, by_point), jacobian[:, 6:]
         by_parameters[:, block["size"]] = 0.5 * by_outward[:, None] * (axis[:, None] == [0, 1])
         by_parameters[:, block["print"]] = np.column_stack([-by_board, by_turn])
-        by_parameters[:, block["beams"]] = np.einsum("kni,ni->nk", so3.cross(turns, across), direction) / sigma
+        if self.turns:
+            lever = so3.cross(across, direction) / sigma
+            by_parameters[:, block["beams"]] = np.einsum("ien,ni->ne", turns, lever)
         by_parameters[:, block["varying"]] = by_outward[:, None] * (upright[:, None] == [False, True])
         return LinearizedResiduals(
             angle / sigma,
@@ -237,6 +239,12 @@ class OutlineObservations:
         on_board, past_board = (_intersect_boards(T, self.edges[:, i]) for i in (0, 1))
         dense = np.linalg.norm(past_board - on_board, axis=1) < _MAX_BEAM_SPACING
         return self._view[dense], (on_board + past_board)[dense] / 2
+
+    @cached_property
+    def _turns(self) -> Array:
+        """(3, E, N) as of :func:`list_turns`, of the middles of the used edges."""
+        middle = self.edges[self.used].sum(axis=1)
+        return list_turns(self.turns, middle / np.linalg.norm(middle, axis=-1, keepdims=True))
 
     @property
     def _separates_rings(self) -> NDArray[np.bool_]:

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
@@ -14,7 +15,7 @@ from calgraph.geometry import Array, Index, se3, so3
 from calgraph.rig.bundle.board_motions import select_motions, stack_motions, velocity_along_sensor
 from calgraph.rig.bundle.bundle_parameters import NO_PARAMETERS, LocalParameters
 from calgraph.rig.bundle.observations import LinearizedResiduals, select_measurements, start_indices, view_indices
-from calgraph.sensors.kinds.stated import BeamError, turn_beams
+from calgraph.sensors.kinds.stated import BeamError, list_turns
 
 # Limit on the beams of all views of a scanner, half a kilobyte each in a solution. Rests of a second before 16
 # beams have 6,000 each: of 250 rests (16 GB of raw images), 1,000 each remain, whose noise is 0.4 mm in the view's
@@ -112,38 +113,37 @@ class RangeObservations:
         of_beams, directions = shared[block["beams"]], self.directions
         turning = [i for i, error in enumerate(self.errors) if error.turn]
         if turning:
-            rotation, turns = turn_beams([self.errors[i] for i in turning], directions, of_beams[turning, None])
-            directions = so3.rotate(rotation, directions)
-        h, cosine = self._intersect_planes(T_measured, directions)
+            directions = so3.rotate(np.einsum("ien,e->ni", self._turns, of_beams[turning]), directions)
+        h, n, cosine = self._intersect_planes(T_measured, directions)
         height = np.repeat(h, self._counts)
         if self.bow_shape is not None:
-            height = height + np.sum(self.bow_shape * local[view, block["bow"]], axis=-1)
+            bows = np.repeat(local[:, block["bow"]].T, self._counts, axis=1)
+            height += np.einsum("ni,in->n", self.bow_shape, bows)
         distance, weight = height / cosine, 1 / self.sigma
-        predicted, stretch = distance, np.ones(1)
+        residual, stretch = (distance - self.ranges) * weight, np.ones(1)
         columns = np.zeros((3 + local.shape[1] - block.ring_count, len(self.ranges)))
         by_parameters = columns[3:]
         by_beams = by_parameters[block["beams"]]
-        for error, value, by_error in zip(self.errors, of_beams, by_beams, strict=True):
-            if error.lengthen:
-                shape, growth = error.lengthen(self.directions), np.zeros(1)
-                for _ in range(error.power):
-                    shape, growth = shape * distance, error.power * shape
-                predicted, stretch = predicted + value * shape, stretch + value * growth
-                np.multiply(shape, weight, out=by_error)
+        for error, at_1_m, value, by_error in zip(self.errors, self._shapes, of_beams, by_beams, strict=True):
+            shape, growth = at_1_m, np.zeros(1)
+            for _ in range(error.power):
+                shape, growth = shape * distance, error.power * shape
+            stretch = stretch + value * growth
+            np.multiply(shape, weight, out=by_error)
+        residual += of_beams @ by_beams
         by_height = stretch * weight / cosine
         if turning:
-            n = np.repeat(T_measured[:, :3, 2], self._counts, axis=0)
-            for i, turn in zip(turning, turns, strict=True):
-                by_beams[i] -= np.einsum("ni,ni->n", n, so3.cross(turn, directions)) * distance * by_height
+            lever = so3.cross(n, directions) * (distance * by_height)[:, None]
+            by_beams[turning] += np.einsum("ni,ien->en", lever, self._turns)
         np.multiply(directions.T, by_height / cosine, out=columns[:3])
         if self.bow_shape is not None:
             np.multiply(by_height, self.bow_shape.T, out=by_parameters[block["bow"]])
         if by_delay is not None:
             by_parameters[block["delay"]] = np.einsum("in,ni->n", columns[:3], by_delay[view])
         if self.ring is not None:
-            predicted = predicted + local[:, block["varying"]][view, self.ring]
+            residual += local[:, block["varying"]][view, self.ring] * weight
         return LinearizedResiduals(
-            ((predicted - self.ranges) * weight)[:, None],
+            residual[:, None],
             columns.T[:, None],
             block.jacobian(by_pose),
             3,
@@ -172,7 +172,7 @@ class RangeObservations:
 
     def update_noise(self, T_sensor_board: Array, scale: float) -> "RangeObservations":
         """See :class:`BoardViews`: the error of a beam's direction grows with the tangent of its incidence."""
-        h, cosine = self._intersect_planes(T_sensor_board, self.directions)
+        h, _, cosine = self._intersect_planes(T_sensor_board, self.directions)
         tangent2 = np.maximum(1 / cosine**2 - 1, 0)
         expected = np.repeat(h, self._counts) / cosine
         along = self.noise.of_beams(expected, self.directions)
@@ -257,11 +257,22 @@ class RangeObservations:
         """Of the local parameters, that of a range bias: a ring's bias acts in the same way on some beams."""
         return 3 + [error.quantity for error in self.errors].index("range bias")
 
-    def _intersect_planes(self, T_sensor_board: Array, directions: Array) -> tuple[Array, Array]:
-        """Offsets of the planes (V,), and cosines (N,) between beams and normals."""
+    @cached_property
+    def _turns(self) -> Array:
+        """(3, E, N) as of :func:`list_turns`."""
+        return list_turns(self.errors, self.directions)
+
+    @cached_property
+    def _shapes(self) -> list[Array]:
+        """(N,) or (1,) lengthening of ranges of 1 m by one unit of each error, m."""
+        return [error.lengthen(self.directions) if error.lengthen else np.zeros(1) for error in self.errors]
+
+    def _intersect_planes(self, T_sensor_board: Array, directions: Array) -> tuple[Array, Array, Array]:
+        """Offsets of the planes (V,), and of each beam the plane's normal (N, 3) and the cosine (N,) to it."""
         n, h = _board_planes(T_sensor_board)
-        cosine = np.einsum("in,in->n", directions.T, np.repeat(n.T, self._counts, axis=1))
-        return h, np.copysign(np.maximum(np.abs(cosine), self.min_cosine), cosine)
+        normals = np.repeat(n.T, self._counts, axis=1)
+        cosine = np.einsum("in,in->n", directions.T, normals)
+        return h, normals.T, np.copysign(np.maximum(np.abs(cosine), self.min_cosine), cosine)
 
 
 def bow_shape(points: Array, half_size: Array) -> Array:

@@ -126,17 +126,14 @@ class BeamError:
     """See :class:`calgraph.verdict.parameter_estimates.DescribedParameter`."""
 
 
-def turn_beams(errors: Sequence[BeamError], directions: Array, values: Array) -> tuple[Array, Array]:
-    """Rotation vectors (N, 3) of directions (N, 3) by E errors of values (E, N) or (E, 1), and (E, N, 3) by units.
+def list_turns(errors: Sequence[BeamError], directions: Array) -> Array:
+    """Rotation vectors (3, E, N), rad, of directions (N, 3) by one unit of each of the E errors that turn them.
 
-    The derivative of a turned vector v by a value is the cross product of the latter and v; where several errors
-    turn, to first order in the others.
+    The derivative of a turned vector v by a value is the cross product of the rotation vector and v; where several
+    errors turn, to first order in the others.
     """
-    turns = np.zeros((len(errors), *directions.shape))
-    for turn, error in zip(turns, errors, strict=True):
-        if error.turn:
-            turn[:] = error.turn(directions)
-    return np.sum(values[..., None] * turns, axis=0), turns
+    turns = [error.turn(directions).T for error in errors if error.turn]
+    return np.stack(turns, axis=1) if turns else np.zeros((3, 0, len(directions)))
 
 
 def lengthen_equally(directions: Array) -> Array:  # noqa: ARG001
