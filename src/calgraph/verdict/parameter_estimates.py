@@ -11,7 +11,7 @@ from calgraph.geometry import Array, Index
 
 @dataclass(frozen=True)
 class DescribedParameter:
-    """A systematic parameter of a rig or of a network, and what users are told about it."""
+    """A systematic parameter of a rig or of a network, and what is reported of it."""
 
     of: str
     """A sensor, a board, or a tag."""

@@ -1,4 +1,4 @@
-"""Systematic parameters are added, and told to users, in one place."""
+"""Systematic parameters are added and named to users in one place."""
 
 from dataclasses import replace
 
@@ -28,7 +28,7 @@ FINE = QUICK.model_copy(update={"multibeam": MultibeamOptions(count=1, resolutio
 def raise_beams(directions: Array) -> Array:
     """Rotation vectors (N, 3) about the horizontal axes across the beams."""
     x, y, _ = directions.T
-    return np.stack([y, -x, np.zeros(len(x))], axis=-1) / np.hypot(x, y)[:, None]
+    return np.asarray(np.stack([y, -x, np.zeros(len(x))], axis=-1) / np.hypot(x, y)[:, None])
 
 
 class RaisedUncertainty(Lidar3dUncertainty):

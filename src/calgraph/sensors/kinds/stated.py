@@ -107,7 +107,7 @@ class RangeNoise(StrictModel):
 
 @dataclass(frozen=True)
 class BeamError:
-    """A systematic error of a scanner: its prior, how it changes beams, and what users are told about it."""
+    """A systematic error of a scanner: its prior, how it changes beams, and what is reported of it."""
 
     quantity: str
     """What it is called in results and, without a clause, in messages."""
