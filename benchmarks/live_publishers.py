@@ -8,13 +8,21 @@ from pathlib import Path
 from typing import Any
 
 import foxglove
+from rosbags.typesys import Stores, get_typestore
 
 from calgraph.live.dds import SerializedSample, make_dds_type
 from calgraph.recording import open_recording
 from calgraph.recording.bags import BagRecording
-from live_sources import DOMAIN, STORE
 from live_walk import move_stamp
 
+STORE = get_typestore(Stores.ROS2_HUMBLE)
+DOMAIN = 77
+LOOPBACK = (
+    '<CycloneDDS><Domain><General><AllowMulticast>false</AllowMulticast><Interfaces><NetworkInterface name="lo" '
+    'multicast="false"/></Interfaces></General><Discovery><ParticipantIndex>auto</ParticipantIndex><Peers><Peer '
+    'address="127.0.0.1"/></Peers></Discovery></Domain></CycloneDDS>'
+)
+"""Configuration of cyclonedds."""
 Send = Callable[[bytes], object]
 _LATE = 0.5
 """Messages that are due longer ago when the robot is reached are never sent, s."""
