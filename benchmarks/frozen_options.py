@@ -33,17 +33,16 @@ from calgraph.simulation import (
     GroundTruth,
     IdealDetectorOptions,
     LaserOptions,
-    MovingBoardOptions,
     MultibeamOptions,
     RigScenario,
     SpinningOptions,
     build_world,
     simulate_detections,
-    simulate_moving_detections,
 )
 from efficiency import without_uncertainty
 from frozen_rigs import Make, calibrated
 from model_error_rigs import rig_world
+from moving_boards import MovingBoardOptions, simulate_moving_detections
 from moving_boards import scenario as moving_scenario
 
 NO_CAMERA, NO_LASER, NO_SPINNING = CameraOptions(count=0), LaserOptions(count=0), SpinningOptions(count=0)

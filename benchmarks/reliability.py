@@ -142,9 +142,9 @@ class Outcome:
 
 COLUMNS: Mapping[str, Callable[[Answer], bool]] = {
     "tried": lambda _: True,
-    "right": Answer.RIGHT.__eq__,
-    "weak": Answer.WEAK.__eq__,
-    "refused": Answer.REFUSED.__eq__,
+    "right": lambda one: one is Answer.RIGHT,
+    "weak": lambda one: one is Answer.WEAK,
+    "refused": lambda one: one is Answer.REFUSED,
     "wrong": lambda one: one.is_wrong,
 }
 ROWS: Mapping[str, Collection[str]] = {"damage of the recording": MESSAGE_DAMAGE, "form of the recording": FORMS}
