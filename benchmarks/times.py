@@ -8,7 +8,7 @@ OMP_NUM_THREADS=1 python benchmarks/times.py bundle_120 sweep      # parts, in t
 
 Cases are whole runs of ``calgraph calibrate`` without the cache, of simulated recordings with seed 0, or the
 processor time of parts: of the joint solution from pairs to covariances (``bundle_N``: N captures, five sensors),
-and of the detection in one sweep (``sweep``). Figures are medians of the runs; the last column tells whether all
+and of the detection in one sweep (``sweep``). Figures are medians of the runs; the last column states whether all
 runs of a case have the same bits.
 """
 
