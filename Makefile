@@ -3,7 +3,7 @@
 # Recipes run the tools as modules or by relative path, so that a checkout may lie in a folder with spaces.
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-slow coverage mutants fuzz frozen check docs format requirements clean
+.PHONY: help setup demo test test-slow coverage fuzz frozen check docs format requirements clean
 
 BIN := .venv/bin
 # calgraph with what a user needs, and with the tools of all other targets.
@@ -34,15 +34,6 @@ test-slow: $(READY)  ## run the others: statistics over seeds, whole commands, b
 # Settings and the least coverage allowed are in pyproject.toml. --cov-report=html also draws it line by line.
 coverage:  ## run the first tier and measure its coverage; fails below the limit in pyproject.toml
 	$(MAKE) test ARGS="--cov --cov-report= $(ARGS)"
-
-# ROOM may be several, parts of one, or files; left out, the whole source is changed. Tests run that mirror a changed
-# module or import it, and those that TESTS names. Rows in build/mutants/SEED.csv are not run again.
-N := 50
-SEED := 0
-MINUTES := inf
-JOBS := $(shell nproc 2>/dev/null || echo 2)
-mutants: .venv/.mutants  ## change N random places of the source, one at a time, and list those that no test detects
-	$(BIN)/python benchmarks/mutants.py $(ROOM) -n $(N) --seed $(SEED) --jobs $(JOBS) --tests $(TESTS) --cpu-minutes $(MINUTES)
 
 SECONDS := 3600
 fuzz: .venv/.fuzz  ## give damaged files to all readers for SECONDS, on Linux; findings in build/fuzz
@@ -89,6 +80,6 @@ $(RUNTIME): .venv/.runtime pyproject.toml
 $(READY): $(RUNTIME) .venv/.tools
 	touch $@
 
-.venv/.mutants .venv/.fuzz: .venv/.%: requirements/%.txt $(READY)
+.venv/.fuzz: requirements/fuzz.txt $(READY)
 	requirements/install .venv $<
 	touch $@

@@ -13,14 +13,13 @@ per degree of freedom, and 95 % ellipsoids contain the ground truth in 95 % of r
 Relative to the ideal estimate, which has the same noise and starts at the ground truth, chance cancels for the
 most part. ``pairwise`` is the start along the spanning tree.
 
-How long estimators take is in solve_times.py.
+How long estimators take is in times.py.
 """
 
-import logging
-import sys
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import TypeVar, get_args
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from functools import lru_cache
+from typing import Any, TypeVar, get_args
 
 import numpy as np
 from pydantic import BaseModel
@@ -43,12 +42,13 @@ from calgraph.simulation import (
     IdealDetectorOptions,
     ModelErrors,
     RigScenario,
+    World,
     build_world,
     simulate_detections,
 )
 from model_error_draws import draw_errors
 from simulated import poses_of, recorded
-from worlds import make_parser
+from worlds import grouped, make_parser, run_worlds
 
 ESTIMATORS = "pairwise", *get_args(Estimator)
 AXES = ("x", "y", "z", "rx", "ry", "rz")
@@ -81,6 +81,39 @@ class Recording:
         starts, boards = np.array([board.trigger for board in self.truth.boards]), self.truth.boards
         nearest = {hold.index: int(np.argmin(np.abs(starts - hold.start))) for hold in self.captured.holds}
         return {index: boards[i].T_root_board for index, i in nearest.items()}
+
+
+@dataclass(frozen=True)
+class Draw:
+    """What determines a recording."""
+
+    level: str
+    """Detections, or whole recordings."""
+    captures: int
+    disturbed: float
+    """Share of captures in which the board slips."""
+    stated: float
+    """Stated noise over true noise."""
+    systematic: str
+    """Systematic errors: none, drawn, or exact."""
+    world: int
+    run: int
+    number: int
+    """Of the recording, which seeds what the estimators draw."""
+
+
+@dataclass(frozen=True, eq=False)
+class Row(Draw):
+    """What one estimator made of one recording; arrays as of :class:`Outcomes`, without R."""
+
+    estimators: str
+    """All that have it, separated by spaces."""
+    estimator: str
+    sensors: str
+    errors: Array
+    covariances: Array
+    bounds: Array
+    ideal: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +162,7 @@ class Outcomes:
 
 def main() -> None:
     """Prints ratios to the bound, NEES and coverage; with ``--disturbed``, what slips cost."""
-    parser = make_parser(__doc__)
+    parser = make_parser(__doc__, jobs=1)
     parser.add_argument("--level", choices=("detections", "recordings"), default="detections")
     parser.add_argument("--runs", type=int, default=200, help="of each rig")
     parser.add_argument("--scenarios", type=int, default=1, help="rigs; recordings have another one each run")
@@ -144,31 +177,30 @@ def main() -> None:
     )
     parser.add_argument("--estimators", nargs="+", choices=ESTIMATORS, default=list(ESTIMATORS))
     arguments = parser.parse_args()
-    logging.disable(logging.WARNING)
-    scenario = scenario_of(arguments.captures)
-    knobs = IdealDetectorOptions(stated_noise_factor=arguments.stated)
+    captures = scenario_of(arguments.captures).captures
     print(
-        f"{scenario.captures} captures, {arguments.runs} runs of {arguments.scenarios} rigs, {arguments.level}, "
+        f"{captures} captures, {arguments.runs} runs of {arguments.scenarios} rigs, {arguments.level}, "
         f"{arguments.disturbed:.0%} disturbed, stated noise {arguments.stated:g} times the true one, systematic "
         f"errors {arguments.systematic}"
     )
 
-    def outcomes_of(scenario: RigScenario) -> dict[str, Outcomes]:
-        if arguments.level == "recordings":
-            recordings = recorded_runs(scenario, arguments.runs)
-        else:
-            recordings = detected_runs(scenario, arguments.scenarios, arguments.runs, knobs, arguments.systematic)
-        return judge(recordings, arguments.estimators)
+    def outcomes_of(disturbed: float) -> dict[str, Outcomes]:
+        shared = arguments.level, arguments.captures, disturbed, arguments.stated, arguments.systematic
+        worlds = 1 if arguments.level == "recordings" else arguments.scenarios
+        work = [
+            (*shared, world, run, arguments.runs * world + run, " ".join(arguments.estimators))
+            for world in range(worlds)
+            for run in range(arguments.runs)
+        ]
+        return collect(run_worlds(Row, measure, work, arguments, key=len(fields(Draw)) + 1))
 
-    clean = outcomes_of(scenario)
+    clean = outcomes_of(0.0)
     show(clean)
     if arguments.disturbed:
         slipped = {
             # A slip is no noise: the bound is that of the same captures at rest.
             name: replace(outcome, bounds=clean[name].bounds, ideal=clean[name].ideal)
-            for name, outcome in outcomes_of(
-                scenario.model_copy(update={"disturbed": arguments.disturbed})
-            ).items()
+            for name, outcome in outcomes_of(arguments.disturbed).items()
         }
         print(f"\nThe same runs with slips in {arguments.disturbed:.0%} of the captures")
         show(slipped)
@@ -183,20 +215,24 @@ def scenario_of(captures: int) -> RigScenario:
     return RigScenario(samples=samples)
 
 
-def detected_runs(
-    scenario: RigScenario, scenarios: int, runs: int, knobs: IdealDetectorOptions, systematic: str = "none"
-) -> Iterator[Recording]:
-    """Runs that differ in their noise only, of one rig with its board poses after the other."""
-    for world in range(scenarios):
-        stage = build_world(scenario, world, images=False)
-        noise, _, _ = simulate_detections(stage, 0, replace(knobs, stated_noise_factor=1.0))
-        for seed in range(runs):
-            drawn = systematic == "drawn"
-            errors = draw_errors(stage, np.random.default_rng((world, seed))) if drawn else ModelErrors()
-            rig, captured, truth = simulate_detections(stage, seed, knobs, errors)
-            if systematic == "exact":
-                rig, noise = without_uncertainty(rig), without_uncertainty(noise)
-            yield Recording(rig, captured, truth, noise)
+@lru_cache(maxsize=1)
+def build_stage(captures: int, disturbed: float, world: int) -> tuple[World, Rig]:
+    """A rig with its board poses, and with the noise that its measurements have."""
+    scenario = scenario_of(captures).model_copy(update={"disturbed": disturbed})
+    stage = build_world(scenario, world, images=False)
+    return stage, simulate_detections(stage, 0, IdealDetectorOptions())[0]
+
+
+def detect(draw: Draw) -> Recording:
+    """Runs of a world differ in their noise only."""
+    stage, noise = build_stage(draw.captures, draw.disturbed, draw.world)
+    rng = np.random.default_rng((draw.world, draw.run))
+    errors = draw_errors(stage, rng) if draw.systematic == "drawn" else ModelErrors()
+    knobs = IdealDetectorOptions(stated_noise_factor=draw.stated)
+    rig, captured, truth = simulate_detections(stage, draw.run, knobs, errors)
+    if draw.systematic == "exact":
+        rig, noise = without_uncertainty(rig), without_uncertainty(noise)
+    return Recording(rig, captured, truth, noise)
 
 
 def without_uncertainty(rig: Rig) -> Rig:
@@ -215,39 +251,52 @@ def exact(uncertainty: Uncertainty) -> Uncertainty:
     return uncertainty.model_copy(update=dict.fromkeys(type(uncertainty).model_fields, 0.0))
 
 
-def recorded_runs(scenario: RigScenario, runs: int) -> Iterator[Recording]:
+def record(draw: Draw) -> Recording:
     """Another rig, room and walk each time, through images, clouds and the search for captures."""
-    for seed in range(runs):
-        rig, captured, truth = recorded(scenario, seed)
-        stated = Recording(rig, captured, truth, rig)
-        yield replace(stated, noise=with_noise_about_truth(stated))
+    scenario = scenario_of(draw.captures).model_copy(update={"disturbed": draw.disturbed})
+    rig, captured, truth = recorded(scenario, draw.run)
+    stated = Recording(rig, captured, truth, rig)
+    return replace(stated, noise=with_noise_about_truth(stated))
 
 
-def judge(recordings: Iterator[Recording], estimators: Sequence[str]) -> dict[str, Outcomes]:
-    """What the estimators make of the recordings."""
-    found: dict[str, list[tuple[Array, Array]]] = {name: [] for name in estimators}
-    bounds: list[Array] = []
-    ideals: list[Array] = []
-    sensors: tuple[str, ...] = ()
-    for seed, recording in enumerate(recordings):
-        rig, captured = recording.rig, recording.captured
-        sensors = tuple(name for name in rig.sensors if name != rig.root)
-        ideals.append(ideal_errors(recording))
-        least = cramer_rao(recording.noise, captured, recording.T_root_sensor, recording.T_root_board)
-        bounds.append(np.array([least[name] for name in sensors]))
-        problem = build_problem_from_captures(rig, captured, RigOptions(), np.random.default_rng(seed))
-        for name in estimators:
-            found[name].append(deviations(*solution(problem, name), recording.truth, sensors))
-        print(f"\r{len(bounds)} runs", end="", file=sys.stderr, flush=True)
+def measure(*case: Any) -> list[Row]:
+    """What the estimators make of one recording."""
+    draw, estimators = Draw(*case[:-1]), case[-1]
+    recording = record(draw) if draw.level == "recordings" else detect(draw)
+    rig, captured = recording.rig, recording.captured
+    sensors = tuple(name for name in rig.sensors if name != rig.root)
+    least = cramer_rao(recording.noise, captured, recording.T_root_sensor, recording.T_root_board)
+    bounds, ideal = np.array([least[name] for name in sensors]), ideal_errors(recording)
+    problem = build_problem_from_captures(rig, captured, RigOptions(), np.random.default_rng(draw.number))
+    rows = []
+    for name in estimators.split():
+        errors, covariances = deviations(*solution(problem, name), recording.truth, sensors)
+        rows.append(
+            Row(
+                **vars(draw),
+                estimators=estimators,
+                estimator=name,
+                sensors=" ".join(sensors),
+                errors=errors,
+                covariances=covariances,
+                bounds=bounds,
+                ideal=ideal,
+            )
+        )
+    return rows
+
+
+def collect(rows: Sequence[Row]) -> dict[str, Outcomes]:
+    """All runs by estimator."""
     return {
         name: Outcomes(
-            sensors,
-            errors=np.array([errors for errors, _ in pairs]),
-            covariances=np.array([covariances for _, covariances in pairs]),
-            bounds=np.array(bounds),
-            ideal=np.array(ideals),
+            tuple(found[0].sensors.split()),
+            *(
+                np.array([getattr(row, field) for row in found])
+                for field in ("errors", "covariances", "bounds", "ideal")
+            ),
         )
-        for name, pairs in found.items()
+        for name, found in grouped(rows, lambda row: row.estimator)
     }
 
 

@@ -179,7 +179,12 @@ def _bumps() -> Iterator[tuple[str, Make]]:
     for k, label in enumerate(labels):
         room = network_bumps.ROOMS[k % 3]
         words = label.replace(", ", "_").replace(" ", "_")
-        yield f"network_bumps/{room}/{words}/0", partial(network_bumps.check, label, room, 0)
+        yield f"network_bumps/{room}/{words}/0", partial(_bump, label, room)
+
+
+def _bump(label: str, room: str) -> dict[str, object]:
+    found = network_bumps.check(label, room, 0)
+    return {"right": found.right, "millimetres": found.millimetres, "degrees": found.degrees}
 
 
 def _refused(what: str) -> object:

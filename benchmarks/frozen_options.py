@@ -9,13 +9,15 @@ from tempfile import TemporaryDirectory
 from typing import Any, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
 import intrinsics
 import lens_models
 import msg_cal
 from calgraph.config import People, Rig
-from calgraph.geometry import Array, se3
+from calgraph.geometry import Array, se3, se_n
 from calgraph.graph.averaging import RotationAveraging, average_poses_by_rotations
+from calgraph.graph.pose_graph import PoseGraph
 from calgraph.graph.tree_consensus import average_poses
 from calgraph.result import Calibration, ExtrinsicsFile
 from calgraph.result.frame_tree import FrameLink, FrameTree
@@ -31,18 +33,16 @@ from calgraph.simulation import (
     GroundTruth,
     IdealDetectorOptions,
     LaserOptions,
-    MovingBoardOptions,
     MultibeamOptions,
     RigScenario,
     SpinningOptions,
     build_world,
     simulate_detections,
-    simulate_moving_detections,
 )
 from efficiency import without_uncertainty
 from frozen_rigs import Make, calibrated
-from graph_methods import random_graph
 from model_error_rigs import rig_world
+from moving_boards import MovingBoardOptions, simulate_moving_detections
 from moving_boards import scenario as moving_scenario
 
 NO_CAMERA, NO_LASER, NO_SPINNING = CameraOptions(count=0), LaserOptions(count=0), SpinningOptions(count=0)
@@ -76,6 +76,8 @@ PRIORS: Mapping[str, tuple[tuple[float, float] | None, float]] = {
 }  # fmt: skip
 """Standard deviations of prior poses, m and rad, and by how much one of them is wrong, m."""
 ROUNDS = 10
+_POSITION, _ANGLE = 0.05, np.radians(0.7)
+"""Noise of the edges of graphs, m and rad."""
 
 
 def list_option_problems() -> Iterator[tuple[str, Make]]:
@@ -232,9 +234,39 @@ def _graph(n: int, wrong: float, *, sparse: bool) -> dict[str, object]:
     """Poses by all methods; sparse graphs are cut where edges disagree."""
     rng = np.random.default_rng([n, round(100 * wrong), int(sparse)])
     count, edges = (20, 30) if sparse else (7, 21)
-    graph, _, _ = random_graph(count, edges, n, wrong, 10.0, rng)
+    graph = _draw_graph(count, edges, n, wrong, 10.0, rng)
     others = {name: average_poses_by_rotations(graph, None, name) for name in get_args(RotationAveraging)}
     return {"consensus": average_poses(graph, np.random.default_rng(0)), **others}
+
+
+def _draw_graph(count: int, edges: int, n: int, wrong: float, size: float, rng: np.random.Generator) -> PoseGraph:
+    """A connected random graph, a share of whose edges is wrong."""
+    T = _draw_poses(count, n, size, rng)
+    T = se_n.inverse(T[0]) @ T
+    pairs = _draw_pairs(count, edges, rng)
+    sigma = np.array([_POSITION] * n + [_ANGLE] * (1 if n == 2 else 3))
+    T_i_j = se_n.inverse(T[pairs[:, 0]]) @ T[pairs[:, 1]]
+    T_i_j = se_n.retract(T_i_j, sigma * rng.normal(size=(edges, len(sigma))))
+    bad = rng.permutation(edges) < round(wrong * edges)
+    T_i_j[bad] = _draw_poses(int(bad.sum()), n, size, rng)
+    return PoseGraph(count, pairs, T_i_j, np.tile(np.diag(sigma**-2), (edges, 1, 1)))
+
+
+def _draw_poses(count: int, n: int, size: float, rng: np.random.Generator) -> Array:
+    """Poses anywhere in a square or cube."""
+    return se_n.pose(
+        se_n.nearest_rotation(rng.normal(size=(count, n, n))), rng.uniform(-size / 2, size / 2, (count, n))
+    )
+
+
+def _draw_pairs(count: int, edges: int, rng: np.random.Generator) -> NDArray[np.intp]:
+    """A random tree and further random pairs, none twice."""
+    first = np.arange(1, count)
+    tree = np.column_stack([first, (rng.random(count - 1) * first).astype(np.intp)])
+    others = np.column_stack(np.triu_indices(count, 1))
+    taken = set(map(tuple, np.sort(tree, axis=1).tolist()))
+    free = [pair for pair in others[rng.permutation(len(others))].tolist() if tuple(pair) not in taken]
+    return np.concatenate([tree, np.array(free[: edges - len(tree)], dtype=np.intp).reshape(-1, 2)])
 
 
 REFUSALS = (

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-import intrinsics_real
 import real_legs
 import real_recordings
 import subsets
@@ -155,7 +154,7 @@ def _real_problems() -> Iterator[tuple[str, Make]]:
     for day in ("2022-11-09_02-44-29", "2022-10-20_07-13-29"):
         yield f"ouster/{day}", partial(_real_folder, OUSTER, f"acfr-ouster64-few-poses/{day}", RigOptions())
     yield "webcams/calibrate", _webcams
-    yield "intrinsics/acfr", lambda: _real_intrinsics(*intrinsics_real.read_acfr()[:2])
+    yield "intrinsics/acfr", lambda: _real_intrinsics(*real_recordings.read_acfr()[:2])
     for number in range(4):
         yield f"intrinsics/webcam_{number}", partial(_webcam_intrinsics, number)
     for name, stamps in (("stamped", True), ("unstamped", False)):
@@ -196,7 +195,7 @@ def _real_intrinsics(rig: Rig, views: Sequence[BoardView]) -> object:
 
 
 def _webcam_intrinsics(number: int) -> object:
-    return _real_intrinsics(*intrinsics_real.read_webcam(number)[:2])
+    return _real_intrinsics(*real_recordings.read_webcam(number)[:2])
 
 
 def _legs(name: str) -> object:

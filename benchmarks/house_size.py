@@ -2,7 +2,6 @@
 
 python benchmarks/house_size.py                            # of this checkout
 python benchmarks/house_size.py OTHER_CHECKOUT .           # of another one beside it
-python benchmarks/house_size.py --trace .                  # and the modules between decoding and residual
 
 Lines are those of all Python files, docstrings, comments and blank lines included. Settings are fields of classes
 named ``…Settings``, but for those that hold other such classes. Times are the least of five runs.
@@ -35,14 +34,13 @@ def main() -> None:
     """Prints a row for each figure, and a column for each checkout."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("checkouts", nargs="*", type=Path, default=[Path(__file__).resolve().parents[1]])
-    parser.add_argument("--trace", action="store_true", help="also run trace_modules.py, which takes a minute")
     arguments = parser.parse_args()
-    columns = [dict(measure(checkout.resolve(), trace=arguments.trace)) for checkout in arguments.checkouts]
+    columns = [dict(measure(checkout.resolve())) for checkout in arguments.checkouts]
     for name in dict.fromkeys(name for column in columns for name in column):
         print(f"{name:45}" + "".join(f"{column.get(name, '-'):>12}" for column in columns))
 
 
-def measure(checkout: Path, *, trace: bool) -> Iterator[tuple[str, str]]:
+def measure(checkout: Path) -> Iterator[tuple[str, str]]:
     """Name and value of each figure of a checkout."""
     source = checkout / "src" / "calgraph"
     trees = {path: ast.parse(path.read_text(encoding="utf-8")) for path in sorted(source.rglob("*.py"))}
@@ -67,14 +65,6 @@ def measure(checkout: Path, *, trace: bool) -> Iterator[tuple[str, str]]:
     for name, program in COMMANDS.items():
         arguments = ["calibrate", "--help"] if "help" in name else []
         yield f"{name}, s", f"{least_time(checkout, program, arguments):.2f}"
-    if trace:
-        command = [sys.executable, str(Path(__file__).with_name("trace_modules.py"))]
-        found = subprocess.run(command, env=with_source(checkout), capture_output=True, text=True, check=False)
-        # Versions before the wings have no module that the tracer follows: they have no such rows.
-        for line in found.stdout.splitlines():
-            if line.endswith(" modules"):
-                kind, _, count = line.removesuffix(" modules").partition(": ")
-                yield f"modules to the residual of a {kind}", count
 
 
 def count_lines(path: Path) -> int:

@@ -19,7 +19,7 @@ from calgraph.live.rig_solution import solve_captures
 from calgraph.live.source import LiveMessage
 from calgraph.parallel.processes import worker_pool
 from calgraph.simulation import load_truth
-from live_walk import list_topics, simulated
+from live_robot import list_topics, simulated
 from process_costs import list_descendants, measure_processor_time
 from worlds import make_parser
 

@@ -32,9 +32,7 @@ from calgraph.result import Calibration, load_calibration
 from calgraph.simulation import GroundTruth, load_truth
 from live_attacks import Attack, attack
 from live_operator import Look, Operator
-from live_publishers import Publisher
-from live_sources import LOOPBACK
-from live_walk import LIVE, simulated
+from live_robot import LIVE, LOOPBACK, Publisher, simulated
 from worlds import make_parser
 
 PARTS = ("button", "ros2", "fast", "cable", "attacks")

@@ -20,7 +20,7 @@ import numpy as np
 
 from calgraph.recording import open_recording
 from calgraph.result import Calibration, load_calibration
-from live_walk import LIVE, SCENARIO, simulated
+from live_robot import LIVE, SCENARIO, simulated
 from worlds import make_parser
 
 # Smaller images and fewer holds: a minute, many times.

@@ -21,9 +21,8 @@ diameter is tight.
     python benchmarks/lrf_network.py --seeds 20 --jobs 2 --tables 5
 """
 
-import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
 from itertools import product
 from typing import get_args
 
@@ -41,6 +40,7 @@ from network_runs import (
     USUAL_PEOPLE,
     Average,
     Cell,
+    Condition,
     Run,
     Setup,
     find_gross_errors,
@@ -48,7 +48,7 @@ from network_runs import (
     list_cells,
     run,
 )  # fmt: skip
-from worlds import make_parser
+from worlds import grouped, make_parser, run_worlds
 
 DISCARDED = 0.2
 """Root mean square distance above which a plain threshold discards a pair, m."""
@@ -59,28 +59,77 @@ BY_PEOPLE = tuple(Setup("nls", False, method, False) for method in COMPARED)
 
 def main() -> None:
     """Prints the tables."""
-    parser = make_parser(__doc__)
+    parser = make_parser(__doc__, jobs=1)
     parser.add_argument("--seeds", type=int, default=3, help="recordings of each kind")
     parser.add_argument("--first", type=int, default=0, help="the first seed")
     parser.add_argument("--scenarios", nargs="+", default=list(SCENARIOS), choices=SCENARIOS)
     parser.add_argument("--people", type=int, nargs="+", default=[1, 2, 3, 4], help="in office and lab")
     parser.add_argument("--tables", nargs="+", default=list(PRINTED), choices=PRINTED)
-    parser.add_argument("--jobs", type=int, default=1, help="processes")
     arguments = parser.parse_args()
     seeds = range(arguments.first, arguments.first + arguments.seeds)
     cells = [cell for name in arguments.scenarios for cell in list_cells(name, arguments.people)]
     setups = {cell: setups_of(cell, arguments.tables) for cell in cells}
-    cells = [cell for cell in cells if setups[cell]]
-    runs: dict[Cell, list[Run]] = {cell: [] for cell in cells}
-    with ProcessPoolExecutor(arguments.jobs) as pool:
-        jobs = [(cell, pool.submit(run, cell, seed, setups[cell])) for seed, cell in product(seeds, cells)]
-        for done, (cell, job) in enumerate(jobs, start=1):
-            runs[cell].append(job.result())
-            print(f"\r{done} of {len(jobs)} recordings", end="", file=sys.stderr, flush=True)
-    print(file=sys.stderr)
+    names = {format_setup(setup): setup for wanted in setups.values() for setup in wanted}
+    work = [
+        (*cell, seed, "; ".join(map(format_setup, setups[cell])))
+        for seed, cell in product(seeds, cells)
+        if setups[cell]
+    ]
+    rows = run_worlds(Row, measure, work, arguments, key=5)
+    runs: dict[Cell, list[Run]] = {cell: [] for cell in cells if setups[cell]}
+    for _, found in grouped(rows, lambda row: (row.cell, row.seed)):
+        errors, nees = ({names[row.setup]: getattr(row, name) for row in found} for name in ("errors", "nees"))
+        runs[found[0].cell].append(Run(errors, nees, found[0].clocks, found[0].pairs.reshape(-1, 2)))
     as_is = {cell: found for cell, found in runs.items() if cell.condition == "as is"}
     for name in arguments.tables:
         PRINTED[name](runs if name == "5" else as_is)
+
+
+@dataclass(frozen=True, eq=False)
+class Row:
+    """What one setup made of one recording; arrays as of :class:`Run`."""
+
+    scenario: str
+    people: int
+    condition: Condition
+    seed: int
+    setups: str
+    """All that have it."""
+    setup: str
+    errors: Array
+    nees: Array
+    clocks: Array
+    pairs: Array
+
+    @property
+    def cell(self) -> Cell:
+        """The kind of recording."""
+        return Cell(self.scenario, self.people, self.condition)
+
+
+def format_setup(setup: Setup) -> str:
+    """A setup in words."""
+    return " ".join(map(str, setup))
+
+
+def measure(scenario: str, people: int, condition: Condition, seed: int, setups: str) -> list[Row]:
+    """All setups on one recording."""
+    cell = Cell(scenario, people, condition)
+    names = {format_setup(setup): setup for setup in setups_of(cell, PRINTED)}
+    found = run(cell, seed, [names[name] for name in setups.split("; ")])
+    return [
+        Row(
+            *cell,
+            seed,
+            setups,
+            name,
+            found.errors[names[name]],
+            found.nees[names[name]],
+            found.clocks,
+            found.pairs,
+        )
+        for name in setups.split("; ")
+    ]
 
 
 def setups_of(cell: Cell, tables: Iterable[str]) -> tuple[Setup, ...]:

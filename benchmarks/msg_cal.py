@@ -9,6 +9,8 @@ Each seed is another robot, room and walk of 120 captures, a tenth of them distu
 operators slip. Errors are means over the sensors; tables give mean and standard deviation over the seeds.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from calgraph.config.settings import BoardPairSettings, Settings
@@ -20,27 +22,34 @@ from calgraph.rig.pipeline import build_problem_from_captures, solve_problem
 from calgraph.rig.published.hypergraph import HypergraphSolution, solve_hypergraph
 from calgraph.simulation import RigScenario
 from simulated import detected, errors, poses_of
-from worlds import make_parser
+from worlds import NAN, make_parser, run_worlds
 
 VARIANTS = ("pairwise", "global", "global, from identity", "global, unfiltered", "default")
 
 
+class Row(NamedTuple):
+    """Mean errors of a variant over the sensors."""
+
+    disturbed: float
+    seed: int
+    variant: str
+    metres: float
+    degrees: float
+    graph_error: float
+    """m²."""
+
+
 def main() -> None:
     """Prints the four tables."""
-    parser = make_parser(__doc__)
+    parser = make_parser(__doc__, jobs=1)
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--disturbed", type=float, default=0.1)
     arguments = parser.parse_args()
     scenario = RigScenario(samples=5, disturbed=arguments.disturbed)
     print(f"{arguments.seeds} seeds of {scenario.captures} captures, {arguments.disturbed:.0%} disturbed")
-    rows = []
-    for seed in range(arguments.seeds):
-        rows.append(run(scenario, seed))
-        print(
-            f"seed {seed}: " + ", ".join(f"{name} {1000 * r[0]:.2f} mm" for name, r in rows[-1].items()),
-            flush=True,
-        )
-    table = {name: np.array([row[name] for row in rows]) for name in VARIANTS}
+    work = [(arguments.disturbed, seed) for seed in range(arguments.seeds)]
+    rows = run_worlds(Row, measure, work, arguments, key=2)
+    table = {name: np.array([row[3:] for row in rows if row.variant == name]) for name in VARIANTS}
     show("(a) mean translation error, mm", table, ("pairwise", "global"), 0, 1000)
     show("(b) graph error, m²", table, ("pairwise", "global"), 2, 1)
     show("(c) graph error, m²", table, ("global", "global, unfiltered"), 2, 1)
@@ -49,6 +58,12 @@ def main() -> None:
     others = ("global, from identity", "global, unfiltered", "default")
     show("    translation error, mm", table, others, 0, 1000)
     show("    rotation error, degrees", table, others, 1, 1)
+
+
+def measure(disturbed: float, seed: int) -> list[Row]:
+    """All variants of one seed."""
+    found = run(RigScenario(samples=5, disturbed=disturbed), seed)
+    return [Row(disturbed, seed, variant, *figures) for variant, figures in found.items()]
 
 
 def run(scenario: RigScenario, seed: int) -> dict[str, tuple[float, float, float]]:
@@ -70,7 +85,7 @@ def run(scenario: RigScenario, seed: int) -> dict[str, tuple[float, float, float
     )
     metres, degrees = errors(poses_of(calibration), truth)
     return {
-        "default": (float(metres.mean()), float(degrees.mean()), float("nan")),
+        "default": (float(metres.mean()), float(degrees.mean()), NAN),
         "pairwise": judge(solve_hypergraph(tree, estimates, seen, optimize=False, settings=Settings())),
         "global": judge(solve_hypergraph(tree, estimates, seen, settings=Settings())),
         "global, from identity": judge(solve_hypergraph(at_root, estimates, seen, settings=Settings())),

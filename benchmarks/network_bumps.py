@@ -6,7 +6,6 @@ Nothing is calibrated: see network_model_errors.py for that.
     python benchmarks/network_bumps.py --seeds 20 --jobs 2
 """
 
-import logging
 import time
 from typing import Any, NamedTuple
 
@@ -15,9 +14,8 @@ import numpy as np
 from calgraph.config.settings import StationaritySettings
 from calgraph.network.tracking.scan_stack import stack_scans
 from calgraph.network.tracking.stationarity import MIN_REST_SHARE, analyze_stationarity
-from calgraph.parallel.engine import Processes
 from calgraph.simulation import NetworkScenario, build_network, simulate_scans
-from worlds import make_parser
+from worlds import NAN, grouped, make_parser, run_worlds
 
 ROOMS = ("office", "lab", "halls")
 SETTINGS = StationaritySettings()
@@ -42,6 +40,9 @@ MAX_SECONDS = 1.0
 class Outcome(NamedTuple):
     """Of one recording."""
 
+    label: str
+    room: str
+    seed: int
     right: bool
     """One bump of the right scanner at the right time; no bump where there was none."""
     millimetres: float
@@ -54,15 +55,14 @@ class Outcome(NamedTuple):
 
 def main() -> None:
     """Prints the tables."""
-    parser = make_parser(__doc__)
+    parser = make_parser(__doc__, jobs=2)
     parser.add_argument("--seeds", type=int, default=20)
-    parser.add_argument("--jobs", type=int, default=2)
     arguments = parser.parse_args()
-    logging.disable(logging.WARNING)
     print(f"{'world':16}{'right':>12}{'max mm':>8}{'max deg':>9}{'max s':>7}{'ms':>7}  a recording, all scanners")
-    for label in (*BUMPS, *AT_REST):
-        work = [(label, room, seed) for room in ROOMS for seed in range(arguments.seeds)]
-        show(label, list(Processes(arguments.jobs).map(check, work)))
+    seeds = range(arguments.seeds)
+    work = [(label, room, seed) for label in (*BUMPS, *AT_REST) for room in ROOMS for seed in seeds]
+    for label, outcomes in grouped(run_worlds(Outcome, check, work, arguments, key=3), lambda one: one.label):
+        show(label, outcomes)
 
 
 def check(label: str, room: str, seed: int) -> Outcome:
@@ -82,14 +82,17 @@ def check(label: str, room: str, seed: int) -> Outcome:
         runtime += time.process_time() - began
         found += [(bool(scanner.earlier), bump) for bump in result.bumps]
         if result.rest_share < MIN_REST_SHARE:
-            return Outcome(False, np.nan, np.nan, np.nan, runtime)
+            return Outcome(label, room, seed, False, NAN, NAN, NAN, runtime)
     if label not in BUMPS:
-        return Outcome(not found, np.nan, np.nan, np.nan, runtime)
+        return Outcome(label, room, seed, not found, NAN, NAN, NAN, runtime)
     if len(found) != 1 or not found[0][0]:
-        return Outcome(False, np.nan, np.nan, np.nan, runtime)
+        return Outcome(label, room, seed, False, NAN, NAN, NAN, runtime)
     bump = found[0][1]
     late = float(np.mean(bump.interval)) - network.scenario.start_time - at * network.scenario.duration
     return Outcome(
+        label,
+        room,
+        seed,
         abs(late) < MAX_SECONDS,
         1000 * abs(bump.translation - shift),
         abs(abs(float(np.degrees(bump.rotation))) - turn),
@@ -101,7 +104,7 @@ def check(label: str, room: str, seed: int) -> Outcome:
 def show(label: str, outcomes: list[Outcome]) -> None:
     """Prints a row."""
     right = f"{sum(one.right for one in outcomes)} of {len(outcomes)}"
-    errors = np.array([one[1:4] for one in outcomes])
+    errors = np.array([one[4:7] for one in outcomes])
     worst = np.max(errors, axis=0, initial=0.0, where=np.isfinite(errors))
     runtime = 1000 * np.mean([one.runtime for one in outcomes])
     print(f"{label:16}{right:>12}{worst[0]:8.1f}{worst[1]:9.3f}{worst[2]:7.2f}{runtime:7.0f}", flush=True)

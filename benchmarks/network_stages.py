@@ -35,8 +35,16 @@ from calgraph.recording import open_recordings
 from calgraph.report import write_report
 from calgraph.result import save_calibration, save_captures, save_scene
 from calgraph.simulation import LayoutName, NetworkScenario, simulate_network
-from network_measures import Quality, compare_answers, extract_answer, judge_answer, load_answer, save_answer
-from network_overlaps import SEED, find_overlaps
+from network_measures import (
+    SEED,
+    Quality,
+    compare_answers,
+    extract_answer,
+    find_overlaps,
+    judge_answer,
+    load_answer,
+    save_answer,
+)
 from process_costs import in_process, measure_cpu, measure_peak_memories
 from worlds import make_parser
 

@@ -18,8 +18,7 @@ from calgraph.simulation.ideal_detections import as_scanner
 from calgraph.simulation.robot import MountedCamera, MountedScanner, RobotSensor
 from calgraph.simulation.scanners import laser_scan, point_cloud, simulate_ranges
 from calgraph.simulation.solids import Solid, cast_rays
-from random_rig_draws import EMPTY_STEP, POSE_STEP, STREAM_EMPTY, TRIGGER, RandomRig
-from random_rig_poses import Shown
+from random_rig_draws import EMPTY_STEP, POSE_STEP, STREAM_EMPTY, TRIGGER, RandomRig, Shown
 
 Gray = NDArray[np.float32]
 Measure = Callable[[Shown | None, float, float], Message]

@@ -7,8 +7,7 @@ import numpy as np
 from calgraph.geometry import Array, se3
 from calgraph.simulation.robot import MountedCamera, MountedScanner, RobotSensor
 from calgraph.simulation.solids import RectangleShape, Solid, cast_rays
-from random_rig_boards import smallest_feature
-from random_rig_draws import RandomRig
+from random_rig_draws import RandomRig, smallest_feature
 
 MIN_CAPTURES: Mapping[str, int] = {"camera": 8, "lidar3d": 10, "lidar2d": 14}
 """Common views that a pair needs, the larger of those of both kinds; a 2-D scanner measures two of six dimensions

@@ -6,10 +6,10 @@ Of every two scans, the first is of one scanner, the second of another, with a r
 Both have one viewpoint, so that errors of ranges and radii cancel: it tests clocks and noise, not the size.
 """
 
-import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from calgraph.network.tracking.track_scanner import track_scanner
 from calgraph.recording import open_recording
 from calgraph.sensors import LaserScan
 from real_recordings import DATA
+from worlds import Layout, make_parser, run_worlds
 
 TOPICS = {
     "positive_1": "right_scan",
@@ -36,6 +37,22 @@ OFFSETS = 0.05, -0.03, 0.0
 TURN = 0.3
 """Of the second scanner, rad."""
 NOISE = RangeNoise(range=0.02, angle=0.001)
+TABLE = Layout("recording:12 clock_ms:8.0f found:7.1f sigma:7.1f error:7.1f x_mm:7.1f y_mm:7.1f deg:7.2f")
+
+
+class Row(NamedTuple):
+    """One recording and offset."""
+
+    recording: str
+    milliseconds: float
+    found: float
+    sigma: float
+    error: float
+    """ms."""
+    x: float
+    y: float
+    """mm."""
+    degrees: float
 
 
 def read_scans(path: Path, topic: str) -> list[LaserScan]:
@@ -63,19 +80,24 @@ def solve(scans: Sequence[LaserScan], offset: float) -> NetworkSolution:
 
 def main() -> None:
     """Prints a row for each recording and offset."""
-    data = Path(sys.argv[1]) if len(sys.argv) > 1 else DATA
-    print("recording    clock ms   found   sigma   error    x mm    y mm     deg")
-    for name, topic in TOPICS.items():
-        scans = read_scans(data / "real-legs-one-laser" / f"{name}.bag", topic)
-        for offset in OFFSETS:
-            solution = solve(scans, offset)
-            found, sigma = 1000 * solution.clocks[1]
-            true = np.stack([np.eye(3), se2.pose(TURN, np.zeros(2))])
-            x, y, angle = se2.difference(solution.T_root_scanner, true)[1] * [1000, 1000, np.degrees(1)]
-            print(
-                f"{name:12} {1000 * offset:8.0f} {found:7.1f} {sigma:7.1f} {found - 1000 * offset:7.1f}"
-                f" {x:7.1f} {y:7.1f} {angle:7.2f}"
-            )
+    parser = make_parser(__doc__, jobs=1)
+    parser.add_argument("data", nargs="?", type=Path, default=DATA)
+    arguments = parser.parse_args()
+    work = [(name, 1000 * offset, arguments.data) for name in TOPICS for offset in OFFSETS]
+    rows = run_worlds(Row, run, work, arguments, key=2)
+    print(TABLE.head)
+    for row in rows:
+        print(TABLE.line(*row))
+
+
+def run(name: str, milliseconds: float, data: Path) -> Row:
+    """One recording with a clock offset."""
+    scans = read_scans(data / "real-legs-one-laser" / f"{name}.bag", TOPICS[name])
+    solution = solve(scans, milliseconds / 1000)
+    found, sigma = (1000 * solution.clocks[1]).tolist()
+    true = np.stack([np.eye(3), se2.pose(TURN, np.zeros(2))])
+    off = se2.difference(solution.T_root_scanner, true)[1] * [1000, 1000, np.degrees(1)]
+    return Row(name, milliseconds, found, sigma, found - milliseconds, *off.tolist())
 
 
 if __name__ == "__main__":

@@ -1,153 +1,397 @@
-"""What calgraph answers to failed sensors, signals and faults of the computer: the tables of docs/reliability.md.
+"""What calgraph answers to recordings of failed sensors and recorders: the tables of docs/reliability.md.
 
-python benchmarks/reliability.py --jobs 4                      # all tables
-python benchmarks/reliability.py --tables recordings --seeds 2 # some of them, with fewer seeds
+python benchmarks/reliability.py --jobs 4                      # both tables
 python benchmarks/reliability.py --only "stamps" --keep wrong  # some kinds; inputs of wrong answers are kept
-python benchmarks/reliability.py --outcomes FILE --minutes 30  # half an hour of them; the next run continues
 
-Each input or fault is one run of the installed command line in a separate folder. Bytes that are damaged are the
-matter of fuzz_readers.py.
+Each recording is one run of the installed command line in a separate folder: calibrate, and also inspect, init and
+check. Bytes that are damaged are the matter of fuzz_readers.py.
 """
 
+import os
+import re
+import shutil
+import signal
+import subprocess
 import sys
+import tempfile
+import threading
 import time
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+import zlib
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from enum import Enum
+from functools import cache
+from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import IO
 
-import reliability_faults as faults
-import reliability_recordings as recordings
-import reliability_signals as signals
-from reliability_answers import Answer
-from reliability_bags import FORMS, Source, simulate_source
-from reliability_cases import Case, Outcome, attempt_all
-from reliability_messages import MESSAGE_DAMAGE
-from reliability_tasks import EARLIER, NEW, NOTHING, TASKS, References, write_documents
-from worlds import append_rows, grouped, make_parser, read_rows
+import numpy as np
 
-Columns = Sequence[tuple[str, Callable[[Outcome], bool]]]
+from calgraph.errors import CalgraphError
+from calgraph.geometry import se3
+from calgraph.result import Calibration, load_calibration
+from calgraph.simulation import GroundTruth
+from reliability_messages import FORMS, MESSAGE_DAMAGE, Source, read_source, simulate_source, write_rig
+from worlds import grouped, make_parser, run_worlds
 
-
-def _has_answer(*answers: Answer) -> Callable[[Outcome], bool]:
-    return lambda one: one.judged.answer in answers
-
-
-def _has_state(state: str) -> Callable[[Outcome], bool]:
-    return lambda one: not one.judged.answer.is_wrong and one.judged.detail == state
-
-
-ANSWERS: Columns = (
-    ("tried", lambda _: True),
-    ("right", _has_answer(Answer.RIGHT)),
-    ("weak", _has_answer(Answer.WEAK)),
-    ("refused", _has_answer(Answer.REFUSED)),
-    ("wrong", lambda one: one.judged.answer.is_wrong),
+MAX_SECONDS = 120.0
+"""A run that takes longer has failed. The small recordings here take 3 s on an idle core."""
+MAX_BYTES = 2**30
+"""Largest resident set of one process of a run."""
+_LONGEST_END = 20.0
+"""Processes that a run has started must have ended this long after it, s; a loaded machine needs a few."""
+MAX_SIGMAS = 5.0
+"""A pose that is further from the ground truth along an axis, in its stated standard deviations, is wrong."""
+RESULT_FILES = (
+    "calibration.yaml",
+    "captures.csv",
+    "report.html",
+    "residuals.csv",
+    "rig.resolved.yaml",
+    "scene.npz",
 )
-"""Of damaged input."""
-STATES: Columns = (
-    ("tried", lambda _: True),
-    *((state, _has_state(state)) for state in (signals.NOT_HIT, NOTHING, EARLIER, NEW)),
-    ("lost", lambda one: one.judged.answer.is_wrong),
+_LEFT = re.compile(r"\.tmp$")
+_MIN_NAME = 3
+"""Shorter names would be found in any message by chance."""
+_CALIBRATE = "calibrate", "rig.yaml", "{recording}", "-o", "out", "--folds", "0", "--jobs", "1"
+_COMMANDS: Sequence[Sequence[str]] = (
+    _CALIBRATE,
+    ("inspect", "{recording}"),
+    _CALIBRATE,
+    ("init", "{recording}", "-o", "draft.yaml"),
+    _CALIBRATE,
+    ("check", "rig.yaml", "{recording}", "--against", "{extrinsics}", "-o", "out"),
 )
-"""Of signals: what is there afterwards."""
+"""By seed: half of the attempts calibrate."""
+_FEW_FILES = 12
+
+
+class Answer(Enum):
+    """What a run gave."""
+
+    RIGHT = "right"
+    """Exit code 0; every pose within 5 of its standard deviations from the ground truth."""
+    WEAK = "weak"
+    """A pose is further away, and its verdict is not good, as the result states."""
+    REFUSED = "refused"
+    """Exit code 1 or 2, and lines that name what is wrong; nothing half written."""
+    TRACEBACK = "traceback"
+    CRASH = "crash"
+    """Ended by a signal that was not sent, or with another exit code."""
+    HANG = "time limit"
+    MEMORY = "memory"
+    SILENT = "no cause named"
+    """Refused without a line that names a file, a key or a sensor."""
+    FOREIGN = "text of a library"
+    """Something else than messages of calgraph on standard error."""
+    HALF = "half written"
+    LEFT = "files or processes left"
+    CONFIDENT = "confidently wrong"
+    """A pose graded good is further from the ground truth than 5 of its standard deviations."""
+
+    @property
+    def is_wrong(self) -> bool:
+        """Whether this must not happen."""
+        return self not in (Answer.RIGHT, Answer.WEAK, Answer.REFUSED)
 
 
 @dataclass(frozen=True)
-class Table:
-    """Two tables of one section of the page, by kind and by form."""
+class Judged:
+    """An answer with what led to it."""
 
-    heads: tuple[str, str]
-    columns: Columns
-    kinds: Collection[str]
-    forms: Collection[str]
-    list_cases: Callable[[Source, Path, int], Iterable[Case]]
+    answer: Answer
+    detail: str = ""
 
-    def format(self, outcomes: Sequence[Outcome]) -> str:
-        """Both tables in Markdown, with rows in the order of kinds and forms, and their sum."""
-        rank = {name: number for number, name in enumerate([*self.kinds, *self.forms])}
-        ordered = sorted(outcomes, key=lambda one: (rank.get(one.kind, 0), rank.get(one.form, 0), one.name))
-        by_kind = format_table(ordered, self.heads[0], lambda one: one.kind, self.columns)
-        return f"{by_kind}\n\n{format_table(ordered, self.heads[1], lambda one: one.form, self.columns)}"
+
+@dataclass(frozen=True)
+class Ending:
+    """How a run ended."""
+
+    code: int
+    """Exit code; negative is the signal that ended it."""
+    stdout: str
+    stderr: str
+    seconds: float
+    peak: int
+    """Largest resident set of one of its processes, bytes."""
+    hung: bool
+    """Whether it was ended by the limit of time."""
+    orphans: int
+    """Processes that it started and that did not end after it."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """The answer to one recording."""
+
+    kind: str
+    """Of damage."""
+    form: str
+    """Of the recording."""
+    seed: int
+    answer: str
+    """Name of an :class:`Answer`."""
+    detail: str
+
+    @property
+    def judged(self) -> Judged:
+        """The answer with what led to it."""
+        return Judged(Answer[self.answer], self.detail)
+
+
+COLUMNS: Mapping[str, Callable[[Answer], bool]] = {
+    "tried": lambda _: True,
+    "right": lambda one: one is Answer.RIGHT,
+    "weak": lambda one: one is Answer.WEAK,
+    "refused": lambda one: one is Answer.REFUSED,
+    "wrong": lambda one: one.is_wrong,
+}
+ROWS: Mapping[str, Collection[str]] = {"damage of the recording": MESSAGE_DAMAGE, "form of the recording": FORMS}
+"""Of both tables, by their heads."""
 
 
 def main() -> None:
     """Prints the tables, and the wrong answers; exit code 1 if there are any."""
-    parser = make_parser(__doc__)
-    parser.add_argument("--tables", nargs="+", choices=list(TABLES), default=list(TABLES))
-    parser.add_argument("--seeds", type=int, default=2, help="of each kind and form; some tables have multiples")
-    parser.add_argument("--only", default="", help="cases whose name contains this")
-    parser.add_argument("--jobs", type=int, default=2, help="runs at a time")
-    parser.add_argument("--minutes", type=float, default=1e6, help="no case is begun later; 0 prints only")
-    parser.add_argument("--outcomes", type=Path, help="CSV file of outcomes, which are not repeated")
+    parser = make_parser(__doc__, jobs=2)
+    parser.add_argument("--seeds", type=int, default=2, help="of each kind and form")
+    parser.add_argument("--only", default="", help="kinds and forms whose names contain this")
     parser.add_argument("--keep", type=Path, help="folder for the inputs of wrong answers")
     arguments = parser.parse_args()
-    outcomes = list({one.name: one for one in read_rows(Outcome, arguments.outcomes)}.values())
-
-    def report(outcome: Outcome) -> None:
-        outcomes.append(outcome)
-        append_rows(Outcome, [outcome], arguments.outcomes)
-        if outcome.judged.answer.is_wrong:
-            print("WRONG", describe_wrong([outcome]), file=sys.stderr, flush=True)
-
-    end = time.monotonic() + 60 * arguments.minutes
-    if arguments.minutes:
-        known = {outcome.name for outcome in outcomes}
-        with TemporaryDirectory(prefix="reliability ") as name:
-            scratch = Path(name)
-            source = simulate_source(scratch / "source", seed=0)
-            write_documents(source, scratch / "documents")
-            for table in arguments.tables:
-                listed = TABLES[table].list_cases(source, scratch, arguments.seeds)
-                cases = [case for case in listed if arguments.only in case.name and case.name not in known]
-                attempt_all(cases, scratch / "cases", arguments.jobs, arguments.keep, report, end)
-    for table in arguments.tables:
-        if rows := [one for one in outcomes if one.table == table]:
-            print(f"{TABLES[table].format(rows)}\n")
-    wrong = describe_wrong(outcomes)
-    print(f"{len(outcomes)} cases; wrong:{chr(10) if wrong else ' none'}{wrong}")
+    with TemporaryDirectory(prefix="reliability ") as scratch:
+        folder = Path(scratch) / "source"
+        if not arguments.show:
+            write_extrinsics(simulate_source(folder, seed=0))
+        cases = product(range(arguments.seeds), MESSAGE_DAMAGE, FORMS)
+        work = [
+            (kind, form, seed, folder, arguments.keep)
+            for seed, kind, form in cases
+            if arguments.only in f"{kind}: {form}"
+        ]
+        outcomes = run_worlds(Outcome, attempt, work, arguments, key=3)
+    for head in ROWS:
+        print(f"{format_table(outcomes, head)}\n")
+    wrong = [one for one in outcomes if one.judged.answer.is_wrong]
+    for one in wrong:
+        print(f"- {one.kind}: {one.form}: {one.seed}: {one.judged.answer.value}: {one.detail}")
+    print(f"{len(outcomes)} recordings; {len(wrong)} wrong")
     sys.exit(1 if wrong else 0)
 
 
-def format_table(outcomes: Sequence[Outcome], head: str, key: Callable[[Outcome], str], columns: Columns) -> str:
-    """A Markdown table with a row for each key, and their sum."""
-    rows = [f"| {head} | {' | '.join(name for name, _ in columns)} |"]
-    rows.append(f"| --- |{' ---: |' * len(columns)}")
-    for name, group in [*grouped(outcomes, key), ("**all**", list(outcomes))]:
-        rows.append(f"| {name} | {' | '.join(str(sum(map(test, group))) for _, test in columns)} |")
+def format_table(outcomes: Iterable[Outcome], head: str) -> str:
+    """A Markdown table with a row for each kind or form, and their sum."""
+    names = list(ROWS[head])
+    at = list(ROWS).index(head)
+    ordered = sorted(outcomes, key=lambda one: names.index((one.kind, one.form)[at]))
+    rows = [f"| {head} | {' | '.join(COLUMNS)} |", f"| --- |{' ---: |' * len(COLUMNS)}"]
+    for name, group in [*grouped(ordered, lambda one: (one.kind, one.form)[at]), ("**all**", ordered)]:
+        counts = (sum(test(one.judged.answer) for one in group) for test in COLUMNS.values())
+        rows.append(f"| {name} | {' | '.join(map(str, counts))} |")
     return "\n".join(rows)
 
 
-def describe_wrong(outcomes: Iterable[Outcome]) -> str:
-    """A line for each wrong answer; empty if there is none."""
-    return "\n".join(
-        f"- {one.name}: {one.judged.answer.value}: {one.judged.detail}"
-        for one in outcomes
-        if one.judged.answer.is_wrong
-    )
+def write_extrinsics(source: Source) -> None:
+    """Poses to check against, from the recording as it is."""
+    write_rig(source.folder / "rig.yaml", source.rig)
+    ending = run([part.format(recording="recording") for part in _CALIBRATE], source.folder)
+    if ending.code:
+        sys.exit(f"the recording as it is: {ending.stderr}")
+    (source.folder / "out" / "calibration.yaml").rename(source.folder / "extrinsics.yaml")
 
 
-def _list_faults(source: Source, scratch: Path, _seeds: int) -> Iterator[Case]:
-    return faults.list_cases(source, References(scratch / "documents").measure(scratch / "faults"))
+def attempt(kind: str, form: str, seed: int, folder: Path, keep: Path | None) -> Outcome:
+    """Damages the recording in a folder, and runs a command on it; the same case has the same random numbers."""
+    number = zlib.crc32(f"recordings: {kind}: {form}: {seed}".encode())
+    source = _read_source(folder)
+    with TemporaryDirectory(prefix="case ") as scratch:
+        case = Path(scratch)
+        items = MESSAGE_DAMAGE[kind](source.items, np.random.default_rng(number))
+        judged = judge_recording(source, form, FORMS[form](case / "recording", items), case, seed)
+        if keep and judged.answer.is_wrong:
+            shutil.copytree(case, keep / f"case {number:08x}", dirs_exist_ok=True)
+    return Outcome(kind, form, seed, judged.answer.name, judged.detail)
 
 
-def _list_signals(_source: Source, scratch: Path, seeds: int) -> Iterator[Case]:
-    return signals.list_cases(References(scratch / "documents").measure(scratch / "signals"), seeds)
+_read_source = cache(read_source)
 
 
-TABLES: Mapping[str, Table] = {
-    recordings.TABLE: Table(
-        ("damage of the recording", "form of the recording"),
-        ANSWERS,
-        MESSAGE_DAMAGE,
-        FORMS,
-        lambda source, _scratch, seeds: recordings.list_cases(source, seeds),
-    ),
-    faults.TABLE: Table(("fault", "command"), ANSWERS, faults.FAULTS, faults.TASK_NAMES, _list_faults),
-    signals.TABLE: Table(
-        ("signal at a random time", "command"), STATES, signals.KINDS, [task.name for task in TASKS], _list_signals
-    ),
-}
+def judge_recording(source: Source, form: str, recording: Path, folder: Path, seed: int) -> Judged:
+    """Runs the command of a seed on a recording, and judges its answer."""
+    write_rig(folder / "rig.yaml", source.rig_of(form))
+    command = _COMMANDS[seed % len(_COMMANDS)]
+    places = {"recording": recording.name, "extrinsics": source.folder / "extrinsics.yaml"}
+    ending = run([part.format(**places) for part in command], folder)
+    files = sorted(file.name for file in recording.rglob("*") if file.is_file())
+    names = [recording.name, *source.rig["sensors"], "capture", "board", *files[:_FEW_FILES]]
+    found = judge_ending(ending, names)
+    if found and found.answer.is_wrong:
+        return found
+    if left := find_left(folder):
+        return Judged(Answer.LEFT, left[0])
+    if (folder / "out").exists():
+        # What a command wrote must be complete, and right if it exits with 0.
+        written = judge_result(folder / "out", source.truth)
+        if written.answer.is_wrong or not found:
+            return written
+    if found:
+        return found
+    return Judged(Answer.HALF, "no result") if command[0] == "calibrate" else Judged(Answer.RIGHT)
+
+
+def find_command() -> Sequence[str]:
+    """The installed program, beside this interpreter or on the path."""
+    beside = Path(sys.executable).with_name("calgraph")
+    found = str(beside) if beside.is_file() else shutil.which("calgraph")
+    if found is None:
+        sys.exit("calgraph is not installed in this environment")
+    return [found]
+
+
+def run(arguments: Sequence[object], cwd: Path, program: Sequence[str] | None = None) -> Ending:
+    """Runs one command to its end.
+
+    Args:
+        arguments: of calgraph.
+        cwd: folder in which it runs.
+        program: instead of the installed one.
+    """
+    command = [*(program or find_command()), *map(str, arguments)]
+    # Each case has a separate cache of detections.
+    variables = {**os.environ, "CALGRAPH_CACHE": str(cwd / "cache")}
+    with tempfile.TemporaryFile() as stdout, tempfile.TemporaryFile() as stderr:
+        began = time.monotonic()
+        process = subprocess.Popen(
+            command, cwd=cwd, env=variables, stdin=subprocess.DEVNULL, stdout=stdout, stderr=stderr,
+            start_new_session=True,
+        )  # fmt: skip
+        late = threading.Timer(MAX_SECONDS, _kill_session, [process.pid])
+        late.start()
+        # wait4 returns the usage of this one process; that of all children would mix the runs.
+        _, status, usage = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(status)
+        seconds = time.monotonic() - began
+        late.cancel()
+        orphans = _count_orphans(process.pid)
+        written = _read_back(stdout), _read_back(stderr)
+    unit = 1 if sys.platform == "darwin" else 1024
+    peak, hung = usage.ru_maxrss * unit, seconds >= MAX_SECONDS
+    return Ending(process.returncode, written[0], written[1], seconds, peak, hung, orphans)
+
+
+def _read_back(stream: IO[bytes]) -> str:
+    stream.seek(0)
+    return stream.read().decode(errors="replace")
+
+
+def processes_of_session(session: int) -> list[int]:
+    """The processes of a session, its first one included, without those that have ended and are not reaped."""
+    found = []
+    for entry in Path("/proc").iterdir():
+        if not entry.name.isdigit():
+            continue
+        try:
+            # State, parent, group and session follow the name, which is in parentheses and may contain anything.
+            fields = (entry / "stat").read_text(errors="replace").rpartition(")")[2].split()
+        except OSError:
+            continue
+        if int(fields[3]) == session and fields[0] not in "ZX":
+            found.append(int(entry.name))
+    return found
+
+
+def _count_orphans(session: int) -> int:
+    """Processes that do not end in time; they are killed then."""
+    end = time.monotonic() + _LONGEST_END
+    while (left := processes_of_session(session)) and time.monotonic() < end:
+        time.sleep(0.02)
+    while processes_of_session(session):
+        _kill_session(session)
+        time.sleep(0.02)
+    return len(left)
+
+
+def _kill_session(session: int) -> None:
+    for pid in processes_of_session(session):
+        try:
+            os.kill(pid, signal.SIGKILL)
+        except ProcessLookupError:
+            continue
+
+
+def judge_ending(ending: Ending, names: Iterable[str]) -> Judged | None:
+    """What is wrong with a run by its end and its texts alone, or REFUSED; None if it ended with exit code 0.
+
+    Args:
+        ending: of the run.
+        names: of files, keys and sensors, one of which a refusal must contain.
+    """
+    if ending.hung:
+        return Judged(Answer.HANG, f"{ending.seconds:.0f} s")
+    if "Traceback" in ending.stderr or "Traceback" in ending.stdout:
+        return Judged(Answer.TRACEBACK, ending.stderr.strip().splitlines()[-1])
+    if ending.code not in (0, 1, 2):
+        return Judged(Answer.CRASH, f"exit code {ending.code}: {ending.stderr[-300:]}")
+    if ending.peak > MAX_BYTES:
+        return Judged(Answer.MEMORY, f"{ending.peak >> 20} MB")
+    if ending.orphans:
+        return Judged(Answer.LEFT, f"{ending.orphans} processes")
+    lines = ending.stderr.splitlines()
+    foreign = [line for line in lines if not re.match(r"calgraph: |Wrote |Usage: |Try '|[╭│╰]|$", line)]
+    if foreign:
+        return Judged(Answer.FOREIGN, foreign[0])
+    if ending.code == 0:
+        return None
+    # What is not calibrated, or fails a check, may be in the tables of standard output.
+    text = " ".join((ending.stderr + (ending.stdout if ending.code == 1 else "")).split())
+    if not any(name in text for name in names if len(name) >= _MIN_NAME):
+        return Judged(Answer.SILENT, text[:300] or "nothing on standard error")
+    return Judged(Answer.REFUSED, text)
+
+
+def judge_result(out: Path, truth: GroundTruth) -> Judged:
+    """Whether the poses in a folder of results are right."""
+    missing = [name for name in RESULT_FILES if not (out / name).is_file()]
+    if missing:
+        return Judged(Answer.HALF, f"{', '.join(missing)} missing")
+    try:
+        calibration = load_calibration(out / "calibration.yaml")
+    except CalgraphError as error:
+        return Judged(Answer.HALF, str(error))
+    return judge_poses(calibration, truth)
+
+
+def judge_poses(calibration: Calibration, truth: GroundTruth) -> Judged:
+    """Whether poses agree with the ground truth; sensors that the ground truth lacks are left out."""
+    far = []
+    for sensor in calibration.sensors:
+        if sensor.name == calibration.root or not {sensor.name, calibration.root} <= set(truth.T_root_sensor):
+            continue
+        T_root_true = se3.inverse(truth.T_root_sensor[calibration.root]) @ truth.T_root_sensor[sensor.name]
+        error = se3.difference(sensor.T_root_sensor, T_root_true)
+        variances = np.diag(sensor.covariance)
+        measured = np.isfinite(variances)
+        sigmas = np.abs(error[measured]) / np.sqrt(np.maximum(variances[measured], 1e-300))
+        if sigmas.max(initial=0.0) > MAX_SIGMAS:
+            far.append((sensor.verdict.grade, f"{sensor.name} ({sensor.verdict.grade}): {sigmas.max():.1f} sigma"))
+    if not far:
+        return Judged(Answer.RIGHT)
+    good = any(grade == "good" for grade, _ in far)
+    return Judged(Answer.CONFIDENT if good else Answer.WEAK, "; ".join(text for _, text in far))
+
+
+def find_left(*folders: Path) -> list[str]:
+    """Temporary files and folders, in these folders and in those directly below."""
+    places = [
+        *folders,
+        *(one for folder in folders if folder.is_dir() for one in folder.iterdir() if one.is_dir()),
+    ]
+    return [
+        str(entry)
+        for place in dict.fromkeys(places)
+        if place.is_dir()
+        for entry in place.iterdir()
+        if _LEFT.search(entry.name)
+    ]
 
 
 if __name__ == "__main__":

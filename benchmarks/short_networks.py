@@ -8,8 +8,8 @@ are acceptable; wrong poses are not.
     python benchmarks/short_networks.py --seeds 150 --first 150
 """
 
-from concurrent.futures import ProcessPoolExecutor
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -18,15 +18,17 @@ from calgraph.network.options import NetworkOptions
 from calgraph.network.pipeline import calibrate_tracks
 from calgraph.simulation import NetworkScenario, build_network, network_rig, network_truth, simulate_scans
 from network_runs import find_gross_errors, project_poses, track_scanners
-from worlds import make_parser
+from worlds import make_parser, run_worlds
 
 LAYOUTS = {"office": 0.3, "lab": 0.25, "halls": 0.2, "semicircle": 0.1, "grid": 0.15}
 """How often each is drawn."""
 
 
-class Outcome(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Outcome:
     """Of one recording."""
 
+    seed: int
     errors: Array
     """(C, 2) of the connected scanners but the root, degrees and metres."""
     nees: Array
@@ -36,16 +38,16 @@ class Outcome(NamedTuple):
 
 def main() -> None:
     """Prints how many scanners are right, grossly wrong, or not connected."""
-    parser = make_parser(__doc__)
+    parser = make_parser(__doc__, jobs=2)
     parser.add_argument("--seeds", type=int, default=150)
     parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--jobs", type=int, default=2)
     args = parser.parse_args()
-    with ProcessPoolExecutor(args.jobs) as pool:
-        found = list(pool.map(run, range(args.first, args.first + args.seeds)))
-    errors, nees = (np.concatenate(columns) for columns in list(zip(*found, strict=True))[:2])
+    work = [(seed,) for seed in range(args.first, args.first + args.seeds)]
+    found = run_worlds(Outcome, run, work, args, key=1)
+    errors = np.concatenate([one.errors.reshape(-1, 2) for one in found])
+    nees = np.concatenate([one.nees for one in found])
     wrong = find_gross_errors(errors)
-    print(f"{args.seeds} recordings: {np.sum(~wrong)} scanners right, {np.sum(wrong)} grossly wrong, ", end="")
+    print(f"{len(found)} recordings: {np.sum(~wrong)} scanners right, {np.sum(wrong)} grossly wrong, ", end="")
     print(f"{sum(one.unconnected for one in found)} not connected")
     print(f"NEES per degree of freedom of the right ones {np.mean(nees[~wrong]):.2f}")
 
@@ -65,7 +67,7 @@ def run(seed: int) -> Outcome:
     spread = [sensor.covariance[np.ix_((0, 1, 5), (0, 1, 5))] for sensor in others]
     nees = [e @ np.linalg.solve(C, e) / 3 for e, C in zip(off, spread, strict=True)]
     errors = np.column_stack([np.degrees(np.abs(off[:, 2])), np.hypot(off[:, 0], off[:, 1])])
-    return Outcome(errors, np.array(nees), len(found.evidence.unconnected))
+    return Outcome(seed, errors, np.array(nees), len(found.evidence.unconnected))
 
 
 def draw_scenario(rng: np.random.Generator) -> dict[str, Any]:

@@ -14,9 +14,8 @@ the LiDAR's points from its plane.
 """
 
 import functools
-import logging
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -29,7 +28,6 @@ from calgraph.boards.printed_boards import compute_landmarks
 from calgraph.config import Rig
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se3
-from calgraph.parallel.engine import Processes
 from calgraph.recording import open_recording
 from calgraph.rig.bundle.bundle_solver import linearize_bundle, retract_state
 from calgraph.rig.bundle.observations import relative_poses
@@ -43,7 +41,7 @@ from calgraph.rig.pipeline import build_problem_from_captures, calibrate_detecti
 from calgraph.sensors import PointCloud
 from real_recordings import DATA, VLP16
 from systematic_errors import apply_systematic, cross_covariance
-from worlds import make_parser
+from worlds import NAN, grouped, make_parser, median, rms, run_worlds
 
 CAPTURES = range(1, 41)
 BEYOND = float(chi2.ppf(0.99, 6))
@@ -71,16 +69,31 @@ class Fit:
 class Draw:
     """One random set of captures against the others."""
 
+    k: int
+    draw: int
     found: bool
     grade: str = ""
-    squared: float = np.nan
+    squared: float = NAN
     """Squared Mahalanobis distance."""
-    distance: float = np.nan
+    distance: float = NAN
     """Between the two translations, m."""
-    stddev: float = np.nan
+    stddev: float = NAN
     """Largest stated standard deviation of the k captures' translation, m."""
-    held_out: float = np.nan
+    held_out: float = NAN
     """RMS of views' mean distances from the predicted plane, m."""
+
+
+@dataclass(frozen=True, eq=False)
+class Seed:
+    """The camera by one seed of RANSAC; NaN if it is lost."""
+
+    k: int
+    seed: int
+    grade: str
+    pose: Array
+    """(4, 4)."""
+    stddev: Array
+    """(6,)."""
 
 
 def data_folder() -> Path:
@@ -135,15 +148,18 @@ def fit_captures(chosen: Sequence[int]) -> Fit | None:
     return None if joint.solved_bundle is None else Fit(problem, joint, joint.solved_bundle)
 
 
-def compare(chosen: Sequence[int]) -> Draw:
-    """Some captures against all others."""
+def compare_draw(k: int, draw: int) -> Draw:
+    """One random draw of captures against all others; the same for the same arguments."""
+    chosen = sorted(np.random.default_rng([k, draw]).choice(CAPTURES, k, replace=False).tolist())
     fit, other = fit_captures(chosen), fit_captures(sorted(set(CAPTURES) - set(chosen)))
     if fit is None or other is None:
-        return Draw(found=False)
+        return Draw(k, draw, found=False)
     error = se3.difference(fit.joint.T_root_sensor["camera"], other.joint.T_root_sensor["camera"])
     P_a, P_b = fit.joint.covariance["camera"], other.joint.covariance["camera"]
     cross = cross_covariance(fit.joint, other.joint, "camera")
     return Draw(
+        k,
+        draw,
         True,
         fit.grade,
         float(error @ np.linalg.solve(P_a + P_b - cross - cross.T, error)),
@@ -181,69 +197,67 @@ def predict_planes(fit: Fit, held_out: Fit) -> float:
     return float(np.sqrt(np.mean(means**2)))
 
 
-def compare_draw(k: int, draw: int) -> Draw:
-    """One random draw; the same for the same arguments."""
-    rng = np.random.default_rng([k, draw])
-    return compare(sorted(rng.choice(CAPTURES, k, replace=False).tolist()))
-
-
-def show_subsets(sizes: Sequence[int], draws: int, jobs: int) -> None:
+def show_subsets(draws: Sequence[Draw]) -> None:
     """Prints a line for each number of captures."""
     print("   k  lost  good  median M/6: all, good  mean M/6: all, good  beyond 99 % of good  ", end="")
     print("held out, mm  apart, mm  stated, mm")
-    found = list(Processes(jobs).map(compare_draw, [(k, draw) for k in sizes for draw in range(draws)]))
-    for i, k in enumerate(sizes):
-        kept = [one for one in found[i * draws : (i + 1) * draws] if one.found]
+    for k, of_size in grouped(draws, lambda one: one.k):
+        kept = [one for one in of_size if one.found]
         squared = np.array([one.squared for one in kept])
         good = np.array([one.grade == "good" for one in kept], dtype=np.bool_)
         of_good = squared[good] if good.any() else np.array([np.nan])
         print(
-            f"{k:4d} {draws - len(kept):5d} {good.sum():5d} {np.median(squared) / 6:12.2f} "
+            f"{k:4d} {len(of_size) - len(kept):5d} {good.sum():5d} {np.median(squared) / 6:12.2f} "
             f"{np.median(of_good) / 6:9.2f} {squared.mean() / 6:13.2f} {of_good.mean() / 6:9.2f} "
             f"{np.mean(of_good > BEYOND):14.0%} {'':5} "
-            f"{1000 * np.sqrt(np.mean([one.held_out**2 for one in kept])):12.2f} "
-            f"{1000 * np.median([one.distance for one in kept]):10.1f} "
-            f"{1000 * np.median([one.stddev for one in kept]):11.1f}",
+            f"{1000 * rms([one.held_out for one in kept]):12.2f} "
+            f"{1000 * median([one.distance for one in kept]):10.1f} "
+            f"{1000 * median([one.stddev for one in kept]):11.1f}",
             flush=True,
         )
 
 
-def calibrate_with_seed(chosen: tuple[int, ...], seed: int) -> tuple[str, Array, Array]:
-    """The camera's grade, pose (4, 4) and standard deviations (6,), of one seed; NaN if it is lost."""
+def calibrate_with_seed(k: int, seed: int, chosen: tuple[int, ...]) -> Seed:
+    """Calibrates from k captures."""
     calibration = calibrate_detections(load()[0], select_captures(chosen), RigOptions(seed=seed))
     if "camera" in calibration.evidence.unconnected:
-        return "lost", np.full((4, 4), np.nan), np.full(6, np.nan)
+        return Seed(k, seed, "lost", np.full((4, 4), np.nan), np.full(6, np.nan))
     camera = calibration["camera"]
-    return camera.verdict.grade, camera.T_root_sensor, np.sqrt(np.diag(camera.covariance))
+    return Seed(k, seed, camera.verdict.grade, camera.T_root_sensor, np.sqrt(np.diag(camera.covariance)))
 
 
-def show_seeds(seeds: int, jobs: int) -> None:
-    """Prints verdicts and deviations from the pose of the first seed."""
+def list_seeds(seeds: int) -> Iterator[tuple[int, int, tuple[int, ...]]]:
+    """Numbers of captures, seeds, and captures."""
     rng = np.random.default_rng(0)
-    print("captures  largest deviation over stated standard deviation  grades")
     for k in (40, 16, 12, 11, 8):
         chosen = tuple(sorted(rng.choice(CAPTURES, k, replace=False).tolist()))
-        found = list(Processes(jobs).map(calibrate_with_seed, [(chosen, seed) for seed in range(seeds)]))
-        _, first, stddev = found[0]
-        deviation = max(float(np.max(np.abs(se3.difference(T, first)) / stddev)) for _, T, _ in found)
-        grades = ", ".join(f"{grade} {n}" for grade, n in Counter(grade for grade, _, _ in found).items())
+        yield from ((k, seed, chosen) for seed in range(seeds))
+
+
+def show_seeds(seeds: Sequence[Seed]) -> None:
+    """Prints verdicts and deviations from the pose of the first seed."""
+    print("captures  largest deviation over stated standard deviation  grades")
+    for k, found in grouped(seeds, lambda one: one.k):
+        first = found[0]
+        deviation = max(float(np.max(np.abs(se3.difference(o.pose, first.pose)) / first.stddev)) for o in found)
+        grades = ", ".join(f"{grade} {n}" for grade, n in Counter(one.grade for one in found).items())
         print(f"{k:8d}  {deviation:51.3f}  {grades}", flush=True)
 
 
 def main() -> None:
     """Prints the tables."""
-    parser = make_parser(__doc__)
+    parser = make_parser(__doc__, jobs=1)
     parser.add_argument("--k", type=int, nargs="+", default=[8, 11, 12, 16, 20, 24])
     parser.add_argument("--draws", type=int, default=40)
     parser.add_argument("--ransac-seeds", type=int, default=0, help="compare this number of seeds instead")
-    parser.add_argument("--jobs", type=int, default=1)
     arguments = parser.parse_args()
-    logging.disable(logging.WARNING)
     load()  # before processes are forked
     if arguments.ransac_seeds:
-        show_seeds(arguments.ransac_seeds, arguments.jobs)
+        work = list(list_seeds(arguments.ransac_seeds))
+        show_seeds(run_worlds(Seed, calibrate_with_seed, work, arguments, key=2))
     else:
-        show_subsets(arguments.k, arguments.draws, arguments.jobs)
+        draws = [(k, draw) for k in arguments.k for draw in range(arguments.draws)]
+        show_subsets(run_worlds(Draw, compare_draw, draws, arguments, key=2))
 
 
 if __name__ == "__main__":

@@ -75,7 +75,7 @@ def main() -> None:
     rows = []
     for scene in arguments.scenes:
         for sensor in arguments.sensors:
-            measured = [row for seed in arguments.seeds for row in _measure(scene, sensor, seed)]
+            measured = [row for seed in arguments.seeds for row in measure_sweeps(scene, sensor, seed)]
             _print_row(scene, sensor, np.array(measured))
             rows += measured
     _print_row("all", "", np.array(rows))
@@ -92,7 +92,7 @@ def _print_row(scene: str, sensor: str, rows: Array) -> None:
     print(f"{angle[0]:8.3f} ->{angle[1]:5.3f}", flush=True)
 
 
-def _measure(scene: str, sensor: str, seed: int) -> list[list[list[float]]]:
+def measure_sweeps(scene: str, sensor: str, seed: int) -> list[list[list[float]]]:
     """Of each sweep, without and with a background: ms, found, found first, other candidates, and errors."""
     sweeps = _simulate(scene, sensor, seed)
     spec = Lidar3dSpec(kind="lidar3d", topic="/points", noise=_STATED)

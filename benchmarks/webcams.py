@@ -15,6 +15,7 @@ corners; RMS of their reprojection errors.
 """
 
 import logging
+import time
 import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -328,6 +329,7 @@ def main() -> None:
     print("Held-out reprojection error, px: calgraph, plain least squares")
     for title, ours, theirs in held_out:
         print(f"{title:22} {ours:6.2f} {theirs:6.2f}")
+    print(f"{time.process_time():.0f} s of CPU")
 
 
 if __name__ == "__main__":

@@ -1,14 +1,16 @@
 """The harness of benchmarks: worlds that are run and resumed, rows in a CSV file, figures and lines of tables.
 
 A benchmark draws worlds, measures each in a function that returns its row or rows, and prints a table of them.
-Rows are dataclasses or named tuples, whose first fields are the name of their world. Averages are those of finite
-values.
+Rows are dataclasses or named tuples of texts, numbers and arrays, whose first fields are the name of their world.
+Averages are those of finite values.
 """
 
 import argparse
 import csv
+import json
 import logging
 import sys
+import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
@@ -22,7 +24,7 @@ from calgraph.parallel.engine import Processes
 Row = TypeVar("Row")
 Key = TypeVar("Key")
 NAN = float("nan")
-_READ: dict[type, Callable[[str], Any]] = {bool: "True".__eq__, int: int, float: float, str: str}
+_READ: dict[type, Callable[[str], Any]] = {bool: "True".__eq__, int: int, float: float}
 _BLOCK = 5
 """Worlds of each process between two writes of the file."""
 
@@ -68,24 +70,45 @@ def run_worlds(
     done = {_text(_values(row)[:key]) for row in found}
     missing = [one for one in work if _text(one[:key]) not in done]
     rows = [row for row in found if _text(_values(row)[:key]) in wanted]
+    seconds = 0.0
     logging.disable(logging.WARNING)
     for first in range(0, len(missing), _BLOCK * arguments.jobs):
-        block = missing[first : first + _BLOCK * arguments.jobs]
+        block = [(function, *one) for one in missing[first : first + _BLOCK * arguments.jobs]]
         new: list[Row] = []
-        for one in Processes(arguments.jobs).map(function, block):
-            new += one if isinstance(one, list) else [] if one is None else [cast(Row, one)]
+        for found_rows, taken in Processes(arguments.jobs).map(_measure, block):
+            new += found_rows
+            seconds += taken
         append_rows(kind, new, arguments.csv)
         rows += new
         print(f"\r{first + len(block)} of {len(missing)} worlds", end="", file=sys.stderr, flush=True)
     logging.disable(logging.NOTSET)
     print(file=sys.stderr)
+    if missing:
+        print(f"{len(missing)} worlds, {seconds:.0f} s of CPU, {seconds / len(missing):.2f} s each")
     return rows
+
+
+def _measure(function: Callable[..., Row | Sequence[Row] | None], *arguments: object) -> tuple[list[Row], float]:
+    """The rows of a world, and the processor time that it took, s."""
+    began = time.process_time()
+    found = function(*arguments)
+    rows = found if isinstance(found, list) else [] if found is None else [cast(Row, found)]
+    return rows, time.process_time() - began
 
 
 def _values(row: object) -> tuple[Any, ...]:
     return (
         tuple(getattr(row, one.name) for one in fields(row)) if is_dataclass(row) else cast(tuple[Any, ...], row)
     )
+
+
+def _write(value: object) -> object:
+    """As it is in a file: arrays as JSON, with all digits."""
+    return json.dumps(value.tolist()) if isinstance(value, np.ndarray) else value
+
+
+def _read(text: str, hint: Any) -> object:
+    return np.array(json.loads(text), dtype=np.float64) if hint == Array else _READ.get(hint, str)(text)
 
 
 def _text(values: Sequence[Any]) -> tuple[str, ...]:
@@ -102,7 +125,7 @@ def read_rows(kind: type[Row], path: Path | None) -> list[Row]:
         return []
     hints, names = get_type_hints(kind), _names(kind)
     with path.open(newline="", encoding="utf-8") as file:
-        return [kind(**{name: _READ[hints[name]](one[name]) for name in names}) for one in csv.DictReader(file)]
+        return [kind(**{name: _read(one[name], hints[name]) for name in names}) for one in csv.DictReader(file)]
 
 
 def append_rows(kind: type[Row], rows: Iterable[Row], path: Path | None) -> None:
@@ -113,7 +136,8 @@ def append_rows(kind: type[Row], rows: Iterable[Row], path: Path | None) -> None
     new = not path.exists()
     with path.open("a", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        writer.writerows([*([_names(kind)] if new else []), *map(_values, rows)])
+        writer.writerows([_names(kind)] if new else [])
+        writer.writerows(map(_write, _values(row)) for row in rows)
 
 
 class PoseError(NamedTuple):

@@ -19,7 +19,7 @@ from calgraph.config import load_rig
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
-PINNED = ("requirements/dev.txt", "requirements/runtime.txt", "requirements/mutants.txt", "requirements/fuzz.txt")
+PINNED = ("requirements/dev.txt", "requirements/runtime.txt", "requirements/fuzz.txt")
 WORKFLOW = ".github/workflows/ci.yml"
 FORMS = sorted(form for form in ROOT.glob(".github/ISSUE_TEMPLATE/*.yml") if form.stem != "config")
 
@@ -45,9 +45,9 @@ def code_of(page: str, language: str) -> list[str]:
 def requirements() -> list[tuple[str, Requirement]]:
     """Every requirement of pyproject.toml, with the files that must pin it."""
     of_users = [(file, Requirement(line)) for line in project()["dependencies"] for file in PINNED]
-    # Developers have all extras of calgraph itself, but for those that only make mutants and the fuzzer need.
+    # Developers have all extras of calgraph itself, but for those that only the fuzzer needs.
     extras = [
-        (f"requirements/{extra}.txt" if extra in ("mutants", "fuzz") else PINNED[0], Requirement(line))
+        (f"requirements/{extra}.txt" if extra == "fuzz" else PINNED[0], Requirement(line))
         for extra, lines in project()["optional-dependencies"].items()
         for line in lines
     ]

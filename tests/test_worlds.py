@@ -3,12 +3,12 @@
 from argparse import Namespace
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 import pytest
 
-from calgraph.geometry import se3
+from calgraph.geometry import Array, se3
 from worlds import Layout, append_rows, measure_error, read_rows, run_worlds
 
 
@@ -53,6 +53,23 @@ def test_rows_may_be_named_tuples(tmp_path: Path) -> None:
         append_rows(Pair, [row], tmp_path / "rows.csv")
     assert read_rows(Pair, tmp_path / "rows.csv") == rows
     assert read_rows(Pair, tmp_path / "none.csv") == []
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """A row with an array."""
+
+    name: Literal["a", "b"]
+    errors: Array
+
+
+def test_arrays_are_read_with_all_digits(tmp_path: Path) -> None:
+    errors = np.array([[1 / 3, np.nan], [1e-300, np.inf]])
+    append_rows(Measured, [Measured("a", errors), Measured("b", np.zeros((0,)))], tmp_path / "rows.csv")
+    first, second = read_rows(Measured, tmp_path / "rows.csv")
+    assert first.name == "a"
+    np.testing.assert_array_equal(first.errors, errors)
+    assert second.errors.shape == (0,)
 
 
 def test_heads_stand_above_their_columns() -> None:

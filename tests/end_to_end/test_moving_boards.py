@@ -18,15 +18,14 @@ from calgraph.simulation import (
     CameraOptions,
     IdealDetectorOptions,
     LaserOptions,
-    MovingBoardOptions,
     MultibeamOptions,
     RigScenario,
     SpinningOptions,
     build_world,
     ground_truth,
-    simulate_moving_detections,
     world_rig,
 )
+from moving_boards import MovingBoardOptions, simulate_moving_detections
 from simulated_rigs import build_recording, calibrate, pose_errors, simulate_recording
 
 pytestmark = pytest.mark.slow

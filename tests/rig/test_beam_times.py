@@ -6,22 +6,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import calgraph.simulation.moving_detections as simulated
+import moving_boards as simulated
 from calgraph.boards.detections import Segment
 from calgraph.config import Rig
 from calgraph.rig.beam_times import UntimedScanner, compensate_with_beam_times
 from calgraph.rig.captures.detect import CaptureSet
 from calgraph.rig.captures.moving_board import compensate_motion
-from calgraph.simulation import (
-    CameraOptions,
-    LaserOptions,
-    MovingBoardOptions,
-    RigScenario,
-    SpinningOptions,
-    build_world,
-    simulate_moving_detections,
-)
+from calgraph.simulation import CameraOptions, LaserOptions, RigScenario, SpinningOptions, build_world
 from calgraph.simulation.ideal_detections import as_scanner
+from moving_boards import MovingBoardOptions, simulate_moving_detections
 
 LASER = "laser_front"
 

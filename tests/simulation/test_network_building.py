@@ -22,7 +22,7 @@ from calgraph.simulation import (
 )
 from calgraph.simulation.network_beams import build_views, cast_walls
 from calgraph.simulation.network_layouts import build_layout
-from network_overlaps import build_floor
+from network_measures import build_floor
 
 FEW, MANY = 32, 128
 

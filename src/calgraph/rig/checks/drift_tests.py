@@ -83,8 +83,7 @@ def measure_drifts(solved: SolvedBundle) -> DriftStatistics:
     Its variances contain the effect of drifts: where one may be significant, they are estimated again with them.
     """
     bundle, state = solved.bundle, solved.minimized.state
-    order = np.unique(solved.captures, return_inverse=True)[1]
-    time = order / max(int(order.max(initial=0)), 1) - 0.5
+    time, order = _order_boards(solved), np.unique(solved.captures, return_inverse=True)[1]
     factor = measure_serial_correlation(bundle, solved.minimized, order)
     statistics = replace(_score_drifts(bundle, state, solved.minimized.equations, time), serial_correlation=factor)
     if statistics.test_bodies()[0].max() <= chdtri(6, _TRIGGER_PROBABILITY / len(statistics.bodies)):
@@ -137,24 +136,51 @@ def include_drifts(
 
     Errors that successive captures have in common increase variances before.
 
-    Given the recording, drifts have the second moments of :func:`compute_drift_moments`. These add to the
-    covariance by the error that a drift causes: half of it, as the estimated pose is that in the middle of the
-    recording, and less or more where captures are not distributed evenly. A drift of the root moves all others.
+    Poses change linearly or by a step, each with the probability that the recording leaves it, and these changes
+    have the second moments of :func:`compute_drift_moments`. They add to the covariance by the error that a change
+    causes: half of it, as the estimated pose is that in the middle of the recording, and less or more where
+    captures are not distributed evenly. A change of the root moves all others.
     """
     bundle, state = solved.bundle, solved.minimized.state
-    of_estimate = pose_jacobian(bundle, state) @ statistics.influence.T
     at_end = np.zeros((len(bundle.sensors), 6, 6 * len(statistics.bodies)))
     for s, body in enumerate(bundle.body.tolist()):
         if body:
             at_end[s, :, 6 * body : 6 * body + 6] = body_jacobian(bundle, state, s)
             at_end[s, :, :6] = -_displacement_with_root(state, s)
-    error = of_estimate - at_end.reshape(of_estimate.shape) / 2
+    jacobian, moments, log_probability = pose_jacobian(bundle, state), [], []
+    for changes, log_prior in _list_changes(solved, statistics):
+        of_changes, log_evidence = compute_drift_moments(changes, settings.drifts)
+        error = jacobian @ changes.influence.T - at_end.reshape(len(jacobian), -1) / 2
+        moments.append(error @ of_changes @ error.T)
+        log_probability.append(log_prior + log_evidence)
+    probability = np.exp(np.array(log_probability) - max(log_probability))
     # Priors have no part in it: they alone place a sensor without views.
     measured = np.repeat([len(views.board) > 0 for views in bundle.views], 6)
     scale = np.where(measured, np.sqrt(statistics.serial_correlation), 1.0)
     covariance = scale[:, None] * solution.joint_covariance * scale
-    covariance += error @ compute_drift_moments(statistics, settings.drifts) @ error.T
+    covariance += np.einsum("f,fij->ij", probability / probability.sum(), moments)
     return replace(solution, joint_covariance=covariance)
+
+
+# Times of steps, of the length of the recording from its middle: of a bump that is not significant. Nearer to the
+# ends, few captures are on one side, so that right results would be weak: 1 of 16 with a quarter.
+_STEP_TIMES = (-1 / 6, 0.0, 1 / 6)
+
+
+def _list_changes(solved: SolvedBundle, drifts: DriftStatistics) -> Iterator[tuple[DriftStatistics, float]]:
+    """Drifts, and steps that are as likely together, each with the logarithm of its prior probability."""
+    yield drifts, np.log(0.5)
+    bundle, minimized, time = solved.bundle, solved.minimized, _order_boards(solved)
+    for of_step in _STEP_TIMES:
+        step = np.where(time < of_step, -0.5, 0.5)
+        changes = _score_drifts(bundle, minimized.state, minimized.equations, step)
+        yield replace(changes, serial_correlation=drifts.serial_correlation), np.log(0.5 / len(_STEP_TIMES))
+
+
+def _order_boards(solved: SolvedBundle) -> Array:
+    """(C,) time of each board, counted in captures, from -1/2 to 1/2."""
+    order = np.unique(solved.captures, return_inverse=True)[1]
+    return np.asarray(order / max(int(order.max(initial=0)), 1) - 0.5)
 
 
 # Minimum multiple of these standard deviations that large drifts have, 0.5 mm and 0.05°: beyond what small drifts
@@ -165,14 +191,18 @@ _MIN_LARGE_MULTIPLE = 5.0
 _MAX_LARGE_MULTIPLE = 100.0
 
 
-def compute_drift_moments(statistics: DriftStatistics, settings: DriftTestSettings) -> Array:
-    """Second moments (B·6, B·6) of the drifts of all bodies, given the recording.
+# Displacements and rotations of a large drift: it has both, or one of them.
+_LARGE_PARTS = ((True, True), (True, False), (False, True))
+
+
+def compute_drift_moments(statistics: DriftStatistics, settings: DriftTestSettings) -> tuple[Array, float]:
+    """Second moments (B·6, B·6) of the drifts of all bodies, given the recording, and the log-evidence for them.
 
     All bodies have small drifts: normal, of mean zero, with the standard deviations of the settings. One of them
-    may have a large one: a multiple of these standard deviations within the limits of the settings, with its
-    logarithm uniform. That none has, and that a certain one has, are equally likely. The moments are the mean over
-    these models, each weighted by its probability given the recording, so that bodies share what they explain
-    equally.
+    may have a large displacement, rotation or both: a multiple of these standard deviations within the limits of
+    the settings, with its logarithm uniform. That none has, and that a certain one has, are equally likely. The
+    moments are the mean over these models, each weighted by its probability given the recording, so that bodies
+    share what they explain equally.
 
     Source: Hoeting et al., "Bayesian model averaging: a tutorial", Statistical Science 1999.
     """
@@ -182,8 +212,10 @@ def compute_drift_moments(statistics: DriftStatistics, settings: DriftTestSettin
     stddev, log_prior = [small], [0.0]
     for body in range(bodies):
         of_body = np.arange(len(small)) // 6 == body
-        stddev += [np.where(of_body, multiple * small, small) for multiple in multiples]
-        log_prior += [-np.log(_SIZES)] * _SIZES
+        for parts in _LARGE_PARTS:
+            large = of_body & np.tile(np.repeat(parts, 3), bodies)
+            stddev += [np.where(large, multiple * small, small) for multiple in multiples]
+            log_prior += [-np.log(_SIZES * len(_LARGE_PARTS))] * _SIZES
     scale = np.array(stddev)
     information = statistics.information / statistics.serial_correlation
     # With drifts in units of their standard deviations, priors have unit covariance.
@@ -193,8 +225,10 @@ def compute_drift_moments(statistics: DriftStatistics, settings: DriftTestSettin
     mean = covariance @ score
     log_probability = np.array(log_prior) + (mean @ score - np.linalg.slogdet(precision)[1]) / 2
     probability = np.exp(log_probability - log_probability.max())
+    log_evidence = float(log_probability.max() + np.log(probability.sum()))
     probability /= probability.sum()
-    return np.asarray(np.einsum("m,mij->ij", probability, covariance) + (probability * mean.T) @ mean)
+    moments = np.einsum("m,mij->ij", probability, covariance) + (probability * mean.T) @ mean
+    return np.asarray(moments), log_evidence
 
 
 def _displacement_with_root(state: BundleState, sensor: int) -> Array:

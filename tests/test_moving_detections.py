@@ -6,14 +6,8 @@ import pytest
 import moving_boards
 from calgraph.rig.options import RigOptions
 from calgraph.rig.pipeline import build_problem_from_captures, solve_problem
-from calgraph.simulation import (
-    CameraOptions,
-    IdealDetectorOptions,
-    LaserOptions,
-    MovingBoardOptions,
-    build_world,
-    simulate_moving_detections,
-)
+from calgraph.simulation import CameraOptions, IdealDetectorOptions, LaserOptions, build_world
+from moving_boards import MovingBoardOptions, simulate_moving_detections
 
 pytestmark = pytest.mark.slow
 
