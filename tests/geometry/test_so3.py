@@ -37,6 +37,15 @@ def test_hat_is_the_cross_product(rng: np.random.Generator) -> None:
     assert_allclose((so3.hat(v) @ x[..., None])[..., 0], np.cross(v, x), atol=1e-15)
 
 
+@pytest.mark.parametrize("axes", [[1, 1, 1], [0, 0, 1], [1, 0, 0]])
+@pytest.mark.parametrize("size", [0.0, 1e-6, 0.01, 2.0])
+def test_vectors_are_rotated_as_by_the_matrix(axes: list[int], size: float, rng: np.random.Generator) -> None:
+    phi, x = rng.normal(size=(2, 7, 3)) * [[[size]], [[1]]]
+    phi *= axes
+    assert_allclose(so3.rotate(phi, x), (so3.exp(phi) @ x[..., None])[..., 0], atol=1e-14)
+    assert_allclose(so3.cross(phi, x), np.cross(phi, x), atol=1e-14)
+
+
 @given(rotation_vectors)
 def test_exp_agrees_with_scipy(phi: Array) -> None:
     assert_allclose(so3.exp(phi), Rotation.from_rotvec(phi).as_matrix(), atol=2e-15)
