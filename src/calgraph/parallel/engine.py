@@ -125,7 +125,7 @@ class _ThisProcess:
 
 
 def _open_workers(jobs: int, *max_kept_bytes: int) -> AbstractContextManager[MapEngine]:
-    # Workers have none of their own.
+    # Workers have none.
     if jobs > 1 and not multiprocessing.current_process().daemon:
         return start_workers(jobs, *max_kept_bytes)
     return nullcontext(_ThisProcess(ArrayMemory(*max_kept_bytes)))

@@ -312,7 +312,7 @@ def _serve(connection: Connection, inherited: Mapping[int, Any], max_kept_bytes:
         try:
             answer = pickle.dumps((True, _answer(content, kept, memory)), protocol=5)
         except Exception as error:
-            if not isinstance(error, CalgraphError):  # these say what was wrong
+            if not isinstance(error, CalgraphError):  # these state what was wrong
                 error.add_note(traceback.format_exc())
             answer = pickle.dumps((False, error))
         connection.send_bytes(answer)
