@@ -2,11 +2,11 @@
 
 import asyncio
 import math
-from collections.abc import AsyncIterator, Collection, Iterator, Mapping, Sequence
-from contextlib import aclosing
+from collections.abc import AsyncIterator, Collection, Mapping
+from contextlib import aclosing, suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, Self, cast
 
 from calgraph.config.settings import ConnectionSettings, Settings
 from calgraph.errors import InputError
@@ -74,40 +74,36 @@ class AlignedSource:
         return self._source.name
 
     async def stream(self, topics: Collection[str]) -> AsyncIterator[LiveMessage | Notice]:
-        """Messages and notices of the source; see :meth:`Source.stream`.
-
-        The first messages come with what follows them after that time.
-        """
+        """Messages and notices of the source; see :meth:`Source.stream`. The first messages come delayed."""
         now = asyncio.get_running_loop().time
         offsets, waiting = dict[str, int](), list[LiveMessage]()
-        end, shift = math.inf, None
+        end = math.inf
         # A generator, whose connection is closed with it.
-        async with aclosing(cast(Any, self._source.stream(topics))) as items:
-            async for item in items:
-                is_over = now() >= end
+        async with aclosing(cast(Any, self._source.stream(topics))) as items, _Following(items) as following:
+            while not (offsets and now() >= end):
+                item = await following.take(max(end - now(), 0.0))
+                if item is None and following.ended:
+                    break
                 if isinstance(item, Notice):
                     yield item
-                elif shift is None:
+                elif item is not None:
                     end = end if waiting else now() + _ALIGNMENT_TIME
                     waiting.append(item)
                     if (stamp := item.read_stamp()) is not None:
                         offsets.setdefault(item.channel.topic, item.arrival - stamp)
-                else:
-                    yield _shift(item, shift)
-                if is_over and waiting:
-                    # Messages without stamps do not wait for some.
-                    shift = self._choose_shift(offsets) if offsets else None
-                    for one in self._release(waiting, shift or 0):
+                elif not offsets:
+                    # Without stamps they cannot be compared.
+                    for one in waiting:
                         yield one
                     waiting.clear()
                     end = math.inf
-        for one in self._release(waiting, self._choose_shift(offsets)):
-            yield one
-
-    def _release(self, waiting: Sequence[LiveMessage], shift: int) -> Iterator[LiveMessage | Notice]:
-        if waiting and shift:
-            yield Notice("connected", self._describe(shift))
-        yield from (_shift(one, shift) for one in waiting)
+            shift = self._choose_shift(offsets)
+            if shift:
+                yield Notice("connected", self._describe(shift))
+            for one in waiting:
+                yield replace(one, arrival=one.arrival - shift)
+            while (item := await following.take()) is not None:
+                yield item if isinstance(item, Notice) else replace(item, arrival=item.arrival - shift)
 
     def _choose_shift(self, offsets: Mapping[str, int]) -> int:
         """The median difference of the topics, ns; 0 where it is a latency."""
@@ -125,5 +121,35 @@ class AlignedSource:
         )
 
 
-def _shift(message: LiveMessage, shift: int) -> LiveMessage:
-    return replace(message, arrival=message.arrival - shift)
+class _Following:
+    """The next item of a stream, which is awaited for a limited time without an effect on the stream."""
+
+    def __init__(self, items: AsyncIterator[LiveMessage | Notice]) -> None:
+        self._items = items
+        self._next: asyncio.Future[LiveMessage | Notice] | None = None
+        self.ended = False
+
+    async def take(self, timeout: float = math.inf) -> LiveMessage | Notice | None:
+        """The next item; None where none comes in time (s), and at the end."""
+        if self._next is None:
+            self._next = asyncio.ensure_future(anext(self._items))
+        await asyncio.wait({self._next}, timeout=None if timeout == math.inf else timeout)
+        if not self._next.done():
+            return None
+        try:
+            return self._next.result()
+        except StopAsyncIteration:
+            self.ended = True
+            return None
+        finally:
+            self._next = None
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        """Ends the stream where an item of it is awaited."""
+        if self._next is not None:
+            self._next.cancel()
+            with suppress(asyncio.CancelledError, StopAsyncIteration):
+                await self._next
