@@ -29,7 +29,7 @@ from scipy.stats import chi2
 
 from calgraph.config import Tolerance
 from calgraph.errors import CalgraphError
-from calgraph.geometry import Array
+from calgraph.geometry import Array, se3
 from calgraph.result import Calibration
 from calgraph.rig.options import RigOptions
 from calgraph.rig.pipeline import calibrate_rig
@@ -145,9 +145,10 @@ def judge(
 ) -> SensorOutcome:
     """The outcome of a sensor, with its verdict and errors if it has a pose."""
     sensor = next((one for one in found.sensors if one.name == outcome.sensor), None)
-    if sensor is None:
+    if sensor is None or sensor.name == found.root:  # in place of the stated root
         return replace(outcome, text=found.evidence.unconnected.get(outcome.sensor, ""))
-    error = measure_error(sensor.T_root_sensor, sensor.covariance, true[sensor.name])
+    T_root_sensor = se3.inverse(true[found.root]) @ true[sensor.name]
+    error = measure_error(sensor.T_root_sensor, sensor.covariance, T_root_sensor)
     far = (
         error.sigmas > MAX_SIGMAS
         or error.metres > MAX_TRANSLATION * tolerance.translation
