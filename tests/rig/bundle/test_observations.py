@@ -173,12 +173,12 @@ def test_errors_that_vary_over_the_view_are_differentiated_and_do_not_fit_the_no
     def views(ranges: Array) -> RangeObservations:
         patch = PlanePatch(np.append(n, -h), np.eye(3), ranges, directions, T[0, :3, 3])
         found = RangeObservations.from_detections([0], [patch], noise, _MIN_INCIDENCE_COSINE)
-        parameters = replace(LocalParameters.exact(1, {"beams": 6, "bow": 2}), index=np.arange(8)[None], count=8)
+        parameters = replace(LocalParameters.exact(1, {"beams": 6, "bow": 3}), index=np.arange(9)[None], count=9)
         found = replace(found, errors=DepthCameraUncertainty().beam_errors(), parameters=parameters)
         found = replace(found, half_size=np.array([[0.5, 0.4]]), registered=np.array([True]))
         return found.update_noise(T, 1.0)
 
-    extra = np.array([0.01, 0.002, 0.004, 0.002, -0.002, 0.003, 0.001, 0.001])
+    extra = np.array([0.01, 0.002, 0.004, 0.002, -0.002, 0.003, 0.001, 0.001, -0.002])
     at = views(exact)
     np.testing.assert_allclose(
         jacobian(at.linearize(T, extra), at)[:, 6:], numerical(at, T, extra)[:, 6:], atol=1e-4, rtol=1e-5

@@ -136,8 +136,8 @@ def test_all_kinds_of_parameters_are_differentiated(bundle_and_state: tuple[Bund
     quantities = {one.quantity.split(" of ring")[0] for one in bundle.extra_parameters}
     assert quantities >= {
         "focal length", "pixel aspect", "cx", "cy", "k1", "k2", "range bias", "range scale", "angle scale", "bias",
-        "print scale", "print aspect", "tag size", "bow along x", "bow along y", "x", "y", "rotation", "width",
-        "height", "print x", "print y", "print rotation", "azimuth footprint", "elevation footprint",
+        "print scale", "print aspect", "tag size", "bow along x", "bow along y", "twist", "x", "y", "rotation",
+        "width", "height", "print x", "print y", "print rotation", "azimuth footprint", "elevation footprint",
     } | ({"stamp delay", "readout time"} if moving else set())  # fmt: skip
     delayed = [one.of for one in bundle.extra_parameters if one.quantity == "stamp delay"]
     assert delayed == (list(bundle.sensors[1:]) if moving else [])

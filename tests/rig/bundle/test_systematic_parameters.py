@@ -83,6 +83,7 @@ CASES = [
     Case(of_board(tag_size=0.01), "board", "tag_size", "board", "tag size", 0.01),
     Case(of_board(bow=(0.004, 0.0, 0.0)), "board", "bow", "board", "bow along x", 0.004),
     Case(of_board(bow=(0.0, -0.004, 0.0)), "board", "bow", "board", "bow along y", -0.004),
+    Case(of_board(bow=(0.0, 0.0, 0.004)), "board", "bow", "board", "twist", 0.004),
     Case(of_board(size=(0.004, -0.003)), "board", "size", "board", "width", 0.004),
     Case(of_board(size=(0.004, -0.003)), "board", "size", "board", "height", -0.003),
     Case(of_board(print_position=(0.004, -0.003)), "board", "print_position", "board", "print x", 0.004),

@@ -34,26 +34,27 @@ class PrintedCorners:
     tag: Index
     """(N,) index of the tag among those of its board; -1 for none. A print on the back counts as one."""
     height_shape: Array
-    """(N, 3) height of each corner for a bow of 1 m along x and y, and for a board 1 m thick: -1 on its back."""
+    """(N, 4) height of each corner for a bow of 1 m along x and y, a twist of 1 m, and a board 1 m thick: -1 on
+    its back."""
 
     @classmethod
     def from_nominal(cls, nominal: Array, on_back: NDArray[np.bool_] | None = None) -> "PrintedCorners":
         """Corners (N, 3) of no tag, on a flat board; on its back where marked (N,)."""
         N = len(nominal)
-        shape = np.zeros((N, 3))
-        shape[:, 2] = 0 if on_back is None else -1.0 * on_back
+        shape = np.zeros((N, 4))
+        shape[:, -1] = 0 if on_back is None else -1.0 * on_back
         return cls(nominal, nominal[:, :2], np.full(N, -1, dtype=np.intp), shape)
 
     @property
     def on_back(self) -> NDArray[np.bool_]:
         """(N,) whether each corner is on the back of the board."""
-        return np.asarray(self.height_shape[:, 2] != 0, dtype=np.bool_)
+        return np.asarray(self.height_shape[:, -1] != 0, dtype=np.bool_)
 
     def displace(self, board: Array, tags: Array) -> tuple[Array, Array]:
-        """Corners (N, 3) of an erroneous print, and their derivatives (N, 3, 6 + 3 M).
+        """Corners (N, 3) of an erroneous print, and their derivatives (N, 3, 7 + 3 M).
 
         Args:
-            board: (N, 6) relative scale, aspect (width over height) and size of tags, bows and thickness, m.
+            board: (N, 7) relative scale, aspect (width over height), size of tags; bows, twist and thickness, m.
             tags: (N, M, 3) displacements of the M tags of each corner's board, m and rad.
         """
         scale, aspect, tag_size, *heights = board.T

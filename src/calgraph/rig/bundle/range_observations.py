@@ -53,11 +53,11 @@ class RangeObservations:
     registered: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
     """(V,) whether the pose of each bowed board within its plane is known."""
     bow_shape: Array | None = None
-    """(N, 2) height of each beam's end on a board with a bow of 1 m along x and y; constant within a
+    """(N, 3) height of each beam's end on a board with a bow of 1 m along x and y, and a twist; constant within a
     minimisation."""
     parameters: LocalParameters = NO_PARAMETERS
-    """In blocks ``beams``, of the errors; ``bow`` along x and y of the board, m; ``delay`` of stamps, s, if boards
-    move; ``varying``, a bias of each ring, m. None if all are exact."""
+    """In blocks ``beams``, of the errors; ``bow``, bows along x and y and twist of the board, m; ``delay`` of
+    stamps, s, if boards move; ``varying``, a bias of each ring, m. None if all are exact."""
     twist: Array = field(default_factory=lambda: np.zeros((0, 6)))
     """See :class:`BoardViews`."""
     motion_variance: Array = field(default_factory=lambda: np.zeros((0, 6)))
@@ -276,27 +276,29 @@ class RangeObservations:
 
 
 def bow_shape(points: Array, half_size: Array) -> Array:
-    """(N, 2) heights of points (N, 2) on boards (N, 2) with a bow of 1 m along x and y.
+    """(N, 3) heights of points (N, 2) on boards (N, 2) with a bow of 1 m along x and y, and a twist of 1 m.
 
-    A parabola from edge to edge, relative to the best plane; the bow is its height. Zero where sizes are infinite.
+    A parabola from edge to edge, relative to the best plane; the bow is its height. The twist is the height of the
+    corners (1, 1) and (-1, -1), and minus that of the others. Zero where sizes are infinite.
     """
     known = np.isfinite(half_size)
-    share = np.clip(points / np.where(known, half_size, 1.0), -1, 1)
-    return np.asarray(np.where(known, share**2 - 1 / 3, 0.0))
+    share = np.where(known, np.clip(points / np.where(known, half_size, 1.0), -1, 1), 0.0)
+    return np.column_stack([np.where(known, share**2 - 1 / 3, 0.0), share.prod(axis=-1)])
 
 
 def round_bow_shape(points: Array, half_size: Array) -> Array:
-    """(N, 2) as :func:`bow_shape`, of boards in an unknown rotation about the point (0, 0) of their plane.
+    """(N, 3) as :func:`bow_shape`, of boards in an unknown rotation about the point (0, 0) of their plane.
 
-    The mean of the heights over all rotations: a paraboloid with the boards' mean curvature. That the point is not
-    the centre of the board tilts and displaces it only, which its pose does as well.
+    The mean of the heights over all rotations: a paraboloid with the boards' mean curvature, and no twist. That the
+    point is not the centre of the board tilts and displaces it only, which its pose does as well.
     """
     known = np.isfinite(half_size)
     square = np.where(known, half_size, 1.0) ** 2
     diagonal = square.sum(axis=-1, keepdims=True)
     # No two points of a board are farther apart than its diagonal.
     distance = np.minimum(np.sum(points**2, axis=-1, keepdims=True), 4 * diagonal)
-    return np.asarray(np.where(known, (distance - diagonal / 3) / (2 * square), 0.0))
+    bows = np.where(known, (distance - diagonal / 3) / (2 * square), 0.0)
+    return np.column_stack([bows, np.zeros(len(bows))])
 
 
 def _spread_evenly(count: int, limit: int) -> Index:

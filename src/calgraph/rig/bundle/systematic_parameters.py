@@ -345,6 +345,8 @@ def _bow_parameters(name: str, board: Board) -> Iterator[SystematicParameter]:
     for axis in "xy":
         clause = f"the {{of}} is bent by {{size}} along {axis}"
         yield SystematicParameter(name, f"bow along {axis}", "m", board.uncertainty.bow, clause=clause)
+    clause = "the corners of the {of} are twisted by {size}"
+    yield SystematicParameter(name, "twist", "m", board.uncertainty.bow, clause=clause)
 
 
 def _print_position(
@@ -379,7 +381,7 @@ def _error_of(name: str, error: BeamError) -> SystematicParameter:
 
 def _locate_corners(printed: PrintedCorners, number: Index, prints: Sequence[_Print]) -> PrintedCorners:
     """Corners (N,) of boards (N,) with their tags and places on the board."""
-    nominal = printed.nominal + printed.height_shape * [0.0, 0.0, _THICKNESS]
+    nominal = printed.nominal + printed.height_shape[:, -1:] * [0.0, 0.0, _THICKNESS]
     places = {
         (b, *corner.tolist()): (i if one.placed_tags else -1, corners.mean(axis=0)[:2])
         for b, one in enumerate(prints)
@@ -392,7 +394,7 @@ def _locate_corners(printed: PrintedCorners, number: Index, prints: Sequence[_Pr
             tag[n], center[n] = places[b, *corner]
     center[printed.on_back], tag[printed.on_back] = 0.0, 0
     half = np.array([one.board.size for one in prints])[number] / 2
-    shape = np.column_stack([bow_shape(nominal[:, :2], half.reshape(-1, 2)), printed.height_shape[:, 2]])
+    shape = np.column_stack([bow_shape(nominal[:, :2], half.reshape(-1, 2)), printed.height_shape[:, -1]])
     return PrintedCorners(nominal, center, tag, shape)
 
 
@@ -409,7 +411,7 @@ def _add_to_scanner(
     errors = prior.beam_errors()
     bows = [list(_bow_parameters(of, board)) for of, board in _name_boards(rig)]
     # The last row is of boards that no camera identified: of several, it is not known which one each is.
-    size, bow = (rig.boards[0].size, bows[0]) if len(bows) == 1 else ((np.inf, np.inf), (None, None))
+    size, bow = (rig.boards[0].size, bows[0]) if len(bows) == 1 else ((np.inf, np.inf), [None] * len(bows[0]))
     candidates: list[_Blocks] = [
         {
             "beams": [_error_of(name, error) for error in errors],
