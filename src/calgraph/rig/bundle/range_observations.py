@@ -289,8 +289,8 @@ def bow_shape(points: Array, half_size: Array) -> Array:
 def round_bow_shape(points: Array, half_size: Array) -> Array:
     """(N, 3) as :func:`bow_shape`, of boards in an unknown rotation about the point (0, 0) of their plane.
 
-    The mean of the heights over all rotations: a paraboloid with the boards' mean curvature, and no twist. That the
-    point is not the centre of the board tilts and displaces it only, which its pose does as well.
+    The mean of the heights over all rotations: a paraboloid with the boards' mean curvature, and no twist. That
+    the point is not the centre of the board tilts and displaces it only, which its pose does as well.
     """
     known = np.isfinite(half_size)
     square = np.where(known, half_size, 1.0) ** 2
