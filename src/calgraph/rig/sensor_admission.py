@@ -169,11 +169,17 @@ def _leave_out(
 
 
 def agree_mostly(problem: Problem) -> bool:
-    """Whether all sensors are connected, by pairs that agree in the majority of their shared captures."""
+    """Whether all sensors are connected, and no pair with several captures disagrees in the majority of them."""
     found = problem.captures.detections
+
+    def agrees(a: str, b: str, pair: PairwiseEstimate | Rejected) -> bool:
+        shared = len(found[a].keys() & found[b].keys())
+        if isinstance(pair, Rejected):
+            return shared < _MIN_SHARED
+        return bool(pair.inliers.sum() >= _MAJORITY * shared)
+
     return set(problem.tree.T_root_sensor) == set(problem.rig.sensors) and all(
-        pair.inliers.sum() >= _MAJORITY * len(found[pair.sensor_a].keys() & found[pair.sensor_b].keys())
-        for pair in select_successful(problem.pairs)
+        agrees(a, b, pair) for (a, b), pair in problem.pairs.items()
     )
 
 

@@ -48,7 +48,7 @@ CASES = {
     ),
     "range bias": Case(
         ModelErrors(scanners={"laser_front": ScannerErrors(range_bias=-0.1)}),
-        "ranges of laser_front are 99.8 mm shorter than they should be",
+        "ranges of laser_front are 99.7 mm shorter than they should be",
         ("laser_front",),
     ),
     "range bias of the root": Case(
