@@ -168,18 +168,28 @@ def test_limited_messages_are_spread_over_the_hold() -> None:
     assert (chosen[0], chosen[-1]) == (0.0, 10.0)
 
 
+def make_camera_rig() -> Rig:
+    """Two cameras."""
+    pattern = Checkerboard(kind="checkerboard", columns=5, rows=6, square=0.1)
+    return Rig(
+        root="camera",
+        target=Board(size=(1, 1), pattern=pattern),
+        sensors={name: CameraSpec(kind="camera", topic=f"/{name}") for name in ("camera", "camera_2")},
+    )
+
+
 @pytest.mark.parametrize("start", np.arange(0.0, 1 / 3, 0.02).tolist())
 def test_cameras_that_expose_together_give_images_of_the_same_times(start: float) -> None:
     names = ("camera", "camera_2")
-    pattern = Checkerboard(kind="checkerboard", columns=5, rows=6, square=0.1)
-    rig = Rig(
-        root="camera",
-        target=Board(size=(1, 1), pattern=pattern),
-        sensors={name: CameraSpec(kind="camera", topic=f"/{name}") for name in names},
-    )
     times = np.arange(start, 10, 1 / 3)
     stamps = {name: t[(t > 4.0) & (t < 5.0)] for name, t in zip(names, (times, times + 0.02), strict=True)}
-    (hold,) = limit_messages([Hold(0, 4.0, 5.0, stamps)], rig)
+    (hold,) = limit_messages([Hold(0, 4.0, 5.0, stamps)], make_camera_rig())
     first, second = (hold.stamps[name] for name in names)
     assert len(first) == 2
     np.testing.assert_allclose(second - first, 0.02)
+
+
+def test_cameras_that_measure_one_after_the_other_keep_two_images_each() -> None:
+    stamps = {"camera": np.array([4.0, 4.2, 4.4]), "camera_2": np.array([4.6, 4.7, 4.8, 4.9])}
+    (hold,) = limit_messages([Hold(0, 4.0, 5.0, stamps)], make_camera_rig())
+    assert [len(hold.stamps[name]) for name in stamps] == [2, 2]

@@ -224,10 +224,10 @@ def limit_messages(holds: Iterable[Hold], rig: Rig) -> tuple[Hold, ...]:
     for hold in holds:
         stamps = dict(hold.stamps)
         for kind, limit in limits.items():
-            enough = {name: all_ for name, all_ in stamps.items() if kinds[name] == kind and len(all_) >= limit}
+            enough = {name: one for name, one in stamps.items() if kinds[name] == kind and len(one) >= limit}
             if enough:
                 times = sample_evenly(_find_common_times(list(enough.values())), limit)
-                stamps |= {name: _select_nearest(all_, times) for name, all_ in enough.items()}
+                stamps |= {name: _select_nearest(one, times) for name, one in enough.items()}
         limited.append(replace(hold, stamps=stamps))
     return tuple(limited)
 
@@ -244,8 +244,9 @@ def _find_common_times(stamps: Sequence[Array]) -> Array:
 
 
 def _select_nearest(stamps: Array, times: Array) -> Array:
-    """Those of the stamps (N,), ascending, that are nearest to times (M,)."""
-    return np.asarray(stamps[np.unique(np.abs(stamps - times[:, None]).argmin(axis=1))])
+    """M of the stamps (N,), ascending, that are nearest to times (M,); evenly chosen where some are the same."""
+    nearest = np.unique(np.abs(stamps - times[:, None]).argmin(axis=1))
+    return stamps[nearest] if len(nearest) == len(times) else sample_evenly(stamps, len(times))
 
 
 def sample_evenly(stamps: Array, count: int) -> Array:
