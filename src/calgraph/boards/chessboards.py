@@ -23,8 +23,8 @@ _MIN_GAP = 3.0
 # Smallest distance of corners, pixels, in the image in which it is decided whether they are a whole board: its rim
 # and its margin are not blurred with the squares.
 _CLEAR_GAP = 16.0
-# Longest side of the largest image that is searched, pixels: in an image of 4000 pixels, squares of 6.3 pixels have
-# the smallest distance there, and smaller ones are those of boards too far away to locate well.
+# Longest side of the largest image that is searched, pixels: in an image of 4000 pixels, squares of 6.3 pixels are
+# reduced to the smallest distance, and smaller ones are of boards too far away to locate well.
 _LARGEST_SIDE = 1920
 # Shorter side, pixels, above which images are halved: blurred corners are sharp in small images, which take a
 # millisecond each.
