@@ -23,8 +23,13 @@ from calgraph.rig.detection.capture_background import (
 )
 from calgraph.sensors import LaserScan, PointCloud, ScanBackground, align_ranges
 
-# Quantile of a beam's ranges that is its nearest depth: one scan in twenty may show dust or a passer-by.
-_DEPTH_QUANTILE = 0.05
+Indices = NDArray[np.intp]
+Keys = NDArray[np.int64]
+"""Of voxels."""
+
+# Share of scans that may show dust, a passer-by, or the board, which comes as the window ends: one in twenty. It is
+# the quantile of a beam's ranges that is its nearest depth, and space that so few sweeps measure is free.
+_PASSING_SHARE = 0.05
 # Ranges within this distance of the nearest depth, m, determine its noise: ten standard deviations of a noisy
 # scanner (30 mm), and less than the jump at an edge of furniture.
 _NOISE_WINDOW = 0.3
@@ -53,7 +58,7 @@ def learn_scan_background(scans: Sequence[LaserScan]) -> ScanBackground:
         raise InputError("no returns in the background window; state a capture.background with measurements")
     angles = np.sort(max(scans, key=lambda scan: len(scan.angles)).angles)
     ranges = np.concatenate([align_ranges(angles, scan.angles, scan.ranges[None]) for scan in scans])
-    depths = _find_nearest_depths(ranges, _DEPTH_QUANTILE)
+    depths = _find_nearest_depths(ranges, _PASSING_SHARE)
     # Only the scatter around the nearest depth: that of all ranges would be the size of the edge.
     offsets = np.where(np.abs(ranges - depths) < _NOISE_WINDOW, ranges - depths, np.nan)
     sigma = np.sqrt(np.nansum(offsets**2, axis=0) / np.maximum(np.isfinite(offsets).sum(axis=0), 1))
@@ -77,7 +82,7 @@ def learn_cloud_background(clouds: Iterable[PointCloud], settings: DetectionSett
     """Learns the background of a 3-D scanner.
 
     Every point occupies all voxels within half a voxel of it, in each axis, so that noise at the border of a voxel
-    does not turn background into foreground.
+    does not turn background into foreground. Voxels that only few sweeps occupy are free: something passed.
 
     Args:
         clouds: sweeps of one sensor; memory grows with the space they cover, not with their number.
@@ -87,17 +92,30 @@ def learn_cloud_background(clouds: Iterable[PointCloud], settings: DetectionSett
         InputError: the clouds hold no points.
     """
     voxel, cell = settings.cloud_background.voxel, _DIRECTION_CELL
-    keys = np.empty(0, dtype=np.int64)
+    keys, sweeps = np.empty(0, dtype=np.int64), np.empty(0, dtype=np.intp)
+    number = 0
     max_range = np.zeros((round(np.pi / cell), round(2 * np.pi / cell)))
     for cloud in clouds:
-        keys = _sort_distinct(np.concatenate([keys, _find_occupied(cloud.points, voxel)]))
+        occupied = _sort_distinct(_find_occupied(cloud.points, voxel))
+        keys, sweeps = _add_occupied(keys, sweeps, occupied)
+        number += 1
         cells = find_direction_cells(cloud.points, max_range.shape)
         np.maximum.at(max_range, cells, measure_lengths(cloud.points))
     if not len(keys):
         raise InputError("no points in the background window; state a capture.background with measurements")
     max_range = find_local_maxima(max_range)
     max_range = np.where(max_range > 0, max_range + settings.scanner.min_depth_jump, np.inf)
-    return CloudBackground(voxel, keys, max_range)
+    return CloudBackground(voxel, keys[sweeps > _PASSING_SHARE * number], max_range)
+
+
+def _add_occupied(keys: Keys, sweeps: Indices, occupied: Keys) -> tuple[Keys, Indices]:
+    """Sorted keys of voxels and the sweeps that occupied each, with those of another sweep, sorted as well."""
+    place = np.searchsorted(keys, occupied)
+    known = place < len(keys)
+    known[known] = keys[place[known]] == occupied[known]
+    sweeps = sweeps.copy()
+    sweeps[place[known]] += 1
+    return np.insert(keys, place[~known], occupied[~known]), np.insert(sweeps, place[~known], 1)
 
 
 def _find_occupied(points: Array, voxel: float) -> NDArray[np.int64]:
