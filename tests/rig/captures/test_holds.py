@@ -10,7 +10,7 @@ from calgraph.config.settings import CaptureSettings
 from calgraph.errors import CalibrationError
 from calgraph.geometry import Array
 from calgraph.rig.captures.capture_mode import is_snapshot_recording
-from calgraph.rig.captures.holds import find_holds
+from calgraph.rig.captures.holds import find_holds, select_middles
 from calgraph.rig.captures.rests import find_rests
 from calgraph.rig.captures.timeline import RecordingTimeline, SensorTimes
 
@@ -55,6 +55,24 @@ def test_first_message_is_left_out_where_its_duration_is_unknown() -> None:
     recording = timeline([10.0], slow=times(0.3, 30, 1.5))
     (hold,) = find_holds(recording, Capture(trigger="/go"), settings=CaptureSettings())
     np.testing.assert_allclose(hold.stamps["slow"] - START, [12.3])
+
+
+def test_of_a_rest_with_a_missed_move_in_its_middle_the_quiet_part_is_used() -> None:
+    """A camera of 5 Hz sees the move from 4.6 to 5.4 s; in other rests and in all other images is noise."""
+
+    def change(t: Array) -> Array:
+        return 0.002 + 0.05 * ((t > 4.6) & (t < 5.5))
+
+    recording = timeline(camera=times(0, 20, 0.2, activity=change))
+    middles = (
+        np.array(select_middles(recording, [(START + 2.0, START + 8.0), (START + 10.0, START + 16.0)])) - START
+    )
+    (start, end), ordinary = middles
+    assert end - start == pytest.approx(1.0)
+    assert end <= 4.7 or start >= 5.2
+    assert start >= 2.5
+    assert end <= 7.5
+    np.testing.assert_allclose(ordinary, [12.5, 13.5])
 
 
 def test_a_hold_ends_at_the_next_trigger() -> None:

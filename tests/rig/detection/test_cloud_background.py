@@ -30,6 +30,25 @@ def test_a_board_before_the_wall_is_foreground(rng: np.random.Generator) -> None
     assert background.foreground(wall_cloud(rng, 1000, x=3.5).points).sum() == 1000
 
 
+def test_a_board_that_comes_as_the_window_ends_is_no_background(rng: np.random.Generator) -> None:
+    """It is in one sweep of twenty, and stands at the same place in a capture."""
+    board = wall_cloud(rng, 1000, x=3.5)
+    empty = [wall_cloud(rng) for _ in range(19)]
+    both = PointCloud(0.0, "scanner", np.concatenate([wall_cloud(rng).points, board.points]))
+    background = learn_cloud_background([*empty, both], settings=DetectionSettings())
+    assert background.foreground(board.points).sum() == 1000
+    # What every tenth sweep shows is there.
+    background = learn_cloud_background([*empty[2:], both, both, both], settings=DetectionSettings())
+    assert background.foreground(board.points).sum() == 0
+
+
+def test_what_is_elsewhere_in_each_sweep_is_no_background() -> None:
+    """As of a scanner that is carried around."""
+    sweeps = [PointCloud(0.0, "scanner", np.array([[3.0 + k, 0.0, 0.0]])) for k in range(25)]
+    background = learn_cloud_background(sweeps, settings=DetectionSettings())
+    assert background.foreground(np.concatenate([one.points for one in sweeps])).all()
+
+
 def test_points_behind_the_background_are_not_foreground(rng: np.random.Generator) -> None:
     background = learn_cloud_background([wall_cloud(rng) for _ in range(3)], settings=DetectionSettings())
     behind = wall_cloud(rng, 1000, x=5.0).points

@@ -11,7 +11,7 @@ from calgraph.config.settings import CaptureSettings
 from calgraph.errors import CalibrationError
 from calgraph.geometry import Array
 from calgraph.rig.captures.capture_mode import StampGroup, find_frame_sets, find_snapshots, recognize_mode
-from calgraph.rig.captures.rests import find_rests
+from calgraph.rig.captures.rests import find_noise, find_rests
 from calgraph.rig.captures.timeline import MAX_MOTION_PERIOD, RecordingTimeline, SensorTimes
 from calgraph.rig.kinds import RIG_KINDS
 
@@ -133,14 +133,39 @@ def _explain_no_holds(timeline: RecordingTimeline, capture: Capture, mode: str) 
 # Length of the middle of a rest whose messages are used, s: near its ends the board may move by less than views
 # show, and scans of one second average to less than the bias of a scanner.
 _MIDDLE = 1.0
+# Change of a view in the middle of a rest, over that in its quietest part, from which the latter is used: a small
+# move between two rests was missed, or someone passed. Noise of single messages scatters by a factor of two.
+_LOUD = 3.0
+# Distance of the parts that are compared, s: every other image at 10 Hz.
+_STEP = 0.2
 
 
 def select_middles(timeline: RecordingTimeline, rests: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
-    """The middle of each rest; twice the period of the slowest sensor holds one full measurement for certain."""
+    """The middle of each rest, or its quietest part where views change in the middle.
+
+    Twice the period of the slowest sensor holds one full measurement for certain.
+    """
     periods = [times.period for times in timeline.sensors.values() if np.isfinite(times.period)]
     length = max(_MIDDLE, *(2 * period for period in periods))
-    margins = [max((b - a - length) / 2, 0.0) for a, b in rests]
-    return [(a + margin, b - margin) for (a, b), margin in zip(rests, margins, strict=True)]
+    noise = find_noise(timeline, rests)
+    views = [(timeline.sensors[name].with_content(), level) for name, level in noise.items() if level > 0]
+
+    def measure_change(start: float) -> float:
+        """Largest mean change of a view from here on, over the noise of the view in rests."""
+        changes = [0.0]
+        for times, level in views:
+            inside = (times.stamps - times.reach >= start) & (times.stamps <= start + length)
+            changes.append(float(times.activity[inside].mean()) / level if inside.any() else 0.0)
+        return max(changes)
+
+    starts = []
+    for a, b in rests:
+        margin = max((b - a - length) / 2, 0.0)
+        least = min(margin, length / 2)
+        quietest = min(np.arange(a + least, b - length - least, _STEP), key=measure_change, default=a + margin)
+        moves = measure_change(a + margin) > _LOUD * measure_change(quietest)
+        starts.append(float(quietest) if moves else a + margin)
+    return [(start, min(start + length, b)) for start, (_, b) in zip(starts, rests, strict=True)]
 
 
 def _find_spans_by_trigger(timeline: RecordingTimeline) -> list[tuple[float, float]]:

@@ -27,8 +27,8 @@ Indices = NDArray[np.intp]
 Keys = NDArray[np.int64]
 """Of voxels."""
 
-# Share of scans that may show dust, a passer-by, or the board, which comes as the window ends: one in twenty. It is
-# the quantile of a beam's ranges that is its nearest depth, and space that so few sweeps measure is free.
+# Share of scans that may show dust, a passer-by, or the board, which comes as the window ends: one in twenty. It
+# is the quantile of a beam's ranges that is its nearest depth, and space that so few sweeps measure is free.
 _PASSING_SHARE = 0.05
 # Ranges within this distance of the nearest depth, m, determine its noise: ten standard deviations of a noisy
 # scanner (30 mm), and less than the jump at an edge of furniture.

@@ -119,7 +119,8 @@ class CloudBackground:
     def foreground(self, points: Array) -> Mask:
         """Which of the points (N, 3), m, are neither at nor behind the background: (N,)."""
         keys = pack_voxels(find_voxels(points, self.voxel))
-        in_background = self.keys[np.minimum(np.searchsorted(self.keys, keys), len(self.keys) - 1)] == keys
+        # No voxel has a negative key: the last entry stands for keys above all others.
+        in_background = np.append(self.keys, -1)[np.searchsorted(self.keys, keys)] == keys
         # Few points are outside of the background's voxels: only their directions are needed.
         foreground, outside = ~in_background, np.flatnonzero(~in_background)
         others = points.take(outside, axis=0)
