@@ -40,7 +40,7 @@ class Scene:
         views = []
         for s, views_of_sensor in enumerate(self.bundle.views):
             T = relative_poses(self.truth.T_root_sensor[s], self.truth.T_root_board[views_of_sensor.board])
-            spread = np.sqrt(with_bias.bias_variances(s)[:, :6])
+            spread = np.sqrt(with_bias.bias_variances(s).pose)
             T = se3.retract(T, spread * rng.normal(size=(len(T), 6)))
             views.append(remeasured(views_of_sensor, T, rng, noise))
         return replace(self.bundle, views=tuple(views))

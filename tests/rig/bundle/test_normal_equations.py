@@ -8,6 +8,7 @@ import pytest
 from calgraph.geometry import Array, Index
 from calgraph.rig.bundle.bundle_solver import HUBER_THRESHOLD
 from calgraph.rig.bundle.normal_equations import (
+    BiasVariances,
     accumulate,
     accumulate_biased,
     consistency_statistic,
@@ -28,7 +29,7 @@ def random_residuals(rng: np.random.Generator, k: int, q: int, p: int, size: flo
 
 def marginalized(linearized: LinearizedResiduals, start: Index, view_bias: Array) -> tuple[Array, Array, Array]:
     """Along the sensor's axes, with variances (6,) of the bias of a view, none of rings and of the stamp."""
-    variances = np.append(view_bias, [0.0, 0.0])
+    variances = BiasVariances(view_bias, np.zeros(()), np.zeros(()))
     equations = accumulate_biased(linearized, start, variances, HUBER_THRESHOLD)
     information, gradient, costs = equations.marginalize_bias(variances)
     turned = np.swapaxes(linearized.local_jacobian, -1, -2)

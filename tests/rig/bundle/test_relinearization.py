@@ -10,11 +10,11 @@ from calgraph.geometry import Array, se3, so3
 from calgraph.rig.bundle.bundle_solver import linearize_bundle, minimize_bundle
 from calgraph.rig.bundle.covariances import parameter_covariance
 from calgraph.rig.bundle.linearization import linearize_views
-from calgraph.rig.bundle.normal_equations import ViewNormalEquations
+from calgraph.rig.bundle.normal_equations import BiasVariances, ViewNormalEquations
 from calgraph.rig.bundle.observations import relative_poses
 from calgraph.rig.bundle.range_observations import RangeObservations
 
-STILL, NO_BIAS = np.zeros(0), np.zeros(8)
+STILL, NO_BIAS = np.zeros(0), BiasVariances(np.zeros(6), np.zeros(()), np.zeros(()))
 
 
 def lidar_views(rng: np.random.Generator) -> tuple[RangeObservations, Array]:
@@ -80,8 +80,8 @@ def test_extrapolation_is_limited(step: list[float], rng: np.random.Generator) -
 def test_a_range_bias_is_extrapolated(rng: np.random.Generator) -> None:
     views, T = lidar_views(rng)
     views, zero, biased = with_range_bias(views), np.zeros(1), np.array([0.002])
-    extrapolated = linearize_views(views, T, zero, np.zeros(8), 2.5).extrapolate(views, T, biased)
-    exact_equations = linearize_views(views, T, biased, np.zeros(8), 2.5).equations
+    extrapolated = linearize_views(views, T, zero, NO_BIAS, 2.5).extrapolate(views, T, biased)
+    exact_equations = linearize_views(views, T, biased, NO_BIAS, 2.5).equations
     assert extrapolated is not None
     assert np.abs(gradients(extrapolated) - gradients(exact_equations)).max() < 0.1
 

@@ -10,7 +10,7 @@ from calgraph.geometry import Array, se3
 from calgraph.rig.bundle.board_motions import velocity_along_sensor
 from calgraph.rig.bundle.bundle_solver import Bundle, minimize_bundle
 from calgraph.rig.bundle.covariances import pose_covariance
-from calgraph.rig.bundle.normal_equations import accumulate
+from calgraph.rig.bundle.normal_equations import BiasVariances, accumulate
 from calgraph.rig.bundle.observations import relative_poses
 from calgraph.rig.bundle.settling import settle_variances
 
@@ -55,7 +55,7 @@ def test_the_information_of_a_view_is_that_with_a_common_error_of_its_stamp(sens
     views = moving(exact, rng).views[sensor]
     T = relative_poses(exact.truth.T_root_sensor[sensor], exact.truth.T_root_board[views.board])
     residuals = views.linearize(T, np.zeros(0))
-    variance = np.append(np.zeros(7), 0.01**2)
+    variance = BiasVariances(np.zeros(6), np.zeros(()), np.array(0.01**2))
     information, _, _ = accumulate(residuals, views.start, 1e9).marginalize_bias(variance)
     velocity = residuals.velocity
     assert velocity is not None

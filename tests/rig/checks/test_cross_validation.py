@@ -189,7 +189,7 @@ def test_the_expected_error_of_a_view_contains_its_bias(first: int) -> None:
     signs = np.zeros((40, 6))
     signs[:, first : first + 3] = np.random.default_rng(0).choice([-1, 1], (40, 3))
     T = relative_poses(exact.truth.T_root_sensor[1], exact.truth.T_root_board)
-    off = se3.retract(T, signs * np.sqrt(bundle.bias_variances(1)[:, :6]))
+    off = se3.retract(T, signs * np.sqrt(bundle.bias_variances(1).pose))
     lidar, camera, laser = bundle.views
     camera = remeasured(camera, off, np.random.default_rng(0), noise=0.0)
     predicted = left_out(exact, replace(bundle, views=(lidar, camera, laser)))

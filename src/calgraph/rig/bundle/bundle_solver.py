@@ -17,6 +17,7 @@ from calgraph.errors import CalibrationError
 from calgraph.geometry import Array, Index, se3, se_n, so3
 from calgraph.rig.bundle.bundle_parameters import SensorPrior, SystematicParameter
 from calgraph.rig.bundle.linearization import CachedLinearization, linearize_views
+from calgraph.rig.bundle.normal_equations import BiasVariances
 from calgraph.rig.bundle.observations import BoardViews, relative_poses
 from calgraph.solver.levenberg_marquardt import minimize
 
@@ -148,12 +149,14 @@ class Bundle:
         least = _MIN_VIEW_BIAS if k >= len(self.views) else 0.0
         return np.array([least, least / self.lever, least, 0.0]) ** 2
 
-    def bias_variances(self, k: int) -> Array:
-        """(V, 8) variances of the bias of each view in k: along the sensor's axes, of rings, and of the stamp."""
-        variances = np.tile(np.repeat(self.bias_variance[k], [3, 3, 1, 1]), (len(self.all_views[k].board), 1))
-        if len(by_motion := self.all_views[k].motion_variance):
-            variances[:, :6] += by_motion
-        return variances
+    def bias_variances(self, k: int) -> BiasVariances:
+        """Of each view in k."""
+        displacement, rotation, ring, stamp = self.bias_variance[k]
+        views = self.all_views[k]
+        pose = np.tile(np.repeat([displacement, rotation], 3), (len(views.board), 1))
+        if len(views.motion_variance):
+            pose += views.motion_variance
+        return BiasVariances(pose, np.full(len(pose), ring), np.full(len(pose), stamp))
 
 
 @dataclass(frozen=True, eq=False)

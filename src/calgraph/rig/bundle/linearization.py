@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from calgraph.geometry import Array, Index
-from calgraph.rig.bundle.normal_equations import ViewNormalEquations, accumulate_biased
+from calgraph.rig.bundle.normal_equations import BiasVariances, ViewNormalEquations, accumulate_biased
 from calgraph.rig.bundle.observations import BoardViews
 
 # A scanner's views have a hundred thousand beams, and a solver evaluates a dozen states. Near the state of the
@@ -77,7 +77,7 @@ class CachedLinearization:
 
 
 def linearize_views(
-    views: BoardViews, T_sensor_board: Array, extra: Array, bias_variance: Array, huber_threshold: float
+    views: BoardViews, T_sensor_board: Array, extra: Array, bias: BiasVariances, huber_threshold: float
 ) -> CachedLinearization:
     """Linearizes every measurement of one sensor's views.
 
@@ -85,9 +85,9 @@ def linearize_views(
         views: of one sensor.
         T_sensor_board: (V, 4, 4) the state.
         extra: (e,) the sensor's extra parameters.
-        bias_variance: (V, 8) variances of the views' biases, as of :meth:`Bundle.bias_variances`.
+        bias: variances of the views' biases.
         huber_threshold: of whitened residuals.
     """
     residuals = views.linearize(T_sensor_board, extra)
-    equations = accumulate_biased(residuals, views.start, bias_variance, huber_threshold)
+    equations = accumulate_biased(residuals, views.start, bias, huber_threshold)
     return CachedLinearization(T_sensor_board, extra, equations)

@@ -18,6 +18,18 @@ _REWEIGHTING_TOLERANCE = 1e-2
 
 
 @dataclass(frozen=True, eq=False)
+class BiasVariances:
+    """Variances of the bias of each of V views, or of all alike."""
+
+    pose: Array
+    """(V, 6) or (6,) of the board's displacement, m², and rotation, rad², along the sensor's axes."""
+    ring: Array
+    """(V,) or () of the ranges of a ring, m²."""
+    stamp: Array
+    """(V,) or () of the stamp, s²: it displaces a moving board along its velocity."""
+
+
+@dataclass(frozen=True, eq=False)
 class ViewNormalEquations:
     """The normal equations of V views, each summed over its measurements."""
 
@@ -109,27 +121,22 @@ class ViewNormalEquations:
         squared_residuals = self.squared_residuals + np.sum(change * (self.Jtr + Jtr), axis=-1)
         return replace(self, Jtr=Jtr, squared_residuals=squared_residuals, local_jacobian=local_jacobian)
 
-    def marginalize_bias(self, variance: Array) -> tuple[Array, Array, Array]:
+    def marginalize_bias(self, variances: BiasVariances) -> tuple[Array, Array, Array]:
         """Information, gradients and costs with a bias of each view marginalised.
 
         A bent board, a range error on one material, a late stamp: the errors of one view's measurements are
         correlated, and do not average out. The bias is modelled as a displacement of the board before the sensor,
-        and of each ring's ranges, with covariance Q; information A becomes ``(A⁻¹ + Q)⁻¹``. An error of the stamp
-        displaces a moving board along its velocity.
-
-        Args:
-            variance: (8,) or (V, 8) of the displacement and rotation along the sensor's axes, of the bias of a
-                ring, and of the stamp (s²).
+        and of each ring's ranges, with covariance Q; information A becomes ``(A⁻¹ + Q)⁻¹``.
 
         Returns:
             (V, q, q), (V, q) and (V,).
         """
         cost = self.robust_cost_offset + 0.5 * self.squared_residuals
-        if not np.any(variance):
+        if not any(map(np.any, (variances.pose, variances.ring, variances.stamp))):
             return self.JtJ, self.Jtr, cost
         A, b = self.JtJ, self.Jtr
-        if np.any(of_ring := variance[..., 6]):
-            to_rings, P, shift = self._ring_biases(of_ring)
+        if np.any(variances.ring):
+            to_rings, P, shift = self._ring_biases(variances.ring)
             n = A.shape[-1] - self.ring_count
             # Rings are coupled to the other parameters, but not to each other.
             left = 1 - P * self.JtJ[:, np.arange(n, A.shape[-1]), np.arange(n, A.shape[-1])]
@@ -139,18 +146,18 @@ class ViewNormalEquations:
             A[:, n:] *= left[..., None]
             b = b - _matvec(to_rings, shift)
             cost = cost - 0.5 * np.sum(self._of_rings(self.Jtr) * shift, axis=-1)
-        return marginalize_bias(A, b, cost, self._pose_bias_prior(variance))
+        return marginalize_bias(A, b, cost, self._pose_bias_prior(variances))
 
-    def estimate_bias(self, variance: Array) -> Array:
-        """(V, q) most likely bias, for its variances (8,) or (V, 8)."""
+    def estimate_bias(self, variances: BiasVariances) -> Array:
+        """(V, q) most likely bias."""
         p, shift = self.pose_count, np.zeros_like(self.Jtr)
         A, b = self.JtJ[:, :p, :p], self.Jtr[:, :p]
-        has_rings = np.any(variance[..., 6])
+        has_rings = np.any(variances.ring)
         if has_rings:
-            to_rings, P, of_rings = self._ring_biases(variance[..., 6])
+            to_rings, P, of_rings = self._ring_biases(variances.ring)
             A = A - (to_rings[:, :p] * P[:, None]) @ se_n.transpose(to_rings[:, :p])
             b = b - _matvec(to_rings[:, :p], of_rings)
-        shift[:, :p] = -_matvec(compute_bias_covariance(A, self._pose_bias_prior(variance)), b)
+        shift[:, :p] = -_matvec(compute_bias_covariance(A, self._pose_bias_prior(variances)), b)
         if has_rings:
             of_rings = of_rings + P * _matvec(se_n.transpose(to_rings[:, :p]), shift[:, :p])
             shift[:, shift.shape[1] - self.ring_count :] = -of_rings
@@ -169,13 +176,13 @@ class ViewNormalEquations:
         """(V, R) of (V, q)."""
         return values[:, values.shape[1] - self.ring_count :]
 
-    def _pose_bias_prior(self, variance: Array) -> Array:
+    def _pose_bias_prior(self, variances: BiasVariances) -> Array:
         """(V, p, p) covariance of the displacement of the local parameters of the pose."""
         J = self.local_jacobian[:, : self.pose_count, :6]
-        Q = (J * variance[..., None, :6]) @ se_n.transpose(J)
-        if self.velocity is not None and np.any(variance[..., 7]):
+        Q = (J * variances.pose[..., None, :]) @ se_n.transpose(J)
+        if self.velocity is not None and np.any(variances.stamp):
             moved = J @ self.velocity[..., None]
-            Q = Q + variance[..., 7, None, None] * moved @ se_n.transpose(moved)
+            Q = Q + variances.stamp[..., None, None] * moved @ se_n.transpose(moved)
         return np.asarray(Q)
 
 
@@ -244,10 +251,10 @@ def accumulate(
 
 
 def accumulate_biased(
-    residuals: LinearizedResiduals, start: Index, variance: Array, huber_threshold: float
+    residuals: LinearizedResiduals, start: Index, variances: BiasVariances, huber_threshold: float
 ) -> ViewNormalEquations:
-    """As :func:`accumulate`, with robust weights at the most likely bias for its ``variance`` (8,) or (V, 8)."""
-    return accumulate(residuals, start, huber_threshold, lambda equations: equations.estimate_bias(variance))
+    """As :func:`accumulate`, with robust weights at the most likely bias."""
+    return accumulate(residuals, start, huber_threshold, lambda equations: equations.estimate_bias(variances))
 
 
 def _jacobian_columns(residuals: LinearizedResiduals) -> Array:

@@ -184,7 +184,7 @@ def _compare_with_prediction(
     velocity = velocity_along_sensor(views.twist, T_board)
     if velocity is not None:
         moved = velocity * meters[:6]
-        X[:, :6, :6] += bundle.bias_variances(sensor)[:, 7, None, None] * moved[:, :, None] * moved[:, None]
+        X[:, :6, :6] += bundle.bias_variances(sensor).stamp[:, None, None] * moved[:, :, None] * moved[:, None]
     # Along directions that the others do not predict, the board follows the sensor itself.
     least = _RANK_TOLERANCE * np.trace(A, axis1=-2, axis2=-1)
     _, loose = _symmetric_roots(free @ A @ free, least)
@@ -213,9 +213,9 @@ def _bias_variances(bundle: Bundle, sensor: int) -> Array:
     """(V, 6 + e) variances of the biases of a sensor's views, in its pose and in its extra parameters."""
     views, variances = bundle.views[sensor], bundle.bias_variances(sensor)
     rings = views.parameters.index[:1, views.parameters["varying"]].ravel()
-    of_extra = np.zeros((len(variances), views.parameters.count))
-    of_extra[:, rings[rings >= 0]] = variances[:, 6:7]
-    return np.concatenate([variances[:, :6], of_extra], axis=1)
+    of_extra = np.zeros((len(variances.pose), views.parameters.count))
+    of_extra[:, rings[rings >= 0]] = variances.ring[:, None]
+    return np.concatenate([variances.pose, of_extra], axis=1)
 
 
 def view_jacobians(views: MarginalizedViews) -> tuple[Array, Array]:
