@@ -24,8 +24,7 @@ from calgraph.config import (
 )
 from calgraph.geometry import Array, se3, so3
 from calgraph.sensors import CameraModel
-from calgraph.simulation import ModelErrors, RigScenario, World
-from calgraph.simulation.ideal_detections import as_scanner
+from calgraph.simulation import RigScenario, World
 from calgraph.simulation.motion import BoardPlacement, BoardTrajectory, pose_from_placement
 from calgraph.simulation.robot import MountedCamera, MountedScanner, RobotSensor, SensorClock
 from calgraph.simulation.scanners import (
@@ -37,8 +36,10 @@ from calgraph.simulation.scanners import (
 )
 from calgraph.simulation.solids import BoxShape, CylinderShape, RectangleShape, Solid
 from calgraph.simulation.world import build_room, operator_solids
+from ideal_detections import as_scanner
 from model_error_draws import draw_errors
 from model_error_kinds import KINDS
+from rig_errors import ModelErrors
 
 LAYOUTS = ("cluster", "ring", "spread", "back to back")
 _R_BODY_OPTICAL = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])

@@ -24,7 +24,6 @@ from calgraph.rig.captures.timeline import RecordingTimeline, SensorTimes
 from calgraph.rig.detection.lidar2d import build_segment
 from calgraph.rig.detection.line_plane_fit import fit_line, fit_plane
 from calgraph.sensors import CameraModel
-from calgraph.simulation.model_errors import BoardErrors, CameraErrors, ModelErrors, ScannerErrors
 from calgraph.simulation.motion import pose_from_placement
 from calgraph.simulation.rig_simulation import world_rig
 from calgraph.simulation.robot import MountedCamera, MountedScanner, RobotSensor
@@ -32,6 +31,7 @@ from calgraph.simulation.scanners import BeamPattern
 from calgraph.simulation.solids import RectangleShape, Solid, cast_rays
 from calgraph.simulation.truth import GroundTruth
 from calgraph.simulation.world import World, ground_truth
+from rig_errors import BoardErrors, CameraErrors, ModelErrors, ScannerErrors
 
 _OUTLINE_MARGIN = 0.02
 """Beams this near to the board's outline are left out, as detectors do, m."""
