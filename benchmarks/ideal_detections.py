@@ -93,7 +93,7 @@ class IdealBeams:
         true = self.board_errors.distance(self.board, starts, rays)
         of_print = self.board_errors.range_bias(self.board, (starts + true[:, None] * rays)[:, :2])
         rings = None if self.stated.rings is None else self.stated.rings[beams]
-        noise = rng.normal(0.0, self.scanner.noise.range, len(beams))
+        noise = rng.normal(0.0, self.scanner.noise.range_noise, len(beams))
         ranges = self.errors.measured_ranges(true, rings) + of_print + noise
         return ranges, origins + ranges[:, None] * self.stated.directions[beams]
 
@@ -260,7 +260,7 @@ def as_scanner(sensor: RobotSensor) -> MountedScanner:
 
 def _range_noise(scanner: MountedScanner, options: IdealDetectorOptions) -> RangeNoise:
     return RangeNoise(
-        range=max(options.stated_noise_factor * scanner.noise.range, _MIN_RANGE_NOISE),
+        range=max(options.stated_noise_factor * scanner.noise.range_noise, _MIN_RANGE_NOISE),
         angle=max(options.stated_noise_factor * options.angle, _MIN_ANGLE_NOISE),
     )
 
