@@ -584,7 +584,7 @@ def _spec(sensor: RobotSensor, factor: float, rng: np.random.Generator) -> Senso
             return CameraSpec(topic=topic, camera_info=f"/{sensor.name}/camera_info", noise=noise)
         return CameraSpec(topic=topic, intrinsics=Intrinsics.from_camera(sensor.camera), noise=noise)
     true = as_scanner(sensor).noise
-    stated = RangeNoise(range=max(factor * true.range, 1e-4), angle=max(factor * true.angle, 1e-5))
+    stated = RangeNoise(range=max(factor * true.range_noise, 1e-4), angle=max(factor * true.angle_noise, 1e-5))
     if sensor.kind == "lidar2d":
         return Lidar2dSpec(topic=topic, noise=stated)
     return Lidar3dSpec(topic=topic, noise=stated)

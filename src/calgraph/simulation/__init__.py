@@ -27,20 +27,13 @@ from calgraph.simulation.rig_scenario import (
 )
 from calgraph.simulation.rig_simulation import Progress, simulate_rig, world_rig
 from calgraph.simulation.truth import BoardTruth, GroundTruth, PersonTruth, load_truth, save_truth
-from calgraph.simulation.world import (
-    SimulatedCapture,
-    World,
-    build_world,
-    ground_truth,
-    simulate_background,
-    simulate_captures,
-)
+from calgraph.simulation.world import World, build_world, ground_truth
 
 __all__ = [
     "BeamOptions", "BoardTruth", "CameraOptions", "GroundTruth", "LaserOptions", "LayoutName",
     "MultibeamOptions", "NetworkErrors", "NetworkScenario", "PeopleOptions", "PersonTruth", "Progress",
-    "RigScenario", "ScannerOptions", "SimulatedCapture", "SimulatedNetwork", "SpinningOptions",
+    "RigScenario", "ScannerOptions", "SimulatedNetwork", "SpinningOptions",
     "StationaryScanner", "World", "build_network", "build_world", "ground_truth", "load_truth", "network_rig",
-    "network_truth", "save_truth", "simulate_background", "simulate_captures", "simulate_network",
+    "network_truth", "save_truth", "simulate_network",
     "simulate_network_scans", "simulate_rig", "simulate_scans", "world_rig",
 ]  # fmt: skip
