@@ -37,16 +37,10 @@ from calgraph.rig.bundle.problem import Estimator, Problem, SolverOptions
 from calgraph.rig.captures.detect import CaptureSet
 from calgraph.rig.options import RigOptions
 from calgraph.rig.pipeline import build_problem_from_captures, solve_problem
-from calgraph.simulation import (
-    GroundTruth,
-    IdealDetectorOptions,
-    ModelErrors,
-    RigScenario,
-    World,
-    build_world,
-    simulate_detections,
-)
+from calgraph.simulation import GroundTruth, RigScenario, World, build_world
+from ideal_detections import IdealDetectorOptions, simulate_detections
 from model_error_draws import draw_errors
+from rig_errors import ModelErrors
 from simulated import poses_of, recorded
 from worlds import grouped, make_parser, run_worlds
 

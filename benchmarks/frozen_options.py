@@ -31,16 +31,15 @@ from calgraph.rig.verification import bootstrap_covariances, compare_extrinsics
 from calgraph.simulation import (
     CameraOptions,
     GroundTruth,
-    IdealDetectorOptions,
     LaserOptions,
     MultibeamOptions,
     RigScenario,
     SpinningOptions,
     build_world,
-    simulate_detections,
 )
 from efficiency import without_uncertainty
 from frozen_rigs import Make, calibrated
+from ideal_detections import IdealDetectorOptions, simulate_detections
 from model_error_rigs import rig_world
 from moving_boards import MovingBoardOptions, simulate_moving_detections
 from moving_boards import scenario as moving_scenario

@@ -37,8 +37,8 @@ from calgraph.simulation import (
     SpinningOptions,
     build_world,
     save_truth,
-    simulate_detections,
 )
+from ideal_detections import simulate_detections
 
 Seeds = Callable[[], list[bytes]]
 

@@ -42,7 +42,7 @@ from calgraph.rig.detection.from_measurements import (
 from calgraph.rig.options import RigOptions
 from calgraph.rig.pipeline import build_problem_from_captures, solve_problem
 from calgraph.sensors import CameraModel
-from calgraph.simulation import simulate_detections
+from ideal_detections import simulate_detections
 from model_error_draws import draw_errors
 from model_error_rigs import rig_world
 from worlds import Layout, grouped, make_parser, run_worlds, share, worst

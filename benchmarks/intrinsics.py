@@ -32,7 +32,6 @@ from calgraph.rig.pipeline import build_problem_from_captures, solve_problem
 from calgraph.sensors import CameraModel
 from calgraph.simulation import (
     CameraOptions,
-    IdealDetectorOptions,
     LaserOptions,
     MultibeamOptions,
     RigScenario,
@@ -40,10 +39,10 @@ from calgraph.simulation import (
     World,
     build_world,
     ground_truth,
-    simulate_detections,
     world_rig,
 )
 from calgraph.simulation.robot import MountedCamera
+from ideal_detections import IdealDetectorOptions, simulate_detections
 from worlds import make_parser
 
 SIZE, MARGIN, NOISE = (640, 480), (40, 30), 0.2

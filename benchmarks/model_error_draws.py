@@ -7,9 +7,10 @@ import numpy as np
 from calgraph.config import Board, CameraSpec, Lidar2dSpec, Lidar3dSpec, Rig
 from calgraph.geometry import Array
 from calgraph.sensors import CameraModel
-from calgraph.simulation import BoardErrors, CameraErrors, ModelErrors, ScannerErrors, World, world_rig
+from calgraph.simulation import World, world_rig
 from calgraph.simulation.robot import MountedCamera, MountedScanner
 from model_error_rigs import cameras_of, ring_count, scanners_of
+from rig_errors import BoardErrors, CameraErrors, ModelErrors, ScannerErrors
 
 
 def draw_errors(world: World, rng: np.random.Generator) -> ModelErrors:

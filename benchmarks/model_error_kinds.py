@@ -8,17 +8,11 @@ from typing import Any
 import numpy as np
 
 from calgraph.sensors import CameraModel
-from calgraph.simulation import (
-    BoardErrors,
-    Bump,
-    CameraErrors,
-    IdealDetectorOptions,
-    ModelErrors,
-    ScannerErrors,
-    World,
-)
+from calgraph.simulation import World
 from calgraph.simulation.robot import MountedCamera, MountedScanner
+from ideal_detections import IdealDetectorOptions
 from model_error_rigs import cameras_of, rig_world, ring_count, scanners_of
+from rig_errors import BoardErrors, Bump, CameraErrors, ModelErrors, ScannerErrors
 
 
 @dataclass(frozen=True, eq=False)

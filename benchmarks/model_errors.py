@@ -30,17 +30,12 @@ from calgraph.result import Calibration, SensorPose
 from calgraph.rig.captures.detect import CaptureSet
 from calgraph.rig.options import RigOptions
 from calgraph.rig.pipeline import build_problem_from_captures, solve_problem
-from calgraph.simulation import (
-    BoardErrors,
-    GroundTruth,
-    IdealDetectorOptions,
-    ModelErrors,
-    World,
-    simulate_detections,
-)
+from calgraph.simulation import GroundTruth, World
+from ideal_detections import IdealDetectorOptions, simulate_detections
 from model_error_draws import draw_errors
 from model_error_kinds import KINDS, MODELLED, Wrong, cases, wrong_world
 from model_error_rigs import SCENARIOS, rig_world
+from rig_errors import BoardErrors, ModelErrors
 from worlds import (
     NAN,
     Layout,

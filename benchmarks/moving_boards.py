@@ -37,9 +37,7 @@ from calgraph.rig.pipeline import build_problem_from_captures, solve_problem
 from calgraph.simulation import (
     CameraOptions,
     GroundTruth,
-    IdealDetectorOptions,
     LaserOptions,
-    ModelErrors,
     MultibeamOptions,
     RigScenario,
     SpinningOptions,
@@ -48,9 +46,10 @@ from calgraph.simulation import (
     ground_truth,
     world_rig,
 )
-from calgraph.simulation.ideal_detections import as_scanner, make_ideal_detector
 from calgraph.simulation.motion import pose_from_placement
 from calgraph.simulation.robot import MountedCamera, RobotSensor
+from ideal_detections import IdealDetectorOptions, as_scanner, make_ideal_detector
+from rig_errors import ModelErrors
 from worlds import Layout, make_parser, measure_error, rms
 
 SPEEDS, SPREADS = (0.1, 0.3, 1.0), (0.0, 0.01, 0.05)

@@ -24,21 +24,16 @@ from calgraph.config import (
 )
 from calgraph.geometry import Array, se3, so3
 from calgraph.sensors import CameraModel
-from calgraph.simulation import ModelErrors, RigScenario, World
-from calgraph.simulation.ideal_detections import as_scanner
+from calgraph.simulation import BeamOptions, RigScenario, World
 from calgraph.simulation.motion import BoardPlacement, BoardTrajectory, pose_from_placement
 from calgraph.simulation.robot import MountedCamera, MountedScanner, RobotSensor, SensorClock
-from calgraph.simulation.scanners import (
-    BeamPattern,
-    SimulatedBeamNoise,
-    laser_pattern,
-    multibeam_pattern,
-    spinning_pattern,
-)
+from calgraph.simulation.scanners import BeamPattern, laser_pattern, multibeam_pattern, spinning_pattern
 from calgraph.simulation.solids import BoxShape, CylinderShape, RectangleShape, Solid
 from calgraph.simulation.world import build_room, operator_solids
+from ideal_detections import as_scanner
 from model_error_draws import draw_errors
 from model_error_kinds import KINDS
+from rig_errors import ModelErrors
 
 LAYOUTS = ("cluster", "ring", "spread", "back to back")
 _R_BODY_OPTICAL = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])
@@ -129,10 +124,10 @@ def _draw_lidar(rng: np.random.Generator, small: bool) -> tuple[BeamPattern, flo
     return multibeam_pattern(elevations, np.radians(max(rng.uniform(0.15, 0.5), finest)), 0.1), 0.1
 
 
-def _draw_beam_noise(rng: np.random.Generator, level: float) -> SimulatedBeamNoise:
-    return SimulatedBeamNoise(
-        range=level * float(np.exp(rng.normal(0, 0.3))),
-        angle=float(rng.choice([0.0, rng.uniform(0, 0.002)])),
+def _draw_beam_noise(rng: np.random.Generator, level: float) -> BeamOptions:
+    return BeamOptions(
+        range_noise=level * float(np.exp(rng.normal(0, 0.3))),
+        angle_noise=float(rng.choice([0.0, rng.uniform(0, 0.002)])),
         mixed_pixels=float(rng.uniform(0, 0.5)),
         dropout=float(rng.choice([0.0, 0.005, rng.uniform(0, 0.2)])),
         min_range=0.1,
@@ -589,7 +584,7 @@ def _spec(sensor: RobotSensor, factor: float, rng: np.random.Generator) -> Senso
             return CameraSpec(topic=topic, camera_info=f"/{sensor.name}/camera_info", noise=noise)
         return CameraSpec(topic=topic, intrinsics=Intrinsics.from_camera(sensor.camera), noise=noise)
     true = as_scanner(sensor).noise
-    stated = RangeNoise(range=max(factor * true.range, 1e-4), angle=max(factor * true.angle, 1e-5))
+    stated = RangeNoise(range=max(factor * true.range_noise, 1e-4), angle=max(factor * true.angle_noise, 1e-5))
     if sensor.kind == "lidar2d":
         return Lidar2dSpec(topic=topic, noise=stated)
     return Lidar3dSpec(topic=topic, noise=stated)

@@ -12,13 +12,13 @@ from calgraph.config import Board, CameraSpec
 from calgraph.geometry import Array, se3, so3
 from calgraph.recording.in_memory import MessageRecording
 from calgraph.sensors import CameraInfo, CameraModel, Image, Message, Trigger
-from calgraph.simulation import BoardErrors
 from calgraph.simulation.camera_render import render_board_texture
-from calgraph.simulation.ideal_detections import as_scanner
 from calgraph.simulation.robot import MountedCamera, MountedScanner, RobotSensor
 from calgraph.simulation.scanners import laser_scan, point_cloud, simulate_ranges
 from calgraph.simulation.solids import Solid, cast_rays
+from ideal_detections import as_scanner
 from random_rig_draws import EMPTY_STEP, POSE_STEP, STREAM_EMPTY, TRIGGER, RandomRig, Shown
+from rig_errors import BoardErrors
 
 Gray = NDArray[np.float32]
 Measure = Callable[[Shown | None, float, float], Message]

@@ -24,7 +24,7 @@ _MAX_NOISE = 0.015
 def well_posed_sensors(rig: RandomRig) -> frozenset[str]:
     """Names of the sensors besides the root of which a good pose is expected."""
     labels = rig.labels
-    noisy = any(isinstance(s, MountedScanner) and s.noise.range > _MAX_NOISE for s in rig.robot)
+    noisy = any(isinstance(s, MountedScanner) and s.noise.range_noise > _MAX_NOISE for s in rig.robot)
     if labels["error"] != "none" or labels["noise"] != "right" or labels["outliers"] != "none" or noisy:
         return frozenset()
     if rig.stated.tolerance.translation < 0.01 or rig.gray_noise > 4:

@@ -21,12 +21,11 @@ from calgraph.simulation import (
     build_world,
     ground_truth,
     load_truth,
-    simulate_background,
-    simulate_captures,
     simulate_rig,
     world_rig,
 )
 from calgraph.simulation.robot import MountedCamera
+from simulated_captures import simulate_background, simulate_captures
 
 
 def detected(scenario: RigScenario, seed: int) -> tuple[Rig, CaptureSet, GroundTruth]:

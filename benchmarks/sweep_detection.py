@@ -21,10 +21,10 @@ from calgraph.geometry import Array, se3, so3
 from calgraph.rig.captures.detectors import make_detectors
 from calgraph.rig.detection.capture_background import learn_capture_background
 from calgraph.sensors import PointCloud
+from calgraph.simulation import BeamOptions
 from calgraph.simulation.motion import BoardPlacement, pose_from_placement
 from calgraph.simulation.scanners import (
     BeamPattern,
-    SimulatedBeamNoise,
     laser_pattern,
     multibeam_pattern,
     point_cloud,
@@ -38,8 +38,8 @@ from worlds import make_parser
 _BOARD: Final = Board(
     size=(1.0, 0.8), pattern=Checkerboard(kind="checkerboard", columns=8, rows=6, square=0.1, center=(0.0, 0.0))
 )
-_NOISE: Final = SimulatedBeamNoise(
-    range=0.012, angle=0.001, mixed_pixels=0.3, dropout=0.01, min_range=0.1, max_range=40.0
+_NOISE: Final = BeamOptions(
+    range_noise=0.012, angle_noise=0.001, mixed_pixels=0.3, dropout=0.01, min_range=0.1, max_range=40.0
 )
 _SCENES: Final = ("open", "clutter", "wall", "tripod", "one place", "bystander", "moving rig")
 _SENSORS: Final = ("16", "32", "64", "unorganised", "spinning")
@@ -47,7 +47,7 @@ _CAPTURES = 12
 _TOLERATED = (0.06, 0.1, 0.3)
 """Errors of a patch that is the board: of the plane at the board's centre, m, of its normal, rad, and of the
 patch's centre, m."""
-_STATED: Final = RangeNoise(range=_NOISE.range, angle=_NOISE.angle)
+_STATED: Final = RangeNoise(range=_NOISE.range_noise, angle=_NOISE.angle_noise)
 
 
 @dataclass(frozen=True, eq=False)

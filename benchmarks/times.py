@@ -41,14 +41,14 @@ from calgraph.simulation import (
     RigScenario,
     SpinningOptions,
     build_world,
-    simulate_captures,
-    simulate_detections,
     simulate_network,
     simulate_rig,
     world_rig,
 )
 from calgraph.simulation.robot import MountedCamera
+from ideal_detections import simulate_detections
 from process_costs import measure_cost
+from simulated_captures import simulate_captures
 from sweep_detection import measure_sweeps
 from worlds import NAN, Layout, grouped, make_parser, median, run_worlds
 

@@ -1,4 +1,4 @@
-"""Draws the pictures of recording.md into docs/images: `python docs/pictures.py`.
+"""Draws the pictures of recording.md into docs/images: `PYTHONPATH=benchmarks python docs/pictures.py`.
 
 Sketches are drawn, and the chart is measured on simulated detections, which takes two minutes.
 """
@@ -9,14 +9,8 @@ from pathlib import Path
 import numpy as np
 
 import calgraph
-from calgraph.simulation import (
-    LaserOptions,
-    MultibeamOptions,
-    RigScenario,
-    SpinningOptions,
-    build_world,
-    simulate_detections,
-)
+from calgraph.simulation import LaserOptions, MultibeamOptions, RigScenario, SpinningOptions, build_world
+from ideal_detections import simulate_detections
 
 IMAGES = Path(__file__).parent / "images"
 INK, PALE, GOOD, BAD, BOARD = "#333", "#bbb", "#2a7f3f", "#b3362b", "#c98a1b"

@@ -16,16 +16,15 @@ from calgraph.rig.captures.detect import CaptureSet
 from calgraph.simulation import (
     CameraOptions,
     GroundTruth,
-    IdealDetectorOptions,
     LaserOptions,
-    ModelErrors,
     MultibeamOptions,
     RigScenario,
     SpinningOptions,
     World,
     build_world,
-    simulate_detections,
 )
+from ideal_detections import IdealDetectorOptions, simulate_detections
+from rig_errors import ModelErrors
 
 QUICK = RigScenario(
     camera=CameraOptions(width=640, height=480, texels_per_mm=0.5, distortion=(-0.2, 0.05, 0.001, -0.001)),

@@ -6,7 +6,8 @@ import pytest
 import moving_boards
 from calgraph.rig.options import RigOptions
 from calgraph.rig.pipeline import build_problem_from_captures, solve_problem
-from calgraph.simulation import CameraOptions, IdealDetectorOptions, LaserOptions, build_world
+from calgraph.simulation import CameraOptions, LaserOptions, build_world
+from ideal_detections import IdealDetectorOptions
 from moving_boards import MovingBoardOptions, simulate_moving_detections
 
 pytestmark = pytest.mark.slow

@@ -10,35 +10,37 @@ With calibrated poses, every point of a cloud is projected into the camera's ima
 # %%
 # A calibrated rig, and an image and a cloud
 # ------------------------------------------
-# For your robot: ``calgraph.load_calibration`` for the poses, and image and cloud of about the same time from
-# ``recording.records(...)``.
+# For your robot: ``calgraph.load_calibration`` for the poses; the rest is the same with your recording and topics.
+from pathlib import Path
+from tempfile import mkdtemp
+
 import numpy as np
 
 import calgraph
 from calgraph.simulation import (
-    CameraOptions, LaserOptions, MultibeamOptions, RigScenario, SpinningOptions, build_world, simulate_captures,
-    simulate_detections,
+    CameraOptions, LaserOptions, MultibeamOptions, RigScenario, SpinningOptions, simulate_rig,
 )  # fmt: skip
 
-stage = build_world(
-    RigScenario(
-        camera=CameraOptions(width=960, height=720, texels_per_mm=1.0),
-        multibeam=MultibeamOptions(count=1, rings=32, lowest=-20, highest=12, rate=5),
-        laser=LaserOptions(count=0),
-        spinning=SpinningOptions(count=0),
-        bearings=(-20, 0, 20),
-        samples=3,
-    ),
-    seed=4,
+folder = Path(mkdtemp())
+scenario = RigScenario(
+    camera=CameraOptions(width=960, height=720, texels_per_mm=1.0),
+    multibeam=MultibeamOptions(count=1, rings=32, lowest=-20, highest=12, rate=5),
+    laser=LaserOptions(count=0),
+    spinning=SpinningOptions(count=0),
+    bearings=(-20, 0, 20),
+    samples=3,
 )
-rig, captured, _ = simulate_detections(stage, seed=0)
-problem = calgraph.build_problem_from_captures(
-    rig, captured, calgraph.RigOptions(folds=0), np.random.default_rng(0)
-)
-calibration = calgraph.solve_problem(problem)
+simulate_rig(scenario, folder, seed=4)
+rig = calgraph.load_rig(folder / "rig.yaml")
+with calgraph.open_recording(folder / "recording") as recording:
+    calibration = calgraph.calibrate_rig(rig, recording, calgraph.RigOptions(folds=0))
+    # The board is at rest in the seconds of a capture.
+    row = next(row for row in calibration.evidence.captures if row.used)
+    window = (recording.start + row.start, recording.start + row.end)
+    newest = {one.topic: one.decode() for one in recording.records(None, *window)}
 
-moment = next(simulate_captures(stage, measurements=1))
-(image,), (cloud,) = moment.messages["camera"], moment.messages["lidar"]
+image, cloud = (newest[rig.sensors[name].topic] for name in ("camera", "lidar"))
+camera = newest["/camera/camera_info"].camera
 print(f"{image.pixels.shape} pixels, {len(cloud.points)} points")
 
 # %%
@@ -47,7 +49,7 @@ print(f"{image.pixels.shape} pixels, {len(cloud.points)} points")
 # Points are transformed to the camera's frame, and :func:`calgraph.colorize_points` returns their colours. Points
 # outside the image, and those that a nearer surface occludes, have none.
 points_camera = calgraph.se3.apply(calibration.transform("camera", "lidar"), cloud.points)
-colors, colored = calgraph.colorize_points(points_camera, captured.cameras["camera"], image.pixels)
+colors, colored = calgraph.colorize_points(points_camera, camera, image.pixels)
 print(f"{colored.sum()} of {len(colored)} points have a colour")
 
 # %%

@@ -11,22 +11,22 @@ The tree of transforms as a launch file, as tf, and as URDF. No ROS is needed to
 # A result
 # --------
 # For your robot: ``calibration = calgraph.load_calibration("result/calibration.yaml")``.
-import numpy as np
+from pathlib import Path
+from tempfile import mkdtemp
 
 import calgraph
-from calgraph.simulation import (
-    CameraOptions, MultibeamOptions, RigScenario, SpinningOptions, build_world, simulate_detections,
-)  # fmt: skip
+from calgraph.simulation import CameraOptions, MultibeamOptions, RigScenario, SpinningOptions, simulate_rig
 
+folder = Path(mkdtemp())
 scenario = RigScenario(
     camera=CameraOptions(texels_per_mm=0.5), multibeam=MultibeamOptions(count=1),
     spinning=SpinningOptions(count=0), bearings=(-20, 0, 20), radii=(1.7, 2.5), samples=2,
 )  # fmt: skip
-rig, captured, _ = simulate_detections(build_world(scenario, 0), seed=0)
-problem = calgraph.build_problem_from_captures(
-    rig, captured, calgraph.RigOptions(folds=0), np.random.default_rng(0)
-)
-calibration = calgraph.solve_problem(problem)
+simulate_rig(scenario, folder, seed=0)
+with calgraph.open_recording(folder / "recording") as recording:
+    calibration = calgraph.calibrate_rig(
+        calgraph.load_rig(folder / "rig.yaml"), recording, calgraph.RigOptions(folds=0)
+    )
 print(calgraph.to_dataframe(calibration)[["frame_id", "parent", "x", "y", "z", "verdict"]].round(3).to_string())
 
 # %%
@@ -34,10 +34,7 @@ print(calgraph.to_dataframe(calibration)[["frame_id", "parent", "x", "y", "z", "
 # -------------
 # One ``static_transform_publisher`` for each edge of the tree; ``calgraph export result/ --format launch``
 # writes the same.
-from pathlib import Path
-from tempfile import mkdtemp
-
-launch = Path(mkdtemp()) / "sensors.launch.py"
+launch = folder / "sensors.launch.py"
 launch.write_text(calgraph.export(calibration, "launch"))
 print(launch.read_text()[:1100], "...")
 

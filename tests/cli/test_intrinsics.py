@@ -24,9 +24,9 @@ from calgraph.simulation import (
     RigScenario,
     SpinningOptions,
     build_world,
-    simulate_captures,
 )
 from calgraph.simulation.robot import MountedCamera
+from simulated_captures import simulate_captures
 
 Run = Callable[..., Result]
 BOARD = Board(

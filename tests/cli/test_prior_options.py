@@ -21,7 +21,8 @@ from calgraph.rig.bundle.problem_file import load_problem, save_problem
 from calgraph.rig.options import RigOptions
 from calgraph.rig.pairs.board_pair import select_successful
 from calgraph.rig.pipeline import build_problem_from_captures
-from calgraph.simulation import IdealDetectorOptions, RigScenario, build_world, simulate_detections
+from calgraph.simulation import RigScenario, build_world
+from ideal_detections import IdealDetectorOptions, simulate_detections
 from simulated_rigs import without_bootstrap
 from written_results import read_without_provenance
 

@@ -11,7 +11,8 @@ from typer.testing import Result
 from calgraph.rig.bundle.problem_file import save_problem
 from calgraph.rig.options import RigOptions
 from calgraph.rig.pipeline import build_problem_from_captures
-from calgraph.simulation import CameraOptions, LaserOptions, RigScenario, build_world, simulate_detections
+from calgraph.simulation import CameraOptions, LaserOptions, RigScenario, build_world
+from ideal_detections import simulate_detections
 
 Run = Callable[..., Result]
 

@@ -23,7 +23,8 @@ from calgraph.simulation.rig_scenario import (
 )
 from calgraph.simulation.rig_simulation import TRIGGER_TOPIC, simulate_rig, topic_of, world_rig
 from calgraph.simulation.robot import MountedScanner
-from calgraph.simulation.world import build_world, ground_truth, simulate_background, simulate_captures
+from calgraph.simulation.world import build_world, ground_truth
+from simulated_captures import simulate_background, simulate_captures
 
 
 def scenario(radii: tuple[float, ...] = (1.3, 2.0), **depth: float) -> RigScenario:

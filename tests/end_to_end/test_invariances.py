@@ -24,12 +24,12 @@ from calgraph.simulation import (
     RigScenario,
     SpinningOptions,
     build_world,
-    simulate_captures,
     world_rig,
 )
 from calgraph.simulation.robot import MountedCamera
 from random_rig_draws import draw_rig
 from random_rig_messages import record
+from simulated_captures import simulate_captures
 from simulated_rigs import without_bootstrap
 
 pytestmark = pytest.mark.slow

@@ -16,7 +16,6 @@ from calgraph.rig.pipeline import build_problem_from_captures, solve_problem
 from calgraph.sensors import Image, LaserScan, Message, RecordedMessage
 from calgraph.simulation import (
     CameraOptions,
-    IdealDetectorOptions,
     LaserOptions,
     MultibeamOptions,
     RigScenario,
@@ -25,6 +24,7 @@ from calgraph.simulation import (
     ground_truth,
     world_rig,
 )
+from ideal_detections import IdealDetectorOptions
 from moving_boards import MovingBoardOptions, simulate_moving_detections
 from simulated_rigs import build_recording, calibrate, pose_errors, simulate_recording
 

@@ -11,7 +11,8 @@ from calgraph.live.rig_solution import estimate_up, suggest_next_pose
 from calgraph.rig.bundle.solution import SolvedBundle
 from calgraph.rig.options import RigOptions
 from calgraph.rig.pipeline import build_problem_from_captures, solve_jointly
-from calgraph.simulation import LaserOptions, RigScenario, SpinningOptions, build_world, simulate_detections
+from calgraph.simulation import LaserOptions, RigScenario, SpinningOptions, build_world
+from ideal_detections import simulate_detections
 
 SCENARIO = RigScenario(
     laser=LaserOptions(count=1, resolution=0.5),

@@ -14,7 +14,8 @@ from calgraph.result import Calibration
 from calgraph.rig.captures.detect import CaptureSet
 from calgraph.rig.options import RigOptions
 from calgraph.rig.pipeline import build_problem_from_captures, solve_problem
-from calgraph.simulation import LaserOptions, RigScenario, SpinningOptions, build_world, simulate_detections
+from calgraph.simulation import LaserOptions, RigScenario, SpinningOptions, build_world
+from ideal_detections import simulate_detections
 
 SCENARIO = RigScenario(
     laser=LaserOptions(count=2, resolution=0.5),

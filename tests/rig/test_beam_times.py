@@ -13,7 +13,7 @@ from calgraph.rig.beam_times import UntimedScanner, compensate_with_beam_times
 from calgraph.rig.captures.detect import CaptureSet
 from calgraph.rig.captures.moving_board import compensate_motion
 from calgraph.simulation import CameraOptions, LaserOptions, RigScenario, SpinningOptions, build_world
-from calgraph.simulation.ideal_detections import as_scanner
+from ideal_detections import as_scanner
 from moving_boards import MovingBoardOptions, simulate_moving_detections
 
 LASER = "laser_front"

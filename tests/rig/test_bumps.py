@@ -8,19 +8,16 @@ from calgraph.result import Calibration
 from calgraph.rig.options import RigOptions
 from calgraph.rig.pipeline import build_problem_from_captures, solve_problem
 from calgraph.simulation import (
-    Bump,
-    CameraErrors,
     CameraOptions,
     GroundTruth,
     LaserOptions,
-    ModelErrors,
     MultibeamOptions,
     RigScenario,
-    ScannerErrors,
     SpinningOptions,
     build_world,
-    simulate_detections,
 )
+from ideal_detections import simulate_detections
+from rig_errors import Bump, CameraErrors, ModelErrors, ScannerErrors
 
 SCENARIO = RigScenario(
     camera=CameraOptions(distortion=(-0.1, 0.03, 0.0005, -0.0005, 0.0)),

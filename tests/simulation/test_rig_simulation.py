@@ -16,13 +16,10 @@ from calgraph.simulation import (
     LaserOptions,
     MultibeamOptions,
     RigScenario,
-    SimulatedCapture,
     SpinningOptions,
     build_world,
     ground_truth,
     load_truth,
-    simulate_background,
-    simulate_captures,
     simulate_rig,
     world_rig,
 )
@@ -30,6 +27,7 @@ from calgraph.simulation.motion import BoardPlacement
 from calgraph.simulation.robot import MountedScanner
 from calgraph.simulation.solids import CylinderShape, RectangleShape, Solid
 from calgraph.simulation.world import simulate_measurement
+from simulated_captures import SimulatedCapture, simulate_background, simulate_captures
 
 SMALL = RigScenario(
     camera=CameraOptions(width=320, height=240, texels_per_mm=0.5),

@@ -2,10 +2,10 @@ import numpy as np
 import pytest
 
 from calgraph.geometry import Array, se3, so3
+from calgraph.simulation import BeamOptions
 from calgraph.simulation.scanners import (
     BeamPattern,
     SceneAt,
-    SimulatedBeamNoise,
     laser_pattern,
     multibeam_pattern,
     point_cloud,
@@ -14,7 +14,7 @@ from calgraph.simulation.scanners import (
 )
 from calgraph.simulation.solids import BoxShape, RectangleShape, Solid
 
-EXACT = SimulatedBeamNoise(range=0.0, angle=0.0, mixed_pixels=0.0, dropout=0.0, min_range=0.1, max_range=30.0)
+EXACT = BeamOptions(range_noise=0.0, angle_noise=0.0, mixed_pixels=0.0, dropout=0.0, min_range=0.1, max_range=30.0)
 QUARTER = np.radians(0.25)
 
 
@@ -31,9 +31,7 @@ def spinning(tilt: float = 0.0, offset: float = 0.0) -> BeamPattern:
     return spinning_pattern(laser, 0.02, tilt, offset, 1 / 3, np.pi)
 
 
-def many(
-    pattern: BeamPattern, scene: SceneAt, noise: SimulatedBeamNoise, times: int, rng: np.random.Generator
-) -> Array:
+def many(pattern: BeamPattern, scene: SceneAt, noise: BeamOptions, times: int, rng: np.random.Generator) -> Array:
     """(times, N) ranges."""
     return np.stack([simulate_ranges(pattern, np.eye(4), 0.0, scene, noise, rng) for _ in range(times)])
 
@@ -54,8 +52,8 @@ def test_laser_has_the_stated_beams() -> None:
 
 def test_range_noise_has_the_stated_deviation(rng: np.random.Generator) -> None:
     pattern = laser_pattern(np.radians(20), QUARTER, 0.025)
-    noise = SimulatedBeamNoise(
-        range=0.015, angle=0.0, mixed_pixels=0.0, dropout=0.0, min_range=0.1, max_range=30.0
+    noise = BeamOptions(
+        range_noise=0.015, angle_noise=0.0, mixed_pixels=0.0, dropout=0.0, min_range=0.1, max_range=30.0
     )
     errors = many(pattern, unchanging(wall(2.0)), noise, 400, rng) - 2.0 / np.cos(pattern.angles)
     assert errors.std() == pytest.approx(0.015, rel=0.02)
@@ -64,8 +62,8 @@ def test_range_noise_has_the_stated_deviation(rng: np.random.Generator) -> None:
 
 def test_angle_noise_moves_ranges_on_a_slanted_wall(rng: np.random.Generator) -> None:
     pattern = laser_pattern(np.radians(130), np.radians(1), 0.025)
-    noise = SimulatedBeamNoise(
-        range=0.0, angle=0.002, mixed_pixels=0.0, dropout=0.0, min_range=0.1, max_range=30.0
+    noise = BeamOptions(
+        range_noise=0.0, angle_noise=0.002, mixed_pixels=0.0, dropout=0.0, min_range=0.1, max_range=30.0
     )
     ranges = many(pattern, unchanging(wall(2.0)), noise, 1500, rng)
     slanted = np.abs(pattern.angles) > np.radians(20)
@@ -75,14 +73,18 @@ def test_angle_noise_moves_ranges_on_a_slanted_wall(rng: np.random.Generator) ->
 
 
 def test_dropouts_have_the_stated_probability(rng: np.random.Generator) -> None:
-    noise = SimulatedBeamNoise(range=0.0, angle=0.0, mixed_pixels=0.0, dropout=0.1, min_range=0.1, max_range=30.0)
+    noise = BeamOptions(
+        range_noise=0.0, angle_noise=0.0, mixed_pixels=0.0, dropout=0.1, min_range=0.1, max_range=30.0
+    )
     pattern = laser_pattern(np.radians(90), QUARTER, 0.025)
     lost = np.isnan(many(pattern, unchanging(wall(2.0)), noise, 100, rng)).mean()
     assert lost == pytest.approx(0.1, abs=0.01)
 
 
 def test_ranges_beyond_the_limits_are_not_measured(rng: np.random.Generator) -> None:
-    noise = SimulatedBeamNoise(range=0.0, angle=0.0, mixed_pixels=0.0, dropout=0.0, min_range=0.1, max_range=2.5)
+    noise = BeamOptions(
+        range_noise=0.0, angle_noise=0.0, mixed_pixels=0.0, dropout=0.0, min_range=0.1, max_range=2.5
+    )
     pattern = laser_pattern(np.radians(100), QUARTER, 0.025)
     ranges = simulate_ranges(pattern, np.eye(4), 0.0, unchanging(wall(2.0)), noise, rng)
     assert np.isfinite(ranges).tolist() == (2.0 / np.cos(pattern.angles) <= 2.5).tolist()
@@ -91,7 +93,9 @@ def test_ranges_beyond_the_limits_are_not_measured(rng: np.random.Generator) -> 
 def test_mixed_pixels_lie_between_the_depths_beside_an_edge(rng: np.random.Generator) -> None:
     upright = np.array([[0.0, 0, -1], [-1, 0, 0], [0, 1, 0]])
     board = Solid(RectangleShape(1.0, 1.0), se3.pose(upright, np.array([2.0, 0, 0])))
-    noise = SimulatedBeamNoise(range=0.0, angle=0.0, mixed_pixels=0.4, dropout=0.0, min_range=0.1, max_range=30.0)
+    noise = BeamOptions(
+        range_noise=0.0, angle_noise=0.0, mixed_pixels=0.4, dropout=0.0, min_range=0.1, max_range=30.0
+    )
     pattern = laser_pattern(np.radians(60), QUARTER, 0.025)
     scene = unchanging(board, wall(4.0))
     exact = simulate_ranges(pattern, np.eye(4), 0.0, scene, EXACT, rng)

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 import typer
 from rich.markup import escape
-from rich.table import Table
 
 from calgraph.calibrate.result_files import format_comparison, write_results
 from calgraph.cli.cache import open_cache
@@ -22,7 +21,7 @@ from calgraph.cli.common_options import (
     check_not_overwriting,
     open_engine,
 )
-from calgraph.cli.console import console
+from calgraph.cli.console import console, make_table
 from calgraph.cli.printing import print_remarks
 from calgraph.cli.progress import progress_bars
 from calgraph.cli.setting_options import SetOption, load_rig_with
@@ -148,10 +147,7 @@ def _print(audit: "ExtrinsicsComparison", against: Path, root: str) -> None:
     """A row per sensor: given minus estimated pose, along its axes; then the outcome of each."""
     output = console()
     output.print(f"[bold]{escape(str(against))} minus the estimated poses[/], along each sensor's axes")
-    table = Table(box=None, pad_edge=False)
-    table.add_column("sensor", overflow="fold")
-    for head in ("x mm", "y mm", "z mm", "rx °", "ry °", "rz °", "residual", ""):
-        table.add_column(head, justify="right", no_wrap=True)
+    table = make_table(["sensor"], ("x mm", "y mm", "z mm", "rx °", "ry °", "rz °", "residual", ""))
     for sensor in audit.sensors:
         cells = [
             f"{1000 * axis.offset if i < 3 else np.degrees(axis.offset):+.{1 if i < 3 else 2}f}"

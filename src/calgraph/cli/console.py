@@ -1,6 +1,9 @@
 """Where commands print: wrapped on a terminal, whole lines anywhere else."""
 
+from collections.abc import Iterable
+
 from rich.console import Console
+from rich.table import Table
 
 _UNWRAPPED = 10_000
 
@@ -18,3 +21,19 @@ def console(*, stderr: bool = False) -> Console:
     if plain.is_terminal:
         return plain
     return _Console(stderr=stderr, highlight=False, emoji=False, width=_UNWRAPPED)
+
+
+def make_table(names: Iterable[str], numbers: Iterable[str], *, gap: int = 2) -> Table:
+    """A table without lines.
+
+    Args:
+        names: heads of the first columns, whose names are folded where they are too long for the terminal.
+        numbers: heads of the others.
+        gap: spaces between two columns.
+    """
+    table = Table(box=None, pad_edge=False, padding=(0, 1, 0, gap - 1), header_style="bold")
+    for head in names:
+        table.add_column(head, overflow="fold")
+    for head in numbers:
+        table.add_column(head, justify="right", no_wrap=True)
+    return table

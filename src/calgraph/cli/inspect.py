@@ -8,10 +8,9 @@ from typing import Annotated
 
 import typer
 from rich.markup import escape
-from rich.table import Table
 
 from calgraph.cli.common_options import OneRecording
-from calgraph.cli.console import console
+from calgraph.cli.console import console, make_table
 from calgraph.cli.init import find_background, find_mode
 from calgraph.cli.printing import print_calibration, print_provenance
 from calgraph.cli.progress import progress_bars
@@ -78,10 +77,8 @@ def _print(recording: str, inspection: Inspection, mode: RecognizedMode | None, 
     duration = f"{inspection.duration:.1f} s, " if any(topic.timing for topic in inspection.topics) else ""
     title = f"{recording}: {duration}{sum(t.count for t in inspection.topics)} messages"
     output.print(f"[bold]{escape(title)}[/]")
-    table = Table(box=None, pad_edge=False)
-    table.add_column("topic", overflow="fold")
-    for head in ("count", *(("Hz", "jitter\nms", "gap\ns", "start\ns", "delay\nms") if duration else ())):
-        table.add_column(head, justify="right", no_wrap=True)
+    times = ("Hz", "jitter\nms", "gap\ns", "start\ns", "delay\nms") if duration else ()
+    table = make_table(["topic"], ("count", *times))
     for topic in inspection.topics:
         table.add_row(escape(topic.name), str(topic.count), *_times(topic))
     output.print(table)

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 import typer
 from rich.markup import escape
-from rich.table import Table
 
 from calgraph.cli.cache import open_cache
 from calgraph.cli.common_options import (
@@ -19,7 +18,7 @@ from calgraph.cli.common_options import (
     check_not_overwriting,
     open_engine,
 )
-from calgraph.cli.console import console
+from calgraph.cli.console import console, make_table
 from calgraph.cli.progress import progress_bars
 from calgraph.cli.setting_options import SetOption, load_rig_with, override_settings, parse_limits
 from calgraph.config import CameraSpec, Rig
@@ -182,9 +181,7 @@ def _print(found: Mapping[str, "IntrinsicsEstimate | Rejected"]) -> None:
             f"{len(one.detections)} of {one.views} views, RMS {one.noise:.2f} px"
             + escape("".join(f"; {model}: {fit}" for model, fit in one.rejected_models.items()))
         )
-        table = Table(box=None, pad_edge=False)
-        for head in ("parameter", "estimate", "σ"):
-            table.add_column(head, justify="left" if head == "parameter" else "right", no_wrap=True)
+        table = make_table(["parameter"], ("estimate", "σ"))
         names = ("fx, px", "fy, px", "cx, px", "cy, px", *DISTORTION_NAMES[camera.model])
         for parameter, value, stddev in zip(names, camera.intrinsics, one.stddev, strict=False):
             decimals = max(1 - int(np.floor(np.log10(stddev))), 0) if 0 < stddev < np.inf else 3

@@ -7,9 +7,8 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 from rich.markup import escape
-from rich.table import Table
 
-from calgraph.cli.console import console
+from calgraph.cli.console import console, make_table
 from calgraph.config import Intrinsics
 from calgraph.geometry import Array, se3
 from calgraph.result import Calibration, EstimatedParameter, Provenance, SensorPose, Verdict
@@ -50,12 +49,12 @@ def print_calibration(calibration: Calibration) -> None:
 
 def _print_poses(output: Console, calibration: Calibration) -> None:
     """Prints positions and rotations with their standard deviations and verdicts, a line for each sensor."""
-    table = _table()
     axes, turns = (slice(2), slice(2, 3)) if calibration.planar else (slice(3), slice(3))
     timed = any(sensor.clock_offset is not None for sensor in calibration.sensors)
     positions, rotations = ("x, m", "y, m", "z, m")[axes], ("roll, °", "pitch, °", "yaw, °")[turns]
-    for head in (*positions, *rotations, "σ, mm", "σ, °", *(("clock ± σ, ms",) if timed else ()), ""):
-        table.add_column(head, justify="right", no_wrap=True)
+    table = make_table(
+        ["sensor"], (*positions, *rotations, "σ, mm", "σ, °", *(("clock ± σ, ms",) if timed else ()), ""), gap=1
+    )
     for sensor in calibration.sensors:
         T = sensor.T_root_sensor
         table.add_row(
@@ -107,10 +106,10 @@ def print_remarks(calibration: Calibration) -> None:
 def _print_cross_validation(output: Console, calibration: Calibration) -> None:
     """Prints the residuals of each sensor, RMS, and its errors on held-out captures."""
     output.print("[bold]Residuals, fitted and on held-out captures[/] (ratio = observed / expected)")
-    table = _table()
     fit = calibration.evidence.fit
-    for head in ("predicted", "fitted", "held out", "median", "along beam", "tilt", "ratio"):
-        table.add_column(head, justify="right", no_wrap=True)
+    table = make_table(
+        ["sensor"], ("predicted", "fitted", "held out", "median", "along beam", "tilt", "ratio"), gap=1
+    )
     for name, one in calibration.evidence.cross_validation.items():
         fitted = fit[name].formatted if name in fit else ""
         table.add_row(escape(name), str(one.captures), fitted, *one.formatted, f"{one.ratio:.2f}")
@@ -120,9 +119,7 @@ def _print_cross_validation(output: Console, calibration: Calibration) -> None:
 def _print_fit(output: Console, calibration: Calibration) -> None:
     """Prints the residuals of each sensor, RMS."""
     output.print("[bold]Residuals[/] (of single measurements; poses are averages of all)")
-    table = _table()
-    for head in ("measurements", "RMS"):
-        table.add_column(head, justify="right", no_wrap=True)
+    table = make_table(["sensor"], ("measurements", "RMS"), gap=1)
     for name, one in calibration.evidence.fit.items():
         table.add_row(escape(name), str(one.count), one.formatted)
     output.print(table)
@@ -139,9 +136,7 @@ def _print_intrinsics(output: Console, calibration: Calibration, name: str, intr
         f"[bold]Intrinsics of {escape(name)}[/], estimated from {intrinsics.estimated_from_views} views: "
         f"{intrinsics.model}, {intrinsics.width} x {intrinsics.height} pixels"
     )
-    table = _table("parameter")
-    for head in ("estimate", "σ", "unit"):
-        table.add_column(head, justify="right", no_wrap=True)
+    table = make_table(["parameter"], ("estimate", "σ", "unit"), gap=1)
     for one in calibration.systematic:
         if one.of == name:
             table.add_row(one.quantity, *one.formatted[2:])
@@ -151,10 +146,8 @@ def _print_intrinsics(output: Console, calibration: Calibration, name: str, intr
 def _print_systematic(output: Console, calibration: Calibration) -> None:
     """Prints the systematic parameters that are off their stated values."""
     output.print("[bold]Systematic parameters more than one prior σ off their stated values[/]")
-    table = _table("of")
-    table.add_column("parameter", overflow="fold")
-    for head in ("stated", "prior σ", "estimate", "σ", "unit", "deviation"):
-        table.add_column(head, justify="right", no_wrap=True)
+    numbers = ("stated", "prior σ", "estimate", "σ", "unit", "deviation")
+    table = make_table(["of", "parameter"], numbers, gap=1)
     for one in _notable_parameters(calibration):
         table.add_row(escape(one.of), one.quantity, *one.formatted, f"{one.deviation:+.1f} prior σ")
     output.print(table)
@@ -169,9 +162,7 @@ def print_errors(calibration: Calibration, T_root_sensor: Mapping[str, Array]) -
     """
     output = console()
     output.print("[bold]Errors against the ground truth[/] (σ: along and about its worst axis)")
-    table = _table()
-    for head in ("error, mm", "σ, mm", "error, °", "σ, °"):
-        table.add_column(head, justify="right", no_wrap=True)
+    table = make_table(["sensor"], ("error, mm", "σ, mm", "error, °", "σ, °"), gap=1)
     for sensor in calibration.sensors:
         if sensor.parent is not None:
             error = se3.difference(sensor.T_root_sensor, T_root_sensor[sensor.name])
@@ -184,13 +175,6 @@ def print_errors(calibration: Calibration, T_root_sensor: Mapping[str, Array]) -
 def print_output_path(out: Path) -> None:
     """Prints where the results are."""
     console().print(f"Results are in {escape(str(out))}; open {escape(str(out / 'report.html'))}")
-
-
-def _table(first: str = "sensor") -> Table:
-    """A table whose first column has names, which are folded where they are too long for the terminal."""
-    table = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0), header_style="bold")
-    table.add_column(first, overflow="fold")
-    return table
 
 
 def _deviations(sensor: SensorPose) -> tuple[str, str]:

@@ -11,6 +11,7 @@ from typing import Literal
 
 from calgraph.calibrate.result_files import hash_input
 from calgraph.config import FleetConfig
+from calgraph.recording.bag_files import split_numbers
 from calgraph.recording.content_hash import hash_text
 
 _FORMAT = "calgraph-fleet-key/1"
@@ -112,13 +113,8 @@ def _find_recordings(folder: Path, pattern: str, robot: str) -> Iterator[tuple[P
         yield folder / pattern, _name_recording(Path(pattern).parts, robot)
         return
     fixed = next(k for k, part in enumerate(Path(pattern).parts) if glob.has_magic(part))
-    for found in sorted(glob.glob(pattern, root_dir=folder, recursive=True), key=_split_numbers):  # noqa: PTH207
+    for found in sorted(glob.glob(pattern, root_dir=folder, recursive=True), key=split_numbers):  # noqa: PTH207
         yield folder / found, _name_recording(Path(found).parts[fixed:], robot)
-
-
-def _split_numbers(text: str) -> list[tuple[int, str]]:
-    parts = re.split(r"(\d+)", text)
-    return [(int(part), "") if part.isdecimal() else (-1, part) for part in parts]
 
 
 def _name_recording(parts: Sequence[str], robot: str) -> str:

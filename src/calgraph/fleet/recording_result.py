@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -105,22 +105,7 @@ def save_result(result: RecordingResult, folder: Path) -> None:
     Raises:
         InputError: the folder cannot be written to.
     """
-    content: dict[str, Any] = {
-        "format": _FORMAT,
-        "robot": result.robot,
-        "recording": result.recording,
-        "path": result.path,
-        "key": result.key,
-        "seconds": result.seconds,
-        "failure": vars(result.failure) if result.failure else None,
-        "start": result.start,
-        "duration": result.duration,
-        "sensors": [vars(one) for one in result.sensors],
-        "poses": _encode_poses(result.poses),
-        "reference": _encode_poses(result.reference),
-        "warnings": result.warnings,
-    }
-    write_text(folder / FILE_NAME, format_json(content) + "\n")
+    write_text(folder / FILE_NAME, format_json({"format": _FORMAT, **asdict(result)}) + "\n")
 
 
 def load_result(folder: Path) -> RecordingResult | None:
@@ -146,18 +131,6 @@ def _checked(entry: dict[str, Any], key: str, allowed: Any) -> dict[str, Any]:
     if entry[key] not in get_args(allowed):
         raise ValueError(f"{key}: {entry[key]}")
     return entry
-
-
-def _encode_poses(poses: PoseSet | None) -> dict[str, Any] | None:
-    if poses is None:
-        return None
-    errors = poses.prior_errors
-    return {
-        "names": poses.names,
-        "T_root_sensor": poses.T_root_sensor,
-        "covariance": poses.covariance,
-        "prior_errors": {"parameters": errors.parameters, "poses": errors.poses} if errors else None,
-    }
 
 
 def _decode_poses(entry: Mapping[str, Any] | None) -> PoseSet | None:

@@ -10,10 +10,8 @@ import textwrap
 from functools import cache
 from itertools import pairwise
 
-from pydantic import BaseModel
 
-
-def describe_field(model: type[BaseModel], name: str) -> str:
+def describe_field(model: type, name: str) -> str:
     """The docstring below a field; empty if it has none, or the source is not installed."""
     for owner in model.__mro__:
         if name in vars(owner).get("__annotations__", ()):

@@ -11,9 +11,9 @@ import types
 import warnings
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, is_dataclass
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
+from typing import Annotated, Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import pydantic
 from pydantic import BaseModel
@@ -165,8 +165,8 @@ class _Location:
 
     path: list[Any]
     """Keys and indices as in the file."""
-    owner: type[BaseModel] | None
-    """The model that the last key belongs to."""
+    owner: type | None
+    """The model or dataclass that the last key belongs to."""
     around: Any
     """The type of what holds the last key or index."""
     annotation: Any
@@ -179,8 +179,8 @@ def _explain(model: type[BaseModel], details: ErrorDetails) -> str:
     kind, given, context = details["type"], details["input"], details.get("ctx", {})
     if kind == "calgraph":
         return f"{_format_path([*path, context['key']])}: {context['message']}"
-    if kind == "extra_forbidden" and owner is not None:
-        return f"unknown key {_format_path(path)}{_suggest_key(path[-1], owner.model_fields)}"
+    if kind in ("extra_forbidden", "unexpected_keyword_argument") and owner is not None:
+        return f"unknown key {_format_path(path)}{_suggest_key(path[-1], _list_fields(owner))}"
     if kind == "missing" and path and isinstance(path[-1], int):
         # pydantic reports each absent element of a fixed-length list; the message names the list.
         count = len(get_args(place.around))
@@ -223,6 +223,7 @@ _TYPES = {
     "list_type": "must be a list",
     "dict_type": "must be a mapping",
     "model_type": "must be a mapping",
+    "dataclass_type": "must be a mapping",
     "model_attributes_type": "must be a mapping",
     "too_short": "must not be empty",
     "string_too_short": "must not be empty",
@@ -262,7 +263,7 @@ def _format_value(value: object) -> str:
     return text if len(text) <= _MAX_VALUE_LENGTH else f"{text[: _MAX_VALUE_LENGTH - 3]}..."
 
 
-def _describe_field(owner: type[BaseModel] | None, path: list[Any]) -> str:
+def _describe_field(owner: type | None, path: list[Any]) -> str:
     description = describe_field(owner, str(path[-1])) if owner else ""
     return f" ({description.splitlines()[0].rstrip('.')})" if description else ""
 
@@ -288,7 +289,7 @@ def _locate(model: type[BaseModel], location: tuple[int | str, ...]) -> _Locatio
     annotation: Any = model
     around: Any = None
     path: list[Any] = []
-    owner: type[BaseModel] | None = None
+    owner: type | None = None
     for part in location:
         annotation = unwrap_annotation(annotation)
         if part == "[key]":
@@ -299,10 +300,8 @@ def _locate(model: type[BaseModel], location: tuple[int | str, ...]) -> _Locatio
             )
             continue
         origin, around = get_origin(annotation), annotation
-        if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-            owner = annotation
-            field = annotation.model_fields.get(str(part))
-            annotation = field.annotation if field else None
+        if isinstance(annotation, type) and (fields := _list_fields(annotation)):
+            owner, annotation = annotation, fields.get(str(part))
         elif origin is dict:
             owner, annotation = None, get_args(annotation)[1]
         elif origin is tuple and isinstance(part, int):
@@ -311,6 +310,13 @@ def _locate(model: type[BaseModel], location: tuple[int | str, ...]) -> _Locatio
             break  # markers that pydantic adds
         path.append(part)
     return _Location(path, owner, around, unwrap_annotation(annotation))
+
+
+def _list_fields(owner: type) -> dict[str, Any]:
+    """The types of the fields of a model or a dataclass; none of other types."""
+    if issubclass(owner, BaseModel):
+        return {name: field.annotation for name, field in owner.model_fields.items()}
+    return get_type_hints(owner, include_extras=True) if is_dataclass(owner) else {}
 
 
 def unwrap_annotation(annotation: Any) -> Any:

@@ -55,7 +55,10 @@ def find_bag_files(path: Path) -> BagFiles | None:
         return BagFiles((path,), ()) if is_storage(path) else None
     if (path / "metadata.yaml").is_file():
         return _from_metadata(path)
-    files = sorted((file for file in path.iterdir() if file.is_file() and is_storage(file)), key=_natural_sort_key)
+    files = sorted(
+        (file for file in path.iterdir() if file.is_file() and is_storage(file)),
+        key=lambda file: split_numbers(file.name),
+    )
     return BagFiles(tuple(files), ()) if files else None
 
 
@@ -169,6 +172,6 @@ def _topic_from_metadata(entry: Mapping[str, Any]) -> TopicInfo:
     return TopicInfo(str(topic["name"]), str(topic["type"]), int(entry["message_count"]))
 
 
-def _natural_sort_key(path: Path) -> list[tuple[int, str]]:
-    """Sorts part_2 before part_10."""
-    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", path.name)]
+def split_numbers(text: str) -> list[tuple[int, str]]:
+    """A key by which part_2 comes before part_10."""
+    return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", text)]

@@ -17,7 +17,7 @@ from calgraph.io.cache_folder import MAX_BYTES, CacheFolder
 from calgraph.io.records import decode_records, encode_records
 from calgraph.recording.content_hash import FileState, hash_files, hash_text, read_states
 from calgraph.recording.recording import Recording
-from calgraph.recording.takes import ClockCorrectedRecording
+from calgraph.recording.takes import ShiftedRecording
 
 _log = logging.getLogger(__name__)
 
@@ -94,7 +94,7 @@ class RecordingCache:
             except OSError:
                 return None  # an error that reading the recording reports
         content, _ = self._contents[recording.sources]
-        offsets = recording.clock_offsets if isinstance(recording, ClockCorrectedRecording) else {}
+        offsets = recording.stamp_offsets if isinstance(recording, ShiftedRecording) else {}
         key = [kind, self._program, content, offsets, inputs]
         return hash_text(json.dumps(key, sort_keys=True, default=_to_plain))
 

@@ -10,11 +10,11 @@ import numpy as np
 
 from calgraph.config.settings import LimitSettings
 from calgraph.errors import InputError, RecordingError
-from calgraph.recording.content_hash import hash_array
 from calgraph.recording.damage import check_fetched, check_unpacked_size, wrap_errors
 from calgraph.recording.file_names import SNAPSHOT_SPACING
+from calgraph.recording.in_memory import record_message
 from calgraph.recording.record_list import IndexedRecording
-from calgraph.sensors import DetectedCorners, MessageDigest, RecordedMessage
+from calgraph.sensors import DetectedCorners
 
 CORNERS, TIMES = "xy.csv", "timestamps.csv"
 _FRAME = ("sync_index", "cam_id")
@@ -71,10 +71,7 @@ class CornersRecording(IndexedRecording):
             for (number, camera), corners in frames.items()
         ]
         topics = {topic for topic, _ in messages}
-        records = [
-            RecordedMessage(topic, message.stamp, message.stamp, partial(_get, message), partial(_digest, message))
-            for topic, message in messages
-        ]
+        records = [record_message(topic, message) for topic, message in messages]
         sources = (path,) if path.is_dir() or not times.is_file() else (path, times)
         types = dict.fromkeys(topics, "corners")
         super().__init__(
@@ -99,15 +96,6 @@ def _topic(camera: str) -> str:
 def _message(stamp: float, corners: _Corners) -> DetectedCorners:
     points = np.array(corners.board_points, dtype=np.float64).reshape(-1, 3)
     return DetectedCorners(stamp, "", points, np.array(corners.pixels, dtype=np.float64).reshape(-1, 2))
-
-
-def _get(message: DetectedCorners) -> DetectedCorners:
-    """The message: unlike a local function, a partial of this one can be pickled."""
-    return message
-
-
-def _digest(message: DetectedCorners) -> MessageDigest:
-    return MessageDigest("", hash_array(np.column_stack([message.board_points, message.pixels])))
 
 
 def _add_corner(frames: dict[Frame, _Corners], row: Mapping[str, str]) -> None:

@@ -23,14 +23,15 @@ class MessageRecording(IndexedRecording):
     """
 
     def __init__(self, messages: Mapping[str, Sequence[Message]]) -> None:
-        listed = [_record(topic, message) for topic, sent in messages.items() for message in sent]
+        listed = [record_message(topic, message) for topic, sent in messages.items() for message in sent]
         if not listed:
             raise InputError("no messages are given; a recording needs one at least")
         types = {topic: sent[0].topic_type for topic, sent in messages.items() if sent}
         super().__init__(Path("messages"), listed, types)
 
 
-def _record(topic: str, message: Message) -> RecordedMessage:
+def record_message(topic: str, message: Message) -> RecordedMessage:
+    """The record of a message, which arrives at its stamp."""
     return RecordedMessage(topic, message.stamp, message.stamp, partial(_get, message), partial(_digest, message))
 
 

@@ -25,25 +25,55 @@ recorded the same sensor, they share most messages, even where some were lost.""
 
 
 class ShiftedRecording(ClosedOnExit):
-    """A recording whose stamps and arrivals are later by an offset, s."""
+    """A recording whose stamps and arrivals are later by offsets.
 
-    def __init__(self, recording: Recording, offset: float) -> None:
-        self.recording, self._offset = recording, offset
+    Args:
+        recording: as it is.
+        stamp_offsets: by topic, s; none of other topics.
+        arrival_offsets: likewise.
+    """
+
+    def __init__(
+        self, recording: Recording, stamp_offsets: Mapping[str, float], arrival_offsets: Mapping[str, float]
+    ) -> None:
+        self.recording = recording
         self.path, self.sources, self.topics = recording.path, recording.sources, recording.topics
-        self.start, self.end = recording.start + offset, recording.end + offset
         self.divisible = recording.divisible
+        self.stamp_offsets = dict(stamp_offsets)
+        self._arrival_offsets = {topic.name: arrival_offsets.get(topic.name, 0.0) for topic in recording.topics}
+        offsets = self._arrival_offsets.values()
+        self.start = recording.start + min(offsets, default=0.0)
+        self.end = recording.end + max(offsets, default=0.0)
 
     def records(
         self, topics: Collection[str] | None = None, start: float | None = None, end: float | None = None
     ) -> Iterator[RecordedMessage]:
-        """The records in order of arrival; see :meth:`Recording.records`."""
-        first, last = (None if time is None else time - self._offset for time in (start, end))
-        records = self.recording.records(topics, first, last)
-        return (shift_record(record, self._offset, self._offset) for record in records)
+        """The records in order of their later arrival; see :meth:`Recording.records`."""
+        by_offset: dict[float, set[str]] = defaultdict(set)
+        for topic in select_topics(self.path, self.topics, topics):
+            by_offset[self._arrival_offsets[topic]].add(topic)
+        return merge_by_arrival(
+            (self.recording.start + offset, self._read(names, offset, start, end))
+            for offset, names in sorted(by_offset.items(), reverse=True)
+        )
 
     def close(self) -> None:
         """Closes the files."""
         self.recording.close()
+
+    def _read(
+        self, topics: Collection[str], offset: float, start: float | None, end: float | None
+    ) -> Iterator[RecordedMessage]:
+        """The records of topics whose arrivals have one offset."""
+        first, last = (None if time is None else time - offset for time in (start, end))
+        for record in self.recording.records(topics, first, last):
+            yield shift_record(record, self.stamp_offsets.get(record.topic, 0.0), offset)
+
+
+def delay_recording(recording: Recording, offset: float) -> Recording:
+    """The recording, with all stamps and arrivals later by an offset, s."""
+    offsets = {topic.name: offset for topic in recording.topics}
+    return ShiftedRecording(recording, offsets, offsets) if offset else recording
 
 
 def shift_record(record: RecordedMessage, offset: float, arrival_offset: float) -> RecordedMessage:
@@ -126,7 +156,7 @@ def _place_takes(takes: Sequence[Sequence[_Timed]]) -> list[Recording]:
     for take in takes:
         offset = end + TAKE_GAP - min(one.begin for one in take) if placed else 0.0
         whole = Take([one.recording for one in take]) if len(take) > 1 else take[0].recording
-        placed.append(ShiftedRecording(whole, offset) if offset else whole)
+        placed.append(delay_recording(whole, offset))
         end = max([end, *(one.end + offset for one in take)])
     return placed
 
@@ -138,7 +168,7 @@ def describe_takes(recordings: Sequence[Recording], takes: Sequence[Recording]) 
         recordings: as given, two or more.
         takes: what :func:`separate_takes` made of them.
     """
-    if len(takes) == len(recordings) and not any(isinstance(take, ShiftedRecording) for take in takes):
+    if all(take in recordings for take in takes):
         return f"one take: {', '.join(str(one.path) for one in recordings)}"
     start = takes[0].start
     lines = [f"{len(takes)} takes, read one after the other, because sensors repeat at overlapping stamps:"]
@@ -238,7 +268,7 @@ def _have_same_messages(recording: Recording, other: Recording, topic: str, star
     return compared > 0
 
 
-class ClockCorrectedRecording(ClosedOnExit):
+class ClockCorrectedRecording(ShiftedRecording):
     """A recording from whose stamps the offsets of clocks are subtracted.
 
     Arrivals are by the clock of the program that recorded, and stay as they are; of videos and numbered files,
@@ -250,41 +280,11 @@ class ClockCorrectedRecording(ClosedOnExit):
     """
 
     def __init__(self, recording: Recording, clock_offsets: Mapping[str, float]) -> None:
-        self.recording = recording
         self.clock_offsets = dict(clock_offsets)
-        self.path, self.sources, self.topics = recording.path, recording.sources, recording.topics
-        self.opened_from, self.divisible = recording.opened_from, recording.divisible
-        self._arrival_offsets = {
-            topic.name: 0.0 if topic.time_base == "clock" else clock_offsets.get(topic.name, 0.0)
-            for topic in recording.topics
-        }
-        offsets = self._arrival_offsets.values()
-        self.start = recording.start - max(offsets, default=0.0)
-        self.end = recording.end - min(offsets, default=0.0)
-
-    def records(
-        self, topics: Collection[str] | None = None, start: float | None = None, end: float | None = None
-    ) -> Iterator[RecordedMessage]:
-        """The records in order of corrected arrival; see :meth:`Recording.records`."""
-        by_offset: dict[float, set[str]] = defaultdict(set)
-        for topic in select_topics(self.path, self.topics, topics):
-            by_offset[self._arrival_offsets[topic]].add(topic)
-        return merge_by_arrival(
-            (self.recording.start - offset, self._read(names, offset, start, end))
-            for offset, names in sorted(by_offset.items())
-        )
-
-    def close(self) -> None:
-        """Closes the files."""
-        self.recording.close()
-
-    def _read(
-        self, topics: Collection[str], offset: float, start: float | None, end: float | None
-    ) -> Iterator[RecordedMessage]:
-        """The records of topics whose arrivals have one offset."""
-        first, last = (None if time is None else time + offset for time in (start, end))
-        for record in self.recording.records(topics, first, last):
-            yield shift_record(record, -self.clock_offsets.get(record.topic, 0.0), -offset)
+        later = {topic: -offset for topic, offset in clock_offsets.items()}
+        own = {topic.name for topic in recording.topics if topic.time_base != "clock"}
+        super().__init__(recording, later, {topic: later[topic] for topic in own & later.keys()})
+        self.opened_from = recording.opened_from
 
 
 def correct_stamps(recording: Recording, clock_offsets: Mapping[str, float]) -> Recording:
@@ -313,42 +313,24 @@ class PoseRecordings(JoinedRecording):
             topics: of the sensors.
             gap: least time between two recordings, s.
         """
-        super().__init__(recordings)
-        # What is read with shifted stamps is not what another run reads from the same files.
-        self.sources = ()
-        # All stamps are read before the shifts are known; and each of these recordings is short.
-        self.divisible = False
         spans = [_find_span(part, topics) for part in recordings]
         ordered = sorted(span for span in spans if span)
         apart = all(b[0] - a[1] > gap for a, b in pairwise(ordered))
         self.poses: list[tuple[float, float]] = []
-        self._offsets: list[float] = []
-        for span in spans:
+        parts = []
+        for part, span in zip(recordings, spans, strict=True):
             offset = 0.0
             if span and not apart and self.poses:
                 offset = self.poses[-1][1] + 2 * gap - span[0]
             if span:
                 self.poses.append((span[0] + offset, span[1] + offset))
-            self._offsets.append(offset)
+            parts.append(delay_recording(part, offset))
         self.poses.sort()
-        parts = list(zip(self.parts, self._offsets, strict=True))
-        self.start = min(part.start + offset for part, offset in parts)
-        self.end = max(part.end + offset for part, offset in parts)
-
-    def records(
-        self, topics: Collection[str] | None = None, start: float | None = None, end: float | None = None
-    ) -> Iterator[RecordedMessage]:
-        """The messages of all parts, one part after the other; see :meth:`Recording.records`."""
-        wanted = select_topics(self.path, self.topics, topics)
-        return self._read_parts(wanted, start, end)
-
-    def _read_parts(self, wanted: set[str], start: float | None, end: float | None) -> Iterator[RecordedMessage]:
-        parts = zip(self.parts, self._offsets, strict=True)
-        for part, offset in sorted(parts, key=lambda one: one[0].start + one[1]):
-            present = wanted & {topic.name for topic in part.topics}
-            window = (None if limit is None else limit - offset for limit in (start, end))
-            for record in part.records(present, *window):
-                yield shift_record(record, offset, offset) if offset else record
+        super().__init__(parts)
+        # What is read with shifted stamps is not what another run reads from the same files.
+        self.sources = ()
+        # All stamps are read before the shifts are known; and each of these recordings is short.
+        self.divisible = False
 
 
 def separate_poses(

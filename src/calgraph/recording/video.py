@@ -1,7 +1,7 @@
 """Video files: each has the images of one camera, whose stamps are presentation times."""
 
 import threading
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -98,20 +98,28 @@ class VideoRecording(ClosedOnExit):
         for number, stamp in enumerate(self._index.stamps.tolist()):
             if (start is None or stamp >= start) and (end is None or stamp <= end):
                 digest = partial(MessageDigest, "", self._index.digests[number])
-                yield RecordedMessage(topic, stamp, stamp, _Frame(decoder, number), digest)
+                yield RecordedMessage(
+                    topic, stamp, stamp, Frame(decoder.decode, number, stamp, "", self.path), digest
+                )
         if self._index.damage and start is None and end is None:
             raise RecordingError(f"{self.path}: {self._index.damage}; {_advise(self.path)}")
 
 
 @dataclass(frozen=True, eq=False)
-class _Frame:
+class Frame:
     """Decodes one frame; pickled as the image, so that each frame is decoded by one process."""
 
-    decoder: "_FrameDecoder"
+    decode: Callable[[int], Pixels]
     number: int
+    stamp: float
+    frame_id: str
+    where: object
+    """For the error message."""
 
     def __call__(self) -> Image:
-        return Image(float(self.decoder.index.stamps[self.number]), "", self.decoder.decode(self.number))
+        """The image; raises RecordingError if it is damaged."""
+        with wrap_errors(self.where):
+            return Image(self.stamp, self.frame_id, self.decode(self.number))
 
     def __reduce__(self) -> tuple[Any, ...]:
         image = self()

@@ -7,16 +7,15 @@ in the order in which they are shown.
 import re
 import threading
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from calgraph.config.settings import LimitSettings
 from calgraph.recording.damage import wrap_errors
 from calgraph.recording.images import Pixels
 from calgraph.recording.message_types import MessageType, clean_frame_id
-from calgraph.recording.video import import_av, to_pixels
-from calgraph.sensors import Image, Message
+from calgraph.recording.video import Frame, import_av, to_pixels
+from calgraph.sensors import Message
 from calgraph.sensors.kinds.camera import VIDEO_TYPES
 
 if TYPE_CHECKING:
@@ -60,7 +59,7 @@ class VideoStream:
         if self._group is None:
             return partial(_fail, where, ValueError("has no keyframe before it, and cannot be decoded"))
         frame_id = clean_frame_id(getattr(message, "header", message).frame_id)
-        return _Frame(self._group, self._group.append(data), stamp, frame_id, where)
+        return Frame(self._group.decode, self._group.append(data), stamp, frame_id, where)
 
 
 def is_video(kind: MessageType) -> bool:
@@ -129,25 +128,3 @@ class _Group:
         if not frames or frames[-1].is_corrupt:
             raise ValueError("the frame of the video is damaged")
         return to_pixels(frames[-1])
-
-
-@dataclass(frozen=True, eq=False)
-class _Frame:
-    """Decodes one frame; pickled as the image, so that each frame is decoded by one process."""
-
-    group: _Group
-    number: int
-    stamp: float
-    frame_id: str
-    where: object
-
-    def __call__(self) -> Image:
-        with wrap_errors(self.where):
-            return Image(self.stamp, self.frame_id, self.group.decode(self.number))
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return partial, (_get, self())
-
-
-def _get(image: Image) -> Image:
-    return image

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Sequence
+from textwrap import wrap
 
 import numpy as np
 from markupsafe import Markup
@@ -15,6 +16,8 @@ from calgraph.result import Calibration, CaptureRow
 _ABSENT, _REJECTED, _USED = 0, 1, 2
 # Largest number of rows in the figure and in the table: browsers get slow with many more.
 _MAX_ROWS = 6000
+# Characters of a line of a hover label.
+_LABEL_WIDTH = 60
 
 
 def render_captures(calibration: Calibration, words: Vocabulary) -> Markup:
@@ -93,13 +96,9 @@ def _hover_text(row: CaptureRow) -> str:
     return f"<b>{escape_plotly(row.sensor)}</b>, capture {row.capture}, {when}<br>{outcome}"
 
 
-def _wrap_text(text: str, width: int = 60) -> str:
-    """Wraps text at a width, as plotly's hover labels do not."""
-    lines = [""]
-    for word in text.split():
-        if lines[-1] and len(lines[-1]) + len(word) >= width:
-            lines.append("")
-        lines[-1] = f"{lines[-1]} {word}".strip()
+def _wrap_text(text: str) -> str:
+    """Wraps text, as plotly's hover labels do not."""
+    lines = wrap(text, _LABEL_WIDTH, break_long_words=False, break_on_hyphens=False)
     return "<br>".join(map(escape_plotly, lines))
 
 

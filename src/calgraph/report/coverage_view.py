@@ -270,9 +270,8 @@ def _draw_cells(of: Coverage, noun: str) -> dict[str, Any]:
 
 
 def _format_tick(edges: np.ndarray[tuple[int], np.dtype[np.float64]], share: float) -> str:
-    value = float(edges[0] + share * (edges[-1] - edges[0]))
     decimals = 0 if abs(edges[-1] - edges[0]) > 20 else 1
-    return f"{round(value, decimals) + 0.0:.{decimals}f}".replace("-", "−")
+    return format_fixed(float(edges[0] + share * (edges[-1] - edges[0])), decimals)
 
 
 def _format_bin(edges: np.ndarray[tuple[int], np.dtype[np.float64]], k: int) -> str:

@@ -10,6 +10,7 @@ import numpy as np
 from calgraph.errors import CalibrationError, InputError
 from calgraph.geometry import Array, Index, se3
 from calgraph.result.evidence import Evidence
+from calgraph.result.file_types import Finite
 from calgraph.result.pictures import Pictures
 from calgraph.result.reasons import split_clauses
 from calgraph.result.sensor_pose import SensorPose
@@ -37,9 +38,9 @@ class Provenance:
     """The command line."""
     inputs: tuple[InputFile, ...]
     """The rig, the recordings, and all other files that were read."""
-    start: float | None = None
+    start: Finite | None = None
     """Start of the recording, s; None where there was none."""
-    duration: float | None = None
+    duration: Finite | None = None
     """Of the recording, s."""
     messages: int | None = None
     """Number of messages in the recording."""

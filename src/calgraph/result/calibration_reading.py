@@ -1,4 +1,7 @@
-"""Reading calibration.yaml back: a model of the file, strict about keys, types and what its numbers must be."""
+"""Reading calibration.yaml back: a model of the file, strict about keys, types and what its numbers must be.
+
+Records that the file has as they are (:class:`Verdict`, :class:`Provenance` and so on) are parts of the model.
+"""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -18,18 +21,16 @@ from calgraph.result.calibration import (
     UNMEASURED_IN_PLANE,
     Calibration,
     EstimatedParameter,
-    InputFile,
     Provenance,
     join_covariances,
 )
 from calgraph.result.calibration_file import FORMAT
 from calgraph.result.evidence import CaptureRow, Edge, Evidence, FitError, HeldOutError, ModelledBodies, Suggestion
-from calgraph.result.frame_tree import MAX_DISTANCE
+from calgraph.result.file_types import Count, Distance, Finite, Flag, NonNegative, Positive
 from calgraph.result.sensor_pose import SensorPose, StatedPose, Verdict
 from calgraph.sensors.kinds import KINDS, KindName
 from calgraph.sensors.kinds.stated import FrameName, Name
 
-Finite = Annotated[float, Strict(), Field(allow_inf_nan=False)]
 # Infinite variances stand for directions that nothing observes.
 Number = Annotated[float, Strict()]
 # What was not measured is null.
@@ -143,25 +144,8 @@ def _check_unit_length(rotation: tuple[float, ...]) -> tuple[float, ...]:
     return rotation
 
 
-NonNegative = Annotated[float, Strict(), Field(ge=0)]
-Positive = Annotated[float, Strict(), Field(gt=0)]
-Count = Annotated[int, Strict(), Field(ge=0)]
-Flag = Annotated[bool, Strict()]
-Distance = Annotated[float, Strict(), Field(ge=-MAX_DISTANCE, le=MAX_DISTANCE, allow_inf_nan=False)]
 Vector3 = tuple[Distance, Distance, Distance]
 Quaternion = Annotated[tuple[Finite, Finite, Finite, Finite], AfterValidator(_check_unit_length)]
-
-
-class _Verdict(StrictModel):
-    grade: Literal["good", "weak", "unobservable"]
-    reason: str = ""
-
-
-class _StatedPose(StrictModel):
-    height: Distance | None = None
-    roll: Finite = 0.0
-    pitch: Finite = 0.0
-    inverted: Flag = False
 
 
 class _Sensor(StrictModel):
@@ -177,7 +161,7 @@ class _Sensor(StrictModel):
     """Unit quaternion x, y, z, w."""
     covariance: Matrix6
     """6 x 6, translation first, in the root's fixed axes, m and rad."""
-    stated: _StatedPose | None = None
+    stated: StatedPose | None = None
     """What rig.yaml states of a network's scanner: height, m, roll and pitch, rad."""
     intrinsics: Intrinsics | None = None
     """Of a camera, estimated from the recording."""
@@ -224,16 +208,6 @@ class _FitError(StrictModel):
     rms: NonNegative
 
 
-class _HeldOutError(StrictModel):
-    captures: Count
-    unit: Literal["px", "m"]
-    rms: NonNegative
-    median: NonNegative
-    ratio: NonNegative
-    along: NonNegative | None = None
-    tilt: NonNegative | None = None
-
-
 class _Suggestion(StrictModel):
     hold: str
     sensor: str
@@ -247,19 +221,14 @@ class _Suggestion(StrictModel):
     """Of the board, a quaternion x, y, z, w."""
 
 
-class _ModelledBodies(StrictModel):
-    shape: Literal["legs", "ellipses", "cylinders"]
-    count: Count
-
-
 class _Quality(StrictModel):
     estimator: str
     """The name of the joint estimator."""
     tolerance: Tolerance | None = None
     """With which verdicts were given."""
-    bodies: _ModelledBodies | None = None
+    bodies: ModelledBodies | None = None
     """What the joint solution of a network takes moving objects for."""
-    verdicts: dict[str, _Verdict]
+    verdicts: dict[str, Verdict]
     """The verdict on each sensor's pose."""
     unconnected: dict[str, str] = Field(default_factory=dict)
     remarks: tuple[str, ...] = ()
@@ -267,7 +236,7 @@ class _Quality(StrictModel):
     residual_rms: dict[str, NonNegative] = Field(default_factory=dict)
     fit: dict[str, _FitError] = Field(default_factory=dict)
     """RMS of the residuals, by sensor."""
-    cross_validation: dict[str, _HeldOutError] = Field(default_factory=dict)
+    cross_validation: dict[str, HeldOutError] = Field(default_factory=dict)
     """Errors in captures that were left out, by sensor."""
     suggestions: tuple[_Suggestion, ...] = ()
     """Suggested further captures."""
@@ -284,22 +253,6 @@ class _EstimatedParameter(StrictModel):
     prior: Positive
     value: Finite
     stddev: NonNegative
-
-
-class _InputFile(StrictModel):
-    path: str
-    sha256: str
-
-
-class _Provenance(StrictModel):
-    version: str
-    date: str
-    command: str
-    inputs: tuple[_InputFile, ...]
-    start: Finite | None = None
-    duration: Finite | None = None
-    messages: int | None = None
-    cached: tuple[str, ...] = ()
 
 
 class _File(StrictModel):
@@ -319,7 +272,7 @@ class _File(StrictModel):
     """The covariance of the errors of all sensors."""
     cross_covariances: tuple[CrossCovariance, ...] = ()
     """The covariances of the errors of two sensors each, where those of others are unknown."""
-    provenance: _Provenance | None = None
+    provenance: Provenance | None = None
     """How the calibration was computed."""
 
     @model_validator(mode="after")
@@ -398,34 +351,29 @@ def load_calibration(path: Path | str) -> Calibration:
         evidence=Evidence(
             estimator=quality.estimator,
             tolerance=quality.tolerance,
-            bodies=ModelledBodies(**vars(quality.bodies)) if quality.bodies else None,
+            bodies=quality.bodies,
             edges=tuple(_edge(edge) for edge in quality.edges),
             captures=_rows(quality.captures),
             unconnected=quality.unconnected,
             remarks=quality.remarks,
             residual_rms=quality.residual_rms,
             fit={name: FitError(one.measurements, one.unit, one.rms) for name, one in quality.fit.items()},
-            cross_validation={name: _held_out_error(one) for name, one in quality.cross_validation.items()},
+            cross_validation=quality.cross_validation,
             suggestions=tuple(_suggestion(one) for one in quality.suggestions),
         ),
-        provenance=_provenance(file.provenance) if file.provenance else None,
+        provenance=file.provenance,
     )
 
 
-def _provenance(entry: _Provenance) -> Provenance:
-    inputs = tuple(InputFile(one.path, one.sha256) for one in entry.inputs)
-    return Provenance(**{**vars(entry), "inputs": inputs})
-
-
-def _sensor(name: str, entry: _Sensor, verdict: _Verdict) -> SensorPose:
+def _sensor(name: str, entry: _Sensor, verdict: Verdict) -> SensorPose:
     return SensorPose(
         name=name,
         parent=entry.parent,
         frame_id=entry.frame_id,
         kind=entry.kind,
         T_root_sensor=se3.from_xyz_quaternion(np.array(entry.translation), np.array(entry.rotation)),
-        verdict=Verdict(verdict.grade, verdict.reason),
-        stated=StatedPose(**vars(entry.stated)) if entry.stated else None,
+        verdict=verdict,
+        stated=entry.stated,
         intrinsics=entry.intrinsics,
         clock_offset=entry.clock_offset,
         clock_offset_stddev=entry.clock_offset_stddev,
@@ -445,10 +393,6 @@ def _joint_covariance(file: _File, names: Sequence[str]) -> Array:
     ):
         joint[out_of_plane] = joint[:, out_of_plane] = np.nan
     return joint
-
-
-def _held_out_error(entry: _HeldOutError) -> HeldOutError:
-    return HeldOutError(entry.captures, entry.unit, entry.rms, entry.median, entry.ratio, entry.along, entry.tilt)
 
 
 def _suggestion(entry: _Suggestion) -> Suggestion:

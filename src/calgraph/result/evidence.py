@@ -9,6 +9,7 @@ import numpy as np
 from calgraph.config import Tolerance
 from calgraph.config.settings import VerdictSettings
 from calgraph.geometry import Array
+from calgraph.result.file_types import Count, NonNegative
 
 # Files do not keep the limits of verdicts, so that texts use their defaults.
 _LIMITS = VerdictSettings()
@@ -82,17 +83,17 @@ class FitError:
 class HeldOutError:
     """Cross-validation of a sensor: errors of its measurements on held-out captures, predicted from the others."""
 
-    captures: int
+    captures: Count
     """Number of predicted captures, each counted once with however many boards."""
     unit: Literal["px", "m"]
     """Of ``rms`` and ``median``: distances between corners, or of beam ends from the board's plane."""
-    rms: float
-    median: float
-    ratio: float
+    rms: NonNegative
+    median: NonNegative
+    ratio: NonNegative
     """Observed over expected error, given noise and covariances of poses: about 1 if these are consistent."""
-    along: float | None = None
+    along: NonNegative | None = None
     """RMS along the beam, m; None for cameras."""
-    tilt: float | None = None
+    tilt: NonNegative | None = None
     """RMS angle between predicted and measured normal of the board, rad; None where no view determines it."""
 
     @property
@@ -135,7 +136,7 @@ class ModelledBodies:
 
     shape: Literal["legs", "ellipses", "cylinders"]
     """Single legs, whole people, or cylinders."""
-    count: int
+    count: Count
     """Of tracked objects; one that leaves all views and returns counts twice."""
 
     def __str__(self) -> str:

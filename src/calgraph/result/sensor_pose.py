@@ -8,6 +8,7 @@ from scipy.special import chdtri
 
 from calgraph.config import Intrinsics
 from calgraph.geometry import Array
+from calgraph.result.file_types import Distance, Finite, Flag
 from calgraph.sensors.kinds import KindName
 
 Grade = Literal["good", "weak", "unobservable"]
@@ -27,13 +28,13 @@ class Verdict:
 class StatedPose:
     """Height and tilt of a scanner, which a network does not measure."""
 
-    height: float | None = None
+    height: Distance | None = None
     """Of the scanner's origin above the floor, m; None where it is not stated."""
-    roll: float = 0.0
+    roll: Finite = 0.0
     """Rotation about the levelled x axis of the scanner, rad; without the 180° of one mounted upside-down."""
-    pitch: float = 0.0
+    pitch: Finite = 0.0
     """Rotation about its levelled y axis, after the roll, rad."""
-    inverted: bool = False
+    inverted: Flag = False
     """Whether it is mounted upside-down."""
 
 

@@ -1,7 +1,5 @@
 """Simulated recordings with ground truth, of robots with a board and of networks with people."""
 
-from calgraph.simulation.ideal_detections import IdealDetectorOptions, simulate_detections
-from calgraph.simulation.model_errors import BoardErrors, Bump, CameraErrors, ModelErrors, ScannerErrors
 from calgraph.simulation.network_recording import simulate_network
 from calgraph.simulation.network_scanners import StationaryScanner
 from calgraph.simulation.network_scenario import (
@@ -29,22 +27,13 @@ from calgraph.simulation.rig_scenario import (
 )
 from calgraph.simulation.rig_simulation import Progress, simulate_rig, world_rig
 from calgraph.simulation.truth import BoardTruth, GroundTruth, PersonTruth, load_truth, save_truth
-from calgraph.simulation.world import (
-    SimulatedCapture,
-    World,
-    build_world,
-    ground_truth,
-    simulate_background,
-    simulate_captures,
-)
+from calgraph.simulation.world import World, build_world, ground_truth
 
 __all__ = [
-    "BeamOptions", "BoardErrors", "BoardTruth", "Bump", "CameraErrors", "CameraOptions", "GroundTruth",
-    "IdealDetectorOptions", "LaserOptions", "LayoutName", "ModelErrors", "MultibeamOptions", "NetworkErrors",
-    "NetworkScenario", "PeopleOptions", "PersonTruth", "Progress", "RigScenario", "ScannerErrors",
-    "ScannerOptions", "SimulatedCapture", "SimulatedNetwork", "SpinningOptions", "StationaryScanner", "World",
-    "build_network", "build_world", "ground_truth", "load_truth", "network_rig", "network_truth", "save_truth",
-    "simulate_background", "simulate_captures", "simulate_detections",
-    "simulate_network",
+    "BeamOptions", "BoardTruth", "CameraOptions", "GroundTruth", "LaserOptions", "LayoutName",
+    "MultibeamOptions", "NetworkErrors", "NetworkScenario", "PeopleOptions", "PersonTruth", "Progress",
+    "RigScenario", "ScannerOptions", "SimulatedNetwork", "SpinningOptions",
+    "StationaryScanner", "World", "build_network", "build_world", "ground_truth", "load_truth", "network_rig",
+    "network_truth", "save_truth", "simulate_network",
     "simulate_network_scans", "simulate_rig", "simulate_scans", "world_rig",
 ]  # fmt: skip

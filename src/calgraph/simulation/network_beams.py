@@ -83,7 +83,7 @@ def cast_walls(origin: Array, angles: Array, floor: Floor, start: Array | float 
     while len(beams) and inner < farthest:
         # What these beams hit between both radii touches the box of their parts between them.
         ends = np.concatenate([origin + radius * directions[beams] for radius in (inner, outer)])
-        near = floor.segments[floor.segment_index.near(ends.min(axis=0), ends.max(axis=0))]
+        near = floor.segments[floor.segment_boxes.near(ends.min(axis=0), ends.max(axis=0))]
         nearest[beams] = np.minimum(nearest[beams], cast_segments(origin, angles[beams], near, start[beams]))
         beams, inner, outer = np.flatnonzero(nearest > outer), outer, 2 * outer
     return nearest

@@ -1,6 +1,6 @@
 """The floor of a simulated building: walls that beams hit and bodies keep away from."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -13,61 +13,38 @@ from scipy.sparse.csgraph import dijkstra
 from calgraph.errors import InputError
 from calgraph.geometry import Array
 
-_INDEX_CELL = 4.0
-"""Edge of the cells in which boxes are listed, m: as large as a room, which has some ten walls."""
+_TILE = 4.0
+"""Edge of the square tiles whose points are looked at together, m: as large as a room with some ten walls."""
 
 
-class BoxIndex:
-    """Axis-aligned boxes by the square cells of the floor that they cover."""
+@dataclass(frozen=True, eq=False)
+class Boxes:
+    """Axis-aligned boxes on the floor, of which any may be nowhere: NaN."""
 
-    def __init__(self) -> None:
-        """Without any box."""
-        self._count = 0
-        self._cells: dict[tuple[int, int], list[int]] = {}
-        self._low, self._high = np.full(2, np.inf), np.full(2, -np.inf)
-
-    def add(self, low: Array, high: Array) -> None:
-        """Adds a box with corners (2,); its number is how many there were before."""
-        for cell in _list_cells(low, high):
-            self._cells.setdefault(cell, []).append(self._count)
-        self._low, self._high = np.minimum(self._low, low), np.maximum(self._high, high)
-        self._count += 1
-
-    def skip(self) -> None:
-        """Gives the next number to no box."""
-        self._count += 1
+    low: Array
+    """(N, 2) lower left corners, m."""
+    high: Array
+    """(N, 2) upper right corners, m."""
 
     def near(self, low: Array, high: Array) -> NDArray[np.intp]:
-        """Numbers, in order, of all boxes that touch the one with corners (2,), and of some beyond it."""
-        found: set[int] = set()
-        # Where there are boxes, so that a search far away, or in a large box, ends.
-        low, high = np.maximum(low, self._low), np.minimum(high, self._high)
-        for cell in _list_cells(low, high) if (low <= high).all() else ():
-            found.update(self._cells.get(cell, ()))
-        return np.array(sorted(found), dtype=np.intp)
+        """Numbers, in order, of the boxes that touch the one with corners (2,)."""
+        return np.flatnonzero(((self.low <= high) & (self.high >= low)).all(axis=1))
 
 
-def index_polygons(polygons: Iterable[Array]) -> BoxIndex:
+def bound_polygons(polygons: Sequence[Array] | Array) -> Boxes:
     """The bounding boxes of polygons or segments (K, 2) each."""
-    index = BoxIndex()
-    for polygon in polygons:
-        index.add(polygon.min(axis=0), polygon.max(axis=0))
-    return index
+    low, high = ([reduce(polygon, axis=0) for polygon in polygons] for reduce in (np.min, np.max))
+    return Boxes(np.reshape(low, (-1, 2)), np.reshape(high, (-1, 2)))
 
 
 def group_by_tile(points: Array) -> list[NDArray[np.intp]]:
-    """Indices of points (N, 2), those in one cell together."""
+    """Indices of points (N, 2), those in one tile together."""
     if not len(points):
         return []
-    x, y = np.floor(points / _INDEX_CELL).astype(np.intp).T
+    x, y = np.floor(points / _TILE).astype(np.intp).T
     tiles = (x - x.min()) * (1 + np.ptp(y)) + y - y.min()
     order = np.argsort(tiles, kind="stable")
     return np.split(order, 1 + np.flatnonzero(np.diff(tiles[order])))
-
-
-def _list_cells(low: Array, high: Array) -> list[tuple[int, int]]:
-    (i, j), (last_i, last_j) = (np.floor(corner / _INDEX_CELL).astype(int).tolist() for corner in (low, high))
-    return [(x, y) for x in range(i, last_i + 1) for y in range(j, last_j + 1)]
 
 
 _CELL = 0.2
@@ -98,9 +75,9 @@ class Floor:
         return np.concatenate([polygon_sides(p) for p in polygons]) if polygons else np.zeros((0, 2, 2))
 
     @cached_property
-    def segment_index(self) -> BoxIndex:
+    def segment_boxes(self) -> Boxes:
         """Of ``segments``."""
-        return index_polygons(self.segments)
+        return bound_polygons(self.segments)
 
     def reach_from(self, point: Array) -> float:
         """Upper bound of the distance of walls and obstacles from a point (2,), m; 0 without any."""
@@ -119,12 +96,12 @@ class Floor:
         return np.concatenate([polygon_sides(polygon) for polygon in (self.outline, *self.obstacles)])
 
     @cached_property
-    def _edge_index(self) -> BoxIndex:
-        return index_polygons(self._edges)
+    def _edge_boxes(self) -> Boxes:
+        return bound_polygons(self._edges)
 
     @cached_property
-    def _obstacle_index(self) -> BoxIndex:
-        return index_polygons(self.obstacles)
+    def _obstacle_boxes(self) -> Boxes:
+        return bound_polygons(self.obstacles)
 
     def clearance(self, points: Array) -> Array:
         """Distances (N,) of points (N, 2) from obstacles and the outline, m; negative inside or beyond them."""
@@ -133,7 +110,7 @@ class Floor:
         for tile in group_by_tile(points):
             here = points[tile]
             distance[tile] = self._distance_to_edges(here)
-            for k in self._obstacle_index.near(here.min(axis=0), here.max(axis=0)):
+            for k in self._obstacle_boxes.near(here.min(axis=0), here.max(axis=0)):
                 outside[tile] |= points_inside(self.obstacles[k], here)
         return np.where(outside, -distance, distance)
 
@@ -141,7 +118,7 @@ class Floor:
         """Distances (N,) of points (N, 2) that are near to each other from the nearest edge, m."""
         low, high, radius = points.min(axis=0), points.max(axis=0), _SEARCH_RADIUS
         while True:
-            near = self._edge_index.near(low - radius, high + radius)
+            near = self._edge_boxes.near(low - radius, high + radius)
             distance = distance_to_segments(points, self._edges[near])
             # Edges that were left out are farther away than the radius from all points.
             if distance.max() <= radius or len(near) == len(self._edges):

@@ -9,7 +9,7 @@ import numpy as np
 from calgraph.errors import InputError
 from calgraph.geometry import Array
 from calgraph.simulation.network_floor import (
-    BoxIndex,
+    Boxes,
     Floor,
     distance_to_segments,
     points_inside,
@@ -226,7 +226,7 @@ def _place_furniture(plan: Layout, count: int, rng: np.random.Generator) -> list
     """
     scanners = np.column_stack([plan.mounts[:, :2], np.full(len(plan.mounts), _MIN_VIEW_DISTANCE)])
     clear = np.concatenate([scanners, plan.keep_clear])
-    pieces, placed = list[Array](), BoxIndex()
+    pieces, placed = list[Array](), Boxes(*np.full((2, count, 2), np.nan))
     for _ in range(20 * count if len(plan.furniture_areas) else 0):
         if len(pieces) == count:
             break
@@ -240,7 +240,7 @@ def _place_furniture(plan: Layout, count: int, rng: np.random.Generator) -> list
         away = np.linalg.norm(clear[:, :2] - center, axis=1) - clear[:, 2]
         if gap > room and away.min() > reach:
             piece = rectangle(center, size, rng.uniform(0, np.pi))
-            placed.add(piece.min(axis=0), piece.max(axis=0))
+            placed.low[len(pieces)], placed.high[len(pieces)] = piece.min(axis=0), piece.max(axis=0)
             pieces.append(piece)
     return pieces
 

@@ -15,7 +15,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from calgraph.errors import InputError
 from calgraph.geometry import Array
-from calgraph.simulation.network_floor import BoxIndex, FreeSpace
+from calgraph.simulation.network_floor import Boxes, FreeSpace
 from calgraph.simulation.network_scenario import PeopleOptions
 
 _DECISION_INTERVAL = 0.1
@@ -131,20 +131,20 @@ class BodyIndex:
     bodies: tuple[SimulatedWalk, ...]
 
     @cached_property
-    def _intervals(self) -> list[BoxIndex]:
+    def _intervals(self) -> list[Boxes]:
         """Where the bodies are in each interval of time, and how far they reach; absent ones are nowhere."""
         ends = [body.start + SAMPLE_INTERVAL * len(body.positions) for body in self.bodies]
-        intervals = [BoxIndex() for _ in range(int(max(ends, default=0.0) / _INDEX_INTERVAL) + 1)]
-        for k, interval in enumerate(intervals):
-            for body in self.bodies:
-                first, last = ((k + i) * _INDEX_INTERVAL - body.start for i in (0, 1))
-                begin, end = (round(time / SAMPLE_INTERVAL) for time in (first, last))
-                places = body.positions[max(begin - 1, 0) : max(end + 2, 0)]
-                if len(places):
-                    interval.add(places.min(axis=0) - body.full_reach, places.max(axis=0) + body.full_reach)
-                else:
-                    interval.skip()
-        return intervals
+        count = int(max(ends, default=0.0) / _INDEX_INTERVAL) + 1
+        low, high = np.full((2, count, len(self.bodies), 2), np.nan)
+        for k, i in np.ndindex(count, len(self.bodies)):
+            body = self.bodies[i]
+            first, last = ((k + j) * _INDEX_INTERVAL - body.start for j in (0, 1))
+            begin, end = (round(time / SAMPLE_INTERVAL) for time in (first, last))
+            places = body.positions[max(begin - 1, 0) : max(end + 2, 0)]
+            if len(places):
+                low[k, i] = places.min(axis=0) - body.full_reach
+                high[k, i] = places.max(axis=0) + body.full_reach
+        return [Boxes(*corners) for corners in zip(low, high, strict=True)]
 
     def near(self, places: Array, distance: float, first: float, last: float) -> list[SimulatedWalk]:
         """The bodies that are near to one of some places between two times, and some others, in order.
@@ -161,35 +161,26 @@ class BodyIndex:
 
 
 class _Crowd:
-    """The walkers by the square cells they are in."""
+    """The walkers, and where they are."""
 
     def __init__(self) -> None:
         self.walkers: list[_Walker] = []
-        self._cells: dict[tuple[int, int], list[int]] = {}
+        self._positions = np.zeros((0, 2))
 
     def add(self, walker: "_Walker") -> None:
         """Adds a walker at its place."""
-        self._cells.setdefault(_crowd_cell(walker.position), []).append(len(self.walkers))
         self.walkers.append(walker)
+        self._positions = np.vstack([self._positions, walker.position])
 
     def move(self, number: int, position: Array) -> None:
         """Moves a walker to a place (2,)."""
-        walker = self.walkers[number]
-        before, after = _crowd_cell(walker.position), _crowd_cell(position)
-        if after != before:
-            self._cells[before].remove(number)
-            self._cells.setdefault(after, []).append(number)
-        walker.position = position
+        self.walkers[number].position = position
+        self._positions[number] = position
 
     def near(self, position: Array) -> "list[_Walker]":
         """All within the distance at which walkers heed each other, and some beyond, in order."""
-        i, j = _crowd_cell(position)
-        cells = [(i + x, j + y) for x in (-1, 0, 1) for y in (-1, 0, 1)]
-        return [self.walkers[k] for k in sorted(k for cell in cells for k in self._cells.get(cell, ()))]
-
-
-def _crowd_cell(position: Array) -> tuple[int, int]:
-    return int(position[0] // _HEEDED_DISTANCE), int(position[1] // _HEEDED_DISTANCE)
+        near = (np.abs(self._positions - position) <= _HEEDED_DISTANCE).all(axis=1)
+        return [self.walkers[k] for k in np.flatnonzero(near)]
 
 
 @dataclass

@@ -57,7 +57,7 @@ class CameraOptions(StrictModel):
 
 
 class BeamOptions(StrictModel):
-    """Noise and range of a scanner's beams."""
+    """Noise and range of a scanner's beams (MSG-Cal, eqs. 7–9)."""
 
     range_noise: NotNegative = 0.012
     """Standard deviation along the beam, m."""

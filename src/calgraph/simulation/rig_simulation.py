@@ -111,7 +111,7 @@ def _sensor_spec(sensor: RobotSensor, scenario: RigScenario) -> SensorSpec:
             noise=DepthNoise(range=max(sensor.options.noise, 1e-4)),
         )
     # A noise-free simulation still needs a positive noise as weight.
-    noise = RangeNoise(range=max(sensor.noise.range, 1e-4), angle=max(sensor.noise.angle, 1e-5))
+    noise = RangeNoise(range=max(sensor.noise.range_noise, 1e-4), angle=max(sensor.noise.angle_noise, 1e-5))
     if sensor.kind == "lidar2d":
         return Lidar2dSpec(kind="lidar2d", topic=topic, frame_id=sensor.frame_id, noise=noise)
     return Lidar3dSpec(kind="lidar3d", topic=topic, frame_id=sensor.frame_id, noise=noise)

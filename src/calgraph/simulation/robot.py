@@ -10,13 +10,7 @@ from calgraph.geometry import Array, se3, so3
 from calgraph.sensors import CameraModel
 from calgraph.sensors.kinds import KINDS, KindName
 from calgraph.simulation.rig_scenario import BeamOptions, CameraOptions, DepthOptions, RigScenario
-from calgraph.simulation.scanners import (
-    BeamPattern,
-    SimulatedBeamNoise,
-    laser_pattern,
-    multibeam_pattern,
-    spinning_pattern,
-)
+from calgraph.simulation.scanners import BeamPattern, laser_pattern, multibeam_pattern, spinning_pattern
 
 # Optical axes (z forward, x right) of a camera that faces along the robot's x.
 _R_BODY_OPTICAL = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])
@@ -79,7 +73,7 @@ class MountedScanner(MountedSensor):
     """A 2-D or 3-D scanner on the robot."""
 
     pattern: BeamPattern
-    noise: SimulatedBeamNoise
+    noise: BeamOptions
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,9 +170,7 @@ def _build_spinning(scenario: RigScenario, rng: np.random.Generator) -> Iterator
     for i in range(options.count):
         T_world_sensor = _draw_mount(scenario, rng, -0.5 * i, 1.1, 0.0)
         clock = _draw_clock(rng, period, float(pattern.times[-1]))
-        yield MountedScanner(
-            _number_name("lidar", i), "lidar3d", T_world_sensor, clock, pattern, _beam_noise(options)
-        )
+        yield MountedScanner(_number_name("lidar", i), "lidar3d", T_world_sensor, clock, pattern, options)
 
 
 def _build_multibeams(scenario: RigScenario, rng: np.random.Generator) -> Iterator[MountedScanner]:
@@ -189,7 +181,7 @@ def _build_multibeams(scenario: RigScenario, rng: np.random.Generator) -> Iterat
         T_world_sensor = _draw_mount(scenario, rng, -0.3 - 0.5 * i, 1.0, 0.0)
         clock = _draw_clock(rng, 1 / options.rate, float(pattern.times[-1]))
         name = _number_name("lidar", scenario.spinning.count + i)
-        yield MountedScanner(name, "lidar3d", T_world_sensor, clock, pattern, _beam_noise(options))
+        yield MountedScanner(name, "lidar3d", T_world_sensor, clock, pattern, options)
 
 
 def _build_lasers(scenario: RigScenario, rng: np.random.Generator) -> Iterator[MountedScanner]:
@@ -205,7 +197,7 @@ def _build_lasers(scenario: RigScenario, rng: np.random.Generator) -> Iterator[M
         T_world_sensor[:3, :3] = T_world_sensor[:3, :3] @ tilt
         name = _LASER_NAMES[i] if i < len(_LASER_NAMES) else f"laser_{i + 1}"
         clock = _draw_clock(rng, 1 / options.rate, float(pattern.times[-1]))
-        yield MountedScanner(name, "lidar2d", T_world_sensor, clock, pattern, _beam_noise(options))
+        yield MountedScanner(name, "lidar2d", T_world_sensor, clock, pattern, options)
 
 
 def _draw_mount(scenario: RigScenario, rng: np.random.Generator, ahead: float, height: float, yaw: float) -> Array:
@@ -218,17 +210,6 @@ def _draw_mount(scenario: RigScenario, rng: np.random.Generator, ahead: float, h
 
 def _draw_clock(rng: np.random.Generator, period: float, duration: float) -> SensorClock:
     return SensorClock(float(rng.uniform(0, period)), period, duration)
-
-
-def _beam_noise(options: BeamOptions) -> SimulatedBeamNoise:
-    return SimulatedBeamNoise(
-        range=options.range_noise,
-        angle=options.angle_noise,
-        mixed_pixels=options.mixed_pixels,
-        dropout=options.dropout,
-        min_range=options.min_range,
-        max_range=options.max_range,
-    )
 
 
 def _number_name(name: str, index: int) -> str:

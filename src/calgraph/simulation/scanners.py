@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from calgraph.geometry import Array, se3, so3
 from calgraph.sensors import LaserScan, PointCloud
+from calgraph.simulation.rig_scenario import BeamOptions
 from calgraph.simulation.solids import Solid, cast_rays
 
 SceneAt = Callable[[float, float], Sequence[tuple[float, Sequence[Solid]]]]
@@ -35,24 +36,6 @@ class BeamPattern:
     """(N,) beam angles of a 2-D scanner, rad."""
     rings: NDArray[np.int32] | None = None
     """(N,) for a multi-beam LiDAR."""
-
-
-@dataclass(frozen=True)
-class SimulatedBeamNoise:
-    """Errors of measured ranges (MSG-Cal, eqs. 7–9)."""
-
-    range: float
-    """Standard deviation along the beam, m."""
-    angle: float
-    """Standard deviation of the beam's direction, rad."""
-    mixed_pixels: float
-    """Probability that one of the two beams at a depth edge falls between the two depths."""
-    dropout: float
-    """Probability that a beam returns nothing."""
-    min_range: float
-    """m."""
-    max_range: float
-    """m."""
 
 
 def laser_pattern(field_of_view: float, resolution: float, scan_time: float) -> BeamPattern:
@@ -144,14 +127,14 @@ def simulate_ranges(
     T_world_sensor: Array,
     start: float,
     scene_at: SceneAt,
-    noise: SimulatedBeamNoise,
+    noise: BeamOptions,
     rng: np.random.Generator,
 ) -> Array:
     """Simulates the ranges (N,) of one scan or sweep that starts at a time, m; NaN without a return.
 
     Beams are cast along their true direction, which deviates from the nominal one by the angle noise.
     """
-    error = rng.normal(0.0, noise.angle, len(pattern.times))[:, None]
+    error = rng.normal(0.0, noise.angle_noise, len(pattern.times))[:, None]
     R = T_world_sensor[:3, :3]
     directions = (np.cos(error) * pattern.directions + np.sin(error) * pattern.sideways) @ R.T
     origins = se3.apply(T_world_sensor, pattern.origins)
@@ -164,7 +147,7 @@ def simulate_ranges(
         true[part] = cast_rays(solids, starts, directions[part]).ranges
         first = last
     ranges = add_mixed_pixels(true, pattern.neighbours, noise.mixed_pixels, rng) + rng.normal(
-        0.0, noise.range, len(true)
+        0.0, noise.range_noise, len(true)
     )
     lost = rng.random(len(true)) < noise.dropout
     within = (ranges > 0) & (ranges >= noise.min_range) & (ranges <= noise.max_range) & np.isfinite(ranges)

@@ -4,7 +4,7 @@ Each measurement draws its noise from a separate generator, seeded by sensor and
 the same whether the whole recording is simulated or only a capture, and independent of the order.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from itertools import chain
@@ -78,15 +78,6 @@ class World:
     """Everything a beam can hit while the board is at a placement."""
 
 
-@dataclass(frozen=True, eq=False)
-class SimulatedCapture:
-    """The measurements of one hold."""
-
-    board: BoardTruth
-    messages: Mapping[str, tuple[Message, ...]]
-    """By sensor, the measurements that lie fully in the hold."""
-
-
 def build_world(
     scenario: RigScenario, seed: int, images: bool = True, robot: tuple[RobotSensor, ...] = ()
 ) -> World:
@@ -153,33 +144,6 @@ def ground_truth(world: World) -> GroundTruth:
         for h in world.trajectory.holds
     )
     return GroundTruth(world.root, sensors, boards)
-
-
-def simulate_background(world: World) -> Mapping[str, tuple[Message, ...]]:
-    """By sensor, the measurements of the empty room."""
-    return {
-        s.name: _simulate_messages(world, s, s.clock.within(0, world.scenario.background)) for s in world.robot
-    }
-
-
-def simulate_captures(
-    world: World, measurements: int | None = MEASUREMENTS_PER_HOLD, sensors: Sequence[str] | None = None
-) -> Iterator[SimulatedCapture]:
-    """Simulates capture by capture the measurements that lie in its hold, without writing a recording.
-
-    Args:
-        world: to measure in.
-        measurements: number of the first measurements of each sensor to simulate; all if None.
-        sensors: the names of those that measure; all if None.
-    """
-    chosen = [s for s in world.robot if sensors is None or s.name in sensors]
-    for truth, hold in zip(ground_truth(world).boards, world.trajectory.holds, strict=True):
-        indices = {s.name: s.clock.within(hold.start, hold.end)[:measurements] for s in chosen}
-        yield SimulatedCapture(truth, {s.name: _simulate_messages(world, s, indices[s.name]) for s in chosen})
-
-
-def _simulate_messages(world: World, sensor: RobotSensor, indices: range) -> tuple[Message, ...]:
-    return tuple(simulate_measurement(world, sensor, index) for index in indices)
 
 
 def _T_root_world(world: World) -> Array:

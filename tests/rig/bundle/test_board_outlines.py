@@ -11,8 +11,9 @@ from calgraph.geometry import se3
 from calgraph.result import EstimatedParameter
 from calgraph.rig.bundle.range_observations import RangeObservations
 from calgraph.rig.bundle.solution import RigSolution
-from calgraph.simulation import BoardErrors, CameraOptions, LaserOptions, ModelErrors, MultibeamOptions
+from calgraph.simulation import CameraOptions, LaserOptions, MultibeamOptions
 from detected_rigs import QUICK, DetectedRig, detect_rig
+from rig_errors import BoardErrors, ModelErrors
 
 FINE = QUICK.model_copy(
     update={

@@ -10,15 +10,9 @@ import pytest
 from calgraph.config import Board, Checkerboard
 from calgraph.geometry import se3
 from calgraph.rig.bundle.range_observations import bow_shape, round_bow_shape
-from calgraph.simulation import (
-    BoardErrors,
-    CameraOptions,
-    LaserOptions,
-    ModelErrors,
-    MultibeamOptions,
-    RigScenario,
-)
+from calgraph.simulation import CameraOptions, LaserOptions, MultibeamOptions, RigScenario
 from detected_rigs import QUICK, DetectedRig, detect_rig
+from rig_errors import BoardErrors, ModelErrors
 
 ONE_PLACE = QUICK.model_copy(
     update={

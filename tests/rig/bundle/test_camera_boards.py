@@ -9,8 +9,8 @@ from calgraph.rig.bundle.camera_boards import locate_boards
 from calgraph.rig.captures.detect import CaptureSet
 from calgraph.rig.options import RigOptions
 from calgraph.rig.pipeline import build_problem_from_captures, solve_problem
-from calgraph.simulation import BoardErrors, CameraErrors, ModelErrors
 from detected_rigs import DetectedRig, detect_rig
+from rig_errors import BoardErrors, CameraErrors, ModelErrors
 
 
 def camera_detections(captures: CaptureSet) -> dict[int, BoardCorners]:

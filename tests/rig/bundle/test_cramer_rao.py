@@ -11,8 +11,9 @@ from calgraph.config import CameraSpec, Rig
 from calgraph.geometry import Array, se3
 from calgraph.rig.bundle.estimate import cramer_rao
 from calgraph.rig.captures.detect import CaptureSet
-from calgraph.simulation import CameraOptions, RigScenario, build_world, simulate_detections
+from calgraph.simulation import CameraOptions, RigScenario, build_world
 from detected_rigs import exact_rig
+from ideal_detections import simulate_detections
 
 STEP = 1e-5
 """Of numerical derivatives, m and rad."""

@@ -16,9 +16,10 @@ from calgraph.rig.bundle.bundle_parameters import SystematicParameter
 from calgraph.rig.bundle.bundle_setup import build_bundle
 from calgraph.rig.bundle.bundle_solver import Bundle, BundleState
 from calgraph.sensors.kinds.stated import BeamError
-from calgraph.simulation import ModelErrors, MultibeamOptions, ScannerErrors
+from calgraph.simulation import MultibeamOptions
 from calgraph.verdict.parameter_estimates import describe_deviation
 from detected_rigs import QUICK, DetectedRig, detect_rig, exact_rig
+from rig_errors import ModelErrors, ScannerErrors
 
 # Beams are higher by this than their driver states, rad: one and a half prior standard deviations.
 OFFSET, STDDEV = 0.0075, 0.005

@@ -22,8 +22,10 @@ from calgraph.rig.bundle.variance_components import (
     select_consistent_views,
     update_variance_components,
 )
-from calgraph.simulation import BoardErrors, IdealDetectorOptions, ModelErrors, build_world
+from calgraph.simulation import build_world
 from detected_rigs import QUICK, DetectedRig, detect_rig, detect_rig_on
+from ideal_detections import IdealDetectorOptions
+from rig_errors import BoardErrors, ModelErrors
 
 pytestmark = pytest.mark.slow
 

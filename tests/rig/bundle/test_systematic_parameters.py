@@ -10,18 +10,10 @@ from scipy.stats import chi2
 from calgraph.config import AprilGrid, Board, Checkerboard
 from calgraph.result import EstimatedParameter
 from calgraph.rig.bundle.solution import RigSolution
-from calgraph.simulation import (
-    BoardErrors,
-    CameraErrors,
-    CameraOptions,
-    LaserOptions,
-    ModelErrors,
-    MultibeamOptions,
-    ScannerErrors,
-    build_world,
-)
+from calgraph.simulation import CameraOptions, LaserOptions, MultibeamOptions, build_world
 from detected_rigs import QUICK, detect_rig, detect_rig_on, exact_rig, with_uncertainty
 from model_error_draws import draw_errors
+from rig_errors import BoardErrors, CameraErrors, ModelErrors, ScannerErrors
 
 pytestmark = pytest.mark.slow
 

@@ -8,8 +8,9 @@ import pytest
 from calgraph.config import Board
 from calgraph.result.finding import Finding
 from calgraph.rig.checks.contradictions import find_systematic_errors
-from calgraph.simulation import CameraOptions, LaserOptions, ModelErrors, MultibeamOptions, ScannerErrors
+from calgraph.simulation import CameraOptions, LaserOptions, MultibeamOptions
 from detected_rigs import QUICK, DetectedRig, detect_rig
+from rig_errors import ModelErrors, ScannerErrors
 
 FINE = QUICK.model_copy(
     update={

@@ -10,14 +10,13 @@ from calgraph.rig.pipeline import build_problem_from_captures, solve_problem
 from calgraph.simulation import (
     CameraOptions,
     LaserOptions,
-    ModelErrors,
     MultibeamOptions,
     RigScenario,
-    ScannerErrors,
     SpinningOptions,
     build_world,
-    simulate_detections,
 )
+from ideal_detections import simulate_detections
+from rig_errors import ModelErrors, ScannerErrors
 
 BIAS = 0.005
 """m; a quarter of its prior standard deviation."""

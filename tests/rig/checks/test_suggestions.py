@@ -15,7 +15,8 @@ from calgraph.rig.bundle.solution import SolvedBundle
 from calgraph.rig.checks.next_best_pose import add_suggestions, suggest_board_poses
 from calgraph.rig.options import RigOptions
 from calgraph.rig.pipeline import build_problem_from_captures, solve_problem
-from calgraph.simulation import RigScenario, build_world, simulate_detections
+from calgraph.simulation import RigScenario, build_world
+from ideal_detections import simulate_detections
 
 KINDS: dict[str, Literal["camera", "lidar2d", "lidar3d"]] = {
     "lidar": "lidar3d",

@@ -7,8 +7,8 @@ import pytest
 
 from calgraph.result.finding import Finding
 from calgraph.rig.checks.contradictions import find_systematic_errors
-from calgraph.simulation import BoardErrors, CameraErrors, ModelErrors, ScannerErrors
 from detected_rigs import detect_rig
+from rig_errors import BoardErrors, CameraErrors, ModelErrors, ScannerErrors
 
 pytestmark = pytest.mark.slow
 

@@ -1,7 +1,6 @@
 """The table of export formats."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
 from typing import Literal
 
 from calgraph.config import Rig
@@ -19,29 +18,18 @@ from calgraph.sensors import CameraModel
 Parents = Literal["root", "tree"]
 
 
-@dataclass(frozen=True)
-class _Request:
-    """A calibration, and further inputs that some formats need."""
-
-    calibration: Calibration
-    rig: Rig | None = None
-    cameras: Mapping[str, CameraModel] = field(default_factory=dict)
-    urdf: str | None = None
+Writer = Callable[[Calibration, Rig | None, Mapping[str, CameraModel], str | None], str]
 
 
-def _urdf(request: _Request) -> str:
-    if request.urdf is None:
-        return to_urdf(apply_stated_poses(request.calibration))
-    return update_urdf(request.calibration, request.urdf)
-
-
-FORMATS: Mapping[str, Callable[[_Request], str]] = {
-    "launch": lambda request: to_launch(apply_stated_poses(request.calibration)),
-    "tf": lambda request: to_tf_yaml(apply_stated_poses(request.calibration)),
-    "urdf": _urdf,
-    "kalibr": lambda request: to_camchain(request.calibration, request.rig, request.cameras),
-    "camera_info": lambda request: to_camera_infos(request.calibration, request.rig, request.cameras),
-    "json": lambda request: to_json(request.calibration),
+FORMATS: Mapping[str, Writer] = {
+    "launch": lambda calibration, *_: to_launch(apply_stated_poses(calibration)),
+    "tf": lambda calibration, *_: to_tf_yaml(apply_stated_poses(calibration)),
+    "urdf": lambda calibration, _rig, _cameras, urdf: (
+        to_urdf(apply_stated_poses(calibration)) if urdf is None else update_urdf(calibration, urdf)
+    ),
+    "kalibr": lambda calibration, rig, cameras, _: to_camchain(calibration, rig, cameras),
+    "camera_info": lambda calibration, rig, cameras, _: to_camera_infos(calibration, rig, cameras),
+    "json": lambda calibration, *_: to_json(calibration),
 }
 """Writers by the name of their format."""
 
@@ -78,4 +66,4 @@ def export(
         raise InputError(f"there is no export format {format!r}; there are {', '.join(FORMATS)}")
     if parents == "root" and format != "json":
         calibration = parent_to_root(calibration)
-    return FORMATS[format](_Request(calibration, rig, cameras or {}, urdf))
+    return FORMATS[format](calibration, rig, cameras or {}, urdf)

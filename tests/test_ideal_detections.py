@@ -15,16 +15,14 @@ from calgraph.rig.published.hypergraph import solve_hypergraph
 from calgraph.simulation import (
     CameraOptions,
     GroundTruth,
-    IdealDetectorOptions,
     LaserOptions,
     MultibeamOptions,
     RigScenario,
     SpinningOptions,
     World,
     build_world,
-    simulate_detections,
 )
-from calgraph.simulation.ideal_detections import IdealBeams
+from ideal_detections import IdealBeams, IdealDetectorOptions, simulate_detections
 
 CAMERA = CameraOptions(width=640, height=480, texels_per_mm=0.5)
 COARSE = SpinningOptions(resolution=1.0, scans_per_degree=1 / 6)

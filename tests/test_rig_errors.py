@@ -12,22 +12,17 @@ from calgraph.geometry import Array, Index, se3, so3
 from calgraph.rig.captures.detect import CaptureSet
 from calgraph.sensors import CameraModel
 from calgraph.simulation import (
-    BoardErrors,
-    Bump,
-    CameraErrors,
     CameraOptions,
     GroundTruth,
-    IdealDetectorOptions,
     LaserOptions,
-    ModelErrors,
     MultibeamOptions,
     RigScenario,
-    ScannerErrors,
     SpinningOptions,
     World,
     build_world,
-    simulate_detections,
 )
+from ideal_detections import IdealDetectorOptions, simulate_detections
+from rig_errors import BoardErrors, Bump, CameraErrors, ModelErrors, ScannerErrors
 
 RINGS = 8
 SCENARIO = RigScenario(

@@ -24,7 +24,6 @@ from calgraph.rig.captures.timeline import RecordingTimeline, SensorTimes
 from calgraph.rig.detection.lidar2d import build_segment
 from calgraph.rig.detection.line_plane_fit import fit_line, fit_plane
 from calgraph.sensors import CameraModel
-from calgraph.simulation.model_errors import BoardErrors, CameraErrors, ModelErrors, ScannerErrors
 from calgraph.simulation.motion import pose_from_placement
 from calgraph.simulation.rig_simulation import world_rig
 from calgraph.simulation.robot import MountedCamera, MountedScanner, RobotSensor
@@ -32,6 +31,7 @@ from calgraph.simulation.scanners import BeamPattern
 from calgraph.simulation.solids import RectangleShape, Solid, cast_rays
 from calgraph.simulation.truth import GroundTruth
 from calgraph.simulation.world import World, ground_truth
+from rig_errors import BoardErrors, CameraErrors, ModelErrors, ScannerErrors
 
 _OUTLINE_MARGIN = 0.02
 """Beams this near to the board's outline are left out, as detectors do, m."""
@@ -93,7 +93,7 @@ class IdealBeams:
         true = self.board_errors.distance(self.board, starts, rays)
         of_print = self.board_errors.range_bias(self.board, (starts + true[:, None] * rays)[:, :2])
         rings = None if self.stated.rings is None else self.stated.rings[beams]
-        noise = rng.normal(0.0, self.scanner.noise.range, len(beams))
+        noise = rng.normal(0.0, self.scanner.noise.range_noise, len(beams))
         ranges = self.errors.measured_ranges(true, rings) + of_print + noise
         return ranges, origins + ranges[:, None] * self.stated.directions[beams]
 
@@ -260,7 +260,7 @@ def as_scanner(sensor: RobotSensor) -> MountedScanner:
 
 def _range_noise(scanner: MountedScanner, options: IdealDetectorOptions) -> RangeNoise:
     return RangeNoise(
-        range=max(options.stated_noise_factor * scanner.noise.range, _MIN_RANGE_NOISE),
+        range=max(options.stated_noise_factor * scanner.noise.range_noise, _MIN_RANGE_NOISE),
         angle=max(options.stated_noise_factor * options.angle, _MIN_ANGLE_NOISE),
     )
 
