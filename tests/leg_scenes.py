@@ -86,7 +86,6 @@ def build_network() -> tuple[NetworkProblem, NetworkState]:
         (),
         np.full(3, 0.01),
         np.zeros(2),
-        0.1,
         np.zeros((3, len(SYSTEMATIC_ERRORS))),
         1.5,
         0.5,

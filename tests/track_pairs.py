@@ -4,7 +4,7 @@ import numpy as np
 
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2
-from calgraph.network.pairs.scanner_pair import CLOCK_SIGMA, ScannerPairEstimate, estimate_scanner_pairs
+from calgraph.network.pairs.scanner_pair import ScannerPairEstimate, estimate_scanner_pairs
 from calgraph.network.pairs.synchronized_tracks import TICK_PERIOD, SimultaneousPairs, TrackSamples, pair_samples
 from calgraph.network.tracking.track import ScannerTracks
 
@@ -20,11 +20,10 @@ def estimate_scanner_pair(
     *,
     icp: bool = True,
     depth_stddev: float | None = None,
-    clock_sigma: float = CLOCK_SIGMA,
 ) -> ScannerPairEstimate | Rejected:
     """The only pair of two scanners."""
     tracked = {name_a: a, name_b: b}
-    found = estimate_scanner_pairs(tracked, rng, icp=icp, depth_stddev=depth_stddev, clock_sigma=clock_sigma)
+    found = estimate_scanner_pairs(tracked, rng, icp=icp, depth_stddev=depth_stddev)
     return found[name_a, name_b]
 
 

@@ -32,7 +32,7 @@ def scene(
     scans = tuple(simulate_scans(s, KNOTS, path, np.arange(0.1 + 0.013 * s, 4.9, 0.07), rng) for s in range(3))
     body = EllipseObservations(KNOTS, scans, RADII, 0.3 * RADII, faces_forward)
     network = NetworkProblem(
-        3, (body,), (), np.full(3, SIGMA), np.array([0.005, 0.05]) ** 2, 0.1, EXACT, 0.0, DENSITY, SETTINGS
+        3, (body,), (), np.full(3, SIGMA), np.array([0.005, 0.05]) ** 2, EXACT, 0.0, DENSITY, SETTINGS
     )
     constant = np.column_stack([path.control[:, :2], np.zeros(KNOTS.count)])
     return network, NetworkState(T_ROOT, OFFSET, EXACT, (BodyPath(constant, RADII),))

@@ -30,7 +30,7 @@ def simulate_network(
         for s in range(3)
     )
     body = EllipseObservations(knots, scans, body_path.shape, 0.1 * body_path.shape, faces_forward=False)
-    network = NetworkProblem(3, (body,), (), np.full(3, SIGMA), INITIAL, 0.1, EXACT, 0.0, DENSITY, SETTINGS)
+    network = NetworkProblem(3, (body,), (), np.full(3, SIGMA), INITIAL, EXACT, 0.0, DENSITY, SETTINGS)
     return network, NetworkState(T_ROOT, OFFSET, EXACT, (body_path,))
 
 

@@ -49,7 +49,7 @@ def estimate(bias: Array, current: Array, gain: float = 0.3) -> Array:
     unknowns = np.sort(np.concatenate([poses, biases]))
     settings = NetworkEstimationSettings()
     ones = np.ones(COUNT)
-    network = NetworkProblem(COUNT, (), (), ones, np.ones(2), 0.1, current, 0.0, 1.0, settings)
+    network = NetworkProblem(COUNT, (), (), ones, np.ones(2), current, 0.0, 1.0, settings)
     matrix = ScannerMatrix.zeros(ScannerOrder.complete(COUNT, SCANNER_UNKNOWNS))
     matrix.add(np.arange(COUNT), H)
     estimated = np.isin(np.arange(size), unknowns)

@@ -99,7 +99,7 @@ def estimate_model_error(
         trials = np.tile(variances, (len(log_variances), 1))
         trials[:, index] = np.exp(log_variances)
         compare = partial(_compare_scanners, trials=trials, component=component)
-        observed, expected = sum(batches.map(compare, network, state, kept), np.zeros((len(trials), 2))).T
+        observed, expected = sum(batches.map_values(compare, kept), np.zeros((len(trials), 2))).T
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.log(observed / (score_to_information * expected)), expected
 
@@ -155,15 +155,7 @@ def _collect_equations(
     return _ScanEquations(of_pose, np.concatenate(parts), len(body.scans))
 
 
-def _compare_scanners(
-    _network: NetworkProblem,
-    _state: NetworkState,
-    _body: BodyObservations,
-    _path: BodyPath,
-    equations: _ScanEquations,
-    trials: Array,
-    component: _Component,
-) -> Array:
+def _compare_scanners(equations: _ScanEquations, trials: Array, component: _Component) -> Array:
     """(n, 2) sum of squared discrepancies between scanners about a body, and its expectation, for n trials."""
     return np.array([_compare_for_variances(equations, variances, component) for variances in trials])
 

@@ -177,8 +177,6 @@ class NetworkProblem:
     """(S,) noise of a range, m."""
     model_error_variance: Array
     """(2,) variances of the displacement (m²) and rotation (rad²) of a body from its path in a scan."""
-    clock_sigma: float
-    """Prior standard deviation of clock offsets, s; 0 where all clocks are synchronized."""
     systematic_sigma: Array
     """(S, E) prior standard deviations of the E ``SYSTEMATIC_ERRORS``; 0 where they are exact."""
     mid_time: float

@@ -88,7 +88,7 @@ def list_columns(scanners: Sequence[int]) -> Index:
     return np.asarray((first[:, None] + np.arange(SCANNER_UNKNOWNS)).ravel(), dtype=np.intp)
 
 
-def collect_prior_sigma(uncertainties: Sequence[Lidar2dUncertainty], *, estimate_clocks: bool) -> Array:
+def collect_prior_sigma(uncertainties: Sequence[Lidar2dUncertainty]) -> Array:
     """(S, E) prior standard deviations of ``SYSTEMATIC_ERRORS``; the root's clock is the reference.
 
     Those of stretches are root mean squares over normal tilts about both axes.
@@ -99,7 +99,7 @@ def collect_prior_sigma(uncertainties: Sequence[Lidar2dUncertainty], *, estimate
     sigma[:, ANGLE_SCALE] = [u.angle_scale for u in uncertainties]
     sigma[:, STRETCH_X] = sigma[:, STRETCH_DIAGONAL] = np.radians([u.tilt for u in uncertainties]) ** 2 / 2
     sigma[:, CLOCK_DRIFT] = [u.clock_drift for u in uncertainties]
-    sigma[slice(0, 1) if estimate_clocks else slice(None), CLOCK_DRIFT] = 0
+    sigma[0, CLOCK_DRIFT] = 0
     return sigma
 
 

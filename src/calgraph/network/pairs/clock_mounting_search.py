@@ -24,6 +24,7 @@ from calgraph.network.pairs.hypothesis_evidence import (
 )
 from calgraph.network.pairs.pose_hypotheses import propose_poses
 from calgraph.network.pairs.scanner_pair import (
+    CLOCK_SIGMA,
     COARSE_PAIRS,
     DEPTH_STDDEV,
     FINE_MODEL_ERROR,
@@ -98,7 +99,7 @@ FIRM_EVIDENCE = 150.0
 MIN_LATERAL_SPREAD = 0.3
 
 
-def is_firm(pair: ScannerPairEstimate, clock_sigma: float) -> bool:
+def is_firm(pair: ScannerPairEstimate) -> bool:
     """Whether a pair, registered as if clocks and mountings were the same, shows that they are.
 
     Tracks on one line fit mirrored ones as well: the matched positions must spread to the sides, too.
@@ -106,18 +107,18 @@ def is_firm(pair: ScannerPairEstimate, clock_sigma: float) -> bool:
     best = pair.hypotheses[0]
     return (
         best.weight_of_evidence() >= FIRM_EVIDENCE
-        and abs(best.clock_offset) <= clock_sigma
+        and abs(best.clock_offset) <= CLOCK_SIGMA
         and best.lateral_spread >= MIN_LATERAL_SPREAD
     )
 
 
-def may_differ_by_chance(h: ClockMountingHypothesis, scanners: int, clock_sigma: float) -> bool:
+def may_differ_by_chance(h: ClockMountingHypothesis, scanners: int) -> bool:
     """Whether different people may match like this in a search of a network of this number of scanners.
 
     With other clocks, far more alternatives are compared: matches may then be by chance also where they determine
     the clocks.
     """
-    undetermined = h.clock_stddev > MAX_CLOCK_STDDEV or abs(h.clock_offset) > clock_sigma
+    undetermined = h.clock_stddev > MAX_CLOCK_STDDEV or abs(h.clock_offset) > CLOCK_SIGMA
     return undetermined and h.evidence < compute_chance_evidence(scanners)
 
 
@@ -161,7 +162,6 @@ def select_searched_pairs(
 def search_clocks_and_mountings(
     pairs: Sequence[tuple[str, str]],
     observations: Mapping[str, ScannerObservations],
-    clock_sigma: float,
     rng: np.random.Generator,
     *,
     engine: Engine = THIS_PROCESS,
@@ -172,7 +172,6 @@ def search_clocks_and_mountings(
     Args:
         pairs: names of their scanners.
         observations: by scanner.
-        clock_sigma: prior standard deviation of the clock offset of two scanners, s.
         rng: random generator for the selection of poses.
         engine: evaluates pairs.
         settings: range and steps of the search, gates and limits of registrations.
@@ -180,11 +179,10 @@ def search_clocks_and_mountings(
     Returns:
         The hypotheses of each pair and mounting: the registrations from the starts that fit best.
     """
-    prior = NuisancePrior(clock_sigma, DEPTH_STDDEV)
     generators = rng.spawn(len(pairs))
     data = {name: Kept.of(one) for name, one in observations.items()}
     work = [
-        (ends, data[ends[0]], data[ends[1]], prior, generator, settings)
+        (ends, data[ends[0]], data[ends[1]], generator, settings)
         for ends, generator in zip(pairs, generators, strict=True)
     ]
     return [found for of_pair in engine.map(_search_pair, work) for found in of_pair]
@@ -194,7 +192,6 @@ def _search_pair(
     names: tuple[str, str],
     a: ScannerObservations,
     b: ScannerObservations,
-    prior: NuisancePrior,
     rng: np.random.Generator,
     settings: ScannerPairSettings,
 ) -> list[ClockMountingHypothesis]:
@@ -204,7 +201,7 @@ def _search_pair(
         found += [
             _summarize_hypothesis(names, mirrored, hypothesis)
             for delay, T in starts
-            if (hypothesis := _register(T, a, b, mirrored, delay, prior)) is not None
+            if (hypothesis := _register(T, a, b, mirrored, delay)) is not None
         ]
     return found
 
@@ -256,7 +253,7 @@ def _is_same(T: Array, other: Array) -> bool:
 
 
 def _register(
-    T_a_b: Array, a: ScannerObservations, b: ScannerObservations, mirrored: bool, delay: int, prior: NuisancePrior
+    T_a_b: Array, a: ScannerObservations, b: ScannerObservations, mirrored: bool, delay: int
 ) -> PoseHypothesis | None:
     """The credible pose near a start; shifts the samples until the rest of the clock offset is below a tick."""
     period, model_error = a.samples.tick_period, MAX_MODEL_ERROR
@@ -266,7 +263,7 @@ def _register(
         if not len(pairs):
             return None
         sampled = subsample_pairs(pairs, _PAIRS, MIN_SAMPLES)
-        of_rest = NuisancePrior(prior.clock_sigma, prior.depth_sigma, -delay * period)
+        of_rest = NuisancePrior(CLOCK_SIGMA, DEPTH_STDDEV, -delay * period)
         fit = register_tracks(T_a_b, sampled, model_error, of_rest)
         if fit is None:
             return None

@@ -103,7 +103,6 @@ def estimate_scanner_pairs(
     *,
     icp: bool = True,
     depth_stddev: float | None = None,
-    clock_sigma: float = CLOCK_SIGMA,
     engine: Engine = THIS_PROCESS,
     progress: Callable[[float], None] = lambda _done: None,
 ) -> dict[tuple[str, str], ScannerPairEstimate | Rejected]:
@@ -118,7 +117,6 @@ def estimate_scanner_pairs(
         icp: whether to match the static background, too.
         depth_stddev: prior standard deviation of the distance from tracked to true centres along the beam, m; that
             of ``DEPTH_STDDEV`` if None.
-        clock_sigma: prior standard deviation of the clock offset of two scanners, s.
         engine: evaluates pairs; does not affect the result.
         progress: called with the completed fraction, 0..1.
 
@@ -131,7 +129,7 @@ def estimate_scanner_pairs(
         scanners,
         tuple(Kept.of(scanner) for scanner in scanners),
         icp,
-        NuisancePrior(clock_sigma, DEPTH_STDDEV if depth_stddev is None else depth_stddev),
+        NuisancePrior(CLOCK_SIGMA, DEPTH_STDDEV if depth_stddev is None else depth_stddev),
         engine,
     )
     names = batch.names
