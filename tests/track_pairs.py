@@ -66,4 +66,4 @@ def gather_samples(tracks: list[tuple[Array, Array]], sigma: float) -> TrackSamp
     order = np.argsort(tick, kind="stable")
     x, v = (np.concatenate(column)[order] for column in zip(*tracks, strict=True))
     covariances = np.broadcast_to(sigma**2 * np.eye(2), (len(x), 2, 2))
-    return TrackSamples(tick[order], trajectory[order], x, v, covariances, TICK_PERIOD)
+    return TrackSamples(tick[order], trajectory[order], x, v, covariances)

@@ -419,7 +419,7 @@ def test_pairs_are_subsampled_if_enough_samples_are_left(min_samples: int, left:
     """1000 simultaneous pairs of one person, of which a hundred are wanted."""
     walk = TrackSamples(
         np.arange(1000), np.zeros(1000, np.intp), np.zeros((1000, 2)), np.zeros((1000, 2)),
-        np.tile(np.eye(2), (1000, 1, 1)), 0.1,
+        np.tile(np.eye(2), (1000, 1, 1)),
     )  # fmt: skip
     assert len(subsample_pairs(pair_samples(walk, walk), 100, min_samples)) == left
 

@@ -14,7 +14,7 @@ from calgraph.network.pairs.visibility_map import (
 )
 from calgraph.network.tracking.track import ScannerTracks
 
-NO_SAMPLES = TrackSamples(*(np.zeros(0, dtype=np.intp),) * 2, *(np.zeros((0, 2)),) * 2, np.zeros((0, 2, 2)), 0.1)
+NO_SAMPLES = TrackSamples(*(np.zeros(0, dtype=np.intp),) * 2, *(np.zeros((0, 2)),) * 2, np.zeros((0, 2, 2)))
 
 
 def wall(distance: float, beams: int = 540) -> Array:
@@ -28,7 +28,7 @@ def walks(positions: Array, first: int = 0) -> TrackSamples:
     ticks = np.arange(first, first + len(positions))
     S = np.tile(0.02**2 * np.eye(2), (len(positions), 1, 1))
     return TrackSamples(
-        ticks, np.zeros(len(positions), np.intp), positions, np.gradient(positions, 0.1, axis=0), S, 0.1
+        ticks, np.zeros(len(positions), np.intp), positions, np.gradient(positions, 0.1, axis=0), S
     )
 
 

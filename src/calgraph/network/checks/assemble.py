@@ -24,6 +24,7 @@ from calgraph.network.joint.track_association import MAX_DISTANCE
 from calgraph.network.pairs.hypothesis_evidence import PoseHypothesis
 from calgraph.network.pairs.scanner_pair import ScannerPairEstimate, ScannerPairs
 from calgraph.network.pairs.synchronized_tracks import (
+    TICK_PERIOD,
     SimultaneousPairs,
     TrackSamples,
     pair_samples,
@@ -424,7 +425,7 @@ def build_walk_rows(
             float(of_scanner.times[walk[0]]) - start,
             float(of_scanner.times[walk[-1]]) - start,
             name,
-            *_assess_walk(name, walk, matches, of_scanner.tick_period),
+            *_assess_walk(name, walk, matches),
         )
         for name, of_scanner in samples.items()
         for walk in _split_walks(of_scanner)
@@ -433,7 +434,7 @@ def build_walk_rows(
 
 
 def _assess_walk(
-    name: str, walk: NDArray[np.intp], matches: CrossScannerMatches, tick_period: float
+    name: str, walk: NDArray[np.intp], matches: CrossScannerMatches
 ) -> tuple[bool, str, float | None]:
     """Whether the samples of a walk have matches, why not, and their RMS distance, m."""
     if name not in matches.distance:
@@ -443,7 +444,7 @@ def _assess_walk(
     if len(d) >= _MIN_SHARED_TICKS:
         return True, "", float(np.sqrt(np.mean(d**2)))
     if len(d):
-        return False, f"another scanner detected it for less than {_MIN_SHARED_TICKS * tick_period:g} s", None
+        return False, f"another scanner detected it for less than {_MIN_SHARED_TICKS * TICK_PERIOD:g} s", None
     if matches.others_active[name][walk].any():
         return (
             False,

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from calgraph.geometry import Array
 from calgraph.network.graph.network_initialization import NetworkInitialization
-from calgraph.network.pairs.synchronized_tracks import TrackSamples, pair_samples, resample_tracks
+from calgraph.network.pairs.synchronized_tracks import TrackSamples, pair_samples, resample_tracks, to_ticks
 from calgraph.network.tracking.track import ScannerTracks
 from calgraph.sensors.untimed_scans import UntimedScans, decide_turn
 from calgraph.solver.grouped_errors import solve_with_grouped_errors
@@ -141,7 +141,7 @@ def _linearize(
         if name in untimed:
             bearings = np.arctan2(own[:, 1] * (-1 if name in inverted else 1), own[:, 0])
             jacobian[:, :, node, 4] = sign * v * untimed[name].turn_times(bearings)[:, None]
-    spans = pairs.a.tick[pairs.row_a[rows]] // pairs.a.to_ticks(_ERROR_TIME)
+    spans = pairs.a.tick[pairs.row_a[rows]] // to_ticks(_ERROR_TIME)
     _, group = np.unique(np.column_stack([pairs.trajectories[rows], spans]), axis=0, return_inverse=True)
     ticks = pairs.a.tick[pairs.row_a[rows]]
     yield _Part(jacobian.reshape(len(rows), 2, -1), difference[rows], group.ravel(), ticks)

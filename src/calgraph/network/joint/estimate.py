@@ -51,7 +51,6 @@ from calgraph.network.joint.systematic_spread import estimate_systematic_sigma
 from calgraph.network.joint.track_association import BodyTracks, cut_bodies, group_tracks_by_body
 from calgraph.network.pairs import icp
 from calgraph.network.pairs.scanner_pair import CLOCK_SIGMA
-from calgraph.network.pairs.synchronized_tracks import TICK_PERIOD
 from calgraph.network.tracking.track import ScannerTracks, Track
 from calgraph.parallel.engine import THIS_PROCESS, MapEngine
 from calgraph.parallel.kept_values import Kept
@@ -138,7 +137,7 @@ def solve_network(
         )
         if inlier
     ]
-    walks = group_tracks_by_body(tracked, T_root_scanner, TICK_PERIOD)
+    walks = group_tracks_by_body(tracked, T_root_scanner)
     bodies = cut_bodies(walks)
     state = NetworkState(
         T_root_scanner,

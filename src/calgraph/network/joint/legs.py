@@ -167,7 +167,6 @@ class LegObservations(BodyObservations):
     acceleration_density: float
     """Spectral density of its acceleration, m²/s³."""
     has_biases: ClassVar[bool] = True
-    is_whole: ClassVar[bool] = False
     radius_count: ClassVar[int] = 1
 
     @property

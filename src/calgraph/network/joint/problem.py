@@ -123,8 +123,6 @@ class BodyObservations(ABC):
     has_biases: ClassVar[bool]
     """Whether what is not modelled of it is a bias of each scanner's ranges; a displacement in each scan if
     not."""
-    is_whole: ClassVar[bool]
-    """Whether a track, which follows a person, is one of it."""
     radius_count: ClassVar[int]
     """Number of radii, with which its shape begins."""
 

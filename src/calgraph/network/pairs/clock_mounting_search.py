@@ -38,7 +38,7 @@ from calgraph.network.pairs.scanner_pair import (
     ScannerPairEstimate,
     miss_detections,
 )
-from calgraph.network.pairs.synchronized_tracks import pair_samples
+from calgraph.network.pairs.synchronized_tracks import TICK_PERIOD, pair_samples, to_ticks
 from calgraph.network.pairs.track_registration import (
     MAX_MODEL_ERROR,
     NuisancePrior,
@@ -147,7 +147,6 @@ def select_searched_pairs(
     if len(names) <= MAX_EXHAUSTIVE:
         ends = [(a, b) for a, b in itertools.combinations(range(len(names)), 2) if part[a] != part[b]]
     else:
-        to_ticks = samples[0].to_ticks
         step, farthest = to_ticks(_SIMILARITY_STEP), to_ticks(limits.max_clock_offset)
         delays = range(-(farthest // step) * step, farthest + 1, step)
         # Scanners of the largest part are compared with the others, which are few as a rule.
@@ -225,12 +224,12 @@ def _select_starts(
 ) -> list[tuple[int, Array]]:
     """Delays of b, in ticks, and poses (3, 3) that fit best, distinct from each other."""
     limits = settings.clock_mounting
-    step, farthest = a.samples.to_ticks(_CLOCK_STEP), a.samples.to_ticks(limits.max_clock_offset)
+    step, farthest = to_ticks(_CLOCK_STEP), to_ticks(limits.max_clock_offset)
     candidates: list[tuple[float, int, Array]] = []
     for delay in range(-(farthest // step) * step, farthest + 1, step):
         moved = b.transform(mirrored, delay)
         pairs = pair_samples(a.samples, moved.samples)
-        if len(np.unique(pairs.row_a)) < pairs.a.to_ticks(MIN_MATCHED_TIME):
+        if len(np.unique(pairs.row_a)) < to_ticks(MIN_MATCHED_TIME):
             continue
         T = propose_poses(subsample_pairs(pairs, _PAIRS, MIN_SAMPLES), rng, _PROPOSALS)
         rough = subsample_pairs(pairs, ROUGH_PAIRS, MIN_SAMPLES)
@@ -256,19 +255,19 @@ def _register(
     T_a_b: Array, a: ScannerObservations, b: ScannerObservations, mirrored: bool, delay: int
 ) -> PoseHypothesis | None:
     """The credible pose near a start; shifts the samples until the rest of the clock offset is below a tick."""
-    period, model_error = a.samples.tick_period, MAX_MODEL_ERROR
+    model_error = MAX_MODEL_ERROR
     for shift in range(_MAX_SHIFTS):
         moved = b.transform(mirrored, delay)
         pairs = pair_samples(a.samples, moved.samples)
         if not len(pairs):
             return None
         sampled = subsample_pairs(pairs, _PAIRS, MIN_SAMPLES)
-        of_rest = NuisancePrior(CLOCK_SIGMA, DEPTH_STDDEV, -delay * period)
+        of_rest = NuisancePrior(CLOCK_SIGMA, DEPTH_STDDEV, -delay * TICK_PERIOD)
         fit = register_tracks(T_a_b, sampled, model_error, of_rest)
         if fit is None:
             return None
         T_a_b, model_error = fit.T_a_b, FINE_MODEL_ERROR
-        rest = round(float(fit.nuisance[0]) / period)
+        rest = round(float(fit.nuisance[0]) / TICK_PERIOD)
         if rest and shift + 1 < _MAX_SHIFTS:
             delay += rest
             continue

@@ -34,7 +34,7 @@ from calgraph.network.pairs.hypothesis_evidence import (
 )
 from calgraph.network.pairs.icp import StaticBackground, align_backgrounds
 from calgraph.network.pairs.pose_hypotheses import propose_poses
-from calgraph.network.pairs.synchronized_tracks import SimultaneousPairs, pair_samples
+from calgraph.network.pairs.synchronized_tracks import TICK_PERIOD, SimultaneousPairs, pair_samples, to_ticks
 from calgraph.network.pairs.track_registration import (
     MAX_MODEL_ERROR,
     NuisancePrior,
@@ -244,10 +244,9 @@ def _propose_hypotheses(a: _ScannerData, b: _ScannerData, rng: np.random.Generat
     """Proposes poses (K, 3, 3)."""
     pairs = pair_samples(a.observations.samples, b.observations.samples)
     count, needed = len(np.unique(pairs.a.tick[pairs.row_a])), MIN_MATCHED_TIME
-    if count < pairs.a.to_ticks(needed):
+    if count < to_ticks(needed):
         return Rejected(
-            f"both tracked people at the same time for {count * pairs.a.tick_period:.1f} s, "
-            f"{needed:.1f} s are needed"
+            f"both tracked people at the same time for {count * TICK_PERIOD:.1f} s, {needed:.1f} s are needed"
         )
     poses = propose_poses(pairs, rng)
     if not len(poses):
@@ -344,7 +343,7 @@ def _evaluate_hypotheses(
         for T in poses
         if (fit := register(T, fine, FINE_MODEL_ERROR))
     ]
-    least = pairs.a.to_ticks(MIN_MATCHED_TIME)
+    least = to_ticks(MIN_MATCHED_TIME)
     kept = [h for h in hypotheses if is_credible(h, least)]
     best = max((h.weight_of_evidence() for h in kept), default=np.inf)
     if best < _UNAMBIGUOUS_EVIDENCE:
@@ -358,7 +357,7 @@ def _evaluate_hypotheses(
         others = [build_hypothesis(fit, fine, *samples, len(pairs), prior) for fit in fits]
         kept += [h for h in others if is_credible(h, least)]
     if not kept:
-        seconds = round(max(counts) * len(pairs) / len(coarse)) * pairs.a.tick_period
+        seconds = round(max(counts) * len(pairs) / len(coarse)) * TICK_PERIOD
         return Rejected(
             f"no pose hypothesis is credible: the best one matches {seconds:.1f} s of tracks, which chance or "
             "similar trajectories explain as well"

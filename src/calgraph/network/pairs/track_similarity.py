@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.geometry import Array, Index
-from calgraph.network.pairs.synchronized_tracks import TICK_PERIOD, TrackSamples
+from calgraph.network.pairs.synchronized_tracks import TrackSamples, to_ticks
 
 # Pairs of trajectories, of all stretches, that are compared together: their moments take about 100 MB.
 _MAX_COMPARED = 500_000
@@ -110,7 +110,6 @@ def _cut_stretches(samples: Sequence[TrackSamples], wanted: NDArray[np.bool_], o
     tick = np.concatenate([samples[k].tick for k in occupied])
     trajectory = np.concatenate([samples[k].trajectory for k in occupied])
     x, y = np.concatenate([samples[k].positions for k in occupied]).T
-    to_ticks = samples[0].to_ticks
     length, least = to_ticks(_STRETCH_DURATION), to_ticks(MIN_DURATION)
     block, column = np.divmod(tick - origin, length)
     # A trajectory within a block is one row.
@@ -162,7 +161,7 @@ def _align_trajectories(
     scanner_a, z_a, in_a = of_a.scanner[rows], of_a.positions[rows], of_a.detected[rows]
     scanner_b, z_b, in_b = of_b.scanner, of_b.positions, of_b.detected
     ticks = in_a @ in_b.T
-    least = max(round(MIN_DURATION / TICK_PERIOD), 1)
+    least = max(to_ticks(MIN_DURATION), 1)
     a, b = np.nonzero((ticks >= least) & compared[np.ix_(scanner_a, scanner_b)])
     n = ticks[a, b]
     center_a, center_b = (z_a @ in_b.T)[a, b] / n, (in_a @ z_b.T)[a, b] / n

@@ -12,7 +12,12 @@ from numpy.typing import NDArray
 from scipy.ndimage import convolve
 
 from calgraph.geometry import Array, se2
-from calgraph.network.pairs.synchronized_tracks import SimultaneousPairs, TrackSamples, resample_tracks
+from calgraph.network.pairs.synchronized_tracks import (
+    TICK_PERIOD,
+    SimultaneousPairs,
+    TrackSamples,
+    resample_tracks,
+)
 from calgraph.network.tracking.track import ScannerTracks
 
 Flags = NDArray[np.bool_]
@@ -68,7 +73,7 @@ class ScannerObservations:
         visibility = replace(
             self.visibility,
             visible=visible[:, ::-1] if mirrored else visible,
-            coverage_intervals=coverage - delay * self.samples.tick_period,
+            coverage_intervals=coverage - delay * TICK_PERIOD,
         )
         return ScannerObservations(self.samples.transform(mirrored, delay), visibility)
 

@@ -69,7 +69,12 @@ class Foreground:
     spacing: Array
     """(S,) angle between neighbouring beams of each scan, rad."""
 
-    def select(self, rows: NDArray[np.bool_] | slice) -> "Foreground":
+    @property
+    def direction(self) -> Array:
+        """(P, 2) unit vectors, sensor frame."""
+        return np.stack([np.cos(self.angles), np.sin(self.angles)], axis=-1)
+
+    def select(self, rows: NDArray[np.bool_] | NDArray[np.intp] | slice) -> "Foreground":
         """Some of the beams (P,), of the same scans."""
         return Foreground(
             self.scan[rows], self.beam[rows], self.angles[rows], self.ranges[rows], self.times[rows],
@@ -158,7 +163,7 @@ def _cluster_part(
     beams: Foreground, origin: float, width: float, sigma: float, settings: ClusterSettings
 ) -> Clusters:
     """The objects in some scans, with mean times that are calculated from one time, s, for all."""
-    points = beams.ranges[:, None] * np.stack([np.cos(beams.angles), np.sin(beams.angles)], axis=-1)
+    points = beams.ranges[:, None] * beams.direction
     if not len(points):
         return _build_clusters(beams, points, np.empty(0, dtype=np.intp), origin, width, settings)
     step = np.linalg.norm(np.diff(points, axis=0), axis=-1)
