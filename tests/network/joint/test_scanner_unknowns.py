@@ -60,7 +60,7 @@ def test_priors_of_stretches_are_those_of_normal_tilts(rng: np.random.Generator)
 
 def test_half_of_the_variance_of_ranges_and_angles_is_common() -> None:
     sigma = np.arange(1.0, 13.0).reshape(2, 6)
-    covariance = compute_prior_covariance(sigma, 0.5)
+    covariance = compute_prior_covariance(sigma)
     np.testing.assert_array_equal(np.diag(covariance), sigma.ravel() ** 2)
     np.testing.assert_array_equal(covariance[:6, 6:], np.diag([3.5, 8, 13.5, 0, 0, 0]))
 

@@ -62,7 +62,7 @@ def estimate(bias: Array, current: Array, gain: float = 0.3) -> Array:
 @pytest.fixture(autouse=True)
 def have_no_common_errors(monkeypatch: pytest.MonkeyPatch) -> None:
     """All errors are of single scanners."""
-    monkeypatch.setattr("calgraph.network.joint.systematic_spread.COMMON_ERROR_SHARE", 0.0)
+    monkeypatch.setattr("calgraph.network.joint.scanner_unknowns.COMMON_ERROR_SHARE", 0.0)
 
 
 @pytest.mark.parametrize("share", [0.1, 0.3, 1.0])

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from types import MappingProxyType
 
@@ -30,7 +30,7 @@ from calgraph.network.pairs.synchronized_tracks import (
     pair_samples,
     resample_tracks,
 )
-from calgraph.network.tracking.track import ScannerTracks
+from calgraph.network.tracking.track import ScannerTracks, correct_tracks
 from calgraph.result import (
     BeamView,
     Calibration,
@@ -88,7 +88,7 @@ def assemble_network(
     clocks = initialization.average_clocks() if joint is None else joint.clocks
     remaining_offset = dict(zip(names, np.nan_to_num(clocks[:, 0]).tolist(), strict=True))
     samples = {
-        name: resample_tracks(_correct_clock(one, remaining_offset.get(name, 0.0)))
+        name: resample_tracks(correct_tracks(one, clock_offset=remaining_offset.get(name, 0.0)))
         for name, one in tracked.items()
     }
     T_root_scanner = averaged.T_root_node if joint is None else joint.T_root_scanner
@@ -198,12 +198,6 @@ def _collect_stated_poses(rig: Rig, T_root_sensor: Mapping[str, Array]) -> dict[
         )
         for name, T in T_root_sensor.items()
     }
-
-
-def _correct_clock(tracked: ScannerTracks, clock_offset: float) -> ScannerTracks:
-    """The same tracks with times of the root's clock."""
-    tracks = tuple(replace(track, times=track.times - clock_offset) for track in tracked.tracks)
-    return replace(tracked, tracks=tracks)
 
 
 def _finite_or_none(value: float) -> float | None:

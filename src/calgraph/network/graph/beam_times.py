@@ -66,7 +66,8 @@ def recognize_beam_times(
     ]
     if not parts:
         return {}
-    thinned = slice(None, None, 1 + int(sum(len(part.group) for part in parts) / _count_samples(len(names))))
+    most = int(_MAX_PRODUCTS / (_UNKNOWNS * len(names)) ** 2)
+    thinned = slice(None, None, 1 + int(sum(len(part.group) for part in parts) / most))
     samples_of = _Part(
         np.concatenate([part.jacobian for part in parts])[thinned],
         np.concatenate([part.differences for part in parts])[thinned],
@@ -81,11 +82,6 @@ def recognize_beam_times(
     decided = {name: decide_turn(*value) for name, value in zip(columns, own, strict=True)}
     turns = {name: decide_turn(common, stddev) if turn is None else turn for name, turn in decided.items()}
     return {name: turn for name, turn in turns.items() if turn is not None}
-
-
-def _count_samples(scanners: int) -> int:
-    """Of a network, the most that are used."""
-    return int(_MAX_PRODUCTS / (_UNKNOWNS * scanners) ** 2)
 
 
 @dataclass(frozen=True, eq=False)

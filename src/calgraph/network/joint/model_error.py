@@ -88,9 +88,9 @@ def estimate_model_error(
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.log(observed / (score_to_information * expected)), expected
 
-    for index, (axes, *limits) in enumerate(_COMPONENTS):
+    for index, (axes, least, most) in enumerate(_COMPONENTS):
         log_ratios = partial(compute_log_ratios, index, axes)
-        variances[index] = _find_variance(log_ratios, *limits, float(variances[index]))
+        variances[index] = _find_variance(log_ratios, least, most, float(variances[index]))
     return variances
 
 

@@ -207,22 +207,13 @@ def order_scanners(network: NetworkProblem) -> ScannerOrder:
     return ScannerOrder.from_links(network.count, list_links(network), SCANNER_UNKNOWNS)
 
 
-# Share of the variance of errors of ranges and angles that all scanners of a network have in common: they are
-# mostly of one make, with one driver. What they have in common is almost unobservable, so that a share of 0 would
-# be optimistic; at one half, ten scanners are as uncertain in scale as two with independent errors. Stretches by
-# tilts of scan planes are independent.
-COMMON_ERROR_SHARE = 0.5
-
-
 def _add_priors(
     network: NetworkProblem, state: NetworkState, H: ScannerMatrix, g: Array
 ) -> tuple[ScannerMatrix, float]:
     """Adds the priors of what is estimated, poses aside; returns the matrix and the cost, g changes in place."""
     information = np.zeros((network.count, SCANNER_UNKNOWNS))
     information[:, CLOCK] = CLOCK_SIGMA**-2
-    information[:, FIRST_SYSTEMATIC:], of_systematic = compute_prior_information(
-        network.systematic_sigma, COMMON_ERROR_SHARE
-    )
+    information[:, FIRST_SYSTEMATIC:], of_systematic = compute_prior_information(network.systematic_sigma)
     by_scanner = np.zeros((*information.shape, of_systematic.shape[-1]))
     by_scanner[:, FIRST_SYSTEMATIC:] = of_systematic
     common = by_scanner.reshape(len(g), -1)

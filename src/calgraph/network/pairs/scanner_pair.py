@@ -81,11 +81,6 @@ class ScannerPairEstimate:
         """(3, 3) of the best hypothesis."""
         return self.hypotheses[0].T_a_b
 
-    @property
-    def information(self) -> Array:
-        """(3, 3) of the best hypothesis."""
-        return self.hypotheses[0].information
-
 
 ScannerPairs = Mapping[tuple[str, str], ScannerPairEstimate | Rejected]
 """By the names of both scanners: what they tracked together, or why there is no pose."""

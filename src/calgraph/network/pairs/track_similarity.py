@@ -174,18 +174,18 @@ def _align_trajectories(
     usable = (rms < MAX_RMS) & (extent > MIN_EXTENT)
     weights = np.zeros(ticks.shape)
     weights[a[usable], b[usable]] = weight[usable]
-    kept = usable & (weight >= _find_least_kept(weights, _KEPT_ALIGNMENTS)[a])
+    kept = usable & (weight >= _find_least_kept(weights)[a])
     pair = scanner_a[a] * len(compared) + scanner_b[b]
     score = extent / (rms + NOISE)
     columns = pair, np.angle(product), center_a, center_b, weight, score
     return _Alignments(*(column[kept] for column in columns))
 
 
-def _find_least_kept(weights: Array, count: int) -> Array:
-    """(R,) the least of the ``count`` largest of each row of weights (R, C)."""
-    if weights.shape[1] <= count:
+def _find_least_kept(weights: Array) -> Array:
+    """(R,) the least of the largest of each row of weights (R, C) that are kept."""
+    if weights.shape[1] <= _KEPT_ALIGNMENTS:
         return np.zeros(len(weights))
-    return np.asarray(np.partition(weights, -count, axis=1)[:, -count])
+    return np.asarray(np.partition(weights, -_KEPT_ALIGNMENTS, axis=1)[:, -_KEPT_ALIGNMENTS])
 
 
 def _columns(found: _Alignments) -> tuple[NDArray[Any], ...]:

@@ -40,14 +40,11 @@ class Clusters:
     def __len__(self) -> int:
         return len(self.first)
 
-    def sums(self, values: Array) -> Array:
-        """Sums over each cluster's points of ``values`` (P, ...): (C, ...)."""
-        return np.add.reduceat(values, self.first, axis=0) if len(self) else values[:0]
-
     @property
     def centroids(self) -> Array:
         """(C, 2) centres of mass, m."""
-        return self.sums(self.points) / self.count[:, None]
+        sums = np.add.reduceat(self.points, self.first, axis=0) if len(self) else self.points[:0]
+        return sums / self.count[:, None]
 
 
 @dataclass(frozen=True, eq=False)

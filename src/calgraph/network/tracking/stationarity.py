@@ -287,7 +287,7 @@ def _split_at_steps(registration: _Registration, members: Index) -> list[Index]:
     stack = [np.arange(len(members))]
     while stack:
         part = stack.pop()
-        cut = _find_largest_step(weight[part], weighted[part], 2 * systematic, threshold, _MIN_WINDOWS)
+        cut = _find_largest_step(weight[part], weighted[part], 2 * systematic, threshold)
         if cut is None:
             # The filter hides the end of a motion.
             off = poses[part] - np.median(poses[part], axis=0)
@@ -311,11 +311,9 @@ def _significance_limit(registration: _Registration) -> float:
     return float(chdtri(3, _FALSE_ALARM_PROBABILITY / len(registration.place)))
 
 
-def _find_largest_step(
-    weight: Array, weighted: Array, systematic: Array, threshold: float, min_windows: int
-) -> int | None:
+def _find_largest_step(weight: Array, weighted: Array, systematic: Array, threshold: float) -> int | None:
     """The index after which the mean pose has changed most significantly; None if it has not."""
-    cuts = np.arange(min_windows, len(weight) - min_windows + 1)
+    cuts = np.arange(_MIN_WINDOWS, len(weight) - _MIN_WINDOWS + 1)
     if not len(cuts):
         return None
     W, Wy = np.cumsum(weight, axis=0), np.cumsum(weighted, axis=0)
