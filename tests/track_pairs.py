@@ -4,7 +4,7 @@ import numpy as np
 
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2
-from calgraph.network.pairs.scanner_pair import ScannerPairEstimate, estimate_scanner_pairs
+from calgraph.network.pairs.scanner_pair import DEPTH_STDDEV, ScannerPairEstimate, estimate_scanner_pairs
 from calgraph.network.pairs.synchronized_tracks import TICK_PERIOD, SimultaneousPairs, TrackSamples, pair_samples
 from calgraph.network.tracking.track import ScannerTracks
 
@@ -19,7 +19,7 @@ def estimate_scanner_pair(
     rng: np.random.Generator,
     *,
     icp: bool = True,
-    depth_stddev: float | None = None,
+    depth_stddev: float = DEPTH_STDDEV,
 ) -> ScannerPairEstimate | Rejected:
     """The only pair of two scanners."""
     tracked = {name_a: a, name_b: b}

@@ -88,6 +88,9 @@ ScannerPairs = Mapping[tuple[str, str], ScannerPairEstimate | Rejected]
 
 # Prior standard deviation of clock offsets, s: clocks set by NTP or by hand of a driver's start time.
 CLOCK_SIGMA = 0.1
+# Prior standard deviation of the distance from tracked to true centres along the beam, m, for ellipses of fixed
+# size: bodies differ from it by some centimetres.
+DEPTH_STDDEV = 0.03
 # Scanners up to which all pairs are registered: 28 pairs take less than a second.
 MAX_EXHAUSTIVE = 8
 
@@ -97,7 +100,7 @@ def estimate_scanner_pairs(
     rng: np.random.Generator,
     *,
     icp: bool = True,
-    depth_stddev: float | None = None,
+    depth_stddev: float = DEPTH_STDDEV,
     engine: Engine = THIS_PROCESS,
     progress: Callable[[float], None] = lambda _done: None,
 ) -> dict[tuple[str, str], ScannerPairEstimate | Rejected]:
@@ -110,8 +113,7 @@ def estimate_scanner_pairs(
         tracked: tracks and background of each scanner, by its name.
         rng: random generator for the selection of hypotheses.
         icp: whether to match the static background, too.
-        depth_stddev: prior standard deviation of the distance from tracked to true centres along the beam, m; that
-            of ``DEPTH_STDDEV`` if None.
+        depth_stddev: prior standard deviation of the distance from tracked to true centres along the beam, m.
         engine: evaluates pairs; does not affect the result.
         progress: called with the completed fraction, 0..1.
 
@@ -124,7 +126,7 @@ def estimate_scanner_pairs(
         scanners,
         tuple(Kept.of(scanner) for scanner in scanners),
         icp,
-        NuisancePrior(CLOCK_SIGMA, DEPTH_STDDEV if depth_stddev is None else depth_stddev),
+        NuisancePrior(CLOCK_SIGMA, depth_stddev),
         engine,
     )
     names = batch.names
@@ -224,11 +226,6 @@ def _estimate_candidates(
 def _report_round(progress: Callable[[float], None], rounds: int, done: float) -> None:
     """Reports that each round takes half of what is left; their number is not known before the last."""
     progress(1 - 0.5**rounds * (1 - done / 2))
-
-
-# Prior standard deviation of the distance from tracked to true centres along the beam, m, for ellipses of fixed
-# size: bodies differ from it by some centimetres.
-DEPTH_STDDEV = 0.03
 
 
 # Minimum duration of matches, s: two steps of a person, which determine position and direction.

@@ -9,7 +9,6 @@ fits count.
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,9 +85,8 @@ def compute_track_similarity(
         common = [(of_a[block], of_b[block]) for block in sorted(of_a.keys() & of_b.keys())]
         for first, end in _split_scanners(common, count):
             found = [_align_trajectories(a, b, first, end, compared) for a, b in common]
-            alignments = _Alignments(
-                *(np.concatenate(column) for column in zip(*map(_columns, found), strict=True))
-            )
+            columns = zip(*(vars(one).values() for one in found), strict=True)
+            alignments = _Alignments(*map(np.concatenate, columns))
             pairs, votes = _count_votes(alignments)
             a, b = pairs // count, pairs % count
             similarity[a, b] = np.maximum(similarity[a, b], votes)
@@ -188,10 +186,6 @@ def _find_least_kept(weights: Array) -> Array:
     return np.asarray(np.partition(weights, -_KEPT_ALIGNMENTS, axis=1)[:, -_KEPT_ALIGNMENTS])
 
 
-def _columns(found: _Alignments) -> tuple[NDArray[Any], ...]:
-    return found.pair, found.angle, found.center_a, found.center_b, found.weight, found.score
-
-
 # Best alignments of a pair, with which all others are compared: with 16, ranks are the same.
 _COMPARED_POSES = 8
 # Distance up to which two alignments agree, m: that of two hypotheses that are one.
@@ -203,7 +197,7 @@ _SAME_ANGLE = float(np.radians(20))
 def _count_votes(found: _Alignments) -> tuple[Index, Array]:
     """Pairs (P,) and the largest weight (P,) of alignments that agree with one of the best of their pair."""
     order = np.lexsort((-found.score, found.pair))
-    pair, angle, center_a, center_b, weight = (column[order] for column in _columns(found)[:-1])
+    pair, angle, center_a, center_b, weight, _ = (column[order] for column in vars(found).values())
     pairs, start, size = np.unique(pair, return_index=True, return_counts=True)
     group = np.repeat(np.arange(len(pairs)), size)
     votes = np.zeros(len(pairs))
