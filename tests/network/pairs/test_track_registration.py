@@ -201,7 +201,7 @@ def test_weight_of_evidence_is_a_log_likelihood_ratio(share: float, error: float
     h = PoseHypothesis(np.eye(3), np.eye(3), 100, 0.0, share, 0.1, error, uses_background=False)
     found = h.weight_of_evidence()
     assert found == pytest.approx(expected, abs=0.3)
-    assert h.score == 100 * share
+    assert h.observations * h.matched_share == 100 * share
 
 
 def test_the_first_proposal_is_the_pose() -> None:

@@ -111,8 +111,10 @@ def published_weights(names: Sequence[str], pairs: Sequence[ScannerPairEstimate]
         names: the scanners of the graph.
         pairs: as given to :func:`build_network_graph`.
     """
-    score = np.array([h.score + _WALL_POSITIONS * h.uses_background for h in list_hypotheses(names, pairs)])
-    return np.asarray(score / (score + _HALF_WEIGHT_POSITIONS))
+    hypotheses = list_hypotheses(names, pairs)
+    agreeing = np.array([h.observations * h.matched_share for h in hypotheses])
+    agreeing += [_WALL_POSITIONS * h.uses_background for h in hypotheses]
+    return np.asarray(agreeing / (agreeing + _HALF_WEIGHT_POSITIONS))
 
 
 # Weight of evidence at which an edge has half the full weight: a perfect fit of 5 s of one person, as long as

@@ -13,7 +13,6 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.config.settings import StationaritySettings
 from calgraph.geometry import Array, Index, fit_local_lines
 from calgraph.sensors import find_nearest_beams
 
@@ -45,7 +44,6 @@ class ReferenceScan:
     """(B,) ascending, rad."""
     ranges: Array
     """(B,) m; infinite where nothing was measured."""
-    settings: StationaritySettings
 
     @cached_property
     def points(self) -> Array:
