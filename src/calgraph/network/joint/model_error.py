@@ -58,9 +58,7 @@ class _ScanEquations:
 _MAX_BEAMS = 500_000
 
 
-def estimate_model_error(
-    network: NetworkProblem, state: NetworkState, batches: BodyBatches | None = None
-) -> Array:
+def estimate_model_error(network: NetworkProblem, state: NetworkState, batches: BodyBatches) -> Array:
     """(2,) variances of position (m²) and heading (rad²) that explain the discrepancies between scanners.
 
     Each is found as the root of an equation, given the other. Multiplying it repeatedly by the ratio of observed
@@ -70,10 +68,9 @@ def estimate_model_error(
     Args:
         network: the problem.
         state: near its minimum.
-        batches: the bodies, where they have been placed already.
+        batches: the bodies.
     """
     beams = int(network.count_beams().sum())
-    batches = batches or BodyBatches.place(network.bodies)
     batches = batches.thin(1 + beams // _MAX_BEAMS)
     kept = batches.keep(_collect_equations, network, state)
     score_to_information = TukeyLoss(TUKEY_LIMIT).score_to_information
