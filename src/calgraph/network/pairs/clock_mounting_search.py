@@ -36,7 +36,6 @@ from calgraph.network.pairs.scanner_pair import (
     SAME_ANGLE,
     SAME_POSITION,
     ScannerPairEstimate,
-    miss_detections,
 )
 from calgraph.network.pairs.synchronized_tracks import TICK_PERIOD, pair_samples, to_ticks
 from calgraph.network.pairs.track_registration import (
@@ -46,7 +45,7 @@ from calgraph.network.pairs.track_registration import (
     register_tracks,
 )
 from calgraph.network.pairs.track_similarity import compute_track_similarity
-from calgraph.network.pairs.visibility_map import ScannerObservations
+from calgraph.network.pairs.visibility_map import ScannerObservations, miss_detections
 from calgraph.parallel.engine import THIS_PROCESS, Engine
 from calgraph.parallel.kept_values import Kept
 

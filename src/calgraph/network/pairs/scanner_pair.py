@@ -43,7 +43,7 @@ from calgraph.network.pairs.track_registration import (
     register_tracks,
 )
 from calgraph.network.pairs.track_similarity import compute_track_similarity
-from calgraph.network.pairs.visibility_map import ScannerObservations, contradicts_visibility
+from calgraph.network.pairs.visibility_map import ScannerObservations, miss_detections
 from calgraph.network.tracking.track import ScannerTracks
 from calgraph.parallel.engine import THIS_PROCESS, Engine
 from calgraph.parallel.kept_values import Kept
@@ -254,14 +254,6 @@ COARSE_PAIRS = 1200
 _FINE_PAIRS = 6000
 # Samples of a that subsampling leaves at least.
 MIN_SAMPLES = 20
-# Distance within which a detection by the other scanner is of the same object under a correct pose, m: a person's
-# width, errors of clocks and of the pose.
-DETECTION_RADIUS = 0.5
-# Expected detections from which the pose of a pair is tested by missed ones: 2 s of one person.
-_MIN_EXPECTED = 20
-# Share of missed detections above which a pose is rejected: under correct poses it is mostly below 0.2, and up to
-# 0.5 where furniture occludes people from one of the two.
-MAX_MISSED_SHARE = 0.5
 # Standard deviation of positions under a proposed pose, whose angle comes from a short stretch, m.
 PROPOSAL_STDDEV = 0.3
 # Proposals that are registered coarsely: with fewer, correct ones are lost in crowds.
@@ -358,23 +350,6 @@ def _evaluate_hypotheses(
     if icp:
         kept = [_align_with_background(h, a, b) for h in kept]
     return ScannerPairEstimate(*names, tuple(kept))
-
-
-def miss_detections(
-    T_a_b: Array,
-    a: ScannerObservations,
-    b: ScannerObservations,
-    sampled: SimultaneousPairs,
-    count: int,
-    pose_error: float,
-) -> NDArray[np.bool_]:
-    """(K,) which poses with an error, m, imply too many missed detections, by a selection of ``count`` pairs."""
-    return contradicts_visibility(
-        T_a_b, sampled, a.visibility, b.visibility,
-        radius=DETECTION_RADIUS + pose_error,
-        min_expected=_MIN_EXPECTED * len(sampled) / count,
-        max_missed_share=MAX_MISSED_SHARE,
-    )  # fmt: skip
 
 
 # Hypotheses of a pair that are kept at most.
