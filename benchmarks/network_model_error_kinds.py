@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from calgraph.config import Lidar2dUncertainty, People, Rig
-from calgraph.network.joint.solver import COMMON_ERROR_SHARE
+from calgraph.network.joint.scanner_unknowns import COMMON_ERROR_SHARE
 from calgraph.simulation import NetworkScenario
 
 ROOMS = ("office", "lab", "halls")

@@ -4,7 +4,7 @@ import numpy as np
 
 from calgraph.config.settings import NetworkEstimationSettings
 from calgraph.geometry import Array, se2
-from calgraph.network.joint.legs import _MAX_EDGE_RATIO, HARMONICS, LegObservations, raycast_legs
+from calgraph.network.joint.legs import LegObservations, raycast_legs
 from calgraph.network.joint.problem import BodyPath, BodyScans, NetworkProblem, NetworkState
 from calgraph.network.joint.scanner_unknowns import SYSTEMATIC_ERRORS
 from calgraph.network.joint.splines import Knots, evaluate_spline
@@ -50,8 +50,6 @@ def cast_beams(scanner: int, side: float, times: Array) -> BodyScans:
             np.tile(pose[:2], (len(direction), 1)),
             np.full(len(direction), pose[2]),
             SHAPE,
-            HARMONICS,
-            _MAX_EDGE_RATIO,
         )
         parts.append((direction, hits.ranges))
     count = np.array([len(ranges) for _, ranges in parts])
@@ -86,7 +84,6 @@ def build_network() -> tuple[NetworkProblem, NetworkState]:
         (),
         np.full(3, 0.01),
         np.zeros(2),
-        0.1,
         np.zeros((3, len(SYSTEMATIC_ERRORS))),
         1.5,
         0.5,

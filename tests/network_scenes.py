@@ -78,7 +78,7 @@ def build_track(
 
 def list_body_equations(equations: NetworkEquations) -> list[BodyEquations]:
     """Of each body."""
-    return equations.map(lambda _network, _state, _body, _path, of_body: of_body)
+    return equations.batches.map_values(lambda of_body: of_body, equations.body_equations)
 
 
 def eliminate_densely(equations: NetworkEquations) -> Array:

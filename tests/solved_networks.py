@@ -11,7 +11,6 @@ from calgraph.network.joint.ellipses import EllipseObservations
 from calgraph.network.joint.problem import BodyObservations, BodyPath, BodyScans, NetworkProblem, NetworkState
 from calgraph.network.joint.solver import NetworkEquations, optimize_network
 from calgraph.network.joint.splines import Knots
-from calgraph.network.pairs.scanner_pair import CLOCK_SIGMA
 from network_scenes import DENSITY, EXACT, OFFSET, SETTINGS, SIGMA, T_ROOT, simulate_scans
 
 SECONDS = 24.0
@@ -40,16 +39,7 @@ def solve_two_walks(rng: np.random.Generator, change: Change = no_change) -> Net
         scans = tuple(change(index, simulate_scans(k, knots, path, times + 0.02 * k, rng)) for k in range(3))
         bodies.append(EllipseObservations(knots, scans, path.shape, 0.3 * path.shape, faces_forward=True))
     network = NetworkProblem(
-        3,
-        tuple(bodies),
-        (),
-        np.full(3, SIGMA),
-        np.array([0.0005, 0.002]) ** 2,
-        CLOCK_SIGMA,
-        EXACT,
-        MIDDLE,
-        DENSITY,
-        SETTINGS,
+        3, tuple(bodies), (), np.full(3, SIGMA), np.array([0.0005, 0.002]) ** 2, EXACT, MIDDLE, DENSITY, SETTINGS
     )
     state = NetworkState(T_ROOT, OFFSET, EXACT, tuple(path for _, path in paths))
     for _ in range(6):

@@ -4,7 +4,7 @@ import numpy as np
 
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2
-from calgraph.network.pairs.scanner_pair import CLOCK_SIGMA, ScannerPairEstimate, estimate_scanner_pairs
+from calgraph.network.pairs.scanner_pair import DEPTH_STDDEV, ScannerPairEstimate, estimate_scanner_pairs
 from calgraph.network.pairs.synchronized_tracks import TICK_PERIOD, SimultaneousPairs, TrackSamples, pair_samples
 from calgraph.network.tracking.track import ScannerTracks
 
@@ -19,12 +19,11 @@ def estimate_scanner_pair(
     rng: np.random.Generator,
     *,
     icp: bool = True,
-    depth_stddev: float | None = None,
-    clock_sigma: float = CLOCK_SIGMA,
+    depth_stddev: float = DEPTH_STDDEV,
 ) -> ScannerPairEstimate | Rejected:
     """The only pair of two scanners."""
     tracked = {name_a: a, name_b: b}
-    found = estimate_scanner_pairs(tracked, rng, icp=icp, depth_stddev=depth_stddev, clock_sigma=clock_sigma)
+    found = estimate_scanner_pairs(tracked, rng, icp=icp, depth_stddev=depth_stddev)
     return found[name_a, name_b]
 
 
@@ -67,4 +66,4 @@ def gather_samples(tracks: list[tuple[Array, Array]], sigma: float) -> TrackSamp
     order = np.argsort(tick, kind="stable")
     x, v = (np.concatenate(column)[order] for column in zip(*tracks, strict=True))
     covariances = np.broadcast_to(sigma**2 * np.eye(2), (len(x), 2, 2))
-    return TrackSamples(tick[order], trajectory[order], x, v, covariances, TICK_PERIOD)
+    return TrackSamples(tick[order], trajectory[order], x, v, covariances)

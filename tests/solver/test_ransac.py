@@ -6,7 +6,8 @@ import pytest
 from numpy.typing import NDArray
 
 from calgraph.geometry import Array
-from calgraph.solver.ransac import Indices, Score, find_consensus, select_best_of_groups
+from calgraph.solver import ransac
+from calgraph.solver.ransac import Indices, find_consensus, select_best_of_groups
 
 CONFIDENCE = 0.9999
 
@@ -25,15 +26,14 @@ def _line_problem(points: Array) -> tuple[Callable[[Indices], Array], Callable[[
     return solve, squared_residuals
 
 
-@pytest.mark.parametrize("score", ["ransac", "msac"])
 @pytest.mark.parametrize("seed", range(20))
-def test_finds_line_among_sixty_percent_outliers(score: Score, seed: int) -> None:
+def test_finds_line_among_sixty_percent_outliers(seed: int) -> None:
     rng = np.random.default_rng(seed)
     x = rng.uniform(-1, 1, 100)
     y = np.where(np.arange(100) < 40, 0.5 * x + 0.2 + rng.normal(0, 0.005, 100), rng.uniform(-2, 2, 100))
     solve, residuals = _line_problem(np.stack([x, y], axis=1))
     found = find_consensus(
-        np.arange(100), 2, solve, residuals, 0.02**2, rng=rng, score=score, confidence=CONFIDENCE, max_samples=2000
+        np.arange(100), 2, solve, residuals, 0.02**2, rng=rng, confidence=CONFIDENCE, max_samples=2000
     )
     assert found is not None
     np.testing.assert_allclose(found.model, [0.5, 0.2], atol=0.02)
@@ -118,13 +118,16 @@ def _half_outliers(groups: int) -> tuple[Callable[[Indices], Array], Callable[[A
 
 @pytest.mark.parametrize("size", [2, 3, 5])
 @pytest.mark.parametrize("confidence", [0.9, 0.9999])
-def test_stops_after_the_number_of_samples_for_the_confidence(size: int, confidence: float) -> None:
+def test_stops_after_the_number_of_samples_for_the_confidence(
+    size: int, confidence: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ransac, "_BATCH", 1)
     # Fischler and Bolles, 1981: 1 - (1 - w^m)^k = confidence, with w = 0.5.
     needed = math.ceil(math.log(1 - confidence) / math.log(1 - 0.5**size))
     solve, residuals = _half_outliers(1000)
     rng = np.random.default_rng(1)
     found = find_consensus(
-        np.arange(1000), size, solve, residuals, 1.0, rng=rng, batch=1, confidence=confidence, max_samples=10_000
+        np.arange(1000), size, solve, residuals, 1.0, rng=rng, confidence=confidence, max_samples=10_000
     )
     assert found is not None
     assert found.samples == needed
@@ -132,7 +135,10 @@ def test_stops_after_the_number_of_samples_for_the_confidence(size: int, confide
 
 
 @pytest.mark.parametrize(("correct_first", "probability"), [(True, (1 + 0.5**3) / 2), (False, 0.5**3 / 2)])
-def test_alternatives_lower_the_probability_of_a_good_sample(correct_first: bool, probability: float) -> None:
+def test_alternatives_lower_the_probability_of_a_good_sample(
+    correct_first: bool, probability: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ransac, "_BATCH", 1)
     # Each group has a correct and a wrong datum: every second sample takes the first one, the others either.
     solve, residuals = _half_outliers(1000)
     rng = np.random.default_rng(1)
@@ -140,7 +146,7 @@ def test_alternatives_lower_the_probability_of_a_good_sample(correct_first: bool
     order = np.arange(1000) if correct_first else np.arange(999, -1, -1)
     found = find_consensus(
         groups, 3, lambda samples: solve(order[samples]), lambda models: residuals(models)[:, order], 1.0,
-        rng=rng, batch=1, max_samples=10_000, confidence=CONFIDENCE,
+        rng=rng, max_samples=10_000, confidence=CONFIDENCE,
     )  # fmt: skip
     assert found is not None
     assert found.samples == math.ceil(math.log(1e-4) / math.log(1 - probability))
@@ -173,37 +179,29 @@ def test_the_best_model_is_fitted_to_its_inliers_while_its_cost_falls(rng: np.ra
     np.testing.assert_allclose(fitted.model, np.polyfit(x[fitted.inliers], y[fitted.inliers], 1), atol=1e-3)
 
 
-def test_gives_up_after_the_largest_number_of_samples(rng: np.random.Generator) -> None:
+def test_gives_up_after_the_largest_number_of_samples(
+    rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ransac, "_BATCH", 32)
     solve, residuals = _half_outliers(1000)
     found = find_consensus(
-        np.arange(1000), 12, solve, residuals, 1.0, rng=rng, batch=32, max_samples=200, confidence=CONFIDENCE
+        np.arange(1000), 12, solve, residuals, 1.0, rng=rng, max_samples=200, confidence=CONFIDENCE
     )
     assert found is not None
     assert found.samples == 200
 
 
-@pytest.mark.parametrize(("score", "cost"), [("ransac", 3.0), ("msac", 3.0 + 5 * 0.25)])
-def test_cost_counts_outliers_or_sums_truncated_residuals(
-    score: Score, cost: float, rng: np.random.Generator
-) -> None:
+def test_cost_sums_truncated_residuals(rng: np.random.Generator) -> None:
     r2 = np.array([0.25, 0.25, 0.25, 0.25, 0.25, 1.5, np.nan, 100.0])
 
     def solve(samples: Indices) -> Array:
         return np.zeros((len(samples), 1))
 
     found = find_consensus(
-        np.arange(8),
-        2,
-        solve,
-        lambda m: 4 * r2 + 0 * m,
-        4.0,
-        rng=rng,
-        score=score,
-        confidence=CONFIDENCE,
-        max_samples=2000,
+        np.arange(8), 2, solve, lambda m: 4 * r2 + 0 * m, 4.0, rng=rng, confidence=CONFIDENCE, max_samples=2000
     )
     assert found is not None
-    assert found.cost == cost
+    assert found.cost == 3.0 + 5 * 0.25
     assert found.inliers.tolist() == [True] * 5 + [False] * 3
     assert found.inlier_count == 5
 

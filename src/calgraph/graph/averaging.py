@@ -21,11 +21,8 @@ from calgraph.solver.ransac import select_best_of_groups
 
 
 def select_averaging(method: AveragingMethod) -> PoseAveraging | None:
-    """The averaging of pairs; None for the consensus. A published one is imported only where it is chosen."""
-    if method == "consensus":
-        return None
-
-    return partial(average_poses_by_rotations, method=method)
+    """The averaging of pairs; None for the consensus."""
+    return None if method == "consensus" else partial(average_poses_by_rotations, method=method)
 
 
 RotationAveraging = Literal["l1mc", "triangles", "spectral", "irls"]

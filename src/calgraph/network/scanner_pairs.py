@@ -22,12 +22,7 @@ from calgraph.network.pairs.clock_mounting_search import (
     search_clocks_and_mountings,
     select_searched_pairs,
 )
-from calgraph.network.pairs.scanner_pair import (
-    CLOCK_SIGMA,
-    ScannerPairEstimate,
-    ScannerPairs,
-    estimate_scanner_pairs,
-)
+from calgraph.network.pairs.scanner_pair import ScannerPairEstimate, ScannerPairs, estimate_scanner_pairs
 from calgraph.network.pairs.visibility_map import ScannerObservations
 from calgraph.network.strategies import select_depth_stddev
 from calgraph.network.tracking.track import ScannerTracks, correct_tracks
@@ -109,7 +104,6 @@ def _estimate_pairs(
         rng,
         icp=method.icp,
         depth_stddev=select_depth_stddev(method.feature),
-        clock_sigma=CLOCK_SIGMA,
         engine=options.engine,
         progress=lambda done: progress("pairing", done),
     )
@@ -131,13 +125,13 @@ def _find_differences(
     options: NetworkOptions,
 ) -> ClockMountingSolution:
     """Clocks and mountings; searched in pairs between parts of the network that firm pairs do not connect."""
-    settings, clock_sigma = rig.settings.pairwise.scanners, CLOCK_SIGMA
+    settings = rig.settings.pairwise.scanners
     estimates = [
         pair
         for pair in pairs.values()
         if isinstance(pair, ScannerPairEstimate) and not pair.hypotheses[0].may_be_by_chance(len(tracked))
     ]
-    firm = [is_firm(pair, clock_sigma) for pair in estimates]
+    firm = [is_firm(pair) for pair in estimates]
     part = _label_parts(tracked, itertools.compress(estimates, firm))
     used = itertools.compress(
         estimates,
@@ -153,9 +147,9 @@ def _find_differences(
         # Other random numbers than those of pairs and trees, which do not depend on the search.
         rng = np.random.default_rng((options.seed, 1))
         searched = search_clocks_and_mountings(
-            between, observations, clock_sigma, rng, engine=options.engine, settings=settings
+            between, observations, rng, engine=options.engine, settings=settings
         )
-        hypotheses += [h for h in searched if not may_differ_by_chance(h, len(tracked), clock_sigma)]
+        hypotheses += [h for h in searched if not may_differ_by_chance(h, len(tracked))]
     names = list(dict.fromkeys([rig.root, *tracked]))
     return resolve_clocks_and_mountings(rig.root, names, hypotheses, stated & set(names), settings)
 
@@ -224,7 +218,6 @@ def _find_distant_clocks(
         found = search_clocks_and_mountings(
             [(b if a == name else a, name) for a, b in searched if name in (a, b)],
             observations,
-            CLOCK_SIGMA,
             np.random.default_rng((options.seed, 2)),
             engine=options.engine,
             settings=wide_settings,

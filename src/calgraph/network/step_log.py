@@ -31,5 +31,4 @@ def log_network(pairs: ScannerPairs, start: NetworkInitialization, joint: Networ
         _log.info("pair %s, %s: %s", a, b, found)
     _log.info("start poses: %d scanners from %d poses of pairs", len(start.names), len(start.graph.edges))
     if joint is not None:
-        clocks = "with clocks" if joint.clocks_estimated else "without clocks"
-        _log.info("joint solution: %d scanners, %s", len(joint.T_root_scanner), clocks)
+        _log.info("joint solution: %d scanners, with clocks", len(joint.T_root_scanner))

@@ -3,6 +3,7 @@
 from typing import TYPE_CHECKING
 
 from calgraph.config.settings import CenterFeature
+from calgraph.network.pairs.scanner_pair import DEPTH_STDDEV
 
 if TYPE_CHECKING:
     from calgraph.network.tracking.features import CenterEstimator
@@ -30,11 +31,11 @@ _CENTROID_DEPTH_STDDEV = 0.2
 _DIRECT_ELLIPSE_DEPTH_STDDEV = 0.05
 
 
-def select_depth_stddev(feature: CenterFeature) -> float | None:
-    """Standard deviation of the distance from tracked to true centres, m; None for ellipses of fixed radii."""
+def select_depth_stddev(feature: CenterFeature) -> float:
+    """Standard deviation of the distance from tracked to true centres, m."""
     match feature:
         case "nls":
-            return None
+            return DEPTH_STDDEV
         case "com":
             return _CENTROID_DEPTH_STDDEV
         case "ellipse":

@@ -52,17 +52,14 @@ def track_with_beam_times(
         most = max(_displacement(tracked[name]) for name in unknown)
         findings.append(
             Finding(
-                f"{_list_names(unknown)} have no times of beams (time_increment is 0), and the tracks do not show "
-                f"whether all are simultaneous: if not, people are displaced by up to {1e3 * most:.0f} mm; "
-                "set time_increment in the drivers, or let people walk longer where views overlap",
+                f"the scans of {', '.join(unknown)} have no times of beams (time_increment is 0), and the tracks "
+                "do not show whether all are simultaneous: if not, people are displaced by up to "
+                f"{1e3 * most:.0f} mm; set time_increment in the drivers, or let people walk longer where views "
+                "overlap",
                 tuple(unknown),
             )
         )
     return tracks, frames, tuple(findings)
-
-
-def _list_names(names: list[str]) -> str:
-    return f"the scans of {', '.join(names)}"
 
 
 def _displacement(tracked: ScannerTracks) -> float:

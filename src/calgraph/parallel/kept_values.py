@@ -5,7 +5,7 @@ from itertools import count
 from typing import Any, TypeVar
 from weakref import WeakValueDictionary
 
-from calgraph.parallel.mapped_arrays import ArrayMemory, LimitedValue
+from calgraph.parallel.mapped_arrays import ArrayMemory
 
 Result = TypeVar("Result")
 
@@ -27,8 +27,9 @@ class Kept:
 
     def __init__(self, function: Callable[..., Any], *arguments: Any) -> None:
         self.number = next(_numbers)
-        self._recipe = function, arguments
-        self._computed: LimitedValue | None = None
+        self.recipe = function, arguments
+        """A function and its arguments, which compute the value."""
+        self._is_computed = False
         existing[self.number] = self
 
     @classmethod
@@ -36,18 +37,12 @@ class Kept:
         """One whose value is there already."""
         return cls(_return, value)
 
-    @property
-    def recipe(self) -> tuple[Callable[..., Any], tuple[Any, ...]]:
-        """A function and its arguments, which compute the value."""
-        return (_return, (self._computed.value,)) if self._computed else self._recipe
-
     def compute(self, memory: ArrayMemory) -> Any:
         """The value, which is kept in the memory."""
-        if self._computed is None:
-            function, arguments = self._recipe
-            self._computed = memory.keep(call_with_values(function, arguments, memory))
-            self._recipe = _return, ()
-        return self._computed.value
+        if not self._is_computed:
+            self.recipe = _return, (memory.keep(call_with_values(*self.recipe, memory), self),)
+            self._is_computed = True
+        return self.recipe[1][0]
 
 
 def call_with_values(function: Callable[..., Result], arguments: Sequence[Any], memory: ArrayMemory) -> Result:

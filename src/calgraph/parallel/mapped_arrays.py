@@ -6,8 +6,7 @@ import pickle
 import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import TypeVar
 from weakref import finalize
 
 from calgraph.errors import CalibrationError
@@ -30,16 +29,8 @@ def refuse_full_folder(size: int, remedy: str = "") -> Iterator[None]:
         ) from error
 
 
-@dataclass(frozen=True, eq=False)
-class LimitedValue:
-    """A value whose arrays are in memory, or in a file without a name, which ends with the last of them."""
-
-    value: Any
-    """Mapped arrays cannot be changed."""
-
-
 class ArrayMemory:
-    """Memory for the arrays of values.
+    """Memory for the arrays of values; further ones are mapped, cannot be changed, and in files without a name.
 
     Args:
         max_bytes: of arrays in memory; further ones are in files.
@@ -48,22 +39,22 @@ class ArrayMemory:
     def __init__(self, max_bytes: float = math.inf) -> None:
         self._left = max_bytes
 
-    def keep(self, value: Any) -> LimitedValue:
-        """Keeps a value for as long as the result exists.
+    def keep(self, value: Value, owner: object) -> Value:
+        """The value itself, which counts for as long as the owner exists, or a copy with mapped arrays.
 
         Args:
             value: of a type that can be pickled, if memory is limited.
+            owner: of it.
 
         Raises:
             CalibrationError: the folder of temporary files has too little space.
         """
         limited, size = self._limit(value)
-        kept = LimitedValue(limited)
-        finalize(kept, self._take, -size)
-        return kept
+        finalize(owner, self._take, -size)
+        return limited
 
     def limit(self, value: Value) -> Value:
-        """The value itself, which counts from now on, or a copy with mapped arrays; otherwise as :meth:`keep`."""
+        """As :meth:`keep`, but the value counts from now on."""
         limited, _ = self._limit(value)
         return limited
 

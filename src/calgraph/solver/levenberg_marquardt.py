@@ -31,23 +31,9 @@ class Linearization(Protocol):
         """The damped step, and the decrease of the cost that the linear model predicts for it."""
 
 
-class BatchLinearization(Protocol):
-    """K independent problems, linearized at their states."""
-
-    @property
-    def cost(self) -> Array:
-        """(K,) as of :class:`Linearization`."""
-
-    def solve(self, damping: Array) -> tuple[Array, Array]:
-        """Steps (K, p) for dampings (K,), and predicted decreases (K,) of the costs."""
-
-    def replace(self, accepted: NDArray[np.bool_], trial: Self) -> Self:
-        """That of the trial where accepted (K,), this one elsewhere."""
-
-
 @dataclass(frozen=True, eq=False)
 class DenseLinearization:
-    """Residuals of one problem and their Jacobian, or those of K problems; both protocols above."""
+    """Residuals of one problem and their Jacobian, or those of K problems; a :class:`Linearization`."""
 
     residual: Array
     """([K,] m) whitened."""
@@ -89,7 +75,7 @@ class DenseLinearization:
 
 S = TypeVar("S")
 L = TypeVar("L", bound=Linearization)
-B = TypeVar("B", bound=BatchLinearization)
+B = TypeVar("B", bound=DenseLinearization)
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""The sample-and-score loop, with the scores of RANSAC and MSAC.
+"""The sample-and-score loop, with the score of MSAC.
 
 Sources: Fischler and Bolles, "Random sample consensus", CACM 1981 (sampling, count of inliers, stopping rule);
 Torr and Zisserman, "MLESAC", CVIU 2000 (the truncated-residual score called MSAC there); Chum, Matas, Kittler,
@@ -9,7 +9,6 @@ PROSAC", CVPR 2005 (samples of the data with the best scores first, here half of
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,9 +16,9 @@ from numpy.typing import NDArray
 from calgraph.geometry import Array
 
 Indices = NDArray[np.intp]
-Score = Literal["ransac", "msac"]
 
-# Samples solved in one call: enough that the time of a call does not matter.
+# Samples solved and scored in one call, after which the confidence is tested: enough that the time of a call does
+# not matter.
 _BATCH = 100
 # Up to this number of data for each of a sample, samples are drawn by shuffling: it is faster then.
 _MAX_SHUFFLED = 20
@@ -54,10 +53,8 @@ def find_consensus(
     threshold2: float,
     *,
     rng: np.random.Generator,
-    score: Score = "msac",
     confidence: float,
     max_samples: int,
-    batch: int = _BATCH,
     fit: Callable[[Array, NDArray[np.bool_]], Array] | None = None,
 ) -> RansacResult | None:
     """Finds the model with the lowest robust cost by random sampling.
@@ -73,10 +70,8 @@ def find_consensus(
         squared_residuals: models (K, ...) to (K, N) squared residuals; NaN counts as infinite.
         threshold2: squared residual up to which a datum is an inlier, in the same units.
         rng: source of the samples.
-        score: ``msac`` sums truncated squared residuals, ``ransac`` counts outliers.
         confidence: stop once an all-inlier sample has been drawn with this probability.
         max_samples: stop after this many samples.
-        batch: samples solved and scored in one call, after which the confidence is tested.
         fit: local optimization: one model and its inliers (N,) to the model that fits these best. Samples without
             outliers may still give poor models, because the data have noise.
 
@@ -95,8 +90,7 @@ def find_consensus(
         return np.minimum.reduceat(r2, starts, axis=1), r2[:, starts]
 
     def cost_of(best: Array) -> Array:
-        truncated = np.minimum(best, 1.0) if score == "msac" else (best > 1.0).astype(np.float64)
-        return np.asarray(truncated.sum(axis=1))
+        return np.asarray(np.minimum(best, 1.0).sum(axis=1))
 
     def select_inliers(model: Array) -> NDArray[np.bool_]:
         return select_best_of_groups(squared_residuals(model[None])[0] / threshold2, groups)
@@ -116,7 +110,7 @@ def find_consensus(
     distinct = math.comb(len(starts), sample_size) * float(sizes.max()) ** sample_size
     required = _required_samples(0.5 / distinct, confidence)
     while sample_count < min(required, max_samples):
-        chosen = _draw_samples(len(starts), sample_size, min(batch, max_samples - sample_count), rng)
+        chosen = _draw_samples(len(starts), sample_size, min(_BATCH, max_samples - sample_count), rng)
         members = (rng.random(chosen.shape) * sizes[chosen]).astype(np.intp)
         members[sample_count % 2 :: 2] = 0
         models = solve(order[starts[chosen] + members])

@@ -84,7 +84,7 @@ def assemble(
         {**{name: build_tracks(k) for k, name in enumerate(NAMES)}, "cellar": build_tracks(0)},
         NetworkInitialization(pairs, graph, NAMES, PoseGraphSolution(T_ROOT, np.array(inliers))),
         1000.0,
-        NetworkSolution(T_ROOT, OFFSET, relate_all(covariance, 3), True, 0.005) if joint else None,
+        NetworkSolution(T_ROOT, OFFSET, relate_all(covariance, 3)) if joint else None,
         findings,
     )
 
@@ -209,7 +209,7 @@ def test_bodies_of_the_joint_solution_are_named() -> None:
         (people, "ellipses (2 tracked)"),
         (replace(people, network=replace(people.network, bodies=cylinders)), "cylinders (2 tracked)"),
     ):
-        joint = NetworkSolution(T_ROOT, OFFSET, relate_all(np.eye(12), 3), True, 0.005, one)
+        joint = NetworkSolution(T_ROOT, OFFSET, relate_all(np.eye(12), 3), one)
         assert str(_describe_bodies(joint)) == expected
     assert assemble().evidence.bodies is None
 

@@ -25,7 +25,7 @@ def joint() -> NetworkSolution:
 
 def as_solution(solved: NetworkEquations) -> NetworkSolution:
     state = solved.state
-    return NetworkSolution(state.T_root_scanner, state.clock_offset, relate_all(np.eye(12), 3), True, 0.0, solved)
+    return NetworkSolution(state.T_root_scanner, state.clock_offset, relate_all(np.eye(12), 3), solved)
 
 
 def test_the_rms_is_the_noise_of_ranges(joint: NetworkSolution) -> None:

@@ -120,7 +120,7 @@ def disagree(error: float, sigma: float) -> list[Finding]:
     averaged[2, 0, 2] += error
     of_averaged = np.zeros((9, 9))
     of_averaged[np.arange(3, 9), np.arange(3, 9)] = sigma**2
-    joint = NetworkSolution(T_ROOT, OFFSET, relate_all(covariance, 3), True, 0.005)
+    joint = NetworkSolution(T_ROOT, OFFSET, relate_all(covariance, 3))
     return list(find_disagreement(joint, averaged, of_averaged, NAMES))
 
 

@@ -132,7 +132,7 @@ def solve(poses: PlanarPoses) -> NetworkSolution:
     count = len(poses.names)
     covariance = np.diag(np.tile([1e-6, 1e-6, 1e-8, 1e-6], count))
     covariance[:4] = 0
-    return NetworkSolution(poses.T_root_scanner, np.zeros(count), relate_all(covariance, count), True, 0.005)
+    return NetworkSolution(poses.T_root_scanner, np.zeros(count), relate_all(covariance, count))
 
 
 def known_to_millimetres(rng: np.random.Generator) -> PlanarPoses:

@@ -51,7 +51,7 @@ def assess(
     solved: NetworkEquations | None, averaging_error: float = 0.0, *, replaceable: bool = True
 ) -> ModelAssessment:
     """With averaged poses of which the last is off by ``averaging_error``, m."""
-    joint = NetworkSolution(T_ROOT, OFFSET, relate_all(1e-6 * np.eye(12), 3), True, 0.005, solved)
+    joint = NetworkSolution(T_ROOT, OFFSET, relate_all(1e-6 * np.eye(12), 3), solved)
     averaged = T_ROOT.copy()
     averaged[2, 0, 2] += averaging_error
     T_i_j = np.array([se2.inverse(averaged[i]) @ averaged[j] for i, j in EDGES])
@@ -77,7 +77,7 @@ def test_a_right_solution_stays_as_it_is() -> None:
 
 def test_errors_of_outlines_add_to_position_variances() -> None:
     """Of the root to those of all, 2 mm; of north alone 4 mm; other variances grow in proportion."""
-    joint = NetworkSolution(T_ROOT, OFFSET, relate_all(1e-6 * np.eye(12), 3), True, 0.005)
+    joint = NetworkSolution(T_ROOT, OFFSET, relate_all(1e-6 * np.eye(12), 3))
     widened = add_position_errors(joint, np.array([0.002, 0.0, 0.004])).covariance.stddev ** 2
     np.testing.assert_allclose(widened, np.repeat([[1e-6], [5e-6], [21e-6]], 4, axis=1))
 

@@ -223,7 +223,7 @@ def test_the_floor_plan_has_at_most_12_000_static_points(points: int, kept: int)
 def stand(ticks: int) -> TrackSamples:
     """Samples of a person who stays at one place."""
     x = np.zeros((ticks, 2))
-    return TrackSamples(np.arange(ticks), np.zeros(ticks, np.intp), x, x, np.tile(np.eye(2), (ticks, 1, 1)), 0.1)
+    return TrackSamples(np.arange(ticks), np.zeros(ticks, np.intp), x, x, np.tile(np.eye(2), (ticks, 1, 1)))
 
 
 @pytest.mark.parametrize(("ticks", "kept"), [(19_990, 19_990), (20_010, 10_005)])

@@ -35,8 +35,8 @@ def random_step(rng: np.random.Generator, state: NetworkState) -> tuple[list[Arr
 
 def slope(equations: NetworkEquations, steps: list[Array], scanners: Array) -> float:
     total = equations.g @ scanners
-    for body, step in zip(list_body_equations(equations), steps, strict=True):
-        total += body.slope(step, scanners[body.columns])
+    for body, columns, step in zip(list_body_equations(equations), equations.columns, steps, strict=True):
+        total += body.slope(step, scanners[columns])
     return float(total)
 
 

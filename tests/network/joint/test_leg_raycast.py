@@ -6,12 +6,10 @@ import pytest
 from calgraph.geometry import Array
 from calgraph.network.joint.legs import LegHits, raycast_legs
 
-HARMONICS = (3, 4)
-
 
 def cast(center: Array, heading: Array, shape: Array, angles: Array) -> LegHits:
     direction = np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    return raycast_legs(np.zeros(2), direction, center, heading, shape, HARMONICS, 0.92)
+    return raycast_legs(np.zeros(2), direction, center, heading, shape)
 
 
 def beams_across(rng: np.random.Generator, reach: float) -> tuple[Array, Array, Array]:

@@ -8,17 +8,12 @@ import pytest
 from calgraph.config import People
 from calgraph.config.settings import LegSettings
 from calgraph.geometry import Array
-from calgraph.network.joint.leg_solution import (
-    LegCandidate,
-    ScannerBeams,
-    associate_beams,
-    initialize_leg,
-    predict_headings,
-)
+from calgraph.network.joint.leg_solution import LegCandidate, associate_beams, initialize_leg, predict_headings
 from calgraph.network.joint.leg_tracks import track_legs
 from calgraph.network.joint.legs import measures_legs
 from calgraph.network.joint.scanner_unknowns import RANGE_BIAS, SYSTEMATIC_ERRORS
 from calgraph.network.joint.splines import evaluate_spline
+from calgraph.network.tracking.clusters import Foreground
 from calgraph.network.tracking.leg_clusters import cluster_legs
 from calgraph.network.tracking.track import ScannerTracks
 from leg_scenes import DURATION, OFFSET, T_ROOT, build_foreground, build_path, walk_leg
@@ -55,7 +50,7 @@ def build_legs() -> list[LegCandidate]:
     return legs
 
 
-def count_beams(beams: ScannerBeams, legs: list[LegCandidate], systematic: Array = EXACT) -> list[int]:
+def count_beams(beams: Foreground, legs: list[LegCandidate], systematic: Array = EXACT) -> list[int]:
     """Of the first scanner on each leg."""
     of_legs = associate_beams(beams, 0, T_ROOT[0], 0.0, systematic, 0.01, legs)
     return [len(scans.ranges) if scans else 0 for scans in of_legs]
@@ -63,7 +58,7 @@ def count_beams(beams: ScannerBeams, legs: list[LegCandidate], systematic: Array
 
 def test_beams_go_to_the_nearest_leg_and_ambiguous_ones_to_none() -> None:
     legs = build_legs()
-    beams = ScannerBeams.from_foreground(build_foreground(0))
+    beams = build_foreground(0)
     counts = count_beams(beams, legs)
     assert min(counts) > 0
     assert sum(counts) > 0.8 * len(beams.ranges)
@@ -72,7 +67,7 @@ def test_beams_go_to_the_nearest_leg_and_ambiguous_ones_to_none() -> None:
 
 def test_systematic_errors_are_corrected_before_beams_are_associated() -> None:
     """Ranges 20 cm too long end behind the legs, a few of them at the other leg."""
-    legs, exact = build_legs(), ScannerBeams.from_foreground(build_foreground(0))
+    legs, exact = build_legs(), build_foreground(0)
     beams = replace(exact, ranges=exact.ranges + 0.2)
     bias = EXACT.copy()
     bias[RANGE_BIAS] = 0.2

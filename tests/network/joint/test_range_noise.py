@@ -25,7 +25,7 @@ def simulate_solution(seconds: float, rng: np.random.Generator) -> tuple[Network
     scans = simulate_scans(0, knots, body_path, np.arange(0.05, seconds, 0.08), rng)
     body = EllipseObservations(knots, (scans,), body_path.shape, 0.1 * body_path.shape, faces_forward=False)
     network = NetworkProblem(
-        1, (body,), (), np.array([SIGMA]), np.array([0.0005, 0.002]) ** 2, 0.0, EXACT[:1], 0.0, DENSITY, SETTINGS
+        1, (body,), (), np.array([SIGMA]), np.array([0.0005, 0.002]) ** 2, EXACT[:1], 0.0, DENSITY, SETTINGS
     )
     state = NetworkState(T_ROOT[:1], OFFSET[:1], EXACT[:1], (body_path,))
     for _ in range(6):

@@ -6,7 +6,6 @@ import pytest
 from calgraph.config import Lidar2dUncertainty
 from calgraph.geometry import so3
 from calgraph.network.joint.scanner_unknowns import (
-    CLOCK_DRIFT,
     STRETCH_DIAGONAL,
     STRETCH_X,
     SystematicErrors,
@@ -45,7 +44,7 @@ def test_tilted_scans_are_corrected_to_horizontal_distances(tilt: tuple[float, f
 def test_the_clock_of_the_root_is_the_reference() -> None:
     one = Lidar2dUncertainty(range_bias=0.01, range_scale=0.02, angle_scale=0.03, clock_drift=0.04, tilt=0.0)
     expected = [[0.01, 0.02, 0.03, 0.0, 0.0, 0.0], [0.01, 0.02, 0.03, 0.0, 0.0, 0.04]]
-    np.testing.assert_array_equal(collect_prior_sigma([one, one], estimate_clocks=True), expected)
+    np.testing.assert_array_equal(collect_prior_sigma([one, one]), expected)
 
 
 def test_priors_of_stretches_are_those_of_normal_tilts(rng: np.random.Generator) -> None:
@@ -54,21 +53,16 @@ def test_priors_of_stretches_are_those_of_normal_tilts(rng: np.random.Generator)
     direction = np.linspace(0, 2 * np.pi, 12, endpoint=False)
     slope = tilt[:, 0] * np.sin(direction) - tilt[:, 1] * np.cos(direction)
     excess = np.sqrt(1 + slope**2) - 1
-    sigma = collect_prior_sigma([Lidar2dUncertainty(range_scale=0.0, tilt=3.0)], estimate_clocks=True)
+    sigma = collect_prior_sigma([Lidar2dUncertainty(range_scale=0.0, tilt=3.0)])
     for column, wave in ((STRETCH_X, np.cos(2 * direction)), (STRETCH_DIAGONAL, np.sin(2 * direction))):
         assert sigma[0, column] == pytest.approx(np.sqrt(np.mean((excess @ wave / 6) ** 2)), rel=0.03)
 
 
 def test_half_of_the_variance_of_ranges_and_angles_is_common() -> None:
     sigma = np.arange(1.0, 13.0).reshape(2, 6)
-    covariance = compute_prior_covariance(sigma, 0.5)
+    covariance = compute_prior_covariance(sigma)
     np.testing.assert_array_equal(np.diag(covariance), sigma.ravel() ** 2)
     np.testing.assert_array_equal(covariance[:6, 6:], np.diag([3.5, 8, 13.5, 0, 0, 0]))
-
-
-def test_synchronized_clocks_do_not_drift() -> None:
-    sigma = collect_prior_sigma([Lidar2dUncertainty()] * 2, estimate_clocks=False)
-    np.testing.assert_array_equal(sigma[:, CLOCK_DRIFT], 0.0)
 
 
 def test_exact_parameters_are_not_summarized() -> None:

@@ -49,7 +49,7 @@ def estimate(bias: Array, current: Array, gain: float = 0.3) -> Array:
     unknowns = np.sort(np.concatenate([poses, biases]))
     settings = NetworkEstimationSettings()
     ones = np.ones(COUNT)
-    network = NetworkProblem(COUNT, (), (), ones, np.ones(2), 0.1, current, 0.0, 1.0, settings)
+    network = NetworkProblem(COUNT, (), (), ones, np.ones(2), current, 0.0, 1.0, settings)
     matrix = ScannerMatrix.zeros(ScannerOrder.complete(COUNT, SCANNER_UNKNOWNS))
     matrix.add(np.arange(COUNT), H)
     estimated = np.isin(np.arange(size), unknowns)
@@ -62,7 +62,7 @@ def estimate(bias: Array, current: Array, gain: float = 0.3) -> Array:
 @pytest.fixture(autouse=True)
 def have_no_common_errors(monkeypatch: pytest.MonkeyPatch) -> None:
     """All errors are of single scanners."""
-    monkeypatch.setattr("calgraph.network.joint.systematic_spread.COMMON_ERROR_SHARE", 0.0)
+    monkeypatch.setattr("calgraph.network.joint.scanner_unknowns.COMMON_ERROR_SHARE", 0.0)
 
 
 @pytest.mark.parametrize("share", [0.1, 0.3, 1.0])

@@ -39,7 +39,7 @@ def track_paths(scanner: int, paths: list[Array], rng: np.random.Generator, late
 def group(tracked: list[ScannerTracks]) -> list[list[tuple[int, int]]]:
     """By body: scanner, and index of its tracks."""
     index = {id(track): (s, k) for s, scanner in enumerate(tracked) for k, track in enumerate(scanner.tracks)}
-    found = group_tracks_by_body(tracked, T_ROOT[: len(tracked)], 0.1)
+    found = group_tracks_by_body(tracked, T_ROOT[: len(tracked)])
     return sorted(sorted(index[id(track)] for _, track in walker.tracks) for walker in found)
 
 
@@ -146,13 +146,13 @@ def test_a_body_of_half_a_second_is_left_out(rng: np.random.Generator) -> None:
 
 
 def test_without_tracks_there_are_no_bodies() -> None:
-    assert group_tracks_by_body([ScannerTracks((), np.zeros((0, 2)), 0.01)] * 2, T_ROOT[:2], 0.1) == []
+    assert group_tracks_by_body([ScannerTracks((), np.zeros((0, 2)), 0.01)] * 2, T_ROOT[:2]) == []
 
 
 def test_the_tracks_of_a_body_are_grouped_by_scanner(rng: np.random.Generator) -> None:
     whole = simulate_path(0, 9, (0, 1), (1, 0.1))
     tracked = [track_paths(0, [whole], rng), track_paths(1, [whole[:60], whole[62:]], rng)]
-    [one] = group_tracks_by_body(tracked, T_ROOT[:2], 0.1)
+    [one] = group_tracks_by_body(tracked, T_ROOT[:2])
     assert {scanner: len(tracks) for scanner, tracks in one.by_scanner().items()} == {0: 1, 1: 2}
 
 
@@ -160,22 +160,22 @@ def test_a_body_starts_at_its_first_scan(rng: np.random.Generator) -> None:
     """The first scanner misses five scans after its first one, while the second scanner begins."""
     whole = simulate_path(0, 6, (0, 1), (1, 0.1))
     tracked = [track_paths(0, [np.delete(whole, np.arange(1, 6), axis=0)], rng), track_paths(1, [whole[2:]], rng)]
-    [one] = group_tracks_by_body(tracked, T_ROOT[:2], 0.1)
+    [one] = group_tracks_by_body(tracked, T_ROOT[:2])
     assert one.start == 0.0
 
 
-@pytest.mark.parametrize(("overlap", "overlapping"), [(0.52, True), (0.48, False)])
+@pytest.mark.parametrize(("overlap", "overlapping"), [(0.17, True), (0.13, False)])
 @pytest.mark.parametrize("earlier", [0, 1])
 def test_groups_overlap_from_the_first_to_the_last_time_of_their_tracks(
     overlap: float, overlapping: bool, earlier: int
 ) -> None:
-    """Tracks of 3 s, sampled at their ends and in the middle, in either order; the limit is 0.5 s."""
+    """Tracks of 3 s, sampled at their ends and in the middle, in either order; the limit is 0.15 s."""
     times = np.array([0.0, 1.5, 3.0])
     tracks = [
         Track(t, np.zeros((3, 2)), np.zeros((3, 2)), np.zeros((3, 2, 2)), 0) for t in (times, times + 3 - overlap)
     ]
     groups = [[_SampledTrack(0, track, np.zeros(0), np.zeros((0, 2)))] for track in tracks]
-    assert _overlap_in_scanner(groups[earlier], groups[1 - earlier], 0.5) == overlapping
+    assert _overlap_in_scanner(groups[earlier], groups[1 - earlier]) == overlapping
 
 
 def test_the_strength_of_a_continuation_decreases_with_gap_and_jump(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -186,6 +186,6 @@ def test_the_strength_of_a_continuation_decreases_with_gap_and_jump(monkeypatch:
     earlier = Track(np.array([0.0, 1.0]), still, still, np.zeros((2, 2, 2)), 0)
     later = Track(np.array([1.25, 2.0]), still + np.array([0.1, 0.0]), still, np.zeros((2, 2, 2)), 0)
     sampled = [_SampledTrack(0, track, np.zeros(0), np.zeros((0, 2))) for track in (later, earlier)]
-    ((strength, first, second),) = _link_successive(sampled, 0.1)
+    ((strength, first, second),) = _link_successive(sampled)
     assert (first, second) == (1, 0)
     assert strength == pytest.approx(0.75**2 * 10)

@@ -38,7 +38,7 @@ def observe_corridor(reach: float, off: float = 0.0) -> list[TrackSamples]:
         near = np.flatnonzero(np.linalg.norm(x - place, axis=1) < reach)
         in_sensor = se2.apply(se2.inverse(pose_of(place)), x[near] + off)
         one = gather_samples([(in_sensor, np.zeros_like(in_sensor))], 0.02)
-        observed.append(TrackSamples(near, one.trajectory, one.positions, one.velocities, one.covariances, 0.1))
+        observed.append(TrackSamples(near, one.trajectory, one.positions, one.velocities, one.covariances))
     return observed
 
 

@@ -56,4 +56,4 @@ def test_a_search_of_clocks_needs_more_evidence_in_a_large_network(
     scanners: int, evidence: float, clock_offset: float, clock_stddev: float, by_chance: bool
 ) -> None:
     h = ClockMountingHypothesis("a", "b", True, clock_offset, clock_stddev, evidence, 0.0, 0.1)
-    assert may_differ_by_chance(h, scanners, 0.1) == by_chance
+    assert may_differ_by_chance(h, scanners) == by_chance

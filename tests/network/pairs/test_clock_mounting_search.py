@@ -13,7 +13,7 @@ from calgraph.network.pairs.clock_mounting_search import (
     search_clocks_and_mountings,
     select_searched_pairs,
 )
-from calgraph.network.pairs.scanner_pair import CLOCK_SIGMA, ScannerPairEstimate
+from calgraph.network.pairs.scanner_pair import ScannerPairEstimate
 from calgraph.network.pairs.visibility_map import ScannerObservations
 from calgraph.network.tracking.track import ScannerTracks, Track, correct_tracks
 from track_pairs import estimate_scanner_pair
@@ -53,7 +53,7 @@ def observe(walks: list[Array], T_world_sensor: Array, rng: np.random.Generator)
 def search(a: ScannerTracks, b: ScannerTracks, rng: np.random.Generator) -> dict[bool, ClockMountingHypothesis]:
     """The best hypothesis by mounting."""
     observations = {"a": ScannerObservations.from_tracks(a), "b": ScannerObservations.from_tracks(b)}
-    found = search_clocks_and_mountings([("a", "b")], observations, CLOCK_SIGMA, rng, settings=SETTINGS)
+    found = search_clocks_and_mountings([("a", "b")], observations, rng, settings=SETTINGS)
     return {h.mirrored: h for h in sorted(found, key=lambda h: h.evidence)}
 
 
@@ -88,7 +88,7 @@ def test_a_pair_is_firm_if_people_turn(walk: Callable[[np.random.Generator], Arr
     walks = [walk(rng)]
     pair = estimate_scanner_pair("a", "b", observe(walks, np.eye(3), rng), observe(walks, T_A_B, rng), rng)
     assert isinstance(pair, ScannerPairEstimate)
-    assert is_firm(pair, CLOCK_SIGMA) == firm
+    assert is_firm(pair) == firm
 
 
 def test_a_pair_whose_clocks_differ_by_more_than_the_prior_is_not_firm() -> None:
@@ -97,7 +97,7 @@ def test_a_pair_whose_clocks_differ_by_more_than_the_prior_is_not_firm() -> None
     b = correct_tracks(observe(walks, T_A_B, rng), clock_offset=-0.15)
     pair = estimate_scanner_pair("a", "b", observe(walks, np.eye(3), rng), b, rng)
     assert isinstance(pair, ScannerPairEstimate)
-    assert not is_firm(pair, CLOCK_SIGMA)
+    assert not is_firm(pair)
 
 
 def test_people_who_were_never_observed_together_have_no_hypothesis() -> None:

@@ -22,7 +22,7 @@ def samples(ticks: list[int], positions: list[tuple[float, float]]) -> TrackSamp
     n = len(ticks)
     return TrackSamples(
         np.array(ticks), np.zeros(n, np.intp), np.array(positions), np.zeros((n, 2)),
-        np.tile(0.03**2 * np.eye(2), (n, 1, 1)), 0.1,
+        np.tile(0.03**2 * np.eye(2), (n, 1, 1)),
     )  # fmt: skip
 
 

@@ -214,7 +214,7 @@ def test_information_is_consistent_with_the_errors() -> None:
         pair = estimate_scanner_pair("a", "b", a, b, rng)
         assert isinstance(pair, ScannerPairEstimate), pair
         d = se2.difference(pair.T_a_b, se2.inverse(A) @ B)
-        squared.append(float(d @ pair.information @ d))
+        squared.append(float(d @ pair.hypotheses[0].information @ d))
     # 3 if it were exact; people show more systematic errors than these, which the information allows for.
     assert 1.0 < np.mean(squared) < 4.5
 
@@ -225,7 +225,7 @@ def test_a_short_straight_walk_leaves_the_angle_less_certain_than_a_wide_one() -
         walks = [straight((-length / 2, 0), (length / 2, 0), 20)]
         pair = estimate(rng, walks, se2.pose(np.pi / 2, np.array([0.0, -3])), se2.pose(0, np.array([-4.0, 0])))
         assert isinstance(pair, ScannerPairEstimate), pair
-        return float(np.sqrt(np.linalg.inv(pair.information)[2, 2]))
+        return float(np.sqrt(np.linalg.inv(pair.hypotheses[0].information)[2, 2]))
 
     assert stddev_of_angle(1.5) > 2 * stddev_of_angle(6.0)
 
@@ -419,7 +419,7 @@ def test_pairs_are_subsampled_if_enough_samples_are_left(min_samples: int, left:
     """1000 simultaneous pairs of one person, of which a hundred are wanted."""
     walk = TrackSamples(
         np.arange(1000), np.zeros(1000, np.intp), np.zeros((1000, 2)), np.zeros((1000, 2)),
-        np.tile(np.eye(2), (1000, 1, 1)), 0.1,
+        np.tile(np.eye(2), (1000, 1, 1)),
     )  # fmt: skip
     assert len(subsample_pairs(pair_samples(walk, walk), 100, min_samples)) == left
 

@@ -10,11 +10,11 @@ from calgraph.geometry import Array, invert_2x2, se2
 from calgraph.network.pairs.hypothesis_evidence import PoseHypothesis
 from calgraph.network.pairs.pose_hypotheses import propose_poses
 from calgraph.network.pairs.synchronized_tracks import (
-    TICK_PERIOD,
     SimultaneousPairs,
     TrackSamples,
     pair_samples,
     resample_tracks,
+    to_ticks,
 )
 from calgraph.network.pairs.track_registration import (
     _MAX_LAG,
@@ -57,7 +57,7 @@ def samples(
     x, v = se2.apply(T, position(t)), velocity(t) @ T[:2, :2].T
     x = x * (1 - near / np.linalg.norm(x, axis=1, keepdims=True))
     S = np.tile(sigma**2 * np.eye(2), (len(t), 1, 1))
-    return TrackSamples(ticks.astype(np.intp), np.zeros(len(t), np.intp), x, v, S, TICK_PERIOD)
+    return TrackSamples(ticks.astype(np.intp), np.zeros(len(t), np.intp), x, v, S)
 
 
 def simultaneous(delay: float = 0.0, near: float = 0.0, count: int = 300) -> SimultaneousPairs:
@@ -152,7 +152,7 @@ def test_distant_matches_have_the_weight_of_the_cauchy_loss(monkeypatch: pytest.
 def test_combinations_of_trajectories_have_different_numbers() -> None:
     ticks = np.zeros(2, np.intp)
     covariances = np.tile(np.eye(2), (2, 1, 1))
-    two = TrackSamples(ticks, np.arange(2), np.ones((2, 2)), np.ones((2, 2)), covariances, TICK_PERIOD)
+    two = TrackSamples(ticks, np.arange(2), np.ones((2, 2)), np.ones((2, 2)), covariances)
     assert len(set(pair_samples(two, two).trajectories.tolist())) == 4
 
 
@@ -201,7 +201,7 @@ def test_weight_of_evidence_is_a_log_likelihood_ratio(share: float, error: float
     h = PoseHypothesis(np.eye(3), np.eye(3), 100, 0.0, share, 0.1, error, uses_background=False)
     found = h.weight_of_evidence()
     assert found == pytest.approx(expected, abs=0.3)
-    assert h.score == 100 * share
+    assert h.observations * h.matched_share == 100 * share
 
 
 def test_the_first_proposal_is_the_pose() -> None:
@@ -216,7 +216,7 @@ def test_proposals_are_limited_to_the_best_and_a_random_selection(monkeypatch: p
     merged = TrackSamples(
         np.tile(ticks.astype(np.intp), 6), np.repeat(np.arange(6), 300),
         np.concatenate([s.positions for s in several]), np.concatenate([s.velocities for s in several]),
-        np.concatenate([s.covariances for s in several]), TICK_PERIOD,
+        np.concatenate([s.covariances for s in several]),
     )  # fmt: skip
     order = np.argsort(merged.tick, kind="stable")
     names = ("tick", "trajectory", "positions", "velocities", "covariances")
@@ -236,7 +236,7 @@ def test_short_trajectories_propose_no_pose(extent: float, usable: bool) -> None
     ticks = np.arange(20)
     x = np.column_stack([np.linspace(0, extent * np.sqrt(12), 20), np.zeros(20)])
     S = np.tile(1e-4 * np.eye(2), (20, 1, 1))
-    line = TrackSamples(ticks, np.zeros(20, np.intp), x + np.array([2, 0]), np.ones((20, 2)), S, TICK_PERIOD)
+    line = TrackSamples(ticks, np.zeros(20, np.intp), x + np.array([2, 0]), np.ones((20, 2)), S)
     assert (len(propose_poses(pair_samples(line, line), np.random.default_rng(0))) > 0) == usable
 
 
@@ -290,9 +290,7 @@ def test_tracks_at_other_places_are_not_joined() -> None:
 
 
 def test_durations_are_rounded_to_ticks() -> None:
-    one = samples(np.eye(3), np.arange(3.0))
-    assert [one.to_ticks(s) for s in (0.6, 2.0, 8.0, 0.04)] == [6, 20, 80, 0]
-    assert [replace(one, tick_period=0.2).to_ticks(s) for s in (0.6, 2.0)] == [3, 10]
+    assert [to_ticks(s) for s in (0.6, 2.0, 8.0, 0.04)] == [6, 20, 80, 0]
 
 
 def register_walks(pairs: SimultaneousPairs, prior: NuisancePrior = PRIOR) -> TrackRegistration:
@@ -449,12 +447,7 @@ def samples_at_one_tick(x: list[float], covariances: list[Array]) -> TrackSample
     n = len(x)
     zeros = np.zeros(n, dtype=np.intp)
     return TrackSamples(
-        zeros,
-        np.arange(n),
-        np.column_stack([x, np.zeros(n)]),
-        np.zeros((n, 2)),
-        np.array(covariances),
-        TICK_PERIOD,
+        zeros, np.arange(n), np.column_stack([x, np.zeros(n)]), np.zeros((n, 2)), np.array(covariances)
     )
 
 

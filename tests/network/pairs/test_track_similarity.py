@@ -57,9 +57,7 @@ def test_people_at_different_times_score_nothing(rng: np.random.Generator) -> No
 
 def test_a_scanner_without_tracks_scores_nothing(rng: np.random.Generator) -> None:
     a = observe([0], somewhere(rng), rng)
-    empty = TrackSamples(
-        a.tick[:0], a.trajectory[:0], a.positions[:0], a.velocities[:0], a.covariances[:0], a.tick_period
-    )
+    empty = TrackSamples(a.tick[:0], a.trajectory[:0], a.positions[:0], a.velocities[:0], a.covariances[:0])
     np.testing.assert_array_equal(compute_track_similarity([empty, a]), 0)
     np.testing.assert_array_equal(compute_track_similarity([empty, empty]), 0)
 

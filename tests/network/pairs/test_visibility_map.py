@@ -4,17 +4,20 @@ import numpy as np
 import pytest
 
 from calgraph.geometry import Array, se2
+from calgraph.network.pairs import visibility_map
 from calgraph.network.pairs.synchronized_tracks import TrackSamples, pair_samples
 from calgraph.network.pairs.visibility_map import (
+    Flags,
+    ScannerObservations,
     VisibilityMap,
     build_visibility_map,
-    contradicts_visibility,
     find_missed_detections,
     is_free_space,
+    miss_detections,
 )
 from calgraph.network.tracking.track import ScannerTracks
 
-NO_SAMPLES = TrackSamples(*(np.zeros(0, dtype=np.intp),) * 2, *(np.zeros((0, 2)),) * 2, np.zeros((0, 2, 2)), 0.1)
+NO_SAMPLES = TrackSamples(*(np.zeros(0, dtype=np.intp),) * 2, *(np.zeros((0, 2)),) * 2, np.zeros((0, 2, 2)))
 
 
 def wall(distance: float, beams: int = 540) -> Array:
@@ -28,8 +31,15 @@ def walks(positions: Array, first: int = 0) -> TrackSamples:
     ticks = np.arange(first, first + len(positions))
     S = np.tile(0.02**2 * np.eye(2), (len(positions), 1, 1))
     return TrackSamples(
-        ticks, np.zeros(len(positions), np.intp), positions, np.gradient(positions, 0.1, axis=0), S, 0.1
+        ticks, np.zeros(len(positions), np.intp), positions, np.gradient(positions, 0.1, axis=0), S
     )
+
+
+def refute(T_a_b: Array, a: TrackSamples, b: TrackSamples, view_a: VisibilityMap, view_b: VisibilityMap) -> Flags:
+    """Which poses imply too many missed detections."""
+    pairs = pair_samples(a, b)
+    observed = ScannerObservations(a, view_a), ScannerObservations(b, view_b)
+    return miss_detections(T_a_b, *observed, pairs, len(pairs), 0.0)
 
 
 def still(background: Array, watched: Array | None = None) -> ScannerTracks:
@@ -95,9 +105,7 @@ def test_a_pose_with_missed_detections_is_refuted() -> None:
     a = walks(se2.apply(T_a_b, b.positions))
     views = build_visibility_map(still(wall(12.0)), a), build_visibility_map(still(wall(12.0)), b)
     wrong = se2.pose(np.pi, np.array([2.0, 0.0]))  # the other half of the circle at every time
-    found = contradicts_visibility(
-        np.array([T_a_b, wrong]), pair_samples(a, b), *views, radius=0.5, min_expected=20, max_missed_share=0.5
-    )
+    found = refute(np.array([T_a_b, wrong]), a, b, *views)
     assert found.tolist() == [False, True]
 
 
@@ -105,12 +113,8 @@ def test_poses_without_overlap_are_not_refuted() -> None:
     a, b = walks(circle(3.0)), walks(circle(3.0))
     views = build_visibility_map(still(wall(4.0)), a), build_visibility_map(still(wall(4.0)), b)
     far = se2.pose(0.3, np.array([20.0, 0.0]))
-    assert contradicts_visibility(
-        far[None], pair_samples(a, b), *views, radius=0.5, min_expected=20, max_missed_share=0.5
-    ).tolist() == [False]
-    assert contradicts_visibility(
-        np.zeros((0, 3, 3)), pair_samples(a, b), *views, radius=0.5, min_expected=20, max_missed_share=0.5
-    ).shape == (0,)
+    assert refute(far[None], a, b, *views).tolist() == [False]
+    assert refute(np.zeros((0, 3, 3)), a, b, *views).shape == (0,)
 
 
 def test_times_without_measurements_have_no_missed_detections() -> None:
@@ -118,9 +122,7 @@ def test_times_without_measurements_have_no_missed_detections() -> None:
     x = circle(3.0, ticks=200)
     a, b = walks(x), walks(x[:60])
     views = build_visibility_map(still(wall(12.0)), a), build_visibility_map(still(wall(12.0)), b)
-    assert contradicts_visibility(
-        np.eye(3)[None], pair_samples(a, b), *views, radius=0.5, min_expected=20, max_missed_share=0.5
-    ).tolist() == [False]
+    assert refute(np.eye(3)[None], a, b, *views).tolist() == [False]
 
 
 def test_measured_times_without_detections_have_missed_detections() -> None:
@@ -131,9 +133,7 @@ def test_measured_times_without_detections_have_missed_detections() -> None:
         build_visibility_map(still(wall(12.0), watched), a),
         build_visibility_map(still(wall(12.0), watched), b),
     )
-    assert contradicts_visibility(
-        np.eye(3)[None], pair_samples(a, b), *views, radius=0.5, min_expected=20, max_missed_share=0.5
-    ).tolist() == [True]
+    assert refute(np.eye(3)[None], a, b, *views).tolist() == [True]
 
 
 @pytest.mark.parametrize(("time", "there"), [(0.9, False), (1.0, True), (2.5, False), (3.5, True), (4.1, False)])
@@ -156,7 +156,9 @@ def test_detections_within_the_radius_are_of_the_same_object(offset: list[float]
 
 
 @pytest.mark.parametrize(("share", "refuted"), [(0.45, False), (0.55, True)])
-def test_a_pose_is_refuted_by_the_share_of_missed_detections(share: float, refuted: bool) -> None:
+def test_a_pose_is_refuted_by_the_share_of_missed_detections(
+    share: float, refuted: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
     # b misses the last part of a's samples; those that b has are all detected by a.
     x = circle(3.0, ticks=200)
     a, b = walks(x), walks(x[: round(200 * (1 - share))])
@@ -164,10 +166,8 @@ def test_a_pose_is_refuted_by_the_share_of_missed_detections(share: float, refut
     views = build_visibility_map(still(wall(12.0), always), a), build_visibility_map(still(wall(12.0), always), a)
     expected, detected = find_missed_detections(np.eye(3)[None], pair_samples(a, b), *views, 0.5)
     missed = np.count_nonzero(expected & ~detected) / np.count_nonzero(expected)
-    found = contradicts_visibility(
-        np.eye(3)[None], pair_samples(a, b), *views, radius=0.5, min_expected=20,
-        max_missed_share=missed * (0.99 if refuted else 1.01),
-    )  # fmt: skip
+    monkeypatch.setattr(visibility_map, "MAX_MISSED_SHARE", missed * (0.99 if refuted else 1.01))
+    found = refute(np.eye(3)[None], a, b, *views)
     assert missed == pytest.approx(share / (2 - share), abs=0.03)
     assert found.tolist() == [refuted]
 
@@ -187,14 +187,15 @@ def test_cells_need_several_detections(count: int, visible: bool) -> None:
 
 
 @pytest.mark.parametrize("missing", [0, 1])
-def test_a_pose_is_tested_from_the_least_number_of_expected_detections_on(missing: int) -> None:
+def test_a_pose_is_tested_from_the_least_number_of_expected_detections_on(
+    missing: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     # Under the wrong pose, all expected detections are missed.
     a, b = walks(circle(3.0)), walks(-circle(3.0))
     views = build_visibility_map(still(wall(12.0)), a), build_visibility_map(still(wall(12.0)), b)
     pairs = pair_samples(a, b)
     expected = int(find_missed_detections(np.eye(3)[None], pairs, *views, 0.5)[0].sum())
     assert expected > 100
-    found = contradicts_visibility(
-        np.eye(3)[None], pairs, *views, radius=0.5, min_expected=expected + missing, max_missed_share=0.5
-    )
+    monkeypatch.setattr(visibility_map, "_MIN_EXPECTED", expected + missing)
+    found = refute(np.eye(3)[None], a, b, *views)
     assert found.tolist() == [missing == 0]

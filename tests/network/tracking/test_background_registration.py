@@ -3,19 +3,17 @@
 import numpy as np
 import pytest
 
-from calgraph.config.settings import StationaritySettings
 from calgraph.geometry import Array
 from calgraph.network.tracking.background_registration import ReferenceScan, WindowPoses, register_windows
 from static_rooms import ANGLES, CORRIDOR, scan_room, step
 
-SETTINGS = StationaritySettings()
 NOISE = 0.003
 
 
 def register(poses: Array) -> WindowPoses:
     """Registers scans at poses (W, 3), x, y, m, and angle, degrees, to one at the origin."""
     ranges = [scan_room(0.1, step(0.0, *pose), noise=NOISE)[0].ranges for pose in poses]
-    reference = ReferenceScan(ANGLES, scan_room(0.2, noise=NOISE)[1].ranges, SETTINGS)
+    reference = ReferenceScan(ANGLES, scan_room(0.2, noise=NOISE)[1].ranges)
     return register_windows(reference, np.array(ranges), NOISE)
 
 
@@ -41,7 +39,7 @@ def test_covariance_contains_the_error(rng: np.random.Generator) -> None:
 
 
 def test_a_corridor_has_no_information_along_it() -> None:
-    reference = ReferenceScan(ANGLES, scan_room(0.1, segments=lambda _: CORRIDOR, noise=1e-4)[0].ranges, SETTINGS)
+    reference = ReferenceScan(ANGLES, scan_room(0.1, segments=lambda _: CORRIDOR, noise=1e-4)[0].ranges)
     found = register_windows(reference, reference.ranges[None], 0.01)
     stddev = 0.01 * np.sqrt(np.diagonal(np.linalg.inv(found.information[0])))
     assert stddev[0] > 0.1
@@ -51,7 +49,7 @@ def test_a_corridor_has_no_information_along_it() -> None:
 def test_points_in_front_of_the_surfaces_are_not_compared() -> None:
     ranges = scan_room(0.1, noise=NOISE)[0].ranges.copy()
     ranges[:200] = 0.5
-    reference = ReferenceScan(ANGLES, scan_room(0.2, noise=NOISE)[1].ranges, SETTINGS)
+    reference = ReferenceScan(ANGLES, scan_room(0.2, noise=NOISE)[1].ranges)
     found = register_windows(reference, ranges[None], 0.01)
     assert found.agreement[0] > 0.95
 
@@ -59,5 +57,5 @@ def test_points_in_front_of_the_surfaces_are_not_compared() -> None:
 def test_points_behind_the_surfaces_contradict() -> None:
     ranges = scan_room(0.1, noise=NOISE)[0].ranges.copy()
     ranges[:350] += 3.0
-    reference = ReferenceScan(ANGLES, scan_room(0.2, noise=NOISE)[1].ranges, SETTINGS)
+    reference = ReferenceScan(ANGLES, scan_room(0.2, noise=NOISE)[1].ranges)
     assert register_windows(reference, ranges[None], 0.01).agreement[0] < 0.6

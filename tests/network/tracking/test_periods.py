@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from calgraph.network.tracking.track_scanner import _MAX_UNDETECTED, TrackSegment, split_into_periods
+from calgraph.network.tracking.track_scanner import TrackSegment, split_into_periods
 
 
 def split(*detected: NDArray[np.intp]) -> tuple[TrackSegment, ...]:
@@ -12,7 +12,7 @@ def split(*detected: NDArray[np.intp]) -> tuple[TrackSegment, ...]:
     scan = np.concatenate(detected)
     ends = np.cumsum([len(s) for s in detected])
     identities = np.split(np.arange(len(scan)), ends[:-1])
-    return split_into_periods(identities, scan, np.asarray(0.1 * scan, dtype=np.float64), _MAX_UNDETECTED)
+    return split_into_periods(identities, scan, np.asarray(0.1 * scan, dtype=np.float64))
 
 
 def test_one_object_all_the_time_is_one_period() -> None:
@@ -36,7 +36,7 @@ def test_a_missed_scan_starts_no_period() -> None:
 
 
 def test_no_objects_give_no_period() -> None:
-    assert split_into_periods([], np.empty(0, dtype=np.intp), np.empty(0), 0.4) == ()
+    assert split_into_periods([], np.empty(0, dtype=np.intp), np.empty(0)) == ()
 
 
 @pytest.mark.parametrize(("missed", "periods"), [(3, 1), (4, 2)])

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from types import MappingProxyType
 
@@ -24,12 +24,13 @@ from calgraph.network.joint.track_association import MAX_DISTANCE
 from calgraph.network.pairs.hypothesis_evidence import PoseHypothesis
 from calgraph.network.pairs.scanner_pair import ScannerPairEstimate, ScannerPairs
 from calgraph.network.pairs.synchronized_tracks import (
+    TICK_PERIOD,
     SimultaneousPairs,
     TrackSamples,
     pair_samples,
     resample_tracks,
 )
-from calgraph.network.tracking.track import ScannerTracks
+from calgraph.network.tracking.track import ScannerTracks, correct_tracks
 from calgraph.result import (
     BeamView,
     Calibration,
@@ -87,7 +88,7 @@ def assemble_network(
     clocks = initialization.average_clocks() if joint is None else joint.clocks
     remaining_offset = dict(zip(names, np.nan_to_num(clocks[:, 0]).tolist(), strict=True))
     samples = {
-        name: resample_tracks(_correct_clock(one, remaining_offset.get(name, 0.0)))
+        name: resample_tracks(correct_tracks(one, clock_offset=remaining_offset.get(name, 0.0)))
         for name, one in tracked.items()
     }
     T_root_scanner = averaged.T_root_node if joint is None else joint.T_root_scanner
@@ -197,12 +198,6 @@ def _collect_stated_poses(rig: Rig, T_root_sensor: Mapping[str, Array]) -> dict[
         )
         for name, T in T_root_sensor.items()
     }
-
-
-def _correct_clock(tracked: ScannerTracks, clock_offset: float) -> ScannerTracks:
-    """The same tracks with times of the root's clock."""
-    tracks = tuple(replace(track, times=track.times - clock_offset) for track in tracked.tracks)
-    return replace(tracked, tracks=tracks)
 
 
 def _finite_or_none(value: float) -> float | None:
@@ -424,7 +419,7 @@ def build_walk_rows(
             float(of_scanner.times[walk[0]]) - start,
             float(of_scanner.times[walk[-1]]) - start,
             name,
-            *_assess_walk(name, walk, matches, of_scanner.tick_period),
+            *_assess_walk(name, walk, matches),
         )
         for name, of_scanner in samples.items()
         for walk in _split_walks(of_scanner)
@@ -433,7 +428,7 @@ def build_walk_rows(
 
 
 def _assess_walk(
-    name: str, walk: NDArray[np.intp], matches: CrossScannerMatches, tick_period: float
+    name: str, walk: NDArray[np.intp], matches: CrossScannerMatches
 ) -> tuple[bool, str, float | None]:
     """Whether the samples of a walk have matches, why not, and their RMS distance, m."""
     if name not in matches.distance:
@@ -443,7 +438,7 @@ def _assess_walk(
     if len(d) >= _MIN_SHARED_TICKS:
         return True, "", float(np.sqrt(np.mean(d**2)))
     if len(d):
-        return False, f"another scanner detected it for less than {_MIN_SHARED_TICKS * tick_period:g} s", None
+        return False, f"another scanner detected it for less than {_MIN_SHARED_TICKS * TICK_PERIOD:g} s", None
     if matches.others_active[name][walk].any():
         return (
             False,

@@ -30,10 +30,7 @@ def extract_earlier_poses(earlier: Calibration, root: str) -> PlanarPoses:
             f"`extend`: its poses are in the frame of {earlier.root}, not {root}; "
             f"set root: {earlier.root} in rig.yaml"
         )
-    try:
-        return extract_planar_poses(earlier)
-    except InputError as error:
-        raise InputError(f"`extend`: {error}") from error
+    return extract_planar_poses(earlier, "`extend`: ")
 
 
 def remove_scanners(earlier: Calibration, moved: Sequence[str]) -> Calibration:

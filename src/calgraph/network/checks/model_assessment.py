@@ -120,7 +120,7 @@ def _test_model(
     if scatter.p < FALSE_ALARM_PROBABILITY and scatter.ratio > _MAX_GOOD_SCATTER:
         findings.append(_describe_scatter(scatter, names))
     refuted = any(finding.refutes for finding in findings)
-    whole = solved.network.bodies[0].is_whole
+    whole = solved.network.bodies[0].kind != "legs"  # a track follows a person
     if not whole or _measure_radius_deviation(solved) < _MAX_RADIUS_DEVIATION:
         inliers = initialization.graph.select_edges(averaged.inliers)
         covariance = compute_joint_covariance(inliers, averaged.T_root_node)

@@ -6,7 +6,6 @@ import numpy as np
 
 from calgraph.config import Tolerance
 from calgraph.config.settings import DiagnosticsSettings
-from calgraph.errors import InputError
 from calgraph.geometry import se2
 from calgraph.network.joint.planar_poses import PlanarPoses, extract_planar_poses, project_to_plane
 from calgraph.result import Calibration, ExtrinsicsFile
@@ -93,7 +92,7 @@ def compare_network_poses(
     frames, T = compared.frames, np.array(list(compared.T_root_sensor.values()))
     before = PlanarPoses(tuple(frames), project_to_plane(T), np.zeros((3 * len(T),) * 2))
     if given.calibration is not None:
-        poses = _extract_given_poses(given.calibration).change_root(frames[found.root])
+        poses = extract_planar_poses(given.calibration, "`against`: ").change_root(frames[found.root])
         before = replace(before, covariance=poses.select(tuple(frames.values())).covariance)
     reference, moved = find_moved_scanners(before, extract_planar_poses(found), settings)
     from_reference = compared.compare_in_frame(reference, {})
@@ -103,13 +102,6 @@ def compare_network_poses(
         for sensor in from_reference.sensors
     )
     return replace(from_reference, sensors=tuple(sensors))
-
-
-def _extract_given_poses(calibration: Calibration) -> PlanarPoses:
-    try:
-        return extract_planar_poses(calibration)
-    except InputError as error:
-        raise InputError(f"`against`: {error}") from error
 
 
 def _assess_scanner(

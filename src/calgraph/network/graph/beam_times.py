@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from calgraph.geometry import Array
 from calgraph.network.graph.network_initialization import NetworkInitialization
-from calgraph.network.pairs.synchronized_tracks import TrackSamples, pair_samples, resample_tracks
+from calgraph.network.pairs.synchronized_tracks import TrackSamples, pair_samples, resample_tracks, to_ticks
 from calgraph.network.tracking.track import ScannerTracks
 from calgraph.sensors.untimed_scans import UntimedScans, decide_turn
 from calgraph.solver.grouped_errors import solve_with_grouped_errors
@@ -66,7 +66,8 @@ def recognize_beam_times(
     ]
     if not parts:
         return {}
-    thinned = slice(None, None, 1 + int(sum(len(part.group) for part in parts) / _count_samples(len(names))))
+    most = int(_MAX_PRODUCTS / (_UNKNOWNS * len(names)) ** 2)
+    thinned = slice(None, None, 1 + int(sum(len(part.group) for part in parts) / most))
     samples_of = _Part(
         np.concatenate([part.jacobian for part in parts])[thinned],
         np.concatenate([part.differences for part in parts])[thinned],
@@ -81,11 +82,6 @@ def recognize_beam_times(
     decided = {name: decide_turn(*value) for name, value in zip(columns, own, strict=True)}
     turns = {name: decide_turn(common, stddev) if turn is None else turn for name, turn in decided.items()}
     return {name: turn for name, turn in turns.items() if turn is not None}
-
-
-def _count_samples(scanners: int) -> int:
-    """Of a network, the most that are used."""
-    return int(_MAX_PRODUCTS / (_UNKNOWNS * scanners) ** 2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,7 +137,7 @@ def _linearize(
         if name in untimed:
             bearings = np.arctan2(own[:, 1] * (-1 if name in inverted else 1), own[:, 0])
             jacobian[:, :, node, 4] = sign * v * untimed[name].turn_times(bearings)[:, None]
-    spans = pairs.a.tick[pairs.row_a[rows]] // pairs.a.to_ticks(_ERROR_TIME)
+    spans = pairs.a.tick[pairs.row_a[rows]] // to_ticks(_ERROR_TIME)
     _, group = np.unique(np.column_stack([pairs.trajectories[rows], spans]), axis=0, return_inverse=True)
     ticks = pairs.a.tick[pairs.row_a[rows]]
     yield _Part(jacobian.reshape(len(rows), 2, -1), difference[rows], group.ravel(), ticks)

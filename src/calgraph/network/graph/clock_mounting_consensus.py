@@ -70,8 +70,8 @@ def resolve_clocks_and_mountings(
         for mirrored, weight in ((h.mirrored, h.evidence), (not h.mirrored, h.reflected_evidence)):
             excess = max(weight - MIN_WEIGHT_OF_EVIDENCE, 0.0)
             evidence[int(mirrored), [i, j], [j, i]] = max(evidence[int(mirrored), i, j], excess)
-    signs, ambiguous = _select_mountings(evidence, fixed, MAX_EVIDENCE_RATIO)
-    freely, unsure = _select_mountings(evidence, {node[root]}, MAX_EVIDENCE_RATIO)
+    signs, ambiguous = _select_mountings(evidence, fixed)
+    freely, unsure = _select_mountings(evidence, {node[root]})
     contradicted = (freely < 0) & ~unsure
     used = [h for h in hypotheses if h.mirrored == (signs[node[h.sensor_a]] != signs[node[h.sensor_b]])]
     used = [h for h in used if h.evidence > MIN_WEIGHT_OF_EVIDENCE]
@@ -91,9 +91,7 @@ def resolve_clocks_and_mountings(
     )
 
 
-def _select_mountings(
-    evidence: Array, fixed: Collection[int], max_evidence_ratio: float
-) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
+def _select_mountings(evidence: Array, fixed: Collection[int]) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
     """Signs (N,) of the mountings, and which are ambiguous: all those beyond a tree edge fit as well flipped.
 
     Of ambiguous parts, most scanners are mounted as the root.
@@ -121,7 +119,7 @@ def _select_mountings(
     ends = np.argwhere(np.any(evidence > 0, axis=0))
     for part in list_parts(count, tree):
         chosen, other = _evidence_across(evidence, ends, signs, part)
-        if chosen > 0 and other > max_evidence_ratio * chosen:
+        if chosen > 0 and other > MAX_EVIDENCE_RATIO * chosen:
             ambiguous |= part
             if signs[part].sum() < 0:
                 signs[part] *= -1

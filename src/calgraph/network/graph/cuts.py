@@ -21,16 +21,15 @@ from numpy.typing import NDArray
 from calgraph.geometry import Array, se2
 from calgraph.graph.pose_graph import PoseGraph, PoseGraphSolution
 from calgraph.graph.spanning_tree import fundamental_cuts
-from calgraph.network.pairs.scanner_pair import (
+from calgraph.network.pairs.scanner_pair import MIN_COUPLE_SHIFT, SAME_ANGLE, SAME_POSITION, SAME_TURN
+from calgraph.network.pairs.synchronized_tracks import pair_samples
+from calgraph.network.pairs.visibility_map import (
     DETECTION_RADIUS,
     MAX_MISSED_SHARE,
-    MIN_COUPLE_SHIFT,
-    SAME_ANGLE,
-    SAME_POSITION,
-    SAME_TURN,
+    Flags,
+    ScannerObservations,
+    find_missed_detections,
 )
-from calgraph.network.pairs.synchronized_tracks import pair_samples
-from calgraph.network.pairs.visibility_map import Flags, ScannerObservations, find_missed_detections
 from calgraph.solver.connected_parts import label_parts
 
 

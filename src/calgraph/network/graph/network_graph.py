@@ -4,7 +4,6 @@ from collections import deque
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import eye_array
 
 from calgraph.geometry import Array
@@ -112,8 +111,10 @@ def published_weights(names: Sequence[str], pairs: Sequence[ScannerPairEstimate]
         names: the scanners of the graph.
         pairs: as given to :func:`build_network_graph`.
     """
-    score = np.array([h.score + _WALL_POSITIONS * h.uses_background for h in _hypotheses(names, pairs)])
-    return np.asarray(score / (score + _HALF_WEIGHT_POSITIONS))
+    hypotheses = list_hypotheses(names, pairs)
+    agreeing = np.array([h.observations * h.matched_share for h in hypotheses])
+    agreeing += [_WALL_POSITIONS * h.uses_background for h in hypotheses]
+    return np.asarray(agreeing / (agreeing + _HALF_WEIGHT_POSITIONS))
 
 
 # Weight of evidence at which an edge has half the full weight: a perfect fit of 5 s of one person, as long as
@@ -140,19 +141,12 @@ def edge_evidence(names: Sequence[str], pairs: Sequence[ScannerPairEstimate]) ->
         pairs: as given to :func:`build_network_graph`.
     """
     return np.array(
-        [h.weight_of_evidence() + _WALL_EVIDENCE * h.uses_background for h in _hypotheses(names, pairs)]
+        [h.weight_of_evidence() + _WALL_EVIDENCE * h.uses_background for h in list_hypotheses(names, pairs)]
     )
 
 
-def edges_by_chance(
-    names: Sequence[str], pairs: Sequence[ScannerPairEstimate], scanners: int
-) -> NDArray[np.bool_]:
-    """Which edges (E,) of :func:`build_network_graph` may be by chance in a network of this number of scanners."""
-    return np.array([h.may_be_by_chance(scanners) for h in _hypotheses(names, pairs)], dtype=np.bool_)
-
-
-def _hypotheses(names: Sequence[str], pairs: Sequence[ScannerPairEstimate]) -> list[PoseHypothesis]:
-    """That of each edge."""
+def list_hypotheses(names: Sequence[str], pairs: Sequence[ScannerPairEstimate]) -> list[PoseHypothesis]:
+    """That of each edge of :func:`build_network_graph`."""
     connected = set(names)
     return [h for pair in pairs if pair.sensor_a in connected for h in pair.hypotheses]
 

@@ -24,7 +24,7 @@ from calgraph.network.graph.network_graph import (
     build_network_graph,
     edge_evidence,
     edge_weights,
-    edges_by_chance,
+    list_hypotheses,
     published_weights,
 )
 from calgraph.network.pairs.clock_mounting_search import describe_difference
@@ -95,7 +95,8 @@ def initialize_network(
             weights = published_weights(names, estimates) if averaging else edge_weights(evidence)
         solution, graph = average_network(graph, rng, weights, averaging)
         averaged = AveragedGraph(graph, solution, evidence)
-        unsure = find_chance_connections(averaged, edges_by_chance(names, estimates, len(observations)))
+        by_chance = [h.may_be_by_chance(len(observations)) for h in list_hypotheses(names, estimates)]
+        unsure = find_chance_connections(averaged, np.array(by_chance, dtype=np.bool_))
         if unsure.any():
             why = (
                 "the tracks match, but only where people walk straight at one speed, as different people do by "

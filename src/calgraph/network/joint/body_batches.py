@@ -70,8 +70,11 @@ class BodyBatches:
         Returns:
             Results by body.
         """
-        results = self.engine.map(_call_each, self._list_work(function, network, state, others))
-        return [result for batch in results for result in batch]
+        return self._call(self._list_work(function, network, state, others))
+
+    def map_values(self, function: Callable[..., Any], *values: Any) -> list[Any]:
+        """Calls a function with one of the values of each argument for each body, as of :meth:`map`."""
+        return self._call([(function, (), *of_batch) for of_batch in self._select(values)])
 
     def keep(
         self, function: Callable[..., Any], network: NetworkProblem, state: NetworkState, *others: Any
@@ -80,18 +83,21 @@ class BodyBatches:
         work = self._list_work(function, network, state, others)
         return KeptValues(tuple(Kept(_call_each, *arguments) for arguments in work))
 
+    def _call(self, work: Sequence[tuple[Any, ...]]) -> list[Any]:
+        return [result for batch in self.engine.map(_call_each, work) for result in batch]
+
     def _list_work(
         self, function: Callable[..., Any], network: NetworkProblem, state: NetworkState, others: tuple[Any, ...]
     ) -> list[tuple[Any, ...]]:
         shared = Kept.of((replace(network, bodies=(), walls=(), prior=None), replace(state, paths=())))
-        return [
-            (
-                *(function, shared, self.kept[n], state.paths[selected]),
-                *(other.batches[n] if isinstance(other, KeptValues) else other[selected] for other in others),
-            )
-            for n, selected in enumerate(self.bodies)
-        ]
+        of_batches = self._select((KeptValues(self.kept), state.paths, *others))
+        return [(function, shared, *of_batch) for of_batch in of_batches]
+
+    def _select(self, values: tuple[Any, ...]) -> Iterator[list[Any]]:
+        """The values of the bodies of each batch."""
+        for n, selected in enumerate(self.bodies):
+            yield [one.batches[n] if isinstance(one, KeptValues) else one[selected] for one in values]
 
 
-def _call_each(function: Callable[..., Any], shared: tuple[Any, Any], *of_bodies: Sequence[Any]) -> list[Any]:
+def _call_each(function: Callable[..., Any], shared: tuple[Any, ...], *of_bodies: Sequence[Any]) -> list[Any]:
     return [function(*shared, *of_body) for of_body in zip(*of_bodies, strict=True)]

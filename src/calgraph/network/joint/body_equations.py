@@ -32,11 +32,11 @@ from calgraph.network.joint.problem import (
 from calgraph.network.joint.scan_equations import TUKEY_LIMIT, ScanEquations, ScanTerms, TukeyLoss, sum_over_scans
 from calgraph.network.joint.scanner_unknowns import (
     RANGE_BIAS,
+    SCANNER_UNKNOWNS,
     compute_scanner_jacobian,
     compute_stretches,
     compute_turns,
     differentiate_by_azimuth_errors,
-    list_columns,
     rotate_by_small_angles,
 )
 from calgraph.network.joint.schur import BodyEquations
@@ -151,8 +151,8 @@ def linearize_body(
     network: NetworkProblem, state: NetworkState, body: BodyObservations, path: BodyPath
 ) -> BodyEquations:
     """The equations of a body."""
-    columns, (mean, information) = list_columns([scans.scanner for scans in body.scans]), body.shape_prior
-    equations = BodyEquations.zeros(body.knots.count, len(mean), columns)
+    mean, information = body.shape_prior
+    equations = BodyEquations.zeros(body.knots.count, len(mean), SCANNER_UNKNOWNS * len(body.scans))
     cost = _add_path_prior(equations, network, state, body, path)
     deviation, own = path.shape - mean, np.arange(len(mean))
     equations.corner[own, own] += information

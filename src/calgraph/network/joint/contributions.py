@@ -220,7 +220,7 @@ def _split_body(
 
     A body with biases is one part: they make its intervals depend on each other.
     """
-    size = len(equations.columns)
+    size = len(equations.corner) - equations.shape_count
     H, g = eliminate_path(equations, 0.0)
     if body.has_biases:
         middle = body.knots.start + body.knots.duration / 2
@@ -245,7 +245,7 @@ def _split_body(
         if not terms:
             continue
         begin, end = min(one.first[0] for one in terms), max(one.first[-1] for one in terms) + 4
-        sums = BodyEquations.zeros(end - begin, equations.shape_count, equations.columns)
+        sums = BodyEquations.zeros(end - begin, equations.shape_count, size)
         add_scans(sums, terms, begin)
         rows = np.r_[3 * begin : 3 * end, 3 * body.knots.count : len(substitution)]
         information[n], gradient[n] = sums.follow(substitution[rows])

@@ -87,7 +87,6 @@ class EllipseObservations(BodyObservations):
     faces_forward: bool
     """Whether its heading follows its direction of motion, as people's does and a cylinder's does not."""
     has_biases: ClassVar[bool] = False
-    is_whole: ClassVar[bool] = True
     radius_count: ClassVar[int] = 2
 
     @property

@@ -51,7 +51,6 @@ from calgraph.network.joint.systematic_spread import estimate_systematic_sigma
 from calgraph.network.joint.track_association import BodyTracks, cut_bodies, group_tracks_by_body
 from calgraph.network.pairs import icp
 from calgraph.network.pairs.scanner_pair import CLOCK_SIGMA
-from calgraph.network.pairs.synchronized_tracks import TICK_PERIOD
 from calgraph.network.tracking.track import ScannerTracks, Track
 from calgraph.parallel.engine import THIS_PROCESS, MapEngine
 from calgraph.parallel.kept_values import Kept
@@ -73,10 +72,6 @@ class NetworkSolution:
     covariance: NearCovariances
     """Of pose in the root's fixed axes and clock offset; unknown between scanners of a large network that have no
     common body or wall."""
-    clocks_estimated: bool
-    """Whether clock offsets were estimated."""
-    model_error: float
-    """Standard deviation of the position of bodies in a scan about their smooth path, m."""
     solved: NetworkEquations | None = None
     """At the minimum, with the noise, model error and robust weights of the last round, for tests of the solution;
     None where only the result is given."""
@@ -96,9 +91,9 @@ class NetworkSolution:
 
     @property
     def clocks(self) -> Array:
-        """(S, 2) offsets and their standard deviations, s; NaN where they were not estimated, and for the root."""
+        """(S, 2) offsets and their standard deviations, s; NaN for the root."""
         clocks = np.column_stack([self.clock_offset, self.covariance.stddev[:, CLOCK]])
-        clocks[slice(0, 1) if self.clocks_estimated else slice(None)] = np.nan
+        clocks[0] = np.nan
         return clocks
 
 
@@ -115,7 +110,6 @@ def solve_network(
     averaged: PoseGraphSolution,
     graph: PoseGraph,
     *,
-    estimate_clocks: bool = True,
     uncertainties: Sequence[Lidar2dUncertainty] = (),
     prior: ScannerPrior | None = None,
     settings: NetworkEstimationSettings,
@@ -129,7 +123,6 @@ def solve_network(
         tracked: the tracks of each scanner, the root's first.
         averaged: start poses, and the pairs that are inliers.
         graph: of these pairs.
-        estimate_clocks: whether the scanners' clocks may differ.
         uncertainties: prior standard deviations of systematic errors of each scanner; the defaults if left out.
         prior: of scanner poses, from an earlier calibration.
         settings: of the estimate.
@@ -144,7 +137,7 @@ def solve_network(
         )
         if inlier
     ]
-    walks = group_tracks_by_body(tracked, T_root_scanner, TICK_PERIOD)
+    walks = group_tracks_by_body(tracked, T_root_scanner)
     bodies = cut_bodies(walks)
     state = NetworkState(
         T_root_scanner,
@@ -153,16 +146,13 @@ def solve_network(
         tuple(_initialize_path(body, target, T_root_scanner, acceleration_density) for body in bodies),
     )
     background = np.array([scanner.sigma for scanner in tracked])
-    prior_sigma = collect_prior_sigma(
-        uncertainties or [Lidar2dUncertainty()] * len(tracked), estimate_clocks=estimate_clocks
-    )
+    prior_sigma = collect_prior_sigma(uncertainties or [Lidar2dUncertainty()] * len(tracked))
     network = NetworkProblem(
         len(tracked),
         tuple(_observe_bodies(bodies, target, settings)),
         (),
         range_sigma=background,
         model_error_variance=np.array([_INITIAL_POSITION_SIGMA, _INITIAL_HEADING_SIGMA]) ** 2,
-        clock_sigma=CLOCK_SIGMA if estimate_clocks else 0.0,
         systematic_sigma=prior_sigma,
         mid_time=(bodies[0].start + max(body.end for body in bodies)) / 2 if bodies else 0.0,
         acceleration_density=acceleration_density,
@@ -189,8 +179,6 @@ def solve_network(
         state.T_root_scanner,
         state.clock_offset,
         covariance.select_pairs(pairs, slice(FIRST_SYSTEMATIC)),
-        estimate_clocks,
-        float(np.sqrt(network.model_error_variance[0])),
         solved=equations,
         systematic=SystematicErrors(
             state.systematic, covariance.select_pairs(pairs, slice(FIRST_SYSTEMATIC, None)), prior_sigma

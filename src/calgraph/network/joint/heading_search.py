@@ -21,17 +21,8 @@ from calgraph.network.joint.scanner_unknowns import (
 )
 
 
-def search_headings(
-    network: NetworkProblem, state: NetworkState, batches: BodyBatches | None = None
-) -> NetworkState:
-    """The state with the best headings of people, given their paths' positions and their radii.
-
-    Args:
-        network: the problem.
-        state: with these paths.
-        batches: the bodies, where they have been placed already.
-    """
-    batches = batches or BodyBatches.place(network.bodies)
+def search_headings(network: NetworkProblem, state: NetworkState, batches: BodyBatches) -> NetworkState:
+    """The state with the best headings of people, given their paths' positions and their radii."""
     return replace(state, paths=tuple(batches.map(_search_body, network, state)))
 
 

@@ -67,12 +67,12 @@ def estimate_noise(equations: NetworkEquations, background: Array) -> LegNoise:
     """
     return LegNoise(
         _estimate_range_noise(equations, background),
-        _estimate_bias_variance(equations, _MIN_BIAS_SIGMA),
-        _estimate_acceleration_density(equations, _ACCELERATION_DENSITY_RANGE),
+        _estimate_bias_variance(equations),
+        _estimate_acceleration_density(equations),
     )
 
 
-def _estimate_acceleration_density(equations: NetworkEquations, limits: tuple[float, float]) -> float:
+def _estimate_acceleration_density(equations: NetworkEquations) -> float:
     """Squared second differences of the control points, over the number of them that the data determine.
 
     As for the biases, it is a step of the fixed-point iteration for restricted maximum likelihood, for given
@@ -80,7 +80,8 @@ def _estimate_acceleration_density(equations: NetworkEquations, limits: tuple[fl
     """
     of_legs = equations.map(_measure_bends)
     squares, determined = np.sum(of_legs, axis=0) if of_legs else (0.0, 0.0)
-    return float(np.clip(squares / max(determined, 1.0), *limits)) if of_legs else limits[1]
+    least, most = _ACCELERATION_DENSITY_RANGE
+    return float(np.clip(squares / max(determined, 1.0), least, most)) if of_legs else most
 
 
 def _measure_bends(
@@ -138,7 +139,7 @@ def _interpolate_covariance(path_covariance: Array, first: Index, weights: Array
     return total
 
 
-def _estimate_bias_variance(equations: NetworkEquations, min_sigma: float) -> float:
+def _estimate_bias_variance(equations: NetworkEquations) -> float:
     """Variance of the biases, m²: their sum of squares over the number of them that the data determine.
 
     It is a step of the fixed-point iteration for restricted maximum likelihood (Harville, 1977, section 5).
@@ -147,7 +148,7 @@ def _estimate_bias_variance(equations: NetworkEquations, min_sigma: float) -> fl
     of_scanners = [covariance.select(columns) for columns in equations.columns]
     of_legs = equations.map(_measure_biases, of_scanners)
     squares, determined = np.sum(of_legs, axis=0) if of_legs else (0.0, 0.0)
-    return max(float(squares) / max(float(determined), 1.0), min_sigma**2)
+    return max(float(squares) / max(float(determined), 1.0), _MIN_BIAS_SIGMA**2)
 
 
 def _measure_biases(
@@ -196,28 +197,6 @@ class LegCandidate:
     path: BodyPath
 
 
-@dataclass(frozen=True, eq=False)
-class ScannerBeams:
-    """The P foreground beams of one scanner in order of time."""
-
-    direction: Array
-    """(P, 2) unit vectors, scanner frame."""
-    ranges: Array
-    """(P,) m."""
-    times: Array
-    """(P,) by the scanner's clock, s."""
-    scan: Index
-    """(P,) of each beam."""
-
-    @classmethod
-    def from_foreground(cls, beams: Foreground) -> "ScannerBeams":
-        """The beams of a foreground, sorted."""
-        order = np.argsort(beams.times, kind="stable")
-        angles = beams.angles[order]
-        direction = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-        return cls(direction, beams.ranges[order], beams.times[order], beams.scan[order])
-
-
 # Maximum distance of a point from the outline of its leg, m, plus the one below: shins are up to 2 cm from
 # circles, and start paths 3 cm off.
 _MAX_DISTANCE = 0.06
@@ -229,7 +208,7 @@ _MIN_MARGIN = 0.02
 
 
 def associate_beams(
-    beams: ScannerBeams,
+    beams: Foreground,
     scanner: int,
     T_root_scanner: Array,
     clock_offset: float,
@@ -242,7 +221,7 @@ def associate_beams(
     A beam is not used if it is far from all outlines, or nearly as close to that of a second leg.
 
     Args:
-        beams: of the scanner.
+        beams: foreground of the scanner, in order of time.
         scanner: its index.
         T_root_scanner: (3, 3).
         clock_offset: its clock minus the root clock, s.
@@ -255,8 +234,9 @@ def associate_beams(
     """
     nearest, second = np.full((2, len(beams.times)), _FAR)
     leg_of = np.full(len(beams.times), -1)
-    direction = beams.direction @ T_root_scanner[:2, :2].T
-    points = se2.apply(T_root_scanner, correct_points(beams.ranges[:, None] * beams.direction, systematic))
+    direction = beams.direction
+    points = se2.apply(T_root_scanner, correct_points(beams.ranges[:, None] * direction, systematic))
+    direction = direction @ T_root_scanner[:2, :2].T
     times = beams.times - clock_offset
     for k, leg in enumerate(legs):
         inside = slice(*np.searchsorted(times, [leg.start, leg.end]))
@@ -271,24 +251,23 @@ def associate_beams(
         nearest[inside] = np.where(closer, distance, nearest[inside])
         leg_of[inside][closer] = k
     used = (nearest < _MAX_DISTANCE + _MAX_DISTANCE_SIGMAS * sigma) & (second - nearest > _MIN_MARGIN)
-    return [_select_beams(beams, scanner, np.flatnonzero(used & (leg_of == k))) for k in range(len(legs))]
+    return [_collect_scans(beams.select(used & (leg_of == k)), scanner) for k in range(len(legs))]
 
 
-def _select_beams(beams: ScannerBeams, scanner: int, index: Index) -> BodyScans | None:
-    if not len(index):
+def _collect_scans(beams: Foreground, scanner: int) -> BodyScans | None:
+    if not len(beams.times):
         return None
-    first = np.flatnonzero(np.diff(beams.scan[index], prepend=-1))
-    count = np.diff(first, append=len(index))
-    times = beams.times[index]
+    first = np.flatnonzero(np.diff(beams.scan, prepend=-1))
+    times, count = beams.times, np.diff(first, append=len(beams.times))
     mean = np.add.reduceat(times - times[0], first) / count + times[0]
     return BodyScans(
         scanner,
         mean,
         np.asarray(first, dtype=np.intp),
-        beams.direction[index],
-        beams.ranges[index],
+        beams.direction,
+        beams.ranges,
         times - np.repeat(mean, count),
-        np.ones(len(index)),
+        np.ones(len(times)),
     )
 
 
@@ -335,7 +314,7 @@ def solve_legs(
     background = network.range_sigma
     prior_sigma = systematic_sigma = network.systematic_sigma
     clusters = [cluster_legs(*pair) for pair in zip(foregrounds, background, strict=True)]
-    beams = [ScannerBeams.from_foreground(foreground) for foreground in foregrounds]
+    beams = [one.select(np.argsort(one.times, kind="stable")) for one in foregrounds]
     noise = LegNoise(np.hypot(background, SECOND_PATH_SIGMA), _INITIAL_BIAS_SIGMA**2, ACCELERATION_DENSITY)
     for tracking in range(_MAX_TRACKINGS):
         tracks = track_legs(clusters, state.T_root_scanner, state.clock_offset)
@@ -368,7 +347,7 @@ def _associate(
     network: NetworkProblem,
     state: NetworkState,
     candidates: Sequence[LegCandidate],
-    beams: Sequence[ScannerBeams],
+    beams: Sequence[Foreground],
     noise: LegNoise,
 ) -> tuple[NetworkProblem, NetworkState, list[LegCandidate]]:
     """The problem of the legs that at least two scanners measure, and its start values."""

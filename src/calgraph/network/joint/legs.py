@@ -49,6 +49,9 @@ def compute_outline_prior() -> tuple[Array, Array]:
     return mean, np.concatenate([[_RADIUS_SIGMA], _HARMONIC_SIGMA * (2 / orders) ** 2])
 
 
+# Offset of a beam from the centre, over the radius, beyond which the outline is continued linearly: its slope is
+# infinite at the edge. Edges determine the radius, so these beams count.
+_MAX_EDGE_RATIO = 0.92
 # Scale r₀ of the amplitudes of the ellipse, m: it makes them comparable with those of harmonics.
 _SCALE = 0.065
 
@@ -66,15 +69,7 @@ class LegHits:
     B parameters of its shape, m."""
 
 
-def raycast_legs(
-    origin: Array,
-    direction: Array,
-    center: Array,
-    heading: Array,
-    shape: Array,
-    harmonics: Sequence[int],
-    max_edge_ratio: float,
-) -> LegHits:
+def raycast_legs(origin: Array, direction: Array, center: Array, heading: Array, shape: Array) -> LegHits:
     """Predicts the range of each beam to its leg; all in one frame.
 
     Args:
@@ -83,8 +78,6 @@ def raycast_legs(
         center: (N, 2) of the leg, m.
         heading: (N,) rad.
         shape: (B,) radius r, amplitudes a and b of the ellipse, and the amplitude of each harmonic, m.
-        harmonics: their orders.
-        max_edge_ratio: offset over radius from which the outline is continued linearly.
     """
     radius, a, b = shape[:3]
     c, s = np.cos(2 * heading), np.sin(2 * heading)
@@ -96,13 +89,13 @@ def raycast_legs(
     n = np.stack([-u[1], u[0]])
     along, e = _dot(q_scaled := _scale(A, B, q), u), _dot(q_scaled, n)
     x = e / radius
-    inside = np.clip(x, -max_edge_ratio, max_edge_ratio)
+    inside = np.clip(x, -_MAX_EDGE_RATIO, _MAX_EDGE_RATIO)
     cos = np.sqrt(1 - inside * inside)
     depth_slope = -inside / cos
     depth = cos + depth_slope * (x - inside)
     angle = np.arctan2(u[1], u[0]) + np.pi + np.arcsin(inside) - heading
     deviation, by_angle, by_harmonics = np.zeros_like(x), np.zeros_like(x), []
-    for k, amplitude in zip(harmonics, shape[3:], strict=True):
+    for k, amplitude in zip(HARMONICS, shape[3:], strict=True):
         c_k = np.cos(k * angle)
         deviation += amplitude * c_k
         by_angle -= k * amplitude * np.sin(k * angle)
@@ -145,9 +138,6 @@ def _dot(a: Array, b: Array) -> Array:
 _POSITION_RIDGE, _HEADING_RIDGE = 1e-3, 1e-2
 # Spectral density of the turning rate of a leg, rad²/s: a standard deviation of 1.4 rad in 1 s.
 _TURNING_DENSITY = 2.0
-# Offset of a beam from the centre, over the radius, beyond which the outline is continued linearly: its slope is
-# infinite at the edge. Edges determine the radius, so these beams count.
-_MAX_EDGE_RATIO = 0.92
 # Standard deviation of the outline across a beam, m; times the slope of the range, it adds to the noise. Folds of
 # trousers and the width of beams (0.2° are 14 mm at 4 m) move edges. Over eight simulated recordings, 4 mm gave a
 # NEES of 2.2, 8 mm 1.4 and 12 mm 1.05, at the same error of 1.8 mm.
@@ -167,7 +157,6 @@ class LegObservations(BodyObservations):
     acceleration_density: float
     """Spectral density of its acceleration, m²/s³."""
     has_biases: ClassVar[bool] = True
-    is_whole: ClassVar[bool] = False
     radius_count: ClassVar[int] = 1
 
     @property
@@ -193,7 +182,7 @@ class LegObservations(BodyObservations):
         """Where beams meet the leg: ranges are less certain near its edges."""
         x, y, heading = beams.pose.T[:, beams.scan] + beams.delay * beams.rate.T[:, beams.scan]
         center, outline = np.stack([x, y], axis=1), path.shape[:OUTLINE]
-        hits = raycast_legs(beams.origin, beams.direction.T, center, heading, outline, HARMONICS, _MAX_EDGE_RATIO)
+        hits = raycast_legs(beams.origin, beams.direction.T, center, heading, outline)
         jacobian = beams.stretch * hits.jacobian.T
         # A rotation of the beam acts like the opposite one of the leg about the scanner.
         by_turn = (y - beams.origin[1]) * jacobian[0] - (x - beams.origin[0]) * jacobian[1] - jacobian[2]

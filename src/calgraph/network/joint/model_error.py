@@ -25,18 +25,6 @@ _TRIALS, _REFINEMENTS = 9, 2
 _RIDGE = 1e-6
 
 
-@dataclass(frozen=True, eq=False)
-class _Component:
-    """Components of a pose that share one variance."""
-
-    axes: Index
-    """Of the pose."""
-    min_sigma: float
-    """Least standard deviation, m or rad."""
-    max_sigma: float
-    """Greatest standard deviation, m or rad."""
-
-
 # Minimum standard deviation of a position, m: below a tenth of what the beams of one scan determine, it has no
 # effect.
 _MIN_POSITION_SIGMA = 0.0005
@@ -48,12 +36,9 @@ _MIN_HEADING_SIGMA = 0.002
 MAX_HEADING_SIGMA = 0.5
 
 
-def _list_components() -> tuple[_Component, _Component]:
-    """Position and heading, in the order of :attr:`NetworkProblem.model_error_variance`."""
-    return (
-        _Component(np.array([0, 1]), _MIN_POSITION_SIGMA, MAX_POSITION_SIGMA),
-        _Component(np.array([2]), _MIN_HEADING_SIGMA, MAX_HEADING_SIGMA),
-    )
+# Components of a pose that share one variance, in the order of ``model_error_variance``: their axes, and the least
+# and the greatest standard deviation.
+_COMPONENTS = (([0, 1], _MIN_POSITION_SIGMA, MAX_POSITION_SIGMA), ([2], _MIN_HEADING_SIGMA, MAX_HEADING_SIGMA))
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,9 +58,7 @@ class _ScanEquations:
 _MAX_BEAMS = 500_000
 
 
-def estimate_model_error(
-    network: NetworkProblem, state: NetworkState, batches: BodyBatches | None = None
-) -> Array:
+def estimate_model_error(network: NetworkProblem, state: NetworkState, batches: BodyBatches) -> Array:
     """(2,) variances of position (m²) and heading (rad²) that explain the discrepancies between scanners.
 
     Each is found as the root of an equation, given the other. Multiplying it repeatedly by the ratio of observed
@@ -85,42 +68,41 @@ def estimate_model_error(
     Args:
         network: the problem.
         state: near its minimum.
-        batches: the bodies, where they have been placed already.
+        batches: the bodies.
     """
     beams = int(network.count_beams().sum())
-    batches = batches or BodyBatches.place(network.bodies)
     batches = batches.thin(1 + beams // _MAX_BEAMS)
     kept = batches.keep(_collect_equations, network, state)
     score_to_information = TukeyLoss(TUKEY_LIMIT).score_to_information
     variances = network.model_error_variance.copy()
 
-    def compute_log_ratios(index: int, component: _Component, log_variances: Array) -> tuple[Array, Array]:
+    def compute_log_ratios(index: int, axes: list[int], log_variances: Array) -> tuple[Array, Array]:
         """Logarithms (n,) of observed over expected discrepancies, and the latter, for trials of a variance."""
         trials = np.tile(variances, (len(log_variances), 1))
         trials[:, index] = np.exp(log_variances)
-        compare = partial(_compare_scanners, trials=trials, component=component)
-        observed, expected = sum(batches.map(compare, network, state, kept), np.zeros((len(trials), 2))).T
+        compare = partial(_compare_scanners, trials=trials, axes=np.array(axes))
+        observed, expected = sum(batches.map_values(compare, kept), np.zeros((len(trials), 2))).T
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.log(observed / (score_to_information * expected)), expected
 
-    for index, component in enumerate(_list_components()):
-        log_ratios = partial(compute_log_ratios, index, component)
-        variances[index] = _find_variance(log_ratios, component, float(variances[index]))
+    for index, (axes, least, most) in enumerate(_COMPONENTS):
+        log_ratios = partial(compute_log_ratios, index, axes)
+        variances[index] = _find_variance(log_ratios, least, most, float(variances[index]))
     return variances
 
 
 def _find_variance(
-    compute_log_ratios: Callable[[Array], tuple[Array, Array]], component: _Component, present: float
+    compute_log_ratios: Callable[[Array], tuple[Array, Array]], min_sigma: float, max_sigma: float, present: float
 ) -> float:
     """The variance of one component, at which the log ratio is zero; it decreases with the variance.
 
     Several variances are tried together, as a call for each would be too short for other processes.
     """
-    low, high = 2 * np.log([component.min_sigma, component.max_sigma])
+    low, high = 2 * np.log([min_sigma, max_sigma])
     for refinement in range(_REFINEMENTS):
         grid = np.linspace(low, high, _TRIALS)
         log_ratio, expected = compute_log_ratios(grid)
-        if refinement == 0 and expected[0] < component.max_sigma**-2:
+        if refinement == 0 and expected[0] < max_sigma**-2:
             return present
         if log_ratio[0] <= 0:
             return float(np.exp(low))
@@ -155,20 +137,12 @@ def _collect_equations(
     return _ScanEquations(of_pose, np.concatenate(parts), len(body.scans))
 
 
-def _compare_scanners(
-    _network: NetworkProblem,
-    _state: NetworkState,
-    _body: BodyObservations,
-    _path: BodyPath,
-    equations: _ScanEquations,
-    trials: Array,
-    component: _Component,
-) -> Array:
+def _compare_scanners(equations: _ScanEquations, trials: Array, axes: Index) -> Array:
     """(n, 2) sum of squared discrepancies between scanners about a body, and its expectation, for n trials."""
-    return np.array([_compare_for_variances(equations, variances, component) for variances in trials])
+    return np.array([_compare_for_variances(equations, variances, axes) for variances in trials])
 
 
-def _compare_for_variances(equations: _ScanEquations, variances: Array, component: _Component) -> Array:
+def _compare_for_variances(equations: _ScanEquations, variances: Array, axes: Index) -> Array:
     """(2,) sum of squared discrepancies between scanners about a body, and its expectation.
 
     The gradients ``b`` of a scanner's beams in a stride have the covariance ``A``, their information. The other
@@ -180,7 +154,7 @@ def _compare_for_variances(equations: _ScanEquations, variances: Array, componen
     scans = equations.scans.marginalize_model_error(variances[[0, 0, 1]])
     np.add.at(A, at := np.divmod(equations.part, equations.scanners), scans.information)
     np.add.at(b, at, scans.gradient)
-    axes, others = component.axes, np.setdiff1d(np.arange(3), component.axes)
+    others = np.setdiff1d(np.arange(3), axes)
     mixed = A[..., axes[:, None], others]
     gain = mixed @ np.linalg.inv(A[..., others[:, None], others] + _RIDGE * np.eye(len(others)))
     A = A[..., axes[:, None], axes] - gain @ se_n.transpose(mixed)

@@ -63,17 +63,21 @@ def project_to_plane(T: Array) -> Array:
     return se2.pose(se2.angle(T), T[..., :2, 3])
 
 
-def extract_planar_poses(calibration: Calibration) -> PlanarPoses:
+def extract_planar_poses(calibration: Calibration, source: str = "") -> PlanarPoses:
     """The planar poses of a network's calibration.
 
     Correlations of scanners are taken as zero where some of them are unknown.
+
+    Args:
+        calibration: of a network.
+        source: the option that it was given by, with a colon, for the error.
 
     Raises:
         InputError: the calibration is not that of a network of 2-D scanners.
     """
     detected = {KINDS[sensor.kind].detects for sensor in calibration.sensors}
     if detected != {"line"} or not (calibration.planar or len(calibration.sensors) == 1):
-        raise InputError("needs the calibration of a network of 2-D scanners in one plane")
+        raise InputError(f"{source}needs the calibration of a network of 2-D scanners in one plane")
     count = len(calibration.sensors)
     rows = _planar_rows(count)
     T = project_to_plane(np.array([sensor.T_root_sensor for sensor in calibration.sensors]))

@@ -123,8 +123,6 @@ class BodyObservations(ABC):
     has_biases: ClassVar[bool]
     """Whether what is not modelled of it is a bias of each scanner's ranges; a displacement in each scan if
     not."""
-    is_whole: ClassVar[bool]
-    """Whether a track, which follows a person, is one of it."""
     radius_count: ClassVar[int]
     """Number of radii, with which its shape begins."""
 
@@ -177,8 +175,6 @@ class NetworkProblem:
     """(S,) noise of a range, m."""
     model_error_variance: Array
     """(2,) variances of the displacement (m²) and rotation (rad²) of a body from its path in a scan."""
-    clock_sigma: float
-    """Prior standard deviation of clock offsets, s; 0 where all clocks are synchronized."""
     systematic_sigma: Array
     """(S, E) prior standard deviations of the E ``SYSTEMATIC_ERRORS``; 0 where they are exact."""
     mid_time: float

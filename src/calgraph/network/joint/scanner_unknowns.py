@@ -88,7 +88,7 @@ def list_columns(scanners: Sequence[int]) -> Index:
     return np.asarray((first[:, None] + np.arange(SCANNER_UNKNOWNS)).ravel(), dtype=np.intp)
 
 
-def collect_prior_sigma(uncertainties: Sequence[Lidar2dUncertainty], *, estimate_clocks: bool) -> Array:
+def collect_prior_sigma(uncertainties: Sequence[Lidar2dUncertainty]) -> Array:
     """(S, E) prior standard deviations of ``SYSTEMATIC_ERRORS``; the root's clock is the reference.
 
     Those of stretches are root mean squares over normal tilts about both axes.
@@ -99,41 +99,42 @@ def collect_prior_sigma(uncertainties: Sequence[Lidar2dUncertainty], *, estimate
     sigma[:, ANGLE_SCALE] = [u.angle_scale for u in uncertainties]
     sigma[:, STRETCH_X] = sigma[:, STRETCH_DIAGONAL] = np.radians([u.tilt for u in uncertainties]) ** 2 / 2
     sigma[:, CLOCK_DRIFT] = [u.clock_drift for u in uncertainties]
-    sigma[slice(0, 1) if estimate_clocks else slice(None), CLOCK_DRIFT] = 0
+    sigma[0, CLOCK_DRIFT] = 0
     return sigma
 
 
-def compute_prior_covariance(sigma: Array, common_share: float) -> Array:
-    """(ES, ES) prior covariance of the systematic errors of S scanners, scanner by scanner.
+# Share of the variance of errors of ranges and angles that all scanners of a network have in common: they are
+# mostly of one make, with one driver. What they have in common is almost unobservable, so that a share of 0 would
+# be optimistic; at one half, ten scanners are as uncertain in scale as two with independent errors. Stretches by
+# tilts of scan planes are independent.
+COMMON_ERROR_SHARE = 0.5
 
-    Args:
-        sigma: (S, E) standard deviations.
-        common_share: of the variances of range bias, range scale and angle scale that all scanners have in common.
-    """
+
+def compute_prior_covariance(sigma: Array) -> Array:
+    """(ES, ES) prior covariance of the systematic errors of S scanners from standard deviations (S, E)."""
     kinds = np.tile(np.arange(len(SYSTEMATIC_ERRORS)), len(sigma))
     common = (kinds[:, None] == kinds) & (kinds < _COMMON_ERRORS)
-    correlation = np.where(np.eye(len(kinds), dtype=np.bool_), 1.0, common_share * common)
+    correlation = np.where(np.eye(len(kinds), dtype=np.bool_), 1.0, COMMON_ERROR_SHARE * common)
     return np.asarray(np.outer(sigma, sigma) * correlation)
 
 
-def compute_prior_information(sigma: Array, common_share: float) -> tuple[Array, Array]:
+def compute_prior_information(sigma: Array) -> tuple[Array, Array]:
     """The inverse of :func:`compute_prior_covariance` as ``D - V Vᵀ`` (Sherman and Morrison, 1950).
 
     Args:
         sigma: (S, E) standard deviations; the information of what is exact is 0.
-        common_share: as for :func:`compute_prior_covariance`.
 
     Returns:
         The diagonal D (S, E), and V (S, E, r) by what r kinds of errors have in common.
     """
-    own = np.where(np.arange(sigma.shape[1]) < _COMMON_ERRORS, 1 - common_share, 1.0)
+    own = np.where(np.arange(sigma.shape[1]) < _COMMON_ERRORS, 1 - COMMON_ERROR_SHARE, 1.0)
     exact = sigma == 0
     stddev = np.where(exact, 1.0, sigma)
     common = np.zeros((*sigma.shape, _COMMON_ERRORS))
     for kind in range(_COMMON_ERRORS):
         estimated = ~exact[:, kind]
         # 1 / (1 / c + N / (1 - c)) times what the common part adds to each scanner.
-        weight = common_share / (1 + common_share * (estimated.sum() - 1)) / (1 - common_share)
+        weight = COMMON_ERROR_SHARE / (1 + COMMON_ERROR_SHARE * (estimated.sum() - 1)) / (1 - COMMON_ERROR_SHARE)
         common[:, kind, kind] = estimated * np.sqrt(weight) / stddev[:, kind]
     return np.where(exact, 0.0, 1 / (own * stddev**2)), common
 
@@ -220,12 +221,6 @@ def differentiate_by_azimuth_errors(systematic: Array, scans: BodyScans, ranges:
     )
 
 
-def compute_scan_stretches(state: NetworkState, scans: BodyScans) -> Array:
-    """(V, 1) :func:`compute_stretches` at the first beam of each scan."""
-    stretches = compute_stretches(state.systematic[scans.scanner], scans.double_azimuth[:, scans.first_beam])
-    return stretches[:, None]
-
-
 def compute_scanner_jacobian(
     network: NetworkProblem, state: NetworkState, scans: BodyScans, lengths: Array, pose: Array, rate: Array
 ) -> Array:
@@ -248,7 +243,8 @@ def compute_scanner_jacobian(
     systematic = G[..., FIRST_SYSTEMATIC:]
     systematic[:, outline, RANGE_BIAS] = 1
     # Ranges are homogeneous in relative positions and lengths (Euler's theorem).
-    stretch = compute_scan_stretches(state, scans)
+    at_first = scans.double_azimuth[:, scans.first_beam]
+    stretch = compute_stretches(state.systematic[scans.scanner], at_first)[:, None]
     systematic[:, :2, RANGE_SCALE] = arm / stretch
     systematic[:, 3:outline, RANGE_SCALE] = lengths / stretch
     systematic[:, [outline + 1, outline + 2, outline + 3], _AZIMUTH_ERRORS] = 1

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
-from calgraph.geometry import Array, Index, se_n
+from calgraph.geometry import Array, se_n
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,27 +28,22 @@ class BodyEquations:
     """(B + UL, B + UL) of shape and scanners."""
     corner_gradient: Array
     """(B + UL,)."""
-    columns: Index
-    """(UL,) rows and columns of these scanners in the equations of all scanners."""
+    shape_count: int
+    """B."""
     cost: float = 0.0
     """Half the squared residuals at the state."""
 
-    @property
-    def shape_count(self) -> int:
-        """B."""
-        return len(self.corner) - len(self.columns)
-
     @classmethod
-    def zeros(cls, count: int, shape_count: int, columns: Index) -> "BodyEquations":
-        """The equations without terms: K control points, B parameters of shape, scanners with columns (UL,)."""
-        size = shape_count + len(columns)
+    def zeros(cls, count: int, shape_count: int, of_scanners: int) -> "BodyEquations":
+        """The equations without terms: K control points, B parameters of shape, UL unknowns of scanners."""
+        size = shape_count + of_scanners
         return cls(
             np.zeros((count, 4, 3, 3)),
             np.zeros((count, 3)),
             np.zeros((count, 3, size)),
             np.zeros((size, size)),
             np.zeros(size),
-            columns,
+            shape_count,
         )
 
     def follow(self, substitution: Array) -> tuple[Array, Array]:

@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import combinations
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -30,6 +31,7 @@ from calgraph.network.joint.scanner_unknowns import (
     list_columns,
 )
 from calgraph.network.joint.schur import BodyEquations, eliminate_path, substitute_back
+from calgraph.network.pairs.scanner_pair import CLOCK_SIGMA
 from calgraph.solver.levenberg_marquardt import minimize
 
 # Predicted decrease of the cost (half squared standard deviations) at which the solver stops: no unknown is then
@@ -81,7 +83,8 @@ class NetworkEquations:
     def eliminate_bodies(self, damping: float = 0.0) -> tuple[ScannerMatrix, Array]:
         """Schur complement of all bodies: matrix and gradient (US,); what is not estimated is fixed."""
         H, g = self.H.add_diagonal(damping * self.H.diagonal), self.g.copy()
-        reduced = self.map(partial(_reduce_body, damping=damping))
+        eliminate = partial(eliminate_path, damping=damping)
+        reduced = self.batches.map_values(eliminate, self.body_equations)
         for scanners, columns, (body_H, body_g) in zip(self.scanners, self.columns, reduced, strict=True):
             H.add(scanners, body_H)
             g[columns] += body_g
@@ -92,9 +95,8 @@ class NetworkEquations:
         H, g = self.eliminate_bodies(damping)
         step = -H.factor().solve(g)
         decrease = damping * self.H.diagonal @ step**2 - self.g @ step
-        followed = self.map(
-            partial(_follow_scanners, damping=damping), [step[columns] for columns in self.columns]
-        )
+        follow, of_scanners = partial(_follow_scanners, damping=damping), [step[one] for one in self.columns]
+        followed = self.batches.map_values(follow, self.body_equations, of_scanners)
         decrease += sum(of_body for _, of_body in followed)
         return (step, [body_step for body_step, _ in followed]), 0.5 * float(decrease)
 
@@ -142,27 +144,7 @@ def list_known_pairs(network: NetworkProblem) -> Index:
     return np.concatenate([own, list_links(network)])
 
 
-def _reduce_body(
-    _network: NetworkProblem,
-    _state: NetworkState,
-    _body: BodyObservations,
-    _path: BodyPath,
-    equations: BodyEquations,
-    damping: float,
-) -> tuple[Array, Array]:
-    """Matrix (UL, UL) and gradient (UL,) of the scanners."""
-    return eliminate_path(equations, damping)
-
-
-def _follow_scanners(
-    _network: NetworkProblem,
-    _state: NetworkState,
-    _body: BodyObservations,
-    _path: BodyPath,
-    equations: BodyEquations,
-    scanner_step: Array,
-    damping: float,
-) -> tuple[Array, float]:
+def _follow_scanners(equations: BodyEquations, scanner_step: Array, damping: float) -> tuple[Array, float]:
     """The step of path and shape after one of the scanners, and twice the predicted decrease of its cost."""
     step = substitute_back(equations, damping, scanner_step)
     norm, slope = equations.scaled_norm(step, scanner_step), equations.slope(step, scanner_step)
@@ -193,12 +175,12 @@ def linearize_network(
     batches = batches or BodyBatches.place(network.bodies)
     H, g = ScannerMatrix.zeros(order or order_scanners(network)), np.zeros(SCANNER_UNKNOWNS * network.count)
     kept = batches.keep(linearize_body, network, state)
-    cost = sum(batches.map(_read_cost, network, state, kept), 0.0)
+    cost = sum(batches.map_values(attrgetter("cost"), kept), 0.0)
     cost += _add_walls(state, network.walls, H, g)
     if network.prior:
         cost += network.prior.add_to_equations(state.T_root_scanner, H, g)
     estimated = np.ones((network.count, SCANNER_UNKNOWNS), dtype=np.bool_)
-    estimated[:, CLOCK], estimated[:, FIRST_SYSTEMATIC:] = network.clock_sigma > 0, network.systematic_sigma > 0
+    estimated[:, FIRST_SYSTEMATIC:] = network.systematic_sigma > 0
     H, prior_cost = _add_priors(network, state, H, g)
     estimated[0, :FIRST_SYSTEMATIC] = False
     regularizer = np.zeros((network.count, SCANNER_UNKNOWNS))
@@ -225,22 +207,13 @@ def order_scanners(network: NetworkProblem) -> ScannerOrder:
     return ScannerOrder.from_links(network.count, list_links(network), SCANNER_UNKNOWNS)
 
 
-# Share of the variance of errors of ranges and angles that all scanners of a network have in common: they are
-# mostly of one make, with one driver. What they have in common is almost unobservable, so that a share of 0 would
-# be optimistic; at one half, ten scanners are as uncertain in scale as two with independent errors. Stretches by
-# tilts of scan planes are independent.
-COMMON_ERROR_SHARE = 0.5
-
-
 def _add_priors(
     network: NetworkProblem, state: NetworkState, H: ScannerMatrix, g: Array
 ) -> tuple[ScannerMatrix, float]:
     """Adds the priors of what is estimated, poses aside; returns the matrix and the cost, g changes in place."""
     information = np.zeros((network.count, SCANNER_UNKNOWNS))
-    information[:, CLOCK] = network.clock_sigma**-2 if network.clock_sigma > 0 else 0.0
-    information[:, FIRST_SYSTEMATIC:], of_systematic = compute_prior_information(
-        network.systematic_sigma, COMMON_ERROR_SHARE
-    )
+    information[:, CLOCK] = CLOCK_SIGMA**-2
+    information[:, FIRST_SYSTEMATIC:], of_systematic = compute_prior_information(network.systematic_sigma)
     by_scanner = np.zeros((*information.shape, of_systematic.shape[-1]))
     by_scanner[:, FIRST_SYSTEMATIC:] = of_systematic
     common = by_scanner.reshape(len(g), -1)
@@ -309,16 +282,6 @@ def _move_path(body: BodyObservations, path: BodyPath, step: Array) -> BodyPath:
     moved = path.shape + shape
     moved[: body.radius_count] = np.maximum(moved[: body.radius_count], _MIN_RADIUS)
     return BodyPath(path.control + control.reshape(-1, 3), moved)
-
-
-def _read_cost(
-    _network: NetworkProblem,
-    _state: NetworkState,
-    _body: BodyObservations,
-    _path: BodyPath,
-    equations: BodyEquations,
-) -> float:
-    return equations.cost
 
 
 def _add_walls(state: NetworkState, walls: Sequence[WallConstraint], H: ScannerMatrix, g: Array) -> float:

@@ -12,7 +12,7 @@ import numpy as np
 
 from calgraph.geometry import Array, Index
 from calgraph.network.joint.scanner_unknowns import FIRST_SYSTEMATIC, SCANNER_UNKNOWNS, compute_prior_covariance
-from calgraph.network.joint.solver import COMMON_ERROR_SHARE, NetworkEquations
+from calgraph.network.joint.solver import NetworkEquations
 from calgraph.parallel.engine import THIS_PROCESS, MapEngine
 from calgraph.parallel.kept_values import Kept
 
@@ -100,12 +100,11 @@ def _marginalize_poses(equations: NetworkEquations, prior_sigma: Array) -> list[
 
     That of a group is what its posterior contains beside its prior: information and score of the data.
     """
-    size, common_share = _SYSTEMATIC_GROUP, COMMON_ERROR_SHARE
     network, state = equations.network, equations.state
     H, g = equations.eliminate_bodies()
     factor = H.factor()
     mean = state.systematic.ravel() - factor.solve(g).reshape(network.count, -1)[:, FIRST_SYSTEMATIC:].ravel()
-    groups = -(-network.count // size)
+    groups = -(-network.count // _SYSTEMATIC_GROUP)
     kinds = network.systematic_sigma.shape[1]
     likelihoods = []
     for group in np.array_split(np.argsort(H.order.position), groups):
@@ -115,7 +114,7 @@ def _marginalize_poses(equations: NetworkEquations, prior_sigma: Array) -> list[
         of_all = kinds * scanners[row] + kind
         covariance = factor.invert_block(SCANNER_UNKNOWNS * scanners[row] + FIRST_SYSTEMATIC + kind)
         prior, largest = (
-            compute_prior_covariance(sigma[scanners], common_share)[np.ix_(estimated.ravel(), estimated.ravel())]
+            compute_prior_covariance(sigma[scanners])[np.ix_(estimated.ravel(), estimated.ravel())]
             for sigma in (network.systematic_sigma, prior_sigma)
         )
         posterior = np.linalg.inv(covariance)

@@ -7,6 +7,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from calgraph.geometry import Array, se2
+from calgraph.network.pairs.synchronized_tracks import TICK_PERIOD
 from calgraph.network.tracking.track import ScannerTracks, Track
 
 
@@ -49,34 +50,31 @@ _MAX_OVERLAP = 0.15
 _MIN_DURATION = 1.0
 
 
-def group_tracks_by_body(
-    tracked: Sequence[ScannerTracks], T_root_scanner: Array, tick_period: float
-) -> list[BodyTracks]:
+def group_tracks_by_body(tracked: Sequence[ScannerTracks], T_root_scanner: Array) -> list[BodyTracks]:
     """Groups the tracks of all scanners by body.
 
     Args:
         tracked: by scanner.
         T_root_scanner: (S, 3, 3) approximate poses.
-        tick_period: interval at which tracks are compared, s.
 
     Returns:
         Bodies that at least two scanners tracked, in order of time.
     """
     sampled = [
-        _sample_track(scanner, track, T_root_scanner[scanner], tick_period)
+        _sample_track(scanner, track, T_root_scanner[scanner])
         for scanner, found in enumerate(tracked)
         for track in found.tracks
         if len(track.hits.times)
     ]
     group_of = {i: i for i in range(len(sampled))}
     members = {i: [i] for i in range(len(sampled))}
-    links = [*_link_simultaneous(sampled), *_link_successive(sampled, tick_period)]
+    links = [*_link_simultaneous(sampled), *_link_successive(sampled)]
     for _, i, j in sorted(links, key=lambda link: -link[0]):
         a, b = group_of[i], group_of[j]
         if a == b:
             continue
         group, other = ([sampled[k] for k in members[one]] for one in (a, b))
-        if _overlap_in_scanner(group, other, _MAX_OVERLAP):
+        if _overlap_in_scanner(group, other):
             continue
         members[a] += members[b]
         group_of |= dict.fromkeys(members.pop(b), a)
@@ -89,10 +87,10 @@ def group_tracks_by_body(
     return sorted(bodies, key=lambda body: body.start)
 
 
-def _sample_track(scanner: int, track: Track, T: Array, tick_period: float) -> _SampledTrack:
-    ticks = np.arange(np.ceil(track.times[0] / tick_period), np.floor(track.times[-1] / tick_period) + 1)
+def _sample_track(scanner: int, track: Track, T: Array) -> _SampledTrack:
+    ticks = np.arange(np.ceil(track.times[0] / TICK_PERIOD), np.floor(track.times[-1] / TICK_PERIOD) + 1)
     positions = se2.apply(T, track.positions)
-    at_ticks = np.column_stack([np.interp(ticks * tick_period, track.times, positions[:, k]) for k in (0, 1)])
+    at_ticks = np.column_stack([np.interp(ticks * TICK_PERIOD, track.times, positions[:, k]) for k in (0, 1)])
     return _SampledTrack(scanner, track, ticks, at_ticks)
 
 
@@ -147,7 +145,7 @@ _MAX_GAP = 1.0
 _MAX_JUMP = 0.4
 
 
-def _link_successive(sampled: Sequence[_SampledTrack], tick_period: float) -> list[tuple[float, int, int]]:
+def _link_successive(sampled: Sequence[_SampledTrack]) -> list[tuple[float, int, int]]:
     """Links between tracks of one scanner that continue each other: the closer, the stronger."""
     links = []
     by_scanner: dict[int, list[int]] = {}
@@ -164,19 +162,17 @@ def _link_successive(sampled: Sequence[_SampledTrack], tick_period: float) -> li
                 extrapolated = earlier.positions[-1] + gap * (earlier.velocities[-1] + later.velocities[0]) / 2
                 jump = float(np.linalg.norm(later.positions[0] - extrapolated))
                 if jump < _MAX_JUMP:
-                    links.append(((1 - gap / _MAX_GAP) / tick_period * (1 - jump / _MAX_JUMP), i, j))
+                    links.append(((1 - gap / _MAX_GAP) / TICK_PERIOD * (1 - jump / _MAX_JUMP), i, j))
     return links
 
 
-def _overlap_in_scanner(
-    group: Sequence[_SampledTrack], other: Sequence[_SampledTrack], max_overlap: float
-) -> bool:
-    """Whether some scanner tracked both groups at the same time for longer than ``max_overlap``, s."""
+def _overlap_in_scanner(group: Sequence[_SampledTrack], other: Sequence[_SampledTrack]) -> bool:
+    """Whether some scanner tracked both groups at the same time for too long."""
     intervals: dict[int, list[tuple[float, float]]] = {}
     for one in group:
         intervals.setdefault(one.scanner, []).append((one.track.times[0], one.track.times[-1]))
     return any(
-        min(end, one.track.times[-1]) - max(start, one.track.times[0]) > max_overlap
+        min(end, one.track.times[-1]) - max(start, one.track.times[0]) > _MAX_OVERLAP
         for one in other
         for start, end in intervals.get(one.scanner, ())
     )

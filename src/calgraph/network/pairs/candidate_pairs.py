@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.geometry import Array, Index, se2
-from calgraph.network.pairs.synchronized_tracks import TrackSamples, pair_samples
+from calgraph.network.pairs.synchronized_tracks import TrackSamples, pair_samples, to_ticks
 from calgraph.solver.connected_parts import label_parts
 
 Ends = tuple[int, int]
@@ -121,4 +121,4 @@ def _have_common_tracks(a: TrackSamples, b: TrackSamples, T_a_b: Array) -> bool:
     pairs = pair_samples(a, b)
     x, y = (se2.apply(T_a_b, b.positions)[pairs.row_b] - pairs.x_a).T
     near = a.tick[pairs.row_a[x * x + y * y < _COMMON_RADIUS**2]]
-    return len(np.unique(near)) >= a.to_ticks(_MIN_COMMON_TIME)
+    return len(np.unique(near)) >= to_ticks(_MIN_COMMON_TIME)

@@ -24,6 +24,7 @@ from calgraph.network.pairs.hypothesis_evidence import (
 )
 from calgraph.network.pairs.pose_hypotheses import propose_poses
 from calgraph.network.pairs.scanner_pair import (
+    CLOCK_SIGMA,
     COARSE_PAIRS,
     DEPTH_STDDEV,
     FINE_MODEL_ERROR,
@@ -35,9 +36,8 @@ from calgraph.network.pairs.scanner_pair import (
     SAME_ANGLE,
     SAME_POSITION,
     ScannerPairEstimate,
-    miss_detections,
 )
-from calgraph.network.pairs.synchronized_tracks import pair_samples
+from calgraph.network.pairs.synchronized_tracks import TICK_PERIOD, pair_samples, to_ticks
 from calgraph.network.pairs.track_registration import (
     MAX_MODEL_ERROR,
     NuisancePrior,
@@ -45,7 +45,7 @@ from calgraph.network.pairs.track_registration import (
     register_tracks,
 )
 from calgraph.network.pairs.track_similarity import compute_track_similarity
-from calgraph.network.pairs.visibility_map import ScannerObservations
+from calgraph.network.pairs.visibility_map import ScannerObservations, miss_detections
 from calgraph.parallel.engine import THIS_PROCESS, Engine
 from calgraph.parallel.kept_values import Kept
 
@@ -98,7 +98,7 @@ FIRM_EVIDENCE = 150.0
 MIN_LATERAL_SPREAD = 0.3
 
 
-def is_firm(pair: ScannerPairEstimate, clock_sigma: float) -> bool:
+def is_firm(pair: ScannerPairEstimate) -> bool:
     """Whether a pair, registered as if clocks and mountings were the same, shows that they are.
 
     Tracks on one line fit mirrored ones as well: the matched positions must spread to the sides, too.
@@ -106,18 +106,18 @@ def is_firm(pair: ScannerPairEstimate, clock_sigma: float) -> bool:
     best = pair.hypotheses[0]
     return (
         best.weight_of_evidence() >= FIRM_EVIDENCE
-        and abs(best.clock_offset) <= clock_sigma
+        and abs(best.clock_offset) <= CLOCK_SIGMA
         and best.lateral_spread >= MIN_LATERAL_SPREAD
     )
 
 
-def may_differ_by_chance(h: ClockMountingHypothesis, scanners: int, clock_sigma: float) -> bool:
+def may_differ_by_chance(h: ClockMountingHypothesis, scanners: int) -> bool:
     """Whether different people may match like this in a search of a network of this number of scanners.
 
     With other clocks, far more alternatives are compared: matches may then be by chance also where they determine
     the clocks.
     """
-    undetermined = h.clock_stddev > MAX_CLOCK_STDDEV or abs(h.clock_offset) > clock_sigma
+    undetermined = h.clock_stddev > MAX_CLOCK_STDDEV or abs(h.clock_offset) > CLOCK_SIGMA
     return undetermined and h.evidence < compute_chance_evidence(scanners)
 
 
@@ -146,7 +146,6 @@ def select_searched_pairs(
     if len(names) <= MAX_EXHAUSTIVE:
         ends = [(a, b) for a, b in itertools.combinations(range(len(names)), 2) if part[a] != part[b]]
     else:
-        to_ticks = samples[0].to_ticks
         step, farthest = to_ticks(_SIMILARITY_STEP), to_ticks(limits.max_clock_offset)
         delays = range(-(farthest // step) * step, farthest + 1, step)
         # Scanners of the largest part are compared with the others, which are few as a rule.
@@ -161,7 +160,6 @@ def select_searched_pairs(
 def search_clocks_and_mountings(
     pairs: Sequence[tuple[str, str]],
     observations: Mapping[str, ScannerObservations],
-    clock_sigma: float,
     rng: np.random.Generator,
     *,
     engine: Engine = THIS_PROCESS,
@@ -172,7 +170,6 @@ def search_clocks_and_mountings(
     Args:
         pairs: names of their scanners.
         observations: by scanner.
-        clock_sigma: prior standard deviation of the clock offset of two scanners, s.
         rng: random generator for the selection of poses.
         engine: evaluates pairs.
         settings: range and steps of the search, gates and limits of registrations.
@@ -180,11 +177,10 @@ def search_clocks_and_mountings(
     Returns:
         The hypotheses of each pair and mounting: the registrations from the starts that fit best.
     """
-    prior = NuisancePrior(clock_sigma, DEPTH_STDDEV)
     generators = rng.spawn(len(pairs))
     data = {name: Kept.of(one) for name, one in observations.items()}
     work = [
-        (ends, data[ends[0]], data[ends[1]], prior, generator, settings)
+        (ends, data[ends[0]], data[ends[1]], generator, settings)
         for ends, generator in zip(pairs, generators, strict=True)
     ]
     return [found for of_pair in engine.map(_search_pair, work) for found in of_pair]
@@ -194,7 +190,6 @@ def _search_pair(
     names: tuple[str, str],
     a: ScannerObservations,
     b: ScannerObservations,
-    prior: NuisancePrior,
     rng: np.random.Generator,
     settings: ScannerPairSettings,
 ) -> list[ClockMountingHypothesis]:
@@ -204,7 +199,7 @@ def _search_pair(
         found += [
             _summarize_hypothesis(names, mirrored, hypothesis)
             for delay, T in starts
-            if (hypothesis := _register(T, a, b, mirrored, delay, prior)) is not None
+            if (hypothesis := _register(T, a, b, mirrored, delay)) is not None
         ]
     return found
 
@@ -228,12 +223,12 @@ def _select_starts(
 ) -> list[tuple[int, Array]]:
     """Delays of b, in ticks, and poses (3, 3) that fit best, distinct from each other."""
     limits = settings.clock_mounting
-    step, farthest = a.samples.to_ticks(_CLOCK_STEP), a.samples.to_ticks(limits.max_clock_offset)
+    step, farthest = to_ticks(_CLOCK_STEP), to_ticks(limits.max_clock_offset)
     candidates: list[tuple[float, int, Array]] = []
     for delay in range(-(farthest // step) * step, farthest + 1, step):
         moved = b.transform(mirrored, delay)
         pairs = pair_samples(a.samples, moved.samples)
-        if len(np.unique(pairs.row_a)) < pairs.a.to_ticks(MIN_MATCHED_TIME):
+        if len(np.unique(pairs.row_a)) < to_ticks(MIN_MATCHED_TIME):
             continue
         T = propose_poses(subsample_pairs(pairs, _PAIRS, MIN_SAMPLES), rng, _PROPOSALS)
         rough = subsample_pairs(pairs, ROUGH_PAIRS, MIN_SAMPLES)
@@ -256,22 +251,22 @@ def _is_same(T: Array, other: Array) -> bool:
 
 
 def _register(
-    T_a_b: Array, a: ScannerObservations, b: ScannerObservations, mirrored: bool, delay: int, prior: NuisancePrior
+    T_a_b: Array, a: ScannerObservations, b: ScannerObservations, mirrored: bool, delay: int
 ) -> PoseHypothesis | None:
     """The credible pose near a start; shifts the samples until the rest of the clock offset is below a tick."""
-    period, model_error = a.samples.tick_period, MAX_MODEL_ERROR
+    model_error = MAX_MODEL_ERROR
     for shift in range(_MAX_SHIFTS):
         moved = b.transform(mirrored, delay)
         pairs = pair_samples(a.samples, moved.samples)
         if not len(pairs):
             return None
         sampled = subsample_pairs(pairs, _PAIRS, MIN_SAMPLES)
-        of_rest = NuisancePrior(prior.clock_sigma, prior.depth_sigma, -delay * period)
+        of_rest = NuisancePrior(CLOCK_SIGMA, DEPTH_STDDEV, -delay * TICK_PERIOD)
         fit = register_tracks(T_a_b, sampled, model_error, of_rest)
         if fit is None:
             return None
         T_a_b, model_error = fit.T_a_b, FINE_MODEL_ERROR
-        rest = round(float(fit.nuisance[0]) / period)
+        rest = round(float(fit.nuisance[0]) / TICK_PERIOD)
         if rest and shift + 1 < _MAX_SHIFTS:
             delay += rest
             continue

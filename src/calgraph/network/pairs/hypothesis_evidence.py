@@ -56,11 +56,6 @@ class PoseHypothesis:
     lateral_spread: float = 0.0
     """Standard deviation of the matched positions across their main direction, m: near 0, mirrored tracks fit."""
 
-    @property
-    def score(self) -> float:
-        """Number of matches times their share of the expected ones."""
-        return self.observations * self.matched_share
-
     def weight_of_evidence(self) -> float:
         """Log likelihood ratio of the matches: same people against different people with similar trajectories.
 

@@ -123,7 +123,6 @@ def align_backgrounds(
         The alignment; rejected if the overlap is too small, if no direction is observable, or if background and
         initial pose contradict each other.
     """
-    max_beam_gap = MAX_BEAM_GAP
     a, b = background_a.oriented_points, background_b.oriented_points
     if min(len(a.points), len(b.points)) < _MIN_MATCHES:
         return Rejected("too little static background")
@@ -141,7 +140,7 @@ def align_backgrounds(
         if len(matches[0]) < _MIN_MATCHES:
             return Rejected(f"only {len(matches[0])} points of the static background overlap")
         H, g = _build_normal_equations(T, a, b, matches, noise2, match_distance)
-        directions, values = _find_observable_directions(H * scale2, _MAX_STDDEV)
+        directions, values = _find_observable_directions(H * scale2)
         step = np.asarray(-scale * (directions @ ((directions.T @ (scale * g)) / values)), dtype=np.float64)
         T = se2.retract(T, step)
         converged = float(np.max(np.abs(step))) < _STEP_TOLERANCE
@@ -150,14 +149,14 @@ def align_backgrounds(
         match_distance = max(_FINAL_DISTANCE, match_distance * _DISTANCE_FACTOR)
     matches = _match_points(T, a, b, _FINAL_DISTANCE)
     b_in_a, a_in_b = se2.apply(T, b.points), se2.apply(se2.inverse(T), a.points)
-    margins = _FREE_SPACE_MARGIN, max_beam_gap
+    margins = _FREE_SPACE_MARGIN, MAX_BEAM_GAP
     contradicting = int(is_free_space(background_a.points, b_in_a, *margins).sum())
     contradicting += int(is_free_space(background_b.points, a_in_b, *margins).sum())
     count = len(matches[0])
     if count < _MIN_MATCHES or count < _MIN_MATCH_SHARE * (count + contradicting):
         return Rejected(f"{contradicting} static points of one lie in the free space of the other")
     H, _ = _build_normal_equations(T, a, b, matches, noise2, _FINAL_DISTANCE)
-    directions, values = _find_observable_directions(H * scale2, _MAX_STDDEV)
+    directions, values = _find_observable_directions(H * scale2)
     if not directions.shape[1]:
         return Rejected("the static background determines no direction")
     deviation = directions.T @ (se2.difference(T, T_a_b) / scale)
@@ -249,10 +248,10 @@ def _displace_points(points: Array, normals: Array) -> Array:
     )
 
 
-def _find_observable_directions(H: Array, max_stddev: float) -> tuple[Array, Array]:
+def _find_observable_directions(H: Array) -> tuple[Array, Array]:
     """Observable directions (3, k) and their information (k,) of a matrix scaled to metres."""
     values, vectors = np.linalg.eigh(H)
-    observable = values > max_stddev**-2
+    observable = values > _MAX_STDDEV**-2
     return vectors[:, observable], values[observable]
 
 

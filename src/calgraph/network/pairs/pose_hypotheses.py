@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.geometry import Array, se2
-from calgraph.network.pairs.synchronized_tracks import SimultaneousPairs
+from calgraph.network.pairs.synchronized_tracks import SimultaneousPairs, to_ticks
 from calgraph.network.pairs.track_similarity import MAX_RMS, MIN_DURATION, MIN_EXTENT, NOISE
 
 # Lengths of the stretches, s; whole trajectories are used, too. Short ones survive identity switches of the
@@ -29,9 +29,9 @@ def propose_poses(pairs: SimultaneousPairs, rng: np.random.Generator, max_count:
     trajectories, ticks = trajectories[order], pairs.a.tick[pairs.row_a][order]
     moments = _compute_moments(pairs.x_a[order], pairs.x_b[order])
     poses, scores = [], []
-    for length in (*map(pairs.a.to_ticks, _STRETCH_DURATIONS), np.iinfo(np.intp).max):
+    for length in (*map(to_ticks, _STRETCH_DURATIONS), np.iinfo(np.intp).max):
         begins = np.diff(trajectories, prepend=-1).astype(bool) | np.diff(ticks // length, prepend=-1).astype(bool)
-        T, fit, extent = _fit_stretches(moments, np.flatnonzero(begins), pairs.a.to_ticks(MIN_DURATION))
+        T, fit, extent = _fit_stretches(moments, np.flatnonzero(begins), to_ticks(MIN_DURATION))
         usable = (extent > MIN_EXTENT) & (fit < MAX_RMS)
         poses.append(T[usable])
         scores.append(extent[usable] / (fit[usable] + NOISE))

@@ -34,7 +34,7 @@ from calgraph.network.pairs.hypothesis_evidence import (
 )
 from calgraph.network.pairs.icp import StaticBackground, align_backgrounds
 from calgraph.network.pairs.pose_hypotheses import propose_poses
-from calgraph.network.pairs.synchronized_tracks import SimultaneousPairs, pair_samples
+from calgraph.network.pairs.synchronized_tracks import TICK_PERIOD, SimultaneousPairs, pair_samples, to_ticks
 from calgraph.network.pairs.track_registration import (
     MAX_MODEL_ERROR,
     NuisancePrior,
@@ -43,7 +43,7 @@ from calgraph.network.pairs.track_registration import (
     register_tracks,
 )
 from calgraph.network.pairs.track_similarity import compute_track_similarity
-from calgraph.network.pairs.visibility_map import ScannerObservations, contradicts_visibility
+from calgraph.network.pairs.visibility_map import ScannerObservations, miss_detections
 from calgraph.network.tracking.track import ScannerTracks
 from calgraph.parallel.engine import THIS_PROCESS, Engine
 from calgraph.parallel.kept_values import Kept
@@ -81,11 +81,6 @@ class ScannerPairEstimate:
         """(3, 3) of the best hypothesis."""
         return self.hypotheses[0].T_a_b
 
-    @property
-    def information(self) -> Array:
-        """(3, 3) of the best hypothesis."""
-        return self.hypotheses[0].information
-
 
 ScannerPairs = Mapping[tuple[str, str], ScannerPairEstimate | Rejected]
 """By the names of both scanners: what they tracked together, or why there is no pose."""
@@ -93,6 +88,9 @@ ScannerPairs = Mapping[tuple[str, str], ScannerPairEstimate | Rejected]
 
 # Prior standard deviation of clock offsets, s: clocks set by NTP or by hand of a driver's start time.
 CLOCK_SIGMA = 0.1
+# Prior standard deviation of the distance from tracked to true centres along the beam, m, for ellipses of fixed
+# size: bodies differ from it by some centimetres.
+DEPTH_STDDEV = 0.03
 # Scanners up to which all pairs are registered: 28 pairs take less than a second.
 MAX_EXHAUSTIVE = 8
 
@@ -102,8 +100,7 @@ def estimate_scanner_pairs(
     rng: np.random.Generator,
     *,
     icp: bool = True,
-    depth_stddev: float | None = None,
-    clock_sigma: float = CLOCK_SIGMA,
+    depth_stddev: float = DEPTH_STDDEV,
     engine: Engine = THIS_PROCESS,
     progress: Callable[[float], None] = lambda _done: None,
 ) -> dict[tuple[str, str], ScannerPairEstimate | Rejected]:
@@ -116,9 +113,7 @@ def estimate_scanner_pairs(
         tracked: tracks and background of each scanner, by its name.
         rng: random generator for the selection of hypotheses.
         icp: whether to match the static background, too.
-        depth_stddev: prior standard deviation of the distance from tracked to true centres along the beam, m; that
-            of ``DEPTH_STDDEV`` if None.
-        clock_sigma: prior standard deviation of the clock offset of two scanners, s.
+        depth_stddev: prior standard deviation of the distance from tracked to true centres along the beam, m.
         engine: evaluates pairs; does not affect the result.
         progress: called with the completed fraction, 0..1.
 
@@ -131,7 +126,7 @@ def estimate_scanner_pairs(
         scanners,
         tuple(Kept.of(scanner) for scanner in scanners),
         icp,
-        NuisancePrior(clock_sigma, DEPTH_STDDEV if depth_stddev is None else depth_stddev),
+        NuisancePrior(CLOCK_SIGMA, depth_stddev),
         engine,
     )
     names = batch.names
@@ -233,11 +228,6 @@ def _report_round(progress: Callable[[float], None], rounds: int, done: float) -
     progress(1 - 0.5**rounds * (1 - done / 2))
 
 
-# Prior standard deviation of the distance from tracked to true centres along the beam, m, for ellipses of fixed
-# size: bodies differ from it by some centimetres.
-DEPTH_STDDEV = 0.03
-
-
 # Minimum duration of matches, s: two steps of a person, which determine position and direction.
 MIN_MATCHED_TIME = 2.0
 
@@ -246,10 +236,9 @@ def _propose_hypotheses(a: _ScannerData, b: _ScannerData, rng: np.random.Generat
     """Proposes poses (K, 3, 3)."""
     pairs = pair_samples(a.observations.samples, b.observations.samples)
     count, needed = len(np.unique(pairs.a.tick[pairs.row_a])), MIN_MATCHED_TIME
-    if count < pairs.a.to_ticks(needed):
+    if count < to_ticks(needed):
         return Rejected(
-            f"both tracked people at the same time for {count * pairs.a.tick_period:.1f} s, "
-            f"{needed:.1f} s are needed"
+            f"both tracked people at the same time for {count * TICK_PERIOD:.1f} s, {needed:.1f} s are needed"
         )
     poses = propose_poses(pairs, rng)
     if not len(poses):
@@ -265,14 +254,6 @@ COARSE_PAIRS = 1200
 _FINE_PAIRS = 6000
 # Samples of a that subsampling leaves at least.
 MIN_SAMPLES = 20
-# Distance within which a detection by the other scanner is of the same object under a correct pose, m: a person's
-# width, errors of clocks and of the pose.
-DETECTION_RADIUS = 0.5
-# Expected detections from which the pose of a pair is tested by missed ones: 2 s of one person.
-_MIN_EXPECTED = 20
-# Share of missed detections above which a pose is rejected: under correct poses it is mostly below 0.2, and up to
-# 0.5 where furniture occludes people from one of the two.
-MAX_MISSED_SHARE = 0.5
 # Standard deviation of positions under a proposed pose, whose angle comes from a short stretch, m.
 PROPOSAL_STDDEV = 0.3
 # Proposals that are registered coarsely: with fewer, correct ones are lost in crowds.
@@ -346,7 +327,7 @@ def _evaluate_hypotheses(
         for T in poses
         if (fit := register(T, fine, FINE_MODEL_ERROR))
     ]
-    least = pairs.a.to_ticks(MIN_MATCHED_TIME)
+    least = to_ticks(MIN_MATCHED_TIME)
     kept = [h for h in hypotheses if is_credible(h, least)]
     best = max((h.weight_of_evidence() for h in kept), default=np.inf)
     if best < _UNAMBIGUOUS_EVIDENCE:
@@ -360,7 +341,7 @@ def _evaluate_hypotheses(
         others = [build_hypothesis(fit, fine, *samples, len(pairs), prior) for fit in fits]
         kept += [h for h in others if is_credible(h, least)]
     if not kept:
-        seconds = round(max(counts) * len(pairs) / len(coarse)) * pairs.a.tick_period
+        seconds = round(max(counts) * len(pairs) / len(coarse)) * TICK_PERIOD
         return Rejected(
             f"no pose hypothesis is credible: the best one matches {seconds:.1f} s of tracks, which chance or "
             "similar trajectories explain as well"
@@ -369,23 +350,6 @@ def _evaluate_hypotheses(
     if icp:
         kept = [_align_with_background(h, a, b) for h in kept]
     return ScannerPairEstimate(*names, tuple(kept))
-
-
-def miss_detections(
-    T_a_b: Array,
-    a: ScannerObservations,
-    b: ScannerObservations,
-    sampled: SimultaneousPairs,
-    count: int,
-    pose_error: float,
-) -> NDArray[np.bool_]:
-    """(K,) which poses with an error, m, imply too many missed detections, by a selection of ``count`` pairs."""
-    return contradicts_visibility(
-        T_a_b, sampled, a.visibility, b.visibility,
-        radius=DETECTION_RADIUS + pose_error,
-        min_expected=_MIN_EXPECTED * len(sampled) / count,
-        max_missed_share=MAX_MISSED_SHARE,
-    )  # fmt: skip
 
 
 # Hypotheses of a pair that are kept at most.

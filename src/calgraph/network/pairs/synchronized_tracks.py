@@ -14,6 +14,15 @@ from scipy.spatial import cKDTree
 from calgraph.geometry import Array, Index
 from calgraph.network.tracking.track import ScannerTracks, Track
 
+# Time between the ticks, s: smoothed tracks of walking people have a bandwidth below 5 Hz. Matches, expected
+# detections and evidence are counted in ticks: with another period, limits on these have to be scaled.
+TICK_PERIOD = 0.1
+
+
+def to_ticks(seconds: float) -> int:
+    """Rounds a duration, s, to ticks."""
+    return round(seconds / TICK_PERIOD)
+
 
 @dataclass(frozen=True, eq=False)
 class TrackSamples:
@@ -29,17 +38,11 @@ class TrackSamples:
     """(S, 2) m/s."""
     covariances: Array
     """(S, 2, 2) of the positions, m²."""
-    tick_period: float
-    """Time between the ticks, s."""
-
-    def to_ticks(self, seconds: float) -> int:
-        """Rounds a duration, s, to ticks."""
-        return round(seconds / self.tick_period)
 
     @property
     def times(self) -> Array:
         """(S,) s."""
-        return np.asarray(self.tick * self.tick_period, dtype=np.float64)
+        return np.asarray(self.tick * TICK_PERIOD, dtype=np.float64)
 
     @cached_property
     def tree(self) -> cKDTree:
@@ -66,7 +69,6 @@ class TrackSamples:
             self.positions[kept],
             self.velocities[kept],
             self.covariances[kept],
-            self.tick_period,
         )
 
 
@@ -140,21 +142,16 @@ def pair_samples(a: TrackSamples, b: TrackSamples) -> SimultaneousPairs:
     return SimultaneousPairs(a, b, row_a, np.repeat(first, count) + within)
 
 
-# Time between the ticks, s: smoothed tracks of walking people have a bandwidth below 5 Hz. Matches, expected
-# detections and evidence are counted in ticks: with another period, limits on these have to be scaled.
-TICK_PERIOD = 0.1
-
-
 def resample_tracks(tracked: ScannerTracks) -> TrackSamples:
     """Interpolates a scanner's tracks at the ticks of the clock common to all scanners."""
     tracks = [track for track in tracked.tracks if len(track.times)]
     parts = [_interpolate_at_ticks(joined, i) for i, joined in enumerate(_join_tracks(tracks))]
     if not parts:
         none, vectors = np.zeros(0, dtype=np.intp), np.zeros((0, 2))
-        return TrackSamples(none, none, vectors, vectors, np.zeros((0, 2, 2)), TICK_PERIOD)
+        return TrackSamples(none, none, vectors, vectors, np.zeros((0, 2, 2)))
     tick, trajectory, x, v, S = (np.concatenate(column) for column in zip(*parts, strict=True))
     order = np.argsort(tick, kind="stable")
-    return TrackSamples(tick[order], trajectory[order], x[order], v[order], S[order], TICK_PERIOD)
+    return TrackSamples(tick[order], trajectory[order], x[order], v[order], S[order])
 
 
 # Longest time between two tracks of one trajectory, s: a new period begins within some scans.

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.geometry import Array, invert_2x2, se2
-from calgraph.network.pairs.synchronized_tracks import SimultaneousPairs
+from calgraph.network.pairs.synchronized_tracks import SimultaneousPairs, to_ticks
 from calgraph.network.tracking.smoothing import CHI2_MEDIAN
 
 # Information (1/m², 1/rad²) that is added to that of a pose: the angle is unobservable from an object at rest.
@@ -210,7 +210,7 @@ def compute_registration_covariance(
     ticks = pairs.a.tick[pairs.row_a[rows]]
     series = pairs.trajectories[rows]
     correlation = estimate_correlation_time(whitened, series, ticks, _MIN_LAG_SHARE, _MAX_LAG)
-    correlation = max(correlation, pairs.a.to_ticks(_MIN_CORRELATION_TIME))
+    correlation = max(correlation, to_ticks(_MIN_CORRELATION_TIME))
     degrees_of_freedom = max(2 * len(rows) / correlation - 6, 1.0)
     variance_factor = max(float(np.sum(d2)) / correlation / degrees_of_freedom, _MIN_VARIANCE_FACTOR)
     H, _ = _build_normal_equations(r, J, W / (variance_factor * correlation), fit.nuisance, prior)

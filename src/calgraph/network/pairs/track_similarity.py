@@ -9,13 +9,12 @@ fits count.
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.geometry import Array, Index
-from calgraph.network.pairs.synchronized_tracks import TICK_PERIOD, TrackSamples
+from calgraph.network.pairs.synchronized_tracks import TrackSamples, to_ticks
 
 # Pairs of trajectories, of all stretches, that are compared together: their moments take about 100 MB.
 _MAX_COMPARED = 500_000
@@ -86,9 +85,8 @@ def compute_track_similarity(
         common = [(of_a[block], of_b[block]) for block in sorted(of_a.keys() & of_b.keys())]
         for first, end in _split_scanners(common, count):
             found = [_align_trajectories(a, b, first, end, compared) for a, b in common]
-            alignments = _Alignments(
-                *(np.concatenate(column) for column in zip(*map(_columns, found), strict=True))
-            )
+            columns = zip(*(vars(one).values() for one in found), strict=True)
+            alignments = _Alignments(*map(np.concatenate, columns))
             pairs, votes = _count_votes(alignments)
             a, b = pairs // count, pairs % count
             similarity[a, b] = np.maximum(similarity[a, b], votes)
@@ -110,7 +108,6 @@ def _cut_stretches(samples: Sequence[TrackSamples], wanted: NDArray[np.bool_], o
     tick = np.concatenate([samples[k].tick for k in occupied])
     trajectory = np.concatenate([samples[k].trajectory for k in occupied])
     x, y = np.concatenate([samples[k].positions for k in occupied]).T
-    to_ticks = samples[0].to_ticks
     length, least = to_ticks(_STRETCH_DURATION), to_ticks(MIN_DURATION)
     block, column = np.divmod(tick - origin, length)
     # A trajectory within a block is one row.
@@ -162,7 +159,7 @@ def _align_trajectories(
     scanner_a, z_a, in_a = of_a.scanner[rows], of_a.positions[rows], of_a.detected[rows]
     scanner_b, z_b, in_b = of_b.scanner, of_b.positions, of_b.detected
     ticks = in_a @ in_b.T
-    least = max(round(MIN_DURATION / TICK_PERIOD), 1)
+    least = max(to_ticks(MIN_DURATION), 1)
     a, b = np.nonzero((ticks >= least) & compared[np.ix_(scanner_a, scanner_b)])
     n = ticks[a, b]
     center_a, center_b = (z_a @ in_b.T)[a, b] / n, (in_a @ z_b.T)[a, b] / n
@@ -175,22 +172,18 @@ def _align_trajectories(
     usable = (rms < MAX_RMS) & (extent > MIN_EXTENT)
     weights = np.zeros(ticks.shape)
     weights[a[usable], b[usable]] = weight[usable]
-    kept = usable & (weight >= _find_least_kept(weights, _KEPT_ALIGNMENTS)[a])
+    kept = usable & (weight >= _find_least_kept(weights)[a])
     pair = scanner_a[a] * len(compared) + scanner_b[b]
     score = extent / (rms + NOISE)
     columns = pair, np.angle(product), center_a, center_b, weight, score
     return _Alignments(*(column[kept] for column in columns))
 
 
-def _find_least_kept(weights: Array, count: int) -> Array:
-    """(R,) the least of the ``count`` largest of each row of weights (R, C)."""
-    if weights.shape[1] <= count:
+def _find_least_kept(weights: Array) -> Array:
+    """(R,) the least of the largest of each row of weights (R, C) that are kept."""
+    if weights.shape[1] <= _KEPT_ALIGNMENTS:
         return np.zeros(len(weights))
-    return np.asarray(np.partition(weights, -count, axis=1)[:, -count])
-
-
-def _columns(found: _Alignments) -> tuple[NDArray[Any], ...]:
-    return found.pair, found.angle, found.center_a, found.center_b, found.weight, found.score
+    return np.asarray(np.partition(weights, -_KEPT_ALIGNMENTS, axis=1)[:, -_KEPT_ALIGNMENTS])
 
 
 # Best alignments of a pair, with which all others are compared: with 16, ranks are the same.
@@ -204,7 +197,7 @@ _SAME_ANGLE = float(np.radians(20))
 def _count_votes(found: _Alignments) -> tuple[Index, Array]:
     """Pairs (P,) and the largest weight (P,) of alignments that agree with one of the best of their pair."""
     order = np.lexsort((-found.score, found.pair))
-    pair, angle, center_a, center_b, weight = (column[order] for column in _columns(found)[:-1])
+    pair, angle, center_a, center_b, weight, _ = (column[order] for column in vars(found).values())
     pairs, start, size = np.unique(pair, return_index=True, return_counts=True)
     group = np.repeat(np.arange(len(pairs)), size)
     votes = np.zeros(len(pairs))

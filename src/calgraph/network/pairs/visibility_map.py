@@ -12,7 +12,12 @@ from numpy.typing import NDArray
 from scipy.ndimage import convolve
 
 from calgraph.geometry import Array, se2
-from calgraph.network.pairs.synchronized_tracks import SimultaneousPairs, TrackSamples, resample_tracks
+from calgraph.network.pairs.synchronized_tracks import (
+    TICK_PERIOD,
+    SimultaneousPairs,
+    TrackSamples,
+    resample_tracks,
+)
 from calgraph.network.tracking.track import ScannerTracks
 
 Flags = NDArray[np.bool_]
@@ -68,7 +73,7 @@ class ScannerObservations:
         visibility = replace(
             self.visibility,
             visible=visible[:, ::-1] if mirrored else visible,
-            coverage_intervals=coverage - delay * self.samples.tick_period,
+            coverage_intervals=coverage - delay * TICK_PERIOD,
         )
         return ScannerObservations(self.samples.transform(mirrored, delay), visibility)
 
@@ -173,28 +178,36 @@ def find_missed_detections(
     return expected, detected
 
 
-def contradicts_visibility(
+# Distance within which a detection by the other scanner is of the same object under a correct pose, m: a person's
+# width, errors of clocks and of the pose.
+DETECTION_RADIUS = 0.5
+# Expected detections from which the pose of a pair is tested by missed ones: 2 s of one person.
+_MIN_EXPECTED = 20
+# Share of missed detections above which a pose is rejected: under correct poses it is mostly below 0.2, and up to
+# 0.5 where furniture occludes people from one of the two.
+MAX_MISSED_SHARE = 0.5
+
+
+def miss_detections(
     T_a_b: Array,
+    a: ScannerObservations,
+    b: ScannerObservations,
     pairs: SimultaneousPairs,
-    visibility_a: VisibilityMap,
-    visibility_b: VisibilityMap,
-    *,
-    radius: float,
-    min_expected: float,
-    max_missed_share: float,
+    count: int,
+    pose_error: float,
 ) -> Flags:
     """Tests which poses (K,) imply too many missed detections.
 
     Args:
         T_a_b: (K, 3, 3).
-        pairs: all simultaneous pairs.
-        visibility_a: of scanner a.
-        visibility_b: of scanner b.
-        radius: distance from a position within which a detection of the other scanner is of the same object, m.
-        min_expected: least number of expected detections to judge a pose.
-        max_missed_share: largest share of missed detections among them.
+        a: of scanner a.
+        b: of scanner b.
+        pairs: a selection of ``count`` simultaneous pairs.
+        count: number of these.
+        pose_error: of the poses, m.
     """
-    expected, detected = find_missed_detections(T_a_b, pairs, visibility_a, visibility_b, radius)
-    count = np.count_nonzero(expected, axis=1)
+    radius = DETECTION_RADIUS + pose_error
+    expected, detected = find_missed_detections(T_a_b, pairs, a.visibility, b.visibility, radius)
+    number = np.count_nonzero(expected, axis=1)
     missed = np.count_nonzero(expected & ~detected, axis=1)
-    return np.asarray((count >= min_expected) & (missed > max_missed_share * count))
+    return np.asarray((number >= _MIN_EXPECTED * len(pairs) / count) & (missed > MAX_MISSED_SHARE * number))

@@ -13,7 +13,6 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.config.settings import StationaritySettings
 from calgraph.geometry import Array, Index, fit_local_lines
 from calgraph.sensors import find_nearest_beams
 
@@ -45,7 +44,6 @@ class ReferenceScan:
     """(B,) ascending, rad."""
     ranges: Array
     """(B,) m; infinite where nothing was measured."""
-    settings: StationaritySettings
 
     @cached_property
     def points(self) -> Array:
@@ -109,17 +107,12 @@ def register_windows(reference: ReferenceScan, ranges: Array, noise: float) -> W
 
     Args:
         reference: the reference.
-        ranges: (W, B) m, of the same beams.
+        ranges: (W, B) m, of the same beams, of one window at least.
         noise: standard deviation of the ranges, m.
     """
     parts = range(0, len(ranges), _WINDOWS_PER_CALL)
     found = [_register_part(reference, ranges[k : k + _WINDOWS_PER_CALL], noise) for k in parts]
-    return WindowPoses(
-        np.concatenate([np.zeros((0, 3)), *(one.poses for one in found)]),
-        np.concatenate([np.zeros((0, 3, 3)), *(one.information for one in found)]),
-        np.concatenate([np.zeros(0, dtype=np.intp), *(one.compared for one in found)]),
-        np.concatenate([np.zeros(0, dtype=np.intp), *(one.agreeing for one in found)]),
-    )
+    return WindowPoses(*map(np.concatenate, zip(*(vars(one).values() for one in found), strict=True)))
 
 
 # Maximum distance of a point from its match along the surface, m: farther along, a wall has other surfaces.
@@ -178,12 +171,10 @@ def _guess_rest(_reference: ReferenceScan, ranges: Array) -> Array:
 
 def _replace(found: WindowPoses, again: WindowPoses, windows: Index, better: NDArray[np.bool_]) -> WindowPoses:
     """The results with those of some windows (N,) replaced where others (N,) are better."""
-    at = windows[better]
-    poses, information = found.poses.copy(), found.information.copy()
-    compared, agreeing = found.compared.copy(), found.agreeing.copy()
-    poses[at], information[at] = again.poses[better], again.information[better]
-    compared[at], agreeing[at] = again.compared[better], again.agreeing[better]
-    return WindowPoses(poses, information, compared, agreeing)
+    columns = [column.copy() for column in vars(found).values()]
+    for column, other in zip(columns, vars(again).values(), strict=True):
+        column[windows[better]] = other[better]
+    return WindowPoses(*columns)
 
 
 # Factor of this distance from one step to the next.

@@ -40,14 +40,11 @@ class Clusters:
     def __len__(self) -> int:
         return len(self.first)
 
-    def sums(self, values: Array) -> Array:
-        """Sums over each cluster's points of ``values`` (P, ...): (C, ...)."""
-        return np.add.reduceat(values, self.first, axis=0) if len(self) else values[:0]
-
     @property
     def centroids(self) -> Array:
         """(C, 2) centres of mass, m."""
-        return self.sums(self.points) / self.count[:, None]
+        sums = np.add.reduceat(self.points, self.first, axis=0) if len(self) else self.points[:0]
+        return sums / self.count[:, None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +66,12 @@ class Foreground:
     spacing: Array
     """(S,) angle between neighbouring beams of each scan, rad."""
 
-    def select(self, rows: NDArray[np.bool_] | slice) -> "Foreground":
+    @property
+    def direction(self) -> Array:
+        """(P, 2) unit vectors, sensor frame."""
+        return np.stack([np.cos(self.angles), np.sin(self.angles)], axis=-1)
+
+    def select(self, rows: NDArray[np.bool_] | NDArray[np.intp] | slice) -> "Foreground":
         """Some of the beams (P,), of the same scans."""
         return Foreground(
             self.scan[rows], self.beam[rows], self.angles[rows], self.ranges[rows], self.times[rows],
@@ -158,7 +160,7 @@ def _cluster_part(
     beams: Foreground, origin: float, width: float, sigma: float, settings: ClusterSettings
 ) -> Clusters:
     """The objects in some scans, with mean times that are calculated from one time, s, for all."""
-    points = beams.ranges[:, None] * np.stack([np.cos(beams.angles), np.sin(beams.angles)], axis=-1)
+    points = beams.ranges[:, None] * beams.direction
     if not len(points):
         return _build_clusters(beams, points, np.empty(0, dtype=np.intp), origin, width, settings)
     step = np.linalg.norm(np.diff(points, axis=0), axis=-1)

@@ -95,7 +95,7 @@ _MAX_GAP = 0.1
 
 
 def _split_arcs(beams: Foreground, sigma: float) -> _Arcs:
-    points = beams.ranges[:, None] * np.stack([np.cos(beams.angles), np.sin(beams.angles)], axis=-1)
+    points = beams.ranges[:, None] * beams.direction
     if not len(points):
         nothing = np.empty(0, dtype=np.intp)
         return _Arcs(points, nothing, nothing, np.empty(0), np.empty(0, dtype=np.bool_))

@@ -49,7 +49,7 @@ def learn_static_scene(runs: Sequence[ScanRun]) -> StaticScene | None:
     Returns:
         The scene, or None if no scan has any beam.
     """
-    kept = _subsample_evenly(runs, _MAX_SCANS)
+    kept = _subsample_evenly(runs)
     if not kept:
         return None
     angles = np.sort(max(kept, key=lambda run: len(run.angles)).angles)
@@ -66,10 +66,10 @@ def learn_static_scene(runs: Sequence[ScanRun]) -> StaticScene | None:
     return StaticScene(background, _insert_breaks(points, clean, mean_range, angles), sigma)
 
 
-def _subsample_evenly(runs: Sequence[ScanRun], max_scans: int) -> list[ScanRun]:
+def _subsample_evenly(runs: Sequence[ScanRun]) -> list[ScanRun]:
     """Every 2^k-th scan, with the smallest k that keeps no more than a bounded number; none without beams."""
     count = sum(map(len, runs))
-    stride = 1 << max(0, int(np.ceil(np.log2(max(count, 1) / max_scans))))
+    stride = 1 << max(0, int(np.ceil(np.log2(max(count, 1) / _MAX_SCANS))))
     kept, passed = [], 0
     for run in runs:
         kept.append(run.select(slice(-passed % stride, None, stride)))

@@ -163,8 +163,8 @@ def analyze_stationarity(runs: Sequence[ScanRun], settings: StationaritySettings
     windows = compute_window_medians(scans)
     if len(windows) < 2 * _MIN_WINDOWS:
         return Stationarity()
-    registration = _register(windows, settings)
-    pieces, bumps = _measure_bumps(scans, registration, _find_pieces(registration), settings)
+    registration = _register(windows)
+    pieces, bumps = _measure_bumps(scans, registration, _find_pieces(registration))
     placed = registration.place >= 0
     # Windows that register nowhere are those of a moving scanner only if all ranges change.
     moving = (registration.place == _NOWHERE) & (registration.unrest > _MAX_NOISE)
@@ -214,7 +214,7 @@ _MIN_POINTS = 25
 _MIN_AGREEMENT = 0.6
 
 
-def _register(windows: ScanWindows, settings: StationaritySettings) -> _Registration:
+def _register(windows: ScanWindows) -> _Registration:
     """Registers all windows to a few references among them."""
     finite = (np.where(np.isfinite(row), row, np.nan) for row in windows.ranges)
     by_window = np.array([_median(np.abs(after - before)) for before, after in pairwise(finite)])
@@ -230,7 +230,7 @@ def _register(windows: ScanWindows, settings: StationaritySettings) -> _Registra
         if len(longest) < _MIN_WINDOWS:
             break
         chosen = longest[np.argmin(unrest[longest])]
-        reference = ReferenceScan(windows.angles, windows.ranges[chosen], settings)
+        reference = ReferenceScan(windows.angles, windows.ranges[chosen])
         found = register_windows(reference, windows.ranges[pending], noise)
         comparable = found.compared >= _MIN_POINTS
         agrees = comparable & (found.agreement >= _MIN_AGREEMENT)
@@ -287,7 +287,7 @@ def _split_at_steps(registration: _Registration, members: Index) -> list[Index]:
     stack = [np.arange(len(members))]
     while stack:
         part = stack.pop()
-        cut = _find_largest_step(weight[part], weighted[part], 2 * systematic, threshold, _MIN_WINDOWS)
+        cut = _find_largest_step(weight[part], weighted[part], 2 * systematic, threshold)
         if cut is None:
             # The filter hides the end of a motion.
             off = poses[part] - np.median(poses[part], axis=0)
@@ -311,11 +311,9 @@ def _significance_limit(registration: _Registration) -> float:
     return float(chdtri(3, _FALSE_ALARM_PROBABILITY / len(registration.place)))
 
 
-def _find_largest_step(
-    weight: Array, weighted: Array, systematic: Array, threshold: float, min_windows: int
-) -> int | None:
+def _find_largest_step(weight: Array, weighted: Array, systematic: Array, threshold: float) -> int | None:
     """The index after which the mean pose has changed most significantly; None if it has not."""
-    cuts = np.arange(min_windows, len(weight) - min_windows + 1)
+    cuts = np.arange(_MIN_WINDOWS, len(weight) - _MIN_WINDOWS + 1)
     if not len(cuts):
         return None
     W, Wy = np.cumsum(weight, axis=0), np.cumsum(weighted, axis=0)
@@ -359,13 +357,13 @@ def _include_motion(
 
 
 def _measure_bumps(
-    scans: AlignedScans, registration: _Registration, pieces: Sequence[Index], settings: StationaritySettings
+    scans: AlignedScans, registration: _Registration, pieces: Sequence[Index]
 ) -> tuple[list[Index], list[ScannerBump]]:
     """The bumps between successive pieces, and these; joined where there is none."""
     kept, bumps = list(pieces[:1]), list[ScannerBump]()
     for piece in pieces[1:]:
         before, after = (_median_of_windows(registration.windows.ranges[one]) for one in (kept[-1], piece))
-        bump = _measure_bump(registration, before, after, settings)
+        bump = _measure_bump(registration, before, after)
         if bump is None:
             kept[-1] = np.concatenate([kept[-1], piece])
             continue
@@ -384,14 +382,14 @@ _MAX_UNCHANGED = 0.3
 
 
 def _measure_bump(
-    registration: _Registration, before: Array, after: Array, settings: StationaritySettings
+    registration: _Registration, before: Array, after: Array
 ) -> tuple[float, float, float, float] | None:
     """Translation, rotation and their standard deviations between median ranges (B,) before and after a bump.
 
     NaN if they have too little in common. None if the scanner did not move: something hides the background, or
     less than most of it is displaced.
     """
-    reference = ReferenceScan(registration.windows.angles, before, settings)
+    reference = ReferenceScan(registration.windows.angles, before)
     found = register_windows(reference, after[None], registration.noise)
     pose = found.poses[0]
     if found.compared[0] >= _MIN_POINTS and found.agreement[0] >= _MIN_AGREEMENT:

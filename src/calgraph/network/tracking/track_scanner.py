@@ -39,8 +39,13 @@ class TrackSegment:
     """(T,) its clusters, in order of time."""
 
 
+# Longest time between detections within one period, s: about five missed scans of a scanner with 12.5 Hz. What is
+# not detected for longer has left the view.
+_MAX_UNDETECTED = 0.4
+
+
 def split_into_periods(
-    identities: Sequence[NDArray[np.intp]], scan: NDArray[np.intp], times: Array, max_undetected: float
+    identities: Sequence[NDArray[np.intp]], scan: NDArray[np.intp], times: Array
 ) -> tuple[TrackSegment, ...]:
     """Splits identities wherever the set of visible objects changes, or they are not detected themselves.
 
@@ -48,7 +53,6 @@ def split_into_periods(
         identities: clusters of each, in order of time.
         scan: (C,) the scan of each cluster.
         times: (C,) s.
-        max_undetected: an object that is not detected for longer has left the view, s.
 
     Returns:
         The segments by period, then in the order of the identities; periods are numbered from 0.
@@ -56,7 +60,7 @@ def split_into_periods(
     intervals = [
         s
         for members in identities
-        for s in np.split(members, np.flatnonzero(np.diff(times[members]) > max_undetected) + 1)
+        for s in np.split(members, np.flatnonzero(np.diff(times[members]) > _MAX_UNDETECTED) + 1)
     ]
     if not intervals:
         return ()
@@ -107,8 +111,6 @@ _MIN_RANGE_SIGMA = 0.003
 # Standard deviation of a centroid about the object's centre, over its mean radius: the centroid is on the visible
 # side, and moves as the object turns or is partly hidden.
 _CENTROID_SIGMA = 0.5
-# Longest time between detections within one period, s: about five missed scans of a scanner with 12.5 Hz.
-_MAX_UNDETECTED = 0.4
 # Longest time between two scans within a coverage interval, s: in a longer one a person may cross the view
 # undetected.
 MAX_SCAN_GAP = 0.5
@@ -150,7 +152,7 @@ def track_runs(
         for members in associate(objects, center_sigma, settings.acceleration_density)
         if _is_moving_target(objects, members, settings.motion)
     ]
-    segments = split_into_periods(identities, objects.scan, objects.times, _MAX_UNDETECTED)
+    segments = split_into_periods(identities, objects.scan, objects.times)
     velocities = _estimate_velocities(objects, segments, target, sigma, settings)
     if centers:
         measured = centers(objects, target, sigma)
