@@ -5,12 +5,10 @@ import time
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 from calgraph.config import Rig
 from calgraph.config.settings import LiveNetworkSettings
 from calgraph.errors import RecordingError
-from calgraph.io.termination import add_cleanup, remove_cleanup
 from calgraph.live.capture_finder import SILENCE, name_sensors
 from calgraph.live.job_queue import JobQueue
 from calgraph.live.live_timeline import LiveTimeline
@@ -84,7 +82,7 @@ class Forecast:
         return minutes if minutes <= self._settings.max_minutes else None
 
 
-Solve = Callable[[Rig, Path, Path, LiveNetworkSolution | None], LiveNetworkSolution | None]
+Solve = Callable[[Rig, Path, LiveNetworkSolution | None], LiveNetworkSolution | None]
 """Calibrates from a recording; defined at module level. See :func:`solve_recording`."""
 
 
@@ -127,8 +125,6 @@ class NetworkSession:
         self._sensor_of = {topic: name for name, topic in rig.topics.items()}
         self.timeline = LiveTimeline(rig.sensors)
         self._queue = JobQueue(pools.solving, 1, lambda function: pools.post(lambda: self._handle(function)))
-        self._folder = TemporaryDirectory(prefix="calgraph-tracks-", ignore_cleanup_errors=True)
-        add_cleanup(self, self._folder.cleanup)
         self.solution: LiveNetworkSolution | None = None
         """The last one; None before the first."""
         self._forecast = Forecast(rig.settings.live.network)
@@ -195,8 +191,6 @@ class NetworkSession:
     def close(self) -> None:
         """Ends the session: results of calls under way are ignored."""
         self._queue.closed = True
-        remove_cleanup(self)
-        self._folder.cleanup()
 
     def _start_solving(self) -> None:
         """Calibrates if the process is free, the load allows it, and there is something new."""
@@ -208,7 +202,7 @@ class NetworkSession:
             return
         self._began = self._clock()
         self._queue.run(
-            self._solve, self.rig, self._recording, Path(self._folder.name), self.solution,
+            self._solve, self.rig, self._recording, self.solution,
             done=self._set_solution, failed=self._fail_solving,
         )  # fmt: skip
 

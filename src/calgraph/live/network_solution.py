@@ -18,7 +18,6 @@ from calgraph.live.tracked_intervals import (
     Tracked,
     TrackingProgress,
     join_tracks,
-    remove_files,
     select_intervals,
     track_recording,
 )
@@ -63,16 +62,13 @@ class LiveNetworkSolution:
         return bool(self.scanners) and all(scanner.grade == "good" for scanner in self.scanners)
 
 
-def solve_recording(
-    rig: Rig, path: Path, folder: Path, last: LiveNetworkSolution | None
-) -> LiveNetworkSolution | None:
+def solve_recording(rig: Rig, path: Path, last: LiveNetworkSolution | None) -> LiveNetworkSolution | None:
     """Calibrates a network from its recording until now.
 
     Args:
         rig: the network.
         path: of the recording, which may still be written to.
-        folder: where tracks are kept; empty before the first call.
-        last: the last solution from the same recording and folder.
+        last: the last solution from the same recording.
 
     Returns:
         The solution; None as long as the recording has no message.
@@ -84,9 +80,7 @@ def solve_recording(
         except CalgraphError:
             return None  # its first chunk is not complete yet
         with recording:
-            solution = _solve(rig, recording, folder, last, begin)
-    remove_files(folder, solution.progress.intervals)
-    return solution
+            return _solve(rig, recording, last, begin)
 
 
 # Processor time of a solution, s, above which the next is computed from fewer intervals; those that add least are
@@ -94,12 +88,11 @@ def solve_recording(
 _MAX_WORK = 20.0
 
 
-def _solve(
-    rig: Rig, recording: Recording, folder: Path, last: LiveNetworkSolution | None, begin: float
-) -> LiveNetworkSolution:
+def _solve(rig: Rig, recording: Recording, last: LiveNetworkSolution | None, begin: float) -> LiveNetworkSolution:
     monitor = InputMonitor(rig, recording.start)
-    found = track_recording(rig, recording, folder, last.progress if last else TrackingProgress(), monitor)
-    tracked = join_tracks(found.parts, MAX_SCAN_GAP)
+    progress, rest = track_recording(rig, recording, last.progress if last else TrackingProgress(), monitor)
+    intervals = (*progress.intervals, rest) if rest else progress.intervals
+    tracked = join_tracks([interval.tracked for interval in intervals], MAX_SCAN_GAP)
     calibration: Calibration | None = None
     problem, work = "", time.process_time()
     try:
@@ -109,17 +102,18 @@ def _solve(
     except CalgraphError as error:
         problem = str(error)
     rows = calibration.evidence.captures if calibration else ()
-    max_positions = found.positions * _MAX_WORK / max(time.process_time() - work, 1e-3)
-    used = select_intervals(found.progress.intervals, rows, recording.start, max_positions)
+    positions = sum(interval.positions for interval in intervals)
+    max_positions = positions * _MAX_WORK / max(time.process_time() - work, 1e-3)
+    used = select_intervals(progress.intervals, rows, recording.start, max_positions)
     scanners = _describe_scanners(rig, tracked, calibration)
     return LiveNetworkSolution(
         scanners,
         build_floor_grid(calibration, tracked, _find_unfinished(scanners)) if calibration else None,
         recording.start,
-        found.end,
-        found.progress.duration + found.rest,
-        sum(interval.duration for interval in found.progress.intervals) + found.rest,
-        replace(found.progress, intervals=used),
+        rest.end if rest else progress.until or recording.start,
+        progress.duration + (rest.duration if rest else 0.0),
+        sum(interval.duration for interval in intervals),
+        replace(progress, intervals=used),
         time.perf_counter() - begin,
         problem,
         calibration.further_remarks if calibration else (),
