@@ -1,6 +1,5 @@
 """The calibration of a network from its recording until now."""
 
-import pickle
 from dataclasses import replace
 from pathlib import Path
 
@@ -97,9 +96,9 @@ def test_intervals_are_not_tracked_again(recorded: Recorded, monkeypatch: pytest
     rig, path, _ = recorded
     rig = with_intervals(rig, monkeypatch, 16, 2)
     first = solve(rig, path)
-    again = solve(rig, path, pickle.loads(pickle.dumps(first)))
+    again = solve(rig, path, first)
     assert again.progress.until == first.progress.until
-    assert len(again.progress.intervals) == len(first.progress.intervals) == 1
+    assert again.progress.intervals == first.progress.intervals != ()
     for one, other in zip(first.scanners, again.scanners, strict=True):
         assert one.T_root_sensor is not None
         np.testing.assert_array_equal(one.T_root_sensor, other.T_root_sensor)
