@@ -13,8 +13,8 @@ from calgraph.config import Rig
 from calgraph.live.floor_grid import FloorGrid
 from calgraph.live.network_session import NetworkSession
 from calgraph.live.network_solution import LiveNetworkSolution
-from calgraph.live.rig_session import SessionPools
 from calgraph.live.sensor_solution import SensorSolution
+from calgraph.live.session import SessionPools
 from calgraph.live.source import LiveMessage
 from calgraph.sensors import LaserScan
 from live_sessions import make_live_message

@@ -13,9 +13,10 @@ import numpy as np
 import pytest
 
 from calgraph.config import Capture, Rig
-from calgraph.live.rig_session import RigSession, SessionPools, count_analysis_processes
+from calgraph.live.rig_session import RigSession, count_analysis_processes
 from calgraph.live.rig_solution import LiveSolution
 from calgraph.live.sensor_solution import SensorSolution
+from calgraph.live.session import SessionPools
 from calgraph.live.source import LiveMessage
 from calgraph.live.state import SceneState
 from calgraph.parallel.processes import worker_pool

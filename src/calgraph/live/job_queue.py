@@ -15,10 +15,11 @@ class JobQueue:
         executor: runs the calls.
         workers: number of its processes.
         post: has results handled in the thread of the session.
+        after: called there after each of them.
     """
 
-    def __init__(self, executor: Executor, workers: int, post: Post) -> None:
-        self._executor, self._workers, self._post = executor, workers, post
+    def __init__(self, executor: Executor, workers: int, post: Post, after: Callable[[], object]) -> None:
+        self._executor, self._workers, self._post, self._after = executor, workers, post, after
         self._running = 0
         self.closed = False
         """Whether results are discarded."""
@@ -71,6 +72,7 @@ class JobQueue:
             done(future.result())
         else:
             failed(error)
+        self._after()
 
     def _break(self, error: BaseException) -> None:
         self.closed = True

@@ -21,8 +21,8 @@ from calgraph.config.settings import PageSettings
 from calgraph.live.state import Action, SessionState
 
 
-class ShownSession(Protocol):
-    """A session that can be shown and commanded, all calls in one asyncio loop. None of them blocks."""
+class SessionView(Protocol):
+    """A session as the page shows and commands it, all calls in one asyncio loop. None of them blocks."""
 
     def state(self) -> SessionState:
         """The session now."""
@@ -30,15 +30,11 @@ class ShownSession(Protocol):
     def picture(self, sensor: str) -> bytes | None:
         """The view of a sensor with the board drawn in, a JPEG image; None before the first."""
 
-    def command(self, action: Action) -> None:
-        """Does what the operator wants."""
-
-
-class SessionView(ShownSession, Protocol):
-    """A session as the page uses it."""
-
     def report(self) -> Path | None:
         """The report of the calibration; None as long as there is none."""
+
+    def command(self, action: Action) -> None:
+        """Does what the operator wants."""
 
 
 Refusal = Literal[

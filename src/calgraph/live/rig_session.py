@@ -1,9 +1,6 @@
 """A live session of a rig: from its messages to captures, poses, and the state that the operator is shown."""
 
-from collections import deque
 from collections.abc import Callable, Mapping
-from concurrent.futures import Executor
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,12 +10,13 @@ from calgraph.errors import CalibrationError, Rejected
 from calgraph.live.analysis_jobs import NO_INTRINSICS
 from calgraph.live.capture_finder import name_sensors
 from calgraph.live.capture_taker import CaptureTaker
-from calgraph.live.job_queue import JobQueue, Post
+from calgraph.live.job_queue import JobQueue
 from calgraph.live.live_captures import LiveCapture, collect_live_captures, count_coverage
 from calgraph.live.live_rig import make_trigger, prepare_live_rig
 from calgraph.live.message_analysis import MessageAnalysis
 from calgraph.live.rig_solution import LiveSolution
 from calgraph.live.sensor_solution import SensorSolution
+from calgraph.live.session import ALL_DONE, Session, SessionPools
 from calgraph.live.source import LiveMessage
 from calgraph.live.state import Action, Phase, SensorState, SessionState
 from calgraph.parallel.engine import THIS_PROCESS, Engine
@@ -35,33 +33,15 @@ Solve = Callable[[Rig, CaptureSet, LiveSolution | None], LiveSolution]
 """Computes the poses from the captures until now and the last solution; defined at module level."""
 
 
-@dataclass(frozen=True)
-class SessionPools:
-    """Where a session computes."""
-
-    analysis: Executor
-    """Detects; forked before threads start, see :func:`calgraph.parallel.processes.worker_pool`."""
-    analysis_processes: int
-    """Number of its processes."""
-    solving: Executor
-    """Solves, one solution at a time."""
-    post: Post
-    """Has results handled in the thread of the session: ``loop.call_soon_threadsafe``."""
-
-
 def count_analysis_processes(rig: Rig) -> int:
     """The number of processes that detect on this machine: one core is left to the recorder and the page."""
     return max(1, min(available_cores() - 1, rig.settings.live.analysis_processes))
 
 
-ALL_DONE = "All sensors are within tolerance: finish"
-"""What an operator reads who has done enough."""
-
-
-class RigSession:
+class RigSession(Session):
     """Detects the board in live messages, takes captures, and calibrates after each of them.
 
-    All calls are made in one thread, and none blocks. Captures are those that ``calgraph calibrate`` finds in the
+    Captures are those that ``calgraph calibrate`` finds in the
     recording of the same messages and triggers with the rig :attr:`rig`.
 
     Args:
@@ -83,20 +63,17 @@ class RigSession:
         exclude: Callable[[tuple[float, float]], object],
         print_line: Callable[[str], object],
     ) -> None:
-        self.rig = prepare_live_rig(rig)
-        """The rig of the recording: with the trigger of the session, and a background window."""
-        self.triggers: deque[LiveMessage] = deque()
-        """That are to be recorded."""
-        self._source, self._solve, self._exclude, self._print_line = source, solve, exclude, print_line
+        # With the trigger of the session, and a background window.
+        super().__init__(prepare_live_rig(rig), source, pools, print_line)
+        self._solve, self._exclude = solve, exclude
         self.analysis = MessageAnalysis(self.rig, source)
         self.taker = CaptureTaker(self.rig, self.analysis, self._write_trigger, print_line)
-        self._queue = JobQueue(pools.analysis, pools.analysis_processes, self._post_to(pools.post))
-        self._solver = JobQueue(pools.solving, 1, self._post_to(pools.post))
+        self._queue = JobQueue(pools.analysis, pools.analysis_processes, pools.post, self.advance)
+        self._queues.append(self._queue)
         self.solution: LiveSolution | None = None
         """The last one; None before the first."""
         self._solved_captures: tuple[object, ...] = ()
-        self._problem = ""
-        self._pumping = False
+        self._advancing = False
 
     def rebuild(self, recording: Recording, engine: Engine = THIS_PROCESS) -> None:
         """Continues after what was recorded before, with its captures; called before the first message.
@@ -116,15 +93,15 @@ class RigSession:
         background = recording.records([t for t in self.rig.topics.values() if t in present], *times)
         self.analysis.restore(timeline, recording.end, cameras, background)
         self.taker.restore(captures, self.taker.finder.now())
-        self._pump()
+        self.advance()
 
     def feed(self, message: LiveMessage) -> None:
         """Takes a message that has been recorded; the work is left to other processes, which may skip it."""
         self.analysis.feed(message)
-        self._pump()
+        self.advance()
 
-    def command(self, action: Action) -> None:
-        """Does what the operator wants; ``finish`` concerns who owns the session."""
+    def act(self, action: Action) -> None:
+        """Does what the operator wants."""
         match action:
             case "trigger":
                 self.taker.request()
@@ -132,20 +109,16 @@ class RigSession:
                 self.taker.automatic = action == "automatic"
             case "discard":
                 self._discard()
-        self._pump()
+        self.advance()
 
-    def state(self) -> SessionState:
-        """The session now, without what concerns source and recorder."""
+    def describe(self) -> SessionState:
+        """The session now, without what concerns source, recorder and end."""
         solution, taker = self.solution, self.taker
         solved = {one.name: one for one in solution.sensors} if solution else {}
         done = bool(solution and solution.done)
         problems = taker.finder.find_problems()
         phase, headline = _describe_phase(self.analysis, taker)
-        if killed := self._queue.problem or self._solver.problem:
-            headline = f"Only recording goes on: {killed}"
-        elif self._problem:
-            headline = self._problem
-        elif done and phase == "ready":
+        if done and phase == "ready":
             headline = ALL_DONE
         return SessionState(
             kind="rig",
@@ -180,40 +153,22 @@ class RigSession:
         )
 
     @property
-    def busy(self) -> bool:
-        """Whether other processes work for the session."""
-        return self._queue.running + self._solver.running > 0
-
-    @property
-    def lag(self) -> float:
+    def lag(self) -> float:  # type: ignore[override]
         """Time by which the detection is behind the messages, s; 0 where nothing is detected any more."""
         return max(self.analysis.lag, self.taker.lag) if self._queue.running else 0.0
 
-    def close(self) -> None:
-        """Ends the session: results of calls under way are ignored."""
-        self._queue.closed = self._solver.closed = True
-
-    def _post_to(self, post: Post) -> Post:
-        """Has results handled in the thread of the session, and then further calls started."""
-
-        def handle(function: Callable[[], None]) -> None:
-            function()
-            self._pump()
-
-        return lambda function: post(lambda: handle(function))
-
-    def _pump(self) -> None:
+    def advance(self) -> None:
         """Takes captures, and keeps the processes busy with what is most urgent."""
-        if self._pumping:
+        if self._advancing:
             return
-        self._pumping = True
+        self._advancing = True
         try:
             self.taker.advance()
             while self._queue.idle and (self.taker.start_job(self._queue) or self.analysis.start_job(self._queue)):
                 self.taker.advance()
             self._start_solving()
         finally:
-            self._pumping = False
+            self._advancing = False
 
     def _start_solving(self) -> None:
         """Solves for the newest captures, if they have not been, and no solution is being computed."""
