@@ -154,11 +154,7 @@ class CaptureTaker:
         if search is None or not search.waiting:
             return False
         inputs, decoders = search.waiting.pop(0)
-        queue.run(
-            detect_board, inputs, decoders,
-            done=partial(self._add_result, search, inputs.name),
-            failed=lambda error: self._add_result(search, inputs.name, Rejected(str(error))),
-        )  # fmt: skip
+        queue.run(partial(self._add_result, search, inputs.name), detect_board, inputs, decoders)
         return True
 
     def _add_result(self, search: _Search, name: str, found: DetectionResult) -> None:

@@ -4,6 +4,8 @@ from collections.abc import Callable
 from concurrent.futures import BrokenExecutor, Executor, Future
 from typing import Any
 
+from calgraph.errors import Rejected
+
 Post = Callable[[Callable[[], None]], object]
 """Has a function called soon in the thread of the session, from any thread."""
 
@@ -36,20 +38,13 @@ class JobQueue:
         """Number of calls under way."""
         return self._running
 
-    def run(
-        self,
-        function: Callable[..., Any],
-        *arguments: Any,
-        done: Callable[[Any], None],
-        failed: Callable[[BaseException], None],
-    ) -> None:
+    def run(self, done: Callable[[Any], object], function: Callable[..., Any], *arguments: Any) -> None:
         """Starts a call.
 
         Args:
+            done: called with its result, or with its error as :class:`Rejected`; not if a process was killed.
             function: defined at module level.
             arguments: of the call.
-            done: called with its result,
-            failed: or with what it raised. Neither is called if a process was killed.
         """
         try:
             future: Future[Any] = self._executor.submit(function, *arguments)
@@ -57,21 +52,17 @@ class JobQueue:
             self._break(error)
             return
         self._running += 1
-        future.add_done_callback(lambda one: self._post(lambda: self._finish(one, done, failed)))
+        future.add_done_callback(lambda one: self._post(lambda: self._finish(one, done)))
 
-    def _finish(
-        self, future: Future[Any], done: Callable[[Any], None], failed: Callable[[BaseException], None]
-    ) -> None:
+    def _finish(self, future: Future[Any], done: Callable[[Any], object]) -> None:
         self._running -= 1
         if self.closed or future.cancelled():
             return
         error = future.exception()
         if isinstance(error, BrokenExecutor):
             self._break(error)
-        elif error is None:
-            done(future.result())
         else:
-            failed(error)
+            done(Rejected(str(error)) if error else future.result())
         self._after()
 
     def _break(self, error: BaseException) -> None:

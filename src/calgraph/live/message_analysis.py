@@ -11,13 +11,7 @@ import numpy as np
 
 from calgraph.config import CameraSpec, Rig
 from calgraph.errors import CalgraphError, Rejected
-from calgraph.live.analysis_jobs import (
-    DetectorInputs,
-    MeasuredChanges,
-    learn_live_background,
-    measure_changes,
-    reduce_camera,
-)
+from calgraph.live.analysis_jobs import DetectorInputs, learn_live_background, measure_changes, reduce_camera
 from calgraph.live.capture_finder import MAX_RATE
 from calgraph.live.job_queue import JobQueue
 from calgraph.live.live_captures import explain_rejection
@@ -29,6 +23,7 @@ from calgraph.live.source import LiveMessage
 from calgraph.live.view_pictures import SensorView, find_reduction, make_view
 from calgraph.recording.takes import shift_record
 from calgraph.rig.captures.detectors import draw_seeds
+from calgraph.rig.captures.motion_detection import Signed
 from calgraph.rig.captures.timeline import MAX_MOTION_PERIOD, RecordingTimeline
 from calgraph.rig.kinds.rig_kind import Background
 from calgraph.rig.options import RigOptions
@@ -172,16 +167,9 @@ class MessageAnalysis:
             self._learning.add(name)
             decoders = [record.decode for record in self.sensors[name].background]
             self.sensors[name].background = []
-            queue.run(
-                learn_live_background, self._rig, name, decoders,
-                done=partial(self._set_background, name),
-                failed=partial(self._fail_learning, name),
-            )  # fmt: skip
+            queue.run(partial(self._set_background, name), learn_live_background, self._rig, name, decoders)
             return True
         return False
-
-    def _fail_learning(self, name: str, error: BaseException) -> None:
-        self._set_background(name, Rejected(str(error)))
 
     def _set_background(self, name: str, background: Background | Rejected) -> None:
         if isinstance(background, Rejected):
@@ -196,31 +184,30 @@ class MessageAnalysis:
         sensor = self.sensors[name]
         records = [sensor.waiting.popleft() for _ in range(min(len(sensor.waiting), _MESSAGES_PER_CALL))]
         sensor.measuring = records
-        queue.run(
-            measure_changes, self.rests.previous(name),
-            [record.decode for record in records],
-            done=partial(self._add_changes, name, records),
-            failed=partial(self._fail_measuring, name),
-        )  # fmt: skip
+        decoders = [record.decode for record in records]
+        queue.run(partial(self._add_changes, name, records), measure_changes, self.rests.previous(name), decoders)
         return True
 
-    def _add_changes(self, name: str, records: Sequence[RecordedMessage], measured: MeasuredChanges) -> None:
-        sensor = self.sensors[name]
-        sensor.measuring = ()
-        for change in measured.changes:
-            if change is None:
-                self.timeline.sensors[name].note_malformed(measured.problem)
+    def _add_changes(
+        self,
+        name: str,
+        records: Sequence[RecordedMessage],
+        measured: tuple[Sequence[float | Rejected], Signed | None] | Rejected,
+    ) -> None:
+        self.sensors[name].measuring = ()
+        changes, last = ([measured], None) if isinstance(measured, Rejected) else measured
+        for change in changes:
+            if isinstance(change, Rejected):
+                self.timeline.sensors[name].note_malformed(change.reason)
+        if isinstance(measured, Rejected):
+            return
         usable = [
             (record.stamp, change)
-            for record, change in zip(records, measured.changes, strict=True)
-            if change is not None
+            for record, change in zip(records, changes, strict=True)
+            if not isinstance(change, Rejected)
         ]
         quiet = all(self._is_of_background(record) for record in records)
-        self.rests.add(name, [s for s, _ in usable], [c for _, c in usable], measured.last, quiet=quiet)
-
-    def _fail_measuring(self, name: str, error: BaseException) -> None:
-        self.sensors[name].measuring = ()
-        self.timeline.sensors[name].note_malformed(str(error))
+        self.rests.add(name, [s for s, _ in usable], [c for _, c in usable], last, quiet=quiet)
 
     def _draw(self, queue: JobQueue) -> bool:
         due = [
@@ -240,16 +227,10 @@ class MessageAnalysis:
         factor = self.detectors.reduction(name)
         inputs = self.detectors.state_inputs(name, factor)
         queue.run(
-            make_view, record.decode, inputs if self.detectors.is_ready(name) else None,
-            inputs.camera, self._rig.boards, factor,
-            done=partial(self._set_view, name),
-            failed=lambda error: self._set_view(name, SensorView(b"", None, str(error))),
+            sensor.set_view, make_view, record.decode,
+            inputs if self.detectors.is_ready(name) else None, inputs.camera, self._rig.boards, factor,
         )  # fmt: skip
         return True
-
-    def _set_view(self, name: str, view: SensorView) -> None:
-        self.sensors[name].drawing = False
-        self.sensors[name].set_view(view)
 
 
 class LiveDetectors:
@@ -365,12 +346,13 @@ class SensorActivity:
         """Arrival of the first message whose change is not known yet, s; None if there is none."""
         return next((record.arrival for record in (*self.measuring, *self.waiting)), None)
 
-    def set_view(self, view: SensorView) -> None:
-        """Takes a new picture."""
-        self.view = view
-        if view.picture:
+    def set_view(self, view: SensorView | Rejected) -> None:
+        """Takes a new picture, or why the message is unusable."""
+        self.drawing = False
+        self.view = SensorView(b"", None, view.reason) if isinstance(view, Rejected) else view
+        if self.view.picture:
             self.pictures += 1
-            self.sharpness.append(view.sharpness)
+            self.sharpness.append(self.view.sharpness)
 
     @property
     def is_blurred(self) -> bool:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from calgraph.config import Rig
 from calgraph.config.settings import LiveNetworkSettings
-from calgraph.errors import RecordingError
+from calgraph.errors import RecordingError, Rejected
 from calgraph.live.capture_finder import SILENCE, name_sensors
 from calgraph.live.live_timeline import LiveTimeline
 from calgraph.live.network_solution import LiveNetworkSolution, solve_recording
@@ -174,29 +174,21 @@ class NetworkSession(Session):
         if self.timeline.latest_arrival < until:
             return
         self._began = self._clock()
-        self._solver.run(
-            self._solve, self.rig, self._recording, self.solution,
-            done=self._set_solution, failed=self._fail_solving,
-        )  # fmt: skip
+        self._solver.run(self._set_solution, self._solve, self.rig, self._recording, self.solution)
 
-    def _set_next(self) -> None:
-        """The process rests as long as it worked, where half of the time is allowed."""
+    def _set_solution(self, solution: LiveNetworkSolution | Rejected | None) -> None:
+        # The process rests as long as it worked, where half of the time is allowed.
         now = self._clock()
         self._next = now + max(PAUSE, (now - self._began) * (1 / _MAX_LOAD - 1))
-
-    def _set_solution(self, solution: LiveNetworkSolution | None) -> None:
-        self._set_next()
-        if solution is not None:
+        if isinstance(solution, Rejected):
+            self._problem = f"No poses from the recording until now: {solution.reason}"
+        elif solution is not None:
             if solution.done and not (self.solution and self.solution.done):
                 self._print_line(ALL_DONE)
             self.solution, self._problem = solution, ""
             self._forecast.add(solution)
             connected = tuple(one for one in solution.scanners if one.T_root_sensor is not None)
             self._scene = SceneState(connected, floor=solution.grid) if solution.grid else None
-
-    def _fail_solving(self, error: BaseException) -> None:
-        self._set_next()
-        self._problem = f"No poses from the recording until now: {error}"
 
 
 def _describe_phase(

@@ -5,7 +5,7 @@ Poses, covariances and verdicts are those of ``calgraph calibrate`` on the same 
 
 import logging
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -13,14 +13,8 @@ from pathlib import Path
 from calgraph.config import Rig
 from calgraph.errors import CalgraphError, Rejected
 from calgraph.live.floor_grid import FloorGrid, build_floor_grid
-from calgraph.live.sensor_solution import SensorSolution, describe_pose
-from calgraph.live.tracked_intervals import (
-    Tracked,
-    TrackingProgress,
-    join_tracks,
-    select_intervals,
-    track_recording,
-)
+from calgraph.live.sensor_solution import SensorSolution, describe_sensors
+from calgraph.live.tracked_intervals import TrackingProgress, join_tracks, select_intervals, track_recording
 from calgraph.network.options import NetworkOptions
 from calgraph.network.pipeline import calibrate_tracks
 from calgraph.network.tracking.track import ScannerTracks
@@ -28,7 +22,6 @@ from calgraph.network.tracking.track_scanner import MAX_SCAN_GAP
 from calgraph.recording import Recording, open_recording
 from calgraph.recording.input_checks import InputMonitor
 from calgraph.result import Calibration
-from calgraph.verdict.grades import max_good_stddev
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +98,7 @@ def _solve(rig: Rig, recording: Recording, last: LiveNetworkSolution | None, beg
     positions = sum(interval.positions for interval in intervals)
     max_positions = positions * _MAX_WORK / max(time.process_time() - work, 1e-3)
     used = select_intervals(progress.intervals, rows, recording.start, max_positions)
-    scanners = _describe_scanners(rig, tracked, calibration)
+    scanners = tuple(_add_tracks(one, tracked[one.name]) for one in describe_sensors(rig, calibration))
     return LiveNetworkSolution(
         scanners,
         build_floor_grid(calibration, tracked, _find_unfinished(scanners)) if calibration else None,
@@ -125,21 +118,11 @@ def _find_unfinished(scanners: tuple[SensorSolution, ...]) -> tuple[str, ...]:
     return tuple(one.name for one in scanners if one.T_root_sensor is not None and one.grade != "good")
 
 
-def _describe_scanners(rig: Rig, tracked: Tracked, calibration: Calibration | None) -> tuple[SensorSolution, ...]:
-    poses = {sensor.name: sensor for sensor in calibration.sensors} if calibration else {}
-    unconnected: Mapping[str, str] = calibration.evidence.unconnected if calibration else {}
-    limits = max_good_stddev(rig.tolerance, rig.settings.diagnostics.verdict)
-    scanners = []
-    for name in rig.sensors:
-        found = tracked[name]
-        count = len(found.tracks) if isinstance(found, ScannerTracks) else 0
-        # A root to which nothing is connected is no result.
-        if name in poses and len(poses) > 1:
-            scanners.append(replace(describe_pose(poses[name], limits), tracks=count))
-        else:
-            reason = unconnected.get(name, found.reason if isinstance(found, Rejected) else "")
-            scanners.append(SensorSolution(name, rig.sensors[name].kind, reason=reason, tracks=count))
-    return tuple(scanners)
+def _add_tracks(scanner: SensorSolution, found: ScannerTracks | Rejected) -> SensorSolution:
+    """With the number of tracks, or why there are none."""
+    if isinstance(found, Rejected):
+        return replace(scanner, reason=scanner.reason or found.reason)
+    return replace(scanner, tracks=len(found.tracks))
 
 
 @contextmanager

@@ -176,10 +176,7 @@ class RigSession(Session):
         if self._solve is None or not captures or not self._solver.idle or captures == self._solved_captures:
             return
         self._solved_captures = captures
-        self._solver.run(
-            self._solve, self._state_intrinsics(), self.captures(), self.solution,
-            done=self._set_solution, failed=self._fail_solving,
-        )  # fmt: skip
+        self._solver.run(self._set_solution, self._solve, self._state_intrinsics(), self.captures(), self.solution)
 
     def _state_intrinsics(self) -> Rig:
         """The rig with the intrinsics that have arrived."""
@@ -191,16 +188,16 @@ class RigSession(Session):
         }
         return self.rig.model_copy(update={"sensors": {**self.rig.sensors, **sensors}})
 
-    def _set_solution(self, solution: LiveSolution) -> None:
+    def _set_solution(self, solution: LiveSolution | Rejected) -> None:
+        if isinstance(solution, Rejected):
+            self._problem = f"No poses from the captures until now: {solution.reason}"
+            return
         if not self.taker.captures:  # they were left out meanwhile
             return
         if solution.done and not (self.solution and self.solution.done):
             self._print_line(ALL_DONE)
         self.solution = solution
         self._problem = ""
-
-    def _fail_solving(self, error: BaseException) -> None:
-        self._problem = f"No poses from the captures until now: {error}"
 
     def _write_trigger(self, stamp: float) -> None:
         self.triggers.append(make_trigger(stamp, self.analysis.timeline.latest_arrival))
