@@ -93,21 +93,6 @@ class LiveTimeline:
         self.latest_arrival = 0.0
         """Of all messages, s."""
 
-    def restore(self, timeline: RecordingTimeline, end: float) -> None:
-        """Begins with what was recorded before, until the arrival ``end``, s."""
-        self.start, self.latest_arrival = timeline.start, end
-        for name, times in timeline.sensors.items():
-            stamps = array("d", times.stamps.tolist())
-            self.sensors[name] = GrowingTimes(
-                stamps,
-                duration=times.duration,
-                frame_id=times.frame_id,
-                message_type=times.message_type,
-                measured=bool(times.message_type),
-                latest=stamps[-1] if stamps else None,
-            )
-            self.sensors[name].measure_period()
-
     def note_arrival(self, arrival: float) -> None:
         """Notes that a message of any topic arrived, s."""
         self.start = arrival if self.start is None else min(self.start, arrival)

@@ -2,7 +2,7 @@
 
 import logging
 from collections import deque
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from uuid import uuid4
@@ -24,7 +24,7 @@ from calgraph.live.view_pictures import SensorView, find_reduction, make_view
 from calgraph.recording.takes import shift_record
 from calgraph.rig.captures.detectors import draw_seeds
 from calgraph.rig.captures.motion_detection import Signed
-from calgraph.rig.captures.timeline import MAX_MOTION_PERIOD, RecordingTimeline
+from calgraph.rig.captures.timeline import MAX_MOTION_PERIOD
 from calgraph.rig.kinds.rig_kind import Background
 from calgraph.rig.options import RigOptions
 from calgraph.sensors import CameraInfo, CameraModel, RecordedMessage
@@ -56,7 +56,8 @@ class MessageAnalysis:
         self._sensor_of = {topic: name for name, topic in rig.topics.items()}
         # Offsets that are to be estimated are known when the recording is calibrated.
         offsets = {name: spec.clock_offset for name, spec in rig.sensors.items()}
-        self._clock_offsets = {name: o if isinstance(o, float) else 0.0 for name, o in offsets.items()}
+        self.clock_offsets = {name: o if isinstance(o, float) else 0.0 for name, o in offsets.items()}
+        """By sensor, s."""
         self._learning: set[str] = set()
         self.timeline = LiveTimeline(rig.sensors)
         self.ring = MessageRing(rig.settings.live.ring)
@@ -84,29 +85,14 @@ class MessageAnalysis:
             due.append(begin + window[1])
         return max(self.timeline.latest_arrival - min(due), 0.0) if due else 0.0
 
-    def restore(
-        self,
-        timeline: RecordingTimeline,
-        end: float,
-        cameras: Mapping[str, CameraModel],
-        background: Iterable[RecordedMessage],
-    ) -> None:
-        """Continues after what was recorded before.
+    def feed(self, message: LiveMessage, *, is_past: bool = False) -> None:
+        """Takes a message; those that are unusable are counted.
 
         Args:
-            timeline: of the recording.
-            end: arrival of its last message, s.
-            cameras: intrinsics by camera, as far as it has any.
-            background: the sensors' messages in its background window: scanners learn the room from them, and the
-                noise of all at rest is measured again.
+            message: that has been recorded.
+            is_past: whether it was before the session was interrupted. Then it is analysed only if it is of the
+                background window: scanners learn the room from it, and it shows the noise at rest.
         """
-        self.timeline.restore(timeline, end)
-        self.detectors.restore(cameras)
-        for record in background:
-            self._queue(self._sensor_of[record.topic], record)
-
-    def feed(self, message: LiveMessage) -> None:
-        """Takes a message; those that are unusable are counted."""
         topic = message.channel.topic
         name = self._sensor_of.get(topic)
         self.timeline.note_arrival(message.arrival / 1e9)
@@ -117,9 +103,11 @@ class MessageAnalysis:
             if name is None:
                 self.detectors.add_intrinsics(record)
                 return
-            record = shift_record(record, -self._clock_offsets[name], 0.0)
-            self.ring.add(name, record, len(message.data))
-            self._queue(name, record)
+            record = shift_record(record, -self.clock_offsets[name], 0.0)
+            if not is_past:
+                self.ring.add(name, record, len(message.data))
+            if not is_past or self._is_of_background(record):
+                self._queue(name, record)
             self.timeline.add(name, record)
         except CalgraphError as error:
             for one in [name] if name else self.detectors.cameras_of(topic):
@@ -307,12 +295,6 @@ class LiveDetectors:
             None if isinstance(background, Rejected) else background,
             self.seeds,
         )
-
-    def restore(self, cameras: Mapping[str, CameraModel]) -> None:
-        """Takes intrinsics that are in a recording, by camera."""
-        self.cameras |= cameras
-        self._preferred |= {name: self._topics[name][0] for name in cameras if name in self._topics}
-        self._changes += 1
 
 
 # Number of images that this median is of: 20 s.

@@ -69,7 +69,7 @@ class ReplaySource:
                     yield Notice("missing", f"{self._path}: {explain_missing_topic(topic, present)}", topic)
             wait = self._start_pacing()
             after = self._start_after if self._but is None else self._start_after - 1
-            for item in _list_messages(recording, set(topics).intersection(present), after):
+            for item in list_messages(recording, set(topics).intersection(present), after):
                 if isinstance(item, LiveMessage):
                     if item.arrival == self._start_after and item.channel.topic in (self._but or ()):
                         continue
@@ -93,7 +93,7 @@ class ReplaySource:
         return wait
 
 
-def _list_messages(recording: Recording, topics: Collection[str], after: int) -> Iterator[LiveMessage | Notice]:
+def list_messages(recording: Recording, topics: Collection[str], after: int) -> Iterator[LiveMessage | Notice]:
     """The messages that arrived later than a time, ns, and notices of what cannot be read."""
     if isinstance(recording, BagRecording):
         channels: dict[tuple[str, TypeDefinition], Channel | None] = {}

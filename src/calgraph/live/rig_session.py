@@ -1,6 +1,6 @@
 """A live session of a rig: from its messages to captures, poses, and the state that the operator is shown."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 
 import numpy as np
 
@@ -12,8 +12,9 @@ from calgraph.live.capture_finder import name_sensors
 from calgraph.live.capture_taker import CaptureTaker
 from calgraph.live.job_queue import JobQueue
 from calgraph.live.live_captures import LiveCapture, collect_live_captures, count_coverage
-from calgraph.live.live_rig import make_trigger, prepare_live_rig
+from calgraph.live.live_rig import TRIGGER_TOPIC, make_trigger, prepare_live_rig
 from calgraph.live.message_analysis import MessageAnalysis
+from calgraph.live.replay import list_messages
 from calgraph.live.rig_solution import LiveSolution
 from calgraph.live.sensor_solution import SensorSolution
 from calgraph.live.session import ALL_DONE, Session, SessionPools
@@ -21,12 +22,11 @@ from calgraph.live.source import LiveMessage
 from calgraph.live.state import Action, Phase, SensorState, SessionState
 from calgraph.parallel.engine import THIS_PROCESS, Engine
 from calgraph.parallel.processes import available_cores
-from calgraph.recording import Recording, resolve_intrinsics
+from calgraph.recording import Recording, correct_stamps
 from calgraph.rig.captures.detect import CaptureSet
-from calgraph.rig.captures.holds import Hold, find_holds, limit_messages
+from calgraph.rig.captures.holds import find_holds, limit_messages
 from calgraph.rig.captures.sensor_detection import DetectionMethod, detect_by_sensors
-from calgraph.rig.captures.timeline import RecordingTimeline, build_timeline
-from calgraph.sensors import CameraModel
+from calgraph.rig.captures.timeline import RecordingTimeline
 from calgraph.sensors.kinds import KINDS
 
 Solve = Callable[[Rig, CaptureSet, LiveSolution | None], LiveSolution]
@@ -86,12 +86,18 @@ class RigSession(Session):
         Raises:
             RecordingError: it cannot be read.
         """
-        timeline, cameras, captures = rebuild_captures(self.rig, recording, self.analysis.detectors.seeds, engine)
-        window = self.rig.capture.background
-        present = {topic.name for topic in recording.topics}
-        times = [recording.start + time for time in window] if window else [0.0, 0.0]
-        background = recording.records([t for t in self.rig.topics.values() if t in present], *times)
-        self.analysis.restore(timeline, recording.end, cameras, background)
+        rig, triggers = self.rig, list[float]()
+        wanted = {*rig.topics.values(), *self.analysis.detectors.intrinsics_topics, TRIGGER_TOPIC}
+        for item in list_messages(recording, wanted.intersection(topic.name for topic in recording.topics), -1):
+            if isinstance(item, LiveMessage):
+                self.analysis.feed(item, is_past=True)
+                if item.channel.topic == TRIGGER_TOPIC:
+                    triggers.append(item.read(self._source, rig.settings.limits).stamp)
+        offsets = {rig.topics[name]: offset for name, offset in self.analysis.clock_offsets.items()}
+        method = DetectionMethod(self.analysis.detectors.cameras, self.analysis.detectors.seeds)
+        captures = find_captures(
+            rig, correct_stamps(recording, offsets), self.analysis.timeline.snapshot(triggers), method, engine
+        )
         self.taker.restore(captures, self.taker.finder.now())
         self.advance()
 
@@ -215,53 +221,41 @@ class RigSession(Session):
         self._exclude((start + margin, end - margin))
 
 
-def rebuild_captures(
-    rig: Rig, recording: Recording, seeds: Mapping[str, int], engine: Engine
-) -> tuple[RecordingTimeline, Mapping[str, CameraModel], list[LiveCapture]]:
-    """When sensors measured in the recording of an interrupted session, intrinsics by camera, and its captures.
-
-    Sensors may be missing in it.
+def find_captures(
+    rig: Rig, recording: Recording, timeline: RecordingTimeline, method: DetectionMethod, engine: Engine
+) -> list[LiveCapture]:
+    """The captures in the recording of an interrupted session.
 
     Args:
-        rig: of the session; see :func:`calgraph.live.live_rig.prepare_live_rig`.
+        rig: of the session; see :func:`calgraph.live.live_rig.prepare_live_rig`. Sensors may be missing in the
+            recording.
         recording: until the interruption.
-        seeds: of the detectors' samples, by sensor; see :func:`calgraph.rig.captures.detectors.draw_seeds`.
+        timeline: of the recording.
+        method: of the detection; cameras without intrinsics are left out.
         engine: searches the board.
 
     Raises:
         RecordingError: it cannot be read.
     """
-    present = {topic.name for topic in recording.topics}
-    recorded = {name: spec for name, spec in rig.sensors.items() if spec.topic in present}
-    part = rig.model_copy(update={"sensors": recorded})
-    cameras = resolve_intrinsics(part, recording).camera_models()
-    wanted = [topic for topic in (*part.topics.values(), rig.capture.trigger) if topic in present]
-    records = recording.records([topic for topic in wanted if topic])
-    timeline = build_timeline(records, recording.start, rig.topics, rig.capture.trigger)
     try:
         holds = limit_messages(find_holds(timeline, rig.capture, rig.settings.captures), rig)
     except CalibrationError:  # none yet
-        return timeline, cameras, []
+        return []
+    present = {topic.name for topic in recording.topics}
     detecting = {
-        name: spec for name, spec in recorded.items() if KINDS[spec.kind].measures_ranges or name in cameras
+        name: spec
+        for name, spec in rig.sensors.items()
+        if spec.topic in present and (KINDS[spec.kind].measures_ranges or name in method.cameras)
     }
-    found = detect_by_sensors(
-        part.model_copy(update={"sensors": detecting}),
-        recording,
-        timeline,
-        holds,
-        DetectionMethod(cameras, seeds),
-        engine=engine,
-    )
+    part = rig.model_copy(update={"sensors": detecting})
+    found = detect_by_sensors(part, recording, timeline, holds, method, engine=engine)
     by_hold: dict[int, dict[str, DetectionResult]] = {hold.index: {} for hold in holds}
     for one in found:
         by_hold[one.capture][one.sensor] = one.detections
-    return timeline, cameras, [_make_capture(rig, hold, by_hold[hold.index]) for hold in holds]
-
-
-def _make_capture(rig: Rig, hold: Hold, found: Mapping[str, DetectionResult]) -> LiveCapture:
-    """A capture with all sensors of the rig in its order."""
-    return LiveCapture(hold, {name: found.get(name, Rejected(NO_INTRINSICS)) for name in rig.sensors})
+    return [
+        LiveCapture(hold, {name: by_hold[hold.index].get(name, Rejected(NO_INTRINSICS)) for name in rig.sensors})
+        for hold in holds
+    ]
 
 
 def _describe_phase(analysis: MessageAnalysis, taker: CaptureTaker) -> tuple[Phase, str]:
