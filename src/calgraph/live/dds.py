@@ -223,15 +223,10 @@ class DdsSource:
             raise InputError(
                 f"{address}: ROS 2 needs cyclonedds, which is not installed: pip install 'calgraph[ros2]'"
             ) from error
-        self._address, self._settings = address, settings
+        self.name, self._settings = address, settings
         self._domain, self._namespace = int(number), match[2] or ""
 
-    @property
-    def name(self) -> str:
-        """The address."""
-        return self._address
-
-    async def stream(self, topics: Collection[str]) -> AsyncIterator[LiveMessage | Notice]:
+    async def stream(self, topics: Collection[str]) -> AsyncIterator[LiveMessage | Notice | None]:
         """Messages of the topics wanted, and notices; see :meth:`Source.stream`. Never ends by itself.
 
         Raises:
@@ -287,6 +282,7 @@ class DdsSource:
                     next_notices = loop.time() + _WAIT
                     for notice in watch.take_notices(loop.time(), present):
                         yield notice
+                    yield None
         finally:
             stop.set()
             await asyncio.to_thread(thread.join)

@@ -2,6 +2,7 @@
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from math import ceil
 
 import numpy as np
 from numpy.typing import NDArray
@@ -174,9 +175,6 @@ def _remove_small_areas(cells: Cells, min_cells: float) -> Cells:
 
 
 def _thin(points: Array, width: float, limit: int) -> Array:
-    """At most ``limit`` of points (N, 2), one in each square of a width that grows until they are few enough."""
-    while True:
-        _, first = np.unique(np.round(points / width).astype(np.int64), axis=0, return_index=True)
-        if len(first) <= limit:
-            return np.asarray(points[np.sort(first)])
-        width *= 1.25
+    """At most ``limit`` of points (N, 2), evenly chosen from one in each square of a width."""
+    _, first = np.unique(np.round(points / width).astype(np.int64), axis=0, return_index=True)
+    return np.asarray(points[np.sort(first)[:: ceil(len(first) / limit) or 1]])

@@ -76,14 +76,9 @@ class FoxgloveSource:
             ) from error
         if any(one.isspace() for one in host):
             raise InputError(f"{address}: is no address (spaces): give ws://HOST:PORT or wss://HOST:PORT")
-        self._address, self._settings = address, settings
+        self.name, self._settings = address, settings
 
-    @property
-    def name(self) -> str:
-        """The address."""
-        return self._address
-
-    async def stream(self, topics: Collection[str]) -> AsyncIterator[LiveMessage | Notice]:
+    async def stream(self, topics: Collection[str]) -> AsyncIterator[LiveMessage | Notice | None]:
         """Messages of the topics wanted, and notices; see :meth:`Source.stream`. Never ends by itself."""
         from websockets.exceptions import ConnectionClosed, WebSocketException
 
@@ -111,6 +106,7 @@ class FoxgloveSource:
                             next_notices = now() + _TICK
                             for notice in client.take_notices(now()):
                                 yield notice
+                            yield None
             except ConnectionClosed as error:
                 if error.sent and error.sent.code in _REFUSALS:
                     yield Notice("refused", self._explain_refusal(error.sent.code), count=1)
@@ -123,7 +119,7 @@ class FoxgloveSource:
                     reason += ": no bridge listens at this port; start foxglove_bridge, or state its port"
             if reason != problem:
                 problem = reason
-                yield Notice("disconnected", clean_text(f"{self._address}: {reason}; trying again"))
+                yield Notice("disconnected", clean_text(f"{self.name}: {reason}; trying again"))
             await asyncio.sleep(delay)
             delay = min(2 * delay, _MAX_DELAY)
 
@@ -133,7 +129,7 @@ class FoxgloveSource:
 
         settings = self._settings
         return connect(
-            self._address,
+            self.name,
             subprotocols=[Subprotocol(name) for name in SUBPROTOCOLS],
             # Sensor data hardly shrink, and local networks are faster than compression.
             compression=None,
@@ -148,10 +144,10 @@ class FoxgloveSource:
 
     def _describe_connection(self, last_receipt: float | None) -> str:
         if last_receipt is None:
-            return f"connected to {self._address}"
+            return f"connected to {self.name}"
         begin, end = (time.strftime("%H:%M:%S", time.localtime(at)) for at in (last_receipt, time.time()))
         gap = time.time() - last_receipt
-        return f"connected to {self._address} again; nothing was received for {gap:.1f} s, from {begin} to {end}"
+        return f"connected to {self.name} again; nothing was received for {gap:.1f} s, from {begin} to {end}"
 
     def _explain_refusal(self, code: int) -> str:
         limit = self._settings.max_frame_bytes / 1e6

@@ -58,7 +58,7 @@ async def record_session(
                 if isinstance(item, Notice):
                     if item.kind != "missing" or item.topic in sensors:
                         session.note(item)
-                elif not await record(item):
+                elif item and not await record(item):
                     return
         with suppress(TimeoutError):
             await asyncio.wait_for(wait_until_idle(), max_wait)

@@ -233,13 +233,19 @@ class LiveDetectors:
         # As calibrate_rig draws them first of all.
         self.seeds = draw_seeds(rig, np.random.default_rng(RigOptions().seed))
         """Of the detectors' samples, by sensor."""
-        self.cameras: dict[str, CameraModel] = rig.camera_models()
-        """Intrinsics by camera, as far as they are known."""
+        self._stated = rig.camera_models()
+        self._infos: dict[str, CameraModel | None] = {}
+        """By topic, the intrinsics of its first message; None if it has none."""
         self._backgrounds: dict[str, Background | Rejected] = {}
-        self._preferred: dict[str, str] = {}
         self._topics = list_intrinsics_topics(rig)
         self._session, self._changes = uuid4().hex, 0
         """Which detectors these are, of all in this process, and how often their inputs have changed."""
+
+    @property
+    def cameras(self) -> dict[str, CameraModel]:
+        """Intrinsics by camera, as far as they are known."""
+        found = ((name, self._infos.get(topic)) for name, topics in self._topics.items() for topic in topics[::-1])
+        return self._stated | {name: camera for name, camera in found if camera}
 
     @property
     def intrinsics_topics(self) -> frozenset[str]:
@@ -252,23 +258,17 @@ class LiveDetectors:
         Raises:
             RecordingError: its content is unusable.
         """
-        wanted = [name for name in self.cameras_of(record.topic) if self._is_better(name, record.topic)]
-        if not wanted:
+        if record.topic in self._infos:
             return
-        self._preferred |= dict.fromkeys(wanted, record.topic)
+        self._infos[record.topic] = None
         message = record.decode()
         if isinstance(message, CameraInfo):
-            self.cameras |= dict.fromkeys(wanted, message.camera)
+            self._infos[record.topic] = message.camera
             self._changes += 1
 
     def cameras_of(self, topic: str) -> list[str]:
         """The cameras whose intrinsics a topic may have."""
         return [name for name, topics in self._topics.items() if topic in topics]
-
-    def _is_better(self, name: str, topic: str) -> bool:
-        topics = self._topics[name]
-        known = self._preferred.get(name)
-        return known is None or topics.index(topic) < topics.index(known)
 
     def set_background(self, name: str, background: Background | Rejected) -> None:
         """Takes what a scanner has learned, or why it has not."""

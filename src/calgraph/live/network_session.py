@@ -160,11 +160,6 @@ class NetworkSession(Session):
             scene=self._scene,
         )
 
-    @property
-    def minutes_left(self) -> float | None:
-        """Until all scanners with a pose are within tolerance; None if that is unknown."""
-        return self._forecast.minutes_left()
-
     def advance(self) -> None:
         """Calibrates if the process is free, the load allows it, and there is something new."""
         settings, begin = self.rig.settings.live.network, self.timeline.start

@@ -66,12 +66,8 @@ class AlignedSource:
     max_lead = math.inf
 
     def __init__(self, source: Source, settings: ConnectionSettings) -> None:
+        self.name = source.name
         self._source, self._settings = source, settings
-
-    @property
-    def name(self) -> str:
-        """The name of the source."""
-        return self._source.name
 
     async def stream(self, topics: Collection[str]) -> AsyncIterator[LiveMessage | Notice]:
         """Messages and notices of the source; see :meth:`Source.stream`. The first messages come delayed."""
@@ -85,11 +81,12 @@ class AlignedSource:
                 if isinstance(item, Notice):
                     yield item
                     continue
-                waiting.append(item)
-                if shift is None:
-                    end = min(end, now() + _ALIGNMENT_TIME)
-                    if (stamp := item.read_stamp()) is not None:
+                if item is not None:
+                    waiting.append(item)
+                    if shift is None and (stamp := item.read_stamp()) is not None:
                         offsets.setdefault(item.channel.topic, item.arrival - stamp)
+                if shift is None and waiting:
+                    end = min(end, now() + _ALIGNMENT_TIME)
                     if now() < end:
                         continue
                     end = math.inf

@@ -45,13 +45,9 @@ class ReplaySource:
                 f"`speed` {speed:g}: give 1 for real time, 5 for five times as fast, 0 to skip nothing"
             )
         self.max_lead = _MAX_LEAD if speed else 0.0
+        self.name = str(path)
         self._path, self._speed, self._limits = path, speed, limits
         self._start_after, self._but = start_after, but
-
-    @property
-    def name(self) -> str:
-        """The path of the recording."""
-        return str(self._path)
 
     async def stream(self, topics: Collection[str]) -> AsyncIterator[LiveMessage | Notice]:
         """The messages of the topics wanted; see :meth:`Source.stream`.
