@@ -22,7 +22,8 @@ class JobQueue:
 
     def __init__(self, executor: Executor, workers: int, post: Post, after: Callable[[], object]) -> None:
         self._executor, self._workers, self._post, self._after = executor, workers, post, after
-        self._running = 0
+        self.running = 0
+        """Number of calls under way."""
         self.closed = False
         """Whether results are discarded."""
         self.problem = ""
@@ -31,12 +32,7 @@ class JobQueue:
     @property
     def idle(self) -> bool:
         """Whether a process is free."""
-        return self._running < self._workers and not self.closed
-
-    @property
-    def running(self) -> int:
-        """Number of calls under way."""
-        return self._running
+        return self.running < self._workers and not self.closed
 
     def run(self, done: Callable[[Any], object], function: Callable[..., Any], *arguments: Any) -> None:
         """Starts a call.
@@ -51,11 +47,11 @@ class JobQueue:
         except RuntimeError as error:  # a process was killed, or the pool is shut down
             self._break(error)
             return
-        self._running += 1
+        self.running += 1
         future.add_done_callback(lambda one: self._post(lambda: self._finish(one, done)))
 
     def _finish(self, future: Future[Any], done: Callable[[Any], object]) -> None:
-        self._running -= 1
+        self.running -= 1
         if self.closed or future.cancelled():
             return
         error = future.exception()

@@ -1,8 +1,8 @@
 """A live session, from its first message until its recording is complete and calibrated."""
 
 import asyncio
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
-from contextlib import AbstractAsyncContextManager, aclosing, asynccontextmanager, contextmanager, suppress
+from collections.abc import Awaitable, Callable, Iterator
+from contextlib import AbstractAsyncContextManager, aclosing, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
@@ -195,10 +195,15 @@ async def _run(rig: Rig, source: Source, folder: SessionFolder, session: Session
     assert task
     handle_interrupt(lambda: loop.call_soon_threadsafe(task.cancel))
     async with serve_page(session, options.host, options.port, settings=rig.settings.live.page) as server:
-        async with _recording(rig, folder, session) as recorder:
-            session.show_recorder(lambda: recorder.state)
+        recorder = Recorder(folder.recording, rig.settings.live.recorder, rig.settings.limits)
+        session.show_recorder(lambda: recorder.state)
+        try:
             options.announce(server)
             await record_session(source, recorder.write, session)
+        finally:
+            session.close()
+            with suppress(RecordingError):  # its state has the error
+                await recorder.close()
         if recorder.state.problem:
             options.print_line(recorder.state.problem)
         if folder.last_arrival() < 0:
@@ -217,15 +222,3 @@ async def _run(rig: Rig, source: Source, folder: SessionFolder, session: Session
             with suppress(asyncio.CancelledError):
                 await asyncio.Event().wait()
     return end.exit_code
-
-
-@asynccontextmanager
-async def _recording(rig: Rig, folder: SessionFolder, session: Session) -> AsyncIterator[Recorder]:
-    """The recorder of a session; both are closed at the end."""
-    recorder = Recorder(folder.recording, rig.settings.live.recorder, rig.settings.limits)
-    try:
-        yield recorder
-    finally:
-        session.close()
-        with suppress(RecordingError):  # its state has the error
-            await recorder.close()

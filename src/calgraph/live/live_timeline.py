@@ -57,12 +57,6 @@ class GrowingTimes:
         pairs = list(zip(reversed(self.stamps), reversed(self.arrivals), strict=False))[:_RECENT]
         return median(stamp - arrival for stamp, arrival in pairs) + self.duration if pairs else None
 
-    def measure_period(self) -> None:
-        """Measures the period of the last messages."""
-        recent = self.stamps[-_RECENT:]
-        if len(recent) > 1:
-            self.period = median(b - a for a, b in pairwise(recent))
-
     def stamps_from(self, start: float) -> Array:
         """(N,) stamps of the measurements at ``start`` or later, s."""
         return np.array(self.stamps[bisect_left(self.stamps, start) :])
@@ -113,7 +107,8 @@ class LiveTimeline:
         times.arrivals.append(record.arrival)
         if len(times.arrivals) > 2 * _RECENT:
             del times.arrivals[:-_RECENT]
-        times.measure_period()
+        if len(times.stamps) > 1:
+            times.period = median(b - a for a, b in pairwise(times.stamps[-_RECENT:]))
         if not times.measured:
             message = record.decode()
             times.duration = getattr(message, "duration", 0.0)

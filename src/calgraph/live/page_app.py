@@ -3,8 +3,8 @@
 import asyncio
 import time
 from collections import Counter
-from collections.abc import AsyncIterator, Callable, Coroutine, Mapping
-from contextlib import asynccontextmanager, suppress
+from collections.abc import Callable, Coroutine, Mapping
+from contextlib import suppress
 from importlib.resources import files
 from pathlib import Path
 from typing import Literal, Protocol, get_args
@@ -118,18 +118,7 @@ class PageApp:
         )
         self.routes.router.redirect_slashes = False
 
-    @asynccontextmanager
-    async def following(self) -> AsyncIterator[None]:
-        """Follows the session's state in the background."""
-        task = asyncio.create_task(self._follow())
-        try:
-            yield
-        finally:
-            task.cancel()
-            with suppress(asyncio.CancelledError):
-                await task
-
-    async def _follow(self) -> None:
+    async def follow(self) -> None:
         """Encodes what is new in the state, and notes whether it has changed."""
         before: SessionState | None = None
         while True:

@@ -1,7 +1,7 @@
 """A recording as a live source: its messages at the pace at which they arrived, or faster."""
 
 import asyncio
-from collections.abc import AsyncIterator, Awaitable, Callable, Collection, Iterator
+from collections.abc import AsyncIterator, Collection, Iterator
 from pathlib import Path
 
 from rosbags.interfaces import MessageDefinitionFormat
@@ -63,30 +63,20 @@ class ReplaySource:
             for topic in topics:
                 if topic not in present:
                     yield Notice("missing", f"{self._path}: {explain_missing_topic(topic, present)}", topic)
-            wait = self._start_pacing()
+            now = asyncio.get_running_loop().time
+            first: tuple[float, int] | None = None
             after = self._start_after if self._but is None else self._start_after - 1
             for item in list_messages(recording, set(topics).intersection(present), after):
                 if isinstance(item, LiveMessage):
                     if item.arrival == self._start_after and item.channel.topic in (self._but or ()):
                         continue
-                    await wait(item.arrival)
+                    began, first_arrival = first = first or (now(), item.arrival)
+                    elapsed = (item.arrival - first_arrival) / 1e9
+                    delay = began + elapsed / self._speed - now() if self._speed else 0.0
+                    # Where nothing is to be waited for, other tasks of the loop have their turn.
+                    await asyncio.sleep(max(0.0, delay))
                 yield item
             yield Notice("ended", f"the recording {self._path} is at its end")
-
-    def _start_pacing(self) -> Callable[[int], Awaitable[None]]:
-        """A function that waits until messages of an arrival (ns) are to be given; the first are now."""
-        now = asyncio.get_running_loop().time
-        first: list[tuple[float, int]] = []
-
-        async def wait(arrival: int) -> None:
-            if not first:
-                first.append((now(), arrival))
-            began, first_arrival = first[0]
-            delay = began + (arrival - first_arrival) / 1e9 / self._speed - now() if self._speed else 0.0
-            # Where nothing is to be waited for, other tasks of the loop have their turn.
-            await asyncio.sleep(max(0.0, delay))
-
-        return wait
 
 
 def list_messages(recording: Recording, topics: Collection[str], after: int) -> Iterator[LiveMessage | Notice]:

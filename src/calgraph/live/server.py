@@ -90,13 +90,13 @@ async def serve_page(
     )
     # Signals are the program's.
     server.capture_signals = nullcontext  # type: ignore[assignment, method-assign]
-    async with app.following():
-        serving = asyncio.create_task(server.serve([listening]))
-        try:
-            yield PageServer(host, port, token, refusals, lambda: app.opened)
-        finally:
-            server.should_exit = True
-            await serving
+    serving, following = asyncio.create_task(server.serve([listening])), asyncio.create_task(app.follow())
+    try:
+        yield PageServer(host, port, token, refusals, lambda: app.opened)
+    finally:
+        server.should_exit = True
+        following.cancel()
+        await asyncio.wait([serving, following])
 
 
 def _listen(host: str, port: int, settings: PageSettings) -> socket.socket:
