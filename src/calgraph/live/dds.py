@@ -250,10 +250,11 @@ class DdsSource:
         readers = await asyncio.to_thread(DdsReaders, topics, self._domain, self._namespace)
         stop = threading.Event()
 
-        def post(event: Event) -> None:
-            loop.call_soon_threadsafe(receive, event)
-
-        thread = threading.Thread(target=_read, args=(readers, post, stop), daemon=True)
+        thread = threading.Thread(
+            target=_read,
+            args=(readers, lambda event: loop.call_soon_threadsafe(receive, event), stop),
+            daemon=True,
+        )
         where = f"in domain {self._domain} of ROS 2"
         watch = TopicWatch(topics, settings, loop.time(), lambda topic: f"{topic}: nothing publishes it {where}")
         present: set[str] = set()
@@ -288,7 +289,7 @@ class DdsSource:
             await asyncio.to_thread(thread.join)
 
 
-def _read(readers: DdsReaders, post: Callable[[Event], None], stop: threading.Event) -> None:
+def _read(readers: DdsReaders, post: Callable[[Event], object], stop: threading.Event) -> None:
     """Reads until it is to stop; the function of a thread."""
     try:
         while not stop.is_set():

@@ -12,8 +12,9 @@ from typing import Literal, Protocol, get_args
 import numpy as np
 from pydantic_core import to_json
 from starlette.applications import Starlette
+from starlette.exceptions import HTTPException
 from starlette.requests import Request
-from starlette.responses import FileResponse, PlainTextResponse, Response
+from starlette.responses import FileResponse, Response
 from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
@@ -136,12 +137,14 @@ class PageApp:
 
     async def _answer_picture(self, request: Request) -> Response:
         picture = self._view.picture(request.query_params.get("sensor", ""))
-        return _not_found() if picture is None else Response(picture, media_type="image/jpeg")
+        if picture is None:
+            raise HTTPException(404)
+        return Response(picture, media_type="image/jpeg")
 
     async def _answer_report(self, _: Request) -> Response:
         report = self._view.report()
         if report is None:
-            return _not_found()
+            raise HTTPException(404)
         return FileResponse(report, media_type="text/html", headers={"Content-Security-Policy": _REPORT_POLICY})
 
     async def _serve_page(self, socket: WebSocket) -> None:
@@ -224,7 +227,3 @@ def _answer_with(content: bytes, name: str) -> Callable[[Request], Coroutine[Non
         return Response(content, media_type=MEDIA_TYPES[name.rpartition(".")[2]])
 
     return answer
-
-
-def _not_found() -> Response:
-    return PlainTextResponse("not there\n", 404)

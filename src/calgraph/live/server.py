@@ -66,7 +66,8 @@ async def serve_page(
     listening = _listen(host, port, settings)
     address, port, *_ = listening.getsockname()
     refusals = Refusals()
-    token = None if is_loopback(address) else make_token()
+    is_local = ipaddress.ip_address(address.partition("%")[0]).is_loopback
+    token = None if is_local else secrets.token_urlsafe(_TOKEN_BYTES)
     app = PageApp(view, settings, refusals)
     check = AccessCheck(app.routes, token, _list_names(host), f"calgraph-{port}", refusals)
     server = uvicorn.Server(
@@ -187,16 +188,6 @@ _DOCUMENT = (
     "</html>\n"
 )
 _OLD_LINK = "This link is not valid any more: open the one that calgraph live shows now."
-
-
-def make_token() -> str:
-    """A random token for the link."""
-    return secrets.token_urlsafe(_TOKEN_BYTES)
-
-
-def is_loopback(address: str) -> bool:
-    """Whether only this machine reaches an address."""
-    return ipaddress.ip_address(address.partition("%")[0]).is_loopback
 
 
 class AccessCheck:
