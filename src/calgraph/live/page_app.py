@@ -120,19 +120,13 @@ class PageApp:
         self.routes.router.redirect_slashes = False
 
     async def follow(self) -> None:
-        """Encodes what is new in the state, and notes whether it has changed."""
-        before: SessionState | None = None
+        """Encodes the state again and again, and notes whether it has changed."""
         while True:
-            state = self._view.state()
-            new = [
-                name for name, value in vars(state).items() if before is None or value is not vars(before)[name]
-            ]
-            fields = {**self._fields, **{name: _encode(vars(state)[name]) for name in new}}
+            fields = {name: _encode(value) for name, value in vars(self._view.state()).items()}
             if fields != self._fields:
                 self._fields = fields
                 self._changed.set()
                 self._changed = asyncio.Event()
-            before = state
             await asyncio.sleep(1 / _RATE)
 
     async def _answer_picture(self, request: Request) -> Response:
