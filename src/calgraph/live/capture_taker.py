@@ -167,7 +167,7 @@ class CaptureTaker:
                 self._announce(f"No capture: {self._explain_missing(results)}", taken=False)
             return
         if not search.requested:
-            same = find_same_pose(results, self.captures, self._rig, self._settings)
+            same = find_same_pose(results, self.captures, self._settings)
             if same is not None:
                 # A board that is held longer than a capture takes is no event.
                 if same != len(self.captures) - 1:
