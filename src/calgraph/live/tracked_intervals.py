@@ -251,32 +251,17 @@ def select_intervals(
         start: of the recording, s.
         max_positions: maximum number of all together; one interval always stays.
     """
-    kept = list(intervals)
     sharing = {row.sensor for row in rows if row.used}
     counted = [row for row in rows if row.used or row.sensor not in sharing]
-    seconds = {
-        interval: _sum_by_scanner(counted, interval.start - start, interval.end - start) for interval in kept
-    }
-    while len(kept) > 1 and sum(interval.positions for interval in kept) > max_positions:
-        total: dict[str, float] = {}
-        for interval in kept:
-            for name, duration in seconds[interval].items():
-                total[name] = total.get(name, 0.0) + duration
-        kept.remove(
-            min(
-                kept,
-                key=lambda one: (
-                    sum(duration / max(total[name], 1e-9) for name, duration in seconds[one].items())
-                    / max(one.positions, 1)
-                ),
-            )
-        )
-    return tuple(kept)
-
-
-def _sum_by_scanner(rows: Sequence[CaptureRow], start: float, end: float) -> dict[str, float]:
-    """Duration of the tracks within an interval, s, by scanner."""
-    sums: dict[str, float] = {}
-    for row in rows:
-        sums[row.sensor] = sums.get(row.sensor, 0.0) + max(min(row.end, end) - max(row.start, start), 0.0)
-    return sums
+    names = sorted({row.sensor for row in counted})
+    seconds = np.zeros((len(intervals), len(names)))
+    for k, interval in enumerate(intervals):
+        for row in counted:
+            overlap = min(row.end, interval.end - start) - max(row.start, interval.start - start)
+            seconds[k, names.index(row.sensor)] += max(overlap, 0.0)
+    positions = np.array([interval.positions for interval in intervals])
+    kept = list(range(len(intervals)))
+    while len(kept) > 1 and np.sum(positions[kept]) > max_positions:
+        shares = seconds[kept] / np.maximum(np.sum(seconds[kept], axis=0), 1e-9)
+        kept.pop(int(np.argmin(np.sum(shares, axis=1) / np.maximum(positions[kept], 1))))
+    return tuple(intervals[k] for k in kept)
