@@ -67,22 +67,23 @@ class MessageAnalysis:
         self._last_queued: dict[str, float] = {}
 
     @property
+    def _background(self) -> tuple[float, float]:
+        """Arrivals between which the views must be free of board and operator, s."""
+        begin, window = self.timeline.start or 0.0, self._rig.capture.background or (0.0, 0.0)
+        return begin + window[0], begin + window[1]
+
+    @property
     def background_left(self) -> float:
         """Time until the views need no longer be free of board and operator, s; 0 afterwards."""
-        window = self._rig.capture.background
-        if window is None:
-            return 0.0
-        begin = self.timeline.start
-        return window[1] if begin is None else max(begin + window[1] - self.timeline.latest_arrival, 0.0)
+        return max(self._background[1] - self.timeline.latest_arrival, 0.0)
 
     @property
     def lag(self) -> float:
         """Time by which motion and rooms that other processes compute are behind the messages, s."""
         oldest = (sensor.oldest_unmeasured for sensor in self.sensors.values())
         due = [arrival for arrival in oldest if arrival is not None]
-        window, begin = self._rig.capture.background, self.timeline.start
-        if window and begin is not None and not all(map(self.detectors.is_ready, self._learning)):
-            due.append(begin + window[1])
+        if not all(map(self.detectors.is_ready, self._learning)):
+            due.append(self._background[1])
         return max(self.timeline.latest_arrival - min(due), 0.0) if due else 0.0
 
     def feed(self, message: LiveMessage, *, is_past: bool = False) -> None:
@@ -117,8 +118,13 @@ class MessageAnalysis:
         """Has a message analysed: drawn, measured, and the room learned from it."""
         sensor = self.sensors[name]
         sensor.latest = record
-        if self._is_of_background(record) and KINDS[self._rig.sensors[name].kind].measures_ranges:
-            self._keep_background(name, record)
+        has_enough = len(sensor.background) >= self._rig.settings.captures.max_background_messages
+        if (
+            KINDS[self._rig.sensors[name].kind].measures_ranges
+            and self._is_of_background(record)
+            and not has_enough
+        ):
+            sensor.background.append(record)
         slow = self.timeline.sensors[name].period > MAX_MOTION_PERIOD
         if slow and len(self.timeline.sensors[name].stamps) > 1:
             return
@@ -129,25 +135,16 @@ class MessageAnalysis:
             while len(sensor.waiting) > _MAX_WAITING:
                 sensor.waiting.popleft()
 
-    def _keep_background(self, name: str, record: RecordedMessage) -> None:
-        """Keeps a message that a scanner learns the room from, if it needs more."""
-        kept = self.sensors[name].background
-        if len(kept) < self._rig.settings.captures.max_background_messages:
-            kept.append(record)
-
     def _is_of_background(self, record: RecordedMessage) -> bool:
-        window, begin = self._rig.capture.background, self.timeline.start
-        if window is None or begin is None:
-            return False
-        return begin + window[0] <= record.arrival <= begin + window[1]
+        begin, end = self._background
+        return begin <= record.arrival <= end
 
     def start_job(self, queue: JobQueue) -> bool:
         """Starts what is most urgent of what is to be computed; whether there was anything."""
         return self._learn_background(queue) or self._measure_changes(queue) or self._draw(queue)
 
     def _learn_background(self, queue: JobQueue) -> bool:
-        window, begin = self._rig.capture.background, self.timeline.start
-        if window is None or begin is None or self.timeline.latest_arrival <= begin + window[1]:
+        if self.timeline.latest_arrival <= self._background[1]:
             return False
         for name, spec in self._rig.sensors.items():
             if isinstance(spec, CameraSpec) or name in self._learning or self.detectors.is_ready(name):
@@ -336,15 +333,10 @@ class SensorActivity:
             self.pictures += 1
             self.sharpness.append(self.view.sharpness)
 
-    @property
-    def is_blurred(self) -> bool:
-        """Whether the last image is blurred, compared with those of late."""
-        if not self.sharpness:
-            return False
-        return self.sharpness[-1] < _SHARPNESS_RATIO * float(np.median(list(self.sharpness)))
-
     def explain_view(self) -> str:
         """Why the sensor does not detect the board now; empty if it does, or if that is not known."""
         if self.view is None or self.view.sees_board is not False:
             return ""
-        return "blurred" if self.is_blurred else explain_rejection(self.view.reason)
+        # Compared with the images of late.
+        is_blurred = self.sharpness[-1] < _SHARPNESS_RATIO * float(np.median(list(self.sharpness)))
+        return "blurred" if is_blurred else explain_rejection(self.view.reason)
