@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from concurrent.futures import Executor, Future
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -241,6 +242,14 @@ def test_an_error_is_stated_and_the_next_solution_follows(fed: Fed) -> None:
     fed.feed(5)
     fed.pool.finish(solution(14.0))
     assert "no memory" not in fed.session.state().headline
+
+
+def test_only_recording_goes_on_where_the_process_was_killed(fed: Fed) -> None:
+    fed.feed(9)
+    fed.pool.finish(BrokenProcessPool("a process was terminated abruptly"))
+    fed.feed(30)
+    assert len(fed.pool.calls) == 1
+    assert fed.session.state().headline.startswith("Only recording goes on: a process was killed")
 
 
 def test_results_are_ignored_after_the_end(fed: Fed) -> None:
