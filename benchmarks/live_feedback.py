@@ -14,8 +14,9 @@ import numpy as np
 
 from calgraph.config import Rig, load_rig
 from calgraph.live.replay import ReplaySource
-from calgraph.live.rig_session import RigSession, SessionPools, count_analysis_processes
+from calgraph.live.rig_session import RigSession, count_analysis_processes
 from calgraph.live.rig_solution import solve_captures
+from calgraph.live.session import SessionPools
 from calgraph.live.source import LiveMessage
 from calgraph.parallel.processes import worker_pool
 from calgraph.simulation import load_truth

@@ -10,7 +10,7 @@ def collect(source: Source, topics: Collection[str]) -> list[LiveMessage | Notic
     """All that a source gives until it ends."""
 
     async def run() -> list[LiveMessage | Notice]:
-        return [one async for one in source.stream(topics)]
+        return [one async for one in source.stream(topics) if one is not None]
 
     return asyncio.run(run())
 

@@ -73,7 +73,8 @@ async def until(
     stream = source.stream(topics)
     async with asyncio.timeout(60):
         async for one in stream:
-            given.append(one)
+            if one is not None:
+                given.append(one)
             if enough(given):
                 break
     await stream.aclose()  # type: ignore[attr-defined]  # an async generator

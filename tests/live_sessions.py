@@ -6,8 +6,10 @@ from concurrent.futures import Executor, Future
 from typing import Any
 
 from calgraph.config import Rig
-from calgraph.live.rig_session import RigSession, SessionPools, Solve
+from calgraph.live.rig_session import RigSession, Solve
+from calgraph.live.session import Session, SessionPools
 from calgraph.live.source import LiveMessage, make_message
+from calgraph.live.state import Action, SessionState
 from calgraph.recording import Recording
 from calgraph.sensors import Message
 
@@ -22,6 +24,28 @@ class ImmediateExecutor(Executor):
         except Exception as error:
             future.set_exception(error)
         return future
+
+
+class GivenSession(Session):
+    """A session of a state that it is given; it computes nothing, and keeps what the operator wants."""
+
+    def __init__(self, rig: Rig, state: SessionState, print_line: Callable[[str], object]) -> None:
+        pools = SessionPools(ImmediateExecutor(), 1, ImmediateExecutor(), lambda function: function())
+        super().__init__(rig, "given", pools, print_line)
+        self.given = state
+        self.actions: list[Action] = []
+
+    def describe(self) -> SessionState:
+        return self.given
+
+    def act(self, action: Action) -> None:
+        self.actions.append(action)
+
+    def feed(self, message: LiveMessage) -> None:
+        """Nothing is computed."""
+
+    def advance(self) -> None:
+        """Nothing is computed."""
 
 
 def make_live_message(topic: str, message: Message, arrival: float) -> LiveMessage:

@@ -87,8 +87,7 @@ def test_of_two_sensors_the_one_nearer_to_the_arrivals_decides() -> None:
     assert arrivals(GivenSource(first, [scan("/b", 0.2, NOW + 1)])) == [NOW, NOW, NOW + 1]
 
 
-def test_messages_without_header_get_the_same_difference_in_their_order(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("calgraph.live.open_source._ALIGNMENT_TIME", 0)
+def test_messages_without_header_get_the_same_difference_in_their_order() -> None:
     trigger = make_live_message("/trigger", Trigger(NOW), NOW)
     source = AlignedSource(GivenSource([trigger, scan("/scan", 50.0)]), ConnectionSettings())
     given = messages(collect(source, ["/scan", "/trigger"]))

@@ -108,7 +108,11 @@ def test_an_interval_used_up_to_its_bump_is_dropped_once_there_are_later_ones() 
 
 
 def intervals(*positions: int) -> list[TrackedInterval]:
-    return [TrackedInterval(100.0 + 10 * k, 110.0 + 10 * k, count) for k, count in enumerate(positions)]
+    def make(k: int, count: int) -> TrackedInterval:
+        one = Track(np.arange(count) / 10, np.zeros((count, 2)), np.zeros((count, 2)), np.zeros((count, 2, 2)), 0)
+        return TrackedInterval(100.0 + 10 * k, 110.0 + 10 * k, {"a": replace(tracked(0, 10), tracks=(one,))})
+
+    return [make(k, count) for k, count in enumerate(positions)]
 
 
 def row(sensor: str, start: float, end: float, *, used: bool = True) -> CaptureRow:

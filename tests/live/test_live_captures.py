@@ -53,7 +53,7 @@ def make_capture(**detections: DetectionResult) -> LiveCapture:
 
 
 def find(now: Mapping[str, DetectionResult], *earlier: LiveCapture) -> int | None:
-    return find_same_pose(make_capture(**now).detections, earlier, RIG, SETTINGS)
+    return find_same_pose(make_capture(**now).detections, earlier, SETTINGS)
 
 
 AHEAD = np.array([2.0, 0, 0])

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from concurrent.futures import Executor, Future
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,8 +14,8 @@ from calgraph.config import Rig
 from calgraph.live.floor_grid import FloorGrid
 from calgraph.live.network_session import NetworkSession
 from calgraph.live.network_solution import LiveNetworkSolution
-from calgraph.live.rig_session import SessionPools
 from calgraph.live.sensor_solution import SensorSolution
+from calgraph.live.session import SessionPools
 from calgraph.live.source import LiveMessage
 from calgraph.sensors import LaserScan
 from live_sessions import make_live_message
@@ -128,13 +129,13 @@ def test_nothing_is_computed_without_new_messages(fed: Fed) -> None:
 
 def test_the_last_solution_is_given_to_the_next(fed: Fed) -> None:
     fed.feed(9)
-    assert fed.pool.calls[0][2][3] is None
+    assert fed.pool.calls[0][2][2] is None
     fed.pool.finish(None)
     fed.feed(5)
     found = solution(14.0)
     fed.pool.finish(found)
     fed.feed(5)
-    assert fed.pool.calls[-1][2][3] is found
+    assert fed.pool.calls[-1][2][2] is found
 
 
 def test_poses_within_tolerance_are_printed_once(fed: Fed) -> None:
@@ -243,11 +244,16 @@ def test_an_error_is_stated_and_the_next_solution_follows(fed: Fed) -> None:
     assert "no memory" not in fed.session.state().headline
 
 
-def test_results_are_ignored_and_files_removed_after_the_end(fed: Fed) -> None:
+def test_only_recording_goes_on_where_the_process_was_killed(fed: Fed) -> None:
     fed.feed(9)
-    folder: Path = fed.pool.calls[0][2][2]
-    assert folder.is_dir()
+    fed.pool.finish(BrokenProcessPool("a process was terminated abruptly"))
+    fed.feed(30)
+    assert len(fed.pool.calls) == 1
+    assert fed.session.state().headline.startswith("Only recording goes on: a process was killed")
+
+
+def test_results_are_ignored_after_the_end(fed: Fed) -> None:
+    fed.feed(9)
     fed.session.close()
     fed.pool.finish(solution(9.0))
     assert fed.session.solution is None
-    assert not folder.exists()

@@ -1,17 +1,16 @@
 """The loop of a live session: what is recorded before what is fed, and what ends it."""
 
 import asyncio
-from collections import deque
 from collections.abc import AsyncIterator, Collection, Sequence
 
 import pytest
 
 from calgraph.config import Rig
 from calgraph.errors import InputError, RecordingError
-from calgraph.live.live_session import OperatorView, record_session
+from calgraph.live.live_session import record_session
 from calgraph.live.source import Channel, LiveMessage, Notice
 from calgraph.live.state import SessionState
-from live_pages import GivenSession
+from live_sessions import GivenSession
 
 RIG = Rig.model_validate(
     {
@@ -60,7 +59,7 @@ class GivenSource:
             self.closed = True
 
 
-class Loop:
+class Loop(GivenSession):
     """A session, a recorder and a source in the loop; ``log`` has what happened in its order."""
 
     def __init__(
@@ -72,11 +71,10 @@ class Loop:
         max_lead: float = float("inf"),
     ) -> None:
         self.log: list[str] = []
+        super().__init__(RIG, SessionState("rig", "ready", "", "given"), self.log.append)
         self.source = GivenSource(*items)
         self.source.max_lead = max_lead
-        self.triggers: deque[LiveMessage] = deque()
         self.trigger_after: int | None = None
-        self.view = OperatorView(GivenSession(SessionState("rig", "ready", "", "given")), self.log.append)
         self._disk, self._busy, self.lags = disk, busy, list(lags)
 
     @property
@@ -85,7 +83,7 @@ class Loop:
         return self._busy >= 0
 
     @property
-    def lag(self) -> float:
+    def lag(self) -> float:  # type: ignore[override]
         return self.lags.pop(0) if self.lags else 0.0
 
     async def write(self, one: LiveMessage) -> None:
@@ -98,18 +96,10 @@ class Loop:
         if one.arrival == self.trigger_after:
             self.triggers.append(message(one.arrival, "/trigger"))
         if one.arrival == 99:
-            self.view.command("finish")
-
-    def __getattr__(self, name: str) -> object:
-        return getattr(self.view, name)
+            self.command("finish")
 
     def run(self) -> None:
-        asyncio.run(
-            asyncio.wait_for(
-                record_session(self.source, RIG, self.write, self, self.view),  # type: ignore[arg-type]
-                30.0,
-            )
-        )
+        asyncio.run(asyncio.wait_for(record_session(self.source, self.write, self), 30.0))
 
 
 def test_each_message_is_recorded_before_the_session_has_it() -> None:

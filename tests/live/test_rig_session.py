@@ -13,10 +13,11 @@ import numpy as np
 import pytest
 
 from calgraph.config import Capture, Rig
-from calgraph.live.rig_session import RigSession, SessionPools, count_analysis_processes
+from calgraph.live.rig_session import RigSession, count_analysis_processes
 from calgraph.live.rig_solution import LiveSolution
 from calgraph.live.sensor_solution import SensorSolution
-from calgraph.live.source import LiveMessage
+from calgraph.live.session import SessionPools
+from calgraph.live.source import LiveMessage, make_message
 from calgraph.live.state import SceneState
 from calgraph.parallel.processes import worker_pool
 from calgraph.rig.capture_collection import collect_captures
@@ -156,6 +157,28 @@ def test_an_interrupted_session_continues_with_its_captures(
         second.feed(message)
     assert_equal_captures(second.captures(), session[0].captures())
     assert len(later) == 1
+
+
+def test_a_session_of_a_sensor_with_another_clock_continues_with_its_captures(
+    walk: tuple[Rig, list[LiveMessage], GroundTruth],
+) -> None:
+    rig, messages, _ = walk
+    name, spec = next((name, spec) for name, spec in rig.sensors.items() if spec.kind == "lidar2d")
+    rig = rig.model_copy(update={"sensors": {**rig.sensors, name: spec.model_copy(update={"clock_offset": 3.0})}})
+
+    def be_early(message: LiveMessage) -> LiveMessage:
+        if message.channel.topic != spec.topic:
+            return message
+        scan = message.read("walk", rig.settings.limits).decode()
+        return make_message(spec.topic, replace(scan, stamp=scan.stamp + 3.0), message.arrival)
+
+    messages = [be_early(message) for message in messages]
+    first, triggers = start_session(rig)
+    rest = feed_until(first, messages, 4.5)
+    assert first.state().captures == 1
+    second, _ = start_session(rig)
+    second.rebuild(record([*messages[: len(messages) - len(rest)], *triggers], rig))
+    assert_equal_captures(second.captures(), first.captures())
 
 
 def test_a_resumed_session_measures_noise_in_the_recorded_background(

@@ -4,6 +4,7 @@ import asyncio
 import signal
 import subprocess
 import sys
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -57,7 +58,7 @@ def record_trigger(folder: SessionFolder) -> None:
 
 def test_the_rig_of_the_session_is_written_completely(tmp_path: Path) -> None:
     file, rig = write_rig(tmp_path)
-    with create_session(tmp_path / "new" / "session", file, rig, "ws://robot:8765") as folder:
+    with closing(create_session(tmp_path / "new" / "session", file, rig, "ws://robot:8765")) as folder:
         assert load_rig(folder.rig_file) == rig
         assert folder.recording.parent == folder.result.parent == folder.path
         assert str(file) in folder.rig_file.read_text(encoding="utf-8")
@@ -67,30 +68,30 @@ def test_settings_of_the_command_line_are_those_of_the_session(tmp_path: Path) -
     file, rig = write_rig(tmp_path)
     captures = rig.settings.captures.model_copy(update={"min_hold": 2.3})
     changed = rig.model_copy(update={"settings": rig.settings.model_copy(update={"captures": captures})})
-    with create_session(tmp_path / "session", file, changed, "ros2:") as folder:
+    with closing(create_session(tmp_path / "session", file, changed, "ros2:")) as folder:
         assert load_rig(folder.rig_file) == changed
 
 
 def test_a_resumed_session_knows_its_source_and_rig(session: Path) -> None:
-    with resume_session(session) as folder:
+    with closing(resume_session(session)) as folder:
         assert folder.source == "ws://robot:8765"
         assert load_rig(folder.rig_file).settings.captures.min_hold == 1.7
 
 
 def test_a_discarded_capture_is_left_out_when_the_session_is_calibrated(session: Path) -> None:
     window = (40.1 + 0.2, 43.000000000000014)
-    with resume_session(session) as folder:
+    with closing(resume_session(session)) as folder:
         before = load_rig(folder.rig_file)
         folder.exclude(window)
         folder.exclude((50.0, 51.0))
-    with resume_session(session) as folder:
+    with closing(resume_session(session)) as folder:
         rig = load_rig(folder.rig_file)
     assert rig.capture.exclude == ((31.0, 34.5), window, (50.0, 51.0))
     assert rig.model_copy(update={"capture": before.capture}) == before
 
 
 def test_the_last_arrival_is_exact(session: Path) -> None:
-    with resume_session(session) as folder:
+    with closing(resume_session(session)) as folder:
         assert folder.last_arrival() == -1
         record_trigger(folder)
         assert folder.last_arrival() == LAST
@@ -98,7 +99,7 @@ def test_the_last_arrival_is_exact(session: Path) -> None:
 
 def test_the_last_message_of_the_source_is_found_behind_a_trigger(session: Path) -> None:
     """Triggers have the arrival of the message before, which is not exact."""
-    with resume_session(session) as folder:
+    with closing(resume_session(session)) as folder:
         assert folder.find_last() == (-1, frozenset())
 
         async def run() -> None:
@@ -116,7 +117,7 @@ def test_the_last_message_of_the_source_is_found_behind_a_trigger(session: Path)
 
 
 def test_a_session_is_not_overwritten(session: Path) -> None:
-    with resume_session(session) as folder:
+    with closing(resume_session(session)) as folder:
         record_trigger(folder)
     before = {file.name: file.read_bytes() for file in session.rglob("*") if file.is_file()}
     with pytest.raises(InputError, match=r"continue it with `resume` .*a session"):
@@ -126,7 +127,7 @@ def test_a_session_is_not_overwritten(session: Path) -> None:
 
 def test_a_session_that_has_recorded_nothing_is_begun_again(session: Path) -> None:
     (session / "recording").mkdir()
-    with create_session(session, *write_rig(session.parent), "ros2:") as folder:
+    with closing(create_session(session, *write_rig(session.parent), "ros2:")) as folder:
         assert folder.source == "ros2:"
     (session / "notes.txt").touch()
     with pytest.raises(InputError, match="is the folder of a live session"):
@@ -137,7 +138,7 @@ def test_a_session_that_has_recorded_nothing_is_begun_again(session: Path) -> No
 def test_a_session_that_was_killed_before_its_first_message_goes_on(session: Path, content: bytes) -> None:
     (session / "recording").mkdir()
     (session / "recording" / "recording_0.mcap.part").write_bytes(content)
-    with resume_session(session) as folder:
+    with closing(resume_session(session)) as folder:
         assert folder.last_arrival() == -1
         record_trigger(folder)
         assert folder.last_arrival() == LAST

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from calgraph.boards.detections import Detection, PlanePatch, Segment
+from calgraph.errors import InputError, Rejected
 from calgraph.live import view_pictures
 from calgraph.live.message_analysis import SensorActivity
 from calgraph.live.view_pictures import SensorView, find_reduction, make_view
@@ -69,9 +70,11 @@ def test_the_board_of_a_scanner_is_drawn_in_green(
 
 
 def test_an_unusable_message_has_no_picture() -> None:
-    view = make_view(lambda: LaserScan(0.0, "", np.zeros(1), np.array([-1.0])), None, None, (), 1)
-    assert (view.picture, view.sees_board) == (b"", None)
-    assert "negative" in view.reason or "-1" in view.reason
+    with pytest.raises(InputError, match=r"negative|-1"):
+        make_view(lambda: LaserScan(0.0, "", np.zeros(1), np.array([-1.0])), None, None, (), 1)
+    activity = SensorActivity()
+    activity.set_view(Rejected("a range is negative"))
+    assert (activity.pictures, activity.explain_view()) == (0, "")
 
 
 def test_an_image_is_blurred_if_it_is_less_sharp_than_those_before() -> None:

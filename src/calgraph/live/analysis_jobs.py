@@ -9,7 +9,7 @@ import numpy as np
 
 from calgraph.boards.detections import DetectionResult
 from calgraph.config import CameraSpec, Rig
-from calgraph.errors import CalgraphError, InputError, Rejected
+from calgraph.errors import CalgraphError, Rejected
 from calgraph.rig.captures.detectors import learn_background, make_detectors
 from calgraph.rig.captures.motion_detection import ActivityMeter, Signed
 from calgraph.rig.captures.sensor_detection import detect_in_hold
@@ -32,34 +32,26 @@ class UnprojectedBoard(Rejected):
     """Where its corners were detected."""
 
 
-@dataclass(frozen=True, eq=False)
-class MeasuredChanges:
-    """The changes of consecutive messages of one sensor."""
+def measure_changes(
+    previous: Signed | None, decoders: Sequence[Decoder]
+) -> tuple[list[float | Rejected], Signed | None]:
+    """Measures the changes of consecutive messages, compared with ``previous`` and one another.
 
-    changes: tuple[float | None, ...]
-    """0..1 of each; None of those whose content is unusable."""
-    last: Signed | None
-    """What the next message is to be compared with."""
-    problem: str = ""
-    """Why the content of the last of those is unusable."""
-
-
-def measure_changes(previous: Signed | None, decoders: Sequence[Decoder]) -> MeasuredChanges:
-    """Measures the changes of messages, compared with ``previous`` and one another."""
+    Returns:
+        The change of each, 0..1, or why its content is unusable; and what the next message is to be compared with.
+    """
     meter = ActivityMeter(0.0, [previous] if previous else [])
-    changes: list[float | None] = []
-    problem = ""
+    changes: list[float | Rejected] = []
     for decode in decoders:
         try:
             changes.append(float(np.nan_to_num(meter.measure_change(decode()))))
         except CalgraphError as error:
-            changes.append(None)
-            problem = str(error)
-    return MeasuredChanges(tuple(changes), meter.recent[-1] if meter.recent else None, problem)
+            changes.append(Rejected(str(error)))
+    return changes, meter.recent[-1] if meter.recent else None
 
 
-def learn_live_background(rig: Rig, name: str, decoders: Sequence[Decoder]) -> Background | Rejected:
-    """Learns what a scanner measures without target and operator; see :func:`learn_backgrounds`.
+def learn_live_background(rig: Rig, name: str, decoders: Sequence[Decoder]) -> Background:
+    """Learns what a scanner measures without target and operator; see :func:`learn_background`.
 
     Messages whose content is unusable are left out.
     """
@@ -67,10 +59,7 @@ def learn_live_background(rig: Rig, name: str, decoders: Sequence[Decoder]) -> B
     for decode in decoders:
         with suppress(CalgraphError):
             messages.append(decode())
-    try:
-        return learn_background(messages, rig.sensors[name].kind, rig.settings.detection)
-    except InputError as error:
-        return Rejected(str(error))
+    return learn_background(messages, rig.sensors[name].kind, rig.settings.detection)
 
 
 @dataclass(frozen=True)

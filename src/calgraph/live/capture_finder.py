@@ -9,7 +9,7 @@ from calgraph.live.live_timeline import LiveTimeline
 from calgraph.live.message_ring import MessageRing
 from calgraph.live.motion import Rest, RestMonitor
 from calgraph.live.state import Phase
-from calgraph.rig.captures.holds import Hold, find_holds, limit_messages
+from calgraph.rig.captures.holds import Hold, find_holds
 from calgraph.rig.captures.timeline import MAX_MOTION_PERIOD
 from calgraph.rig.captures.validate_recording import is_message_of_kind
 
@@ -65,8 +65,8 @@ class CaptureFinder:
 
     def fast_sensors(self) -> list[str]:
         """Those whose messages show motion."""
-        limit = MAX_MOTION_PERIOD
-        return [name for name in self._rig.sensors if self._timeline.sensors[name].period <= limit]
+        periods = {name: self._timeline.sensors[name].period for name in self._rig.sensors}
+        return [name for name, period in periods.items() if period <= MAX_MOTION_PERIOD]
 
     def find_problems(self) -> dict[str, str]:
         """By sensor that keeps captures from being taken, why: a predicate."""
@@ -159,12 +159,6 @@ class CaptureFinder:
             if (stamps[-1] < end - times.period or measured < last - skipped) and name not in unfinished:
                 unfinished.append(name)
         return unfinished
-
-
-def limit_hold(hold: Hold, rig: Rig) -> Hold:
-    """The hold with the messages that detections use."""
-    (limited,) = limit_messages([hold], rig)
-    return limited
 
 
 def name_sensors(names: Sequence[str]) -> str:

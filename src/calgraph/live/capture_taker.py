@@ -8,12 +8,12 @@ from calgraph.boards.detections import DetectionResult
 from calgraph.config import Rig
 from calgraph.errors import Rejected
 from calgraph.live.analysis_jobs import Decoder, DetectorInputs, detect_board
-from calgraph.live.capture_finder import Candidate, CaptureFinder, Waiting, limit_hold, name_sensors
+from calgraph.live.capture_finder import Candidate, CaptureFinder, Waiting, name_sensors
 from calgraph.live.job_queue import JobQueue
 from calgraph.live.live_captures import LiveCapture, explain_rejection, find_same_pose, has_board
 from calgraph.live.message_analysis import MessageAnalysis
 from calgraph.live.state import CaptureEvent
-from calgraph.rig.captures.holds import Hold
+from calgraph.rig.captures.holds import Hold, limit_messages
 
 # Two sensors that detect the board determine something.
 _MIN_SENSORS = 2
@@ -38,9 +38,7 @@ class _Search:
     arrival: float
     """Of the last message before it, s."""
     requested: bool
-    waiting: list[tuple[DetectorInputs, Sequence[Decoder]]]
-    missing: set[str]
-    """Sensors without result."""
+    waiting: list[tuple[DetectorInputs, Sequence[Decoder]]] = field(default_factory=list)
     results: dict[str, DetectionResult] = field(default_factory=dict)
 
 
@@ -128,22 +126,14 @@ class CaptureTaker:
         detectors = self._analysis.detectors
         if not all(detectors.is_ready(name) for name in self._rig.sensors):
             return
-        hold = limit_hold(candidate.hold, self._rig)
-        search = _Search(
-            candidate,
-            hold,
-            self._analysis.timeline.latest_arrival,
-            self._request is not None,
-            [],
-            set(self._rig.sensors),
-        )
+        (hold,) = limit_messages([candidate.hold], self._rig)
+        search = _Search(candidate, hold, self._analysis.timeline.latest_arrival, self._request is not None)
         for name in self._rig.sensors:
             records = self._analysis.ring.select(name, hold.stamps[name].tolist())
             if records is None:
                 search.results[name] = Rejected("its messages of this capture are no longer in memory")
             else:
                 search.waiting.append((detectors.state_inputs(name), [record.decode for record in records]))
-        search.missing -= set(search.results)
         self._request, self._search = None, search
         self.waiting = Waiting("measuring")
         self._judge_if_complete(search)
@@ -154,20 +144,15 @@ class CaptureTaker:
         if search is None or not search.waiting:
             return False
         inputs, decoders = search.waiting.pop(0)
-        queue.run(
-            detect_board, inputs, decoders,
-            done=partial(self._add_result, search, inputs.name),
-            failed=lambda error: self._add_result(search, inputs.name, Rejected(str(error))),
-        )  # fmt: skip
+        queue.run(partial(self._add_result, search, inputs.name), detect_board, inputs, decoders)
         return True
 
     def _add_result(self, search: _Search, name: str, found: DetectionResult) -> None:
         search.results[name] = found
-        search.missing.discard(name)
         self._judge_if_complete(search)
 
     def _judge_if_complete(self, search: _Search) -> None:
-        if not search.missing and search is self._search:
+        if len(search.results) == len(self._rig.sensors) and search is self._search:
             self._search = None
             self._judge(search)
 
@@ -182,7 +167,7 @@ class CaptureTaker:
                 self._announce(f"No capture: {self._explain_missing(results)}", taken=False)
             return
         if not search.requested:
-            same = find_same_pose(results, self.captures, self._rig, self._settings)
+            same = find_same_pose(results, self.captures, self._settings)
             if same is not None:
                 # A board that is held longer than a capture takes is no event.
                 if same != len(self.captures) - 1:

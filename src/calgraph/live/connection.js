@@ -15,66 +15,61 @@ const STOPPED = 1012;
 export function connect(onState, onOffline) {
   let socket = null;
   let pause = FIRST_PAUSE;
-  let watch = 0;
-  let timer = 0;
   let reason = "";
-
-  function open() {
-    clearTimeout(timer);
-    socket = new WebSocket(`ws://${location.host}/state`);
-    expect();
-    const opened = socket;
-    opened.onmessage = (message) => {
-      if (opened !== socket) return;
-      expect();
-      pause = FIRST_PAUSE;
-      report("");
-      onState(JSON.parse(message.data));
-    };
-    opened.onclose = (event) => {
-      if (opened === socket) again(event.code === STOPPED);
-    };
-  }
-
-  function expect() {
-    clearTimeout(watch);
-    watch = setTimeout(again, SILENCE);
-  }
+  // End the connection, and the pause before the next one.
+  let abandon = () => {};
+  let hurry = () => {};
 
   function report(found) {
     reason = found;
     onOffline(found);
   }
 
-  async function again(isStopped = false) {
-    clearTimeout(watch);
-    const lost = socket;
-    socket = null;
-    lost?.close();
-    timer = setTimeout(open, pause * (0.75 + Math.random() / 2));
-    pause = Math.min(LONGEST_PAUSE, 2 * pause);
-    // Later attempts that fail have no other reason.
-    if (!reason) report(isStopped ? "ended" : "lost");
-    // A refused websocket gives no reason; a refused file does.
-    const answer = await fetch("/page.css").catch(() => null);
-    if (answer?.status === 403 && !socket) report("replaced");
+  /** Receives until the connection is closed or silent; the code of its end. */
+  const receive = () => new Promise((end) => {
+    let watch = setTimeout(end, SILENCE);
+    abandon = end;
+    socket.onclose = (event) => end(event.code);
+    socket.onmessage = (message) => {
+      clearTimeout(watch);
+      watch = setTimeout(end, SILENCE);
+      pause = FIRST_PAUSE;
+      report("");
+      onState(JSON.parse(message.data));
+    };
+  });
+
+  async function run() {
+    for (;;) {
+      socket = new WebSocket(`ws://${location.host}/state`);
+      const code = await receive();
+      socket.onmessage = null;
+      socket.close();
+      // Later attempts that fail have no other reason.
+      if (!reason) report(code === STOPPED ? "ended" : "lost");
+      // A refused websocket gives no reason; a refused file does.
+      fetch("/page.css").then((answer) => reason && answer.status === 403 && report("replaced"), () => {});
+      const wait = pause * (0.75 + Math.random() / 2);
+      pause = Math.min(LONGEST_PAUSE, 2 * pause);
+      await new Promise((next) => {
+        hurry = next;
+        setTimeout(next, wait);
+      });
+    }
   }
 
-  const hurry = () => {
-    if (socket) return;
+  const connectNow = () => {
     pause = FIRST_PAUSE;
-    open();
+    hurry();
   };
-  window.addEventListener("online", hurry);
-  window.addEventListener("offline", () => socket && again());
-  document.addEventListener("visibilitychange", () => {
-    if (document.visibilityState === "visible") hurry();
-  });
-  open();
+  window.addEventListener("online", connectNow);
+  window.addEventListener("offline", () => abandon());
+  document.addEventListener("visibilitychange", () => document.visibilityState === "visible" && connectNow());
+  run();
 
   /** Whether the command left the page. */
   return function send(action) {
-    if (socket?.readyState !== WebSocket.OPEN) return false;
+    if (socket.readyState !== WebSocket.OPEN) return false;
     socket.send(action);
     return true;
   };

@@ -223,15 +223,10 @@ class DdsSource:
             raise InputError(
                 f"{address}: ROS 2 needs cyclonedds, which is not installed: pip install 'calgraph[ros2]'"
             ) from error
-        self._address, self._settings = address, settings
+        self.name, self._settings = address, settings
         self._domain, self._namespace = int(number), match[2] or ""
 
-    @property
-    def name(self) -> str:
-        """The address."""
-        return self._address
-
-    async def stream(self, topics: Collection[str]) -> AsyncIterator[LiveMessage | Notice]:
+    async def stream(self, topics: Collection[str]) -> AsyncIterator[LiveMessage | Notice | None]:
         """Messages of the topics wanted, and notices; see :meth:`Source.stream`. Never ends by itself.
 
         Raises:
@@ -255,10 +250,11 @@ class DdsSource:
         readers = await asyncio.to_thread(DdsReaders, topics, self._domain, self._namespace)
         stop = threading.Event()
 
-        def post(event: Event) -> None:
-            loop.call_soon_threadsafe(receive, event)
-
-        thread = threading.Thread(target=_read, args=(readers, post, stop), daemon=True)
+        thread = threading.Thread(
+            target=_read,
+            args=(readers, lambda event: loop.call_soon_threadsafe(receive, event), stop),
+            daemon=True,
+        )
         where = f"in domain {self._domain} of ROS 2"
         watch = TopicWatch(topics, settings, loop.time(), lambda topic: f"{topic}: nothing publishes it {where}")
         present: set[str] = set()
@@ -287,12 +283,13 @@ class DdsSource:
                     next_notices = loop.time() + _WAIT
                     for notice in watch.take_notices(loop.time(), present):
                         yield notice
+                    yield None
         finally:
             stop.set()
             await asyncio.to_thread(thread.join)
 
 
-def _read(readers: DdsReaders, post: Callable[[Event], None], stop: threading.Event) -> None:
+def _read(readers: DdsReaders, post: Callable[[Event], object], stop: threading.Event) -> None:
     """Reads until it is to stop; the function of a thread."""
     try:
         while not stop.is_set():

@@ -1,21 +1,11 @@
 // Elements and their texts. Texts of a session are set as text, never parsed as markup: names of sensors are input.
 
-const SVG = "http://www.w3.org/2000/svg";
-
 export const byId = (id) => document.getElementById(id);
 
 /** An element with a class, and with children or a text. */
 export function make(tag, name = "", ...children) {
   const made = document.createElement(tag);
   if (name) made.className = name;
-  made.append(...children);
-  return made;
-}
-
-/** An SVG element with attributes. */
-export function draw(tag, attributes, ...children) {
-  const made = document.createElementNS(SVG, tag);
-  for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
   made.append(...children);
   return made;
 }

@@ -1,7 +1,8 @@
 """The floor of a network in cells: walls, where people walked, and where they should still walk."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
+from math import ceil
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,9 +70,7 @@ def build_floor_grid(calibration: Calibration, tracked: Tracked, unfinished: Col
     low, high = np.min(everything, axis=0), np.max(everything, axis=0)
     cell = max(_CELL, float(np.max(high - low)) / _MAX_CELLS)
     shape = tuple(int(n) for n in np.ceil((high - low) / cell) + 1)
-    seconds = _sum_walking_time(
-        [found for _, found in poses.values()], [T for T, _ in poses.values()], low, cell, shape
-    )
+    seconds = _sum_walking_time(poses.values(), low, cell, shape)
     x = low + cell * (np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), axis=-1) + 0.5)
     observed = {
         name: _find_observed_cells(T, found, x.reshape(-1, 2)).reshape(shape) for name, (T, found) in poses.items()
@@ -91,11 +90,11 @@ def _to_root(T_root_scanner: Array, points: Array) -> Array:
 
 
 def _sum_walking_time(
-    found: Sequence[ScannerTracks], poses: Sequence[Array], low: Array, cell: float, shape: tuple[int, ...]
+    poses: Collection[tuple[Array, ScannerTracks]], low: Array, cell: float, shape: tuple[int, ...]
 ) -> Array:
     """(X, Y) the longest time that a scanner tracked people in each cell, s."""
     longest = np.zeros(shape)
-    for tracked, T in zip(found, poses, strict=True):
+    for T, tracked in poses:
         seconds = np.zeros(shape)
         for track in tracked.tracks:
             cells = ((_to_root(T, track.positions) - low) / cell).astype(np.intp)
@@ -174,9 +173,6 @@ def _remove_small_areas(cells: Cells, min_cells: float) -> Cells:
 
 
 def _thin(points: Array, width: float, limit: int) -> Array:
-    """At most ``limit`` of points (N, 2), one in each square of a width that grows until they are few enough."""
-    while True:
-        _, first = np.unique(np.round(points / width).astype(np.int64), axis=0, return_index=True)
-        if len(first) <= limit:
-            return np.asarray(points[np.sort(first)])
-        width *= 1.25
+    """At most ``limit`` of points (N, 2), evenly chosen from one in each square of a width."""
+    _, first = np.unique(np.round(points / width).astype(np.int64), axis=0, return_index=True)
+    return np.asarray(points[np.sort(first)[:: ceil(len(first) / limit) or 1]])

@@ -9,7 +9,6 @@ import struct
 import time
 from collections.abc import AsyncIterator, Collection, Iterator
 from contextlib import suppress
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, get_args
 
 from rosbags.typesys.msg import normalize_msgtype
@@ -76,14 +75,9 @@ class FoxgloveSource:
             ) from error
         if any(one.isspace() for one in host):
             raise InputError(f"{address}: is no address (spaces): give ws://HOST:PORT or wss://HOST:PORT")
-        self._address, self._settings = address, settings
+        self.name, self._settings = address, settings
 
-    @property
-    def name(self) -> str:
-        """The address."""
-        return self._address
-
-    async def stream(self, topics: Collection[str]) -> AsyncIterator[LiveMessage | Notice]:
+    async def stream(self, topics: Collection[str]) -> AsyncIterator[LiveMessage | Notice | None]:
         """Messages of the topics wanted, and notices; see :meth:`Source.stream`. Never ends by itself."""
         from websockets.exceptions import ConnectionClosed, WebSocketException
 
@@ -111,6 +105,7 @@ class FoxgloveSource:
                             next_notices = now() + _TICK
                             for notice in client.take_notices(now()):
                                 yield notice
+                            yield None
             except ConnectionClosed as error:
                 if error.sent and error.sent.code in _REFUSALS:
                     yield Notice("refused", self._explain_refusal(error.sent.code), count=1)
@@ -123,7 +118,7 @@ class FoxgloveSource:
                     reason += ": no bridge listens at this port; start foxglove_bridge, or state its port"
             if reason != problem:
                 problem = reason
-                yield Notice("disconnected", clean_text(f"{self._address}: {reason}; trying again"))
+                yield Notice("disconnected", clean_text(f"{self.name}: {reason}; trying again"))
             await asyncio.sleep(delay)
             delay = min(2 * delay, _MAX_DELAY)
 
@@ -133,7 +128,7 @@ class FoxgloveSource:
 
         settings = self._settings
         return connect(
-            self._address,
+            self.name,
             subprotocols=[Subprotocol(name) for name in SUBPROTOCOLS],
             # Sensor data hardly shrink, and local networks are faster than compression.
             compression=None,
@@ -148,10 +143,10 @@ class FoxgloveSource:
 
     def _describe_connection(self, last_receipt: float | None) -> str:
         if last_receipt is None:
-            return f"connected to {self._address}"
+            return f"connected to {self.name}"
         begin, end = (time.strftime("%H:%M:%S", time.localtime(at)) for at in (last_receipt, time.time()))
         gap = time.time() - last_receipt
-        return f"connected to {self._address} again; nothing was received for {gap:.1f} s, from {begin} to {end}"
+        return f"connected to {self.name} again; nothing was received for {gap:.1f} s, from {begin} to {end}"
 
     def _explain_refusal(self, code: int) -> str:
         limit = self._settings.max_frame_bytes / 1e6
@@ -191,17 +186,6 @@ _SCHEMA_FORMATS: dict[Encoding, tuple[SchemaFormat, ...]] = {"cdr": ("ros2msg", 
 _WARNING = 1
 
 
-@dataclass(frozen=True)
-class _Advertised:
-    """A channel as a server advertises it."""
-
-    topic: str
-    channel: Channel | None
-    """None if its messages cannot be read."""
-    problem: str = ""
-    """Why not."""
-
-
 class FoxgloveClient:
     """One connection's state.
 
@@ -213,7 +197,8 @@ class FoxgloveClient:
 
     def __init__(self, topics: Collection[str], settings: ConnectionSettings, now: float) -> None:
         self._topics = tuple(topics)
-        self._advertised: dict[int, _Advertised] = {}
+        self._advertised: dict[int, tuple[str, Channel | str]] = {}
+        """By number: the topic, and the channel or why it is not read."""
         self._subscriptions: dict[int, tuple[int, Channel] | None] = {}
         """By number: number and content of the channel; None once it has ended."""
         self._watch = TopicWatch(topics, settings, now, self._explain_missing)
@@ -239,7 +224,7 @@ class FoxgloveClient:
         return self._watch.take_notices(now, self._list_present())
 
     def _list_present(self) -> list[str]:
-        return sorted({one.topic for one in self._advertised.values()})
+        return sorted({topic for topic, _ in self._advertised.values()})
 
     def _explain_missing(self, topic: str) -> str:
         return f"the server {explain_missing_topic(topic, self._list_present())}"
@@ -282,7 +267,7 @@ class FoxgloveClient:
             raise TypeError("id and topic")
         if topic not in self._topics:
             # Kept by name only: an answer to a missing topic lists what there is.
-            self._advertised[number] = _Advertised(topic, None)
+            self._advertised[number] = topic, "not wanted"
             return
         formats: tuple[SchemaFormat, ...] = _SCHEMA_FORMATS.get(encoding, ())
         schema_format = described.get("schemaEncoding") or (formats[0] if formats else "none")
@@ -290,26 +275,23 @@ class FoxgloveClient:
         if not isinstance(name, str) or not isinstance(schema, str):
             raise TypeError("schemaName and schema")
         if schema_format not in formats:
-            self._advertised[number] = _Advertised(
-                topic, None, f"{name}, encoded as {encoding} with {schema_format}"
-            )
+            self._advertised[number] = topic, f"{name}, encoded as {encoding} with {schema_format}"
             return
-        channel = Channel(topic, normalize_msgtype(name), encoding, schema_format, schema)
-        self._advertised[number] = _Advertised(topic, channel)
+        self._advertised[number] = topic, Channel(topic, normalize_msgtype(name), encoding, schema_format, schema)
 
     def _subscribe(self, now: float) -> None:
         """Subscribes to the first readable channel of each wanted topic."""
         subscribed = {one[1].topic for one in self._subscriptions.values() if one}
         requests = []
         for topic in self._topics:
-            channels = [(number, one) for number, one in self._advertised.items() if one.topic == topic]
-            readable = [(number, one.channel) for number, one in channels if one.channel]
+            channels = {number: channel for number, (name, channel) in self._advertised.items() if name == topic}
+            readable = [(number, one) for number, one in channels.items() if isinstance(one, Channel)]
             if topic in subscribed or not channels:
                 continue
             if not readable:
                 text = (
-                    f"{topic} cannot be read: it is {channels[0][1].problem}. {_describe_readable()}: run the "
-                    "foxglove_bridge of ROS, which serves these"
+                    f"{topic} cannot be read: it is {next(iter(channels.values()))}. {_describe_readable()}: run "
+                    "the foxglove_bridge of ROS, which serves these"
                 )
                 self._watch.note(Notice("missing", text, topic))
                 continue

@@ -4,6 +4,8 @@ from collections.abc import Callable
 from concurrent.futures import BrokenExecutor, Executor, Future
 from typing import Any
 
+from calgraph.errors import Rejected
+
 Post = Callable[[Callable[[], None]], object]
 """Has a function called soon in the thread of the session, from any thread."""
 
@@ -15,11 +17,13 @@ class JobQueue:
         executor: runs the calls.
         workers: number of its processes.
         post: has results handled in the thread of the session.
+        after: called there after each of them.
     """
 
-    def __init__(self, executor: Executor, workers: int, post: Post) -> None:
-        self._executor, self._workers, self._post = executor, workers, post
-        self._running = 0
+    def __init__(self, executor: Executor, workers: int, post: Post, after: Callable[[], object]) -> None:
+        self._executor, self._workers, self._post, self._after = executor, workers, post, after
+        self.running = 0
+        """Number of calls under way."""
         self.closed = False
         """Whether results are discarded."""
         self.problem = ""
@@ -28,49 +32,34 @@ class JobQueue:
     @property
     def idle(self) -> bool:
         """Whether a process is free."""
-        return self._running < self._workers and not self.closed
+        return self.running < self._workers and not self.closed
 
-    @property
-    def running(self) -> int:
-        """Number of calls under way."""
-        return self._running
-
-    def run(
-        self,
-        function: Callable[..., Any],
-        *arguments: Any,
-        done: Callable[[Any], None],
-        failed: Callable[[BaseException], None],
-    ) -> None:
+    def run(self, done: Callable[[Any], object], function: Callable[..., Any], *arguments: Any) -> None:
         """Starts a call.
 
         Args:
+            done: called with its result, or with its error as :class:`Rejected`; not if a process was killed.
             function: defined at module level.
             arguments: of the call.
-            done: called with its result,
-            failed: or with what it raised. Neither is called if a process was killed.
         """
         try:
             future: Future[Any] = self._executor.submit(function, *arguments)
         except RuntimeError as error:  # a process was killed, or the pool is shut down
             self._break(error)
             return
-        self._running += 1
-        future.add_done_callback(lambda one: self._post(lambda: self._finish(one, done, failed)))
+        self.running += 1
+        future.add_done_callback(lambda one: self._post(lambda: self._finish(one, done)))
 
-    def _finish(
-        self, future: Future[Any], done: Callable[[Any], None], failed: Callable[[BaseException], None]
-    ) -> None:
-        self._running -= 1
+    def _finish(self, future: Future[Any], done: Callable[[Any], object]) -> None:
+        self.running -= 1
         if self.closed or future.cancelled():
             return
         error = future.exception()
         if isinstance(error, BrokenExecutor):
             self._break(error)
-        elif error is None:
-            done(future.result())
         else:
-            failed(error)
+            done(Rejected(str(error)) if error else future.result())
+        self._after()
 
     def _break(self, error: BaseException) -> None:
         self.closed = True

@@ -3,6 +3,7 @@
 import io
 import ipaddress
 import socket
+from contextlib import suppress
 from urllib.parse import urlencode
 
 from calgraph.live.server import PageServer
@@ -29,9 +30,10 @@ def format_link(server: PageServer, encoding: str = "utf-8") -> str:
     """
     links = list_links(server)
     lines = [f"Open {links[0]}", *(f"  or {link}" for link in links[1:])]
-    code = draw_qr_code(links[0]) if server.token else ""
-    if _is_writable(code, encoding):
-        lines += [code] if code else []
+    if server.token and (code := draw_qr_code(links[0])):
+        with suppress(UnicodeEncodeError, LookupError):
+            code.encode(encoding)
+            lines.append(code)
     return "\n".join(lines)
 
 
@@ -77,11 +79,3 @@ def _find_own_address(family: socket.AddressFamily) -> str:
 
 def _format_host(host: str) -> str:
     return f"[{host}]" if ":" in host else host
-
-
-def _is_writable(text: str, encoding: str) -> bool:
-    try:
-        text.encode(encoding)
-    except (UnicodeEncodeError, LookupError):
-        return False
-    return True

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calgraph.boards.detections import BoardCorners, Detection, DetectionResult, Segment
+from calgraph.boards.detections import BoardCorners, Detection, DetectionResult, PlanePatch, Segment
 from calgraph.config import CameraSpec, Rig
 from calgraph.config.settings import LiveCaptureSettings
 from calgraph.errors import Rejected
@@ -15,12 +15,11 @@ from calgraph.live.live_timeline import LiveTimeline
 from calgraph.rig.captures.detect import CaptureSet, SensorCapture, collect_detections
 from calgraph.rig.captures.holds import Hold
 from calgraph.sensors import CameraModel
-from calgraph.sensors.kinds import KINDS
 
 # Regions of an image along each axis, and sectors of azimuth: as the page draws them.
 _REGIONS, _SECTORS = 3, 12
 # What sensors detect, the most reliable first: a scanner may take a wall for the board.
-_RELIABILITY = ("corners", "plane", "line")
+_RELIABILITY = (BoardCorners, PlanePatch, Segment)
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,36 +57,22 @@ def collect_live_captures(
 
 
 def find_same_pose(
-    detections: Mapping[str, DetectionResult],
-    captures: Sequence[LiveCapture],
-    rig: Rig,
-    settings: LiveCaptureSettings,
+    detections: Mapping[str, DetectionResult], captures: Sequence[LiveCapture], settings: LiveCaptureSettings
 ) -> int | None:
     """The index of an earlier capture of the same board pose; None if there is none.
 
     Poses are compared by the most reliable sensors that detected the board in both.
     """
     for i, capture in enumerate(captures):
-        common = [
-            name
-            for name, found in capture.detections.items()
-            if not isinstance(found, Rejected) and not isinstance(detections[name], Rejected)
+        ranked = [
+            (_RELIABILITY.index(type(before[0])), before[0], found[0])
+            for before, found in ((one, detections[name]) for name, one in capture.detections.items())
+            if not isinstance(before, Rejected) and not isinstance(found, Rejected)
         ]
-        detected = {KINDS[rig.sensors[name].kind].detects for name in common}
-        best = next((one for one in _RELIABILITY if one in detected), None)
-        pairs = [
-            (_first(detections[name]), _first(capture.detections[name]))
-            for name in common
-            if KINDS[rig.sensors[name].kind].detects == best
-        ]
-        if pairs and all(_are_close(a, b, settings) for a, b in pairs):
+        best = min((rank for rank, _, _ in ranked), default=0)
+        if ranked and all(_are_close(a, b, settings) for rank, a, b in ranked if rank == best):
             return i
     return None
-
-
-def _first(found: DetectionResult) -> Detection:
-    assert not isinstance(found, Rejected)
-    return found[0]
 
 
 def _are_close(a: Detection, b: Detection, settings: LiveCaptureSettings) -> bool:
@@ -127,11 +112,8 @@ def count_coverage(
         Of a camera for 3 x 3 regions of its images, row by row; of scanners for 12 sectors of azimuth from -180 to
         180 degrees. 1 after ``settings.covering_captures`` captures with the board there.
     """
-    found = [
-        _first(capture.detections[name])
-        for capture in captures
-        if not isinstance(capture.detections[name], Rejected)
-    ]
+    results = (capture.detections[name] for capture in captures)
+    found = [one[0] for one in results if not isinstance(one, Rejected)]
     if isinstance(rig.sensors[name], CameraSpec):
         counts = np.zeros(_REGIONS**2)
         for one in found:

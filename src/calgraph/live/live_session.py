@@ -1,12 +1,11 @@
 """A live session, from its first message until its recording is complete and calibrated."""
 
 import asyncio
-from collections import deque
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
-from contextlib import AbstractAsyncContextManager, aclosing, asynccontextmanager, contextmanager, suppress
-from dataclasses import dataclass, replace
+from collections.abc import Awaitable, Callable, Iterator
+from contextlib import AbstractAsyncContextManager, aclosing, contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol, cast
+from typing import Any, cast
 
 from calgraph.config import Rig
 from calgraph.errors import CalibrationError, RecordingError
@@ -14,142 +13,37 @@ from calgraph.io.termination import handle_interrupt
 from calgraph.live.job_queue import Post
 from calgraph.live.live_rig import list_intrinsics_topics
 from calgraph.live.network_session import NetworkSession
-from calgraph.live.page_app import ShownSession
 from calgraph.live.recorder import Recorder
-from calgraph.live.rig_session import RigSession, SessionPools, count_analysis_processes
+from calgraph.live.rig_session import RigSession, count_analysis_processes
 from calgraph.live.rig_solution import solve_captures
 from calgraph.live.server import PageServer, serve_page
+from calgraph.live.session import Session, SessionPools
 from calgraph.live.session_folder import SessionFolder
 from calgraph.live.source import LiveMessage, Notice, Source
-from calgraph.live.state import Action, Phase, RecorderState, SessionState
 from calgraph.parallel.engine import Processes
 from calgraph.parallel.processes import worker_pool
 from calgraph.recording import open_recording
-
-# More do not fit on a phone.
-_SHOWN_NOTICES = 5
-
-
-class Session(ShownSession, Protocol):
-    """A session of a rig or of a network. All calls are made in one asyncio loop, and none blocks."""
-
-    triggers: deque[LiveMessage]
-    """That are to be recorded, each before the messages that follow it."""
-
-    @property
-    def busy(self) -> bool:
-        """Whether other processes work for it."""
-
-    @property
-    def lag(self) -> float:
-        """Time by which the processes that detect are behind the messages, s; 0 as soon as they wait for more."""
-
-    def feed(self, message: LiveMessage) -> None:
-        """Takes a message that has been recorded."""
-
-    def close(self) -> None:
-        """Ends the session: results of calls under way are ignored."""
-
-
-class OperatorView:
-    """What the page shows of a session, and where its commands go: a :class:`SessionView`.
-
-    Args:
-        session: takes the captures.
-        print_line: takes a line on what has happened to the connection.
-    """
-
-    def __init__(self, session: ShownSession, print_line: Callable[[str], object]) -> None:
-        self._session, self._print_line = session, print_line
-        self._recorded: Callable[[], RecorderState] = RecorderState
-        self._notices: deque[str] = deque(maxlen=_SHOWN_NOTICES)
-        self._connected = False
-        self._lost = self._gaps = 0
-        self._end: tuple[Phase, str, bool] | None = None
-        self._report: Path | None = None
-        self.finish_wanted = asyncio.Event()
-        """Set when the operator ends the session."""
-
-    def show_recorder(self, recorded: Callable[[], RecorderState]) -> None:
-        """From now on shows what is recorded."""
-        self._recorded = recorded
-
-    def note(self, notice: Notice) -> None:
-        """Shows what happened to the connection."""
-        if notice.kind == "disconnected" and self._connected:
-            self._gaps += 1
-        if notice.kind in ("connected", "disconnected", "ended"):
-            self._connected = notice.kind == "connected"
-        if notice.kind == "lost":
-            self._lost += notice.count
-        self._notices.appendleft(notice.text)
-        self._print_line(notice.text)
-
-    def show_end(self, phase: Phase, headline: str, report: Path | None = None, *, done: bool = False) -> None:
-        """From now on shows a phase of the end of the session, in place of those of the captures.
-
-        Args:
-            phase: ``finishing``, ``finished`` or ``failed``.
-            headline: one sentence.
-            report: of the calibration, if there is one.
-            done: whether all poses are good.
-        """
-        self._end, self._report = (phase, headline, done), report
-
-    def state(self) -> SessionState:
-        """The session now."""
-        shown = self._session.state()
-        phase, headline, done = self._end or (shown.phase, shown.headline, shown.done)
-        return replace(
-            shown,
-            phase=phase,
-            headline=headline,
-            done=done,
-            connected=self._connected,
-            notices=(*self._notices, *shown.notices)[:_SHOWN_NOTICES],
-            recorder=replace(self._recorded(), lost=self._lost, gaps=self._gaps),
-            report=self._report is not None,
-        )
-
-    def picture(self, sensor: str) -> bytes | None:
-        """The view of a sensor with the board drawn in, a JPEG image; None before the first."""
-        return self._session.picture(sensor)
-
-    def report(self) -> Path | None:
-        """The report of the calibration; None as long as there is none."""
-        return self._report
-
-    def command(self, action: Action) -> None:
-        """Does what the operator wants, until the session ends."""
-        if self._end:
-            return
-        if action == "finish":
-            self.finish_wanted.set()
-        else:
-            self._session.command(action)
-
 
 # Time between two looks at whether other processes still work, s: much less than their calls take.
 _IDLE_CHECK = 0.002
 
 
 async def record_session(
-    source: Source, rig: Rig, write: Callable[[LiveMessage], Awaitable[None]], session: Session, view: OperatorView
+    source: Source, write: Callable[[LiveMessage], Awaitable[None]], session: Session
 ) -> None:
     """Records and feeds messages until the source or the recording ends, or the operator wants to finish.
 
     Args:
         source: of the messages.
-        rig: whose topics are recorded.
         write: records a message, which it gets before the session does; raises RecordingError where the recording
             has ended, with the reason.
-        session: takes the captures.
-        view: shows notices of the source, and has the operator's wish to finish.
+        session: takes the messages, and notices of the source; has the operator's wish to finish.
 
     Raises:
         InputError: the source cannot be used.
         RecordingError: what the source reads is damaged.
     """
+    rig = session.rig
     sensors = frozenset(rig.topics.values())
     # Cameras have one of several, or none where rig.yaml is to state the intrinsics.
     intrinsics = frozenset(topic for topics in list_intrinsics_topics(rig).values() for topic in topics)
@@ -163,8 +57,8 @@ async def record_session(
             async for item in items:
                 if isinstance(item, Notice):
                     if item.kind != "missing" or item.topic in sensors:
-                        view.note(item)
-                elif not await record(item):
+                        session.note(item)
+                elif item and not await record(item):
                     return
         with suppress(TimeoutError):
             await asyncio.wait_for(wait_until_idle(), max_wait)
@@ -174,7 +68,7 @@ async def record_session(
             await record_triggers()
             await write(message)
         except RecordingError as error:
-            view.note(Notice("ended", str(error)))
+            session.note(Notice("ended", str(error)))
             return False
         session.feed(message)
         if not source.max_lead:
@@ -192,7 +86,7 @@ async def record_session(
         while session.busy:
             await asyncio.sleep(_IDLE_CHECK)
 
-    tasks = [asyncio.create_task(receive()), asyncio.create_task(view.finish_wanted.wait())]
+    tasks = [asyncio.create_task(receive()), asyncio.create_task(session.finish_wanted.wait())]
     try:
         done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
         for task in done:
@@ -201,7 +95,7 @@ async def record_session(
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
-    with suppress(RecordingError):  # the view shows it already
+    with suppress(RecordingError):  # the page shows it already
         await record_triggers()
 
 
@@ -300,23 +194,27 @@ async def _run(rig: Rig, source: Source, folder: SessionFolder, session: Session
     loop, task = asyncio.get_running_loop(), asyncio.current_task()
     assert task
     handle_interrupt(lambda: loop.call_soon_threadsafe(task.cancel))
-    view = OperatorView(session, options.print_line)
-    async with serve_page(view, options.host, options.port, settings=rig.settings.live.page) as server:
-        async with _recording(rig, folder, session) as recorder:
-            view.show_recorder(lambda: recorder.state)
+    async with serve_page(session, options.host, options.port, settings=rig.settings.live.page) as server:
+        recorder = Recorder(folder.recording, rig.settings.live.recorder, rig.settings.limits)
+        session.show_recorder(lambda: recorder.state)
+        try:
             options.announce(server)
-            await record_session(source, rig, recorder.write, session, view)
+            await record_session(source, recorder.write, session)
+        finally:
+            session.close()
+            with suppress(RecordingError):  # its state has the error
+                await recorder.close()
         if recorder.state.problem:
             options.print_line(recorder.state.problem)
         if folder.last_arrival() < 0:
             raise CalibrationError(f"{folder.recording}: no message was recorded")
-        view.show_end("finishing", "The whole recording is being calibrated")
-        if rig.is_network or view.state().captures:
+        session.show_end("finishing", "The whole recording is being calibrated")
+        if rig.is_network or session.state().captures:
             end = await options.calibrate(folder)
         else:
             end = FinalCalibration(_NOT_CALIBRATED, _NO_CAPTURES, None)
             options.print_line(_NO_CAPTURES)
-        view.show_end("finished" if end.report else "failed", end.message, end.report, done=end.done)
+        session.show_end("finished" if end.report else "failed", end.message, end.report, done=end.done)
         if refused := server.refusals.describe():
             options.print_line(f"the page's server {refused}")
         if server.pages_opened():
@@ -324,15 +222,3 @@ async def _run(rig: Rig, source: Source, folder: SessionFolder, session: Session
             with suppress(asyncio.CancelledError):
                 await asyncio.Event().wait()
     return end.exit_code
-
-
-@asynccontextmanager
-async def _recording(rig: Rig, folder: SessionFolder, session: Session) -> AsyncIterator[Recorder]:
-    """The recorder of a session; both are closed at the end."""
-    recorder = Recorder(folder.recording, rig.settings.live.recorder, rig.settings.limits)
-    try:
-        yield recorder
-    finally:
-        session.close()
-        with suppress(RecordingError):  # its state has the error
-            await recorder.close()

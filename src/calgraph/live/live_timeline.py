@@ -57,12 +57,6 @@ class GrowingTimes:
         pairs = list(zip(reversed(self.stamps), reversed(self.arrivals), strict=False))[:_RECENT]
         return median(stamp - arrival for stamp, arrival in pairs) + self.duration if pairs else None
 
-    def measure_period(self) -> None:
-        """Measures the period of the last messages."""
-        recent = self.stamps[-_RECENT:]
-        if len(recent) > 1:
-            self.period = median(b - a for a, b in pairwise(recent))
-
     def stamps_from(self, start: float) -> Array:
         """(N,) stamps of the measurements at ``start`` or later, s."""
         return np.array(self.stamps[bisect_left(self.stamps, start) :])
@@ -93,21 +87,6 @@ class LiveTimeline:
         self.latest_arrival = 0.0
         """Of all messages, s."""
 
-    def restore(self, timeline: RecordingTimeline, end: float) -> None:
-        """Begins with what was recorded before, until the arrival ``end``, s."""
-        self.start, self.latest_arrival = timeline.start, end
-        for name, times in timeline.sensors.items():
-            stamps = array("d", times.stamps.tolist())
-            self.sensors[name] = GrowingTimes(
-                stamps,
-                duration=times.duration,
-                frame_id=times.frame_id,
-                message_type=times.message_type,
-                measured=bool(times.message_type),
-                latest=stamps[-1] if stamps else None,
-            )
-            self.sensors[name].measure_period()
-
     def note_arrival(self, arrival: float) -> None:
         """Notes that a message of any topic arrived, s."""
         self.start = arrival if self.start is None else min(self.start, arrival)
@@ -128,7 +107,8 @@ class LiveTimeline:
         times.arrivals.append(record.arrival)
         if len(times.arrivals) > 2 * _RECENT:
             del times.arrivals[:-_RECENT]
-        times.measure_period()
+        if len(times.stamps) > 1:
+            times.period = median(b - a for a, b in pairwise(times.stamps[-_RECENT:]))
         if not times.measured:
             message = record.decode()
             times.duration = getattr(message, "duration", 0.0)

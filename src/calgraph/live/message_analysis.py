@@ -2,7 +2,7 @@
 
 import logging
 from collections import deque
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from uuid import uuid4
@@ -11,13 +11,7 @@ import numpy as np
 
 from calgraph.config import CameraSpec, Rig
 from calgraph.errors import CalgraphError, Rejected
-from calgraph.live.analysis_jobs import (
-    DetectorInputs,
-    MeasuredChanges,
-    learn_live_background,
-    measure_changes,
-    reduce_camera,
-)
+from calgraph.live.analysis_jobs import DetectorInputs, learn_live_background, measure_changes, reduce_camera
 from calgraph.live.capture_finder import MAX_RATE
 from calgraph.live.job_queue import JobQueue
 from calgraph.live.live_captures import explain_rejection
@@ -29,7 +23,8 @@ from calgraph.live.source import LiveMessage
 from calgraph.live.view_pictures import SensorView, find_reduction, make_view
 from calgraph.recording.takes import shift_record
 from calgraph.rig.captures.detectors import draw_seeds
-from calgraph.rig.captures.timeline import MAX_MOTION_PERIOD, RecordingTimeline
+from calgraph.rig.captures.motion_detection import Signed
+from calgraph.rig.captures.timeline import MAX_MOTION_PERIOD
 from calgraph.rig.kinds.rig_kind import Background
 from calgraph.rig.options import RigOptions
 from calgraph.sensors import CameraInfo, CameraModel, RecordedMessage
@@ -61,7 +56,8 @@ class MessageAnalysis:
         self._sensor_of = {topic: name for name, topic in rig.topics.items()}
         # Offsets that are to be estimated are known when the recording is calibrated.
         offsets = {name: spec.clock_offset for name, spec in rig.sensors.items()}
-        self._clock_offsets = {name: o if isinstance(o, float) else 0.0 for name, o in offsets.items()}
+        self.clock_offsets = {name: o if isinstance(o, float) else 0.0 for name, o in offsets.items()}
+        """By sensor, s."""
         self._learning: set[str] = set()
         self.timeline = LiveTimeline(rig.sensors)
         self.ring = MessageRing(rig.settings.live.ring)
@@ -71,47 +67,33 @@ class MessageAnalysis:
         self._last_queued: dict[str, float] = {}
 
     @property
+    def _background(self) -> tuple[float, float]:
+        """Arrivals between which the views must be free of board and operator, s."""
+        begin, window = self.timeline.start or 0.0, self._rig.capture.background or (0.0, 0.0)
+        return begin + window[0], begin + window[1]
+
+    @property
     def background_left(self) -> float:
         """Time until the views need no longer be free of board and operator, s; 0 afterwards."""
-        window = self._rig.capture.background
-        if window is None:
-            return 0.0
-        begin = self.timeline.start
-        return window[1] if begin is None else max(begin + window[1] - self.timeline.latest_arrival, 0.0)
+        return max(self._background[1] - self.timeline.latest_arrival, 0.0)
 
     @property
     def lag(self) -> float:
         """Time by which motion and rooms that other processes compute are behind the messages, s."""
         oldest = (sensor.oldest_unmeasured for sensor in self.sensors.values())
         due = [arrival for arrival in oldest if arrival is not None]
-        window, begin = self._rig.capture.background, self.timeline.start
-        if window and begin is not None and not all(map(self.detectors.is_ready, self._learning)):
-            due.append(begin + window[1])
+        if not all(map(self.detectors.is_ready, self._learning)):
+            due.append(self._background[1])
         return max(self.timeline.latest_arrival - min(due), 0.0) if due else 0.0
 
-    def restore(
-        self,
-        timeline: RecordingTimeline,
-        end: float,
-        cameras: Mapping[str, CameraModel],
-        background: Iterable[RecordedMessage],
-    ) -> None:
-        """Continues after what was recorded before.
+    def feed(self, message: LiveMessage, *, is_past: bool = False) -> None:
+        """Takes a message; those that are unusable are counted.
 
         Args:
-            timeline: of the recording.
-            end: arrival of its last message, s.
-            cameras: intrinsics by camera, as far as it has any.
-            background: the sensors' messages in its background window: scanners learn the room from them, and the
-                noise of all at rest is measured again.
+            message: that has been recorded.
+            is_past: whether it was before the session was interrupted. Then it is analysed only if it is of the
+                background window: scanners learn the room from it, and it shows the noise at rest.
         """
-        self.timeline.restore(timeline, end)
-        self.detectors.restore(cameras)
-        for record in background:
-            self._queue(self._sensor_of[record.topic], record)
-
-    def feed(self, message: LiveMessage) -> None:
-        """Takes a message; those that are unusable are counted."""
         topic = message.channel.topic
         name = self._sensor_of.get(topic)
         self.timeline.note_arrival(message.arrival / 1e9)
@@ -122,9 +104,11 @@ class MessageAnalysis:
             if name is None:
                 self.detectors.add_intrinsics(record)
                 return
-            record = shift_record(record, -self._clock_offsets[name], 0.0)
-            self.ring.add(name, record, len(message.data))
-            self._queue(name, record)
+            record = shift_record(record, -self.clock_offsets[name], 0.0)
+            if not is_past:
+                self.ring.add(name, record, len(message.data))
+            if not is_past or self._is_of_background(record):
+                self._queue(name, record)
             self.timeline.add(name, record)
         except CalgraphError as error:
             for one in [name] if name else self.detectors.cameras_of(topic):
@@ -134,8 +118,13 @@ class MessageAnalysis:
         """Has a message analysed: drawn, measured, and the room learned from it."""
         sensor = self.sensors[name]
         sensor.latest = record
-        if self._is_of_background(record) and KINDS[self._rig.sensors[name].kind].measures_ranges:
-            self._keep_background(name, record)
+        has_enough = len(sensor.background) >= self._rig.settings.captures.max_background_messages
+        if (
+            KINDS[self._rig.sensors[name].kind].measures_ranges
+            and self._is_of_background(record)
+            and not has_enough
+        ):
+            sensor.background.append(record)
         slow = self.timeline.sensors[name].period > MAX_MOTION_PERIOD
         if slow and len(self.timeline.sensors[name].stamps) > 1:
             return
@@ -146,25 +135,16 @@ class MessageAnalysis:
             while len(sensor.waiting) > _MAX_WAITING:
                 sensor.waiting.popleft()
 
-    def _keep_background(self, name: str, record: RecordedMessage) -> None:
-        """Keeps a message that a scanner learns the room from, if it needs more."""
-        kept = self.sensors[name].background
-        if len(kept) < self._rig.settings.captures.max_background_messages:
-            kept.append(record)
-
     def _is_of_background(self, record: RecordedMessage) -> bool:
-        window, begin = self._rig.capture.background, self.timeline.start
-        if window is None or begin is None:
-            return False
-        return begin + window[0] <= record.arrival <= begin + window[1]
+        begin, end = self._background
+        return begin <= record.arrival <= end
 
     def start_job(self, queue: JobQueue) -> bool:
         """Starts what is most urgent of what is to be computed; whether there was anything."""
         return self._learn_background(queue) or self._measure_changes(queue) or self._draw(queue)
 
     def _learn_background(self, queue: JobQueue) -> bool:
-        window, begin = self._rig.capture.background, self.timeline.start
-        if window is None or begin is None or self.timeline.latest_arrival <= begin + window[1]:
+        if self.timeline.latest_arrival <= self._background[1]:
             return False
         for name, spec in self._rig.sensors.items():
             if isinstance(spec, CameraSpec) or name in self._learning or self.detectors.is_ready(name):
@@ -172,16 +152,9 @@ class MessageAnalysis:
             self._learning.add(name)
             decoders = [record.decode for record in self.sensors[name].background]
             self.sensors[name].background = []
-            queue.run(
-                learn_live_background, self._rig, name, decoders,
-                done=partial(self._set_background, name),
-                failed=partial(self._fail_learning, name),
-            )  # fmt: skip
+            queue.run(partial(self._set_background, name), learn_live_background, self._rig, name, decoders)
             return True
         return False
-
-    def _fail_learning(self, name: str, error: BaseException) -> None:
-        self._set_background(name, Rejected(str(error)))
 
     def _set_background(self, name: str, background: Background | Rejected) -> None:
         if isinstance(background, Rejected):
@@ -196,31 +169,30 @@ class MessageAnalysis:
         sensor = self.sensors[name]
         records = [sensor.waiting.popleft() for _ in range(min(len(sensor.waiting), _MESSAGES_PER_CALL))]
         sensor.measuring = records
-        queue.run(
-            measure_changes, self.rests.previous(name),
-            [record.decode for record in records],
-            done=partial(self._add_changes, name, records),
-            failed=partial(self._fail_measuring, name),
-        )  # fmt: skip
+        decoders = [record.decode for record in records]
+        queue.run(partial(self._add_changes, name, records), measure_changes, self.rests.previous(name), decoders)
         return True
 
-    def _add_changes(self, name: str, records: Sequence[RecordedMessage], measured: MeasuredChanges) -> None:
-        sensor = self.sensors[name]
-        sensor.measuring = ()
-        for change in measured.changes:
-            if change is None:
-                self.timeline.sensors[name].note_malformed(measured.problem)
+    def _add_changes(
+        self,
+        name: str,
+        records: Sequence[RecordedMessage],
+        measured: tuple[Sequence[float | Rejected], Signed | None] | Rejected,
+    ) -> None:
+        self.sensors[name].measuring = ()
+        changes, last = ([measured], None) if isinstance(measured, Rejected) else measured
+        for change in changes:
+            if isinstance(change, Rejected):
+                self.timeline.sensors[name].note_malformed(change.reason)
+        if isinstance(measured, Rejected):
+            return
         usable = [
             (record.stamp, change)
-            for record, change in zip(records, measured.changes, strict=True)
-            if change is not None
+            for record, change in zip(records, changes, strict=True)
+            if not isinstance(change, Rejected)
         ]
         quiet = all(self._is_of_background(record) for record in records)
-        self.rests.add(name, [s for s, _ in usable], [c for _, c in usable], measured.last, quiet=quiet)
-
-    def _fail_measuring(self, name: str, error: BaseException) -> None:
-        self.sensors[name].measuring = ()
-        self.timeline.sensors[name].note_malformed(str(error))
+        self.rests.add(name, [s for s, _ in usable], [c for _, c in usable], last, quiet=quiet)
 
     def _draw(self, queue: JobQueue) -> bool:
         due = [
@@ -240,16 +212,10 @@ class MessageAnalysis:
         factor = self.detectors.reduction(name)
         inputs = self.detectors.state_inputs(name, factor)
         queue.run(
-            make_view, record.decode, inputs if self.detectors.is_ready(name) else None,
-            inputs.camera, self._rig.boards, factor,
-            done=partial(self._set_view, name),
-            failed=lambda error: self._set_view(name, SensorView(b"", None, str(error))),
+            sensor.set_view, make_view, record.decode,
+            inputs if self.detectors.is_ready(name) else None, inputs.camera, self._rig.boards, factor,
         )  # fmt: skip
         return True
-
-    def _set_view(self, name: str, view: SensorView) -> None:
-        self.sensors[name].drawing = False
-        self.sensors[name].set_view(view)
 
 
 class LiveDetectors:
@@ -264,13 +230,19 @@ class LiveDetectors:
         # As calibrate_rig draws them first of all.
         self.seeds = draw_seeds(rig, np.random.default_rng(RigOptions().seed))
         """Of the detectors' samples, by sensor."""
-        self.cameras: dict[str, CameraModel] = rig.camera_models()
-        """Intrinsics by camera, as far as they are known."""
+        self._stated = rig.camera_models()
+        self._infos: dict[str, CameraModel | None] = {}
+        """By topic, the intrinsics of its first message; None if it has none."""
         self._backgrounds: dict[str, Background | Rejected] = {}
-        self._preferred: dict[str, str] = {}
         self._topics = list_intrinsics_topics(rig)
         self._session, self._changes = uuid4().hex, 0
         """Which detectors these are, of all in this process, and how often their inputs have changed."""
+
+    @property
+    def cameras(self) -> dict[str, CameraModel]:
+        """Intrinsics by camera, as far as they are known."""
+        found = ((name, self._infos.get(topic)) for name, topics in self._topics.items() for topic in topics[::-1])
+        return self._stated | {name: camera for name, camera in found if camera}
 
     @property
     def intrinsics_topics(self) -> frozenset[str]:
@@ -283,23 +255,17 @@ class LiveDetectors:
         Raises:
             RecordingError: its content is unusable.
         """
-        wanted = [name for name in self.cameras_of(record.topic) if self._is_better(name, record.topic)]
-        if not wanted:
+        if record.topic in self._infos:
             return
-        self._preferred |= dict.fromkeys(wanted, record.topic)
+        self._infos[record.topic] = None
         message = record.decode()
         if isinstance(message, CameraInfo):
-            self.cameras |= dict.fromkeys(wanted, message.camera)
+            self._infos[record.topic] = message.camera
             self._changes += 1
 
     def cameras_of(self, topic: str) -> list[str]:
         """The cameras whose intrinsics a topic may have."""
         return [name for name, topics in self._topics.items() if topic in topics]
-
-    def _is_better(self, name: str, topic: str) -> bool:
-        topics = self._topics[name]
-        known = self._preferred.get(name)
-        return known is None or topics.index(topic) < topics.index(known)
 
     def set_background(self, name: str, background: Background | Rejected) -> None:
         """Takes what a scanner has learned, or why it has not."""
@@ -326,12 +292,6 @@ class LiveDetectors:
             None if isinstance(background, Rejected) else background,
             self.seeds,
         )
-
-    def restore(self, cameras: Mapping[str, CameraModel]) -> None:
-        """Takes intrinsics that are in a recording, by camera."""
-        self.cameras |= cameras
-        self._preferred |= {name: self._topics[name][0] for name in cameras if name in self._topics}
-        self._changes += 1
 
 
 # Number of images that this median is of: 20 s.
@@ -365,22 +325,18 @@ class SensorActivity:
         """Arrival of the first message whose change is not known yet, s; None if there is none."""
         return next((record.arrival for record in (*self.measuring, *self.waiting)), None)
 
-    def set_view(self, view: SensorView) -> None:
-        """Takes a new picture."""
-        self.view = view
-        if view.picture:
+    def set_view(self, view: SensorView | Rejected) -> None:
+        """Takes a new picture, or why the message is unusable."""
+        self.drawing = False
+        self.view = SensorView(b"", None, view.reason) if isinstance(view, Rejected) else view
+        if self.view.picture:
             self.pictures += 1
-            self.sharpness.append(view.sharpness)
-
-    @property
-    def is_blurred(self) -> bool:
-        """Whether the last image is blurred, compared with those of late."""
-        if not self.sharpness:
-            return False
-        return self.sharpness[-1] < _SHARPNESS_RATIO * float(np.median(list(self.sharpness)))
+            self.sharpness.append(self.view.sharpness)
 
     def explain_view(self) -> str:
         """Why the sensor does not detect the board now; empty if it does, or if that is not known."""
         if self.view is None or self.view.sees_board is not False:
             return ""
-        return "blurred" if self.is_blurred else explain_rejection(self.view.reason)
+        # Compared with the images of late.
+        is_blurred = self.sharpness[-1] < _SHARPNESS_RATIO * float(np.median(list(self.sharpness)))
+        return "blurred" if is_blurred else explain_rejection(self.view.reason)

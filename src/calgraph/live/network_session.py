@@ -2,23 +2,19 @@
 
 import math
 import time
-from collections import deque
 from collections.abc import Callable
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 from calgraph.config import Rig
 from calgraph.config.settings import LiveNetworkSettings
-from calgraph.errors import RecordingError
-from calgraph.io.termination import add_cleanup, remove_cleanup
+from calgraph.errors import RecordingError, Rejected
 from calgraph.live.capture_finder import SILENCE, name_sensors
-from calgraph.live.job_queue import JobQueue
 from calgraph.live.live_timeline import LiveTimeline
 from calgraph.live.network_solution import LiveNetworkSolution, solve_recording
-from calgraph.live.rig_session import ALL_DONE, SessionPools
 from calgraph.live.sensor_solution import SensorSolution
+from calgraph.live.session import ALL_DONE, Session, SessionPools
 from calgraph.live.source import LiveMessage
-from calgraph.live.state import Action, Advice, Phase, SceneState, SensorState, SessionState
+from calgraph.live.state import Advice, Phase, SceneState, SensorState, SessionState
 from calgraph.live.tracked_intervals import MIN_INTERVAL
 from calgraph.result.reasons import split_clauses
 
@@ -84,7 +80,7 @@ class Forecast:
         return minutes if minutes <= self._settings.max_minutes else None
 
 
-Solve = Callable[[Rig, Path, Path, LiveNetworkSolution | None], LiveNetworkSolution | None]
+Solve = Callable[[Rig, Path, LiveNetworkSolution | None], LiveNetworkSolution | None]
 """Calibrates from a recording; defined at module level. See :func:`solve_recording`."""
 
 
@@ -92,10 +88,10 @@ Solve = Callable[[Rig, Path, Path, LiveNetworkSolution | None], LiveNetworkSolut
 _MAX_LOAD = 0.5
 
 
-class NetworkSession:
+class NetworkSession(Session):
     """Calibrates a network of scanners from its growing recording, as often as one process allows.
 
-    All calls are made in one thread, and none blocks. Everything that is shown besides rates is computed from the
+    Everything that is shown besides rates is computed from the
     recording, so that a session that is resumed needs nothing else.
 
     Args:
@@ -119,23 +115,16 @@ class NetworkSession:
         solve: Solve = solve_recording,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self.rig = rig
-        self.triggers: deque[LiveMessage] = deque()
-        """None: there are no captures."""
-        self._source, self._recording, self._solve, self._clock = source, recording, solve, clock
-        self._print_line = print_line
+        super().__init__(rig, source, pools, print_line)
+        self._recording, self._solve, self._clock = recording, solve, clock
         self._sensor_of = {topic: name for name, topic in rig.topics.items()}
         self.timeline = LiveTimeline(rig.sensors)
-        self._queue = JobQueue(pools.solving, 1, lambda function: pools.post(lambda: self._handle(function)))
-        self._folder = TemporaryDirectory(prefix="calgraph-tracks-", ignore_cleanup_errors=True)
-        add_cleanup(self, self._folder.cleanup)
         self.solution: LiveNetworkSolution | None = None
         """The last one; None before the first."""
         self._forecast = Forecast(rig.settings.live.network)
         self._scene: SceneState | None = None
         self._began, self._next = 0.0, -math.inf
         """When the last solution began and when the next may, s."""
-        self._problem = ""
 
     def feed(self, message: LiveMessage) -> None:
         """Takes a message that has been recorded; scans are read from the recording, by another process."""
@@ -146,13 +135,10 @@ class NetworkSession:
                 self.timeline.add(name, message.read(self._source, self.rig.settings.limits))
             except RecordingError as error:
                 self.timeline.sensors[name].note_malformed(str(error))
-        self._start_solving()
+        self.advance()
 
-    def command(self, action: Action) -> None:
-        """Nothing is triggered or discarded; ``finish`` concerns who owns the session."""
-
-    def state(self) -> SessionState:
-        """The session now, without what concerns source and recorder."""
+    def describe(self) -> SessionState:
+        """The session now, without what concerns source, recorder and end."""
         rig, solution = self.rig, self.solution
         solved = {one.name: one for one in solution.scanners} if solution else {}
         sensors = (_describe_sensor(one, rig, self.timeline, solved.get(one)) for one in rig.sensors)
@@ -162,7 +148,7 @@ class NetworkSession:
         return SessionState(
             kind="network",
             phase=phase,
-            headline=self._problem or headline,
+            headline=headline,
             source=self._source,
             root=rig.root,
             sensors=tuple(sensors),
@@ -174,66 +160,30 @@ class NetworkSession:
             scene=self._scene,
         )
 
-    def picture(self, sensor: str) -> bytes | None:
-        """None: the floor plan shows all scanners."""
-
-    @property
-    def minutes_left(self) -> float | None:
-        """Until all scanners with a pose are within tolerance; None if that is unknown."""
-        return self._forecast.minutes_left()
-
-    @property
-    def busy(self) -> bool:
-        """Whether another process works for the session."""
-        return self._queue.running > 0
-
-    @property
-    def lag(self) -> float:
-        """0: what is solved is read from the recording, and nothing is skipped."""
-        return 0.0
-
-    def close(self) -> None:
-        """Ends the session: results of calls under way are ignored."""
-        self._queue.closed = True
-        remove_cleanup(self)
-        self._folder.cleanup()
-
-    def _start_solving(self) -> None:
+    def advance(self) -> None:
         """Calibrates if the process is free, the load allows it, and there is something new."""
         settings, begin = self.rig.settings.live.network, self.timeline.start
-        if begin is None or not self._queue.idle or self._clock() < self._next:
+        if begin is None or not self._solver.idle or self._clock() < self._next:
             return
         until = begin + settings.first if self.solution is None else self.solution.end + PAUSE
         if self.timeline.latest_arrival < until:
             return
         self._began = self._clock()
-        self._queue.run(
-            self._solve, self.rig, self._recording, Path(self._folder.name), self.solution,
-            done=self._set_solution, failed=self._fail_solving,
-        )  # fmt: skip
+        self._solver.run(self._set_solution, self._solve, self.rig, self._recording, self.solution)
 
-    def _handle(self, function: Callable[[], None]) -> None:
-        function()
-        self._start_solving()
-
-    def _set_next(self) -> None:
-        """The process rests as long as it worked, where half of the time is allowed."""
+    def _set_solution(self, solution: LiveNetworkSolution | Rejected | None) -> None:
+        # The process rests as long as it worked, where half of the time is allowed.
         now = self._clock()
         self._next = now + max(PAUSE, (now - self._began) * (1 / _MAX_LOAD - 1))
-
-    def _set_solution(self, solution: LiveNetworkSolution | None) -> None:
-        self._set_next()
-        if solution is not None:
+        if isinstance(solution, Rejected):
+            self._problem = f"No poses from the recording until now: {solution.reason}"
+        elif solution is not None:
             if solution.done and not (self.solution and self.solution.done):
                 self._print_line(ALL_DONE)
             self.solution, self._problem = solution, ""
             self._forecast.add(solution)
             connected = tuple(one for one in solution.scanners if one.T_root_sensor is not None)
             self._scene = SceneState(connected, floor=solution.grid) if solution.grid else None
-
-    def _fail_solving(self, error: BaseException) -> None:
-        self._set_next()
-        self._problem = f"No poses from the recording until now: {error}"
 
 
 def _describe_phase(

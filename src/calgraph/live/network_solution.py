@@ -5,7 +5,7 @@ Poses, covariances and verdicts are those of ``calgraph calibrate`` on the same 
 
 import logging
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -13,15 +13,8 @@ from pathlib import Path
 from calgraph.config import Rig
 from calgraph.errors import CalgraphError, Rejected
 from calgraph.live.floor_grid import FloorGrid, build_floor_grid
-from calgraph.live.sensor_solution import SensorSolution, describe_pose
-from calgraph.live.tracked_intervals import (
-    Tracked,
-    TrackingProgress,
-    join_tracks,
-    remove_files,
-    select_intervals,
-    track_recording,
-)
+from calgraph.live.sensor_solution import SensorSolution, describe_sensors
+from calgraph.live.tracked_intervals import TrackingProgress, join_tracks, select_intervals, track_recording
 from calgraph.network.options import NetworkOptions
 from calgraph.network.pipeline import calibrate_tracks
 from calgraph.network.tracking.track import ScannerTracks
@@ -29,7 +22,6 @@ from calgraph.network.tracking.track_scanner import MAX_SCAN_GAP
 from calgraph.recording import Recording, open_recording
 from calgraph.recording.input_checks import InputMonitor
 from calgraph.result import Calibration
-from calgraph.verdict.grades import max_good_stddev
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,16 +55,13 @@ class LiveNetworkSolution:
         return bool(self.scanners) and all(scanner.grade == "good" for scanner in self.scanners)
 
 
-def solve_recording(
-    rig: Rig, path: Path, folder: Path, last: LiveNetworkSolution | None
-) -> LiveNetworkSolution | None:
+def solve_recording(rig: Rig, path: Path, last: LiveNetworkSolution | None) -> LiveNetworkSolution | None:
     """Calibrates a network from its recording until now.
 
     Args:
         rig: the network.
         path: of the recording, which may still be written to.
-        folder: where tracks are kept; empty before the first call.
-        last: the last solution from the same recording and folder.
+        last: the last solution from the same recording.
 
     Returns:
         The solution; None as long as the recording has no message.
@@ -84,9 +73,7 @@ def solve_recording(
         except CalgraphError:
             return None  # its first chunk is not complete yet
         with recording:
-            solution = _solve(rig, recording, folder, last, begin)
-    remove_files(folder, solution.progress.intervals)
-    return solution
+            return _solve(rig, recording, last, begin)
 
 
 # Processor time of a solution, s, above which the next is computed from fewer intervals; those that add least are
@@ -94,12 +81,11 @@ def solve_recording(
 _MAX_WORK = 20.0
 
 
-def _solve(
-    rig: Rig, recording: Recording, folder: Path, last: LiveNetworkSolution | None, begin: float
-) -> LiveNetworkSolution:
+def _solve(rig: Rig, recording: Recording, last: LiveNetworkSolution | None, begin: float) -> LiveNetworkSolution:
     monitor = InputMonitor(rig, recording.start)
-    found = track_recording(rig, recording, folder, last.progress if last else TrackingProgress(), monitor)
-    tracked = join_tracks(found.parts, MAX_SCAN_GAP)
+    progress, rest = track_recording(rig, recording, last.progress if last else TrackingProgress(), monitor)
+    intervals = (*progress.intervals, rest) if rest else progress.intervals
+    tracked = join_tracks([interval.tracked for interval in intervals], MAX_SCAN_GAP)
     calibration: Calibration | None = None
     problem, work = "", time.process_time()
     try:
@@ -109,17 +95,18 @@ def _solve(
     except CalgraphError as error:
         problem = str(error)
     rows = calibration.evidence.captures if calibration else ()
-    max_positions = found.positions * _MAX_WORK / max(time.process_time() - work, 1e-3)
-    used = select_intervals(found.progress.intervals, rows, recording.start, max_positions)
-    scanners = _describe_scanners(rig, tracked, calibration)
+    positions = sum(interval.positions for interval in intervals)
+    max_positions = positions * _MAX_WORK / max(time.process_time() - work, 1e-3)
+    used = select_intervals(progress.intervals, rows, recording.start, max_positions)
+    scanners = tuple(_add_tracks(one, tracked[one.name]) for one in describe_sensors(rig, calibration))
     return LiveNetworkSolution(
         scanners,
         build_floor_grid(calibration, tracked, _find_unfinished(scanners)) if calibration else None,
         recording.start,
-        found.end,
-        found.progress.duration + found.rest,
-        sum(interval.duration for interval in found.progress.intervals) + found.rest,
-        replace(found.progress, intervals=used),
+        rest.end if rest else progress.until or recording.start,
+        progress.duration + (rest.duration if rest else 0.0),
+        sum(interval.duration for interval in intervals),
+        replace(progress, intervals=used),
         time.perf_counter() - begin,
         problem,
         calibration.further_remarks if calibration else (),
@@ -131,21 +118,11 @@ def _find_unfinished(scanners: tuple[SensorSolution, ...]) -> tuple[str, ...]:
     return tuple(one.name for one in scanners if one.T_root_sensor is not None and one.grade != "good")
 
 
-def _describe_scanners(rig: Rig, tracked: Tracked, calibration: Calibration | None) -> tuple[SensorSolution, ...]:
-    poses = {sensor.name: sensor for sensor in calibration.sensors} if calibration else {}
-    unconnected: Mapping[str, str] = calibration.evidence.unconnected if calibration else {}
-    limits = max_good_stddev(rig.tolerance, rig.settings.diagnostics.verdict)
-    scanners = []
-    for name in rig.sensors:
-        found = tracked[name]
-        count = len(found.tracks) if isinstance(found, ScannerTracks) else 0
-        # A root to which nothing is connected is no result.
-        if name in poses and len(poses) > 1:
-            scanners.append(replace(describe_pose(poses[name], limits), tracks=count))
-        else:
-            reason = unconnected.get(name, found.reason if isinstance(found, Rejected) else "")
-            scanners.append(SensorSolution(name, rig.sensors[name].kind, reason=reason, tracks=count))
-    return tuple(scanners)
+def _add_tracks(scanner: SensorSolution, found: ScannerTracks | Rejected) -> SensorSolution:
+    """With the number of tracks, or why there are none."""
+    if isinstance(found, Rejected):
+        return replace(scanner, reason=scanner.reason or found.reason)
+    return replace(scanner, tracks=len(found.tracks))
 
 
 @contextmanager

@@ -3,10 +3,10 @@
 import asyncio
 import math
 from collections.abc import AsyncIterator, Collection, Mapping
-from contextlib import aclosing, suppress
+from contextlib import aclosing
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Self, cast
+from typing import Any, cast
 
 from calgraph.config.settings import ConnectionSettings, Settings
 from calgraph.errors import InputError
@@ -66,44 +66,39 @@ class AlignedSource:
     max_lead = math.inf
 
     def __init__(self, source: Source, settings: ConnectionSettings) -> None:
+        self.name = source.name
         self._source, self._settings = source, settings
-
-    @property
-    def name(self) -> str:
-        """The name of the source."""
-        return self._source.name
 
     async def stream(self, topics: Collection[str]) -> AsyncIterator[LiveMessage | Notice]:
         """Messages and notices of the source; see :meth:`Source.stream`. The first messages come delayed."""
         now = asyncio.get_running_loop().time
         offsets, waiting = dict[str, int](), list[LiveMessage]()
+        shift: int | None = None
         end = math.inf
         # A generator, whose connection is closed with it.
-        async with aclosing(cast(Any, self._source.stream(topics))) as items, _Following(items) as following:
-            while not (offsets and now() >= end):
-                item = await following.take(max(end - now(), 0.0))
-                if item is None and following.ended:
-                    break
+        async with aclosing(cast(Any, self._source.stream(topics))) as items:
+            async for item in items:
                 if isinstance(item, Notice):
                     yield item
-                elif item is not None:
-                    end = end if waiting else now() + _ALIGNMENT_TIME
+                    continue
+                if item is not None:
                     waiting.append(item)
-                    if (stamp := item.read_stamp()) is not None:
+                    if shift is None and (stamp := item.read_stamp()) is not None:
                         offsets.setdefault(item.channel.topic, item.arrival - stamp)
-                elif not offsets:
-                    # Without stamps they cannot be compared.
-                    for one in waiting:
-                        yield one
-                    waiting.clear()
+                if shift is None and waiting:
+                    end = min(end, now() + _ALIGNMENT_TIME)
+                    if now() < end:
+                        continue
                     end = math.inf
-            shift = self._choose_shift(offsets)
-            if shift:
-                yield Notice("connected", self._describe(shift))
+                    # Without stamps they cannot be compared.
+                    shift = self._choose_shift(offsets) if offsets else None
+                    if shift:
+                        yield Notice("connected", self._describe(shift))
+                for one in waiting:
+                    yield replace(one, arrival=one.arrival - (shift or 0))
+                waiting.clear()
             for one in waiting:
-                yield replace(one, arrival=one.arrival - shift)
-            while (item := await following.take()) is not None:
-                yield item if isinstance(item, Notice) else replace(item, arrival=item.arrival - shift)
+                yield replace(one, arrival=one.arrival - self._choose_shift(offsets))
 
     def _choose_shift(self, offsets: Mapping[str, int]) -> int:
         """The median difference of the topics, ns; 0 where it is a latency."""
@@ -119,37 +114,3 @@ class AlignedSource:
             f"{self.name}: stamps are {abs(shift) / _NS_PER_SECOND:.1f} s {side} the clock of arrivals, which is "
             "set to theirs"
         )
-
-
-class _Following:
-    """The next item of a stream, which is awaited for a limited time without an effect on the stream."""
-
-    def __init__(self, items: AsyncIterator[LiveMessage | Notice]) -> None:
-        self._items = items
-        self._next: asyncio.Future[LiveMessage | Notice] | None = None
-        self.ended = False
-
-    async def take(self, timeout: float = math.inf) -> LiveMessage | Notice | None:
-        """The next item; None where none comes in time (s), and at the end."""
-        if self._next is None:
-            self._next = asyncio.ensure_future(anext(self._items))
-        await asyncio.wait({self._next}, timeout=None if timeout == math.inf else timeout)
-        if not self._next.done():
-            return None
-        try:
-            return self._next.result()
-        except StopAsyncIteration:
-            self.ended = True
-            return None
-        finally:
-            self._next = None
-
-    async def __aenter__(self) -> Self:
-        return self
-
-    async def __aexit__(self, *_: object) -> None:
-        """Ends the stream where an item of it is awaited."""
-        if self._next is not None:
-            self._next.cancel()
-            with suppress(asyncio.CancelledError, StopAsyncIteration):
-                await self._next

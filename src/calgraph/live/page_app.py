@@ -3,8 +3,8 @@
 import asyncio
 import time
 from collections import Counter
-from collections.abc import AsyncIterator, Callable, Coroutine, Mapping
-from contextlib import asynccontextmanager, suppress
+from collections.abc import Callable, Coroutine, Mapping
+from contextlib import suppress
 from importlib.resources import files
 from pathlib import Path
 from typing import Literal, Protocol, get_args
@@ -12,8 +12,9 @@ from typing import Literal, Protocol, get_args
 import numpy as np
 from pydantic_core import to_json
 from starlette.applications import Starlette
+from starlette.exceptions import HTTPException
 from starlette.requests import Request
-from starlette.responses import FileResponse, PlainTextResponse, Response
+from starlette.responses import FileResponse, Response
 from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
@@ -21,8 +22,8 @@ from calgraph.config.settings import PageSettings
 from calgraph.live.state import Action, SessionState
 
 
-class ShownSession(Protocol):
-    """A session that can be shown and commanded, all calls in one asyncio loop. None of them blocks."""
+class SessionView(Protocol):
+    """A session as the page shows and commands it, all calls in one asyncio loop. None of them blocks."""
 
     def state(self) -> SessionState:
         """The session now."""
@@ -30,15 +31,11 @@ class ShownSession(Protocol):
     def picture(self, sensor: str) -> bytes | None:
         """The view of a sensor with the board drawn in, a JPEG image; None before the first."""
 
-    def command(self, action: Action) -> None:
-        """Does what the operator wants."""
-
-
-class SessionView(ShownSession, Protocol):
-    """A session as the page uses it."""
-
     def report(self) -> Path | None:
         """The report of the calibration; None as long as there is none."""
+
+    def command(self, action: Action) -> None:
+        """Does what the operator wants."""
 
 
 Refusal = Literal[
@@ -122,41 +119,26 @@ class PageApp:
         )
         self.routes.router.redirect_slashes = False
 
-    @asynccontextmanager
-    async def following(self) -> AsyncIterator[None]:
-        """Follows the session's state in the background."""
-        task = asyncio.create_task(self._follow())
-        try:
-            yield
-        finally:
-            task.cancel()
-            with suppress(asyncio.CancelledError):
-                await task
-
-    async def _follow(self) -> None:
-        """Encodes what is new in the state, and notes whether it has changed."""
-        before: SessionState | None = None
+    async def follow(self) -> None:
+        """Encodes the state again and again, and notes whether it has changed."""
         while True:
-            state = self._view.state()
-            new = [
-                name for name, value in vars(state).items() if before is None or value is not vars(before)[name]
-            ]
-            fields = {**self._fields, **{name: _encode(vars(state)[name]) for name in new}}
+            fields = {name: _encode(value) for name, value in vars(self._view.state()).items()}
             if fields != self._fields:
                 self._fields = fields
                 self._changed.set()
                 self._changed = asyncio.Event()
-            before = state
             await asyncio.sleep(1 / _RATE)
 
     async def _answer_picture(self, request: Request) -> Response:
         picture = self._view.picture(request.query_params.get("sensor", ""))
-        return _not_found() if picture is None else Response(picture, media_type="image/jpeg")
+        if picture is None:
+            raise HTTPException(404)
+        return Response(picture, media_type="image/jpeg")
 
     async def _answer_report(self, _: Request) -> Response:
         report = self._view.report()
         if report is None:
-            return _not_found()
+            raise HTTPException(404)
         return FileResponse(report, media_type="text/html", headers={"Content-Security-Policy": _REPORT_POLICY})
 
     async def _serve_page(self, socket: WebSocket) -> None:
@@ -239,7 +221,3 @@ def _answer_with(content: bytes, name: str) -> Callable[[Request], Coroutine[Non
         return Response(content, media_type=MEDIA_TYPES[name.rpartition(".")[2]])
 
     return answer
-
-
-def _not_found() -> Response:
-    return PlainTextResponse("not there\n", 404)

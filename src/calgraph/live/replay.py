@@ -1,7 +1,7 @@
 """A recording as a live source: its messages at the pace at which they arrived, or faster."""
 
 import asyncio
-from collections.abc import AsyncIterator, Awaitable, Callable, Collection, Iterator
+from collections.abc import AsyncIterator, Collection, Iterator
 from pathlib import Path
 
 from rosbags.interfaces import MessageDefinitionFormat
@@ -45,13 +45,9 @@ class ReplaySource:
                 f"`speed` {speed:g}: give 1 for real time, 5 for five times as fast, 0 to skip nothing"
             )
         self.max_lead = _MAX_LEAD if speed else 0.0
+        self.name = str(path)
         self._path, self._speed, self._limits = path, speed, limits
         self._start_after, self._but = start_after, but
-
-    @property
-    def name(self) -> str:
-        """The path of the recording."""
-        return str(self._path)
 
     async def stream(self, topics: Collection[str]) -> AsyncIterator[LiveMessage | Notice]:
         """The messages of the topics wanted; see :meth:`Source.stream`.
@@ -67,33 +63,23 @@ class ReplaySource:
             for topic in topics:
                 if topic not in present:
                     yield Notice("missing", f"{self._path}: {explain_missing_topic(topic, present)}", topic)
-            wait = self._start_pacing()
+            now = asyncio.get_running_loop().time
+            first: tuple[float, int] | None = None
             after = self._start_after if self._but is None else self._start_after - 1
-            for item in _list_messages(recording, set(topics).intersection(present), after):
+            for item in list_messages(recording, set(topics).intersection(present), after):
                 if isinstance(item, LiveMessage):
                     if item.arrival == self._start_after and item.channel.topic in (self._but or ()):
                         continue
-                    await wait(item.arrival)
+                    began, first_arrival = first = first or (now(), item.arrival)
+                    elapsed = (item.arrival - first_arrival) / 1e9
+                    delay = began + elapsed / self._speed - now() if self._speed else 0.0
+                    # Where nothing is to be waited for, other tasks of the loop have their turn.
+                    await asyncio.sleep(max(0.0, delay))
                 yield item
             yield Notice("ended", f"the recording {self._path} is at its end")
 
-    def _start_pacing(self) -> Callable[[int], Awaitable[None]]:
-        """A function that waits until messages of an arrival (ns) are to be given; the first are now."""
-        now = asyncio.get_running_loop().time
-        first: list[tuple[float, int]] = []
 
-        async def wait(arrival: int) -> None:
-            if not first:
-                first.append((now(), arrival))
-            began, first_arrival = first[0]
-            delay = began + (arrival - first_arrival) / 1e9 / self._speed - now() if self._speed else 0.0
-            # Where nothing is to be waited for, other tasks of the loop have their turn.
-            await asyncio.sleep(max(0.0, delay))
-
-        return wait
-
-
-def _list_messages(recording: Recording, topics: Collection[str], after: int) -> Iterator[LiveMessage | Notice]:
+def list_messages(recording: Recording, topics: Collection[str], after: int) -> Iterator[LiveMessage | Notice]:
     """The messages that arrived later than a time, ns, and notices of what cannot be read."""
     if isinstance(recording, BagRecording):
         channels: dict[tuple[str, TypeDefinition], Channel | None] = {}

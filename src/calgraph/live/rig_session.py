@@ -1,9 +1,6 @@
 """A live session of a rig: from its messages to captures, poses, and the state that the operator is shown."""
 
-from collections import deque
-from collections.abc import Callable, Mapping
-from concurrent.futures import Executor
-from dataclasses import dataclass
+from collections.abc import Callable
 
 import numpy as np
 
@@ -13,40 +10,27 @@ from calgraph.errors import CalibrationError, Rejected
 from calgraph.live.analysis_jobs import NO_INTRINSICS
 from calgraph.live.capture_finder import name_sensors
 from calgraph.live.capture_taker import CaptureTaker
-from calgraph.live.job_queue import JobQueue, Post
+from calgraph.live.job_queue import JobQueue
 from calgraph.live.live_captures import LiveCapture, collect_live_captures, count_coverage
-from calgraph.live.live_rig import make_trigger, prepare_live_rig
+from calgraph.live.live_rig import TRIGGER_TOPIC, make_trigger, prepare_live_rig
 from calgraph.live.message_analysis import MessageAnalysis
+from calgraph.live.replay import list_messages
 from calgraph.live.rig_solution import LiveSolution
 from calgraph.live.sensor_solution import SensorSolution
+from calgraph.live.session import ALL_DONE, Session, SessionPools
 from calgraph.live.source import LiveMessage
 from calgraph.live.state import Action, Phase, SensorState, SessionState
 from calgraph.parallel.engine import THIS_PROCESS, Engine
 from calgraph.parallel.processes import available_cores
-from calgraph.recording import Recording, resolve_intrinsics
+from calgraph.recording import Recording, correct_stamps
 from calgraph.rig.captures.detect import CaptureSet
-from calgraph.rig.captures.holds import Hold, find_holds, limit_messages
+from calgraph.rig.captures.holds import find_holds, limit_messages
 from calgraph.rig.captures.sensor_detection import DetectionMethod, detect_by_sensors
-from calgraph.rig.captures.timeline import RecordingTimeline, build_timeline
-from calgraph.sensors import CameraModel
+from calgraph.rig.captures.timeline import RecordingTimeline
 from calgraph.sensors.kinds import KINDS
 
 Solve = Callable[[Rig, CaptureSet, LiveSolution | None], LiveSolution]
 """Computes the poses from the captures until now and the last solution; defined at module level."""
-
-
-@dataclass(frozen=True)
-class SessionPools:
-    """Where a session computes."""
-
-    analysis: Executor
-    """Detects; forked before threads start, see :func:`calgraph.parallel.processes.worker_pool`."""
-    analysis_processes: int
-    """Number of its processes."""
-    solving: Executor
-    """Solves, one solution at a time."""
-    post: Post
-    """Has results handled in the thread of the session: ``loop.call_soon_threadsafe``."""
 
 
 def count_analysis_processes(rig: Rig) -> int:
@@ -54,14 +38,10 @@ def count_analysis_processes(rig: Rig) -> int:
     return max(1, min(available_cores() - 1, rig.settings.live.analysis_processes))
 
 
-ALL_DONE = "All sensors are within tolerance: finish"
-"""What an operator reads who has done enough."""
-
-
-class RigSession:
+class RigSession(Session):
     """Detects the board in live messages, takes captures, and calibrates after each of them.
 
-    All calls are made in one thread, and none blocks. Captures are those that ``calgraph calibrate`` finds in the
+    Captures are those that ``calgraph calibrate`` finds in the
     recording of the same messages and triggers with the rig :attr:`rig`.
 
     Args:
@@ -83,20 +63,17 @@ class RigSession:
         exclude: Callable[[tuple[float, float]], object],
         print_line: Callable[[str], object],
     ) -> None:
-        self.rig = prepare_live_rig(rig)
-        """The rig of the recording: with the trigger of the session, and a background window."""
-        self.triggers: deque[LiveMessage] = deque()
-        """That are to be recorded."""
-        self._source, self._solve, self._exclude, self._print_line = source, solve, exclude, print_line
+        # With the trigger of the session, and a background window.
+        super().__init__(prepare_live_rig(rig), source, pools, print_line)
+        self._solve, self._exclude = solve, exclude
         self.analysis = MessageAnalysis(self.rig, source)
         self.taker = CaptureTaker(self.rig, self.analysis, self._write_trigger, print_line)
-        self._queue = JobQueue(pools.analysis, pools.analysis_processes, self._post_to(pools.post))
-        self._solver = JobQueue(pools.solving, 1, self._post_to(pools.post))
+        self._queue = JobQueue(pools.analysis, pools.analysis_processes, pools.post, self.advance)
+        self._queues.append(self._queue)
         self.solution: LiveSolution | None = None
         """The last one; None before the first."""
         self._solved_captures: tuple[object, ...] = ()
-        self._problem = ""
-        self._pumping = False
+        self._advancing = False
 
     def rebuild(self, recording: Recording, engine: Engine = THIS_PROCESS) -> None:
         """Continues after what was recorded before, with its captures; called before the first message.
@@ -109,22 +86,28 @@ class RigSession:
         Raises:
             RecordingError: it cannot be read.
         """
-        timeline, cameras, captures = rebuild_captures(self.rig, recording, self.analysis.detectors.seeds, engine)
-        window = self.rig.capture.background
-        present = {topic.name for topic in recording.topics}
-        times = [recording.start + time for time in window] if window else [0.0, 0.0]
-        background = recording.records([t for t in self.rig.topics.values() if t in present], *times)
-        self.analysis.restore(timeline, recording.end, cameras, background)
+        rig, triggers = self.rig, list[float]()
+        wanted = {*rig.topics.values(), *self.analysis.detectors.intrinsics_topics, TRIGGER_TOPIC}
+        for item in list_messages(recording, wanted.intersection(topic.name for topic in recording.topics), -1):
+            if isinstance(item, LiveMessage):
+                self.analysis.feed(item, is_past=True)
+                if item.channel.topic == TRIGGER_TOPIC:
+                    triggers.append(item.read(self._source, rig.settings.limits).stamp)
+        offsets = {rig.topics[name]: offset for name, offset in self.analysis.clock_offsets.items()}
+        method = DetectionMethod(self.analysis.detectors.cameras, self.analysis.detectors.seeds)
+        captures = find_captures(
+            rig, correct_stamps(recording, offsets), self.analysis.timeline.snapshot(triggers), method, engine
+        )
         self.taker.restore(captures, self.taker.finder.now())
-        self._pump()
+        self.advance()
 
     def feed(self, message: LiveMessage) -> None:
         """Takes a message that has been recorded; the work is left to other processes, which may skip it."""
         self.analysis.feed(message)
-        self._pump()
+        self.advance()
 
-    def command(self, action: Action) -> None:
-        """Does what the operator wants; ``finish`` concerns who owns the session."""
+    def act(self, action: Action) -> None:
+        """Does what the operator wants."""
         match action:
             case "trigger":
                 self.taker.request()
@@ -132,20 +115,16 @@ class RigSession:
                 self.taker.automatic = action == "automatic"
             case "discard":
                 self._discard()
-        self._pump()
+        self.advance()
 
-    def state(self) -> SessionState:
-        """The session now, without what concerns source and recorder."""
+    def describe(self) -> SessionState:
+        """The session now, without what concerns source, recorder and end."""
         solution, taker = self.solution, self.taker
         solved = {one.name: one for one in solution.sensors} if solution else {}
         done = bool(solution and solution.done)
         problems = taker.finder.find_problems()
         phase, headline = _describe_phase(self.analysis, taker)
-        if killed := self._queue.problem or self._solver.problem:
-            headline = f"Only recording goes on: {killed}"
-        elif self._problem:
-            headline = self._problem
-        elif done and phase == "ready":
+        if done and phase == "ready":
             headline = ALL_DONE
         return SessionState(
             kind="rig",
@@ -180,40 +159,22 @@ class RigSession:
         )
 
     @property
-    def busy(self) -> bool:
-        """Whether other processes work for the session."""
-        return self._queue.running + self._solver.running > 0
-
-    @property
-    def lag(self) -> float:
+    def lag(self) -> float:  # type: ignore[override]
         """Time by which the detection is behind the messages, s; 0 where nothing is detected any more."""
         return max(self.analysis.lag, self.taker.lag) if self._queue.running else 0.0
 
-    def close(self) -> None:
-        """Ends the session: results of calls under way are ignored."""
-        self._queue.closed = self._solver.closed = True
-
-    def _post_to(self, post: Post) -> Post:
-        """Has results handled in the thread of the session, and then further calls started."""
-
-        def handle(function: Callable[[], None]) -> None:
-            function()
-            self._pump()
-
-        return lambda function: post(lambda: handle(function))
-
-    def _pump(self) -> None:
+    def advance(self) -> None:
         """Takes captures, and keeps the processes busy with what is most urgent."""
-        if self._pumping:
+        if self._advancing:
             return
-        self._pumping = True
+        self._advancing = True
         try:
             self.taker.advance()
             while self._queue.idle and (self.taker.start_job(self._queue) or self.analysis.start_job(self._queue)):
                 self.taker.advance()
             self._start_solving()
         finally:
-            self._pumping = False
+            self._advancing = False
 
     def _start_solving(self) -> None:
         """Solves for the newest captures, if they have not been, and no solution is being computed."""
@@ -221,10 +182,7 @@ class RigSession:
         if self._solve is None or not captures or not self._solver.idle or captures == self._solved_captures:
             return
         self._solved_captures = captures
-        self._solver.run(
-            self._solve, self._state_intrinsics(), self.captures(), self.solution,
-            done=self._set_solution, failed=self._fail_solving,
-        )  # fmt: skip
+        self._solver.run(self._set_solution, self._solve, self._state_intrinsics(), self.captures(), self.solution)
 
     def _state_intrinsics(self) -> Rig:
         """The rig with the intrinsics that have arrived."""
@@ -236,16 +194,16 @@ class RigSession:
         }
         return self.rig.model_copy(update={"sensors": {**self.rig.sensors, **sensors}})
 
-    def _set_solution(self, solution: LiveSolution) -> None:
+    def _set_solution(self, solution: LiveSolution | Rejected) -> None:
+        if isinstance(solution, Rejected):
+            self._problem = f"No poses from the captures until now: {solution.reason}"
+            return
         if not self.taker.captures:  # they were left out meanwhile
             return
         if solution.done and not (self.solution and self.solution.done):
             self._print_line(ALL_DONE)
         self.solution = solution
         self._problem = ""
-
-    def _fail_solving(self, error: BaseException) -> None:
-        self._problem = f"No poses from the captures until now: {error}"
 
     def _write_trigger(self, stamp: float) -> None:
         self.triggers.append(make_trigger(stamp, self.analysis.timeline.latest_arrival))
@@ -263,53 +221,41 @@ class RigSession:
         self._exclude((start + margin, end - margin))
 
 
-def rebuild_captures(
-    rig: Rig, recording: Recording, seeds: Mapping[str, int], engine: Engine
-) -> tuple[RecordingTimeline, Mapping[str, CameraModel], list[LiveCapture]]:
-    """When sensors measured in the recording of an interrupted session, intrinsics by camera, and its captures.
-
-    Sensors may be missing in it.
+def find_captures(
+    rig: Rig, recording: Recording, timeline: RecordingTimeline, method: DetectionMethod, engine: Engine
+) -> list[LiveCapture]:
+    """The captures in the recording of an interrupted session.
 
     Args:
-        rig: of the session; see :func:`calgraph.live.live_rig.prepare_live_rig`.
+        rig: of the session; see :func:`calgraph.live.live_rig.prepare_live_rig`. Sensors may be missing in the
+            recording.
         recording: until the interruption.
-        seeds: of the detectors' samples, by sensor; see :func:`calgraph.rig.captures.detectors.draw_seeds`.
+        timeline: of the recording.
+        method: of the detection; cameras without intrinsics are left out.
         engine: searches the board.
 
     Raises:
         RecordingError: it cannot be read.
     """
-    present = {topic.name for topic in recording.topics}
-    recorded = {name: spec for name, spec in rig.sensors.items() if spec.topic in present}
-    part = rig.model_copy(update={"sensors": recorded})
-    cameras = resolve_intrinsics(part, recording).camera_models()
-    wanted = [topic for topic in (*part.topics.values(), rig.capture.trigger) if topic in present]
-    records = recording.records([topic for topic in wanted if topic])
-    timeline = build_timeline(records, recording.start, rig.topics, rig.capture.trigger)
     try:
         holds = limit_messages(find_holds(timeline, rig.capture, rig.settings.captures), rig)
     except CalibrationError:  # none yet
-        return timeline, cameras, []
+        return []
+    present = {topic.name for topic in recording.topics}
     detecting = {
-        name: spec for name, spec in recorded.items() if KINDS[spec.kind].measures_ranges or name in cameras
+        name: spec
+        for name, spec in rig.sensors.items()
+        if spec.topic in present and (KINDS[spec.kind].measures_ranges or name in method.cameras)
     }
-    found = detect_by_sensors(
-        part.model_copy(update={"sensors": detecting}),
-        recording,
-        timeline,
-        holds,
-        DetectionMethod(cameras, seeds),
-        engine=engine,
-    )
+    part = rig.model_copy(update={"sensors": detecting})
+    found = detect_by_sensors(part, recording, timeline, holds, method, engine=engine)
     by_hold: dict[int, dict[str, DetectionResult]] = {hold.index: {} for hold in holds}
     for one in found:
         by_hold[one.capture][one.sensor] = one.detections
-    return timeline, cameras, [_make_capture(rig, hold, by_hold[hold.index]) for hold in holds]
-
-
-def _make_capture(rig: Rig, hold: Hold, found: Mapping[str, DetectionResult]) -> LiveCapture:
-    """A capture with all sensors of the rig in its order."""
-    return LiveCapture(hold, {name: found.get(name, Rejected(NO_INTRINSICS)) for name in rig.sensors})
+    return [
+        LiveCapture(hold, {name: by_hold[hold.index].get(name, Rejected(NO_INTRINSICS)) for name in rig.sensors})
+        for hold in holds
+    ]
 
 
 def _describe_phase(analysis: MessageAnalysis, taker: CaptureTaker) -> tuple[Phase, str]:

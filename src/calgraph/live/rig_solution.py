@@ -14,7 +14,7 @@ from calgraph.config import Rig
 from calgraph.errors import CalgraphError
 from calgraph.geometry import Array, se3
 from calgraph.live.pose_picture import draw_pose
-from calgraph.live.sensor_solution import SensorSolution, describe_pose
+from calgraph.live.sensor_solution import SensorSolution, describe_sensors
 from calgraph.live.state import Advice, SceneState
 from calgraph.result import Calibration, Suggestion
 from calgraph.rig.bundle.problem import explain_singular_equations
@@ -27,61 +27,37 @@ from calgraph.rig.options import RigOptions
 from calgraph.rig.pipeline import build_problem_from_captures, solve_after_bumps
 from calgraph.sensors import CameraModel
 from calgraph.sensors.kinds import KINDS
-from calgraph.verdict.grades import max_good_stddev
 
 # How well a sensor alone locates the board: a partner that measures its plane needs the fewest shared captures.
 _PARTNER_RANK = {name: rank for rank, name in enumerate(KINDS)}
 
 
-@dataclass(frozen=True)
-class MissingPair:
-    """Two sensors that should detect the board together next."""
+def advise_missing_pair(rig: Rig, captures: CaptureSet, connected: Collection[str]) -> str:
+    """Which sensors should detect the board together next, as long as some have no pose; empty if all have one.
 
-    sensors: tuple[str, str]
-    """One without a pose, and one with a pose."""
-    shared: int
-    """Captures in which both have detected the board."""
-
-    def __str__(self) -> str:
-        """What the operator should do."""
-        name, partner = self.sensors
-        first = f"Show the board to {name} and {partner} together"
-        if not self.shared:
-            return f"{first}, in several places, tilted and turned differently each time"
-        times = "once" if self.shared == 1 else f"{self.shared} times"
-        return f"{first}, tilted and turned differently than before: they have detected it together {times}"
-
-
-def find_missing_pair(rig: Rig, captures: CaptureSet, connected: Collection[str]) -> MissingPair | None:
-    """Which sensors should detect the board together next, as long as some have no pose.
+    They are the pair with the most common captures, of a sensor without a pose and one with a pose.
 
     Args:
         rig: the rig.
         captures: the detections until now.
         connected: the sensors that have a pose, the root included.
-
-    Returns:
-        The pair with the most common captures, of a sensor without a pose and one with a pose; None if all have
-        one.
     """
     placed = {rig.root, *connected}
-    missing = [name for name in rig.sensors if name not in placed]
+    pairs = [(name, partner) for name in rig.sensors if name not in placed for partner in sorted(placed)]
+    if not pairs:
+        return ""
 
-    def rank(pair: MissingPair) -> tuple[int, int, int]:
-        name, partner = pair.sensors
-        kinds = _PARTNER_RANK[rig.sensors[name].kind] + _PARTNER_RANK[rig.sensors[partner].kind]
-        return -pair.shared, kinds, missing.index(name)
+    def count_shared(pair: tuple[str, str]) -> int:
+        return len(captures.detections[pair[0]].keys() & captures.detections[pair[1]].keys())
 
-    pairs = [
-        MissingPair((name, partner), _count_shared(captures, name, partner))
-        for name in missing
-        for partner in sorted(placed)
-    ]
-    return min(pairs, key=rank, default=None)
-
-
-def _count_shared(captures: CaptureSet, a: str, b: str) -> int:
-    return len(captures.detections[a].keys() & captures.detections[b].keys())
+    # Of several, that of the kinds which locate the board best; the first in rig.yaml.
+    rank = {name: _PARTNER_RANK[spec.kind] for name, spec in rig.sensors.items()}
+    pair = min(pairs, key=lambda pair: (-count_shared(pair), rank[pair[0]] + rank[pair[1]]))
+    first, shared = f"Show the board to {pair[0]} and {pair[1]} together", count_shared(pair)
+    if not shared:
+        return f"{first}, in several places, tilted and turned differently each time"
+    times = "once" if shared == 1 else f"{shared} times"
+    return f"{first}, tilted and turned differently than before: they have detected it together {times}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,8 +70,6 @@ class LiveSolution:
     """Number of captures that it was computed from."""
     advice: Advice | None = None
     """The next board pose; None where all sensors are good, and where no pose has a relevant gain."""
-    missing: MissingPair | None = None
-    """Sensors that should detect the board together next; None where all have a pose."""
     suggestion: Suggestion | None = None
     """The next best board pose, where all sensors have a pose and some are not good."""
     scene: SceneState | None = None
@@ -122,13 +96,15 @@ def solve_captures(rig: Rig, captures: CaptureSet, start: LiveSolution | None = 
     try:
         calibration, solved = _solve(rig, captures, _select_known_poses(start))
     except CalgraphError:
-        missing = find_missing_pair(rig, captures, ())
-        advice = Advice(str(missing)) if missing else None
-        return LiveSolution(_describe_sensors(rig, captures, None), len(captures.holds), advice, missing)
-    sensors = _describe_sensors(rig, captures, calibration)
+        missing = advise_missing_pair(rig, captures, ())
+        return LiveSolution(describe_sensors(rig, None), len(captures.holds), Advice(missing) if missing else None)
+    sensors = tuple(
+        replace(one, field_of_view=_measure_field_of_view(captures.cameras.get(one.name)))
+        for one in describe_sensors(rig, calibration)
+    )
     done = all(sensor.grade == "good" for sensor in sensors)
     connected = {sensor.name for sensor in sensors if sensor.T_root_sensor is not None}
-    missing = find_missing_pair(rig, captures, connected)
+    missing = advise_missing_pair(rig, captures, connected)
     suggestion = None
     if solved and not missing and not done:
         repeated = start and start.captures != len(captures.holds)
@@ -136,7 +112,7 @@ def solve_captures(rig: Rig, captures: CaptureSet, start: LiveSolution | None = 
     picture = _draw_suggestion(rig, sensors, suggestion) if suggestion else ""
     advice = None if done else _advise(sensors, missing, suggestion, picture)
     scene = _make_scene(rig, sensors, calibration, suggestion)
-    return LiveSolution(sensors, len(captures.holds), advice, missing, suggestion, scene)
+    return LiveSolution(sensors, len(captures.holds), advice, suggestion, scene)
 
 
 def _make_scene(
@@ -151,11 +127,11 @@ def _make_scene(
 
 
 def _advise(
-    sensors: Sequence[SensorSolution], missing: MissingPair | None, suggestion: Suggestion | None, picture: str
+    sensors: Sequence[SensorSolution], missing: str, suggestion: Suggestion | None, picture: str
 ) -> Advice | None:
     """What to do next, in words; what keeps a sensor from being good where no board pose helps."""
     if missing:
-        return Advice(str(missing))
+        return Advice(missing)
     if suggestion:
         return Advice(
             suggestion.hold[0].upper() + suggestion.hold[1:],
@@ -225,25 +201,6 @@ def _without_bootstrap(rig: Rig) -> Rig:
     tests = diagnostics.rig.model_copy(update={"max_bootstrap_captures": 1})
     diagnostics = diagnostics.model_copy(update={"rig": tests})
     return rig.model_copy(update={"settings": rig.settings.model_copy(update={"diagnostics": diagnostics})})
-
-
-def _describe_sensors(
-    rig: Rig, captures: CaptureSet, calibration: Calibration | None
-) -> tuple[SensorSolution, ...]:
-    poses = {sensor.name: sensor for sensor in calibration.sensors} if calibration else {}
-    limits = max_good_stddev(rig.tolerance, rig.settings.diagnostics.verdict)
-    found = []
-    for name, spec in rig.sensors.items():
-        if name in poses:
-            one = replace(
-                describe_pose(poses[name], limits),
-                field_of_view=_measure_field_of_view(captures.cameras.get(name)),
-            )
-            # A root to which nothing is connected is no result.
-            found.append(one if len(poses) > 1 else replace(one, uncertainty=float("inf"), grade=""))
-        else:
-            found.append(SensorSolution(name, spec.kind))
-    return tuple(found)
 
 
 def suggest_next_pose(rig: Rig, solved: SolvedBundle, last: Suggestion | None) -> Suggestion | None:

@@ -1,11 +1,14 @@
 """What is known of one sensor's pose while it is recorded, in rigs and networks."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 
+from calgraph.config import Rig
 from calgraph.geometry import Array
-from calgraph.result import SensorPose
+from calgraph.result import Calibration, SensorPose
+from calgraph.verdict.grades import max_good_stddev
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,13 +50,21 @@ class SensorSolution:
         return self.T_root_sensor[:3, 3]
 
 
-def describe_pose(sensor: SensorPose, limits: Array) -> SensorSolution:
-    """What a calibration knows of a sensor.
+def describe_sensors(rig: Rig, calibration: Calibration | None) -> tuple[SensorSolution, ...]:
+    """What a calibration knows of all sensors; a root to which nothing is connected is no result."""
+    poses = {one.name: one for one in calibration.sensors} if calibration and len(calibration.sensors) > 1 else {}
+    unconnected: Mapping[str, str] = calibration.evidence.unconnected if calibration else {}
+    limits = max_good_stddev(rig.tolerance, rig.settings.diagnostics.verdict)
+    return tuple(
+        _describe_pose(poses[name], limits)
+        if name in poses
+        else SensorSolution(name, spec.kind, reason=unconnected.get(name, ""))
+        for name, spec in rig.sensors.items()
+    )
 
-    Args:
-        sensor: of a calibration.
-        limits: (6,) standard deviations up to which errors are within the tolerance, m and rad.
-    """
+
+def _describe_pose(sensor: SensorPose, limits: Array) -> SensorSolution:
+    """What is known of a pose, with (6,) standard deviations up to which errors are within the tolerance."""
     return SensorSolution(
         sensor.name,
         sensor.kind,

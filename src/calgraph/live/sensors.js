@@ -1,6 +1,6 @@
 // One card per sensor: its view, what it detects, captures, coverage, and uncertainty against the tolerance.
 
-import { byId, draw, formatCount, formatLength, make, setOptionalText, setText } from "./dom.js";
+import { byId, formatCount, formatLength, make, setOptionalText, setText } from "./dom.js";
 
 const KINDS = { camera: "camera", lidar2d: "2-D scanner", lidar3d: "3-D LiDAR" };
 const cards = new Map();
@@ -37,12 +37,14 @@ function makeCard(sensor) {
   bar.setAttribute("role", "progressbar");
   bar.setAttribute("aria-label", `Tolerance over uncertainty of ${sensor.name}`);
   const coverage = make("div", "coverage");
+  coverage.setAttribute("role", "img");
   const numbers = make("div", "numbers", part.precision, bar, part.tolerance);
   const element = make(
     "li", "card", view, make("div", "title", name, kind), part.board, numbers,
     make("div", "extent", coverage, part.captures), part.problem,
   );
-  return { element, image, bar, coverage, part, loading: false, loaded: 0 };
+  image.onload = () => element.classList.add("pictured");
+  return { element, image, bar, coverage, part };
 }
 
 function updateCard(card, sensor, state) {
@@ -90,68 +92,27 @@ function describeTracks(sensor) {
   return `${formatCount(sensor.captures, "track")} · ${rate}${clock}`;
 }
 
-function showCoverage(card, sensor) {
-  const shares = sensor.coverage;
+/** Shares of the regions of an image, or of directions around a scanner from above, of which forward is up. */
+function showCoverage({ coverage }, { kind, coverage: shares }) {
   const key = shares.join();
-  if (card.coverageShown === key) return;
-  card.coverageShown = key;
-  if (!shares.length) {
-    card.coverage.replaceChildren();
-    return;
-  }
+  if (coverage.dataset.shown === key) return;
+  coverage.dataset.shown = key;
   const filled = shares.filter((share) => share > 0).length;
-  const isGrid = sensor.kind === "camera";
-  const title = `${filled} of ${shares.length} ${isGrid ? "image regions" : "sectors"} with boards`;
-  const marks = isGrid ? drawGrid(shares) : drawRing(shares);
-  const box = isGrid ? "0 0 44 34" : "-22 -22 44 44";
-  card.coverage.replaceChildren(draw("svg", { viewBox: box, role: "img", "aria-label": title }, ...marks));
+  const isGrid = kind === "camera";
+  coverage.className = isGrid ? "coverage grid" : "coverage ring";
+  coverage.setAttribute("aria-label", `${filled} of ${shares.length} ${isGrid ? "image regions" : "sectors"} with boards`);
+  coverage.replaceChildren(...shares.map((share, index) => {
+    const cell = make("span", share > 0 ? "covered" : "");
+    // A region with a single board is visible, too.
+    if (share > 0) cell.style.opacity = 0.3 + 0.7 * share;
+    if (!isGrid) cell.style.transform = `rotate(${180 - (360 * (index + 0.5)) / shares.length}deg) translateY(-16px)`;
+    return cell;
+  }));
 }
 
-// A region with a single board is visible, too.
-const shade = (share) => (share > 0 ? 0.3 + 0.7 * Math.min(1, share) : 0);
-
-function drawCell(tag, place, share) {
-  return [draw(tag, { ...place, class: "absent" }), draw(tag, { ...place, class: "covered", "fill-opacity": shade(share) })];
-}
-
-function drawGrid(shares) {
-  return shares.flatMap((share, index) => {
-    const place = { x: 1 + 14.2 * (index % 3), y: 1 + 11 * Math.floor(index / 3), width: 13, height: 9.8, rx: 1.5 };
-    return drawCell("rect", place, share);
-  });
-}
-
-/** A ring viewed from above: x, forward, is up; angles are counter-clockwise. */
-function drawRing(shares) {
-  const step = (2 * Math.PI) / shares.length;
-  const gap = Math.min(0.06, step / 6);
-  const point = (radius, angle) => `${(-radius * Math.sin(angle)).toFixed(2)} ${(-radius * Math.cos(angle)).toFixed(2)}`;
-  return shares.flatMap((share, index) => {
-    const [from, to] = [-Math.PI + index * step + gap, -Math.PI + (index + 1) * step - gap];
-    const d = `M${point(21, from)} A21 21 0 0 0 ${point(21, to)} L${point(12, to)} A12 12 0 0 1 ${point(12, from)}Z`;
-    return drawCell("path", { d }, share);
-  });
-}
-
-/** Loads the newest picture; those that came while one was loading are skipped. */
-function loadPicture(card, sensor) {
-  card.wanted = sensor.picture;
-  if (card.loading || !card.wanted || card.wanted === card.loaded) return;
-  card.loading = true;
-  const number = card.wanted;
-  const next = make("img", "view");
-  next.alt = "";
-  const finish = () => {
-    card.loading = false;
-    card.loaded = number;
-    loadPicture(card, { ...sensor, picture: card.wanted });
-  };
-  next.onerror = finish;
-  next.onload = () => {
-    card.image.replaceWith(next);
-    card.image = next;
-    card.element.classList.add("pictured");
-    finish();
-  };
-  next.src = `/picture?sensor=${encodeURIComponent(sensor.name)}&number=${number}`;
+/** Loads the newest picture; those that come while one is loading are skipped. */
+function loadPicture({ image }, { name, picture }) {
+  if (!picture || image.dataset.number === String(picture) || !image.complete) return;
+  image.dataset.number = picture;
+  image.src = `/picture?sensor=${encodeURIComponent(name)}&number=${picture}`;
 }

@@ -6,7 +6,7 @@ import ipaddress
 import re
 import secrets
 import socket
-from collections.abc import AsyncIterator, Callable, Iterable
+from collections.abc import AsyncIterator, Callable, Collection
 from contextlib import asynccontextmanager, nullcontext
 from dataclasses import dataclass
 
@@ -66,7 +66,8 @@ async def serve_page(
     listening = _listen(host, port, settings)
     address, port, *_ = listening.getsockname()
     refusals = Refusals()
-    token = None if is_loopback(address) else make_token()
+    is_local = ipaddress.ip_address(address.partition("%")[0]).is_loopback
+    token = None if is_local else secrets.token_urlsafe(_TOKEN_BYTES)
     app = PageApp(view, settings, refusals)
     check = AccessCheck(app.routes, token, _list_names(host), f"calgraph-{port}", refusals)
     server = uvicorn.Server(
@@ -90,13 +91,13 @@ async def serve_page(
     )
     # Signals are the program's.
     server.capture_signals = nullcontext  # type: ignore[assignment, method-assign]
-    async with app.following():
-        serving = asyncio.create_task(server.serve([listening]))
-        try:
-            yield PageServer(host, port, token, refusals, lambda: app.opened)
-        finally:
-            server.should_exit = True
-            await serving
+    serving, following = asyncio.create_task(server.serve([listening])), asyncio.create_task(app.follow())
+    try:
+        yield PageServer(host, port, token, refusals, lambda: app.opened)
+    finally:
+        server.should_exit = True
+        following.cancel()
+        await asyncio.wait([serving, following])
 
 
 def _listen(host: str, port: int, settings: PageSettings) -> socket.socket:
@@ -128,7 +129,7 @@ def _listen(host: str, port: int, settings: PageSettings) -> socket.socket:
 def _list_names(host: str) -> tuple[str, ...]:
     """Names of this machine that links may have."""
     name = socket.gethostname()
-    return ("localhost", host, name, f"{name}.local")
+    return tuple(one.lower() for one in ("localhost", host, name, f"{name}.local"))
 
 
 def _report_errors(app: ASGIApp) -> ASGIApp:
@@ -189,38 +190,25 @@ _DOCUMENT = (
 _OLD_LINK = "This link is not valid any more: open the one that calgraph live shows now."
 
 
-def make_token() -> str:
-    """A random token for the link."""
-    return secrets.token_urlsafe(_TOKEN_BYTES)
-
-
-def is_loopback(address: str) -> bool:
-    """Whether only this machine reaches an address."""
-    return ipaddress.ip_address(address.partition("%")[0]).is_loopback
-
-
+@dataclass(frozen=True, eq=False)
 class AccessCheck:
     """Refuses requests that do not come from the page itself, and counts them.
 
     A page of another site may make a browser send requests here: by a name that it lets point to this machine (DNS
     rebinding), which the header Host reveals, or by a websocket, which Origin reveals.
 
-    Args:
-        app: answers what is allowed.
-        token: that the link has; None if only this machine reaches the server.
-        names: of hosts, besides literal addresses, which cannot be rebound.
-        cookie: name of the cookie that keeps the token.
-        refusals: are counted here.
     """
 
-    def __init__(
-        self, app: ASGIApp, token: str | None, names: Iterable[str], cookie: str, refusals: Refusals
-    ) -> None:
-        self._app = app
-        self._token = token
-        self._names = frozenset(name.lower() for name in names)
-        self._cookie = cookie
-        self._refusals = refusals
+    app: ASGIApp
+    """Answers what is allowed."""
+    token: str | None
+    """That the link has; None if only this machine reaches the server."""
+    names: Collection[str]
+    """Of hosts in lower case, besides literal addresses, which cannot be rebound."""
+    cookie: str
+    """Name of the cookie that keeps the token."""
+    refusals: Refusals
+    """Are counted here."""
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answers a request, or lets the application answer it."""
@@ -231,14 +219,14 @@ class AccessCheck:
             if message["type"] == "http.response.start":
                 self._count_status(message["status"])
                 known = host if self._is_known(host) else ""
-                _add_headers(MutableHeaders(scope=message), known, is_local=self._token is None)
+                _add_headers(MutableHeaders(scope=message), known, is_local=self.token is None)
             await send(message)
 
         refusal, answer = self._check(request, host)
         if refusal:
-            self._refusals[refusal] += 1
+            self.refusals[refusal] += 1
         if answer is None:
-            await self._app(scope, receive, send_guarded)
+            await self.app(scope, receive, send_guarded)
         elif scope["type"] == "websocket":
             await receive()
             await send({"type": "websocket.close", "code": 1008})
@@ -252,17 +240,17 @@ class AccessCheck:
         is_websocket = request.scope["type"] == "websocket"
         if is_websocket and request.headers.get("origin") != f"http://{host}":
             return "foreign origins", _refuse("", 403)
-        if self._token is None:
+        if self.token is None:
             return None, None
         given = request.query_params.get("token") if request.scope["path"] == "/" else None
         if given is not None and not is_websocket:
-            if _is_token(given, self._token):
+            if _is_token(given, self.token):
                 return None, self._admit()
             return "wrong tokens", _refuse(_OLD_LINK, 403)
-        kept = request.cookies.get(self._cookie)
+        kept = request.cookies.get(self.cookie)
         if kept is None:
             return "missing tokens", _refuse("Open the link with the token that calgraph live shows.", 403)
-        if not _is_token(kept, self._token):
+        if not _is_token(kept, self.token):
             return "wrong tokens", _refuse(_OLD_LINK, 403)
         return None, None
 
@@ -274,21 +262,21 @@ class AccessCheck:
         try:
             address = ipaddress.ip_address(name.strip("[]"))
         except ValueError:
-            return name in self._names
-        return self._token is not None or address.is_loopback
+            return name in self.names
+        return self.token is not None or address.is_loopback
 
     def _admit(self) -> Response:
         # A redirect would be part of the navigation to the link: where that began on a page of another site, such
         # as a chat, browsers send no cookie that is SameSite=Strict. A refresh begins here.
         response = HTMLResponse(_DOCUMENT.format(""), headers={"Refresh": "0; url=/"})
-        response.set_cookie(self._cookie, self._token or "", httponly=True, samesite="strict", path="/")
+        response.set_cookie(self.cookie, self.token or "", httponly=True, samesite="strict", path="/")
         return response
 
     def _count_status(self, status: int) -> None:
         if status == 404:
-            self._refusals["unknown addresses"] += 1
+            self.refusals["unknown addresses"] += 1
         elif status == 405:
-            self._refusals["wrong methods"] += 1
+            self.refusals["wrong methods"] += 1
 
 
 def _is_token(given: str, token: str) -> bool:

@@ -4,7 +4,6 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from types import TracebackType
 from typing import BinaryIO
 
 from pydantic import Field
@@ -102,14 +101,6 @@ class SessionFolder:
     def _save_rig(self, rig: Rig) -> None:
         comment = f"{self._notes.rig}, for a live session of {self.source}"
         save_yaml(self.rig_file, rig.model_dump(mode="json", exclude_unset=True), comment)
-
-    def __enter__(self) -> "SessionFolder":
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
 
 def create_session(path: Path, rig_file: Path, rig: Rig, source: str) -> SessionFolder:

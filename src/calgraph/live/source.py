@@ -100,18 +100,16 @@ class Notice:
 class Source(Protocol):
     """Where live messages come from."""
 
+    name: str
+    """What the user gave: an address, or the path of a recording."""
     max_lead: float
     """Time by which messages may be ahead of the detection before they wait until it has caught up, s; with 0 each
     waits until all before it are analysed. Infinite for robots, which do not wait."""
 
-    @property
-    def name(self) -> str:
-        """What the user gave: an address, or the path of a recording."""
-
-    def stream(self, topics: Collection[str]) -> AsyncIterator[LiveMessage | Notice]:
+    def stream(self, topics: Collection[str]) -> AsyncIterator[LiveMessage | Notice | None]:
         """Messages of the topics wanted, and notices, until the source ends or the iterator is closed.
 
-        Connects, and connects again where the connection breaks.
+        Connects, and connects again where the connection breaks. None only shows that time has passed.
 
         Raises:
             InputError: the source can never be used: a malformed address, or a missing library.

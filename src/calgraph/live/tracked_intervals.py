@@ -1,7 +1,6 @@
-"""Tracks of a recording that grows: each interval of it is tracked once, and its tracks are kept in a file."""
+"""Tracks of a recording that grows: each interval of it is tracked once."""
 
 import math
-import zipfile
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -13,12 +12,10 @@ import numpy as np
 from calgraph.config import Rig
 from calgraph.errors import Rejected
 from calgraph.geometry import Array
-from calgraph.io.archive import read_archive, write_archive
-from calgraph.io.records import decode_records, encode_records
 from calgraph.network.options import NetworkOptions
 from calgraph.network.track_recording import track_people
 from calgraph.network.tracking.clusters import Foreground
-from calgraph.network.tracking.track import TRACK_TYPES, ScannerBump, ScannerTracks
+from calgraph.network.tracking.track import ScannerBump, ScannerTracks
 from calgraph.recording import Recording
 from calgraph.recording.input_checks import InputMonitor
 from calgraph.recording.recording import ClosedOnExit
@@ -140,27 +137,28 @@ class RecordingWindow(ClosedOnExit):
             yield record
 
 
-_FORMAT = "calgraph-live-tracks/2"
-_MEMBER = "tracks.json"
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class TrackedInterval:
-    """An interval whose tracks are in a file."""
+    """An interval of a recording, and the tracks in it."""
 
     start: float
     """Arrival of its first message, s; likewise the last."""
     end: float
-    positions: int
-    """Number of positions in its tracks, to which the time of a solution is proportional."""
+    tracked: Tracked
 
     @property
     def duration(self) -> float:
         """Time that it takes, s."""
         return self.end - self.start
 
+    @property
+    def positions(self) -> int:
+        """Number of positions in its tracks, to which the time of a solution is proportional."""
+        found = [one for one in self.tracked.values() if isinstance(one, ScannerTracks)]
+        return sum(len(track.times) for one in found for track in one.tracks)
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, eq=False)
 class TrackingProgress:
     """How far a recording has been tracked in intervals."""
 
@@ -172,24 +170,6 @@ class TrackingProgress:
     """Of all intervals, used or not, s."""
 
 
-@dataclass(frozen=True, eq=False)
-class TrackedRecording:
-    """The tracks of a recording until now."""
-
-    progress: TrackingProgress
-    parts: tuple[Tracked, ...]
-    """The tracks of the intervals, and of the time after them if it is long enough."""
-    rest: float
-    """Duration of the latter, s; 0 without."""
-    end: float
-    """Arrival up to which messages were tracked, s."""
-
-    @property
-    def positions(self) -> int:
-        """In all tracks."""
-        return sum(map(_count_positions, self.parts))
-
-
 # Minimum time after the last of these intervals that is tracked, s: with the overlap 25 s, in half of which
 # people do not stand still.
 MIN_INTERVAL = 10.0
@@ -199,38 +179,32 @@ _MAX_INTERVALS = 4
 
 
 def track_recording(
-    rig: Rig, recording: Recording, folder: Path, progress: TrackingProgress, monitor: InputMonitor
-) -> TrackedRecording:
+    rig: Rig, recording: Recording, progress: TrackingProgress, monitor: InputMonitor
+) -> tuple[TrackingProgress, TrackedInterval | None]:
     """Tracks what was recorded since the last call.
 
     Args:
         rig: the network.
         recording: until now.
-        folder: of the files with tracks.
         progress: of the last call, without the intervals that are no longer used.
         monitor: observes the messages.
+
+    Returns:
+        The progress until now, and the time after its intervals, which the next call tracks again; None if that is
+        too short, or too much is to be tracked.
     """
-    settings = rig.settings.live.network
-    parts = [_read_tracks(rig, _name_file(folder, interval)) for interval in progress.intervals]
-    tracked = 0
-    while True:
+    length = rig.settings.live.network.interval
+    for _ in range(_MAX_INTERVALS):
         start = _find_start(recording, progress.until, rig)
-        if recording.end - start < settings.interval + MIN_INTERVAL:
-            break
-        if tracked == _MAX_INTERVALS:
-            return TrackedRecording(progress, tuple(parts), 0.0, progress.until or start)
-        window = _open_window(recording, start, start + settings.interval, progress.until)
-        parts.append(_track_window(rig, window, monitor))
-        interval = TrackedInterval(start, window.last_arrival, _count_positions(parts[-1]))
-        _write_tracks(_name_file(folder, interval), parts[-1])
-        duration = progress.duration + interval.duration
-        progress = TrackingProgress((*progress.intervals, interval), interval.end, duration)
-        tracked += 1
-    if progress.until is not None and recording.end - start < MIN_INTERVAL:
-        return TrackedRecording(progress, tuple(parts), 0.0, progress.until)
-    window = _open_window(recording, start, recording.end, progress.until)
-    parts.append(_track_window(rig, window, monitor))
-    return TrackedRecording(progress, tuple(parts), recording.end - start, recording.end)
+        if recording.end - start < length + MIN_INTERVAL:
+            if progress.until is not None and recording.end - start < MIN_INTERVAL:
+                return progress, None
+            return progress, _track_interval(rig, recording, start, recording.end, progress.until, monitor)
+        interval = _track_interval(rig, recording, start, start + length, progress.until, monitor)
+        progress = TrackingProgress(
+            (*progress.intervals, interval), interval.end, progress.duration + interval.duration
+        )
+    return progress, None
 
 
 def _find_start(recording: Recording, until: float | None, rig: Rig) -> float:
@@ -247,18 +221,20 @@ def _find_start(recording: Recording, until: float | None, rig: Rig) -> float:
 _OVERLAP = 15.0
 
 
-def _open_window(recording: Recording, start: float, end: float, until: float | None) -> RecordingWindow:
-    """An interval with the end of the one before, so that scanners that are moved between them are noticed."""
+def _track_interval(
+    rig: Rig, recording: Recording, start: float, end: float, until: float | None, monitor: InputMonitor
+) -> TrackedInterval:
+    """Tracks an interval with the end of the one before, so that scanners that are moved between them are noticed.
+
+    Of some scanners the recording has no message yet.
+    """
     first = start if until is None else until - _OVERLAP
-    return RecordingWindow(recording, max(first, recording.start), end)
-
-
-def _track_window(rig: Rig, window: RecordingWindow, monitor: InputMonitor) -> Tracked:
-    """The tracks of all scanners; of some the recording has no message yet."""
+    window = RecordingWindow(recording, max(first, recording.start), end)
     present = {topic.name for topic in window.topics}
     sensors = {name: spec for name, spec in rig.sensors.items() if spec.topic in present}
     found, _ = track_people(rig.model_copy(update={"sensors": sensors}), window, NetworkOptions(), monitor=monitor)
-    return {name: found.get(name, Rejected("it has sent no messages yet")) for name in rig.sensors}
+    tracked = {name: found.get(name, Rejected("it has sent no messages yet")) for name in rig.sensors}
+    return TrackedInterval(start, window.last_arrival, tracked)
 
 
 def select_intervals(
@@ -275,60 +251,17 @@ def select_intervals(
         start: of the recording, s.
         max_positions: maximum number of all together; one interval always stays.
     """
-    kept = list(intervals)
     sharing = {row.sensor for row in rows if row.used}
     counted = [row for row in rows if row.used or row.sensor not in sharing]
-    seconds = {
-        interval: _sum_by_scanner(counted, interval.start - start, interval.end - start) for interval in kept
-    }
-    while len(kept) > 1 and sum(interval.positions for interval in kept) > max_positions:
-        total: dict[str, float] = {}
-        for interval in kept:
-            for name, duration in seconds[interval].items():
-                total[name] = total.get(name, 0.0) + duration
-        kept.remove(
-            min(
-                kept,
-                key=lambda one: (
-                    sum(duration / max(total[name], 1e-9) for name, duration in seconds[one].items())
-                    / max(one.positions, 1)
-                ),
-            )
-        )
-    return tuple(kept)
-
-
-def remove_files(folder: Path, kept: Sequence[TrackedInterval]) -> None:
-    """Removes the files of all other intervals."""
-    names = {_name_file(folder, interval) for interval in kept}
-    for file in folder.glob("*.npz"):
-        if file not in names:
-            file.unlink(missing_ok=True)
-
-
-def _sum_by_scanner(rows: Sequence[CaptureRow], start: float, end: float) -> dict[str, float]:
-    """Duration of the tracks within an interval, s, by scanner."""
-    sums: dict[str, float] = {}
-    for row in rows:
-        sums[row.sensor] = sums.get(row.sensor, 0.0) + max(min(row.end, end) - max(row.start, start), 0.0)
-    return sums
-
-
-def _count_positions(tracked: Tracked) -> int:
-    return sum(
-        len(track.times) for one in tracked.values() if isinstance(one, ScannerTracks) for track in one.tracks
-    )
-
-
-def _name_file(folder: Path, interval: TrackedInterval) -> Path:
-    return folder / f"{round(interval.start * 1e9)}.npz"
-
-
-def _write_tracks(path: Path, tracked: Tracked) -> None:
-    content, arrays = encode_records(tuple(tracked.values()))
-    write_archive(path, _MEMBER, {"format": _FORMAT, "scanners": content}, arrays, compression=zipfile.ZIP_STORED)
-
-
-def _read_tracks(rig: Rig, path: Path) -> Tracked:
-    content, arrays = read_archive(path, _MEMBER, _FORMAT, rig.settings.limits.max_archive_bytes)
-    return dict(zip(rig.sensors, decode_records(content["scanners"], arrays, TRACK_TYPES), strict=True))
+    names = sorted({row.sensor for row in counted})
+    seconds = np.zeros((len(intervals), len(names)))
+    for k, interval in enumerate(intervals):
+        for row in counted:
+            overlap = min(row.end, interval.end - start) - max(row.start, interval.start - start)
+            seconds[k, names.index(row.sensor)] += max(overlap, 0.0)
+    positions = np.array([interval.positions for interval in intervals])
+    kept = list(range(len(intervals)))
+    while len(kept) > 1 and np.sum(positions[kept]) > max_positions:
+        shares = seconds[kept] / np.maximum(np.sum(seconds[kept], axis=0), 1e-9)
+        kept.pop(int(np.argmin(np.sum(shares, axis=1) / np.maximum(positions[kept], 1))))
+    return tuple(intervals[k] for k in kept)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from calgraph.boards.detections import BoardCorners, Detection, DetectionResult, PlanePatch, Segment
 from calgraph.config import Board
-from calgraph.errors import CalgraphError, Rejected
+from calgraph.errors import Rejected
 from calgraph.geometry import Array, se3
 from calgraph.live.analysis_jobs import DetectorInputs, UnprojectedBoard, make_detector
 from calgraph.report.image_view import sample_outline
@@ -62,14 +62,14 @@ def make_view(
         camera: intrinsics of the reduced images.
         boards: of the rig.
         factor: by which images are reduced.
+
+    Raises:
+        CalgraphError: the message is unusable.
     """
-    try:
-        message = decode()
-        if isinstance(message, Image):
-            message = _reduce(message, factor)
-        found = make_detector(inputs)([message]) if inputs else None
-    except CalgraphError as error:
-        return SensorView(b"", None, str(error))
+    message = decode()
+    if isinstance(message, Image):
+        message = _reduce(message, factor)
+    found = make_detector(inputs)([message]) if inputs else None
     if isinstance(message, Image):
         picture = _draw_image(message, found, camera, boards)
         sharpness = float(cv2.Laplacian(message.gray, cv2.CV_64F).var())
