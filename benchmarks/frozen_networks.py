@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from calgraph.config import Rig
-from calgraph.geometry import se3
+from calgraph.geometry import se2, se3
 from calgraph.network.options import NetworkOptions
 from calgraph.network.pipeline import calibrate_network, compare_network_extrinsics
 from calgraph.recording.in_memory import MessageRecording
@@ -129,7 +129,7 @@ def _extended(room: str, what: str) -> Calibration:
     scans = _scans(network)
     first = {name: [one for one in of if one.stamp < middle] for name, of in scans.items()}
     if what.startswith("moved"):
-        pushed = replace(last, T_world_scanner=last.T_world_scanner @ se3_in_plane(0.2, 0.1, 0.05))
+        pushed = replace(last, T_world_scanner=last.T_world_scanner @ se2.pose(0.05, np.array([0.2, 0.1])))
         shifted = replace(network, scanners=(*network.scanners[:-1], pushed))
         scans[last.name] = list(simulate_scans(shifted, pushed))
     second = {name: [one for one in of if one.stamp >= middle] for name, of in scans.items()}
@@ -137,12 +137,6 @@ def _extended(room: str, what: str) -> Calibration:
     before = _calibrated(earlier, first, NetworkOptions())
     moved = (last.name,) if what == "moved" else ()
     return _calibrated(rig, second, NetworkOptions(extend=before, moved=moved))
-
-
-def se3_in_plane(x: float, y: float, yaw: float) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """A pose (3, 3) in the plane."""
-    c, s = np.cos(yaw), np.sin(yaw)
-    return np.array([[c, -s, x], [s, c, y], [0.0, 0.0, 1.0]])
 
 
 def _without(rig: Rig, *names: str) -> Rig:
