@@ -40,7 +40,7 @@ from frozen import list_problems, prepare, select
 from frozen_recordings import MissingDataError
 from model_errors import detect, is_confidently_wrong
 from random_rig_draws import draw_rig, true_poses
-from worlds import NAN, Layout, grouped, make_parser, mean, measure_error, rms, run_worlds, worst
+from worlds import NAN, Layout, find_errors, grouped, make_parser, mean, rms, run_worlds, worst
 
 SOURCES = (
     "model_errors/*", "random_rigs/*", "rigs/worlds/*", "rigs/changes/*", "moving_boards/*",
@@ -251,12 +251,7 @@ def judge(row: Row, found: Calibration | None, whole: Calibration | None, true: 
     if found is None:
         return row
     sensors = [sensor for sensor in found.sensors if sensor.name != found.root]
-    errors = {
-        sensor.name: measure_error(
-            sensor.T_root_sensor, sensor.covariance, relative_to(true, found.root, sensor.name)
-        )
-        for sensor in (sensors if true else ())
-    }
+    errors = find_errors(found, true) if true else {}
     before = {sensor.name: sensor for sensor in whole.sensors} if whole and whole.root == found.root else {}
     moved = [
         np.max(np.abs(se3.difference(sensor.T_root_sensor, old.T_root_sensor)) / np.sqrt(np.diag(old.covariance)))
@@ -279,12 +274,6 @@ def judge(row: Row, found: Calibration | None, whole: Calibration | None, true: 
         moved=max(moved, default=NAN),
         seconds=row.seconds,
     )
-
-
-def relative_to(true: Mapping[str, Array] | None, root: str, name: str) -> Array:
-    """(4, 4) the true pose of a sensor in the frame of the result's root, which may be another than the rig's."""
-    assert true is not None
-    return se3.inverse(true[root]) @ true[name] if root in true else true[name]
 
 
 COUNTS: Sequence[Callable[[Row], int]] = (

@@ -42,7 +42,7 @@ from calgraph.simulation import (
 from calgraph.simulation.motion import BoardPlacement, BoardTrajectory
 from calgraph.simulation.rig_simulation import write_rig
 from calgraph.simulation.robot import MountedCamera, build_robot
-from worlds import make_parser, mean, measure_error, median, run_worlds, worst
+from worlds import find_errors, make_parser, mean, measure_error, median, run_worlds, worst
 
 RIGS = 40
 STARTS = 10
@@ -163,10 +163,7 @@ def measure(tremor: float, seed: int) -> Row | None:
     used = {row.capture for row in rows if row.used}
     shared = [row for row in rows if row.capture in used]
     outliers = sum("joint solution" in row.reason for row in shared)
-    errors = [
-        measure_error(sensor.T_root_sensor, sensor.covariance, se3.inverse(truth[first.root]) @ truth[sensor.name])
-        for sensor in first.sensors[1:]
-    ]
+    errors = list(find_errors(first, truth).values())
     apart = [_measure_distances(first, other) for other in results[1:]]
     return Row(
         tremor, seed, sum(row.used for row in shared) + outliers, outliers,

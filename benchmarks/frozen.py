@@ -33,14 +33,14 @@ import os
 import sys
 import time
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Mapping, Sequence
 from fnmatch import fnmatch
-from functools import partial
-from multiprocessing import get_context
+from functools import cache
 from pathlib import Path
 
 import cv2
 
+from calgraph.parallel.engine import Processes
 from frozen_differences import compare
 from frozen_networks import list_network_problems
 from frozen_options import list_option_problems
@@ -76,7 +76,8 @@ def main() -> None:
     run_all(names, arguments.out, arguments.jobs, force=arguments.force)
 
 
-def list_problems() -> dict[str, Make]:
+@cache
+def list_problems() -> Mapping[str, Make]:
     """All problems by name."""
     problems: dict[str, Make] = {}
     for source in (list_rig_problems, list_option_problems, list_network_problems, list_recording_problems):
@@ -94,8 +95,8 @@ def select(names: Sequence[str], patterns: Sequence[str], every: int) -> list[st
 def run_all(names: Sequence[str], out: Path, jobs: int, *, force: bool) -> None:
     """Calculates problems that are not in the folder, and prints a line for each, and totals."""
     began, cpu, found = time.monotonic(), 0.0, []
-    work = partial(calculate, out=out, force=force)
-    for name, digest, seconds in _map(work, names, jobs):
+    work = [(name, out, force) for name in names]
+    for name, digest, seconds in Processes(jobs).map(calculate, work):
         if not digest:
             continue
         found.append(f"{name} {digest}\n")
@@ -105,35 +106,25 @@ def run_all(names: Sequence[str], out: Path, jobs: int, *, force: bool) -> None:
     print(f"{len(found)} problems, digest {total[:SHOWN]}, {cpu:.0f} s of CPU, {time.monotonic() - began:.0f} s")
 
 
-def _map(
-    work: "partial[tuple[str, str, float | None]]", names: Sequence[str], jobs: int
-) -> Iterator[tuple[str, str, float | None]]:
-    if jobs == 1:
-        prepare()
-        yield from map(work, names)
-        return
-    with get_context("fork").Pool(jobs, prepare) as pool:
-        yield from pool.imap(work, names)
-
-
 def prepare() -> None:
-    """What each process does first."""
+    """What a process does before it calculates problems."""
     logging.disable(logging.WARNING)
     warnings.simplefilter("ignore")
     cv2.setNumThreads(1)
 
 
-def calculate(name: str, out: Path, *, force: bool) -> tuple[str, str, float | None]:
+def calculate(name: str, out: Path, force: bool) -> tuple[str, str, float | None]:
     """Name, digest and CPU seconds of a problem, None where its text was in the folder; writes the text.
 
     The digest is empty where a real recording is missing.
     """
+    prepare()
     path = out / f"{name}.txt"
     if path.exists() and not force:
         return name, hashlib.sha256(path.read_bytes()).hexdigest(), None
     began = time.process_time()
     try:
-        text = describe(_problems()[name]())
+        text = describe(list_problems()[name]())
     except MissingDataError as error:
         print(f"{name} skipped: {error}", file=sys.stderr)
         return name, "", None
@@ -145,16 +136,6 @@ def calculate(name: str, out: Path, *, force: bool) -> tuple[str, str, float | N
     unfinished.write_text(text, encoding="utf-8")
     unfinished.replace(path)
     return name, hashlib.sha256(text.encode()).hexdigest(), seconds
-
-
-_PROBLEMS: dict[str, Make] = {}
-
-
-def _problems() -> dict[str, Make]:
-    """All problems, listed once per process."""
-    if not _PROBLEMS:
-        _PROBLEMS.update(list_problems())
-    return _PROBLEMS
 
 
 if __name__ == "__main__":

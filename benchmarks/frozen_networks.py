@@ -1,6 +1,6 @@
-"""The problems of frozen.py with people: networks of scanners, their options, bumps, and the paper's rows."""
+"""The problems of frozen.py with people: networks of scanners, their options, and the paper's rows."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 
-import network_bumps
 from calgraph.config import Rig
-from calgraph.geometry import se3
+from calgraph.geometry import se2, se3
 from calgraph.network.options import NetworkOptions
 from calgraph.network.pipeline import calibrate_network, compare_network_extrinsics
 from calgraph.recording.in_memory import MessageRecording
@@ -76,20 +75,10 @@ def list_network_problems() -> Iterator[tuple[str, Make]]:
             yield f"networks/extend/{room}/{what}/0", partial(_extended, room, what)
         for offset in (0.0, 0.03):
             yield f"networks/check/{room}/{offset:g}/0", partial(_checked, room, offset)
-    yield from _bumps()
     for layout, condition in (("office", "as is"), ("lab", "clocks"), ("halls", "radii"), ("office", "arms")):
         cell = Cell(layout, 2, condition)  # type: ignore[arg-type]
         name = f"papers/lrf_network/{layout}/{condition.replace(' ', '_')}/0"
         yield name, partial(run_setups, cell, 0, (PUBLISHED, AVERAGING, JOINT))
-    for what in (
-        "one_scanner",
-        "one_topic",
-        "no_messages",
-        "nothing_moves",
-        "moved_without_extend",
-        "wrong_moved",
-    ):
-        yield f"refusals/networks/{what}", partial(_refused, what)
 
 
 def _wrong_networks() -> Iterator[tuple[str, Make]]:
@@ -140,7 +129,7 @@ def _extended(room: str, what: str) -> Calibration:
     scans = _scans(network)
     first = {name: [one for one in of if one.stamp < middle] for name, of in scans.items()}
     if what.startswith("moved"):
-        pushed = replace(last, T_world_scanner=last.T_world_scanner @ se3_in_plane(0.2, 0.1, 0.05))
+        pushed = replace(last, T_world_scanner=last.T_world_scanner @ se2.pose(0.05, np.array([0.2, 0.1])))
         shifted = replace(network, scanners=(*network.scanners[:-1], pushed))
         scans[last.name] = list(simulate_scans(shifted, pushed))
     second = {name: [one for one in of if one.stamp >= middle] for name, of in scans.items()}
@@ -148,12 +137,6 @@ def _extended(room: str, what: str) -> Calibration:
     before = _calibrated(earlier, first, NetworkOptions())
     moved = (last.name,) if what == "moved" else ()
     return _calibrated(rig, second, NetworkOptions(extend=before, moved=moved))
-
-
-def se3_in_plane(x: float, y: float, yaw: float) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """A pose (3, 3) in the plane."""
-    c, s = np.cos(yaw), np.sin(yaw)
-    return np.array([[c, -s, x], [s, c, y], [0.0, 0.0, 1.0]])
 
 
 def _without(rig: Rig, *names: str) -> Rig:
@@ -171,37 +154,3 @@ def _checked(room: str, offset: float) -> tuple[object, ...]:
     given = ExtrinsicsFile(Path("given.yaml"), FrameTree("given.yaml", links))
     recording = MessageRecording({rig.topics[name]: of for name, of in scans.items()})
     return compare_network_extrinsics(rig, recording, given, NetworkOptions())
-
-
-def _bumps() -> Iterator[tuple[str, Make]]:
-    """What the static background alone shows."""
-    labels: Sequence[str] = [*network_bumps.BUMPS, *network_bumps.AT_REST]
-    for k, label in enumerate(labels):
-        room = network_bumps.ROOMS[k % 3]
-        words = label.replace(", ", "_").replace(" ", "_")
-        yield f"network_bumps/{room}/{words}/0", partial(_bump, label, room)
-
-
-def _bump(label: str, room: str) -> dict[str, object]:
-    found = network_bumps.check(label, room, 0)
-    return {"right": found.right, "millimetres": found.millimetres, "degrees": found.degrees}
-
-
-def _refused(what: str) -> object:
-    network = build_network(NetworkScenario(duration=6.0), 4)
-    rig, names = network_rig(network), [scanner.name for scanner in network.scanners]
-    scans = {scanner.name: list(simulate_scans(network, scanner)) for scanner in network.scanners[:2]}
-    two = _without(rig, *names[2:])
-    if what == "one_scanner":
-        return _calibrated(_without(rig, *names[1:]), scans, NetworkOptions())
-    if what == "one_topic":
-        return _calibrated(two, {names[0]: scans[names[0]]}, NetworkOptions())
-    if what == "no_messages":
-        return _calibrated(two, {name: [] for name in names[:2]}, NetworkOptions())
-    if what == "nothing_moves":
-        still = {name: [replace(of[0], stamp=one.stamp) for one in of] for name, of in scans.items()}
-        return _calibrated(two, still, NetworkOptions())
-    if what == "moved_without_extend":
-        return NetworkOptions(moved=(names[0],))
-    before = _calibrated(two, scans, NetworkOptions())
-    return _calibrated(two, scans, NetworkOptions(extend=before, moved=("scanner_9",)))

@@ -1,4 +1,4 @@
-"""The problems of frozen.py by options: starts, priors, checks, moving boards, lenses, graphs, refusals."""
+"""The problems of frozen.py by options: starts, priors, checks, moving boards, lenses, graphs."""
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
@@ -11,10 +11,9 @@ from typing import Any, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-import intrinsics
 import lens_models
 import msg_cal
-from calgraph.config import People, Rig
+from calgraph.config import AprilGrid, Board, Rig
 from calgraph.geometry import Array, se3, se_n
 from calgraph.graph.averaging import RotationAveraging, average_poses_by_rotations
 from calgraph.graph.pose_graph import PoseGraph
@@ -26,7 +25,7 @@ from calgraph.rig.bundle.problem_file import load_problem, save_problem
 from calgraph.rig.captures.detect import CaptureSet
 from calgraph.rig.intrinsics.estimate import estimate_intrinsics
 from calgraph.rig.options import RigOptions
-from calgraph.rig.pipeline import build_problem_from_captures, calibrate_detections, solve_problem
+from calgraph.rig.pipeline import build_problem_from_captures, solve_problem
 from calgraph.rig.verification import bootstrap_covariances, compare_extrinsics
 from calgraph.simulation import (
     CameraOptions,
@@ -45,6 +44,9 @@ from moving_boards import MovingBoardOptions, simulate_moving_detections
 from moving_boards import scenario as moving_scenario
 
 NO_CAMERA, NO_LASER, NO_SPINNING = CameraOptions(count=0), LaserOptions(count=0), SpinningOptions(count=0)
+APRILGRID = Board(
+    size=(1.0, 1.0), pattern=AprilGrid(kind="aprilgrid", columns=4, rows=4, tag_size=0.17, tag_spacing=0.3)
+)
 WORLDS: Mapping[str, RigScenario] = {
     "lasers": RigScenario(camera=NO_CAMERA, spinning=NO_SPINNING),
     "two_lasers": RigScenario(camera=NO_CAMERA, spinning=NO_SPINNING, laser=LaserOptions(count=2)),
@@ -55,7 +57,7 @@ WORLDS: Mapping[str, RigScenario] = {
     "disturbed": RigScenario(laser=LaserOptions(count=1), disturbed=0.3),
     "few": RigScenario(bearings=(-20, 20), radii=(2.0,), samples=2),
     "upright": RigScenario(laser=LaserOptions(count=1), spinning=NO_SPINNING, max_rotation=1.0),
-    "aprilgrid": RigScenario(laser=NO_LASER, board=intrinsics.BOARD),
+    "aprilgrid": RigScenario(laser=NO_LASER, board=APRILGRID),
 }
 """Rigs that are none of model_error_rigs.py."""
 OPTIONS: Mapping[str, dict[str, Any]] = {
@@ -99,9 +101,6 @@ def list_option_problems() -> Iterator[tuple[str, Make]]:
     for speed, spread, readout in ((0.1, 0.0, 0.0), (0.3, 0.01, 0.02), (0.3, 0.05, 0.0), (1.0, 0.05, 0.02)):
         motion = MovingBoardOptions(speed=speed, spread=spread, rate=10.0, jitter=0.002, readout=readout)
         yield f"moving_boards/{speed:g}/{spread:g}/{readout:g}/0", partial(_moving, motion, 0)
-    for k, lens in enumerate(intrinsics.LENSES):
-        warp = 0.3 * (k % 2)
-        yield f"intrinsics/{lens}/{warp:g}/0", partial(intrinsics.measure, lens, 0, warp)
     for seed, warp in product(range(4), (0.0, 0.3)):
         yield f"lens_models/{warp:g}/{seed}", partial(_lens, seed, warp)
     for n, wrong, sparse in product((2, 3), (0.2, 0.4), (False, True)):
@@ -110,8 +109,6 @@ def list_option_problems() -> Iterator[tuple[str, Make]]:
     for disturbed in (0.0, 0.1):
         scenario = RigScenario(bearings=(-30, -15, 0, 15, 30), samples=3, disturbed=disturbed)
         yield f"papers/msg_cal/{disturbed:g}/0", partial(msg_cal.run, scenario, 0)
-    for what in REFUSALS:
-        yield f"refusals/rigs/{what}", partial(_refused, what)
 
 
 def _world(name: str, seed: int) -> Calibration:
@@ -171,15 +168,6 @@ def _frames(rig: Rig, truth: GroundTruth) -> dict[str, Array]:
 def _halves(captured: CaptureSet) -> tuple[CaptureSet, CaptureSet]:
     """Even and odd captures."""
     return _select(captured, lambda capture: capture % 2 == 0), _select(captured, lambda capture: capture % 2 == 1)
-
-
-def _leave_out(captured: CaptureSet, silent: Callable[[str, int], bool]) -> CaptureSet:
-    """Some sensors detect nothing in some captures."""
-    gone = {(c, name): "left out" for name, of in captured.detections.items() for c in of if silent(name, c)}
-    found = {
-        name: {c: d for c, d in of.items() if (c, name) not in gone} for name, of in captured.detections.items()
-    }
-    return replace(captured, detections=found, rejections={**captured.rejections, **gone})
 
 
 def _select(captured: CaptureSet, chosen: Callable[[int], bool]) -> CaptureSet:
@@ -266,43 +254,3 @@ def _draw_pairs(count: int, edges: int, rng: np.random.Generator) -> NDArray[np.
     taken = set(map(tuple, np.sort(tree, axis=1).tolist()))
     free = [pair for pair in others[rng.permutation(len(others))].tolist() if tuple(pair) not in taken]
     return np.concatenate([tree, np.array(free[: edges - len(tree)], dtype=np.intp).reshape(-1, 2)])
-
-
-REFUSALS = (
-    "one_sensor", "nothing_detected", "one_capture", "two_captures", "no_common_captures", "root_apart",
-    "link_missing", "people", "prior_with_hypergraph", "unknown_estimator", "other_frames", "lasers_few",
-)  # fmt: skip
-"""What is refused, or leaves sensors without a pose."""
-
-
-def _refused(what: str) -> object:
-    rig, captured, _ = _detected("chain")
-    names = list(rig.sensors)
-    given = given_poses("elsewhere", {"far": np.eye(4), "away": np.eye(4)}, 0.0)
-    if what == "one_sensor":
-        rig = rig.model_copy(update={"sensors": {rig.root: rig.sensors[rig.root]}})
-        captured = replace(captured, detections={rig.root: captured.detections[rig.root]})
-    elif what == "nothing_detected":
-        captured = _leave_out(captured, lambda _name, _capture: True)
-    elif what == "one_capture":
-        captured = _select(captured, lambda capture: capture == 1)
-    elif what == "two_captures":
-        captured = _select(captured, lambda capture: capture in (1, 2))
-    elif what == "no_common_captures":
-        captured = _leave_out(captured, lambda name, capture: names[capture % len(names)] != name)
-    elif what in ("root_apart", "link_missing"):
-        silent = rig.root if what == "root_apart" else next(name for name in names[1:] if name != rig.root)
-        captured = _leave_out(captured, lambda name, _capture: name == silent)
-    elif what == "people":
-        walkers = rig.model_copy(update={"target": People(kind="people")})
-        return calibrate_detections(walkers, captured.detections, RigOptions(), captured.cameras)
-    elif what == "prior_with_hypergraph":
-        return RigOptions(prior=PriorFile(given), estimator="hypergraph")
-    elif what == "unknown_estimator":
-        return RigOptions(estimator="kalman")  # type: ignore[arg-type]
-    elif what == "other_frames":
-        return calibrated(rig, captured, 0, RigOptions(prior=PriorFile(given, (0.01, 0.01))))
-    else:
-        rig, captured, _ = simulate_detections(build_world(WORLDS["lasers"], 0, images=False), 0)
-        captured = _select(captured, lambda capture: capture < 4)
-    return calibrated(rig, captured, 0)

@@ -1,7 +1,7 @@
 """The problems of frozen.py from messages: random rigs, whole simulated recordings, and real ones."""
 
 import hashlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -13,6 +13,7 @@ import real_legs
 import real_recordings
 import subsets
 import webcams
+from calgraph.boards.detections import BoardCorners
 from calgraph.calibrate.dispatch import calibrate
 from calgraph.calibrate.result_files import write_results
 from calgraph.config import Rig, load_rig
@@ -37,7 +38,7 @@ from calgraph.simulation import (
 from frozen_rigs import Make
 from random_rig_draws import draw_rig
 from random_rig_messages import record
-from real_recordings import DATA
+from real_recordings import DATA, VLP16
 
 QUICK = RigScenario(
     camera=CameraOptions(width=640, height=480, texels_per_mm=0.5, distortion=(-0.2, 0.05, 0.001, -0.001)),
@@ -154,9 +155,9 @@ def _real_problems() -> Iterator[tuple[str, Make]]:
     for day in ("2022-11-09_02-44-29", "2022-10-20_07-13-29"):
         yield f"ouster/{day}", partial(_real_folder, OUSTER, f"acfr-ouster64-few-poses/{day}", RigOptions())
     yield "webcams/calibrate", _webcams
-    yield "intrinsics/acfr", lambda: _real_intrinsics(*real_recordings.read_acfr()[:2])
-    for number in range(4):
-        yield f"intrinsics/webcam_{number}", partial(_webcam_intrinsics, number)
+    yield "intrinsics/acfr", lambda: _real_intrinsics(Rig.model_validate(VLP16), DATA / "acfr-vlp16-checkerboard")
+    for number in (0, 2, 3):  # camera 1 faces the back
+        yield f"intrinsics/webcam_{number}", partial(_webcam_intrinsics, f"camera_{number}")
     for name, stamps in (("stamped", True), ("unstamped", False)):
         yield f"webcams/{name}", partial(_webcam_frames, stamps=stamps)
     for name in real_legs.TOPICS:
@@ -190,12 +191,22 @@ def _webcam_frames(*, stamps: bool) -> Calibration:
     return webcams.fit_frames(webcams.read_frames(rig, stamps=stamps)).calibration
 
 
-def _real_intrinsics(rig: Rig, views: Sequence[BoardView]) -> object:
-    return estimate_intrinsics(rig, "camera", views)
+def _real_intrinsics(rig: Rig, folder: Path) -> object:
+    with open_recording(folder) as recording:
+        return calibrate_intrinsics(rig, recording)
 
 
-def _webcam_intrinsics(number: int) -> object:
-    return _real_intrinsics(*real_recordings.read_webcam(number)[:2])
+def _webcam_intrinsics(name: str) -> object:
+    """Of one camera, from its corners."""
+    rig = webcams.read_rig()
+    camera, found = rig.camera_models()[name], webcams.read_frames(rig).found[name].values()
+    size = camera.width, camera.height
+    views = [
+        BoardView(np.arange(len(one.pixels)), one.corners_board[:, None], one.pixels[:, None], size)
+        for one in found
+        if isinstance(one, BoardCorners)
+    ]
+    return estimate_intrinsics(rig, name, views)
 
 
 def _legs(name: str) -> object:

@@ -1,4 +1,4 @@
-"""The problems of frozen.py with a board: rigs, moving boards, intrinsics, graphs of poses."""
+"""The problems of frozen.py with a board: the rigs of model_errors.py."""
 
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial

@@ -74,8 +74,13 @@ def _settings(data: bytes, folder: Path) -> None:
     override_settings(rig, data.decode(errors="replace").splitlines()[:20])
 
 
-def _target(data: bytes, folder: Path) -> None:
-    read_boards(_write(folder, "target.yaml", data))
+def _reads(name: str, read: Callable[[Path], object]) -> Callable[[bytes, Path], None]:
+    """Gives the bytes to what reads a file of this name."""
+
+    def run(data: bytes, folder: Path) -> None:
+        read(_write(folder, name, data))
+
+    return run
 
 
 def _calibration(data: bytes, folder: Path) -> None:
@@ -105,18 +110,10 @@ def _urdf(data: bytes, _folder: Path) -> None:
     export(_calibration_of_seeds(), "urdf", urdf=data.decode(errors="replace"))
 
 
-def _truth(data: bytes, folder: Path) -> None:
-    load_truth(_write(folder, "truth.yaml", data))
-
-
 def _scenario(data: bytes, folder: Path) -> None:
     path = _write(folder, "scenario.yaml", data)
     content = read_yaml(path)
     validate_content(NetworkScenario if "scanner" in content else RigScenario, content, path)
-
-
-def _problem(data: bytes, folder: Path) -> None:
-    load_problem(_write(folder, "problem.npz", data))
 
 
 def _scene(data: bytes, folder: Path) -> None:
@@ -247,7 +244,9 @@ HARNESSES: Mapping[str, Harness] = {
         (*_YAML_WORDS, "kind: ", "board", "people", "cylinder", "pattern", "intrinsics", "uncertainty"),
     ),
     "settings": Harness(_settings, lambda: list(seeds.SETTINGS), None, (*_YAML_WORDS, "=", "captures.")),
-    "target": Harness(_target, lambda: [seeds.RIG, seeds.NETWORK], mutators.mutate_yaml, _YAML_WORDS),
+    "target": Harness(
+        _reads("target.yaml", read_boards), lambda: [seeds.RIG, seeds.NETWORK], mutators.mutate_yaml, _YAML_WORDS
+    ),
     "calibration.yaml": Harness(
         _calibration,
         seeds.written("calibration.yaml", "short calibration.yaml"),
@@ -261,9 +260,11 @@ HARNESSES: Mapping[str, Harness] = {
         (*_YAML_WORDS, "<joint", "xyz=\"", "rpy=\"", "<!ENTITY", "<!DOCTYPE"),
     ),
     "URDF update": Harness(_urdf, lambda: [seeds.URDF, *seeds.written("urdf")()], None, ("<joint", "xyz=\"")),
-    "truth.yaml": Harness(_truth, seeds.written("truth.yaml"), mutators.mutate_yaml, _YAML_WORDS),
+    "truth.yaml": Harness(
+        _reads("truth.yaml", load_truth), seeds.written("truth.yaml"), mutators.mutate_yaml, _YAML_WORDS
+    ),
     "scenario": Harness(_scenario, lambda: list(seeds.SCENARIOS), mutators.mutate_yaml, _YAML_WORDS),
-    "problem.npz": Harness(_problem, seeds.written("problem.npz"), mutators.mutate_zip),
+    "problem.npz": Harness(_reads("problem.npz", load_problem), seeds.written("problem.npz"), mutators.mutate_zip),
     "scene.npz": Harness(_scene, seeds.written("scene.npz"), mutators.mutate_zip),
     "cache": Harness(_cache, seeds.written("cache"), mutators.mutate_zip),
     "PCD": Harness(_file("s/1.0.pcd"), seeds.pcds, None, ("DATA ascii", "POINTS ", "COUNT ", "SIZE ")),

@@ -21,6 +21,10 @@ from ruamel.yaml import YAML
 
 MutateBytes = Callable[[bytes], bytes]
 Mutator = Callable[[bytes, Random, MutateBytes], bytes]
+Parts = list[tuple[str, bytes]]
+"""Of a file, with names."""
+Unpack = Callable[[bytes], Parts]
+Pack = Callable[[Parts], bytes]
 
 _NUMBERS = (
     0, 1, -1, 2, 0.5, -0.0, 1e-300, 1e300, -1e300, float("nan"), float("inf"), float("-inf"), 2**31,
@@ -81,36 +85,53 @@ def format_flow(content: Any) -> str:
     return json.dumps(content if isinstance(content, int | float | str | None) else str(content))
 
 
-def mutate_zip(data: bytes, rng: Random, inner: MutateBytes) -> bytes:
-    """Members of a ZIP, with their checksums."""
-    try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            members = [(info.filename, archive.read(info)) for info in archive.infolist()]
-    except Exception:  # no ZIP any more
-        return inner(data)
-    if not members or rng.random() < 0.05:
-        return inner(data)
-    i = rng.randrange(len(members))
-    name, content = members[i]
-    roll = rng.random()
-    if roll < 0.05:
-        members.pop(i)
-    elif roll < 0.1:
-        members[i] = (
-            rng.choice(members)[0] if roll < 0.08 else inner(name.encode()).decode(errors="replace"),
-            content,
-        )
-    elif name.endswith(".npy"):
-        members[i] = (name, mutate_npy(content, rng, inner))
-    elif name.endswith(".json"):
-        members[i] = (name, mutate_json(content, rng, inner))
-    else:
-        members[i] = (name, inner(content))
+def mutate_parts(unpack: Unpack, pack: Pack, of_part: Callable[[str], Mutator]) -> Mutator:
+    """Mutates one named part of a file by what mutates parts of its name, or drops, repeats or renames it."""
+
+    def mutate(data: bytes, rng: Random, inner: MutateBytes) -> bytes:
+        try:
+            parts = unpack(data)
+        except Exception:  # no such file any more
+            return inner(data)
+        roll = rng.random()
+        if not parts or roll < 0.08:
+            return inner(data)
+        i = rng.randrange(len(parts))
+        name, content = parts[i]
+        if roll < 0.12:
+            parts.pop(i)
+        elif roll < 0.16:
+            parts.insert(rng.randrange(len(parts)), parts[i])
+        elif roll < 0.2:
+            parts[i] = (rng.choice(parts)[0], content)
+        else:
+            parts[i] = (name, of_part(name)(content, rng, inner))
+        return pack(parts)
+
+    return mutate
+
+
+def mutate_bytes(data: bytes, _rng: Random, inner: MutateBytes) -> bytes:
+    """As the fuzzer does."""
+    return inner(data)
+
+
+def keep_size(data: bytes, _rng: Random, inner: MutateBytes) -> bytes:
+    """Changed bytes, cut or filled to as many as before: what a file states about later positions remains true."""
+    return inner(data)[: len(data)].ljust(len(data), b"\0")
+
+
+def _unpack_zip(data: bytes) -> Parts:
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        return [(info.filename, archive.read(info)) for info in archive.infolist()]
+
+
+def _pack_zip(parts: Parts) -> bytes:
     out = io.BytesIO()
-    compression = rng.choice((zipfile.ZIP_DEFLATED, zipfile.ZIP_STORED))
-    with zipfile.ZipFile(out, "w", compression) as archive:
-        for name, content in members:
-            archive.writestr(zipfile.ZipInfo(name.replace("\x00", "0") or "a"), content, compression)
+    with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive, warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of names that come twice
+        for name, content in parts:
+            archive.writestr(zipfile.ZipInfo(name), content)
     return out.getvalue()
 
 
@@ -148,39 +169,22 @@ def mutate_npy(data: bytes, rng: Random, inner: MutateBytes) -> bytes:
     return out.getvalue()
 
 
+_NESTED: dict[str, Mutator] = {".npy": mutate_npy, ".json": mutate_json}
+mutate_zip = mutate_parts(_unpack_zip, _pack_zip, lambda name: _NESTED.get(name[name.rfind(".") :], mutate_bytes))
+"""Members of a ZIP, with their checksums."""
+
 _MCAP_MAGIC = b"\x89MCAP0\r\n"
-_CHUNK, _CHUNK_INDEX, _DATA_END, _FOOTER, _MESSAGE_INDEX = 0x06, 0x08, 0x0F, 0x02, 0x07
+_FOOTER, _CHUNK, _DATA_END = 0x02, 0x06, 0x0F
 _Records = list[tuple[int, bytes]]
 _UNPACK: dict[str, Callable[[bytes], Any]] = {"": bytes, "zstd": zstd.decompress, "lz4": lz4.frame.decompress}
 _PACK: dict[str, Callable[[bytes], Any]] = {"": bytes, "zstd": zstd.compress, "lz4": lz4.frame.compress}
 
 
-def mutate_mcap(data: bytes, rng: Random, inner: MutateBytes) -> bytes:
-    """Records of an MCAP, and those in its chunks, with their lengths, offsets and no checksums.
+def read_records(data: bytes) -> _Records:
+    """The records of an MCAP, or of a chunk, by operation code; lengths beyond the end are cut.
 
     Source: MCAP specification, mcap.dev.
     """
-    if rng.random() < 0.1 or not data.startswith(_MCAP_MAGIC):
-        return inner(data)
-    records = read_records(data[8:-8])
-    if not records:
-        return inner(data)
-    i = rng.randrange(len(records))
-    op, content = records[i]
-    roll = rng.random()
-    if roll < 0.06:
-        records.pop(i)
-    elif roll < 0.12:
-        records.insert(rng.randrange(len(records)), records[i])
-    elif op == _CHUNK:
-        records[i] = (op, _mutate_chunk(content, rng, inner))
-    else:
-        records[i] = (op, inner(content))
-    return _pack_mcap(records, rng)
-
-
-def read_records(data: bytes) -> _Records:
-    """The records of an MCAP, or of a chunk, by operation code; lengths beyond the end are cut."""
     records, position = [], 0
     while position + 9 <= len(data):
         op, size = struct.unpack_from("<BQ", data, position)
@@ -194,122 +198,83 @@ def pack_records(records: _Records) -> bytes:
     return b"".join(struct.pack("<BQ", op, len(content)) + content for op, content in records)
 
 
+def _unpack_records(data: bytes) -> Parts:
+    return [(str(op), content) for op, content in read_records(data)]
+
+
+def _pack_records(parts: Parts) -> bytes:
+    return pack_records([(int(name), content) for name, content in parts])
+
+
+_mutate_records = mutate_parts(_unpack_records, _pack_records, lambda _: mutate_bytes)
+
+
 def _mutate_chunk(content: bytes, rng: Random, inner: MutateBytes) -> bytes:
+    """Records of a chunk, compressed in another way at times, without checksum."""
     try:
-        start, end, _size, _crc, length = struct.unpack_from("<QQQII", content)
-        compression = content[32 : 32 + length].decode()
-        plain: bytes = _UNPACK[compression](content[40 + length :])
+        times, _size, _crc, length = content[:16], *struct.unpack_from("<QII", content, 16)
+        plain: bytes = _UNPACK[content[32 : 32 + length].decode()](content[40 + length :])
     except Exception:  # no chunk any more
         return inner(content)
-    records = read_records(plain)
-    if records and rng.random() < 0.9:
-        i = rng.randrange(len(records))
-        records[i] = (records[i][0], inner(records[i][1]))
-        plain = pack_records(records)
-    else:
-        plain = inner(plain)
+    plain = _mutate_records(plain, rng, inner)
     name = rng.choice(("", "zstd", "lz4"))
     packed: bytes = _PACK[name](plain)
     size = len(plain) if rng.random() < 0.9 else rng.choice((0, 1, len(plain) + 1, 2**40, 2**63))
-    head = struct.pack("<QQQII", start, end, size, 0, len(name)) + name.encode()
+    head = times + struct.pack("<QII", size, 0, len(name)) + name.encode()
     return head + struct.pack("<Q", len(packed)) + packed
 
 
-def _pack_mcap(records: _Records, rng: Random) -> bytes:
-    """The file, with the offsets of the summary and of chunks as they are now; at times without a summary."""
-    end = next((i for i, (op, _) in enumerate(records) if op == _DATA_END), len(records) - 1)
-    data, summary = records[: end + 1], [r for r in records[end + 1 :] if r[0] != _FOOTER]
-    if rng.random() < 0.15:
-        return _MCAP_MAGIC + pack_records([*data, (_FOOTER, bytes(20))]) + _MCAP_MAGIC
-    if rng.random() < 0.9:
-        summary = [(op, _reindex(content, data) if op == _CHUNK_INDEX else content) for op, content in summary]
-    body = _MCAP_MAGIC + pack_records(data)
-    footer = (_FOOTER, struct.pack("<QQI", len(body), 0, 0))
-    return body + pack_records([*summary, footer]) + _MCAP_MAGIC
+def _unpack_mcap(data: bytes) -> Parts:
+    if not data.startswith(_MCAP_MAGIC):
+        raise ValueError("no MCAP")
+    return _unpack_records(data[8:-8])
 
 
-def _reindex(content: bytes, data: _Records) -> bytes:
-    """A chunk's index with the place and the sizes of the first chunk."""
-    position = 8
-    for i, (op, chunk) in enumerate(data):
-        if op == _CHUNK and len(chunk) >= 32 and len(content) >= 36:
-            (names,) = struct.unpack_from("<I", content, 32)
-            if len(content) < 36 + names + 12:
-                return content
-            indexes = [record for record in data[i + 1 :] if record[0] == _MESSAGE_INDEX]
-            start, end, size, _crc, length = struct.unpack_from("<QQQII", chunk)
-            place = struct.pack("<QQQQ", start, end, position, 9 + len(chunk))
-            offsets = content[32 : 36 + names]
-            tail = (
-                struct.pack("<QI", sum(9 + len(index) for _, index in indexes), length) + chunk[32 : 32 + length]
-            )
-            return place + offsets + tail + struct.pack("<QQ", max(0, len(chunk) - 40 - length), size)
-        position += 9 + len(chunk)
-    return content
+def _pack_data(parts: Parts) -> bytes:
+    """A file without a summary, which would state other positions and sizes."""
+    ends = [i for i, (name, _) in enumerate(parts) if name == str(_DATA_END)]
+    data = parts[: ends[0] + 1] if ends else parts
+    return _MCAP_MAGIC + _pack_records([*data, (str(_FOOTER), bytes(20))]) + _MCAP_MAGIC
 
 
-def mutate_bag1(data: bytes, rng: Random, inner: MutateBytes) -> bytes:
-    """Records of a ROS 1 bag, with their lengths; offsets of later records are corrected by what was inserted.
+_mutate_data = mutate_parts(
+    _unpack_mcap, _pack_data, lambda name: _mutate_chunk if name == str(_CHUNK) else mutate_bytes
+)
+_mutate_indexed = mutate_parts(
+    _unpack_mcap, lambda parts: _MCAP_MAGIC + _pack_records(parts) + _MCAP_MAGIC, lambda _: keep_size
+)
 
-    Source: "Bags/Format/2.0", wiki.ros.org.
-    """
+
+def mutate_mcap(data: bytes, rng: Random, inner: MutateBytes) -> bytes:
+    """Records of an MCAP: with those in its chunks and without a summary, or with a summary that remains true."""
+    return rng.choice((_mutate_data, _mutate_indexed))(data, rng, inner)
+
+
+def _unpack_lengths(data: bytes) -> Parts:
+    """What follows lengths of four bytes; none where these do not fit."""
+    parts, position = [], 0
+    while position < len(data):
+        (length,) = struct.unpack_from("<I", data, position)
+        parts.append(("", data[position + 4 : position + 4 + length]))
+        position += 4 + length
+    return parts
+
+
+def _pack_lengths(parts: Parts) -> bytes:
+    return b"".join(struct.pack("<I", len(content)) + content for _, content in parts)
+
+
+def _unpack_bag1(data: bytes) -> Parts:
     line, _, rest = data.partition(b"\n")
-    records = []
-    position = 0
-    while position + 8 <= len(rest):
-        (length,) = struct.unpack_from("<I", rest, position)
-        head = rest[position + 4 : position + 4 + length]
-        position += 4 + length
-        if position + 4 > len(rest):
-            break
-        (length,) = struct.unpack_from("<I", rest, position)
-        records.append([head, rest[position + 4 : position + 4 + length]])
-        position += 4 + length
-    if rng.random() < 0.1 or len(records) < 2:
-        return inner(data)
-    i = rng.randrange(1, len(records))
-    part = rng.randrange(2)
-    old = sum(8 + len(a) + len(b) for a, b in records[:i])
-    before = len(records[i][0]) + len(records[i][1])
-    records[i][part] = _mutate_fields(records[i][0], rng, inner) if part == 0 else inner(records[i][1])
-    added = len(records[i][0]) + len(records[i][1]) - before
-    for record in records:
-        record[0] = _shift_offsets(record[0], len(line) + 1 + old, added)
-    return line + b"\n" + b"".join(
-        struct.pack("<I", len(a)) + a + struct.pack("<I", len(b)) + b for a, b in records
-    )  # fmt: skip
+    parts = _unpack_lengths(rest)
+    return [("line", line), *((("head", "data")[i % 2], content) for i, (_, content) in enumerate(parts))]
 
 
-def _fields(head: bytes) -> list[bytes]:
-    fields, position = [], 0
-    while position + 4 <= len(head):
-        (length,) = struct.unpack_from("<I", head, position)
-        fields.append(head[position + 4 : position + 4 + length])
-        position += 4 + length
-    return fields
+def _pack_bag1(parts: Parts) -> bytes:
+    lines = [content for name, content in parts if name == "line"]
+    return b"".join(lines) + b"\n" + _pack_lengths([part for part in parts if part[0] != "line"])
 
 
-def _pack_fields(fields: list[bytes]) -> bytes:
-    return b"".join(struct.pack("<I", len(field)) + field for field in fields)
-
-
-def _mutate_fields(head: bytes, rng: Random, inner: MutateBytes) -> bytes:
-    fields = _fields(head)
-    if not fields:
-        return inner(head)
-    i = rng.randrange(len(fields))
-    name, _, value = fields[i].partition(b"=")
-    fields[i] = name + b"=" + inner(value)
-    return _pack_fields(fields)
-
-
-def _shift_offsets(head: bytes, limit: int, added: int) -> bytes:
-    """Positions of the index and of chunks that are behind a change."""
-    fields = _fields(head)
-    for i, field in enumerate(fields):
-        name, _, value = field.partition(b"=")
-        if name in (b"index_pos", b"chunk_pos") and len(value) == 8:
-            (place,) = struct.unpack("<Q", value)
-            if place > limit:
-                fields[i] = name + b"=" + struct.pack("<Q", (place + added) % 2**64)
-    return _pack_fields(fields)
+_mutate_fields = mutate_parts(_unpack_lengths, _pack_lengths, lambda _: keep_size)
+mutate_bag1 = mutate_parts(_unpack_bag1, _pack_bag1, lambda name: _mutate_fields if name == "head" else keep_size)
+"""Records of a ROS 1 bag, and fields of their heads ("Bags/Format/2.0", wiki.ros.org)."""

@@ -15,10 +15,7 @@ import cv2
 import numpy as np
 from backports import zstd
 from rosbags.rosbag1 import Writer as Writer1
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
-from rosbags.rosbag2 import Writer as Writer2
-from rosbags.typesys import Stores, get_typestore
-from rosbags.typesys.store import Typestore
+from rosbags.rosbag2 import CompressionMode, StoragePlugin
 from ruamel.yaml import YAML
 
 from calgraph.io.cache_folder import CacheFolder
@@ -39,6 +36,7 @@ from calgraph.simulation import (
     save_truth,
 )
 from ideal_detections import simulate_detections
+from reliability_messages import STORE, Item, serialize_ros1, write_bag1, write_bag2
 
 Seeds = Callable[[], list[bytes]]
 
@@ -191,12 +189,12 @@ MESSAGE_TYPES = (
 """By the first byte of an input of the harness of messages."""
 
 
-def ros_messages(store: Typestore) -> list[Any]:
-    """One message of each type, of ROS 1 or ROS 2."""
-    types = store.types
-    ros1 = "seq" in [name for name, _ in store.fielddefs["std_msgs/msg/Header"][1]]
+@cache
+def ros_messages() -> tuple[Item, ...]:
+    """One message of each type."""
+    types = STORE.types
     time = types["builtin_interfaces/msg/Time"](sec=12, nanosec=5)
-    header = types["std_msgs/msg/Header"](**({"seq": 0} if ros1 else {}), stamp=time, frame_id="sensor")
+    header = types["std_msgs/msg/Header"](stamp=time, frame_id="sensor")
     echo = types["sensor_msgs/msg/LaserEcho"](echoes=np.ones(2, np.float32))
     beams: dict[str, Any] = {
         "header": header, "angle_min": -0.5, "angle_max": 0.5, "angle_increment": 0.25, "time_increment": 1e-3,
@@ -205,8 +203,7 @@ def ros_messages(store: Typestore) -> list[Any]:
     points = scan_points()
     field = types["sensor_msgs/msg/PointField"]
     fields = [field(n, offset, code, 1) for n, offset, code in zip("xyz", (0, 4, 8), (7, 7, 7), strict=True)]
-    names = dict(zip("DKRP", ("D", "K", "R", "P") if ros1 else ("d", "k", "r", "p"), strict=True))
-    return [
+    messages = [
         types[MESSAGE_TYPES[0]](**beams, ranges=np.ones(5, np.float32), intensities=np.zeros(0, np.float32)),
         types[MESSAGE_TYPES[1]](**beams, ranges=[echo], intensities=[]),
         types[MESSAGE_TYPES[2]](
@@ -223,21 +220,19 @@ def ros_messages(store: Typestore) -> list[Any]:
         types[MESSAGE_TYPES[5]](
             header=header, height=6, width=8, distortion_model="plumb_bob", binning_x=0, binning_y=0,
             roi=types["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False),
-            **{names["D"]: np.zeros(5), names["K"]: np.diag([9.0, 9, 1]).ravel(), names["R"]: np.eye(3).ravel(),
-               names["P"]: np.zeros(12)},
+            d=np.zeros(5), k=np.diag([9.0, 9, 1]).ravel(), r=np.eye(3).ravel(), p=np.zeros(12),
         ),
         header,
     ]  # fmt: skip
+    return tuple(Item(f"/t{i}", one.__msgtype__, 10**9 + i, one) for i, one in enumerate(messages))
 
 
 def messages() -> list[bytes]:
     """A byte with type and serialisation, and then the serialised message."""
     seeds = []
-    for ros1, release in ((0, Stores.ROS2_HUMBLE), (1, Stores.ROS1_NOETIC)):
-        store = get_typestore(release)
-        serialize = store.serialize_ros1 if ros1 else store.serialize_cdr
-        for i, (name, message) in enumerate(zip(MESSAGE_TYPES, ros_messages(store), strict=True)):
-            seeds.append(bytes([2 * i + ros1]) + bytes(serialize(message, name)))
+    for i, item in enumerate(ros_messages()):
+        seeds.append(bytes([2 * i]) + bytes(STORE.serialize_cdr(item.message, item.kind)))
+        seeds.append(bytes([2 * i + 1]) + bytes(serialize_ros1(item)))
     return seeds
 
 
@@ -268,38 +263,15 @@ def driver_messages() -> list[bytes]:
 
 def bags1() -> list[bytes]:
     """ROS 1 bags, uncompressed and compressed in both ways."""
-    store = get_typestore(Stores.ROS1_NOETIC)
-    seeds = []
-    for compression in (None, Writer1.CompressionFormat.BZ2, Writer1.CompressionFormat.LZ4):
-        with TemporaryDirectory() as folder:
-            path = Path(folder) / "a.bag"
-            writer = Writer1(path)
-            if compression:
-                writer.set_compression(compression)
-            with writer:
-                for i, message in enumerate(ros_messages(store)):
-                    kind = message.__msgtype__
-                    connection = writer.add_connection(f"/t{i}", kind, typestore=store)
-                    writer.write(connection, 10**9 + i, store.serialize_ros1(message, kind))
-            seeds.append(path.read_bytes())
-    return seeds
+    with TemporaryDirectory() as folder:
+        formats = (None, *Writer1.CompressionFormat)
+        return [write_bag1(Path(folder) / str(one), ros_messages(), one).read_bytes() for one in formats]
 
 
 def _bags2(storage: StoragePlugin, *modes: CompressionMode) -> list[bytes]:
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    seeds = []
-    for mode in modes:
-        with TemporaryDirectory() as folder:
-            writer = Writer2(Path(folder) / "a", version=8, storage_plugin=storage)
-            writer.set_compression(mode, CompressionFormat.ZSTD)
-            with writer:
-                for i, message in enumerate(ros_messages(store)):
-                    kind = message.__msgtype__
-                    connection = writer.add_connection(f"/t{i}", kind, typestore=store)
-                    writer.write(connection, 10**9 + i, store.serialize_cdr(message, kind))
-            [file] = [file for file in (Path(folder) / "a").iterdir() if file.name != "metadata.yaml"]
-            seeds.append(file.read_bytes())
-    return seeds
+    with TemporaryDirectory() as folder:
+        bags = [write_bag2(Path(folder) / mode.name, ros_messages(), storage, mode) for mode in modes]
+        return [file.read_bytes() for bag in bags for file in bag.iterdir() if file.name != "metadata.yaml"]
 
 
 @cache

@@ -45,7 +45,7 @@ from calgraph.sensors import CameraModel
 from ideal_detections import simulate_detections
 from model_error_draws import draw_errors
 from model_error_rigs import rig_world
-from worlds import Layout, grouped, make_parser, run_worlds, share, worst
+from worlds import Layout, PoseError, find_errors, grouped, make_parser, run_worlds, share, worst
 
 Change = Callable[[Detection], Detection | Rejected]
 RIGS = ("five", "chain", "pair", "cameras")
@@ -55,7 +55,6 @@ MAX_METRES = 0.02
 """The same, m."""
 OTHER_FOCAL_LENGTH, OTHER_RESOLUTION, OTHER_UNIT = 1.4, 0.5, 1.1
 """Factors of wrong intrinsics, and of ranges in another unit."""
-MIRRORS = {"x": (-1.0, 1.0, 1.0), "y": (1.0, -1.0, 1.0), "z": (1.0, 1.0, -1.0)}
 CHECKERBOARD = Checkerboard(kind="checkerboard", columns=7, rows=6, square=0.12)
 UNDECIDED = ("mirrored_image", "flipped_image")
 """Kinds of which nothing decides whether the others are mirrored instead: their poses are kept, but not good."""
@@ -297,9 +296,9 @@ KINDS: Mapping[str, tuple[tuple[str, ...], Make]] = {
     "turned_image": (CAMERA, lambda w, _: flip_pixels(w, (True, True))),
     "other_focal_length": (CAMERA, lambda w, _: scale_intrinsics(w, OTHER_FOCAL_LENGTH)),
     "other_resolution": (CAMERA, lambda w, _: scale_intrinsics(w, OTHER_RESOLUTION, OTHER_RESOLUTION)),
-    "mirrored_x": (LIDAR, lambda w, _: map_points(w, np.diag(MIRRORS["x"]))),
-    "mirrored_y": (LIDAR, lambda w, _: map_points(w, np.diag(MIRRORS["y"]))),
-    "mirrored_z": (LIDAR, lambda w, _: map_points(w, np.diag(MIRRORS["z"]))),
+    "mirrored_x": (LIDAR, lambda w, _: map_points(w, np.diag([-1.0, 1.0, 1.0]))),
+    "mirrored_y": (LIDAR, lambda w, _: map_points(w, np.diag([1.0, -1.0, 1.0]))),
+    "mirrored_z": (LIDAR, lambda w, _: map_points(w, np.diag([1.0, 1.0, -1.0]))),
     "swapped_axes": (LIDAR, lambda w, _: map_points(w, np.eye(3)[[1, 0, 2]])),
     "reversed_scan": (("lidar2d",), reverse_scan),
     "other_unit": (SCANNERS, lambda w, _: map_points(w, OTHER_UNIT * np.eye(3))),
@@ -360,7 +359,7 @@ def run(kind: str, rig: str, seed: int, impossible: str) -> Row:
     named = not good and (impossible in found.evidence.unconnected or any(impossible in text for text in texts))
     grades = " ".join(f"{s.name}:{s.verdict.grade}" for s in found.sensors)
     is_kept = kept and not lost and max(change) <= MAX_CHANGE
-    wrong = any(is_wrong(world, found, s.name, possible) for s in found.sensors)
+    wrong = any(is_wrong(world, found, *pair, possible) for pair in find_errors(found, world.T_true).items())
     text = " | ".join(dict.fromkeys(text for text in texts if text))
     return Row(
         kind, rig, seed, impossible, is_kept, named or possible, wrong, max(change), " ".join(lost), grades,
@@ -396,17 +395,13 @@ def relative(calibration: Calibration, base: str, name: str) -> Array:
     return np.asarray(se3.inverse(poses[base]) @ poses[name])
 
 
-def is_wrong(world: World, found: Calibration, name: str, possible: bool) -> bool:
+def is_wrong(world: World, found: Calibration, name: str, error: PoseError, possible: bool) -> bool:
     """Whether a good sensor is off by much, or is the impossible one."""
-    sensor = next(s for s in found.sensors if s.name == name)
-    if name == found.root or sensor.verdict.grade != "good":
+    if found[name].verdict.grade != "good":
         return False
     if not possible and world.impossible in (name, found.root):
         return True
-    true = se3.inverse(world.T_true[found.root]) @ world.T_true[name]
-    off = se3.difference(sensor.T_root_sensor, true)
-    sigmas = np.abs(off) / np.sqrt(np.diag(sensor.covariance))
-    return bool(np.linalg.norm(off[:3]) > MAX_METRES or np.max(sigmas) > MAX_SIGMAS)
+    return error.metres > MAX_METRES or error.sigmas > MAX_SIGMAS
 
 
 def show(rows: Sequence[Row]) -> None:

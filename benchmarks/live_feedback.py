@@ -5,7 +5,6 @@ python benchmarks/live_feedback.py --keep DIR            # the simulated recordi
 """
 
 import asyncio
-import os
 import time
 from concurrent.futures import Executor
 from pathlib import Path
@@ -21,13 +20,8 @@ from calgraph.live.source import LiveMessage
 from calgraph.parallel.processes import worker_pool
 from calgraph.simulation import load_truth
 from live_robot import list_topics, simulated
-from process_costs import list_descendants, measure_processor_time
+from process_costs import list_processes, measure_processor_time
 from worlds import make_parser
-
-
-def list_processes() -> list[int]:
-    """This process and those that it has started."""
-    return [os.getpid(), *list_descendants(os.getpid())]
 
 
 class Feedback:
@@ -55,7 +49,8 @@ async def run(
         rig, str(recording), session_pools, solve_captures, exclude=print, print_line=feedback.texts.append
     )
     watching = asyncio.create_task(watch(session, feedback))
-    began, busy = time.monotonic(), [measure_processor_time(pid) for pid in list_processes()]
+    began, processes_of_all = time.monotonic(), list_processes()
+    busy = [measure_processor_time(one) for one in processes_of_all]
     async for message in ReplaySource(recording, speed=1.0).stream(list_topics(rig)):
         if isinstance(message, LiveMessage):
             size += len(message.data)
@@ -66,7 +61,7 @@ async def run(
     await asyncio.sleep(3.0)
     watching.cancel()
     seconds = time.monotonic() - began
-    used = [measure_processor_time(pid) - before for pid, before in zip(list_processes(), busy, strict=True)]
+    used = [measure_processor_time(one) - before for one, before in zip(processes_of_all, busy, strict=True)]
     report(session, feedback, rests, seconds, size, used)
     session.close()
 

@@ -26,14 +26,13 @@ from pathlib import Path
 import numpy as np
 from playwright.sync_api import ViewportSize, sync_playwright
 
-from calgraph.geometry import se3, so3
 from calgraph.recording import open_recording
 from calgraph.result import Calibration, load_calibration
 from calgraph.simulation import GroundTruth, load_truth
 from live_attacks import Attack, attack
 from live_operator import Look, Operator
 from live_robot import LIVE, LOOPBACK, Publisher, simulated
-from worlds import make_parser
+from worlds import find_errors, make_parser
 
 PARTS = ("button", "ros2", "fast", "cable", "attacks")
 OPTIONS = {"button": ["--manual"], "cable": ["--manual"], "fast": ["--speed", "5"]}
@@ -207,9 +206,8 @@ def find_poses(looks: Sequence[Look], captured: int) -> int | None:
 
 def measure_errors(calibration: Calibration, truth: GroundTruth) -> tuple[float, float]:
     """Largest errors of positions and rotations, mm and degrees."""
-    errors = [se3.inverse(truth.T_root_sensor[one.name]) @ one.T_root_sensor for one in calibration.sensors]
-    turns = [np.linalg.norm(so3.log(error[:3, :3])) for error in errors]
-    return float(1000 * max(np.linalg.norm(error[:3, 3]) for error in errors)), float(np.degrees(max(turns)))
+    errors = find_errors(calibration, truth.T_root_sensor).values()
+    return 1000 * max(one.metres for one in errors), max(one.degrees for one in errors)
 
 
 def describe_times(times: Sequence[float]) -> str:

@@ -40,10 +40,10 @@ from worlds import (
     NAN,
     Layout,
     PoseError,
+    find_errors,
     grouped,
     make_parser,
     mean,
-    measure_error,
     median,
     rms,
     run_worlds,
@@ -194,7 +194,7 @@ def judge(case: tuple[str, str, float, int], rig: Rig, captured: CaptureSet, tru
         return Outcome(*case, crashed=crashed, seconds=time.perf_counter() - began, text=text)
     seconds = time.perf_counter() - began
     sensors = [sensor for sensor in found.sensors if sensor.parent is not None]
-    errors = [measure_error(s.T_root_sensor, s.covariance, truth.T_root_sensor[s.name]) for s in sensors]
+    errors = list(find_errors(found, truth.T_root_sensor).values())
     verdicts = [f"{s.name} {s.verdict.grade}: {s.verdict.reason}" for s in sensors if s.verdict.grade != "good"]
     return Outcome(
         *case,

@@ -50,7 +50,7 @@ from calgraph.simulation.motion import pose_from_placement
 from calgraph.simulation.robot import MountedCamera, RobotSensor
 from ideal_detections import IdealDetectorOptions, as_scanner, make_ideal_detector
 from rig_errors import ModelErrors
-from worlds import Layout, make_parser, measure_error, rms
+from worlds import Layout, find_errors, make_parser, rms
 
 SPEEDS, SPREADS = (0.1, 0.3, 1.0), (0.0, 0.01, 0.05)
 MAX_TRANSLATION, MAX_ROTATION = 0.010, 0.3
@@ -243,13 +243,10 @@ def run(seed: int, motion: MovingBoardOptions) -> list[tuple[float, float, float
     world = build_world(scenario(), seed, images=False)
     rig, captures, truth = simulate_moving_detections(world, seed, motion, IdealDetectorOptions(scans_per_hold=1))
     problem = build_problem_from_captures(rig, captures, RigOptions(), np.random.default_rng(seed))
-    found = []
-    for sensor in solve_problem(problem).sensors:
-        if sensor.parent is None:
-            continue
-        error = measure_error(sensor.T_root_sensor, sensor.covariance, truth.T_root_sensor[sensor.name])
+    found, calibration = [], solve_problem(problem)
+    for name, error in find_errors(calibration, truth.T_root_sensor).items():
         off = (error.metres > MAX_TRANSLATION or error.degrees > MAX_ROTATION) and error.nees > 9 / 6 * 2
-        found.append((error.metres, error.degrees, error.nees, off and sensor.verdict.grade == "good"))
+        found.append((error.metres, error.degrees, error.nees, off and calibration[name].verdict.grade == "good"))
     return found
 
 

@@ -1,4 +1,4 @@
-"""Time and memory of this process, of those that it starts, and of commands: Linux, from /proc."""
+"""Time and memory of this process, of those that it starts, and of commands, on Linux."""
 
 import multiprocessing
 import os
@@ -7,15 +7,16 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass
-from pathlib import Path
 from typing import ParamSpec, TypeVar
+
+import psutil
 
 P = ParamSpec("P")
 Result = TypeVar("Result")
-_TICK = 1 / os.sysconf("SC_CLK_TCK")
 _SAMPLING_INTERVAL = 0.1
 """Between two measurements of the memory of all processes, s: at 0.02 s, they took 0.3 s of the wall time of four
 processes, which wait while their memory is measured."""
@@ -41,7 +42,8 @@ def measure_cost(command: Sequence[str], environment: dict[str, str]) -> Cost:
 
     def sample() -> None:
         while not stopped.wait(_SAMPLING_INTERVAL):
-            sizes.append(measure_memory([process.pid, *list_descendants(process.pid)]))
+            with suppress(psutil.Error):  # it has ended
+                sizes.append(measure_memory(list_processes(process.pid)))
 
     sampler = threading.Thread(target=sample, daemon=True)
     sampler.start()
@@ -62,43 +64,34 @@ def in_process(function: Callable[P, Result], *arguments: P.args, **named: P.kwa
         return pool.submit(function, *arguments, **named).result()
 
 
-def list_descendants(process: int) -> Iterator[int]:
-    """The children of a process, and theirs."""
-    for listed in Path(f"/proc/{process}/task").glob("*/children"):
-        for child in map(int, _read_text(listed).split()):
-            yield child
-            yield from list_descendants(child)
+def list_processes(process: int | None = None) -> list[psutil.Process]:
+    """A process, this one if left out, and all that it has started, directly or not."""
+    first = psutil.Process(process)
+    return [first, *first.children(recursive=True)]
 
 
-def measure_memory(processes: Iterable[int]) -> float:
+def measure_memory(processes: Iterable[psutil.Process]) -> float:
     """Memory of processes, bytes; a page that n processes share counts as 1/n of each."""
-    lines = (line for one in processes for line in _read_text(Path(f"/proc/{one}/smaps_rollup")).splitlines())
-    return float(sum(1024 * int(line.split()[1]) for line in lines if line.startswith("Pss:")))
+    total = 0.0
+    for one in processes:
+        with suppress(psutil.Error):  # it has ended
+            total += one.memory_full_info().pss
+    return total
 
 
 def measure_cpu() -> float:
     """Processor time of this process, of those it has started that have ended, and of those that run, s."""
-    done = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
-    running = sum(map(measure_processor_time, list_descendants(os.getpid())))
-    return sum(one.ru_utime + one.ru_stime for one in done) + running
+    return sum(map(measure_processor_time, list_processes()))
 
 
-def measure_processor_time(process: int) -> float:
+def measure_processor_time(process: psutil.Process) -> float:
     """Processor time of a process until now and of its children that have ended, s; 0 if it has ended."""
-    # After the name, which may have spaces, fields 14 to 17 are its own times and those of its children.
-    fields = _read_text(Path(f"/proc/{process}/stat")).rpartition(")")[2].split()
-    return sum(int(field) for field in fields[11:15]) * _TICK
+    with suppress(psutil.Error):
+        return float(sum(process.cpu_times()[:4]))
+    return 0.0
 
 
 def measure_peak_memories() -> tuple[float, float]:
     """Most memory that this process held, and that any of those that it started and that have ended did, MB."""
     own, others = (resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
     return own / 1024, others / 1024
-
-
-def _read_text(path: Path) -> str:
-    """Of a file in /proc; empty where the process has ended."""
-    try:
-        return path.read_text()
-    except OSError:
-        return ""

@@ -29,14 +29,14 @@ from scipy.stats import chi2
 
 from calgraph.config import Tolerance
 from calgraph.errors import CalgraphError
-from calgraph.geometry import Array, se3
+from calgraph.geometry import Array
 from calgraph.result import Calibration
 from calgraph.rig.options import RigOptions
 from calgraph.rig.pipeline import calibrate_rig
 from random_rig_draws import draw_rig, true_poses
 from random_rig_messages import record
 from random_rig_views import well_posed_sensors
-from worlds import NAN, Layout, grouped, make_parser, mean, measure_error, median, run_worlds, share, worst
+from worlds import NAN, Layout, find_errors, grouped, make_parser, mean, median, run_worlds, share, worst
 
 MAX_SIGMAS, MAX_TRANSLATION, MAX_ROTATION = 5.0, 2.0, 1.0 / 0.3
 """Standard deviations, and multiples of the tolerance."""
@@ -147,8 +147,7 @@ def judge(
     sensor = next((one for one in found.sensors if one.name == outcome.sensor), None)
     if sensor is None or sensor.name == found.root:  # in place of the stated root
         return replace(outcome, text=found.evidence.unconnected.get(outcome.sensor, ""))
-    T_root_sensor = se3.inverse(true[found.root]) @ true[sensor.name]
-    error = measure_error(sensor.T_root_sensor, sensor.covariance, T_root_sensor)
+    error = find_errors(found, true)[sensor.name]
     far = (
         error.sigmas > MAX_SIGMAS
         or error.metres > MAX_TRANSLATION * tolerance.translation

@@ -6,27 +6,19 @@ python benchmarks/real_recordings.py [DATA]      # the folder of real recordings
 import csv
 import os
 import sys
-import tomllib
-from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
-from ruamel.yaml import YAML
 
 from calgraph.config import Rig
 from calgraph.geometry import Array, se3, so3
 from calgraph.recording import open_recording
-from calgraph.recording.camera_info import camera_from_yaml
 from calgraph.result import Calibration, Edge
-from calgraph.rig.detection.board_views import BoardView
 from calgraph.rig.options import RigOptions
 from calgraph.rig.pipeline import calibrate_rig
-from calgraph.sensors import CameraModel
 
 DATA = Path(os.environ.get("CALGRAPH_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
 """The folder of real recordings."""
-_WEBCAM_SQUARE = 0.054
-"""Edge of a square of the webcams' board, m."""
 VLP16: dict[str, object] = {
     "root": "lidar",
     "target": {
@@ -100,63 +92,6 @@ def published(data: Path) -> Array:
     roll, pitch, yaw, *xyz = rows.mean(axis=0)
     R = so3.exp(np.array([0, 0, yaw])) @ so3.exp(np.array([0, pitch, 0])) @ so3.exp(np.array([roll, 0, 0]))
     return se3.pose(R, np.array(xyz))
-
-
-def _camera_rig(pattern: Mapping[str, object], size: tuple[float, float]) -> Rig:
-    return Rig.model_validate({
-        "root": "camera",
-        "target": {"kind": "board", "size": size, "pattern": pattern},
-        "sensors": {"camera": {"kind": "camera", "topic": "/image"}},
-    })  # fmt: skip
-
-
-def read_acfr() -> tuple[Rig, list[BoardView], CameraModel]:
-    """Rig, views and published intrinsics of the wide fisheye."""
-    folder = DATA / "acfr-vlp16-checkerboard"
-    camera = camera_from_yaml(YAML(typ="safe").load(folder / "camera_info_first_commit.yaml"))
-    rows = np.loadtxt(folder / "corners_all40.csv", delimiter=",", skiprows=1)
-    # 5 columns of 7 rows; the first corner is at either end: one view does not distinguish them.
-    index = np.arange(35)
-    corners = np.stack([(index % 5 - 2) * 0.095, -(index // 5 - 3) * 0.095, np.zeros(35)], axis=-1)
-    views = []
-    for pose in np.unique(rows[:, 0]):
-        pixels = rows[rows[:, 0] == pose, 2:]
-        views.append(
-            BoardView(index, _face(corners, pixels)[:, None], pixels[:, None], (camera.width, camera.height))
-        )
-    pattern = {"kind": "checkerboard", "columns": 5, "rows": 7, "square": 0.095}
-    return _camera_rig(pattern, (0.61, 0.85)), views, camera
-
-
-def read_webcam(number: int) -> tuple[Rig, list[BoardView], CameraModel]:
-    """Rig, views and published intrinsics of one of the webcams."""
-    folder = DATA / "four-webcams-charuco-corners"
-    stated = tomllib.loads((folder / "camera_array.toml").read_text())["cameras"][str(number)]
-    width, height = stated["size"]
-    camera = CameraModel("pinhole", width, height, np.array(stated["matrix"]), np.array(stated["distortions"]))
-    with (folder / "xy.csv").open() as file:
-        rows = [row for row in csv.DictReader(file) if int(row["cam_id"]) == number]
-    frames: dict[int, list[dict[str, str]]] = {}
-    for row in rows:
-        frames.setdefault(int(row["sync_index"]), []).append(row)
-    views = []
-    for _, found in sorted(frames.items()):
-        places = np.array([[float(row["obj_loc_x"]), -float(row["obj_loc_y"]), 0.0] for row in found])
-        pixels = np.array([[float(row["img_loc_x"]), float(row["img_loc_y"])] for row in found])
-        ids = np.array([int(row["keypoint_id"]) for row in found])
-        views.append(BoardView(ids, _face(places, pixels)[:, None], pixels[:, None], (width, height)))
-    pattern = {
-        "kind": "charuco", "columns": 4, "rows": 5, "square": _WEBCAM_SQUARE, "marker": 0.04,
-        "dictionary": "DICT_4X4_1000",
-    }  # fmt: skip
-    return _camera_rig(pattern, (0.5, 0.4)), [view for view in views if len(view.ids) >= 8], camera
-
-
-def _face(corners: Array, pixels: Array) -> Array:
-    """The corners as a reader of the print has them: mirrored where the image shows its other side."""
-    A = np.column_stack([corners[:, :2], np.ones(len(corners))])
-    front = np.linalg.det(np.linalg.lstsq(A, pixels, rcond=None)[0][:2]) < 0
-    return corners if front else corners * [-1.0, 1.0, 1.0]
 
 
 def main() -> None:

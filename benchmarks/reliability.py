@@ -18,6 +18,7 @@ import threading
 import time
 import zlib
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from enum import Enum
 from functools import cache
@@ -27,6 +28,7 @@ from tempfile import TemporaryDirectory
 from typing import IO
 
 import numpy as np
+import psutil
 
 from calgraph.errors import CalgraphError
 from calgraph.geometry import se3
@@ -51,6 +53,7 @@ RESULT_FILES = (
     "rig.resolved.yaml",
     "scene.npz",
 )
+_ENDED = psutil.STATUS_ZOMBIE, psutil.STATUS_DEAD
 _LEFT = re.compile(r"\.tmp$")
 _MIN_NAME = 3
 """Shorter names would be found in any message by chance."""
@@ -286,16 +289,10 @@ def _read_back(stream: IO[bytes]) -> str:
 def processes_of_session(session: int) -> list[int]:
     """The processes of a session, its first one included, without those that have ended and are not reaped."""
     found = []
-    for entry in Path("/proc").iterdir():
-        if not entry.name.isdigit():
-            continue
-        try:
-            # State, parent, group and session follow the name, which is in parentheses and may contain anything.
-            fields = (entry / "stat").read_text(errors="replace").rpartition(")")[2].split()
-        except OSError:
-            continue
-        if int(fields[3]) == session and fields[0] not in "ZX":
-            found.append(int(entry.name))
+    for process in psutil.process_iter():
+        with suppress(psutil.Error, OSError):  # it has ended
+            if os.getsid(process.pid) == session and process.status() not in _ENDED:
+                found.append(process.pid)
     return found
 
 
@@ -312,10 +309,8 @@ def _count_orphans(session: int) -> int:
 
 def _kill_session(session: int) -> None:
     for pid in processes_of_session(session):
-        try:
+        with suppress(ProcessLookupError):
             os.kill(pid, signal.SIGKILL)
-        except ProcessLookupError:
-            continue
 
 
 def judge_ending(ending: Ending, names: Iterable[str]) -> Judged | None:

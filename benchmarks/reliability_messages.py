@@ -9,8 +9,9 @@ import cv2
 import numpy as np
 from rosbags.convert.converter import migrate_message
 from rosbags.rosbag1 import Writer as Writer1
-from rosbags.rosbag2 import Reader, StoragePlugin, Writer
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys.store import Typestore
 from ruamel.yaml import YAML
 
 from calgraph.io.text_writing import save_yaml
@@ -127,33 +128,47 @@ def with_fields(item: Item, **fields: Any) -> Item:
     return replace(item, message=replace(item.message, **fields))
 
 
-def write_bag2(path: Path, items: Sequence[Item], storage: StoragePlugin = StoragePlugin.MCAP) -> Path:
+def write_bag2(
+    path: Path,
+    items: Sequence[Item],
+    storage: StoragePlugin = StoragePlugin.MCAP,
+    compression: CompressionMode = CompressionMode.NONE,
+) -> Path:
     """Writes a rosbag2 folder."""
-    with Writer(path, version=8, storage_plugin=storage) as writer:
-        connections: dict[tuple[str, str], Any] = {}
-        for item in items:
-            key = item.topic, item.kind
-            if key not in connections:
-                connections[key] = writer.add_connection(*key, typestore=STORE)
-            if item.message is not None:
-                writer.write(connections[key], item.arrival, STORE.serialize_cdr(item.message, item.kind))
+    writer = Writer(path, version=8, storage_plugin=storage)
+    writer.set_compression(compression, CompressionFormat.ZSTD)
+    with writer:
+        _write_items(writer, STORE, items, lambda item: STORE.serialize_cdr(item.message, item.kind))
     return path
 
 
-def write_bag1(path: Path, items: Sequence[Item]) -> Path:
+def write_bag1(path: Path, items: Sequence[Item], compression: Writer1.CompressionFormat | None = None) -> Path:
     """Writes a ROS 1 bag."""
     path = path.with_name(f"{path.name}.bag")
-    cache: dict[str, object] = {}
-    with Writer1(path) as writer:
-        connections: dict[tuple[str, str], Any] = {}
-        for item in items:
-            key = item.topic, item.kind
-            if key not in connections:
-                connections[key] = writer.add_connection(*key, typestore=STORE1)
-            if item.message is not None:
-                message = migrate_message(STORE, STORE1, item.kind, item.kind, cache, item.message)
-                writer.write(connections[key], item.arrival, STORE1.serialize_ros1(message, item.kind))
+    writer = Writer1(path)
+    if compression:
+        writer.set_compression(compression)
+    with writer:
+        _write_items(writer, STORE1, items, serialize_ros1)
     return path
+
+
+def serialize_ros1(item: Item) -> memoryview:
+    """The message as one of ROS 1."""
+    message = migrate_message(STORE, STORE1, item.kind, item.kind, {}, item.message)
+    return STORE1.serialize_ros1(message, item.kind)
+
+
+def _write_items(
+    writer: Writer | Writer1, store: Typestore, items: Sequence[Item], serialize: Callable[[Item], Any]
+) -> None:
+    connections: dict[tuple[str, str], Any] = {}
+    for item in items:
+        key = item.topic, item.kind
+        if key not in connections:
+            connections[key] = writer.add_connection(*key, typestore=store)
+        if item.message is not None:
+            writer.write(connections[key], item.arrival, serialize(item))
 
 
 def write_folder(path: Path, items: Sequence[Item]) -> Path:

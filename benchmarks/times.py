@@ -16,7 +16,7 @@ import hashlib
 import os
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -24,16 +24,20 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from calgraph.config import Board, Capture, Charuco, Checkerboard
+from calgraph.config import Board, Capture, Charuco, Checkerboard, Lidar3dSpec, RangeNoise, Rig, SensorSpec
+from calgraph.geometry import se3, so3
 from calgraph.io.text_writing import save_yaml
 from calgraph.io.yaml_reading import read_yaml
 from calgraph.recording import RecordingWriter
 from calgraph.rig.bundle.estimate import solve_bundle
+from calgraph.rig.captures.detectors import make_detectors
+from calgraph.rig.detection.capture_background import learn_capture_background
 from calgraph.rig.options import RigOptions
 from calgraph.rig.pairs.board_pair import select_successful
 from calgraph.rig.pipeline import build_problem_from_captures
-from calgraph.sensors import CameraInfo
+from calgraph.sensors import CameraInfo, PointCloud
 from calgraph.simulation import (
+    BeamOptions,
     CameraOptions,
     LaserOptions,
     MultibeamOptions,
@@ -45,11 +49,14 @@ from calgraph.simulation import (
     simulate_rig,
     world_rig,
 )
+from calgraph.simulation.motion import BoardPlacement
 from calgraph.simulation.robot import MountedCamera
+from calgraph.simulation.scanners import multibeam_pattern, point_cloud, simulate_ranges
+from calgraph.simulation.solids import Solid
+from calgraph.simulation.world import board_solid, build_room, operator_solids
 from ideal_detections import simulate_detections
 from process_costs import measure_cost
 from simulated_captures import simulate_captures
-from sweep_detection import measure_sweeps
 from worlds import NAN, Layout, grouped, make_parser, median, run_worlds
 
 SNAPSHOTS = RigScenario(
@@ -84,6 +91,9 @@ CAMERAS = RigScenario(
     radii=(1.5, 2.2),
     samples=3,
 )
+SWEEP = np.radians(np.linspace(-18, 14, 64)), float(np.radians(0.35)), 0.1
+"""A LiDAR with 64 rings: elevations and step of the azimuth, rad, and period, s."""
+SWEEP_NOISE = BeamOptions(dropout=0.01, max_range=40.0)
 _TIME_BETWEEN_SNAPSHOTS = 5.0
 """s, as someone who carries the board and releases all sensors at every pose takes."""
 
@@ -147,8 +157,38 @@ def _time_bundle(captures: int) -> float:
 
 
 def _time_sweep() -> float:
-    """An unorganised sweep, in front of the background that the captures show."""
-    return float(np.mean([learned[0] for _, learned in measure_sweeps("clutter", "unorganised", 0)])) / 1000
+    """An unorganised sweep of a LiDAR with 64 rings in clutter, in front of the background of 12 captures."""
+    rng, pattern = np.random.default_rng((0, 1, 3)), multibeam_pattern(*SWEEP)
+    T_world_sensor = se3.pose(so3.exp(rng.normal(0, 0.02, 3)), np.array([0.0, 0.0, rng.uniform(0.9, 1.3)]))
+    room = build_room(rng, 24, 2.2)
+    rng.uniform(size=6)  # of scenes in which the board stays in its place
+    clouds: list[PointCloud] = []
+    for stamp in range(12):
+        turn = so3.exp(rng.uniform(-0.5, 0.5, 3))
+        placement = BoardPlacement(rng.uniform(-0.7, 0.7), rng.uniform(1.6, 3.0), rng.uniform(0.75, 1.15), turn)
+        board = SNAPSHOTS.board.size
+        solids = (*room, board_solid(placement, board), *operator_solids(placement, board))
+        ranges = simulate_ranges(pattern, T_world_sensor, 0.0, partial(_rest, solids), SWEEP_NOISE, rng)
+        cloud = point_cloud(pattern, ranges, float(stamp), "lidar")
+        order = rng.permutation(len(cloud.points))
+        clouds.append(replace(cloud, points=cloud.points[order], rings=None, times=None))
+    stated = RangeNoise(range=SWEEP_NOISE.range_noise, angle=SWEEP_NOISE.angle_noise)
+    sensors: dict[str, SensorSpec] = {
+        "lidar": Lidar3dSpec(topic="/points", noise=stated),
+        "other": Lidar3dSpec(topic="/other"),
+    }
+    rig = Rig(root="lidar", target=SNAPSHOTS.board, sensors=sensors)
+    began = time.process_time()
+    learned = learn_capture_background(clouds, stated, rig.settings.detection)
+    detect = make_detectors(rig, {}, {"lidar": learned}, None, {"lidar": 0, "other": 0})["lidar"]
+    for cloud in clouds:
+        detect([cloud])
+    return (time.process_time() - began) / len(clouds)
+
+
+def _rest(solids: Sequence[Solid], _start: float, _end: float) -> list[tuple[float, Sequence[Solid]]]:
+    """A scene in which nothing moves during a sweep."""
+    return [(np.inf, solids)]
 
 
 PARTS: Mapping[str, Callable[[], float]] = {

@@ -11,7 +11,7 @@ import json
 import logging
 import sys
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar, cast, get_type_hints
@@ -20,6 +20,7 @@ import numpy as np
 
 from calgraph.geometry import Array, se3
 from calgraph.parallel.engine import Processes
+from calgraph.result import Calibration
 
 Row = TypeVar("Row")
 Key = TypeVar("Key")
@@ -159,6 +160,16 @@ def measure_error(T: Array, covariance: Array, T_true: Array) -> PoseError:
     metres, degrees = float(np.linalg.norm(off[:3])), float(np.degrees(np.linalg.norm(off[3:])))
     sigmas = float(np.max(np.abs(off) / np.sqrt(np.diag(covariance))))
     return PoseError(metres, degrees, sigmas, float(off @ np.linalg.solve(covariance, off) / 6), off)
+
+
+def find_errors(found: Calibration, T_true: Mapping[str, Array]) -> dict[str, PoseError]:
+    """By sensor besides the root of a result, which may be another one than that of the true poses (4, 4)."""
+    T_root = se3.inverse(T_true[found.root])
+    return {
+        sensor.name: measure_error(sensor.T_root_sensor, sensor.covariance, T_root @ T_true[sensor.name])
+        for sensor in found.sensors
+        if sensor.name != found.root
+    }
 
 
 @dataclass(frozen=True)

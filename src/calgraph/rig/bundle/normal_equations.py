@@ -19,7 +19,7 @@ _REWEIGHTING_TOLERANCE = 1e-2
 
 @dataclass(frozen=True, eq=False)
 class BiasVariances:
-    """Variances of the bias of each of V views, or of all alike."""
+    """Variances of the bias of each of V views, or of all of them."""
 
     pose: Array
     """(V, 6) or (6,) of the board's displacement, m², and rotation, rad², along the sensor's axes."""
