@@ -134,7 +134,7 @@ def lose_scheduler(robot: Path, rig: Rig, folder: Path, cache: RecordingCache) -
 
     try:
         # A client waits as long for a scheduler that it has lost.
-        with open_cluster(address, 1, DaskSettings(connect_timeout=4.0, calls_ahead=1)) as engine:
+        with open_cluster(address, 1, DaskSettings(connect_timeout=10.0, calls_ahead=1)) as engine:
             collect(robot, rig, RigOptions(engine=engine, cache=cache), kill)
     except CalibrationError as error:
         return str(error)
