@@ -6,6 +6,7 @@ python benchmarks/model_errors.py --kinds range_bias --sizes 30  # in the units 
 python benchmarks/model_errors.py --csv runs.csv                 # a row for each run; the next one resumes it
 python benchmarks/model_errors.py --draw --runs 50               # all systematic errors drawn from their priors
 python benchmarks/model_errors.py --tremor --runs 20             # views rejected while the board trembles
+python benchmarks/model_errors.py --stated 0.5                   # rig.yaml states half of the default uncertainty
 
 A pose is *confidently wrong* if its verdict is good and it is off by more than 5 of its standard deviations along
 or about an axis, by more than 20 mm, or by more than 1 degree. A run counts as confidently wrong if one of its
@@ -19,12 +20,14 @@ import argparse
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.linalg import LinAlgError
 from scipy.stats import chi2
 
-from calgraph.config import CameraSpec, PixelNoise, Rig
+from calgraph.config import Board, CameraSpec, PixelNoise, Rig, SensorSpec
 from calgraph.errors import CalgraphError
 from calgraph.result import Calibration, SensorPose
 from calgraph.rig.captures.detect import CaptureSet
@@ -112,16 +115,23 @@ def main() -> None:
     parser.add_argument("--captures", nargs="+", type=int, default=list(DRAWN_CAPTURES), help="of drawn errors")
     parser.add_argument("--tremor", action="store_true", help="a board that trembles in every capture")
     parser.add_argument("--runs", type=int, default=20, help="of each rig with drawn errors or tremor")
+    parser.add_argument(
+        "--stated",
+        type=float,
+        default=1.0,
+        help="uncertainty of systematic errors in rig.yaml over the default one",
+    )
     arguments = parser.parse_args()
     arguments.rigs = arguments.rigs or (TREMBLING_RIGS if arguments.tremor else RIGS)
     if arguments.draw or arguments.tremor:
         kind, sizes = (DRAWN, arguments.captures) if arguments.draw else (TREMOR, SMALL_TREMORS)
         seeds = range(arguments.runs)
         work = [(rig, kind, size, seed) for rig in arguments.rigs for seed in seeds for size in sizes]
-        outcomes = run_worlds(Outcome, run, work, arguments, key=4)
+        outcomes = run_worlds(Outcome, partial(run, stated=arguments.stated), work, arguments, key=4)
         show_drawn(outcomes) if arguments.draw else show_trembling(outcomes)
     else:
-        show(run_worlds(Outcome, run, wrong_and_right(arguments), arguments, key=4))
+        calibrate = partial(run, stated=arguments.stated)
+        show(run_worlds(Outcome, calibrate, wrong_and_right(arguments), arguments, key=4))
 
 
 def wrong_and_right(arguments: argparse.Namespace) -> list[tuple[str, str, float, int]]:
@@ -137,10 +147,25 @@ def wrong_and_right(arguments: argparse.Namespace) -> list[tuple[str, str, float
     return work
 
 
-def run(rig: str, kind: str, size: float, seed: int) -> Outcome | None:
+def run(rig: str, kind: str, size: float, seed: int, *, stated: float = 1.0) -> Outcome | None:
     """One run; None where the rig has no sensor that could be wrong so."""
     detected = detect(rig, kind, size, seed)
-    return None if detected is None else judge((rig, kind, size, seed), *detected)
+    if detected is None:
+        return None
+    description, captured, truth = detected
+    return judge((rig, kind, size, seed), scale_uncertainty(description, stated), captured, truth)
+
+
+def scale_uncertainty(rig: Rig, factor: float) -> Rig:
+    """The rig with other standard deviations of the systematic errors of its sensors and its board."""
+
+    def scale(part: SensorSpec | Board) -> dict[str, Any]:
+        scaled = {name: factor * value for name, value in part.uncertainty if isinstance(value, float)}
+        return {"uncertainty": part.uncertainty.model_copy(update=scaled)}
+
+    sensors = {name: spec.model_copy(update=scale(spec)) for name, spec in rig.sensors.items()}
+    boards = tuple(board.model_copy(update=scale(board)) for board in rig.boards)
+    return rig.model_copy(update={"sensors": sensors, "target": boards[0] if len(boards) == 1 else boards})
 
 
 def detect(rig: str, kind: str, size: float, seed: int) -> tuple[Rig, CaptureSet, GroundTruth] | None:
