@@ -149,10 +149,15 @@ _KINDS = tuple(name for name in DICTIONARIES if not name.endswith(("_50", "_100"
 # fewer, which squares of other things resemble.
 _LEAST_MARKERS = 2
 _CERTAIN_SIZE = 6
+# Width of an image, pixels, to which larger ones are halved: markers of 40 pixels are still found, in a quarter of
+# the time (35 ms for 1280 x 960), which each image without a board takes.
+_SUFFICIENT_WIDTH = 640
 
 
 def recognize_dictionary(gray: Gray) -> str | None:
     """The smallest dictionary that has the most markers in an image (height, width), by its name in ``family``."""
+    while gray.shape[1] >= 2 * _SUFFICIENT_WIDTH:
+        gray = cv2.pyrDown(gray)
     detector = cv2.aruco.ArucoDetector([dictionary(name) for name in _KINDS])
     corners, ids, _, kinds = detector.detectMarkersMultiDict(gray)
     if not len(corners):
