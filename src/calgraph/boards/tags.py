@@ -157,7 +157,7 @@ _SUFFICIENT_WIDTH = 640
 def recognize_dictionary(gray: Gray) -> str | None:
     """The smallest dictionary that has the most markers in an image (height, width), by its name in ``family``."""
     while gray.shape[1] >= 2 * _SUFFICIENT_WIDTH:
-        gray = cv2.pyrDown(gray)
+        gray = np.asarray(cv2.pyrDown(gray), dtype=np.uint8)
     detector = cv2.aruco.ArucoDetector([dictionary(name) for name in _KINDS])
     corners, ids, _, kinds = detector.detectMarkersMultiDict(gray)
     if not len(corners):
