@@ -38,8 +38,8 @@ _CHANGE_COST = 3.0
 # Shares of a sensor's messages that start as motion: those of operators who move shortly, or rest shortly. At the
 # start, each message decides.
 _STARTS = (0.4, 0.7)
-# Share of the information by which that of equal states differs: a board that trembles near a camera, as a state
-# of its own, exceeded motion by a fiftieth.
+# Share of the information by which that of equal states differs: to take trembling near a camera for motion
+# exceeded the right states by a fiftieth.
 _EQUAL = 0.05
 # Each start settles in two to six steps.
 _MAX_STEPS = 12
