@@ -127,7 +127,7 @@ def trembling_nearby(one: SensorTimes, noise: float, ratio: float, rng: np.rando
 
 
 def test_trembling_near_a_camera_is_no_motion() -> None:
-    """Two cameras whose noise near the board is 40 % of a move of 10 cm; a LiDAR, whose noise is 30 % more there."""
+    """Two cameras whose noise near the board is that of a move of 8 cm; a LiDAR with 30 % more noise there."""
     counts = []
     for seed in range(20):
         rng = np.random.default_rng(seed)
