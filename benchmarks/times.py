@@ -124,8 +124,9 @@ def _write_without_intrinsics(scenario: RigScenario, out: Path) -> None:
     simulate_rig(scenario, out, seed=0)
     rig = read_yaml(out / "rig.yaml")
     for spec in rig["sensors"].values():
-        spec.pop("camera_info", None)
-        spec.pop("intrinsics", None)
+        # Else those beside the images are taken.
+        spec.pop("camera_info")
+        spec["intrinsics"] = "estimate"
     save_yaml(out / "rig.yaml", rig)
 
 
