@@ -149,23 +149,27 @@ def select_middles(timeline: RecordingTimeline, rests: Sequence[tuple[float, flo
     length = max(_MIDDLE, *(2 * period for period in periods))
     noise = find_noise(timeline, rests)
     views = [(timeline.sensors[name].with_content(), level) for name, level in noise.items() if level > 0]
+    sums = [(one, one.reach, np.append(0.0, np.cumsum(one.activity / level))) for one, level in views]
 
-    def measure_change(start: float) -> float:
-        """Largest mean change of a view from here on, over the noise of the view in rests."""
-        changes = [0.0]
-        for times, level in views:
-            inside = (times.stamps - times.reach >= start) & (times.stamps <= start + length)
-            changes.append(float(times.activity[inside].mean()) / level if inside.any() else 0.0)
-        return max(changes)
+    def measure_change(starts: Array) -> Array:
+        """Largest mean change of a view from each of some times on, over the noise of the view in rests."""
+        changes = np.zeros(len(starts))
+        for times, reach, total in sums:
+            first = np.searchsorted(times.stamps, starts + reach)
+            count = np.maximum(np.searchsorted(times.stamps, starts + length) - first, 0)
+            changes = np.maximum(changes, (total[first + count] - total[first]) / np.maximum(count, 1))
+        return changes
 
-    starts = []
+    parts = []
     for a, b in rests:
         margin = max((b - a - length) / 2, 0.0)
         least = min(margin, length / 2)
-        quietest = min(np.arange(a + least, b - length - least, _STEP), key=measure_change, default=a + margin)
-        moves = measure_change(a + margin) > _LOUD * measure_change(quietest)
-        starts.append(float(quietest) if moves else a + margin)
-    return [(start, min(start + length, b)) for start, (_, b) in zip(starts, rests, strict=True)]
+        starts = np.append(a + margin, np.arange(a + least, b - length - least, _STEP))
+        changes = measure_change(starts)
+        quietest = int(np.argmin(changes))
+        start = float(starts[quietest if changes[0] > _LOUD * changes[quietest] else 0])
+        parts.append((start, min(start + length, b)))
+    return parts
 
 
 def _find_spans_by_trigger(timeline: RecordingTimeline) -> list[tuple[float, float]]:

@@ -28,7 +28,7 @@ from calgraph.sensors.kinds import KINDS, OpticalSpec
 
 _log = logging.getLogger(__name__)
 
-_DETECTIONS = "detections/5"
+_DETECTIONS = "detections/6"
 # In the cache: a run that is ended loses a few captures, and writing the entries takes little time.
 _ENTRIES_PER_SENSOR = 16
 _Entry = tuple[str, tuple[int, ...]]
