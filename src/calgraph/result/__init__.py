@@ -1,5 +1,6 @@
 """The calibration found: poses, covariances, evidence; and its files for other programs."""
 
+from calgraph.result.budget import ErrorBudget, ErrorSource
 from calgraph.result.calibrated_cameras import (
     apply_estimates,
     calibrated_cameras,
@@ -34,8 +35,8 @@ from calgraph.result.sensor_pose import SensorPose, StatedPose, Verdict
 from calgraph.result.table import to_dataframe
 
 __all__ = [
-    "FORMATS", "BeamView", "BoardOutline", "BoardView", "Calibration", "CaptureRow", "Edge", "EstimatedParameter",
-    "Evidence", "ExtrinsicsFile", "FitError", "FloorView", "HeldOutError", "InputFile", "ModelledBodies",
+    "FORMATS", "BeamView", "BoardOutline", "BoardView", "Calibration", "CaptureRow", "Edge", "ErrorBudget",
+    "ErrorSource", "EstimatedParameter", "Evidence", "ExtrinsicsFile", "FitError", "FloorView", "HeldOutError", "InputFile", "ModelledBodies",
     "Pictures", "PriorErrors", "Provenance", "SensorPose", "Snapshot", "StatedPose", "Suggestion", "Verdict",
     "apply_estimates", "calibrated_cameras", "colorize_from_snapshots", "export", "join_covariances",
     "load_calibration", "load_scene", "read_extrinsics", "save_calibration", "save_captures", "save_residuals",

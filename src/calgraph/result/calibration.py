@@ -9,6 +9,7 @@ import numpy as np
 
 from calgraph.errors import CalibrationError, InputError
 from calgraph.geometry import Array, Index, se3
+from calgraph.result.budget import ErrorBudget
 from calgraph.result.evidence import Evidence
 from calgraph.result.file_types import Finite
 from calgraph.result.pictures import Pictures
@@ -136,6 +137,8 @@ class Calibration:
     prior_errors: PriorErrors | None = None
     """Errors that it shares with other recordings of the rig; None where it was read from a file, and of
     networks."""
+    budget: ErrorBudget | None = None
+    """What the covariance comes from; None of the published estimators."""
 
     def __post_init__(self) -> None:
         count = len(self.sensors)

@@ -439,14 +439,19 @@ def _prior_equations(bundle: Bundle, state: BundleState) -> tuple[float, Array, 
 
 def _add_sensor_prior(bundle: Bundle, state: BundleState, prior: SensorPrior, H: Array, g: Array) -> float:
     """Adds a sensor's prior to the normal equations, in place; returns its cost."""
-    error = se3.difference(state.T_root_sensor[prior.sensor], prior.T_root_sensor)
-    J = np.eye(6)
-    J[3:, 3:] = so3.left_jacobian_inverse(error[3:])
-    J = J @ body_jacobian(bundle, state, prior.sensor)
+    error, J = linearize_sensor_prior(bundle, state, prior)
     if len(columns := bundle.pose_columns(prior.sensor)):
         H[np.ix_(columns, columns)] += J.T @ prior.information @ J
         g[columns] += J.T @ prior.information @ error
     return 0.5 * float(error @ prior.information @ error)
+
+
+def linearize_sensor_prior(bundle: Bundle, state: BundleState, prior: SensorPrior) -> tuple[Array, Array]:
+    """Error (6,) of a sensor's pose from its prior, and its derivatives (6, 6) by the pose of the sensor's body."""
+    error = se3.difference(state.T_root_sensor[prior.sensor], prior.T_root_sensor)
+    J = np.eye(6)
+    J[3:, 3:] = so3.left_jacobian_inverse(error[3:])
+    return error, J @ body_jacobian(bundle, state, prior.sensor)
 
 
 def _damp(H: Array, damping: float) -> Array:

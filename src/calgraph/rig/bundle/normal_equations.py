@@ -163,6 +163,14 @@ class ViewNormalEquations:
             shift[:, shift.shape[1] - self.ring_count :] = -of_rings
         return shift
 
+    def multiply_bias_covariance(self, variances: BiasVariances, values: Array) -> Array:
+        """``Q @ values`` (V, q, m) with the covariance Q of the biases of each view's local parameters."""
+        p, rings = self.pose_count, slice(values.shape[1] - self.ring_count, None)
+        product = np.zeros_like(values)
+        product[:, :p] = self._pose_bias_prior(variances) @ values[:, :p]
+        product[:, rings] = variances.ring[..., None, None] * values[:, rings]
+        return product
+
     def _ring_biases(self, variance: Array) -> tuple[Array, Array, Array]:
         """Information (V, q, R) between parameters and rings, and variances and sizes (V, R) of rings' biases.
 

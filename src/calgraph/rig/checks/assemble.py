@@ -9,7 +9,7 @@ import numpy as np
 from calgraph.boards.detections import BoardCorners, Detection, PlanePatch
 from calgraph.config import CameraSpec, Intrinsics, Rig, SensorSpec
 from calgraph.errors import Rejected
-from calgraph.geometry import Array, plane, se3
+from calgraph.geometry import Array, Index, plane, se3
 from calgraph.graph.pairwise_estimate import PairwiseEstimate
 from calgraph.graph.spanning_tree import SpanningTree
 from calgraph.result import (
@@ -18,6 +18,8 @@ from calgraph.result import (
     Calibration,
     CaptureRow,
     Edge,
+    ErrorBudget,
+    ErrorSource,
     Evidence,
     FitError,
     HeldOutError,
@@ -30,7 +32,8 @@ from calgraph.result.evidence import rms
 from calgraph.result.finding import Finding
 from calgraph.rig.bundle.board_observations import Node
 from calgraph.rig.bundle.corner_observations import CornerObservations
-from calgraph.rig.bundle.covariances import prior_error_derivatives
+from calgraph.rig.bundle.covariances import parameter_covariance, prior_error_derivatives
+from calgraph.rig.bundle.error_sources import DRIFT, split_covariance
 from calgraph.rig.bundle.observations import relative_poses
 from calgraph.rig.bundle.priors import frame_id
 from calgraph.rig.bundle.problem import Problem
@@ -39,7 +42,7 @@ from calgraph.rig.bundle.solution import RigSolution, SolvedBundle
 from calgraph.rig.captures.detect import CaptureSet
 from calgraph.rig.captures.holds import Hold
 from calgraph.rig.checks.contradictions import find_contradictions
-from calgraph.rig.checks.drift_tests import DriftStatistics
+from calgraph.rig.checks.drift_tests import DriftStatistics, include_serial_correlation
 from calgraph.rig.checks.prior_tests import find_contradicted_priors
 from calgraph.rig.pairs.board_pair import PairwiseEstimates, select_successful
 from calgraph.sensors.kinds import KINDS
@@ -247,15 +250,17 @@ def assemble_rig(
         of_root = [f"the root {rig.root} is weak, in whose frame the pose is"]
         reasons = {name: reasons.get(name, of_root) for name in connected}
     root_first = [n for n in sorted(rig.sensors, key=lambda name: name != rig.root) if n in connected]
+    rows = _rows_of(solution, root_first)
     return Calibration(
         root=rig.root,
         sensors=tuple(
             _assemble_sensor(name, rig, captures, tree, solution, reasons.get(name, ()), ambiguous.get(name, 0.0))
             for name in root_first
         ),
-        joint_covariance=_reorder_covariance(solution, root_first),
+        joint_covariance=solution.joint_covariance[np.ix_(rows, rows)],
         systematic=solution.systematic,
         prior_errors=_collect_prior_errors(solution, root_first),
+        budget=_split_budget(solution, root_first, drifts),
         evidence=Evidence(
             estimator=solution.estimator,
             tolerance=rig.tolerance,
@@ -328,11 +333,26 @@ def _hint_at_background(rig: Rig) -> str:
     return "; no background is set: state a time without board and operator as capture.background"
 
 
-def _reorder_covariance(solution: RigSolution, names: Sequence[str]) -> Array:
-    """The solution covariance of the sensors in another order."""
+def _rows_of(solution: RigSolution, names: Sequence[str]) -> Index:
+    """Rows of the solution's covariance of sensors in another order."""
     order = list(solution.T_root_sensor)
-    rows = np.concatenate([6 * order.index(name) + np.arange(6) for name in names])
-    return np.asarray(solution.joint_covariance[np.ix_(rows, rows)])
+    return np.concatenate([6 * order.index(name) + np.arange(6) for name in names])
+
+
+def _split_budget(
+    solution: RigSolution, names: Sequence[str], drifts: DriftStatistics | None
+) -> ErrorBudget | None:
+    """What the covariance of the poses comes from; what is added after the solution are sources, too."""
+    if (solved := solution.solved_bundle) is None:
+        return None
+    parts = split_covariance(solved.bundle, solved.minimized, parameter_covariance(solved.minimized.equations))
+    if drifts is not None:
+        total = np.sum(list(parts.values()), axis=0)
+        correlated = include_serial_correlation(total, solved.bundle, drifts)
+        parts |= {ErrorSource("serial correlation"): correlated - total, DRIFT: solution.joint_covariance - correlated}
+    rows = _rows_of(solution, names)
+    covariance = np.array(list(parts.values()))[:, rows[:, None], rows]
+    return ErrorBudget.of_poses(list(parts), covariance, [solution.T_root_sensor[name] for name in names])
 
 
 def _collect_prior_errors(solution: RigSolution, names: Sequence[str]) -> PriorErrors | None:

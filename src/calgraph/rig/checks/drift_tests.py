@@ -154,12 +154,17 @@ def include_drifts(
         moments.append(error @ of_changes @ error.T)
         log_probability.append(log_prior + log_evidence)
     probability = np.exp(np.array(log_probability) - max(log_probability))
+    covariance = include_serial_correlation(solution.joint_covariance, bundle, statistics)
+    covariance += np.einsum("f,fij->ij", probability / probability.sum(), moments)
+    return replace(solution, joint_covariance=covariance)
+
+
+def include_serial_correlation(covariance: Array, bundle: Bundle, statistics: DriftStatistics) -> Array:
+    """The covariance (S·6, S·6) of all poses with errors that successive captures have in common."""
     # Priors have no part in it: they alone place a sensor without views.
     measured = np.repeat([len(views.board) > 0 for views in bundle.views], 6)
     scale = np.where(measured, np.sqrt(statistics.serial_correlation), 1.0)
-    covariance = scale[:, None] * solution.joint_covariance * scale
-    covariance += np.einsum("f,fij->ij", probability / probability.sum(), moments)
-    return replace(solution, joint_covariance=covariance)
+    return np.asarray(scale[:, None] * covariance * scale)
 
 
 # Times of steps, of the length of the recording from its middle: of a bump that is not significant. Nearer to the

@@ -1,0 +1,64 @@
+"""Error budgets: the covariance of all poses as a sum over the sources of their errors."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calgraph.geometry import Array, se3
+from calgraph.result.sensor_pose import stddev_along_axes
+
+
+@dataclass(frozen=True)
+class ErrorSource:
+    """What a part of the errors of all poses comes from."""
+
+    kind: str
+    """``noise``, ``view bias``, ``edges``, ``drift``, or a quantity with a prior, such as ``focal length``."""
+    of: str = ""
+    """The sensor, board or file; nothing for a source of the whole recording."""
+
+    def __str__(self) -> str:
+        return f"{self.kind} of {self.of}" if self.of else self.kind
+
+
+@dataclass(frozen=True, eq=False)
+class ErrorBudget:
+    """The covariance of the errors of S poses as the sum of those by N independent sources."""
+
+    sources: tuple[ErrorSource, ...]
+    """(N,)."""
+    stddev: Array
+    """(N, S, 6) along and about the axes of each sensor, m and rad. Their squares add up to the variances of the
+    published covariance."""
+    covariance: Array | None = None
+    """(N, S·6, S·6) of the errors of all poses in the root's fixed axes, by each source; their sum is the joint
+    covariance. None where the budget was read from a file."""
+
+    @classmethod
+    def of_poses(
+        cls, sources: Sequence[ErrorSource], covariance: Array, T_root_sensor: Sequence[Array]
+    ) -> "ErrorBudget":
+        """The budget of S poses (4, 4) with covariances (N, S·6, S·6) by the sources."""
+        blocks = [slice(6 * s, 6 * s + 6) for s in range(len(T_root_sensor))]
+        stddev = [
+            [stddev_along_axes(T, of_source[rows, rows]) for T, rows in zip(T_root_sensor, blocks, strict=True)]
+            for of_source in covariance
+        ]
+        return cls(tuple(sources), np.reshape(stddev, (len(sources), len(blocks), 6)), covariance)
+
+    def shares(self, sensor: int) -> Array:
+        """(N, 6) shares of the sources in the variances of a sensor's axes; zero along axes without errors."""
+        variances = self.stddev[:, sensor] ** 2
+        total = variances.sum(axis=0)
+        return np.asarray(np.divide(variances, total, out=np.zeros_like(variances), where=total > 0))
+
+    def relative_covariances(self, a: int, b: int, T_root_a: Array, T_root_b: Array) -> Array:
+        """(N, 6, 6) of the error of ``T_a_b`` in the fixed axes of a, by source, with indices a and b of sensors.
+
+        As of :meth:`calgraph.Calibration.covariance`, which is their sum.
+        """
+        assert self.covariance is not None, "a budget of a file has no covariances between sensors"
+        rows = np.concatenate([6 * a + np.arange(6), 6 * b + np.arange(6)])
+        joint = self.covariance[np.ix_(np.arange(len(self.sources)), rows, rows)]
+        return np.array([se3.relative_covariance(T_root_a, T_root_b, of_source) for of_source in joint])
