@@ -17,7 +17,16 @@ from calgraph.result.calibration import (
 )
 from calgraph.result.calibration_file import save_calibration, save_captures
 from calgraph.result.calibration_reading import load_calibration
-from calgraph.result.evidence import CaptureRow, Edge, Evidence, FitError, HeldOutError, ModelledBodies, Suggestion
+from calgraph.result.evidence import (
+    CaptureRow,
+    Edge,
+    Evidence,
+    FitError,
+    HeldOutError,
+    ModelledBodies,
+    Remedy,
+    Suggestion,
+)
 from calgraph.result.exports import FORMATS, export, to_json
 from calgraph.result.extrinsics_file import ExtrinsicsFile, read_extrinsics
 from calgraph.result.pictures import (
@@ -36,9 +45,10 @@ from calgraph.result.table import to_dataframe
 
 __all__ = [
     "FORMATS", "BeamView", "BoardOutline", "BoardView", "Calibration", "CaptureRow", "Edge", "ErrorBudget",
-    "ErrorSource", "EstimatedParameter", "Evidence", "ExtrinsicsFile", "FitError", "FloorView", "HeldOutError", "InputFile", "ModelledBodies",
-    "Pictures", "PriorErrors", "Provenance", "SensorPose", "Snapshot", "StatedPose", "Suggestion", "Verdict",
-    "apply_estimates", "calibrated_cameras", "colorize_from_snapshots", "export", "join_covariances",
-    "load_calibration", "load_scene", "read_extrinsics", "save_calibration", "save_captures", "save_residuals",
-    "save_scene", "state_calibrated_intrinsics", "state_intrinsics", "to_dataframe", "to_json",
+    "ErrorSource", "EstimatedParameter", "Evidence", "ExtrinsicsFile", "FitError", "FloorView", "HeldOutError",
+    "InputFile", "ModelledBodies", "Pictures", "PriorErrors", "Provenance", "Remedy", "SensorPose", "Snapshot",
+    "StatedPose", "Suggestion", "Verdict", "apply_estimates", "calibrated_cameras", "colorize_from_snapshots",
+    "export", "join_covariances", "load_calibration", "load_scene", "read_extrinsics", "save_calibration",
+    "save_captures", "save_residuals", "save_scene", "state_calibrated_intrinsics", "state_intrinsics",
+    "to_dataframe", "to_json",
 ]  # fmt: skip

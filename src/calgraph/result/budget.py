@@ -53,6 +53,10 @@ class ErrorBudget:
         total = variances.sum(axis=0)
         return np.asarray(np.divide(variances, total, out=np.zeros_like(variances), where=total > 0))
 
+    def shares_by_source(self, sensor: int) -> dict[str, Array]:
+        """(6,) shares in the variances of a sensor's axes, by the names of the sources."""
+        return dict(zip(map(str, self.sources), self.shares(sensor), strict=True))
+
     def relative_covariances(self, a: int, b: int, T_root_a: Array, T_root_b: Array) -> Array:
         """(N, 6, 6) of the error of ``T_a_b`` in the fixed axes of a, by source, with indices a and b of sensors.
 

@@ -130,6 +130,45 @@ class Suggestion:
         return f"{self.hold}: σ of {self.axis} of {self.sensor} {before} → {after}"
 
 
+@dataclass(frozen=True, eq=False)
+class Remedy:
+    """What would make a sensor more certain than it is."""
+
+    action: str
+    """What to do, in words."""
+    sensor: str
+    axis: str
+    """Its least certain axis, relative to the tolerance, after the remedy."""
+    unit: Literal["m", "rad"]
+    stddev: float
+    """Standard deviation along that axis now,"""
+    expected: float
+    """and after the remedy."""
+    suffices: bool
+    """Whether all axes of the sensor are then certain enough for the tolerance."""
+    captures: int = 0
+    """Further captures that are a part of it."""
+    uncertainty: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    """By sensor or board, what to state in rig.yaml as ``uncertainty`` afterwards, in its units."""
+    T_root_board: Array | None = None
+    """(4, 4) of a board to record, where that is the remedy."""
+
+    def __str__(self) -> str:
+        """The remedy as a sentence."""
+        before, after = (_format_stddev(value, self.unit) for value in (self.stddev, self.expected))
+        enough = "" if self.suffices else ", not enough alone"
+        return f"{self.action}{self.statement}: σ of {self.axis} of {self.sensor} {before} → {after}{enough}"
+
+    @property
+    def statement(self) -> str:
+        """What to state in rig.yaml afterwards, as the rest of a clause; nothing where captures are the remedy."""
+        stated = (
+            (of, ", ".join(f"{key}: {value:.2g}" for key, value in known.items()))
+            for of, known in self.uncertainty.items()
+        )
+        return "".join(f", and state uncertainty: {{{values}}} of {of}" for of, values in stated)
+
+
 @dataclass(frozen=True)
 class ModelledBodies:
     """What the joint solution of a network takes the moving objects for."""
@@ -171,6 +210,8 @@ class Evidence:
     """Errors on held-out captures by sensor; none for sensors that no other sensor predicts."""
     suggestions: tuple[Suggestion, ...] = ()
     """Further captures that would reduce uncertainty most, best first."""
+    remedies: tuple[Remedy, ...] = ()
+    """Of sensors that are less certain than the tolerance, the cheapest that suffice first."""
     initial_poses: Mapping[str, Array] = field(default_factory=dict)
     """(4, 4) ``T_root_sensor`` at the start of a network's joint solution; empty in a result read back."""
 

@@ -34,6 +34,7 @@ from calgraph.rig.checks.cross_validation import cross_validate
 from calgraph.rig.checks.drift_tests import include_drifts, measure_drifts
 from calgraph.rig.checks.next_best_pose import add_suggestions, suggest_board_poses
 from calgraph.rig.checks.pose_steps import PoseStep
+from calgraph.rig.checks.remedies import find_remedies
 from calgraph.rig.options import RigOptions, check_estimator
 from calgraph.rig.pairs.board_pair import PairwiseEstimates, estimate_pairs, select_successful
 from calgraph.rig.pairs.rig_initialization import initialize_rig
@@ -191,9 +192,11 @@ def solve_problem(problem: Problem, jobs: int = 1) -> Calibration:
         held_out = cross_validate(solved, folds, max(jobs - uncertain, 1)) if folds else {}
         drifts = measure_drifts(solved)
         joint = include_drifts(joint, solved, drifts, settings)
-        calibration = assemble_rig(problem, tree, joint, held_out, drifts)
+        suggested = suggestions() if uncertain else ()
+        remedies = find_remedies(rig, joint, solved, drifts, suggested)
+        calibration = assemble_rig(problem, tree, joint, held_out, drifts, remedies)
         good = all(sensor.verdict.grade == "good" for sensor in calibration.sensors)
-        return calibration if good else add_suggestions(calibration, suggestions())
+        return calibration if good else add_suggestions(calibration, suggested or suggestions())
 
 
 def solve_after_bumps(problem: Problem) -> tuple[Problem, RigSolution, SpanningTree]:

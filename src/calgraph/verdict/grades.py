@@ -1,6 +1,7 @@
 """Grades of poses, with the reason and what to do about it."""
 
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 
 import numpy as np
 from scipy.special import ndtri
@@ -9,7 +10,7 @@ from calgraph.config import Tolerance
 from calgraph.config.settings import VerdictSettings
 from calgraph.geometry import Array
 from calgraph.graph.pairwise_estimate import PairwiseEstimate
-from calgraph.result import Verdict
+from calgraph.result import Remedy, Verdict
 from calgraph.result.finding import Finding
 from calgraph.result.reasons import split_clauses
 from calgraph.result.sensor_pose import stddev_along_axes
@@ -36,6 +37,8 @@ def grade_pose(
     settings: VerdictSettings,
     data: str = "captures",
     advice: str = "tilt and turn the board more, in different places, where several sensors detect it",
+    shares: Mapping[str, Array] = MappingProxyType({}),
+    remedy: Remedy | None = None,
 ) -> Verdict:
     """Grades a pose by its standard deviations along the axes of the sensor.
 
@@ -54,6 +57,8 @@ def grade_pose(
         settings: that probability, and the limits of an unobservable axis.
         data: what the pose was estimated from, in the plural.
         advice: what reduces the standard deviations; the same for all sensors, so that it is printed once.
+        shares: (6,) of the variances along and about the axes by source.
+        remedy: the best one of a weak pose, which takes the place of advice.
 
     Returns:
         The verdict, with three reasons at most, and advice; its reason is empty for a good pose.
@@ -81,8 +86,32 @@ def grade_pose(
     if weak:
         exceed = "exceeds" if len(weak) == 1 else "exceed"
         error = f"{errors} {confidence} of {name} {exceed} the tolerance of {allowed}"
-        return Verdict("weak", _join([*stated, error, *more, advice]))
+        worst = max(weak, key=lambda i: stddev[i] / limits[i])
+        largest = _describe_largest(shares, worst, axes[worst] if len(weak) > 1 else "it")
+        help_ = [advice] if remedy is None else [describe_remedy(remedy, tolerance, limits)]
+        return Verdict("weak", _join([*stated, error, *largest, *more, *help_]))
     return Verdict("weak", _join([*stated, *more])) if contradictions else Verdict("good")
+
+
+# Share of a variance with which the largest source is named alone; otherwise this many are.
+_LARGE_SHARE, _MAX_SOURCES = 0.5, 2
+
+
+def _describe_largest(shares: Mapping[str, Array], axis: int, what: str) -> list[str]:
+    """The sources of the largest shares in the variance of an axis, as a clause."""
+    if not shares:
+        return []
+    largest = sorted(shares, key=lambda source: -shares[source][axis])[:_MAX_SOURCES]
+    count = 1 if shares[largest[0]][axis] >= _LARGE_SHARE else len(largest)
+    named = (f"{source} ({100 * shares[source][axis]:.0f} %)" for source in largest[:count])
+    return [f"most of {what} is from {' and '.join(named)}"]
+
+
+def describe_remedy(remedy: Remedy, tolerance: Tolerance, limits: Array) -> str:
+    """A remedy, and the error that it leaves with the confidence of verdicts."""
+    axis = 0 if remedy.unit == "m" else 3
+    left = _format_error(tolerance.limits[axis] * remedy.expected / limits[axis], axis)
+    return f"{remedy.action}: {remedy.axis} ±{left}" + ("" if remedy.suffices else ", not enough alone")
 
 
 # Most reasons that a verdict states: what causes it comes first, and more are consequences.

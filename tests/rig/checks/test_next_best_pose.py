@@ -12,7 +12,13 @@ from calgraph.config.settings import DiagnosticsSettings, VerdictSettings
 from calgraph.geometry import Array, se3, so3
 from calgraph.result import Suggestion
 from calgraph.rig.bundle.bundle_parameters import SystematicParameter
-from calgraph.rig.bundle.bundle_solver import Bundle, BundleState, linearize_bundle, minimize_bundle
+from calgraph.rig.bundle.bundle_solver import (
+    Bundle,
+    BundleState,
+    MinimizedBundle,
+    linearize_bundle,
+    minimize_bundle,
+)
 from calgraph.rig.bundle.covariances import pose_covariance
 from calgraph.rig.bundle.observations import relative_poses
 from calgraph.rig.bundle.range_observations import RangeObservations
@@ -21,8 +27,8 @@ from calgraph.rig.checks.next_best_pose import (
     _draw_candidates,
     _log_volume,
     _multiply_covariance_with,
-    _predict_information,
     describe_pose,
+    predict_board_information,
     suggest_board_poses,
 )
 from calgraph.verdict.grades import axis_names, grade_pose
@@ -121,7 +127,9 @@ def test_the_covariance_with_one_more_board_is_the_inverse_of_both_informations(
     bundle = exact.bundle.with_views([*exact.bundle.views[:2], exact.bundle.views[2].select(np.zeros(0, np.intp))])
     H, _, _ = linearize_bundle(exact.bundle, exact.truth).eliminate_boards()
     V = np.asarray(np.linalg.inv(H), dtype=np.float64)
-    predicted = _predict_information(bundle, exact.truth, KINDS, (WIDTH, HEIGHT), exact.truth.T_root_board)
+    at_truth = MinimizedBundle(exact.truth, linearize_bundle(bundle, exact.truth), 0, converged=True)
+    solved = SolvedBundle(bundle, at_truth, np.arange(len(exact.truth.T_root_board)))
+    predicted = predict_board_information(solved, KINDS, (WIDTH, HEIGHT), exact.truth.T_root_board)
     added = [one for one in predicted if len(one.columns)]
     assert len(added) > 3
     for one in added:

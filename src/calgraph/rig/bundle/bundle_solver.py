@@ -447,7 +447,7 @@ def _add_sensor_prior(bundle: Bundle, state: BundleState, prior: SensorPrior, H:
 
 
 def linearize_sensor_prior(bundle: Bundle, state: BundleState, prior: SensorPrior) -> tuple[Array, Array]:
-    """Error (6,) of a sensor's pose from its prior, and its derivatives (6, 6) by the pose of the sensor's body."""
+    """Error (6,) of a sensor's pose from its prior, and its derivatives (6, 6) by the pose of its body."""
     error = se3.difference(state.T_root_sensor[prior.sensor], prior.T_root_sensor)
     J = np.eye(6)
     J[3:, 3:] = so3.left_jacobian_inverse(error[3:])

@@ -1,9 +1,9 @@
 """The covariance of a bundle's solution as a sum over the sources of its errors: measurements, biases and priors.
 
-With the information H of the measurements and ``L_g`` of each group of priors, the covariance of the parameters is
-``P = inv(H + sum L_g) = P H P + sum P L_g P``. H is a sum over views v of ``J' A J``, where J are the derivatives of
-a view's local parameters with the boards following the sensors, and ``A = inv(inv(N) + Q)`` has two parts: ``A Q A``
-by the bias of the view with covariance Q, and the rest by the noise of its measurements, of information N.
+With the information H of the measurements and ``L_g`` of each group of priors, the covariance of the parameters
+is ``P = inv(H + sum L_g) = P H P + sum P L_g P``. H is a sum over views of ``J' A J``, where J are derivatives of
+a view's local parameters with the boards following the sensors, and ``A = inv(inv(N) + Q)``. Its part ``A Q A`` is
+by the bias of the view, of covariance Q, and the rest by the noise of its measurements, of information N.
 
 Source: Koch, "Parameter estimation and hypothesis testing in linear models", 1999, section 3.3 (propagation of
 errors).

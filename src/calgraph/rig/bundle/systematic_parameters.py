@@ -95,7 +95,7 @@ def add_systematic_parameters(
     """
     table = ParameterTable()
     all_views: list[BoardViews] = []
-    prints = [_print_of(board, of) for of, board in _name_boards(rig)]
+    prints = [_print_of(board, of) for of, board in name_boards(rig)]
     for k, (name, views) in enumerate(zip(bundle.sensors, bundle.views, strict=True)):
         spec, number = rig.sensors[name], board_number[views.board]
         if isinstance(views, CornerObservations):
@@ -143,7 +143,7 @@ def add_outline_parameters(
         }
         of_boards: list[_Blocks] = [
             {"size": list(_sizes(of, board)), "print": list(_print_position(of, board)), **own}
-            for of, board in _name_boards(rig)
+            for of, board in name_boards(rig)
         ]
         # A board that no camera identified has its only outline, and no print.
         of_boards.append({**of_boards[0], "print": [None, None, None]})
@@ -177,7 +177,7 @@ def board_name(number: int, count: int) -> str:
     return f"board {number + 1}" if count > 1 else "board"
 
 
-def _name_boards(rig: Rig) -> list[tuple[str, Board]]:
+def name_boards(rig: Rig) -> list[tuple[str, Board]]:
     """The boards with what they are called."""
     return [(board_name(b, len(rig.boards)), board) for b, board in enumerate(rig.boards)]
 
@@ -409,7 +409,7 @@ def _add_to_scanner(
         if len(elevations):
             views, biases = views.with_rings(ring), list(_ring_biases(name, prior, elevations))
     errors = prior.beam_errors()
-    bows = [list(_bow_parameters(of, board)) for of, board in _name_boards(rig)]
+    bows = [list(_bow_parameters(of, board)) for of, board in name_boards(rig)]
     # The last row is of boards that no camera identified: of several, it is not known which one each is.
     size, bow = (rig.boards[0].size, bows[0]) if len(bows) == 1 else ((np.inf, np.inf), [None] * len(bows[0]))
     candidates: list[_Blocks] = [

@@ -25,6 +25,7 @@ from calgraph.result import (
     HeldOutError,
     Pictures,
     PriorErrors,
+    Remedy,
     SensorPose,
     apply_estimates,
 )
@@ -209,6 +210,7 @@ def assemble_rig(
     solution: RigSolution,
     held_out: Mapping[str, HeldOutError] = MappingProxyType({}),
     drifts: DriftStatistics | None = None,
+    remedies: Sequence[Remedy] = (),
 ) -> Calibration:
     """Assembles the calibration of a rig.
 
@@ -218,6 +220,7 @@ def assemble_rig(
         solution: the joint solution of the connected sensors.
         held_out: errors of its cross-validation by sensor.
         drifts: their statistics, if they have been measured.
+        remedies: of sensors that are not certain enough.
     """
     rig, captures, pairs = problem.rig, problem.captures, problem.pairs
     settings = rig.settings.diagnostics.verdict
@@ -250,17 +253,27 @@ def assemble_rig(
         of_root = [f"the root {rig.root} is weak, in whose frame the pose is"]
         reasons = {name: reasons.get(name, of_root) for name in connected}
     root_first = [n for n in sorted(rig.sensors, key=lambda name: name != rig.root) if n in connected]
-    rows = _rows_of(solution, root_first)
+    rows, budget = _rows_of(solution, root_first), _split_budget(solution, root_first, drifts)
     return Calibration(
         root=rig.root,
         sensors=tuple(
-            _assemble_sensor(name, rig, captures, tree, solution, reasons.get(name, ()), ambiguous.get(name, 0.0))
-            for name in root_first
+            _assemble_sensor(
+                name,
+                rig,
+                captures,
+                tree,
+                solution,
+                reasons.get(name, ()),
+                ambiguous.get(name, 0.0),
+                budget.shares_by_source(k) if budget else {},
+                next((one for one in remedies if one.sensor == name), None),
+            )
+            for k, name in enumerate(root_first)
         ),
         joint_covariance=solution.joint_covariance[np.ix_(rows, rows)],
         systematic=solution.systematic,
         prior_errors=_collect_prior_errors(solution, root_first),
-        budget=_split_budget(solution, root_first, drifts),
+        budget=budget,
         evidence=Evidence(
             estimator=solution.estimator,
             tolerance=rig.tolerance,
@@ -275,6 +288,7 @@ def assemble_rig(
             residuals=solution.residuals,
             fit=measure_fit(solution),
             cross_validation=held_out,
+            remedies=tuple(remedies),
         ),
         pictures=Pictures(
             snapshots=captures.snapshots,
@@ -292,6 +306,8 @@ def _assemble_sensor(
     solution: RigSolution,
     contradictions: Sequence[str],
     ambiguity: float,
+    shares: Mapping[str, Array],
+    remedy: Remedy | None,
 ) -> SensorPose:
     spec = rig.sensors[name]
     T, covariance = solution.T_root_sensor[name], solution.covariance[name]
@@ -313,6 +329,8 @@ def _assemble_sensor(
             ambiguity,
             tolerance=rig.tolerance,
             settings=rig.settings.diagnostics.verdict,
+            shares=shares,
+            remedy=remedy,
         ),
     )
 
@@ -349,7 +367,8 @@ def _split_budget(
     if drifts is not None:
         total = np.sum(list(parts.values()), axis=0)
         correlated = include_serial_correlation(total, solved.bundle, drifts)
-        parts |= {ErrorSource("serial correlation"): correlated - total, DRIFT: solution.joint_covariance - correlated}
+        parts[ErrorSource("serial correlation")] = correlated - total
+        parts[DRIFT] = solution.joint_covariance - correlated
     rows = _rows_of(solution, names)
     covariance = np.array(list(parts.values()))[:, rows[:, None], rows]
     return ErrorBudget.of_poses(list(parts), covariance, [solution.T_root_sensor[name] for name in names])

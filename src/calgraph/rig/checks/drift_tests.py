@@ -4,7 +4,7 @@ Drifts that are significant are named. Smaller ones are part of the covariance: 
 differs from the estimated one, which is that in its middle, by half the drift.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -60,6 +60,10 @@ class DriftStatistics:
         of_bodies = self.information.reshape(B, 6, B, 6)[np.arange(B), :, np.arange(B)]
         squared, change = predict_changes(of_bodies, self.score.reshape(B, 6))
         return squared / self.serial_correlation, change
+
+    def repeat(self, multiple: float) -> "DriftStatistics":
+        """Those expected of a multiple of the captures: changes are as significant, and smaller by its root."""
+        return replace(self, information=multiple * self.information, score=np.sqrt(multiple) * self.score)
 
     def beside(self, body: int) -> "DriftStatistics":
         """The statistics beside the drift of a body, which has none any more."""
@@ -141,22 +145,39 @@ def include_drifts(
     causes: half of it, as the estimated pose is that in the middle of the recording, and less or more where
     captures are not distributed evenly. A change of the root moves all others.
     """
+    covariance = include_serial_correlation(solution.joint_covariance, solved.bundle, statistics)
+    by_drifts = average_drifts(solved, list(list_changes(solved, statistics)), settings.drifts)
+    return replace(solution, joint_covariance=covariance + by_drifts)
+
+
+def average_drifts(
+    solved: SolvedBundle,
+    possible: Sequence[tuple[DriftStatistics, float]],
+    settings: DriftTestSettings,
+    multiple: float = 1.0,
+) -> Array:
+    """Covariance (S·6, S·6) of the errors of poses at the end of the recording by changes that it leaves possible.
+
+    Args:
+        solved: the solution.
+        possible: of :func:`list_changes`.
+        settings: of drifts.
+        multiple: of the captures, as if there were more of them like these.
+    """
     bundle, state = solved.bundle, solved.minimized.state
-    at_end = np.zeros((len(bundle.sensors), 6, 6 * len(statistics.bodies)))
+    at_end = np.zeros((len(bundle.sensors), 6, 6 * (bundle.body_count + 1)))
     for s, body in enumerate(bundle.body.tolist()):
         if body:
             at_end[s, :, 6 * body : 6 * body + 6] = body_jacobian(bundle, state, s)
             at_end[s, :, :6] = -_displacement_with_root(state, s)
     jacobian, moments, log_probability = pose_jacobian(bundle, state), [], []
-    for changes, log_prior in _list_changes(solved, statistics):
-        of_changes, log_evidence = compute_drift_moments(changes, settings.drifts)
+    for changes, log_prior in possible:
+        of_changes, log_evidence = compute_drift_moments(changes.repeat(multiple), settings)
         error = jacobian @ changes.influence.T - at_end.reshape(len(jacobian), -1) / 2
         moments.append(error @ of_changes @ error.T)
         log_probability.append(log_prior + log_evidence)
     probability = np.exp(np.array(log_probability) - max(log_probability))
-    covariance = include_serial_correlation(solution.joint_covariance, bundle, statistics)
-    covariance += np.einsum("f,fij->ij", probability / probability.sum(), moments)
-    return replace(solution, joint_covariance=covariance)
+    return np.asarray(np.einsum("f,fij->ij", probability / probability.sum(), moments))
 
 
 def include_serial_correlation(covariance: Array, bundle: Bundle, statistics: DriftStatistics) -> Array:
@@ -172,7 +193,7 @@ def include_serial_correlation(covariance: Array, bundle: Bundle, statistics: Dr
 _STEP_TIMES = (-1 / 6, 0.0, 1 / 6)
 
 
-def _list_changes(solved: SolvedBundle, drifts: DriftStatistics) -> Iterator[tuple[DriftStatistics, float]]:
+def list_changes(solved: SolvedBundle, drifts: DriftStatistics) -> Iterator[tuple[DriftStatistics, float]]:
     """Drifts, and steps that are as likely together, each with the logarithm of its prior probability."""
     yield drifts, np.log(0.5)
     bundle, minimized, time = solved.bundle, solved.minimized, _order_boards(solved)

@@ -85,7 +85,7 @@ def suggest_board_poses(
             break
         scaled = axes[6 * sensor :][:6] / limits[:6, None] / min(before[worst], 1.0)
         pose, along = np.flatnonzero(scaled.any(axis=0)), V @ scaled.T
-        predicted = _predict_information(bundle, current, kinds, size, candidates)
+        predicted = predict_board_information(solved, kinds, size, candidates)
         volume = _log_volume(
             np.array([scaled[:, pose] @ _multiply_covariance_with(one, V, pose, along) for one in predicted])
         )
@@ -93,7 +93,7 @@ def suggest_board_poses(
         if volume[best] > _log_volume(scaled @ along) - _MIN_SUGGESTION_GAIN:
             break
         chosen = candidates[best : best + 1]
-        (added,) = _predict_information(bundle, current, kinds, size, chosen)
+        (added,) = predict_board_information(solved, kinds, size, chosen)
         V = _multiply_covariance_with(added, V, np.arange(len(V)), V)
         after = _standard_deviations(axes, V) / limits
         name = bundle.sensors[sensor]
@@ -122,10 +122,18 @@ def suggest_board_poses(
 _BATCH_NUMBERS = 1e7
 
 
-def _predict_information(
-    bundle: Bundle, current: BundleState, kinds: Mapping[str, str], size: tuple[float, float], candidates: Array
+def predict_board_information(
+    solved: SolvedBundle, kinds: Mapping[str, str], size: tuple[float, float], candidates: Array
 ) -> Iterator[BoardInformation]:
-    """Of the views that the sensors are predicted to have of each candidate (K, 4, 4)."""
+    """Of the views that the sensors are predicted to have of each candidate (K, 4, 4).
+
+    Args:
+        solved: the current solution.
+        kinds: kind by sensor.
+        size: width and height of the board, m.
+        candidates: ``T_root_board``.
+    """
+    bundle, current = solved.bundle, solved.minimized.state
     numbers = sum((6 + views.parameters.index.shape[1]) ** 2 for views in bundle.views)
     together = max(int(_BATCH_NUMBERS / numbers), 1)
     for batch in np.split(candidates, range(together, len(candidates), together)):
@@ -404,9 +412,12 @@ def add_suggestions(calibration: Calibration, suggestions: Sequence[Suggestion])
         calibration: poses and verdicts.
         suggestions: see :func:`calgraph.rig.checks.next_best_pose.suggest_board_poses`.
     """
+    remedied = {one.sensor for one in calibration.evidence.remedies}
     return replace(
         calibration,
-        sensors=tuple(_add_advice(sensor, suggestions) for sensor in calibration.sensors),
+        sensors=tuple(
+            one if one.name in remedied else _add_advice(one, suggestions) for one in calibration.sensors
+        ),
         evidence=replace(calibration.evidence, suggestions=tuple(suggestions)),
     )
 

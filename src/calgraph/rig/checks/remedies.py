@@ -1,0 +1,258 @@
+"""Remedies: what would make a sensor certain enough, and the standard deviations that each would give.
+
+More captures multiply the information of the measurements, and a better known lens or print has a narrower prior:
+the posterior covariance after each follows from that of the solution. Cheap remedies that suffice come first.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import combinations
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from calgraph.config import Board, CameraSpec, Rig, SensorSpec
+from calgraph.geometry import Array, Index, diagonal_blocks
+from calgraph.result import Remedy, Suggestion
+from calgraph.result.sensor_pose import stddev_along_axes
+from calgraph.rig.bundle.bundle_solver import Bundle
+from calgraph.rig.bundle.covariances import pose_jacobian
+from calgraph.rig.bundle.error_sources import group_parameters
+from calgraph.rig.bundle.solution import RigSolution, SolvedBundle
+from calgraph.rig.bundle.systematic_parameters import name_boards
+from calgraph.rig.checks.drift_tests import DriftStatistics, average_drifts, list_changes
+from calgraph.rig.checks.next_best_pose import predict_board_information
+from calgraph.sensors.kinds.stated import RangeUncertainty
+from calgraph.verdict.grades import axis_names, max_good_stddev
+
+# How well a ruler measures a print or a sheet, m: half a millimetre mark.
+_RULER = 0.0005
+# How well two ends on a scale of half millimetres measure the length of a print, m.
+_PRINT_LENGTH = 0.0002
+# What a careful calibration of a camera leaves (40 views that fill the image, of a flat board): focal length and
+# pixel aspect, relative; principal point, and distortion at the image's corner, px.
+_CALIBRATED_CAMERA = {"focal_length": 0.002, "pixel_aspect": 0.0005, "principal_point": 2.0, "distortion": 1.0}
+# What a comparison of ranges with a tape measure at distances up to 6 m leaves: bias, m, and relative scale.
+_COMPARED_RANGES = {"range_bias": 0.005, "range_scale": 0.001}
+# Minutes of an operator, by which remedies are ranked: with a ruler at the board, with a tape measure at a wall,
+# for a recording of a camera's views; for another recording, and for one capture in it.
+_RULER_MINUTES, _TAPE_MINUTES, _CAMERA_MINUTES, _RECORDING_MINUTES, _CAPTURE_MINUTES = 2.0, 5.0, 20.0, 3.0, 0.2
+# Further captures that are considered, as multiples of those recorded.
+_MULTIPLES = (0.25, 0.5, 1.0, 2.0, 3.0)
+# Least decrease of the worst standard deviation over its limit by a remedy that does not suffice.
+_MIN_DECREASE = 0.1
+# Remedies of one sensor: more are not read.
+_MAX_REMEDIES = 3
+# rig.yaml's key of the uncertainty that the prior of each source comes from.
+_KEYS: Mapping[str, str] = {
+    "focal length": "focal_length",
+    "pixel aspect": "pixel_aspect",
+    "principal point": "principal_point",
+    "distortion": "distortion",
+    "range bias": "range_bias",
+    "range scale": "range_scale",
+    "print scale": "print_scale",
+    "print aspect": "print_aspect",
+    "tag size": "tag_size",
+    "tag places": "tag_position",
+    "bow": "bow",
+    "board size": "size",
+    "place of the print": "print_position",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class _Measure:
+    """A remedy as a change of the joint problem."""
+
+    action: str
+    minutes: float
+    columns: Index = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
+    """(m,) of the parameters that it adds information on,"""
+    information: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    """(m, m) and this information."""
+    captures: int = 0
+    """Further ones like those recorded."""
+    uncertainty: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    """By sensor or board, what to state in rig.yaml afterwards."""
+    T_root_board: Array | None = None
+    """(4, 4) of one further board."""
+
+    def __add__(self, other: "_Measure") -> "_Measure":
+        return _Measure(
+            f"{self.action}, and {other.action}",
+            self.minutes + other.minutes,
+            np.concatenate([self.columns, other.columns]),
+            block_diag(self.information, other.information),
+            self.captures + other.captures,
+            {**self.uncertainty, **other.uncertainty},
+            other.T_root_board if self.T_root_board is None else self.T_root_board,
+        )
+
+
+def find_remedies(
+    rig: Rig,
+    solution: RigSolution,
+    solved: SolvedBundle,
+    drifts: DriftStatistics,
+    suggestions: Sequence[Suggestion],
+) -> tuple[Remedy, ...]:
+    """Remedies of the sensors that are less certain than the tolerance, the cheapest that suffice first.
+
+    Args:
+        rig: its tolerance, and the uncertainties that it states.
+        solution: poses, and their covariance with drifts.
+        solved: the solution of the bundle.
+        drifts: their statistics.
+        suggestions: board poses that help most.
+    """
+    settings = rig.settings.diagnostics.verdict
+    limits, unobservable = max_good_stddev(rig.tolerance, settings), settings.unobservable_translation_stddev
+    bundle, prediction = solved.bundle, _Prediction(solution, solved, drifts, rig)
+    measures = list(_list_measures(rig, bundle))
+    found: list[Remedy] = []
+    for s, name in enumerate(bundle.sensors):
+        before = prediction.stddev(s)
+        if np.all(before <= limits) or before[:3].max() > unobservable:
+            continue
+        of_sensor = [*measures, *_list_board_pose(rig, solved, name, suggestions)]
+        for one in _choose(prediction, s, limits, of_sensor, len(np.unique(solved.captures))):
+            after = prediction.stddev(s, one)
+            axis = int(np.argmax(after / limits))
+            found.append(
+                Remedy(
+                    one.action, name, axis_names(rig.sensors[name].kind)[axis], "m" if axis < 3 else "rad",
+                    float(before[axis]), float(after[axis]), bool(after[axis] <= limits[axis]),
+                    one.captures, one.uncertainty, one.T_root_board,
+                )
+            )  # fmt: skip
+    return tuple(found)
+
+
+class _Prediction:
+    """Standard deviations along the axes of sensors after remedies."""
+
+    def __init__(self, solution: RigSolution, solved: SolvedBundle, drifts: DriftStatistics, rig: Rig) -> None:
+        bundle, minimized = solved.bundle, solved.minimized
+        self._solved, self._settings = solved, rig.settings.diagnostics.drifts
+        self._poses = list(solution.T_root_sensor.values())
+        to_sensor = np.array([np.kron(np.eye(2), T[:3, :3].T) for T in self._poses])
+        self._axes = to_sensor @ pose_jacobian(bundle, minimized.state).reshape(len(to_sensor), 6, -1)
+        self._matrix = minimized.equations.eliminate_boards()[0]
+        self._prior = np.diag(bundle.prior_weights(minimized.state.extra) * bundle.prior_stddev**-2)
+        self._factor = drifts.serial_correlation
+        self._changes = list(list_changes(solved, drifts))
+        self._after: dict[int, tuple[Array, Array]] = {}
+
+    def stddev(self, sensor: int, measure: _Measure | None = None) -> Array:
+        """(6,) along and about the sensor's axes, after a remedy."""
+        axes, captures = self._axes[sensor], measure.captures if measure else 0
+        P, by_drifts = self._repeat_captures(captures)
+        variances = np.sum((axes @ P) * axes, axis=1)
+        if measure is not None and len(columns := measure.columns):
+            by_columns = axes @ P[:, columns]
+            ratio = np.eye(len(columns)) + measure.information @ P[np.ix_(columns, columns)]
+            gain = np.linalg.solve(ratio, measure.information @ by_columns.T)
+            variances = variances - np.sum(by_columns * gain.T, axis=1)
+        return np.asarray(np.sqrt(self._factor * np.maximum(variances, 0) + by_drifts[sensor]))
+
+    def _repeat_captures(self, further: int) -> tuple[Array, Array]:
+        """After such captures: covariance (G, G) of the parameters, and variances (S, 6) by drifts."""
+        if further not in self._after:
+            multiple = 1 + further / len(np.unique(self._solved.captures))
+            covariance = np.asarray(np.linalg.inv(multiple * (self._matrix - self._prior) + self._prior))
+            by_drifts = average_drifts(self._solved, self._changes, self._settings, multiple)
+            blocks = zip(self._poses, diagonal_blocks(by_drifts, 6), strict=True)
+            variances = np.array([stddev_along_axes(T, block) ** 2 for T, block in blocks])
+            self._after[further] = covariance, variances
+        return self._after[further]
+
+
+def _choose(
+    prediction: _Prediction, sensor: int, limits: Array, measures: Sequence[_Measure], recorded: int
+) -> list[_Measure]:
+    """The cheapest remedies that suffice, of two measures where no single one does; otherwise the best ones."""
+
+    def excess(measure: _Measure) -> float:
+        return float(np.max(prediction.stddev(sensor, measure) / limits))
+
+    now = float(np.max(prediction.stddev(sensor) / limits))
+    more = [_more_captures(max(round(recorded * multiple), 1)) for multiple in _MULTIPLES]
+    # Of further captures, the fewest that suffice, otherwise as many again.
+    captures = next((one for one in more if excess(one) <= 1), more[_MULTIPLES.index(1.0)])
+    single = [one for one in (captures, *measures) if excess(one) <= max((1 - _MIN_DECREASE) * now, 1)]
+    enough = sorted((one for one in single if excess(one) <= 1), key=lambda one: one.minutes)
+    if not enough:
+        together = [a + b for a, b in combinations(single, 2) if a.action != b.action]
+        enough = sorted((one for one in together if excess(one) <= 1), key=lambda one: one.minutes)
+    others = sorted((one for one in single if one not in enough), key=excess)
+    return [*enough, *others][:_MAX_REMEDIES]
+
+
+def _more_captures(count: int) -> _Measure:
+    minutes = _RECORDING_MINUTES + _CAPTURE_MINUTES * count
+    return _Measure(f"record {count} more captures like these", minutes, captures=count)
+
+
+def _list_board_pose(
+    rig: Rig, solved: SolvedBundle, name: str, suggestions: Sequence[Suggestion]
+) -> Iterator[_Measure]:
+    """The first one that is suggested for a sensor."""
+    poses = [one for one in suggestions if one.sensor == name]
+    if not poses:
+        return
+    kinds = {of: rig.sensors[of].kind for of in solved.bundle.sensors}
+    (added,) = predict_board_information(solved, kinds, rig.board_size, poses[0].T_root_board[None])
+    minutes = _RECORDING_MINUTES + _CAPTURE_MINUTES
+    yield _Measure(poses[0].hold, minutes, added.columns, added.information, T_root_board=poses[0].T_root_board)
+
+
+def _list_measures(rig: Rig, bundle: Bundle) -> Iterator[_Measure]:
+    """What can be measured of boards, cameras and scanners, where that is better than what rig.yaml states."""
+    for name, board in name_boards(rig):
+        yield from _list_board_measures(bundle, name, board)
+    for name in bundle.sensors:
+        spec = rig.sensors[name]
+        if isinstance(spec, CameraSpec):
+            yield from _narrow(
+                bundle, name, spec, _CALIBRATED_CAMERA, f"calibrate {name} by itself", _CAMERA_MINUTES
+            )
+        elif isinstance(spec.uncertainty, RangeUncertainty):
+            text = f"compare ranges of {name} with a tape measure"
+            yield from _narrow(bundle, name, spec, _COMPARED_RANGES, text, _TAPE_MINUTES)
+
+
+def _list_board_measures(bundle: Bundle, name: str, board: Board) -> Iterator[_Measure]:
+    width, height = board.size
+    print_scale = {"print_scale": _PRINT_LENGTH / max(width, height)}
+    aspect = {"print_aspect": _PRINT_LENGTH * np.hypot(1 / width, 1 / height)}
+    text = f"measure width and height of the print on the {name} to {1000 * _PRINT_LENGTH:g} mm"
+    yield from _narrow(bundle, name, board, {**print_scale, **aspect}, text, _RULER_MINUTES)
+    if board.tags:
+        size = min(tag.size for tag in board.tags)
+        tags = {"tag_size": _PRINT_LENGTH / size, "tag_position": _RULER}
+        text = f"measure sizes and places of the tags on the {name} to {1000 * _RULER:g} mm"
+        yield from _narrow(bundle, name, board, tags, text, _RULER_MINUTES * len(board.tags))
+    sheet = {"size": _RULER, "print_position": _RULER}
+    text = f"measure the sheet of the {name}, and where the print is on it, to {1000 * _RULER:g} mm"
+    yield from _narrow(bundle, name, board, sheet, text, _RULER_MINUTES)
+
+
+def _narrow(
+    bundle: Bundle, of: str, stated: Board | SensorSpec, known: Mapping[str, float], text: str, minutes: float
+) -> Iterator[_Measure]:
+    """The remedy of knowing some quantities this well, if that is better than stated."""
+    before = stated.uncertainty.model_dump()
+    better = {key: value for key, value in known.items() if 0 < value < before[key]}
+    # Priors are proportional to the uncertainty that rig.yaml states.
+    factor = {
+        column: before[key] / better[key]
+        for source, columns in group_parameters(bundle).items()
+        if source.of == of and (key := _KEYS.get(source.kind, "")) in better
+        for column in columns.tolist()
+    }
+    if not factor:
+        return
+    columns = np.array(list(factor), dtype=np.intp)
+    information = (np.array(list(factor.values())) ** 2 - 1) / bundle.prior_stddev[columns] ** 2
+    yield _Measure(text, minutes, columns, np.diag(information), uncertainty={of: better})
