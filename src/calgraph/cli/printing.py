@@ -42,6 +42,8 @@ def print_calibration(calibration: Calibration) -> None:
         _print_fit(output, calibration)
     _print_verdicts(output, calibration)
     print_remarks(calibration)
+    for remedy in calibration.evidence.remedies:
+        output.print(f"[bold]What helps:[/] {escape(str(remedy))}")
     if any(sensor.verdict.grade != "good" for sensor in calibration.sensors):
         for number, suggestion in enumerate(calibration.evidence.suggestions, start=1):
             output.print(f"[bold]Next capture {number}:[/] {escape(str(suggestion))}")

@@ -16,13 +16,14 @@ from calgraph.geometry import Array, se3
 from calgraph.live.pose_picture import draw_pose
 from calgraph.live.sensor_solution import SensorSolution, describe_sensors
 from calgraph.live.state import Advice, SceneState
-from calgraph.result import Calibration, Suggestion
+from calgraph.result import Calibration, Remedy, Suggestion
 from calgraph.rig.bundle.problem import explain_singular_equations
 from calgraph.rig.bundle.solution import SolvedBundle
 from calgraph.rig.captures.detect import CaptureSet, state_estimated_intrinsics
 from calgraph.rig.checks.assemble import assemble_rig
 from calgraph.rig.checks.drift_tests import include_drifts, measure_drifts
 from calgraph.rig.checks.next_best_pose import suggest_board_poses
+from calgraph.rig.checks.remedies import find_remedies
 from calgraph.rig.options import RigOptions
 from calgraph.rig.pipeline import build_problem_from_captures, solve_after_bumps
 from calgraph.sensors import CameraModel
@@ -188,11 +189,12 @@ def _solve(rig: Rig, captures: CaptureSet, known: Mapping[str, Array]) -> tuple[
     rig = _without_bootstrap(rig)
     problem = build_problem_from_captures(rig, captures, options, np.random.default_rng(options.seed), known=known)
     problem, solution, tree = solve_after_bumps(problem)
-    drifts = None
+    drifts, remedies = None, tuple[Remedy, ...]()
     if solved := solution.solved_bundle:
         drifts = measure_drifts(solved)
         solution = include_drifts(solution, solved, drifts, rig.settings.diagnostics)
-    return assemble_rig(problem, tree, solution, drifts=drifts), solved
+        remedies = find_remedies(rig, solution, solved, drifts)
+    return assemble_rig(problem, tree, solution, drifts=drifts, remedies=remedies), solved
 
 
 def _without_bootstrap(rig: Rig) -> Rig:

@@ -15,7 +15,7 @@ from calgraph.geometry import Array, so3
 from calgraph.io.atomic import write_atomically, write_text
 from calgraph.io.text_writing import escape_formula, flow_sequence, format_yaml, format_yaml_number
 from calgraph.result.calibration import Calibration, EstimatedParameter, Provenance
-from calgraph.result.evidence import CaptureRow, Edge, FitError, HeldOutError, Suggestion
+from calgraph.result.evidence import CaptureRow, Edge, FitError, HeldOutError, Remedy, Suggestion
 from calgraph.result.sensor_pose import SensorPose
 
 FORMAT = "calgraph/1"
@@ -129,6 +129,7 @@ def _quality(calibration: Calibration) -> dict[str, Any]:
             name: _held_out_error(one) for name, one in calibration.evidence.cross_validation.items()
         },
         "suggestions": [_suggestion(one) for one in calibration.evidence.suggestions],
+        "remedies": [_remedy(one) for one in calibration.evidence.remedies],
         "captures": _captures(calibration.evidence.captures),
     }
 
@@ -155,8 +156,37 @@ def _suggestion(one: Suggestion) -> dict[str, Any]:
         "unit": one.unit,
         "stddev": stddev,
         "expected": expected,
-        "translation": flow_sequence(_round_digits(one.T_root_board[:3, 3], 6)),
-        "rotation": flow_sequence(_round_digits(so3.quaternion(one.T_root_board[:3, :3]), 6)),
+        **_board_pose(one.T_root_board),
+    }
+
+
+def _remedy(one: Remedy) -> dict[str, Any]:
+    stddev, expected = _round_digits([one.stddev, one.expected], 4)
+    return {
+        "action": one.action,
+        "sensor": one.sensor,
+        "axis": one.axis,
+        "unit": one.unit,
+        "stddev": stddev,
+        "expected": expected,
+        "suffices": one.suffices,
+        **({"captures": one.captures} if one.captures else {}),
+        **({"uncertainty": _rounded(one.uncertainty)} if one.uncertainty else {}),
+        **({} if one.T_root_board is None else _board_pose(one.T_root_board)),
+    }
+
+
+def _rounded(uncertainty: Mapping[str, Mapping[str, float]]) -> dict[str, dict[str, float]]:
+    return {
+        of: {key: _round_digits([value], 4)[0] for key, value in known.items()}
+        for of, known in uncertainty.items()
+    }
+
+
+def _board_pose(T_root_board: Array) -> dict[str, Any]:
+    return {
+        "translation": flow_sequence(_round_digits(T_root_board[:3, 3], 6)),
+        "rotation": flow_sequence(_round_digits(so3.quaternion(T_root_board[:3, :3]), 6)),
     }
 
 

@@ -25,7 +25,16 @@ from calgraph.result.calibration import (
     join_covariances,
 )
 from calgraph.result.calibration_file import FORMAT
-from calgraph.result.evidence import CaptureRow, Edge, Evidence, FitError, HeldOutError, ModelledBodies, Suggestion
+from calgraph.result.evidence import (
+    CaptureRow,
+    Edge,
+    Evidence,
+    FitError,
+    HeldOutError,
+    ModelledBodies,
+    Remedy,
+    Suggestion,
+)
 from calgraph.result.file_types import Count, Distance, Finite, Flag, NonNegative, Positive
 from calgraph.result.sensor_pose import SensorPose, StatedPose, Verdict
 from calgraph.sensors.kinds import KINDS, KindName
@@ -221,6 +230,22 @@ class _Suggestion(StrictModel):
     """Of the board, a quaternion x, y, z, w."""
 
 
+class _Remedy(StrictModel):
+    action: str
+    sensor: str
+    axis: str
+    unit: Literal["m", "rad"]
+    stddev: NonNegative
+    expected: NonNegative
+    suffices: Flag
+    captures: Count = 0
+    uncertainty: dict[str, dict[str, NonNegative]] = Field(default_factory=dict)
+    translation: Vector3 | None = None
+    """The centre of a board to record, in the root frame, m."""
+    rotation: Quaternion | None = None
+    """Of this board, a quaternion x, y, z, w."""
+
+
 class _Quality(StrictModel):
     estimator: str
     """The name of the joint estimator."""
@@ -240,6 +265,8 @@ class _Quality(StrictModel):
     """Errors in captures that were left out, by sensor."""
     suggestions: tuple[_Suggestion, ...] = ()
     """Suggested further captures."""
+    remedies: tuple[_Remedy, ...] = ()
+    """What would make sensors certain enough."""
     edges: tuple[_Edge, ...] = ()
     captures: _Captures = _Captures(windows={}, sensors={})
 
@@ -360,6 +387,7 @@ def load_calibration(path: Path | str) -> Calibration:
             fit={name: FitError(one.measurements, one.unit, one.rms) for name, one in quality.fit.items()},
             cross_validation=quality.cross_validation,
             suggestions=tuple(_suggestion(one) for one in quality.suggestions),
+            remedies=tuple(_remedy(one) for one in quality.remedies),
         ),
         provenance=file.provenance,
     )
@@ -398,6 +426,16 @@ def _joint_covariance(file: _File, names: Sequence[str]) -> Array:
 def _suggestion(entry: _Suggestion) -> Suggestion:
     T_root_board = se3.from_xyz_quaternion(np.array(entry.translation), np.array(entry.rotation))
     return Suggestion(entry.hold, entry.sensor, entry.axis, entry.unit, entry.stddev, entry.expected, T_root_board)
+
+
+def _remedy(entry: _Remedy) -> Remedy:
+    pose = None
+    if entry.translation is not None and entry.rotation is not None:
+        pose = se3.from_xyz_quaternion(np.array(entry.translation), np.array(entry.rotation))
+    return Remedy(
+        entry.action, entry.sensor, entry.axis, entry.unit, entry.stddev, entry.expected, entry.suffices,
+        entry.captures, entry.uncertainty, pose,
+    )  # fmt: skip
 
 
 def _edge(entry: _Edge) -> Edge:

@@ -32,6 +32,7 @@ def to_json(calibration: Calibration) -> str:
         "fit": {name: vars(one) for name, one in evidence.fit.items()},
         "cross_validation": {name: vars(one) for name, one in evidence.cross_validation.items()},
         "suggestions": [vars(one) for one in evidence.suggestions],
+        "remedies": [vars(one) for one in evidence.remedies],
         "edges": [_edge(edge) for edge in evidence.edges],
         "residual_rms": dict(evidence.residual_rms),
         "residuals": {kind: _round_residuals(values) for kind, values in evidence.residuals.items()},

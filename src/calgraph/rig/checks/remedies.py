@@ -95,7 +95,7 @@ def find_remedies(
     solution: RigSolution,
     solved: SolvedBundle,
     drifts: DriftStatistics,
-    suggestions: Sequence[Suggestion],
+    suggestions: Sequence[Suggestion] = (),
 ) -> tuple[Remedy, ...]:
     """Remedies of the sensors that are less certain than the tolerance, the cheapest that suffice first.
 
