@@ -32,7 +32,7 @@ from calgraph.recording import (
 )
 from calgraph.recording.decoding import decode
 from calgraph.recording.message_types import TypeDefinition, make_message_type
-from calgraph.result import Calibration, export, load_calibration, load_scene, read_extrinsics
+from calgraph.result import Calibration, export, load_calibration, load_pair_budget, load_scene, read_extrinsics
 from calgraph.rig.bundle.problem_file import load_problem
 from calgraph.rig.captures.sensor_detection import KEPT_TYPES
 from calgraph.sensors import Trigger
@@ -87,6 +87,12 @@ def _calibration(data: bytes, folder: Path) -> None:
     calibration = load_calibration(_write(folder, "calibration.yaml", data))
     for format in ("json", "tf", "launch", "urdf"):
         export(calibration, format)
+
+
+def _budget(data: bytes, folder: Path) -> None:
+    names = [sensor.name for sensor in _calibration_of_seeds().sensors]
+    for a, b in (names[:2], names[1::-1]):
+        load_pair_budget(_write(folder, "budget.csv", data), _calibration_of_seeds(), a, b)
 
 
 def _extrinsics(data: bytes, folder: Path) -> None:
@@ -253,6 +259,7 @@ HARNESSES: Mapping[str, Harness] = {
         mutators.mutate_yaml,
         _YAML_WORDS,
     ),
+    "budget.csv": Harness(_budget, seeds.written("budget.csv"), None, ("nan", "inf", "1e999", '"', "\0", ",,")),
     "extrinsics": Harness(
         _extrinsics,
         lambda: [seeds.TRANSFORMS, seeds.URDF, *seeds.written("tf", "urdf")()],

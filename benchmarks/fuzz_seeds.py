@@ -21,7 +21,7 @@ from ruamel.yaml import YAML
 from calgraph.io.cache_folder import CacheFolder
 from calgraph.io.records import encode_records
 from calgraph.io.text_writing import format_yaml
-from calgraph.result import export, save_calibration, save_scene
+from calgraph.result import export, save_budget, save_calibration, save_scene
 from calgraph.rig.bundle.problem_file import save_problem
 from calgraph.rig.captures.detect import SensorCapture
 from calgraph.rig.options import RigOptions
@@ -353,6 +353,7 @@ def written_files() -> Mapping[str, bytes]:
         folder = Path(name)
         save_problem(problem, folder / "problem.npz")
         save_calibration(calibration, folder / "calibration.yaml")
+        save_budget(calibration, folder / "budget.csv")
         save_scene(calibration.pictures, folder / "scene.npz")
         save_truth(folder / "truth.yaml", truth)
         files = {path.name: path.read_bytes() for path in folder.iterdir()}
@@ -369,6 +370,7 @@ def written_files() -> Mapping[str, bytes]:
     content["quality"]["edges"] = content["quality"]["edges"][:1]
     content["quality"]["captures"] = []
     content["systematic"] = content["systematic"][:2]
+    content["budget"] = content["budget"][:2]
     del content["joint_covariance"]
     files["short calibration.yaml"] = format_yaml(content).encode()
     files["rig.resolved.yaml"] = format_yaml(rig.to_plain()).encode()

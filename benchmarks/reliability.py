@@ -46,6 +46,7 @@ _LONGEST_END = 20.0
 MAX_SIGMAS = 5.0
 """A pose that is further from the ground truth along an axis, in its stated standard deviations, is wrong."""
 RESULT_FILES = (
+    "budget.csv",
     "calibration.yaml",
     "captures.csv",
     "report.html",

@@ -54,7 +54,7 @@ def test_a_second_calibration_has_the_same_files_and_says_where_detections_are_f
     result = run("calibrate", simulated / "rig.yaml", simulated / "recording", "-o", tmp_path / "again", "-v")
     assert "detections of camera, lidar, laser_front: from the cache" in result.stderr
     folders = [calibrated[0], first / "result", tmp_path / "again"]
-    for name in ("calibration.yaml", "captures.csv", "report.html", "residuals.csv", "scene.npz"):
+    for name in ("calibration.yaml", "budget.csv", "captures.csv", "report.html", "residuals.csv", "scene.npz"):
         assert len({read_without_provenance(folder / name) for folder in folders}) == 1, name
     assert [cached(folder) for folder in folders] == [(), (), SENSORS]
     assert "detections of camera, laser_front, lidar" in (tmp_path / "again" / "report.html").read_text("utf-8")

@@ -40,6 +40,7 @@ def names(folder: Path) -> list[str]:
 
 def test_the_files_are_written(calibrated: tuple[Path, Result]) -> None:
     written = [
+        "budget.csv",
         "calibration.yaml",
         "captures.csv",
         "report.html",

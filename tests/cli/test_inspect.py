@@ -9,6 +9,7 @@ import pytest
 from typer.testing import Result
 
 from calgraph.recording import RecordingWriter, open_recording
+from calgraph.result import load_calibration
 from calgraph.sensors import CameraInfo, CameraModel, LaserScan, Trigger
 
 Run = Callable[..., Result]
@@ -86,3 +87,36 @@ def test_limits_are_settings_of_the_command(run: Run, simulated: Path) -> None:
     result = run("inspect", simulated / "recording", "--set", "captures.min_hold=1")
     assert result.exit_code == 2
     assert "only limits are of use here" in result.stderr
+
+
+def test_the_sources_of_a_pair_add_up_to_its_covariance(run: Run, calibrated: tuple[Path, Result]) -> None:
+    out, result = calibrated
+    for a, b in (("camera", "laser_front"), ("laser_front", "camera")):
+        content = json.loads(run("inspect", out, "--pair", a, b, "--json").stdout)
+        assert content["pair"] == [a, b]
+        expected = load_calibration(out / "calibration.yaml").covariance(a, b)
+        scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
+        total = np.sum([one["covariance"] for one in content["budget"]], axis=0)
+        np.testing.assert_allclose(total / scale, expected / scale, rtol=0, atol=1e-9)
+    sources = {(one["source"], one["of"]) for one in content["budget"]}
+    assert {("noise", "camera"), ("range bias", "lidar"), ("print scale", "board")} <= sources
+    whole = json.loads(result.stdout)["budget"]
+    assert {(one["source"], one["of"]) for one in whole} == sources
+    variances = np.sum([np.square(one["stddev"]["camera"]) for one in whole], axis=0)
+    pose = load_calibration(out / "calibration.yaml")["camera"]
+    np.testing.assert_allclose(variances, pose.axis_stddev**2, rtol=1e-6)
+
+
+def test_a_result_is_shown_with_what_its_uncertainty_comes_from(run: Run, calibrated: tuple[Path, Result]) -> None:
+    lines = run("inspect", calibrated[0]).stdout.splitlines()
+    title = next(k for k, line in enumerate(lines) if line.startswith("Where the uncertainty comes from"))
+    assert {line.split()[0] for line in lines[title + 2 :] if line[:1].isalpha()} == {"camera", "laser_front"}
+    of_pair = run("inspect", calibrated[0], "--pair", "camera", "lidar").stdout.splitlines()
+    assert of_pair[0].startswith("Where the uncertainty of lidar in the frame of camera comes from")
+    assert sum(line.startswith("lidar ") for line in of_pair) == 6
+
+
+def test_a_pair_is_of_a_result(run: Run, simulated: Path) -> None:
+    result = run("inspect", simulated / "recording", "--pair", "camera", "lidar")
+    assert result.exit_code == 2
+    assert "has no calibration.yaml; give the folder that calibrate wrote" in " ".join(result.stderr.split())

@@ -155,7 +155,7 @@ def test_calibrating_the_recording_gives_the_same_to_the_bit(
 ) -> None:
     folder, _ = session
     run("calibrate", folder / "rig.yaml", folder / "recording", "-o", tmp_path)
-    files = ("residuals.csv", "captures.csv", "rig.resolved.yaml")
+    files = ("residuals.csv", "captures.csv", "budget.csv", "rig.resolved.yaml")
     for file in files:
         assert (tmp_path / file).read_bytes() == (folder / "result" / file).read_bytes()
     again, before = (read_yaml(one / "calibration.yaml") for one in (tmp_path, folder / "result"))

@@ -8,11 +8,13 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from calgraph.cli.printing import print_calibration, print_errors
+from calgraph.cli.printing import print_budget, print_calibration, print_errors
 from calgraph.config import Tolerance
 from calgraph.geometry import se3, so3
 from calgraph.result import (
     Calibration,
+    ErrorBudget,
+    ErrorSource,
     FitError,
     HeldOutError,
     ModelledBodies,
@@ -236,3 +238,33 @@ def test_a_pose_of_an_earlier_calibration_is_marked(
         )
     )
     assert "camera is good: its pose is that of the earlier calibration" in capsys.readouterr().out
+
+
+def test_the_largest_sources_of_the_worst_axes_are_printed(
+    calibration: Calibration, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Small ones of one kind together; what is left as a number."""
+    sources = [ErrorSource("noise", "camera"), *(ErrorSource("range scale", name) for name in "abcd"),
+               ErrorSource("drift"), ErrorSource("bow", "board")]  # fmt: skip
+    shares = np.array([0.5, 0.08, 0.08, 0.08, 0.08, 0.12, 0.06])
+    stddev = np.zeros((7, 2, 6))
+    stddev[:, 1] = np.sqrt(shares)[:, None] * np.sqrt(np.diag(calibration.sensors[1].covariance))
+    pair = replace(
+        calibration, sensors=calibration.sensors[:2], joint_covariance=calibration.joint_covariance[:12, :12],
+        budget=ErrorBudget(tuple(sources), stddev),
+    )  # fmt: skip
+    lines = [" ".join(line.split()) for line in printed(lambda: print_budget(pair), capsys)]
+    assert lines[2:] == [
+        "camera sideways (y) 2.0 mm noise of camera 1.4 mm 50 %",
+        "4 × range scale 1.1 mm 32 %",
+        "drift 0.69 mm 12 %",
+        "1 other 0.49 mm 6 %",
+        "camera yaw (about z) 0.17° noise of camera 0.12° 50 %",
+        "4 × range scale 0.097° 32 %",
+        "drift 0.060° 12 %",
+        "1 other 0.042° 6 %",
+    ]
+
+
+def test_without_a_budget_nothing_is_printed(calibration: Calibration, capsys: pytest.CaptureFixture[str]) -> None:
+    assert printed(lambda: print_budget(calibration), capsys) == []

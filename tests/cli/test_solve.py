@@ -20,7 +20,7 @@ pytestmark = pytest.mark.slow
 
 Run = Callable[..., Result]
 
-RESULTS = ("calibration.yaml", "captures.csv", "rig.resolved.yaml")
+RESULTS = ("calibration.yaml", "budget.csv", "captures.csv", "rig.resolved.yaml")
 PICTURES = ("report.html", "residuals.csv", "scene.npz")
 """What shows images, scans and clouds, which a dumped problem does not keep."""
 

@@ -1,5 +1,7 @@
 """A calibration with every kind of content, and poses drawn at random."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,8 @@ from calgraph.result import (
     Calibration,
     CaptureRow,
     Edge,
+    ErrorBudget,
+    ErrorSource,
     Evidence,
     Pictures,
     SensorPose,
@@ -60,3 +64,36 @@ def calibration(rng: np.random.Generator) -> Calibration:
         ),
         pictures=Pictures(board_outlines=(BoardOutline(0, rng.normal(0, 1, (4, 3))),)),
     )
+
+
+@pytest.fixture
+def budgeted(calibration: Calibration, rng: np.random.Generator) -> Calibration:
+    """The same with correlations, and three sources that they come from."""
+    roots = rng.normal(0, 1, (3, 24, 30)) * np.tile([3e-3] * 3 + [1e-3] * 3, 4)[:, None]
+    roots[:, :6] = 0.0
+    covariance = roots @ roots.transpose(0, 2, 1)
+    sources = ErrorSource("noise", "camera"), ErrorSource("range bias", "lidar"), ErrorSource("drift")
+    budget = ErrorBudget.of_poses(sources, covariance, [one.T_root_sensor for one in calibration.sensors])
+    return replace(calibration, joint_covariance=covariance.sum(axis=0), budget=budget)
+
+
+@pytest.fixture
+def planar(budgeted: Calibration) -> Calibration:
+    """Three scanners of a network and a root, one pair of which has an edge, with the same sources."""
+    unmeasured = (6 * np.arange(1, 4)[:, None] + [2, 3, 4]).ravel()
+    assert budgeted.budget is not None
+    assert budgeted.budget.covariance is not None
+    covariance = budgeted.budget.covariance.copy()
+    covariance[:, unmeasured] = covariance[:, :, unmeasured] = np.nan
+    stddev = budgeted.budget.stddev.copy()
+    stddev[..., [2, 3, 4]] = 0.0
+    sensors = [replace(one, kind="lidar2d", T_root_sensor=np.eye(4)) for one in budgeted.sensors]
+    for sensor, yaw in zip(sensors[1:], (0.4, -2.0, 3.0), strict=True):
+        sensor.T_root_sensor[:] = se3.pose(so3.exp(np.array([0, 0, yaw])), np.array([3 * yaw, 1.0, 0]))
+    edges = (
+        Edge("laser", "camera", 9, 8, False, np.empty(0)),
+        Edge("camera", "camera_2", 9, 0, False, np.empty(0)),
+    )
+    budget = ErrorBudget(budgeted.budget.sources, stddev, covariance)
+    total = covariance.sum(axis=0)
+    return Calibration("lidar", tuple(sensors), total, evidence=Evidence(edges=edges), budget=budget)

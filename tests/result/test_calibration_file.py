@@ -125,6 +125,35 @@ def test_the_tolerance_of_verdicts_comes_back(calibration: Calibration, tmp_path
     assert load_calibration(tmp_path / "tolerant.yaml").evidence.tolerance == tolerance
 
 
+def test_the_budget_comes_back_to_five_digits(budgeted: Calibration, tmp_path: Path) -> None:
+    save_calibration(budgeted, tmp_path / "c.yaml")
+    before, budget = budgeted.budget, load_calibration(tmp_path / "c.yaml").budget
+    assert before is not None
+    assert budget is not None
+    assert (budget.sources, budget.covariance) == (before.sources, None)
+    np.testing.assert_allclose(budget.stddev, before.stddev, rtol=5e-5, atol=1e-12)
+    save_calibration(load_calibration(tmp_path / "c.yaml"), tmp_path / "again.yaml")
+    assert (tmp_path / "again.yaml").read_bytes() == (tmp_path / "c.yaml").read_bytes()
+
+
+def test_what_a_network_does_not_measure_is_null_in_its_budget(planar: Calibration, tmp_path: Path) -> None:
+    save_calibration(planar, tmp_path / "c.yaml")
+    stddev = read_yaml(tmp_path / "c.yaml")["budget"][0]["stddev"]["laser"]
+    assert [value is None for value in stddev] == [False, False, True, True, True, False]
+    budget = load_calibration(tmp_path / "c.yaml").budget
+    assert budget is not None
+    np.testing.assert_array_equal(budget.stddev[0, 3] > 0, [True, True, False, False, False, True])
+
+
+def test_a_budget_of_other_sensors_is_refused(budgeted: Calibration, tmp_path: Path) -> None:
+    save_calibration(budgeted, tmp_path / "c.yaml")
+    changed = damaged(tmp_path / "c.yaml", r'("drift", stddev: \{)"camera"', r'\1"lidar"')
+    with pytest.raises(
+        InputError, match=r"budget\[2\]\.stddev: must be of all sensors but the root, camera, camera_2, "
+    ):
+        load_calibration(changed)
+
+
 def test_writing_what_was_read_gives_the_same_file(saved: Path, tmp_path: Path) -> None:
     again = tmp_path / "again.yaml"
     save_calibration(load_calibration(saved), again)

@@ -23,6 +23,7 @@ from calgraph.result import (
     Calibration,
     InputFile,
     Provenance,
+    save_budget,
     save_calibration,
     save_captures,
     save_residuals,
@@ -55,6 +56,7 @@ def _write_tables(calibration: Calibration, rig: Rig, folder: Path) -> None:
     save_residuals(calibration, folder / "residuals.csv")
     save_scene(calibration.pictures, folder / "scene.npz")
     save_captures(calibration, folder / "captures.csv")
+    save_budget(calibration, folder / "budget.csv")
 
 
 def format_comparison(comparison: "ExtrinsicsComparison", against: Path, tolerance: Tolerance) -> str:

@@ -100,7 +100,8 @@ def calibrate(
 ) -> None:
     """Estimate the relative poses of all sensors of a rig or network.
 
-    Writes calibration.yaml, report.html, captures.csv, residuals.csv, scene.npz and rig.resolved.yaml into OUT.
+    Writes calibration.yaml, report.html, budget.csv, captures.csv, residuals.csv, scene.npz and
+    rig.resolved.yaml into OUT.
 
     Exit code 0: calibrated; 1: a sensor is not calibrated, or is weak and --strict is given (results are written
     nevertheless); 2: invalid input.

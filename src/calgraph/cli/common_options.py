@@ -19,6 +19,7 @@ RESULT_FILES = (
     "calibration.yaml",
     "report.html",
     "captures.csv",
+    "budget.csv",
     "scene.npz",
     "residuals.csv",
     "rig.resolved.yaml",

@@ -9,10 +9,10 @@ from typing import Annotated
 import typer
 from rich.markup import escape
 
-from calgraph.cli.common_options import OneRecording
+from calgraph.cli.common_options import OneRecording, find_calibration
 from calgraph.cli.console import console, make_table
 from calgraph.cli.init import find_background, find_mode
-from calgraph.cli.printing import print_calibration, print_provenance
+from calgraph.cli.printing import print_budget, print_calibration, print_pair_budget, print_provenance
 from calgraph.cli.progress import progress_bars
 from calgraph.cli.setting_options import SetOption, parse_limits
 from calgraph.config import explain_unused
@@ -26,7 +26,7 @@ from calgraph.recording import (
     inspect_recording,
     open_recording,
 )
-from calgraph.result import Calibration, load_calibration, to_json
+from calgraph.result import Calibration, ErrorBudget, load_calibration, load_pair_budget, to_json
 from calgraph.rig.captures.capture_mode import RecognizedMode
 from calgraph.sensors.kinds import KINDS
 
@@ -34,16 +34,26 @@ from calgraph.sensors.kinds import KINDS
 def inspect(
     recording: OneRecording,
     overrides: SetOption = None,
+    pair: Annotated[
+        tuple[str, str] | None,
+        typer.Option(
+            metavar="A B",
+            help="Of a result: only what the uncertainty of sensor B relative to sensor A comes from.",
+        ),
+    ] = None,
     json: Annotated[bool, typer.Option("--json", help="Print everything as JSON.")] = False,
 ) -> None:
     """Show the topics of a recording, or how a result was computed.
 
     Of a recording: counts, rates, gaps, frames, clocks, and anomalies. Of a result, the folder that calibrate
-    wrote: version, command, inputs, and poses.
+    wrote: version, command, inputs, poses, and what their uncertainty comes from.
 
     Exit code 2: the recording is damaged; the readable part is shown.
     """
     result = Path(recording) / "calibration.yaml"
+    if pair:
+        show_pair(Path(recording), *pair, json=json)
+        return
     if result.is_file():
         show_result(load_calibration(result), json=json)
         return
@@ -70,6 +80,22 @@ def show_result(calibration: Calibration, *, json: bool) -> None:
     if calibration.provenance:
         print_provenance(calibration.provenance)
     print_calibration(calibration)
+    print_budget(calibration)
+
+
+def show_pair(result: Path, a: str, b: str, *, json: bool) -> None:
+    """Prints what the errors of the pose of sensor b relative to sensor a come from, of a folder of results."""
+    calibration = load_calibration(find_calibration(result))
+    sources, covariance = load_pair_budget(result / "budget.csv", calibration, a, b)
+    budget = ErrorBudget.of_poses(sources, covariance, [calibration.transform(a, b)])
+    if not json:
+        print_pair_budget(budget, a, calibration[b])
+        return
+    parts = [
+        {"source": source.kind, "of": source.of, "stddev": stddev, "covariance": covariance}
+        for source, stddev, covariance in zip(sources, budget.stddev[:, 0], covariance, strict=True)
+    ]
+    typer.echo(format_json({"pair": [a, b], "budget": parts}))
 
 
 def _print(recording: str, inspection: Inspection, mode: RecognizedMode | None, unused: Mapping[str, str]) -> None:

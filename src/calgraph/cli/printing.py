@@ -1,6 +1,7 @@
 """Printing of a calibration: poses with standard deviations, for terminals of 80 columns and for pipes."""
 
-from collections.abc import Iterator, Mapping
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -11,9 +12,10 @@ from rich.markup import escape
 from calgraph.cli.console import console, make_table
 from calgraph.config import Intrinsics
 from calgraph.geometry import Array, se3
-from calgraph.result import Calibration, EstimatedParameter, Provenance, SensorPose, Verdict
+from calgraph.result import Calibration, ErrorBudget, EstimatedParameter, Provenance, SensorPose, Verdict
 from calgraph.result.exports import roll_pitch_yaw
 from calgraph.result.reasons import share_clauses
+from calgraph.sensors.kinds import KINDS
 
 _GRADES = {"good": "[green]✓[/]", "weak": "[yellow]![/]", "unobservable": "[red]✕[/]"}
 """Sign for each grade, so that colour is not the only distinction."""
@@ -171,6 +173,62 @@ def print_errors(calibration: Calibration, T_root_sensor: Mapping[str, Array]) -
             mm, degrees = 1000 * np.linalg.norm(error[:3]), np.degrees(np.linalg.norm(error[3:]))
             sigma_mm, sigma_degrees = _deviations(sensor)
             table.add_row(escape(sensor.name), f"{mm:.1f}", sigma_mm, f"{degrees:.3f}", sigma_degrees)
+    output.print(table)
+
+
+# Sources of smaller shares hardly change σ: they are added up, as are those beyond the largest ones.
+_MIN_PRINTED_SHARE, _MAX_PRINTED_SOURCES = 0.1, 4
+
+
+def print_budget(calibration: Calibration) -> None:
+    """Prints the largest sources of each sensor's errors along and about its worst axis, if they are known."""
+    if (budget := calibration.budget) is None:
+        return
+    axes = [
+        (sensor, k, first + int(np.argmax(sensor.axis_stddev[first : first + 3])))
+        for k, sensor in enumerate(calibration.sensors)
+        if sensor.parent is not None
+        for first in (0, 3)
+    ]
+    _print_sources("Where the uncertainty comes from", budget, axes)
+
+
+def print_pair_budget(budget: ErrorBudget, a: str, b: SensorPose) -> None:
+    """Prints the largest sources of the errors of the pose of a sensor relative to another one, by axis.
+
+    Args:
+        budget: of this pose alone.
+        a: the sensor in whose frame it is.
+        b: the sensor.
+    """
+    axes = [(b, 0, axis) for axis in range(6) if budget.largest(0, axis)]
+    _print_sources(f"Where the uncertainty of {b.name} in the frame of {a} comes from", budget, axes)
+
+
+def _print_sources(title: str, budget: ErrorBudget, axes: Iterable[tuple[SensorPose, int, int]]) -> None:
+    """Prints the sources of axes, each given by the sensor, its index in the budget, and the index of the axis."""
+    from calgraph.report.formatting import format_angle, format_count, format_length  # as in _deviations
+
+    output = console()
+    output.print(f"[bold]{escape(title)}[/] (shares of the variance)")
+    table = make_table(["sensor", "axis", "σ", "from"], ("σ", "share"), gap=1)
+    for sensor, k, axis in axes:
+        format_stddev = format_length if axis < 3 else format_angle
+        sources = budget.largest(k, axis)
+        groups: defaultdict[str, list[float]] = defaultdict(list)
+        for source, _, share in sources:
+            # What is small of one sensor may be large of all together, as their range scales.
+            groups[str(source) if share >= _MIN_PRINTED_SHARE else source.kind].append(share)
+        largest = sorted(groups.items(), key=lambda one: -sum(one[1]))[:_MAX_PRINTED_SOURCES]
+        shown = [(name, shares) for name, shares in largest if sum(shares) >= _MIN_PRINTED_SHARE]
+        rows = [(f"{len(shares)} × {name}" if len(shares) > 1 else name, sum(shares)) for name, shares in shown]
+        if others := len(sources) - sum(len(shares) for _, shares in shown):
+            rows.append((format_count(others, "other"), 1 - sum(share for _, share in rows)))
+        sigma = float(np.linalg.norm([stddev for _, stddev, _ in sources]))
+        head = escape(sensor.name), KINDS[sensor.kind].axes[axis], format_stddev(sigma)
+        for name, share in rows:
+            table.add_row(*head, escape(name), format_stddev(sigma * share**0.5), f"{100 * share:.0f} %")
+            head = "", "", ""
     output.print(table)
 
 

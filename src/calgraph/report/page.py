@@ -12,6 +12,7 @@ from calgraph.config import Rig
 from calgraph.io.atomic import write_text
 from calgraph.parallel.engine import parallel_call
 from calgraph.parallel.processes import forked_jobs
+from calgraph.report.budget_view import render_budget
 from calgraph.report.capture_view import render_captures
 from calgraph.report.coverage_view import render_coverage
 from calgraph.report.floor_view import render_floor_plan
@@ -76,6 +77,7 @@ def _render_page(
         next_step=describe_next_step(calibration),
         cards=render_cards(calibration, words),
         poses=_render_poses(calibration),
+        budget=render_budget(calibration),
         graph=render_graph(calibration, words),
         view=render_floor_plan(calibration) if words is NETWORK_VOCABULARY else render_rig_view(calibration, rig),
         images=render_camera_images(calibration, rig),

@@ -57,12 +57,27 @@ class ErrorBudget:
         """(6,) shares in the variances of a sensor's axes, by the names of the sources."""
         return dict(zip(map(str, self.sources), self.shares(sensor), strict=True))
 
+    def largest(self, sensor: int, axis: int) -> list[tuple[ErrorSource, float, float]]:
+        """Sources of the errors along an axis of a sensor, the largest first: standard deviation, and share.
+
+        Those that are not defined, as of axes that were not measured, are left out.
+        """
+        shares, stddev = self.shares(sensor)[:, axis], self.stddev[:, sensor, axis]
+        order = (k for k in np.argsort(-shares, kind="stable").tolist() if shares[k] > 0)
+        return [(self.sources[k], float(stddev[k]), float(shares[k])) for k in order]
+
     def relative_covariances(self, a: int, b: int, T_root_a: Array, T_root_b: Array) -> Array:
         """(N, 6, 6) of the error of ``T_a_b`` in the fixed axes of a, by source, with indices a and b of sensors.
 
-        As of :meth:`calgraph.Calibration.covariance`, which is their sum.
+        As of :meth:`calgraph.Calibration.covariance`, which is their sum: NaN for what a network does not measure.
         """
         assert self.covariance is not None, "a budget of a file has no covariances between sensors"
         rows = np.concatenate([6 * a + np.arange(6), 6 * b + np.arange(6)])
         joint = self.covariance[np.ix_(np.arange(len(self.sources)), rows, rows)]
-        return np.array([se3.relative_covariance(T_root_a, T_root_b, of_source) for of_source in joint])
+        unmeasured = np.isnan(np.diagonal(joint, axis1=1, axis2=2)).any(axis=0)
+        joint[:, unmeasured], joint[:, :, unmeasured] = 0.0, 0.0
+        relative = se3.relative_covariance(T_root_a, T_root_b, joint)
+        # All frames of a network have the same horizontal plane.
+        lost = unmeasured.reshape(2, 6).any(axis=0)
+        relative[:, lost] = relative[:, :, lost] = np.nan
+        return relative

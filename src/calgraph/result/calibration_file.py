@@ -2,7 +2,7 @@
 
 import csv
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ from calgraph.config import Intrinsics
 from calgraph.geometry import Array, so3
 from calgraph.io.atomic import write_atomically, write_text
 from calgraph.io.text_writing import escape_formula, flow_sequence, format_yaml, format_yaml_number
+from calgraph.result.budget import ErrorBudget
 from calgraph.result.calibration import Calibration, EstimatedParameter, Provenance
 from calgraph.result.evidence import CaptureRow, Edge, FitError, HeldOutError, Remedy, Suggestion
 from calgraph.result.sensor_pose import SensorPose
@@ -23,7 +24,8 @@ _HEADER = """\
 Poses map coordinates in a sensor's frame to the root's: translation in metres, rotation as quaternion x, y, z, w.
 covariance: of (x, y, z, rx, ry, rz) along the root's fixed axes, m and rad. joint_covariance: of all sensors,
 one after the other, in the same axes; null: not measured. residual_rms of edges in m, of kinds
-in standard deviations (1 as expected from the noise).
+in standard deviations (1 as expected from the noise). budget: standard deviations along and about
+the axes of each sensor, by source; their squares add up to the variances.
 """
 _CAPTURE_COLUMNS = ("capture", "start", "end", "sensor", "used", "reason", "residual")
 
@@ -50,6 +52,8 @@ def save_calibration(calibration: Calibration, path: Path | str) -> None:
         text += format_yaml({"joint_covariance": {"order": order}}) + _matrix(calibration.joint_covariance)
     else:
         text += _cross_covariances(calibration)
+    if calibration.budget is not None:
+        text += _budget(calibration.budget, calibration)
     if calibration.provenance:
         text += format_yaml({"provenance": _provenance(calibration.provenance)})
     write_text(Path(path), text)
@@ -257,6 +261,30 @@ def _cross_covariances(calibration: Calibration) -> str:
     )
 
 
+def budget_deviations(budget: ErrorBudget, calibration: Calibration) -> Iterator[dict[str, Array]]:
+    """For each source of a calibration's budget, by sensor but the root: (6,), NaN for what was not measured."""
+    unmeasured = np.isnan(np.diag(calibration.joint_covariance)).reshape(-1, 6)
+    names = [sensor.name for sensor in calibration.sensors]
+    for stddev in np.where(unmeasured, np.nan, budget.stddev):
+        yield dict(zip(names[1:], stddev[1:], strict=True))
+
+
+# Variances of the sources then add up to those of the poses to 1e-4 or better.
+_BUDGET_DIGITS = 5
+
+
+def _budget(budget: ErrorBudget, calibration: Calibration) -> str:
+    """A line for each source; written directly, as :func:`_matrix` does."""
+    lines = ["budget:\n"]
+    for source, deviations in zip(budget.sources, budget_deviations(budget, calibration), strict=True):
+        of = f", of: {_quote(source.of)}" if source.of else ""
+        stddev = ", ".join(
+            f"{_quote(name)}: [{_numbers(six, _BUDGET_DIGITS)}]" for name, six in deviations.items()
+        )
+        lines.append(f"- {{source: {_quote(source.kind)}{of}, stddev: {{{stddev}}}}}\n")
+    return "".join(lines)
+
+
 def _matrix(joint_covariance: Array) -> str:
     """The rest of the file: written directly, as a YAML library takes a minute for 100,000 numbers."""
     return "  matrix:\n" + _rows(0.5 * (joint_covariance + joint_covariance.T))
@@ -264,11 +292,12 @@ def _matrix(joint_covariance: Array) -> str:
 
 def _rows(matrix: Array) -> str:
     # Relative poses may be far more certain than those in the root frame: more digits for the difference.
-    rows = (_round_digits(row, 14) for row in matrix)
-    return "".join(
-        f"  - [{', '.join('null' if np.isnan(value) else format_yaml_number(value) for value in row)}]\n"
-        for row in rows
-    )
+    return "".join(f"  - [{_numbers(row, 14)}]\n" for row in matrix)
+
+
+def _numbers(values: Array, digits: int) -> str:
+    rounded = _round_digits(values, digits)
+    return ", ".join("null" if np.isnan(value) else format_yaml_number(value) for value in rounded)
 
 
 def _round_digits(values: Iterable[float] | Array, digits: int) -> list[float]:

@@ -17,6 +17,7 @@ from calgraph.errors import InputError
 from calgraph.geometry import Array, se3
 from calgraph.io.strict_model import StrictModel, invalid
 from calgraph.io.yaml_reading import read_yaml, validate_content
+from calgraph.result.budget import ErrorBudget, ErrorSource
 from calgraph.result.calibration import (
     UNMEASURED_IN_PLANE,
     Calibration,
@@ -282,6 +283,19 @@ class _EstimatedParameter(StrictModel):
     stddev: NonNegative
 
 
+Deviation = NonNegative | None
+Deviations = tuple[Deviation, Deviation, Deviation, Deviation, Deviation, Deviation]
+
+
+class _ErrorSource(StrictModel):
+    source: str
+    """What the errors come from."""
+    of: str = ""
+    """A sensor, board, or file."""
+    stddev: dict[str, Deviations]
+    """Along and about the axes of each sensor but the root, m and rad."""
+
+
 class _File(StrictModel):
     format: str
     """Version of the file's format."""
@@ -299,8 +313,20 @@ class _File(StrictModel):
     """The covariance of the errors of all sensors."""
     cross_covariances: tuple[CrossCovariance, ...] = ()
     """The covariances of the errors of two sensors each, where those of others are unknown."""
+    budget: tuple[_ErrorSource, ...] = ()
+    """What the covariances come from."""
     provenance: Provenance | None = None
     """How the calibration was computed."""
+
+    @model_validator(mode="after")
+    def _budget_is_of_all_sensors(self) -> "_File":
+        others = set(self.sensors) - {self.root}
+        for k, one in enumerate(self.budget):
+            if set(one.stddev) != others:
+                raise invalid(
+                    f"budget[{k}].stddev", f"must be of all sensors but the root, {', '.join(sorted(others))}"
+                )
+        return self
 
     @model_validator(mode="after")
     def _is_of_all_sensors(self) -> "_File":
@@ -390,6 +416,7 @@ def load_calibration(path: Path | str) -> Calibration:
             remedies=tuple(_remedy(one) for one in quality.remedies),
         ),
         provenance=file.provenance,
+        budget=_budget(file.budget, names) if file.budget else None,
     )
 
 
@@ -421,6 +448,14 @@ def _joint_covariance(file: _File, names: Sequence[str]) -> Array:
     ):
         joint[out_of_plane] = joint[:, out_of_plane] = np.nan
     return joint
+
+
+def _budget(entries: Sequence[_ErrorSource], names: Sequence[str]) -> ErrorBudget:
+    """The budget of sensors, the root first, which has no errors."""
+    stddev = np.zeros((len(entries), len(names), 6))
+    for of_source, one in zip(stddev, entries, strict=True):
+        of_source[1:] = [[value or 0.0 for value in one.stddev[name]] for name in names[1:]]
+    return ErrorBudget(tuple(ErrorSource(one.source, one.of) for one in entries), stddev)
 
 
 def _suggestion(entry: _Suggestion) -> Suggestion:

@@ -7,7 +7,7 @@ import numpy as np
 from calgraph.geometry import so3
 from calgraph.io.text_writing import format_json
 from calgraph.result.calibration import Calibration
-from calgraph.result.calibration_file import FORMAT
+from calgraph.result.calibration_file import FORMAT, budget_deviations
 from calgraph.result.evidence import Edge
 from calgraph.result.sensor_pose import SensorPose
 
@@ -27,6 +27,7 @@ def to_json(calibration: Calibration) -> str:
         "systematic": [vars(one) for one in calibration.systematic],
         "joint_covariance": _joint_covariance(calibration),
         "cross_covariances": _cross_covariances(calibration),
+        "budget": _budget(calibration),
         "unconnected": dict(evidence.unconnected),
         "remarks": evidence.remarks,
         "fit": {name: vars(one) for name, one in evidence.fit.items()},
@@ -77,6 +78,17 @@ def _cross_covariances(calibration: Calibration) -> list[dict[str, Any]]:
     return [
         {"sensors": [names[a], names[b]], "covariance": calibration.cross_covariance(a, b)}
         for a, b in calibration.correlated_pairs.tolist()
+    ]
+
+
+def _budget(calibration: Calibration) -> list[dict[str, Any]]:
+    """Standard deviations of all sensors but the root along their axes, by source."""
+    if (budget := calibration.budget) is None:
+        return []
+    deviations = budget_deviations(budget, calibration)
+    return [
+        {"source": source.kind, "of": source.of, "stddev": stddev}
+        for source, stddev in zip(budget.sources, deviations, strict=True)
     ]
 
 
