@@ -84,6 +84,9 @@ def _find_poor_predictions(held_out: Mapping[str, HeldOutError]) -> Iterator[Fin
 _BOOTSTRAP_FALSE_ALARM_PROBABILITY = 0.01
 # Samples of the bootstrap in a calibration.
 _BOOTSTRAP_ROUNDS = 50
+# Lower end of an interval up to which samples that are solved by one linear step each decide: it is within a tenth
+# of that of samples solved to their minimum, or larger, where a sample hardly determines a sensor.
+_MAX_LINEAR_SCATTER = 0.8
 
 
 def _find_optimistic_covariances(
@@ -95,12 +98,14 @@ def _find_optimistic_covariances(
     """
     if len(np.unique(solved.captures)) >= settings.max_bootstrap_captures:
         return
-    # The result hardly depends on the samples, so that the seed is fixed.
-    rng = np.random.default_rng(0)
     confidence = 1 - _BOOTSTRAP_FALSE_ALARM_PROBABILITY
-    for name, scatter in bootstrap_poses(
-        solved, _BOOTSTRAP_ROUNDS, rng, lambda _: None, confidence=confidence
-    ).items():
+    for exact in (False, True):
+        # The result hardly depends on the samples, so that the seed is fixed.
+        rng = np.random.default_rng(0)
+        found = bootstrap_poses(solved, _BOOTSTRAP_ROUNDS, rng, lambda _: None, exact=exact, confidence=confidence)
+        if not any(np.any(scatter.low > _MAX_LINEAR_SCATTER) for scatter in found.values()):
+            return
+    for name, scatter in found.items():
         if scatter.verdict == "optimistic":
             axis, ratio = axis_names(kinds[name])[scatter.worst], scatter.ratio[scatter.worst]
             yield Finding(
