@@ -95,11 +95,30 @@ def scans() -> tuple[dict[str, list[LaserScan]], Mapping[str, Array]]:
     return sent, truth.T_root_sensor
 
 
+@cache
+def calibrate_scans() -> Calibration:
+    return calibrate_network(SCANNERS, MessageRecording(scans()[0]), NetworkOptions())
+
+
 def test_network_is_calibrated_from_scans_at_hand() -> None:
-    sent, T_root_sensor = scans()
-    found = calibrate_network(SCANNERS, MessageRecording(sent), NetworkOptions())
+    found = calibrate_scans()
     assert len(found.sensors) == 3
-    assert_close(found, T_root_sensor, 0.03)
+    assert_close(found, scans()[1], 0.03)
+
+
+def test_the_error_budget_of_a_network_adds_up_to_its_covariance() -> None:
+    found = calibrate_scans()
+    assert found.budget is not None
+    T = [found[name].T_root_sensor for name in ("scanner_2", "scanner_3")]
+    relative = found.budget.relative_covariances(1, 2, *T)
+    np.testing.assert_allclose(relative.sum(axis=0), found.covariance("scanner_2", "scanner_3"), rtol=1e-6)
+    variances = np.sum(found.budget.stddev**2, axis=0)
+    np.testing.assert_allclose(variances, [one.axis_stddev**2 for one in found.sensors], rtol=1e-9)
+
+
+def test_averaged_poses_have_no_error_budget(rng: np.random.Generator) -> None:
+    own = walks({"scanner_1": np.eye(4), "scanner_2": np.eye(4)}, rng)
+    assert calibrate_tracks(SCANNERS, own, NetworkOptions(estimator="averaging")).budget is None
 
 
 def walks(T_root_scanner: Mapping[str, Array], rng: np.random.Generator) -> dict[str, ScannerTracks]:

@@ -11,7 +11,7 @@ from calgraph.config import ChangeRules
 from calgraph.fleet.pose_set import PoseSet
 from calgraph.fleet.recording_result import RecordingResult
 from calgraph.geometry import Array, se3
-from calgraph.result.calibration import UNMEASURED_IN_PLANE
+from calgraph.result.sensor_pose import UNMEASURED_IN_PLANE
 from calgraph.verdict.displaced_nodes import estimate_displacements, find_displaced_nodes
 
 _PLANAR = np.array([0, 1, 5])

@@ -1,11 +1,11 @@
 """Error budgets: the covariance of all poses as a sum over the sources of their errors."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calgraph.geometry import Array, se3
+from calgraph.geometry import Array, diagonal_blocks, se3
 from calgraph.result.sensor_pose import stddev_along_axes
 
 
@@ -30,7 +30,7 @@ class ErrorBudget:
     """(N,)."""
     stddev: Array
     """(N, S, 6) along and about the axes of each sensor, m and rad. Their squares add up to the variances of the
-    published covariance."""
+    published covariance; zero where nothing was measured."""
     covariance: Array | None = None
     """(N, S·6, S·6) of the errors of all poses in the root's fixed axes, by each source; their sum is the joint
     covariance. None where the budget was read from a file."""
@@ -40,12 +40,20 @@ class ErrorBudget:
         cls, sources: Sequence[ErrorSource], covariance: Array, T_root_sensor: Sequence[Array]
     ) -> "ErrorBudget":
         """The budget of S poses (4, 4) with covariances (N, S·6, S·6) by the sources."""
-        blocks = [slice(6 * s, 6 * s + 6) for s in range(len(T_root_sensor))]
+        blocks = np.array([diagonal_blocks(of_source, 6) for of_source in covariance])
+        return replace(cls.of_blocks(sources, blocks, T_root_sensor), covariance=covariance)
+
+    @classmethod
+    def of_blocks(
+        cls, sources: Sequence[ErrorSource], blocks: Array, T_root_sensor: Sequence[Array]
+    ) -> "ErrorBudget":
+        """The budget of S poses (4, 4), from the covariance (N, S, 6, 6) of each by the sources."""
+        measured = np.where(np.isnan(blocks), 0.0, blocks)
         stddev = [
-            [stddev_along_axes(T, of_source[rows, rows]) for T, rows in zip(T_root_sensor, blocks, strict=True)]
-            for of_source in covariance
+            [stddev_along_axes(*one) for one in zip(T_root_sensor, of_source, strict=True)]
+            for of_source in measured
         ]
-        return cls(tuple(sources), np.reshape(stddev, (len(sources), len(blocks), 6)), covariance)
+        return cls(tuple(sources), np.reshape(stddev, blocks.shape[:3]))
 
     def shares(self, sensor: int) -> Array:
         """(N, 6) shares of the sources in the variances of a sensor's axes; zero along axes without errors."""

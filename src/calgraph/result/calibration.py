@@ -14,7 +14,7 @@ from calgraph.result.evidence import Evidence
 from calgraph.result.file_types import Finite
 from calgraph.result.pictures import Pictures
 from calgraph.result.reasons import split_clauses
-from calgraph.result.sensor_pose import SensorPose
+from calgraph.result.sensor_pose import UNMEASURED_IN_PLANE, SensorPose
 
 
 @dataclass(frozen=True)
@@ -111,10 +111,6 @@ class EstimatedParameter:
             f"{round(factor * v, decimals) + 0.0:.{decimals}f}" for v in (self.stated, self.value, self.stddev)
         )
         return stated, f"{factor * self.prior:.2g}", value, deviation, unit
-
-
-UNMEASURED_IN_PLANE = np.array([2, 3, 4])
-"""Axes z, roll and pitch of a tangent vector: what a network in one plane does not measure."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,6 +12,8 @@ from calgraph.result.file_types import Distance, Finite, Flag
 from calgraph.sensors.kinds import KindName
 
 Grade = Literal["good", "weak", "unobservable"]
+UNMEASURED_IN_PLANE = np.array([2, 3, 4])
+"""Axes z, roll and pitch of a tangent vector: what a network in one plane does not measure."""
 
 
 @dataclass(frozen=True)

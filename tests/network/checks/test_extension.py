@@ -15,12 +15,13 @@ from calgraph.network.checks.extension import (
     merge_calibrations,
     remove_scanners,
 )
+from calgraph.network.joint.error_sources import EARLIER
 from calgraph.network.joint.estimate import NetworkSolution
 from calgraph.network.joint.planar_poses import PlanarPoses, extract_planar_poses
 from calgraph.network.joint.scanner_matrix import ScannerMatrix
 from calgraph.network.joint.scanner_order import ScannerOrder
 from calgraph.network.joint.scanner_prior import ScannerPrior, build_scanner_prior
-from calgraph.result import Calibration, Edge, Verdict
+from calgraph.result import Calibration, Edge, ErrorBudget, ErrorSource, Verdict
 from dense_covariances import relate_all
 from known_networks import calibration, four_scanners
 
@@ -89,6 +90,28 @@ def test_a_kept_scanner_keeps_its_pose_with_a_remark() -> None:
     assert [sensor.name for sensor in both.sensors] == ["a", "b", "c", "d"]
     np.testing.assert_allclose(both["d"].T_root_sensor, calibration(poses)["d"].T_root_sensor)
     assert "earlier calibration" in both["d"].verdict.reason
+
+
+def test_errors_of_kept_scanners_are_of_the_earlier_calibration() -> None:
+    poses = four_scanners(np.random.default_rng(3))
+    found = calibration(poses.select(("a", "b", "c")))
+    sources, shares = (ErrorSource("noise"), EARLIER), np.array([0.3, 0.7])
+    T = [sensor.T_root_sensor for sensor in found.sensors]
+    budget = ErrorBudget.of_poses(sources, shares[:, None, None] * found.joint_covariance, T)
+    prior = build_scanner_prior(poses, ("a", "b", "c"))
+    both = merge_calibrations(replace(found, budget=budget), calibration(poses), prior)
+    assert both.budget is not None
+    assert both.budget.covariance is not None
+    np.testing.assert_allclose(both.budget.covariance.sum(axis=0), both.joint_covariance, rtol=1e-9)
+    measured = [0, 1, 5]
+    np.testing.assert_allclose(both.budget.shares(1)[:, measured], np.tile(shares[:, None], 3))
+    np.testing.assert_allclose(both.budget.shares(3)[:, measured], np.tile([[0.0], [1.0]], 3))
+
+
+def test_an_extension_of_a_calibration_without_budget_has_none() -> None:
+    poses = four_scanners(np.random.default_rng(3))
+    prior = build_scanner_prior(poses, ("a", "b", "c"))
+    assert merge_calibrations(calibration(poses.select(("a", "b", "c"))), calibration(poses), prior).budget is None
 
 
 def test_children_of_a_removed_scanner_get_the_root_as_parent() -> None:

@@ -62,6 +62,12 @@ def test_what_is_fixed_has_an_identity(rng: np.random.Generator) -> None:
     np.testing.assert_allclose(matrix.fix(fixed).select(np.arange(SIZE)), dense, atol=1e-12)
 
 
+def test_the_product_equals_the_dense_one(rng: np.random.Generator) -> None:
+    matrix, dense = build_corridors(rng)
+    values = rng.normal(size=(SIZE, 3))
+    np.testing.assert_allclose(matrix.multiply(values), dense @ values, atol=1e-10)
+
+
 def test_the_solution_equals_the_dense_one(rng: np.random.Generator) -> None:
     matrix, dense = build_corridors(rng)
     right = rng.normal(0, 1, (SIZE, 2))

@@ -17,6 +17,7 @@ from calgraph.graph.spanning_tree import walk_tree
 from calgraph.network.graph.network_graph import compute_joint_covariance
 from calgraph.network.graph.network_initialization import NetworkInitialization
 from calgraph.network.joint.body_equations import PredictedBeams, predict_beams
+from calgraph.network.joint.error_sources import compute_error_budget
 from calgraph.network.joint.estimate import NetworkSolution
 from calgraph.network.joint.planar_poses import lift_covariance
 from calgraph.network.joint.problem import BodyObservations, BodyPath, NetworkProblem, NetworkState
@@ -102,16 +103,18 @@ def assemble_network(
     # A rotation by 180° about the x axis of the mirrored frame.
     flips = np.array([np.diag([1.0, -1.0, -1.0, 1.0]) if name in inverted else np.eye(4) for name in names])
     beam_views, fit = ((), {}) if joint is None else collect_beam_views(joint, names, start)
+    T_root_sensor = se2.to_se3(T_root_scanner) @ flips
     parents = _find_parents(inliers, names)
     inlier_poses = {(names[i], names[j]): (T_root_scanner[i], T_root_scanner[j]) for i, j in inliers.edges}
     return Calibration(
         root=rig.root,
         sensors=_assemble_poses(
-            rig, frames, parents, dict(zip(names, se2.to_se3(T_root_scanner) @ flips, strict=True)),
+            rig, frames, parents, dict(zip(names, T_root_sensor, strict=True)),
             covariance, clocks, collect_findings(findings),
         ),
         joint_covariance=covariance,
         systematic=joint.systematic.summarize(names) if joint and joint.systematic else (),
+        budget=compute_error_budget(joint, names, T_root_sensor) if joint else None,
         evidence=Evidence(
             estimator="averaging" if joint is None else "joint",
             bodies=_describe_bodies(joint) if joint else None,

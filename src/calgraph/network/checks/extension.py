@@ -7,7 +7,9 @@ import numpy as np
 
 from calgraph.config.settings import DiagnosticsSettings
 from calgraph.errors import CalibrationError, InputError
+from calgraph.geometry import Array
 from calgraph.network.checks.moved_scanners import find_moved_scanners
+from calgraph.network.joint.error_sources import EARLIER
 from calgraph.network.joint.estimate import NetworkSolution
 from calgraph.network.joint.planar_poses import (
     PlanarPoses,
@@ -16,7 +18,7 @@ from calgraph.network.joint.planar_poses import (
     lift_covariance,
 )
 from calgraph.network.joint.scanner_prior import ScannerPrior, build_scanner_prior
-from calgraph.result import Calibration, SensorPose, Verdict
+from calgraph.result import Calibration, ErrorBudget, SensorPose, Verdict
 
 
 def extract_earlier_poses(earlier: Calibration, root: str) -> PlanarPoses:
@@ -54,6 +56,7 @@ def remove_scanners(earlier: Calibration, moved: Sequence[str]) -> Calibration:
             for sensor in (earlier.sensors[k] for k in kept)
         ),
         joint_covariance=earlier.joint_covariance[np.ix_(rows, rows)],
+        budget=None,
         evidence=replace(
             earlier.evidence,
             edges=tuple(
@@ -118,16 +121,35 @@ def merge_calibrations(found: Calibration, earlier: Calibration, prior: ScannerP
     names = (*now.names, *(sensor.name for sensor in kept))
     pairs = {frozenset((edge.sensor_a, edge.sensor_b)) for edge in found.evidence.edges}
     edges = (e for e in earlier.evidence.edges if frozenset((e.sensor_a, e.sensor_b)) not in pairs)
+    sensors, joint_covariance = (
+        (*found.sensors, *(_mark_kept(sensor) for sensor in kept)),
+        lift_covariance(covariance),
+    )
+    T_root_sensor = [sensor.T_root_sensor for sensor in sensors]
     return replace(
         found,
-        sensors=(*found.sensors, *(_mark_kept(sensor) for sensor in kept)),
-        joint_covariance=lift_covariance(covariance),
+        sensors=sensors,
+        joint_covariance=joint_covariance,
+        budget=_extend_budget(found.budget, joint_covariance, T_root_sensor) if found.budget else None,
         evidence=replace(
             found.evidence,
             edges=(*found.evidence.edges, *(e for e in edges if {e.sensor_a, e.sensor_b} <= set(names))),
             unconnected={name: why for name, why in found.evidence.unconnected.items() if name not in names},
         ),
     )
+
+
+def _extend_budget(
+    found: ErrorBudget, joint_covariance: Array, T_root_sensor: Sequence[Array]
+) -> ErrorBudget | None:
+    """The budget with kept scanners, whose errors are of the earlier calibration; None of large networks."""
+    if found.covariance is None:
+        return None
+    sources = list(dict.fromkeys([*found.sources, EARLIER]))
+    size, covariance = found.covariance.shape[1], np.zeros((len(sources), *joint_covariance.shape))
+    covariance[: len(found.sources), :size, :size] = found.covariance
+    covariance[sources.index(EARLIER)] += joint_covariance - covariance.sum(axis=0)
+    return ErrorBudget.of_poses(sources, covariance, T_root_sensor)
 
 
 def _mark_kept(sensor: SensorPose) -> SensorPose:

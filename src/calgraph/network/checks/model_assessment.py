@@ -115,7 +115,7 @@ def _test_model(
     ]
     scatter, inconsistent = _test_parts(solved, names)
     findings += inconsistent
-    joint = joint.scale_covariance(max(scatter.ratio, 1.0))
+    joint = joint.scale_covariance(max(scatter.ratio, 1.0), "scatter of parts")
     joint = add_position_errors(joint, errors)
     if scatter.p < FALSE_ALARM_PROBABILITY and scatter.ratio > _MAX_GOOD_SCATTER:
         findings.append(_describe_scatter(scatter, names))
@@ -366,7 +366,7 @@ def add_position_errors(joint: NetworkSolution, errors: Array) -> NetworkSolutio
     """
     stated = np.mean(joint.covariance.stddev[1:, :2] ** 2, axis=1)
     factor = 1 + (errors[1:] ** 2 + errors[0] ** 2) / np.maximum(stated, np.finfo(float).tiny)
-    return joint.scale_covariance(np.concatenate([[1.0], factor]))
+    return joint.scale_covariance(np.concatenate([[1.0], factor]), "correlated beams")
 
 
 def correlate_adjacent_beams(solved: NetworkEquations) -> Array:

@@ -77,6 +77,8 @@ class NetworkSolution:
     None where only the result is given."""
     systematic: SystematicErrors | None = None
     """Systematic errors of the scanners."""
+    variance_factors: tuple[tuple[str, Array], ...] = ()
+    """Factors (S,) of the covariance that are not of the solution, one after the other, and what they contain."""
 
     @property
     def pose_covariance(self) -> Array:
@@ -85,9 +87,10 @@ class NetworkSolution:
         covariance[:3] = covariance[:, :3] = 0.0
         return covariance
 
-    def scale_covariance(self, factor: float | Array) -> "NetworkSolution":
-        """The solution with variances that are larger by a factor, or by one of each scanner (S,)."""
-        return replace(self, covariance=self.covariance.scale(factor))
+    def scale_covariance(self, factor: float | Array, source: str) -> "NetworkSolution":
+        """The solution with variances that are larger by a factor, or by one of each scanner (S,), and why."""
+        factors = (*self.variance_factors, (source, np.broadcast_to(factor, self.covariance.count)))
+        return replace(self, covariance=self.covariance.scale(factor), variance_factors=factors)
 
     @property
     def clocks(self) -> Array:

@@ -10,7 +10,8 @@ from calgraph.geometry import Array, Index, se2
 from calgraph.result import Calibration
 from calgraph.sensors.kinds import KINDS
 
-_PLANAR_AXES = np.array([0, 1, 5])
+PLANAR_AXES = np.array([0, 1, 5])
+"""x, y and yaw among the components of poses in SE(3)."""
 # Variance of unobserved directions, m² and rad²: an infinite one could not be inverted.
 _UNOBSERVED_VARIANCE = 1e6
 
@@ -99,7 +100,7 @@ def complete_covariance(covariance: Array) -> Array:
 
 def _planar_rows(count: int) -> Index:
     """(3N,) rows of x, y and yaw among the 6N of poses in SE(3)."""
-    return np.asarray((6 * np.arange(count)[:, None] + _PLANAR_AXES).ravel(), dtype=np.intp)
+    return np.asarray((6 * np.arange(count)[:, None] + PLANAR_AXES).ravel(), dtype=np.intp)
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,6 +11,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular
+from scipy.sparse import bsr_array
 
 from calgraph.geometry import Array, Index
 from calgraph.network.joint.scanner_order import ScannerOrder
@@ -83,6 +84,16 @@ class ScannerMatrix:
         entry = np.minimum(np.searchsorted(self.order.numbers, numbers), len(self.entries) - 1)
         selected = np.where(self.order.numbers[entry] == numbers, self.entries[entry, row, column], 0.0)
         return np.asarray(selected - self.common[columns] @ self.common[columns].T)
+
+    def multiply(self, values: Array) -> Array:
+        """The product with values (US, m), scanner by scanner."""
+        count, used = self.order.count, np.flatnonzero(self.entries.any(axis=(1, 2)))
+        later, earlier = self.order.ends[used].T
+        ends = np.searchsorted(later, np.arange(count + 1))
+        lower = bsr_array((self.entries[used], earlier, ends), shape=(len(values),) * 2)
+        own = self.entries[self.order.own] @ values.reshape(count, self.order.unknowns, -1)
+        common = self.common @ (self.common.T @ values)
+        return np.asarray(lower @ values + lower.T @ values - own.reshape(values.shape) - common)
 
     def factor(self) -> "ScannerFactor":
         """The Cholesky factor.

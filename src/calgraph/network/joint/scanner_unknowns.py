@@ -139,6 +139,25 @@ def compute_prior_information(sigma: Array) -> tuple[Array, Array]:
     return np.where(exact, 0.0, 1 / (own * stddev**2)), common
 
 
+def split_by_priors(sigma: Array, errors: Array) -> tuple[Array, Array]:
+    """Systematic errors in independent parts that are standard normal by :func:`compute_prior_covariance`.
+
+    Args:
+        sigma: (S, E) standard deviations; what is exact has no part.
+        errors: (S, E, m) m times those of S scanners.
+
+    Returns:
+        The part of each scanner (S, E, m), given the most likely part that all have in common (r, m). The sum of
+        their squares is that of the errors by :func:`compute_prior_information`.
+    """
+    estimated = sigma[..., None] > 0
+    share = np.where(np.arange(sigma.shape[1]) < _COMMON_ERRORS, COMMON_ERROR_SHARE, 0.0)[:, None]
+    scaled = np.divide(errors, sigma[..., None], out=np.zeros_like(errors), where=estimated)
+    common = share * scaled.sum(axis=0) / (1 + share * (estimated.sum(axis=0) - 1))
+    own = np.where(estimated, scaled - common, 0.0) / np.sqrt(1 - share)
+    return own, common[:_COMMON_ERRORS] / np.sqrt(COMMON_ERROR_SHARE)
+
+
 def compute_root_times(network: NetworkProblem, state: NetworkState, scans: BodyScans) -> Array:
     """(V,) times of scans by the root's clock, s."""
     drift = state.systematic[scans.scanner, CLOCK_DRIFT] * (scans.times - network.mid_time)

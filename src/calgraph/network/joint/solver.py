@@ -176,7 +176,7 @@ def linearize_network(
     H, g = ScannerMatrix.zeros(order or order_scanners(network)), np.zeros(SCANNER_UNKNOWNS * network.count)
     kept = batches.keep(linearize_body, network, state)
     cost = sum(batches.map_values(attrgetter("cost"), kept), 0.0)
-    cost += _add_walls(state, network.walls, H, g)
+    cost += add_walls(state, network.walls, H, g)
     if network.prior:
         cost += network.prior.add_to_equations(state.T_root_scanner, H, g)
     estimated = np.ones((network.count, SCANNER_UNKNOWNS), dtype=np.bool_)
@@ -284,7 +284,7 @@ def _move_path(body: BodyObservations, path: BodyPath, step: Array) -> BodyPath:
     return BodyPath(path.control + control.reshape(-1, 3), moved)
 
 
-def _add_walls(state: NetworkState, walls: Sequence[WallConstraint], H: ScannerMatrix, g: Array) -> float:
+def add_walls(state: NetworkState, walls: Sequence[WallConstraint], H: ScannerMatrix, g: Array) -> float:
     """Adds wall constraints to the equations, in place; returns their cost."""
     if not walls:
         return 0.0
