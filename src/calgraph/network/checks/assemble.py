@@ -37,6 +37,7 @@ from calgraph.result import (
     Calibration,
     CaptureRow,
     Edge,
+    ErrorBudget,
     Evidence,
     FitError,
     FloorView,
@@ -104,17 +105,18 @@ def assemble_network(
     flips = np.array([np.diag([1.0, -1.0, -1.0, 1.0]) if name in inverted else np.eye(4) for name in names])
     beam_views, fit = ((), {}) if joint is None else collect_beam_views(joint, names, start)
     T_root_sensor = se2.to_se3(T_root_scanner) @ flips
+    budget = compute_error_budget(joint, names, T_root_sensor) if joint else None
     parents = _find_parents(inliers, names)
     inlier_poses = {(names[i], names[j]): (T_root_scanner[i], T_root_scanner[j]) for i, j in inliers.edges}
     return Calibration(
         root=rig.root,
         sensors=_assemble_poses(
             rig, frames, parents, dict(zip(names, T_root_sensor, strict=True)),
-            covariance, clocks, collect_findings(findings),
+            covariance, clocks, collect_findings(findings), budget,
         ),
         joint_covariance=covariance,
         systematic=joint.systematic.summarize(names) if joint and joint.systematic else (),
-        budget=compute_error_budget(joint, names, T_root_sensor) if joint else None,
+        budget=budget,
         evidence=Evidence(
             estimator="averaging" if joint is None else "joint",
             bodies=_describe_bodies(joint) if joint else None,
@@ -147,6 +149,7 @@ def _assemble_poses(
     covariance: Array,
     clocks: Array,
     reasons: Mapping[str, Sequence[str]],
+    budget: ErrorBudget | None,
 ) -> tuple[SensorPose, ...]:
     """Graded poses, from their joint covariance (6n, 6n) and (n, 2) clock offsets with standard deviations, s."""
     stated = _collect_stated_poses(rig, T_root_sensor)
@@ -169,13 +172,14 @@ def _assemble_poses(
                 settings=rig.settings.diagnostics.verdict,
                 data="tracks",
                 advice=_ADVICE,
+                shares=budget.shares_by_source(k) if budget else {},
             ),
             stated=stated.get(name),
             clock_offset=_finite_or_none(offset),
             clock_offset_stddev=_finite_or_none(stddev),
         )
-        for (name, T), block, (offset, stddev) in zip(
-            T_root_sensor.items(), diagonal_blocks(covariance, 6), clocks, strict=True
+        for k, ((name, T), block, (offset, stddev)) in enumerate(
+            zip(T_root_sensor.items(), diagonal_blocks(covariance, 6), clocks, strict=True)
         )
     )
 
