@@ -4,12 +4,17 @@ import ast
 import json
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
+import numpy as np
 import pytest
 from ruamel.yaml import YAML
 from typer.testing import Result
+
+from calgraph.result import Verdict, load_calibration, read_extrinsics, save_calibration
+from calgraph.result.sensor_pose import Grade
 
 Run = Callable[..., Result]
 
@@ -74,7 +79,105 @@ def test_a_given_urdf_is_corrected_in_a_file(run: Run, out: Path, tmp_path: Path
 def test_poses_that_are_not_good_are_refused_by_name(run: Run, out: Path, tmp_path: Path) -> None:
     result = run("export", out, "-f", "tf", "-o", tmp_path / "tf.yaml")
     assert (result.exit_code, (tmp_path / "tf.yaml").exists()) == (1, False)
-    assert re.search(r"calgraph: laser_front is weak: .*; give --force to export it as it is", result.stderr)
+    advice = "; give --force to export it as it is, or --only good to leave it out"
+    assert re.search(f"calgraph: laser_front is weak: .*{advice}", result.stderr)
+
+
+def graded(out: Path, folder: Path, camera: Grade, laser_front: Grade) -> Path:
+    """The calibration.yaml with other verdicts."""
+    found = load_calibration(out / "calibration.yaml")
+    verdicts = {"camera": Verdict(camera, "focal length"), "laser_front": Verdict(laser_front, "height is loose")}
+    sensors = tuple(replace(s, verdict=verdicts.get(s.name, s.verdict)) for s in found.sensors)
+    save_calibration(replace(found, sensors=sensors), folder / "calibration.yaml")
+    return folder / "calibration.yaml"
+
+
+def test_poses_that_are_not_good_are_left_out_by_name(run: Run, out: Path, tmp_path: Path) -> None:
+    result = run("export", graded(out, tmp_path, "good", "weak"), "-f", "tf", "--only", "good")
+    content = YAML(typ="safe").load(result.stdout)
+    assert [entry["child_frame_id"] for entry in content["transforms"]] == ["camera_optical"]
+    assert result.stderr == "Left out: laser_front is weak: height is loose\n"
+
+
+def test_sensors_without_a_pose_are_named_as_left_out(run: Run, out: Path, tmp_path: Path) -> None:
+    file = graded(out, tmp_path, "good", "good")
+    found = load_calibration(file)
+    evidence = replace(found.evidence, unconnected={"sonar": "it detected no board"})
+    save_calibration(replace(found, evidence=evidence), file)
+    result = run("export", file, "-f", "tf", "--only", "good")
+    assert result.stderr == "Left out: sonar is not connected: it detected no board\n"
+
+
+def test_there_is_nothing_to_export_where_no_pose_is_good(run: Run, out: Path, tmp_path: Path) -> None:
+    file = graded(out, tmp_path, "weak", "unobservable")
+    result = run("export", file, "-f", "tf", "--only", "good", "-o", tmp_path / "tf.yaml")
+    assert (result.exit_code, (tmp_path / "tf.yaml").exists()) == (1, False)
+    assert result.stderr.splitlines() == [
+        "Left out: camera is weak: focal length",
+        "Left out: laser_front is unobservable: height is loose",
+        "calgraph: there is nothing to export: no pose is good",
+    ]
+
+
+def test_only_and_force_contradict(run: Run, out: Path) -> None:
+    result = run("export", out, "-f", "tf", "--only", "good", "--force")
+    assert result.exit_code == 2
+    assert result.stderr == "calgraph: --only: goes without --force, which exports all poses\n"
+
+
+URDF = """<robot name="bot">
+  <joint name="mount" type="fixed"><parent link="base"/><child link="lidar"/></joint>
+  <joint name="case" type="fixed"><parent link="base"/><child link="camera_link"/></joint>
+  <joint name="image" type="fixed"><origin rpy="-1.57079632679 0 -1.57079632679"/>
+    <parent link="camera_link"/><child link="camera_optical"/></joint>
+</robot>
+"""
+
+
+def test_the_joint_of_a_camera_can_be_chosen(run: Run, out: Path, tmp_path: Path) -> None:
+    (tmp_path / "robot.urdf").write_text(URDF)
+    new, calibration = tmp_path / "new.urdf", load_calibration(out / "calibration.yaml")
+    result = run(
+        "export",
+        out,
+        "-f",
+        "urdf",
+        "--force",
+        "--urdf",
+        tmp_path / "robot.urdf",
+        "--joint",
+        "camera=case",
+        "-o",
+        new,
+    )
+    assert result.exit_code == 0, result.output
+    np.testing.assert_allclose(
+        read_extrinsics(new).transform("lidar", "camera_optical"), calibration["camera"].T_root_sensor, atol=1e-9
+    )
+    image = next(line for line in URDF.splitlines() if '"image"' in line)
+    assert image in new.read_text()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--joint", "camera=case"], "--joint: goes with --urdf, whose joints it names"),
+        (["--urdf", "URDF", "--joint", "case"],
+         "--joint: must be SENSOR=JOINT, such as camera=camera_joint, got 'case'"),
+        (["--urdf", "URDF", "--joint", "camera=case", "--joint", "camera=image"],
+         "--joint: camera has case already, one sensor has one joint"),
+        (["--urdf", "URDF", "--joint", "camera=cas"], "URDF: the URDF has no joint 'cas'; did you mean 'case'?"),
+    ],
+)  # fmt: skip
+def test_a_joint_that_cannot_be_chosen_is_refused(
+    run: Run, out: Path, tmp_path: Path, arguments: list[str], message: str
+) -> None:
+    urdf = tmp_path / "robot.urdf"
+    urdf.write_text(URDF)
+    given = [str(urdf) if one == "URDF" else one for one in arguments]
+    result = run("export", out, "-f", "urdf", "--force", *given)
+    assert result.exit_code == 2
+    assert result.stderr.splitlines()[-1] == f"calgraph: {re.sub('^URDF', str(urdf), message)}"
 
 
 def test_an_option_of_another_format_is_refused(run: Run, out: Path) -> None:

@@ -14,10 +14,13 @@ from ruamel.yaml import YAML
 from scipy.spatial.transform import Rotation
 
 from calgraph.config import Rig
-from calgraph.errors import InputError
+from calgraph.errors import CalibrationError, InputError
 from calgraph.geometry import Array, se3, so3
-from calgraph.result import Calibration, FloorView, export
+from calgraph.result import Calibration, FloorView, Verdict, export
+from calgraph.result.calibration import PriorErrors
 from calgraph.result.exports import FORMATS
+from calgraph.result.exports.frames import keep_good_poses
+from calgraph.result.sensor_pose import Grade
 from calgraph.sensors import CameraModel
 
 Edges = dict[str, tuple[str, Array]]
@@ -327,6 +330,224 @@ def test_a_sensor_without_a_link_is_logged_and_left_out(
 def test_a_urdf_that_cannot_be_corrected_is_refused(calibration: Calibration, urdf: str, message: str) -> None:
     with pytest.raises(InputError, match=message):
         export(calibration, "urdf", urdf=urdf)
+
+
+# Chosen joints
+
+
+OPTICAL = '<origin xyz="0 0 0" rpy="-1.5707963267948966 0 -1.5707963267948966"/>'
+REALSENSE = robot(
+    joint("base", "velodyne", OLD),
+    joint("base", "camera_bottom_screw_frame", '<origin xyz="0.3 0 0.4" rpy="0 0.1 0"/>'),
+    joint("camera_bottom_screw_frame", "camera_link", '<origin xyz="0.0106 0.0175 0.0125" rpy="0 0 0"/>'),
+    joint("camera_link", "camera_depth_frame", '<origin xyz="0 -0.01 0.002" rpy="0.01 0 0"/>'),
+    joint("camera_depth_frame", "camera_optical", OPTICAL),
+    joint("camera_link", "camera_color_frame", '<origin xyz="0 0.015 0"/>'),
+    joint("camera_color_frame", "camera_2_optical", OPTICAL),
+    joint("base", "laser_link"),
+)
+"""As the xacro of a RealSense: the driver publishes what is below camera_link."""
+
+
+def changed_joints(before: str, after: str) -> set[str]:
+    """Child links of the joints whose origin differs."""
+    old, new = read_urdf(before), read_urdf(after)
+    return {child for child in old if not np.allclose(old[child][1], new[child][1], atol=1e-12)}
+
+
+def without(calibration: Calibration, *names: str) -> Calibration:
+    """The calibration without some sensors."""
+    kept = [k for k, sensor in enumerate(calibration.sensors) if sensor.name not in names]
+    rows = np.concatenate([6 * k + np.arange(6) for k in kept])
+    return dataclasses.replace(
+        calibration,
+        sensors=tuple(calibration.sensors[k] for k in kept),
+        joint_covariance=calibration.joint_covariance[np.ix_(rows, rows)],
+    )
+
+
+@pytest.mark.parametrize("link", ["camera_depth_frame", "camera_link", "camera_bottom_screw_frame"])
+def test_a_chosen_joint_gives_the_frame_below_it_the_calibrated_pose(calibration: Calibration, link: str) -> None:
+    one = without(calibration, "camera_2", "laser")
+    name = f"{read_urdf(REALSENSE)[link][0]}_{link}"
+    after = export(one, "urdf", urdf=REALSENSE, joints={"camera": name})
+    np.testing.assert_allclose(
+        pose_from(read_urdf(after), "velodyne", "camera_optical"), one["camera"].T_root_sensor, atol=1e-9
+    )
+    assert changed_joints(REALSENSE, after) == {link}
+
+
+def test_several_cameras_have_chosen_joints(calibration: Calibration) -> None:
+    """camera has the joint of the case that both share, camera_2 the one of its lens in it."""
+    joints = {"camera": "camera_bottom_screw_frame_camera_link", "camera_2": "camera_link_camera_color_frame"}
+    after = export(calibration, "urdf", urdf=REALSENSE, joints=joints)
+    for sensor in calibration.sensors:
+        np.testing.assert_allclose(
+            pose_from(read_urdf(after), "velodyne", sensor.frame_id), sensor.T_root_sensor, atol=1e-9
+        )
+    assert changed_joints(REALSENSE, after) == {"camera_link", "camera_color_frame", "laser_link"}
+
+
+def test_a_chosen_joint_may_carry_the_root(calibration: Calibration) -> None:
+    """The root's link is below another sensor's, so that the root's joint is the one that changes."""
+    urdf = robot(joint("camera_optical", "mast", OLD), joint("mast", "head", OLD), joint("head", "velodyne", OLD))
+    one = without(calibration, "camera_2", "laser")
+    after = export(one, "urdf", urdf=urdf, joints={"lidar": "camera_optical_mast"})
+    np.testing.assert_allclose(
+        pose_from(read_urdf(after), "velodyne", "camera_optical"), one["camera"].T_root_sensor, atol=1e-9
+    )
+    assert changed_joints(urdf, after) == {"mast"}
+
+
+CASE = "camera_bottom_screw_frame_camera_link"
+
+
+@pytest.mark.parametrize(
+    ("joints", "message"),
+    [
+        ({"camera": "camera_bottom_screw_frame_camera_lnk"},
+         "the URDF has no joint 'camera_bottom_screw_frame_camera_lnk'; did you mean "
+         "'camera_bottom_screw_frame_camera_link'"),
+        ({"laser": "xyz"}, "the URDF has no joint 'xyz'; those of laser are base_laser_link$"),
+        ({"camera": "base_laser_link"},
+         "joint 'base_laser_link' of the URDF does not place 'camera_optical', the frame of camera; "
+         "those of camera are camera_depth_frame_camera_optical, camera_link_camera_depth_frame, "
+         "camera_bottom_screw_frame_camera_link, base_camera_bottom_screw_frame$"),
+        ({"camera": "base_velodyne"}, "joint 'base_velodyne' of the URDF does not place 'camera_optical'"),
+        ({"lidar": "base_velodyne"}, "'velodyne', the frame of lidar; none moves it relative to the"),
+        ({"camera": CASE, "camera_2": CASE}, "that of camera and of camera_2: its origin places one of them only"),
+        ({"camera": CASE, "camera_2": "base_camera_bottom_screw_frame"},
+         "joint 'base_camera_bottom_screw_frame' of the URDF is above joint "
+         "'camera_bottom_screw_frame_camera_link', which places camera: choose one below it for camera_2"),
+        ({"radar": CASE}, "there is no sensor 'radar' in this calibration; it has lidar, camera"),
+    ],
+)  # fmt: skip
+def test_a_joint_that_cannot_be_chosen_is_refused(
+    calibration: Calibration, joints: dict[str, str], message: str
+) -> None:
+    with pytest.raises(InputError, match=message):
+        export(calibration, "urdf", urdf=REALSENSE, joints=joints)
+
+
+def test_a_chosen_joint_must_be_fixed(calibration: Calibration) -> None:
+    urdf = robot(
+        joint("base", "velodyne"), joint("base", "head", OLD, "revolute"), joint("head", "camera_optical")
+    )
+    with pytest.raises(InputError, match="joint 'base_head' of the URDF is revolute, but lies between calibrated"):
+        export(without(calibration, "camera_2", "laser"), "urdf", urdf=urdf, joints={"camera": "base_head"})
+
+
+def test_a_joint_for_a_frame_that_the_urdf_lacks_is_refused(calibration: Calibration) -> None:
+    urdf = robot(joint("base", "velodyne"), joint("base", "camera_link"), joint("base", "laser_link"))
+    with pytest.raises(
+        InputError,
+        match="does not place 'camera_optical', the frame of camera; none moves it relative to the other sensors",
+    ):
+        export(calibration, "urdf", urdf=urdf, joints={"camera": "base_camera_link"})
+
+
+def test_the_rotation_to_an_image_is_changed_with_a_warning(
+    calibration: Calibration, caplog: pytest.LogCaptureFixture
+) -> None:
+    one = without(calibration, "camera_2", "laser")
+    after = export(one, "urdf", urdf=REALSENSE)
+    assert changed_joints(REALSENSE, after) == {"camera_optical"}
+    assert caplog.messages == [
+        "sensor camera: its joint 'camera_depth_frame_camera_optical' was the rotation to the axes of the image, "
+        "which drivers publish; a joint above it can be chosen instead: camera=base_camera_bottom_screw_frame"
+    ]
+
+
+def test_a_chosen_joint_has_no_warning(calibration: Calibration, caplog: pytest.LogCaptureFixture) -> None:
+    export(without(calibration, "camera_2", "laser"), "urdf", urdf=REALSENSE, joints={"camera": CASE})
+    assert caplog.messages == []
+
+
+# Good poses only
+
+
+def with_grades(calibration: Calibration, **grades: Grade) -> Calibration:
+    for name, grade in grades.items():
+        calibration = with_sensor(calibration, name, verdict=Verdict(grade, "loose"))
+    return calibration
+
+
+@pytest.mark.parametrize("format", ["tf", "launch", "urdf"])
+def test_only_good_poses_are_exported(calibration: Calibration, format: str) -> None:
+    edges = READERS[format](export(calibration, format, only="good"))
+    assert set(edges) == {"camera_optical", "camera_2_optical"}
+
+
+def test_what_a_weak_sensor_carries_has_the_nearest_good_one_as_its_parent(calibration: Calibration) -> None:
+    """In the tree, camera_2 is below camera, and laser below camera_2 here."""
+    below = with_sensor(calibration, "laser", parent="camera_2", verdict=Verdict("good"))
+    edges = read_tf(export(with_grades(below, camera_2="weak"), "tf", parents="tree", only="good"))
+    assert {child: parent for child, (parent, _) in edges.items()} == {
+        "camera_optical": "velodyne", "laser_link": "camera_optical",
+    }  # fmt: skip
+    np.testing.assert_allclose(edges["laser_link"][1], calibration.transform("camera", "laser"), atol=1e-11)
+
+
+def test_it_is_the_root_where_no_other_is_good(calibration: Calibration) -> None:
+    edges = read_tf(export(with_grades(calibration, camera="weak"), "tf", parents="tree", only="good"))
+    assert [(child, parent) for child, (parent, _) in edges.items()] == [("camera_2_optical", "velodyne")]
+    np.testing.assert_allclose(edges["camera_2_optical"][1], calibration["camera_2"].T_root_sensor, atol=1e-11)
+
+
+def test_covariances_of_good_poses_are_those_of_the_calibration(
+    calibration: Calibration, rng: np.random.Generator
+) -> None:
+    """With correlations, of camera_2 and laser, after camera between them is left out."""
+    root = rng.normal(0, 1e-3, (24, 24))
+    joint_covariance = root @ root.T
+    joint_covariance[:6], joint_covariance[:, :6] = 0.0, 0.0
+    whole = dataclasses.replace(
+        with_grades(calibration, camera="unobservable", laser="good"), joint_covariance=joint_covariance
+    )
+    good = keep_good_poses(whole)
+    for a, b in (("lidar", "laser"), ("camera_2", "laser")):
+        np.testing.assert_allclose(good.covariance(a, b), whole.covariance(a, b), rtol=1e-12)
+
+
+def test_errors_of_priors_stay_those_of_their_sensor(calibration: Calibration) -> None:
+    errors = PriorErrors((("board", "print scale"),), np.arange(24.0)[:, None])
+    good = keep_good_poses(dataclasses.replace(with_grades(calibration, camera="weak"), prior_errors=errors))
+    assert good.prior_errors is not None
+    np.testing.assert_array_equal(good.prior_errors.poses[6:, 0], np.arange(12, 18))
+
+
+def test_the_root_is_kept_as_the_frame_whatever_its_verdict(calibration: Calibration) -> None:
+    edges = read_tf(export(with_grades(calibration, lidar="weak"), "tf", only="good"))
+    assert {parent for parent, _ in edges.values()} == {"velodyne"}
+
+
+def test_json_has_the_good_sensors_only(calibration: Calibration) -> None:
+    content = json.loads(export(calibration, "json", only="good"))
+    assert list(content["sensors"]) == ["lidar", "camera", "camera_2"]
+
+
+def test_cameras_that_are_not_good_are_left_out_of_their_files(calibration: Calibration) -> None:
+    weak, cameras = with_grades(calibration, camera="weak"), {"camera": PINHOLE, "camera_2": PINHOLE}
+    content = YAML(typ="safe").load(export(weak, "camera_info", cameras=cameras, only="good"))
+    assert content["camera_name"] == "camera_2"
+    assert set(YAML(typ="safe").load(export(weak, "kalibr", cameras=cameras, only="good"))) == {"cam0"}
+
+
+def test_joints_of_weak_sensors_stay_as_they_are(calibration: Calibration) -> None:
+    """Good sensors have their poses, also camera_2 on the old pose of camera, whose chosen joint is ignored."""
+    weak = with_grades(calibration, camera="weak")
+    after = export(weak, "urdf", urdf=SIMPLE, only="good", joints={"camera": "mast_camera_optical", "sonar": "x"})
+    assert changed_joints(SIMPLE, after) == {"camera_2_optical"}
+    np.testing.assert_allclose(
+        pose_from(read_urdf(after), "velodyne", "camera_2_optical"),
+        calibration["camera_2"].T_root_sensor,
+        atol=1e-9,
+    )
+
+
+def test_nothing_good_is_an_error(calibration: Calibration) -> None:
+    with pytest.raises(CalibrationError, match="there is nothing to export: no pose is good"):
+        export(with_grades(calibration, camera="weak", camera_2="unobservable"), "tf", only="good")
 
 
 # Kalibr

@@ -37,8 +37,15 @@ if TYPE_CHECKING:
     from calgraph.rig.bundle.problem import Problem
     from calgraph.verdict.comparison import ExtrinsicsComparison, ResidualComparison
 
-_SIGNS = {"pass": "[green]✓[/]", "warn": "[yellow]![/]", "fail": "[red]✕[/]"}
-"""Sign for each outcome: colour is never the only one."""
+_SIGNS = {"pass": "[green]✓[/]", "warn": "[yellow]![/]", "fail": "[red]✕[/]", "undecided": "[yellow]?[/]"}
+"""Sign for each outcome, and for an undecided axis: colour is never the only one."""
+_LEGEND = {
+    "pass": "within the tolerance of {tolerance}",
+    "undecided": "not decided: σ is too large for this tolerance",
+    "warn": "a warning: see below",
+    "fail": "off by more than the tolerance",
+}
+"""What the marks of the table mean."""
 
 
 def check(
@@ -91,8 +98,9 @@ def check(
     if json:
         typer.echo(content)
     else:
-        _print(audit, against, rig.root)
+        _print(audit, against, rig.root, rig.tolerance)
         print_remarks(calibration)
+        _print_next_step(audit, out)
     if audit.outcome == "fail":
         raise typer.Exit(1)
 
@@ -143,28 +151,43 @@ def _problem(rig: Rig, recordings: list[str], seed: int, cache: RecordingCache, 
         return build_problem(rig, recording, options, progress)
 
 
-def _print(audit: "ExtrinsicsComparison", against: Path, root: str) -> None:
-    """A row per sensor: given minus estimated pose, along its axes; then the outcome of each."""
+def _print(audit: "ExtrinsicsComparison", against: Path, root: str, tolerance: Tolerance) -> None:
+    """A row per sensor: given minus estimated pose, along its axes; what the marks mean; the outcome of each."""
     output = console()
     output.print(f"[bold]{escape(str(against))} minus the estimated poses[/], along each sensor's axes")
     table = make_table(["sensor"], ("x mm", "y mm", "z mm", "rx °", "ry °", "rz °", "residual", ""))
+    marks: set[str] = {sensor.outcome for sensor in audit.sensors}
     for sensor in audit.sensors:
-        cells = [
-            f"{1000 * axis.offset if i < 3 else np.degrees(axis.offset):+.{1 if i < 3 else 2}f}"
-            f"{'' if axis.outcome == 'pass' else _SIGNS[axis.outcome]}"
-            if np.isfinite(axis.stddev)
-            else ""
-            for i, axis in enumerate(sensor.axes)
-        ]
+        cells = []
+        for i, axis in enumerate(sensor.axes):
+            mark = "undecided" if axis.undecided else axis.outcome
+            marks |= {mark}
+            value, digits = (1000 * axis.offset, 1) if i < 3 else (float(np.degrees(axis.offset)), 2)
+            offset = f"{round(value, digits) + 0.0:+.{digits}f}{'' if mark == 'pass' else _SIGNS[mark]}"
+            cells.append(offset if np.isfinite(axis.stddev) else "")
         table.add_row(escape(sensor.sensor), *(cells or [""] * 6), _misfit(sensor.misfit), _SIGNS[sensor.outcome])
     table.add_row(escape(audit.reference), *[""] * 6, _misfit(audit.misfit), "")
     output.print(table)
-    output.print(f"All in the frame of {escape(audit.reference)}; residual: with this file / as estimated")
+    residual = "; residual: with this file / as estimated" if audit.misfit else ""
+    output.print(f"All in the frame of {escape(audit.reference)}{residual}")
+    limits = f"{1000 * tolerance.translation:g} mm and {tolerance.rotation:g}°"
+    legend = (f"{_SIGNS[m]} {text.format(tolerance=limits)}" for m, text in _LEGEND.items() if m in marks)
+    output.print("; ".join(legend))
     if audit.reference != root:
         output.print(f"Relative to {escape(root)}, several sensors are off: either it has moved, or they have.")
     for sensor in audit.sensors:
         outcome = f"{sensor.sensor}: {sensor.outcome}{': ' if sensor.reason else ''}{sensor.reason}"
         output.print(f"{_SIGNS[sensor.outcome]} {escape(outcome)}")
+
+
+def _print_next_step(audit: "ExtrinsicsComparison", out: Path | None) -> None:
+    """What to do about sensors that fail, and about undecided ones."""
+    if audit.failed:
+        poses = f"take the new poses from {out}" if out else "take the new poses, which --out writes"
+        step = f"mount {', '.join(audit.failed)} as before, or {poses}"
+        console().print(f"[bold]To do:[/] {escape(step)}")
+    if audit.remedy:
+        console().print(f"[bold]To decide:[/] {escape(audit.remedy)}")
 
 
 def _misfit(misfit: "ResidualComparison | None") -> str:

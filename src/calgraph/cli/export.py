@@ -1,6 +1,7 @@
 """``calgraph export``: a calibration in the format of another program."""
 
 import shlex
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -12,7 +13,7 @@ from calgraph.config import Rig, load_rig
 from calgraph.errors import CalibrationError, InputError
 from calgraph.io.atomic import write_text
 from calgraph.io.yaml_reading import read_text
-from calgraph.result import Calibration, load_calibration
+from calgraph.result import Calibration, SensorPose, load_calibration
 from calgraph.result import export as export_text
 from calgraph.result.exports import Parents
 
@@ -50,6 +51,19 @@ def export(
             "sensor's parent in the spanning tree.",
         ),
     ] = None,
+    joints: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--joint",
+            metavar="SENSOR=JOINT",
+            help="urdf with --urdf: correct this joint for a sensor, instead of the one above its frame; as of a "
+            "camera whose driver publishes camera_link to the optical frame. Repeatable.",
+        ),
+    ] = None,
+    only: Annotated[
+        Literal["good"] | None,
+        typer.Option(metavar="good", help="Leave out poses that are weak or not observable, and name them."),
+    ] = None,
     rig: Annotated[
         Path | None,
         typer.Option(
@@ -67,21 +81,31 @@ def export(
 ) -> None:
     """Write a calibration as launch file, tf2 YAML, URDF, Kalibr camchain, ROS camera_info or JSON.
 
-    Exit code 1: a pose is not good; give --force to export it as it is.
+    Exit code 1: a pose is not good; give --only good to leave it out, or --force to export it as it is.
     """
     for name, value, formats in (("--urdf", urdf, ("urdf",)), ("--rig", rig, _WITH_INTRINSICS)):
         if value and format not in formats:
             raise InputError(f"{name}: goes with --format {' or '.join(formats)}, got --format {format}")
     if parents and (urdf or format not in ("launch", "tf", "urdf")):
         raise InputError("--parents: goes with --format launch, tf, and urdf without --urdf")
+    if joints and not urdf:
+        raise InputError("--joint: goes with --urdf, whose joints it names")
+    if only and force:
+        raise InputError("--only: goes without --force, which exports all poses")
     file = find_calibration(result)
     calibration = load_calibration(file)
-    if not force and format != "json":  # which states the verdicts
+    joint_of_sensor = _parse_joints(joints or [])
+    if only:
+        _print_left_out(calibration)
+    elif not force and format != "json":  # which states the verdicts
         _check_poses_are_good(calibration)
     cameras_rig = _rig(rig, file) if format in _WITH_INTRINSICS else None
     urdf_text = read_text(urdf) if urdf else None
     try:
-        text = export_text(calibration, format, rig=cameras_rig, urdf=urdf_text, parents=parents or "root")
+        text = export_text(
+            calibration, format, rig=cameras_rig, urdf=urdf_text, joints=joint_of_sensor,
+            parents=parents or "root", only=only,
+        )  # fmt: skip
     except InputError as error:
         raise InputError(f"{urdf or file}: {error}") from error
     if out:
@@ -95,12 +119,37 @@ def export(
 def _check_poses_are_good(calibration: Calibration) -> None:
     """Raises CalibrationError if a pose is not good."""
     poor = [
-        f"{sensor.name} is {sensor.verdict.grade}: {sensor.verdict.reason}; give --force to export it as it is"
+        f"{_grade(sensor)}; give --force to export it as it is, or --only good to leave it out"
         for sensor in calibration.sensors
         if sensor.verdict.grade != "good"
     ]
     if poor:
         raise CalibrationError("\n".join(poor))
+
+
+def _print_left_out(calibration: Calibration) -> None:
+    """Names the sensors that are not exported, with the reason."""
+    left_out = [_grade(s) for s in calibration.sensors if s.parent is not None and s.verdict.grade != "good"]
+    left_out += [f"{name} is not connected: {why}" for name, why in calibration.evidence.unconnected.items()]
+    for line in left_out:
+        console(stderr=True).print(f"Left out: {line}", markup=False, soft_wrap=True)
+
+
+def _grade(sensor: SensorPose) -> str:
+    return f"{sensor.name} is {sensor.verdict.grade}: {sensor.verdict.reason}"
+
+
+def _parse_joints(pairs: Sequence[str]) -> dict[str, str]:
+    """The joint of each sensor, from SENSOR=JOINT."""
+    found: dict[str, str] = {}
+    for pair in pairs:
+        sensor, equals, joint = pair.partition("=")
+        if not (sensor and equals and joint):
+            raise InputError(f"--joint: must be SENSOR=JOINT, such as camera=camera_joint, got {pair!r}")
+        if sensor in found:
+            raise InputError(f"--joint: {sensor} has {found[sensor]} already, one sensor has one joint")
+        found[sensor] = joint
+    return found
 
 
 def _rig(given: Path | None, calibration: Path) -> Rig | None:

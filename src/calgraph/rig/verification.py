@@ -80,7 +80,7 @@ def compare_rig_poses(
     Raises:
         InputError: the root or all other sensors are not in the file, or nothing fixed connects them there.
     """
-    matched = match_poses(estimated, given, tolerance, settings.false_alarm_probability)
+    matched = match_poses(estimated, given, tolerance, settings)
     residuals = _compare_residuals(solved, matched.T_root_sensor) if solved else {}
     comparisons = [matched.compare_in_frame(reference, residuals) for reference in matched.frames]
     in_root = next(c for c in comparisons if c.reference == estimated.root)

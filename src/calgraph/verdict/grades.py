@@ -71,9 +71,11 @@ def grade_pose(
     ]
     limits = max_good_stddev(tolerance, settings)
     weak = [i for i in range(6) if stddev[i] > limits[i] and axes[i] not in unobservable]
-    errors = ", ".join(f"{axes[i]} ±{_format_error(tolerance.limits[i] * stddev[i] / limits[i], i)}" for i in weak)
+    errors = ", ".join(
+        f"{axes[i]} ±{format_axis_error(tolerance.limits[i] * stddev[i] / limits[i], i)}" for i in weak
+    )
     confidence = f"({100 * settings.tolerance_confidence:g} %)"
-    allowed = " and ".join(dict.fromkeys(_format_error(tolerance.limits[i], i) for i in weak))
+    allowed = " and ".join(dict.fromkeys(format_axis_error(tolerance.limits[i], i) for i in weak))
     if unobservable or ambiguity:
         reasons = [f"{_join_axes(unobservable, name)} not observable from these {data}"] if unobservable else []
         if ambiguity:
@@ -211,7 +213,8 @@ def collect_findings(findings: Sequence[Finding]) -> dict[str, list[str]]:
     return found
 
 
-def _format_error(error: float, axis: int) -> str:
+def format_axis_error(error: float, axis: int) -> str:
+    """An error along (mm) or about (degrees) one of six axes, with three digits."""
     return f"{error * 1000:.3g} mm" if axis < 3 else f"{np.degrees(error):.3g}°"
 
 

@@ -88,7 +88,7 @@ def compare_network_poses(
     Raises:
         InputError: the root or all other scanners are not in the file, or no fixed transforms connect them there.
     """
-    compared = match_poses(found, given, tolerance, settings.verdict.false_alarm_probability)
+    compared = match_poses(found, given, tolerance, settings.verdict)
     frames, T = compared.frames, np.array(list(compared.T_root_sensor.values()))
     before = PlanarPoses(tuple(frames), project_to_plane(T), np.zeros((3 * len(T),) * 2))
     if given.calibration is not None:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calgraph.errors import InputError
+from calgraph.errors import CalibrationError, InputError
 from calgraph.geometry import Array, so3
 from calgraph.result.calibration import Calibration
 
@@ -58,6 +58,33 @@ def parent_to_root(calibration: Calibration) -> Calibration:
     """
     sensors = (s if s.parent is None else replace(s, parent=calibration.root) for s in calibration.sensors)
     return replace(calibration, sensors=tuple(sensors))
+
+
+def keep_good_poses(calibration: Calibration) -> Calibration:
+    """The root and the sensors whose verdict is good, each with the nearest of them in the tree as its parent.
+
+    Raises:
+        CalibrationError: no pose relative to the root is good.
+    """
+    parent_of = {sensor.name: sensor.parent for sensor in calibration.sensors}
+    good = [k for k, s in enumerate(calibration.sensors) if s.parent is None or s.verdict.grade == "good"]
+    if len(good) == 1:
+        raise CalibrationError("there is nothing to export: no pose is good")
+    names = {calibration.sensors[k].name for k in good}
+    sensors = []
+    for k in good:
+        parent = calibration.sensors[k].parent
+        while parent is not None and parent not in names:
+            parent = parent_of[parent]
+        sensors.append(replace(calibration.sensors[k], parent=parent))
+    rows = (6 * np.array(good)[:, None] + np.arange(6)).ravel()
+    errors = calibration.prior_errors
+    return replace(
+        calibration,
+        sensors=tuple(sensors),
+        joint_covariance=calibration.joint_covariance[np.ix_(rows, rows)],
+        prior_errors=errors and replace(errors, poses=errors.poses[rows]),
+    )
 
 
 def tree_edges(calibration: Calibration) -> list[TreeEdge]:

@@ -1,7 +1,9 @@
 """A new URDF: a link for each sensor's frame, a fixed joint for each edge of the tree."""
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from difflib import get_close_matches
+from itertools import takewhile
 
 import numpy as np
 
@@ -13,10 +15,11 @@ from calgraph.result.exports.frames import (
     describe_origin,
     format_coordinate,
     frame_ids,
+    from_roll_pitch_yaw,
     roll_pitch_yaw,
     tree_edges,
 )
-from calgraph.result.exports.urdf_text import frames_from_joints, read_joints, replace_origins
+from calgraph.result.exports.urdf_text import Joint, frames_from_joints, read_joints, replace_origins
 from calgraph.result.frame_tree import FrameTree
 from calgraph.result.stated_pose import apply_stated_poses
 
@@ -60,7 +63,7 @@ def _joint(link: TreeEdge) -> list[str]:
 _log = logging.getLogger(__name__)
 
 
-def update_urdf(calibration: Calibration, urdf: str) -> str:
+def update_urdf(calibration: Calibration, urdf: str, joints_of_sensors: Mapping[str, str] | None = None) -> str:
     """The URDF with new origins, such that the relative poses of its sensor links are the calibrated ones.
 
     A sensor's link is the one named as its frame_id; sensors without one are logged and left out. A sensor's
@@ -71,16 +74,19 @@ def update_urdf(calibration: Calibration, urdf: str) -> str:
     Args:
         calibration: the poses.
         urdf: text of the URDF (an expanded one, not a xacro).
+        joints_of_sensors: by sensor, the name of a joint above its link whose origin is changed instead: a driver
+            of a camera may publish the frames from the camera's case to its image.
 
     Raises:
-        InputError: the text is not a URDF, it lacks the root's link or those of all other sensors, or a movable
-            joint lies between two sensors.
+        InputError: the text is not a URDF, it lacks the root's link or those of all other sensors, a movable joint
+            lies between two sensors, or a chosen joint does not move its sensor alone.
     """
     joints = read_joints(urdf)
     frame_tree = frames_from_joints(joints)
     poses = _poses_of_links(calibration, frame_tree)
     root = frame_ids(calibration)[calibration.root]
     anchor = [link for link in frame_tree.ancestry(root) if link in poses][-1]
+    poses = _choose_joints(calibration, joints, frame_tree, poses, anchor, joints_of_sensors or {})
     origins = {}
     for link in poses.keys() & frame_tree.links.keys() - {anchor}:
         parent = frame_tree.links[link].parent
@@ -109,6 +115,83 @@ def _poses_of_links(calibration: Calibration, frame_tree: FrameTree) -> dict[str
     if not calibration.planar or stated:
         return poses
     return {frame: _keep_out_of_plane(T, frame_tree.transform(root, frame)) for frame, T in poses.items()}
+
+
+def _choose_joints(
+    calibration: Calibration,
+    joints: Sequence[Joint],
+    frame_tree: FrameTree,
+    poses: Mapping[str, Array],
+    anchor: str,
+    joints_of_sensors: Mapping[str, str],
+) -> dict[str, Array]:
+    """``T_root_link`` (4, 4) of the anchor, and of the links below the joints that change, one for each sensor.
+
+    Args:
+        calibration: the sensors.
+        joints: of the URDF.
+        frame_tree: its links.
+        poses: ``T_root_link`` (4, 4) of the sensors' links.
+        anchor: the link whose joint does not change.
+        joints_of_sensors: the chosen joint by sensor; that above its link for all others.
+    """
+    by_name, above = {joint.name: joint for joint in joints}, {joint.child: joint for joint in joints}
+    frame_of, fixed = frame_ids(calibration), set(frame_tree.ancestry(anchor))
+    placed, sensor_of = {anchor: poses[anchor]}, dict[str, str]()
+    between: dict[str, list[str]] = {}
+    others = [name for name, frame in frame_of.items() if frame in poses and frame != anchor]
+    for sensor in dict.fromkeys([*joints_of_sensors, *others]):
+        calibration[sensor]  # raises where there is none
+        frame, chosen = frame_of[sensor], joints_of_sensors.get(sensor)
+        path = list(takewhile(lambda link: link not in fixed, frame_tree.ancestry(frame)))
+        movers = [above[link].name for link in path if link in above]
+        if chosen is not None:
+            _check_choice(sensor, frame, chosen, movers, by_name)
+        elif len(movers) > 1 and _is_optical(above[frame].T_parent_child):
+            _log.warning(
+                "sensor %s: its joint %r was the rotation to the axes of the image, which drivers publish; "
+                "a joint above it can be chosen instead: %s=%s", sensor, movers[0], sensor, movers[-1],
+            )  # fmt: skip
+        link = frame if chosen is None else by_name[chosen].child
+        if link in placed:
+            raise InputError(
+                f"joint {above[link].name!r} of the URDF is that of {sensor_of[link]} and of {sensor}: its origin "
+                "places one of them only"
+            )
+        sensor_of[link], between[sensor] = sensor, path[: path.index(link)]
+        placed[link] = poses[frame] @ se3.inverse(frame_tree.transform_to_ancestor(link, frame))
+    for sensor, link in ((sensor, link) for sensor, links in between.items() for link in links if link in placed):
+        raise InputError(
+            f"joint {joints_of_sensors[sensor]!r} of the URDF is above joint {above[link].name!r}, which places "
+            f"{sensor_of[link]}: choose one below it for {sensor}"
+        )
+    return placed
+
+
+def _check_choice(
+    sensor: str, frame: str, chosen: str, movers: Sequence[str], joints: Mapping[str, Joint]
+) -> None:
+    """Raises InputError if a joint is not one of those that move a sensor relative to the rest of the rig."""
+    if chosen in movers:
+        return
+    those = (
+        f"those of {sensor} are {', '.join(movers)}" if movers else "none moves it relative to the other sensors"
+    )
+    if chosen not in joints:
+        close = " or ".join(map(repr, get_close_matches(chosen, joints)))
+        raise InputError(f"the URDF has no joint {chosen!r}; {f'did you mean {close}?' if close else those}")
+    raise InputError(f"joint {chosen!r} of the URDF does not place {frame!r}, the frame of {sensor}; {those}")
+
+
+# The rotation from the axes of a camera's case to those of its image (REP 103), and how far a joint may be off it:
+# numbers of URDFs are rounded.
+_T_LINK_OPTICAL = se3.pose(from_roll_pitch_yaw(-np.pi / 2, 0.0, -np.pi / 2), np.zeros(3))
+_OPTICAL_ROUNDING = 1e-3
+
+
+def _is_optical(T_parent_child: Array) -> bool:
+    """Whether a joint does no more than to rotate to the axes of an image."""
+    return bool(np.abs(T_parent_child - _T_LINK_OPTICAL).max() < _OPTICAL_ROUNDING)
 
 
 def _keep_out_of_plane(T_planar: Array, T_before: Array) -> Array:
