@@ -31,8 +31,7 @@ def render_budget(calibration: Calibration) -> Markup:
     segments = [segment for k, sensor in shown for segment in _split_variances(budget, k, sensor)]
     caption = (
         "Shares of the variance along and about the axes of each sensor with the largest σ, by what the errors "
-        "come from. Variances add up: without a source of 75\u00a0%, σ would be half as large; without one of "
-        "10\u00a0%, it would be 5\u00a0% smaller."
+        "come from. Variances add up: a source of 75\u00a0% doubles σ, one of 10\u00a0% adds 5\u00a0% to it."
     )
     if len(shown) < len(sensors):
         caption += f" The {len(shown)} least certain of {len(sensors)} sensors are shown; inspect has all."
