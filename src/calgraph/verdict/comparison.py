@@ -13,7 +13,7 @@ from calgraph.config.settings import VerdictSettings
 from calgraph.geometry import Array, se3
 from calgraph.result import Calibration, ExtrinsicsFile
 from calgraph.result.sensor_pose import stddev_along_axes
-from calgraph.verdict.grades import axis_names, format_axis_error, max_good_stddev
+from calgraph.verdict.grades import axis_names, describe_largest, format_axis_error, max_good_stddev
 
 Outcome = Literal["pass", "warn", "fail"]
 _SEVERITY: Sequence[Outcome] = ("pass", "warn", "fail")
@@ -223,16 +223,27 @@ class MatchedPoses:
             remedy = f"{data} that determine {sensor} in other directions than these"
         else:
             remedy = f"at least {int(np.ceil(factor * used))} {data} of {sensor} like the {used} that were used"
+        sources = "".join(f"; {clause}" for clause in self._describe_sources(sensor, undecided))
         limits = self.tolerance.limits
         if _MAX_FACTOR < factor < np.inf or any(abs(axis.offset) > limits[i] for _, i, axis in undecided):
-            return remedy
+            return remedy + sources
         needed = limits.copy()
         for _, i, axis in undecided:
             needed[i] = max(needed[i], limits[i] * axis.stddev / axis.max_stddev)
         # Rounded up, so that the stated tolerance decides.
         millimetres = np.ceil(1e4 * needed[:3].max()) / 10
         degrees = np.ceil(100 * np.degrees(needed[3:].max())) / 100
-        return f"{remedy}, or a tolerance of {millimetres:g} mm and {degrees:g}°"
+        return f"{remedy}, or a tolerance of {millimetres:g} mm and {degrees:g}°{sources}"
+
+    def _describe_sources(self, sensor: str, undecided: Sequence[tuple[str, int, AxisComparison]]) -> list[str]:
+        """What the estimate's uncertainty of a sensor comes from, along its least certain axis, as a clause."""
+        if self.estimated.budget is None or sensor == self.estimated.root:
+            return []
+        k = [one.name for one in self.estimated.sensors].index(sensor)
+        axis, name = max(
+            (axis.stddev / axis.max_stddev, i, axis.axis) for one, i, axis in undecided if one == sensor
+        )[1:]
+        return describe_largest(self.estimated.budget.shares_by_source(k), axis, f"{name} of {sensor}")
 
 
 def match_poses(

@@ -89,7 +89,7 @@ def grade_pose(
         exceed = "exceeds" if len(weak) == 1 else "exceed"
         error = f"{errors} {confidence} of {name} {exceed} the tolerance of {allowed}"
         worst = max(weak, key=lambda i: stddev[i] / limits[i])
-        largest = _describe_largest(shares, worst, axes[worst] if len(weak) > 1 else "it")
+        largest = describe_largest(shares, worst, axes[worst] if len(weak) > 1 else "it")
         help_ = [advice] if remedy is None else [describe_remedy(remedy, tolerance, limits)]
         return Verdict("weak", _join([*stated, error, *largest, *more, *help_]))
     return Verdict("weak", _join([*stated, *more])) if contradictions else Verdict("good")
@@ -99,7 +99,7 @@ def grade_pose(
 _LARGE_SHARE, _MAX_SOURCES = 0.5, 2
 
 
-def _describe_largest(shares: Mapping[str, Array], axis: int, what: str) -> list[str]:
+def describe_largest(shares: Mapping[str, Array], axis: int, what: str) -> list[str]:
     """The sources of the largest shares in the variance of an axis, as a clause."""
     if not shares:
         return []
@@ -112,7 +112,7 @@ def _describe_largest(shares: Mapping[str, Array], axis: int, what: str) -> list
 def describe_remedy(remedy: Remedy, tolerance: Tolerance, limits: Array) -> str:
     """A remedy, and the error that it leaves with the confidence of verdicts."""
     axis = 0 if remedy.unit == "m" else 3
-    left = _format_error(tolerance.limits[axis] * remedy.expected / limits[axis], axis)
+    left = format_axis_error(tolerance.limits[axis] * remedy.expected / limits[axis], axis)
     return f"{remedy.action}: {remedy.axis} ±{left}" + ("" if remedy.suffices else ", not enough alone")
 
 

@@ -160,7 +160,7 @@ def _split_body(
     equations: BodyEquations,
     of: Sequence[str],
 ) -> dict[ErrorSource, Array]:
-    """Information (UL, UL) on the L scanners that measured a body, by source; of what those of each are is given."""
+    """Information (UL, UL) on the L scanners that measured a body, by source, given what each is ``of``."""
     count, substitution = body.knots.count, compute_back_substitution(equations)[:, :-1]
     by_path, by_shape = -substitution[: 3 * count].reshape(count, 3, -1), -substitution[3 * count :]
     parts: dict[ErrorSource, Array] = {}
