@@ -6,16 +6,11 @@ from calgraph.result.calibrated_cameras import (
     state_calibrated_intrinsics,
     state_intrinsics,
 )
-from calgraph.result.calibration import (
-    Calibration,
-    EstimatedParameter,
-    InputFile,
-    PriorErrors,
-    Provenance,
-    join_covariances,
-)
+from calgraph.result.calibration import Calibration, InputFile, PriorErrors, Provenance, join_covariances
 from calgraph.result.calibration_file import save_calibration, save_captures
 from calgraph.result.calibration_reading import load_calibration
+from calgraph.result.correction import Correction
+from calgraph.result.estimated_parameter import EstimatedParameter
 from calgraph.result.evidence import CaptureRow, Edge, Evidence, FitError, HeldOutError, ModelledBodies, Suggestion
 from calgraph.result.exports import FORMATS, export, to_json
 from calgraph.result.extrinsics_file import ExtrinsicsFile, read_extrinsics
@@ -34,7 +29,8 @@ from calgraph.result.sensor_pose import SensorPose, StatedPose, Verdict
 from calgraph.result.table import to_dataframe
 
 __all__ = [
-    "FORMATS", "BeamView", "BoardOutline", "BoardView", "Calibration", "CaptureRow", "Edge", "EstimatedParameter",
+    "FORMATS", "BeamView", "BoardOutline", "BoardView", "Calibration", "CaptureRow", "Correction", "Edge",
+    "EstimatedParameter",
     "Evidence", "ExtrinsicsFile", "FitError", "FloorView", "HeldOutError", "InputFile", "ModelledBodies",
     "Pictures", "PriorErrors", "Provenance", "SensorPose", "Snapshot", "StatedPose", "Suggestion", "Verdict",
     "apply_estimates", "calibrated_cameras", "colorize_from_snapshots", "export", "join_covariances",
