@@ -11,7 +11,7 @@ from calgraph.sensors.kinds import KINDS, KindName, list_beam_errors
 
 # Share of the prior variance of an effect that the data must have removed for its parameters to be corrected: its
 # standard deviation is then half of the stated one at most. Two scanners that measure each other alone remove half
-# of the variance of each, whichever of them is wrong.
+# of the variance of each, without showing which one is wrong.
 _MIN_REMOVED_SHARE = 0.75
 # Half the interval of elevations of a ring without neighbours, rad (0.05°): half the least gap between rings.
 _LONE_RING = float(np.radians(0.05))

@@ -3,6 +3,7 @@
 from collections.abc import Collection, Iterator, Mapping
 
 import numpy as np
+from scipy.special import chdtri, ndtr
 
 from calgraph.config import CameraSpec, Rig
 from calgraph.geometry import Array, Index, so3
@@ -153,22 +154,26 @@ def _measure_reach(views: RangeObservations, quantity: str, distance: float) -> 
 def _find_wrong_lens(
     solved: SolvedBundle, views: CornerObservations, s: int, distance: float, tolerance: float
 ) -> Iterator[Finding]:
-    """A lens that displaces the corners of boards: all intrinsics jointly, as they have similar effects."""
+    """A lens that displaces the corners of boards: all intrinsics jointly, as they have similar effects.
+
+    Its displacements contain those by the errors of the intrinsics, whose mean square is subtracted.
+    """
     name, (index, _) = solved.bundle.sensors[s], _list_parameters(solved, s)
+    deviation, covariance = solved.minimized.state.extra[index], _covariance(solved, index)
     rays = views.camera.rays(views.pixels)
-    rays = rays[np.isfinite(rays).all(axis=1)]
     lens = views.parameters.index[0, views.parameters["lens"]] >= 0
-    J = project_by_lens(views.camera, views.camera, rays)[..., lens]
-    displaced = float(np.sqrt(np.mean(np.sum((J @ solved.minimized.state.extra[index]) ** 2, axis=-1))))
-    stddev = float(np.sqrt(np.einsum("nij,jk,nik->", J, _covariance(solved, index), J) / len(J)))
-    metres = displaced / float(views.camera.focal.mean()) * distance
-    if displaced > _MIN_CERTAINTY * stddev and metres > tolerance:
+    J = project_by_lens(views.camera, views.camera, rays[np.isfinite(rays).all(axis=1)])[..., lens]
+    variance = np.einsum("nij,jk,nik->", J, covariance, J) / len(J)
+    pixels = float(np.sqrt(max(np.mean(np.sum((J @ deviation) ** 2, axis=-1)) - variance, 0.0)))
+    metres = pixels / float(views.camera.focal.mean()) * distance
+    limit = chdtri(max(len(index), 1), 2 * ndtr(-_MIN_CERTAINTY))
+    if metres > tolerance and deviation @ np.linalg.solve(covariance, deviation) > limit:
         yield Finding(
-            f"images of {name} are displaced by {displaced:.2g} px (σ {stddev:.1g} px) against its stated "
-            f"intrinsics, {_format_length(metres)} at {distance:.1f} m, more than the tolerance of "
-            f"{_format_length(tolerance)}: use the intrinsics of the export camera_info with this pose"
+            f"by its stated intrinsics, corners in images of {name} are displaced by {pixels:.2g} px (RMS), which "
+            f"is {_format_length(metres)} at {distance:.1f} m, more than the tolerance of "
+            f"{_format_length(tolerance)}: use its pose with the intrinsics of the export camera_info"
         )
 
 
 def _format_length(metres: float) -> str:
-    return f"{1000 * abs(metres):.2g} mm"
+    return f"{1000 * abs(metres):.3g} mm"
