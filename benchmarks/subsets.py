@@ -3,6 +3,7 @@
 python benchmarks/subsets.py                        # k = 8, 11, 12, 16, 20, 24 captures, 40 random draws each
 python benchmarks/subsets.py --k 8 16 --draws 20 --jobs 4
 python benchmarks/subsets.py --ransac-seeds 100     # one verdict and one pose for all seeds of RANSAC
+python benchmarks/subsets.py --corrections          # points as published, and corrected, from the camera's planes
 
 Data: acfr-vlp16-checkerboard in ../shared/data, or in CALGRAPH_DATA; all 40 captures. The board is
 detected in whole sweeps, with up to eight candidates a sweep, as no background was recorded.
@@ -23,12 +24,13 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2
 
-from calgraph.boards.detections import BoardCorners, Detection, DetectionResult
+from calgraph.boards.detections import BoardCorners, Detection, DetectionResult, PlanePatch
 from calgraph.boards.printed_boards import compute_landmarks
 from calgraph.config import Rig
 from calgraph.errors import Rejected
-from calgraph.geometry import Array, se3
+from calgraph.geometry import Array, plane, se3
 from calgraph.recording import open_recording
+from calgraph.result import Calibration, apply_estimates
 from calgraph.rig.bundle.bundle_solver import linearize_bundle, retract_state
 from calgraph.rig.bundle.observations import relative_poses
 from calgraph.rig.bundle.problem import Problem
@@ -47,6 +49,8 @@ CAPTURES = range(1, 41)
 BEYOND = float(chi2.ppf(0.99, 6))
 NO_WEIGHT = 1e6
 """Times the stated noise: the LiDAR does not move the boards that the camera locates."""
+MAX_DISTANCE = 0.1
+"""Mean distance of points from the plane of the board beyond which they are of something else, m."""
 BOARD_STEPS = 3
 """Gauss-Newton steps that locate a board from one camera; they start from the pose by both sensors."""
 
@@ -244,15 +248,56 @@ def show_seeds(seeds: Sequence[Seed]) -> None:
         print(f"{k:8d}  {deviation:51.3f}  {grades}", flush=True)
 
 
+def show_corrections() -> None:
+    """Prints distances of the LiDAR's points from the boards by the camera, as published and corrected."""
+    every, odd, even = CAPTURES, CAPTURES[::2], CAPTURES[1::2]
+    cases = ("all, fitted", every, every), ("even, held out", odd, even), ("odd, held out", even, odd)
+    for label, fitted, judged in cases:
+        calibration = calibrate_detections(load()[0], select_captures(fitted), RigOptions())
+        published, corrected = [], []
+        for capture in judged:
+            if (beams := find_beams(calibration, capture)) is not None:
+                plane_of_board, points = beams
+                published.append(plane.distance(plane_of_board, points))
+                corrected.append(plane.distance(plane_of_board, calibration.correct("lidar", points)))
+        shown = (
+            f"{1000 * rms(np.concatenate(parts)):5.1f} mm, means {1000 * rms([p.mean() for p in parts]):5.1f} mm"
+            for parts in (published, corrected)
+        )
+        print(f"{label:15} {len(published)} views: RMS by pose alone {', corrected '.join(shown)}", flush=True)
+
+
+def find_beams(calibration: Calibration, capture: int) -> tuple[Array, Array] | None:
+    """The board's plane (4,) by the camera, and the LiDAR's points (N, 3) on it; None where it has none there."""
+    rig, found = load()
+    corners, patches = found["camera"][capture], found["lidar"][capture]
+    camera = apply_estimates(calibration.systematic, "camera", rig.camera_models()["camera"])
+    printed = {one.quantity: one.value for one in calibration.systematic if one.of == "board"}
+    stretch = printed["print scale"] * (1 + (printed["print aspect"] - 1) * np.array([0.5, -0.5, 0.0]))
+    assert isinstance(corners, BoardCorners)
+    board = board_corners_from_pixels(corners.corners_board * stretch, corners.pixels, camera)
+    assert not isinstance(board, Rejected)
+    T = calibration["camera"].T_root_sensor @ board.T_camera_board
+    of_board = np.append(T[:3, 2], -T[:3, 2] @ T[:3, 3])
+    candidates = [patches] if isinstance(patches, PlanePatch) else [] if isinstance(patches, Rejected) else patches
+    off = [one.ranges[:, None] * one.directions for one in candidates if isinstance(one, PlanePatch)]
+    points = min(off, key=lambda one: float(np.abs(plane.distance(of_board, one)).mean()), default=None)
+    far = points is None or np.abs(plane.distance(of_board, points)).mean() > MAX_DISTANCE
+    return None if points is None or far else (of_board, points)
+
+
 def main() -> None:
     """Prints the tables."""
     parser = make_parser(__doc__, jobs=1)
     parser.add_argument("--k", type=int, nargs="+", default=[8, 11, 12, 16, 20, 24])
     parser.add_argument("--draws", type=int, default=40)
     parser.add_argument("--ransac-seeds", type=int, default=0, help="compare this number of seeds instead")
+    parser.add_argument("--corrections", action="store_true", help="points as published and corrected instead")
     arguments = parser.parse_args()
     load()  # before processes are forked
-    if arguments.ransac_seeds:
+    if arguments.corrections:
+        show_corrections()
+    elif arguments.ransac_seeds:
         work = list(list_seeds(arguments.ransac_seeds))
         show_seeds(run_worlds(Seed, calibrate_with_seed, work, arguments, key=2))
     else:

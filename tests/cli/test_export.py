@@ -238,3 +238,20 @@ def test_camera_info_is_that_of_the_resolved_rig(run: Run, out: Path) -> None:
     content = YAML(typ="safe").load(run("export", out, "-f", "camera_info", "--force").stdout)
     assert (content["camera_name"], content["image_width"], content["image_height"]) == ("camera", 480, 360)
     assert content["camera_matrix"]["data"][0] == pytest.approx(240, rel=0.01)
+
+
+def test_corrections_are_of_all_sensors_and_of_a_distance(run: Run, out: Path) -> None:
+    text = run("export", out, "-f", "corrections", "--force", "--distance", "4.5").stdout
+    content = YAML(typ="safe").load(text)["sensors"]
+    assert {name: entry["distance"] for name, entry in content.items()} == {
+        "lidar": 4.5,
+        "camera": 4.5,
+        "laser_front": 4.5,
+    }
+    assert np.shape(content["camera"]["covariance"]) == (9, 9)
+
+
+def test_a_distance_is_refused_with_other_formats(run: Run, out: Path) -> None:
+    result = run("export", out, "-f", "tf", "--distance", "4.5")
+    assert result.exit_code == 2
+    assert "--distance: goes with --format corrections" in result.stderr

@@ -16,7 +16,7 @@ from calgraph.geometry import Array, se3
 from calgraph.report.fused_view import _color_points, render_fused_cloud
 from calgraph.report.gallery import render_gallery, render_thumbnail
 from calgraph.report.image_view import compute_overlay, render_camera_images
-from calgraph.result import Calibration, Snapshot
+from calgraph.result import Calibration, Correction, EstimatedParameter, Snapshot
 from calgraph.result.calibrated_cameras import calibrated_cameras
 
 
@@ -181,6 +181,23 @@ def test_each_button_shows_one_capture(pictured: Calibration, rig: Rig) -> None:
         # Points in images, those of the LiDAR and of two 2-D scanners, and boards.
         assert np.flatnonzero(clouds).tolist() == list(range(5 * k, 5 * k + 5))
         assert sensors is None
+
+
+def test_corrected_points_have_buttons_beside_published_ones(pictured: Calibration, rig: Rig) -> None:
+    bias = EstimatedParameter("lidar", "range bias", "m", 0.0, 0.02, 0.05, 0.001)
+    correction = Correction("lidar3d", (bias,), np.array([[1e-6]]), 2.0)
+    html = render_fused_cloud(dataclasses.replace(pictured, corrections={"lidar": correction}), rig)
+    labels = re.findall(r"<span>(capture [^<]*)</span>", html)
+    half = len(labels) // 2
+    assert [f"{label}, corrected" for label in labels[:half]] == labels[half:]
+    data = data_of(html)["data"]
+    published, corrected = (np.array([data[k][axis] for axis in "xyz"]) for k in (1, 5 * half + 1))
+    shorter = np.linalg.norm(np.median(published, axis=1)) - np.linalg.norm(np.median(corrected, axis=1))
+    assert shorter == pytest.approx(0.05, abs=0.02)
+
+
+def test_without_a_correction_there_are_no_buttons_of_it(pictured: Calibration, rig: Rig) -> None:
+    assert ", corrected</span>" not in render_fused_cloud(pictured, rig)
 
 
 def test_an_image_is_shrunk_with_its_aspect_ratio(pictured: Calibration) -> None:

@@ -674,7 +674,7 @@ def test_json_has_null_for_what_is_not_finite(calibration: Calibration) -> None:
 
 
 def test_every_format_is_tested() -> None:
-    assert set(FORMATS) == {*READERS, "kalibr", "camera_info", "json"}
+    assert set(FORMATS) == {*READERS, "kalibr", "camera_info", "corrections", "json"}
 
 
 @pytest.mark.parametrize("angles", np.random.default_rng(1).uniform(-np.pi, np.pi, (5, 3)).tolist())

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calgraph.result import BoardOutline, Calibration
+from calgraph.result import BoardOutline, Calibration, Correction, EstimatedParameter
 from calgraph.sensors import CameraModel
 from calgraph.viewer.panel import compute_misalignments
 from calgraph.viewer.view_state import ViewState
@@ -46,6 +46,26 @@ def test_a_camera_moved_sideways_has_reprojection_errors(rig: Calibration, camer
     expected = np.sqrt(np.mean((400 * 0.01 / np.array([3, 3.5, 4])) ** 2))
     assert found.rms == pytest.approx(expected, rel=1e-6)
     assert str(found) == f"{expected:.2f} px"
+
+
+def test_corrected_points_of_a_biased_lidar_are_on_the_board(rig: Calibration, cameras: Cameras) -> None:
+    """A LiDAR that measures 40 mm short: points at the edge of the board are less off than those ahead."""
+    short = EstimatedParameter("lidar", "range bias", "m", 0.0, 0.02, -0.04, 0.001)
+    views = [
+        replace(view, measured=view.measured * (1 - 0.04 / np.linalg.norm(view.measured, axis=1))[:, None])
+        if view.sensor == "lidar"
+        else view
+        for view in rig.pictures.board_views
+    ]
+    biased = replace(
+        rig,
+        pictures=replace(rig.pictures, board_views=tuple(views)),
+        corrections={"lidar": Correction("lidar3d", (short,), np.array([[1e-6]]), 3.5)},
+    )
+    before = compute_misalignments(biased, cameras, ViewState())["lidar"].rms
+    after = compute_misalignments(biased.with_corrected_points(), cameras, ViewState())["lidar"].rms
+    assert before == pytest.approx(0.04, rel=0.03)
+    assert after < 1e-6
 
 
 def test_the_misalignment_of_noise_is_its_rms(

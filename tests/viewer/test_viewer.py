@@ -1,5 +1,6 @@
 """The page in a real browser: it opens without errors, and follows its controls."""
 
+import re
 import shutil
 import urllib.request
 from collections.abc import Callable, Iterator
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from calgraph.result import Calibration
+from calgraph.result import Calibration, Correction, EstimatedParameter
 from calgraph.sensors import CameraModel
 
 pytest.importorskip("viser", reason="the extra view is not installed")
@@ -172,6 +173,20 @@ def test_controls_change_what_the_scene_holds(rig: Calibration, cameras: dict[st
         assert shown == [(2, 0), (2, 1), (0, 0), (2, 0)]
         assert not any(node.visible for layer in layers for node in nodes[layer].values())
         assert not stage._frames["laser"].visible
+
+
+def test_points_are_corrected_by_a_control(rig: Calibration, cameras: dict[str, CameraModel]) -> None:
+    """A LiDAR that measures 0.1 m long: its points are shown, and judged, as published until the box is ticked."""
+    long = EstimatedParameter("lidar", "range bias", "m", 0.0, 0.05, 0.1, 0.001)
+    corrections = {"lidar": Correction("lidar3d", (long,), np.array([[1e-6]]), 3.5)}
+    with Viewer(replace(rig, corrections=corrections), cameras) as viewer:
+        published = viewer.display._drawn["lidar"].points
+        viewer.panel.corrected.value = True
+        viewer.panel.refresh()
+        corrected = viewer.display._drawn["lidar"].points
+        shorter = np.linalg.norm(published, axis=1) - np.linalg.norm(corrected, axis=1)
+        np.testing.assert_allclose(shorter, 0.1, atol=1e-5)
+        assert re.search(r"\| lidar \| 9\d\.\d mm", viewer.panel._words.content)
 
 
 @pytest.mark.parametrize("left", ["snapshots", "outlines", "board_views"])

@@ -17,7 +17,7 @@ from calgraph.result import Calibration, SensorPose, load_calibration
 from calgraph.result import export as export_text
 from calgraph.result.exports import Parents
 
-Format = Literal["launch", "tf", "urdf", "kalibr", "camera_info", "json"]
+Format = Literal["launch", "tf", "urdf", "kalibr", "camera_info", "corrections", "json"]
 _WITH_INTRINSICS = ("kalibr", "camera_info")
 _PUBLISH = {
     "launch": "; to publish it: ros2 launch {file}",
@@ -36,8 +36,8 @@ def export(
             "-f",
             metavar=list_choices(Format),
             help="launch: ROS 2 static transform publishers; tf: tf2_msgs/TFMessage as YAML; urdf: links and "
-            "fixed joints; kalibr: camchain of the cameras; camera_info: their intrinsics for ROS; json: the "
-            "whole result.",
+            "fixed joints; kalibr: camchain of the cameras; camera_info: their intrinsics for ROS; corrections: "
+            "of ranges and angles, as YAML; json: the whole result.",
         ),
     ],
     urdf: Annotated[
@@ -72,6 +72,15 @@ def export(
             "left out.",
         ),
     ] = None,
+    distance: Annotated[
+        float | None,
+        typer.Option(
+            metavar="M",
+            min=0.01,
+            max=1000.0,
+            help="corrections: working distance at which they are judged; the median of the board's if left out.",
+        ),
+    ] = None,
     force: Annotated[
         bool, typer.Option("--force", help="Export poses that are weak or not observable, too.")
     ] = False,
@@ -79,11 +88,15 @@ def export(
         Path | None, typer.Option("--out", "-o", metavar="FILE", help="File to write; stdout if left out.")
     ] = None,
 ) -> None:
-    """Write a calibration as launch file, tf2 YAML, URDF, Kalibr camchain, ROS camera_info or JSON.
+    """Write a calibration as launch file, tf2 YAML, URDF, Kalibr camchain, ROS camera_info, corrections or JSON.
 
     Exit code 1: a pose is not good; give --only good to leave it out, or --force to export it as it is.
     """
-    for name, value, formats in (("--urdf", urdf, ("urdf",)), ("--rig", rig, _WITH_INTRINSICS)):
+    for name, value, formats in (
+        ("--urdf", urdf, ("urdf",)),
+        ("--rig", rig, _WITH_INTRINSICS),
+        ("--distance", distance, ("corrections",)),
+    ):
         if value and format not in formats:
             raise InputError(f"{name}: goes with --format {' or '.join(formats)}, got --format {format}")
     if parents and (urdf or format not in ("launch", "tf", "urdf")):
@@ -104,7 +117,7 @@ def export(
     try:
         text = export_text(
             calibration, format, rig=cameras_rig, urdf=urdf_text, joints=joint_of_sensor,
-            parents=parents or "root", only=only,
+            parents=parents or "root", only=only, distance=distance,
         )  # fmt: skip
     except InputError as error:
         raise InputError(f"{urdf or file}: {error}") from error

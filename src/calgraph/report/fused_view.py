@@ -40,20 +40,24 @@ _RANGE_FACTOR, _MIN_RANGE = 2.5, 3.0
 _CAPTION = """\
 The others are coloured by height (3-D LiDAR, from dark to bright) or by scanner (2-D). With a wrong pose, image
 colours bleed over depth edges, and walls of two scanners do not coincide: check the board, whose outline is its
-pose in the joint solution. Drag to rotate, scroll to zoom, click in the legend to hide."""
+pose in the joint solution. Corrected points are without the systematic errors of their scanners. Drag to rotate,
+scroll to zoom, click in the legend to hide."""
 # Distance of the eye from the centre, in units of the scene.
 _EYE_DISTANCE = 1.15
 
 
 def render_fused_cloud(calibration: Calibration, rig: Rig) -> Markup:
     """The figure, with buttons for captures; empty where no camera image shows scanned points."""
-    clouds = _colored_clouds(calibration, rig)
+    kinds = {s.name: s.kind for s in calibration.sensors if KINDS[s.kind].measures_ranges}
+    clouds = {f"capture {n}": (n, cloud) for n, cloud in _colored_clouds(calibration, rig).items()}
+    if any(name in kinds and one.learned().parameters for name, one in calibration.corrections.items()):
+        corrected = _colored_clouds(calibration.with_corrected_points(), rig)
+        clouds |= {f"capture {n}, corrected": (n, cloud) for n, cloud in corrected.items()}
     if not clouds:
         return Markup()
     traces: list[dict[str, Any]] = []
-    kinds = {s.name: s.kind for s in calibration.sensors if KINDS[s.kind].measures_ranges}
-    limits = _height_limits(clouds, kinds)
-    for k, (capture, cloud) in enumerate(clouds.items()):
+    limits = _height_limits([cloud for _, cloud in clouds.values()], kinds)
+    for k, (capture, cloud) in enumerate(clouds.values()):
         outlines = [o for o in calibration.pictures.board_outlines if o.capture == capture]
         traces += [trace | {"visible": k == 0} for trace in _cloud_traces(cloud, kinds, limits, outlines)]
     origins = np.array([s.T_root_sensor[:3, 3] for s in calibration.sensors])
@@ -68,15 +72,15 @@ def render_fused_cloud(calibration: Calibration, rig: Rig) -> Markup:
         margin={"l": 0, "r": 0, "t": 8, "b": 0},
         legend={"orientation": "h", "y": 0, "itemsizing": "constant"},
         scene=_make_scene(
-            [part.points[part.colored] for cloud in clouds.values() for part in cloud.values()], origins
+            [part.points[part.colored] for _, cloud in clouds.values() for part in cloud.values()], origins
         ),
     )
     each = len(traces) // len(clouds)
     choices = {
-        f"capture {capture}": {"visible": [*(j == k for j in range(len(clouds)) for _ in range(each)), None]}
-        for k, capture in enumerate(clouds)
+        label: {"visible": [*(j == k for j in range(len(clouds)) for _ in range(each)), None]}
+        for k, label in enumerate(clouds)
     }
-    share = np.mean(np.concatenate([part.colored for cloud in clouds.values() for part in cloud.values()]))
+    share = np.mean(np.concatenate([part.colored for _, cloud in clouds.values() for part in cloud.values()]))
     about = f"{100 * share:.0f} % of the points are in the image of a camera and have its colours. {_CAPTION}"
     about_picture = "Points of the scanners in the colours of the cameras"
     return render_figure("fused", content, 560, about_picture, [Chooser("Capture", choices, 0)], about)
@@ -148,11 +152,11 @@ def _max_range(calibration: Calibration, captures: Sequence[int]) -> float:
     return max(_RANGE_FACTOR * float(np.linalg.norm(np.concatenate(boards), axis=1).max()), _MIN_RANGE)
 
 
-def _height_limits(clouds: Mapping[int, _Cloud], kinds: Mapping[str, str]) -> tuple[float, float]:
+def _height_limits(clouds: Sequence[_Cloud], kinds: Mapping[str, str]) -> tuple[float, float]:
     """Heights between which the colours of 3-D LiDARs change, m."""
     heights = [
         part.points[~part.colored, 2]
-        for cloud in clouds.values()
+        for cloud in clouds
         for name, part in cloud.items()
         if KINDS[kinds[name]].detects == "plane"
     ]

@@ -8,16 +8,11 @@ from calgraph.result.calibrated_cameras import (
     state_calibrated_intrinsics,
     state_intrinsics,
 )
-from calgraph.result.calibration import (
-    Calibration,
-    EstimatedParameter,
-    InputFile,
-    PriorErrors,
-    Provenance,
-    join_covariances,
-)
+from calgraph.result.calibration import Calibration, InputFile, PriorErrors, Provenance, join_covariances
 from calgraph.result.calibration_file import save_calibration, save_captures
 from calgraph.result.calibration_reading import load_calibration
+from calgraph.result.correction import Correction
+from calgraph.result.estimated_parameter import EstimatedParameter
 from calgraph.result.evidence import (
     CaptureRow,
     Edge,
@@ -45,11 +40,11 @@ from calgraph.result.sensor_pose import SensorPose, StatedPose, Verdict
 from calgraph.result.table import to_dataframe
 
 __all__ = [
-    "FORMATS", "BeamView", "BoardOutline", "BoardView", "Calibration", "CaptureRow", "Edge", "ErrorBudget",
-    "ErrorSource", "EstimatedParameter", "Evidence", "ExtrinsicsFile", "FitError", "FloorView", "HeldOutError",
-    "InputFile", "ModelledBodies", "Pictures", "PriorErrors", "Provenance", "Remedy", "SensorPose", "Snapshot",
-    "StatedPose", "Suggestion", "Verdict", "apply_estimates", "calibrated_cameras", "colorize_from_snapshots",
-    "export", "join_covariances", "load_calibration", "load_pair_budget", "load_scene", "read_extrinsics",
-    "save_budget", "save_calibration", "save_captures", "save_residuals", "save_scene",
+    "FORMATS", "BeamView", "BoardOutline", "BoardView", "Calibration", "CaptureRow", "Correction", "Edge",
+    "ErrorBudget", "ErrorSource", "EstimatedParameter", "Evidence", "ExtrinsicsFile", "FitError", "FloorView",
+    "HeldOutError", "InputFile", "ModelledBodies", "Pictures", "PriorErrors", "Provenance", "Remedy", "SensorPose",
+    "Snapshot", "StatedPose", "Suggestion", "Verdict", "apply_estimates", "calibrated_cameras",
+    "colorize_from_snapshots", "export", "join_covariances", "load_calibration", "load_pair_budget", "load_scene",
+    "read_extrinsics", "save_budget", "save_calibration", "save_captures", "save_residuals", "save_scene",
     "state_calibrated_intrinsics", "state_intrinsics", "to_dataframe", "to_json",
 ]  # fmt: skip

@@ -6,7 +6,8 @@ import numpy as np
 
 from calgraph.config import CameraSpec, CameraUncertainty, Intrinsics, Rig
 from calgraph.errors import InputError
-from calgraph.result.calibration import Calibration, EstimatedParameter
+from calgraph.result.calibration import Calibration
+from calgraph.result.estimated_parameter import EstimatedParameter
 from calgraph.sensors import DISTORTION_NAMES, CameraModel
 from calgraph.sensors.kinds import KINDS
 

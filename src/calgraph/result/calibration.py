@@ -1,20 +1,22 @@
 """A calibration: the poses of sensors as a tree, with one joint covariance, and the evidence for them."""
 
-import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from calgraph.errors import CalibrationError, InputError
 from calgraph.geometry import Array, Index, se3
 from calgraph.result.budget import ErrorBudget
+from calgraph.result.correction import Correction
+from calgraph.result.estimated_parameter import EstimatedParameter
 from calgraph.result.evidence import Evidence
 from calgraph.result.file_types import Finite
-from calgraph.result.pictures import Pictures
+from calgraph.result.pictures import Pictures, correct_pictures
 from calgraph.result.reasons import split_clauses
 from calgraph.result.sensor_pose import UNMEASURED_IN_PLANE, SensorPose
+from calgraph.sensors.kinds import KINDS
 
 
 @dataclass(frozen=True)
@@ -73,46 +75,6 @@ class PriorErrors:
         return np.asarray(self.poses[:, i] @ other.poses[:, j].T)
 
 
-_DISPLAY_UNITS = {"m": (1e3, "mm"), "s": (1e3, "ms"), "rad": (180 / math.pi, "°")}
-
-
-@dataclass(frozen=True)
-class EstimatedParameter:
-    """A systematic parameter of a sensor or of the target: its stated value, its prior, and its estimate."""
-
-    of: str
-    """A sensor, ``board``, or a tag: ``tag 3``."""
-    quantity: str
-    """``range bias``, ``focal length``, ``print scale`` and so on."""
-    unit: str
-    """``m``, ``px``, ``rad``, or nothing for ratios."""
-    stated: float
-    prior: float
-    """Standard deviation of the stated value, from ``uncertainty`` in rig.yaml."""
-    value: float
-    stddev: float
-    """Of the value, given the data and all priors."""
-
-    @property
-    def deviation(self) -> float:
-        """Value minus stated, in prior standard deviations."""
-        return (self.value - self.stated) / self.prior
-
-    @property
-    def formatted(self) -> tuple[str, str, str, str, str]:
-        """Stated value, prior, value, standard deviation and unit, for display: mm and degrees, not m and rad.
-
-        Values have as many decimals as leave two digits of the standard deviation.
-        """
-        factor, unit = _DISPLAY_UNITS.get(self.unit, (1.0, self.unit))
-        stddev = factor * self.stddev
-        decimals = max(1 - math.floor(math.log10(stddev)), 0) if 0 < stddev < math.inf else 3
-        stated, value, deviation = (
-            f"{round(factor * v, decimals) + 0.0:.{decimals}f}" for v in (self.stated, self.value, self.stddev)
-        )
-        return stated, f"{factor * self.prior:.2g}", value, deviation, unit
-
-
 @dataclass(frozen=True, eq=False)
 class Calibration:
     """A tree of sensor poses rooted at one sensor."""
@@ -135,6 +97,8 @@ class Calibration:
     networks."""
     budget: ErrorBudget | None = None
     """What the covariance comes from; None of the published estimators."""
+    corrections: Mapping[str, Correction] = field(default_factory=dict)
+    """By sensor, its systematic parameters with their joint covariance; of rigs."""
 
     def __post_init__(self) -> None:
         count = len(self.sensors)
@@ -211,6 +175,34 @@ class Calibration:
             CalibrationError: a or b is not connected to the root.
         """
         return np.asarray(se3.inverse(self[a].T_root_sensor) @ self[b].T_root_sensor)
+
+    def correct(self, name: str, points: Array) -> Array:
+        """Points (N, 3) of a scanner, as published, without its systematic errors: in its frame, m.
+
+        Parameters that the data hardly determined are left out, see :meth:`calgraph.result.Correction.learned`.
+        Points that are not finite remain as they are.
+
+        Raises:
+            InputError: there is no such sensor, it is a camera, or ``points`` has another shape.
+            CalibrationError: the sensor is not connected to the root, or the result states no corrections of it.
+        """
+        if not KINDS[self[name].kind].measures_ranges:
+            raise InputError(
+                f"{name!r} is a camera and has no points to correct: the export camera_info has its corrected "
+                "intrinsics"
+            )
+        if name not in self.corrections:
+            raise CalibrationError(
+                f"this result states no corrections of {name!r}: those of rigs do, by the default estimator; "
+                "calibrate again if it is of an earlier version"
+            )
+        if np.ndim(points) != 2 or np.shape(points)[1] != 3:
+            raise InputError(f"points: must be (N, 3), got {np.shape(points)}")
+        return self.corrections[name].learned().correct(points)
+
+    def with_corrected_points(self) -> "Calibration":
+        """The calibration with the points of its pictures corrected, where there are any corrections."""
+        return replace(self, pictures=correct_pictures(self.pictures, self.corrections))
 
     def covariance(self, a: str, b: str) -> Array:
         """Covariance (6, 6) of the error of ``T_a_b`` in the fixed axes of a, (translation, rotation), m and rad.

@@ -15,7 +15,9 @@ from calgraph.geometry import Array, so3
 from calgraph.io.atomic import write_atomically, write_text
 from calgraph.io.text_writing import escape_formula, flow_sequence, format_yaml, format_yaml_number
 from calgraph.result.budget import ErrorBudget
-from calgraph.result.calibration import Calibration, EstimatedParameter, Provenance
+from calgraph.result.calibration import Calibration, Provenance
+from calgraph.result.correction import Correction
+from calgraph.result.estimated_parameter import EstimatedParameter
 from calgraph.result.evidence import CaptureRow, Edge, FitError, HeldOutError, Remedy, Suggestion
 from calgraph.result.sensor_pose import SensorPose
 
@@ -47,6 +49,8 @@ def save_calibration(calibration: Calibration, path: Path | str) -> None:
     text = format_yaml(content, _HEADER) + _edges(calibration.evidence.edges)
     if calibration.systematic:
         text += format_yaml({"systematic": [_estimated_parameter(one) for one in calibration.systematic]})
+    if calibration.corrections:
+        text += format_yaml({"corrections": {n: _correction(one) for n, one in calibration.corrections.items()}})
     if calibration.has_correlations:
         order = flow_sequence(sensor.name for sensor in calibration.sensors)
         text += format_yaml({"joint_covariance": {"order": order}}) + _matrix(calibration.joint_covariance)
@@ -109,6 +113,16 @@ def _estimated_parameter(one: EstimatedParameter) -> dict[str, Any]:
     stated, prior, value, stddev = _round_digits([one.stated, one.prior, one.value, one.stddev], 9)
     numbers = {"stated": stated, "prior": prior, "value": value, "stddev": stddev}
     return {"of": one.of, "quantity": one.quantity, **unit, **numbers}
+
+
+def _correction(one: Correction) -> dict[str, Any]:
+    rings = [flow_sequence(_round_digits(ring, 9)) for ring in one.rings]
+    return {
+        "distance": _round_digits([one.distance], 9)[0],
+        "parameters": flow_sequence(parameter.quantity for parameter in one.parameters),
+        **({"rings": rings} if rings else {}),
+        "covariance": _symmetric(one.covariance, 9),
+    }
 
 
 def _provenance(provenance: Provenance) -> dict[str, Any]:

@@ -18,8 +18,10 @@ from calgraph.geometry import Array, se3
 from calgraph.io.strict_model import StrictModel, invalid
 from calgraph.io.yaml_reading import read_yaml, validate_content
 from calgraph.result.budget import ErrorBudget, ErrorSource
-from calgraph.result.calibration import Calibration, EstimatedParameter, Provenance, join_covariances
+from calgraph.result.calibration import Calibration, Provenance, join_covariances
 from calgraph.result.calibration_file import FORMAT
+from calgraph.result.correction import Correction
+from calgraph.result.estimated_parameter import EstimatedParameter
 from calgraph.result.evidence import (
     CaptureRow,
     Edge,
@@ -290,6 +292,31 @@ class _ErrorSource(StrictModel):
     """Along and about the axes of each sensor but the root, m and rad."""
 
 
+class _Correction(StrictModel):
+    distance: Annotated[Finite, Field(gt=0)]
+    """Working distance, m."""
+    parameters: tuple[str, ...]
+    """Quantities of the sensor's parameters among ``systematic``."""
+    rings: tuple[tuple[Finite, Finite], ...] = ()
+    """Lowest and highest elevation, rad, of the rings whose biases are the last parameters."""
+    covariance: tuple[tuple[Finite, ...], ...]
+    """Of the parameters."""
+
+    @model_validator(mode="after")
+    def _is_of_its_parameters(self) -> "_Correction":
+        size = len(self.parameters)
+        if {len(self.covariance), *map(len, self.covariance)} != {size}:
+            raise invalid("covariance", f"must have {size} rows of {size} numbers, one for each of parameters")
+        covariance = np.array(self.covariance).reshape(size, size)
+        if np.any(np.diag(covariance) < 0):
+            raise invalid("covariance", "must have variances of 0 or more on its diagonal")
+        check_symmetric(covariance, "covariance")
+        check_semidefinite(covariance, "covariance")
+        if len(self.rings) > size or np.any(np.diff(np.ravel(self.rings)) < 0):
+            raise invalid("rings", "must be ascending elevations of as many rings as parameters or fewer")
+        return self
+
+
 class _File(StrictModel):
     format: str
     """Version of the file's format."""
@@ -309,6 +336,8 @@ class _File(StrictModel):
     """The covariances of the errors of two sensors each, where those of others are unknown."""
     budget: tuple[_ErrorSource, ...] = ()
     """What the covariances come from."""
+    corrections: dict[str, _Correction] = Field(default_factory=dict)
+    """By sensor, the joint covariance of its systematic parameters."""
     provenance: Provenance | None = None
     """How the calibration was computed."""
 
@@ -320,6 +349,16 @@ class _File(StrictModel):
                 raise invalid(
                     f"budget[{k}].stddev", f"must be of all sensors but the root, {', '.join(sorted(others))}"
                 )
+        return self
+
+    @model_validator(mode="after")
+    def _corrections_are_of_sensors(self) -> "_File":
+        stated = {(one.of, one.quantity) for one in self.systematic}
+        for name, entry in self.corrections.items():
+            if name not in self.sensors:
+                raise invalid(f"corrections.{name}", f"must be one of the sensors, {', '.join(self.sensors)}")
+            if missing := [quantity for quantity in entry.parameters if (name, quantity) not in stated]:
+                raise invalid(f"corrections.{name}.parameters", f"systematic has no {missing[0]!r} of {name!r}")
         return self
 
     @model_validator(mode="after")
@@ -390,11 +429,16 @@ def load_calibration(path: Path | str) -> Calibration:
     file = validate_content(_File, content, path)
     names = sorted(file.sensors, key=lambda name: name != file.root)
     quality = file.quality
+    systematic = tuple(EstimatedParameter(**vars(one)) for one in file.systematic)
     return Calibration(
         root=file.root,
         sensors=tuple(_sensor(name, file.sensors[name], quality.verdicts[name]) for name in names),
         joint_covariance=_joint_covariance(file, names),
-        systematic=tuple(EstimatedParameter(**vars(one)) for one in file.systematic),
+        systematic=systematic,
+        corrections={
+            name: _read_correction(file.sensors[name].kind, entry, [p for p in systematic if p.of == name])
+            for name, entry in file.corrections.items()
+        },
         evidence=Evidence(
             estimator=quality.estimator,
             tolerance=quality.tolerance,
@@ -450,6 +494,18 @@ def _budget(entries: Sequence[_ErrorSource], names: Sequence[str]) -> ErrorBudge
     for of_source, one in zip(stddev, entries, strict=True):
         of_source[1:] = [[value or 0.0 for value in one.stddev[name]] for name in names[1:]]
     return ErrorBudget(tuple(ErrorSource(one.source, one.of) for one in entries), stddev)
+
+
+def _read_correction(kind: KindName, entry: _Correction, of_sensor: Sequence[EstimatedParameter]) -> Correction:
+    by_quantity = {one.quantity: one for one in of_sensor}
+    size = len(entry.parameters)
+    return Correction(
+        kind,
+        tuple(by_quantity[quantity] for quantity in entry.parameters),
+        np.array(entry.covariance).reshape(size, size),
+        entry.distance,
+        np.array(entry.rings).reshape(-1, 2),
+    )
 
 
 def _suggestion(entry: _Suggestion) -> Suggestion:

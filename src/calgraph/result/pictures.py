@@ -1,7 +1,8 @@
 """What pictures of a calibration show: images and scans, outlines of boards, measurements, floor plans."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,7 +10,9 @@ from numpy.typing import NDArray
 from calgraph.errors import InputError
 from calgraph.geometry import Array, se3
 from calgraph.io.image_headers import read_image_size
+from calgraph.result.correction import Correction
 from calgraph.sensors import CameraModel, colorize_points
+from calgraph.sensors.kinds import KINDS
 
 # Pictures are shrunk before they are kept: damage may state any size.
 _MAX_PIXELS = 2**26
@@ -118,6 +121,18 @@ class Pictures:
     """Static background and tracks of each connected scanner of a network."""
     beam_views: tuple[BeamView, ...] = ()
     """Beams of each scanner that took part in the joint solution of a network."""
+
+
+def correct_pictures(pictures: Pictures, corrections: Mapping[str, Correction]) -> Pictures:
+    """The pictures with the corrected points of scanners; residuals of board views remain."""
+    learned = {name: one.learned() for name, one in corrections.items() if KINDS[one.kind].measures_ranges}
+
+    def correct(sensor: str, points: NDArray[Any]) -> NDArray[Any]:
+        return learned[sensor].correct(points).astype(points.dtype) if sensor in learned else points
+
+    snapshots = (replace(one, points=correct(one.sensor, one.points)) for one in pictures.snapshots)
+    views = (replace(one, measured=correct(one.sensor, one.measured)) for one in pictures.board_views)
+    return replace(pictures, snapshots=tuple(snapshots), board_views=tuple(views))
 
 
 def colorize_from_snapshots(

@@ -12,6 +12,7 @@ from calgraph.geometry import Array, plane, se3
 from calgraph.result import BoardOutline, Calibration
 from calgraph.result.evidence import rms
 from calgraph.sensors import CameraModel
+from calgraph.sensors.kinds import KINDS
 from calgraph.viewer.scene_display import EXAGGERATIONS, LAYERS, SceneDisplay
 from calgraph.viewer.trails import recording_duration
 from calgraph.viewer.view_state import NO_DISPLACEMENT, Coloring, ViewState, displaced_poses
@@ -62,7 +63,8 @@ class Panel:
         )
         by = tuple((np.array([slider.value for slider in self.shift]) * _UNITS).tolist())
         moved = self.moved.value if any(by) else ""
-        return ViewState(moment, _COLORINGS[self.coloring.value], moved, by if moved else NO_DISPLACEMENT)
+        displacement = by if moved else NO_DISPLACEMENT
+        return ViewState(moment, _COLORINGS[self.coloring.value], moved, displacement, self.corrected.value)
 
     def refresh(self) -> None:
         """Updates the display to the selected state.
@@ -136,6 +138,9 @@ class Panel:
             usable.pop("camera images", None)
         self.coloring = self._gui.add_dropdown("colours", list(usable), visible=len(usable) > 1)
         self.coloring.on_update(lambda _: self.refresh())
+        scanners = any(KINDS[one.kind].measures_ranges for one in self._calibration.corrections.values())
+        self.corrected = self._gui.add_checkbox("corrected points", False, visible=scanners)
+        self.corrected.on_update(lambda _: self.refresh())
         factors = {("none" if f == 0 else f"× {f}"): f for f in EXAGGERATIONS}
         uncertainty = self._gui.add_dropdown("95 % ellipsoids", list(factors), initial_value="none")
         uncertainty.on_update(lambda _: self._change(self._display.show_uncertainty, factors[uncertainty.value]))
@@ -157,8 +162,9 @@ class Panel:
     def _describe(self, state: ViewState) -> str:
         """Description of the selected moment, and the misalignment of each sensor."""
         lines = [f"**{self._describe_moment(state)}**"]
-        before = compute_misalignments(self._calibration, self._cameras, ViewState(state.moment))
-        now = compute_misalignments(self._calibration, self._cameras, state)
+        shown = self._display.with_points[state.corrected]
+        before = compute_misalignments(shown, self._cameras, ViewState(state.moment))
+        now = compute_misalignments(shown, self._cameras, state)
         if now:
             lines += ["", "| sensor | RMS residual |", "| --- | --- |"]
             lines += [

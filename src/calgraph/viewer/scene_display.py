@@ -32,6 +32,8 @@ class SceneDisplay:
 
     def __init__(self, scene: "SceneApi", calibration: Calibration, cameras: Mapping[str, CameraModel]) -> None:
         self._scene, self._calibration, self._cameras = scene, calibration, cameras
+        self.with_points = {False: calibration, True: calibration.with_corrected_points()}
+        """The calibration with points as published, and with corrected ones."""
         self._heights = height_range(calibration)
         self.axis_length = axis_length(calibration)
         self._point_size = 0.035 if calibration.pictures.floor_views else 0.012
@@ -52,7 +54,8 @@ class SceneDisplay:
         for name, T in displaced_poses(self._calibration, state).items():
             self._frames[name].position = T[:3, 3]
             self._frames[name].wxyz = _wxyz(T[:3, :3])
-        self._show_clouds(color_clouds(self._calibration, self._cameras, state, self._heights), state.moment)
+        shown = self.with_points[state.corrected]
+        self._show_clouds(color_clouds(shown, self._cameras, state, self._heights), state.moment)
         if self._moment != (state.moment,):
             self._show_pictures(state.moment)
             self._show_boards(state.moment)

@@ -26,6 +26,8 @@ class ViewState:
     """The sensor that is displaced from its pose; empty for none."""
     displacement: tuple[float, ...] = NO_DISPLACEMENT
     """x, y, z, m, and roll, pitch, yaw, rad, along and about the root's fixed axes."""
+    corrected: bool = False
+    """Whether points of scanners are without their systematic errors."""
 
 
 def displaced_poses(calibration: Calibration, state: ViewState) -> Mapping[str, Array]:

@@ -1,12 +1,14 @@
 """The table of export formats."""
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Literal
 
 from calgraph.config import Rig
 from calgraph.errors import InputError
 from calgraph.result.calibration import Calibration
 from calgraph.result.exports.camera_info import to_camera_infos
+from calgraph.result.exports.corrections import to_corrections
 from calgraph.result.exports.frames import keep_good_poses, parent_to_root
 from calgraph.result.exports.json_text import to_json
 from calgraph.result.exports.kalibr import to_camchain
@@ -29,6 +31,7 @@ FORMATS: Mapping[str, Writer] = {
     ),
     "kalibr": lambda calibration, rig, cameras, *_: to_camchain(calibration, rig, cameras),
     "camera_info": lambda calibration, rig, cameras, *_: to_camera_infos(calibration, rig, cameras),
+    "corrections": lambda calibration, *_: to_corrections(calibration),
     "json": lambda calibration, *_: to_json(calibration),
 }
 """Writers by the name of their format."""
@@ -44,6 +47,7 @@ def export(
     joints: Mapping[str, str] | None = None,
     parents: Parents = "root",
     only: Literal["good"] | None = None,
+    distance: float | None = None,
 ) -> str:
     """The calibration as the text of a file of another program.
 
@@ -54,7 +58,8 @@ def export(
         calibration: what to export.
         format: ``launch`` (ROS 2 launch file in Python with static transform publishers), ``tf`` (YAML in the
             layout of tf2_msgs/TFMessage), ``urdf``, ``kalibr`` (camchain), ``camera_info`` (ROS, a document for
-            each camera) or ``json`` (the whole result).
+            each camera), ``corrections`` (YAML: what data as published are corrected by) or ``json`` (the whole
+            result).
         rig: kalibr, camera_info: topics of the cameras, and their intrinsics where rig.yaml states them.
         cameras: kalibr, camera_info: intrinsics by sensor; they take precedence over those of the rig.
         urdf: urdf: text of a URDF whose joints are to be corrected; without it a new one is made.
@@ -64,6 +69,8 @@ def export(
             parent in the spanning tree.
         only: ``good`` leaves out all sensors but the root whose verdict is not good. In the spanning tree, what
             they carry has the nearest exported sensor towards the root as its parent.
+        distance: corrections: working distance, m, at which parameters must be determined by the data; the median
+            distance of the board if left out.
 
     Raises:
         InputError: there is no such format, or this calibration cannot be written in it, with the reason.
@@ -79,4 +86,7 @@ def export(
         joints = {name: joint for name, joint in joints.items() if name not in left_out}
     if parents == "root" and format != "json":
         calibration = parent_to_root(calibration)
+    if distance is not None:
+        at_distance = {name: replace(one, distance=distance) for name, one in calibration.corrections.items()}
+        calibration = replace(calibration, corrections=at_distance)
     return FORMATS[format](calibration, rig, cameras or {}, urdf, joints)

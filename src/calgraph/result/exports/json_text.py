@@ -8,6 +8,7 @@ from calgraph.geometry import so3
 from calgraph.io.text_writing import format_json
 from calgraph.result.calibration import Calibration
 from calgraph.result.calibration_file import FORMAT, budget_deviations
+from calgraph.result.correction import Correction
 from calgraph.result.evidence import Edge
 from calgraph.result.sensor_pose import SensorPose
 
@@ -25,6 +26,7 @@ def to_json(calibration: Calibration) -> str:
         "bodies": evidence.bodies and vars(evidence.bodies),
         "sensors": {sensor.name: _sensor(sensor) for sensor in calibration.sensors},
         "systematic": [vars(one) for one in calibration.systematic],
+        "corrections": {name: _correction(one) for name, one in calibration.corrections.items()},
         "joint_covariance": _joint_covariance(calibration),
         "cross_covariances": _cross_covariances(calibration),
         "budget": _budget(calibration),
@@ -62,6 +64,11 @@ def _sensor(sensor: SensorPose) -> dict[str, Any]:
         "clock_offset_stddev": sensor.clock_offset_stddev,
         "verdict": vars(sensor.verdict),
     }
+
+
+def _correction(one: Correction) -> dict[str, Any]:
+    quantities = [parameter.quantity for parameter in one.parameters]
+    return {"distance": one.distance, "parameters": quantities, "rings": one.rings, "covariance": one.covariance}
 
 
 def _joint_covariance(calibration: Calibration) -> dict[str, Any] | None:

@@ -148,7 +148,7 @@ class CornerObservations:
             by_point = by_point + by_point @ turn
         derivatives = [by_point, -by_point @ so3.hat(rotated)]
         if self.parameters.blocks:
-            by_lens = _project_by_lens(self.camera, camera, points)
+            by_lens = project_by_lens(self.camera, camera, points)
             derivatives += [by_lens, by_point @ R @ by_print, by_times]
         if self.residual_distortion and len(self.board):
             coefficients = self.parameters.gather(extra)[0, self.parameters["residual distortion"]]
@@ -242,7 +242,7 @@ def adjust_camera(camera: CameraModel, change: Array) -> CameraModel:
     )  # fmt: skip
 
 
-def _project_by_lens(nominal: CameraModel, camera: CameraModel, points: Array) -> Array:
+def project_by_lens(nominal: CameraModel, camera: CameraModel, points: Array) -> Array:
     """Derivatives (N, 2, 4 + n) of the pixels of points (N, 3) by the changes of :func:`adjust_camera`."""
     J = camera.project_by_intrinsics(points)
     by_focal = J[..., :2] * nominal.focal

@@ -45,6 +45,7 @@ from calgraph.rig.captures.holds import Hold
 from calgraph.rig.checks.contradictions import find_contradictions
 from calgraph.rig.checks.drift_tests import DriftStatistics, include_serial_correlation
 from calgraph.rig.checks.prior_tests import find_contradicted_priors
+from calgraph.rig.checks.uncorrected_errors import collect_corrections, find_uncorrected_errors
 from calgraph.rig.pairs.board_pair import PairwiseEstimates, select_successful
 from calgraph.sensors.kinds import KINDS
 from calgraph.verdict.grades import (
@@ -231,6 +232,9 @@ def assemble_rig(
     kinds = {name: rig.sensors[name].kind for name in connected}
     contradictions = find_contradictions(solution, rig, captures, held_out, drifts)
     findings: list[Finding] = [*captures.findings, *contradictions]
+    corrections = collect_corrections(rig, solution)
+    weak = {name for finding in findings for name in finding.sensors}
+    findings += find_uncorrected_errors(rig, solution, corrections, weak)
     ambiguous = find_ambiguous_poses(kinds, estimates)
     if solved := solution.solved_bundle:
         first = find_contradicted_priors(
@@ -274,6 +278,7 @@ def assemble_rig(
         systematic=solution.systematic,
         prior_errors=_collect_prior_errors(solution, root_first),
         budget=budget,
+        corrections=corrections,
         evidence=Evidence(
             estimator=solution.estimator,
             tolerance=rig.tolerance,

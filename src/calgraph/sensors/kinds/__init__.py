@@ -9,7 +9,7 @@ from calgraph.sensors.kinds.depth_camera import DEPTH_CAMERA, DepthCameraSpec, D
 from calgraph.sensors.kinds.lidar2d import LIDAR2D, Lidar2dSpec, Lidar2dUncertainty
 from calgraph.sensors.kinds.lidar3d import LIDAR3D, Lidar3dSpec, Lidar3dUncertainty
 from calgraph.sensors.kinds.sensor_kind import SensorKind
-from calgraph.sensors.kinds.stated import OpticalSpec, RangeNoise
+from calgraph.sensors.kinds.stated import BeamError, OpticalSpec, RangeNoise, RangeUncertainty
 from calgraph.sensors.messages import Message
 
 KindName = Literal["camera", "lidar2d", "lidar3d", "depth_camera"]
@@ -28,9 +28,15 @@ def recognize_kind(topic_type: str, first: Message | None = None) -> KindName | 
     return cast("KindName | None", next(claimed, _KIND_OF_TYPE.get(topic_type)))
 
 
+def list_beam_errors(kind: KindName) -> tuple[BeamError, ...]:
+    """The systematic errors of a kind's beams, with default priors; none of kinds without beams."""
+    uncertainty = KINDS[kind].spec.model_fields["uncertainty"].default
+    return uncertainty.beam_errors() if isinstance(uncertainty, RangeUncertainty) else ()
+
+
 __all__ = [
     "KINDS", "SENSOR_TYPES", "CameraSpec", "CameraUncertainty", "DepthCameraSpec",
     "DepthCameraUncertainty", "DepthNoise", "KindName", "Lidar2dSpec", "Lidar2dUncertainty",
     "Lidar3dSpec", "Lidar3dUncertainty", "OpticalSpec", "PixelNoise", "RangeNoise", "SensorKind", "SensorSpec",
-    "recognize_kind",
+    "list_beam_errors", "recognize_kind",
 ]  # fmt: skip

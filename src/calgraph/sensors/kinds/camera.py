@@ -86,4 +86,6 @@ CAMERA = SensorKind(
     residual="reprojection error",
     noise_causes="check focus, exposure and motion blur, its intrinsics, and what is printed",
     error_causes="its intrinsics, and the sizes of the printed tags or squares",
+    correction="these are its intrinsics, fx and fy by their mean (focal length) and ratio (pixel aspect): the "
+    "export camera_info has them",
 )  # fmt: skip

@@ -163,6 +163,8 @@ DEPTH_CAMERA = SensorKind(
     residual="distance from the board",
     noise_causes="check its noise at 1 m, and that its depths are in mm (16UC1) or m (32FC1)",
     error_causes="its noise at 1 m, and its intrinsics",
+    correction="true range r along the unit vector (x, y, z): range = range bias + range scale * r + r^2 * (z * "
+    "depth bias at 1 m + x * depth warp along x + y * depth warp along y + (x^2 + y^2) / z * radial depth warp)",
     claims=_has_depths,
     convert=convert_depth_image,
 )

@@ -93,5 +93,6 @@ LIDAR2D = SensorKind(
     residual="distance from the board",
     noise_causes="check its range noise, and that its ranges and angles are in m and rad",
     error_causes="its range and angle noise, and that its ranges and angles are in m and rad",
+    correction="true range = (range - range bias) / range scale; true angle = angle scale * angle",
     claims=_is_flat_cloud,
 )

@@ -50,4 +50,5 @@ LIDAR3D = SensorKind(
     residual="distance from the board",
     noise_causes="check its range noise, and that its points are in m",
     error_causes="its range and angle noise, and that its points are in m",
+    correction="true range = (range - range bias - bias of its ring) / range scale, in the same direction",
 )  # fmt: skip

@@ -56,6 +56,8 @@ class SensorKind:
     """What to check where its measurements are noisier than stated,"""
     error_causes: str
     """and where its residuals contradict those of other sensors."""
+    correction: str
+    """How its data are corrected by its systematic parameters, for people and other programs."""
     claims: Callable[[Message], bool] = claims_none
     """Whether a topic is of this kind by its first message, for any type of topic."""
     convert: Callable[[Image, CameraModel], Message] | None = None
