@@ -181,7 +181,7 @@ def test_points_are_corrected_by_a_control(rig: Calibration, cameras: dict[str, 
     corrections = {"lidar": Correction("lidar3d", (long,), np.array([[1e-6]]), 3.5)}
     with Viewer(replace(rig, corrections=corrections), cameras) as viewer:
         published = viewer.display._drawn["lidar"].points
-        viewer.panel.corrected.value = True
+        viewer.panel.corrected.value = True  # type: ignore[misc]
         viewer.panel.refresh()
         corrected = viewer.display._drawn["lidar"].points
         shorter = np.linalg.norm(published, axis=1) - np.linalg.norm(corrected, axis=1)
