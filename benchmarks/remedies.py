@@ -56,7 +56,7 @@ class Row:
     obtained: float = NAN
     """and as the next calibration states it."""
     promised: bool = False
-    """Whether the remedy was said to suffice,"""
+    """Whether the remedy was predicted to suffice,"""
     good: bool = False
     """and whether the sensor was good after it."""
 
@@ -71,7 +71,7 @@ def main() -> None:
     rows = [row for row in run_worlds(Row, run, work, arguments, key=2) if row.remedy]
     table = Layout(
         "remedy:16 sensors:7d before:8.2f obtained/predicted:18.3f 5_%:6.2f 95_%:6.2f in_0.75_to_1.33:15.1% "
-        "said_enough:11d good:5d"
+        "suffices:8d good:5d"
     )
     print(table.head)
     for remedy, group in [*grouped(rows, lambda row: row.remedy), ("all", rows)]:

@@ -234,7 +234,7 @@ def _list_board_measures(bundle: Bundle, name: str, board: Board) -> Iterator[_M
         text = f"measure sizes and places of the tags on the {name} to {1000 * _RULER:g} mm"
         yield from _narrow(bundle, name, board, tags, text, _RULER_MINUTES * len(board.tags))
     sheet = {"size": _RULER, "print_position": _RULER}
-    text = f"measure the sheet of the {name}, and where the print is on it, to {1000 * _RULER:g} mm"
+    text = f"measure the outline of the {name}, and where the print is on it, to {1000 * _RULER:g} mm"
     yield from _narrow(bundle, name, board, sheet, text, _RULER_MINUTES)
 
 
