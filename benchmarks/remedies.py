@@ -5,8 +5,8 @@ python benchmarks/remedies.py --seeds 200 220  # others
 
 Rigs of model_error_rigs.py with few captures, so that sensors are weak. Each remedy of each of them is taken:
 boards are held again near those recorded (5 cm, 5 degrees), a suggested board is held, and uncertainties in
-rig.yaml become what the remedy states that a measurement leaves. ``obtained/predicted``: the standard deviation that
-the next calibration states over the predicted one, along the axis that the remedy names.
+rig.yaml become what the remedy states that a measurement leaves. ``obtained/predicted``: the standard deviation
+that the next calibration states over the predicted one, along the axis that the remedy names.
 """
 
 from collections.abc import Sequence
