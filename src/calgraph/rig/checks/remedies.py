@@ -108,13 +108,14 @@ def find_remedies(
     """
     settings = rig.settings.diagnostics.verdict
     limits, unobservable = max_good_stddev(rig.tolerance, settings), settings.unobservable_translation_stddev
-    bundle, prediction = solved.bundle, _Prediction(solution, solved, drifts, rig)
-    measures = list(_list_measures(rig, bundle))
+    stddev = [stddev_along_axes(T, solution.covariance[name]) for name, T in solution.T_root_sensor.items()]
+    weak = [s for s, now in enumerate(stddev) if np.any(now > limits) and now[:3].max() <= unobservable]
+    if not weak:
+        return ()
+    prediction, measures = _Prediction(solution, solved, drifts, rig), list(_list_measures(rig, solved.bundle))
     found: list[Remedy] = []
-    for s, name in enumerate(bundle.sensors):
-        before = prediction.stddev(s)
-        if np.all(before <= limits) or before[:3].max() > unobservable:
-            continue
+    for s in weak:
+        name, before = solved.bundle.sensors[s], stddev[s]
         of_sensor = [*measures, *_list_board_pose(rig, solved, name, suggestions)]
         for one in _choose(prediction, s, limits, of_sensor, len(np.unique(solved.captures))):
             after = prediction.stddev(s, one)
