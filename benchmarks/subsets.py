@@ -279,7 +279,7 @@ def find_beams(calibration: Calibration, capture: int) -> tuple[Array, Array] | 
     assert not isinstance(board, Rejected)
     T = calibration["camera"].T_root_sensor @ board.T_camera_board
     of_board = np.append(T[:3, 2], -T[:3, 2] @ T[:3, 3])
-    candidates = [patches] if isinstance(patches, PlanePatch) else [] if isinstance(patches, Rejected) else patches
+    candidates = patches if isinstance(patches, list | tuple) else [patches]
     off = [one.ranges[:, None] * one.directions for one in candidates if isinstance(one, PlanePatch)]
     points = min(off, key=lambda one: float(np.abs(plane.distance(of_board, one)).mean()), default=None)
     far = points is None or np.abs(plane.distance(of_board, points)).mean() > MAX_DISTANCE
