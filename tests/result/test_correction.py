@@ -54,7 +54,7 @@ def lidar(joint: float = 0.005, rings: float = 0.002) -> Correction:
     information = np.linalg.inv(prior)
     for effect, stddev in ((at_3_m, joint), (difference, rings)):
         information += np.outer(effect, effect) / stddev**2
-    covariance: Array = np.linalg.inv(information)
+    covariance = np.asarray(np.linalg.inv(information), dtype=np.float64)
     stated = zip(parameters, np.sqrt(np.diag(covariance)).tolist(), strict=True)
     return Correction("lidar3d", tuple(replace(p, stddev=s) for p, s in stated), covariance, 3.0, RINGS)
 
