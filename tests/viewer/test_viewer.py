@@ -20,6 +20,7 @@ sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not 
 from playwright.sync_api import Browser, ConsoleMessage, Page  # noqa: E402
 
 from calgraph.viewer import Viewer  # noqa: E402
+from calgraph.viewer.panel import _set_value  # noqa: E402
 from calgraph.viewer.view_state import ViewState  # noqa: E402
 
 pytestmark = pytest.mark.slow
@@ -181,7 +182,7 @@ def test_points_are_corrected_by_a_control(rig: Calibration, cameras: dict[str, 
     corrections = {"lidar": Correction("lidar3d", (long,), np.array([[1e-6]]), 3.5)}
     with Viewer(replace(rig, corrections=corrections), cameras) as viewer:
         published = viewer.display._drawn["lidar"].points
-        viewer.panel.corrected.value = True  # type: ignore[misc]
+        _set_value(viewer.panel.corrected, True)
         viewer.panel.refresh()
         corrected = viewer.display._drawn["lidar"].points
         shorter = np.linalg.norm(published, axis=1) - np.linalg.norm(corrected, axis=1)
