@@ -10,33 +10,30 @@ from functools import cached_property, partial
 
 import numpy as np
 
+from calgraph.boards.board_beams import MIN_BEAMS, MIN_POINTS, MIN_RINGS, find_beams_on_board, find_crossings
 from calgraph.boards.board_pose import fit_pose
 from calgraph.boards.camera import make_board_corners
 from calgraph.boards.detections import DetectionResult, PlanePatch, to_beams
-from calgraph.boards.printed_boards import compute_landmarks
-from calgraph.config import Board, Checkerboard, PixelNoise, RangeNoise, Rig
+from calgraph.boards.printed_boards import compute_landmarks, select_marks_in_view
+from calgraph.config import Board, PixelNoise, RangeNoise, Rig
 from calgraph.config.settings import DetectionSettings
 from calgraph.errors import InputError, Rejected
 from calgraph.geometry import Array, Index, plane, se3, so3
 from calgraph.rig.captures.detect import CaptureSet, SensorCapture, collect_detections
 from calgraph.rig.captures.holds import Hold
 from calgraph.rig.captures.timeline import RecordingTimeline, SensorTimes
+from calgraph.rig.checks.next_best_pose import MIN_SEGMENT_SHARE
 from calgraph.rig.detection.lidar2d import build_segment
 from calgraph.rig.detection.line_plane_fit import fit_line, fit_plane
 from calgraph.sensors import CameraModel
+from calgraph.sensors.beam_pattern import BeamPattern
 from calgraph.simulation.motion import pose_from_placement
 from calgraph.simulation.rig_simulation import world_rig
 from calgraph.simulation.robot import MountedCamera, MountedScanner, RobotSensor
-from calgraph.simulation.scanners import BeamPattern
-from calgraph.simulation.solids import RectangleShape, Solid, cast_rays
 from calgraph.simulation.truth import GroundTruth
 from calgraph.simulation.world import World, ground_truth
 from rig_errors import BoardErrors, CameraErrors, ModelErrors, ScannerErrors
 
-_OUTLINE_MARGIN = 0.02
-"""Beams this near to the board's outline are left out, as detectors do, m."""
-_MIN_GRAZING = 1e-6
-"""Minimum cosine between a beam and the board's normal; keeps divisions finite."""
 _EDGE_BLUR = 0.002
 """Standard deviation of the board's edges, m: boards are not cut, and beams not collimated, more sharply."""
 
@@ -66,10 +63,15 @@ class IdealBeams:
 
     def on_board(self, T_sensor_board: Array) -> Index:
         """Indices of the beams of one sweep that hit the board clear of its outline, within range."""
-        width, height = self.board_errors.true_size(self.board)
-        solid = Solid(RectangleShape(width - 2 * _OUTLINE_MARGIN, height - 2 * _OUTLINE_MARGIN), T_sensor_board)
-        ranges = cast_rays([solid], self.true.origins, self.true.directions).ranges
-        return np.flatnonzero((ranges >= self.scanner.noise.min_range) & (ranges <= self.scanner.noise.max_range))
+        return find_beams_on_board(self.true, T_sensor_board, self._true_size, self._limits)
+
+    @property
+    def _true_size(self) -> tuple[float, float]:
+        return self.board_errors.true_size(self.board)
+
+    @property
+    def _limits(self) -> tuple[float, float]:
+        return self.scanner.noise.min_range, self.scanner.noise.max_range
 
     def measure(self, hits: Index, T_sensor_board: Array, rng: np.random.Generator) -> tuple[Array, Array]:
         """Ranges (M N,), m, and end points (M N, 3) of the beams ``hits`` (N,), sweep after sweep.
@@ -103,26 +105,14 @@ class IdealBeams:
         The distance of the outline from either is drawn at random: identical beams of several sweeps at rest would
         give identical edges. A divergent beam still hits the board while its axis has passed the outline.
         """
-        pattern, half = self.true, 0.5 * np.array(self.board_errors.true_size(self.board))
-        T_board_sensor = se3.inverse(T_sensor_board)
-        origins = se3.apply(T_board_sensor, np.broadcast_to(pattern.origins, pattern.directions.shape))
-        along = pattern.directions @ T_board_sensor[:3, :3].T
-        reach = -origins[:, 2] / np.where(np.abs(along[:, 2]) < _MIN_GRAZING, np.nan, along[:, 2])
-        hit = (origins + reach[:, None] * along)[:, :2]
-        ahead = (reach >= self.scanner.noise.min_range) & (reach <= self.scanner.noise.max_range)
-        on = ahead & np.all(np.abs(hit) <= half, axis=1)
-        ends = np.flatnonzero(ahead & ahead[pattern.neighbours] & (on != on[pattern.neighbours]))
-        other = pattern.neighbours[ends]
-        last, past = np.where(on[ends], ends, other), np.where(on[ends], other, ends)
-        step = hit[past] - hit[last]
-        # The side of the outline that is crossed first, and where.
-        walls = (np.sign(step) * half - hit[last]) / np.where(step == 0, np.nan, step)
-        side = np.nanargmin(walls, axis=1)[:, None]
-        share = np.take_along_axis(walls, side, axis=1) - rng.uniform(size=(len(ends), 1))
+        pattern = self.true
+        crossings = find_crossings(pattern, T_sensor_board, self._true_size, self._limits)
+        last, past, step = crossings.last, crossings.past, crossings.step
+        share = crossings.share - rng.uniform(size=(len(last), 1))
         angle = np.linalg.norm(np.cross(pattern.directions[last], pattern.directions[past]), axis=1, keepdims=True)
         share += 0.5 * self.errors.divergence / angle
-        moved = share * step + rng.normal(0.0, _EDGE_BLUR, (len(ends), 2))
-        ends_on_board = np.stack([hit[last] + moved, hit[past] + moved], axis=1)
+        moved = share * step + rng.normal(0.0, _EDGE_BLUR, (len(last), 2))
+        ends_on_board = np.stack([crossings.hit + moved, crossings.hit + step + moved], axis=1)
         height = self.board_errors.height(self.board, ends_on_board)[..., None]
         at = se3.apply(T_sensor_board, np.concatenate([ends_on_board, height], axis=-1))
         # Messages state these directions as wrongly as those of the beams.
@@ -132,8 +122,6 @@ class IdealBeams:
         return np.asarray((R_stated_true @ directions[..., None])[..., 0])
 
 
-_MIN_BEAMS, _MIN_POINTS, _MIN_RINGS = 5, 20, 3
-"""Minimum numbers of beams of a 2-D scanner, of beams and of rings of a 3-D scanner on the board."""
 _MIN_RANGE_NOISE, _MIN_ANGLE_NOISE = 1e-4, 1e-5
 """Minimum stated noise, m and rad: a noise of zero gives no finite weight."""
 
@@ -227,6 +215,8 @@ def _draw_motion(board: BoardErrors, delay: float, messages: int, key: tuple[int
     tremor = np.random.default_rng((seed, run, 1 + sensor, 1 + capture, 1)).standard_normal((messages, 6))
     velocity = np.random.default_rng((seed, run, 0, 1 + capture)).standard_normal(3)
     motion = tremor * np.repeat([board.tremor, board.tremor_rotation], 3)
+    bias = np.random.default_rng((seed, run, 1 + sensor, 1 + capture, 2)).standard_normal(6)
+    motion += bias * np.repeat([board.view_bias, board.view_tilt], 3)
     motion[:, :3] += board.speed * delay * velocity / np.linalg.norm(velocity)
     return np.asarray(motion)
 
@@ -280,9 +270,8 @@ def _detect_corners(
     if plane.from_pose(T_camera_board[0])[3] <= 0:
         return Rejected("the board faces away from the camera")
     true = camera.project(se3.apply(T_camera_board[0], marks.corners.reshape(-1, 3))) + errors.shift(done)
-    in_view = camera.contains(true).reshape(marks.corners.shape[:2]).all(axis=1)
-    # A chessboard is only recognised by all of its corners.
-    if not (in_view.all() if isinstance(board.pattern, Checkerboard) else in_view.any()):
+    in_view = select_marks_in_view(board, camera, true.reshape(*marks.corners.shape[:2], 2))
+    if not in_view.any():
         return Rejected("no mark of the board lies fully in the image")
     pixels = (true + rng.normal(0.0, options.pixel, true.shape)).reshape(*marks.corners.shape[:2], 2)[in_view]
     corners = compute_landmarks(board).corners[in_view]
@@ -296,7 +285,7 @@ def _detect_plane(
 ) -> DetectionResult:
     """The plane through all beams of a 3-D scanner that hit the board."""
     hits, rings = beams.on_board(T_sensor_board[0]), beams.stated.rings
-    if len(hits) < _MIN_POINTS or (rings is not None and len(np.unique(rings[hits])) < _MIN_RINGS):
+    if len(hits) < MIN_POINTS or (rings is not None and len(np.unique(rings[hits])) < MIN_RINGS):
         return Rejected(f"only {len(hits)} beams hit the board")
     start = plane.towards_origin(plane.from_pose(T_sensor_board[0]))
     _, points = beams.measure(hits, T_sensor_board, rng)
@@ -316,7 +305,7 @@ def _detect_segment(
 ) -> DetectionResult:
     """The line through all beams of a 2-D scanner that hit the board."""
     hits, pattern = beams.on_board(T_sensor_board[0]), beams.stated
-    if len(hits) < _MIN_BEAMS:
+    if len(hits) < MIN_BEAMS:
         return Rejected(f"only {len(hits)} beams hit the board")
     surface = plane.towards_origin(plane.from_pose(T_sensor_board[0]))
     ranges, _ = beams.measure(hits, T_sensor_board, rng)
@@ -330,7 +319,10 @@ def _detect_segment(
         return Rejected("the beams graze the board")
     spacing = float(np.diff(pattern.angles[:2])[0])
     segment = build_segment(angles[[0, len(hits) - 1]], spacing, fit, ranges, pattern.directions[measured])
-    length, least = float(np.linalg.norm(np.diff(segment.endpoints, axis=0))), min(beams.board.size) / 3
+    length, least = (
+        float(np.linalg.norm(np.diff(segment.endpoints, axis=0))),
+        MIN_SEGMENT_SHARE * min(beams.board.size),
+    )
     if length < least:
         return Rejected(f"the scan cuts off a corner of the board, {length:.2f} m long")
     return (replace(segment, edges=beams.edge_directions(T_sensor_board[0], rng)),)

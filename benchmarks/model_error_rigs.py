@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from calgraph.geometry import se3, so3
+from calgraph.sensors.beam_pattern import BeamPattern
 from calgraph.simulation import (
     CameraOptions,
     LaserOptions,
@@ -18,7 +19,6 @@ from calgraph.simulation import (
     build_world,
 )
 from calgraph.simulation.robot import MountedCamera, MountedScanner, RobotSensor
-from calgraph.simulation.scanners import BeamPattern
 
 _CAMERA = CameraOptions(distortion=(-0.1, 0.03, 0.0005, -0.0005, 0.0))
 _CHAIN_FACING = {"laser_front": 100.0, "camera": 40.0, "lidar": -20.0, "camera_2": -80.0}
@@ -81,20 +81,8 @@ def _turned(sensor: RobotSensor, yaw: float) -> RobotSensor:
 
 def _sector(pattern: BeamPattern) -> BeamPattern:
     """The beams within half a field of view of the x axis."""
-    kept = np.abs(np.angle(np.exp(1j * pattern.angles))) <= np.radians(_CHAIN_FIELD / 2)
-    after = np.cumsum(kept) - 1
     # The last beams of the sector have themselves as neighbours: their fields of view end, not the board.
-    neighbours = np.where(kept[pattern.neighbours], after[pattern.neighbours], after)[kept]
-    assert pattern.rings is not None
-    return BeamPattern(
-        pattern.origins,
-        pattern.directions[kept],
-        pattern.sideways[kept],
-        pattern.times[kept],
-        neighbours,
-        pattern.angles[kept],
-        pattern.rings[kept],
-    )
+    return pattern.select(np.abs(np.angle(np.exp(1j * pattern.angles))) <= np.radians(_CHAIN_FIELD / 2))
 
 
 def cameras_of(world: World) -> list[MountedCamera]:

@@ -24,10 +24,10 @@ from calgraph.config import (
 )
 from calgraph.geometry import Array, se3, so3
 from calgraph.sensors import CameraModel
+from calgraph.sensors.beam_pattern import BeamPattern, laser_pattern, multibeam_pattern, spinning_pattern
 from calgraph.simulation import BeamOptions, RigScenario, World
 from calgraph.simulation.motion import BoardPlacement, BoardTrajectory, pose_from_placement
 from calgraph.simulation.robot import MountedCamera, MountedScanner, RobotSensor, SensorClock
-from calgraph.simulation.scanners import BeamPattern, laser_pattern, multibeam_pattern, spinning_pattern
 from calgraph.simulation.solids import BoxShape, CylinderShape, RectangleShape, Solid
 from calgraph.simulation.world import build_room, operator_solids
 from ideal_detections import as_scanner

@@ -15,8 +15,8 @@ from calgraph.config import Board
 from calgraph.errors import InputError
 from calgraph.geometry import Array, se3, so3
 from calgraph.sensors import CameraModel
+from calgraph.sensors.beam_pattern import BeamPattern
 from calgraph.simulation.robot import MountedCamera, RobotSensor
-from calgraph.simulation.scanners import BeamPattern
 
 _NEWTON_STEPS = 4
 """Steps from the plane to a bowed face: each squares the relative error, which starts at a few per cent."""
@@ -53,6 +53,11 @@ class BoardErrors:
     tremor: float = 0.0
     """Standard deviation of the board's position from message to message, along each axis, m."""
     tremor_rotation: float = 0.0
+    """And of its rotation about each axis, rad."""
+    view_bias: float = 0.0
+    """Standard deviation of its position from view to view, along each axis, m: it differs between sensors, too,
+    but not between the messages of one in one capture."""
+    view_tilt: float = 0.0
     """And of its rotation about each axis, rad."""
     speed: float = 0.0
     """Speed of the board, m/s, in a random direction in each capture. Sensors measure simultaneously; those whose

@@ -36,6 +36,7 @@ from calgraph.rig.options import RigOptions
 from calgraph.rig.pairs.board_pair import select_successful
 from calgraph.rig.pipeline import build_problem_from_captures
 from calgraph.sensors import CameraInfo, PointCloud
+from calgraph.sensors.beam_pattern import multibeam_pattern
 from calgraph.simulation import (
     BeamOptions,
     CameraOptions,
@@ -51,7 +52,7 @@ from calgraph.simulation import (
 )
 from calgraph.simulation.motion import BoardPlacement
 from calgraph.simulation.robot import MountedCamera
-from calgraph.simulation.scanners import multibeam_pattern, point_cloud, simulate_ranges
+from calgraph.simulation.scanners import point_cloud, simulate_ranges
 from calgraph.simulation.solids import Solid
 from calgraph.simulation.world import board_solid, build_room, operator_solids
 from ideal_detections import simulate_detections

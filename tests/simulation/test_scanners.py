@@ -2,16 +2,9 @@ import numpy as np
 import pytest
 
 from calgraph.geometry import Array, se3, so3
+from calgraph.sensors.beam_pattern import BeamPattern, laser_pattern, multibeam_pattern, spinning_pattern
 from calgraph.simulation import BeamOptions
-from calgraph.simulation.scanners import (
-    BeamPattern,
-    SceneAt,
-    laser_pattern,
-    multibeam_pattern,
-    point_cloud,
-    simulate_ranges,
-    spinning_pattern,
-)
+from calgraph.simulation.scanners import SceneAt, point_cloud, simulate_ranges
 from calgraph.simulation.solids import BoxShape, RectangleShape, Solid
 
 EXACT = BeamOptions(range_noise=0.0, angle_noise=0.0, mixed_pixels=0.0, dropout=0.0, min_range=0.1, max_range=30.0)

@@ -25,6 +25,7 @@ from calgraph.config import AprilGrid, Board, Charuco, Checkerboard
 from calgraph.config.settings import CameraDetectionSettings
 from calgraph.errors import InputError, Rejected
 from calgraph.geometry import Array
+from calgraph.sensors import CameraModel
 
 Ids = NDArray[np.intp]
 Finder = TagFinder | GridFinder | CheckerboardFinder | CharucoFinder
@@ -64,6 +65,19 @@ def compute_landmarks(board: Board) -> Landmarks:
             return _layout_lattice(p.columns - 1, p.rows - 1, p.square, p.center)
         case AprilGrid() as p:
             return _layout_aprilgrid(p)
+
+
+def select_marks_in_view(board: Board, camera: CameraModel, pixels: Array) -> NDArray[np.bool_]:
+    """Which marks (M,) of a board are detected by their corners: those that lie fully in the image.
+
+    Args:
+        board: whose marks they are; a checkerboard is recognised by all of its corners only.
+        camera: that takes the image.
+        pixels: (M, k, 2) of the corners; NaN where the camera's model is not defined.
+    """
+    in_view = camera.contains(pixels.reshape(-1, 2)).reshape(pixels.shape[:2]).all(axis=1)
+    complete = in_view.all() or not isinstance(board.pattern, Checkerboard)
+    return np.asarray(in_view & complete, dtype=np.bool_)
 
 
 def _layout_tags(board: Board) -> Landmarks:

@@ -54,6 +54,7 @@ COMMANDS = {
         "verify": "Test the covariances of a rig's calibration by a bootstrap over its captures.",
         "demo": "Simulate a five-sensor robot, calibrate it, and compare with the ground truth.",
         "init": "Draft a rig.yaml from the topics of a recording, with comments on what to check and to measure.",
+        "plan": "Predict the errors of a rig's poses before recording, and list the best places for the board.",
         "board": "Make a printable board: a PDF at true scale, and on stdout the matching target: of rig.yaml.",
         "inspect": "Show the topics of a recording, or how a result was computed.",
         "export": "Write a calibration as launch file, tf2 YAML, URDF, Kalibr camchain, ROS camera_info or JSON.",

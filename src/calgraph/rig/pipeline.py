@@ -87,7 +87,7 @@ def calibrate_detections(
     Raises:
         InputError: detections and rig do not fit together.
     """
-    _check_board(rig)
+    check_board(rig)
     captures, rng = captures_from_detections(rig, detections, cameras), np.random.default_rng(options.seed)
     return _save_and_solve(build_problem_from_captures(rig, captures, options, rng, progress), options)
 
@@ -102,7 +102,7 @@ def build_problem(
     rig: Rig, recording: Recording, options: RigOptions, progress: Progress = no_progress
 ) -> Problem:
     """Builds the joint problem from a recording; arguments and errors are those of :func:`calibrate_rig`."""
-    _check_board(rig)
+    check_board(rig)
     options.select_method(rig.settings.published)  # checked before minutes are spent on detection
     check_sensor_topics(rig, recording)
     rng = np.random.default_rng(options.seed)
@@ -125,7 +125,8 @@ def build_problem(
     return problem
 
 
-def _check_board(rig: Rig) -> None:
+def check_board(rig: Rig) -> None:
+    """Raises InputError if the target is not a board."""
     if isinstance(rig.target, People | Cylinder):
         raise InputError(f"target.kind: must be board for the poses of a rig, got {rig.target.kind}")
 

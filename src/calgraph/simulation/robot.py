@@ -8,9 +8,9 @@ import numpy as np
 from calgraph.errors import InputError
 from calgraph.geometry import Array, se3, so3
 from calgraph.sensors import CameraModel
+from calgraph.sensors.beam_pattern import BeamPattern, laser_pattern, multibeam_pattern, spinning_pattern
 from calgraph.sensors.kinds import KINDS, KindName
 from calgraph.simulation.rig_scenario import BeamOptions, CameraOptions, DepthOptions, RigScenario
-from calgraph.simulation.scanners import BeamPattern, laser_pattern, multibeam_pattern, spinning_pattern
 
 # Optical axes (z forward, x right) of a camera that faces along the robot's x.
 _R_BODY_OPTICAL = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])

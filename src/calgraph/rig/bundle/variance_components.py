@@ -207,6 +207,12 @@ _USUAL_VIEW_BIAS = 0.0015
 _USUAL_STAMP_ERROR = 0.002
 
 
+def usual_bias_variances(bundle: Bundle) -> Array:
+    """(4,) usual variances of view biases, in the columns of :attr:`Bundle.bias_variance`."""
+    displacement = _USUAL_VIEW_BIAS
+    return np.square([displacement, displacement / bundle.lever, displacement, _USUAL_STAMP_ERROR])
+
+
 def _add_prior_of_biases(
     bundle: Bundle,
     statistics: Sequence[_ViewStatistics],
@@ -220,10 +226,7 @@ def _add_prior_of_biases(
     Without them, the estimate from few views is zero as often as not, and the poses' covariance too small. Source:
     Chung et al., "A nondegenerate penalized likelihood estimator for variance parameters", Psychometrika 2013.
     """
-    weight = _USUAL_BIAS_WEIGHT
-    displacement = _USUAL_VIEW_BIAS
-    # In the columns of ``bias_variance``.
-    usual = np.square([displacement, displacement / bundle.lever, displacement, _USUAL_STAMP_ERROR])
+    weight, usual = _USUAL_BIAS_WEIGHT, usual_bias_variances(bundle)
     for one, row in zip(statistics, rows, strict=True):
         bias = np.arange(row.start + 1, row.stop)
         at = np.maximum(variances[bias], usual[one.components])

@@ -87,9 +87,9 @@ def measure_drifts(solved: SolvedBundle) -> DriftStatistics:
     Its variances contain the effect of drifts: where one may be significant, they are estimated again with them.
     """
     bundle, state = solved.bundle, solved.minimized.state
-    time, order = _order_boards(solved), np.unique(solved.captures, return_inverse=True)[1]
+    time, order = order_boards(solved), np.unique(solved.captures, return_inverse=True)[1]
     factor = measure_serial_correlation(bundle, solved.minimized, order)
-    statistics = replace(_score_drifts(bundle, state, solved.minimized.equations, time), serial_correlation=factor)
+    statistics = replace(score_drifts(bundle, state, solved.minimized.equations, time), serial_correlation=factor)
     if statistics.test_bodies()[0].max() <= chdtri(6, _TRIGGER_PROBABILITY / len(statistics.bodies)):
         return statistics
     for _ in range(_MAX_ROUNDS):
@@ -100,7 +100,7 @@ def measure_drifts(solved: SolvedBundle) -> DriftStatistics:
             break
         if change < MAX_SETTLED_CHANGE:
             break
-    return replace(_score_drifts(bundle, state, linearize_bundle(bundle, state), time), serial_correlation=factor)
+    return replace(score_drifts(bundle, state, linearize_bundle(bundle, state), time), serial_correlation=factor)
 
 
 # Probability with which a drift is reported of a sensor at rest; a false alarm makes a good result weak, so that
@@ -196,14 +196,14 @@ _STEP_TIMES = (-1 / 6, 0.0, 1 / 6)
 def list_changes(solved: SolvedBundle, drifts: DriftStatistics) -> Iterator[tuple[DriftStatistics, float]]:
     """Drifts, and steps that are as likely together, each with the logarithm of its prior probability."""
     yield drifts, np.log(0.5)
-    bundle, minimized, time = solved.bundle, solved.minimized, _order_boards(solved)
+    bundle, minimized, time = solved.bundle, solved.minimized, order_boards(solved)
     for of_step in _STEP_TIMES:
         step = np.where(time < of_step, -0.5, 0.5)
-        changes = _score_drifts(bundle, minimized.state, minimized.equations, step)
+        changes = score_drifts(bundle, minimized.state, minimized.equations, step)
         yield replace(changes, serial_correlation=drifts.serial_correlation), np.log(0.5 / len(_STEP_TIMES))
 
 
-def _order_boards(solved: SolvedBundle) -> Array:
+def order_boards(solved: SolvedBundle) -> Array:
     """(C,) time of each board, counted in captures, from -1/2 to 1/2."""
     order = np.unique(solved.captures, return_inverse=True)[1]
     return np.asarray(order / max(int(order.max(initial=0)), 1) - 0.5)
@@ -264,7 +264,7 @@ def _displacement_with_root(state: BundleState, sensor: int) -> Array:
     return J
 
 
-def _score_drifts(bundle: Bundle, state: BundleState, equations: BundleEquations, time: Array) -> DriftStatistics:
+def score_drifts(bundle: Bundle, state: BundleState, equations: BundleEquations, time: Array) -> DriftStatistics:
     """The statistics with the variances of the bundle; ``time`` (C,) of each board is from -1/2 to 1/2."""
     bodies = range(bundle.body_count + 1)
     drifts = change_poses(bundle, state, equations, time)

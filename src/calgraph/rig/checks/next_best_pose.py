@@ -6,7 +6,7 @@ observations that the sensors are predicted to make. The best one is selected, t
 Source: Krause, Singh, Guestrin, "Near-optimal sensor placements in Gaussian processes", 2008, on greedy choices.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.config import Tolerance
-from calgraph.config.settings import DiagnosticsSettings
+from calgraph.config.settings import DiagnosticsSettings, VerdictSettings
 from calgraph.geometry import Array, Index, se3, so3
 from calgraph.result import Calibration, SensorPose, Suggestion, Verdict
 from calgraph.rig.bundle.bundle_solver import Bundle, BundleState, linearize_bundle
@@ -66,18 +66,54 @@ def suggest_board_poses(
     candidates = _draw_candidates(bundle, current, rng, up)
     if is_reachable:
         candidates = candidates[is_reachable(candidates)]
+
+    def predict(chosen: Index) -> Iterator[BoardInformation]:
+        return predict_board_information(solved, kinds, size, candidates[chosen])
+
+    def find_sensors(chosen: int) -> list[str]:
+        predictions = _predict_views(bundle, current, kinds, size, candidates[chosen : chosen + 1])
+        return [name for name, views in zip(bundle.sensors, predictions, strict=True) if len(views.board)]
+
+    return select_board_poses(
+        solved, kinds, tolerance, settings.verdict, candidates, predict, find_sensors, settings.rig.suggestions
+    )
+
+
+def select_board_poses(
+    solved: SolvedBundle,
+    kinds: Mapping[str, str],
+    tolerance: Tolerance,
+    settings: VerdictSettings,
+    candidates: Array,
+    predict: Callable[[Index], Iterable[BoardInformation]],
+    find_sensors: Callable[[int], Sequence[str]],
+    count: int,
+) -> tuple[Suggestion, ...]:
+    """The candidates that reduce the uncertainty of the least certain sensor most, one after the other.
+
+    Args:
+        solved: the current solution.
+        kinds: kind by sensor.
+        tolerance: the largest acceptable error of poses.
+        settings: of verdicts.
+        candidates: ``T_root_board`` (K, 4, 4).
+        predict: the information of candidates with some indices.
+        find_sensors: the sensors that detect the candidate with an index.
+        count: number of poses at most.
+    """
     if not len(candidates):
         return ()
+    bundle, current = solved.bundle, solved.minimized.state
     to_sensor = np.array([np.kron(np.eye(2), T[:3, :3].T) for T in current.T_root_sensor])
     axes = (to_sensor @ pose_jacobian(bundle, current).reshape(len(to_sensor), 6, -1)).reshape(
         6 * len(to_sensor), -1
     )
     V, limits = (
         parameter_covariance(solved.minimized.equations),
-        np.tile(max_good_stddev(tolerance, settings.verdict), len(to_sensor)),
+        np.tile(max_good_stddev(tolerance, settings), len(to_sensor)),
     )
     suggestions: list[Suggestion] = []
-    for _ in range(settings.rig.suggestions):
+    for _ in range(count):
         before = _standard_deviations(axes, V) / limits
         worst = int(np.argmax(before))
         sensor, axis = divmod(worst, 6)
@@ -85,23 +121,21 @@ def suggest_board_poses(
             break
         scaled = axes[6 * sensor :][:6] / limits[:6, None] / min(before[worst], 1.0)
         pose, along = np.flatnonzero(scaled.any(axis=0)), V @ scaled.T
-        predicted = predict_board_information(solved, kinds, size, candidates)
+        predicted = predict(np.arange(len(candidates)))
         volume = _log_volume(
             np.array([scaled[:, pose] @ _multiply_covariance_with(one, V, pose, along) for one in predicted])
         )
         best = int(np.argmin(volume))
         if volume[best] > _log_volume(scaled @ along) - _MIN_SUGGESTION_GAIN:
             break
-        chosen = candidates[best : best + 1]
-        (added,) = predict_board_information(solved, kinds, size, chosen)
+        (added,) = predict(np.array([best]))
         V = _multiply_covariance_with(added, V, np.arange(len(V)), V)
         after = _standard_deviations(axes, V) / limits
-        name = bundle.sensors[sensor]
-        predictions = zip(bundle.sensors, _predict_views(bundle, current, kinds, size, chosen), strict=True)
+        name, detecting = bundle.sensors[sensor], find_sensors(best)
         T_sensor_board = {
-            by: relative_poses(T, chosen[0])
-            for (by, views), T in zip(predictions, current.T_root_sensor, strict=True)
-            if len(views.board)
+            by: relative_poses(T, candidates[best])
+            for by, T in zip(bundle.sensors, current.T_root_sensor, strict=True)
+            if by in detecting
         }
         suggestions.append(
             Suggestion(
@@ -111,7 +145,7 @@ def suggest_board_poses(
                 unit="m" if axis < 3 else "rad",
                 stddev=float(before[worst] * limits[worst]),
                 expected=float(after[worst] * limits[worst]),
-                T_root_board=chosen[0],
+                T_root_board=candidates[best],
             )
         )
     return tuple(suggestions)
@@ -221,7 +255,7 @@ def _draw_candidates(
 
 
 # Rotation from the axes of a camera to forward, left, up: the axes of a scanner.
-_CAMERA_TO_SCANNER_AXES = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+CAMERA_TO_SCANNER_AXES = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
 
 # rad (7.5°); smaller angles are not mentioned, as angles are rounded to 5°.
@@ -243,7 +277,7 @@ def describe_pose(sensor: str, kinds: Mapping[str, str], T_sensor_board: Mapping
     """
     if sensor not in T_sensor_board:
         sensor = min(T_sensor_board, key=lambda name: float(np.linalg.norm(T_sensor_board[name][:3, 3])))
-    axes = _CAMERA_TO_SCANNER_AXES if KINDS[kinds[sensor]].optical else np.eye(3)
+    axes = CAMERA_TO_SCANNER_AXES if KINDS[kinds[sensor]].optical else np.eye(3)
     center, normal = axes @ T_sensor_board[sensor][:3, 3], axes @ T_sensor_board[sensor][:3, 2]
     distance, bearing = np.hypot(center[0], center[1]), np.degrees(np.arctan2(center[1], center[0]))
     forward = center[:2] / distance
@@ -274,7 +308,7 @@ _GRID = 7
 
 
 # Shortest intersection of scan plane and board that is predicted to be detected, as a share of the shorter side.
-_MIN_SEGMENT_SHARE = 1 / 3
+MIN_SEGMENT_SHARE = 1 / 3
 
 
 def predict_observations(
@@ -294,12 +328,12 @@ def predict_observations(
         return _predict_corners(views, visible, T_candidate)
     assert isinstance(views, RangeObservations)
     if KINDS[kind].detects == "line":
-        return _predict_scan_lines(views, visible, T_candidate, size, _MIN_SEGMENT_SHARE)
+        return _predict_scan_lines(views, visible, T_candidate, size, MIN_SEGMENT_SHARE)
     return _predict_patches(views, visible, T_detected, T_candidate, size)
 
 
 # rad (65°); maximum angle between the board normal and the line of sight at which a detection is predicted.
-_MAX_PREDICTED_TILT = float(np.radians(65))
+MAX_PREDICTED_TILT = float(np.radians(65))
 # rad (12°); a sensor is predicted to detect boards within this angle of one that it detected.
 _MAX_BEARING_CHANGE = float(np.radians(12))
 # The same for the ratio of distances: the density of points changes by 1.3² = 1.7, within what detection accepts.
@@ -310,7 +344,7 @@ def _is_in_view(T_detected: Array, T_candidate: Array) -> NDArray[np.bool_]:
     """(K,) which candidates face the sensor, near the bearing and distance of a detected board."""
     detected, center = T_detected[:, :3, 3], T_candidate[:, :3, 3]
     detected_distance, distance = np.linalg.norm(detected, axis=-1), np.linalg.norm(center, axis=-1)
-    facing = -np.sum(center * T_candidate[:, :3, 2], axis=-1) > np.cos(_MAX_PREDICTED_TILT) * distance
+    facing = -np.sum(center * T_candidate[:, :3, 2], axis=-1) > np.cos(MAX_PREDICTED_TILT) * distance
     same_bearing = center @ detected.T > np.cos(_MAX_BEARING_CHANGE) * distance[:, None] * detected_distance
     same_distance = np.abs(np.log(distance[:, None] / detected_distance)) < np.log(_MAX_DISTANCE_RATIO)
     return np.asarray(facing & np.any(same_bearing & same_distance, axis=-1), dtype=np.bool_)
