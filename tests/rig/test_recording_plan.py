@@ -15,7 +15,7 @@ from calgraph.rig.fields_of_view import FieldOfView, PlannedRig, describe_rig
 from calgraph.rig.options import RigOptions
 from calgraph.rig.pipeline import build_problem_from_captures, solve_problem
 from calgraph.rig.recording_plan import RecordingPlan, detect_boards, draw_boards, plan_captures, plan_recording
-from calgraph.sensors import LaserScan, PointCloud
+from calgraph.sensors import LaserScan, Message, PointCloud
 from calgraph.sensors.beam_pattern import BeamPattern
 from calgraph.simulation import (
     CameraOptions,
@@ -164,11 +164,11 @@ def rays(azimuths: Array, elevations: Array) -> Array:
 
 def test_beams_are_those_of_a_recording() -> None:
     azimuths, rings = np.tile(np.arange(-30.0, 31.0), 4), np.repeat(np.arange(4, dtype=np.int32), 61)
-    points = 3.0 * rays(azimuths, 2.0 * rings)
+    points = 3.0 * rays(azimuths, np.asarray(2.0 * rings, dtype=np.float64))
     angles = np.radians(np.arange(-45.0, 46.0))
     rig = world_rig(build_world(SCENARIO, 0, images=False))
     sensors = {"lidar": Lidar3dSpec(topic="points"), "laser": Lidar2dSpec(topic="scan")}
-    messages = {
+    messages: dict[str, list[Message]] = {
         "points": [PointCloud(0.0, "lidar", points, rings)],
         "scan": [LaserScan(0.0, "laser", angles, np.full(91, np.nan))],
     }
