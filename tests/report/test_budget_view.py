@@ -58,12 +58,13 @@ def test_a_bar_is_of_the_worst_axis_with_its_deviation() -> None:
     assert bars == ["<b>laser_0</b><br>height (z), σ 2.0 mm", "<b>laser_0</b><br>yaw (about z), σ 0.23°"]
 
 
-def test_hovering_names_the_source_its_deviation_and_its_share() -> None:
+def test_hovering_names_the_source_its_deviation_its_share_and_a_remedy() -> None:
     bias = traces(with_budget(1))["range &lt;bias&gt;"]
     # 2 mm times the root of 0.6; 0.23° likewise.
+    remedy = "<br>smaller by measuring it, and stating its uncertainty in rig.yaml"
     assert bias["customdata"] == [
-        "range &lt;bias&gt; of lidar<br>σ 1.5 mm, 60 % of the variance",
-        "range &lt;bias&gt; of lidar<br>σ 0.18°, 60 % of the variance",
+        f"range &lt;bias&gt; of lidar<br>σ 1.5 mm, 60 % of the variance{remedy}",
+        f"range &lt;bias&gt; of lidar<br>σ 0.18°, 60 % of the variance{remedy}",
     ]
     assert traces(with_budget(1))["others"]["customdata"][0].startswith("2 other sources<br>σ 0.24 mm, 1.5 %")
 

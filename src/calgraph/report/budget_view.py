@@ -52,10 +52,12 @@ class _Segment:
     stddev: str
     start: float
     share: float
+    remedy: str = ""
 
     @property
     def hover(self) -> str:
-        return f"{escape_plotly(self.name)}<br>σ {self.stddev}, {100 * self.share:.2g} % of the variance"
+        remedy = f"<br>smaller by {self.remedy}" if self.remedy else ""
+        return f"{escape_plotly(self.name)}<br>σ {self.stddev}, {100 * self.share:.2g} % of the variance{remedy}"
 
 
 def _split_variances(budget: ErrorBudget, index: int, sensor: SensorPose) -> Iterator[_Segment]:
@@ -68,7 +70,7 @@ def _split_variances(budget: ErrorBudget, index: int, sensor: SensorPose) -> Ite
         large = [one for one in sources if one[2] >= _MIN_SHARE]
         start = 0.0
         for source, stddev, share in large:
-            yield _Segment(bar, source.kind, str(source), format_stddev(stddev), start, share)
+            yield _Segment(bar, source.kind, str(source), format_stddev(stddev), start, share, source.remedy)
             start += share
         if rest := sources[len(large) :]:
             stddev = float(np.linalg.norm([one[1] for one in rest]))

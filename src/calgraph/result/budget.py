@@ -1,12 +1,26 @@
 """Error budgets: the covariance of all poses as a sum over the sources of their errors."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 
 from calgraph.geometry import Array, diagonal_blocks, se3
 from calgraph.result.sensor_pose import stddev_along_axes
+
+# Kinds of sources that are no quantities of rig.yaml, with what makes their errors smaller.
+_REMEDIES: Mapping[str, str] = MappingProxyType({
+    **dict.fromkeys(
+        ("noise", "view bias", "edges", "serial correlation", "walls", "body model", "body paths", "body shapes",
+         "scatter of parts", "correlated beams", "clock offset"),
+        "recording more",
+    ),
+    "drift": "recording more, with all sensors fixed",
+    "stated pose": "a better known pose",
+    "earlier calibration": "calibrating all sensors again",
+    "nothing measured": "data in other directions",
+})  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -20,6 +34,11 @@ class ErrorSource:
 
     def __str__(self) -> str:
         return f"{self.kind} of {self.of}" if self.of else self.kind
+
+    @property
+    def remedy(self) -> str:
+        """What makes its errors smaller, in words: data, or what is measured and stated in rig.yaml."""
+        return _REMEDIES.get(self.kind, "measuring it, and stating its uncertainty in rig.yaml")
 
 
 @dataclass(frozen=True, eq=False)
