@@ -82,7 +82,7 @@ def test_help_of_calibrate_has_everyday_options_first_and_tuning_last() -> None:
         ("calgraph calibrate --estimator p", ["published"]),
         ("calgraph calibrate --forc", ["--force"]),
         ("calgraph calibrate --set captures.min_h", ["captures.min_hold="]),
-        ("calgraph export --format ", ["launch", "tf", "urdf", "kalibr", "camera_info", "json"]),
+        ("calgraph export --format ", ["launch", "tf", "urdf", "kalibr", "camera_info", "corrections", "json"]),
     ],
 )
 def test_shells_complete_commands_options_and_choices(typed: str, offered: list[str]) -> None:
