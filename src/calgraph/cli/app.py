@@ -57,8 +57,8 @@ COMMANDS = {
         "plan": "Predict the errors of a rig's poses before recording, and list the best places for the board.",
         "board": "Make a printable board: a PDF at true scale, and on stdout the matching target: of rig.yaml.",
         "inspect": "Show the topics of a recording, or how a result was computed.",
-        "export": "Write a calibration as launch file, tf2 YAML, URDF, Kalibr camchain, ROS camera_info, corrections "
-        "or JSON.",
+        "export": "Write a calibration as launch file, tf2 YAML, URDF, Kalibr camchain, ROS camera_info, "
+        "corrections or JSON.",
         "live": "Record a running robot, watch sensors and captures on a phone, and calibrate.",
         "fleet": "Calibrate or check the recordings of many robots, and report which sensor of which robot moved "
         "when.",
