@@ -27,10 +27,11 @@ from calgraph.rig.options import RigOptions
 from calgraph.rig.pipeline import build_problem_from_captures, solve_problem
 from calgraph.rig.recording_plan import detect_boards, draw_boards, plan_captures, plan_recording
 from calgraph.simulation import World, ground_truth, world_rig
-from calgraph.simulation.motion import BoardPlacement, SimulatedHold, pose_from_placement
+from calgraph.simulation.motion import SimulatedHold
 from ideal_detections import simulate_detections
 from model_error_draws import draw_errors
 from model_error_rigs import SCENARIOS, cameras_of, rig_world, scanners_of
+from remedies import place_board
 from worlds import Layout, grouped, make_parser, median, run_worlds, share
 
 VIEW_BIAS = 0.0015
@@ -122,12 +123,8 @@ def hold_boards(world: World, T_root_board: Array) -> World:
     """The world with boards (C, 4, 4) instead of its walk, each for a second."""
     (T_world_root,) = (sensor.T_world_sensor for sensor in world.robot if sensor.name == world.root)
     holds = []
-    for i, T in enumerate(T_world_root @ T_root_board):
-        facing = BoardPlacement(
-            float(np.arctan2(T[1, 3], T[0, 3])), float(np.hypot(*T[:2, 3])), T[2, 3], np.eye(3)
-        )
-        placement = replace(facing, R_facing_board=pose_from_placement(facing)[:3, :3].T @ T[:3, :3])
-        holds.append(SimulatedHold(i, i + 1.0, placement))
+    for i, T_world_board in enumerate(T_world_root @ T_root_board):
+        holds.append(SimulatedHold(i, i + 1.0, place_board(T_world_board)))
     empty = replace(world.trajectory, times=np.array([np.inf]), holds=tuple(holds))
     return replace(world, trajectory=empty)
 

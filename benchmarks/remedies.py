@@ -33,8 +33,8 @@ from worlds import NAN, Layout, grouped, make_parser, mean, median, run_worlds
 CAPTURES = {"five": 10, "chain": 20, "pair": 10, "cameras": 16}
 """Of each kind of rig, with which some of its sensors are weak."""
 BIASED = ModelErrors(BoardErrors(tremor=0.0015))
-"""A displacement of the board in each view, m, of the size that real boards have: without, more captures show that
-views have no bias, which few cannot."""
+"""Displacements of the board in each message, m, of the size of view biases of real boards: without, more captures
+show that views have no bias, which few cannot."""
 NEAR = np.repeat([0.05, np.radians(5.0)], 3)
 """Standard deviations of captures like others: displacement of the board, m, and rotation, rad."""
 
@@ -102,9 +102,7 @@ def run(rig: str, seed: int) -> Sequence[Row]:
             boards = [se3.retract(T, NEAR * rng.standard_normal(6)) for T in near]
             if remedy.T_root_board is not None:
                 boards.append(T_world_root @ remedy.T_root_board)
-            _, more, _ = simulate_detections(
-                hold_boards(world, boards), seed, None, ModelErrors(BoardErrors(tremor=0.0015))
-            )
+            _, more, _ = simulate_detections(hold_boards(world, boards), seed, None, BIASED)
             taken[remedy.action] = solve(state_uncertainty(description, remedy), more, seed)
         rows.append(compare(rig, seed, remedy, taken[remedy.action]))
     return rows or [Row(rig, seed)]

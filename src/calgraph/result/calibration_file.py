@@ -166,32 +166,23 @@ def _held_out_error(one: HeldOutError) -> dict[str, Any]:
 
 
 def _suggestion(one: Suggestion) -> dict[str, Any]:
-    stddev, expected = _round_digits([one.stddev, one.expected], 4)
-    return {
-        "hold": one.hold,
-        "sensor": one.sensor,
-        "axis": one.axis,
-        "unit": one.unit,
-        "stddev": stddev,
-        "expected": expected,
-        **_board_pose(one.T_root_board),
-    }
+    return {"hold": one.hold, **_prediction(one), **_board_pose(one.T_root_board)}
 
 
 def _remedy(one: Remedy) -> dict[str, Any]:
-    stddev, expected = _round_digits([one.stddev, one.expected], 4)
     return {
         "action": one.action,
-        "sensor": one.sensor,
-        "axis": one.axis,
-        "unit": one.unit,
-        "stddev": stddev,
-        "expected": expected,
+        **_prediction(one),
         "suffices": one.suffices,
         **({"captures": one.captures} if one.captures else {}),
         **({"uncertainty": _rounded(one.uncertainty)} if one.uncertainty else {}),
         **({} if one.T_root_board is None else _board_pose(one.T_root_board)),
     }
+
+
+def _prediction(one: Suggestion | Remedy) -> dict[str, Any]:
+    stddev, expected = _round_digits([one.stddev, one.expected], 4)
+    return {"sensor": one.sensor, "axis": one.axis, "unit": one.unit, "stddev": stddev, "expected": expected}
 
 
 def _rounded(uncertainty: Mapping[str, Mapping[str, float]]) -> dict[str, dict[str, float]]:

@@ -90,8 +90,8 @@ def grade_pose(
         error = f"{errors} {confidence} of {name} {exceed} the tolerance of {allowed}"
         worst = max(weak, key=lambda i: stddev[i] / limits[i])
         largest = describe_largest(shares, worst, axes[worst] if len(weak) > 1 else "it")
-        help_ = [advice] if remedy is None else [describe_remedy(remedy, tolerance, limits)]
-        return Verdict("weak", _join([*stated, error, *largest, *more, *help_]))
+        advised = advice if remedy is None else describe_remedy(remedy, tolerance, limits)
+        return Verdict("weak", _join([*stated, error, *largest, *more, advised]))
     return Verdict("weak", _join([*stated, *more])) if contradictions else Verdict("good")
 
 
@@ -106,7 +106,7 @@ def describe_largest(shares: Mapping[str, Array], axis: int, what: str) -> list[
     largest = sorted(shares, key=lambda source: -shares[source][axis])[:_MAX_SOURCES]
     count = 1 if shares[largest[0]][axis] >= _LARGE_SHARE else len(largest)
     named = (f"{source} ({100 * shares[source][axis]:.0f} %)" for source in largest[:count])
-    return [f"most of {what} is from {' and '.join(named)}"]
+    return [f"the largest source{'s' * (count > 1)} of {what}: {', '.join(named)}"]
 
 
 def describe_remedy(remedy: Remedy, tolerance: Tolerance, limits: Array) -> str:

@@ -9,14 +9,14 @@ from calgraph.geometry import Array
 from calgraph.result.budget import ErrorSource
 from calgraph.rig.bundle.bundle_parameters import SensorPrior
 from calgraph.rig.bundle.bundle_solver import Bundle, MinimizedBundle, minimize_bundle
-from calgraph.rig.bundle.covariances import parameter_covariance, pose_covariance
+from calgraph.rig.bundle.covariances import pose_covariance
 from calgraph.rig.bundle.error_sources import split_covariance
 from calgraph.rig.bundle.solution import SolvedBundle
 from detected_rigs import detect_rig
 
 
 def split(bundle: Bundle, minimized: MinimizedBundle) -> dict[ErrorSource, Array]:
-    return split_covariance(bundle, minimized, parameter_covariance(minimized.equations))
+    return split_covariance(bundle, minimized)
 
 
 @pytest.fixture(scope="module")

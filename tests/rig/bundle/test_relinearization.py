@@ -8,7 +8,6 @@ import pytest
 from bundle_scenes import Scene, bias_variances, scene, with_range_bias
 from calgraph.geometry import Array, se3, so3
 from calgraph.rig.bundle.bundle_solver import linearize_bundle, minimize_bundle
-from calgraph.rig.bundle.covariances import parameter_covariance
 from calgraph.rig.bundle.linearization import linearize_views
 from calgraph.rig.bundle.normal_equations import BiasVariances, ViewNormalEquations
 from calgraph.rig.bundle.observations import relative_poses
@@ -99,7 +98,7 @@ def test_extrapolation_changes_solutions_by_less_than_a_thousandth_of_their_erro
         )
         solution = minimize_bundle(bundle, start)
         equations = linearize_bundle(bundle, solution.state)
-        P, (_, g, _) = parameter_covariance(equations), equations.eliminate_boards()
+        P, (_, g, _) = equations.covariance, equations.eliminate_boards()
         assert solution.converged
         assert np.all(np.abs(P @ g) < 1e-3 * np.sqrt(np.diag(P)))
 

@@ -19,7 +19,7 @@ from calgraph.rig.bundle.bundle_solver import (
     BundleState,
     linearize_bundle,
 )
-from calgraph.rig.bundle.covariances import parameter_covariance, sum_information
+from calgraph.rig.bundle.covariances import sum_information
 from calgraph.rig.bundle.normal_equations import accumulate
 from calgraph.rig.bundle.observations import BoardViews, LinearizedResiduals, relative_poses, view_indices
 from calgraph.rig.bundle.range_observations import RangeObservations
@@ -206,7 +206,7 @@ def test_the_covariance_is_the_inverse_of_the_dense_information(
             columns = np.concatenate([bundle.columns(k), G + 6 * board + np.arange(6)])
             H[np.ix_(columns, columns)] += J.T @ J
     expected = np.linalg.inv(H)[:G, :G]
-    found = parameter_covariance(linearize_bundle(bundle, state))
+    found = linearize_bundle(bundle, state).covariance
     size = np.sqrt(np.diag(expected))
     np.testing.assert_allclose(found / size / size[:, None], expected / size / size[:, None], atol=1e-5)
 

@@ -12,7 +12,6 @@ from calgraph.geometry import se3
 from calgraph.result import HeldOutError
 from calgraph.rig.bundle.bundle_solver import Bundle, linearize_bundle, minimize_bundle
 from calgraph.rig.bundle.corner_observations import CornerObservations
-from calgraph.rig.bundle.covariances import parameter_covariance
 from calgraph.rig.bundle.observations import relative_poses
 from calgraph.rig.bundle.solution import SolvedBundle
 from calgraph.rig.checks.cross_validation import (
@@ -61,7 +60,7 @@ def test_errors_are_in_pixels_metres_and_radians() -> None:
 def test_predictions_have_the_covariance_of_the_others_boards_and_of_all_sensors() -> None:
     exact = scene(("camera", "camera", "lidar"), boards=6)
     equations = linearize_bundle(exact.bundle, exact.truth)
-    P, sensor = parameter_covariance(equations), 1
+    P, sensor = equations.covariance, 1
     _, found = _predict_boards(exact.bundle, equations, P, sensor)
     of_sensor, of_board = view_jacobians(equations.views[sensor])
     G = len(P)

@@ -61,7 +61,7 @@ def test_those_that_suffice_come_first(weak: Calibration) -> None:
 def test_the_verdict_states_the_largest_source_and_the_first_remedy(weak: Calibration) -> None:
     reason, first = weak["camera"].verdict.reason, remedies(weak)[0]
     assert weak["camera"].verdict.grade == "weak"
-    assert "is from noise of camera (" in reason
+    assert "the largest source of pitch (about x): noise of camera (" in reason
     assert f"{first.action}: {first.axis} ±" in reason
     assert reason.count("hold the board") == first.action.count("hold the board")
 

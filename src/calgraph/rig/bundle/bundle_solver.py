@@ -236,6 +236,13 @@ class BundleEquations:
     extrapolated: float
     """Decrease of the cost since all of these were at this state, by extrapolation; 0 if they are."""
 
+    @cached_property
+    def covariance(self) -> Array:
+        """(G, G) of the poses of bodies and of the extra parameters; read-only."""
+        covariance = np.asarray(np.linalg.inv(self.eliminate_boards()[0]))
+        covariance.flags.writeable = False
+        return covariance
+
     def solve(self, damping: float) -> tuple[tuple[Array, Array], float]:
         """Steps (G,) of the sensors and (C, 6) of the boards, and their predicted decrease of the cost."""
         H, g, K = self.eliminate_boards(damping)

@@ -26,10 +26,16 @@ def pose_jacobian(bundle: Bundle, state: BundleState) -> Array:
     return J
 
 
+def axis_jacobian(bundle: Bundle, state: BundleState) -> Array:
+    """(S, 6, G) derivatives of all poses along and about the axes of their sensors."""
+    to_sensor = np.array([np.kron(np.eye(2), T[:3, :3].T) for T in state.T_root_sensor])
+    return np.asarray(to_sensor @ pose_jacobian(bundle, state).reshape(len(to_sensor), 6, -1))
+
+
 def pose_covariance(bundle: Bundle, state: BundleState, equations: BundleEquations) -> Array:
     """Covariance (S·6, S·6) of all sensors' poses in the root's fixed axes; zero for those that are fixed."""
     J = pose_jacobian(bundle, state)
-    return np.asarray(J @ parameter_covariance(equations) @ J.T)
+    return np.asarray(J @ equations.covariance @ J.T)
 
 
 def prior_error_derivatives(bundle: Bundle, state: BundleState, equations: BundleEquations) -> Array:
@@ -38,15 +44,9 @@ def prior_error_derivatives(bundle: Bundle, state: BundleState, equations: Bundl
     See :class:`calgraph.result.PriorErrors`.
     """
     systematic = slice(6 * bundle.body_count, None)
-    of_poses = pose_jacobian(bundle, state) @ parameter_covariance(equations)
+    of_poses = pose_jacobian(bundle, state) @ equations.covariance
     weights = bundle.prior_weights(state.extra)[systematic]
     return np.asarray(of_poses[:, systematic] * (weights / bundle.prior_stddev[systematic]))
-
-
-def parameter_covariance(equations: BundleEquations) -> Array:
-    """Covariance (G, G) of the poses of bodies and of the extra parameters."""
-    H, _, _ = equations.eliminate_boards()
-    return np.asarray(np.linalg.inv(H))
 
 
 @dataclass(frozen=True, eq=False)

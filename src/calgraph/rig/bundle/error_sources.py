@@ -64,18 +64,16 @@ def group_parameters(bundle: Bundle) -> dict[ErrorSource, Index]:
     return {source: np.array(columns, dtype=np.intp) for source, columns in groups.items()}
 
 
-def split_covariance(bundle: Bundle, minimized: MinimizedBundle, covariance: Array) -> dict[ErrorSource, Array]:
+def split_covariance(bundle: Bundle, minimized: MinimizedBundle) -> dict[ErrorSource, Array]:
     """The covariance of all poses, in the root's fixed axes, by source: (S·6, S·6) each.
 
     Args:
         bundle: the observations.
         minimized: its solution.
-        covariance: (G, G) of the parameters of the reduced problem.
     """
     state, equations = minimized.state, minimized.equations
-    by_gradient = covariance @ pose_jacobian(bundle, state).T
-    K = np.linalg.solve(equations.H_board + BOARD_PRIOR_INFORMATION * np.eye(6), equations.H_board_sensor)
-    boards = K @ by_gradient
+    by_gradient = equations.covariance @ pose_jacobian(bundle, state).T
+    boards = equations.eliminate_boards()[2][..., :-1] @ by_gradient
     information = bundle.prior_weights(state.extra) * bundle.prior_stddev**-2
     whitened = np.sqrt(information)[:, None] * by_gradient
     poses = whitened[: 6 * bundle.body_count]

@@ -17,7 +17,6 @@ from calgraph.result import EstimatedParameter
 from calgraph.rig.bundle.bundle_parameters import LocalParameters, SystematicParameter
 from calgraph.rig.bundle.bundle_solver import Bundle, BundleEquations, BundleState
 from calgraph.rig.bundle.corner_observations import CornerObservations, PrintedCorners
-from calgraph.rig.bundle.covariances import parameter_covariance
 from calgraph.rig.bundle.observations import BoardViews, view_indices
 from calgraph.rig.bundle.outline_observations import FOOTPRINTS, OutlineObservations
 from calgraph.rig.bundle.range_observations import RangeObservations, bow_shape
@@ -156,7 +155,7 @@ def summarize_systematic_parameters(
     bundle: Bundle, state: BundleState, equations: BundleEquations
 ) -> tuple[EstimatedParameter, ...]:
     """The systematic parameters with their priors and posterior standard deviations."""
-    variances = np.diag(parameter_covariance(equations))[6 * bundle.body_count :]
+    variances = np.diag(equations.covariance)[6 * bundle.body_count :]
     return tuple(
         EstimatedParameter(
             of=one.of,

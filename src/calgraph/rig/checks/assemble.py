@@ -33,7 +33,7 @@ from calgraph.result.evidence import rms
 from calgraph.result.finding import Finding
 from calgraph.rig.bundle.board_observations import Node
 from calgraph.rig.bundle.corner_observations import CornerObservations
-from calgraph.rig.bundle.covariances import parameter_covariance, prior_error_derivatives
+from calgraph.rig.bundle.covariances import prior_error_derivatives
 from calgraph.rig.bundle.error_sources import DRIFT, split_covariance
 from calgraph.rig.bundle.observations import relative_poses
 from calgraph.rig.bundle.priors import frame_id
@@ -368,7 +368,7 @@ def _split_budget(
     """What the covariance of the poses comes from; what is added after the solution are sources, too."""
     if (solved := solution.solved_bundle) is None:
         return None
-    parts = split_covariance(solved.bundle, solved.minimized, parameter_covariance(solved.minimized.equations))
+    parts = split_covariance(solved.bundle, solved.minimized)
     if drifts is not None:
         total = np.sum(list(parts.values()), axis=0)
         correlated = include_serial_correlation(total, solved.bundle, drifts)

@@ -19,7 +19,7 @@ from calgraph.rig.bundle.bundle_solver import (
     BundleState,
     minimize_bundle,
 )
-from calgraph.rig.bundle.covariances import gradient_by_board, parameter_covariance, pose_jacobian, sum_information
+from calgraph.rig.bundle.covariances import gradient_by_board, pose_jacobian, sum_information
 from calgraph.rig.bundle.linearization import CachedLinearization
 from calgraph.rig.bundle.solution import SolvedBundle
 
@@ -95,7 +95,7 @@ def bootstrap_poses(
     of_capture = np.eye(len(captures))[:, capture]
     information = sum_information(bundle, equations, of_capture)
     gradient = of_capture @ gradient_by_board(bundle, equations)
-    V = parameter_covariance(equations)
+    V = equations.covariance
     to_sensor = np.array([np.kron(np.eye(2), T[:3, :3].T) for T in state.T_root_sensor])
     axes = to_sensor @ pose_jacobian(bundle, state).reshape(len(to_sensor), 6, -1)
     H, _, _ = equations.eliminate_boards()

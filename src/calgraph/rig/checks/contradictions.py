@@ -16,7 +16,7 @@ from calgraph.result.evidence import rms
 from calgraph.result.finding import Finding
 from calgraph.rig.bundle.bundle_solver import Bundle, BundleEquations
 from calgraph.rig.bundle.corner_observations import CornerObservations
-from calgraph.rig.bundle.covariances import gradient_by_board, parameter_covariance, pose_jacobian, sum_information
+from calgraph.rig.bundle.covariances import gradient_by_board, pose_jacobian, sum_information
 from calgraph.rig.bundle.solution import MeasuredNoise, RigSolution, SolvedBundle
 from calgraph.rig.bundle.systematic_parameters import COEFFICIENTS, DISTORTION, TAGS
 from calgraph.rig.captures.detect import CaptureSet
@@ -364,7 +364,7 @@ def find_systematic_errors(solved: SolvedBundle, rig: Rig) -> Iterator[Finding]:
     """
     bundle, minimized = solved.bundle, solved.minimized
     first = 6 * bundle.body_count
-    covariance = parameter_covariance(minimized.equations)[first:, first:]
+    covariance = minimized.equations.covariance[first:, first:]
     parameters = bundle.extra_parameters
     estimates = ParameterEstimates(
         parameters,

@@ -35,7 +35,6 @@ from calgraph.rig.bundle.bundle_solver import (
     retract_state,
 )
 from calgraph.rig.bundle.corner_observations import CornerObservations
-from calgraph.rig.bundle.covariances import parameter_covariance
 from calgraph.rig.bundle.linearization import CachedLinearization
 from calgraph.rig.bundle.normal_equations import accumulate
 from calgraph.rig.bundle.observations import BoardViews, relative_poses
@@ -111,7 +110,7 @@ def _hold_out(solved: SolvedBundle, held_out_boards: NDArray[np.bool_]) -> dict[
     bundle, caches = solved.bundle, solved.minimized.equations.cache
     training, cache = _select_boards(bundle, caches, ~held_out_boards)
     trained = minimize_bundle(training, solved.minimized.state, cache, tolerance=COARSE_TOLERANCE, exact=False)
-    covariance = parameter_covariance(trained.equations)
+    covariance = trained.equations.covariance
     # An outline is measured by a scanner: it must not locate the board for that scanner.
     held_out, cache = _select_boards(bundle.without_outlines(), caches[: len(bundle.views)], held_out_boards)
     state, equations = _solve_boards(held_out, trained.state, cache)

@@ -19,12 +19,7 @@ from calgraph.geometry import Array, Index, se3, so3
 from calgraph.result import Calibration, SensorPose, Suggestion, Verdict
 from calgraph.rig.bundle.bundle_solver import Bundle, BundleState, linearize_bundle
 from calgraph.rig.bundle.corner_observations import CornerObservations
-from calgraph.rig.bundle.covariances import (
-    BoardInformation,
-    information_by_board,
-    parameter_covariance,
-    pose_jacobian,
-)
+from calgraph.rig.bundle.covariances import BoardInformation, axis_jacobian, information_by_board
 from calgraph.rig.bundle.observations import BoardViews, relative_poses
 from calgraph.rig.bundle.range_observations import RangeObservations
 from calgraph.rig.bundle.solution import SolvedBundle
@@ -104,14 +99,9 @@ def select_board_poses(
     if not len(candidates):
         return ()
     bundle, current = solved.bundle, solved.minimized.state
-    to_sensor = np.array([np.kron(np.eye(2), T[:3, :3].T) for T in current.T_root_sensor])
-    axes = (to_sensor @ pose_jacobian(bundle, current).reshape(len(to_sensor), 6, -1)).reshape(
-        6 * len(to_sensor), -1
-    )
-    V, limits = (
-        parameter_covariance(solved.minimized.equations),
-        np.tile(max_good_stddev(tolerance, settings), len(to_sensor)),
-    )
+    count = len(current.T_root_sensor)
+    axes = axis_jacobian(bundle, current).reshape(6 * count, -1)
+    V, limits = solved.minimized.equations.covariance, np.tile(max_good_stddev(tolerance, settings), count)
     suggestions: list[Suggestion] = []
     for _ in range(count):
         before = _standard_deviations(axes, V) / limits

@@ -8,7 +8,7 @@ from scipy.special import chdtri
 
 from calgraph.geometry import Array, se3
 from calgraph.rig.bundle.bundle_solver import Bundle, MinimizedBundle, linearize_bundle
-from calgraph.rig.bundle.covariances import parameter_covariance, pose_covariance
+from calgraph.rig.bundle.covariances import pose_covariance
 from calgraph.rig.bundle.normal_equations import consistency_statistic
 from calgraph.rig.bundle.priors import RigidGroup
 from calgraph.rig.bundle.variance_components import MIN_REDUNDANCY
@@ -99,7 +99,7 @@ def _score_statistic(bundle: Bundle, solved: MinimizedBundle, sensor: int) -> tu
     released = replace(bundle, body=np.unique(body, return_inverse=True)[1])
     system = linearize_bundle(released, solved.state)
     _, g, _ = system.eliminate_boards()
-    step = -parameter_covariance(system) @ g
+    step = -system.covariance @ g
     return float(-g @ step), step[released.pose_columns(sensor)]
 
 

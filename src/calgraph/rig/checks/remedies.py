@@ -11,12 +11,13 @@ from itertools import combinations
 import numpy as np
 from scipy.linalg import block_diag
 
+from calgraph.boards.printed_boards import compute_landmarks
 from calgraph.config import Board, CameraSpec, Rig, SensorSpec
 from calgraph.geometry import Array, Index, diagonal_blocks
 from calgraph.result import Remedy, Suggestion
 from calgraph.result.sensor_pose import stddev_along_axes
 from calgraph.rig.bundle.bundle_solver import Bundle
-from calgraph.rig.bundle.covariances import pose_jacobian
+from calgraph.rig.bundle.covariances import axis_jacobian
 from calgraph.rig.bundle.error_sources import group_parameters
 from calgraph.rig.bundle.solution import RigSolution, SolvedBundle
 from calgraph.rig.bundle.systematic_parameters import name_boards
@@ -107,9 +108,10 @@ def find_remedies(
         suggestions: board poses that help most.
     """
     settings = rig.settings.diagnostics.verdict
-    limits, unobservable = max_good_stddev(rig.tolerance, settings), settings.unobservable_translation_stddev
+    limits = max_good_stddev(rig.tolerance, settings)
+    unobservable = np.repeat([settings.unobservable_translation_stddev, settings.unobservable_rotation_stddev], 3)
     stddev = [stddev_along_axes(T, solution.covariance[name]) for name, T in solution.T_root_sensor.items()]
-    weak = [s for s, now in enumerate(stddev) if np.any(now > limits) and now[:3].max() <= unobservable]
+    weak = [s for s, now in enumerate(stddev) if np.any(now > limits) and np.all(now <= unobservable)]
     if not weak:
         return ()
     prediction, measures = _Prediction(solution, solved, drifts, rig), list(_list_measures(rig, solved.bundle))
@@ -137,8 +139,7 @@ class _Prediction:
         bundle, minimized = solved.bundle, solved.minimized
         self._solved, self._settings = solved, rig.settings.diagnostics.drifts
         self._poses = list(solution.T_root_sensor.values())
-        to_sensor = np.array([np.kron(np.eye(2), T[:3, :3].T) for T in self._poses])
-        self._axes = to_sensor @ pose_jacobian(bundle, minimized.state).reshape(len(to_sensor), 6, -1)
+        self._axes = axis_jacobian(bundle, minimized.state)
         self._matrix = minimized.equations.eliminate_boards()[0]
         self._prior = np.diag(bundle.prior_weights(minimized.state.extra) * bundle.prior_stddev**-2)
         self._factor = drifts.serial_correlation
@@ -184,7 +185,7 @@ def _choose(
     single = [one for one in (captures, *measures) if excess(one) <= max((1 - _MIN_DECREASE) * now, 1)]
     enough = sorted((one for one in single if excess(one) <= 1), key=lambda one: one.minutes)
     if not enough:
-        together = [a + b for a, b in combinations(single, 2) if a.action != b.action]
+        together = [a + b for a, b in combinations(single, 2)]
         enough = sorted((one for one in together if excess(one) <= 1), key=lambda one: one.minutes)
     others = sorted((one for one in single if one not in enough), key=excess)
     return [*enough, *others][:_MAX_REMEDIES]
@@ -224,7 +225,12 @@ def _list_measures(rig: Rig, bundle: Bundle) -> Iterator[_Measure]:
 
 
 def _list_board_measures(bundle: Bundle, name: str, board: Board) -> Iterator[_Measure]:
-    width, height = board.size
+    sheet = {"size": _RULER, "print_position": _RULER}
+    text = f"measure the outline of the {name}, and where the print is on it, to {1000 * _RULER:g} mm"
+    yield from _narrow(bundle, name, board, sheet, text, _RULER_MINUTES)
+    if board.pattern is None and not board.tags:
+        return
+    width, height = np.ptp(compute_landmarks(board).corners.reshape(-1, 3)[:, :2], axis=0).tolist()
     print_scale = {"print_scale": _PRINT_LENGTH / max(width, height)}
     aspect = {"print_aspect": _PRINT_LENGTH * np.hypot(1 / width, 1 / height)}
     text = f"measure width and height of the print on the {name} to {1000 * _PRINT_LENGTH:g} mm"
@@ -234,9 +240,6 @@ def _list_board_measures(bundle: Bundle, name: str, board: Board) -> Iterator[_M
         tags = {"tag_size": _PRINT_LENGTH / size, "tag_position": _RULER}
         text = f"measure sizes and places of the tags on the {name} to {1000 * _RULER:g} mm"
         yield from _narrow(bundle, name, board, tags, text, _RULER_MINUTES * len(board.tags))
-    sheet = {"size": _RULER, "print_position": _RULER}
-    text = f"measure the outline of the {name}, and where the print is on it, to {1000 * _RULER:g} mm"
-    yield from _narrow(bundle, name, board, sheet, text, _RULER_MINUTES)
 
 
 def _narrow(

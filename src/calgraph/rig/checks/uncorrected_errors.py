@@ -10,7 +10,6 @@ from calgraph.geometry import Array, Index, so3
 from calgraph.result import Correction
 from calgraph.result.finding import Finding
 from calgraph.rig.bundle.corner_observations import CornerObservations, project_by_lens
-from calgraph.rig.bundle.covariances import parameter_covariance
 from calgraph.rig.bundle.observations import relative_poses
 from calgraph.rig.bundle.range_observations import RangeObservations
 from calgraph.rig.bundle.solution import RigSolution, SolvedBundle
@@ -62,7 +61,7 @@ def _list_parameters(solved: SolvedBundle, s: int) -> tuple[Index, Array]:
 def _covariance(solved: SolvedBundle, index: Index) -> Array:
     """Covariance (E, E) of some of the bundle's extra parameters."""
     columns = 6 * solved.bundle.body_count + index
-    return parameter_covariance(solved.minimized.equations)[np.ix_(columns, columns)]
+    return solved.minimized.equations.covariance[np.ix_(columns, columns)]
 
 
 def _measure_distances(solved: SolvedBundle, s: int) -> Array:

@@ -21,7 +21,6 @@ from calgraph.rig.bundle.board_observations import BoardObservation
 from calgraph.rig.bundle.bundle_setup import build_bundle
 from calgraph.rig.bundle.bundle_solver import COARSE_TOLERANCE, Bundle, MinimizedBundle, minimize_bundle
 from calgraph.rig.bundle.corner_observations import CornerObservations, adjust_camera
-from calgraph.rig.bundle.covariances import parameter_covariance
 from calgraph.rig.captures.detect import CaptureSet
 from calgraph.rig.detection.board_views import BoardView
 from calgraph.rig.intrinsics.start import IntrinsicsStart
@@ -257,7 +256,7 @@ def _summarize(
         scale = float(np.sqrt(error.noise))
     J = np.eye(size)
     J[:2, :2] = views.camera.focal[:, None] * [[1, 0.5], [1, -0.5]]
-    covariance = J @ parameter_covariance(solution.equations)[np.ix_(index, index)] @ J.T
+    covariance = J @ solution.equations.covariance[np.ix_(index, index)] @ J.T
     return LensFit(
         camera=adjust_camera(views.camera, extra[index]),
         covariance=np.asarray(scale**2 * covariance),
