@@ -99,9 +99,9 @@ def select_board_poses(
     if not len(candidates):
         return ()
     bundle, current = solved.bundle, solved.minimized.state
-    count = len(current.T_root_sensor)
-    axes = axis_jacobian(bundle, current).reshape(6 * count, -1)
-    V, limits = solved.minimized.equations.covariance, np.tile(max_good_stddev(tolerance, settings), count)
+    sensors = len(bundle.sensors)
+    axes = axis_jacobian(bundle, current).reshape(6 * sensors, -1)
+    V, limits = solved.minimized.equations.covariance, np.tile(max_good_stddev(tolerance, settings), sensors)
     suggestions: list[Suggestion] = []
     for _ in range(count):
         before = _standard_deviations(axes, V) / limits
