@@ -78,6 +78,17 @@ def from_quaternion(q: Array) -> Array:
     return np.asarray(np.eye(3) + 2 * q[..., 3, None, None] * K + 2 * (K @ K))
 
 
+def left_jacobian(phi: Array) -> Array:
+    """``J`` with ``exp(phi + d) ≈ exp(J @ d) @ exp(phi)`` for small ``d`` (Solà et al., eq. 145)."""
+    phi = np.asarray(phi, dtype=np.float64)
+    angle = np.linalg.norm(phi, axis=-1)
+    safe = np.maximum(angle, _SMALL)
+    b = _series(angle, (1 - np.cos(safe)) / safe**2, 0.5)[..., None, None]
+    c = _series(angle, (safe - np.sin(safe)) / safe**3, 1 / 6)[..., None, None]
+    K = hat(phi)
+    return np.asarray(np.eye(3) + b * K + c * (K @ K))
+
+
 def left_jacobian_inverse(phi: Array) -> Array:
     """``J`` with ``log(exp(d) @ exp(phi)) ≈ phi + J @ d`` for small ``d`` (Solà et al., eq. 146)."""
     phi = np.asarray(phi, dtype=np.float64)

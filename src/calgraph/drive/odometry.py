@@ -1,0 +1,178 @@
+"""Odometry of one LiDAR: each sweep is registered to flat cells of recent ones, point to plane.
+
+Source: Vizzo et al., "KISS-ICP: in defense of point-to-point ICP", 2023, for the prediction by constant velocity,
+the adaptive gate and the correction of motion within sweeps; Yuan et al., "Efficient and probabilistic adaptive
+voxel mapping for accurate online LiDAR odometry", 2022, for planes in voxels.
+"""
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calgraph.drive.sweeps import Sweep
+from calgraph.geometry import Array, se_n
+from calgraph.surfaces.flat_cells import CellMoments, FlatCells, fit_flat_cells, merge_moments, sum_moments
+from calgraph.surfaces.trajectory import Track
+
+
+@dataclass(frozen=True)
+class OdometryLimits:
+    """What depends on whether surfaces are lines of one scan plane, or planes in space."""
+
+    cell: float
+    """Edge length of the cells, m."""
+    min_count: int
+    """Least number of points in a cell."""
+
+
+# Cells hold 20 or more points of a room at 10 m, and are smaller than most furniture; planes need more points than
+# lines, of at least two rings.
+_LIMITS = {2: OdometryLimits(0.3, 4), 3: OdometryLimits(1.0, 12)}
+# Standard deviation of points from a flat cell: range noise, and plaster and doors in walls, m.
+_MAX_THICKNESS = 0.06
+# Least extent of a surface in a cell: with 0.06 m of noise a normal within 0.1 rad needs more than this, m.
+_MIN_EXTENT = 0.05
+# A new key sweep is taken after this motion, m and rad, and this many of the last ones are the map.
+_KEY_DISTANCE, _KEY_ANGLE, _KEY_SWEEPS = 0.3, 0.17, 50
+# Gauss–Newton ends where a step is below a tenth of a millimetre.
+_LEAST_STEP = 1e-4
+# Accelerations of wheeled robots and cars, m/s² and rad/s²: the prior of a motion is the last one.
+_ACCELERATION, _TURN_ACCELERATION = 3.0, 6.0
+# Scales of the robust weight in each Gauss–Newton step, m (Geman–McClure): from the error of a prediction in a curve
+# to range noise with what walls deviate from planes.
+_ROBUST_SCALES = (0.5, 0.36, 0.26, 0.19, 0.14, *[0.1] * 8)
+_FINAL_SCALES = (0.2, 0.14, *[0.1] * 8)
+# Turns (rad) and distances ahead (m) from a prediction at which scans in the plane are compared with the surfaces:
+# what accelerations add within 0.2 s, in steps that a robust scale of 0.5 m covers at 10 m. Points that decide.
+_SEARCHED_TURNS, _SEARCHED_DISTANCES, _SEARCHED_POINTS = np.linspace(-0.3, 0.3, 13), (-0.15, 0.0, 0.15), 90
+
+
+def track_sensor(sweeps: Sequence[Sweep], points: int, rng: np.random.Generator) -> Track:
+    """The trajectory of a sensor at the times of its sweeps, in a world that begins in its first pose.
+
+    Args:
+        sweeps: in order of time.
+        points: of each sweep that are registered, drawn at random.
+        rng: for them.
+    """
+    n = sweeps[0].points.shape[1]
+    limits = _LIMITS[n]
+    poses = [np.eye(n + 1)]
+    key_moments: deque[CellMoments] = deque(maxlen=_KEY_SWEEPS)
+    velocity = np.zeros(n + (n - 1) * n // 2)
+    surfaces, last_key = None, None
+    for k, sweep in enumerate(sweeps):
+        duration = sweep.time - sweeps[k - 1].time if k else 0.0
+        if k and surfaces is not None:
+            predicted = poses[-1] @ _motion(velocity, duration)
+            used = sweep
+            if len(sweep.points) > points:
+                used = sweep.select(np.sort(rng.choice(len(sweep.points), points, replace=False)))
+            pose, velocity = _register(used, poses[-1], predicted, duration, surfaces)
+            poses.append(pose)
+        elif k:
+            poses.append(poses[-1])
+        if last_key is None or _is_far(last_key, poses[-1]):
+            last_key = poses[-1]
+            key_moments.append(sum_moments(_to_world(sweep, poses[-1], velocity), limits.cell))
+            surfaces = fit_flat_cells(
+                merge_moments(key_moments),
+                limits.cell,
+                max_thickness=_MAX_THICKNESS,
+                min_extent=_MIN_EXTENT,
+                min_count=limits.min_count,
+            )
+    return Track(np.array([sweep.time for sweep in sweeps]), np.array(poses))
+
+
+def _motion(velocity: Array, durations: Array | float) -> Array:
+    """Motions (..., n+1, n+1) at a velocity in the moving frame, (n + d,), during durations, s."""
+    n = 2 if len(velocity) == 3 else 3
+    tangent = velocity * np.asarray(durations)[..., None]
+    return se_n.pose(se_n.exp(tangent[..., n:]), tangent[..., :n])
+
+
+def _to_world(sweep: Sweep, pose: Array, velocity: Array) -> Array:
+    """The points (N, n) with the sensor's motion within the sweep, in the world."""
+    T = pose @ _motion(velocity, sweep.times - sweep.time)
+    return np.asarray((se_n.rotation(T) @ sweep.points[:, :, None])[..., 0] + se_n.translation(T))
+
+
+def _register(
+    sweep: Sweep, before: Array, predicted: Array, duration: float, surfaces: FlatCells
+) -> tuple[Array, Array]:
+    """The pose of a sweep and the velocity that leads to it, from that of the one before and its prediction."""
+    starts = [(predicted, _ROBUST_SCALES)]
+    if predicted.shape[-1] == 3:
+        starts.append((_search(sweep, before, predicted, duration, surfaces), _FINAL_SCALES))
+    registered = [_minimize(sweep, before, start, predicted, duration, surfaces, scales) for start, scales in starts]
+    return min(registered, key=lambda one: one[2])[:2]
+
+
+def _search(sweep: Sweep, before: Array, predicted: Array, duration: float, surfaces: FlatCells) -> Array:
+    """The most likely of the poses around a prediction, in the plane, where a scan meets few surfaces."""
+    turn, ahead = np.meshgrid(_SEARCHED_TURNS, _SEARCHED_DISTANCES)
+    zero = np.zeros(turn.size)
+    candidates = predicted @ se_n.pose(se_n.exp(turn.reshape(-1, 1)), np.stack([ahead.ravel(), zero], axis=1))
+    some = sweep.select(np.arange(0, len(sweep.points), max(len(sweep.points) // _SEARCHED_POINTS, 1)))
+    local = _to_world(some, np.eye(3), _velocity(before, predicted, duration))
+    world = se_n.apply(candidates, local)
+    cost = _robust_cost(world.reshape(-1, 2), surfaces, _ROBUST_SCALES[0]).reshape(len(candidates), -1).sum(axis=1)
+    prior = 0.5 * (turn.ravel() / (0.5 * _TURN_ACCELERATION * duration**2)) ** 2
+    return np.asarray(candidates[np.argmin(cost * len(sweep.points) / len(local) + prior)])
+
+
+def _robust_cost(world: Array, surfaces: FlatCells, scale: float) -> Array:
+    """(N,) half the robust squared distance of each point from its surface; 1/2 without one (Geman–McClure)."""
+    index = surfaces.find_nearest(world, surfaces.cell)
+    r = np.einsum("ij,ij->i", surfaces.normals[index], world - surfaces.center[index]) / scale
+    return np.asarray(0.5 * np.where(index < 0, 1.0, r**2 / (1 + r**2)))
+
+
+def _minimize(
+    sweep: Sweep,
+    before: Array,
+    pose: Array,
+    predicted: Array,
+    duration: float,
+    surfaces: FlatCells,
+    scales: Sequence[float],
+) -> tuple[Array, Array, float]:
+    """The pose of a sweep, the velocity that leads to it, and the cost; by Gauss–Newton from ``pose``."""
+    n = predicted.shape[-1] - 1
+    d = n * (n - 1) // 2
+    stddev = np.repeat([0.5 * _ACCELERATION * duration**2, 0.5 * _TURN_ACCELERATION * duration**2], [n, d])
+    for scale in scales:
+        world = _to_world(sweep, pose, _velocity(before, pose, duration))
+        index = surfaces.find_nearest(world, surfaces.cell)
+        hit = index >= 0
+        x, cells = world[hit], index[hit]
+        normals = surfaces.normals[cells]
+        r = np.einsum("ij,ij->i", normals, x - surfaces.center[cells])
+        weights = (scale * (1 + (r / scale) ** 2)) ** -2
+        arm = x - se_n.translation(pose)
+        J = np.concatenate([normals, np.einsum("ni,nij->nj", normals, se_n.rotation_jacobian(arm))], axis=1)
+        H = (J * weights[:, None]).T @ J + np.diag(stddev**-2)
+        g = J.T @ (weights * r) + se_n.difference(pose, predicted) / stddev**2
+        step = -np.linalg.solve(H, g)
+        pose = se_n.retract(pose, step)
+        if scale == scales[-1] and np.abs(step).max() < _LEAST_STEP:
+            break
+    velocity = _velocity(before, pose, duration)
+    cost = _robust_cost(_to_world(sweep, pose, velocity), surfaces, scales[-1]).sum()
+    cost += 0.5 * np.sum((se_n.difference(pose, predicted) / stddev) ** 2)
+    return pose, velocity, float(cost)
+
+
+def _velocity(before: Array, pose: Array, duration: float) -> Array:
+    """(n + d,) in the moving frame."""
+    moved = se_n.inverse(before) @ pose
+    return np.concatenate([se_n.translation(moved), se_n.log(se_n.rotation(moved))]) / max(duration, 1e-3)
+
+
+def _is_far(key: Array, pose: Array) -> bool:
+    moved = se_n.inverse(key) @ pose
+    distance = np.linalg.norm(se_n.translation(moved))
+    return bool(distance > _KEY_DISTANCE or se_n.rotation_angle(se_n.rotation(moved)) > _KEY_ANGLE)

@@ -1,0 +1,188 @@
+"""Start values without a guess: clocks by turn rates, poses by relative motions (hand-eye calibration).
+
+Sources: Tsai and Lenz, "A new technique for fully autonomous and efficient 3D robotics hand/eye calibration", 1989;
+Brookshire and Teller, "Automatic calibration of multiple coplanar sensors", 2011, for motion in the plane.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calgraph.geometry import Array, se_n
+from calgraph.surfaces.trajectory import Track
+
+# Rate at which turn rates are compared, Hz: above that of sweeps, so that a step is 20 ms and a parabola refines it.
+_RATE = 50.0
+# Turn rates above this are failures of odometry, rad/s.
+_MAX_TURN_RATE = 3.0
+# Relative motions are over this time, s: long against the noise of a sweep, short against the drift of odometry.
+MOTION_DURATION = 1.5
+# And start this far apart, s: half of the duration, so that errors of neighbours are hardly independent.
+_MOTION_STEP = 0.5
+# Random samples: with half of the motions wrong, 200 of three have a right one with 1 - (7/8)^200.
+_SAMPLES = 200
+# Errors of a relative motion beyond which it counts as wrong, m and rad: odometry in the plane of offices.
+_MAX_ERROR = 0.15, 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class MotionStart:
+    """The start pose and clock of a sensor, from its motion and the root's."""
+
+    T_root_sensor: Array
+    """(n+1, n+1)."""
+    clock_offset: float
+    """The sensor's clock minus the root's, s."""
+    information: Array
+    """(n+d, n+d) of the pose, by the scatter of the motions."""
+    inliers: float
+    """Share of the motions that agree."""
+    correlation: float
+    """Of the turn rates, at the clock offset."""
+
+
+def find_clock_offset(root: Track, sensor: Track, max_offset: float) -> tuple[float, float]:
+    """The offset of the sensor's clock, s, at which turn rates agree best, and their correlation there.
+
+    Args:
+        root: trajectory of the root.
+        sensor: of the sensor.
+        max_offset: to search within, s.
+    """
+    start, end = max(root.times[0], sensor.times[0] - max_offset), min(root.times[-1], sensor.times[-1] + max_offset)
+    times = np.arange(start, end, 1 / _RATE)
+    own = _turn_rates(root, times)
+    lags = np.arange(-max_offset, max_offset + 0.5 / _RATE, 1 / _RATE)
+    padded = _turn_rates(sensor, np.arange(start - max_offset, end + max_offset + 1 / _RATE, 1 / _RATE))
+    scores = np.array([_correlate(own, padded[k : k + len(own)]) for k in range(len(lags))])
+    best = int(np.argmax(scores))
+    shift = 0.0
+    if 0 < best < len(lags) - 1:
+        before, at, after = scores[best - 1 : best + 2]
+        shift = 0.5 * (before - after) / min(before - 2 * at + after, -1e-12)
+    return float(lags[best] + shift / _RATE), float(scores[best])
+
+
+def _turn_rates(track: Track, times: Array) -> Array:
+    """(M,) rad/s: signed in the plane, of any axis in space, where sensors have axes of their own."""
+    moved = se_n.log(se_n.rotation(se_n.inverse(track.poses[:-1]) @ track.poses[1:]))
+    rates = moved / np.maximum(np.diff(track.times), 1e-3)[:, None]
+    size = rates[:, 0] if rates.shape[1] == 1 else np.linalg.norm(rates, axis=1)
+    middle = (track.times[:-1] + track.times[1:]) / 2
+    return np.asarray(np.interp(times, middle, np.clip(size, -_MAX_TURN_RATE, _MAX_TURN_RATE)))
+
+
+def _correlate(a: Array, b: Array) -> float:
+    a, b = a - a.mean(), b - b.mean()
+    return float(a @ b / max(np.sqrt((a @ a) * (b @ b)), 1e-12))
+
+
+def solve_start(root: Track, sensor: Track, max_offset: float, rng: np.random.Generator) -> MotionStart:
+    """The pose and the clock of a sensor from two trajectories.
+
+    Args:
+        root: trajectory of the root, in a world of its own.
+        sensor: of the sensor, in another.
+        max_offset: largest difference of the clocks, s.
+        rng: for random samples.
+    """
+    offset, correlation = find_clock_offset(root, sensor, max_offset)
+    first = max(root.times[0], sensor.times[0] - offset)
+    last = min(root.times[-1], sensor.times[-1] - offset) - MOTION_DURATION
+    starts = np.arange(first, last, _MOTION_STEP)
+    A = root.relative(starts, MOTION_DURATION)
+    B = sensor.relative(starts + offset, MOTION_DURATION)
+    T = _sample_poses(A, B, rng)
+    T, information, weights = _refine(T, A, B)
+    return MotionStart(T, offset, information, float(np.mean(weights > 0.25)), correlation)
+
+
+def _sample_poses(A: Array, B: Array, rng: np.random.Generator) -> Array:
+    """The pose (n+1, n+1) with which most motions A (K, n+1, n+1) and B agree, of random samples of three."""
+    chosen = np.array([rng.choice(len(A), 3, replace=False) for _ in range(_SAMPLES)])
+    # Motions that hardly turn determine nothing: samples prefer those that do.
+    solve = _solve_in_plane if A.shape[-1] == 3 else _solve_in_space
+    T = solve(A[chosen], B[chosen])
+    cost = np.array([_truncated(_errors(one, A, B)).sum() for one in T])
+    return np.asarray(T[np.argmin(cost)])
+
+
+def _errors(T: Array, A: Array, B: Array) -> Array:
+    """(K, n+d) of ``A T`` against ``T B``."""
+    return se_n.difference(A @ T, T @ B)
+
+
+def _scale(n: int) -> Array:
+    return np.repeat(_MAX_ERROR, [n, n * (n - 1) // 2])
+
+
+def _truncated(errors: Array) -> Array:
+    """(K,) squared errors in the largest ones, at most 1."""
+    n = 2 if errors.shape[1] == 3 else 3
+    return np.minimum(np.sum((errors / _scale(n)) ** 2, axis=1), 1.0)
+
+
+def _solve_in_plane(A: Array, B: Array) -> Array:
+    """Poses (S, 3, 3) of samples (S, m, 3, 3): ``[R_A - I, -J(t_B)] (t_x, t_y, cos θ, sin θ) = -t_A``."""
+    x, y = B[..., 0, 2], B[..., 1, 2]
+    left = A[..., :2, :2] - np.eye(2)
+    right = -np.stack([np.stack([x, -y], axis=-1), np.stack([y, x], axis=-1)], axis=-2)
+    M = np.concatenate([left, right], axis=-1).reshape(len(A), -1, 4)
+    b = -A[..., :2, 2].reshape(len(A), -1)
+    solution = _solve_least_squares(M, b)
+    angle = np.arctan2(solution[:, 3], solution[:, 2])
+    # With the direction fixed, the translation is that of least squares.
+    R = se_n.exp(angle[:, None])
+    t = _solve_translation(A, B, R)
+    return se_n.pose(R, t)
+
+
+def _solve_in_space(A: Array, B: Array) -> Array:
+    """Poses (S, 4, 4) of samples (S, m, 4, 4): rotation vectors are turned, ``a = R b`` (Kabsch), then positions."""
+    a, b = se_n.log(A[..., :3, :3]), se_n.log(B[..., :3, :3])
+    R = se_n.nearest_rotation(np.swapaxes(a, -1, -2) @ b)
+    return se_n.pose(R, _solve_translation(A, B, R))
+
+
+def _solve_translation(A: Array, B: Array, R: Array) -> Array:
+    """(S, n) of ``(R_A - I) t = R t_B - t_A``."""
+    n = A.shape[-1] - 1
+    M = (A[..., :n, :n] - np.eye(n)).reshape(len(A), -1, n)
+    b = (np.einsum("sij,smj->smi", R, B[..., :n, n]) - A[..., :n, n]).reshape(len(A), -1)
+    return _solve_least_squares(M, b)
+
+
+def _solve_least_squares(M: Array, b: Array) -> Array:
+    """(S, p) of problems (S, m, p); directions that nothing determines stay near 0."""
+    # A turn by 0.01 rad determines a position no better than the largest error of a motion.
+    H = np.swapaxes(M, -1, -2) @ M + 1e-4 * np.eye(M.shape[-1])
+    return np.asarray(np.linalg.solve(H, np.swapaxes(M, -1, -2) @ b[..., None])[..., 0])
+
+
+def _refine(T: Array, A: Array, B: Array) -> tuple[Array, Array, Array]:
+    """The pose of least robust squared errors, its information, and the weights of motions (K,)."""
+    n = T.shape[-1] - 1
+    scale = _scale(n)
+    for step in range(20):
+        e = _errors(T, A, B) / scale
+        # The scale falls to that of the errors, which is far below the largest one where odometry is good.
+        spread = np.maximum(1.4826 * np.median(np.abs(e), axis=0), 0.02) if step > 5 else np.ones(e.shape[1])
+        e, s = e / spread, scale * spread
+        weights = (1 + np.sum(e**2, axis=1) / 9) ** -2.0
+        J = _jacobian(T, A, B) / s[:, None]
+        H = np.einsum("k,kij,kil->jl", weights, J, J)
+        g = np.einsum("k,kij,ki->j", weights, J, e)
+        T = se_n.retract(T, -np.linalg.solve(H + 1e-9 * np.eye(len(H)), g))
+    return T, H, weights
+
+
+def _jacobian(T: Array, A: Array, B: Array) -> Array:
+    """(K, n+d, n+d) derivatives of the errors by the pose, for small errors of the rotation."""
+    n = T.shape[-1] - 1
+    d = n * (n - 1) // 2
+    J = np.zeros((len(A), n + d, n + d))
+    J[:, :n, :n] = A[:, :n, :n] - np.eye(n)
+    J[:, :n, n:] = -se_n.rotation_jacobian(B[:, :n, n] @ T[:n, :n].T)
+    if n == 3:
+        J[:, n:, n:] = A[:, :3, :3] - np.eye(3)
+    return J

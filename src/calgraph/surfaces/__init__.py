@@ -1,0 +1,1 @@
+"""Surfaces of the surroundings, one flat patch per cell, and trajectories as splines."""
