@@ -93,7 +93,8 @@ def draw_route(
     targets = _draw_speeds(times, kind != "constant_turn", rng)
     if kind == "straight":
         # No driver holds a line better than half a degree.
-        speeds, turns = _limit(targets, _MAX_ACCELERATION), 0.01 * draw_drift(len(times), 1.5, rng)
+        speeds = _limit(targets, _MAX_ACCELERATION)
+        turns = np.gradient(np.radians(0.4) * draw_drift(len(times), 1.0, rng), INTERVAL)
     elif kind == "constant_turn":
         turn = rng.choice([-1.0, 1.0]) * rng.uniform(0.2, 0.4)
         speeds = _limit(targets, _MAX_ACCELERATION)
@@ -149,8 +150,10 @@ def draw_motion(
 
 def draw_drift(count: int, correlation: float, rng: np.random.Generator) -> Array:
     """(count,) a smooth random process of unit variance, correlated over some seconds, at :data:`INTERVAL`."""
-    values = gaussian_filter1d(rng.normal(size=count), correlation / INTERVAL, mode="wrap")
-    return np.asarray(values / max(float(np.std(values)), 1e-12))
+    width = correlation / INTERVAL
+    # White noise of unit variance has the variance 1 / (2 sqrt(pi) width) after the filter.
+    values = gaussian_filter1d(rng.normal(size=count), width, mode="wrap")
+    return np.asarray(values * np.sqrt(2 * np.sqrt(np.pi) * width))
 
 
 def _rotation(yaw: Array, pitch: Array, roll: Array) -> Array:

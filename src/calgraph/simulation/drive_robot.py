@@ -24,22 +24,24 @@ class DriveClock:
     """A sensor's clock and the times of its measurements."""
 
     offset: float
-    """Sensor's clock minus the root's in the middle of the drive, s."""
+    """Sensor's clock minus true time in the middle of the drive, without the jump, s."""
     drift: float
     """By how much it runs fast."""
     jump: float
-    """From the middle of the drive on, s; half of it is in the offset."""
+    """By how much it is ahead from the fault on, s."""
     period: float
     """True time between measurements, s."""
     phase: float
     """Of the first measurement, s."""
     middle: float
     """Of the drive, s."""
+    fault: float
+    """Time of the fault, s."""
 
     def stamps(self, times: Array) -> Array:
         """The clock's reading (N,) at true times (N,), s from the start of the recording."""
-        after = np.where(times > self.middle, 0.5, -0.5) * self.jump
-        return times + self.offset + after + self.drift * (times - self.middle)
+        jumped = np.where(times > self.fault, self.jump, 0.0)
+        return times + self.offset + jumped + self.drift * (times - self.middle)
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +50,7 @@ class DriveMount:
 
     sensor: DriveSensor
     T_base_sensor: Array
-    """(4, 4) until the middle of the drive."""
+    """(4, 4) until the fault."""
     T_base_sensor_after: Array
     """(4, 4) from then on; another one if the sensor is bumped."""
     centre: float
@@ -114,7 +116,10 @@ def _draw_mount(
     centre = rng.uniform(-np.pi, np.pi)
     direction, angle = rng.uniform(-np.pi, np.pi), np.radians(rng.uniform(0, sensor.max_tilt))
     tilt = angle * np.array([np.cos(direction), np.sin(direction), 0.0])
-    R = so3.exp(tilt) @ so3.exp(np.array([0.0, 0.0, bearing - centre]))
+    if sensor.upside_down:
+        R = so3.exp(tilt) @ so3.exp(np.array([0.0, 0.0, bearing + centre])) @ np.diag([1.0, -1.0, -1.0])
+    else:
+        R = so3.exp(tilt) @ so3.exp(np.array([0.0, 0.0, bearing - centre]))
     if sensor.kind in ("trajectory", "gyroscope"):
         R = so3.exp(rng.uniform(-1, 1, 3) * np.pi / 2)
     T = se3.pose(R, place)
@@ -124,7 +129,9 @@ def _draw_mount(
     if sensor.name == scenario.faulty and any(bump):
         shift, turn = (v / np.linalg.norm(v) for v in rng.normal(size=(2, 3)))
         after = se3.pose(so3.exp(np.radians(bump[1]) * turn) @ R, place + bump[0] * shift)
+    # Mirrors of 2-D scanners turn counter-clockwise.
     spin, stamps_end = float(rng.choice([-1.0, 1.0])), bool(rng.random() < 0.3)
+    spin = 1.0 if sensor.kind == "scanner" else spin
     return DriveMount(sensor, T, after, centre, spin, stamps_end, clock)
 
 
@@ -143,6 +150,7 @@ def _draw_clock(
         period,
         rng.uniform(0, period),
         scenario.duration / 2,
+        scenario.duration * faults.time,
     )
 
 

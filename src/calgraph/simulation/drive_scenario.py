@@ -69,6 +69,8 @@ class DriveSensor:
     """Largest tilt of its plane from the horizon."""
     max_range: float = 60.0
     """m."""
+    upside_down: bool = False
+    """Whether its z axis points down."""
 
 
 def _apart(count: int, sector: float) -> tuple[DriveSensor, ...]:
@@ -112,12 +114,14 @@ class DriveFaults:
 
     sensor: str = ""
     """Which sensor the faults below concern; the last that measures ranges if empty."""
+    time: float = 0.5
+    """When bump and jump occur, as a fraction of the drive."""
     bump: tuple[float, float] = (0.0, 0.0)
-    """By how much it is displaced and rotated in the middle of the drive, m and degrees."""
+    """By how much it is displaced and rotated from then on, m and degrees."""
     clock_drift: float = 0.0
     """By how much its clock runs fast."""
     clock_jump: float = 0.0
-    """By how much its clock jumps in the middle of the drive, s."""
+    """By how much its clock is ahead from then on, s."""
     range_scale: float = 0.0
     """By how much its ranges are too long."""
     pose_jumps: int = 0

@@ -24,11 +24,11 @@ class DriveTruth:
 
     root: str
     T_root_sensor: Mapping[str, Array]
-    """(4, 4) by sensor, until the middle of the drive."""
+    """(4, 4) by sensor, until the fault."""
     T_root_sensor_after: Mapping[str, Array]
     """(4, 4) by sensor, from then on: others if a sensor was bumped."""
     clock_offsets: Mapping[str, float]
-    """By sensor, the sensor's clock minus the root's in the middle of the drive, s."""
+    """By sensor, the sensor's clock minus the root's in the middle of the drive, without jumps, s."""
     T_base_root: Array
     """(4, 4) to the frame on the ground below the middle of the rear axle, x ahead, z up."""
     times: Array
@@ -99,7 +99,7 @@ def simulate_drive(scenario: DriveScenario) -> SimulatedDrive:
 
 def sensor_poses(mount: DriveMount, motion: Motion, times: Array) -> Array:
     """(N, 4, 4) T_world_sensor at true times (N,), s from the start of the recording."""
-    late = times > mount.clock.middle
+    late = times > mount.clock.fault
     T_base_sensor = np.where(late[:, None, None], mount.T_base_sensor_after, mount.T_base_sensor)
     return np.asarray(motion.poses(times) @ T_base_sensor)
 
@@ -204,7 +204,7 @@ def _simulate_gyroscope(
 ) -> tuple[Array, Array]:
     """Angular velocities with bias, slow drift of the bias, error of scale, and noise of a cheap sensor."""
     times = _times_of(scenario, mount)
-    R = np.where((times > mount.clock.middle)[:, None, None], mount.T_base_sensor_after, mount.T_base_sensor)
+    R = np.where((times > mount.clock.fault)[:, None, None], mount.T_base_sensor_after, mount.T_base_sensor)
     rates = np.einsum("nji,nj->ni", R[:, :3, :3], motion.rates(times)) * (1 + rng.normal(0, 0.003, 3))
     wander = np.stack(
         [np.interp(times, motion.times, draw_drift(len(motion.times), 10.0, rng)) for _ in range(3)], axis=-1

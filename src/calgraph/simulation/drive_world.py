@@ -258,17 +258,17 @@ def draw_bodies(
     if truck:
         smooth = 2.5 / _BODY_INTERVAL
         yaws = gaussian_filter1d(np.interp(times, route.times, route.yaws), smooth)
-        side: Array = float(rng.choice([-1, 1])) * np.stack([-np.sin(yaws), np.cos(yaws)], axis=-1)
+        side: Array = rng.choice([-1.0, 1.0]) * np.stack([-np.sin(yaws), np.cos(yaws)], axis=-1)
         ahead = np.stack([np.cos(yaws), np.sin(yaws)], axis=-1)
         along = 1.5 * np.sin(2 * np.pi * times / rng.uniform(12, 25) + rng.uniform(0, 6))
         beside = (
             gaussian_filter1d(robot, smooth, axis=0)
-            + (clearance + rng.uniform(1.8, 2.8)) * side
+            + (clearance + rng.uniform(1.5, 2.2)) * side
             + along[:, None] * ahead
         )
         parts = (
-            Surface(BoxShape(9.0, 2.5, 3.0), _upright([0.0, 0, 2.2], 0.0), 0.7),
-            Surface(BoxShape(2.0, 2.3, 2.6), _upright([5.7, 0, 1.7], 0.0), 0.5),
+            Surface(BoxShape(12.0, 2.5, 3.6), _upright([0.0, 0, 2.1], 0.0), 0.7),
+            Surface(BoxShape(2.0, 2.3, 2.8), _upright([7.2, 0, 1.7], 0.0), 0.5),
         )
         bodies.append(_body(parts, times, _keep_away(beside, robot, clearance + 1.6), yaws))
     return tuple(bodies)
@@ -286,7 +286,7 @@ def _draw_person(times: Array, robot: Array, clearance: float, rng: np.random.Ge
         position = position + speed * _BODY_INTERVAL * way / max(float(np.linalg.norm(way)), 0.1)
         positions[k] = position
     positions = _keep_away(gaussian_filter1d(positions, 3, axis=0), robot, clearance + 0.5)
-    velocity = np.gradient(positions, _BODY_INTERVAL, axis=0)
+    velocity = np.asarray(np.gradient(positions, _BODY_INTERVAL, axis=0))
     yaws = np.unwrap(np.arctan2(velocity[:, 1], velocity[:, 0]))
     ahead = np.stack([np.cos(yaws), np.sin(yaws)], axis=-1)
     left = np.stack([-ahead[:, 1], ahead[:, 0]], axis=-1)
