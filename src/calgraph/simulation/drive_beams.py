@@ -156,8 +156,9 @@ def measure(
     cosines = np.maximum(np.where(pane, on_glass.cosines, hits.cosines), 0.05)
     grey = np.where(pane, on_glass.reflectivities, hits.reflectivities)
     slant = np.minimum(1 / cosines - 1, 6.0)
-    # The neighbour on the same ring in the next column.
-    neighbours = np.minimum(np.arange(true.size) + shape[1], true.size - 1)
+    # The neighbour on the same ring in the next column; the last column of a sweep has none but itself.
+    intervals = np.diff(columns.times, append=np.inf)
+    neighbours = np.arange(true.size) + np.repeat(shape[1] * (intervals < 1.5 * intervals.min()), shape[1])
     ranges = add_mixed_pixels(true, neighbours, errors.mixed_pixels, rng)
     ranges = (1 + own.scale) * ranges + own.bias + own.grazing_bias * slant + own.dark_bias * (1 - 2 * grey)
     ranges += np.tile(own.ring_biases, shape[0])

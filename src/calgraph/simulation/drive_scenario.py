@@ -151,6 +151,8 @@ class DriveScenario:
     """That drive by, in halls and yards."""
     glass: int = 2
     """Panes."""
+    lost_messages: float = 0.002
+    """Probability that a cloud or a scan is not recorded."""
     slip: float = 0.004
     """Sideways velocity per speed and turn rate, s."""
     bounce: float = 1.0

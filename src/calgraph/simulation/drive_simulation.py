@@ -123,7 +123,8 @@ def _simulate_scanner(
         ]
     )
     stamps = scenario.start_time + clock.stamps(columns.times)
-    parts = [slice(k, k + per_sweep) for k in range(0, len(columns.times), per_sweep)]
+    sent = np.flatnonzero(rng.random(len(starts)) >= scenario.lost_messages).tolist()
+    parts = [slice(k * per_sweep, (k + 1) * per_sweep) for k in sent]
     if sensor.kind == "scanner":
         # Angles and times of a scan count from its first beam, in the direction of rotation.
         return [
