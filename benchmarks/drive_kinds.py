@@ -4,9 +4,9 @@ python benchmarks/drive_kinds.py                                  # CPU time and
 python benchmarks/drive_kinds.py --rigs four_lidars --seeds 3 4   # some rigs, some seeds
 python benchmarks/drive_kinds.py --kinds truck field              # some kinds
 
-Sensors with a sector of 130, 80 or 56 degrees, columns of 16 beams every 0.8 degrees at 10 Hz, 60 s, mean of three
-seeds on one core: 6 s of CPU for two to four LiDARs (at most 8), 7 s with a solid-state LiDAR, 11 s with a 2-D scanner
-of 40 Hz; 0.4 to 0.9 GB.
+Sectors of 130, 80 or 56 degrees, columns of 16 beams every 0.8 degrees at 10 Hz, 60 s, mean of three seeds on one
+core: 6 s of CPU for two to four LiDARs (at most 8), 7 s with a solid-state LiDAR, 11 s with a 2-D scanner of 40 Hz;
+0.4 to 0.9 GB.
 """
 
 import argparse

@@ -14,7 +14,7 @@ from calgraph.simulation.drive_surfaces import FrustumShape, ReliefShape, Shape,
 from calgraph.simulation.drive_world import LAYOUTS, WorldKind
 from calgraph.simulation.solids import BoxShape, CylinderShape
 
-SHORT = DriveScenario(seed=2, duration=4.0, people=0, cars=0)
+SHORT = DriveScenario(seed=2, duration=4.0, people=0, cars=0, stamp_jitter=0.0)
 EXACT_DRIVE = replace(SHORT, world="hall", errors=EXACT)
 ALL_KINDS = (*STANDARD_RIGS["lidar_and_solid_state"], STANDARD_RIGS["lidar_and_scanner"][1])
 

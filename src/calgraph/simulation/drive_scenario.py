@@ -151,6 +151,8 @@ class DriveScenario:
     """That drive by, in halls and yards."""
     glass: int = 2
     """Panes."""
+    stamp_jitter: float = 0.0002
+    """Standard deviation of the stamp of a cloud or a scan, s; times of points are relative to it."""
     lost_messages: float = 0.002
     """Probability that a cloud or a scan is not recorded."""
     slip: float = 0.004

@@ -71,9 +71,8 @@ def simulate_drive(scenario: DriveScenario) -> SimulatedDrive:
     route = draw_route(scenario.path, LAYOUTS[kind].reach, scenario.duration, scenario.slip, route_rng)
     clearance = 0.3 + float(np.hypot(0.8 * size[0], size[1] / 2))
     uneven = scenario.path != "planar" and kind != "corridor"
-    world = build_world(
-        kind, route, clearance, uneven, uneven and scenario.path == "ordinary", scenario.glass, world_rng
-    )
+    ramps = scenario.path == "ordinary" and kind in ("room", "hall", "yard")
+    world = build_world(kind, route, clearance, uneven, ramps, scenario.glass, world_rng)
     cars = scenario.cars if kind in ("hall", "yard") else 0
     bodies = draw_bodies(route, clearance, scenario.people, cars, scenario.faults.truck, body_rng)
     world = DriveWorld(world.floor, world.surfaces, bodies)
@@ -123,6 +122,7 @@ def _simulate_scanner(
         ]
     )
     stamps = scenario.start_time + clock.stamps(columns.times)
+    stamps += np.repeat(rng.normal(0, scenario.stamp_jitter, len(starts)), per_sweep)
     sent = np.flatnonzero(rng.random(len(starts)) >= scenario.lost_messages).tolist()
     parts = [slice(k * per_sweep, (k + 1) * per_sweep) for k in sent]
     if sensor.kind == "scanner":

@@ -89,7 +89,7 @@ def build_world(
         route: of the robot.
         clearance: of objects from the route, m.
         uneven: whether the floor has waves.
-        ramps: whether the robot drives over ramps and a kerb.
+        ramps: whether the robot drives over a ramp and a threshold.
         glass: number of panes.
         rng: for the world.
     """
@@ -226,7 +226,7 @@ def _draw_ramps(kind: WorldKind, route: Route, rng: np.random.Generator) -> list
     threshold = FrustumShape((0.25, 3.0), (0.06, 0.2), rng.uniform(0.015, 0.04))
     slope = FrustumShape((rng.uniform(2, 6), 6.0), (rng.uniform(5, 9), 6.0), rng.uniform(0.25, 0.5))
     surfaces = []
-    for shape in (ramp, threshold, slope)[: 3 if kind in ("yard", "field") else 2]:
+    for shape in (ramp, threshold, slope)[: 3 if kind == "yard" else 2]:
         # Where it is crossed for the least time: a floor of ramps is none.
         places = rng.choice(usable, 8)
         gaps = route.positions[places, None] - route.positions[::20]
