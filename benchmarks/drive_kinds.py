@@ -5,8 +5,8 @@ python benchmarks/drive_kinds.py --rigs four_lidars --seeds 3 4   # some rigs, s
 python benchmarks/drive_kinds.py --kinds truck field              # some kinds
 
 Sectors of 130, 80 or 56 degrees, columns of 16 beams every 0.8 degrees at 10 Hz, 60 s, mean of three seeds on one
-core: 6 s of CPU for two to four LiDARs (at most 8), 7 s with a solid-state LiDAR, 11 s with a 2-D scanner of 40 Hz;
-0.4 to 0.9 GB.
+core: 6 s of CPU for two to four LiDARs (at most 8), 7 s with a solid-state LiDAR, 11 s with a 2-D scanner; 0.4 to
+0.9 GB.
 """
 
 import argparse
@@ -19,8 +19,16 @@ from typing import Any
 import numpy as np
 
 from calgraph.simulation import STANDARD_RIGS, DriveFaults, DriveScenario, simulate_drive
+from calgraph.simulation.drive_scenario import RigName
 
-RIGS = ("two_lidars", "three_lidars", "four_lidars", "lidar_and_solid_state", "lidar_and_scanner", "mixed")
+RIGS: tuple[RigName, ...] = (
+    "two_lidars",
+    "three_lidars",
+    "four_lidars",
+    "lidar_and_solid_state",
+    "lidar_and_scanner",
+    "mixed",
+)
 
 
 def _spread(low: float, high: float, rng: np.random.Generator) -> float:
@@ -55,7 +63,9 @@ KINDS: dict[str, Callable[[np.random.Generator], dict[str, Any]]] = {
 OUTDOORS = ("truck",)
 
 
-def build_drive_scenario(kind: str, seed: int, rig: str = "two_lidars", duration: float = 60.0) -> DriveScenario:
+def build_drive_scenario(
+    kind: str, seed: int, rig: RigName = "two_lidars", duration: float = 60.0
+) -> DriveScenario:
     """The scenario of one run.
 
     Args:

@@ -8,7 +8,7 @@ import pytest
 from calgraph.errors import InputError
 from calgraph.geometry import Array, se3, so3
 from calgraph.sensors import LaserScan, PointCloud
-from calgraph.simulation.drive_scenario import EXACT, STANDARD_RIGS, DriveFaults, DriveScenario
+from calgraph.simulation.drive_scenario import EXACT, STANDARD_RIGS, DriveFaults, DriveScenario, RigName
 from calgraph.simulation.drive_simulation import DriveTruth, SimulatedDrive, simulate_drive
 from calgraph.simulation.drive_surfaces import FrustumShape, ReliefShape, Shape, SphereShape, Surface
 from calgraph.simulation.drive_world import LAYOUTS, WorldKind
@@ -144,7 +144,7 @@ def test_errors_do_not_change_the_drive() -> None:
 
 @pytest.mark.parametrize("rig", ["two_lidars", "three_lidars", "four_lidars", "lidar_and_solid_state"])
 @pytest.mark.parametrize("seed", [0, 1, 2])
-def test_sensors_of_standard_rigs_share_no_view(rig: str, seed: int) -> None:
+def test_sensors_of_standard_rigs_share_no_view(rig: RigName, seed: int) -> None:
     drive = simulate_drive(replace(EXACT_DRIVE, seed=seed, duration=1.0, sensors=STANDARD_RIGS[rig]))
     poses = drive.truth.T_root_sensor
     points = {name: measured_points(drive, name)[0] for name in poses}

@@ -9,6 +9,10 @@ from calgraph.simulation.drive_world import WorldKind
 
 DriveSensorKind = Literal["lidar", "solid_state", "scanner", "odometry", "trajectory", "gyroscope"]
 """Spinning or solid-state 3-D LiDAR, 2-D scanner, wheel odometry, trajectory of another program, gyroscope."""
+RigName = Literal[
+    "two_lidars", "three_lidars", "four_lidars", "lidar_and_solid_state", "lidar_and_scanner", "two_scanners",
+    "lidar_and_odometry", "lidar_and_trajectory", "lidar_and_gyroscope", "mixed", "scanner_270",
+]  # fmt: skip
 RANGING = ("lidar", "solid_state", "scanner")
 """The kinds that measure ranges; the others state poses or rates."""
 
@@ -86,7 +90,7 @@ _GYROSCOPE = DriveSensor("gyroscope", "gyroscope", rate=100.0)
 _ODOMETRY = DriveSensor("odometry", "odometry", rate=50.0, max_tilt=0.0)
 _TRAJECTORY = DriveSensor("trajectory", "trajectory", rate=30.0)
 _SCANNER = DriveSensor("laser_rear", "scanner", 180.0, 160.0, 40.0, 0.5, 1, 0.0, 6.0, 30.0)
-STANDARD_RIGS: dict[str, tuple[DriveSensor, ...]] = {
+STANDARD_RIGS: dict[RigName, tuple[DriveSensor, ...]] = {
     "two_lidars": _apart(2, 130.0),
     "three_lidars": _apart(3, 80.0),
     "four_lidars": _apart(4, 56.0),
