@@ -82,28 +82,50 @@ def measured_points(drive: SimulatedDrive, name: str) -> tuple[Array, Array]:
 
 def distances_from_world(
     drive: SimulatedDrive, name: str, T_root_sensor: Array, offset: float
-) -> tuple[Array, Array]:
-    """Distances (N,) of a sensor's points from the world's surfaces, and their stamps in the root's clock (N,)."""
+) -> tuple[Array, Array, Array]:
+    """Distances (N,) of a sensor's points from what stands still and from all surfaces; stamps of the root's clock."""
     points, stamps = measured_points(drive, name)
     stamps = stamps - offset
     kept = (stamps > drive.truth.times[0]) & (stamps < drive.truth.times[-1])
     T_world_sensor = root_poses(drive.truth, stamps[kept]) @ T_root_sensor
     in_world = np.einsum("nij,nj->ni", T_world_sensor[:, :3, :3], points[kept]) + T_world_sensor[:, :3, 3]
-    return distance_to_surfaces(drive.truth.world.surfaces, in_world), stamps[kept]
+    still = distance_to_surfaces(drive.truth.world.surfaces, in_world)
+    nearest = still
+    for body in drive.truth.world.bodies:
+        T_world_body = body.poses(stamps[kept] - drive.scenario.start_time)
+        in_body = np.einsum("nji,nj->ni", T_world_body[:, :3, :3], in_world - T_world_body[:, :3, 3])
+        nearest = np.minimum(nearest, distance_to_surfaces(body.surfaces, in_body))
+    return still, nearest, stamps[kept]
 
 
 @pytest.mark.parametrize("world", LAYOUTS)
 def test_points_of_an_exact_drive_lie_on_the_surfaces_of_the_world(world: WorldKind) -> None:
-    drive = simulate_drive(replace(SHORT, world=world, errors=EXACT, sensors=ALL_KINDS, max_clock_offset=0.3))
+    scenario = replace(SHORT, world=world, errors=EXACT, sensors=ALL_KINDS, max_clock_offset=0.3, people=3, cars=2)
+    drive = simulate_drive(scenario)
     truth = drive.truth
     # In an open field other tilted sensors may measure the sky.
     for sensor in ALL_KINDS[: 1 if world == "field" else 3]:
         T, offset = truth.T_root_sensor[sensor.name], truth.clock_offsets[sensor.name]
-        off, _ = distances_from_world(drive, sensor.name, T, offset)
+        _, off, _ = distances_from_world(drive, sensor.name, T, offset)
         assert len(off) > 1000
         # Between samples of the trajectory, vibrations of 13 Hz move a point at 40 m by tenths of a millimetre.
         assert np.quantile(off, 0.999) < 1e-3
         assert off.max() < 3e-3
+
+
+def test_beams_end_at_the_first_surface() -> None:
+    drive = simulate_drive(replace(EXACT_DRIVE, world="yard", duration=1.0, glass=0))
+    points, stamps = measured_points(drive, "lidar_rear")
+    points, stamps = points[::7], stamps[::7] - drive.truth.clock_offsets["lidar_rear"]
+    T_world_sensor = root_poses(drive.truth, stamps) @ drive.truth.T_root_sensor["lidar_rear"]
+    ranges = np.linalg.norm(points, axis=1)
+    directions = np.einsum("nij,nj->in", T_world_sensor[:, :3, :3], points / ranges[:, None])
+    first = np.full(len(points), np.inf)
+    for surface in drive.truth.world.surfaces:
+        R, t = surface.T_world_shape[:3, :3], surface.T_world_shape[:3, 3]
+        first = np.minimum(first, surface.shape.distance(R.T @ (T_world_sensor[:, :3, 3] - t).T, R.T @ directions))
+    # A beam that just passes an edge may hit it when it is cast from an interpolated place.
+    assert np.mean(np.abs(first - ranges) < 0.01) > 0.995
 
 
 def test_points_leave_the_surfaces_with_another_pose_or_clock() -> None:
@@ -112,14 +134,14 @@ def test_points_leave_the_surfaces_with_another_pose_or_clock() -> None:
     moved = se3.retract(T, np.array([0.02, 0, 0, 0, 0, 0]))
     turned = se3.retract(T, np.array([0, 0, 0, 0, 0, 0.005]))
     for other, clock in ((moved, offset), (turned, offset), (T, offset + 0.02)):
-        assert np.quantile(distances_from_world(drive, "lidar_rear", other, clock)[0], 0.9) > 2e-3
+        assert np.quantile(distances_from_world(drive, "lidar_rear", other, clock)[1], 0.9) > 2e-3
 
 
 def test_errors_of_ranges_are_of_the_stated_size() -> None:
     drive = simulate_drive(replace(EXACT_DRIVE, errors=replace(EXACT, noise=0.01, bias=0.02, quantum=0.002)))
     for name in ("lidar_front", "lidar_rear"):
         T, offset = drive.truth.T_root_sensor[name], drive.truth.clock_offsets[name]
-        assert 0.003 < np.median(distances_from_world(drive, name, T, offset)[0]) < 0.06
+        assert 0.003 < np.median(distances_from_world(drive, name, T, offset)[1]) < 0.06
     ranges = np.linalg.norm(measured_points(drive, "lidar_rear")[0], axis=1) / 0.002
     assert np.abs(ranges - np.round(ranges)).max() < 1e-3
 
@@ -170,8 +192,8 @@ def test_bumped_sensor_has_another_pose_from_then_on() -> None:
     offset = truth.clock_offsets["lidar_rear"]
     assert np.linalg.norm(after[:3, 3] - before[:3, 3]) == pytest.approx(0.05)
     assert np.linalg.norm(so3.log(after[:3, :3] @ before[:3, :3].T)) == pytest.approx(np.radians(2.0))
-    off_before, stamps = distances_from_world(drive, "lidar_rear", before, offset)
-    off_after, _ = distances_from_world(drive, "lidar_rear", after, offset)
+    off_before, _, stamps = distances_from_world(drive, "lidar_rear", before, offset)
+    off_after, _, _ = distances_from_world(drive, "lidar_rear", after, offset)
     late = stamps > truth.times[0] + 2.0
     assert max(np.quantile(off_before[~late], 0.99), np.quantile(off_after[late], 0.99)) < 1e-3
     assert min(np.median(off_before[late]), np.median(off_after[~late])) > 5e-3
@@ -198,8 +220,9 @@ def test_truck_covers_a_part_of_the_view() -> None:
         scenario = replace(EXACT_DRIVE, seed=seed, world="yard", sensors=STANDARD_RIGS["four_lidars"])
         drive = simulate_drive(replace(scenario, faults=DriveFaults(truck=True)))
         for name, T in drive.truth.T_root_sensor.items():
-            off, _ = distances_from_world(drive, name, T, drive.truth.clock_offsets[name])
-            shares.append(np.mean(off > 0.05))
+            still, nearest, _ = distances_from_world(drive, name, T, drive.truth.clock_offsets[name])
+            assert np.quantile(nearest, 0.999) < 1e-3
+            shares.append(np.mean(still > 0.05))
     assert 0.2 < np.mean(shares) < 0.6
 
 

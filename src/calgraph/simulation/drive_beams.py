@@ -5,13 +5,14 @@ The beams of a column are fired at one time, from one origin, in one plane throu
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.geometry import Array, se3
 from calgraph.simulation.drive_scenario import DriveSensor, RangeErrors
-from calgraph.simulation.drive_surfaces import Surface, surface_normals
+from calgraph.simulation.drive_surfaces import MovingBody, Surface, surface_normals
 from calgraph.simulation.drive_world import DriveWorld
 from calgraph.simulation.scanners import add_mixed_pixels
 
@@ -43,8 +44,7 @@ class Columns:
         return beam_directions(self.azimuths[:, None], self.elevations)
 
 
-@dataclass(frozen=True, eq=False)
-class Hits:
+class Hits(NamedTuple):
     """What beams hit."""
 
     ranges: Array
@@ -145,8 +145,7 @@ def measure(
     opaque = [surface for surface in world.surfaces if not surface.glass]
     hits = _cast(opaque, T_world_sensor, columns, directions, sensor.max_range)
     for body in world.bodies:
-        hits = _cast_body(body.surfaces, body.poses(columns.times), body.bounds, T_world_sensor, columns,
-                          directions, hits, sensor.max_range)  # fmt: skip
+        _add_body(hits, body, T_world_sensor, columns, directions, sensor.max_range)
     panes = [surface for surface in world.surfaces if surface.glass]
     on_glass = _cast(panes, T_world_sensor, columns, directions, sensor.max_range) if panes else hits
     struck = on_glass.ranges < hits.ranges
@@ -220,46 +219,24 @@ def _columns_near(
     return near
 
 
-def _cast_body(
-    surfaces: Sequence[Surface],
-    T_world_body: Array,
-    bounds: tuple[Array, float],
-    T_world_sensor: Array,
-    columns: Columns,
-    directions: Array,
-    hits: Hits,
-    max_range: float,
-) -> Hits:
-    """The hits with those of a body that moves, of which few columns come near."""
-    beams = columns.elevations.shape[1]
-    centre, radius = bounds
-    places = T_world_body[:, :3, :3] @ centre + T_world_body[:, :3, 3]
-    toward = np.einsum("gji,gj->gi", T_world_sensor[:, :3, :3], places - T_world_sensor[:, :3, 3])
-    distance = np.linalg.norm(toward, axis=1)
-    azimuth = np.arctan2(toward[:, 1], toward[:, 0]) - columns.azimuths
-    off = np.abs((azimuth + np.pi) % (2 * np.pi) - np.pi)
-    level = np.hypot(toward[:, 0], toward[:, 1])
-    spread = np.arcsin(np.minimum(radius / np.maximum(level, 1e-6), 1.0)) + _MAX_DEVIATION
-    chosen = np.flatnonzero(((off < spread) | (level < 1.5 * radius)) & (distance < max_range + radius))
+def _add_body(
+    hits: Hits, body: MovingBody, T_world_sensor: Array, columns: Columns, directions: Array, max_range: float
+) -> None:
+    """Puts the hits of a moving body among the others, in place."""
+    T_body_sensor = se3.inverse(body.poses(columns.times)) @ T_world_sensor
+    # Few columns come near to a body: only theirs are cast.
+    chosen = np.flatnonzero(_columns_near([body.bounds], T_body_sensor, columns, max_range)[0])
     if not len(chosen):
-        return hits
-    T_body_sensor = se3.inverse(T_world_body[chosen]) @ T_world_sensor[chosen]
-    R = T_world_body[chosen, :3, :3]
-    local = np.einsum("gji,jgb->igb", R, directions.reshape(3, -1, beams)[:, chosen]).reshape(3, -1)
-    part = Columns(columns.times[chosen], columns.azimuths[chosen], columns.elevations[chosen])
-    found = _cast(surfaces, T_body_sensor, part, local, max_range)
+        return
+    beams = columns.elevations.shape[1]
     rays = (chosen[:, None] * beams + np.arange(beams)).ravel()
+    R = T_body_sensor[chosen, :3, :3] @ np.swapaxes(T_world_sensor[chosen, :3, :3], 1, 2)
+    local = np.einsum("gij,jgb->igb", R, directions[:, rays].reshape(3, -1, beams)).reshape(3, -1)
+    part = Columns(columns.times[chosen], columns.azimuths[chosen], columns.elevations[chosen])
+    found = _cast(body.surfaces, T_body_sensor[chosen], part, local, max_range)
     closer = found.ranges < hits.ranges[rays]
-    values = []
-    for of_all, of_body in (
-        (hits.ranges, found.ranges),
-        (hits.cosines, found.cosines),
-        (hits.reflectivities, found.reflectivities),
-    ):
-        changed = of_all.copy()
-        changed[rays[closer]] = of_body[closer]
-        values.append(changed)
-    return Hits(*values)
+    for of_all, of_body in zip(hits, found, strict=True):
+        of_all[rays[closer]] = of_body[closer]
 
 
 def _describe_hits(

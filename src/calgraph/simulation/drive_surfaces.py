@@ -169,12 +169,13 @@ class MovingBody:
     """(K,) continuous, linear in between, rad."""
 
     @cached_property
-    def bounds(self) -> tuple[Array, float]:
-        """Centre (3,) in the body's frame and radius of a sphere that holds the body, m."""
+    def bounds(self) -> Surface:
+        """A sphere in the body's frame that holds the body."""
         places = np.array([surface.T_world_shape[:3, 3] for surface in self.surfaces])
         centre = places.mean(axis=0)
         reach = [surface.shape.bounding_radius for surface in self.surfaces]
-        return centre, float((np.linalg.norm(places - centre, axis=1) + reach).max())
+        radius = float((np.linalg.norm(places - centre, axis=1) + reach).max())
+        return Surface(SphereShape(radius), se3.pose(np.eye(3), centre))
 
     def poses(self, times: Array) -> Array:
         """(N, 4, 4) from its frame to the world."""
