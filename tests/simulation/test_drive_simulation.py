@@ -83,7 +83,7 @@ def measured_points(drive: SimulatedDrive, name: str) -> tuple[Array, Array]:
 def distances_from_world(
     drive: SimulatedDrive, name: str, T_root_sensor: Array, offset: float
 ) -> tuple[Array, Array, Array]:
-    """Distances (N,) of a sensor's points from what stands still and from all surfaces; stamps of the root's clock."""
+    """Distances (N,) of points from what stands still and from all surfaces, and stamps in the root's clock."""
     points, stamps = measured_points(drive, name)
     stamps = stamps - offset
     kept = (stamps > drive.truth.times[0]) & (stamps < drive.truth.times[-1])
