@@ -78,7 +78,7 @@ def test_help_of_calibrate_has_everyday_options_first_and_tuning_last() -> None:
     ("typed", "offered"),
     [
         ("calgraph cal", ["calibrate"]),
-        ("calgraph simulate ", ["rig", "network"]),
+        ("calgraph simulate ", ["rig", "drive", "network"]),
         ("calgraph calibrate --estimator p", ["published"]),
         ("calgraph calibrate --forc", ["--force"]),
         ("calgraph calibrate --set captures.min_h", ["captures.min_hold="]),

@@ -73,6 +73,11 @@ SIMULATIONS = {
         "simulate_rig_command",
         "Simulate a robot, a board, and an operator who carries it around; write recording and ground truth.",
     ),
+    "drive": LazyCommand(
+        "calgraph.cli.simulate_drive",
+        "simulate_drive_command",
+        "Simulate a robot that drives; write recording, rig.yaml and ground truth.",
+    ),
     "network": LazyCommand(
         "calgraph.cli.simulate_network",
         "simulate_network_command",

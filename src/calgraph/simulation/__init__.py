@@ -1,5 +1,7 @@
-"""Simulated recordings with ground truth, of robots with a board and of networks with people."""
+"""Simulated recordings with ground truth: robots with a board, robots that drive, and networks with people."""
 
+from calgraph.simulation.drive_scenario import STANDARD_RIGS, DriveFaults, DriveScenario, DriveSensor, RangeErrors
+from calgraph.simulation.drive_simulation import DriveTruth, SimulatedDrive, simulate_drive
 from calgraph.simulation.network_recording import simulate_network
 from calgraph.simulation.network_scanners import StationaryScanner
 from calgraph.simulation.network_scenario import (
@@ -30,10 +32,10 @@ from calgraph.simulation.truth import BoardTruth, GroundTruth, PersonTruth, load
 from calgraph.simulation.world import World, build_world, ground_truth
 
 __all__ = [
-    "BeamOptions", "BoardTruth", "CameraOptions", "GroundTruth", "LaserOptions", "LayoutName",
-    "MultibeamOptions", "NetworkErrors", "NetworkScenario", "PeopleOptions", "PersonTruth", "Progress",
-    "RigScenario", "ScannerOptions", "SimulatedNetwork", "SpinningOptions",
-    "StationaryScanner", "World", "build_network", "build_world", "ground_truth", "load_truth", "network_rig",
-    "network_truth", "save_truth", "simulate_network",
-    "simulate_network_scans", "simulate_rig", "simulate_scans", "world_rig",
+    "STANDARD_RIGS", "BeamOptions", "BoardTruth", "CameraOptions", "DriveFaults", "DriveScenario", "DriveSensor",
+    "DriveTruth", "GroundTruth", "LaserOptions", "LayoutName", "MultibeamOptions", "NetworkErrors",
+    "NetworkScenario", "PeopleOptions", "PersonTruth", "Progress", "RangeErrors", "RigScenario",
+    "ScannerOptions", "SimulatedDrive", "SimulatedNetwork", "SpinningOptions", "StationaryScanner", "World",
+    "build_network", "build_world", "ground_truth", "load_truth", "network_rig", "network_truth", "save_truth",
+    "simulate_drive", "simulate_network", "simulate_network_scans", "simulate_rig", "simulate_scans", "world_rig",
 ]  # fmt: skip

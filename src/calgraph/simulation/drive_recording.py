@@ -1,0 +1,142 @@
+"""The files of a simulated drive: recording, rig.yaml and ground truth."""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys.store import Typestore
+
+from calgraph.geometry import Array, so3
+from calgraph.io.text_writing import save_yaml
+from calgraph.recording.writer import RecordingWriter, serialize_message
+from calgraph.simulation.drive_scenario import RANGING, DriveScenario
+from calgraph.simulation.drive_simulation import SimulatedDrive, simulate_drive
+from calgraph.simulation.truth import GroundTruth, save_truth
+
+_LATENCY_RANGE = 0.002, 0.02
+"""Bounds of the time from the end of a measurement to its arrival at the recorder, s."""
+
+_Event = tuple[int, str, str, bytes | memoryview]
+"""Arrival, ns, topic, ROS type and CDR of a message."""
+
+
+def record_drive(scenario: DriveScenario, out: Path, progress: Callable[[int, int], None] | None = None) -> None:
+    """Writes ``out/recording`` (rosbag2, MCAP), ``out/rig.yaml``, ``out/truth.yaml`` and ``out/trajectory.txt``.
+
+    Poses of other programs are nav_msgs/Odometry, rates of gyroscopes sensor_msgs/Imu. The last file is the root's
+    true trajectory, a row per pose: stamp, x, y, z, qx, qy, qz, qw.
+
+    Args:
+        scenario: sensors, path and surroundings.
+        out: folder, created if missing; it must not hold a recording yet.
+        progress: called with the number of messages written, and with that in total.
+
+    Raises:
+        InputError: the sensors' fields are too wide, or there is a recording in ``out`` already.
+    """
+    drive = simulate_drive(scenario)
+    events = sorted(_list_events(drive), key=lambda event: event[0])
+    with RecordingWriter(out / "recording") as writer:
+        for done, (arrival, topic, ros_type, data) in enumerate(events, start=1):
+            writer.write_serialized(topic, ros_type, data, arrival)
+            if progress is not None:
+                progress(done, len(events))
+    sensors = {
+        sensor.name: {
+            "kind": "lidar2d" if sensor.kind == "scanner" else "lidar3d",
+            "topic": f"/{sensor.name}/{'scan' if sensor.kind == 'scanner' else 'points'}",
+            "frame_id": sensor.name,
+        }
+        for sensor in scenario.sensors
+        if sensor.kind in RANGING
+    }
+    save_yaml(out / "rig.yaml", {"root": drive.root, "target": {"kind": "surroundings"}, "sensors": sensors})
+    truth = drive.truth
+    save_truth(
+        out / "truth.yaml",
+        GroundTruth(drive.root, truth.T_root_sensor, (), truth.clock_offsets, errors=_describe_faults(scenario)),
+    )
+    rows = np.column_stack(
+        [truth.times, truth.T_world_root[:, :3, 3], so3.quaternion(truth.T_world_root[:, :3, :3])]
+    )
+    np.savetxt(out / "trajectory.txt", rows, "%.6f")
+
+
+def _describe_faults(scenario: DriveScenario) -> dict[str, dict[str, Any]]:
+    """What is wrong with the faulty sensor, if anything is."""
+    faults = scenario.faults
+    found: dict[str, Any] = {
+        name: getattr(faults, name)
+        for name in ("clock_drift", "clock_jump", "range_scale")
+        if getattr(faults, name)
+    }
+    if any(faults.bump):
+        found["bump"] = list(faults.bump)
+    return {scenario.faulty: {**found, "time": faults.time * scenario.duration}} if found else {}
+
+
+def _list_events(drive: SimulatedDrive) -> Iterator[_Event]:
+    """All messages with their arrivals, of the root's clock."""
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    rng = np.random.default_rng((drive.scenario.seed, 50))
+    offsets = drive.truth.clock_offsets
+
+    def arrival(name: str, end: float) -> int:
+        return round(1e9 * (end - offsets[name] + rng.uniform(*_LATENCY_RANGE)))
+
+    for record in drive.recording.records():
+        message = record.decode()
+        name = record.topic.split("/")[1]
+        end = message.stamp + getattr(message, "duration", 0.0)
+        yield arrival(name, end), record.topic, *serialize_message(store, message)
+    for name, (stamps, poses) in drive.trajectories.items():
+        for stamp, T in zip(stamps.tolist(), poses, strict=True):
+            ros_type, content = _odometry(store, stamp, name, T)
+            yield arrival(name, stamp), f"/{name}/odometry", ros_type, store.serialize_cdr(content, ros_type)
+    for name, (stamps, rates) in drive.rates.items():
+        for stamp, rate in zip(stamps.tolist(), rates, strict=True):
+            ros_type, content = _imu(store, stamp, name, rate)
+            yield arrival(name, stamp), f"/{name}/imu", ros_type, store.serialize_cdr(content, ros_type)
+
+
+def _header(store: Typestore, stamp: float, frame_id: str) -> Any:
+    sec, nanosec = divmod(round(1e9 * stamp), 10**9)
+    time = store.types["builtin_interfaces/msg/Time"](sec=sec, nanosec=nanosec)
+    return store.types["std_msgs/msg/Header"](stamp=time, frame_id=frame_id)
+
+
+def _vector(store: Typestore, values: Array, name: str = "Vector3") -> Any:
+    return store.types[f"geometry_msgs/msg/{name}"](**dict(zip("xyzw", values.tolist(), strict=False)))
+
+
+def _odometry(store: Typestore, stamp: float, name: str, T: Array) -> tuple[str, Any]:
+    types, none = store.types, np.zeros(36)
+    pose = types["geometry_msgs/msg/Pose"](
+        position=_vector(store, T[:3, 3], "Point"),
+        orientation=_vector(store, so3.quaternion(T[:3, :3]), "Quaternion"),
+    )
+    zero = _vector(store, np.zeros(3))
+    twist = types["geometry_msgs/msg/Twist"](linear=zero, angular=zero)
+    return "nav_msgs/msg/Odometry", types["nav_msgs/msg/Odometry"](
+        header=_header(store, stamp, f"{name}_world"),
+        child_frame_id=name,
+        pose=types["geometry_msgs/msg/PoseWithCovariance"](pose=pose, covariance=none),
+        twist=types["geometry_msgs/msg/TwistWithCovariance"](twist=twist, covariance=none),
+    )
+
+
+def _imu(store: Typestore, stamp: float, name: str, rate: Array) -> tuple[str, Any]:
+    # A covariance that begins with -1 states that there is no such measurement.
+    missing = np.zeros(9)
+    missing[0] = -1
+    return "sensor_msgs/msg/Imu", store.types["sensor_msgs/msg/Imu"](
+        header=_header(store, stamp, name),
+        orientation=_vector(store, np.array([0.0, 0, 0, 1]), "Quaternion"),
+        orientation_covariance=missing,
+        angular_velocity=_vector(store, rate),
+        angular_velocity_covariance=np.zeros(9),
+        linear_acceleration=_vector(store, np.zeros(3)),
+        linear_acceleration_covariance=missing,
+    )

@@ -1,0 +1,234 @@
+"""Simulation of a robot that drives: the messages of its sensors, and the ground truth."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from calgraph.geometry import Array, se3, so3
+from calgraph.recording.in_memory import MessageRecording
+from calgraph.sensors import LaserScan, PointCloud
+from calgraph.simulation.drive_beams import draw_scanner_errors, measure, sweep_columns
+from calgraph.simulation.drive_motion import INTERVAL, MARGIN, Motion, Route, draw_drift, draw_motion, draw_route
+from calgraph.simulation.drive_robot import DriveMount, draw_robot_size, mount_sensors
+from calgraph.simulation.drive_scenario import RANGING, DriveScenario
+from calgraph.simulation.drive_world import LAYOUTS, DriveWorld, build_world, draw_bodies
+
+_BLOCK_COLUMNS = 3000
+"""Columns cast together: bounds memory, and keeps arrays in the processor's cache."""
+
+
+@dataclass(frozen=True, eq=False)
+class DriveTruth:
+    """The ground truth of a drive. Stamps are of the root's clock."""
+
+    root: str
+    T_root_sensor: Mapping[str, Array]
+    """(4, 4) by sensor, until the fault."""
+    T_root_sensor_after: Mapping[str, Array]
+    """(4, 4) by sensor, from then on: others if a sensor was bumped."""
+    clock_offsets: Mapping[str, float]
+    """By sensor, the sensor's clock minus the root's in the middle of the drive, without jumps, s."""
+    T_base_root: Array
+    """(4, 4) to the frame on the ground below the middle of the rear axle, x ahead, z up."""
+    times: Array
+    """(K,) stamps of the trajectory, 100 per second, s."""
+    T_world_root: Array
+    """(K, 4, 4) trajectory of the root."""
+    mounts: tuple[DriveMount, ...]
+    motion: Motion
+    """Of the base, at true times from the start of the recording."""
+    world: DriveWorld
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatedDrive:
+    """A recording of a drive with its ground truth."""
+
+    scenario: DriveScenario
+    root: str
+    recording: MessageRecording
+    """Clouds with times and rings on ``/NAME/points``, scans on ``/NAME/scan``."""
+    trajectories: Mapping[str, tuple[Array, Array]]
+    """By sensor, stamps (N,) of its clock, s, and poses (N, 4, 4) from its frame to a world frame that differs."""
+    rates: Mapping[str, tuple[Array, Array]]
+    """By gyroscope, stamps (N,) of its clock, s, and angular velocities (N, 3) in its frame, rad/s."""
+    truth: DriveTruth
+
+
+def simulate_drive(scenario: DriveScenario) -> SimulatedDrive:
+    """Simulates a drive.
+
+    Raises:
+        InputError: the sensors' fields are too wide to share no view.
+    """
+    kind_rng, route_rng, world_rng, motion_rng, mount_rng, body_rng = (
+        np.random.default_rng((scenario.seed, k)) for k in range(6)
+    )
+    kind = scenario.world or ("room", "hall", "yard")[int(kind_rng.integers(3))]
+    size = draw_robot_size(mount_rng)
+    mounts = mount_sensors(scenario, size, mount_rng)
+    route = draw_route(scenario.path, LAYOUTS[kind].reach, scenario.duration, scenario.slip, route_rng)
+    clearance = 0.3 + float(np.hypot(0.8 * size[0], size[1] / 2))
+    uneven = scenario.path != "planar" and kind != "corridor"
+    ramps = scenario.path == "ordinary" and kind in ("room", "hall", "yard")
+    world = build_world(kind, route, clearance, uneven, ramps, scenario.glass, world_rng)
+    cars = scenario.cars if kind in ("hall", "yard") else 0
+    bodies = draw_bodies(route, clearance, scenario.people, cars, scenario.faults.truck, body_rng)
+    world = DriveWorld(world.floor, world.surfaces, bodies)
+    bounce = 0.0 if scenario.path == "planar" else scenario.bounce
+    motion = draw_motion(route, world.ground_height, (0.6 * size[0], 0.8 * size[1]), bounce, motion_rng)
+    messages: dict[str, list[PointCloud] | list[LaserScan]] = {}
+    trajectories, rates = {}, {}
+    for index, mount in enumerate(mounts):
+        rng = np.random.default_rng((scenario.seed, 100 + index))
+        name = mount.sensor.name
+        if mount.sensor.kind in RANGING:
+            topic = f"/{name}/{'scan' if mount.sensor.kind == 'scanner' else 'points'}"
+            messages[topic] = _simulate_scanner(scenario, world, motion, mount, rng)
+        elif mount.sensor.kind == "odometry":
+            trajectories[name] = _simulate_odometry(scenario, route, mount, rng)
+        elif mount.sensor.kind == "trajectory":
+            trajectories[name] = _simulate_trajectory(scenario, motion, mount, rng)
+        else:
+            rates[name] = _simulate_gyroscope(scenario, motion, mount, rng)
+    truth = _drive_truth(scenario, mounts, motion, world)
+    return SimulatedDrive(scenario, truth.root, MessageRecording(messages), trajectories, rates, truth)
+
+
+def sensor_poses(mount: DriveMount, motion: Motion, times: Array) -> Array:
+    """(N, 4, 4) T_world_sensor at true times (N,), s from the start of the recording."""
+    late = times > mount.clock.fault
+    T_base_sensor = np.where(late[:, None, None], mount.T_base_sensor_after, mount.T_base_sensor)
+    return np.asarray(motion.poses(times) @ T_base_sensor)
+
+
+def _simulate_scanner(
+    scenario: DriveScenario, world: DriveWorld, motion: Motion, mount: DriveMount, rng: np.random.Generator
+) -> list[PointCloud] | list[LaserScan]:
+    sensor, clock = mount.sensor, mount.clock
+    own = draw_scanner_errors(scenario.errors, sensor.rings, rng)
+    stretch = 1 + scenario.faults.range_scale * (sensor.name == scenario.faulty)
+    starts = np.arange(clock.phase, scenario.duration - clock.period, clock.period)
+    columns = sweep_columns(sensor, mount.centre, mount.spin, starts, clock.period)
+    poses = sensor_poses(mount, motion, columns.times)
+    per_sweep = len(columns.times) // len(starts)
+    block = max(1, _BLOCK_COLUMNS // per_sweep) * per_sweep
+    ranges = np.concatenate(
+        [
+            stretch
+            * measure(world, poses[k : k + block], columns[k : k + block], sensor, scenario.errors, own, rng)
+            for k in range(0, len(columns.times), block)
+        ]
+    )
+    stamps = scenario.start_time + clock.stamps(columns.times)
+    stamps += np.repeat(rng.normal(0, scenario.stamp_jitter, len(starts)), per_sweep)
+    sent = np.flatnonzero(rng.random(len(starts)) >= scenario.lost_messages).tolist()
+    parts = [slice(k * per_sweep, (k + 1) * per_sweep) for k in sent]
+    if sensor.kind == "scanner":
+        # Angles and times of a scan count from its first beam, in the direction of rotation.
+        return [
+            LaserScan(
+                float(stamps[part.start]),
+                sensor.name,
+                columns.azimuths[part],
+                ranges[part, 0],
+                float(np.ptp(stamps[part])) / (per_sweep - 1),
+            )
+            for part in parts
+        ]
+    clouds, rings = [], np.arange(sensor.rings, dtype=np.int32)
+    for part in parts:
+        # All beams of a column state one time.
+        kept = np.isfinite(ranges[part])
+        stamp = stamps[part.stop - 1 if mount.stamps_end else part.start]
+        points = (ranges[part, :, None] * columns[part].directions)[kept]
+        times = np.broadcast_to((stamps[part] - stamp)[:, None], kept.shape)[kept]
+        clouds.append(
+            PointCloud(float(stamp), sensor.name, points, np.broadcast_to(rings, kept.shape)[kept], times)
+        )
+    return clouds
+
+
+def _times_of(scenario: DriveScenario, mount: DriveMount) -> Array:
+    """(N,) true times of the poses or rates of a sensor, s from the start of the recording."""
+    return np.arange(mount.clock.phase, scenario.duration, mount.clock.period)
+
+
+def _simulate_odometry(
+    scenario: DriveScenario, route: Route, mount: DriveMount, rng: np.random.Generator
+) -> tuple[Array, Array]:
+    """Wheel odometry: planar poses of the base from wheel speeds, which are wrong by scale, slip and noise."""
+    count = len(route.times)
+    # Wheels' radii are wrong by a per cent, and tyres slip by half of one, more when the robot accelerates.
+    slip = 0.005 * draw_drift(count, 1.0, rng) + 0.01 * np.gradient(route.speeds, INTERVAL)
+    speeds = route.speeds * (1 + rng.normal(0, 0.01) + slip) + 0.01 * rng.normal(size=count)
+    turns = route.turn_rates * (1 + rng.normal(0, 0.015) + 0.01 * draw_drift(count, 1.0, rng))
+    turns = turns + rng.normal(0, 0.001) + 0.01 * rng.normal(size=count) * (np.abs(route.speeds) > 0.01)
+    yaws = np.cumsum(turns) * INTERVAL
+    xy = np.cumsum(speeds[:, None] * np.stack([np.cos(yaws), np.sin(yaws)], axis=-1), axis=0) * INTERVAL
+    times = _times_of(scenario, mount)
+    start = int(MARGIN / INTERVAL)
+    x, y, yaw = (np.interp(times, route.times, v - v[start]) for v in (*xy.T, yaws))
+    c, s = np.cos(yaws[start]), np.sin(yaws[start])
+    place = np.stack([c * x + s * y, c * y - s * x, 0 * x], axis=-1)
+    poses = se3.pose(so3.exp(yaw[:, None] * np.array([0.0, 0.0, 1.0])), place)
+    return scenario.start_time + mount.clock.stamps(times), poses
+
+
+def _simulate_trajectory(
+    scenario: DriveScenario, motion: Motion, mount: DriveMount, rng: np.random.Generator
+) -> tuple[Array, Array]:
+    """The trajectory of another program: it drifts by 0.5 % of the way, has noise, and may jump."""
+    times = _times_of(scenario, mount)
+    true = sensor_poses(mount, motion, times)
+    # Errors per step in the sensor's frame accumulate; noise of each pose does not.
+    step = se3.inverse(true[:-1]) @ true[1:]
+    moved = np.linalg.norm(step[:, :3, 3], axis=1)
+    drifts = np.array(
+        [np.interp(times[1:], motion.times, draw_drift(len(motion.times), 2.0, rng)) for _ in range(6)]
+    )
+    errors = drifts.T * np.repeat([0.005, 0.002], 3) * moved[:, None]
+    for at in rng.choice(len(errors), scenario.faults.pose_jumps, replace=False):
+        errors[at] += rng.normal(size=6) * np.repeat([0.1, 0.02], 3)
+    poses = np.empty_like(true)
+    poses[0] = se3.pose(so3.exp(rng.uniform(-np.pi, np.pi) * np.array([0.0, 0.0, 1.0])), rng.normal(0, 5, 3))
+    wrong = se3.retract(step, errors)
+    for k in range(len(step)):
+        poses[k + 1] = poses[k] @ wrong[k]
+    noise = rng.normal(size=(len(poses), 6)) * np.repeat([0.001, np.radians(0.01)], 3)
+    return scenario.start_time + mount.clock.stamps(times), se3.retract(poses, noise)
+
+
+def _simulate_gyroscope(
+    scenario: DriveScenario, motion: Motion, mount: DriveMount, rng: np.random.Generator
+) -> tuple[Array, Array]:
+    """Angular velocities with bias, slow drift of the bias, error of scale, and noise of a cheap sensor."""
+    times = _times_of(scenario, mount)
+    R = np.where((times > mount.clock.fault)[:, None, None], mount.T_base_sensor_after, mount.T_base_sensor)
+    rates = np.einsum("nji,nj->ni", R[:, :3, :3], motion.rates(times)) * (1 + rng.normal(0, 0.003, 3))
+    wander = np.stack(
+        [np.interp(times, motion.times, draw_drift(len(motion.times), 10.0, rng)) for _ in range(3)], axis=-1
+    )
+    rates = rates + rng.normal(0, 0.005, 3) + 2e-4 * wander + 0.003 * rng.normal(size=rates.shape)
+    return scenario.start_time + mount.clock.stamps(times), rates
+
+
+def _drive_truth(
+    scenario: DriveScenario, mounts: tuple[DriveMount, ...], motion: Motion, world: DriveWorld
+) -> DriveTruth:
+    root = mounts[0]
+    T_root_base, T_root_base_after = (se3.inverse(T) for T in (root.T_base_sensor, root.T_base_sensor_after))
+    times = np.arange(0.0, scenario.duration, INTERVAL)
+    return DriveTruth(
+        root.sensor.name,
+        {mount.sensor.name: T_root_base @ mount.T_base_sensor for mount in mounts},
+        {mount.sensor.name: T_root_base_after @ mount.T_base_sensor_after for mount in mounts},
+        {mount.sensor.name: mount.clock.offset - root.clock.offset for mount in mounts},
+        root.T_base_sensor,
+        scenario.start_time + root.clock.stamps(times),
+        sensor_poses(root, motion, times),
+        mounts,
+        motion,
+        world,
+    )
