@@ -265,8 +265,12 @@ def _linearize(
     by_pose = np.concatenate([normals, turn], axis=1)
     by_control = (joined["basis"][:, :, None] * by_pose[:, None, :]).reshape(len(hit), -1)
     by_sensor = np.einsum("ni,nij->nj", normals, joined["by_sensor"])
+    # Noise is of the ranges as measured: residuals of ranges that are taken as smaller do not get smaller.
+    scale = 1 + np.array([state.range_scale for state in states])[sensor[hit]]
+    residual = local[:, 0] * scale
+    by_sensor[:, -1] += local[:, 0]
     return _Points(
-        sensor[hit], cells, view[hit], local[:, 0], patch, joined["first"], by_control, by_sensor
+        sensor[hit], cells, view[hit], residual, patch, joined["first"], by_control, by_sensor
     ), surfaces
 
 

@@ -29,13 +29,13 @@ class OdometryLimits:
 
 # Cells hold 20 or more points of a room at 10 m, and are smaller than most furniture; planes need more points than
 # lines, of at least two rings.
-_LIMITS = {2: OdometryLimits(0.3, 4), 3: OdometryLimits(1.0, 12)}
-# Standard deviation of points from a flat cell: range noise, and plaster and doors in walls, m.
-_MAX_THICKNESS = 0.06
+_LIMITS = {2: OdometryLimits(0.3, 4), 3: OdometryLimits(1.0, 6)}
+# Standard deviation of points from a flat cell, m: range noise, doors in walls, and drift over the recent sweeps.
+_MAX_THICKNESS = 0.1
 # Least extent of a surface in a cell: with 0.06 m of noise a normal within 0.1 rad needs more than this, m.
 _MIN_EXTENT = 0.05
 # A new key sweep is taken after this motion, m and rad, and this many of the last ones are the map.
-_KEY_DISTANCE, _KEY_ANGLE, _KEY_SWEEPS = 0.3, 0.17, 50
+_KEY_DISTANCE, _KEY_ANGLE, _KEY_TIME, _KEY_SWEEPS = 0.3, 0.17, 0.5, 50
 # Gauss–Newton ends where a step is below a tenth of a millimetre.
 _LEAST_STEP = 1e-4
 # Accelerations of wheeled robots and cars, m/s² and rad/s²: the prior of a motion is the last one.
@@ -74,8 +74,8 @@ def track_sensor(sweeps: Sequence[Sweep], points: int, rng: np.random.Generator)
             poses.append(pose)
         elif k:
             poses.append(poses[-1])
-        if last_key is None or _is_far(last_key, poses[-1]):
-            last_key = poses[-1]
+        if last_key is None or _is_far(last_key[1], poses[-1]) or sweep.time - last_key[0] > _KEY_TIME:
+            last_key = sweep.time, poses[-1]
             key_moments.append(sum_moments(_to_world(sweep, poses[-1], velocity), limits.cell))
             surfaces = fit_flat_cells(
                 merge_moments(key_moments),
@@ -126,9 +126,13 @@ def _search(sweep: Sweep, before: Array, predicted: Array, duration: float, surf
 
 def _robust_cost(world: Array, surfaces: FlatCells, scale: float) -> Array:
     """(N,) half the robust squared distance of each point from its surface; 1/2 without one (Geman–McClure)."""
-    index = surfaces.find_nearest(world, surfaces.cell)
-    r = np.einsum("ij,ij->i", surfaces.normals[index], world - surfaces.center[index]) / scale
-    return np.asarray(0.5 * np.where(index < 0, 1.0, r**2 / (1 + r**2)))
+    index = surfaces.find_near(world, surfaces.cell)
+    cost = np.full(len(world), 0.5)
+    hit = index >= 0
+    cells = index[hit]
+    r = np.einsum("ij,ij->i", surfaces.normals[cells], world[hit] - surfaces.center[cells]) / scale
+    cost[hit] = 0.5 * r**2 / (1 + r**2)
+    return cost
 
 
 def _minimize(
@@ -146,7 +150,7 @@ def _minimize(
     stddev = np.repeat([0.5 * _ACCELERATION * duration**2, 0.5 * _TURN_ACCELERATION * duration**2], [n, d])
     for scale in scales:
         world = _to_world(sweep, pose, _velocity(before, pose, duration))
-        index = surfaces.find_nearest(world, surfaces.cell)
+        index = surfaces.find_near(world, surfaces.cell)
         hit = index >= 0
         x, cells = world[hit], index[hit]
         normals = surfaces.normals[cells]

@@ -105,12 +105,17 @@ class FlatCells:
     def _tree(self) -> cKDTree:
         return cKDTree(self.center)
 
-    def find_nearest(self, points: Array, max_distance: float) -> Index:
-        """(N,) the flat cell whose centre is nearest to each point (N, n); -1 if none is within a distance, m."""
-        if not len(self.keys):
-            return np.full(len(points), -1, dtype=np.intp)
-        distance, index = self._tree.query(points, distance_upper_bound=max_distance)
-        return np.where(np.isfinite(distance), index, -1)
+    def find_near(self, points: Array, max_distance: float) -> Index:
+        """(N,) the flat cell that each point (N, n) is in, or else the one whose centre is nearest to it.
+
+        -1 if none is within a distance, m.
+        """
+        index = self.find(points)
+        outside = np.flatnonzero(index < 0)
+        if len(outside) and len(self.keys):
+            distance, nearest = self._tree.query(points[outside], distance_upper_bound=max_distance)
+            index[outside] = np.where(np.isfinite(distance), nearest, -1)
+        return index
 
     def find(self, points: Array) -> Index:
         """(N,) the flat cell that each point (N, n) is in; -1 for none."""
