@@ -114,7 +114,7 @@ def find_network_remedies(
 
 def _record_longer(duration: float) -> _Measure:
     step = 10 if duration <= 120 else 30
-    seconds = float(step * np.ceil(duration / step))
+    seconds = float(step * max(round(duration / step), 1))
     length = f"{seconds / 60:g} min" if seconds >= 120 else f"{seconds:g} s"
     minutes = _RECORDING_MINUTES + seconds / 60
     return _Measure(f"record {length} more of people who walk like these", minutes, seconds)
