@@ -2,11 +2,16 @@
 
 python benchmarks/remedies.py                  # 52 rigs, of four kinds
 python benchmarks/remedies.py --seeds 200 220  # others
+python benchmarks/remedies.py --networks       # 63 networks, of three rooms
 
 Rigs of model_error_rigs.py with few captures, so that sensors are weak. Each remedy of each of them is taken:
 boards are held again near those recorded (5 cm, 5 degrees), a suggested board is held, and uncertainties in
 rig.yaml become what the remedy states that a measurement leaves. ``obtained/predicted``: the standard deviation
 that the next calibration states over the predicted one, along the axis that the remedy names.
+
+Systematic errors of a network's scanners are drawn with all of the prior's standard deviation or with a part of
+it, and the tolerance is such that scanners are weak. The errors of compared scanners become those that a
+comparison leaves. Where they are small, in recordings of a minute instead of 20 s, the same people walk longer.
 """
 
 from collections.abc import Sequence
@@ -15,18 +20,23 @@ from typing import Any
 
 import numpy as np
 
-from calgraph.config import Board, Rig, SensorSpec
+from calgraph.config import Board, Lidar2dUncertainty, Rig, SensorSpec, Tolerance
 from calgraph.geometry import Array, se3
+from calgraph.network.options import NetworkOptions
+from calgraph.network.pipeline import calibrate_tracks
 from calgraph.result import Calibration, Remedy
 from calgraph.rig.captures.detect import CaptureSet
 from calgraph.rig.options import RigOptions
 from calgraph.rig.pipeline import build_problem_from_captures, solve_problem
 from calgraph.sensors.kinds import KINDS
-from calgraph.simulation import World
+from calgraph.simulation import World, build_network, network_rig, simulate_scans
 from calgraph.simulation.motion import BoardPlacement, SimulatedHold, pose_from_placement
+from calgraph.simulation.network_scanners import StationaryScanner
 from ideal_detections import simulate_detections
 from model_error_rigs import SCENARIOS, rig_world
 from model_errors import with_captures
+from network_model_error_kinds import ROOMS, build_scenario
+from network_runs import track_scanners
 from rig_errors import BoardErrors, ModelErrors
 from worlds import NAN, Layout, grouped, make_parser, mean, median, run_worlds
 
@@ -38,6 +48,15 @@ show that views have no bias, which few cannot."""
 NEAR = np.repeat([0.05, np.radians(5.0)], 3)
 """Standard deviations of captures like others: displacement of the board, m, and rotation, rad."""
 
+NETWORKS = {
+    f"{room} {share:g}": (seconds, Tolerance(translation=tolerance, rotation=0.1))
+    for share, seconds, tolerance in ((1 / 16, 60.0, 0.002), (0.25, 20.0, 0.005), (1.0, 20.0, 0.01))
+    for room in ROOMS
+}
+"""By room and share of the systematic errors' priors that is drawn: duration, s, and tolerance."""
+LONG = 60.0
+"""Duration of recordings of which only longer ones are taken, s: the others take as long as a calibration each."""
+
 
 @dataclass(frozen=True)
 class Row:
@@ -46,7 +65,8 @@ class Row:
     rig: str
     seed: int
     remedy: str = ""
-    """``captures``, ``board``, ``print``, ``camera``, ``ranges``, or two of these; nothing if none is weak."""
+    """``captures``, ``board``, ``print``, ``camera``, ``ranges``, ``longer``, or two of these; nothing if none is
+    weak."""
     sensor: str = ""
     axis: str = ""
     before: float = NAN
@@ -65,12 +85,16 @@ def main() -> None:
     """Prints a table by remedy, and all together."""
     parser = make_parser(__doc__, jobs=2)
     parser.add_argument("--rigs", nargs="+", choices=list(SCENARIOS), default=list(SCENARIOS))
-    parser.add_argument("--seeds", nargs=2, type=int, default=[100, 113], help="first, and one past the last")
+    parser.add_argument("--networks", action="store_true", help="of 2-D scanners, instead of rigs")
+    parser.add_argument("--seeds", nargs=2, type=int, help="first, and one past the last")
     arguments = parser.parse_args()
-    work = [(rig, seed) for rig in arguments.rigs for seed in range(*arguments.seeds)]
-    rows = [row for row in run_worlds(Row, run, work, arguments, key=2) if row.remedy]
+    first, end = arguments.seeds or ([100, 107] if arguments.networks else [100, 113])
+    kinds = NETWORKS if arguments.networks else arguments.rigs
+    function = run_network if arguments.networks else run
+    work = [(kind, seed) for kind in kinds for seed in range(first, end)]
+    rows = [row for row in run_worlds(Row, function, work, arguments, key=2) if row.remedy]
     table = Layout(
-        "remedy:16 sensors:7d before:8.2f obtained/predicted:18.3f 5_%:6.2f 95_%:6.2f in_0.75_to_1.33:15.1% "
+        "remedy:18 sensors:7d before:8.2f obtained/predicted:18.3f 5_%:6.2f 95_%:6.2f in_0.75_to_1.33:15.1% "
         "suffices:8d good:5d"
     )
     print(table.head)
@@ -108,6 +132,40 @@ def run(rig: str, seed: int) -> Sequence[Row]:
     return rows or [Row(rig, seed)]
 
 
+def run_network(kind: str, seed: int) -> Sequence[Row]:
+    """Calibrates a network, and again after each remedy."""
+    before = solve_network(kind, seed)
+    taken: dict[str, Calibration] = {}
+    rows = []
+    for remedy in before.evidence.remedies:
+        if NETWORKS[kind][0] == LONG and not remedy.duration:
+            continue
+        if remedy.action not in taken:
+            taken[remedy.action] = solve_network(kind, seed, remedy)
+        rows.append(compare(kind, seed, remedy, taken[remedy.action]))
+    return rows or [Row(kind, seed)]
+
+
+def solve_network(kind: str, seed: int, remedy: Remedy | None = None) -> Calibration:
+    """The default calibration of a network, after a remedy."""
+    (room, share), (seconds, tolerance) = kind.split(), NETWORKS[kind]
+    duration = seconds + (remedy.duration if remedy else 0.0)
+    network = build_network(build_scenario(room, "drawn", float(share), duration, "ellipse"), seed)
+    rig = network_rig(network).model_copy(update={"tolerance": tolerance})
+    if remedy:
+        scanners = [correct_ranges(one, remedy, float(share)) for one in network.scanners]
+        network, rig = replace(network, scanners=tuple(scanners)), state_uncertainty(rig, remedy)
+    scans = {one.name: list(simulate_scans(network, one)) for one in network.scanners}
+    return calibrate_tracks(rig, track_scanners(rig, scans, "nls"), NetworkOptions(seed=seed))
+
+
+def correct_ranges(scanner: StationaryScanner, remedy: Remedy, share: float) -> StationaryScanner:
+    """A scanner whose ranges are corrected by what a comparison found, which leaves errors of the stated size."""
+    drawn, left = Lidar2dUncertainty(), remedy.uncertainty.get(scanner.name, {})
+    errors = {key: getattr(scanner, key) * min(left[key] / (share * getattr(drawn, key)), 1.0) for key in left}
+    return replace(scanner, **errors)
+
+
 def solve(rig: Rig, captured: CaptureSet, seed: int) -> Calibration:
     """The default calibration of some detections."""
     return solve_problem(build_problem_from_captures(rig, captured, RigOptions(), np.random.default_rng(seed)))
@@ -143,8 +201,9 @@ def state_uncertainty(rig: Rig, remedy: Remedy) -> Rig:
         uncertainty: Any = part.uncertainty.model_copy(update=dict(remedy.uncertainty.get(of, {})))
         return part.model_copy(update={"uncertainty": uncertainty})
 
-    sensors = {name: known(spec, name) for name, spec in rig.sensors.items()}
-    return rig.model_copy(update={"sensors": sensors, "target": known(rig.boards[0], "board")})
+    sensors: dict[str, Any] = {name: known(spec, name) for name, spec in rig.sensors.items()}
+    target = rig.target if rig.is_network else known(rig.boards[0], "board")
+    return rig.model_copy(update={"sensors": sensors, "target": target})
 
 
 def compare(rig: str, seed: int, remedy: Remedy, after: Calibration) -> Row:
@@ -164,6 +223,7 @@ def kind_of(remedy: Remedy) -> str:
     keys = {key for known in remedy.uncertainty.values() for key in known}
     parts = {
         "captures": remedy.captures > 0,
+        "longer": remedy.duration > 0,
         "board": remedy.T_root_board is not None,
         "print": any(key.startswith(("print", "tag", "size", "bow")) for key in keys),
         "camera": "focal_length" in keys,

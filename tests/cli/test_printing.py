@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from calgraph.cli.printing import print_budget, print_calibration, print_errors
+from calgraph.cli.printing import print_budget, print_calibration, print_errors, print_remedies
 from calgraph.config import Tolerance
 from calgraph.geometry import se3, so3
 from calgraph.result import (
@@ -18,6 +18,7 @@ from calgraph.result import (
     FitError,
     HeldOutError,
     ModelledBodies,
+    Remedy,
     SensorPose,
     Verdict,
     join_covariances,
@@ -180,6 +181,25 @@ def test_what_several_sensors_share_is_printed_once(
     assert "! left, right are weak: the clock is late; see [1]" in lines
     assert "! rear is weak: the board is bent; see [1]" in lines
     assert "[1] set it" in lines
+
+
+def test_what_helps_is_printed_once_for_all_sensors(
+    calibration: Calibration, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Those that another line states are left out, and so is the seventh sensor."""
+    names = [f"s{k}" for k in range(8)]
+    state = {name: {"range_bias": 0.005} for name in ("a", "b")}
+    remedies = (
+        Remedy("record more", "s0", "x", "m", 0.01, 0.005, suffices=True),
+        *(Remedy("compare", name, "x", "m", 0.02, 0.01, suffices=False, uncertainty=state) for name in names),
+    )
+    found = replace(calibration, evidence=replace(calibration.evidence, remedies=remedies))
+    effects = "; ".join(f"σ of x of s{k} 20 mm → 10 mm, not enough alone" for k in range(1, 7))
+    what = "compare, and state uncertainty: {range_bias: 0.005} of a and b"
+    assert printed(lambda: print_remedies(found, str(remedies[1])), capsys) == [
+        "What helps: record more: σ of x of s0 10 mm → 5 mm",
+        f"What helps: {what}: {effects}; and 1 other sensor",
+    ]
 
 
 def test_remarks_are_printed_below_the_verdicts(

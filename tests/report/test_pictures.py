@@ -109,9 +109,17 @@ def test_without_images_the_boards_are_drawn(pictured: Calibration, rig: Rig) ->
     html = render_camera_images(
         dataclasses.replace(pictured, pictures=dataclasses.replace(pictured.pictures, snapshots=())), rig
     )
-    assert "images are not part of this result" in html
+    assert "enlarged. The images are not part of this result. Coloured dots: " in html
     assert "<img" not in html
     assert 'class="board"' in html
+
+
+def test_without_points_of_scanners_there_are_no_colours(pictured: Calibration, rig: Rig) -> None:
+    corners = tuple(v for v in pictured.pictures.board_views if v.residuals is not None and v.residuals.ndim > 1)
+    pictures = dataclasses.replace(pictured.pictures, board_views=corners)
+    html = render_camera_images(dataclasses.replace(pictured, pictures=pictures), rig)
+    assert "Coloured dots" not in html
+    assert 'class="ramp"' not in html
 
 
 def test_the_number_of_large_images_is_bounded(pictured: Calibration, rig: Rig) -> None:

@@ -22,7 +22,7 @@ from calgraph.cli.common_options import (
     open_engine,
 )
 from calgraph.cli.console import console, make_table
-from calgraph.cli.printing import print_remarks
+from calgraph.cli.printing import print_remarks, print_remedies
 from calgraph.cli.progress import progress_bars
 from calgraph.cli.setting_options import SetOption, load_rig_with
 from calgraph.config import Rig, Tolerance
@@ -100,6 +100,7 @@ def check(
     else:
         _print(audit, against, rig.root, rig.tolerance)
         print_remarks(calibration)
+        print_remedies(calibration, audit.remedy)
         _print_next_step(audit, out)
     if audit.outcome == "fail":
         raise typer.Exit(1)

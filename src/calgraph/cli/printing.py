@@ -19,6 +19,8 @@ from calgraph.sensors.kinds import KINDS
 
 _GRADES = {"good": "[green]✓[/]", "weak": "[yellow]![/]", "unobservable": "[red]✕[/]"}
 """Sign for each grade, so that colour is not the only distinction."""
+# Sensors whose gain by one action is stated: all of a rig, some of a network of 30 scanners.
+_MAX_EFFECTS = 6
 
 
 def print_calibration(calibration: Calibration) -> None:
@@ -44,8 +46,7 @@ def print_calibration(calibration: Calibration) -> None:
         _print_fit(output, calibration)
     _print_verdicts(output, calibration)
     print_remarks(calibration)
-    for remedy in calibration.evidence.remedies:
-        output.print(f"[bold]What helps:[/] {escape(str(remedy))}")
+    print_remedies(calibration)
     if any(sensor.verdict.grade != "good" for sensor in calibration.sensors):
         for number, suggestion in enumerate(calibration.evidence.suggestions, start=1):
             output.print(f"[bold]Next capture {number}:[/] {escape(str(suggestion))}")
@@ -105,6 +106,16 @@ def print_remarks(calibration: Calibration) -> None:
     """Prints the remarks on the whole result that no verdict contains, one line each."""
     for remark in calibration.further_remarks:
         console().print(f"[yellow]![/] {escape(remark)}")
+
+
+def print_remedies(calibration: Calibration, stated: str = "") -> None:
+    """Prints what makes sensors more certain, one line for each action, but for what another line has stated."""
+    for action, remedies in calibration.evidence.remedies_by_action.items():
+        effects = [one.effect for one in remedies if str(one) not in stated]
+        if (more := len(effects) - _MAX_EFFECTS) > 0:
+            effects[_MAX_EFFECTS:] = [f"and {more} other sensor{'s' * (more > 1)}"]
+        if effects:
+            console().print(f"[bold]What helps:[/] {escape(f'{action}: ' + '; '.join(effects))}")
 
 
 def _print_cross_validation(output: Console, calibration: Calibration) -> None:

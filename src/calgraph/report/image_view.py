@@ -151,7 +151,14 @@ def render_camera_images(calibration: Calibration, rig: Rig) -> Markup:
                 "distance": rms(drawn.distances[np.isfinite(drawn.points[:, 0])]),
             })  # fmt: skip
         shown.append((sensor.name, camera, factor, len(views), shots))
-    return render("images.html", cameras=shown, with_images=bool(images), limit=limit, ramp=_COLOR_RAMP)
+    return render(
+        "images.html",
+        cameras=shown,
+        with_images=bool(images),
+        with_points=len(_scanner_points(calibration, calibration.pictures.board_views)[0]) > 0,
+        limit=limit,
+        ramp=_COLOR_RAMP,
+    )
 
 
 def _full_size_images(snapshots: Sequence[Snapshot]) -> dict[tuple[str, int], Snapshot]:

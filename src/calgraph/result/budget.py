@@ -12,10 +12,11 @@ from calgraph.result.sensor_pose import stddev_along_axes
 # Kinds of sources that are no quantities of rig.yaml, with what makes their errors smaller.
 _REMEDIES: Mapping[str, str] = MappingProxyType({
     **dict.fromkeys(
-        ("noise", "view bias", "edges", "serial correlation", "walls", "body model", "body paths", "body shapes",
+        ("noise", "view bias", "edges", "walls", "body model", "body paths", "body shapes",
          "scatter of parts", "correlated beams", "clock offset"),
         "recording more",
     ),
+    "serial correlation": "recording more, with the board moved farther from capture to capture",
     "drift": "recording more, with all sensors fixed",
     "stated pose": "a better known pose",
     "earlier calibration": "calibrating all sensors again",

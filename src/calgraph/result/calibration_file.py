@@ -175,6 +175,7 @@ def _remedy(one: Remedy) -> dict[str, Any]:
         **_prediction(one),
         "suffices": one.suffices,
         **({"captures": one.captures} if one.captures else {}),
+        **({"duration": one.duration} if one.duration else {}),
         **({"uncertainty": _rounded(one.uncertainty)} if one.uncertainty else {}),
         **({} if one.T_root_board is None else _board_pose(one.T_root_board)),
     }

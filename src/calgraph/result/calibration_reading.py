@@ -236,6 +236,7 @@ class _Remedy(StrictModel):
     expected: NonNegative
     suffices: Flag
     captures: Count = 0
+    duration: NonNegative = 0.0
     uncertainty: dict[str, dict[str, NonNegative]] = Field(default_factory=dict)
     translation: Vector3 | None = None
     """The centre of a board to record, in the root frame, m."""
@@ -519,7 +520,7 @@ def _remedy(entry: _Remedy) -> Remedy:
         pose = se3.from_xyz_quaternion(np.array(entry.translation), np.array(entry.rotation))
     return Remedy(
         entry.action, entry.sensor, entry.axis, entry.unit, entry.stddev, entry.expected, entry.suffices,
-        entry.captures, entry.uncertainty, pose,
+        entry.captures, entry.uncertainty, pose, entry.duration,
     )  # fmt: skip
 
 

@@ -138,7 +138,7 @@ class Remedy:
     """What to do, in words."""
     sensor: str
     axis: str
-    """Its least certain axis, relative to the tolerance, after the remedy."""
+    """Its least certain axis now, relative to the tolerance; another one, where only that remains uncertain."""
     unit: Literal["m", "rad"]
     stddev: float
     """Standard deviation along that axis now,"""
@@ -152,21 +152,28 @@ class Remedy:
     """By sensor or board, what to state in rig.yaml as ``uncertainty`` afterwards, in its units."""
     T_root_board: Array | None = None
     """(4, 4) of a board to record, where that is the remedy."""
+    duration: float = 0.0
+    """Of a further recording of a network that is a part of it, s."""
 
     def __str__(self) -> str:
         """The remedy as a sentence."""
+        return f"{self.action}{self.statement}: {self.effect}"
+
+    @property
+    def effect(self) -> str:
+        """What it does to the sensor, as a clause."""
         before, after = (_format_stddev(value, self.unit) for value in (self.stddev, self.expected))
         enough = "" if self.suffices else ", not enough alone"
-        return f"{self.action}{self.statement}: σ of {self.axis} of {self.sensor} {before} → {after}{enough}"
+        return f"σ of {self.axis} of {self.sensor} {before} → {after}{enough}"
 
     @property
     def statement(self) -> str:
         """What to state in rig.yaml afterwards, as the rest of a clause; nothing where captures are the remedy."""
-        stated = (
-            (of, ", ".join(f"{key}: {value:.2g}" for key, value in known.items()))
-            for of, known in self.uncertainty.items()
-        )
-        return "".join(f", and state uncertainty: {{{values}}} of {of}" for of, values in stated)
+        of_values: dict[str, list[str]] = {}
+        for of, known in self.uncertainty.items():
+            of_values.setdefault(", ".join(f"{key}: {value:.2g}" for key, value in known.items()), []).append(of)
+        stated = ((values, " and ".join(names)) for values, names in of_values.items())
+        return "".join(f", and state uncertainty: {{{values}}} of {names}" for values, names in stated)
 
 
 @dataclass(frozen=True)
@@ -214,6 +221,15 @@ class Evidence:
     """Of sensors that are less certain than the tolerance, the cheapest that suffice first."""
     initial_poses: Mapping[str, Array] = field(default_factory=dict)
     """(4, 4) ``T_root_sensor`` at the start of a network's joint solution; empty in a result read back."""
+
+    @property
+    def remedies_by_action(self) -> dict[str, tuple[Remedy, ...]]:
+        """The remedies of sensors by what to do, with what to state afterwards."""
+        actions = dict.fromkeys(one.action + one.statement for one in self.remedies)
+        return {
+            action: tuple(one for one in self.remedies if one.action + one.statement == action)
+            for action in actions
+        }
 
     @property
     def unconnected_by_reason(self) -> dict[str, tuple[str, ...]]:

@@ -32,7 +32,7 @@ from calgraph.rig.checks.assemble import assemble_rig
 from calgraph.rig.checks.bump_tests import describe_bumps, discard_earlier, find_bumps
 from calgraph.rig.checks.cross_validation import cross_validate
 from calgraph.rig.checks.drift_tests import include_drifts, measure_drifts
-from calgraph.rig.checks.next_best_pose import add_suggestions, suggest_board_poses
+from calgraph.rig.checks.next_best_pose import add_drifts, add_suggestions, suggest_board_poses
 from calgraph.rig.checks.pose_steps import PoseStep
 from calgraph.rig.checks.remedies import find_remedies
 from calgraph.rig.options import RigOptions, check_estimator
@@ -191,13 +191,16 @@ def solve_problem(problem: Problem, jobs: int = 1) -> Calibration:
     )
     with parallel_call(suggest_board_poses, suggesting, forked_jobs(jobs) if uncertain else 1) as suggestions:
         held_out = cross_validate(solved, folds, max(jobs - uncertain, 1)) if folds else {}
-        drifts = measure_drifts(solved)
+        drifts, without = measure_drifts(solved), joint
         joint = include_drifts(joint, solved, drifts, settings)
         suggested = suggestions() if uncertain else ()
         remedies = find_remedies(rig, joint, solved, drifts, suggested)
         calibration = assemble_rig(problem, tree, joint, held_out, drifts, remedies)
         good = all(sensor.verdict.grade == "good" for sensor in calibration.sensors)
-        return calibration if good else add_suggestions(calibration, suggested or suggestions())
+        if good:
+            return calibration
+        suggested = add_drifts(suggested or suggestions(), kinds, without, joint, drifts.serial_correlation)
+        return add_suggestions(calibration, suggested)
 
 
 def solve_after_bumps(problem: Problem) -> tuple[Problem, RigSolution, SpanningTree]:

@@ -19,6 +19,7 @@ from calgraph.rig.bundle.range_observations import RangeObservations
 from calgraph.rig.bundle.solution import SolvedBundle
 from calgraph.rig.checks.assemble import assemble_rig
 from calgraph.rig.checks.bootstrap import BootstrapScatter, bootstrap_poses
+from calgraph.rig.checks.remedies import find_remedies
 from calgraph.rig.pipeline import solve_jointly
 from calgraph.verdict.comparison import ExtrinsicsComparison, ResidualComparison, match_poses
 
@@ -50,9 +51,12 @@ def compare_extrinsics(problem: Problem, given: ExtrinsicsFile) -> tuple[Calibra
     unknowing = {"estimator": "bundle", "priors": (), "groups": ()}
     problem = replace(problem, solver=problem.solver.model_copy(update=unknowing))
     joint, tree = solve_jointly(problem)
-    calibration = assemble_rig(problem, tree, joint)
+    solved = joint.solved_bundle
+    # As in the covariance here, there are no drifts in what remedies leave; board poses would take seconds.
+    remedies = find_remedies(problem.rig, joint, solved, None) if solved else ()
+    calibration = assemble_rig(problem, tree, joint, remedies=remedies)
     return calibration, compare_rig_poses(
-        calibration, joint.solved_bundle, given, problem.rig.tolerance, problem.rig.settings.diagnostics.verdict
+        calibration, solved, given, problem.rig.tolerance, problem.rig.settings.diagnostics.verdict
     )
 
 

@@ -64,6 +64,11 @@ class AxisComparison:
         return self.outcome == "warn" and self.stddev > self.max_stddev
 
     @property
+    def of_estimate(self) -> bool:
+        """Whether the uncertainty is the estimate's alone; given poses without covariance are rounded."""
+        return self.stddev <= float(np.hypot(self.estimate_stddev, 2 * _ROUNDING))
+
+    @property
     def captures_needed(self) -> float:
         """How many times as many captures the axis needs at least; infinite if the given pose is too uncertain."""
         allowed = self.max_stddev**2 - (self.stddev**2 - self.estimate_stddev**2)
@@ -160,7 +165,7 @@ class MatchedPoses:
             for name, reason in self.estimated.evidence.unconnected.items()
         ]
         return ExtrinsicsComparison(
-            reference, (*compared, *unconnected), residuals.get(reference), self._find_remedy(compared)
+            reference, (*compared, *unconnected), residuals.get(reference), self._find_remedy(reference, compared)
         )
 
     def _compare_sensor(self, reference: str, name: str) -> SensorComparison:
@@ -204,8 +209,8 @@ class MatchedPoses:
         reason = _explain_axes(axes, allowed, distance, test, named=named)
         return SensorComparison(name, outcome, reason, distance, axes)
 
-    def _find_remedy(self, compared: Sequence[SensorComparison]) -> str:
-        """What would decide the undecided axes of all sensors: more captures, or a larger tolerance.
+    def _find_remedy(self, reference: str, compared: Sequence[SensorComparison]) -> str:
+        """What would decide the undecided axes of all sensors: a remedy, more captures, or a larger tolerance.
 
         The variance of an estimate falls at most in proportion to the captures, so their number is the least one.
         """
@@ -217,7 +222,10 @@ class MatchedPoses:
         factor, sensor = max((axis.captures_needed, name) for name, _, axis in undecided)
         data = "tracks" if self.estimated.planar else "captures"
         used = sum(row.used for row in self.estimated.evidence.captures if row.sensor == sensor)
-        if np.isinf(factor):
+        known = next((one for one in self.estimated.evidence.remedies if one.sensor == sensor), None)
+        if known and reference == self.estimated.root and all(axis.of_estimate for _, _, axis in undecided):
+            remedy = str(known)
+        elif np.isinf(factor):
             remedy = f"no recording decides {sensor}, as the given pose itself is too uncertain"
         elif factor > _MAX_FACTOR:
             remedy = f"{data} that determine {sensor} in other directions than these"

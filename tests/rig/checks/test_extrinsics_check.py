@@ -12,7 +12,7 @@ from calgraph.config import Tolerance
 from calgraph.config.settings import VerdictSettings
 from calgraph.errors import InputError
 from calgraph.geometry import Array, se3
-from calgraph.result import Calibration, CaptureRow, ExtrinsicsFile, SensorPose, Verdict
+from calgraph.result import Calibration, CaptureRow, ExtrinsicsFile, Remedy, SensorPose, Verdict
 from calgraph.result.frame_tree import FrameLink, FrameTree
 from calgraph.rig.bundle.bundle_solver import minimize_bundle
 from calgraph.rig.bundle.covariances import pose_covariance
@@ -180,6 +180,28 @@ def test_the_captures_are_stated_that_decide_beside_the_uncertainty_of_the_file(
     assert result.remedy == (
         "at least 16 captures of laser_2 like the 10 that were used, or a tolerance of 11.1 mm and 0.3°"
     )
+
+
+@pytest.mark.parametrize("exact", [True, False])
+def test_a_remedy_of_the_recording_is_none_of_an_uncertain_file(exact: bool) -> None:
+    found = uncertain(0.006 if exact else 0.004, used=10)
+    remedy = Remedy("record more", "laser_2", "height (z)", "m", 0.006, 0.003, suffices=True)
+    found = replace(found, evidence=replace(found.evidence, remedies=(remedy,)))
+    given = true_poses() if exact else as_file(found)
+    result = compare_rig_poses(found, None, given, TOLERANCE, settings=VerdictSettings())
+    assert result.remedy.startswith(f"{remedy}, or a" if exact else "at least 16 captures of laser_2")
+
+
+def test_a_remedy_is_none_in_the_frame_of_another_sensor() -> None:
+    """Standard deviations there are others than those that it states."""
+    found = uncertain(0.006, used=10)
+    remedy = Remedy("record more", "laser_2", "height (z)", "m", 0.006, 0.003, suffices=True)
+    found = replace(found, evidence=replace(found.evidence, remedies=(remedy,)))
+    given = true_poses("lidar", step(0, 0.05))
+    result = compare_rig_poses(found, None, given, TOLERANCE, settings=VerdictSettings())
+    assert result.reference != "lidar"
+    assert "record more" not in result.remedy
+    assert result.remedy
 
 
 def test_the_tolerance_that_the_remedy_states_decides() -> None:

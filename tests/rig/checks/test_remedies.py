@@ -6,11 +6,15 @@ import numpy as np
 import pytest
 
 from calgraph.config import Rig
-from calgraph.result import Calibration, Remedy, load_calibration, save_calibration
+from calgraph.result import Calibration, ExtrinsicsFile, Remedy, load_calibration, save_calibration
+from calgraph.result.frame_tree import FrameLink, FrameTree
+from calgraph.result.sensor_pose import stddev_along_axes
 from calgraph.rig.captures.detect import CaptureSet
 from calgraph.rig.options import RigOptions
-from calgraph.rig.pipeline import build_problem_from_captures, solve_problem
+from calgraph.rig.pipeline import build_problem_from_captures, solve_jointly, solve_problem
+from calgraph.rig.verification import compare_extrinsics
 from calgraph.sensors.kinds import KINDS
+from calgraph.verdict.comparison import ExtrinsicsComparison
 from ideal_detections import simulate_detections
 from model_error_rigs import rig_world
 from model_errors import with_captures
@@ -76,3 +80,37 @@ def test_remedies_are_in_the_file(weak: Calibration, tmp_path: Path) -> None:
     save_calibration(weak, tmp_path / "calibration.yaml")
     again = load_calibration(tmp_path / "calibration.yaml").evidence.remedies
     assert [str(one) for one in again] == [str(one) for one in remedies(weak)]
+
+
+@pytest.fixture(scope="module")
+def checked(weak: Calibration) -> tuple[Calibration, ExtrinsicsComparison]:
+    """The same captures against the poses that were estimated from them, as a file without covariances."""
+    rig, captures = detect(10)
+    problem = build_problem_from_captures(rig, captures, RigOptions(), np.random.default_rng(SEED))
+    above = {name.frame_id: FrameLink("lidar", name.T_root_sensor) for name in weak.sensors if name.parent}
+    return compare_extrinsics(problem, ExtrinsicsFile(Path("robot.urdf"), FrameTree("robot.urdf", above)))
+
+
+def test_a_check_states_remedies_of_its_own_standard_deviations(
+    checked: tuple[Calibration, ExtrinsicsComparison],
+) -> None:
+    """These leave drifts out, and remedies do so, too: before a lens is known better, and after."""
+    calibration, _ = checked
+    remedy = next(one for one in remedies(calibration) if one.uncertainty and not one.captures)
+    axis = KINDS["camera"].axes.index(remedy.axis)
+    assert calibration["camera"].axis_stddev[axis] == pytest.approx(remedy.stddev, rel=1e-9)
+    rig, captures = detect(10)
+    known = state_uncertainty(rig, remedy)
+    problem = build_problem_from_captures(known, captures, RigOptions(), np.random.default_rng(SEED))
+    after = solve_jointly(problem)[0].covariance["camera"]
+    T = calibration["camera"].T_root_sensor
+    assert stddev_along_axes(T, after)[axis] == pytest.approx(remedy.expected, rel=0.03)
+
+
+def test_what_decides_a_check_is_the_first_remedy(checked: tuple[Calibration, ExtrinsicsComparison]) -> None:
+    calibration, comparison = checked
+    first = remedies(calibration)[0]
+    assert comparison.remedy.startswith(f"{first}, or a tolerance of ")
+    (camera,) = comparison.sensors
+    assert f"; {first.action}: {first.axis} ±" in camera.reason
+    assert "tilt and turn the board" not in camera.reason

@@ -4,17 +4,19 @@ from typing import Literal
 
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
 
 from bundle_scenes import HEIGHT, WIDTH, scene
 from calgraph.config import Tolerance
 from calgraph.config.settings import DiagnosticsSettings
-from calgraph.result import Calibration, SensorPose, Verdict
+from calgraph.result import Calibration, SensorPose, Suggestion, Verdict
 from calgraph.rig.bundle.bundle_solver import minimize_bundle
 from calgraph.rig.bundle.covariances import pose_covariance
-from calgraph.rig.bundle.solution import SolvedBundle
-from calgraph.rig.checks.next_best_pose import add_suggestions, suggest_board_poses
+from calgraph.rig.bundle.solution import RigSolution, SolvedBundle
+from calgraph.rig.checks.next_best_pose import add_drifts, add_suggestions, suggest_board_poses
 from calgraph.rig.options import RigOptions
 from calgraph.rig.pipeline import build_problem_from_captures, solve_problem
+from calgraph.sensors.kinds import KINDS as SENSOR_KINDS
 from calgraph.simulation import RigScenario, build_world
 from ideal_detections import simulate_detections
 
@@ -58,6 +60,22 @@ def test_good_sensors_need_no_advice() -> None:
     assert {sensor.verdict.reason for sensor in suggest("good").sensors} == {"some axis ±3 mm"}
 
 
+def test_the_standard_deviations_of_suggestions_are_those_of_the_published_poses() -> None:
+    """Serial correlation doubles variances, and drifts add 16 mm², which a capture does not change."""
+    exact = scene(boards=6)
+    T, name = dict(zip(exact.bundle.sensors, exact.truth.T_root_sensor, strict=True)), "laser"
+    R = np.kron(np.eye(2), T[name][:3, :3])
+    plain = R @ np.diag([9e-6, 1e-6, 1e-6, 1e-6, 1e-6, 1e-6]) @ R.T
+    before, after = (
+        RigSolution("bundle", T, block_diag(*np.zeros((2, 6, 6)), covariance), {}, converged=True)
+        for covariance in (plain, 2 * plain + 1.6e-5 * np.eye(6))
+    )
+    suggestion = Suggestion("here", name, "forward (x)", "m", 0.003, 0.001, np.eye(4))
+    (found,) = add_drifts([suggestion], KINDS, before, after, 2.0)
+    assert found.stddev == pytest.approx(np.sqrt(2 * 9e-6 + 1.6e-5))
+    assert found.expected == pytest.approx(np.sqrt(2 * 1e-6 + 1.6e-5))
+
+
 @pytest.mark.parametrize("tolerance", [0.05, 0.001])
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_captures_are_suggested_only_if_a_pose_is_not_good(tolerance: float, jobs: int) -> None:
@@ -65,6 +83,11 @@ def test_captures_are_suggested_only_if_a_pose_is_not_good(tolerance: float, job
     rig = rig.model_copy(update={"tolerance": Tolerance(translation=tolerance, rotation=3.0)})
     problem = build_problem_from_captures(rig, captures, RigOptions(), np.random.default_rng(0))
     calibration = solve_problem(problem, jobs)
+    for one in calibration.evidence.suggestions[:1]:
+        published = calibration[one.sensor].axis_stddev[
+            SENSOR_KINDS[calibration[one.sensor].kind].axes.index(one.axis)
+        ]
+        assert one.stddev == pytest.approx(published, rel=1e-6)
     good = {sensor.verdict.grade for sensor in calibration.sensors} == {"good"}
     assert good == (tolerance == 0.05)
     assert bool(calibration.evidence.suggestions) != good

@@ -14,6 +14,7 @@ from calgraph.errors import Rejected
 from calgraph.geometry import Array, Index, diagonal_blocks, se2
 from calgraph.graph.pose_graph import PoseGraph
 from calgraph.graph.spanning_tree import walk_tree
+from calgraph.network.checks.remedies import find_network_remedies
 from calgraph.network.graph.network_graph import compute_joint_covariance
 from calgraph.network.graph.network_initialization import NetworkInitialization
 from calgraph.network.joint.body_equations import PredictedBeams, predict_beams
@@ -43,6 +44,7 @@ from calgraph.result import (
     FloorView,
     ModelledBodies,
     Pictures,
+    Remedy,
     SensorPose,
     StatedPose,
 )
@@ -106,13 +108,14 @@ def assemble_network(
     beam_views, fit = ((), {}) if joint is None else collect_beam_views(joint, names, start)
     T_root_sensor = se2.to_se3(T_root_scanner) @ flips
     budget = compute_error_budget(joint, names, T_root_sensor) if joint else None
+    remedies = find_network_remedies(rig, joint, names, T_root_sensor) if joint else ()
     parents = _find_parents(inliers, names)
     inlier_poses = {(names[i], names[j]): (T_root_scanner[i], T_root_scanner[j]) for i, j in inliers.edges}
     return Calibration(
         root=rig.root,
         sensors=_assemble_poses(
             rig, frames, parents, dict(zip(names, T_root_sensor, strict=True)),
-            covariance, clocks, collect_findings(findings), budget,
+            covariance, clocks, collect_findings(findings), budget, remedies,
         ),
         joint_covariance=covariance,
         systematic=joint.systematic.summarize(names) if joint and joint.systematic else (),
@@ -133,6 +136,7 @@ def assemble_network(
             remarks=tuple(finding.text for finding in findings),
             residuals={"positions": matches.residuals.ravel()} if len(matches.residuals) else {},
             fit=fit,
+            remedies=remedies,
             initial_poses={}
             if joint is None
             else dict(zip(names, se2.to_se3(averaged.T_root_node) @ flips, strict=True)),
@@ -150,6 +154,7 @@ def _assemble_poses(
     clocks: Array,
     reasons: Mapping[str, Sequence[str]],
     budget: ErrorBudget | None,
+    remedies: Sequence[Remedy],
 ) -> tuple[SensorPose, ...]:
     """Graded poses, from their joint covariance (6n, 6n) and (n, 2) clock offsets with standard deviations, s."""
     stated = _collect_stated_poses(rig, T_root_sensor)
@@ -173,6 +178,7 @@ def _assemble_poses(
                 data="tracks",
                 advice=_ADVICE,
                 shares=budget.shares_by_source(k) if budget else {},
+                remedy=next((one for one in remedies if one.sensor == name), None),
             ),
             stated=stated.get(name),
             clock_offset=_finite_or_none(offset),

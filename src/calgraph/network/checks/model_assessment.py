@@ -76,6 +76,8 @@ def assess_network_model(
     return replace(assessment, findings=(*errors, *assessment.findings))
 
 
+CORRELATED_BEAMS = "correlated beams"
+"""The source of what errors of outlines add to variances."""
 _MODEL_REMEDY = (
     "state in rig.yaml what the scanners measure of people (target: height, axes), set clocks, or record people "
     "who carry nothing"
@@ -366,7 +368,7 @@ def add_position_errors(joint: NetworkSolution, errors: Array) -> NetworkSolutio
     """
     stated = np.mean(joint.covariance.stddev[1:, :2] ** 2, axis=1)
     factor = 1 + (errors[1:] ** 2 + errors[0] ** 2) / np.maximum(stated, np.finfo(float).tiny)
-    return joint.scale_covariance(np.concatenate([[1.0], factor]), "correlated beams")
+    return joint.scale_covariance(np.concatenate([[1.0], factor]), CORRELATED_BEAMS)
 
 
 def correlate_adjacent_beams(solved: NetworkEquations) -> Array:

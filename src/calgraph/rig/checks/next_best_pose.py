@@ -17,12 +17,13 @@ from calgraph.config import Tolerance
 from calgraph.config.settings import DiagnosticsSettings, VerdictSettings
 from calgraph.geometry import Array, Index, se3, so3
 from calgraph.result import Calibration, SensorPose, Suggestion, Verdict
+from calgraph.result.sensor_pose import stddev_along_axes
 from calgraph.rig.bundle.bundle_solver import Bundle, BundleState, linearize_bundle
 from calgraph.rig.bundle.corner_observations import CornerObservations
 from calgraph.rig.bundle.covariances import BoardInformation, axis_jacobian, information_by_board
 from calgraph.rig.bundle.observations import BoardViews, relative_poses
 from calgraph.rig.bundle.range_observations import RangeObservations
-from calgraph.rig.bundle.solution import SolvedBundle
+from calgraph.rig.bundle.solution import RigSolution, SolvedBundle
 from calgraph.sensors.kinds import KINDS
 from calgraph.verdict.grades import axis_names, max_good_stddev
 
@@ -427,6 +428,38 @@ def _predict_beams(
     beams = views.with_beams(visible, np.arange(len(visible)) * each, points / ranges[:, None], ranges)
     beams = beams.update_noise(T_candidate[visible], views.noise_scale)
     return replace(beams, sigma=beams.sigma * np.sqrt(each / np.repeat(np.maximum(counts, 1e-6), each)))
+
+
+def add_drifts(
+    suggestions: Sequence[Suggestion],
+    kinds: Mapping[str, str],
+    before: RigSolution,
+    after: RigSolution,
+    serial_correlation: float,
+) -> tuple[Suggestion, ...]:
+    """Suggestions with standard deviations like those of the published poses.
+
+    Args:
+        suggestions: by the equations of the solution alone.
+        kinds: by sensor.
+        before: the solution without drifts,
+        after: and with them, which a further capture leaves as they are.
+        serial_correlation: the factor of variances that is in ``after`` as well.
+    """
+
+    def variance(solution: RigSolution, one: Suggestion) -> float:
+        stddev = stddev_along_axes(solution.T_root_sensor[one.sensor], solution.covariance[one.sensor])
+        return float(stddev[axis_names(kinds[one.sensor]).index(one.axis)] ** 2)
+
+    added = [variance(after, one) - serial_correlation * variance(before, one) for one in suggestions]
+    return tuple(
+        replace(
+            one,
+            stddev=float(np.sqrt(max(serial_correlation * one.stddev**2 + by_drifts, 0.0))),
+            expected=float(np.sqrt(max(serial_correlation * one.expected**2 + by_drifts, 0.0))),
+        )
+        for one, by_drifts in zip(suggestions, added, strict=True)
+    )
 
 
 def add_suggestions(calibration: Calibration, suggestions: Sequence[Suggestion]) -> Calibration:

@@ -6,7 +6,6 @@ the posterior covariance after each follows from that of the solution. Cheap rem
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import combinations
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -25,6 +24,7 @@ from calgraph.rig.checks.drift_tests import DriftStatistics, average_drifts, lis
 from calgraph.rig.checks.next_best_pose import predict_board_information
 from calgraph.sensors.kinds.stated import RangeUncertainty
 from calgraph.verdict.grades import axis_names, max_good_stddev
+from calgraph.verdict.remedy_choice import choose_axis, choose_measures
 
 # How well a ruler measures a print or a sheet, m: half a millimetre mark.
 _RULER = 0.0005
@@ -40,10 +40,6 @@ _COMPARED_RANGES = {"range_bias": 0.005, "range_scale": 0.001}
 _RULER_MINUTES, _TAPE_MINUTES, _CAMERA_MINUTES, _RECORDING_MINUTES, _CAPTURE_MINUTES = 2.0, 5.0, 20.0, 3.0, 0.2
 # Further captures that are considered, as multiples of those recorded.
 _MULTIPLES = (0.25, 0.5, 1.0, 2.0, 3.0)
-# Least decrease of the worst standard deviation over its limit by a remedy that does not suffice.
-_MIN_DECREASE = 0.1
-# Remedies of one sensor: more are not read.
-_MAX_REMEDIES = 3
 # rig.yaml's key of the uncertainty that the prior of each source comes from.
 _KEYS: Mapping[str, str] = {
     "focal length": "focal_length",
@@ -95,16 +91,16 @@ def find_remedies(
     rig: Rig,
     solution: RigSolution,
     solved: SolvedBundle,
-    drifts: DriftStatistics,
+    drifts: DriftStatistics | None,
     suggestions: Sequence[Suggestion] = (),
 ) -> tuple[Remedy, ...]:
     """Remedies of the sensors that are less certain than the tolerance, the cheapest that suffice first.
 
     Args:
         rig: its tolerance, and the uncertainties that it states.
-        solution: poses, and their covariance with drifts.
+        solution: poses, and their covariance.
         solved: the solution of the bundle.
-        drifts: their statistics.
+        drifts: their statistics; None where the covariance does not contain them.
         suggestions: board poses that help most.
     """
     settings = rig.settings.diagnostics.verdict
@@ -121,11 +117,11 @@ def find_remedies(
         of_sensor = [*measures, *_list_board_pose(rig, solved, name, suggestions)]
         for one in _choose(prediction, s, limits, of_sensor, len(np.unique(solved.captures))):
             after = prediction.stddev(s, one)
-            axis = int(np.argmax(after / limits))
+            axis = choose_axis(before, after, limits)
             found.append(
                 Remedy(
                     one.action, name, axis_names(rig.sensors[name].kind)[axis], "m" if axis < 3 else "rad",
-                    float(before[axis]), float(after[axis]), bool(after[axis] <= limits[axis]),
+                    float(before[axis]), float(after[axis]), bool(np.all(after <= limits)),
                     one.captures, one.uncertainty, one.T_root_board,
                 )
             )  # fmt: skip
@@ -135,15 +131,17 @@ def find_remedies(
 class _Prediction:
     """Standard deviations along the axes of sensors after remedies."""
 
-    def __init__(self, solution: RigSolution, solved: SolvedBundle, drifts: DriftStatistics, rig: Rig) -> None:
+    def __init__(
+        self, solution: RigSolution, solved: SolvedBundle, drifts: DriftStatistics | None, rig: Rig
+    ) -> None:
         bundle, minimized = solved.bundle, solved.minimized
         self._solved, self._settings = solved, rig.settings.diagnostics.drifts
         self._poses = list(solution.T_root_sensor.values())
         self._axes = axis_jacobian(bundle, minimized.state)
         self._matrix = minimized.equations.eliminate_boards()[0]
         self._prior = np.diag(bundle.prior_weights(minimized.state.extra) * bundle.prior_stddev**-2)
-        self._factor = drifts.serial_correlation
-        self._changes = list(list_changes(solved, drifts))
+        self._factor = drifts.serial_correlation if drifts else 1.0
+        self._changes = list(list_changes(solved, drifts)) if drifts else []
         self._after: dict[int, tuple[Array, Array]] = {}
 
     def stddev(self, sensor: int, measure: _Measure | None = None) -> Array:
@@ -163,9 +161,11 @@ class _Prediction:
         if further not in self._after:
             multiple = 1 + further / len(np.unique(self._solved.captures))
             covariance = np.asarray(np.linalg.inv(multiple * (self._matrix - self._prior) + self._prior))
-            by_drifts = average_drifts(self._solved, self._changes, self._settings, multiple)
-            blocks = zip(self._poses, diagonal_blocks(by_drifts, 6), strict=True)
-            variances = np.array([stddev_along_axes(T, block) ** 2 for T, block in blocks])
+            variances = np.zeros((len(self._poses), 6))
+            if self._changes:
+                by_drifts = average_drifts(self._solved, self._changes, self._settings, multiple)
+                blocks = zip(self._poses, diagonal_blocks(by_drifts, 6), strict=True)
+                variances = np.array([stddev_along_axes(T, block) ** 2 for T, block in blocks])
             self._after[further] = covariance, variances
         return self._after[further]
 
@@ -173,7 +173,7 @@ class _Prediction:
 def _choose(
     prediction: _Prediction, sensor: int, limits: Array, measures: Sequence[_Measure], recorded: int
 ) -> list[_Measure]:
-    """The cheapest remedies that suffice, of two measures where no single one does; otherwise the best ones."""
+    """The measures for a sensor, further captures among them."""
 
     def excess(measure: _Measure) -> float:
         return float(np.max(prediction.stddev(sensor, measure) / limits))
@@ -182,13 +182,7 @@ def _choose(
     more = [_more_captures(max(round(recorded * multiple), 1)) for multiple in _MULTIPLES]
     # Of further captures, the fewest that suffice, otherwise as many again.
     captures = next((one for one in more if excess(one) <= 1), more[_MULTIPLES.index(1.0)])
-    single = [one for one in (captures, *measures) if excess(one) <= max((1 - _MIN_DECREASE) * now, 1)]
-    enough = sorted((one for one in single if excess(one) <= 1), key=lambda one: one.minutes)
-    if not enough:
-        together = [a + b for a, b in combinations(single, 2)]
-        enough = sorted((one for one in together if excess(one) <= 1), key=lambda one: one.minutes)
-    others = sorted((one for one in single if one not in enough), key=excess)
-    return [*enough, *others][:_MAX_REMEDIES]
+    return choose_measures((captures, *measures), excess, now)
 
 
 def _more_captures(count: int) -> _Measure:
