@@ -24,6 +24,7 @@ from calgraph.config.target import (
     Cylinder,
     Family,
     People,
+    Surroundings,
     Tag,
     Tolerance,
     dictionary,
@@ -49,6 +50,6 @@ __all__ = [
     "CaptureMode", "ChangeRules", "Charuco", "Checkerboard", "Cylinder", "DepthCameraSpec", "Family",
     "FleetConfig", "FoundBackground", "FoundMode", "FoundTopic", "Intrinsics", "Kind", "Lidar2dSpec",
     "Lidar2dUncertainty", "Lidar3dSpec", "Lidar3dUncertainty", "People", "PixelNoise", "PrintedBitmap",
-    "RangeNoise", "Rig", "SensorSpec", "Tag", "Tolerance", "black_rectangles", "dictionary", "draft_rig",
+    "RangeNoise", "Rig", "SensorSpec", "Surroundings", "Tag", "Tolerance", "black_rectangles", "dictionary", "draft_rig",
     "explain_unused", "find_triggers", "load_fleet", "load_rig", "marker_count", "printed_bitmaps",
 ]  # fmt: skip

@@ -9,12 +9,12 @@ from pydantic import Field, Strict, model_validator
 
 from calgraph.config.board_ambiguity import check_boards_distinguishable
 from calgraph.config.settings import Settings
-from calgraph.config.target import Board, Cylinder, People, Target, Tolerance
+from calgraph.config.target import Board, Cylinder, People, Surroundings, Target, Tolerance
 from calgraph.io.strict_model import StrictModel, invalid, limit_to
 from calgraph.io.yaml_limits import MAX_RIG_VALUES
 from calgraph.io.yaml_reading import read_yaml, validate_content
 from calgraph.sensors import CameraModel
-from calgraph.sensors.kinds import CameraSpec, SensorSpec
+from calgraph.sensors.kinds import CameraSpec, Lidar2dSpec, Lidar3dSpec, SensorSpec
 from calgraph.sensors.kinds.stated import Name
 
 _POSITIVE = Field(gt=0, allow_inf_nan=False)
@@ -73,7 +73,7 @@ class Rig(StrictModel):
     root: str
     """The sensor whose frame everything is expressed in."""
     target: Target
-    """The calibration target: one board, a list of boards, people or a cylinder. The command calgraph board prints
+    """The calibration target: one board, a list of boards, people, a cylinder or the surroundings. The command calgraph board prints
     the block of a board."""
     capture: Capture = Capture()
     """Intervals of the recording in which the target is searched for."""
@@ -120,7 +120,7 @@ class Rig(StrictModel):
             for key in ("mounting", "height", "roll", "pitch"):
                 if not self.is_network and getattr(sensor, key, None) is not None:
                     raise invalid(
-                        f"sensors.{name}.{key}", "applies to networks only: a board determines all of a pose"
+                        f"sensors.{name}.{key}", "applies to networks only: other targets determine it"
                     )
         return self
 
@@ -132,8 +132,19 @@ class Rig(StrictModel):
             key = f"sensors.{name}.clock_offset"
             if self.is_network:
                 raise invalid(key, "applies to rigs only: those of a network are estimated from tracks")
+            if self.is_drive:
+                raise invalid(key, "applies to rigs with a board only: those of a drive are estimated from turns")
             if name == self.root and sensor.clock_offset != "estimate":
                 raise invalid(key, "is relative to the root's clock, and this is the root: leave it out")
+        return self
+
+    @model_validator(mode="after")
+    def _drives_are_of_lidars(self) -> "Rig":
+        for name, sensor in self.sensors.items():
+            if self.is_drive and not isinstance(sensor, Lidar2dSpec | Lidar3dSpec):
+                raise invalid(
+                    f"sensors.{name}.kind", f"must be lidar2d or lidar3d with surroundings, got {sensor.kind}"
+                )
         return self
 
     @model_validator(mode="after")
@@ -147,11 +158,16 @@ class Rig(StrictModel):
         return isinstance(self.target, People | Cylinder)
 
     @property
+    def is_drive(self) -> bool:
+        """Whether this is a robot that drives through surroundings, without a target."""
+        return isinstance(self.target, Surroundings)
+
+    @property
     def boards(self) -> tuple[Board, ...]:
         """The boards to detect; empty if the target is not a board."""
         if isinstance(self.target, Board):
             return (self.target,)
-        return () if isinstance(self.target, People | Cylinder) else self.target
+        return self.target if isinstance(self.target, tuple) else ()
 
     @property
     def board_size(self) -> tuple[float, float]:

@@ -1,4 +1,4 @@
-"""The calibration target: a planar board with its printed pattern, people, or a cylinder."""
+"""The calibration target: a planar board with its printed pattern, people, a cylinder, or the surroundings."""
 
 from functools import cache
 from itertools import combinations
@@ -299,6 +299,12 @@ class Cylinder(StrictModel):
     """Its diameter, m."""
 
 
+class Surroundings(StrictModel):
+    """What a robot drives past: walls, floors and furniture, at unknown places."""
+
+    kind: Literal["surroundings"] = "surroundings"
+
+
 def _kind_of_target(value: Any) -> str | None:
     """The discriminator of a target's model; None, which is an error, unless it is a list or has a kind."""
     if isinstance(value, list | tuple):
@@ -311,6 +317,7 @@ Target = Annotated[
     Annotated[Board, pydantic.Tag("board")]
     | Annotated[People, pydantic.Tag("people")]
     | Annotated[Cylinder, pydantic.Tag("cylinder")]
+    | Annotated[Surroundings, pydantic.Tag("surroundings")]
     | Annotated[tuple[Board, ...], pydantic.Tag("boards"), Field(min_length=1)],
     Discriminator(_kind_of_target),
 ]

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calgraph.drive.sweeps import Sweep
+from calgraph.drive.sweeps import Sweep, thin_sweep
 from calgraph.geometry import Array, se_n
 from calgraph.surfaces.flat_cells import CellMoments, FlatCells, fit_flat_cells, merge_moments, sum_moments
 from calgraph.surfaces.trajectory import Track
@@ -67,10 +67,7 @@ def track_sensor(sweeps: Sequence[Sweep], points: int, rng: np.random.Generator)
         duration = sweep.time - sweeps[k - 1].time if k else 0.0
         if k and surfaces is not None:
             predicted = poses[-1] @ _motion(velocity, duration)
-            used = sweep
-            if len(sweep.points) > points:
-                used = sweep.select(np.sort(rng.choice(len(sweep.points), points, replace=False)))
-            pose, velocity = _register(used, poses[-1], predicted, duration, surfaces)
+            pose, velocity = _register(thin_sweep(sweep, points, rng), poses[-1], predicted, duration, surfaces)
             poses.append(pose)
         elif k:
             poses.append(poses[-1])

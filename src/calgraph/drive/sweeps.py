@@ -1,6 +1,5 @@
 """Sweeps of LiDARs in the form that odometry and adjustment use: points with times, thinned."""
 
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,10 +46,8 @@ def read_sweep(message: LaserScan | PointCloud, dimension: int) -> Sweep:
     return Sweep(float(middle), points, times)
 
 
-def thin_sweeps(sweeps: Sequence[Sweep], count: int, rng: np.random.Generator) -> Iterator[Sweep]:
-    """Sweeps with at most ``count`` points of each, drawn at random."""
-    for sweep in sweeps:
-        if len(sweep.points) <= count:
-            yield sweep
-        else:
-            yield sweep.select(np.sort(rng.choice(len(sweep.points), count, replace=False)))
+def thin_sweep(sweep: Sweep, count: int, rng: np.random.Generator) -> Sweep:
+    """The sweep with at most ``count`` points, drawn at random."""
+    if len(sweep.points) <= count:
+        return sweep
+    return sweep.select(np.sort(rng.choice(len(sweep.points), count, replace=False)))

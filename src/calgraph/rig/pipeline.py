@@ -6,7 +6,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from calgraph.config import Cylinder, People, Rig
+from calgraph.config import Cylinder, People, Rig, Surroundings
 from calgraph.errors import CalgraphError, InputError
 from calgraph.geometry import Array
 from calgraph.graph.spanning_tree import SpanningTree
@@ -127,7 +127,7 @@ def build_problem(
 
 def check_board(rig: Rig) -> None:
     """Raises InputError if the target is not a board."""
-    if isinstance(rig.target, People | Cylinder):
+    if isinstance(rig.target, People | Cylinder | Surroundings):
         raise InputError(f"target.kind: must be board for the poses of a rig, got {rig.target.kind}")
 
 

@@ -1,0 +1,1 @@
+"""Robots that drive: sensors that share no view, without a target, from their motion and common surroundings."""
