@@ -149,8 +149,8 @@ _KINDS = tuple(name for name in DICTIONARIES if not name.endswith(("_50", "_100"
 # fewer, which squares of other things resemble.
 _LEAST_MARKERS = 2
 _CERTAIN_SIZE = 6
-# Maximum share of wrong bits in the border of those markers: with OpenCV's 0.35, most dark things are compared with
-# all codes.
+# Maximum share of wrong bits in the border of those markers: with OpenCV's 0.35, most dark things are compared
+# with all codes.
 _MAX_BORDER_ERRORS = 0.1
 # Width of an image, pixels, to which larger ones are halved: markers of 40 pixels are still found, in a quarter of
 # the time (10 ms for 1280 x 960), which each image without a board takes.
