@@ -5,7 +5,7 @@ Where no camera observes them, points of 3-D LiDARs are coloured by height, and 
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -51,7 +51,10 @@ def render_fused_cloud(calibration: Calibration, rig: Rig) -> Markup:
     kinds = {s.name: s.kind for s in calibration.sensors if KINDS[s.kind].measures_ranges}
     clouds = {f"capture {n}": (n, cloud) for n, cloud in _colored_clouds(calibration, rig).items()}
     if any(name in kinds and one.learned().parameters for name, one in calibration.corrections.items()):
-        corrected = _colored_clouds(calibration.with_corrected_points(), rig)
+        shown = {n for n, _ in clouds.values()}
+        some = tuple(one for one in calibration.pictures.snapshots if one.capture in shown)
+        few = replace(calibration, pictures=replace(calibration.pictures, snapshots=some))
+        corrected = _colored_clouds(few.with_corrected_points(), rig)
         clouds |= {f"capture {n}, corrected": (n, cloud) for n, cloud in corrected.items()}
     if not clouds:
         return Markup()
