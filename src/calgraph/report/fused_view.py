@@ -176,7 +176,8 @@ def _cloud_traces(
     edge = [np.concatenate([o.corners, o.corners[:1], np.full((1, 3), np.nan)]) for o in outlines]
     none = np.zeros((0, 3))
     visible = np.concatenate([none, *(part.points[part.colored] for part in cloud.values())])
-    colors = [f"#{r:02x}{g:02x}{b:02x}" for part in cloud.values() for r, g, b in part.colors[part.colored]]
+    digits = b"".join(part.colors[part.colored].tobytes() for part in cloud.values()).hex()
+    colors = [f"#{digits[i : i + 6]}" for i in range(0, len(digits), 6)]
     others = []
     for k, (name, kind) in enumerate(kinds.items()):
         points = cloud[name].points[~cloud[name].colored] if name in cloud else none
