@@ -105,7 +105,7 @@ def fit_pose(
         if (new_inliers == inliers).all():
             break
         inliers = new_inliers
-        minima = _find_minima(corners[inliers], pixels[inliers], camera, _MAX_STEPS)
+        minima = _find_minima(corners[inliers], pixels[inliers], camera, sigma)
     if not minima:
         return Rejected("the corners detected contradict each other")
     best = minima[0]
@@ -157,16 +157,16 @@ def _select_consistent_marks(
     Corners (M, k, 3) are the stated ones, unless all marks agree on another size.
     """
     unique = len(np.unique(ids[in_view])) == in_view.sum()
-    minima = _find_minima(corners[in_view], pixels[in_view], camera, _MAX_STEPS) if unique else []
+    minima = _find_minima(corners[in_view], pixels[in_view], camera, sigma) if unique else []
     if pixels.shape[1] < 4 or in_view.sum() <= 1:
         return in_view, minima, corners
     limit = OUTLIER_SIGMAS * sigma
     if minima:
         if _compute_reprojection_errors(minima[0].T, corners[in_view], pixels[in_view], camera).max() < limit:
             return in_view, minima, corners
-        size = _fit_size(minima[0].T, corners[in_view], pixels[in_view], camera, _MAX_STEPS)
+        size = _fit_size(minima[0].T, corners[in_view], pixels[in_view], camera)
         resized = _resize_marks(corners, size)
-        minima = _find_minima(resized[in_view], pixels[in_view], camera, _MAX_STEPS)
+        minima = _find_minima(resized[in_view], pixels[in_view], camera, sigma)
         if minima and (
             _compute_reprojection_errors(minima[0].T, resized[in_view], pixels[in_view], camera).max() < limit
         ):
@@ -174,16 +174,16 @@ def _select_consistent_marks(
     # A blurred image has noisier corners than stated; the stated noise is tried first.
     gate = float(chdtri(2 * pixels.shape[1], _CONSENSUS_SIGNIFICANCE))
     for scale in (1.0, _BLUR_NOISE_RATIO):
-        consensus = _find_largest_consensus(ids, corners, pixels, in_view, camera, scale * sigma, gate, _MAX_STEPS)
+        consensus = _find_largest_consensus(ids, corners, pixels, in_view, camera, scale * sigma, gate)
         if consensus.sum() > 1 or (consensus.any() and len(np.unique(ids[in_view])) == 1):
-            minima = _find_minima(corners[consensus], pixels[consensus], camera, _MAX_STEPS)
+            minima = _find_minima(corners[consensus], pixels[consensus], camera, sigma)
             return consensus, minima, corners
     tags = tuple(np.unique(ids[in_view]).tolist())
     names = ", ".join(map(str, tags))
     return InconsistentTags(f"tags {names} do not lie on one board as printed: no two of them agree", tags)
 
 
-def _fit_size(T: Array, corners: Array, pixels: Array, camera: CameraModel, max_steps: int) -> float:
+def _fit_size(T: Array, corners: Array, pixels: Array, camera: CameraModel) -> float:
     """The size of marks over the stated one that fits pixels (M, k, 2) best, with the pose, from a pose (4, 4)."""
     arms = (corners - corners.mean(axis=1, keepdims=True)).reshape(-1, 3)
 
@@ -199,7 +199,7 @@ def _fit_size(T: Array, corners: Array, pixels: Array, camera: CameraModel, max_
         start,
         linearize,
         lambda state, step: (se3.retract(state[0], step[:6]), state[1] + float(step[6])),
-        iterations=max_steps,
+        iterations=_MAX_STEPS,
         tolerance=_TOLERANCE,
         relative_tolerance=_RELATIVE_TOLERANCE,
     )
@@ -220,7 +220,6 @@ def _find_largest_consensus(
     camera: CameraModel,
     sigma: float,
     gate: float,
-    max_steps: int,
 ) -> NDArray[np.bool_]:
     """The largest set of marks (M,) that the pose of one mark predicts, within that pose's covariance.
 
@@ -228,7 +227,7 @@ def _find_largest_consensus(
     """
     best, best_score = np.zeros(len(ids), dtype=bool), -np.inf
     for mark in np.flatnonzero(in_view):
-        for fit in _find_minima(corners[mark], pixels[mark], camera, max_steps):
+        for fit in _find_minima(corners[mark], pixels[mark], camera, sigma):
             d2 = np.array(
                 [_squared_mahalanobis(fit, c, p, camera, sigma) for c, p in zip(corners, pixels, strict=True)]
             )
@@ -255,12 +254,20 @@ def _squared_mahalanobis(fit: _PoseFit, corners: Array, pixels: Array, camera: C
     return float(residuals @ np.linalg.solve(S, residuals))
 
 
-def _find_minima(corners: Array, pixels: Array, camera: CameraModel, max_steps: int) -> list[_PoseFit]:
+# Error of the other pose of IPPE, over that of the better one and in variances, above which it is not refined:
+# where both fit equally well after refinement, they differ by less before, in 12,000 random views.
+_MAX_START_RATIO, _MAX_START_CHI2 = 10.0, 100.0
+
+
+def _find_minima(corners: Array, pixels: Array, camera: CameraModel, sigma: float) -> list[_PoseFit]:
     """One or two distinct poses with the face visible, for corners (..., 3) at pixels (..., 2); the best first."""
     corners, pixels = corners.reshape(-1, 3), pixels.reshape(-1, 2)
+    starts = _solve_ippe(corners, camera.rays(pixels))
+    errors = [np.sum(_compute_reprojection_errors(T, corners, pixels, camera) ** 2) for T in starts]
+    largest = _MAX_START_RATIO * min(errors, default=0.0) + _MAX_START_CHI2 * sigma**2
     fits: list[_PoseFit] = []
-    for start in _solve_ippe(corners, camera.rays(pixels)):
-        fit = _refine(start, corners, pixels, camera, max_steps)
+    for start, error in zip(starts, errors, strict=True):
+        fit = _refine(start, corners, pixels, camera) if error <= largest else None
         if fit is not None and plane.from_pose(fit.T)[3] > 0:
             fits.append(fit)
     fits.sort(key=lambda fit: fit.cost)
@@ -298,14 +305,14 @@ def _solve_ippe(corners: Array, rays: Array) -> list[Array]:
     return [T for T in poses if np.isfinite(T).all()]
 
 
-def _refine(T: Array, corners: Array, pixels: Array, camera: CameraModel, max_steps: int) -> _PoseFit | None:
+def _refine(T: Array, corners: Array, pixels: Array, camera: CameraModel) -> _PoseFit | None:
     """Levenberg–Marquardt on the reprojection error; None if the start cannot be projected or JᵀJ is singular."""
     try:
         minimum = minimize(
             T,
             lambda T, _: _linearize(T, corners, pixels, camera),
             se3.retract,
-            iterations=max_steps,
+            iterations=_MAX_STEPS,
             tolerance=_TOLERANCE,
             relative_tolerance=_RELATIVE_TOLERANCE,
         )

@@ -31,6 +31,8 @@ class Saddles(NamedTuple):
 # Standard deviation of the blur before derivatives, pixels: that of a corner in a sharp image, and less than half
 # the smallest distance of corners, 3 pixels.
 _BLUR = 1.2
+# Distance from which pixels do not matter for a blurred one: half of OpenCV's kernel of 11 pixels, and a rounding.
+_BLUR_REACH = 7
 # Minimum curvature over the median of the image, and in grey values besides: of normal noise, one in a million
 # pixels has 7.3 times the median, and a contrast of 3 grey values has 0.3.
 _MIN_NOISE_RATIO, _MIN_GRAY_CURVATURE = 8.0, 0.3
@@ -175,8 +177,11 @@ def _curve_along(curvatures: Array, directions: Array) -> Array:
     return curvatures[..., 0] * x * x + 2 * curvatures[..., 1] * x * y + curvatures[..., 2] * y * y
 
 
-_ARMS = ((0, 0), (0, 1), (1, 0), (0, -1), (-1, 0))
-"""Rows and columns of the saddles of a cross, from its middle."""
+_AROUND = np.array([
+    (0, 1), (1, 0), (0, -1), (-1, 0), (1, 1), (1, -1), (-1, -1), (-1, 1), (0, 2), (2, 0), (0, -2), (-2, 0)
+])  # fmt: skip
+"""Rows and columns of a place's neighbours: the arms of a cross, those between one arm and the next, and those
+behind the arms."""
 # Maximum distance of a saddle from where its neighbours predict it, in distances to the nearest of them.
 _MAX_OFFSET = 0.35
 # Lines by which a lattice may be longer than the board: what is beside a board adds some saddles.
@@ -193,28 +198,32 @@ def _grow_lattice(cross: Indices, curvatures: Array, places: Array, tree: KDTree
         tree: of the places.
         longest: number of corners in the longer line of the board.
     """
-    half = longest + _MOST_SURPLUS + 3
-    lattice = np.full((2 * half + 1, 2 * half + 1), -1)
-    for (down, right), member in zip(_ARMS, cross, strict=True):
-        lattice[half + down, half + right] = member
+    width = 2 * (longest + _MOST_SURPLUS + 3) + 1
+    around = _AROUND @ [width, 1]
+    lattice = np.full(width * width, -1)
+    added = lattice.size // 2 + np.append(0, around[:4])
+    lattice[added] = cross
     free = np.ones(len(curvatures), dtype=np.bool_)
     free[cross[cross >= 0]] = False
     while True:
-        predicted = _predict_places(places[lattice])
-        row, column = np.nonzero((lattice < 0) & np.isfinite(predicted[..., 0]))
-        expected = predicted[row, column]
-        beside = np.stack([lattice[row + down, column + right] for down, right in _ARMS[1:]])
-        steps = np.linalg.norm(places[beside] - expected, axis=-1)
-        nearest = np.nanargmin(steps, axis=0), np.arange(len(row))
+        # Where no neighbour is new, there is no saddle again.
+        cell = np.unique(added[:, None] + around)
+        cell = cell[lattice[cell] < 0]
+        beside = lattice[cell[:, None] + around]
+        expected = _predict_places(places[beside])
+        known = np.isfinite(expected[:, 0])
+        cell, beside, expected = cell[known], beside[known], expected[known]
+        steps = np.linalg.norm(places[beside[:, :4]] - expected[:, None], axis=-1)
+        nearest = np.arange(len(cell)), np.nanargmin(steps, axis=1)
         distance, saddle = tree.query(expected)
         fits = (distance < _MAX_OFFSET * steps[nearest]) & free[saddle]
         fits &= _are_opposite(curvatures[beside[nearest]], curvatures[saddle])
         # A saddle that is expected at two cells is at the first one.
         saddle, first = np.unique(saddle[fits], return_index=True)
-        lattice[row[fits][first], column[fits][first]] = saddle
-        free[saddle] = False
-        if not len(saddle) or _is_too_long(lattice >= 0, longest):
-            return lattice
+        added = cell[fits][first]
+        lattice[added], free[saddle] = saddle, False
+        if not len(added) or _is_too_long(lattice.reshape(width, width) >= 0, longest):
+            return lattice.reshape(width, width)
 
 
 def _is_too_long(is_saddle: NDArray[np.bool_], longest: int) -> bool:
@@ -222,26 +231,22 @@ def _is_too_long(is_saddle: NDArray[np.bool_], longest: int) -> bool:
     return bool(np.ptp(np.nonzero(is_saddle), axis=1).max() >= longest + _MOST_SURPLUS)
 
 
-def _predict_places(places: Array) -> Array:
-    """Where the neighbours of each cell (rows, columns, 2) put it, NaN if they do not, and in two at borders.
+def _predict_places(around: Array) -> Array:
+    """Where their neighbours (M, 12, 2) put places (M, 2), NaN if they do not.
 
     Three neighbours are corners of a parallelogram with it, which perspective bends less than the line of two.
     """
-    height, width = places.shape[:2]
+    arms, between, behind = np.split(around, 3, axis=1)
+    turns, lines = arms + arms[:, [1, 2, 3, 0]] - between, 2 * arms - behind
+    by_turns, by_lines = (_average_known(guesses) for guesses in (turns, lines))
+    return np.where(np.isnan(by_turns), by_lines, by_turns)
 
-    def shift(down: int, right: int) -> Array:
-        return places[2 + down : height - 2 + down, 2 + right : width - 2 + right]
 
-    lines = [2 * shift(down, right) - shift(2 * down, 2 * right) for down, right in _ARMS[1:]]
-    turns = [shift(down, 0) + shift(0, right) - shift(down, right) for down in (-1, 1) for right in (-1, 1)]
-    predicted = np.full_like(places, np.nan)
-    inner = predicted[2:-2, 2:-2]
-    for guesses in (np.stack(turns), np.stack(lines)):
-        known = np.isfinite(guesses)
-        count = known.sum(axis=0)
-        mean = np.where(known, guesses, 0).sum(axis=0) / np.where(count, count, np.nan)
-        np.copyto(inner, mean, where=np.isnan(inner))
-    return predicted
+def _average_known(guesses: Array) -> Array:
+    """Means (M, 2) of those of guesses (M, 4, 2) that are not NaN."""
+    known = np.isfinite(guesses)
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.sum(guesses, axis=1, where=known) / known.sum(axis=1))
 
 
 # Smallest shares of corners with a saddle, as glare hides some, and of those between four squares: boards in glare
@@ -266,10 +271,15 @@ def _cut_board(places: Array, smooth: Brightness, rows: int, columns: int) -> La
     is_saddle = np.isfinite(places[..., 0])
     if is_saddle.sum() < MIN_SEEN * rows * columns or _is_too_long(is_saddle, max(rows, columns)):
         return None
-    places = _complete(places)
+    # Every line of a board has saddles. Of what is beside it, one line matters, and the next one for its squares.
+    row, column = np.nonzero(is_saddle)
+    part = slice(row.min() - 2, row.max() + 3), slice(column.min() - 2, column.max() + 3)
+    places, is_saddle = _complete(places[part]), is_saddle[part]
     is_corner = _are_between_squares(places, smooth)
     for turn in ((0, 1), (1, 0)):
         corners, saddles = is_corner.transpose(turn), is_saddle.transpose(turn)
+        if (np.subtract(corners.shape, 2) < (rows, columns)).any():
+            continue
         windows = np.lib.stride_tricks.sliding_window_view(corners[1:-1, 1:-1], (rows, columns))
         count = windows.sum(axis=(2, 3))
         top, left = np.add(np.unravel_index(count.argmax(), count.shape), 1)
@@ -286,8 +296,12 @@ def _cut_board(places: Array, smooth: Brightness, rows: int, columns: int) -> La
 
 def is_whole_board(gray: Gray, places: Array) -> bool:
     """Whether places (rows, columns, 2) in an image are corners of four squares, and those beside are not."""
-    padded = np.pad(places, ((2, 2), (2, 2), (0, 0)), constant_values=np.nan)
-    return _is_bounded(_are_between_squares(_complete(padded), _blur(gray))[1:-1, 1:-1])
+    places = _complete(np.pad(places, ((2, 2), (2, 2), (0, 0)), constant_values=np.nan))
+    # Only what is around the board is blurred.
+    low = np.maximum(places.min(axis=(0, 1)) - _BLUR_REACH, 0).astype(int)
+    high = np.maximum(places.max(axis=(0, 1)) + _BLUR_REACH, 0).astype(int)
+    around = gray[low[1] : high[1], low[0] : high[0]]
+    return _is_bounded(_are_between_squares(places - low, _blur(around))[1:-1, 1:-1])
 
 
 def _is_bounded(is_corner: NDArray[np.bool_]) -> bool:
@@ -332,7 +346,9 @@ def _are_between_squares(places: Array, smooth: Brightness) -> NDArray[np.bool_]
 def _complete(places: Array) -> Array:
     """Places (rows, columns, 2) of corners, with those that are NaN predicted by their neighbours."""
     padded = np.pad(places, ((2, 2), (2, 2), (0, 0)), constant_values=np.nan)
-    inner = padded[2:-2, 2:-2]
-    while np.isnan(inner).any():
-        np.copyto(inner, _predict_places(padded)[2:-2, 2:-2], where=np.isnan(inner))
-    return inner
+    around, flat = _AROUND @ [padded.shape[1], 1], padded.reshape(-1, 2)
+    inner = np.zeros(padded.shape[:2], dtype=np.bool_)
+    inner[2:-2, 2:-2] = True
+    while len(cell := np.flatnonzero(inner.ravel() & np.isnan(flat[:, 0]))):
+        flat[cell] = _predict_places(flat[cell[:, None] + around])
+    return padded[2:-2, 2:-2]

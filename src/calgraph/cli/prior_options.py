@@ -51,9 +51,6 @@ def read_priors(
     Raises:
         InputError: an option, or a file, is wrong.
     """
-    from calgraph.result import read_extrinsics
-    from calgraph.rig.bundle.priors import PriorFile, RigidFile
-
     if stddev is not None and prior is None:
         raise InputError("--prior-stddev: goes with --prior")
     if stddev is not None and not (stddev == (0, 0) or (min(stddev) > 0 and all(map(math.isfinite, stddev)))):
@@ -61,6 +58,12 @@ def read_priors(
             f"--prior-stddev: must be two numbers above 0, in m and degrees, or 0 0 for poses that are exact, "
             f"got {stddev[0]:g} {stddev[1]:g}"
         )
+    if not (prior or rigid):
+        return None, ()
+    # Modules that only rigs need.
+    from calgraph.result import read_extrinsics
+    from calgraph.rig.bundle.priors import PriorFile, RigidFile
+
     groups = []
     for text in rigid or ():
         file, _, names = text.rpartition(":")

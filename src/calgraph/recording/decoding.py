@@ -1,5 +1,6 @@
 """ROS messages to calgraph's: one decoder for each type, chosen from a table."""
 
+import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -70,7 +71,7 @@ def _multi_echo_laser_scan(message: Any, stamp: float, limits: LimitSettings) ->
 
 
 def _scan(message: Any, ranges: Array, stamp: float) -> LaserScan:
-    if not np.isfinite([message.angle_min, message.angle_increment, message.time_increment]).all():
+    if not all(map(math.isfinite, (message.angle_min, message.angle_increment, message.time_increment))):
         raise ValueError("angle_min, angle_increment and time_increment must be finite")
     angles = message.angle_min + message.angle_increment * np.arange(len(ranges))
     ranges = _limit_ranges(ranges, message.range_min, message.range_max)

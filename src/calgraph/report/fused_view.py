@@ -5,7 +5,7 @@ Where no camera observes them, points of 3-D LiDARs are coloured by height, and 
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -51,7 +51,10 @@ def render_fused_cloud(calibration: Calibration, rig: Rig) -> Markup:
     kinds = {s.name: s.kind for s in calibration.sensors if KINDS[s.kind].measures_ranges}
     clouds = {f"capture {n}": (n, cloud) for n, cloud in _colored_clouds(calibration, rig).items()}
     if any(name in kinds and one.learned().parameters for name, one in calibration.corrections.items()):
-        corrected = _colored_clouds(calibration.with_corrected_points(), rig)
+        shown = {n for n, _ in clouds.values()}
+        some = tuple(one for one in calibration.pictures.snapshots if one.capture in shown)
+        few = replace(calibration, pictures=replace(calibration.pictures, snapshots=some))
+        corrected = _colored_clouds(few.with_corrected_points(), rig)
         clouds |= {f"capture {n}, corrected": (n, cloud) for n, cloud in corrected.items()}
     if not clouds:
         return Markup()
@@ -173,7 +176,8 @@ def _cloud_traces(
     edge = [np.concatenate([o.corners, o.corners[:1], np.full((1, 3), np.nan)]) for o in outlines]
     none = np.zeros((0, 3))
     visible = np.concatenate([none, *(part.points[part.colored] for part in cloud.values())])
-    colors = [f"#{r:02x}{g:02x}{b:02x}" for part in cloud.values() for r, g, b in part.colors[part.colored]]
+    digits = b"".join(part.colors[part.colored].tobytes() for part in cloud.values()).hex()
+    colors = [f"#{digits[i : i + 6]}" for i in range(0, len(digits), 6)]
     others = []
     for k, (name, kind) in enumerate(kinds.items()):
         points = cloud[name].points[~cloud[name].colored] if name in cloud else none

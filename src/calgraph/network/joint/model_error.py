@@ -129,12 +129,14 @@ def _collect_equations(
         stride = (compute_root_times(network, state, beams.scans) - body.knots.start) / duration
         collected.append(beams.sum_over_scans())
         parts.append(np.maximum(stride, 0).astype(np.intp) * len(body.scans) + k)
+    part = np.concatenate(parts)
+    order = np.argsort(part, kind="stable")
     of_pose = ScanEquations(
-        np.concatenate([one.information[:, :3, :3] for one in collected]),
-        np.concatenate([one.gradient[:, :3] for one in collected]),
-        np.concatenate([one.cost for one in collected]),
+        np.concatenate([one.information[:, :3, :3] for one in collected])[order],
+        np.concatenate([one.gradient[:, :3] for one in collected])[order],
+        np.concatenate([one.cost for one in collected])[order],
     )
-    return _ScanEquations(of_pose, np.concatenate(parts), len(body.scans))
+    return _ScanEquations(of_pose, part[order], len(body.scans))
 
 
 def _compare_scanners(equations: _ScanEquations, trials: Array, axes: Index) -> Array:
@@ -152,8 +154,10 @@ def _compare_for_variances(equations: _ScanEquations, variances: Array, axes: In
     strides = 1 + int(equations.part.max(initial=0)) // equations.scanners
     A, b = np.zeros((strides, equations.scanners, 3, 3)), np.zeros((strides, equations.scanners, 3))
     scans = equations.scans.marginalize_model_error(variances[[0, 0, 1]])
-    np.add.at(A, at := np.divmod(equations.part, equations.scanners), scans.information)
-    np.add.at(b, at, scans.gradient)
+    first = np.flatnonzero(np.diff(equations.part, prepend=-1))
+    if len(first):
+        at = np.divmod(equations.part[first], equations.scanners)
+        A[at], b[at] = np.add.reduceat(scans.information, first), np.add.reduceat(scans.gradient, first)
     others = np.setdiff1d(np.arange(3), axes)
     mixed = A[..., axes[:, None], others]
     gain = mixed @ np.linalg.inv(A[..., others[:, None], others] + _RIDGE * np.eye(len(others)))

@@ -60,9 +60,10 @@ class CachedLinearization:
         return self.equations.within_view_scatter()
 
     def extrapolate(self, views: BoardViews, T_sensor_board: Array, extra: Array) -> ViewNormalEquations | None:
-        """The equations at other poses (V, 4, 4) and extra parameters (e,); None beyond the limits."""
-        if not views.is_defined(T_sensor_board, extra):
-            return None
+        """The equations at other poses (V, 4, 4) and extra parameters (e,); None beyond the limits.
+
+        Whether residuals are defined there is not asked: a solver does so where it ends.
+        """
         cosine = np.sum(self.T_sensor_board[:, :3, 2] * T_sensor_board[:, :3, 2], axis=-1)
         change = views.local_difference(self.T_sensor_board, T_sensor_board, extra - self.extra)
         squared, count = self.equations.squared_change(change), self.equations.residual_count

@@ -281,10 +281,9 @@ def _group_residuals(residuals: LinearizedResiduals, start: Index) -> _Groups:
     return _Groups(np.diff(first, append=N) * k, view[first], residuals.ring[first], len(start))
 
 
-# Number of parameters from which the matrices of groups are multiplied one by one: lenses with a residual
-# distortion have a hundred, and hundreds of residuals a group. Of 20 parameters and few residuals a group, as of
-# rings, sums of columns over all groups are faster.
-_MANY_COLUMNS = 40
+# Products of two columns in a group, of all pairs of columns together, from which the matrices of groups are
+# multiplied one by one, which takes 4 µs each: of fewer, as of rings, sums of columns over all groups are faster.
+_MANY_PRODUCTS = 2000
 
 
 def _accumulate_unweighted(
@@ -296,11 +295,12 @@ def _accumulate_unweighted(
     augmented = np.concatenate([columns, residual[None]])
     products, squares = np.empty((len(groups.count), q + 1, q + 1)), np.empty_like(augmented)
     begin, some = np.cumsum(groups.count) - groups.count, groups.count > 0
-    if q >= _MANY_COLUMNS:
+    one_by_one = (q + 1) ** 2 * len(residual) > _MANY_PRODUCTS * len(begin)
+    if one_by_one:
         for group, (first, count) in enumerate(zip(begin, groups.count, strict=True)):
             of_group = augmented[:, first : first + count]
             products[group] = of_group @ of_group.T
-    for i in range(q + 1 if q < _MANY_COLUMNS else 0):
+    for i in range(0 if one_by_one else q + 1):
         of_column = np.multiply(augmented[i:], augmented[i], out=squares[i:])
         products[:, i, i:] = products[:, i:, i] = _sum_groups(of_column, begin, some).T
     of_views = groups.sum_by_view(products)

@@ -7,7 +7,6 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft
-from scipy.interpolate import CubicSpline
 
 from calgraph.config import Rig
 from calgraph.geometry import Array
@@ -323,6 +322,8 @@ def _weigh(name: str, pairs: Pairs, known: Mapping[str, float], offsets: Array) 
 
 def _interpolate(offsets: Array, grid: Array, values: Array) -> Array:
     """Values (N,) at equal distances on a grid, at offsets; a cubic has its maximum between them. 0 outside."""
+    from scipy.interpolate import CubicSpline  # takes 30 ms to import, and few recordings need it
+
     inside = (offsets >= grid[0]) & (offsets <= grid[-1])
     found: Array = np.where(inside, CubicSpline(grid, values)(offsets), 0.0)
     return found

@@ -49,8 +49,9 @@ def has_moved(board: PlanePatch | Segment, messages: Sequence[Array]) -> bool:
     radius = find_median(measure_lengths(board.points - board.center))
     halves = []
     for half in (messages[:middle], messages[-middle:]):
-        points = np.concatenate(half) - board.center
-        halves.append(points[(np.abs(points @ n) < _NEAR) & (measure_lengths(points) < radius)])
+        points = np.concatenate(half)
+        near = points.take(np.flatnonzero(np.abs(points @ n - board.center @ n) < _NEAR), axis=0) - board.center
+        halves.append(near[measure_lengths(near) < radius])
     fewer, more = sorted(len(points) for points in halves)
     if fewer < _MIN_RATIO * more:
         return True
