@@ -31,9 +31,12 @@ from calgraph.cli.setting_options import SetOption, load_rig_with
 from calgraph.errors import CalibrationError, InputError
 
 if TYPE_CHECKING:
+    from calgraph.drive.options import DriveOptions
     from calgraph.network.options import NetworkOptions
     from calgraph.result import Calibration
     from calgraph.rig.options import RigOptions
+
+    _Options = NetworkOptions | RigOptions | DriveOptions
 
 _log = logging.getLogger("calgraph")
 
@@ -100,7 +103,7 @@ def calibrate(
         ),
     ] = "joint",
 ) -> None:
-    """Estimate the relative poses of all sensors of a rig or network.
+    """Estimate the relative poses of all sensors of a rig, a network, or a robot that drives.
 
     Writes calibration.yaml, report.html, budget.csv, captures.csv, residuals.csv, scene.npz and
     rig.resolved.yaml into OUT.
@@ -126,19 +129,23 @@ def calibrate(
         check_output_path(dump)
     rig_options = {"--prior": prior, "--rigid": rigid, "--dump": dump}
     network_options = {"--extend": extend, "--moved": moved}
-    _check_unused(*(("rigs with a board", rig_options) if rig.is_network else ("networks", network_options)))
+    if not rig.is_network:
+        _check_unused("networks", network_options)
+    if rig.is_network or rig.is_drive:
+        _check_unused("rigs with a board", rig_options)
+    if rig.is_drive and estimator != "joint":
+        raise InputError(f"--estimator: must be joint for a rig that drives, got {estimator}")
     prior_poses, groups = read_priors(prior, prior_stddev, rigid)
     cache = open_cache(unused=no_cache)
     with (
         open_engine(jobs, cluster, rig.settings.cluster) as engine,
         replace_folder_atomically(out, "calibration.yaml") as folder,
     ):
-        options: RigOptions | NetworkOptions  # noqa: F823
-        # Of one wing only: the other's modules take a tenth of a second.
+        # Of one wing only: the others' modules take a tenth of a second.
         if rig.is_network:
             from calgraph.network.options import NetworkOptions
 
-            options = NetworkOptions(
+            options: _Options = NetworkOptions(
                 estimator=estimator,
                 extend=load_calibration(extend) if extend else None,
                 moved=tuple(moved or ()),
@@ -146,6 +153,10 @@ def calibrate(
                 engine=engine,
                 cache=cache,
             )
+        elif rig.is_drive:
+            from calgraph.drive.options import DriveOptions
+
+            options = DriveOptions(seed=seed, engine=engine)
         else:
             from calgraph.rig.options import RigOptions
 

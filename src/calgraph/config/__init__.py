@@ -50,6 +50,6 @@ __all__ = [
     "CaptureMode", "ChangeRules", "Charuco", "Checkerboard", "Cylinder", "DepthCameraSpec", "Family",
     "FleetConfig", "FoundBackground", "FoundMode", "FoundTopic", "Intrinsics", "Kind", "Lidar2dSpec",
     "Lidar2dUncertainty", "Lidar3dSpec", "Lidar3dUncertainty", "People", "PixelNoise", "PrintedBitmap",
-    "RangeNoise", "Rig", "SensorSpec", "Surroundings", "Tag", "Tolerance", "black_rectangles", "dictionary", "draft_rig",
-    "explain_unused", "find_triggers", "load_fleet", "load_rig", "marker_count", "printed_bitmaps",
+    "RangeNoise", "Rig", "SensorSpec", "Surroundings", "Tag", "Tolerance", "black_rectangles", "dictionary",
+    "draft_rig", "explain_unused", "find_triggers", "load_fleet", "load_rig", "marker_count", "printed_bitmaps",
 ]  # fmt: skip

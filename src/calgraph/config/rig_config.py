@@ -73,8 +73,8 @@ class Rig(StrictModel):
     root: str
     """The sensor whose frame everything is expressed in."""
     target: Target
-    """The calibration target: one board, a list of boards, people, a cylinder or the surroundings. The command calgraph board prints
-    the block of a board."""
+    """The calibration target: one board, a list of boards, people, a cylinder or the surroundings. The command
+    calgraph board prints the block of a board."""
     capture: Capture = Capture()
     """Intervals of the recording in which the target is searched for."""
     sensors: Annotated[dict[Name, SensorSpec], Field(min_length=1)]
@@ -119,9 +119,7 @@ class Rig(StrictModel):
         for name, sensor in self.sensors.items():
             for key in ("mounting", "height", "roll", "pitch"):
                 if not self.is_network and getattr(sensor, key, None) is not None:
-                    raise invalid(
-                        f"sensors.{name}.{key}", "applies to networks only: other targets determine it"
-                    )
+                    raise invalid(f"sensors.{name}.{key}", "applies to networks only: other targets determine it")
         return self
 
     @model_validator(mode="after")

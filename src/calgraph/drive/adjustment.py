@@ -10,12 +10,12 @@ depend on incidence. View biases and surfaces are eliminated by group and cell, 
 drive; what remains are the errors of the sensors.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
-from scipy.sparse import block_diag, coo_array, csr_array
+from scipy.sparse import csr_array
 
 from calgraph.geometry import Array, Index, measure_lengths, se_n
 from calgraph.surfaces.flat_cells import FlatCells, fit_flat_cells, sum_moments
@@ -111,6 +111,8 @@ class Adjustment:
     """(S, S) number of surfaces that both sensors measured."""
     residual_rms: Array
     """(S,) m, of the points on surfaces."""
+    point_counts: Array
+    """(S,) number of these."""
     squared_step: float
     """Squared last step of the sensors' parameters, in their standard deviations."""
 
@@ -190,6 +192,7 @@ def adjust_drive(
         states, parts, np.linalg.inv(H), free, noise,
         shared_cells=np.sum([one.shared for one in reduced], axis=0),
         residual_rms=noise.white,
+        point_counts=np.sum([one.white[:, 1] for one in reduced], axis=0),
         squared_step=float(step @ H @ step),
     )  # fmt: skip
 
@@ -229,9 +232,7 @@ class _Points:
     """(N, n + d + 3)."""
 
 
-def _linearize(
-    part: DrivePart, states: Sequence[SensorState], gate: float
-) -> tuple[_Points, FlatCells]:
+def _linearize(part: DrivePart, states: Sequence[SensorState], gate: float) -> tuple[_Points, FlatCells]:
     """The residuals of the points of a part that are on surfaces."""
     at = [_evaluate(part, k, state) for k, state in enumerate(states)]
     world = np.concatenate([one.world for one in at])
@@ -261,7 +262,9 @@ def _linearize(
         name: np.concatenate([getattr(one, name) for one in at])[hit]
         for name in ("first", "basis", "position_arm", "rotation_jacobian", "by_sensor")
     }
-    turn = np.einsum("ni,nij,njk->nk", normals, se_n.rotation_jacobian(joined["position_arm"]), joined["rotation_jacobian"])
+    turn = np.einsum(
+        "ni,nij,njk->nk", normals, se_n.rotation_jacobian(joined["position_arm"]), joined["rotation_jacobian"]
+    )
     by_pose = np.concatenate([normals, turn], axis=1)
     by_control = (joined["basis"][:, :, None] * by_pose[:, None, :]).reshape(len(hit), -1)
     by_sensor = np.einsum("ni,nij->nj", normals, joined["by_sensor"])
@@ -439,7 +442,9 @@ def _reduce_part(
         own = at.sensor == k
         if own.any():
             white[k] = 1.4826 * np.median(np.abs(around[own])), own.sum()
-    view = _view_statistics(groups, surface_of_group, bias, inverse, N_left, surface_inverse, bias_of_surface, count)
+    view = _view_statistics(
+        groups, surface_of_group, bias, inverse, N_left, surface_inverse, bias_of_surface, count
+    )
     seen = np.zeros((S, count))
     seen[groups // views % S, surface_of_group] = 1
     return _Reduced(

@@ -104,7 +104,9 @@ def _register(
     starts = [(predicted, _ROBUST_SCALES)]
     if predicted.shape[-1] == 3:
         starts.append((_search(sweep, before, predicted, duration, surfaces), _FINAL_SCALES))
-    registered = [_minimize(sweep, before, start, predicted, duration, surfaces, scales) for start, scales in starts]
+    registered = [
+        _minimize(sweep, before, start, predicted, duration, surfaces, scales) for start, scales in starts
+    ]
     return min(registered, key=lambda one: one[2])[:2]
 
 

@@ -1,6 +1,7 @@
 """Drives: from one recording of a robot that drives to the poses of its LiDARs, which may share no view."""
 
 from collections.abc import Mapping
+from itertools import pairwise
 
 import numpy as np
 
@@ -40,8 +41,9 @@ _MAX_CLOCK_OFFSET = 0.6
 _CLOCK_STDDEV = 0.1
 # Of poses: no prior, but a number that is far above what any robot measures, m and rad.
 _POSE_STDDEV = 10.0
-# Length of a part with a world of its own, s, and how many are adjusted: its unknowns are eliminated densely, 300
-# control points of 6 in space, or of 3 in the plane, where cells are met again later. Parts that turn most are used.
+# Length of a part with a separate world, s, and how many are adjusted: its unknowns are eliminated densely, 300
+# control points of 6 in space, or of 3 in the plane, where cells are met again later. Parts that turn most are
+# used.
 _PART_DURATION, _MAX_PARTS = {2: 60.0, 3: 30.0}, 6
 # Time between knots, s: vehicles swing at 1 to 2 Hz, which splines with ten knots a second follow; scans without
 # times of points leave gaps in which nothing is measured, and need knots no denser than they are.
@@ -132,8 +134,10 @@ def _solve_starts(
             starts[name] = Rejected(f"the root {rig.root} has no trajectory: {root.reason}")
         else:
             start = solve_start(root, track, _MAX_CLOCK_OFFSET, np.random.default_rng([seed, k, 2]))
-            failure = explain_failure(start, name)
-            starts[name] = Rejected(failure) if failure else start
+            failure = (
+                explain_failure(start, name) if start else "it and the root measured together for under 10 s"
+            )
+            starts[name] = Rejected(failure) if start is None or failure else start
     return starts
 
 
@@ -168,19 +172,17 @@ def _adjust(
         )
         for start, end in _select_parts(root, _PART_DURATION[n])
     ]
-    return adjust_drive(
-        parts, states, _state_priors(rig, used, n), lambda done: progress("adjusting", done)
-    )
+    return adjust_drive(parts, states, _state_priors(rig, used, n), lambda done: progress("adjusting", done))
 
 
 def _select_parts(root: Track, duration: float) -> list[tuple[float, float]]:
     """Intervals of the root's clock, s: those of a drive in which it turns most."""
     first, last = float(root.times[0]), float(root.times[-1])
-    count = max(int(round((last - first) / duration)), 1)
+    count = max(round((last - first) / duration), 1)
     edges = np.linspace(first, last, count + 1)
     turn = np.linalg.norm(se_n.log(se_n.rotation(se_n.inverse(root.poses[:-1]) @ root.poses[1:])), axis=1)
     turned = np.array([
-        turn[(root.times[1:] > a) & (root.times[1:] <= b)].sum() for a, b in zip(edges[:-1], edges[1:], strict=True)
+        turn[(root.times[1:] > a) & (root.times[1:] <= b)].sum() for a, b in pairwise(edges)
     ])  # fmt: skip
     best = np.sort(np.argsort(-turned, kind="stable")[:_MAX_PARTS])
     return [(float(edges[k]), float(edges[k + 1])) for k in best]
@@ -189,7 +191,7 @@ def _select_parts(root: Track, duration: float) -> list[tuple[float, float]]:
 def _select_spacing(thinned: list[list[Sweep]]) -> float:
     """Time between knots, s: no less than the gaps in which a sensor measures nothing."""
     gaps = [
-        float(np.median([b.times.min() - a.times.max() for a, b in zip(some[:-1], some[1:], strict=True)]))
+        float(np.median([b.times.min() - a.times.max() for a, b in pairwise(some)]))
         for some in thinned
     ]
     return float(np.clip(max(gaps), _KNOT_SPACING, _MAX_KNOT_SPACING))

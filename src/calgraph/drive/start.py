@@ -19,10 +19,20 @@ _MAX_TURN_RATE = 3.0
 MOTION_DURATION = 1.5
 # And start this far apart, s: half of the duration, so that errors of neighbours are hardly independent.
 _MOTION_STEP = 0.5
+# Fewest of them: ten seconds of common time.
+_MIN_MOTIONS = 20
 # Random samples: with half of the motions wrong, 200 of three have a right one with 1 - (7/8)^200.
 _SAMPLES = 200
 # Errors of a relative motion beyond which it counts as wrong, m and rad: odometry in the plane of offices.
 _MAX_ERROR = 0.15, 0.05
+# Correlation of turn rates below which a clock offset is chance: that of the best of 60 offsets of independent
+# drives is up to 0.5.
+_MIN_CORRELATION = 0.6
+# RMS turns of motions that determine a pose, rad: ten times the error of odometry's rotation, 0.2 degrees, about the
+# main axis; about a second axis five times.
+_MIN_TURN, _MIN_SECOND_TURN = 0.035, 0.0175
+# Share of motions that has to agree: with fewer, another pose may have as many.
+_MIN_INLIERS = 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +49,10 @@ class MotionStart:
     """Share of the motions that agree."""
     correlation: float
     """Of the turn rates, at the clock offset."""
+    motions: int
+    """Number of relative motions."""
+    turns: Array
+    """(d,) RMS turn of the sensor during a motion, about the principal axes of turning, rad, descending."""
 
 
 def find_clock_offset(root: Track, sensor: Track, max_offset: float) -> tuple[float, float]:
@@ -49,7 +63,10 @@ def find_clock_offset(root: Track, sensor: Track, max_offset: float) -> tuple[fl
         sensor: of the sensor.
         max_offset: to search within, s.
     """
-    start, end = max(root.times[0], sensor.times[0] - max_offset), min(root.times[-1], sensor.times[-1] + max_offset)
+    start, end = (
+        max(root.times[0], sensor.times[0] - max_offset),
+        min(root.times[-1], sensor.times[-1] + max_offset),
+    )
     times = np.arange(start, end, 1 / _RATE)
     own = _turn_rates(root, times)
     lags = np.arange(-max_offset, max_offset + 0.5 / _RATE, 1 / _RATE)
@@ -77,8 +94,8 @@ def _correlate(a: Array, b: Array) -> float:
     return float(a @ b / max(np.sqrt((a @ a) * (b @ b)), 1e-12))
 
 
-def solve_start(root: Track, sensor: Track, max_offset: float, rng: np.random.Generator) -> MotionStart:
-    """The pose and the clock of a sensor from two trajectories.
+def solve_start(root: Track, sensor: Track, max_offset: float, rng: np.random.Generator) -> MotionStart | None:
+    """The pose and the clock of a sensor from two trajectories; None if they hardly overlap in time.
 
     Args:
         root: trajectory of the root, in a world of its own.
@@ -90,17 +107,45 @@ def solve_start(root: Track, sensor: Track, max_offset: float, rng: np.random.Ge
     first = max(root.times[0], sensor.times[0] - offset)
     last = min(root.times[-1], sensor.times[-1] - offset) - MOTION_DURATION
     starts = np.arange(first, last, _MOTION_STEP)
+    if len(starts) < _MIN_MOTIONS:
+        return None
     A = root.relative(starts, MOTION_DURATION)
     B = sensor.relative(starts + offset, MOTION_DURATION)
     T = _sample_poses(A, B, rng)
     T, information, weights = _refine(T, A, B)
-    return MotionStart(T, offset, information, float(np.mean(weights > 0.25)), correlation)
+    vectors = se_n.log(se_n.rotation(B))
+    turns = np.linalg.svd(vectors, compute_uv=False) / np.sqrt(len(B))
+    return MotionStart(T, offset, information, float(np.mean(weights > 0.25)), correlation, len(A), turns)
+
+
+def explain_failure(start: MotionStart, name: str) -> str:
+    """Why a start is not to be relied on, and what to drive instead; empty if it is."""
+    if start.correlation < _MIN_CORRELATION:
+        return (
+            f"its turn rates do not agree with the root's (correlation {start.correlation:.2f}): its clock is more "
+            "than half a second off, or its odometry failed; drive slower, where walls and furniture are near"
+        )
+    if start.turns[0] < _MIN_TURN:
+        return (
+            f"the robot hardly turned ({np.degrees(start.turns[0]):.1f}° in {MOTION_DURATION:g} s): drive curves, "
+            f"without which nothing determines where {name} is"
+        )
+    if len(start.turns) == 3 and start.turns[1] < _MIN_SECOND_TURN:
+        return (
+            f"the robot turned about one axis only ({np.degrees(start.turns[1]):.1f}° about others in "
+            f"{MOTION_DURATION:g} s), which leaves the height of {name} and a rotation open: drive over ramps, too"
+        )
+    if start.inliers < _MIN_INLIERS:
+        return (
+            f"only {start.inliers:.0%} of its motions agree with a pose on the root's robot: its odometry failed, "
+            "or it is not fixed; drive slower, where walls and furniture are near"
+        )
+    return ""
 
 
 def _sample_poses(A: Array, B: Array, rng: np.random.Generator) -> Array:
     """The pose (n+1, n+1) with which most motions A (K, n+1, n+1) and B agree, of random samples of three."""
     chosen = np.array([rng.choice(len(A), 3, replace=False) for _ in range(_SAMPLES)])
-    # Motions that hardly turn determine nothing: samples prefer those that do.
     solve = _solve_in_plane if A.shape[-1] == 3 else _solve_in_space
     T = solve(A[chosen], B[chosen])
     cost = np.array([_truncated(_errors(one, A, B)).sum() for one in T])

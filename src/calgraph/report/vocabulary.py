@@ -1,4 +1,4 @@
-"""The texts of the report, which depend on the target: a board, or people who walk."""
+"""The texts of the report, which depend on the target: a board, people who walk, or surroundings."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ from calgraph.sensors.kinds import KINDS
 
 @dataclass(frozen=True)
 class Vocabulary:
-    """The terms and captions of rigs, or of networks; captions are HTML."""
+    """The terms and captions of rigs, networks, or drives; captions are HTML."""
 
     item: str
     """The unit of a row of captures.csv."""
@@ -131,6 +131,36 @@ double-click to reset, click in the legend to hide a scanner.""",
 )
 
 
+DRIVE_VOCABULARY = Vocabulary(
+    item="drive",
+    items_title="Drives",
+    no_items="Sensors are calibrated from the whole drive: there are no captures.",
+    items_caption=("", ""),
+    shared_evidence="motion",
+    no_pairs="No sensor's motion agrees with the root's.",
+    pair_columns=("motions", "agreeing", "difference"),
+    graph_caption="""\
+An edge joins the root with a sensor whose motion was compared with its own. Labels: relative motions of 1.5 s that
+agree / all of them. Dashed: no relative pose was estimated.""",
+    fit=dict.fromkeys(("lidar2d", "lidar3d"), "distance from the surface"),
+    errors_caption="Distances of points from the surfaces of the joint adjustment.",
+    residuals_caption="",
+    distances_caption="",
+    coverage_caption="",
+    view_title="3-D view",
+    view_caption=BOARD_VOCABULARY.view_caption,
+    advice={
+        "root": "Nothing can be connected without the root: check its topic, or state another root.",
+        "weak": "Drive longer, with more turns, so that all sensors pass the same walls and furniture.",
+        "unconnected": "Drive curves, slowly enough for its odometry, where walls and furniture are near.",
+        "undetected": "Check its topic, and drive where walls and furniture are within its range.",
+        "unobservable": "Do not use this pose. Drive curves, and over ramps where sensors measure in space.",
+    },
+)
+
+
 def select_vocabulary(rig: Rig) -> Vocabulary:
     """The vocabulary for a rig's target."""
+    if rig.is_drive:
+        return DRIVE_VOCABULARY
     return NETWORK_VOCABULARY if rig.is_network else BOARD_VOCABULARY

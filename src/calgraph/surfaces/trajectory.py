@@ -167,5 +167,3 @@ def _control_points(spline: CubicSpline, knots: Array, intervals: int) -> Array:
     # The outer ones follow from the first and second difference at the ends, where the second derivative is 0.
     before, after = 2 * c[0] - c[1], 2 * c[-1] - c[-2]
     return np.concatenate([before[None], c, after[None]])
-
-

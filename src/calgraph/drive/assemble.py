@@ -1,0 +1,147 @@
+"""Assembles the Calibration of a drive: poses with verdicts, and why sensors have none."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calgraph.config import Rig
+from calgraph.drive.adjustment import Adjustment
+from calgraph.drive.start import MotionStart
+from calgraph.errors import Rejected
+from calgraph.geometry import Array, se2
+from calgraph.result import Calibration, Edge, Evidence, FitError, SensorPose, Verdict
+from calgraph.result.finding import Finding
+from calgraph.result.sensor_pose import UNMEASURED_IN_PLANE
+from calgraph.verdict.grades import LONE_ROOT, collect_findings, grade_pose
+
+_ADVICE = "drive longer, with more turns, so that all sensors pass the same walls and furniture"
+# On real data the errors are up to seven of the stated standard deviations (15 windows of a minute of an office).
+_UNVERIFIED = (
+    "poses from surroundings are at best weak in this version: their standard deviations are up to ten times too "
+    "small"
+)
+# Surfaces that two sensors have to share: with fewer, single ones that moved or are mistaken decide.
+_MIN_SHARED_CELLS = 30
+# Squared last step, in standard deviations, from which the adjustment has not converged.
+_MAX_SQUARED_STEP = 25.0
+
+
+@dataclass(frozen=True, eq=False)
+class DriveResult:
+    """What the stages of a drive's calibration found."""
+
+    used: Sequence[str]
+    """The sensors that were adjusted, the root first."""
+    frames: Mapping[str, str]
+    """frame_id by sensor, as its messages state it."""
+    starts: Mapping[str, MotionStart | Rejected]
+    """By sensor but the root."""
+    adjusted: Adjustment | None
+    """None where only the root has a trajectory."""
+    findings: Sequence[Finding]
+    """What does not fit the rig in the messages."""
+
+
+def assemble_drive(rig: Rig, result: DriveResult) -> Calibration:
+    """The calibration of a drive."""
+    adjusted, used = result.adjusted, result.used
+    names = used if adjusted else [rig.root]
+    covariance, clocks = _lift_covariance(adjusted) if adjusted else (np.zeros((6, 6)), np.zeros(1))
+    by_sensor = collect_findings(result.findings)
+    sensors = []
+    for k, name in enumerate(names):
+        spec, block = rig.sensors[name], slice(6 * k, 6 * k + 6)
+        state = adjusted.states[k] if adjusted else None
+        T = np.eye(4) if state is None else _lift_pose(state.T_root_sensor)
+        if k == 0:
+            verdict = Verdict("good") if adjusted else LONE_ROOT
+        else:
+            assert adjusted is not None
+            verdict = grade_pose(
+                name, spec.kind, T, np.nan_to_num(covariance[block, block]),
+                [*by_sensor.get(name, ()), *_find_contradictions(adjusted, k)],
+                tolerance=rig.tolerance, settings=rig.settings.diagnostics.verdict,
+                data="motions and surfaces", advice=_ADVICE,
+            )  # fmt: skip
+        sensors.append(
+            SensorPose(
+                name,
+                None if k == 0 else rig.root,
+                spec.frame_id or result.frames.get(name) or name,
+                spec.kind,
+                T,
+                verdict,
+                clock_offset=None if k == 0 or state is None else state.clock_offset,
+                clock_offset_stddev=None if k == 0 else float(clocks[k]),
+            )
+        )
+    unconnected = {name: start.reason for name, start in result.starts.items() if isinstance(start, Rejected)}
+    return Calibration(
+        root=rig.root,
+        sensors=tuple(sensors),
+        joint_covariance=covariance,
+        evidence=Evidence(
+            estimator="joint",
+            tolerance=rig.tolerance,
+            edges=tuple(_list_edges(rig, result)),
+            unconnected=unconnected,
+            remarks=tuple(finding.text for finding in result.findings),
+            fit={
+                name: FitError(int(adjusted.point_counts[k]), "m", float(adjusted.residual_rms[k]))
+                for k, name in enumerate(names)
+            }
+            if adjusted
+            else {},
+        ),
+    )
+
+
+def _find_contradictions(adjusted: Adjustment, k: int) -> list[str]:
+    """Why the pose of a sensor cannot be good."""
+    reasons = []
+    if adjusted.squared_step > _MAX_SQUARED_STEP:
+        reasons.append("the joint adjustment has not converged")
+    shared = int(adjusted.shared_cells[k].sum() - adjusted.shared_cells[k, k])
+    if shared < _MIN_SHARED_CELLS:
+        reasons.append(
+            f"it passed only {shared} of the surfaces that another sensor passed, fewer than {_MIN_SHARED_CELLS}: "
+            "drive loops, so that all sensors pass the same places"
+        )
+    return [*reasons, _UNVERIFIED]
+
+
+def _list_edges(rig: Rig, result: DriveResult) -> list[Edge]:
+    """The root with each other sensor: relative motions, and those that agree."""
+    empty = np.zeros(0)
+    return [
+        Edge(rig.root, name, start.motions, round(start.inliers * start.motions), True, empty)
+        if isinstance(start, MotionStart)
+        else Edge(rig.root, name, 0, 0, False, empty, note=start.reason)
+        for name, start in result.starts.items()
+    ]
+
+
+def _lift_pose(T: Array) -> Array:
+    """(4, 4) of a pose in the plane or in space."""
+    return se2.to_se3(T) if len(T) == 3 else T
+
+
+def _lift_covariance(adjusted: Adjustment) -> tuple[Array, Array]:
+    """Covariance (6S, 6S) of all poses, NaN where a plane does not measure, and (S,) of clock offsets, s."""
+    count, columns = adjusted.free.shape
+    axes = np.arange(6) if columns == 9 else np.array([0, 1, 5])
+    covariance = np.zeros((6 * count, 6 * count))
+    if columns != 9:
+        unmeasured = (6 * np.arange(1, count)[:, None] + UNMEASURED_IN_PLANE).ravel()
+        covariance[unmeasured] = np.nan
+        covariance[:, unmeasured] = np.nan
+        covariance[:6, :6] = 0.0
+    sensor, column = np.nonzero(adjusted.free)
+    of_pose = np.flatnonzero(column < len(axes))
+    rows = 6 * sensor[of_pose] + axes[column[of_pose]]
+    covariance[np.ix_(rows, rows)] = adjusted.covariance[np.ix_(of_pose, of_pose)]
+    clocks = np.zeros(count)
+    of_clock = np.flatnonzero(column == len(axes))
+    clocks[sensor[of_clock]] = np.sqrt(np.diag(adjusted.covariance)[of_clock])
+    return covariance, clocks
