@@ -47,7 +47,7 @@ def handle_errors(command: Callable[..., None]) -> Callable[..., None]:
 COMMANDS = {
     name: LazyCommand(f"calgraph.cli.{name}", name, summary)
     for name, summary in {
-        "calibrate": "Estimate the relative poses of all sensors of a rig or network.",
+        "calibrate": "Estimate the relative poses of all sensors of a rig, a network, or a robot that drives.",
         "solve": "Repeat the joint solution from the problem that calibrate --dump wrote.",
         "check": "Check given extrinsics of a rig or network by a recording: pass, warn or fail, by sensor and "
         "axis, and why.",
