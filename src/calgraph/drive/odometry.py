@@ -40,8 +40,8 @@ _KEY_DISTANCE, _KEY_ANGLE, _KEY_TIME, _KEY_SWEEPS = 0.3, 0.17, 0.5, 50
 _LEAST_STEP = 1e-4
 # Accelerations of wheeled robots and cars, m/s² and rad/s²: the prior of a motion is the last one.
 _ACCELERATION, _TURN_ACCELERATION = 3.0, 6.0
-# Scales of the robust weight in each Gauss–Newton step, m (Geman–McClure): from the error of a prediction in a curve
-# to range noise with what walls deviate from planes.
+# Scales of the robust weight in each Gauss–Newton step, m (Geman–McClure): from the error of a prediction in a
+# curve to range noise with what walls deviate from planes.
 _ROBUST_SCALES = (0.5, 0.36, 0.26, 0.19, 0.14, *[0.1] * 8)
 _FINAL_SCALES = (0.2, 0.14, *[0.1] * 8)
 # Turns (rad) and distances ahead (m) from a prediction at which scans in the plane are compared with the surfaces:
@@ -107,8 +107,10 @@ def _register(
     starts = [(predicted, _ROBUST_SCALES)]
     if predicted.shape[-1] == 3:
         starts.append((_search(sweep, before, predicted, duration, surfaces), _FINAL_SCALES))
-    registered = [_minimize(sweep, before, start, predicted, duration, surfaces, scales) for start, scales in starts]
-    return min(registered, key=lambda one: one[2])[:2]
+    solutions = [
+        _minimize(sweep, before, start, predicted, duration, surfaces, scales) for start, scales in starts
+    ]
+    return min(solutions, key=lambda one: one[2])[:2]
 
 
 def _search(sweep: Sweep, before: Array, predicted: Array, duration: float, surfaces: FlatCells) -> Array:

@@ -62,10 +62,10 @@ class SplinePoses:
 
 @dataclass(frozen=True, eq=False)
 class SplineTrajectory:
-    """A cubic B-spline of positions, and of the rotation vectors by which a smooth reference rotation is corrected.
+    """A cubic B-spline of positions, and of rotation vectors that correct a smooth reference rotation.
 
-    ``p(t) = Σ B_k(t) c_k`` and ``R(t) = R_ref(t) exp(Σ B_k(t) φ_k)``: both are linear in the control points but for
-    the exponential of a small vector.
+    ``p(t) = Σ B_k(t) c_k`` and ``R(t) = R_ref(t) exp(Σ B_k(t) φ_k)``: both are linear in the control points,
+    except for the exponential of a small vector.
     """
 
     start: float
@@ -140,16 +140,16 @@ def evaluate_basis(x: Array, count: int) -> tuple[Index, Array, Array]:
 def fit_spline(track: Track, start: float, end: float, spacing: float) -> SplineTrajectory:
     """The spline with knots at a spacing, s, that follows a track from start to end."""
     intervals = max(int(np.ceil((end - start) / spacing)), 1)
-    times = start + spacing * np.arange(intervals + 1)
+    times = start + spacing * np.arange(intervals + 1, dtype=np.float64)
     positions = se_n.translation(track.at(times))
     # Through the positions at the knots, with straight ends.
     spline = CubicSpline(times, positions, bc_type="natural") if intervals > 1 else None
     d = 1 if track.poses.shape[-1] == 3 else 3
     control = np.zeros((intervals + 3, positions.shape[1] + d))
     if spline is None:
-        control[:, : positions.shape[1]] = np.linspace(*positions, intervals + 3)
+        control[:, : positions.shape[1]] = np.linspace(positions[0], positions[1], intervals + 3)
     else:
-        knots = start + spacing * np.arange(-3, intervals + 4)
+        knots = start + spacing * np.arange(-3, intervals + 4, dtype=np.float64)
         n = positions.shape[1]
         control[:, :n] = _control_points(spline, knots, intervals)
     return SplineTrajectory(start, spacing, control, track)
@@ -167,5 +167,3 @@ def _control_points(spline: CubicSpline, knots: Array, intervals: int) -> Array:
     # The outer ones follow from the first and second difference at the ends, where the second derivative is 0.
     before, after = 2 * c[0] - c[1], 2 * c[-1] - c[-2]
     return np.concatenate([before[None], c, after[None]])
-
-
