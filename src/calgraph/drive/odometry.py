@@ -64,16 +64,14 @@ def track_sensor(sweeps: Sequence[Sweep], points: int, rng: np.random.Generator)
     velocity = np.zeros(n + (n - 1) * n // 2)
     surfaces, last_key = None, None
     for k, sweep in enumerate(sweeps):
-        duration = sweep.time - sweeps[k - 1].time if k else 0.0
-        if k and surfaces is not None:
+        if surfaces is not None:
+            duration = sweep.time - sweeps[k - 1].time
             predicted = poses[-1] @ _motion(velocity, duration)
             used = sweep
             if len(sweep.points) > points:
                 used = sweep.select(np.sort(rng.choice(len(sweep.points), points, replace=False)))
             pose, velocity = _register(used, poses[-1], predicted, duration, surfaces)
             poses.append(pose)
-        elif k:
-            poses.append(poses[-1])
         if last_key is None or _is_far(last_key[1], poses[-1]) or sweep.time - last_key[0] > _KEY_TIME:
             last_key = sweep.time, poses[-1]
             key_moments.append(sum_moments(_to_world(sweep, poses[-1], velocity), limits.cell))
@@ -123,7 +121,7 @@ def _search(sweep: Sweep, before: Array, predicted: Array, duration: float, surf
     world = se_n.apply(candidates, local)
     cost = _robust_cost(world.reshape(-1, 2), surfaces, _ROBUST_SCALES[0]).reshape(len(candidates), -1).sum(axis=1)
     prior = 0.5 * (turn.ravel() / (0.5 * _TURN_ACCELERATION * duration**2)) ** 2
-    return np.asarray(candidates[np.argmin(cost * len(sweep.points) / len(local) + prior)])
+    return np.asarray(candidates[np.argmin(cost * len(sweep.points) / max(len(local), 1) + prior)])
 
 
 def _robust_cost(world: Array, surfaces: FlatCells, scale: float) -> Array:
