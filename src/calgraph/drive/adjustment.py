@@ -264,12 +264,12 @@ def _linearize(part: DrivePart, states: Sequence[SensorState], gate: float) -> t
     turn = np.einsum(
         "ni,nij,njk->nk", normals, se_n.rotation_jacobian(joined["position_arm"]), joined["rotation_jacobian"]
     )
-    by_pose = np.concatenate([normals, turn], axis=1)
-    by_control = (joined["basis"][:, :, None] * by_pose[:, None, :]).reshape(len(hit), -1)
-    by_sensor = np.einsum("ni,nij->nj", normals, joined["by_sensor"])
     # Noise is of the ranges as measured: residuals of ranges that are taken as smaller do not get smaller.
     scale = 1 + np.array([state.range_scale for state in states])[sensor[hit]]
     residual = local[:, 0] * scale
+    by_pose = np.concatenate([normals, turn], axis=1) * scale[:, None]
+    by_control = (joined["basis"][:, :, None] * by_pose[:, None, :]).reshape(len(hit), -1)
+    by_sensor = np.einsum("ni,nij->nj", normals, joined["by_sensor"]) * scale[:, None]
     by_sensor[:, -1] += local[:, 0]
     return _Points(
         sensor[hit], cells, view[hit], residual, patch, joined["first"], by_control, by_sensor
