@@ -125,6 +125,26 @@ def test_quaternions_of_any_length_and_sign_are_accepted() -> None:
     assert_allclose(so3.from_quaternion(-7 * q), expected, atol=1e-15)
 
 
+@given(rotation_vectors, unit_vectors)
+def test_left_jacobian_is_the_derivative_of_exp(phi: Array, axis: Array) -> None:
+    ahead, behind = (so3.exp(phi + d) @ so3.exp(phi).T for d in (1e-6 * axis, -1e-6 * axis))
+    assert_allclose(so3.left_jacobian(phi) @ axis, (so3.log(ahead) - so3.log(behind)) / 2e-6, atol=2e-8)
+
+
+@given(rotation_vectors)
+def test_left_jacobian_and_its_inverse_multiply_to_one(phi: Array) -> None:
+    assert_allclose(so3.left_jacobian(phi) @ so3.left_jacobian_inverse(phi), np.eye(3), atol=1e-13)
+
+
+@pytest.mark.parametrize("angle", [0.9e-4, 1.1e-4, 2e-3, 0.5])
+def test_left_jacobian_is_the_mean_of_partial_rotations(angle: float) -> None:
+    """The integral of ``exp(s phi)`` for s from 0 to 1, by Gauss's quadrature."""
+    phi = angle * np.array([0.6, 0.0, -0.8])
+    places, weights = np.polynomial.legendre.leggauss(12)
+    expected = np.einsum("s,sij->ij", weights / 2, so3.exp((places[:, None] + 1) / 2 * phi))
+    assert_allclose(so3.left_jacobian(phi), expected, atol=1e-13)
+
+
 @given(rotation_vectors.filter(lambda phi: np.linalg.norm(phi) < 3.1), unit_vectors)
 def test_left_jacobian_inverse_is_the_derivative_of_log(phi: Array, axis: Array) -> None:
     step = 1e-6 * axis
@@ -145,6 +165,7 @@ def test_every_function_works_on_any_leading_axes(shape: tuple[int, ...], rng: n
     assert q.shape == (*shape, 4)
     for matrices in (so3.exp(phi), so3.from_quaternion(q)):
         assert_allclose(matrices, R, atol=1e-14)
+    assert so3.left_jacobian(phi).shape == (*shape, 3, 3)
     assert so3.left_jacobian_inverse(phi).shape == so3.hat(phi).shape == (*shape, 3, 3)
 
 

@@ -4,20 +4,21 @@ For each measured point k of sensor i on surface j,
 
     r = n_j · (T_wr(t_k - o_i) T_ri ((1 - s_i) ρ_k - β_i) u_k - c_j) - (1, u, v) · (f_j + b_ij)
 
-with the trajectory ``T_wr`` a spline, the flat patch ``f_j`` of a cell (offset and slopes), and the view bias ``b_ij``,
-by which the patch that one sensor measures differs from that of the others: surfaces are not planes, and ranges
-depend on incidence. View biases and surfaces are eliminated by group and cell, then the trajectory of each part of the
-drive; what remains are the errors of the sensors.
+with the trajectory ``T_wr`` a spline, the flat patch ``f_j`` of a cell (offset and slopes), and the view bias
+``b_ij``, by which the patch that one sensor measures differs from that of the others: surfaces are not planes, and
+ranges depend on incidence. View biases and surfaces are eliminated by group and cell, then the trajectory of each
+part of the drive; what remains are the errors of the sensors.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse import csr_array
 
-from calgraph.geometry import Array, Index, measure_lengths, se_n
+from calgraph.geometry import STDDEV_PER_MAD, Array, Index, measure_lengths, se_n
 from calgraph.surfaces.flat_cells import FlatCells, fit_flat_cells, sum_moments
 from calgraph.surfaces.trajectory import SplineTrajectory
 
@@ -58,7 +59,7 @@ class SensorPoints:
 
 @dataclass(frozen=True, eq=False)
 class DrivePart:
-    """A part of the drive with a world of its own."""
+    """A part of the drive with a separate world."""
 
     points: Sequence[SensorPoints]
     """By sensor; the first is the root."""
@@ -92,8 +93,8 @@ class NoiseModel:
     white: Array
     """(S,) of each point of a sensor along the normal, m."""
     view: float
-    """Of the offset of a patch as one sensor measures it, and of its slopes at one standard deviation of the points
-    from the middle, m."""
+    """Of the offset of a patch as one sensor measures it, and of its slopes at one standard deviation of the
+    points from the middle, m."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,8 +105,8 @@ class Adjustment:
     parts: Sequence[DrivePart]
     covariance: Array
     """(P, P) of the parameters (S, n + d + 3) that are free, in their order."""
-    free: Array
-    """(S, n + d + 3) bool: which these are."""
+    free: NDArray[np.bool_]
+    """(S, n + d + 3): which these are."""
     noise: NoiseModel
     shared_cells: Array
     """(S, S) number of surfaces that both sensors measured."""
@@ -124,6 +125,7 @@ class CellLimits:
     cell: float
     """Edge length, m."""
     min_count: int
+    """Least number of points in a cell."""
     min_extent: float
     """Least standard deviation along each direction, m."""
 
@@ -138,15 +140,16 @@ _THICKNESS_PER_GATE = 1 / 3
 _START_WHITE, _START_VIEW = 0.02, 0.01
 # Least ones: quantised ranges, and walls that are better than any.
 _MIN_WHITE, _MIN_VIEW = 0.002, 0.0005
-# Time for which a sensor sees a cell from one place, s: a robot moves by the size of a cell.
+# Time for which a sensor measures a cell from one place, s: a robot moves by the size of a cell.
 _VIEW_DURATION = 1.0
 # Degrees of freedom of Student's t for view biases: a few are of furniture, or of something that moved.
 _FREEDOM = 4.0
 # Accelerations of a robot's motion, m/s² and rad/s², which bind the spline where nothing is measured.
 _ACCELERATION, _TURN_ACCELERATION = 5.0, 10.0
-# Standard deviation with which the first control point is held, m and rad: it only fixes the world.
+# Standard deviation with which the middle control point is held, m and rad: it only fixes the world.
 _GAUGE = 1e-3
-# Scale of the robust weights, in standard deviations (Geman–McClure).
+# Scale of the robust weights, in standard deviations (Geman–McClure): errors beyond it are of
+# something before the surface.
 _ROBUST = 3.0
 
 
@@ -164,21 +167,20 @@ def adjust_drive(
         priors: of these.
         progress: called with the fraction done.
     """
-    n = states[0].T_root_sensor.shape[-1] - 1
     prior = priors.stddev
     free = prior > 0
     start = states
     noise = NoiseModel(np.full(len(states), _START_WHITE), _START_VIEW)
     parts = list(parts)
     reduced: list[_Reduced] = []
-    step = np.zeros(int(free.sum()))
-    H = np.eye(len(step))
+    step: Array = np.zeros(int(free.sum()))
+    H: Array = np.eye(len(step), dtype=np.float64)
     for k, gate in enumerate(_GATES):
         reduced = [_reduce_part(part, states, noise, gate, free) for part in parts]
         H = sum((one.information for one in reduced), np.diag(prior[free] ** -2.0))
-        deviation = _deviation(states, start, n)
+        deviation = _deviation(states, start)
         g = sum((one.gradient for one in reduced), deviation[free] / prior[free] ** 2)
-        step = -np.linalg.solve(H, g)
+        step = -np.asarray(np.linalg.solve(H, g), dtype=np.float64)
         full = np.zeros(free.shape)
         full[free] = step
         states = [state.moved(one) for state, one in zip(states, full, strict=True)]
@@ -189,7 +191,7 @@ def adjust_drive(
         noise = _estimate_noise(reduced, noise)
         progress((k + 1) / len(_GATES))
     return Adjustment(
-        states, parts, np.linalg.inv(H), free, noise,
+        states, parts, _invert(H), free, noise,
         shared_cells=np.sum([one.shared for one in reduced], axis=0),
         residual_rms=noise.white,
         point_counts=np.sum([one.white[:, 1] for one in reduced], axis=0),
@@ -197,7 +199,7 @@ def adjust_drive(
     )  # fmt: skip
 
 
-def _deviation(states: Sequence[SensorState], start: Sequence[SensorState], n: int) -> Array:
+def _deviation(states: Sequence[SensorState], start: Sequence[SensorState]) -> Array:
     """(S, n + d + 3) of the states from those of the prior."""
     return np.array([
         [
@@ -265,12 +267,12 @@ def _linearize(part: DrivePart, states: Sequence[SensorState], gate: float) -> t
     turn = np.einsum(
         "ni,nij,njk->nk", normals, se_n.rotation_jacobian(joined["position_arm"]), joined["rotation_jacobian"]
     )
-    by_pose = np.concatenate([normals, turn], axis=1)
-    by_control = (joined["basis"][:, :, None] * by_pose[:, None, :]).reshape(len(hit), -1)
-    by_sensor = np.einsum("ni,nij->nj", normals, joined["by_sensor"])
     # Noise is of the ranges as measured: residuals of ranges that are taken as smaller do not get smaller.
     scale = 1 + np.array([state.range_scale for state in states])[sensor[hit]]
     residual = local[:, 0] * scale
+    by_pose = np.concatenate([normals, turn], axis=1) * scale[:, None]
+    by_control = (joined["basis"][:, :, None] * by_pose[:, None, :]).reshape(len(hit), -1)
+    by_sensor = np.einsum("ni,nij->nj", normals, joined["by_sensor"]) * scale[:, None]
     by_sensor[:, -1] += local[:, 0]
     return _Points(
         sensor[hit], cells, view[hit], residual, patch, joined["first"], by_control, by_sensor
@@ -282,17 +284,23 @@ class _Evaluated:
     """Points of one sensor in the world, with derivatives."""
 
     world: Array
+    """(N, n) m."""
     time: Array
+    """(N,) by the root's clock, s."""
     first: Index
+    """(N,) first control point."""
     basis: Array
+    """(N, 4) weights of control points."""
     position_arm: Array
-    """(N, n) from the origin of the root, along the world's axes."""
+    """(N, n) from the origin of the root, along the world's axes, m."""
     rotation_jacobian: Array
+    """(N, d, d) of :class:`SplinePoses`."""
     by_sensor: Array
     """(N, n, n + d + 3) of the place in the world."""
 
 
 def _evaluate(part: DrivePart, k: int, state: SensorState) -> _Evaluated:
+    """The points of sensor k during the trajectory."""
     measured, trajectory = part.points[k], part.trajectory
     times = measured.times - state.clock_offset
     inside = (times >= trajectory.start) & (times <= trajectory.end)
@@ -334,17 +342,17 @@ class _Reduced:
     control_factor: tuple[Array, bool]
     """Cholesky factor of the control points' information."""
     control_sensor: Array
-    """(C, P)."""
+    """(C, P) information between both."""
     control_gradient: Array
     """(C,)."""
     columns: int
     """Numbers of a control point."""
     white: Array
-    """(S, 2) sum of squared residuals around patches, and degrees of freedom."""
+    """(S, 2) standard deviation of residuals around patches, m, and number of points."""
     view: Array
-    """(2,) the same of view biases."""
+    """(2,) sum of squared view biases, m², and their number."""
     shared: Array
-    """(S, S)."""
+    """(S, S) number of surfaces that both sensors measured."""
 
     def back_substitute(self, step: Array) -> Array:
         """(K, n + d) the change of the control points that goes with a step of the sensors."""
@@ -353,8 +361,9 @@ class _Reduced:
 
 
 def _reduce_part(
-    part: DrivePart, states: Sequence[SensorState], noise: NoiseModel, gate: float, free: Array
+    part: DrivePart, states: Sequence[SensorState], noise: NoiseModel, gate: float, free: NDArray[np.bool_]
 ) -> _Reduced:
+    """The normal equations of the sensors' free parameters from a part, at the present states."""
     at, surfaces = _linearize(part, states, gate)
     n = surfaces.center.shape[1]
     S, count = len(states), len(surfaces.keys)
@@ -366,7 +375,7 @@ def _reduce_part(
     sigma = noise.white[at.sensor]
     # The weight of a point by its distance from the patch that its own group has.
     weight = sigma**-2.0
-    weight = weight * _robust_weights(at, group, len(groups), weight, sigma)
+    weight = weight * _robust_weights(at, group, len(groups), sigma)
     # Columns: control points, then the free parameters of sensors.
     number = np.full(free.shape, -1)
     number[free] = np.arange(free.sum())
@@ -400,8 +409,8 @@ def _reduce_part(
     H = (weighted.T @ weighted).toarray()
     g = J.T @ (weight * at.residual)
     # View biases.
-    inverse = np.linalg.inv(N + _view_information(N, h, groups // (S * views), count, noise.view))
-    F = _block_rows(np.linalg.cholesky(inverse).swapaxes(-1, -2)) @ G
+    inverse = _invert(N + _view_information(N, h, groups // (S * views), count, noise.view))
+    F = _block_rows(_upper_root(inverse)) @ G
     H -= (F.T @ F).toarray()
     solved = np.einsum("gij,gj->gi", inverse, h)
     g -= G.T @ solved.ravel()
@@ -424,8 +433,8 @@ def _reduce_part(
     )
     G_surface = gather @ G_left
     # Nothing is known of a surface before; 1 m keeps cells without points solvable.
-    surface_inverse = np.linalg.inv(N_surface + np.eye(n))
-    F = _block_rows(np.linalg.cholesky(surface_inverse).swapaxes(-1, -2)) @ G_surface
+    surface_inverse = _invert(N_surface + np.eye(n))
+    F = _block_rows(_upper_root(surface_inverse)) @ G_surface
     H -= (F.T @ F).toarray()
     fitted = np.einsum("gij,gj->gi", surface_inverse, h_surface)
     g -= G_surface.T @ fitted.ravel()
@@ -441,10 +450,8 @@ def _reduce_part(
     for k in range(S):
         own = at.sensor == k
         if own.any():
-            white[k] = 1.4826 * np.median(np.abs(around[own])), own.sum()
-    view = _view_statistics(
-        groups, surface_of_group, bias, inverse, N_left, surface_inverse, bias_of_surface, count
-    )
+            white[k] = STDDEV_PER_MAD * np.median(np.abs(around[own])), own.sum()
+    view = _view_statistics(surface_of_group, bias, inverse, surface_inverse, bias_of_surface, count)
     seen = np.zeros((S, count))
     seen[groups // views % S, surface_of_group] = 1
     return _Reduced(
@@ -454,7 +461,7 @@ def _reduce_part(
     )  # fmt: skip
 
 
-def _robust_weights(at: _Points, group: Index, count: int, weight: Array, sigma: Array) -> Array:
+def _robust_weights(at: _Points, group: Index, count: int, sigma: Array) -> Array:
     """(N,) Geman–McClure weights of the distances from the median of each group's points."""
     order = np.lexsort((at.residual, group))
     sizes = np.bincount(group, minlength=count)
@@ -470,14 +477,15 @@ def _view_information(N: Array, h: Array, surface: Index, count: int, stddev: fl
     Args:
         N: (G, n, n) information of the points on the patch of each group.
         h: (G, n) and its gradient.
-        surface: (G,) of each group, of ``count``.
+        surface: (G,) of each group.
+        count: number of surfaces.
         stddev: of most biases, m.
     """
     n = h.shape[1]
     scale = np.ones(len(h))
     information = np.eye(n) * stddev**-2.0
     for _ in range(3):
-        inverse = np.linalg.inv(N + scale[:, None, None] * information)
+        inverse = _invert(N + scale[:, None, None] * information)
         left = np.eye(n) - N @ inverse
         N_surface, h_surface = np.zeros((count, n, n)), np.zeros((count, n))
         np.add.at(N_surface, surface, left @ N)
@@ -485,15 +493,13 @@ def _view_information(N: Array, h: Array, surface: Index, count: int, stddev: fl
         fitted = np.linalg.solve(N_surface + np.eye(n), h_surface[..., None])[surface, :, 0]
         bias = np.einsum("gij,gj->gi", inverse, h - np.einsum("gij,gj->gi", N, fitted))
         scale = (_FREEDOM + n) / (_FREEDOM + np.sum(bias**2, axis=1) / stddev**2)
-    return scale[:, None, None] * information
+    return np.asarray(scale[:, None, None] * information)
 
 
 def _view_statistics(
-    groups: Index,
     surface_of_group: Index,
     bias: Array,
     inverse: Array,
-    N_left: Array,
     surface_inverse: Array,
     bias_of_surface: Array,
     count: int,
@@ -510,7 +516,7 @@ def _view_statistics(
 
 
 def _add_motion_prior(H: Array, g: Array, trajectory: SplineTrajectory) -> None:
-    """Adds what is known of accelerations, and holds the first control point."""
+    """Adds what is known of accelerations, and holds the middle control point."""
     control = trajectory.control
     K, columns = control.shape
     n = trajectory.reference.poses.shape[-1] - 1
@@ -526,6 +532,16 @@ def _add_motion_prior(H: Array, g: Array, trajectory: SplineTrajectory) -> None:
     g[: K * columns] += gradient.ravel()
     middle = K // 2 * columns + np.arange(columns)
     H[middle, middle] += _GAUGE**-2.0
+
+
+def _invert(matrices: Array) -> Array:
+    """Inverses of matrices (..., n, n)."""
+    return np.asarray(np.linalg.inv(matrices), dtype=np.float64)
+
+
+def _upper_root(matrices: Array) -> Array:
+    """``U`` (..., n, n) with ``U.T @ U`` the matrices."""
+    return se_n.transpose(np.asarray(np.linalg.cholesky(matrices), dtype=np.float64))
 
 
 def _block_rows(blocks: Array) -> csr_array:

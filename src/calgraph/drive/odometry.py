@@ -40,8 +40,8 @@ _KEY_DISTANCE, _KEY_ANGLE, _KEY_TIME, _KEY_SWEEPS = 0.3, 0.17, 0.5, 50
 _LEAST_STEP = 1e-4
 # Accelerations of wheeled robots and cars, m/s² and rad/s²: the prior of a motion is the last one.
 _ACCELERATION, _TURN_ACCELERATION = 3.0, 6.0
-# Scales of the robust weight in each Gauss–Newton step, m (Geman–McClure): from the error of a prediction in a curve
-# to range noise with what walls deviate from planes.
+# Scales of the robust weight in each Gauss–Newton step, m (Geman–McClure): from the error of a prediction in a
+# curve to range noise with what walls deviate from planes.
 _ROBUST_SCALES = (0.5, 0.36, 0.26, 0.19, 0.14, *[0.1] * 8)
 _FINAL_SCALES = (0.2, 0.14, *[0.1] * 8)
 # Turns (rad) and distances ahead (m) from a prediction at which scans in the plane are compared with the surfaces:
@@ -64,13 +64,11 @@ def track_sensor(sweeps: Sequence[Sweep], points: int, rng: np.random.Generator)
     velocity = np.zeros(n + (n - 1) * n // 2)
     surfaces, last_key = None, None
     for k, sweep in enumerate(sweeps):
-        duration = sweep.time - sweeps[k - 1].time if k else 0.0
-        if k and surfaces is not None:
+        if surfaces is not None:
+            duration = sweep.time - sweeps[k - 1].time
             predicted = poses[-1] @ _motion(velocity, duration)
             pose, velocity = _register(thin_sweep(sweep, points, rng), poses[-1], predicted, duration, surfaces)
             poses.append(pose)
-        elif k:
-            poses.append(poses[-1])
         if last_key is None or _is_far(last_key[1], poses[-1]) or sweep.time - last_key[0] > _KEY_TIME:
             last_key = sweep.time, poses[-1]
             key_moments.append(sum_moments(_to_world(sweep, poses[-1], velocity), limits.cell))
@@ -104,10 +102,10 @@ def _register(
     starts = [(predicted, _ROBUST_SCALES)]
     if predicted.shape[-1] == 3:
         starts.append((_search(sweep, before, predicted, duration, surfaces), _FINAL_SCALES))
-    registered = [
+    solutions = [
         _minimize(sweep, before, start, predicted, duration, surfaces, scales) for start, scales in starts
     ]
-    return min(registered, key=lambda one: one[2])[:2]
+    return min(solutions, key=lambda one: one[2])[:2]
 
 
 def _search(sweep: Sweep, before: Array, predicted: Array, duration: float, surfaces: FlatCells) -> Array:
@@ -120,7 +118,7 @@ def _search(sweep: Sweep, before: Array, predicted: Array, duration: float, surf
     world = se_n.apply(candidates, local)
     cost = _robust_cost(world.reshape(-1, 2), surfaces, _ROBUST_SCALES[0]).reshape(len(candidates), -1).sum(axis=1)
     prior = 0.5 * (turn.ravel() / (0.5 * _TURN_ACCELERATION * duration**2)) ** 2
-    return np.asarray(candidates[np.argmin(cost * len(sweep.points) / len(local) + prior)])
+    return np.asarray(candidates[np.argmin(cost * len(sweep.points) / max(len(local), 1) + prior)])
 
 
 def _robust_cost(world: Array, surfaces: FlatCells, scale: float) -> Array:

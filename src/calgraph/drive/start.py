@@ -1,17 +1,17 @@
 """Start values without a guess: clocks by turn rates, poses by relative motions (hand-eye calibration).
 
-Sources: Tsai and Lenz, "A new technique for fully autonomous and efficient 3D robotics hand/eye calibration", 1989;
-Brookshire and Teller, "Automatic calibration of multiple coplanar sensors", 2011, for motion in the plane.
+Sources: Tsai and Lenz, "A new technique for fully autonomous and efficient 3D robotics hand/eye calibration",
+1989; Brookshire and Teller, "Automatic calibration of multiple coplanar sensors", 2011, for motion in the plane.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from calgraph.geometry import Array, se_n
+from calgraph.geometry import STDDEV_PER_MAD, Array, se_n
 from calgraph.surfaces.trajectory import Track
 
-# Rate at which turn rates are compared, Hz: above that of sweeps, so that a step is 20 ms and a parabola refines it.
+# Rate at which turn rates are compared, Hz: above that of sweeps; a parabola refines steps of 20 ms.
 _RATE = 50.0
 # Turn rates above this are failures of odometry, rad/s.
 _MAX_TURN_RATE = 3.0
@@ -63,10 +63,8 @@ def find_clock_offset(root: Track, sensor: Track, max_offset: float) -> tuple[fl
         sensor: of the sensor.
         max_offset: to search within, s.
     """
-    start, end = (
-        max(root.times[0], sensor.times[0] - max_offset),
-        min(root.times[-1], sensor.times[-1] + max_offset),
-    )
+    start = max(root.times[0], sensor.times[0] - max_offset)
+    end = min(root.times[-1], sensor.times[-1] + max_offset)
     times = np.arange(start, end, 1 / _RATE)
     own = _turn_rates(root, times)
     lags = np.arange(-max_offset, max_offset + 0.5 / _RATE, 1 / _RATE)
@@ -76,12 +74,12 @@ def find_clock_offset(root: Track, sensor: Track, max_offset: float) -> tuple[fl
     shift = 0.0
     if 0 < best < len(lags) - 1:
         before, at, after = scores[best - 1 : best + 2]
-        shift = 0.5 * (before - after) / min(before - 2 * at + after, -1e-12)
+        shift = 0.5 * float(before - after) / min(float(before - 2 * at + after), -1e-12)
     return float(lags[best] + shift / _RATE), float(scores[best])
 
 
 def _turn_rates(track: Track, times: Array) -> Array:
-    """(M,) rad/s: signed in the plane, of any axis in space, where sensors have axes of their own."""
+    """(M,) rad/s: signed in the plane, of any axis in space, where each sensor has other axes."""
     moved = se_n.log(se_n.rotation(se_n.inverse(track.poses[:-1]) @ track.poses[1:]))
     rates = moved / np.maximum(np.diff(track.times), 1e-3)[:, None]
     size = rates[:, 0] if rates.shape[1] == 1 else np.linalg.norm(rates, axis=1)
@@ -90,16 +88,17 @@ def _turn_rates(track: Track, times: Array) -> Array:
 
 
 def _correlate(a: Array, b: Array) -> float:
+    """Pearson's coefficient of two signals (M,)."""
     a, b = a - a.mean(), b - b.mean()
-    return float(a @ b / max(np.sqrt((a @ a) * (b @ b)), 1e-12))
+    return float(a @ b) / max(float(np.sqrt((a @ a) * (b @ b))), 1e-12)
 
 
 def solve_start(root: Track, sensor: Track, max_offset: float, rng: np.random.Generator) -> MotionStart | None:
     """The pose and the clock of a sensor from two trajectories; None if they hardly overlap in time.
 
     Args:
-        root: trajectory of the root, in a world of its own.
-        sensor: of the sensor, in another.
+        root: trajectory of the root, in its world.
+        sensor: of the sensor, in another world.
         max_offset: largest difference of the clocks, s.
         rng: for random samples.
     """
@@ -154,17 +153,18 @@ def _sample_poses(A: Array, B: Array, rng: np.random.Generator) -> Array:
 
 def _errors(T: Array, A: Array, B: Array) -> Array:
     """(K, n+d) of ``A T`` against ``T B``."""
-    return se_n.difference(A @ T, T @ B)
+    return np.asarray(se_n.difference(A @ T, T @ B))
 
 
 def _scale(n: int) -> Array:
+    """(n+d,) the largest error of a right motion, m and rad."""
     return np.repeat(_MAX_ERROR, [n, n * (n - 1) // 2])
 
 
 def _truncated(errors: Array) -> Array:
     """(K,) squared errors in the largest ones, at most 1."""
     n = 2 if errors.shape[1] == 3 else 3
-    return np.minimum(np.sum((errors / _scale(n)) ** 2, axis=1), 1.0)
+    return np.asarray(np.minimum(np.sum((errors / _scale(n)) ** 2, axis=1), 1.0))
 
 
 def _solve_in_plane(A: Array, B: Array) -> Array:
@@ -183,7 +183,7 @@ def _solve_in_plane(A: Array, B: Array) -> Array:
 
 
 def _solve_in_space(A: Array, B: Array) -> Array:
-    """Poses (S, 4, 4) of samples (S, m, 4, 4): rotation vectors are turned, ``a = R b`` (Kabsch), then positions."""
+    """Poses (S, 4, 4) of samples (S, m, 4, 4): rotation vectors are turned, ``a = R b`` (Kabsch)."""
     a, b = se_n.log(A[..., :3, :3]), se_n.log(B[..., :3, :3])
     R = se_n.nearest_rotation(np.swapaxes(a, -1, -2) @ b)
     return se_n.pose(R, _solve_translation(A, B, R))
@@ -211,7 +211,9 @@ def _refine(T: Array, A: Array, B: Array) -> tuple[Array, Array, Array]:
     for step in range(20):
         e = _errors(T, A, B) / scale
         # The scale falls to that of the errors, which is far below the largest one where odometry is good.
-        spread = np.maximum(1.4826 * np.median(np.abs(e), axis=0), 0.02) if step > 5 else np.ones(e.shape[1])
+        spread = (
+            np.maximum(STDDEV_PER_MAD * np.median(np.abs(e), axis=0), 0.02) if step > 5 else np.ones(e.shape[1])
+        )
         e, s = e / spread, scale * spread
         weights = (1 + np.sum(e**2, axis=1) / 9) ** -2.0
         J = _jacobian(T, A, B) / s[:, None]

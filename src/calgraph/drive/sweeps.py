@@ -33,7 +33,7 @@ def read_sweep(message: LaserScan | PointCloud, dimension: int) -> Sweep:
     """The finite points of a message within the ranges that are used, in the plane (2) or in space (3)."""
     if isinstance(message, LaserScan):
         points = message.points
-        times = message.stamp + message.time_increment * np.arange(len(points))
+        times = message.stamp + message.time_increment * np.arange(len(points), dtype=np.float64)
     else:
         points = message.points
         times = np.full(len(points), message.stamp) if message.times is None else message.stamp + message.times

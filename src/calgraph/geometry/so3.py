@@ -83,7 +83,8 @@ def left_jacobian(phi: Array) -> Array:
     phi = np.asarray(phi, dtype=np.float64)
     angle = np.linalg.norm(phi, axis=-1)
     safe = np.maximum(angle, _SMALL)
-    b = _series(angle, (1 - np.cos(safe)) / safe**2, 0.5)[..., None, None]
+    # (1 - cos θ)/θ² by the half angle, which keeps all digits of small ones.
+    b = _series(angle, 2 * (np.sin(safe / 2) / safe) ** 2, 0.5)[..., None, None]
     c = _series(angle, (safe - np.sin(safe)) / safe**3, 1 / 6)[..., None, None]
     K = hat(phi)
     return np.asarray(np.eye(3) + b * K + c * (K @ K))

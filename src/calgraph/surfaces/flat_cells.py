@@ -54,7 +54,8 @@ def sum_moments(points: Array, cell: float) -> CellMoments:
         for j in range(i, n):
             second[:, i, j] = second[:, j, i] = np.bincount(index, points[:, i] * points[:, j], size)
     first = np.stack([np.bincount(index, points[:, i], size) for i in range(n)], axis=1)
-    return CellMoments(keys, np.bincount(index, minlength=size).astype(np.float64), first, second)
+    count = np.bincount(index, minlength=size).astype(np.float64)
+    return CellMoments(keys, count, np.asarray(first, dtype=np.float64), second)
 
 
 def merge_moments(parts: Sequence[CellMoments]) -> CellMoments:
@@ -64,7 +65,8 @@ def merge_moments(parts: Sequence[CellMoments]) -> CellMoments:
     rows = np.concatenate(
         [np.column_stack([p.count, p.first, p.second.reshape(len(p.keys), n * n)]) for p in parts]
     )
-    sums = np.stack([np.bincount(index, column, len(keys)) for column in rows.T], axis=1)
+    columns = [np.bincount(index, column, len(keys)) for column in rows.T]
+    sums = np.stack(columns, axis=1).astype(np.float64, copy=False)
     return CellMoments(keys, sums[:, 0], sums[:, 1 : n + 1], sums[:, n + 1 :].reshape(-1, n, n))
 
 

@@ -62,10 +62,10 @@ class SplinePoses:
 
 @dataclass(frozen=True, eq=False)
 class SplineTrajectory:
-    """A cubic B-spline of positions, and of the rotation vectors by which a smooth reference rotation is corrected.
+    """A cubic B-spline of positions, and of rotation vectors that correct a smooth reference rotation.
 
-    ``p(t) = Σ B_k(t) c_k`` and ``R(t) = R_ref(t) exp(Σ B_k(t) φ_k)``: both are linear in the control points but for
-    the exponential of a small vector.
+    ``p(t) = Σ B_k(t) c_k`` and ``R(t) = R_ref(t) exp(Σ B_k(t) φ_k)``: both are linear in the control points,
+    except for the exponential of a small vector.
     """
 
     start: float
@@ -140,30 +140,23 @@ def evaluate_basis(x: Array, count: int) -> tuple[Index, Array, Array]:
 def fit_spline(track: Track, start: float, end: float, spacing: float) -> SplineTrajectory:
     """The spline with knots at a spacing, s, that follows a track from start to end."""
     intervals = max(int(np.ceil((end - start) / spacing)), 1)
-    times = start + spacing * np.arange(intervals + 1)
+    times = start + spacing * np.arange(intervals + 1, dtype=np.float64)
     positions = se_n.translation(track.at(times))
+    n = positions.shape[1]
+    control = np.zeros((intervals + 3, n + n * (n - 1) // 2))
     # Through the positions at the knots, with straight ends.
-    spline = CubicSpline(times, positions, bc_type="natural") if intervals > 1 else None
-    d = 1 if track.poses.shape[-1] == 3 else 3
-    control = np.zeros((intervals + 3, positions.shape[1] + d))
-    if spline is None:
-        control[:, : positions.shape[1]] = np.linspace(*positions, intervals + 3)
-    else:
-        knots = start + spacing * np.arange(-3, intervals + 4)
-        n = positions.shape[1]
-        control[:, :n] = _control_points(spline, knots, intervals)
+    control[:, :n] = _control_points(CubicSpline(times, positions, bc_type="natural"))
     return SplineTrajectory(start, spacing, control, track)
 
 
-def _control_points(spline: CubicSpline, knots: Array, intervals: int) -> Array:
-    """Control points (K, n) of a cubic spline with knots at its breakpoints, by its values and derivatives.
+def _control_points(spline: CubicSpline) -> Array:
+    """Control points (K + 2, n) of a cubic spline with K uniform breakpoints, by its values and derivatives.
 
     On a uniform knot sequence ``c = p - h² p'' / 6`` at each knot, from ``p = (c₋ + 4 c + c₊)/6`` and
     ``h² p'' = c₋ - 2 c + c₊``.
     """
-    h = knots[1] - knots[0]
-    inner = knots[3 : intervals + 4]
-    c = spline(inner) - h**2 * spline(inner, 2) / 6
-    # The outer ones follow from the first and second difference at the ends, where the second derivative is 0.
+    knots = spline.x
+    c = spline(knots) - (knots[1] - knots[0]) ** 2 * spline(knots, 2) / 6
+    # The outer ones are straight on, as the second derivative is 0 at the ends.
     before, after = 2 * c[0] - c[1], 2 * c[-1] - c[-2]
     return np.concatenate([before[None], c, after[None]])

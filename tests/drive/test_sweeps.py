@@ -1,0 +1,45 @@
+"""Sweeps from messages: which points remain, and their times."""
+
+import numpy as np
+from numpy.testing import assert_allclose
+
+from calgraph.drive.sweeps import Sweep, read_sweep, thin_sweeps
+from calgraph.sensors import LaserScan, PointCloud
+
+
+def test_a_scan_keeps_points_within_range_with_the_times_of_their_beams() -> None:
+    ranges = np.array([2.0, np.nan, 0.4, 90.0, np.inf, 3.0, 0.6])
+    sweep = read_sweep(LaserScan(100.0, "laser", np.zeros(7), ranges, time_increment=0.01), 2)
+    assert_allclose(sweep.points, [[2.0, 0.0], [3.0, 0.0], [0.6, 0.0]])
+    assert_allclose(sweep.times, [100.0, 100.05, 100.06])
+    assert sweep.time == 100.03
+
+
+def test_a_cloud_has_the_times_of_its_points() -> None:
+    points = np.array([[1.0, 2, 3], [0.1, 0.2, 0.3], [4, 5, 6]])
+    sweep = read_sweep(PointCloud(7.0, "lidar", points, times=np.array([-0.1, 0.3, 0.1])), 3)
+    assert_allclose(sweep.points, points[[0, 2]])
+    assert_allclose(sweep.times, [6.9, 7.1])
+    assert sweep.time == 7.0
+
+
+def test_a_cloud_without_times_is_of_its_stamp() -> None:
+    sweep = read_sweep(PointCloud(7.0, "lidar", np.array([[1.0, 2, 3], [4, 5, 6]])), 3)
+    assert_allclose(sweep.times, 7.0)
+
+
+def test_a_scan_without_any_range_is_an_empty_sweep() -> None:
+    sweep = read_sweep(LaserScan(5.0, "laser", np.zeros(3), np.full(3, np.nan)), 2)
+    assert sweep.points.shape == (0, 2)
+    assert sweep.time == 5.0
+
+
+def test_thinned_sweeps_have_at_most_a_number_of_points(rng: np.random.Generator) -> None:
+    times = np.arange(50.0)
+    whole = Sweep(25.0, np.stack([times, 2 * times], axis=1), times)
+    few, many = thin_sweeps([whole.select(np.arange(10)), whole], 10, rng)
+    assert_allclose(few.times, np.arange(10))
+    assert len(many.points) == 10
+    assert np.all(np.diff(many.times) > 0)
+    assert_allclose(many.points, np.stack([many.times, 2 * many.times], axis=1))
+    assert many.time == 25.0
