@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.testing import assert_allclose
 
-from calgraph.drive.sweeps import Sweep, read_sweep, thin_sweeps
+from calgraph.drive.sweeps import Sweep, read_sweep, thin_sweep
 from calgraph.sensors import LaserScan, PointCloud
 
 
@@ -37,7 +37,7 @@ def test_a_scan_without_any_range_is_an_empty_sweep() -> None:
 def test_thinned_sweeps_have_at_most_a_number_of_points(rng: np.random.Generator) -> None:
     times = np.arange(50.0)
     whole = Sweep(25.0, np.stack([times, 2 * times], axis=1), times)
-    few, many = thin_sweeps([whole.select(np.arange(10)), whole], 10, rng)
+    few, many = thin_sweep(whole.select(np.arange(10)), 10, rng), thin_sweep(whole, 10, rng)
     assert_allclose(few.times, np.arange(10))
     assert len(many.points) == 10
     assert np.all(np.diff(many.times) > 0)

@@ -73,8 +73,8 @@ class Rig(StrictModel):
     root: str
     """The sensor whose frame everything is expressed in."""
     target: Target
-    """The target: one board, a list of boards, people, a cylinder or surroundings. The command calgraph board prints
-    the block of a board."""
+    """The target: boards, people, a cylinder or surroundings. The command calgraph board prints the block of a
+    board."""
     capture: Capture = Capture()
     """Intervals of the recording in which the target is searched for."""
     sensors: Annotated[dict[Name, SensorSpec], Field(min_length=1)]

@@ -35,6 +35,8 @@ from calgraph.surfaces.trajectory import Track, fit_spline
 _KEPT_POINTS, _TRACKED_POINTS, _ADJUSTED_POINTS = 4000, 600, 150
 # Sweeps below which there is no motion to compare: three relative motions of 1.5 s at 10 Hz.
 _MIN_SWEEPS = 50
+# Least time in which a sensor and the root measure both, s: some twenty relative motions.
+_MIN_COMMON_TIME = 10.0
 # Largest difference of clocks that is searched for, s.
 _MAX_CLOCK_OFFSET = 0.6
 # Standard deviation of a clock offset before the adjustment, s: turn rates determine it to a sweep's period.
@@ -132,12 +134,12 @@ def _solve_starts(
             starts[name] = track
         elif isinstance(root, Rejected):
             starts[name] = Rejected(f"the root {rig.root} has no trajectory: {root.reason}")
+        elif min(root.times[-1], track.times[-1]) - max(root.times[0], track.times[0]) < _MIN_COMMON_TIME:
+            starts[name] = Rejected(f"it and the root measured together for under {_MIN_COMMON_TIME:g} s")
         else:
             start = solve_start(root, track, _MAX_CLOCK_OFFSET, np.random.default_rng([seed, k, 2]))
-            failure = (
-                explain_failure(start, name) if start else "it and the root measured together for under 10 s"
-            )
-            starts[name] = Rejected(failure) if start is None or failure else start
+            failure = explain_failure(start, name)
+            starts[name] = Rejected(failure) if failure else start
     return starts
 
 
@@ -190,10 +192,7 @@ def _select_parts(root: Track, duration: float) -> list[tuple[float, float]]:
 
 def _select_spacing(thinned: list[list[Sweep]]) -> float:
     """Time between knots, s: no less than the gaps in which a sensor measures nothing."""
-    gaps = [
-        float(np.median([b.times.min() - a.times.max() for a, b in pairwise(some)]))
-        for some in thinned
-    ]
+    gaps = [float(np.median([b.times.min() - a.times.max() for a, b in pairwise(some)])) for some in thinned]
     return float(np.clip(max(gaps), _KNOT_SPACING, _MAX_KNOT_SPACING))
 
 

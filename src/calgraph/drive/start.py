@@ -19,8 +19,6 @@ _MAX_TURN_RATE = 3.0
 MOTION_DURATION = 1.5
 # And start this far apart, s: half of the duration, so that errors of neighbours are hardly independent.
 _MOTION_STEP = 0.5
-# Fewest of them: ten seconds of common time.
-_MIN_MOTIONS = 20
 # Random samples: with half of the motions wrong, 200 of three have a right one with 1 - (7/8)^200.
 _SAMPLES = 200
 # Errors of a relative motion beyond which it counts as wrong, m and rad: odometry in the plane of offices.
@@ -28,8 +26,8 @@ _MAX_ERROR = 0.15, 0.05
 # Correlation of turn rates below which a clock offset is chance: that of the best of 60 offsets of independent
 # drives is up to 0.5.
 _MIN_CORRELATION = 0.6
-# RMS turns of motions that determine a pose, rad: ten times the error of odometry's rotation, 0.2 degrees, about the
-# main axis; about a second axis five times.
+# RMS turns of motions that determine a pose, rad: ten times the error of odometry's rotation, 0.2 degrees, about
+# the main axis; about a second axis five times.
 _MIN_TURN, _MIN_SECOND_TURN = 0.035, 0.0175
 # Share of motions that has to agree: with fewer, another pose may have as many.
 _MIN_INLIERS = 0.3
@@ -93,8 +91,8 @@ def _correlate(a: Array, b: Array) -> float:
     return float(a @ b) / max(float(np.sqrt((a @ a) * (b @ b))), 1e-12)
 
 
-def solve_start(root: Track, sensor: Track, max_offset: float, rng: np.random.Generator) -> MotionStart | None:
-    """The pose and the clock of a sensor from two trajectories; None if they hardly overlap in time.
+def solve_start(root: Track, sensor: Track, max_offset: float, rng: np.random.Generator) -> MotionStart:
+    """The pose and the clock of a sensor from two trajectories.
 
     Args:
         root: trajectory of the root, in its world.
@@ -106,8 +104,6 @@ def solve_start(root: Track, sensor: Track, max_offset: float, rng: np.random.Ge
     first = max(root.times[0], sensor.times[0] - offset)
     last = min(root.times[-1], sensor.times[-1] - offset) - MOTION_DURATION
     starts = np.arange(first, last, _MOTION_STEP)
-    if len(starts) < _MIN_MOTIONS:
-        return None
     A = root.relative(starts, MOTION_DURATION)
     B = sensor.relative(starts + offset, MOTION_DURATION)
     T = _sample_poses(A, B, rng)
@@ -121,8 +117,8 @@ def explain_failure(start: MotionStart, name: str) -> str:
     """Why a start is not to be relied on, and what to drive instead; empty if it is."""
     if start.correlation < _MIN_CORRELATION:
         return (
-            f"its turn rates do not agree with the root's (correlation {start.correlation:.2f}): its clock is more "
-            "than half a second off, or its odometry failed; drive slower, where walls and furniture are near"
+            f"its turn rates do not agree with the root's (correlation {start.correlation:.2f}): its clock is "
+            "half a second off or more, or its odometry failed; drive slower, where walls and furniture are near"
         )
     if start.turns[0] < _MIN_TURN:
         return (
