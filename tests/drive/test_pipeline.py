@@ -1,0 +1,114 @@
+"""Whole drives: from simulated messages to poses, and the reasons where there are none."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calgraph.calibrate.dispatch import calibrate
+from calgraph.config import Rig
+from calgraph.drive.options import DriveOptions
+from calgraph.drive.pipeline import calibrate_drive
+from calgraph.drive.start import MotionStart, explain_failure
+from calgraph.errors import InputError
+from calgraph.geometry import Array, se3
+from calgraph.recording import MessageRecording
+from calgraph.rig.options import RigOptions
+from calgraph.sensors import LaserScan
+from calgraph.simulation import STANDARD_RIGS, DriveScenario, simulate_drive
+
+
+def surroundings(kind: str, **topics: str) -> Rig:
+    sensors = {name: {"kind": kind, "topic": topic} for name, topic in topics.items()}
+    return Rig.model_validate({"root": next(iter(topics)), "target": {"kind": "surroundings"}, "sensors": sensors})
+
+
+@pytest.mark.slow
+def test_lidars_without_a_common_view_are_calibrated_from_a_drive() -> None:
+    """Errors of the simulator that the estimator does not have: relief, people, rings, a swinging body."""
+    sensors = tuple(replace(one, step=1.6) for one in STANDARD_RIGS["two_lidars"])
+    drive = simulate_drive(DriveScenario(seed=1, duration=25.0, sensors=sensors))
+    rig = surroundings("lidar3d", lidar_front="/lidar_front/points", lidar_rear="/lidar_rear/points")
+    calibration = calibrate_drive(rig, drive.recording, DriveOptions())
+    rear = calibration["lidar_rear"]
+    error = se3.difference(rear.T_root_sensor, drive.truth.T_root_sensor["lidar_rear"])
+    assert np.linalg.norm(error[:3]) < 0.02
+    assert np.degrees(np.linalg.norm(error[3:])) < 0.2
+    assert rear.clock_offset == pytest.approx(drive.truth.clock_offsets["lidar_rear"], abs=0.002)
+    assert rear.verdict.grade == "weak"
+    assert "up to ten times too small" in rear.verdict.reason
+
+
+ANGLES = np.radians(np.arange(-90, 90, 1.0))
+
+
+def room_scans(positions: Array, headings: Array, turn: float) -> list[LaserScan]:
+    """Scans at 10 Hz in a room of 8 by 6 m, of a scanner that is turned on the robot."""
+    scans = []
+    for k, ((x, y), heading) in enumerate(zip(positions, headings, strict=True)):
+        c, s = np.cos(ANGLES + heading + turn), np.sin(ANGLES + heading + turn)
+        with np.errstate(divide="ignore"):
+            ranges = np.minimum(
+                np.where(c > 0, (4 - x) / c, (-4 - x) / c), np.where(s > 0, (3 - y) / s, (-3 - y) / s)
+            )
+        scans.append(LaserScan(0.1 * k, "laser", ANGLES, ranges))
+    return scans
+
+
+def test_a_straight_drive_calibrates_nothing_and_says_so() -> None:
+    positions = np.stack([np.linspace(-2, 2, 200), np.zeros(200)], axis=1)
+    messages = {
+        f"/{name}": room_scans(positions, np.zeros(200), turn) for name, turn in (("a", 0.0), ("b", np.pi))
+    }
+    calibration = calibrate_drive(
+        surroundings("lidar2d", a="/a", b="/b"), MessageRecording(messages), DriveOptions()
+    )
+    assert [sensor.name for sensor in calibration.sensors] == ["a"]
+    assert calibration["a"].verdict.grade == "unobservable"
+    assert set(calibration.evidence.unconnected) == {"b"}
+
+
+def test_a_sensor_with_few_sweeps_has_a_reason() -> None:
+    positions = np.stack([np.linspace(-1, 1, 60), np.zeros(60)], axis=1)
+    scans = room_scans(positions, np.linspace(0, 2, 60), 0.0)
+    recording = MessageRecording({"/a": scans, "/b": scans[:10]})
+    calibration = calibrate_drive(surroundings("lidar2d", a="/a", b="/b"), recording, DriveOptions())
+    assert calibration.evidence.unconnected == {"b": "it has 10 sweeps with points; a drive needs 50"}
+
+
+def start(turns: tuple[float, ...], correlation: float = 0.99, inliers: float = 0.8) -> MotionStart:
+    return MotionStart(np.eye(4), 0.0, np.eye(6), inliers, correlation, 50, np.array(turns))
+
+
+@pytest.mark.parametrize(
+    ("one", "reason"),
+    [
+        (start((0.1, 0.05, 0.01)), ""),
+        (start((0.1,)), ""),
+        (start((0.1, 0.05, 0.01), correlation=0.5), "turn rates do not agree"),
+        (start((0.02, 0.02, 0.01)), "hardly turned"),
+        (start((0.1, 0.01, 0.01)), "about one axis only"),
+        (start((0.1, 0.05, 0.01), inliers=0.2), "only 20% of its motions"),
+    ],
+)
+def test_a_start_that_the_drive_does_not_determine_is_explained(one: MotionStart, reason: str) -> None:
+    explained = explain_failure(one, "lidar")
+    assert reason in explained
+    assert bool(explained) == bool(reason)
+
+
+def test_cameras_are_not_calibrated_from_surroundings() -> None:
+    content = {
+        "root": "camera",
+        "target": {"kind": "surroundings"},
+        "sensors": {"camera": {"kind": "camera", "topic": "/c"}},
+    }
+    with pytest.raises(ValueError, match="must be lidar2d or lidar3d with surroundings, got camera"):
+        Rig.model_validate(content)
+
+
+def test_options_of_rigs_are_refused_for_drives() -> None:
+    rig = surroundings("lidar2d", a="/a", b="/b")
+    recording = MessageRecording({"/a": room_scans(np.zeros((1, 2)), np.zeros(1), 0.0)})
+    with pytest.raises(InputError, match="must be DriveOptions for this target, got RigOptions"):
+        calibrate(rig, recording, RigOptions())
