@@ -49,7 +49,7 @@ def tracks(n: int, offset: float = 0.0, duration: float = 60.0, rate: float = 20
 
 def motions(n: int, count: int = 100) -> tuple[Array, Array]:
     """Exact motions (K, n+1, n+1) of root and sensor."""
-    starts = 0.5 * np.arange(count)
+    starts: Array = np.arange(count) / 2
     root = se_n.inverse(path(starts, n)) @ path(starts + MOTION_DURATION, n)
     return root, se_n.inverse(mounted(n)) @ root @ mounted(n)
 
