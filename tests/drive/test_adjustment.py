@@ -17,6 +17,7 @@ from calgraph.drive.adjustment import (
     SensorPoints,
     SensorState,
     _add_motion_prior,
+    _deviation,
     _evaluate,
     _linearize,
     _reduce_part,
@@ -332,6 +333,21 @@ def test_the_root_stays_and_progress_ends_at_one() -> None:
     assert np.all(np.diff(fractions) > 0)
     assert found.covariance.shape == (8, 8)
     assert found.free.sum() == 8
+
+
+def test_the_prior_draws_a_common_range_scale_back() -> None:
+    """A start that is four standard deviations off ends near the prior's mean, as nothing else determines it."""
+    scene = simulate(2, 3.0, 0)
+    start = [replace(state, range_scale=4 * PRIOR_SCALE) for state in scene.start]
+    found = adjust_drive([scene.part], start, priors(2))
+    assert abs(np.mean([state.range_scale for state in found.states])) < PRIOR_SCALE
+
+
+def test_deviations_are_those_from_the_prior() -> None:
+    """Its poses and clocks are those of the start; range errors are zero."""
+    start = [SensorState(MOUNTED[2], 0.1, 0.2, 0.3)]
+    step = np.array([0.01, 0.02, 0.03, 0.04, 0.05, 0.06])
+    assert_allclose(_deviation([start[0].moved(step)], start), [[0.01, 0.02, 0.03, 0.04, 0.25, 0.36]])
 
 
 def test_a_prior_holds_the_pose() -> None:

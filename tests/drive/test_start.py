@@ -66,6 +66,15 @@ def test_the_clock_offset_is_found_within_two_milliseconds(n: int, offset: float
     assert correlation > 0.999
 
 
+@DIMENSIONS
+def test_the_clock_offset_is_found_between_sensors_of_different_rates(n: int) -> None:
+    """Turn rates between two poses are of the time in the middle."""
+    coarse, fine = np.arange(600) / 10, np.arange(1200) / 20
+    root = Track(coarse, path(coarse, n))
+    sensor = Track(fine + OFFSET, path(fine, n) @ mounted(n))
+    assert find_clock_offset(root, sensor, 0.5)[0] == pytest.approx(OFFSET, abs=0.002)
+
+
 def test_the_clock_offset_is_found_with_noise_of_turn_rates() -> None:
     """0.1° of each pose at 10 Hz, that is 1.4° per second of turn rates, leave 5 ms; on 20 seeds."""
     found = []
@@ -121,6 +130,18 @@ def test_wrong_motions_hardly_move_the_pose(n: int) -> None:
         assert np.abs(e).max() < 1e-3
         assert np.mean(weights[wrong] < 0.25) > 0.8
         assert np.mean(weights > 0.25) >= 0.8
+
+
+@DIMENSIONS
+def test_samples_find_the_pose_among_as_many_wrong_motions(n: int) -> None:
+    """Half of them, by metres and radians, on ten seeds; what is left is refined."""
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        A, B = motions(n)
+        wrong = rng.choice(len(B), len(B) // 2, replace=False)
+        B[wrong] = se_n.retract(B[wrong], rng.normal(size=(len(wrong), n + n * (n - 1) // 2)))
+        error = se_n.difference(_sample_poses(A, B, rng), mounted(n))
+        assert np.abs(error).max() < 0.02
 
 
 @DIMENSIONS
