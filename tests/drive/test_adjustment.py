@@ -10,6 +10,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from calgraph.drive.adjustment import (
+    CELL_LIMITS,
     Adjustment,
     AdjustmentPriors,
     DrivePart,
@@ -26,8 +27,9 @@ from calgraph.drive.adjustment import (
     adjust_drive,
 )
 from calgraph.geometry import Array, se_n
+from calgraph.surfaces.flat_cells import cell_keys
 from calgraph.surfaces.trajectory import SplineTrajectory, Track, fit_spline
-from drive_scenes import beams_in_plane, beams_in_space, drive, scan
+from drive_scenes import FLAT, beams_in_plane, beams_in_space, drive, scan
 
 DIMENSIONS = pytest.mark.parametrize("n", [2, 3])
 NOISE = 0.01
@@ -391,6 +393,42 @@ def test_sensors_in_space_are_calibrated() -> None:
     e = scene.errors(list(found.states))[1]
     assert np.abs(e[:3]).max() < 0.005
     assert np.degrees(np.abs(e[3:6])).max() < 0.1
+
+
+def with_view_biases(scene: Scene, stddev: float, seed: int) -> Scene:
+    """The drive in the plane past walls that each sensor measures elsewhere in each second: offsets and slopes."""
+    rng, points = np.random.default_rng(seed), []
+    for measured, true in zip(scene.part.points, scene.truth, strict=True):
+        times = measured.times - true.clock_offset
+        T = drive(times, 2) @ true.T_root_sensor
+        room = (se_n.rotation(T) @ measured.points[:, :, None])[..., 0] + se_n.translation(T)
+        distance = np.abs(np.concatenate([room - FLAT.walls[0], room - FLAT.walls[1]], axis=1))
+        wall, rows = distance.argmin(axis=1), np.arange(len(room))
+        cells = cell_keys(se_n.apply(WORLD[2], room), CELL_LIMITS[2].cell)
+        view = np.floor(times - scene.part.trajectory.start)
+        _, group = np.unique(np.stack([cells, wall, view], axis=1), axis=0, return_inverse=True)
+        group = group.ravel()
+        along = room[rows, 1 - wall % 2]
+        count = np.bincount(group)
+        along = along - (np.bincount(group, along) / count)[group]
+        spread = np.sqrt(np.bincount(group, along**2) / count)[group]
+        offset, slope = rng.normal(0, stddev, (2, len(count)))
+        bias = np.where(distance.min(axis=1) < 0.06, offset[group] + slope[group] * along / (spread + 0.01), 0)
+        normal = se_n.rotation(T)[rows, wall % 2]
+        points.append(SensorPoints(measured.points + bias[:, None] * normal, measured.times))
+    return replace(scene, part=replace(scene.part, points=points))
+
+
+def test_view_biases_are_estimated_and_in_the_covariance() -> None:
+    """The estimate is about 4 mm of 6 mm: weights of Student's t and of points take a part."""
+    squared, stddev = [], []
+    for seed in range(3):
+        scene = with_view_biases(simulate(2, 20.0, 50 + seed), 0.006, seed)
+        found = adjust_drive([scene.part], scene.start, priors(2))
+        squared.append(scaled(scene, found)[1])
+        stddev.append(found.noise.view)
+    assert 0.0035 < min(stddev) <= max(stddev) < 0.0065
+    assert 0.5 < np.mean(squared) < 2
 
 
 @pytest.mark.slow

@@ -30,9 +30,8 @@ def planar_sweeps(seed: int, duration: float = 20.0) -> list[Sweep]:
     return scan(beams_in_plane(), np.eye(3), duration, NOISE, np.random.default_rng(seed))
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_a_scanner_in_the_plane_is_tracked_through_a_room(seed: int) -> None:
-    track = track_sensor(planar_sweeps(seed), 600, np.random.default_rng(seed))
+def test_a_scanner_in_the_plane_is_tracked_through_a_room() -> None:
+    track = track_sensor(planar_sweeps(0), 600, np.random.default_rng(0))
     distance, angle = errors(track, np.eye(3))
     assert len(track.times) == 200
     assert distance.max() < 0.02

@@ -168,10 +168,10 @@ def test_the_jacobian_is_the_derivative_of_the_errors(n: int) -> None:
 
 @DIMENSIONS
 def test_the_information_is_that_of_the_scatter_of_motions(n: int) -> None:
-    """Errors of white motions over the stated standard deviations, on 40 seeds."""
+    """Errors of white motions over the stated standard deviations, on 20 seeds."""
     squared = []
     d = n * (n - 1) // 2
-    for seed in range(40):
+    for seed in range(20):
         rng = np.random.default_rng(seed)
         A, B = motions(n)
         B = se_n.retract(B, rng.normal(size=(len(B), n + d)) * np.repeat([0.02, 0.01], [n, d]))
