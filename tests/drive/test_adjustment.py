@@ -1,0 +1,440 @@
+"""The joint solution of two scanners that face apart: derivatives, elimination, and errors over stated ones.
+
+The world is turned against the walls, as that of odometry is: walls along the edges of cells are no surfaces.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from calgraph.drive.adjustment import (
+    CELL_LIMITS,
+    Adjustment,
+    AdjustmentPriors,
+    DrivePart,
+    NoiseModel,
+    SensorPoints,
+    SensorState,
+    _add_motion_prior,
+    _deviation,
+    _evaluate,
+    _linearize,
+    _reduce_part,
+    _robust_weights,
+    _view_information,
+    adjust_drive,
+)
+from calgraph.geometry import Array, se_n
+from calgraph.surfaces.flat_cells import cell_keys
+from calgraph.surfaces.trajectory import SplineTrajectory, Track, fit_spline
+from drive_scenes import FLAT, beams_in_plane, beams_in_space, drive, scan
+
+DIMENSIONS = pytest.mark.parametrize("n", [2, 3])
+NOISE = 0.01
+PRIOR_BIAS, PRIOR_SCALE, PRIOR_CLOCK = 0.01, 0.001, 0.05
+BEAMS = {2: beams_in_plane(6.0), 3: beams_in_space(8, 12.0)}
+MOUNTED = {
+    2: se_n.pose(se_n.exp(np.array([2.8])), np.array([-0.5, 0.1])),
+    3: se_n.pose(se_n.exp(np.array([0.2, 0.1, 2.8])), np.array([-0.5, 0.1, 0.2])),
+}
+WORLD = {
+    2: se_n.pose(se_n.exp(np.array([0.3])), np.full(2, 0.13)),
+    3: se_n.pose(se_n.exp(np.array([0.02, -0.03, 0.3])), np.full(3, 0.13)),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """A simulated drive with start values that have errors."""
+
+    part: DrivePart
+    truth: list[SensorState]
+    start: list[SensorState]
+
+    def errors(self, states: list[SensorState]) -> Array:
+        """(S, n + d + 3)."""
+        return np.array([
+            [
+                *se_n.difference(one.T_root_sensor, true.T_root_sensor),
+                one.clock_offset - true.clock_offset,
+                one.range_bias - true.range_bias,
+                one.range_scale - true.range_scale,
+            ]
+            for one, true in zip(states, self.truth, strict=True)
+        ])  # fmt: skip
+
+
+def simulate(n: int, duration: float, seed: int) -> Scene:
+    """Two scanners whose range errors and clocks are drawn from the priors; a trajectory that drifts by 2 cm."""
+    rng = np.random.default_rng(seed)
+    size = n + n * (n - 1) // 2
+    bias, scale, clock = rng.normal(size=(3, 2)) * [[PRIOR_BIAS], [PRIOR_SCALE], [PRIOR_CLOCK]]
+    clock[0] = 0
+    truth, points = [], []
+    for k, T in enumerate((np.eye(n + 1), MOUNTED[n])):
+        truth.append(SensorState(T, clock[k], bias[k], scale[k]))
+        sweeps = scan(BEAMS[n], T, duration, NOISE, rng)
+        x, times = (np.concatenate([getattr(one, name) for one in sweeps]) for name in ("points", "times"))
+        ranges = np.linalg.norm(x, axis=1, keepdims=True)
+        points.append(SensorPoints(x * (ranges + bias[k]) / (1 - scale[k]) / ranges, times + clock[k]))
+    times = np.arange(round(duration * 10) + 1) / 10
+    waves = np.sin(2 * np.pi * (times[:, None] / rng.uniform(3, 8, size) + rng.uniform(0, 1, size)))
+    drift = waves * np.repeat([0.02, 0.01], [n, size - n])
+    track = Track(times, se_n.retract(WORLD[n] @ drive(times, n), drift))
+    error = rng.normal(size=size) * np.repeat([0.05, 0.03], [n, size - n])
+    start = [SensorState(np.eye(n + 1)), SensorState(se_n.retract(MOUNTED[n], error))]
+    return Scene(DrivePart(points, fit_spline(track, 0.1, duration - 0.2, 0.25)), truth, start)
+
+
+def priors(n: int, pose: float = 1.0) -> AdjustmentPriors:
+    size = n + n * (n - 1) // 2
+    return AdjustmentPriors(
+        np.array([np.zeros(size), np.full(size, pose)]),
+        np.array([0, PRIOR_CLOCK]),
+        np.full(2, PRIOR_BIAS),
+        np.full(2, PRIOR_SCALE),
+    )
+
+
+def scaled(scene: Scene, found: Adjustment) -> tuple[Array, float]:
+    """Errors of the free parameters over their standard deviations, and the squared ones per degree of freedom."""
+    e = scene.errors(list(found.states))[found.free]
+    return e / np.sqrt(np.diag(found.covariance)), float(e @ np.linalg.solve(found.covariance, e) / len(e))
+
+
+@pytest.fixture(scope="module")
+def solutions() -> list[tuple[Scene, Adjustment]]:
+    scenes = [simulate(2, 20.0, seed) for seed in range(4)]
+    return [(scene, adjust_drive([scene.part], scene.start, priors(2))) for scene in scenes]
+
+
+def disturbed(n: int, seed: int = 0) -> tuple[DrivePart, list[SensorState]]:
+    """A short drive, with control points and states that are far from the solution."""
+    rng = np.random.default_rng(seed)
+    scene = simulate(n, 3.0, seed)
+    size = n + n * (n - 1) // 2
+    change = rng.normal(size=scene.part.trajectory.control.shape) * np.repeat([0.02, 0.05], [n, size - n])
+    part = replace(scene.part, trajectory=scene.part.trajectory.moved(change))
+    states = [
+        state.moved(np.array([*rng.normal(0, 0.02, size), 0.01 * sign, 0.02 * sign, 0.02 * sign]))
+        for state, sign in zip(scene.start, (1.0, -1.0), strict=True)
+    ]
+    # Changes of clocks move no point beyond the ends.
+    points = []
+    for measured in part.points:
+        inner = (measured.times > part.trajectory.start + 0.1) & (measured.times < part.trajectory.end - 0.1)
+        points.append(SensorPoints(measured.points[inner], measured.times[inner]))
+    return replace(part, points=points), states
+
+
+class FixedSurfaces:
+    """Residuals at any states and trajectory, of the points and on the surfaces of a first linearization."""
+
+    def __init__(self, part: DrivePart, states: list[SensorState]) -> None:
+        self.part, self.states = part, states
+        self.at, surfaces = _linearize(part, states, 0.3)
+        world = np.concatenate([_evaluate(part, k, state).world for k, state in enumerate(states)])
+        index = surfaces.find(world)
+        offset = np.einsum("ij,ij->i", world - surfaces.center[index], surfaces.normals[index])
+        self.used = (index >= 0) & (np.abs(offset) < 0.3)
+        cells = index[self.used]
+        self.normals, self.center = surfaces.normals[cells], surfaces.center[cells]
+
+    def residual(self, trajectory: SplineTrajectory, states: list[SensorState]) -> Array:
+        part = replace(self.part, trajectory=trajectory)
+        world = np.concatenate([_evaluate(part, k, state).world for k, state in enumerate(states)])
+        scale = np.array([state.range_scale for state in states])[self.at.sensor]
+        return np.asarray(np.einsum("ij,ij->i", world[self.used] - self.center, self.normals) * (1 + scale))
+
+
+@pytest.fixture(scope="module", params=[2, 3])
+def fixed(request: pytest.FixtureRequest) -> FixedSurfaces:
+    return FixedSurfaces(*disturbed(request.param))
+
+
+def test_residuals_are_distances_from_surfaces(fixed: FixedSurfaces) -> None:
+    assert len(fixed.at.residual) > 300
+    assert_allclose(fixed.at.residual, fixed.residual(fixed.part.trajectory, fixed.states), atol=1e-12)
+
+
+def test_derivatives_by_control_points_are_those_of_the_residuals(fixed: FixedSurfaces) -> None:
+    """Of each four that matter to a point, one is changed."""
+    trajectory, step = fixed.part.trajectory, 1e-6
+    columns = trajectory.control.shape[1]
+    by_control = fixed.at.by_control.reshape(-1, 4, columns)
+    for k in range(4):
+        for c in range(columns):
+            change = np.zeros_like(trajectory.control)
+            change[k::4, c] = step
+            ahead, behind = (fixed.residual(trajectory.moved(one), fixed.states) for one in (change, -change))
+            found = by_control[np.arange(len(by_control)), (k - fixed.at.first) % 4, c]
+            assert_allclose(found, (ahead - behind) / (2 * step), atol=1e-7)
+
+
+@pytest.mark.parametrize("name", ["pose", "clock", "bias", "scale"])
+def test_derivatives_by_states_are_those_of_the_residuals(fixed: FixedSurfaces, name: str) -> None:
+    step, size = 1e-6, fixed.at.by_sensor.shape[1]
+    columns = {"pose": range(size - 3), "clock": [size - 3], "bias": [size - 2], "scale": [size - 1]}[name]
+    for c in columns:
+        change = step * np.eye(size)[c]
+        ahead, behind = (
+            fixed.residual(fixed.part.trajectory, [state.moved(one) for state in fixed.states])
+            for one in (change, -change)
+        )
+        assert_allclose(fixed.at.by_sensor[:, c], (ahead - behind) / (2 * step), atol=1e-7)
+
+
+@DIMENSIONS
+def test_a_state_moves_along_the_axes_of_the_root(n: int) -> None:
+    state = SensorState(MOUNTED[n], 0.1, 0.2, 0.3)
+    size = n + n * (n - 1) // 2
+    step = np.arange(size + 3) / 100
+    moved = state.moved(step)
+    assert_allclose(se_n.difference(moved.T_root_sensor, MOUNTED[n]), step[:size])
+    assert_allclose(
+        [moved.clock_offset, moved.range_bias, moved.range_scale], np.add(step[size:], [0.1, 0.2, 0.3])
+    )
+
+
+def test_only_points_during_the_trajectory_are_used() -> None:
+    part, states = disturbed(2)
+    count = len(_evaluate(part, 1, states[1]).time)
+    late = replace(states[1], clock_offset=states[1].clock_offset - 1.0)
+    shifted = _evaluate(part, 1, late).time
+    assert len(shifted) < count
+    assert shifted.max() <= part.trajectory.end
+
+
+def test_the_motion_prior_is_that_of_second_differences() -> None:
+    trajectory = disturbed(2)[0].trajectory
+    C, K = trajectory.control.size, len(trajectory.control)
+    D = np.diff(np.eye(K), 2, axis=0) / trajectory.spacing**2
+    weighted = np.kron(D, np.diag([1 / 5, 1 / 5, 1 / 10]))
+    H, g = np.zeros((C, C)), np.zeros(C)
+    _add_motion_prior(H, g, trajectory)
+    held = np.zeros(C)
+    held[K // 2 * 3 : K // 2 * 3 + 3] = 1e6
+    assert_allclose(H, weighted.T @ weighted + np.diag(held), atol=1e-8)
+    assert_allclose(g, weighted.T @ weighted @ trajectory.control.ravel(), atol=1e-8)
+
+
+@DIMENSIONS
+def test_eliminated_equations_are_those_of_all_unknowns(n: int) -> None:
+    """Against the Schur complement of dense equations with all surfaces, view biases and control points."""
+    part, states = disturbed(n)
+    noise = NoiseModel(np.array([0.01, 0.02]), 0.005)
+    free = priors(n).stddev > 0
+    found = _reduce_part(part, states, noise, 0.3, free)
+    at, surfaces = _linearize(part, states, 0.3)
+    _, group = np.unique(np.stack([at.surface, at.sensor, at.view], axis=1), axis=0, return_inverse=True)
+    group = group.ravel()
+    rows, G, M = np.arange(len(group)), group.max() + 1, len(surfaces.keys)
+    surface = np.zeros(G, dtype=np.intp)
+    surface[group] = at.surface
+    sigma = noise.white[at.sensor]
+    weight = sigma**-2 * _robust_weights(at, group, G, sigma)
+    C, columns = part.trajectory.control.size, part.trajectory.control.shape[1]
+    by_control = np.zeros((len(rows), C))
+    by_control[rows[:, None], at.first[:, None] * columns + np.arange(4 * columns)] = at.by_control
+    by_state = np.zeros((len(rows), *free.shape))
+    by_state[rows, at.sensor] = at.by_sensor
+    by_bias, by_surface = np.zeros((len(rows), G, n)), np.zeros((len(rows), M, n))
+    by_bias[rows, group], by_surface[rows, at.surface] = -at.patch, -at.patch
+    dense = [by_control, by_bias.reshape(-1, G * n), by_surface.reshape(-1, M * n), by_state[:, free]]
+    J = np.concatenate(dense, axis=1)
+    H, g = J.T @ (weight[:, None] * J), J.T @ (weight * at.residual)
+    motion, motion_gradient = np.zeros((C, C)), np.zeros(C)
+    _add_motion_prior(motion, motion_gradient, part.trajectory)
+    H[:C, :C] += motion
+    g[:C] += motion_gradient
+    N = np.array([at.patch[group == k].T @ (weight[group == k, None] * at.patch[group == k]) for k in range(G)])
+    h = -g[C : C + G * n].reshape(G, n)
+    for k, block in enumerate(_view_information(N, h, surface, M, noise.view)):
+        inside = slice(C + k * n, C + k * n + n)
+        H[inside, inside] += block
+    inside = slice(C + G * n, C + (G + M) * n)
+    H[inside, inside] += np.eye(M * n)
+    P = int(free.sum())
+    solved = np.linalg.solve(H[:-P, :-P], np.column_stack([H[:-P, -P:], g[:-P]]))
+    unit = np.sqrt(np.diag(H)[-P:])
+    information = H[-P:, -P:] - H[-P:, :-P] @ solved[:, :P]
+    assert_allclose(found.information / np.outer(unit, unit), information / np.outer(unit, unit), atol=1e-7)
+    assert_allclose(found.gradient / unit, (g[-P:] - H[-P:, :-P] @ solved[:, P]) / unit, rtol=1e-5, atol=1e-5)
+    # The change of the control points is that of the whole step.
+    step = 1e-3 * np.arange(1.0, P + 1)
+    change = np.linalg.solve(H[:-P, :-P], -g[:-P] - H[:-P, -P:] @ step)[:C]
+    assert_allclose(found.back_substitute(step).ravel(), change, rtol=1e-5, atol=1e-8)
+
+
+def test_errors_are_those_that_the_covariance_states(solutions: list[tuple[Scene, Adjustment]]) -> None:
+    """Poses, clocks, biases and scales of ranges."""
+    squared = [scaled(*one)[1] for one in solutions]
+    assert 0.5 < np.mean(squared) < 2
+    assert max(squared) < 4
+
+
+def test_the_common_range_scale_does_not_shrink(solutions: list[tuple[Scene, Adjustment]]) -> None:
+    """Only the prior knows it: smaller ranges of all sensors make a smaller world with the same residuals."""
+    for scene, found in solutions:
+        mean = np.mean([state.range_scale for state in found.states])
+        assert abs(mean) < 3 * PRIOR_SCALE / np.sqrt(2)
+        assert np.abs(scene.errors(list(found.states))[:, -1]).max() < 3 * PRIOR_SCALE
+
+
+def test_poses_are_within_millimetres(solutions: list[tuple[Scene, Adjustment]]) -> None:
+    for scene, found in solutions:
+        e = scene.errors(list(found.states))[1]
+        assert np.abs(e[:2]).max() < 0.002
+        assert abs(np.degrees(e[2])) < 0.03
+        assert abs(e[3]) < 0.001
+
+
+def test_the_noise_is_estimated(solutions: list[tuple[Scene, Adjustment]]) -> None:
+    """Along normals: that of ranges by the mean cosine of incidence. There are no view biases."""
+    for _, found in solutions:
+        assert_allclose(found.noise.white, 0.0083, rtol=0.1)
+        assert found.noise.view < 0.002
+        assert_allclose(found.residual_rms, found.noise.white)
+
+
+def test_the_trajectory_is_corrected(solutions: list[tuple[Scene, Adjustment]]) -> None:
+    """From waves of 2 cm and 0.6° to millimetres, in the root's frame at one time."""
+    times = np.arange(1.0, 19.0, 0.1)
+    T = drive(times, 2)
+    expected = se_n.inverse(T[90]) @ T
+    for scene, found in solutions:
+        before, after = (
+            np.abs(se_n.difference(se_n.inverse(poses[90]) @ poses, expected))[:, :2].max()
+            for poses in (part.trajectory.at(times).poses for part in (scene.part, found.parts[0]))
+        )
+        assert before > 0.02
+        assert after < 0.02
+        assert after < before / 2
+
+
+def test_the_solution_has_settled(solutions: list[tuple[Scene, Adjustment]]) -> None:
+    assert max(found.squared_step for _, found in solutions) < 0.05
+
+
+def test_surfaces_of_both_sensors_are_counted(solutions: list[tuple[Scene, Adjustment]]) -> None:
+    for _, found in solutions:
+        shared = found.shared_cells
+        assert_allclose(shared, shared.T)
+        assert 40 < shared[0, 1] <= min(shared[0, 0], shared[1, 1]) < 150
+
+
+def test_the_root_stays_and_progress_ends_at_one() -> None:
+    scene = simulate(2, 3.0, 0)
+    fractions: list[float] = []
+    found = adjust_drive([scene.part], scene.start, priors(2), fractions.append)
+    assert_allclose(found.states[0].T_root_sensor, np.eye(3))
+    assert found.states[0].clock_offset == 0
+    assert fractions[-1] == 1
+    assert np.all(np.diff(fractions) > 0)
+    assert found.covariance.shape == (8, 8)
+    assert found.free.sum() == 8
+
+
+def test_the_prior_draws_a_common_range_scale_back() -> None:
+    """A start that is four standard deviations off ends near the prior's mean, as nothing else determines it."""
+    scene = simulate(2, 3.0, 0)
+    start = [replace(state, range_scale=4 * PRIOR_SCALE) for state in scene.start]
+    found = adjust_drive([scene.part], start, priors(2))
+    assert abs(np.mean([state.range_scale for state in found.states])) < PRIOR_SCALE
+
+
+def test_deviations_are_those_from_the_prior() -> None:
+    """Its poses and clocks are those of the start; range errors are zero."""
+    start = [SensorState(MOUNTED[2], 0.1, 0.2, 0.3)]
+    step = np.array([0.01, 0.02, 0.03, 0.04, 0.05, 0.06])
+    assert_allclose(_deviation([start[0].moved(step)], start), [[0.01, 0.02, 0.03, 0.04, 0.25, 0.36]])
+
+
+def test_a_prior_holds_the_pose() -> None:
+    scene = simulate(2, 3.0, 0)
+    found = adjust_drive([scene.part], scene.start, priors(2, pose=1e-6))
+    moved = se_n.difference(found.states[1].T_root_sensor, scene.start[1].T_root_sensor)
+    assert np.abs(moved).max() < 2e-5
+    assert np.abs(se_n.difference(scene.start[1].T_root_sensor, MOUNTED[2])).max() > 0.005
+
+
+def test_parts_of_separate_worlds_are_solved_jointly() -> None:
+    """The errors of the sensors are common: two parts determine them better than each."""
+    scene = simulate(2, 8.0, 0)
+    whole = scene.part.trajectory
+    halves = [
+        replace(scene.part, trajectory=fit_spline(whole.reference.between(a, b), a + 0.1, b - 0.2, 0.25))
+        for a, b in ((0.0, 4.0), (4.0, 8.0))
+    ]
+    halves[1] = replace(halves[1], trajectory=turned(halves[1].trajectory, 2.0))
+    joint = adjust_drive(halves, scene.start, priors(2))
+    single = [adjust_drive([half], scene.start, priors(2)) for half in halves]
+    stddev = [np.sqrt(np.diag(one.covariance))[2:5] for one in (joint, *single)]
+    assert np.all(stddev[0] < np.minimum(stddev[1], stddev[2]))
+    assert scaled(scene, joint)[1] < 3
+
+
+def turned(spline: SplineTrajectory, angle: float) -> SplineTrajectory:
+    """The same trajectory in the plane in a world that is turned, rad."""
+    T = se_n.pose(se_n.exp(np.array([angle])), np.zeros(2))
+    control = spline.control.copy()
+    control[:, :2] = se_n.apply(T, control[:, :2])
+    return replace(spline, control=control, reference=Track(spline.reference.times, T @ spline.reference.poses))
+
+
+def test_sensors_in_space_are_calibrated() -> None:
+    scene = simulate(3, 6.0, 0)
+    found = adjust_drive([scene.part], scene.start, priors(3))
+    z, squared = scaled(scene, found)
+    assert squared < 2.5
+    assert np.abs(z).max() < 4
+    e = scene.errors(list(found.states))[1]
+    assert np.abs(e[:3]).max() < 0.005
+    assert np.degrees(np.abs(e[3:6])).max() < 0.1
+
+
+def with_view_biases(scene: Scene, stddev: float, seed: int) -> Scene:
+    """The drive in the plane past walls that each sensor measures elsewhere in each second: offsets and slopes."""
+    rng, points = np.random.default_rng(seed), []
+    for measured, true in zip(scene.part.points, scene.truth, strict=True):
+        times = measured.times - true.clock_offset
+        T = drive(times, 2) @ true.T_root_sensor
+        room = (se_n.rotation(T) @ measured.points[:, :, None])[..., 0] + se_n.translation(T)
+        distance = np.abs(np.concatenate([room - FLAT.walls[0], room - FLAT.walls[1]], axis=1))
+        wall, rows = distance.argmin(axis=1), np.arange(len(room))
+        cells = cell_keys(se_n.apply(WORLD[2], room), CELL_LIMITS[2].cell)
+        view = np.floor(times - scene.part.trajectory.start)
+        _, group = np.unique(np.stack([cells, wall, view], axis=1), axis=0, return_inverse=True)
+        group = group.ravel()
+        along = room[rows, 1 - wall % 2]
+        count = np.bincount(group)
+        along = along - (np.bincount(group, along) / count)[group]
+        spread = np.sqrt(np.bincount(group, along**2) / count)[group]
+        offset, slope = rng.normal(0, stddev, (2, len(count)))
+        bias = np.where(distance.min(axis=1) < 0.06, offset[group] + slope[group] * along / (spread + 0.01), 0)
+        normal = se_n.rotation(T)[rows, wall % 2]
+        points.append(SensorPoints(measured.points + bias[:, None] * normal, measured.times))
+    return replace(scene, part=replace(scene.part, points=points))
+
+
+def test_view_biases_are_estimated_and_in_the_covariance() -> None:
+    """The estimate is about 4 mm of 6 mm: weights of Student's t and of points take a part."""
+    squared, stddev = [], []
+    for seed in range(3):
+        scene = with_view_biases(simulate(2, 20.0, 50 + seed), 0.006, seed)
+        found = adjust_drive([scene.part], scene.start, priors(2))
+        squared.append(scaled(scene, found)[1])
+        stddev.append(found.noise.view)
+    assert 0.0035 < min(stddev) <= max(stddev) < 0.0065
+    assert 0.5 < np.mean(squared) < 2
+
+
+@pytest.mark.slow
+def test_errors_over_stated_ones_on_many_seeds() -> None:
+    scenes = [simulate(2, 20.0, 100 + seed) for seed in range(30)]
+    found = [scaled(scene, adjust_drive([scene.part], scene.start, priors(2))) for scene in scenes]
+    assert 0.7 < np.mean([squared for _, squared in found]) < 1.4
+    z = np.array([one for one, _ in found])
+    assert np.all((np.sqrt(np.mean(z**2, axis=0)) > 0.6) & (np.sqrt(np.mean(z**2, axis=0)) < 1.5))
