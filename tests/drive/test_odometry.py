@@ -86,7 +86,7 @@ def test_the_motion_within_sweeps_is_corrected() -> None:
     def at_one_time(sweeps: Sequence[Sweep]) -> list[Sweep]:
         return [replace(one, times=np.full_like(one.times, one.time)) for one in sweeps]
 
-    sweeps = planar_sweeps(0, 10.0)
+    sweeps = planar_sweeps(0, 6.0)
     corrected, rigid = (
         errors(track_sensor(some, 600, np.random.default_rng(0)), np.eye(3))[0].max()
         for some in (sweeps, at_one_time(sweeps))

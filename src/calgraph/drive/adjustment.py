@@ -504,7 +504,7 @@ def _view_statistics(
     bias_of_surface: Array,
     count: int,
 ) -> Array:
-    """(2,) expected squared view biases, and their number, of surfaces that several sensors measured (EM)."""
+    """(2,) expected squared view biases, and their number, of surfaces in several views (EM)."""
     several = np.bincount(surface_of_group, minlength=count) > 1
     used = several[surface_of_group]
     if not used.any():
