@@ -141,12 +141,14 @@ def fit_spline(track: Track, start: float, end: float, spacing: float) -> Spline
     """The spline with knots at a spacing, s, that follows a track from start to end."""
     intervals = max(int(np.ceil((end - start) / spacing)), 1)
     times = start + spacing * np.arange(intervals + 1, dtype=np.float64)
-    positions = se_n.translation(track.at(times))
+    # The reference has the knots of the corrections, which could not follow noise between them.
+    sampled = Track(times, track.at(times))
+    positions = se_n.translation(sampled.poses)
     n = positions.shape[1]
     control = np.zeros((intervals + 3, n + n * (n - 1) // 2))
     # Through the positions at the knots, with straight ends.
     control[:, :n] = _control_points(CubicSpline(times, positions, bc_type="natural"))
-    return SplineTrajectory(start, spacing, control, track)
+    return SplineTrajectory(start, spacing, control, sampled)
 
 
 def _control_points(spline: CubicSpline) -> Array:
