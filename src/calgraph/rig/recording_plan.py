@@ -134,9 +134,10 @@ def plan_captures(
     possible = (least <= limits).all(axis=1)
     first = bisect_left(_COUNTS, True, key=lambda count: bool((predict(count)[possible] <= limits).all()))
     bundle, kinds = boards.bundle, {name: spec.kind for name, spec in rig.sensors.items()}
+    known = list(information_by_board(bundle, boards.minimized.equations))
     places = select_board_poses(
         _scale_captures(boards, 0), kinds, rig.tolerance, settings.verdict, T_root_board,
-        list(information_by_board(bundle, boards.minimized.equations)),
+        lambda chosen: (known[i] for i in chosen.tolist()),
         lambda board: [name for name, found in detections.items() if board in found],
         _PLACES,
     )  # fmt: skip

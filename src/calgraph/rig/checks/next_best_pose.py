@@ -6,7 +6,7 @@ observations that the sensors are predicted to make. The best one is selected, t
 Source: Krause, Singh, Guestrin, "Near-optimal sensor placements in Gaussian processes", 2008, on greedy choices.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 
@@ -63,13 +63,15 @@ def suggest_board_poses(
     if is_reachable:
         candidates = candidates[is_reachable(candidates)]
 
+    def predict(chosen: Index) -> Iterator[BoardInformation]:
+        return predict_board_information(solved, kinds, size, candidates[chosen])
+
     def find_sensors(chosen: int) -> list[str]:
         predictions = _predict_views(bundle, current, kinds, size, candidates[chosen : chosen + 1])
         return [name for name, views in zip(bundle.sensors, predictions, strict=True) if len(views.board)]
 
-    predicted = list(predict_board_information(solved, kinds, size, candidates)) if len(candidates) else []
     return select_board_poses(
-        solved, kinds, tolerance, settings.verdict, candidates, predicted, find_sensors, settings.rig.suggestions
+        solved, kinds, tolerance, settings.verdict, candidates, predict, find_sensors, settings.rig.suggestions
     )
 
 
@@ -79,7 +81,7 @@ def select_board_poses(
     tolerance: Tolerance,
     settings: VerdictSettings,
     candidates: Array,
-    predicted: Sequence[BoardInformation],
+    predict: Callable[[Index], Iterable[BoardInformation]],
     find_sensors: Callable[[int], Sequence[str]],
     count: int,
 ) -> tuple[Suggestion, ...]:
@@ -91,7 +93,7 @@ def select_board_poses(
         tolerance: the largest acceptable error of poses.
         settings: of verdicts.
         candidates: ``T_root_board`` (K, 4, 4).
-        predicted: the information of each.
+        predict: the information of candidates with some indices.
         find_sensors: the sensors that detect the candidate with an index.
         count: number of poses at most.
     """
@@ -110,13 +112,15 @@ def select_board_poses(
             break
         scaled = axes[6 * sensor :][:6] / limits[:6, None] / min(before[worst], 1.0)
         pose, along = np.flatnonzero(scaled.any(axis=0)), V @ scaled.T
+        predicted = predict(np.arange(len(candidates)))
         volume = _log_volume(
             np.array([scaled[:, pose] @ _multiply_covariance_with(one, V, pose, along) for one in predicted])
         )
         best = int(np.argmin(volume))
         if volume[best] > _log_volume(scaled @ along) - _MIN_SUGGESTION_GAIN:
             break
-        V = _multiply_covariance_with(predicted[best], V, np.arange(len(V)), V)
+        (added,) = predict(np.array([best]))
+        V = _multiply_covariance_with(added, V, np.arange(len(V)), V)
         after = _standard_deviations(axes, V) / limits
         name, detecting = bundle.sensors[sensor], find_sensors(best)
         T_sensor_board = {
@@ -138,9 +142,9 @@ def select_board_poses(
     return tuple(suggestions)
 
 
-# Numbers in the information of the views of candidates that are predicted together, 24 MB, of which the solver has
+# Numbers in the information of the views of candidates that are predicted together, 80 MB, of which the solver has
 # several copies. All candidates of most rigs; twenty cameras with a residual distortion have 0.4e6 for each one.
-_BATCH_NUMBERS = 3e6
+_BATCH_NUMBERS = 1e7
 
 
 def predict_board_information(
