@@ -76,6 +76,15 @@ def test_a_sensor_with_few_sweeps_has_a_reason() -> None:
     assert calibration.evidence.unconnected == {"b": "it has 10 sweeps with points; a drive needs 50"}
 
 
+def test_scans_that_were_sent_twice_count_once() -> None:
+    """Positions cannot be told from one place, but turns can: the reason is not that there are too few scans."""
+    headings = 0.5 * np.sin(np.linspace(0, 12, 150))
+    scans = room_scans(np.zeros((150, 2)), headings, 0.0)
+    recording = MessageRecording({"/a": scans, "/b": [scan for scan in scans for _ in range(2)]})
+    calibration = calibrate_drive(surroundings("lidar2d", a="/a", b="/b"), recording, DriveOptions())
+    np.testing.assert_allclose(calibration["b"].T_root_sensor, np.eye(4), atol=0.01)
+
+
 def start(turns: tuple[float, ...], correlation: float = 0.99, inliers: float = 0.8) -> MotionStart:
     return MotionStart(np.eye(4), 0.0, np.eye(6), inliers, correlation, 50, np.array(turns))
 

@@ -95,7 +95,13 @@ def _read_sweeps(
         sweep = thin_sweep(read_sweep(message, n), _KEPT_POINTS, rngs[name])
         if len(sweep.points):
             sweeps[name].append(sweep)
-    return {name: sorted(some, key=lambda sweep: sweep.time) for name, some in sweeps.items()}, frames
+    return {name: _order(some) for name, some in sweeps.items()}, frames
+
+
+def _order(sweeps: list[Sweep]) -> list[Sweep]:
+    """Sweeps by their times, without those of equal times: some drivers send messages twice."""
+    ordered = sorted(sweeps, key=lambda sweep: sweep.time)
+    return [sweep for k, sweep in enumerate(ordered) if k == 0 or sweep.time > ordered[k - 1].time]
 
 
 def _track_sensors(

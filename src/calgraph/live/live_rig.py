@@ -15,8 +15,13 @@ def prepare_live_rig(rig: Rig) -> Rig:
     """The rig whose recording is calibrated at the end: with the session's trigger, and a background window.
 
     Raises:
-        InputError: a sensor's images are to be converted, as those of a depth camera.
+        InputError: a sensor's images are to be converted, as those of a depth camera, or the robot drives.
     """
+    if rig.is_drive:
+        raise InputError(
+            "target.kind: must be board or people for calgraph live, got surroundings; record a bag, and give it to "
+            "calgraph calibrate"
+        )
     for name, spec in rig.sensors.items():
         if KINDS[spec.kind].convert:
             raise InputError(
