@@ -19,8 +19,8 @@ def prepare_live_rig(rig: Rig) -> Rig:
     """
     if rig.is_drive:
         raise InputError(
-            "target.kind: must be board or people for calgraph live, got surroundings; record a bag, and give it to "
-            "calgraph calibrate"
+            "target.kind: must be board or people for calgraph live, got surroundings; record a bag, and give it "
+            "to calgraph calibrate"
         )
     for name, spec in rig.sensors.items():
         if KINDS[spec.kind].convert:
