@@ -134,7 +134,7 @@ class CellLimits:
 CELL_LIMITS = {2: CellLimits(0.5, 8, 0.08), 3: CellLimits(1.0, 15, 0.12)}
 # Distances from a surface within which points are of it, m, by iteration: from errors of the start to noise.
 _GATES = (0.3, 0.2, 0.15, 0.12, 0.1, *[0.09] * 8)
-# Thickness, a standard deviation, up to which a cell is flat at such a gate, which holds 99.7 % of its points then.
+# Thickness (standard deviation) up to which a cell is flat at a gate, which then holds 99.7 % of its points.
 _THICKNESS_PER_GATE = 1 / 3
 # Start values of standard deviations, m: range noise of LiDARs, and what plaster and doors deviate from planes.
 _START_WHITE, _START_VIEW = 0.02, 0.01
