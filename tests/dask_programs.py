@@ -9,6 +9,8 @@ from pathlib import Path
 def start_scheduler(folder: Path) -> tuple[subprocess.Popen[bytes], str]:
     """A scheduler at a free port of 127.0.0.1, and its address; its files are in the folder."""
     port = folder / "address"
+    # An earlier scheduler of the same folder listens no longer.
+    port.unlink(missing_ok=True)
     program = (
         "import asyncio, pathlib\n"
         "from distributed import Scheduler\n"
