@@ -10,23 +10,22 @@ import pytest
 from numpy.testing import assert_allclose
 
 from calgraph.drive.adjustment import (
-    CELL_LIMITS,
     Adjustment,
     AdjustmentPriors,
-    DrivePart,
-    NoiseModel,
-    SensorPoints,
-    SensorState,
     _add_motion_prior,
     _deviation,
-    _evaluate,
-    _linearize,
     _reduce_part,
+    adjust_drive,
+)
+from calgraph.drive.states import DrivePart, SensorPoints, SensorState
+from calgraph.drive.surface_elimination import (
+    NoiseModel,
+    _group_points,
     _robust_weights,
     _view_information,
     _view_statistics,
-    adjust_drive,
 )
+from calgraph.drive.surface_points import CELL_LIMITS, _evaluate, linearize_points
 from calgraph.geometry import Array, se_n
 from calgraph.surfaces.flat_cells import cell_keys
 from calgraph.surfaces.trajectory import SplineTrajectory, Track, fit_spline
@@ -135,7 +134,7 @@ class FixedSurfaces:
 
     def __init__(self, part: DrivePart, states: list[SensorState]) -> None:
         self.part, self.states = part, states
-        self.at, surfaces = _linearize(part, states, 0.3)
+        self.at, surfaces = linearize_points(part, states, 0.3)
         world = np.concatenate([_evaluate(part, k, state).world for k, state in enumerate(states)])
         index = surfaces.find(world)
         offset = np.einsum("ij,ij->i", world - surfaces.center[index], surfaces.normals[index])
@@ -211,9 +210,9 @@ def test_only_points_during_the_trajectory_are_used() -> None:
 def test_a_surface_in_one_view_has_no_view_biases() -> None:
     """Its bias cannot be distinguished from the surface."""
     one, blocks = np.zeros(1, dtype=np.intp), np.eye(2)[None]
-    assert_allclose(_view_statistics(one, np.ones((1, 2)), blocks, blocks, blocks, 1), 0)
+    assert_allclose(_view_statistics(one, np.ones((1, 2)), blocks, 1), 0)
     both = np.repeat(blocks, 2, axis=0)
-    found = _view_statistics(np.zeros(2, dtype=np.intp), np.full((2, 2), 3.0), both, blocks, 0 * both, 1)
+    found = _view_statistics(np.zeros(2, dtype=np.intp), np.full((2, 2), 3.0), both, 1)
     assert_allclose(found, [4 * (3.0**2 + 1), 4])
 
 
@@ -237,14 +236,14 @@ def test_eliminated_equations_are_those_of_all_unknowns(n: int) -> None:
     noise = NoiseModel(np.array([0.01, 0.02]), 0.005)
     free = priors(n).stddev > 0
     found = _reduce_part(part, states, noise, 0.3, free)
-    at, surfaces = _linearize(part, states, 0.3)
+    at, surfaces = linearize_points(part, states, 0.3)
     _, group = np.unique(np.stack([at.surface, at.sensor, at.view], axis=1), axis=0, return_inverse=True)
     group = group.ravel()
     rows, G, M = np.arange(len(group)), group.max() + 1, len(surfaces.keys)
     surface = np.zeros(G, dtype=np.intp)
     surface[group] = at.surface
     sigma = noise.white[at.sensor]
-    weight = sigma**-2 * _robust_weights(at, group, G, sigma)
+    weight = sigma**-2 * _robust_weights(at, _group_points(at, 2), sigma)
     C, columns = part.trajectory.control.size, part.trajectory.control.shape[1]
     by_control = np.zeros((len(rows), C))
     by_control[rows[:, None], at.first[:, None] * columns + np.arange(4 * columns)] = at.by_control

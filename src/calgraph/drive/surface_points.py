@@ -1,0 +1,152 @@
+"""Points of a drive on flat patches of its surroundings: residuals with their derivatives."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calgraph.drive.states import DrivePart, SensorState
+from calgraph.geometry import Array, Index, measure_lengths, se_n
+from calgraph.surfaces.flat_cells import FlatCells, fit_flat_cells, sum_moments
+
+
+@dataclass(frozen=True)
+class CellLimits:
+    """What counts as a surface."""
+
+    cell: float
+    """Edge length, m."""
+    min_count: int
+    """Least number of points in a cell."""
+    min_extent: float
+    """Least standard deviation along each direction, m."""
+
+
+# Lines need fewer points than planes; a patch must extend far enough for slopes to be determined.
+CELL_LIMITS = {2: CellLimits(0.5, 8, 0.08), 3: CellLimits(1.0, 15, 0.12)}
+# Thickness (standard deviation) up to which a cell is flat at a gate, which then holds 99.7 % of its points.
+_THICKNESS_PER_GATE = 1 / 3
+# Time for which a sensor measures a cell from one place, s: a robot moves by the size of a cell. On 15 minutes of
+# real scans of an office, 0.5 to 4 s give median errors of 7.4 to 8.9 mm, 0.2 s 10.3, and one view in all 9.9.
+_VIEW_DURATION = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class SurfacePoints:
+    """Points on surfaces, linearized: residuals with their derivatives."""
+
+    sensor: Index
+    """(N,)."""
+    surface: Index
+    """(N,)."""
+    view: Index
+    """(N,) number of the interval of time in which a sensor measured the point."""
+    residual: Array
+    """(N,) m."""
+    patch: Array
+    """(N, n) 1, and the places on the surface in standard deviations: the derivatives by offset and slopes."""
+    first: Index
+    """(N,) first control point."""
+    by_control: Array
+    """(N, 4 (n + d))."""
+    by_sensor: Array
+    """(N, n + d + 3)."""
+
+
+def linearize_points(
+    part: DrivePart, states: Sequence[SensorState], gate: float
+) -> tuple[SurfacePoints, FlatCells]:
+    """The residuals of the points of a part that are on surfaces."""
+    at = [_evaluate(part, k, state) for k, state in enumerate(states)]
+    world = np.concatenate([one.world for one in at])
+    sensor = np.repeat(np.arange(len(at)), [len(one.world) for one in at])
+    time = np.concatenate([one.time for one in at])
+    view = np.floor((time - part.trajectory.start) / _VIEW_DURATION).astype(np.intp)
+    n = world.shape[1]
+    limits = CELL_LIMITS[n]
+    surfaces = fit_flat_cells(
+        sum_moments(world, limits.cell),
+        limits.cell,
+        max_thickness=gate * _THICKNESS_PER_GATE,
+        min_extent=limits.min_extent,
+        min_count=limits.min_count,
+    )
+    index = surfaces.find(world)
+    hit = np.flatnonzero(index >= 0)
+    offset = world[hit] - surfaces.center[index[hit]]
+    axes = surfaces.axes[index[hit]]
+    local = np.einsum("ni,nij->nj", offset, axes)
+    near = np.abs(local[:, 0]) < gate
+    hit, axes, local = hit[near], axes[near], local[near]
+    cells = index[hit]
+    patch = np.concatenate([np.ones((len(hit), 1)), local[:, 1:] / surfaces.extent[cells]], axis=1)
+    normals = axes[:, :, 0]
+    joined = {
+        name: np.concatenate([getattr(one, name) for one in at])[hit]
+        for name in ("first", "basis", "position_arm", "rotation_jacobian", "by_sensor")
+    }
+    turn = np.einsum(
+        "ni,nij,njk->nk", normals, se_n.rotation_jacobian(joined["position_arm"]), joined["rotation_jacobian"]
+    )
+    # Noise is of the ranges as measured: residuals of ranges that are taken as smaller do not get smaller.
+    scale = 1 + np.array([state.range_scale for state in states])[sensor[hit]]
+    residual = local[:, 0] * scale
+    by_pose = np.concatenate([normals, turn], axis=1) * scale[:, None]
+    by_control = (joined["basis"][:, :, None] * by_pose[:, None, :]).reshape(len(hit), -1)
+    by_sensor = np.einsum("ni,nij->nj", normals, joined["by_sensor"]) * scale[:, None]
+    by_sensor[:, -1] += local[:, 0]
+    return SurfacePoints(
+        sensor[hit], cells, view[hit], residual, patch, joined["first"], by_control, by_sensor
+    ), surfaces
+
+
+@dataclass(frozen=True, eq=False)
+class _Evaluated:
+    """Points of one sensor in the world, with derivatives."""
+
+    world: Array
+    """(N, n) m."""
+    time: Array
+    """(N,) by the root's clock, s."""
+    first: Index
+    """(N,) first control point."""
+    basis: Array
+    """(N, 4) weights of control points."""
+    position_arm: Array
+    """(N, n) from the origin of the root, along the world's axes, m."""
+    rotation_jacobian: Array
+    """(N, d, d) of :class:`SplinePoses`."""
+    by_sensor: Array
+    """(N, n, n + d + 3) of the place in the world."""
+
+
+def _evaluate(part: DrivePart, k: int, state: SensorState) -> _Evaluated:
+    """The points of sensor k during the trajectory."""
+    measured, trajectory = part.points[k], part.trajectory
+    times = measured.times - state.clock_offset
+    inside = (times >= trajectory.start) & (times <= trajectory.end)
+    p, times = measured.points[inside], times[inside]
+    ranges = measure_lengths(p) if p.shape[1] == 3 else np.hypot(*p.T)
+    direction = p / ranges[:, None]
+    p = direction * (ranges * (1 - state.range_scale) - state.range_bias)[:, None]
+    at = trajectory.at(times)
+    T = state.T_root_sensor
+    R_world, R_sensor = se_n.rotation(at.poses), se_n.rotation(T)
+    turned = p @ R_sensor.T
+    x_root = turned + se_n.translation(T)
+    arm = np.einsum("nij,nj->ni", R_world, x_root)
+    beam = np.einsum("nij,nj->ni", R_world, direction @ R_sensor.T)
+    spin = np.einsum("nij,nj->ni", se_n.rotation_jacobian(arm), at.turn_rate)
+    by_sensor = np.concatenate(
+        [
+            R_world,
+            R_world @ se_n.rotation_jacobian(turned),
+            -(at.velocity + spin)[:, :, None],
+            -beam[:, :, None],
+            -(ranges[:, None] * beam)[:, :, None],
+        ],
+        axis=2,
+    )
+    return _Evaluated(
+        arm + se_n.translation(at.poses), times, at.first, at.basis, arm, at.rotation_jacobian, by_sensor
+    )
