@@ -17,7 +17,8 @@ from calgraph.drive.adjustment import (
     _reduce_part,
     adjust_drive,
 )
-from calgraph.drive.states import DrivePart, SensorPoints, SensorState
+from calgraph.drive.measurements import DrivePart
+from calgraph.drive.states import SensorPoints, SensorState
 from calgraph.drive.surface_elimination import (
     NoiseModel,
     _group_points,
@@ -274,7 +275,7 @@ def test_eliminated_equations_are_those_of_all_unknowns(n: int) -> None:
     # The change of the control points is that of the whole step.
     step = 1e-3 * np.arange(1.0, P + 1)
     change = np.linalg.solve(H[:-P, :-P], -g[:-P] - H[:-P, -P:] @ step)[:C]
-    assert_allclose(found.back_substitute(step).ravel(), change, rtol=1e-5, atol=1e-8)
+    assert_allclose(found.back_substitute(step), change, rtol=1e-5, atol=1e-8)
 
 
 def test_errors_are_those_that_the_covariance_states(solutions: list[tuple[Scene, Adjustment]]) -> None:

@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
-from calgraph.drive.states import DrivePart, SensorState
+from calgraph.drive.measurements import DrivePart
+from calgraph.drive.states import SensorState
 from calgraph.drive.surface_elimination import NoiseModel, SurfaceEquations, eliminate_surfaces
 from calgraph.drive.surface_points import linearize_points
 from calgraph.geometry import Array, se_n
@@ -108,10 +109,7 @@ def adjust_drive(
         full = np.zeros(free.shape)
         full[free] = step
         states = [state.moved(one) for state, one in zip(states, full, strict=True)]
-        parts = [
-            replace(part, trajectory=part.trajectory.moved(one.back_substitute(step)))
-            for part, one in zip(parts, reduced, strict=True)
-        ]
+        parts = [_move_part(part, one.back_substitute(step)) for part, one in zip(parts, reduced, strict=True)]
         noise = _estimate_noise(reduced, noise)
         progress((k + 1) / len(_GATES))
     return Adjustment(
@@ -144,21 +142,32 @@ class _Reduced:
     """(P, P) of the free parameters of sensors."""
     gradient: Array
     """(P,)."""
-    control_factor: tuple[Array, bool]
-    """Cholesky factor of the control points' information."""
-    control_sensor: Array
-    """(C, P) information between both."""
-    control_gradient: Array
-    """(C,)."""
-    columns: int
-    """Numbers of a control point."""
+    factor: tuple[Array, bool]
+    """Cholesky factor of the information of the part's C' unknowns: control points, then those of measurements."""
+    with_sensors: Array
+    """(C', P) information between these and the parameters."""
+    part_gradient: Array
+    """(C',)."""
     surfaces: SurfaceEquations
     """With statistics of the noise."""
 
     def back_substitute(self, step: Array) -> Array:
-        """(K, n + d) the change of the control points that goes with a step of the sensors."""
-        change = -cho_solve(self.control_factor, self.control_gradient + self.control_sensor @ step)
-        return np.asarray(change.reshape(-1, self.columns))
+        """(C',) the change of the part's unknowns that goes with a step of the sensors."""
+        change = -cho_solve(self.factor, self.part_gradient + self.with_sensors @ step)
+        return np.asarray(change, dtype=np.float64)
+
+
+def _move_part(part: DrivePart, change: Array) -> DrivePart:
+    """The part with its unknowns changed."""
+    size = part.trajectory.control.size
+    edges = np.cumsum([size, *(one.unknown_count for one in part.measurements)])
+    return replace(
+        part,
+        trajectory=part.trajectory.moved(change[:size].reshape(part.trajectory.control.shape)),
+        measurements=[
+            one.moved(some) for one, some in zip(part.measurements, np.split(change, edges)[1:-1], strict=True)
+        ],
+    )
 
 
 def _reduce_part(
@@ -166,18 +175,52 @@ def _reduce_part(
 ) -> _Reduced:
     """The normal equations of the sensors' free parameters from a part, at the present states."""
     at, surfaces = linearize_points(part, states, gate)
-    size, width = part.trajectory.control.shape
-    on_surfaces = eliminate_surfaces(at, len(surfaces.keys), noise, free, size)
-    H, g, C = on_surfaces.information, on_surfaces.gradient, size * width
+    control = part.trajectory.control
+    on_surfaces = eliminate_surfaces(at, len(surfaces.keys), noise, free, len(control))
+    unknowns = sum(one.unknown_count for one in part.measurements)
+    H, g = _insert_unknowns(on_surfaces.information, on_surfaces.gradient, control.size, unknowns)
     _add_motion_prior(H, g, part.trajectory)
+    _add_measurements(H, g, part, states, free)
+    C = control.size + unknowns
     H_c, H_cp, H_p = H[:C, :C], H[:C, C:], H[C:, C:]
     factor = cho_factor(H_c, lower=True, check_finite=False)
     eliminated = cho_solve(factor, np.column_stack([H_cp, g[:C]]), check_finite=False)
     return _Reduced(
         H_p - H_cp.T @ eliminated[:, :-1],
         g[C:] - H_cp.T @ eliminated[:, -1],
-        factor, H_cp, g[:C], width, on_surfaces,
+        factor, H_cp, g[:C], on_surfaces,
     )  # fmt: skip
+
+
+def _insert_unknowns(H: Array, g: Array, at: int, count: int) -> tuple[Array, Array]:
+    """The normal equations with rows and columns of 0 for unknowns that start at a place."""
+    if not count:
+        return H, g
+    place = np.r_[0:at, at + count : len(g) + count]
+    larger, gradient = np.zeros((len(g) + count,) * 2), np.zeros(len(g) + count)
+    larger[np.ix_(place, place)], gradient[place] = H, g
+    return larger, gradient
+
+
+def _add_measurements(
+    H: Array, g: Array, part: DrivePart, states: Sequence[SensorState], free: NDArray[np.bool_]
+) -> None:
+    """Adds measurements of the trajectory, whose unknowns follow the control points."""
+    number = np.full(free.shape, -1)
+    number[free] = len(g) - free.sum() + np.arange(free.sum())
+    first = part.trajectory.control.size
+    for one in part.measurements:
+        rows = one.linearize(part.trajectory, states[one.sensor])
+        used = number[one.sensor] >= 0
+        # Only some control points matter to the measurements of a part.
+        touched = np.unique(rows.by_control.indices)
+        J = np.column_stack([rows.by_control[:, touched].toarray(), rows.by_unknown, rows.by_sensor[:, used]])
+        columns = np.concatenate([
+            touched, first + np.arange(one.unknown_count), number[one.sensor][used]
+        ])  # fmt: skip
+        H[np.ix_(columns, columns)] += J.T @ J
+        g[columns] += J.T @ rows.residual
+        first += one.unknown_count
 
 
 def _add_motion_prior(H: Array, g: Array, trajectory: SplineTrajectory) -> None:

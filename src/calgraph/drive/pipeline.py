@@ -8,10 +8,11 @@ import numpy as np
 from calgraph.config import Rig
 from calgraph.drive.adjustment import Adjustment, AdjustmentPriors, adjust_drive
 from calgraph.drive.assemble import DriveResult, assemble_drive
+from calgraph.drive.measurements import DrivePart
 from calgraph.drive.odometry import track_sensor
 from calgraph.drive.options import DriveOptions
 from calgraph.drive.start import MotionStart, explain_failure, solve_start
-from calgraph.drive.states import DrivePart, SensorPoints, SensorState
+from calgraph.drive.states import SensorPoints, SensorState
 from calgraph.drive.sweeps import Sweep, read_sweep, thin_sweep
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se_n

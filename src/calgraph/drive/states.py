@@ -1,10 +1,8 @@
-"""What the joint solution of a drive starts from and solves for: parts of the drive, and states of its sensors."""
+"""What the joint solution of a drive estimates of a sensor, and the points that it measures."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 from calgraph.geometry import Array, se_n
-from calgraph.surfaces.trajectory import SplineTrajectory
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,13 +37,3 @@ class SensorPoints:
     """(N, n) in its frame, m."""
     times: Array
     """(N,) by its clock, s."""
-
-
-@dataclass(frozen=True, eq=False)
-class DrivePart:
-    """A part of the drive with a separate world."""
-
-    points: Sequence[SensorPoints]
-    """By sensor; the first is the root."""
-    trajectory: SplineTrajectory
-    """Of the root, by its clock."""

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calgraph.drive.states import DrivePart, SensorState
+from calgraph.drive.measurements import DrivePart
+from calgraph.drive.states import SensorState
 from calgraph.geometry import Array, Index, measure_lengths, se_n
 from calgraph.surfaces.flat_cells import FlatCells, fit_flat_cells, sum_moments
 

@@ -1,0 +1,59 @@
+"""Parts of a drive with what sensors measure there: points on surfaces, and the trajectory itself."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from scipy.sparse import csr_array
+
+from calgraph.drive.states import SensorPoints, SensorState
+from calgraph.geometry import Array
+from calgraph.surfaces.trajectory import SplineTrajectory
+
+
+@dataclass(frozen=True, eq=False)
+class LinearRows:
+    """M residuals in their standard deviations, with robust weights and derivatives."""
+
+    residual: Array
+    """(M,)."""
+    by_control: csr_array
+    """(M, C) by the control points of the trajectory, row by row."""
+    by_sensor: Array
+    """(M, n + d + 3) by the state of the sensor."""
+    by_unknown: Array
+    """(M, E) by the unknowns of the measurements themselves."""
+
+
+class Measurements(Protocol):
+    """Measurements of one sensor during a part of the drive; immutable."""
+
+    @property
+    def sensor(self) -> int:
+        """Number of the sensor."""
+        ...
+
+    @property
+    def unknown_count(self) -> int:
+        """Number E of unknowns that only these measurements depend on, such as the pose of a board."""
+        ...
+
+    def linearize(self, trajectory: SplineTrajectory, state: SensorState) -> LinearRows:
+        """The residuals at a trajectory and a state of the sensor."""
+        ...
+
+    def moved(self, step: Array) -> "Measurements":
+        """The measurements with their unknowns after a step (E,)."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class DrivePart:
+    """A part of the drive with a separate world."""
+
+    points: Sequence[SensorPoints]
+    """By sensor; the first is the root."""
+    trajectory: SplineTrajectory
+    """Of the root, by its clock."""
+    measurements: Sequence[Measurements] = ()
+    """Of the trajectory, besides points."""
