@@ -7,6 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
+from calgraph.drive.segments import Segments
 from calgraph.drive.start import (
     MOTION_DURATION,
     _errors,
@@ -40,6 +41,10 @@ def mounted(n: int) -> Array:
     return se_n.pose(se_n.exp(np.array([0.5, -1.0, 2.0])), np.array([0.4, -0.3, 0.7]))
 
 
+def whole(track: Track) -> Segments:
+    return Segments((track,))
+
+
 def tracks(n: int, offset: float = 0.0, duration: float = 60.0, rate: float = 20.0) -> tuple[Track, Track]:
     """The root's and the sensor's trajectories, each from its first pose, by clocks that differ by an offset."""
     times: Array = np.arange(round(duration * rate)) / rate
@@ -61,7 +66,7 @@ def test_the_clock_offset_is_found_within_two_milliseconds(n: int, offset: float
     times = np.arange(0, 60, 0.1)
     root = Track(times, path(times, n))
     sensor = Track(times + 0.04 + offset, path(times + 0.04, n) @ mounted(n))
-    found, correlation = find_clock_offset(root, sensor, 0.5)
+    found, correlation = find_clock_offset(whole(root), whole(sensor), 0.5)
     assert found == pytest.approx(offset, abs=0.002)
     assert correlation > 0.999
 
@@ -72,7 +77,7 @@ def test_the_clock_offset_is_found_between_sensors_of_different_rates(n: int) ->
     coarse, fine = np.arange(600) / 10, np.arange(1200) / 20
     root = Track(coarse, path(coarse, n))
     sensor = Track(fine + OFFSET, path(fine, n) @ mounted(n))
-    assert find_clock_offset(root, sensor, 0.5)[0] == pytest.approx(OFFSET, abs=0.002)
+    assert find_clock_offset(whole(root), whole(sensor), 0.5)[0] == pytest.approx(OFFSET, abs=0.002)
 
 
 def test_the_clock_offset_is_found_with_noise_of_turn_rates() -> None:
@@ -84,7 +89,7 @@ def test_the_clock_offset_is_found_with_noise_of_turn_rates() -> None:
             Track(one.times, one.poses @ se_n.pose(se_n.exp(rng.normal(0, 0.00175, (600, 1))), np.zeros(2)))
             for one in tracks(2, OFFSET, rate=10.0)
         )
-        found.append(find_clock_offset(root, sensor, 0.5)[0])
+        found.append(find_clock_offset(whole(root), whole(sensor), 0.5)[0])
     assert np.std(found) < 0.01
     assert np.mean(found) == pytest.approx(OFFSET, abs=0.003)
 
@@ -92,16 +97,17 @@ def test_the_clock_offset_is_found_with_noise_of_turn_rates() -> None:
 def test_the_sign_of_turns_decides_in_the_plane() -> None:
     """A sensor whose scan plane is upside down turns the other way: no offset makes its turn rates agree."""
     root, sensor = tracks(2)
-    _, right = find_clock_offset(root, sensor, 0.5)
+    _, right = find_clock_offset(whole(root), whole(sensor), 0.5)
     mirrored = Track(sensor.times, se_n.pose(se_n.transpose(se_n.rotation(sensor.poses)), np.zeros((1200, 2))))
-    _, wrong = find_clock_offset(root, mirrored, 0.5)
+    _, wrong = find_clock_offset(whole(root), whole(mirrored), 0.5)
     assert right > 0.999
     assert wrong < 0
 
 
 @DIMENSIONS
 def test_exact_tracks_of_one_clock_give_the_pose(n: int) -> None:
-    start = solve_start(*tracks(n), 0.0, np.random.default_rng(0))
+    root, sensor = tracks(n)
+    start = solve_start(whole(root), whole(sensor), 0.0, np.random.default_rng(0))
     assert_allclose(se_n.difference(start.T_root_sensor, mounted(n)), 0, atol=1e-6)
     assert start.inliers == 1
     assert start.clock_offset == 0
@@ -111,7 +117,8 @@ def test_exact_tracks_of_one_clock_give_the_pose(n: int) -> None:
 @DIMENSIONS
 def test_tracks_of_different_clocks_give_pose_and_offset(n: int) -> None:
     """Interpolated between poses of 20 Hz."""
-    start = solve_start(*tracks(n, OFFSET), 0.5, np.random.default_rng(0))
+    root, sensor = tracks(n, OFFSET)
+    start = solve_start(whole(root), whole(sensor), 0.5, np.random.default_rng(0))
     assert start.clock_offset == pytest.approx(OFFSET, abs=0.002)
     assert_allclose(se_n.difference(start.T_root_sensor, mounted(n)), 0, atol=5e-3)
 
@@ -151,7 +158,7 @@ def test_inliers_are_the_share_of_motions_that_agree(n: int) -> None:
     poses = sensor.poses.copy()
     for time in np.arange(5, 60, 10):
         poses[sensor.times >= time, 0, n] += 1.0
-    start = solve_start(root, replace(sensor, poses=poses), 0.5, np.random.default_rng(0))
+    start = solve_start(whole(root), whole(replace(sensor, poses=poses)), 0.5, np.random.default_rng(0))
     assert start.inliers == pytest.approx(1 - 18 / 117, abs=0.01)
     assert_allclose(se_n.difference(start.T_root_sensor, mounted(n)), 0, atol=2e-3)
 

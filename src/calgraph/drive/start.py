@@ -8,13 +8,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calgraph.drive.segments import Segments
 from calgraph.geometry import STDDEV_PER_MAD, Array, se_n
-from calgraph.surfaces.trajectory import Track
 
 # Rate at which turn rates are compared, Hz: above that of sweeps; a parabola refines steps of 20 ms.
 _RATE = 50.0
-# Turn rates above this are failures of odometry, rad/s.
-_MAX_TURN_RATE = 3.0
+# Share of the common time in which the turn rates of both are known, for a correlation to count.
+_MIN_KNOWN = 0.1
 # Relative motions are over this time, s: long against the noise of a sweep, short against the drift of odometry.
 MOTION_DURATION = 1.5
 # And start this far apart, s: half of the duration, so that errors of neighbours are hardly independent.
@@ -53,7 +53,7 @@ class MotionStart:
     """(d,) RMS turn of the sensor during a motion, about the principal axes of turning, rad, descending."""
 
 
-def find_clock_offset(root: Track, sensor: Track, max_offset: float) -> tuple[float, float]:
+def find_clock_offset(root: Segments, sensor: Segments, max_offset: float) -> tuple[float, float]:
     """The offset of the sensor's clock, s, at which turn rates agree best, and their correlation there.
 
     Args:
@@ -61,13 +61,17 @@ def find_clock_offset(root: Track, sensor: Track, max_offset: float) -> tuple[fl
         sensor: of the sensor.
         max_offset: to search within, s.
     """
-    start = max(root.times[0], sensor.times[0] - max_offset)
-    end = min(root.times[-1], sensor.times[-1] + max_offset)
+    start = max(root.start, sensor.start - max_offset)
+    end = min(root.end, sensor.end + max_offset)
     times = np.arange(start, end, 1 / _RATE)
-    own = _turn_rates(root, times)
+    own, own_known = root.turn_rates(times)
     lags = np.arange(-max_offset, max_offset + 0.5 / _RATE, 1 / _RATE)
-    padded = _turn_rates(sensor, np.arange(start - max_offset, end + max_offset + 1 / _RATE, 1 / _RATE))
-    scores = np.array([_correlate(own, padded[k : k + len(own)]) for k in range(len(lags))])
+    padded, known = sensor.turn_rates(np.arange(start - max_offset, end + max_offset + 1 / _RATE, 1 / _RATE))
+    scores = np.zeros(len(lags))
+    for k in range(len(lags)):
+        both = own_known & known[k : k + len(own)]
+        if both.sum() > _MIN_KNOWN * len(own):
+            scores[k] = _correlate(own[both], padded[k : k + len(own)][both])
     best = int(np.argmax(scores))
     shift = 0.0
     if 0 < best < len(lags) - 1:
@@ -76,22 +80,13 @@ def find_clock_offset(root: Track, sensor: Track, max_offset: float) -> tuple[fl
     return float(lags[best] + shift / _RATE), float(scores[best])
 
 
-def _turn_rates(track: Track, times: Array) -> Array:
-    """(M,) rad/s: signed in the plane, of any axis in space, where each sensor has other axes."""
-    moved = se_n.log(se_n.rotation(se_n.inverse(track.poses[:-1]) @ track.poses[1:]))
-    rates = moved / np.maximum(np.diff(track.times), 1e-3)[:, None]
-    size = rates[:, 0] if rates.shape[1] == 1 else np.linalg.norm(rates, axis=1)
-    middle = (track.times[:-1] + track.times[1:]) / 2
-    return np.asarray(np.interp(times, middle, np.clip(size, -_MAX_TURN_RATE, _MAX_TURN_RATE)))
-
-
 def _correlate(a: Array, b: Array) -> float:
     """Pearson's coefficient of two signals (M,)."""
     a, b = a - a.mean(), b - b.mean()
     return float(a @ b) / max(float(np.sqrt((a @ a) * (b @ b))), 1e-12)
 
 
-def solve_start(root: Track, sensor: Track, max_offset: float, rng: np.random.Generator) -> MotionStart:
+def solve_start(root: Segments, sensor: Segments, max_offset: float, rng: np.random.Generator) -> MotionStart:
     """The pose and the clock of a sensor from two trajectories.
 
     Args:
@@ -101,11 +96,13 @@ def solve_start(root: Track, sensor: Track, max_offset: float, rng: np.random.Ge
         rng: for random samples.
     """
     offset, correlation = find_clock_offset(root, sensor, max_offset)
-    first = max(root.times[0], sensor.times[0] - offset)
-    last = min(root.times[-1], sensor.times[-1] - offset) - MOTION_DURATION
+    first = max(root.start, sensor.start - offset)
+    last = min(root.end, sensor.end - offset) - MOTION_DURATION
     starts = np.arange(first, last, _MOTION_STEP)
-    A = root.relative(starts, MOTION_DURATION)
-    B = sensor.relative(starts + offset, MOTION_DURATION)
+    A, root_known = root.relative(starts, MOTION_DURATION)
+    B, sensor_known = sensor.relative(starts + offset, MOTION_DURATION)
+    both = root_known & sensor_known
+    A, B = A[both], B[both]
     T = _sample_poses(A, B, rng)
     T, information, weights = _refine(T, A, B)
     vectors = se_n.log(se_n.rotation(B))

@@ -1,0 +1,11 @@
+"""How each kind of sensor is used in a drive: one module for each kind of source, and the table of them."""
+
+from collections.abc import Mapping
+
+from calgraph.drive.sources.lidar import LIDAR_SOURCE
+from calgraph.drive.sources.source import Reader, Source, SourceKind
+
+SOURCES: Mapping[str, SourceKind] = {"lidar2d": LIDAR_SOURCE, "lidar3d": LIDAR_SOURCE}
+"""By kind of sensor, as rig.yaml states it."""
+
+__all__ = ["SOURCES", "Reader", "Source", "SourceKind"]

@@ -1,0 +1,87 @@
+"""What a drive needs of a sensor of any kind: a trajectory for the start, and measurements to adjust."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from calgraph.config import Rig
+from calgraph.drive.measurements import Measurements
+from calgraph.drive.segments import Segments
+from calgraph.drive.states import SensorPoints, SensorState
+from calgraph.errors import Rejected
+from calgraph.geometry import Array
+from calgraph.recording import Recording
+from calgraph.sensors import Message
+from calgraph.sensors.kinds import SensorSpec
+from calgraph.surfaces.trajectory import SplineTrajectory
+
+# Of poses before the adjustment: no prior, but a number that is far above what any robot measures, m and rad.
+POSE_STDDEV = 10.0
+# Of a clock offset, s: turn rates determine it to a sweep's period.
+CLOCK_STDDEV = 0.1
+
+
+class Source(Protocol):
+    """What one sensor measured during a drive; immutable, and pickled to be tracked in another process."""
+
+    @property
+    def gap(self) -> float:
+        """Time between measurements in which nothing is measured, s; 0 of those that need no denser knots."""
+        ...
+
+    def track(self, rng: np.random.Generator) -> Segments | Rejected:
+        """The trajectory of the sensor by its own clock, or why it has none."""
+        ...
+
+    def thin(self, rng: np.random.Generator) -> "Source":
+        """The source with as much of its data as is adjusted."""
+        ...
+
+    def points(self, start: float, end: float) -> SensorPoints:
+        """Points on surfaces within an interval of its clock, s, with those that clocks may shift into it."""
+        ...
+
+    def measurements(self, k: int, trajectory: SplineTrajectory, state: SensorState, /) -> Sequence[Measurements]:
+        """What it measured of the trajectory itself.
+
+        Args:
+            k: its number.
+            trajectory: of the root during a part of the drive, at its start value.
+            state: of the sensor, at its start value.
+        """
+        ...
+
+
+class Reader(Protocol):
+    """Collects what is kept of the messages of one sensor, as they are read."""
+
+    def add(self, message: Message) -> None:
+        """Takes a message, in order of arrival; those of other types are ignored."""
+        ...
+
+    def finish(self) -> Source:
+        """What the sensor measured."""
+        ...
+
+
+@dataclass(frozen=True)
+class SourceKind:
+    """How a kind of sensor is used in a drive."""
+
+    make_reader: Callable[[Rig, str, Recording, int, np.random.Generator], Reader]
+    """Of the rig, the sensor's name, the recording, the dimension of the drive (2 or 3), and for random draws."""
+    stddev: Callable[[SensorSpec, int], Array]
+    """(n + d + 3,) standard deviations before the adjustment, by what rig.yaml states and the dimension: pose,
+    clock, range bias and scale; 0 of what it has not, or what nothing measures."""
+
+
+def without_ranges(spec: SensorSpec, n: int) -> Array:  # noqa: ARG001
+    """(n + d + 3,) of sensors that measure no ranges."""
+    return np.array([*[POSE_STDDEV] * (n + n * (n - 1) // 2), CLOCK_STDDEV, 0.0, 0.0])
+
+
+def no_points(n: int) -> SensorPoints:
+    """Of sensors that measure none; n = 2 or 3."""
+    return SensorPoints(np.zeros((0, n)), np.zeros(0))
