@@ -7,10 +7,11 @@ import numpy as np
 
 from calgraph.config import Rig
 from calgraph.drive.adjustment import Adjustment
+from calgraph.drive.evidence import collect_pictures
 from calgraph.drive.start import MotionStart
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2
-from calgraph.result import Calibration, Edge, Evidence, FitError, SensorPose, Verdict
+from calgraph.result import Calibration, Edge, Evidence, FitError, Pictures, SensorPose, Verdict
 from calgraph.result.finding import Finding
 from calgraph.result.sensor_pose import UNMEASURED_IN_PLANE
 from calgraph.verdict.grades import LONE_ROOT, collect_findings, grade_pose
@@ -94,6 +95,7 @@ def assemble_drive(rig: Rig, result: DriveResult) -> Calibration:
             if adjusted
             else {},
         ),
+        pictures=collect_pictures(used, result.starts, adjusted) if adjusted else Pictures(),
     )
 
 

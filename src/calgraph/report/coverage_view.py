@@ -32,7 +32,7 @@ _TAIL_PERCENT = 0.5
 
 @dataclass(frozen=True, eq=False)
 class Coverage:
-    """Number of captures or walks with the target in each cell of a field of view."""
+    """Number of captures, walks or seconds with the target in each cell of a field of view."""
 
     x_edges: Array
     """(C + 1,) px, or degrees of azimuth, from the left to the right as viewed by the sensor."""
@@ -58,14 +58,17 @@ def compute_coverage(calibration: Calibration, rig: Rig, sensor: SensorPose) -> 
         walks = _walk_positions(calibration, sensor)
         field = _background_points(calibration, sensor)
         return _planar_coverage(walks, [*field, *walks], "People walked") if walks else None
-    views, field = _board_detections(calibration, sensor), _scanned_points(calibration, sensor)
+    subject, views = "The board was", _board_detections(calibration, sensor)
+    field = _scanned_points(calibration, sensor)
+    if calibration.pictures.drive_paths:
+        subject, (views, field) = "Common surfaces were", _surface_points(calibration, sensor)
     if not views:
         return None
     if KINDS[sensor.kind].optical:
         views, field = ([points @ _OPTICAL_TO_LEVEL.T for points in of] for of in (views, field))
     if KINDS[sensor.kind].detects == "line":
-        return _planar_coverage(views, [*field, *views], "The board was")
-    return _lidar_coverage(views, [*field, *views])
+        return _planar_coverage(views, [*field, *views], subject)
+    return _lidar_coverage(views, [*field, *views], subject)
 
 
 def _board_detections(calibration: Calibration, sensor: SensorPose) -> list[Array]:
@@ -90,6 +93,19 @@ def _walk_positions(calibration: Calibration, sensor: SensorPose) -> list[Array]
 def _background_points(calibration: Calibration, sensor: SensorPose) -> list[Array]:
     views = [view for view in calibration.pictures.floor_views if view.sensor == sensor.name]
     return _finite_points(_to_sensor_frame(view.background, sensor) for view in views)
+
+
+def _surface_points(calibration: Calibration, sensor: SensorPose) -> tuple[list[Array], list[Array]]:
+    """Points of a drive on surfaces that another sensor measured, by second, and all on surfaces."""
+    seconds: list[Array] = []
+    field = []
+    for view in calibration.pictures.drive_views:
+        if view.sensor == sensor.name:
+            points = view.points.astype(np.float64)
+            field.append(points)
+            second = np.floor(view.times[view.shared])
+            seconds += [points[view.shared][second == one] for one in np.unique(second)]
+    return _finite_points(seconds), _finite_points(field)
 
 
 def _finite_points(clouds: Iterable[Array]) -> list[Array]:
@@ -139,14 +155,14 @@ def _describe_board_poses(calibration: Calibration, sensor: SensorPose) -> tuple
     )
 
 
-def _lidar_coverage(views: Sequence[Array], field: Sequence[Array]) -> Coverage:
+def _lidar_coverage(views: Sequence[Array], field: Sequence[Array], subject: str) -> Coverage:
     low, high = np.percentile(_elevations(np.concatenate(field)), [_TAIL_PERCENT, 100 - _TAIL_PERCENT])
     margin = max(0.02 * (high - low), 0.5)
     heights = [_elevations(view) for view in views]
     covered = _format_interval(np.concatenate(heights), 0)
     remark = f"Covered elevations: {covered}° of {_format_interval(np.array([low, high]), 0)}°."
     edges = np.linspace(high + margin, low - margin, _ROW_COUNT + 1)
-    return _scanner_coverage(views, field, "The board was", heights, edges, "elevation, °", remark)
+    return _scanner_coverage(views, field, subject, heights, edges, "elevation, °", remark)
 
 
 def _planar_coverage(views: Sequence[Array], field: Sequence[Array], subject: str) -> Coverage:

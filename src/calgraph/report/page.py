@@ -15,6 +15,7 @@ from calgraph.parallel.processes import forked_jobs
 from calgraph.report.budget_view import render_budget
 from calgraph.report.capture_view import render_captures
 from calgraph.report.coverage_view import render_coverage
+from calgraph.report.drive_view import render_drive
 from calgraph.report.floor_view import render_floor_plan
 from calgraph.report.fused_view import render_fused_cloud
 from calgraph.report.gallery import render_gallery
@@ -72,7 +73,7 @@ def _render_page(
         tolerance=rig.tolerance,
         confidence=rig.settings.diagnostics.verdict.tolerance_confidence,
         others=len(rig.sensors) - 1,
-        count=len({row.capture for row in calibration.evidence.captures}),
+        count=_count_items(calibration),
         headline=summarize_verdicts(calibration),
         next_step=describe_next_step(calibration),
         cards=render_cards(calibration, words),
@@ -81,6 +82,7 @@ def _render_page(
         graph=render_graph(calibration, words),
         view=render_floor_plan(calibration) if words is NETWORK_VOCABULARY else render_rig_view(calibration, rig),
         images=render_camera_images(calibration, rig),
+        drive=render_drive(calibration),
         errors=render_residual_pictures(calibration, rig, words),
         residuals=render_residuals(calibration, words),
         systematic=render_systematic_parameters(calibration),
@@ -91,6 +93,13 @@ def _render_page(
         gallery=gallery(),
         cloud=cloud(),
     )
+
+
+def _count_items(calibration: Calibration) -> int:
+    """Captures of a rig, tracks of a network, or seconds of a drive that were adjusted."""
+    if calibration.pictures.drive_paths:
+        return round(sum(float(np.ptp(path.times)) for path in calibration.pictures.drive_paths))
+    return len({row.capture for row in calibration.evidence.captures})
 
 
 def _render_poses(calibration: Calibration) -> Markup:

@@ -9,6 +9,7 @@ from markupsafe import Markup
 
 from calgraph.config import Rig
 from calgraph.geometry import Array
+from calgraph.report.drive_view import find_incidence
 from calgraph.report.figures import (
     BLUE,
     GREEN,
@@ -156,6 +157,8 @@ class _Residuals:
     """Rows that are drawn one by one."""
     unused: Array
     """(M, 2) corners of a camera that the joint solution did not use, px; of a scanner none."""
+    incidence: Array
+    """(N,) angles of beams to the normals of surfaces, degrees; (0,) where there are no surfaces."""
 
 
 def render_residual_pictures(calibration: Calibration, rig: Rig, words: Vocabulary) -> Markup:
@@ -182,8 +185,12 @@ def _collect(calibration: Calibration, sensor: SensorPose, limit: int) -> _Resid
         for view in calibration.pictures.beam_views
         if view.sensor == sensor.name
     ]
+    driven = [view for view in calibration.pictures.drive_views if view.sensor == sensor.name]
+    parts += [(view.times, view.points.astype(np.float64), view.residuals) for view in driven]
     if not parts:
         return None
+    paths = calibration.pictures.drive_paths
+    angles = [find_incidence(view, paths[view.part], sensor.T_root_sensor) for view in driven]
     time, points, error = (np.concatenate(columns) for columns in zip(*parts, strict=True))
     error = error if error.ndim == 2 else 1e3 * error[:, None]
     finite = np.isfinite(error).all(axis=1) & np.isfinite(points).all(axis=1)
@@ -196,7 +203,11 @@ def _collect(calibration: Calibration, sensor: SensorPose, limit: int) -> _Resid
         return None
     corners = np.concatenate([np.zeros((0, 2)), *unused])
     shown = _thin(int(finite.sum()), limit)
-    return _Residuals(time[finite], points[finite], error[finite], shown, corners[_thin(len(corners), limit)])
+    incidence = np.concatenate([np.zeros(0), *angles])
+    return _Residuals(
+        time[finite], points[finite], error[finite], shown, corners[_thin(len(corners), limit)],
+        incidence[finite] if len(incidence) else incidence,
+    )  # fmt: skip
 
 
 def _draw_sensor(
@@ -223,6 +234,10 @@ def _draw_sensor(
             (f"Over {'azimuth' if planar else 'elevation'}",
              _over(angle, of.error[:, 0], of.shown, "azimuth, °" if planar else "elevation, °", "mm")),
         ]  # fmt: skip
+    if len(of.incidence):
+        figures.append(
+            ("Over incidence", _over(of.incidence, of.error[:, 0], of.shown, "angle to the normal, °", "mm"))
+        )
     figures.append(("Over time", _over_time(of)))
     return facts, [
         (caption, render_figure(f"{name}-{i}", figure, _HEIGHT, f"{sensor}: {caption}"))

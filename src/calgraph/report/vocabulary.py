@@ -132,8 +132,8 @@ double-click to reset, click in the legend to hide a scanner.""",
 
 
 DRIVE_VOCABULARY = Vocabulary(
-    item="drive",
-    items_title="Drives",
+    item="second",
+    items_title="Drive",
     no_items="Sensors are calibrated from the whole drive: there are no captures.",
     items_caption=("", ""),
     shared_evidence="motion",
@@ -143,10 +143,17 @@ DRIVE_VOCABULARY = Vocabulary(
 An edge joins the root with a sensor whose motion was compared with its own. Labels: relative motions of 1.5 s that
 agree / all of them. Dashed: no relative pose was estimated.""",
     fit=dict.fromkeys(("lidar2d", "lidar3d"), "distance from the surface"),
-    errors_caption="Distances of points from the surfaces of the joint adjustment.",
+    errors_caption="""\
+Distances of points from the flat patches of their surfaces, positive beyond them. They should scatter about zero
+without a pattern: a slope over range indicates a range scale, a dependence on elevation single rings, one on the
+angle of incidence the scanner's way to measure slanted surfaces, and a step or drift over time a clock or a sensor
+that moved. Surfaces are not flat to a millimetre, and each sensor meets other parts of them: the joint solution
+takes these differences for errors of their own, so that single residuals of 5 to 20 mm are normal.""",
     residuals_caption="",
     distances_caption="",
-    coverage_caption="",
+    coverage_caption="""\
+Coverage of each field of view by surfaces that another sensor measured, too; darker cells have more seconds with
+such surfaces. Surfaces that one sensor alone measured determine the trajectory, but not where the sensor is.""",
     view_title="3-D view",
     view_caption=BOARD_VOCABULARY.view_caption,
     advice={

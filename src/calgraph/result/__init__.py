@@ -29,6 +29,9 @@ from calgraph.result.pictures import (
     BeamView,
     BoardOutline,
     BoardView,
+    DrivePath,
+    DriveStart,
+    DriveView,
     FloorView,
     Pictures,
     Snapshot,
@@ -40,11 +43,12 @@ from calgraph.result.sensor_pose import SensorPose, StatedPose, Verdict
 from calgraph.result.table import to_dataframe
 
 __all__ = [
-    "FORMATS", "BeamView", "BoardOutline", "BoardView", "Calibration", "CaptureRow", "Correction", "Edge",
-    "ErrorBudget", "ErrorSource", "EstimatedParameter", "Evidence", "ExtrinsicsFile", "FitError", "FloorView",
-    "HeldOutError", "InputFile", "ModelledBodies", "Pictures", "PriorErrors", "Provenance", "Remedy", "SensorPose",
-    "Snapshot", "StatedPose", "Suggestion", "Verdict", "apply_estimates", "calibrated_cameras",
-    "colorize_from_snapshots", "export", "join_covariances", "load_calibration", "load_pair_budget", "load_scene",
-    "read_extrinsics", "save_budget", "save_calibration", "save_captures", "save_residuals", "save_scene",
-    "state_calibrated_intrinsics", "state_intrinsics", "to_dataframe", "to_json",
+    "FORMATS", "BeamView", "BoardOutline", "BoardView", "Calibration", "CaptureRow", "Correction", "DrivePath",
+    "DriveStart", "DriveView", "Edge", "ErrorBudget", "ErrorSource", "EstimatedParameter", "Evidence",
+    "ExtrinsicsFile", "FitError", "FloorView", "HeldOutError", "InputFile", "ModelledBodies", "Pictures",
+    "PriorErrors", "Provenance", "Remedy", "SensorPose", "Snapshot", "StatedPose", "Suggestion", "Verdict",
+    "apply_estimates", "calibrated_cameras", "colorize_from_snapshots", "export", "join_covariances",
+    "load_calibration", "load_pair_budget", "load_scene", "read_extrinsics", "save_budget", "save_calibration",
+    "save_captures", "save_residuals", "save_scene", "state_calibrated_intrinsics", "state_intrinsics",
+    "to_dataframe", "to_json",
 ]  # fmt: skip

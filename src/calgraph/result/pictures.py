@@ -110,6 +110,46 @@ class FloorView:
 
 
 @dataclass(frozen=True, eq=False)
+class DriveView:
+    """Points of one sensor on surfaces in one part of a drive, thinned, with their residuals."""
+
+    sensor: str
+    part: int
+    """Index of its path."""
+    times: Array
+    """(N,) by the root's clock, s from the start of the first path."""
+    points: NDArray[np.float32]
+    """(N, 3) in the sensor's frame, without the errors of its ranges, m."""
+    normals: NDArray[np.float32]
+    """(N, 3) of the surfaces, away from the sensor, in the world of the part."""
+    residuals: Array
+    """(N,) distances from the surface, m, positive beyond it."""
+    shared: NDArray[np.bool_]
+    """(N,) whether another sensor measured the surface, too."""
+
+
+@dataclass(frozen=True, eq=False)
+class DrivePath:
+    """The trajectory of the root in one part of a drive."""
+
+    times: Array
+    """(K,) by the root's clock, s from the start of the first path."""
+    T_world_root: Array
+    """(K, 4, 4); z of the world is about upwards, x along most of the walls."""
+
+
+@dataclass(frozen=True, eq=False)
+class DriveStart:
+    """What the joint solution of a drive started from."""
+
+    sensor: str
+    T_root_sensor: Array
+    """(4, 4)."""
+    clock_offset: float
+    """The sensor's clock minus the root's, s."""
+
+
+@dataclass(frozen=True, eq=False)
 class Pictures:
     """What pictures of a calibration show, kept in scene.npz; empty in a result read back without it."""
 
@@ -121,6 +161,12 @@ class Pictures:
     """Static background and tracks of each connected scanner of a network."""
     beam_views: tuple[BeamView, ...] = ()
     """Beams of each scanner that took part in the joint solution of a network."""
+    drive_views: tuple[DriveView, ...] = ()
+    """Points of each sensor that took part in the joint solution of a drive, by part."""
+    drive_paths: tuple[DrivePath, ...] = ()
+    """By part of a drive."""
+    drive_starts: tuple[DriveStart, ...] = ()
+    """Of the sensors but the root."""
 
 
 def correct_pictures(pictures: Pictures, corrections: Mapping[str, Correction]) -> Pictures:

@@ -9,7 +9,7 @@ import numpy as np
 from calgraph.io.atomic import write_atomically
 from calgraph.io.text_writing import escape_formula
 from calgraph.result.calibration import Calibration
-from calgraph.result.pictures import BeamView, BoardView
+from calgraph.result.pictures import BeamView, BoardView, DriveView
 
 _COLUMNS = ("sensor", "capture", "time", "unit", "x", "y", "z", "residual", "residual_x", "residual_y")
 
@@ -29,6 +29,8 @@ def save_residuals(calibration: Calibration, path: Path) -> None:
             writer.writerows(_board_rows(view, times.get(view.capture, np.nan)))
         for beams in pictures.beam_views:
             writer.writerows(_beam_rows(beams))
+        for driven in pictures.drive_views:
+            writer.writerows(_drive_rows(driven))
 
 
 def capture_times(calibration: Calibration) -> dict[int, float]:
@@ -65,6 +67,12 @@ def _beam_rows(view: BeamView) -> Iterator[tuple[object, ...]]:
             "",
             "",
         )
+
+
+def _drive_rows(view: DriveView) -> Iterator[tuple[object, ...]]:
+    head, rows = escape_formula(view.sensor), zip(view.times, view.points.tolist(), view.residuals, strict=True)
+    for time, (x, y, z), residual in rows:
+        yield head, "", _format_time(time), "m", f"{x:.4f}", f"{y:.4f}", f"{z:.4f}", f"{residual:.6f}", "", ""
 
 
 def _format_time(time: float) -> str:

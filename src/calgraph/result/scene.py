@@ -12,7 +12,17 @@ from calgraph.errors import InputError
 from calgraph.geometry import Array
 from calgraph.io.archive import read_archive, write_archive
 from calgraph.io.columns import INDEX, NUMBER, Arrays, Column, Table
-from calgraph.result.pictures import BeamView, BoardOutline, BoardView, FloorView, Pictures, Snapshot
+from calgraph.result.pictures import (
+    BeamView,
+    BoardOutline,
+    BoardView,
+    DrivePath,
+    DriveStart,
+    DriveView,
+    FloorView,
+    Pictures,
+    Snapshot,
+)
 
 FORMAT = "calgraph-scene/1"
 _STRUCTURE = "scene.json"
@@ -36,6 +46,13 @@ _RANGES = Table("ranges", {
     "sensor": INDEX, "times": Column(ragged=True), "points": Column((2,), ragged=True),
     "residuals": Column(ragged=True),
 })  # fmt: skip
+_DRIVEN = Table("drive", {
+    "sensor": INDEX, "part": INDEX, "times": Column(ragged=True), "points": Column((3,), np.float32, ragged=True),
+    "normals": Column((3,), np.float32, ragged=True), "residuals": Column(ragged=True),
+    "shared": Column(dtype=np.bool_, ragged=True),
+})  # fmt: skip
+_PATHS = Table("paths", {"times": Column(ragged=True), "T_world_root": Column((4, 4), ragged=True)})
+_STARTS = Table("starts", {"sensor": INDEX, "T_root_sensor": Column((4, 4)), "clock_offset": NUMBER})
 
 
 def save_scene(pictures: Pictures, path: Path) -> None:
@@ -73,6 +90,10 @@ def save_scene(pictures: Pictures, path: Path) -> None:
         ])
     )  # fmt: skip
     arrays |= _RANGES.pack([{**vars(view), "sensor": number[view.sensor]} for view in pictures.beam_views])
+    if pictures.drive_paths:
+        arrays |= _DRIVEN.pack([{**vars(view), "sensor": number[view.sensor]} for view in pictures.drive_views])
+        arrays |= _PATHS.pack([vars(path) for path in pictures.drive_paths])
+        arrays |= _STARTS.pack([{**vars(one), "sensor": number[one.sensor]} for one in pictures.drive_starts])
     content = {"format": FORMAT, "sensors": list(number)}
     # Pictures are compressed already, and measured points hardly can be.
     write_archive(path, _STRUCTURE, content, arrays, compression=zipfile.ZIP_STORED)
@@ -97,15 +118,19 @@ def load_scene(path: Path, limits: LimitSettings = LimitSettings()) -> Pictures:
         views = _board_views(arrays, names)
         floor = _floor(arrays, names)
         beams = _beam_views(arrays, names)
+        drive = _drive(arrays, names)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
-    return Pictures(snapshots, outlines, views, floor, beams)
+    return Pictures(snapshots, outlines, views, floor, beams, *drive)
 
 
 def _sensors_with_pictures(pictures: Pictures) -> dict[str, None]:
     """The sensors that have pictures, in order."""
-    shown: tuple[Snapshot | BoardView | FloorView | BeamView, ...]
-    shown = (*pictures.snapshots, *pictures.board_views, *pictures.floor_views, *pictures.beam_views)
+    shown: tuple[Snapshot | BoardView | FloorView | BeamView | DriveView | DriveStart, ...]
+    shown = (
+        *pictures.snapshots, *pictures.board_views, *pictures.floor_views, *pictures.beam_views,
+        *pictures.drive_views, *pictures.drive_starts,
+    )  # fmt: skip
     return dict.fromkeys(view.sensor for view in shown)
 
 
@@ -162,3 +187,22 @@ def _beam_views(arrays: Arrays, names: Sequence[str]) -> tuple[BeamView, ...]:
         if not len(view.times) == len(view.points) == len(view.residuals):
             raise InputError("ranges/residuals: each scanner must have as many as times and points")
     return views
+
+
+def _drive(
+    arrays: Arrays, names: Sequence[str]
+) -> tuple[tuple[DriveView, ...], tuple[DrivePath, ...], tuple[DriveStart, ...]]:
+    """None in the file of a rig or a network."""
+    if f"{_PATHS.name}/times" not in arrays:
+        return (), (), ()
+    paths = tuple(DrivePath(**row) for row in _PATHS.unpack(arrays))
+    views = tuple(DriveView(**row) for row in _DRIVEN.unpack_named(arrays, names))
+    for path in paths:
+        if len(path.times) != len(path.T_world_root):
+            raise InputError("paths/T_world_root: each path must have as many as times")
+    for view in views:
+        if len({len(view.times), len(view.points), len(view.normals), len(view.residuals), len(view.shared)}) > 1:
+            raise InputError("drive/points: each sensor must have as many as times, normals, residuals and shared")
+        if not 0 <= view.part < len(paths):
+            raise InputError(f"drive/part: must be an index of the {len(paths)} paths, got {view.part}")
+    return views, paths, tuple(DriveStart(**row) for row in _STARTS.unpack_named(arrays, names))
