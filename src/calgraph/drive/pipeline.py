@@ -45,8 +45,7 @@ def calibrate_drive(
     """
     check_sensor_topics(rig, recording)
     monitor = InputMonitor(rig, recording.start)
-    sources, frames = _read_sources(rig, recording, monitor, options.seed)
-    progress("reading", 1.0)
+    sources, frames = _read_sources(rig, recording, monitor, options.seed, progress)
     tracks = _track_sensors(rig, sources, options, progress)
     starts = _solve_starts(rig, tracks, options.seed)
     used = [rig.root, *(name for name, start in starts.items() if isinstance(start, MotionStart))]
@@ -63,7 +62,7 @@ def dimension_of(rig: Rig) -> int:
 
 
 def _read_sources(
-    rig: Rig, recording: Recording, monitor: InputMonitor, seed: int
+    rig: Rig, recording: Recording, monitor: InputMonitor, seed: int, progress: Progress
 ) -> tuple[dict[str, Source], dict[str, str]]:
     """What each sensor measured, and the frames that messages state."""
     names = {topic: name for name, topic in rig.topics.items()}
@@ -78,6 +77,8 @@ def _read_sources(
         if message.frame_id:
             frames.setdefault(name, message.frame_id)
         readers[name].add(message)
+        progress("reading", (record.arrival - recording.start) / max(recording.end - recording.start, 1e-9))
+    progress("reading", 1.0)
     return {name: reader.finish() for name, reader in readers.items()}, frames
 
 
@@ -87,6 +88,8 @@ def _track_sensors(
     """The trajectory of each sensor by itself."""
     work = [(sources[name], np.random.default_rng([options.seed, k, 1])) for k, name in enumerate(rig.sensors)]
     tracks: dict[str, Segments | Rejected] = {}
+    # Most of the time passes here.
+    progress("odometry", 0.0)
     for name, track in zip(rig.sensors, options.engine.map(_track_source, work), strict=True):
         tracks[name] = track
         progress("odometry", len(tracks) / len(work))

@@ -25,6 +25,7 @@ from calgraph.report.figures import (
 from calgraph.report.formatting import format_fixed, format_length, format_significant
 from calgraph.report.templates import render
 from calgraph.result import Calibration, DrivePath, DriveStart, DriveView
+from calgraph.surfaces.placed_points import place_points
 from calgraph.surfaces.trajectory import Track
 
 # Points of all sensors in the plan of one part, and in all parts; more make browsers slow, and the file large.
@@ -51,27 +52,6 @@ def render_drive(calibration: Calibration) -> Markup:
         supports=_render_supports(calibration), motion=_render_motion(pictures.drive_paths),
         clocks=_describe_clocks(calibration), parts=len(pictures.drive_paths),
     )  # fmt: skip
-
-
-def place_points(view: DriveView, path: DrivePath, T_root_sensor: Array, delay: float = 0.0) -> Array:
-    """The points (N, 3) of a view in the world of its part, m.
-
-    Args:
-        view: of a sensor.
-        path: of the part.
-        T_root_sensor: (4, 4).
-        delay: by which the points are taken to have been measured later, s.
-    """
-    T = Track(path.times, path.T_world_root).at(view.times + delay) @ T_root_sensor
-    return np.asarray(np.einsum("nij,nj->ni", T[:, :3, :3], view.points.astype(np.float64)) + T[:, :3, 3])
-
-
-def find_incidence(view: DriveView, path: DrivePath, T_root_sensor: Array) -> Array:
-    """(N,) angles between the beams of a view and the normals of their surfaces, degrees."""
-    R = Track(path.times, path.T_world_root).at(view.times)[:, :3, :3] @ T_root_sensor[:3, :3]
-    beams = np.einsum("nij,nj->ni", R, view.points.astype(np.float64))
-    cosine = np.einsum("ni,ni->n", beams, view.normals) / np.maximum(np.linalg.norm(beams, axis=1), 1e-9)
-    return np.asarray(np.degrees(np.arccos(np.clip(np.abs(cosine), 0, 1))))
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,6 @@ from markupsafe import Markup
 
 from calgraph.config import Rig
 from calgraph.geometry import Array
-from calgraph.report.drive_view import find_incidence
 from calgraph.report.figures import (
     BLUE,
     GREEN,
@@ -33,6 +32,7 @@ from calgraph.result.evidence import format_error
 from calgraph.result.residuals_file import capture_times
 from calgraph.sensors import CameraModel
 from calgraph.sensors.kinds import KINDS
+from calgraph.surfaces.placed_points import find_incidence
 
 # Range and bin width of the histograms, in standard deviations: 6e-7 of normal residuals are beyond.
 _MAX_RESIDUAL = 5.0

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from calgraph.geometry import Array, se3
 from calgraph.result import Calibration, Snapshot, colorize_from_snapshots
 from calgraph.sensors import CameraModel
-from calgraph.viewer.view_state import ViewState, displaced_poses, up_direction
+from calgraph.surfaces.placed_points import place_points
+from calgraph.viewer.view_state import ViewState, displaced_poses, root_in_drive, up_direction
 
 Colors = NDArray[np.uint8]
 
@@ -43,7 +44,7 @@ def sensor_color(calibration: Calibration, name: str) -> tuple[int, int, int]:
 def color_clouds(
     calibration: Calibration, cameras: Mapping[str, CameraModel], state: ViewState, heights: tuple[float, float]
 ) -> dict[str, Cloud]:
-    """By scanner its points at the selected moment; in a network, its static background.
+    """By scanner its points at the selected moment; in a network, its static background, in a drive its map.
 
     Args:
         calibration: with its snapshots or floor.
@@ -74,13 +75,36 @@ def color_clouds(
     for view in calibration.pictures.floor_views:
         points = floor_to_sensor_frame(calibration, view.sensor, view.background)
         shown[view.sensor] = [Cloud(points, _uniform_color(sensor_color(calibration, view.sensor), len(points)))]
+    for name, x_root in place_drive(calibration, state):
+        color = _uniform_color(sensor_color(calibration, name), len(x_root))
+        if state.coloring == "height":
+            color = color_by_height(x_root @ up_direction(calibration), heights)
+        points = se3.apply(se3.inverse(T_root_sensor[name]), x_root).astype(np.float32)
+        shown.setdefault(name, []).append(Cloud(points, color))
     return {name: _merge_clouds(parts) for name, parts in shown.items()}
+
+
+def place_drive(calibration: Calibration, state: ViewState) -> list[tuple[str, Array]]:
+    """Sensors and their points (N, 3) of the selected part of a drive, in the root's frame in its middle, m."""
+    T_root_sensor, paths = displaced_poses(calibration, state), calibration.pictures.drive_paths
+    return [
+        (
+            view.sensor,
+            se3.apply(
+                se3.inverse(root_in_drive(calibration, view.part)),
+                place_points(view, paths[view.part], T_root_sensor[view.sensor]),
+            ),
+        )
+        for view in calibration.pictures.drive_views
+        if state.moment in (None, view.part) and view.sensor in T_root_sensor
+    ]
 
 
 def height_range(calibration: Calibration) -> tuple[float, float]:
     """Heights of the 2nd and 98th percentile of all points, m."""
     T = displaced_poses(calibration, ViewState())
     z = [to_root_frame(s, T) @ up_direction(calibration) for s in calibration.pictures.snapshots if s.sensor in T]
+    z += [x_root @ up_direction(calibration) for _, x_root in place_drive(calibration, ViewState(0))]
     together = np.concatenate([np.zeros(1), *z])
     low, high = np.percentile(together, [2, 98])
     return float(low), float(max(high, low + 0.1))

@@ -13,6 +13,7 @@ from calgraph.result import BoardOutline, Calibration
 from calgraph.result.evidence import rms
 from calgraph.sensors import CameraModel
 from calgraph.sensors.kinds import KINDS
+from calgraph.surfaces.placed_points import place_points
 from calgraph.viewer.scene_display import EXAGGERATIONS, LAYERS, SceneDisplay
 from calgraph.viewer.trails import recording_duration
 from calgraph.viewer.view_state import NO_DISPLACEMENT, Coloring, ViewState, displaced_poses
@@ -84,10 +85,16 @@ class Panel:
 
     def _add_time(self) -> None:
         network, several = bool(self._calibration.pictures.floor_views), len(self.moments) > 1
+        drive = bool(self._calibration.pictures.drive_paths)
         self._step = _TIME_STEP if network else 1
         last = self._step * (len(self.moments) - 1 if several else 1)
         self.time: GuiInputHandle[float] = self._gui.add_slider(
-            "time, s" if network else "capture", 0, round(last, 1), self._step, 0, disabled=not several
+            "time, s" if network else "part" if drive else "capture",
+            0,
+            round(last, 1),
+            self._step,
+            0,
+            disabled=not several,
         )
         self.everything = self._gui.add_checkbox("all moments", not self.moments or network)
         self.play = self._gui.add_checkbox("play", False, disabled=not several)
@@ -133,6 +140,7 @@ class Panel:
 
     def _add_appearance(self) -> None:
         network = bool(self._calibration.pictures.floor_views)
+        drive = bool(self._calibration.pictures.drive_paths)
         usable = {words: c for words, c in _COLORINGS.items() if c == "sensor" or not network}
         if not self._cameras:
             usable.pop("camera images", None)
@@ -144,10 +152,12 @@ class Panel:
         factors = {("none" if f == 0 else f"× {f}"): f for f in EXAGGERATIONS}
         uncertainty = self._gui.add_dropdown("95 % ellipsoids", list(factors), initial_value="none")
         uncertainty.on_update(lambda _: self._change(self._display.show_uncertainty, factors[uncertainty.value]))
-        points = self._gui.add_slider("points, mm", 2, 60, 1, 35 if network else 12)
+        points = self._gui.add_slider("points, mm", 2, 60, 1, 35 if network or drive else 12)
         points.on_update(lambda _: self._change(self._display.show_points, points.value / 1000))
+        absent = {layer for layer, present in (("walks", network), ("trajectory", drive)) if not present}
+        absent |= {"camera views", "boards", "beams"} if network or drive else set()
         for layer in LAYERS:
-            if (layer == "walks") <= network and (layer in ("camera views", "boards", "beams")) <= (not network):
+            if layer not in absent:
                 self._add_toggle(layer, partial(self._display.show_layer, layer))
 
     def _add_toggle(self, words: str, show: Callable[[bool], None]) -> None:
@@ -175,9 +185,12 @@ class Panel:
         return "\n".join(lines)
 
     def _describe_moment(self, state: ViewState) -> str:
-        network = bool(self._calibration.pictures.floor_views)
+        network, paths = bool(self._calibration.pictures.floor_views), self._calibration.pictures.drive_paths
         if state.moment is None:
-            return "All walks" if network else "All captures"
+            return "All walks" if network else "All parts" if paths else "All captures"
+        if paths:
+            times = paths[int(state.moment)].times
+            return f"From {times[0]:.0f} to {times[-1]:.0f} s of the drive"
         if network:
             return f"{state.moment:.1f} s"
         row = next((row for row in self._calibration.evidence.captures if row.capture == state.moment), None)
@@ -190,9 +203,11 @@ def _set_value(control: "GuiInputHandle[Any]", value: bool | float) -> None:
 
 
 def list_moments(calibration: Calibration) -> list[float]:
-    """The moments with measurements: captures of a rig, or times of a network, s."""
+    """The moments with measurements: captures of a rig, times of a network, s, or parts of a drive."""
     if calibration.pictures.floor_views:
         return np.arange(0, recording_duration(calibration), _TIME_STEP).round(1).tolist()
+    if calibration.pictures.drive_paths:
+        return [float(part) for part in range(len(calibration.pictures.drive_paths))]
     shown = {s.capture for s in calibration.pictures.snapshots} | {
         o.capture for o in calibration.pictures.board_outlines
     }
@@ -210,7 +225,7 @@ class Misalignment:
 
     rms: float
     unit: Literal["px", "m"]
-    """px: reprojection error of a camera's corners; m: distance of a scanner's points from the board's plane."""
+    """px: reprojection error of corners; m: distance of a scanner's points from the board, or from surfaces."""
 
     def __str__(self) -> str:
         """The value with its unit."""
@@ -236,6 +251,12 @@ def compute_misalignments(
                 )
             elif view.residuals is not None and view.measured.shape[1] == 3:
                 off.setdefault(name, []).append(_plane_distances(view.measured, boards, T, T_moved))
+    for driven in calibration.pictures.drive_views:
+        name, path = driven.sensor, calibration.pictures.drive_paths[driven.part]
+        if name in T_root_moved and state.moment in (None, driven.part):
+            T, T_moved = calibration[name].T_root_sensor, T_root_moved[name]
+            by = place_points(driven, path, T_moved) - place_points(driven, path, T)
+            off.setdefault(name, []).append(driven.residuals + np.einsum("ni,ni->n", by, driven.normals))
     together = {name: rms(np.concatenate(parts)) for name, parts in off.items()}
     return {
         name: Misalignment(value, "px" if name in cameras else "m")

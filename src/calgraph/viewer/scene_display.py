@@ -7,20 +7,20 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.geometry import Array, plane, so3
+from calgraph.geometry import Array, plane, se3, so3
 from calgraph.result import Calibration, SensorPose
 from calgraph.result.sensor_pose import error_ellipsoid
 from calgraph.sensors import CameraModel
 from calgraph.sensors.kinds import KINDS
 from calgraph.viewer.colored_clouds import Cloud, color_clouds, height_range, sensor_color
 from calgraph.viewer.trails import compute_trails
-from calgraph.viewer.view_state import ViewState, displaced_poses, up_direction
+from calgraph.viewer.view_state import ViewState, displaced_poses, root_in_drive, up_direction
 
 if TYPE_CHECKING:
     from viser import SceneApi, SceneNodeHandle
 
 
-LAYERS = ("names", "axes", "camera views", "beams", "clouds", "boards", "walks")
+LAYERS = ("names", "axes", "camera views", "beams", "clouds", "boards", "walks", "trajectory")
 EXAGGERATIONS = (0, 1, 10, 100, 1000)
 # Half the extent of the ground grid, m.
 _GROUND_EXTENT = 25.0
@@ -36,7 +36,8 @@ class SceneDisplay:
         """The calibration with points as published, and with corrected ones."""
         self._heights = height_range(calibration)
         self.axis_length = axis_length(calibration)
-        self._point_size = 0.035 if calibration.pictures.floor_views else 0.012
+        pictures = calibration.pictures
+        self._point_size = 0.035 if pictures.floor_views or pictures.drive_paths else 0.012
         self._number = {sensor.name: k for k, sensor in enumerate(calibration.sensors)}
         self._drawn: dict[str, Cloud] = {}
         self._moment: tuple[float | None, ...] = ()
@@ -60,6 +61,7 @@ class SceneDisplay:
             self._show_pictures(state.moment)
             self._show_boards(state.moment)
             self._show_walks(state)
+            self._show_paths(state.moment)
             self._moment = (state.moment,)
 
     def show_sensor(self, name: str, visible: bool) -> None:
@@ -156,6 +158,7 @@ class SceneDisplay:
             cloud is not None
             and KINDS[self._calibration[name].kind].shape == "disc"
             and not self._calibration.pictures.floor_views
+            and not self._calibration.pictures.drive_paths
         ):
             red, green, blue = sensor_color(self._calibration, name)
             self._nodes["beams"][name] = self._scene.add_line_segments(
@@ -209,6 +212,16 @@ class SceneDisplay:
             self._nodes["walks"][f"{name} people"] = self._scene.add_point_cloud(
                 f"{self._node_path(name)}/people", trail.people, color, point_size=0.25, point_shape="circle",
                 precision="float32", visible=visible,
+            )  # fmt: skip
+
+    def _show_paths(self, moment: float | None) -> None:
+        """Draws the trajectory of a drive, relative to the root in the middle of its part."""
+        for part, path in enumerate(self._calibration.pictures.drive_paths):
+            T = se3.inverse(root_in_drive(self._calibration, part)) @ path.T_world_root
+            self._nodes["trajectory"][f"{part}"] = self._scene.add_line_segments(
+                f"/trajectory/{part}", np.stack([T[:-1, :3, 3], T[1:, :3, 3]], axis=1), _CURRENT_BOARD_COLOR,
+                thickness=2.0, thickness_units="screen",
+                visible="trajectory" not in self._hidden and moment in (None, part),
             )  # fmt: skip
 
     def _ellipsoid(self, sensor: SensorPose, exaggeration: float) -> "SceneNodeHandle":

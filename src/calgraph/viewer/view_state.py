@@ -19,7 +19,7 @@ class ViewState:
     """Moment, colouring and displacement."""
 
     moment: float | None = None
-    """A rig's capture, or s from the start of a network's recording; None for all."""
+    """A rig's capture, s from the start of a network's recording, or a part of a drive; None for all."""
     coloring: Coloring = "sensor"
     """Colours of points: from camera images, by height, or by sensor."""
     moved_sensor: str = ""
@@ -46,5 +46,13 @@ def rotation_from_rpy(roll: float, pitch: float, yaw: float) -> Array:
 
 
 def up_direction(calibration: Calibration) -> Array:
-    """(3,) the upward direction in the root frame: a camera's y points down."""
+    """(3,) the upward direction in the root frame: a camera's y points down, and a drive has a level world."""
+    if calibration.pictures.drive_paths:
+        return np.asarray(root_in_drive(calibration, 0)[2, :3])
     return np.array([0.0, -1.0, 0.0] if KINDS[calibration[calibration.root].kind].optical else [0.0, 0.0, 1.0])
+
+
+def root_in_drive(calibration: Calibration, part: int) -> Array:
+    """``T_world_root`` (4, 4) in the middle of a part of a drive, where its sensors are shown."""
+    poses = calibration.pictures.drive_paths[part].T_world_root
+    return np.asarray(poses[len(poses) // 2])

@@ -11,9 +11,10 @@ from calgraph.errors import InputError
 from calgraph.geometry import Array
 from calgraph.result import Calibration
 from calgraph.sensors import CameraModel
+from calgraph.viewer.colored_clouds import place_drive
 from calgraph.viewer.panel import Panel
 from calgraph.viewer.scene_display import SceneDisplay
-from calgraph.viewer.view_state import up_direction
+from calgraph.viewer.view_state import ViewState, root_in_drive, up_direction
 
 if TYPE_CHECKING:
     from viser import ViserServer
@@ -68,7 +69,7 @@ class Viewer:
 
 
 def initial_view(calibration: Calibration) -> tuple[Array, Array]:
-    """Position and target (3,) of the initial camera, m: a network from above, a rig from behind and above."""
+    """Position and target (3,) of the initial camera, m: from above, and a rig from behind it, too."""
     origins = np.array([sensor.T_root_sensor[:3, 3] for sensor in calibration.sensors])
     vertical = up_direction(calibration)
     if calibration.pictures.floor_views:
@@ -76,6 +77,12 @@ def initial_view(calibration: Calibration) -> tuple[Array, Array]:
         low, high = np.percentile(points, [1, 99], axis=0)
         middle, extent = np.append((low + high) / 2, 0.0), float(np.max(high - low))
         return middle + extent * np.array([0.0, -0.45, 0.85]), middle
+    if calibration.pictures.drive_paths:
+        points = np.concatenate([origins, *(x_root for _, x_root in place_drive(calibration, ViewState(0)))])
+        low, high = np.percentile(points, [1, 99], axis=0)
+        middle, extent = (low + high) / 2, float(np.max(high - low))
+        ahead = root_in_drive(calibration, 0)[1, :3]
+        return middle + extent * (0.85 * vertical - 0.45 * ahead), middle
     middle = origins.mean(axis=0)
     boards = np.array([outline.corners.mean(axis=0) for outline in calibration.pictures.board_outlines]).reshape(
         -1, 3
