@@ -7,7 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calgraph.result import BeamView, BoardView, Calibration, CaptureRow, Pictures, save_captures, save_residuals
+from calgraph.result import (
+    BeamView,
+    BoardView,
+    Calibration,
+    CaptureRow,
+    DriveView,
+    Pictures,
+    save_captures,
+    save_residuals,
+)
 
 
 @pytest.fixture
@@ -19,7 +28,13 @@ def rows(calibration: Calibration, tmp_path: Path) -> list[dict[str, str]]:
             BoardView(4, "lidar", False, np.array([[1.0, 2.0, 3.0]])),
         ),
         beam_views=(BeamView("laser", np.array([7.25]), np.array([[4.0, -1.5]]), np.array([0.021])),),
-    )
+        drive_views=(
+            DriveView(
+                "rear", 0, np.array([3.5]), np.array([[1.0, -2.0, 0.5]], np.float32), np.zeros((1, 3), np.float32),
+                np.array([-0.004]), np.array([True]),
+            ),
+        ),
+    )  # fmt: skip
     captures = (CaptureRow(3, 10.0, 12.0, "camera", True, ""),)
     evidence = dataclasses.replace(calibration.evidence, captures=captures)
     save_residuals(dataclasses.replace(calibration, pictures=pictures, evidence=evidence), tmp_path / "r.csv")
@@ -28,7 +43,7 @@ def rows(calibration: Calibration, tmp_path: Path) -> list[dict[str, str]]:
 
 
 def test_views_that_were_not_used_have_no_rows(rows: list[dict[str, str]]) -> None:
-    assert [row["sensor"] for row in rows] == ["camera", "lidar", "laser"]
+    assert [row["sensor"] for row in rows] == ["camera", "lidar", "laser", "rear"]
 
 
 def test_a_corner_has_its_reprojection_error_and_its_components(rows: list[dict[str, str]]) -> None:
@@ -49,6 +64,12 @@ def test_a_beam_of_a_network_has_its_time_and_no_capture(rows: list[dict[str, st
     beam = rows[2]
     assert (beam["capture"], float(beam["time"]), beam["z"]) == ("", 7.25, "")
     assert [float(beam[name]) for name in ("x", "y", "residual")] == [4, -1.5, 0.021]
+
+
+def test_a_point_of_a_drive_has_its_distance_from_the_surface(rows: list[dict[str, str]]) -> None:
+    point = rows[3]
+    assert (point["capture"], float(point["time"]), point["unit"]) == ("", 3.5, "m")
+    assert [float(point[name]) for name in ("x", "y", "z", "residual")] == [1, -2, 0.5, -0.004]
 
 
 @pytest.mark.parametrize("start", ["=", "+", "-", "@", "\t"])

@@ -14,6 +14,9 @@ from calgraph.result import (
     BeamView,
     BoardOutline,
     BoardView,
+    DrivePath,
+    DriveStart,
+    DriveView,
     FloorView,
     Pictures,
     Snapshot,
@@ -154,3 +157,41 @@ def test_a_picture_that_states_any_size_is_not_decoded() -> None:
     assert large != data
     with pytest.raises(InputError, match="is no JPEG"):
         _ = Snapshot(3, "camera", 1.0, large, 64, 48).picture
+
+
+def _driven() -> Pictures:
+    count = 9
+    rng = np.random.default_rng(0)
+    view = DriveView(
+        "laser", 1, np.arange(float(count)), rng.normal(0, 3, (count, 3)).astype(np.float32),
+        rng.normal(0, 1, (count, 3)).astype(np.float32), rng.normal(0, 0.01, count), np.arange(count) > 4,
+    )  # fmt: skip
+    paths = tuple(DrivePath(np.arange(4.0), np.tile(np.eye(4), (4, 1, 1))) for _ in range(2))
+    return Pictures(drive_views=(view,), drive_paths=paths, drive_starts=(DriveStart("lidar", np.eye(4), 0.02),))
+
+
+def test_a_drive_comes_back(tmp_path: Path) -> None:
+    save_scene(_driven(), tmp_path / "scene.npz")
+    assert _same(load_scene(tmp_path / "scene.npz"), _driven())
+
+
+@pytest.mark.parametrize(
+    ("view", "path", "message"),
+    [
+        ({"residuals": np.zeros(3)}, {}, "drive/points: each sensor must have as many as times"),
+        ({"part": 2}, {}, "drive/part: must be an index of the 2 paths, got 2"),
+        ({}, {"times": np.zeros(3)}, "paths/T_world_root: each path must have as many as times"),
+    ],
+)
+def test_a_damaged_drive_is_refused(
+    tmp_path: Path, view: dict[str, object], path: dict[str, object], message: str
+) -> None:
+    shown = _driven()
+    changed = dataclasses.replace(
+        shown,
+        drive_views=(dataclasses.replace(shown.drive_views[0], **view),),  # type: ignore[arg-type]
+        drive_paths=(dataclasses.replace(shown.drive_paths[0], **path), shown.drive_paths[1]),  # type: ignore[arg-type]
+    )
+    save_scene(changed, tmp_path / "scene.npz")
+    with pytest.raises(InputError, match=message):
+        load_scene(tmp_path / "scene.npz")

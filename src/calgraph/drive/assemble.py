@@ -95,7 +95,9 @@ def assemble_drive(rig: Rig, result: DriveResult) -> Calibration:
             if adjusted
             else {},
         ),
-        pictures=collect_pictures(used, result.starts, adjusted) if adjusted else Pictures(),
+        pictures=collect_pictures(used, result.starts, adjusted.parts, adjusted.states)
+        if adjusted
+        else Pictures(),
     )
 
 

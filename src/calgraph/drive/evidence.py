@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calgraph.drive.adjustment import Adjustment
 from calgraph.drive.measurements import DrivePart
 from calgraph.drive.start import MotionStart
 from calgraph.drive.states import SensorState
@@ -25,22 +24,28 @@ _GATE, _MAX_THICKNESS = 0.09, 0.03
 _PATH_STEP = 0.05
 # Cosine of the angle between normal and vertical above which a surface is a floor or a ceiling: 30 degrees.
 _LEVEL = 0.87
+# Height of the lowest sensors above the floor, m.
+_NEAR = 0.3
 
 
 def collect_pictures(
-    names: Sequence[str], starts: Mapping[str, MotionStart | Rejected], adjusted: Adjustment
+    names: Sequence[str],
+    starts: Mapping[str, MotionStart | Rejected],
+    parts: Sequence[DrivePart],
+    states: Sequence[SensorState],
 ) -> Pictures:
     """The pictures of the joint solution.
 
     Args:
         names: of the sensors that were adjusted, the root first.
         starts: by sensor but the root.
-        adjusted: the joint solution.
+        parts: of the drive, with their trajectories as adjusted.
+        states: of the sensors, as adjusted.
     """
-    origin = adjusted.parts[0].trajectory.start
-    parts = [_place_points(part, adjusted.states) for part in adjusted.parts]
+    origin = parts[0].trajectory.start
     views, paths = [], []
-    for number, (part, placed) in enumerate(zip(adjusted.parts, parts, strict=True)):
+    for number, part in enumerate(parts):
+        placed = _place_points(part, states)
         times, poses = _sample_path(part.trajectory)
         R = _find_level(part.trajectory, placed)
         turn = se3.pose(R, np.zeros(3))
@@ -137,11 +142,14 @@ def _find_level(trajectory: SplineTrajectory, placed: _Placed) -> Array:
         rates = trajectory.at(times).turn_rate
         up = np.linalg.eigh(rates.T @ rates)[1][:, -1]
         height = (placed.world - _interpolate(placed.times, times, se_n.translation(poses))) @ up
-        level = np.abs(placed.normals @ up) > _LEVEL
-        # The floor is nearer than a ceiling; without one, sensors are mounted upright.
-        nearness = np.sum(np.sign(height[level]) / np.maximum(np.abs(height[level]), 0.3) ** 2)
-        sign = -nearness if level.any() else np.mean(poses[:, :3, 2] @ up)
-        R = _rotate_to_z(up * np.sign(sign or 1.0))
+        upright = placed.normals @ up
+        level = np.abs(upright) > _LEVEL
+        sign = np.mean(poses[:, :3, 2] @ up)
+        if level.any():
+            # The floor is nearer than a ceiling; without one, sensors are mounted upright.
+            sign = -np.sum(np.sign(height[level]) / np.maximum(np.abs(height[level]), _NEAR) ** 2)
+            up = np.sign(upright[level]) @ placed.normals[level]
+        R = _rotate_to_z(up / np.linalg.norm(up) * (1.0 if sign >= 0 else -1.0))
     x, y, _ = (placed.normals[np.abs(placed.normals @ R[2]) < 1 - _LEVEL] @ R.T).T
     # Walls at right angles have one direction times four.
     yaw = np.angle(np.sum(np.exp(4j * np.arctan2(y, x)))) / 4
