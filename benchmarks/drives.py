@@ -64,6 +64,8 @@ REAL_FRAMES: Mapping[str, tuple[float, float, float, float]] = {
 }
 """By name: x, y (m) and yaw (degrees) of the second scanner in the frame of the first; its clock minus that, s."""
 REAL_PATH = Path("radish-fr079-2d-laser-odometry", "fr079.clf.bz2")
+FEW_SURFACES = "of the surfaces that another sensor passed"
+"""In the reason of a verdict: fewer than 30 cells."""
 REAL_MAX_RANGE = 40.0
 """Larger ranges are no returns, m."""
 
@@ -335,6 +337,8 @@ def show(outcomes: Sequence[Outcome]) -> None:
             f"    {one.kind} {one.rig} seed {one.seed} {one.sensor}: {one.millimetres:.1f} mm, "
             f"{one.degrees:.3f} deg, NEES {one.nees:.1f}"
         )
+    enough = [one for one in outcomes if one.sensor and FEW_SURFACES not in one.text]
+    print(f"with enough common surfaces: {len(enough)} sensors, good {share(good, enough)}")
     for one in outcomes:
         if not one.sensor:
             word = "crashed" if one.crashed else "failed"

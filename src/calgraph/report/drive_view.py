@@ -84,21 +84,28 @@ def _list_maps(calibration: Calibration) -> list[_Map]:
     return maps
 
 
-def _compare_distances(calibration: Calibration) -> list[tuple[str, int, str, str]]:
-    """By sensor, the percentage of points on common surfaces, and their median distance before and after."""
-    found = []
+def _compare_distances(calibration: Calibration) -> list[tuple[str, ...]]:
+    """By sensor and kind of common surfaces: share of its points, and their median distance before and after."""
+    rows: list[tuple[str, ...]] = []
     maps = _list_maps(calibration)
     for start in calibration.pictures.drive_starts:
-        own = [one for one in maps if one.view.sensor == start.sensor and one.view.shared.any()]
+        own = [one for one in maps if one.view.sensor == start.sensor]
         if not own:
             continue
-        after = np.concatenate([one.view.residuals[one.view.shared] for one in own])
-        moved = [np.einsum("ni,ni->n", one.before - one.after, one.view.normals)[one.view.shared] for one in own]
-        before = np.median(np.abs(after + np.concatenate(moved)))
-        share = round(100 * len(after) / sum(len(one.view.times) for one in own))
-        median = float(np.median(np.abs(after)))
-        found.append((start.sensor, share, format_length(float(before)), format_length(median)))
-    return found
+        shared, after, upright = (
+            np.concatenate(of)
+            for of in zip(
+                *((m.view.shared, m.view.residuals, np.abs(m.view.normals[:, 2])) for m in own), strict=True
+            )
+        )
+        moved = [np.einsum("ni,ni->n", one.before - one.after, one.view.normals) for one in own]
+        before = after + np.concatenate(moved)
+        for kind, of_kind in (("walls", upright < _WALL), ("floors and ceilings", upright > _LEVEL)):
+            chosen = shared & of_kind
+            if chosen.any():
+                distances = (format_length(float(np.median(np.abs(of[chosen])))) for of in (before, after))
+                rows.append((start.sensor, kind, f"{100 * chosen.mean():.0f} %", *distances))
+    return rows
 
 
 def _render_plan(calibration: Calibration) -> Markup:
@@ -110,7 +117,7 @@ def _render_plan(calibration: Calibration) -> Markup:
         own = [one for one in maps if one.part == part]
         walls = [np.flatnonzero(np.abs(one.view.normals[:, 2]) < _WALL) for one in own]
         step = sum(map(len, walls)) // limit + 1
-        for state in ("before", "after"):
+        for state in ("before", "after")[not calibration.pictures.drive_starts :]:
             traces += [
                 (part, state, _draw_walls(calibration, one, getattr(one, state)[rows[::step]]))
                 for one, rows in zip(own, walls, strict=True)

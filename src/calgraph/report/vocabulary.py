@@ -148,7 +148,7 @@ Distances of points from the flat patches of their surfaces, positive beyond the
 without a pattern: a slope over range indicates a range scale, a dependence on elevation single rings, one on the
 angle of incidence the scanner's way to measure slanted surfaces, and a step or drift over time a clock or a sensor
 that moved. Surfaces are not flat to a millimetre, and each sensor meets other parts of them: the joint solution
-takes these differences for errors of their own, so that single residuals of 5 to 20 mm are normal.""",
+estimates these differences separately, so that single residuals of 5 to 20 mm are normal.""",
     residuals_caption="",
     distances_caption="",
     coverage_caption="""\
