@@ -1,7 +1,6 @@
 """What the report of a drive shows: the trajectory, points on surfaces with their residuals, and the start."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,9 +10,10 @@ from calgraph.drive.start import MotionStart
 from calgraph.drive.states import SensorState
 from calgraph.drive.surface_points import CELL_LIMITS
 from calgraph.errors import Rejected
-from calgraph.geometry import Array, Index, se2, se3, se_n, so3
+from calgraph.geometry import Array, se2, se3, se_n, so3
 from calgraph.result.pictures import DrivePath, DriveStart, DriveView, Pictures
 from calgraph.surfaces.flat_cells import fit_flat_cells, sum_moments
+from calgraph.surfaces.placed_points import place_points
 from calgraph.surfaces.trajectory import SplineTrajectory
 
 # Points of each sensor that are kept: of 100 cells, 40 each.
@@ -45,76 +45,63 @@ def collect_pictures(
     origin = parts[0].trajectory.start
     views, paths = [], []
     for number, part in enumerate(parts):
-        placed = _place_points(part, states)
-        times, poses = _sample_path(part.trajectory)
-        R = _find_level(part.trajectory, placed)
-        turn = se3.pose(R, np.zeros(3))
-        paths.append(DrivePath(times - origin, turn @ poses))
-        for k, name in enumerate(names):
-            own = np.flatnonzero(placed.sensor == k)
-            own = own[:: len(own) * len(parts) // _MAX_POINTS + 1]
-            if len(own):
-                views.append(
-                    DriveView(
-                        name, number, placed.times[own] - origin, placed.points[own].astype(np.float32),
-                        (placed.normals[own] @ R.T).astype(np.float32), placed.residuals[own], placed.shared[own],
-                    )
-                )  # fmt: skip
-    kept = [
+        path, found = _sample_path(part.trajectory), _find_surfaces(part, names, states, number)
+        R = _find_level(part.trajectory, path, found, dict(zip(names, states, strict=True)))
+        paths.append(DrivePath(path.times - origin, se3.pose(R, np.zeros(3)) @ path.T_world_root))
+        for view in found:
+            kept = slice(None, None, len(view.times) * len(parts) // _MAX_POINTS + 1)
+            views.append(
+                DriveView(
+                    view.sensor, number, view.times[kept] - origin, view.points[kept],
+                    (view.normals[kept] @ R.T).astype(np.float32), view.residuals[kept], view.shared[kept],
+                )
+            )  # fmt: skip
+    before = [
         DriveStart(name, _lift(start.T_root_sensor), start.clock_offset)
         for name, start in starts.items()
         if name in names and isinstance(start, MotionStart)
     ]
-    return Pictures(drive_views=tuple(views), drive_paths=tuple(paths), drive_starts=tuple(kept))
+    return Pictures(drive_views=tuple(views), drive_paths=tuple(paths), drive_starts=tuple(before))
 
 
-@dataclass(frozen=True, eq=False)
-class _Placed:
-    """Points of a part that are on surfaces, in space."""
-
-    sensor: Index
-    """(N,)."""
-    times: Array
-    """(N,) by the root's clock, s."""
-    points: Array
-    """(N, 3) in the sensor's frame, m."""
-    world: Array
-    """(N, 3) m."""
-    normals: Array
-    """(N, 3) of their surfaces, away from the sensor."""
-    residuals: Array
-    """(N,) m."""
-    shared: NDArray[np.bool_]
-    """(N,)."""
-
-
-def _place_points(part: DrivePart, states: Sequence[SensorState]) -> _Placed:
-    """The points of all sensors with their surfaces, by the joint solution."""
-    at = [_place_sensor(measured.points, measured.times, part.trajectory, state)
-          for measured, state in zip(part.points, states, strict=True)]  # fmt: skip
-    sensor = np.repeat(np.arange(len(at)), [len(times) for times, *_ in at])
-    times, points, world, beams = (np.concatenate(column) for column in zip(*at, strict=True))
+def _find_surfaces(
+    part: DrivePart, names: Sequence[str], states: Sequence[SensorState], number: int
+) -> list[DriveView]:
+    """All points that are on surfaces, with absolute times."""
+    placed = [
+        _place_points(measured.points, measured.times, part.trajectory, state)
+        for measured, state in zip(part.points, states, strict=True)
+    ]
+    sensor = np.repeat(np.arange(len(placed)), [len(times) for times, *_ in placed])
+    world = np.concatenate([one[2] for one in placed])
     limits = CELL_LIMITS[world.shape[1]]
     surfaces = fit_flat_cells(
         sum_moments(world, limits.cell), limits.cell,
         max_thickness=_MAX_THICKNESS, min_extent=limits.min_extent, min_count=limits.min_count,
     )  # fmt: skip
     cell = surfaces.find(world)
-    hit = np.flatnonzero(cell >= 0)
-    normals = surfaces.normals[cell[hit]]
-    normals = normals * np.where(np.einsum("ni,ni->n", normals, beams[hit]) < 0, -1.0, 1.0)[:, None]
-    residuals = np.einsum("ni,ni->n", normals, world[hit] - surfaces.center[cell[hit]])
-    near = np.abs(residuals) < _GATE
-    hit, normals, residuals = hit[near], normals[near], residuals[near]
-    measured = np.zeros((len(surfaces.keys), len(at)), dtype=np.bool_)
-    measured[cell[hit], sensor[hit]] = True
-    return _Placed(
-        sensor[hit], times[hit], _raise(points[hit]), _raise(world[hit]), _raise(normals), residuals,
-        measured.sum(axis=1)[cell[hit]] > 1,
-    )  # fmt: skip
+    residual = np.full(len(world), np.inf)
+    hit = cell >= 0
+    residual[hit] = np.einsum("ni,ni->n", surfaces.normals[cell[hit]], world[hit] - surfaces.center[cell[hit]])
+    near = np.abs(residual) < _GATE
+    measured_by = np.zeros((len(surfaces.keys), len(placed)), dtype=np.bool_)
+    measured_by[cell[near], sensor[near]] = True
+    views = []
+    for k, (name, (times, points, _, beams)) in enumerate(zip(names, placed, strict=True)):
+        own = near[sensor == k]
+        cells, normals = cell[sensor == k][own], surfaces.normals[cell[sensor == k][own]]
+        away = np.where(np.einsum("ni,ni->n", normals, beams[own]) < 0, -1.0, 1.0)
+        if own.any():
+            views.append(
+                DriveView(
+                    name, number, times[own], _raise(points[own]), _raise(normals * away[:, None]),
+                    residual[sensor == k][own] * away, measured_by.sum(axis=1)[cells] > 1,
+                )
+            )  # fmt: skip
+    return views
 
 
-def _place_sensor(
+def _place_points(
     points: Array, times: Array, trajectory: SplineTrajectory, state: SensorState
 ) -> tuple[Array, Array, Array, Array]:
     """Times (N,) by the root's clock, and points (N, n): corrected, in the world, and relative to the sensor."""
@@ -128,33 +115,37 @@ def _place_sensor(
     return times, points, turned + se_n.translation(T), turned
 
 
-def _sample_path(trajectory: SplineTrajectory) -> tuple[Array, Array]:
-    """Times (K,), s, and poses (K, 4, 4) of the root."""
+def _sample_path(trajectory: SplineTrajectory) -> DrivePath:
+    """The trajectory in its world, with absolute times."""
     times = np.append(np.arange(trajectory.start, trajectory.end - 1e-3, _PATH_STEP), trajectory.end)
-    return times, _lift(trajectory.at(times).poses)
+    return DrivePath(times, _lift(trajectory.at(times).poses))
 
 
-def _find_level(trajectory: SplineTrajectory, placed: _Placed) -> Array:
-    """The rotation (3, 3) of the world that lets the robot turn about z, and walls run along x and y."""
-    times, poses = _sample_path(trajectory)
-    R = np.eye(3)
+def _find_level(
+    trajectory: SplineTrajectory, path: DrivePath, views: Sequence[DriveView], states: Mapping[str, SensorState]
+) -> Array:
+    """The rotation (3, 3) of the world after which z is upwards, and walls run along x and y."""
+    R, places = np.eye(3), path.T_world_root[:, :3, 3]
+    normals = np.concatenate([np.zeros((0, 3)), *(view.normals for view in views)])
     if trajectory.reference.poses.shape[-1] == 4:
-        rates = trajectory.at(times).turn_rate
+        rates = trajectory.at(path.times).turn_rate
         up = np.linalg.eigh(rates.T @ rates)[1][:, -1]
-        height = (placed.world - _interpolate(placed.times, times, se_n.translation(poses))) @ up
-        upright = placed.normals @ up
-        level = np.abs(upright) > _LEVEL
-        sign = np.mean(poses[:, :3, 2] @ up)
+        upright = normals @ up
+        level, sign = np.abs(upright) > _LEVEL, np.mean(path.T_world_root[:, :3, 2] @ up)
         if level.any():
             # The floor is nearer than a ceiling; without one, sensors are mounted upright.
-            sign = -np.sum(np.sign(height[level]) / np.maximum(np.abs(height[level]), _NEAR) ** 2)
-            up = np.sign(upright[level]) @ placed.normals[level]
+            heights = np.concatenate([
+                place_points(view, path, states[view.sensor].T_root_sensor) @ up
+                - np.interp(view.times, path.times, places @ up)
+                for view in views
+            ])[level]  # fmt: skip
+            sign = -np.sum(np.sign(heights) / np.maximum(np.abs(heights), _NEAR) ** 2)
+            up = np.sign(upright[level]) @ normals[level]
         R = _rotate_to_z(up / np.linalg.norm(up) * (1.0 if sign >= 0 else -1.0))
-    x, y, _ = (placed.normals[np.abs(placed.normals @ R[2]) < 1 - _LEVEL] @ R.T).T
+    x, y, _ = (normals[np.abs(normals @ R[2]) < 1 - _LEVEL] @ R.T).T
     # Walls at right angles have one direction times four.
     yaw = np.angle(np.sum(np.exp(4j * np.arctan2(y, x)))) / 4
-    turned = se_n.translation(poses) @ R.T @ so3.exp(np.array([0, 0, yaw]))
-    extent = np.ptp(turned, axis=0)
+    extent = np.ptp(places @ R.T @ so3.exp(np.array([0, 0, yaw])), axis=0)
     yaw += np.pi / 2 * (extent[1] > extent[0])
     return np.asarray(so3.exp(np.array([0, 0, -yaw])) @ R)
 
@@ -168,16 +159,11 @@ def _rotate_to_z(axis: Array) -> Array:
     return np.asarray(so3.exp(normal / size * np.arctan2(size, axis[2])))
 
 
-def _interpolate(times: Array, at: Array, values: Array) -> Array:
-    """(N, 3) of values (K, 3) at times (K,)."""
-    return np.stack([np.interp(times, at, column) for column in values.T], axis=1)
-
-
 def _lift(T: Array) -> Array:
     """Poses (..., 4, 4) of poses in the plane or in space."""
     return se2.to_se3(T) if T.shape[-1] == 3 else T
 
 
-def _raise(vectors: Array) -> Array:
+def _raise(vectors: Array) -> NDArray[np.float32]:
     """(N, 3) of vectors in the plane or in space."""
-    return np.pad(vectors, ((0, 0), (0, 3 - vectors.shape[1])))
+    return np.pad(vectors, ((0, 0), (0, 3 - vectors.shape[1]))).astype(np.float32)

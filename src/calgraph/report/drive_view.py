@@ -58,9 +58,6 @@ def render_drive(calibration: Calibration) -> Markup:
 class _Map:
     """The points of one sensor in one part of the drive, in its world."""
 
-    part: int
-    number: int
-    """Of the sensor."""
     view: DriveView
     after: Array
     """(N, 3) by the calibration, m,"""
@@ -70,56 +67,52 @@ class _Map:
 
 def _list_maps(calibration: Calibration) -> list[_Map]:
     starts = {one.sensor: one for one in calibration.pictures.drive_starts}
-    number = {sensor.name: k for k, sensor in enumerate(calibration.sensors)}
     maps = []
     for view in calibration.pictures.drive_views:
-        if view.sensor not in number:
-            continue
         sensor, path = calibration[view.sensor], calibration.pictures.drive_paths[view.part]
         offset = sensor.clock_offset or 0.0
         start = starts.get(view.sensor, DriveStart(view.sensor, sensor.T_root_sensor, offset))
         after = place_points(view, path, sensor.T_root_sensor)
         before = place_points(view, path, start.T_root_sensor, offset - start.clock_offset)
-        maps.append(_Map(view.part, number[view.sensor], view, after, before))
+        maps.append(_Map(view, after, before))
     return maps
 
 
 def _compare_distances(calibration: Calibration) -> list[tuple[str, ...]]:
     """By sensor and kind of common surfaces: share of its points, and their median distance before and after."""
     rows: list[tuple[str, ...]] = []
-    maps = _list_maps(calibration)
-    for start in calibration.pictures.drive_starts:
-        own = [one for one in maps if one.view.sensor == start.sensor]
-        if not own:
-            continue
-        shared, after, upright = (
-            np.concatenate(of)
-            for of in zip(
-                *((m.view.shared, m.view.residuals, np.abs(m.view.normals[:, 2])) for m in own), strict=True
-            )
-        )
-        moved = [np.einsum("ni,ni->n", one.before - one.after, one.view.normals) for one in own]
-        before = after + np.concatenate(moved)
+    found: dict[str, list[Array]] = {one.sensor: [] for one in calibration.pictures.drive_starts}
+    for one in _list_maps(calibration):
+        moved = np.einsum("ni,ni->n", one.before - one.after, one.view.normals)
+        of_view = one.view.residuals + moved, one.view.residuals, np.abs(one.view.normals[:, 2]), one.view.shared
+        found.get(one.view.sensor, []).append(np.column_stack(of_view))
+    for name, parts in found.items():
+        before, after, upright, shared = np.concatenate([np.zeros((0, 4)), *parts]).T
         for kind, of_kind in (("walls", upright < _WALL), ("floors and ceilings", upright > _LEVEL)):
-            chosen = shared & of_kind
+            chosen = (shared > 0) & of_kind
             if chosen.any():
                 distances = (format_length(float(np.median(np.abs(of[chosen])))) for of in (before, after))
-                rows.append((start.sensor, kind, f"{100 * chosen.mean():.0f} %", *distances))
+                rows.append((name, kind, f"{100 * chosen.mean():.0f} %", *distances))
     return rows
 
 
 def _render_plan(calibration: Calibration) -> Markup:
     """Walls by sensor and the trajectory from above, with buttons for the part and for the poses."""
     paths, maps = calibration.pictures.drive_paths, _list_maps(calibration)
+    names = [sensor.name for sensor in calibration.sensors]
     limit = min(_MAX_PART_POINTS, _MAX_POINTS // len(paths))
     traces: list[tuple[int, str, dict[str, Any]]] = []
     for part, path in enumerate(paths):
-        own = [one for one in maps if one.part == part]
+        own = [one for one in maps if one.view.part == part]
         walls = [np.flatnonzero(np.abs(one.view.normals[:, 2]) < _WALL) for one in own]
         step = sum(map(len, walls)) // limit + 1
         for state in ("before", "after")[not calibration.pictures.drive_starts :]:
             traces += [
-                (part, state, _draw_walls(calibration, one, getattr(one, state)[rows[::step]]))
+                (
+                    part,
+                    state,
+                    _draw_walls(one.view.sensor, names.index(one.view.sensor), getattr(one, state)[rows[::step]]),
+                )
                 for one, rows in zip(own, walls, strict=True)
             ]
         traces += [(part, "", trace) for trace in _draw_path(path)]
@@ -160,11 +153,11 @@ def _find_limits(maps: Sequence[_Map], paths: Sequence[DrivePath]) -> Array:
     ])  # fmt: skip
 
 
-def _draw_walls(calibration: Calibration, one: _Map, points: Array) -> dict[str, Any]:
+def _draw_walls(name: str, number: int, points: Array) -> dict[str, Any]:
     return {
         "type": "scatter", "mode": "markers", "x": points[:, 0].round(3), "y": points[:, 1].round(3),
-        "name": escape_plotly(calibration.sensors[one.number].name), "hoverinfo": "skip", "opacity": 0.7,
-        "marker": {"color": COLOR_CYCLE[one.number % len(COLOR_CYCLE)], "size": 2.5},
+        "name": escape_plotly(name), "hoverinfo": "skip", "opacity": 0.7,
+        "marker": {"color": COLOR_CYCLE[number % len(COLOR_CYCLE)], "size": 2.5},
     }  # fmt: skip
 
 
