@@ -121,3 +121,26 @@ def test_options_of_rigs_are_refused_for_drives() -> None:
     recording = MessageRecording({"/a": room_scans(np.zeros((1, 2)), np.zeros(1), 0.0)})
     with pytest.raises(InputError, match="must be DriveOptions for this target, got RigOptions"):
         calibrate(rig, recording, RigOptions())
+
+
+def test_progress_begins_with_each_step() -> None:
+    positions = 1.5 * np.stack([np.sin(np.linspace(0, 6, 200)), np.cos(np.linspace(0, 6, 200))], axis=1)
+    headings = np.linspace(0, 6, 200) + 0.5 * np.sin(np.linspace(0, 20, 200))
+    messages = {f"/{name}": room_scans(positions, headings, turn) for name, turn in (("a", 0.0), ("b", np.pi))}
+    steps: list[tuple[str, float]] = []
+    calibration = calibrate_drive(
+        surroundings("lidar2d", a="/a", b="/b"),
+        MessageRecording(messages),
+        DriveOptions(),
+        lambda step, done: steps.append((step, done)),
+    )
+    shares = {step: [done for one, done in steps if one == step] for step, _ in steps}
+    assert list(shares) == ["reading", "odometry", "adjusting"]
+    for step, done in shares.items():
+        assert done[0] == 0.0, step
+        assert done[-1] == 1.0, step
+        assert sorted(done) == done, step
+    assert len(shares["reading"]) > 100
+    # What the report shows is of the same drive.
+    assert [view.sensor for view in calibration.pictures.drive_views] == ["a", "b"]
+    assert calibration.pictures.drive_paths[0].times[-1] == pytest.approx(19.9, abs=0.2)

@@ -88,7 +88,6 @@ def _track_sensors(
     """The trajectory of each sensor by itself."""
     work = [(sources[name], np.random.default_rng([options.seed, k, 1])) for k, name in enumerate(rig.sensors)]
     tracks: dict[str, Segments | Rejected] = {}
-    # Most of the time passes here.
     progress("odometry", 0.0)
     for name, track in zip(rig.sensors, options.engine.map(_track_source, work), strict=True):
         tracks[name] = track
@@ -149,6 +148,7 @@ def _adjust(
         )
         for track, start, end in _select_parts(root, _PART_DURATION[n])
     ]
+    progress("adjusting", 0.0)
     stddev = np.array([SOURCES[rig.sensors[name].kind].stddev(rig.sensors[name], n) for name in used])
     return adjust_drive(parts, states, _fix_root(stddev), lambda done: progress("adjusting", done))
 
