@@ -164,6 +164,19 @@ def test_a_drive_without_a_solution_has_the_section_of_captures() -> None:
     page = page_of(replace(driven(), pictures=Pictures()))
     assert 'id="drive"' not in page
     assert "there are no captures" in page
+    assert "0 seconds" not in page
+
+
+@pytest.mark.parametrize(
+    ("reason", "advised"),
+    [("the robot hardly turned: drive curves", False), ("it has 10 sweeps with points; a drive needs 50", True)],
+)
+def test_what_to_drive_is_stated_once(reason: str, advised: bool) -> None:
+    found = driven()
+    evidence = replace(found.evidence, unconnected={"rear": reason})
+    page = page_of(replace(found, sensors=found.sensors[:1], joint_covariance=np.zeros((6, 6)), evidence=evidence))
+    assert reason[0].upper() + reason[1:] + "." in page
+    assert ("Check its topic, and drive" in page) == advised
 
 
 def test_the_page_is_small() -> None:

@@ -67,8 +67,10 @@ class _Map:
 
 def _list_maps(calibration: Calibration) -> list[_Map]:
     starts = {one.sensor: one for one in calibration.pictures.drive_starts}
-    maps = []
+    maps, posed = [], {sensor.name for sensor in calibration.sensors}
     for view in calibration.pictures.drive_views:
+        if view.sensor not in posed:
+            continue
         sensor, path = calibration[view.sensor], calibration.pictures.drive_paths[view.part]
         offset = sensor.clock_offset or 0.0
         start = starts.get(view.sensor, DriveStart(view.sensor, sensor.T_root_sensor, offset))

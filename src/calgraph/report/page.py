@@ -26,7 +26,7 @@ from calgraph.report.rig_view import render_rig_view
 from calgraph.report.systematic_view import render_systematic_parameters
 from calgraph.report.templates import read_asset, render
 from calgraph.report.verdict_cards import describe_next_step, render_cards, summarize_verdicts
-from calgraph.report.vocabulary import NETWORK_VOCABULARY, select_vocabulary
+from calgraph.report.vocabulary import DRIVE_VOCABULARY, NETWORK_VOCABULARY, Vocabulary, select_vocabulary
 from calgraph.result import Calibration, Provenance
 from calgraph.result.exports import roll_pitch_yaw
 from calgraph.sensors.kinds import KINDS
@@ -73,7 +73,7 @@ def _render_page(
         tolerance=rig.tolerance,
         confidence=rig.settings.diagnostics.verdict.tolerance_confidence,
         others=len(rig.sensors) - 1,
-        count=_count_items(calibration),
+        count=_count_items(calibration, words),
         headline=summarize_verdicts(calibration),
         next_step=describe_next_step(calibration),
         cards=render_cards(calibration, words),
@@ -95,10 +95,10 @@ def _render_page(
     )
 
 
-def _count_items(calibration: Calibration) -> int:
-    """Captures of a rig, tracks of a network, or seconds of a drive that were adjusted."""
-    if calibration.pictures.drive_paths:
-        return round(sum(float(np.ptp(path.times)) for path in calibration.pictures.drive_paths))
+def _count_items(calibration: Calibration, words: Vocabulary) -> int | None:
+    """Captures of a rig, tracks of a network, or seconds of a drive that were adjusted; None if there are none."""
+    if words is DRIVE_VOCABULARY:
+        return round(sum(float(np.ptp(path.times)) for path in calibration.pictures.drive_paths)) or None
     return len({row.capture for row in calibration.evidence.captures})
 
 

@@ -120,6 +120,9 @@ def _explain_unconnected(stated: str, reason: str, advice: Mapping[str, str]) ->
     """Why a sensor has no pose, as its card states it, and by the whole reason what to do."""
     if not reason:
         return advice["unconnected"]
+    # Reasons of drives state what to drive instead.
+    if ": drive " in reason or "; drive " in reason:
+        return f"{stated}."
     if "the root " in reason:
         next_step = advice["root"]
     else:
