@@ -2,7 +2,7 @@
 
 python benchmarks/drives.py --kinds ordinary --seeds 0 24 --jobs 2 --csv drives.csv   # resumed from the file
 python benchmarks/drives.py --rigs four_lidars --duration 30                          # other sensors, shorter
-python benchmarks/drives.py --kinds straight field truck --verbose                    # a line for each sensor
+python benchmarks/drives.py --kinds wrong --seeds 0 10 --verbose                      # a line for each sensor
 python benchmarks/drives.py --real --tolerance 0.02 0.5 --csv real.csv                # the recording fr079
 
 Kinds are those of drive_kinds.py, simulated in memory. A row is one sensor besides the root. A sensor is
@@ -66,6 +66,10 @@ REAL_FRAMES: Mapping[str, tuple[float, float, float, float]] = {
 REAL_PATH = Path("radish-fr079-2d-laser-odometry", "fr079.clf.bz2")
 FEW_SURFACES = "of the surfaces that another sensor passed"
 """In the reason of a verdict: fewer than 30 cells."""
+WRONG = tuple(
+    kind for kind in KINDS if kind not in ("ordinary", "planar", "clocks_half_a_second", "corridor_both_ways")
+)
+"""The kinds that determine too little, or in which something is wrong."""
 REAL_MAX_RANGE = 40.0
 """Larger ranges are no returns, m."""
 
@@ -140,7 +144,7 @@ class Setup(NamedTuple):
 def main() -> None:
     """Prints a table by kind and rig, what is confidently wrong, and all reasons."""
     parser = make_parser(__doc__, jobs=2)
-    parser.add_argument("--kinds", nargs="+", choices=list(KINDS), default=list(KINDS))
+    parser.add_argument("--kinds", nargs="+", choices=[*KINDS, "wrong"], default=list(KINDS))
     parser.add_argument("--rigs", nargs="+", choices=list(STANDARD_RIGS), default=["two_lidars"])
     parser.add_argument("--seeds", nargs=2, type=int, default=[0, 8], help="first, and one past the last")
     parser.add_argument("--duration", type=float, default=60.0, help="s")
@@ -159,7 +163,9 @@ def main() -> None:
     else:
         work = [
             (kind, rig, seed, arguments.duration, setup)
-            for kind in arguments.kinds
+            for kind in dict.fromkeys(
+                one for kind in arguments.kinds for one in (WRONG if kind == "wrong" else [kind])
+            )
             for rig in arguments.rigs
             for seed in range(*arguments.seeds)
         ]
