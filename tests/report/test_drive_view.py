@@ -121,6 +121,7 @@ def test_residuals_are_shown_over_range_and_incidence(page: str) -> None:
     assert page.count("<h4>Over incidence</h4>") == 2
     assert page.count("<h4>Over range</h4>") == 2
     assert "There are no residuals" not in page
+    assert page.count("residual 1.0 mm RMS, 1.5 mm by the median") == 2
     # Those on the left wall are between 3 and 4 m away, at most 45° or so to its normal.
     angles = figure(page, "errors-0-2")["data"][0]["x"]
     assert 0 <= min(angles) <= max(angles) <= 90

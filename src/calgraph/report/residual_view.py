@@ -8,7 +8,7 @@ import numpy as np
 from markupsafe import Markup
 
 from calgraph.config import Rig
-from calgraph.geometry import Array
+from calgraph.geometry import STDDEV_PER_MAD, Array
 from calgraph.report.figures import (
     BLUE,
     GREEN,
@@ -235,6 +235,9 @@ def _draw_sensor(
              _over(angle, of.error[:, 0], of.shown, "azimuth, °" if planar else "elevation, °", "mm")),
         ]  # fmt: skip
     if len(of.incidence):
+        # Some points within the gate are of people or furniture before the surface.
+        typical = STDDEV_PER_MAD * float(np.median(np.abs(of.error)))
+        facts += f", {format_error(typical / 1e3, 'm')} by the median"
         figures.append(
             ("Over incidence", _over(of.incidence, of.error[:, 0], of.shown, "angle to the normal, °", "mm"))
         )
