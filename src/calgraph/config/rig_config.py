@@ -14,7 +14,7 @@ from calgraph.io.strict_model import StrictModel, invalid, limit_to
 from calgraph.io.yaml_limits import MAX_RIG_VALUES
 from calgraph.io.yaml_reading import read_yaml, validate_content
 from calgraph.sensors import CameraModel
-from calgraph.sensors.kinds import CameraSpec, Lidar2dSpec, Lidar3dSpec, SensorSpec
+from calgraph.sensors.kinds import KINDS, CameraSpec, SensorSpec, TrajectorySpec
 from calgraph.sensors.kinds.stated import Name
 
 _POSITIVE = Field(gt=0, allow_inf_nan=False)
@@ -22,6 +22,8 @@ Seconds = Annotated[float, Strict(), Field(ge=0, allow_inf_nan=False)]
 Window = tuple[Seconds, Seconds]
 Instant = Annotated[float, Strict(), Field(allow_inf_nan=False)]
 Spread = Annotated[float, Strict(), _POSITIVE, limit_to(60, "s")]
+DRIVE_KINDS = ("lidar2d", "lidar3d", "trajectory", "gyroscope")
+"""Kinds of sensors that are calibrated from a drive."""
 CaptureMode = Literal["rest", "snapshots", "synchronized"]
 
 
@@ -99,9 +101,11 @@ class Rig(StrictModel):
 
     @model_validator(mode="after")
     def _topics_differ(self) -> "Rig":
-        owners: dict[str, str] = {}
+        owners: dict[tuple[str | None, ...], str] = {}
         for name, sensor in self.sensors.items():
-            other = owners.setdefault(sensor.topic, name)
+            # One topic of tf has the trajectories of several frames.
+            pair = (sensor.frame_id, sensor.parent) if isinstance(sensor, TrajectorySpec) and sensor.parent else ()
+            other = owners.setdefault((sensor.topic, *pair), name)
             if other != name:
                 raise invalid(f"sensors.{name}.topic", f"is also that of {other}, got {sensor.topic!r}")
         return self
@@ -137,12 +141,16 @@ class Rig(StrictModel):
         return self
 
     @model_validator(mode="after")
-    def _drives_are_of_lidars(self) -> "Rig":
+    def _drives_have_their_kinds(self) -> "Rig":
         for name, sensor in self.sensors.items():
-            if self.is_drive and not isinstance(sensor, Lidar2dSpec | Lidar3dSpec):
-                raise invalid(
-                    f"sensors.{name}.kind", f"must be lidar2d or lidar3d with surroundings, got {sensor.kind}"
-                )
+            key = f"sensors.{name}.kind"
+            if self.is_drive and sensor.kind not in DRIVE_KINDS:
+                allowed = f"{', '.join(DRIVE_KINDS[:-1])} or {DRIVE_KINDS[-1]}"
+                raise invalid(key, f"must be {allowed} with surroundings, got {sensor.kind}")
+            if not self.is_drive and KINDS[sensor.kind].detects == "motion":
+                raise invalid(key, f"needs target: {{kind: surroundings}}, a robot that drives, got {sensor.kind}")
+        if self.sensors[self.root].kind == "gyroscope":
+            raise invalid("root", f"must be a sensor with a trajectory, got the gyroscope {self.root!r}")
         return self
 
     @model_validator(mode="after")

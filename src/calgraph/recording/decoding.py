@@ -21,7 +21,19 @@ from calgraph.recording.images import (
 from calgraph.recording.message_types import MessageType, clean_frame_id
 from calgraph.recording.point_cloud_columns import cloud_from_columns, columns_from_point_cloud2, points_dtype
 from calgraph.recording.velodyne_packets import columns_from_velodyne
-from calgraph.sensors import CameraInfo, CameraModel, Image, LaserScan, Message, PointCloud, Trigger
+from calgraph.sensors import (
+    CameraInfo,
+    CameraModel,
+    Image,
+    LaserScan,
+    Message,
+    PointCloud,
+    Pose,
+    TransformList,
+    Trigger,
+    TurnRate,
+)
+from calgraph.sensors.kinds import TF_TYPES
 from calgraph.sensors.kinds.camera import VIDEO_TYPES
 from calgraph.sensors.kinds.sensor_kind import foxglove_types
 
@@ -204,6 +216,40 @@ def _crop_and_bin(full: CameraModel, message: Any) -> CameraModel:
     return CameraModel(full.model, width // x_bin, height // y_bin, scale @ shift @ full.K, full.distortion)
 
 
+def _pose(message: Any, stamp: float, _: LimitSettings) -> Pose:
+    """PoseStamped, PoseWithCovarianceStamped and Odometry: headers state the world; covariances are ignored."""
+    pose = message.pose
+    return _read_pose(stamp, getattr(message, "child_frame_id", ""), getattr(pose, "pose", pose))
+
+
+def _transform(message: Any, stamp: float, _: LimitSettings) -> Pose:
+    return _read_pose(stamp, message.child_frame_id, message.transform)
+
+
+def _transform_list(message: Any, stamp: float, limits: LimitSettings) -> TransformList:
+    check_point_count(len(message.transforms), limits)
+    times = [one.header.stamp.sec + 1e-9 * one.header.stamp.nanosec for one in message.transforms]
+    return TransformList(
+        stamp,
+        tuple(_transform(one, time, limits) for one, time in zip(message.transforms, times, strict=True)),
+        tuple(_frame_id(one) for one in message.transforms),
+    )
+
+
+def _read_pose(stamp: float, frame_id: str, pose: Any) -> Pose:
+    """From a pose's position and orientation, or a transform's translation and rotation."""
+    at, turned = (pose.position, pose.orientation) if hasattr(pose, "position") else (
+        pose.translation, pose.rotation
+    )  # fmt: skip
+    position = np.array([at.x, at.y, at.z], dtype=np.float64)
+    return Pose(stamp, clean_frame_id(frame_id), position, np.array([turned.x, turned.y, turned.z, turned.w]))
+
+
+def _turn_rate(message: Any, stamp: float, _: LimitSettings) -> TurnRate:
+    rate = message.angular_velocity
+    return TurnRate(stamp, _frame_id(message), np.array([rate.x, rate.y, rate.z], dtype=np.float64))
+
+
 _Decoder = Callable[[Any, float, LimitSettings], Message]
 _FOXGLOVE: Mapping[str, _Decoder] = {
     "RawImage": _image,
@@ -221,6 +267,12 @@ _DECODERS: Mapping[str, _Decoder] = {
     "sensor_msgs/msg/Image": _image,
     "sensor_msgs/msg/CompressedImage": _compressed_image,
     "sensor_msgs/msg/CameraInfo": _camera_info,
+    "nav_msgs/msg/Odometry": _pose,
+    "geometry_msgs/msg/PoseStamped": _pose,
+    "geometry_msgs/msg/PoseWithCovarianceStamped": _pose,
+    "geometry_msgs/msg/TransformStamped": _transform,
+    **dict.fromkeys(TF_TYPES, _transform_list),
+    "sensor_msgs/msg/Imu": _turn_rate,
     **{name: decoder for short, decoder in _FOXGLOVE.items() for name in foxglove_types(short)},
 }
 _RAW_DECODERS: Mapping[str, Callable[[MessageType, bytes, float, LimitSettings], Message]] = {

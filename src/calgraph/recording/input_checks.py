@@ -13,6 +13,7 @@ from calgraph.config import Rig
 from calgraph.errors import RecordingError
 from calgraph.result.finding import Finding
 from calgraph.sensors import CameraInfo, CameraModel, RecordedMessage
+from calgraph.sensors.kinds import KINDS
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,6 +112,8 @@ class InputMonitor:
 
     def _check_frames(self) -> Iterator[Finding]:
         for name, spec in self._rig.sensors.items():
+            if not KINDS[spec.kind].states_frame:
+                continue
             stamps = self._observers[spec.topic].frames
             frames = list(stamps)
             if len(frames) > 1:
@@ -127,8 +130,9 @@ class InputMonitor:
                 )
 
     def _check_duplicates(self) -> Iterator[Finding]:
-        topics = self._rig.topics.items()
-        distinct = {name: np.unique(np.asarray(self._observers[topic].contents)) for name, topic in topics}
+        # Of tf, one topic has the trajectories of several frames.
+        topics = {topic: name for name, topic in reversed(tuple(self._rig.topics.items()))}
+        distinct = {name: np.unique(np.asarray(self._observers[topic].contents)) for topic, name in topics.items()}
         for (a, b), shared in _count_shared(distinct).items():
             share = shared / min(len(distinct[a]), len(distinct[b]))
             if shared >= _MIN_IDENTICAL_MESSAGES and share > _MAX_IDENTICAL_SHARE:

@@ -17,10 +17,11 @@ from calgraph.recording.folder import FolderRecording
 from calgraph.recording.recording import JoinedRecording, Recording
 from calgraph.recording.remote import fetch_recording, is_url
 from calgraph.recording.takes import ClockCorrectedRecording, describe_takes, separate_takes
+from calgraph.recording.trajectory_file import TrajectoryFile, is_trajectory
 from calgraph.recording.video import VideoRecording, is_video
 
 _log = logging.getLogger(__name__)
-_Opened = BagRecording | CornersRecording | FolderRecording | JoinedRecording | VideoRecording
+_Opened = BagRecording | CornersRecording | FolderRecording | JoinedRecording | TrajectoryFile | VideoRecording
 
 
 def open_recording(path: Path | str, limits: LimitSettings = LimitSettings(), *, again: bool = False) -> Recording:
@@ -28,7 +29,7 @@ def open_recording(path: Path | str, limits: LimitSettings = LimitSettings(), *,
 
     Args:
         path: a rosbag2 folder, an ``.mcap``, ``.db3`` or ROS 1 ``.bag`` file, a folder of those, a video, a
-            CSV of detected corners, or a plain folder with one folder of files or one video per sensor; or the URL
+            CSV of detected corners, a text file with a pose in each line, or a plain folder with one folder of files or one video per sensor; or the URL
             of one, see :mod:`calgraph.recording.remote`.
         limits: of what is read, ``settings.limits`` of rig.yaml.
         again: whether what is missing of it has been reported already.
@@ -60,6 +61,8 @@ def _open(path: Path, limits: LimitSettings) -> _Opened:
         return VideoRecording(path, limits)
     if is_corners(path):
         return CornersRecording(path, limits)
+    if is_trajectory(path):
+        return TrajectoryFile(path, limits)
     raise InputError(
         f"{path}: is not a recording; give a rosbag2 folder, an .mcap, .db3 or .bag file, a video, or a folder "
         "with one folder of files or one video per sensor"

@@ -12,7 +12,7 @@ from calgraph.errors import InputError, RecordingError
 from calgraph.geometry import measure_lengths
 from calgraph.recording.recording import Recording
 from calgraph.sensors import LaserScan, Message, PointCloud
-from calgraph.sensors.kinds import KINDS, SENSOR_TYPES
+from calgraph.sensors.kinds import KINDS, MOTION_TYPES, SENSOR_TYPES, SensorKind
 
 # How sensors' messages of types without a reader become others, by patterns of their names.
 _REPLAY = "replay the recording through its driver, and record the PointCloud2 that it publishes"
@@ -60,6 +60,15 @@ def _list_ranges(message: Message) -> np.ndarray:
     return measure_lengths(message.points) if isinstance(message, PointCloud) else np.zeros(0)
 
 
+def _check_motion_type(name: str, topic: str, topic_type: str, kind: SensorKind) -> None:
+    """Raises InputError where messages of poses or turn rates are not those of the kind, or of other ones."""
+    if topic_type not in kind.types:
+        raise InputError(
+            f"sensors.{name}.topic: {topic} has messages of type {topic_type}, but its kind {kind.name} needs "
+            f"{', '.join(one for one in kind.types if '/' in one)}"
+        )
+
+
 def check_sensor_topics(rig: Rig, recording: Recording) -> None:
     """Checks that sensors' messages are of types that are read, and that scanners measure in metres.
 
@@ -69,8 +78,11 @@ def check_sensor_topics(rig: Rig, recording: Recording) -> None:
     types = {topic.name: topic.type for topic in recording.topics}
     for name, topic in rig.topics.items():
         # Recordings in memory state no types.
-        if types.get(topic) and types[topic] not in SENSOR_TYPES:
+        if types.get(topic) and types[topic] not in SENSOR_TYPES | MOTION_TYPES:
             raise InputError(f"sensors.{name}: {topic}: {explain_unread(types[topic])}")
+        kind = KINDS[rig.sensors[name].kind]
+        if types.get(topic) and (types[topic] in MOTION_TYPES or kind.detects == "motion"):
+            _check_motion_type(name, topic, types[topic], kind)
     scanners = {
         spec.topic: name
         for name, spec in rig.sensors.items()

@@ -11,13 +11,17 @@ from calgraph.sensors.messages import (
     Message,
     MessageDigest,
     PointCloud,
+    Pose,
     RecordedMessage,
+    TransformList,
     Trigger,
+    TurnRate,
 )
 from calgraph.sensors.scan_background import ScanBackground, align_ranges, find_nearest_beams
 
 __all__ = [
     "DISTORTION_NAMES", "SAME_DIRECTION", "CameraInfo", "CameraModel", "DetectedCorners", "Image", "LaserScan",
-    "Measurement", "Message", "MessageDigest", "PointCloud", "RecordedMessage", "ScanBackground", "Trigger",
-    "align_ranges", "colorize_points", "convert_cloud_to_scan", "find_nearest_beams",
+    "Measurement", "Message", "MessageDigest", "PointCloud", "Pose", "RecordedMessage", "ScanBackground",
+    "TransformList", "Trigger", "TurnRate", "align_ranges", "colorize_points", "convert_cloud_to_scan",
+    "find_nearest_beams",
 ]  # fmt: skip

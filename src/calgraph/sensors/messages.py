@@ -188,6 +188,75 @@ class CameraInfo:
         )
 
 
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """The pose of a frame that moves, as another program estimates it."""
+
+    stamp: float
+    """Header stamp, s."""
+    frame_id: str
+    """The frame that moves; empty if the message states none."""
+    position: Array
+    """(3,) in a world that the program chose, m."""
+    quaternion: Array
+    """(4,) x, y, z, w of the rotation to that world, as the message states it: perhaps not of unit length."""
+    topic_type: ClassVar[str] = "trajectory"
+    measured: ClassVar[str] = "position"
+    is_empty: ClassVar[bool] = False
+    duration: ClassVar[float] = 0.0
+
+    @property
+    def content(self) -> str:
+        """See :class:`Image`."""
+        return "a pose"
+
+
+@dataclass(frozen=True, eq=False)
+class TransformList:
+    """Poses of frames in others, of tf."""
+
+    stamp: float
+    poses: tuple[Pose, ...]
+    """With separate stamps."""
+    parents: tuple[str, ...]
+    """The frame in which each pose is."""
+    frame_id: ClassVar[str] = ""
+    topic_type: ClassVar[str] = "transforms"
+    measured: ClassVar[str] = "positions"
+    is_empty: ClassVar[bool] = False
+    duration: ClassVar[float] = 0.0
+
+    @property
+    def positions(self) -> Array:
+        """(N, 3) m."""
+        return np.array([pose.position for pose in self.poses]).reshape(-1, 3)
+
+    @property
+    def content(self) -> str:
+        """See :class:`Image`."""
+        return f"{len(self.poses)} transforms"
+
+
+@dataclass(frozen=True, eq=False)
+class TurnRate:
+    """The turn rate that a gyroscope measures."""
+
+    stamp: float
+    """Header stamp, s."""
+    frame_id: str
+    rate: Array
+    """(3,) about its axes, rad/s."""
+    topic_type: ClassVar[str] = "turn_rate"
+    measured: ClassVar[str] = "rate"
+    is_empty: ClassVar[bool] = False
+    duration: ClassVar[float] = 0.0
+
+    @property
+    def content(self) -> str:
+        """See :class:`Image`."""
+        return "a turn rate"
+
+
 @dataclass(frozen=True)
 class Trigger:
     """A message that marks the start of a capture; only its time matters."""
@@ -200,7 +269,7 @@ class Trigger:
 
 Measurement = Image | DetectedCorners | LaserScan | PointCloud
 """What a sensor sends."""
-Message = Measurement | CameraInfo | Trigger
+Message = Measurement | Pose | TransformList | TurnRate | CameraInfo | Trigger
 
 
 @dataclass(frozen=True)

@@ -6,20 +6,29 @@ from pydantic import Field
 
 from calgraph.sensors.kinds.camera import CAMERA, CameraSpec, CameraUncertainty, PixelNoise
 from calgraph.sensors.kinds.depth_camera import DEPTH_CAMERA, DepthCameraSpec, DepthCameraUncertainty, DepthNoise
+from calgraph.sensors.kinds.gyroscope import GYROSCOPE, GyroscopeSpec
 from calgraph.sensors.kinds.lidar2d import LIDAR2D, Lidar2dSpec, Lidar2dUncertainty
 from calgraph.sensors.kinds.lidar3d import LIDAR3D, Lidar3dSpec, Lidar3dUncertainty
 from calgraph.sensors.kinds.sensor_kind import SensorKind
 from calgraph.sensors.kinds.stated import BeamError, OpticalSpec, RangeNoise, RangeUncertainty
+from calgraph.sensors.kinds.trajectory import TF_TYPES, TRAJECTORY, TrajectorySpec
 from calgraph.sensors.messages import Message
 
-KindName = Literal["camera", "lidar2d", "lidar3d", "depth_camera"]
-SensorSpec = Annotated[CameraSpec | Lidar2dSpec | Lidar3dSpec | DepthCameraSpec, Field(discriminator="kind")]
-KINDS: dict[str, SensorKind] = {kind.name: kind for kind in (LIDAR3D, CAMERA, DEPTH_CAMERA, LIDAR2D)}
+KindName = Literal["camera", "lidar2d", "lidar3d", "depth_camera", "trajectory", "gyroscope"]
+SensorSpec = Annotated[
+    CameraSpec | Lidar2dSpec | Lidar3dSpec | DepthCameraSpec | TrajectorySpec | GyroscopeSpec,
+    Field(discriminator="kind"),
+]
+KINDS: dict[str, SensorKind] = {
+    kind.name: kind for kind in (LIDAR3D, CAMERA, DEPTH_CAMERA, LIDAR2D, TRAJECTORY, GYROSCOPE)
+}
 """All kinds by name; the kinds that suit best as the root of a rig come first."""
 
-_KIND_OF_TYPE = {name: kind.name for kind in KINDS.values() for name in kind.types}
+_KIND_OF_TYPE = {name: kind.name for kind in KINDS.values() if kind.detects != "motion" for name in kind.types}
 SENSOR_TYPES = frozenset(_KIND_OF_TYPE)
-"""Types of the topics of sensors, of ROS and of plain folders."""
+"""Types of the topics of sensors that detect targets, of ROS and of plain folders."""
+MOTION_TYPES = frozenset(name for kind in KINDS.values() if kind.detects == "motion" for name in kind.types)
+"""Types of the topics of kinds that are calibrated in a drive only."""
 
 
 def recognize_kind(topic_type: str, first: Message | None = None) -> KindName | None:
@@ -35,8 +44,9 @@ def list_beam_errors(kind: KindName) -> tuple[BeamError, ...]:
 
 
 __all__ = [
-    "KINDS", "SENSOR_TYPES", "CameraSpec", "CameraUncertainty", "DepthCameraSpec",
-    "DepthCameraUncertainty", "DepthNoise", "KindName", "Lidar2dSpec", "Lidar2dUncertainty",
+    "KINDS", "MOTION_TYPES", "SENSOR_TYPES", "TF_TYPES", "CameraSpec", "CameraUncertainty", "DepthCameraSpec",
+    "DepthCameraUncertainty", "DepthNoise", "GyroscopeSpec", "KindName", "Lidar2dSpec", "Lidar2dUncertainty",
     "Lidar3dSpec", "Lidar3dUncertainty", "OpticalSpec", "PixelNoise", "RangeNoise", "SensorKind", "SensorSpec",
+    "TrajectorySpec",
     "list_beam_errors", "recognize_kind",
 ]  # fmt: skip

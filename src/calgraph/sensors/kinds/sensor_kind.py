@@ -38,12 +38,12 @@ class SensorKind:
     """What it sends; the first is what else a message of this kind is called in errors."""
     types: tuple[str, ...]
     """Types of topics, of ROS and of plain folders, that are of this kind unless another kind claims them."""
-    detects: Literal["corners", "plane", "line"]
-    """What it measures of a board."""
+    detects: Literal["corners", "plane", "line", "motion"]
+    """What it measures of a board; ``motion`` of kinds that are calibrated in a drive only."""
     axes: tuple[str, ...]
     """Names of the six axes of its frame: along x, y, z, and about them."""
-    shape: Literal["frustum", "disc", "rings"]
-    """How its field of view is drawn."""
+    shape: Literal["frustum", "disc", "rings", "axes"]
+    """How its field of view is drawn; ``axes`` of kinds without one."""
     color: str
     """In which it is drawn on a dark page."""
     default_name: str
@@ -64,6 +64,9 @@ class SensorKind:
     """What its images measured, with its intrinsics, of kinds whose images are not searched themselves. Raises
     ValueError where an image has no such measurements."""
 
+    states_frame: bool = True
+    """Whether the headers of its messages state its frame, not that in which it moves."""
+
     @property
     def optical(self) -> bool:
         """Whether its frame has z forward and y down."""
@@ -72,4 +75,4 @@ class SensorKind:
     @property
     def measures_ranges(self) -> bool:
         """Whether it measures distances, so that it may have a background."""
-        return self.detects != "corners"
+        return self.detects in ("plane", "line")

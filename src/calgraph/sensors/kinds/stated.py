@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, NoReturn, Self
 
 import numpy as np
 from pydantic import Discriminator, Field, Strict, Tag, model_validator
@@ -167,6 +167,32 @@ class RangeUncertainty(TimeUncertainty):
             BeamError("range bias", "m", self.range_bias, lengthen=lengthen_equally, clause=longer),
             BeamError("range scale", "", self.range_scale, 1.0, lengthen_equally, power=1, clause=longer),
         )
+
+
+class MotionSpec(StrictModel):
+    """What a sensor states that measures motion only, and is calibrated in a drive."""
+
+    topic: Name
+    """Topic of its messages; of a text file with a pose in each line, the file's name without suffix."""
+    frame_id: Name | None = None
+    """The sensor's frame; that of its messages if left out."""
+    clock_offset: ClockOffset | None = None
+    """Of rigs with a board only; estimated in a drive."""
+    uncertainty: TimeUncertainty = TimeUncertainty()
+
+    @property
+    def noise(self) -> NoReturn:
+        """It is estimated, and only rigs with a board, which have no such sensors, state noise.
+
+        Raises:
+            AttributeError: always.
+        """
+        raise AttributeError("the noise of a trajectory or gyroscope is estimated, not stated")
+
+    @property
+    def stated_intrinsics(self) -> None:
+        """None: it is no camera."""
+        return None
 
 
 class OpticalSpec(StrictModel):
