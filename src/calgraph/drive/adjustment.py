@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
-from calgraph.drive.measurements import DrivePart
+from calgraph.drive.measurements import DrivePart, LinearRows, Measurements, NoisyMeasurements
 from calgraph.drive.states import SensorState
 from calgraph.drive.surface_elimination import NoiseModel, SurfaceEquations, eliminate_surfaces
 from calgraph.drive.surface_points import linearize_points
@@ -76,6 +76,8 @@ _ACCELERATION, _TURN_ACCELERATION = 5.0, 10.0
 # Standard deviation with which the middle control point is held, m and rad: it only fixes the world, which
 # the poses of sensors do not depend on.
 _GAUGE = 1e-3
+# Residuals of a kind of measurement of which the variance is computed, which takes time.
+_VARIANCES = 300
 
 
 def adjust_drive(
@@ -109,7 +111,10 @@ def adjust_drive(
         full = np.zeros(free.shape)
         full[free] = step
         states = [state.moved(one) for state, one in zip(states, full, strict=True)]
-        parts = [_move_part(part, one.back_substitute(step)) for part, one in zip(parts, reduced, strict=True)]
+        parts = [
+            _move_part(part, one.measurements, one.back_substitute(step))
+            for part, one in zip(parts, reduced, strict=True)
+        ]
         noise = _estimate_noise(reduced, noise)
         progress((k + 1) / len(_GATES))
     return Adjustment(
@@ -150,6 +155,8 @@ class _Reduced:
     """(C',)."""
     surfaces: SurfaceEquations
     """With statistics of the noise."""
+    measurements: Sequence[Measurements]
+    """Those of the part, with noise estimated from their residuals."""
 
     def back_substitute(self, step: Array) -> Array:
         """(C',) the change of the part's unknowns that goes with a step of the sensors."""
@@ -157,15 +164,15 @@ class _Reduced:
         return np.asarray(change, dtype=np.float64)
 
 
-def _move_part(part: DrivePart, change: Array) -> DrivePart:
-    """The part with its unknowns changed."""
+def _move_part(part: DrivePart, measurements: Sequence[Measurements], change: Array) -> DrivePart:
+    """The part with its unknowns changed, and with measurements that have another noise."""
     size = part.trajectory.control.size
     edges = np.cumsum([size, *(one.unknown_count for one in part.measurements)])
     return replace(
         part,
         trajectory=part.trajectory.moved(change[:size].reshape(part.trajectory.control.shape)),
         measurements=[
-            one.moved(some) for one, some in zip(part.measurements, np.split(change, edges)[1:-1], strict=True)
+            one.moved(some) for one, some in zip(measurements, np.split(change, edges)[1:-1], strict=True)
         ],
     )
 
@@ -180,7 +187,7 @@ def _reduce_part(
     unknowns = sum(one.unknown_count for one in part.measurements)
     H, g = _insert_unknowns(on_surfaces.information, on_surfaces.gradient, control.size, unknowns)
     _add_motion_prior(H, g, part.trajectory)
-    _add_measurements(H, g, part, states, free)
+    measured = _add_measurements(H, g, part, states, free)
     C = control.size + unknowns
     H_c, H_cp, H_p = H[:C, :C], H[:C, C:], H[C:, C:]
     factor = cho_factor(H_c, lower=True, check_finite=False)
@@ -189,6 +196,7 @@ def _reduce_part(
         H_p - H_cp.T @ eliminated[:, :-1],
         g[C:] - H_cp.T @ eliminated[:, -1],
         factor, H_cp, g[:C], on_surfaces,
+        [_estimate_own_noise(one, *some, factor) for one, some in zip(part.measurements, measured, strict=True)],
     )  # fmt: skip
 
 
@@ -204,11 +212,16 @@ def _insert_unknowns(H: Array, g: Array, at: int, count: int) -> tuple[Array, Ar
 
 def _add_measurements(
     H: Array, g: Array, part: DrivePart, states: Sequence[SensorState], free: NDArray[np.bool_]
-) -> None:
-    """Adds measurements of the trajectory, whose unknowns follow the control points."""
+) -> list[tuple[LinearRows, int]]:
+    """Adds measurements of the trajectory, whose unknowns follow the control points.
+
+    Returns:
+        The rows of each, and the number of its first unknown.
+    """
     number = np.full(free.shape, -1)
     number[free] = len(g) - free.sum() + np.arange(free.sum())
     first = part.trajectory.control.size
+    measured = []
     for one in part.measurements:
         rows = one.linearize(part.trajectory, states[one.sensor])
         used = number[one.sensor] >= 0
@@ -220,7 +233,26 @@ def _add_measurements(
         ])  # fmt: skip
         H[np.ix_(columns, columns)] += J.T @ J
         g[columns] += J.T @ rows.residual
+        measured.append((rows, first))
         first += one.unknown_count
+    return measured
+
+
+def _estimate_own_noise(
+    one: Measurements, rows: LinearRows, first: int, factor: tuple[Array, bool]
+) -> Measurements:
+    """Measurements with their noise estimated anew, given the factor of the information of the part's unknowns."""
+    if not isinstance(one, NoisyMeasurements):
+        return one
+    # Variances of neighbours are nearly equal, but for those of the unknowns, which are last.
+    M = len(rows.residual)
+    last = np.arange(M - one.unknown_count, M)
+    chosen = np.union1d(np.arange(0, M, max(M // _VARIANCES, 1)), last)
+    J = np.zeros((len(chosen), len(factor[0])))
+    J[:, : rows.by_control.shape[1]] = rows.by_control[chosen].toarray()
+    J[:, first : first + one.unknown_count] = rows.by_unknown[chosen]
+    variance = np.sum(J.T * cho_solve(factor, J.T, check_finite=False), axis=0)
+    return one.with_noise_of(rows, variance[np.searchsorted(chosen, np.arange(M), side="right") - 1])
 
 
 def _add_motion_prior(H: Array, g: Array, trajectory: SplineTrajectory) -> None:

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from scipy.sparse import csr_array
 
@@ -44,6 +44,20 @@ class Measurements(Protocol):
 
     def moved(self, step: Array) -> "Measurements":
         """The measurements with their unknowns after a step (E,)."""
+        ...
+
+
+@runtime_checkable
+class NoisyMeasurements(Measurements, Protocol):
+    """Measurements whose noise is estimated with the rest."""
+
+    def with_noise_of(self, rows: LinearRows, variance: Array) -> "NoisyMeasurements":
+        """The measurements with their noise estimated anew.
+
+        Args:
+            rows: the residuals.
+            variance: (M,) of these, that the uncertainty of the trajectory and of the unknowns leaves.
+        """
         ...
 
 

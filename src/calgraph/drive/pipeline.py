@@ -12,7 +12,7 @@ from calgraph.drive.measurements import DrivePart
 from calgraph.drive.options import DriveOptions
 from calgraph.drive.segments import Segments
 from calgraph.drive.sources import SOURCES, Reader, Source
-from calgraph.drive.start import MotionStart, explain_failure, solve_start
+from calgraph.drive.start import MotionStart, StartMotion, explain_failure, solve_start
 from calgraph.drive.states import SensorState
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se_n
@@ -57,15 +57,19 @@ def calibrate_drive(
 
 
 def dimension_of(rig: Rig) -> int:
-    """2 of rigs whose sensors all measure in one plane, otherwise 3."""
-    return 2 if all(spec.kind == "lidar2d" for spec in rig.sensors.values()) else 3
+    """2 of rigs whose LiDARs all measure in one plane, otherwise 3."""
+    lidars = {spec.kind for spec in rig.sensors.values() if SOURCES[spec.kind].has_surfaces}
+    return 2 if lidars == {"lidar2d"} else 3
 
 
 def _read_sources(
     rig: Rig, recording: Recording, monitor: InputMonitor, seed: int, progress: Progress
 ) -> tuple[dict[str, Source], dict[str, str]]:
     """What each sensor measured, and the frames that messages state."""
-    names = {topic: name for name, topic in rig.topics.items()}
+    # One topic of tf has the trajectories of several frames.
+    names: dict[str, list[str]] = {}
+    for name, topic in rig.topics.items():
+        names.setdefault(topic, []).append(name)
     n = dimension_of(rig)
     readers: dict[str, Reader] = {
         name: SOURCES[spec.kind].make_reader(rig, name, recording, n, np.random.default_rng([seed, k]))
@@ -73,10 +77,11 @@ def _read_sources(
     }
     frames: dict[str, str] = {}
     for record in monitor.observe(recording.records(list(names))):
-        name, message = names[record.topic], record.decode()
-        if message.frame_id:
-            frames.setdefault(name, message.frame_id)
-        readers[name].add(message)
+        message = record.decode()
+        for name in names[record.topic]:
+            if message.frame_id:
+                frames.setdefault(name, message.frame_id)
+            readers[name].add(message)
         progress("reading", (record.arrival - recording.start) / max(recording.end - recording.start, 1e-9))
     progress("reading", 1.0)
     return {name: reader.finish() for name, reader in readers.items()}, frames
@@ -115,10 +120,19 @@ def _solve_starts(
         elif min(root.end, track.end) - max(root.start, track.start) < _MIN_COMMON_TIME:
             starts[name] = Rejected(f"it and the root measured together for under {_MIN_COMMON_TIME:g} s")
         else:
-            start = solve_start(root, track, _MAX_CLOCK_OFFSET, np.random.default_rng([seed, k, 2]))
-            failure = explain_failure(start, name)
+            motion = _select_motion(rig, name)
+            start = solve_start(root, track, _MAX_CLOCK_OFFSET, np.random.default_rng([seed, k, 2]), motion)
+            failure = explain_failure(start, name, motion)
             starts[name] = Rejected(failure) if failure else start
     return starts
+
+
+def _select_motion(rig: Rig, name: str) -> StartMotion:
+    """What the start of a sensor is found from: surfaces that both measure would be missed at a wrong height."""
+    if not SOURCES[rig.sensors[name].kind].has_place:
+        return "turn"
+    both = all(SOURCES[rig.sensors[one].kind].has_surfaces for one in (rig.root, name))
+    return "free" if both or dimension_of(rig) == 2 else "level"
 
 
 def _adjust(
@@ -131,8 +145,6 @@ def _adjust(
     progress: Progress,
 ) -> Adjustment:
     """The joint solution of the sensors that have a start."""
-    root = tracks[rig.root]
-    assert isinstance(root, Segments)
     n = dimension_of(rig)
     states = [SensorState(np.eye(n + 1))]
     for name in used[1:]:
@@ -141,7 +153,14 @@ def _adjust(
         states.append(SensorState(start.T_root_sensor, start.clock_offset))
     rng = np.random.default_rng([seed, len(rig.sensors)])
     thinned = [sources[name].thin(rng) for name in used]
-    spacing = float(np.clip(max(one.gap for one in thinned), _KNOT_SPACING, _MAX_KNOT_SPACING))
+    # LiDARs follow the trajectory best, and measure it between poses of other sensors.
+    best = [k for k, name in enumerate(used) if SOURCES[rig.sensors[name].kind].has_surfaces]
+    gap = max(thinned[k].gap for k in best or range(len(used)))
+    spacing = float(np.clip(gap, _KNOT_SPACING, _MAX_KNOT_SPACING))
+    leader = best[0] if best else 0
+    followed = tracks[used[leader]]
+    assert isinstance(followed, Segments)
+    root = _move_to_root(followed, states[leader]) if leader else followed
     parts = [
         _gather_part(
             thinned, states, fit_spline(track.between(start - spacing, end + spacing), start, end, spacing)
@@ -151,6 +170,12 @@ def _adjust(
     progress("adjusting", 0.0)
     stddev = np.array([SOURCES[rig.sensors[name].kind].stddev(rig.sensors[name], n) for name in used])
     return adjust_drive(parts, states, _fix_root(stddev), lambda done: progress("adjusting", done))
+
+
+def _move_to_root(followed: Segments, state: SensorState) -> Segments:
+    """The root's trajectory by its clock, from that of a sensor."""
+    T_sensor_root = se_n.inverse(state.T_root_sensor)
+    return Segments([Track(one.times - state.clock_offset, one.poses @ T_sensor_root) for one in followed.tracks])
 
 
 def _gather_part(

@@ -5,11 +5,12 @@ Sources: Tsai and Lenz, "A new technique for fully autonomous and efficient 3D r
 """
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
 from calgraph.drive.segments import Segments
-from calgraph.geometry import STDDEV_PER_MAD, Array, se_n
+from calgraph.geometry import STDDEV_PER_MAD, Array, se2, se_n, so3
 
 # Rate at which turn rates are compared, Hz: above that of sweeps; a parabola refines steps of 20 ms.
 _RATE = 50.0
@@ -53,6 +54,10 @@ class MotionStart:
     """(d,) RMS turn of the sensor during a motion, about the principal axes of turning, rad, descending."""
 
 
+StartMotion = Literal["free", "level", "turn"]
+"""What two trajectories determine; see :func:`solve_start`."""
+
+
 def find_clock_offset(root: Segments, sensor: Segments, max_offset: float) -> tuple[float, float]:
     """The offset of the sensor's clock, s, at which turn rates agree best, and their correlation there.
 
@@ -86,7 +91,9 @@ def _correlate(a: Array, b: Array) -> float:
     return float(a @ b) / max(float(np.sqrt((a @ a) * (b @ b))), 1e-12)
 
 
-def solve_start(root: Segments, sensor: Segments, max_offset: float, rng: np.random.Generator) -> MotionStart:
+def solve_start(
+    root: Segments, sensor: Segments, max_offset: float, rng: np.random.Generator, motion: StartMotion = "free"
+) -> MotionStart:
     """The pose and the clock of a sensor from two trajectories.
 
     Args:
@@ -94,6 +101,9 @@ def solve_start(root: Segments, sensor: Segments, max_offset: float, rng: np.ran
         sensor: of the sensor, in another world.
         max_offset: largest difference of the clocks, s.
         rng: for random samples.
+        motion: what the trajectories determine in space: ``free``, or ``level`` where either of them may have
+            turned about one axis only, along which no position is found, or ``turn`` where the sensor has no
+            positions.
     """
     offset, correlation = find_clock_offset(root, sensor, max_offset)
     first = max(root.start, sensor.start - offset)
@@ -103,14 +113,23 @@ def solve_start(root: Segments, sensor: Segments, max_offset: float, rng: np.ran
     B, sensor_known = sensor.relative(starts + offset, MOTION_DURATION)
     both = root_known & sensor_known
     A, B = A[both], B[both]
-    T = _sample_poses(A, B, rng)
-    T, information, weights = _refine(T, A, B)
-    vectors = se_n.log(se_n.rotation(B))
-    turns = np.linalg.svd(vectors, compute_uv=False) / np.sqrt(len(B))
+    turns = _measure_turns(B)
+    if motion == "turn":
+        T, information, weights = _solve_rotation(A, B)
+    elif motion == "level" and min(_measure_turns(A)[1], turns[1]) < _MIN_SECOND_TURN:
+        T, information, weights = _solve_level(A, B, rng)
+    else:
+        T, information, weights = _refine(_sample_poses(A, B, rng), A, B)
     return MotionStart(T, offset, information, float(np.mean(weights > 0.25)), correlation, len(A), turns)
 
 
-def explain_failure(start: MotionStart, name: str) -> str:
+def _measure_turns(motions: Array) -> Array:
+    """(d,) RMS turns of motions about the principal axes of turning, rad, descending."""
+    vectors = se_n.log(se_n.rotation(motions))
+    return np.asarray(np.linalg.svd(vectors, compute_uv=False) / np.sqrt(len(motions)))
+
+
+def explain_failure(start: MotionStart, name: str, motion: StartMotion = "free") -> str:
     """Why a start is not to be relied on, and what to drive instead; empty if it is."""
     if start.correlation < _MIN_CORRELATION:
         return (
@@ -122,7 +141,7 @@ def explain_failure(start: MotionStart, name: str) -> str:
             f"the robot hardly turned ({np.degrees(start.turns[0]):.1f}° in {MOTION_DURATION:g} s): drive curves, "
             f"without which nothing determines where {name} is"
         )
-    if len(start.turns) == 3 and start.turns[1] < _MIN_SECOND_TURN:
+    if motion == "free" and len(start.turns) == 3 and start.turns[1] < _MIN_SECOND_TURN:
         return (
             f"the robot turned about one axis only ({np.degrees(start.turns[1]):.1f}° about others in "
             f"{MOTION_DURATION:g} s), which leaves the height of {name} and a rotation open: drive over ramps, too"
@@ -180,6 +199,56 @@ def _solve_in_space(A: Array, B: Array) -> Array:
     a, b = se_n.log(A[..., :3, :3]), se_n.log(B[..., :3, :3])
     R = se_n.nearest_rotation(np.swapaxes(a, -1, -2) @ b)
     return se_n.pose(R, _solve_translation(A, B, R))
+
+
+def _solve_level(A: Array, B: Array, rng: np.random.Generator) -> tuple[Array, Array, Array]:
+    """As :func:`_refine`, of motions that turn about one axis: in the plane across it, at no height along it."""
+    up_A, up_B = (np.linalg.svd(se_n.log(se_n.rotation(one)))[2][0] for one in (A, B))
+    turns_A, turns_B = (se_n.log(se_n.rotation(one)) @ up for one, up in ((A, up_A), (B, up_B)))
+    up_B = up_B * np.sign(turns_A @ turns_B)
+    level_A, level_B = _level(up_A), _level(up_B)
+    T, information, weights = _refine(
+        _sample_poses(_flatten(A, level_A), _flatten(B, level_B), rng), _flatten(A, level_A), _flatten(B, level_B)
+    )
+    lifted = se2.to_se3(T)
+    lifted[:3, :3] = level_A.T @ lifted[:3, :3] @ level_B
+    lifted[:3, 3] = level_A.T @ lifted[:3, 3]
+    to_plane = np.zeros((3, 6))
+    to_plane[:2, :3], to_plane[2, 3:] = level_A[:2], level_A[2]
+    return lifted, to_plane.T @ information @ to_plane, weights
+
+
+def _level(up: Array) -> Array:
+    """(3, 3) rotation that turns a unit vector (3,) to z."""
+    axis = np.cross(up, [0.0, 0.0, 1.0])
+    sine = float(np.linalg.norm(axis))
+    if sine < 1e-9:
+        return np.eye(3) if up[2] > 0 else np.diag([1.0, -1.0, -1.0])
+    return so3.exp(axis / sine * np.arctan2(sine, up[2]))
+
+
+def _flatten(motions: Array, level: Array) -> Array:
+    """Motions (K, 3, 3) in the plane across the axis that a rotation turns to z, from those in space."""
+    R = level @ se_n.rotation(motions) @ level.T
+    return se_n.pose(se_n.exp(se_n.log(R)[:, 2:]), (se_n.translation(motions) @ level.T)[:, :2])
+
+
+def _solve_rotation(A: Array, B: Array) -> tuple[Array, Array, Array]:
+    """As :func:`_refine`, of a sensor that measures turns only, with a constant bias: ``a = R (b - b̄) + ā``."""
+    a, b = se_n.log(se_n.rotation(A)), se_n.log(se_n.rotation(B))
+    weights = np.ones(len(a))
+    R, e = np.eye(3), a
+    for _ in range(20):
+        mean_a, mean_b = (weights @ one / weights.sum() for one in (a, b))
+        R = se_n.nearest_rotation((a - mean_a).T @ ((b - mean_b) * weights[:, None]))
+        e = a - mean_a - (b - mean_b) @ R.T
+        size = np.linalg.norm(e, axis=1)
+        weights = (1 + (size / (3 * max(float(np.median(size)), 1e-4))) ** 2) ** -2.0
+    spread = max(float(weights @ np.sum(e**2, axis=1) / (3 * weights.sum())), 1e-8)
+    lever = se_n.rotation_jacobian(a - mean_a)
+    information = np.zeros((6, 6))
+    information[3:, 3:] = np.einsum("k,kij,kil->jl", weights, lever, lever) / spread
+    return se_n.pose(R, np.zeros(3)), information, weights
 
 
 def _solve_translation(A: Array, B: Array, R: Array) -> Array:

@@ -29,8 +29,9 @@ def open_recording(path: Path | str, limits: LimitSettings = LimitSettings(), *,
 
     Args:
         path: a rosbag2 folder, an ``.mcap``, ``.db3`` or ROS 1 ``.bag`` file, a folder of those, a video, a
-            CSV of detected corners, a text file with a pose in each line, or a plain folder with one folder of files or one video per sensor; or the URL
-            of one, see :mod:`calgraph.recording.remote`.
+            CSV of detected corners, a text file with a pose in each line, or a plain folder
+            with one folder of files or one video per sensor; or the URL of one, see
+            :mod:`calgraph.recording.remote`.
         limits: of what is read, ``settings.limits`` of rig.yaml.
         again: whether what is missing of it has been reported already.
 

@@ -11,7 +11,7 @@ from rosbags.typesys.store import Typestore
 from calgraph.geometry import Array, so3
 from calgraph.io.text_writing import save_yaml
 from calgraph.recording.writer import RecordingWriter, serialize_message
-from calgraph.simulation.drive_scenario import RANGING, DriveScenario
+from calgraph.simulation.drive_scenario import DRIVE_KINDS, RANGING, DriveScenario
 from calgraph.simulation.drive_simulation import SimulatedDrive, simulate_drive
 from calgraph.simulation.truth import GroundTruth, save_truth
 
@@ -45,12 +45,11 @@ def record_drive(scenario: DriveScenario, out: Path, progress: Callable[[int, in
                 progress(done, len(events))
     sensors = {
         sensor.name: {
-            "kind": "lidar2d" if sensor.kind == "scanner" else "lidar3d",
-            "topic": f"/{sensor.name}/{'scan' if sensor.kind == 'scanner' else 'points'}",
+            "kind": DRIVE_KINDS[sensor.kind],
+            "topic": drive.topics[sensor.name],
             "frame_id": sensor.name,
         }
         for sensor in scenario.sensors
-        if sensor.kind in RANGING
     }
     save_yaml(out / "rig.yaml", {"root": drive.root, "target": {"kind": "surroundings"}, "sensors": sensors})
     truth = drive.truth
@@ -86,7 +85,8 @@ def _list_events(drive: SimulatedDrive) -> Iterator[_Event]:
     def arrival(name: str, end: float) -> int:
         return round(1e9 * (end - offsets[name] + rng.uniform(*_LATENCY_RANGE)))
 
-    for record in drive.recording.records():
+    ranging = [drive.topics[one.name] for one in drive.scenario.sensors if one.kind in RANGING]
+    for record in drive.recording.records(ranging) if ranging else ():
         message = record.decode()
         name = record.topic.split("/")[1]
         end = message.stamp + getattr(message, "duration", 0.0)

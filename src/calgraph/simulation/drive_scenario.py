@@ -1,6 +1,7 @@
 """The options of a simulated drive. Angles are in degrees."""
 
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from calgraph.errors import InputError
@@ -12,7 +13,13 @@ DriveSensorKind = Literal["lidar", "solid_state", "scanner", "odometry", "trajec
 RigName = Literal[
     "two_lidars", "three_lidars", "four_lidars", "lidar_and_solid_state", "lidar_and_scanner", "two_scanners",
     "lidar_and_odometry", "lidar_and_trajectory", "lidar_and_gyroscope", "mixed", "scanner_270",
+    "trajectories",
 ]  # fmt: skip
+DRIVE_KINDS: Mapping[DriveSensorKind, str] = {
+    "lidar": "lidar3d", "solid_state": "lidar3d", "scanner": "lidar2d", "odometry": "trajectory",
+    "trajectory": "trajectory", "gyroscope": "gyroscope",
+}  # fmt: skip
+"""The kinds by which rig.yaml calls them."""
 RANGING = ("lidar", "solid_state", "scanner")
 """The kinds that measure ranges; the others state poses or rates."""
 
@@ -107,6 +114,7 @@ STANDARD_RIGS: dict[RigName, tuple[DriveSensor, ...]] = {
     "lidar_and_trajectory": (_apart(2, 130.0)[0], _TRAJECTORY),
     "lidar_and_gyroscope": (_apart(2, 130.0)[0], _GYROSCOPE),
     "mixed": (*_apart(2, 130.0), _ODOMETRY, _TRAJECTORY, _GYROSCOPE),
+    "trajectories": (_TRAJECTORY, replace(_TRAJECTORY, name="trajectory_rear", rate=20.0), _GYROSCOPE),
     "scanner_270": (DriveSensor("laser_front", "scanner", 0.0, 270.0, 40.0, 0.5, 1, 0.0, 0.0, 30.0), _ODOMETRY),
 }
 """Sensors by name of the rig; those that measure ranges share no view, and the first is the root."""
@@ -117,7 +125,7 @@ class DriveFaults:
     """What goes wrong in a drive."""
 
     sensor: str = ""
-    """Which sensor the faults below concern; the last that measures ranges if empty."""
+    """Which sensor the faults below concern; if empty the last that measures ranges, or the last of all."""
     time: float = 0.5
     """When bump and jump occur, as a fraction of the drive."""
     bump: tuple[float, float] = (0.0, 0.0)
@@ -172,15 +180,18 @@ class DriveScenario:
         """Checks the sensors.
 
         Raises:
-            InputError: names are not unique, or none measures ranges, or the fault's sensor is unknown.
+            InputError: names are not unique, or all are gyroscopes, or the fault's sensor is unknown.
         """
         names = [sensor.name for sensor in self.sensors]
-        if len(set(names)) < len(names) or not any(sensor.kind in RANGING for sensor in self.sensors):
-            raise InputError(f"a drive needs sensors with unique names, one with ranges at least, got {names}")
+        if len(set(names)) < len(names) or all(sensor.kind == "gyroscope" for sensor in self.sensors):
+            raise InputError(
+                f"a drive needs sensors with unique names, one at least that is no gyroscope, got {names}"
+            )
         if self.faults.sensor and self.faults.sensor not in names:
             raise InputError(f"the faults concern {self.faults.sensor!r}, which is none of {names}")
 
     @property
     def faulty(self) -> str:
         """The sensor that faults concern."""
-        return self.faults.sensor or [s.name for s in self.sensors if s.kind in RANGING][-1]
+        ranging = [sensor.name for sensor in self.sensors if sensor.kind in RANGING]
+        return self.faults.sensor or (ranging or [sensor.name for sensor in self.sensors])[-1]

@@ -1,21 +1,26 @@
 """Simulation of a robot that drives: the messages of its sensors, and the ground truth."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 
 from calgraph.geometry import Array, se3, so3
 from calgraph.recording.in_memory import MessageRecording
-from calgraph.sensors import LaserScan, PointCloud
+from calgraph.sensors import LaserScan, Message, PointCloud, Pose, TurnRate
 from calgraph.simulation.drive_beams import draw_scanner_errors, measure, sweep_columns
 from calgraph.simulation.drive_motion import INTERVAL, MARGIN, Motion, Route, draw_drift, draw_motion, draw_route
 from calgraph.simulation.drive_robot import DriveMount, draw_robot_size, mount_sensors
-from calgraph.simulation.drive_scenario import RANGING, DriveScenario
+from calgraph.simulation.drive_scenario import RANGING, DriveScenario, DriveSensor, DriveSensorKind
 from calgraph.simulation.drive_world import LAYOUTS, DriveWorld, build_world, draw_bodies
 
 _BLOCK_COLUMNS = 3000
 """Columns cast together: bounds memory, and keeps arrays in the processor's cache."""
+_TOPICS: Mapping[DriveSensorKind, str] = {
+    "lidar": "points", "solid_state": "points", "scanner": "scan", "odometry": "odometry",
+    "trajectory": "odometry", "gyroscope": "imu",
+}  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,12 +53,23 @@ class SimulatedDrive:
     scenario: DriveScenario
     root: str
     recording: MessageRecording
-    """Clouds with times and rings on ``/NAME/points``, scans on ``/NAME/scan``."""
+    """Clouds with times and rings on ``/NAME/points``, scans on ``/NAME/scan``, poses of other programs on
+    ``/NAME/odometry``, and rates of gyroscopes on ``/NAME/imu``."""
     trajectories: Mapping[str, tuple[Array, Array]]
     """By sensor, stamps (N,) of its clock, s, and poses (N, 4, 4) from its frame to a world frame that differs."""
     rates: Mapping[str, tuple[Array, Array]]
     """By gyroscope, stamps (N,) of its clock, s, and angular velocities (N, 3) in its frame, rad/s."""
     truth: DriveTruth
+
+    @property
+    def topics(self) -> Mapping[str, str]:
+        """Topic by sensor."""
+        return {one.name: topic_of(one) for one in self.scenario.sensors}
+
+
+def topic_of(sensor: DriveSensor) -> str:
+    """The topic of a sensor's messages."""
+    return f"/{sensor.name}/{_TOPICS[sensor.kind]}"
 
 
 def simulate_drive(scenario: DriveScenario) -> SimulatedDrive:
@@ -78,20 +94,28 @@ def simulate_drive(scenario: DriveScenario) -> SimulatedDrive:
     world = DriveWorld(world.floor, world.surfaces, bodies)
     bounce = 0.0 if scenario.path == "planar" else scenario.bounce
     motion = draw_motion(route, world.ground_height, (0.6 * size[0], 0.8 * size[1]), bounce, motion_rng)
-    messages: dict[str, list[PointCloud] | list[LaserScan]] = {}
+    messages: dict[str, Sequence[Message]] = {}
     trajectories, rates = {}, {}
     for index, mount in enumerate(mounts):
         rng = np.random.default_rng((scenario.seed, 100 + index))
         name = mount.sensor.name
         if mount.sensor.kind in RANGING:
-            topic = f"/{name}/{'scan' if mount.sensor.kind == 'scanner' else 'points'}"
-            messages[topic] = _simulate_scanner(scenario, world, motion, mount, rng)
+            messages[topic_of(mount.sensor)] = _simulate_scanner(scenario, world, motion, mount, rng)
         elif mount.sensor.kind == "odometry":
             trajectories[name] = _simulate_odometry(scenario, route, mount, rng)
         elif mount.sensor.kind == "trajectory":
             trajectories[name] = _simulate_trajectory(scenario, motion, mount, rng)
         else:
             rates[name] = _simulate_gyroscope(scenario, motion, mount, rng)
+    for name, (stamps, poses) in trajectories.items():
+        quaternions = so3.quaternion(poses[:, :3, :3])
+        messages[f"/{name}/odometry"] = [
+            Pose(stamp, name, T[:3, 3], q) for stamp, T, q in zip(stamps.tolist(), poses, quaternions, strict=True)
+        ]
+    for name, (stamps, some) in rates.items():
+        messages[f"/{name}/imu"] = [
+            TurnRate(stamp, name, rate) for stamp, rate in zip(stamps.tolist(), some, strict=True)
+        ]
     truth = _drive_truth(scenario, mounts, motion, world)
     return SimulatedDrive(scenario, truth.root, MessageRecording(messages), trajectories, rates, truth)
 
@@ -165,8 +189,9 @@ def _simulate_odometry(
     speeds = route.speeds * (1 + rng.normal(0, 0.01) + slip) + 0.01 * rng.normal(size=count)
     turns = route.turn_rates * (1 + rng.normal(0, 0.015) + 0.01 * draw_drift(count, 1.0, rng))
     turns = turns + rng.normal(0, 0.001) + 0.01 * rng.normal(size=count) * (np.abs(route.speeds) > 0.01)
-    yaws = np.cumsum(turns) * INTERVAL
-    xy = np.cumsum(speeds[:, None] * np.stack([np.cos(yaws), np.sin(yaws)], axis=-1), axis=0) * INTERVAL
+    yaws = cumulative_trapezoid(turns, dx=INTERVAL, initial=0)
+    velocity = speeds[:, None] * np.stack([np.cos(yaws), np.sin(yaws)], axis=-1)
+    xy = cumulative_trapezoid(velocity, dx=INTERVAL, axis=0, initial=0)
     times = _times_of(scenario, mount)
     start = int(MARGIN / INTERVAL)
     x, y, yaw = (np.interp(times, route.times, v - v[start]) for v in (*xy.T, yaws))

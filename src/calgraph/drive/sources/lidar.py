@@ -98,4 +98,4 @@ def _range_stddev(spec: SensorSpec, n: int) -> Array:
     return np.array([*without_ranges(spec, n)[:-2], stated.range_bias, stated.range_scale])
 
 
-LIDAR_SOURCE = SourceKind(LidarReader, _range_stddev)
+LIDAR_SOURCE = SourceKind(LidarReader, _range_stddev, has_surfaces=True)

@@ -75,6 +75,10 @@ class SourceKind:
     stddev: Callable[[SensorSpec, int], Array]
     """(n + d + 3,) standard deviations before the adjustment, by what rig.yaml states and the dimension: pose,
     clock, range bias and scale; 0 of what it has not, or what nothing measures."""
+    has_surfaces: bool = False
+    """Whether it measures points on surfaces."""
+    has_place: bool = True
+    """Whether its trajectory has positions."""
 
 
 def without_ranges(spec: SensorSpec, n: int) -> Array:  # noqa: ARG001

@@ -1,0 +1,215 @@
+"""Trajectories of other programs in a drive: cleaned, split where they jump, and measured by relative motions."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calgraph.config import Rig
+from calgraph.drive.measurements import Measurements
+from calgraph.drive.relative_motions import gather_motions
+from calgraph.drive.segments import Segments
+from calgraph.drive.sources.source import SourceKind, no_points, without_ranges
+from calgraph.drive.states import SensorPoints, SensorState
+from calgraph.errors import Rejected
+from calgraph.geometry import Array, Index, se_n, so3
+from calgraph.recording import Recording
+from calgraph.sensors import Message, Pose, TransformList
+from calgraph.sensors.kinds import TrajectorySpec
+from calgraph.surfaces.trajectory import SplineTrajectory, Track
+
+# Poses below which there is no motion to compare: at 5 Hz, those of 10 s.
+_MIN_POSES = 50
+# Time without a pose after which another segment begins, s: longer than between poses of 5 Hz.
+_MAX_GAP = 0.5
+# Segments that are shorter are not used, s: they have no two motions of the start.
+_MIN_SEGMENT = 3.0
+# What a step may differ from the mean of its neighbours beside noise, m and rad, and by accelerations, m/s² and
+# rad/s²: those of wheeled robots and cars. Programs correct themselves by decimetres.
+_MAX_STEP, _ACCELERATION = (0.03, 0.01), (5.0, 10.0)
+# And in standard deviations of such differences: what slip and lost features have at times.
+_MAX_DEVIATION = 12.0
+# Largest height difference, m, and sine of roll and pitch of a planar trajectory: rounding.
+_FLAT = 1e-4
+# Largest tilt of trajectories that are used in a plane, rad: floors and frames are level to some degrees.
+_MAX_TILT = 0.1
+# Time between poses that are used, s: vehicles swing at 1 to 2 Hz.
+STEP = 0.1
+# Time at the ends of a part that is left for changes of clocks, s.
+_MARGIN = 0.2
+
+
+class TrajectoryReader:
+    """Keeps the poses of one frame."""
+
+    def __init__(self, rig: Rig, name: str, _: Recording, dimension: int, __: np.random.Generator) -> None:
+        spec = rig.sensors[name]
+        assert isinstance(spec, TrajectorySpec)
+        self._spec, self._dimension = spec, dimension
+        self._poses: list[tuple[float, ...]] = []
+        self._pairs: set[str] = set()
+
+    def add(self, message: Message) -> None:
+        """See :class:`Reader`."""
+        if isinstance(message, Pose):
+            self._poses.append((message.stamp, *message.position, *message.quaternion))
+        elif isinstance(message, TransformList):
+            for parent, pose in zip(message.parents, message.poses, strict=True):
+                self._pairs.add(f"{pose.frame_id} in {parent}")
+                if (parent, pose.frame_id) == (self._spec.parent, self._spec.frame_id):
+                    self._poses.append((pose.stamp, *pose.position, *pose.quaternion))
+
+    def finish(self) -> "TrajectorySource":
+        """The poses, without those that are not usable."""
+        rows = np.array(self._poses, dtype=np.float64).reshape(-1, 8)
+        length = np.linalg.norm(rows[:, 4:], axis=1)
+        # Some programs send zeros until they have a pose.
+        usable = np.isfinite(rows).all(axis=1) & (length > 0.5) & (length < 2.0)
+        rows, length = rows[usable], length[usable]
+        _, first = np.unique(rows[:, 0], return_index=True)
+        rows, length = rows[first], length[first]
+        poses = se_n.pose(so3.from_quaternion(rows[:, 4:] / length[:, None]), rows[:, 1:4])
+        planar = bool(len(poses)) and _is_planar(poses)
+        found = ", ".join(sorted(self._pairs)) if not len(poses) else ""
+        return TrajectorySource(rows[:, 0], poses, self._dimension, planar, found)
+
+
+@dataclass(frozen=True, eq=False)
+class TrajectorySource:
+    """The poses of a frame in a world."""
+
+    times: Array
+    """(N,) s, ascending."""
+    poses: Array
+    """(N, 4, 4)."""
+    dimension: int
+    """2 or 3."""
+    planar: bool
+    """Whether it has no height, roll and pitch, as that of wheels."""
+    other_pairs: str
+    """Without poses, frames of tf that there are instead."""
+
+    @property
+    def gap(self) -> float:
+        """See :class:`Source`."""
+        return float(np.median(np.diff(self.times)))
+
+    def track(self, rng: np.random.Generator) -> Segments | Rejected:  # noqa: ARG002
+        """The poses in segments, which end where they jump."""
+        return self._track(STEP / 2)
+
+    def _track(self, step: float) -> Segments | Rejected:
+        """The same, with means of poses over steps, s."""
+        if len(self.times) < _MIN_POSES:
+            there = f"; its topic has {self.other_pairs}: state frame_id and parent" if self.other_pairs else ""
+            return Rejected(f"it has {len(self.times)} usable poses; a drive needs {_MIN_POSES}{there}")
+        poses = self.poses
+        if self.dimension == 2:
+            if not _is_level(poses):
+                return Rejected(
+                    "its poses are not level, and 2-D scanners measure motion in a plane only: leave out either"
+                )
+            yaw = np.arctan2(poses[:, 1, 0], poses[:, 0, 0])
+            poses = se_n.pose(se_n.exp(yaw[:, None]), poses[:, :2, 3])
+        splits = np.split(np.arange(len(poses)), np.flatnonzero(_find_jumps(self.times, poses)) + 1)
+        long = [part for part in splits if self.times[part[-1]] - self.times[part[0]] >= _MIN_SEGMENT]
+        if not long:
+            return Rejected(f"its poses jump or have gaps: no {_MIN_SEGMENT:g} s are without")
+        return Segments([average_poses(Track(self.times[part], poses[part]), step) for part in long])
+
+    def thin(self, rng: np.random.Generator) -> "TrajectorySource":  # noqa: ARG002
+        """All poses."""
+        return self
+
+    def points(self, *_: float) -> SensorPoints:
+        """None."""
+        return no_points(self.dimension)
+
+    def measurements(self, k: int, trajectory: SplineTrajectory, state: SensorState, /) -> Sequence[Measurements]:
+        """Relative motions over short intervals."""
+        segments = self._track(STEP)
+        assert isinstance(segments, Segments)
+        n = self.dimension
+        return measure_motions(k, segments, trajectory, state, np.arange(n + n * (n - 1) // 2), wheels=self.planar)
+
+
+def measure_motions(
+    k: int, segments: Segments, trajectory: SplineTrajectory, state: SensorState, axes: Index, *, wheels: bool
+) -> Sequence[Measurements]:
+    """Motions from pose to pose of segments within a part of the drive; see :func:`gather_motions`."""
+    first, last = (t + state.clock_offset for t in (trajectory.start + _MARGIN, trajectory.end - _MARGIN))
+    starts, ends, motions = [], [], []
+    for track in segments.tracks:
+        inside = track.between(first, last)
+        starts.append(inside.times[:-1])
+        ends.append(inside.times[1:])
+        motions.append(se_n.inverse(inside.poses[:-1]) @ inside.poses[1:])
+    if sum(len(some) for some in starts) < 2:
+        return ()
+    return (
+        gather_motions(
+            k, np.concatenate(starts), np.concatenate(ends), np.concatenate(motions), axes, wheels=wheels
+        ),
+    )
+
+
+def _is_planar(poses: Array) -> bool:
+    return bool(np.ptp(poses[:, 2, 3]) < _FLAT and np.abs(poses[:, 2, :2]).max() < _FLAT)
+
+
+def _is_level(poses: Array) -> bool:
+    return bool(np.quantile(np.hypot(poses[:, 2, 0], poses[:, 2, 1]), 0.9) < np.sin(_MAX_TILT))
+
+
+def average_poses(track: Track, step: float) -> Track:
+    """Weighted means of the poses within a step, s, of evenly spaced times.
+
+    Vibrations above half the rate of steps would look like slow motion otherwise, and another in each
+    sensor.
+    """
+    place = (track.times - track.times[0]) / step
+    before = np.floor(place).astype(np.intp)
+    node = np.concatenate([before, before + 1])
+    weight = np.concatenate([before + 1 - place, place - before])
+    used = weight > 1e-3
+    source, node, weight = np.tile(np.arange(len(place)), 2)[used], node[used], weight[used]
+    nodes, index = np.unique(node, return_inverse=True)
+    total = np.bincount(index, weight)
+    # Rotations are averaged about the one nearest to the middle.
+    order = np.lexsort((-weight, index))
+    nearest = source[order][np.searchsorted(index[order], np.arange(len(nodes)))]
+    R = se_n.rotation(track.poses)
+    turn = se_n.log(se_n.transpose(R[nearest][index]) @ R[source])
+
+    def mean(values: Array) -> Array:
+        return np.stack([np.bincount(index, weight * column) / total for column in values.T], axis=1)
+
+    return Track(
+        mean(track.times[source, None])[:, 0],
+        se_n.pose(R[nearest] @ se_n.exp(mean(turn)), mean(se_n.translation(track.poses)[source])),
+    )
+
+
+def _find_jumps(times: Array, poses: Array) -> NDArray[np.bool_]:
+    """(N - 1,) steps between poses that no motion has, or that take too long."""
+    n = poses.shape[-1] - 1
+    duration = np.diff(times)
+    moved = se_n.inverse(poses[:-1]) @ poses[1:]
+    rates = np.concatenate([se_n.translation(moved), se_n.log(se_n.rotation(moved))], axis=1) / duration[:, None]
+    jumps = duration > _MAX_GAP
+    if len(rates) < 4:
+        return np.asarray(jumps)
+    padded = np.concatenate([rates[1:2], rates, rates[-2:-1]])
+    # Before and after: neighbours of a jump are between it and an ordinary step, and not less than both.
+    deviation = (rates - np.median([padded[:-2], rates, padded[2:]], axis=0)) * duration[:, None]
+    for part, limit, acceleration in zip(
+        (deviation[:, :n], deviation[:, n:]), _MAX_STEP, _ACCELERATION, strict=True
+    ):
+        size = np.linalg.norm(part, axis=1)
+        spread = np.sqrt(np.mean(np.sort(size**2)[: max(int(0.9 * len(size)), 1)]))
+        jumps |= size > limit + acceleration * duration**2 + _MAX_DEVIATION * spread
+    return np.asarray(jumps)
+
+
+TRAJECTORY_SOURCE = SourceKind(TrajectoryReader, without_ranges)
