@@ -44,7 +44,7 @@ def measured(n: int, axes: Index | None = None, *, wheels: bool = False) -> Rela
     every: Index = np.arange(n + n * (n - 1) // 2)
     return gather_motions(
         0, times[:-1], times[1:], se_n.inverse(poses[:-1]) @ poses[1:], every if axes is None else axes,
-        wheels=wheels,
+        np.zeros(n + n * (n - 1) // 2), wheels=wheels,
     )  # fmt: skip
 
 
@@ -84,3 +84,28 @@ def test_the_derivatives_are_those_of_the_errors(n: int, gyroscope: bool) -> Non
         change[k] = step
         both = [one.moved(sign * change).evaluate(spline, state)[0] for sign in (1, -1)]
         assert_allclose(rows.by_unknown[:M, k] * scale, (both[0] - both[1]).T.ravel() / (2 * step), atol=2e-6)
+
+
+def test_noise_is_that_of_the_errors_without_outliers() -> None:
+    """1 mm and 0.5 mrad, with each tenth motion wrong by twenty times as much; the trajectory is known."""
+    rng = np.random.default_rng(0)
+    exact = measured(3)
+    stddev = np.repeat([1e-3, 5e-4], 3) * np.where(np.arange(139) % 10 == 0, 20, 1)[:, None]
+    one: NoisyMeasurements = replace(
+        exact, motions=se_n.retract(exact.motions, rng.normal(size=stddev.shape) * stddev)
+    )
+    state = SensorState(mounted(3), OFFSET)
+    for _ in range(15):
+        rows = one.linearize(trajectory(3), state)
+        one = one.with_noise_of(rows, np.zeros(len(rows.residual)))
+    assert isinstance(one, RelativeMotions)
+    assert (one.noise / np.repeat([1e-3, 5e-4], 3) < 1.6).all()
+    assert (one.noise / np.repeat([1e-3, 5e-4], 3) > 0.7).all()
+
+
+def test_a_change_that_motions_do_not_determine_has_no_derivative() -> None:
+    up = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+    one = replace(measured(3), undetermined=up)
+    _, _, by_state, _ = one.evaluate(trajectory(3), SensorState(mounted(3), OFFSET))
+    assert_allclose(by_state[:, :, :6] @ up, 0, atol=1e-12)
+    assert np.abs(by_state[:, :, 0]).max() > 0.01

@@ -13,10 +13,10 @@ from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2
 from calgraph.result import Calibration, Edge, Evidence, FitError, Pictures, SensorPose, Verdict
 from calgraph.result.finding import Finding
-from calgraph.result.sensor_pose import UNMEASURED_IN_PLANE
 from calgraph.verdict.grades import LONE_ROOT, collect_findings, grade_pose
 
 _ADVICE = "drive longer, with more turns, so that all sensors pass the same walls and furniture"
+_MOTION_ADVICE = "drive longer, with turns to both sides, and over ramps or thresholds"
 # On real data NEES is 14 on average, and 38 at most (15 windows of a minute of an office).
 _UNVERIFIED = (
     "poses from surroundings are at best weak in this version: their standard deviations are up to ten times too "
@@ -63,7 +63,8 @@ def assemble_drive(rig: Rig, result: DriveResult) -> Calibration:
                 name, spec.kind, T, np.nan_to_num(covariance[block, block]),
                 [*by_sensor.get(name, ()), *_find_contradictions(adjusted, k)],
                 tolerance=rig.tolerance, settings=rig.settings.diagnostics.verdict,
-                data="motions and surfaces", advice=_ADVICE,
+                data="motions and surfaces" if adjusted.point_counts.any() else "motions",
+                advice=_ADVICE if adjusted.point_counts[k] else _MOTION_ADVICE,
             )  # fmt: skip
         sensors.append(
             SensorPose(
@@ -87,10 +88,11 @@ def assemble_drive(rig: Rig, result: DriveResult) -> Calibration:
             tolerance=rig.tolerance,
             edges=tuple(_list_edges(rig, result)),
             unconnected=unconnected,
-            remarks=tuple(finding.text for finding in result.findings),
+            remarks=(*(finding.text for finding in result.findings), *_list_remarks(rig, names)),
             fit={
                 name: FitError(int(adjusted.point_counts[k]), "m", float(adjusted.residual_rms[k]))
                 for k, name in enumerate(names)
+                if adjusted.point_counts[k]
             }
             if adjusted
             else {},
@@ -106,13 +108,23 @@ def _find_contradictions(adjusted: Adjustment, k: int) -> list[str]:
     reasons = []
     if adjusted.squared_step > _MAX_SQUARED_STEP:
         reasons.append("the joint adjustment has not converged")
+    measuring = adjusted.point_counts > 0
     shared = int(adjusted.shared_cells[k].sum() - adjusted.shared_cells[k, k])
-    if shared < _MIN_SHARED_CELLS:
+    if measuring[k] and measuring.sum() > 1 and shared < _MIN_SHARED_CELLS:
         reasons.append(
             f"it passed only {shared} of the surfaces that another sensor passed, fewer than {_MIN_SHARED_CELLS}: "
             "drive loops, so that all sensors pass the same places"
         )
-    return [*reasons, _UNVERIFIED]
+    return [*reasons, _UNVERIFIED] if measuring.any() else reasons
+
+
+def _list_remarks(rig: Rig, names: Sequence[str]) -> list[str]:
+    """What sensors cannot measure."""
+    return [
+        f"turns do not determine where {name} is: its rotation is calibrated only"
+        for name in names
+        if rig.sensors[name].kind == "gyroscope"
+    ]
 
 
 def _list_edges(rig: Rig, result: DriveResult) -> list[Edge]:
@@ -132,15 +144,17 @@ def _lift_pose(T: Array) -> Array:
 
 
 def _lift_covariance(adjusted: Adjustment) -> tuple[Array, Array]:
-    """Covariance (6S, 6S) of all poses, NaN where a plane does not measure, and (S,) of clock offsets, s."""
+    """Covariance (6S, 6S) of all poses, NaN where nothing is measured, and (S,) of clock offsets, s."""
     count, columns = adjusted.free.shape
     axes = np.arange(6) if columns == 9 else np.array([0, 1, 5])
+    # A plane, or a gyroscope, does not measure all axes.
+    measured = np.zeros((count, 6), dtype=bool)
+    measured[:, axes] = adjusted.free[:, : len(axes)]
+    measured[0] = True
     covariance = np.zeros((6 * count, 6 * count))
-    if columns != 9:
-        unmeasured = (6 * np.arange(1, count)[:, None] + UNMEASURED_IN_PLANE).ravel()
-        covariance[unmeasured] = np.nan
-        covariance[:, unmeasured] = np.nan
-        covariance[:6, :6] = 0.0
+    covariance[~measured.ravel()] = np.nan
+    covariance[:, ~measured.ravel()] = np.nan
+    covariance[:6, :6] = 0.0
     sensor, column = np.nonzero(adjusted.free)
     of_pose = np.flatnonzero(column < len(axes))
     rows = 6 * sensor[of_pose] + axes[column[of_pose]]

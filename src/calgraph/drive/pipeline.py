@@ -10,6 +10,7 @@ from calgraph.drive.adjustment import Adjustment, AdjustmentPriors, adjust_drive
 from calgraph.drive.assemble import DriveResult, assemble_drive
 from calgraph.drive.measurements import DrivePart
 from calgraph.drive.options import DriveOptions
+from calgraph.drive.root_change import change_root
 from calgraph.drive.segments import Segments
 from calgraph.drive.sources import SOURCES, Reader, Source
 from calgraph.drive.start import MotionStart, StartMotion, explain_failure, solve_start
@@ -47,13 +48,37 @@ def calibrate_drive(
     monitor = InputMonitor(rig, recording.start)
     sources, frames = _read_sources(rig, recording, monitor, options.seed, progress)
     tracks = _track_sensors(rig, sources, options, progress)
-    starts = _solve_starts(rig, tracks, options.seed)
-    used = [rig.root, *(name for name, start in starts.items() if isinstance(start, MotionStart))]
+    lead = _select_lead(rig, tracks)
+    starts = _solve_starts(rig, lead, tracks, options.seed)
+    used = [lead, *(name for name, start in starts.items() if isinstance(start, MotionStart))]
     adjusted = None
-    if len(used) > 1:
+    if len(used) > 1 and rig.root in used:
         adjusted = _adjust(rig, used, sources, tracks, starts, options.seed, progress)
+    if lead != rig.root:
+        used, starts, adjusted = _express_in_root(rig.root, used, starts, adjusted)
     result = DriveResult(used, frames, starts, adjusted, monitor.findings())
     return assemble_drive(rig, result)
+
+
+def _select_lead(rig: Rig, tracks: Mapping[str, Segments | Rejected]) -> str:
+    """The sensor for which poses and trajectory are solved: a LiDAR, whose surfaces need its trajectory only."""
+    surfaces = [name for name, spec in rig.sensors.items() if SOURCES[spec.kind].has_surfaces]
+    tracked = [name for name in surfaces if isinstance(tracks[name], Segments)]
+    return rig.root if rig.root in surfaces or not tracked else tracked[0]
+
+
+def _express_in_root(
+    root: str, used: list[str], starts: Mapping[str, MotionStart | Rejected], adjusted: Adjustment | None
+) -> tuple[list[str], dict[str, MotionStart | Rejected], Adjustment | None]:
+    """What was found for the first sensor that is used, for the root: an edge with it, and all poses."""
+    of_root, others = starts[root], {name: start for name, start in starts.items() if name != root}
+    if isinstance(of_root, Rejected):
+        missing = Rejected(f"the root {root} has no pose on the robot: {of_root.reason}")
+        return [root], dict.fromkeys([used[0], *others], missing), None
+    number = used.index(root)
+    if adjusted is not None:
+        adjusted = change_root(adjusted, number)
+    return [root, *(name for name in used if name != root)], {used[0]: of_root, **others}, adjusted
 
 
 def dimension_of(rig: Rig) -> int:
@@ -105,33 +130,33 @@ def _track_source(source: Source, rng: np.random.Generator) -> Segments | Reject
 
 
 def _solve_starts(
-    rig: Rig, tracks: Mapping[str, Segments | Rejected], seed: int
+    rig: Rig, lead: str, tracks: Mapping[str, Segments | Rejected], seed: int
 ) -> dict[str, MotionStart | Rejected]:
-    """The start pose and clock of each sensor but the root, or why it has none."""
-    root = tracks[rig.root]
+    """The start pose and clock of each sensor but the one that leads, or why it has none."""
+    root = tracks[lead]
     starts: dict[str, MotionStart | Rejected] = {}
     for k, (name, track) in enumerate(tracks.items()):
-        if name == rig.root:
+        if name == lead:
             continue
         if isinstance(track, Rejected):
             starts[name] = track
         elif isinstance(root, Rejected):
-            starts[name] = Rejected(f"the root {rig.root} has no trajectory: {root.reason}")
+            starts[name] = Rejected(f"the root {lead} has no trajectory: {root.reason}")
         elif min(root.end, track.end) - max(root.start, track.start) < _MIN_COMMON_TIME:
             starts[name] = Rejected(f"it and the root measured together for under {_MIN_COMMON_TIME:g} s")
         else:
-            motion = _select_motion(rig, name)
+            motion = _select_motion(rig, lead, name)
             start = solve_start(root, track, _MAX_CLOCK_OFFSET, np.random.default_rng([seed, k, 2]), motion)
             failure = explain_failure(start, name, motion)
             starts[name] = Rejected(failure) if failure else start
     return starts
 
 
-def _select_motion(rig: Rig, name: str) -> StartMotion:
+def _select_motion(rig: Rig, lead: str, name: str) -> StartMotion:
     """What the start of a sensor is found from: surfaces that both measure would be missed at a wrong height."""
     if not SOURCES[rig.sensors[name].kind].has_place:
         return "turn"
-    both = all(SOURCES[rig.sensors[one].kind].has_surfaces for one in (rig.root, name))
+    both = all(SOURCES[rig.sensors[one].kind].has_surfaces for one in (lead, name))
     return "free" if both or dimension_of(rig) == 2 else "level"
 
 
@@ -153,14 +178,12 @@ def _adjust(
         states.append(SensorState(start.T_root_sensor, start.clock_offset))
     rng = np.random.default_rng([seed, len(rig.sensors)])
     thinned = [sources[name].thin(rng) for name in used]
-    # LiDARs follow the trajectory best, and measure it between poses of other sensors.
-    best = [k for k, name in enumerate(used) if SOURCES[rig.sensors[name].kind].has_surfaces]
-    gap = max(thinned[k].gap for k in best or range(len(used)))
+    # LiDARs measure the trajectory between poses of other sensors.
+    measuring = [k for k, name in enumerate(used) if SOURCES[rig.sensors[name].kind].has_surfaces]
+    gap = max(thinned[k].gap for k in measuring or range(len(used)))
     spacing = float(np.clip(gap, _KNOT_SPACING, _MAX_KNOT_SPACING))
-    leader = best[0] if best else 0
-    followed = tracks[used[leader]]
-    assert isinstance(followed, Segments)
-    root = _move_to_root(followed, states[leader]) if leader else followed
+    root = tracks[used[0]]
+    assert isinstance(root, Segments)
     parts = [
         _gather_part(
             thinned, states, fit_spline(track.between(start - spacing, end + spacing), start, end, spacing)
@@ -170,12 +193,6 @@ def _adjust(
     progress("adjusting", 0.0)
     stddev = np.array([SOURCES[rig.sensors[name].kind].stddev(rig.sensors[name], n) for name in used])
     return adjust_drive(parts, states, _fix_root(stddev), lambda done: progress("adjusting", done))
-
-
-def _move_to_root(followed: Segments, state: SensorState) -> Segments:
-    """The root's trajectory by its clock, from that of a sensor."""
-    T_sensor_root = se_n.inverse(state.T_root_sensor)
-    return Segments([Track(one.times - state.clock_offset, one.poses @ T_sensor_root) for one in followed.tracks])
 
 
 def _gather_part(

@@ -68,6 +68,9 @@ class RelativeMotions:
     """(A,) standard deviation of drifts, m and rad per size."""
     unknowns: Array
     """(E,) the F constants, then A drifts of each block."""
+    undetermined: Array
+    """(n + d,) unit vector of a change of the pose that the motions do not determine, or 0: noise of the
+    trajectory would seem to determine it."""
 
     @property
     def unknown_count(self) -> int:
@@ -190,14 +193,16 @@ class RelativeMotions:
                 block[:, :n, n:] = -lever
             scaled[:, :n] = block[:, :n]
             to_error.append((block[:, self.axes] + scales[:, None] * scaled[:, self.axes], end))
-        by_state = sum(block @ end.by_state for block, end in to_error)
+        by_state = np.asarray(sum(block @ end.by_state for block, end in to_error))
+        u = self.undetermined
+        by_state[:, :, : len(u)] -= (by_state[:, :, : len(u)] @ u)[:, :, None] * u
         by_control = tuple(
             (end.first, (end.basis[:, None, :, None] * (block @ end.by_control)[:, :, None, :]).reshape(
                 len(turn), len(self.axes), -1
             ))
             for block, end in to_error
         )  # fmt: skip
-        return errors, by_control, np.asarray(by_state), design
+        return errors, by_control, by_state, design
 
 
 @dataclass(frozen=True, eq=False)
@@ -257,7 +262,7 @@ def _by_axis(values: tuple[float, float], axes: Index, n: int) -> Array:
 
 
 def gather_motions(
-    sensor: int, starts: Array, ends: Array, motions: Array, axes: Index, *, wheels: bool
+    sensor: int, starts: Array, ends: Array, motions: Array, axes: Index, undetermined: Array, *, wheels: bool
 ) -> RelativeMotions:
     """The motions of a trajectory over intervals, with start values of their noise.
 
@@ -267,6 +272,7 @@ def gather_motions(
         ends: (K,).
         motions: (K, n+1, n+1).
         axes: (A,) those of the components that are measured; without translations, of a gyroscope.
+        undetermined: (n + d,) see :class:`RelativeMotions`.
         wheels: whether turns have an error of scale, too.
     """
     n = motions.shape[-1] - 1
@@ -286,4 +292,5 @@ def gather_motions(
     return RelativeMotions(
         sensor, starts, ends, motions, axes, sizes, block, priors, groups,
         _by_axis(_START_NOISE, axes, n), _by_axis(_START_DRIFT, axes, n), np.zeros(len(priors) + count * A),
+        undetermined,
     )  # fmt: skip

@@ -29,7 +29,7 @@ _MAX_ERROR = 0.15, 0.05
 _MIN_CORRELATION = 0.6
 # RMS turns of motions that determine a pose, rad: ten times the error of odometry's rotation, 0.2 degrees, about
 # the main axis; about a second axis five times.
-_MIN_TURN, _MIN_SECOND_TURN = 0.035, 0.0175
+_MIN_TURN, MIN_SECOND_TURN = 0.035, 0.0175
 # Share of motions that has to agree: with fewer, another pose may have as many.
 _MIN_INLIERS = 0.3
 
@@ -116,7 +116,7 @@ def solve_start(
     turns = _measure_turns(B)
     if motion == "turn":
         T, information, weights = _solve_rotation(A, B)
-    elif motion == "level" and min(_measure_turns(A)[1], turns[1]) < _MIN_SECOND_TURN:
+    elif motion == "level" and min(_measure_turns(A)[1], turns[1]) < MIN_SECOND_TURN:
         T, information, weights = _solve_level(A, B, rng)
     else:
         T, information, weights = _refine(_sample_poses(A, B, rng), A, B)
@@ -141,7 +141,7 @@ def explain_failure(start: MotionStart, name: str, motion: StartMotion = "free")
             f"the robot hardly turned ({np.degrees(start.turns[0]):.1f}° in {MOTION_DURATION:g} s): drive curves, "
             f"without which nothing determines where {name} is"
         )
-    if motion == "free" and len(start.turns) == 3 and start.turns[1] < _MIN_SECOND_TURN:
+    if motion == "free" and len(start.turns) == 3 and start.turns[1] < MIN_SECOND_TURN:
         return (
             f"the robot turned about one axis only ({np.degrees(start.turns[1]):.1f}° about others in "
             f"{MOTION_DURATION:g} s), which leaves the height of {name} and a rotation open: drive over ramps, too"

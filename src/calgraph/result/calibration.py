@@ -207,7 +207,8 @@ class Calibration:
     def covariance(self, a: str, b: str) -> Array:
         """Covariance (6, 6) of the error of ``T_a_b`` in the fixed axes of a, (translation, rotation), m and rad.
 
-        NaN in the rows and columns of z, roll and pitch of a network, which does not measure them.
+        NaN in the rows and columns of z, roll and pitch of a network, and of the place of a gyroscope, which are
+        not measured.
 
         Raises:
             InputError: there is no sensor a or b.
@@ -224,9 +225,9 @@ class Calibration:
                 f"the correlation of the errors of {a!r} and {b!r} is unknown: this result does not state it"
             )
         relative = se3.relative_covariance(T_root_a, T_root_b, joint)
-        if unmeasured.any():
-            # All frames have the same horizontal plane.
-            relative[UNMEASURED_IN_PLANE] = relative[:, UNMEASURED_IN_PLANE] = np.nan
+        # In a plane, z, roll and pitch: all frames have the same horizontal plane. Of a gyroscope, its place.
+        either = unmeasured[:6] | unmeasured[6:]
+        relative[either] = relative[:, either] = np.nan
         return relative
 
 

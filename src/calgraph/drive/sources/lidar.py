@@ -10,7 +10,7 @@ from calgraph.config import Rig
 from calgraph.drive.measurements import Measurements
 from calgraph.drive.odometry import track_sensor
 from calgraph.drive.segments import Segments
-from calgraph.drive.sources.source import SourceKind, no_points, without_ranges
+from calgraph.drive.sources.source import CLOCK_STDDEV, POSE_STDDEV, SourceKind, no_points
 from calgraph.drive.states import SensorPoints
 from calgraph.drive.sweeps import Sweep, read_sweep, thin_sweep
 from calgraph.errors import Rejected
@@ -95,7 +95,7 @@ def _range_stddev(spec: SensorSpec, n: int) -> Array:
     """See :class:`SourceKind`."""
     stated = spec.uncertainty
     assert isinstance(stated, RangeUncertainty)
-    return np.array([*without_ranges(spec, n)[:-2], stated.range_bias, stated.range_scale])
+    return np.array([*[POSE_STDDEV] * (n + n * (n - 1) // 2), CLOCK_STDDEV, stated.range_bias, stated.range_scale])
 
 
 LIDAR_SOURCE = SourceKind(LidarReader, _range_stddev, has_surfaces=True)

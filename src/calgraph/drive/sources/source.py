@@ -19,6 +19,9 @@ from calgraph.surfaces.trajectory import SplineTrajectory
 
 # Of poses before the adjustment: no prior, but a number that is far above what any robot measures, m and rad.
 POSE_STDDEV = 10.0
+# Of sensors without points on surfaces, of which motion alone may not determine a height or a turn: metres within
+# a vehicle, and any rotation.
+_PLACE_STDDEV, _ROTATION_STDDEV = 1.0, 2.0
 # Of a clock offset, s: turn rates determine it to a sweep's period.
 CLOCK_STDDEV = 0.1
 
@@ -83,7 +86,7 @@ class SourceKind:
 
 def without_ranges(spec: SensorSpec, n: int) -> Array:  # noqa: ARG001
     """(n + d + 3,) of sensors that measure no ranges."""
-    return np.array([*[POSE_STDDEV] * (n + n * (n - 1) // 2), CLOCK_STDDEV, 0.0, 0.0])
+    return np.array([*[_PLACE_STDDEV] * n, *[_ROTATION_STDDEV] * (n * (n - 1) // 2), CLOCK_STDDEV, 0.0, 0.0])
 
 
 def no_points(n: int) -> SensorPoints:

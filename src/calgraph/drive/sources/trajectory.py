@@ -11,6 +11,7 @@ from calgraph.drive.measurements import Measurements
 from calgraph.drive.relative_motions import gather_motions
 from calgraph.drive.segments import Segments
 from calgraph.drive.sources.source import SourceKind, no_points, without_ranges
+from calgraph.drive.start import MIN_SECOND_TURN, MOTION_DURATION
 from calgraph.drive.states import SensorPoints, SensorState
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, Index, se_n, so3
@@ -36,6 +37,8 @@ _FLAT = 1e-4
 _MAX_TILT = 0.1
 # Time between poses that are used, s: vehicles swing at 1 to 2 Hz.
 STEP = 0.1
+# Steps over which height, roll and pitch of a planar trajectory are taken as 0: several periods of a swing.
+_LEVEL_STEPS = 25
 # Time at the ends of a part that is left for changes of clocks, s.
 _MARGIN = 0.2
 
@@ -130,8 +133,16 @@ class TrajectorySource:
         """Relative motions over short intervals."""
         segments = self._track(STEP)
         assert isinstance(segments, Segments)
-        n = self.dimension
-        return measure_motions(k, segments, trajectory, state, np.arange(n + n * (n - 1) // 2), wheels=self.planar)
+        if self.dimension == 2:
+            return measure_motions(k, segments, trajectory, state, np.arange(3), wheels=self.planar)
+        if not self.planar:
+            return measure_motions(k, segments, trajectory, state, np.arange(6), wheels=False)
+        # Wheels follow the floor: on the whole, height, roll and pitch do not change, but a body swings on them.
+        level = Segments([Track(one.times[::_LEVEL_STEPS], one.poses[::_LEVEL_STEPS]) for one in segments.tracks])
+        return (
+            *measure_motions(k, segments, trajectory, state, np.array([0, 1, 5]), wheels=True),
+            *measure_motions(k, level, trajectory, state, np.array([2, 3, 4]), wheels=True),
+        )
 
 
 def measure_motions(
@@ -149,9 +160,29 @@ def measure_motions(
         return ()
     return (
         gather_motions(
-            k, np.concatenate(starts), np.concatenate(ends), np.concatenate(motions), axes, wheels=wheels
+            k, np.concatenate(starts), np.concatenate(ends), np.concatenate(motions), axes,
+            _find_undetermined(trajectory, state, axes, wheels=wheels), wheels=wheels,
         ),
-    )
+    )  # fmt: skip
+
+
+def _find_undetermined(trajectory: SplineTrajectory, state: SensorState, axes: Index, *, wheels: bool) -> Array:
+    """(n + d,) the change of the pose that motion about one axis does not determine, in the root's axes; or 0."""
+    n = len(state.T_root_sensor) - 1
+    change = np.zeros(n + n * (n - 1) // 2)
+    if n == 2:
+        return change
+    if wheels:
+        # Swings of a body, which are errors of planar motions, determine no height.
+        change[:3] = state.T_root_sensor[:3, 2]
+        return change
+    times = np.arange(trajectory.start, trajectory.end - MOTION_DURATION, MOTION_DURATION / 3)
+    R, later = (se_n.rotation(trajectory.at(some).poses) for some in (times, times + MOTION_DURATION))
+    _, turns, about = np.linalg.svd(se_n.log(se_n.transpose(R) @ later), full_matrices=False)
+    if turns[1] < MIN_SECOND_TURN * np.sqrt(len(times)):
+        # The height of a trajectory, or the rotation of a gyroscope about the vertical.
+        change[3 if axes.min() >= n else 0 :][:3] = about[0]
+    return change
 
 
 def _is_planar(poses: Array) -> bool:
