@@ -31,7 +31,10 @@ def test_recording_rig_and_ground_truth_are_written(run: Run, tmp_path: Path) ->
     )
     rig, truth = read_yaml(tmp_path / "a" / "rig.yaml"), load_truth(tmp_path / "a" / "truth.yaml")
     assert rig["target"] == {"kind": "surroundings"}
-    assert list(rig["sensors"]) == ["lidar_front", "lidar_rear"]
+    assert {name: one["kind"] for name, one in rig["sensors"].items()} == {
+        "lidar_front": "lidar3d", "lidar_rear": "lidar3d", "odometry": "trajectory", "trajectory": "trajectory",
+        "gyroscope": "gyroscope",
+    }  # fmt: skip
     assert list(truth.T_root_sensor) == ["lidar_front", "lidar_rear", "odometry", "trajectory", "gyroscope"]
     with open_recordings([tmp_path / "a" / "recording"]) as recording:
         types = {topic.name: topic.type for topic in recording.topics}

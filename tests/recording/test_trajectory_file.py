@@ -1,6 +1,7 @@
 """Trajectories as text files, and messages of poses and turn rates of ROS."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -41,25 +42,25 @@ STORE = get_typestore(Stores.ROS2_HUMBLE)
 T = STORE.types
 
 
-def send(name: str, content: object) -> Message:
+def send(name: str, content: Any) -> Message:
     kind = make_message_type(TypeDefinition(name, MessageDefinitionFormat.NONE, "", "cdr"))
     return decode(kind, bytes(STORE.serialize_cdr(content, name)), 12.5, "here", LimitSettings())
 
 
-def make_pose() -> object:
+def make_pose() -> Any:
     position = T["geometry_msgs/msg/Point"](x=1.0, y=2.0, z=3.0)
     return T["geometry_msgs/msg/Pose"](
         position=position, orientation=T["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.6, w=0.8)
     )
 
 
-def header(frame: str) -> object:
+def header(frame: str) -> Any:
     return T["std_msgs/msg/Header"](
         stamp=T["builtin_interfaces/msg/Time"](sec=12, nanosec=500_000_000), frame_id=frame
     )
 
 
-def odometry() -> object:
+def odometry() -> Any:
     zero = T["geometry_msgs/msg/Vector3"](x=0.0, y=0.0, z=0.0)
     twist = T["geometry_msgs/msg/Twist"](linear=zero, angular=zero)
     return T["nav_msgs/msg/Odometry"](
@@ -70,7 +71,7 @@ def odometry() -> object:
     )
 
 
-def transform() -> object:
+def transform() -> Any:
     moved = T["geometry_msgs/msg/Transform"](
         translation=T["geometry_msgs/msg/Vector3"](x=1.0, y=2.0, z=3.0),
         rotation=T["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.6, w=0.8),
@@ -78,11 +79,11 @@ def transform() -> object:
     return T["geometry_msgs/msg/TransformStamped"](header=header("odom"), child_frame_id="base", transform=moved)
 
 
-def stamped() -> object:
+def stamped() -> Any:
     return T["geometry_msgs/msg/PoseStamped"](header=header("map"), pose=make_pose())
 
 
-def with_covariance() -> object:
+def with_covariance() -> Any:
     pose = T["geometry_msgs/msg/PoseWithCovariance"](pose=make_pose(), covariance=np.full(36, np.nan))
     return T["geometry_msgs/msg/PoseWithCovarianceStamped"](header=header("map"), pose=pose)
 
@@ -96,7 +97,7 @@ def with_covariance() -> object:
         ("geometry_msgs/msg/TransformStamped", transform(), "base"),
     ],
 )
-def test_messages_with_poses_have_the_frame_that_moves(name: str, content: object, frame: str) -> None:
+def test_messages_with_poses_have_the_frame_that_moves(name: str, content: Any, frame: str) -> None:
     """Headers state the world; covariances, which mean nothing in many programs, are ignored."""
     pose = send(name, content)
     assert isinstance(pose, Pose)

@@ -145,8 +145,8 @@ class Rig(StrictModel):
         for name, sensor in self.sensors.items():
             key = f"sensors.{name}.kind"
             if self.is_drive and sensor.kind not in DRIVE_KINDS:
-                allowed = f"{', '.join(DRIVE_KINDS[:-1])} or {DRIVE_KINDS[-1]}"
-                raise invalid(key, f"must be {allowed} with surroundings, got {sensor.kind}")
+                allowed = ", ".join(DRIVE_KINDS)
+                raise invalid(key, f"must be one of {allowed} with surroundings, got {sensor.kind}")
             if not self.is_drive and KINDS[sensor.kind].detects == "motion":
                 raise invalid(key, f"needs target: {{kind: surroundings}}, a robot that drives, got {sensor.kind}")
         if self.sensors[self.root].kind == "gyroscope":

@@ -52,7 +52,7 @@ class NoisyMeasurements(Measurements, Protocol):
     """Measurements whose noise is estimated with the rest."""
 
     def with_noise_of(self, rows: LinearRows, variance: Array) -> "NoisyMeasurements":
-        """The measurements with their noise estimated anew.
+        """The measurements with their noise estimated again.
 
         Args:
             rows: the residuals.

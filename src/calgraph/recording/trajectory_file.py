@@ -16,6 +16,7 @@ from calgraph.recording.record_list import IndexedRecording
 from calgraph.sensors import Pose
 
 _SUFFIXES = (".tum", ".txt", ".csv")
+# time x y z qx qy qz qw.
 _COLUMNS = 8
 # Lines that are searched for the first pose, and characters of each: programs write a header.
 _HEADER_LINES, _LINE = 20, 1000
