@@ -112,7 +112,7 @@ def test_cameras_are_not_calibrated_from_surroundings() -> None:
         "target": {"kind": "surroundings"},
         "sensors": {"camera": {"kind": "camera", "topic": "/c"}},
     }
-    with pytest.raises(ValueError, match="must be one of lidar2d, lidar3d, trajectory, gyroscope with surroundings, got camera"):
+    with pytest.raises(ValueError, match=r"must be one of .*gyroscope with surroundings, got camera"):
         Rig.model_validate(content)
 
 

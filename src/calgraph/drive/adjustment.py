@@ -241,7 +241,7 @@ def _add_measurements(
 def _estimate_own_noise(
     one: Measurements, rows: LinearRows, first: int, factor: tuple[Array, bool]
 ) -> Measurements:
-    """Measurements with their noise estimated again, given the factor of the information of the part's unknowns."""
+    """Measurements with their noise estimated again, by the factor of the information of the part's unknowns."""
     if not isinstance(one, NoisyMeasurements):
         return one
     # Variances of neighbours are nearly equal, but for those of the unknowns, which are last.
