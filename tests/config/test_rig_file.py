@@ -150,10 +150,10 @@ MISTAKES = {
     "not_a_text": (("topic: /image", "topic: /image, 7: 1"), "sensors.camera[7]: must have texts as keys, got 7"),
     # kinds
     "kind": (("kind: lidar2d", "kind: lidar2"),
-             "sensors.laser.kind: must be one of camera, lidar2d, lidar3d, depth_camera, got 'lidar2'; did you mean 'lidar2d'?"),
-    "no_kind": (("kind: lidar2d, ", ""), "sensors.laser.kind: is missing; allowed are camera, lidar2d, lidar3d, depth_camera"),
+             "sensors.laser.kind: must be one of camera, lidar2d, lidar3d, depth_camera, trajectory, gyroscope, got 'lidar2'; did you mean 'lidar2d'?"),
+    "no_kind": (("kind: lidar2d, ", ""), "sensors.laser.kind: is missing; allowed are camera, lidar2d, lidar3d, depth_camera, trajectory, gyroscope"),
     "kind_is_a_list": (("kind: lidar2d", "kind: [lidar2d]"),
-                       "sensors.laser.kind: must be one of camera, lidar2d, lidar3d, depth_camera, got ['lidar2d']; did you mean 'lidar2d'?"),
+                       "sensors.laser.kind: must be one of camera, lidar2d, lidar3d, depth_camera, trajectory, gyroscope, got ['lidar2d']; did you mean 'lidar2d'?"),
     "target_kind": ((TAGGED, "{kind: bord}"),
                     "target.kind: must be one of board, people, cylinder, surroundings, got 'bord'; did you mean 'board'?"),
     "no_target_kind": ((TAGGED, "{size: [1, 1]}"), "target.kind: is missing; allowed are board, people, cylinder, surroundings"),
