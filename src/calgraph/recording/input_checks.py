@@ -131,7 +131,9 @@ class InputMonitor:
 
     def _check_duplicates(self) -> Iterator[Finding]:
         # Of tf, one topic has the trajectories of several frames.
-        topics = {topic: name for name, topic in reversed(tuple(self._rig.topics.items()))}
+        topics: dict[str, str] = {}
+        for name, topic in self._rig.topics.items():
+            topics.setdefault(topic, name)
         distinct = {name: np.unique(np.asarray(self._observers[topic].contents)) for topic, name in topics.items()}
         for (a, b), shared in _count_shared(distinct).items():
             share = shared / min(len(distinct[a]), len(distinct[b]))
