@@ -11,11 +11,12 @@ part of the drive; what remains are the errors of the sensors.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
+from scipy.sparse import csr_array, hstack
 
 from calgraph.drive.measurements import DrivePart
 from calgraph.drive.states import SensorState
@@ -37,6 +38,8 @@ class AdjustmentPriors:
     """(S,) m."""
     range_scale: Array
     """(S,)."""
+    shared: Array = field(default_factory=lambda: np.zeros(0))
+    """(G,) of the unknowns that measurements of all parts share."""
 
     @property
     def stddev(self) -> Array:
@@ -63,6 +66,10 @@ class Adjustment:
     """(S,) number of these."""
     squared_step: float
     """Squared last step of the sensors' parameters, in their standard deviations."""
+    shared: Array
+    """(G,) the unknowns that measurements of all parts share,"""
+    shared_stddev: Array
+    """(G,) and their standard deviations."""
 
 
 # Distances from a surface within which points are of it, m, by iteration: from errors of the start to noise.
@@ -98,26 +105,32 @@ def adjust_drive(
     noise = NoiseModel(np.full(len(states), _START_WHITE), _START_VIEW)
     parts = list(parts)
     reduced: list[_Reduced] = []
-    step: Array = np.zeros(int(free.sum()))
+    count, shared = int(free.sum()), np.zeros(len(priors.shared))
+    information = np.concatenate([prior[free], priors.shared]) ** -2.0
+    step: Array = np.zeros(count + len(shared))
     H: Array = np.eye(len(step), dtype=np.float64)
     for k, gate in enumerate(_GATES):
-        reduced = [_reduce_part(part, states, noise, gate, free) for part in parts]
-        H = sum((one.information for one in reduced), np.diag(prior[free] ** -2.0))
-        deviation = _deviation(states, start)
-        g = sum((one.gradient for one in reduced), deviation[free] / prior[free] ** 2)
+        reduced = [_reduce_part(part, states, noise, gate, free, shared) for part in parts]
+        H = sum((one.information for one in reduced), np.diag(information))
+        deviation = np.concatenate([_deviation(states, start)[free], shared])
+        g = sum((one.gradient for one in reduced), deviation * information)
         step = -np.asarray(np.linalg.solve(H, g), dtype=np.float64)
         full = np.zeros(free.shape)
-        full[free] = step
+        full[free] = step[:count]
+        shared = shared + step[count:]
         states = [state.moved(one) for state, one in zip(states, full, strict=True)]
         parts = [_move_part(part, one.back_substitute(step)) for part, one in zip(parts, reduced, strict=True)]
         noise = _estimate_noise(reduced, noise)
         progress((k + 1) / len(_GATES))
+    covariance = np.asarray(np.linalg.inv(H), dtype=np.float64)
     return Adjustment(
-        states, parts, np.asarray(np.linalg.inv(H), dtype=np.float64), free, noise,
+        states, parts, covariance[:count, :count], free, noise,
         shared_cells=np.sum([one.surfaces.shared for one in reduced], axis=0),
         residual_rms=noise.white,
         point_counts=np.sum([one.surfaces.white[:, 1] for one in reduced], axis=0),
         squared_step=float(step @ H @ step),
+        shared=shared,
+        shared_stddev=np.sqrt(np.diag(covariance)[count:]),
     )  # fmt: skip
 
 
@@ -171,16 +184,23 @@ def _move_part(part: DrivePart, change: Array) -> DrivePart:
 
 
 def _reduce_part(
-    part: DrivePart, states: Sequence[SensorState], noise: NoiseModel, gate: float, free: NDArray[np.bool_]
+    part: DrivePart,
+    states: Sequence[SensorState],
+    noise: NoiseModel,
+    gate: float,
+    free: NDArray[np.bool_],
+    shared: Array,
 ) -> _Reduced:
-    """The normal equations of the sensors' free parameters from a part, at the present states."""
+    """The normal equations of the sensors' free parameters and what parts share, at the present states."""
     at, surfaces = linearize_points(part, states, gate)
     control = part.trajectory.control
     on_surfaces = eliminate_surfaces(at, len(surfaces.keys), noise, free, len(control))
     unknowns = sum(one.unknown_count for one in part.measurements)
-    H, g = _insert_unknowns(on_surfaces.information, on_surfaces.gradient, control.size, unknowns)
+    H, g = on_surfaces.information, on_surfaces.gradient
+    H, g = _insert_unknowns(H, g, len(g), len(shared))
+    H, g = _insert_unknowns(H, g, control.size, unknowns)
     _add_motion_prior(H, g, part.trajectory)
-    _add_measurements(H, g, part, states, free)
+    _add_measurements(H, g, part, states, free, shared)
     C = control.size + unknowns
     H_c, H_cp, H_p = H[:C, :C], H[:C, C:], H[C:, C:]
     factor = cho_factor(H_c, lower=True, check_finite=False)
@@ -203,23 +223,27 @@ def _insert_unknowns(H: Array, g: Array, at: int, count: int) -> tuple[Array, Ar
 
 
 def _add_measurements(
-    H: Array, g: Array, part: DrivePart, states: Sequence[SensorState], free: NDArray[np.bool_]
+    H: Array, g: Array, part: DrivePart, states: Sequence[SensorState], free: NDArray[np.bool_], shared: Array
 ) -> None:
     """Adds measurements of the trajectory, whose unknowns follow the control points."""
-    number = np.full(free.shape, -1)
-    number[free] = len(g) - free.sum() + np.arange(free.sum())
-    first = part.trajectory.control.size
+    size, parameters = part.trajectory.control.size, int(free.sum())
+    first = size
     for one in part.measurements:
-        rows = one.linearize(part.trajectory, states[one.sensor])
-        used = number[one.sensor] >= 0
-        # Only some control points matter to the measurements of a part.
-        touched = np.unique(rows.by_control.indices)
-        J = np.column_stack([rows.by_control[:, touched].toarray(), rows.by_unknown, rows.by_sensor[:, used]])
-        columns = np.concatenate([
-            touched, first + np.arange(one.unknown_count), number[one.sensor][used]
-        ])  # fmt: skip
-        H[np.ix_(columns, columns)] += J.T @ J
-        g[columns] += J.T @ rows.residual
+        rows = one.linearize(part.trajectory, states, shared)
+        by_sensor = np.zeros((len(rows.residual), *free.shape))
+        by_sensor[np.arange(len(rows.residual)), rows.sensor] = rows.by_sensor
+        after = len(g) - parameters - len(shared) - first - one.unknown_count
+        J = hstack([
+            rows.by_control,
+            csr_array((len(rows.residual), first - size)),
+            rows.by_unknown,
+            csr_array((len(rows.residual), after)),
+            csr_array(by_sensor[:, free]),
+            csr_array(rows.by_shared),
+        ]).tocsr()  # fmt: skip
+        square = (J.T @ J).tocoo()
+        H[square.row, square.col] += square.data
+        g += J.T @ rows.residual
         first += one.unknown_count
 
 

@@ -7,7 +7,7 @@ from typing import Protocol
 from scipy.sparse import csr_array
 
 from calgraph.drive.states import SensorPoints, SensorState
-from calgraph.geometry import Array
+from calgraph.geometry import Array, Index
 from calgraph.surfaces.trajectory import SplineTrajectory
 
 
@@ -17,29 +17,30 @@ class LinearRows:
 
     residual: Array
     """(M,)."""
+    sensor: Index
+    """(M,) number of the sensor."""
     by_control: csr_array
     """(M, C) by the control points of the trajectory, row by row."""
     by_sensor: Array
     """(M, n + d + 3) by the state of the sensor."""
-    by_unknown: Array
+    by_unknown: csr_array
     """(M, E) by the unknowns of the measurements themselves."""
+    by_shared: Array
+    """(M, G) by the unknowns that all parts of the drive share."""
 
 
 class Measurements(Protocol):
-    """Measurements of one sensor during a part of the drive; immutable."""
-
-    @property
-    def sensor(self) -> int:
-        """Number of the sensor."""
-        ...
+    """Measurements of the trajectory during a part of the drive; immutable."""
 
     @property
     def unknown_count(self) -> int:
-        """Number E of unknowns that only these measurements depend on, such as the pose of a board."""
+        """Number E of unknowns that only these measurements depend on, such as poses of boards."""
         ...
 
-    def linearize(self, trajectory: SplineTrajectory, state: SensorState) -> LinearRows:
-        """The residuals at a trajectory and a state of the sensor."""
+    def linearize(
+        self, trajectory: SplineTrajectory, states: Sequence[SensorState], shared: Array
+    ) -> LinearRows:
+        """The residuals at a trajectory, states of the sensors, and unknowns (G,) that all parts share."""
         ...
 
     def moved(self, step: Array) -> "Measurements":
