@@ -14,10 +14,18 @@ from calgraph.surfaces.trajectory import SplineTrajectory, Track, fit_spline
 from drive_scenes import drive
 
 CAMERA = CameraModel(
-    "pinhole", 640, 480, np.array([[420.0, 0, 322], [0, 424, 236], [0, 0, 1]]), np.array([-0.1, 0.02, 1e-3, -5e-4, 0.0])
+    "pinhole",
+    640,
+    480,
+    np.array([[420.0, 0, 322], [0, 424, 236], [0, 0, 1]]),
+    np.array([-0.1, 0.02, 1e-3, -5e-4, 0.0]),
 )
 FISHEYE = CameraModel(
-    "fisheye", 640, 480, np.array([[260.0, 0, 318], [0, 261, 241], [0, 0, 1]]), np.array([0.02, -0.01, 2e-3, -1e-4])
+    "fisheye",
+    640,
+    480,
+    np.array([[260.0, 0, 318], [0, 261, 241], [0, 0, 1]]),
+    np.array([0.02, -0.01, 2e-3, -1e-4]),
 )
 # Optical axes ahead and to the left of the robot.
 OPTICAL = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])

@@ -128,9 +128,7 @@ class BoardMeasurements:
         """See :class:`Measurements`."""
         return replace(self, T_world_board=se_n.retract(self.T_world_board, step.reshape(-1, 6)))
 
-    def linearize(
-        self, trajectory: SplineTrajectory, states: Sequence[SensorState], shared: Array
-    ) -> LinearRows:
+    def linearize(self, trajectory: SplineTrajectory, states: Sequence[SensorState], shared: Array) -> LinearRows:
         """See :class:`Measurements`."""
         offsets = np.array([state.clock_offset for state in states])
         times = self.times - offsets[self.sensor]

@@ -37,9 +37,7 @@ class Measurements(Protocol):
         """Number E of unknowns that only these measurements depend on, such as poses of boards."""
         ...
 
-    def linearize(
-        self, trajectory: SplineTrajectory, states: Sequence[SensorState], shared: Array
-    ) -> LinearRows:
+    def linearize(self, trajectory: SplineTrajectory, states: Sequence[SensorState], shared: Array) -> LinearRows:
         """The residuals at a trajectory, states of the sensors, and unknowns (G,) that all parts share."""
         ...
 
