@@ -1,12 +1,10 @@
 """Boards fixed in the room: derivatives, whitening, and the joint solution of cameras that never see one board."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from calgraph.drive.board_views import PRINT_ERRORS, BoardMeasurements, BoardView, SharedErrors
+from calgraph.drive.board_views import BoardMeasurements, BoardView, SharedErrors
 from calgraph.drive.states import SensorState
 from calgraph.geometry import Array, se3, so3
 from calgraph.sensors import CameraModel
@@ -76,13 +74,14 @@ def measure(
         for view in see(drive(times, 3) @ MOUNTED[k], times + 0.01 * k, boards, camera, 0.2, rng)
     ]
     lens = {1: slice(0, 9), 2: slice(9, 17)}
-    prints = [slice(17 + PRINT_ERRORS * b, 17 + PRINT_ERRORS * (b + 1)) for b in range(4)]
+    # All prints share scale and aspect.
+    prints = np.array([[17, 18, 19 + 2 * b, 20 + 2 * b] for b in range(4)])
     errors = SharedErrors({1: cameras[0], 2: cameras[1]}, lens, prints, np.full((4, 2), 0.3))
     dense = np.arange(-0.5, duration + 0.5, 0.02)
     trajectory = fit_spline(Track(dense, drive(dense, 3)), 0.0, duration, 0.1)
     seen = sorted({view.board for _, view in views})
     found = BoardMeasurements.of_views(views, {b: boards[b] for b in seen}, errors)
-    return found, trajectory, states, np.zeros(17 + 4 * PRINT_ERRORS)
+    return found, trajectory, states, np.zeros(27)
 
 
 @pytest.mark.parametrize("seed", [0, 1])

@@ -137,12 +137,16 @@ class Rig(StrictModel):
         return self
 
     @model_validator(mode="after")
-    def _drives_are_of_lidars(self) -> "Rig":
+    def _drives_are_of_lidars_and_cameras(self) -> "Rig":
         for name, sensor in self.sensors.items():
-            if self.is_drive and not isinstance(sensor, Lidar2dSpec | Lidar3dSpec):
+            if self.is_drive and not isinstance(sensor, Lidar2dSpec | Lidar3dSpec | CameraSpec):
                 raise invalid(
-                    f"sensors.{name}.kind", f"must be lidar2d or lidar3d with surroundings, got {sensor.kind}"
+                    f"sensors.{name}.kind",
+                    f"must be lidar2d, lidar3d or camera with surroundings, got {sensor.kind}",
                 )
+        if self.is_drive and self.cameras() and not self.boards:
+            cameras = ", ".join(self.cameras())
+            raise invalid("target.boards", f"must list the boards in the room that cameras see ({cameras})")
         return self
 
     @model_validator(mode="after")
@@ -162,9 +166,11 @@ class Rig(StrictModel):
 
     @property
     def boards(self) -> tuple[Board, ...]:
-        """The boards to detect; empty if the target is not a board."""
+        """The boards to detect; empty if the target has none."""
         if isinstance(self.target, Board):
             return (self.target,)
+        if isinstance(self.target, Surroundings):
+            return self.target.boards
         return self.target if isinstance(self.target, tuple) else ()
 
     @property

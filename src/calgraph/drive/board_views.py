@@ -10,10 +10,11 @@ by motion blur, the time of its rows, and what models of lens and print leave: b
 share in a displacement of the view, and in a linear distortion of it. Both are eliminated.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from calgraph.drive.measurements import LinearRows
@@ -60,12 +61,12 @@ class BoardView:
 class SharedErrors:
     """Where the errors of lenses and prints are among the unknowns that all parts of a drive share."""
 
-    cameras: dict[int, CameraModel]
+    cameras: Mapping[int, CameraModel]
     """Stated model by number of the sensor."""
-    lens: dict[int, slice]
+    lens: Mapping[int, slice]
     """By number of the sensor, (4 + n,) of :func:`adjust_camera`."""
-    prints: Sequence[slice]
-    """By board, :data:`PRINT_ERRORS`."""
+    prints: NDArray[np.intp]
+    """(B, PRINT_ERRORS) by board of the rig; boards may share them."""
     half_sizes: Array
     """(B, 2) half of width and height of each board, m."""
 
@@ -94,7 +95,7 @@ class BoardMeasurements:
 
     @classmethod
     def of_views(
-        cls, views: Sequence[tuple[int, BoardView]], T_world_board: dict[int, Array], errors: SharedErrors
+        cls, views: Sequence[tuple[int, BoardView]], T_world_board: Mapping[int, Array], errors: SharedErrors
     ) -> "BoardMeasurements":
         """From views with the numbers of their cameras, and start poses of boards by index among the rig's."""
         thinned = [(k, view.thin(_MAX_CORNERS)) for k, view in views]
@@ -194,8 +195,10 @@ class BoardMeasurements:
             )
             turned = J.reshape(-1, N, 2, 3) @ T_camera_board[own, None, :3, :3] @ by_print[own]
             for b, columns in enumerate(self.errors.prints):
-                of_board = self.rig_board[self.board[own]] == b
-                by_shared[own[of_board], :, :, columns] = turned[of_board]
+                of_board = own[self.rig_board[self.board[own]] == b]
+                by_shared[of_board[:, None, None, None], np.arange(N)[:, None, None], np.arange(2)[:, None], columns] = (
+                    turned[self.rig_board[self.board[own]] == b]
+                )
         used = np.repeat(self.used, 2, axis=1)
         # Corners that a distorted lens cannot project yet have no weight.
         used = used * np.isfinite(residual).reshape(V, -1)
@@ -207,7 +210,7 @@ class BoardMeasurements:
 
     def _displace(self, shared: Array) -> tuple[Array, Array]:
         """Corners (V, N, 3) of erroneous prints, and their derivatives (V, N, 3, PRINT_ERRORS)."""
-        values = np.array([shared[columns] for columns in self.errors.prints])[self.rig_board][self.board]
+        values = shared[self.errors.prints][self.rig_board][self.board]
         scale, aspect, bow_x, bow_y = values.T[:, :, None]
         half = np.array([0.5, -0.5])
         stretch = 1 + aspect[..., None] * half

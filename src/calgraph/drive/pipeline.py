@@ -1,6 +1,7 @@
 """Drives: from one recording of a robot that drives to the poses of its LiDARs, which may share no view."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -8,23 +9,29 @@ import numpy as np
 from calgraph.config import Rig
 from calgraph.drive.adjustment import Adjustment, AdjustmentPriors, adjust_drive
 from calgraph.drive.assemble import DriveResult, assemble_drive
+from calgraph.drive.board_views import SharedErrors
+from calgraph.drive.board_world import chain_boards, describe_errors, measure_boards
 from calgraph.drive.measurements import DrivePart
 from calgraph.drive.options import DriveOptions
 from calgraph.drive.segments import Segments
 from calgraph.drive.sources import SOURCES, Reader, Source
+from calgraph.drive.sources.camera import CameraSource, find_boards
 from calgraph.drive.start import MotionStart, explain_failure, solve_start
 from calgraph.drive.states import SensorState
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se_n
 from calgraph.parallel.progress import Progress, no_progress
-from calgraph.recording import Recording
+from calgraph.recording import Recording, resolve_intrinsics
 from calgraph.recording.input_checks import InputMonitor
 from calgraph.recording.sensor_topics import check_sensor_topics
 from calgraph.result import Calibration
+from calgraph.result.finding import Finding
 from calgraph.surfaces.trajectory import SplineTrajectory, Track, fit_spline
 
 # Least time in which a sensor and the root measure both, s: some twenty relative motions.
 _MIN_COMMON_TIME = 10.0
+# Share of the time that the best trajectory covers, with which the root's is taken: LiDARs start at other times.
+_MIN_COVERAGE = 0.8
 # Largest difference of clocks that is searched for, s.
 _MAX_CLOCK_OFFSET = 0.6
 # Length of a part with a separate world, s, and how many are adjusted: its unknowns are eliminated densely, 300
@@ -44,15 +51,38 @@ def calibrate_drive(
     Args, Returns and Raises as for :func:`calgraph.calibrate_rig`.
     """
     check_sensor_topics(rig, recording)
+    rig = resolve_intrinsics(rig, recording)
     monitor = InputMonitor(rig, recording.start)
-    sources, frames = _read_sources(rig, recording, monitor, options.seed, progress)
+    sources, frames = _read_sources(rig, recording, monitor, options, progress)
+    progress("reading", 1.0)
+    return calibrate_sources(rig, sources, frames, monitor.findings(), options, progress)
+
+
+def calibrate_sources(
+    rig: Rig,
+    sources: Mapping[str, Source],
+    frames: Mapping[str, str],
+    findings: Sequence[Finding],
+    options: DriveOptions,
+    progress: Progress = no_progress,
+) -> Calibration:
+    """The calibration from what sensors measured, by name.
+
+    Args:
+        rig: with the intrinsics of all cameras.
+        sources: of all its sensors.
+        frames: that messages state.
+        findings: what does not fit the rig in the messages.
+        options: of the calibration.
+        progress: called with the stage and the share that is done.
+    """
     tracks = _track_sensors(rig, sources, options, progress)
-    starts = _solve_starts(rig, tracks, options.seed)
+    starts, tracks[rig.root] = _solve_starts(rig, tracks, options.seed)
     used = [rig.root, *(name for name, start in starts.items() if isinstance(start, MotionStart))]
     adjusted = None
     if len(used) > 1:
         adjusted = _adjust(rig, used, sources, tracks, starts, options.seed, progress)
-    result = DriveResult(used, frames, starts, adjusted, monitor.findings())
+    result = DriveResult(used, frames, starts, adjusted, findings)
     return assemble_drive(rig, result)
 
 
@@ -62,24 +92,24 @@ def dimension_of(rig: Rig) -> int:
 
 
 def _read_sources(
-    rig: Rig, recording: Recording, monitor: InputMonitor, seed: int, progress: Progress
+    rig: Rig, recording: Recording, monitor: InputMonitor, options: DriveOptions, progress: Progress
 ) -> tuple[dict[str, Source], dict[str, str]]:
     """What each sensor measured, and the frames that messages state."""
-    names = {topic: name for name, topic in rig.topics.items()}
+    cameras, frames = find_boards(rig, recording, monitor, options.engine, progress)
+    names = {topic: name for name, topic in rig.topics.items() if name not in cameras}
     n = dimension_of(rig)
     readers: dict[str, Reader] = {
-        name: SOURCES[spec.kind].make_reader(rig, name, recording, n, np.random.default_rng([seed, k]))
+        name: make_reader(rig, name, recording, n, np.random.default_rng([options.seed, k]))
         for k, (name, spec) in enumerate(rig.sensors.items())
+        if (make_reader := SOURCES[spec.kind].make_reader)
     }
-    frames: dict[str, str] = {}
-    for record in monitor.observe(recording.records(list(names))):
+    for record in monitor.observe(recording.records(list(names))) if names else ():
         name, message = names[record.topic], record.decode()
         if message.frame_id:
             frames.setdefault(name, message.frame_id)
         readers[name].add(message)
-        progress("reading", (record.arrival - recording.start) / max(recording.end - recording.start, 1e-9))
-    progress("reading", 1.0)
-    return {name: reader.finish() for name, reader in readers.items()}, frames
+    read = {name: reader.finish() for name, reader in readers.items()}
+    return {name: cameras[name] if name in cameras else read[name] for name in rig.sensors}, frames
 
 
 def _track_sensors(
@@ -101,24 +131,59 @@ def _track_source(source: Source, rng: np.random.Generator) -> Segments | Reject
 
 def _solve_starts(
     rig: Rig, tracks: Mapping[str, Segments | Rejected], seed: int
-) -> dict[str, MotionStart | Rejected]:
-    """The start pose and clock of each sensor but the root, or why it has none."""
-    root = tracks[rig.root]
-    starts: dict[str, MotionStart | Rejected] = {}
-    for k, (name, track) in enumerate(tracks.items()):
-        if name == rig.root:
-            continue
-        if isinstance(track, Rejected):
-            starts[name] = track
-        elif isinstance(root, Rejected):
-            starts[name] = Rejected(f"the root {rig.root} has no trajectory: {root.reason}")
-        elif min(root.end, track.end) - max(root.start, track.start) < _MIN_COMMON_TIME:
-            starts[name] = Rejected(f"it and the root measured together for under {_MIN_COMMON_TIME:g} s")
-        else:
-            start = solve_start(root, track, _MAX_CLOCK_OFFSET, np.random.default_rng([seed, k, 2]))
-            failure = explain_failure(start, name)
-            starts[name] = Rejected(failure) if failure else start
-    return starts
+) -> tuple[dict[str, MotionStart | Rejected], Segments | Rejected]:
+    """The start pose and clock of each sensor but the root, or why it has none; and the root's trajectory.
+
+    Where the root sees boards now and then, sensors are compared with the one that has the longest trajectory.
+    """
+    reference = _choose_reference(rig, tracks)
+    by_reference = {
+        name: _solve_start(reference, name, tracks, np.random.default_rng([seed, k, 2]))
+        for k, name in enumerate(tracks)
+        if name != reference
+    }
+    if reference == rig.root:
+        return by_reference, tracks[reference]
+    of_root, along = by_reference.pop(rig.root), tracks[reference]
+    if isinstance(of_root, Rejected) or isinstance(along, Rejected):
+        reason = of_root.reason if isinstance(of_root, Rejected) else ""
+        return {
+            name: Rejected(f"the root {rig.root} has no pose on {reference}: {reason}")
+            for name in tracks
+            if name != rig.root
+        }, tracks[rig.root]
+    starts: dict[str, MotionStart | Rejected] = {
+        name: start if isinstance(start, Rejected) else start.seen_from(of_root)
+        for name, start in by_reference.items()
+    }
+    starts[reference] = of_root.inverse()
+    ordered = {name: starts[name] for name in tracks if name != rig.root}
+    return ordered, along.of_frame(of_root.T_root_sensor, of_root.clock_offset)
+
+
+def _choose_reference(rig: Rig, tracks: Mapping[str, Segments | Rejected]) -> str:
+    """The sensor whose trajectory covers most of the time; the root, if it covers nearly as much."""
+    covered = {name: 0.0 if isinstance(track, Rejected) else track.covered for name, track in tracks.items()}
+    best = max(covered, key=lambda name: covered[name])
+    return rig.root if covered[rig.root] >= _MIN_COVERAGE * covered[best] else best
+
+
+def _solve_start(
+    reference: str, name: str, tracks: Mapping[str, Segments | Rejected], rng: np.random.Generator
+) -> MotionStart | Rejected:
+    """The start pose and clock of a sensor against the reference, or why it has none."""
+    first, track = tracks[reference], tracks[name]
+    if isinstance(track, Rejected):
+        return track
+    if isinstance(first, Rejected):
+        return Rejected(f"the root {reference} has no trajectory: {first.reason}")
+    if min(first.end, track.end) - max(first.start, track.start) < _MIN_COMMON_TIME:
+        return Rejected(f"it and the root measured together for under {_MIN_COMMON_TIME:g} s")
+    start = solve_start(first, track, _MAX_CLOCK_OFFSET, rng)
+    if isinstance(start, Rejected):
+        return start
+    failure = explain_failure(start, name)
+    return Rejected(failure) if failure else start
 
 
 def _adjust(
@@ -141,20 +206,26 @@ def _adjust(
         states.append(SensorState(start.T_root_sensor, start.clock_offset))
     rng = np.random.default_rng([seed, len(rig.sensors)])
     thinned = [sources[name].thin(rng) for name in used]
+    cameras = {k: source for k, source in enumerate(thinned) if isinstance(source, CameraSource)}
+    if len(cameras) == len(used):
+        chained = chain_boards(cameras, dict(enumerate(states)))
+        root = Segments((chained,)) if chained else root
+    errors, shared = describe_errors(rig, used)
     spacing = float(np.clip(max(one.gap for one in thinned), _KNOT_SPACING, _MAX_KNOT_SPACING))
     parts = [
         _gather_part(
-            thinned, states, fit_spline(track.between(start - spacing, end + spacing), start, end, spacing)
+            thinned, states, fit_spline(track.between(start - spacing, end + spacing), start, end, spacing), errors
         )
         for track, start, end in _select_parts(root, _PART_DURATION[n])
     ]
     progress("adjusting", 0.0)
     stddev = np.array([SOURCES[rig.sensors[name].kind].stddev(rig.sensors[name], n) for name in used])
-    return adjust_drive(parts, states, _fix_root(stddev), lambda done: progress("adjusting", done))
+    priors = replace(_fix_root(stddev), shared=shared)
+    return adjust_drive(parts, states, priors, lambda done: progress("adjusting", done))
 
 
 def _gather_part(
-    sources: Sequence[Source], states: Sequence[SensorState], trajectory: SplineTrajectory
+    sources: Sequence[Source], states: Sequence[SensorState], trajectory: SplineTrajectory, errors: SharedErrors
 ) -> DrivePart:
     """What all sensors measured during a trajectory."""
     start, end = trajectory.start, trajectory.end
@@ -162,7 +233,10 @@ def _gather_part(
     return DrivePart(
         [source.points(start + state.clock_offset, end + state.clock_offset) for source, state in both],
         trajectory,
-        [one for k, (source, state) in enumerate(both) for one in source.measurements(k, trajectory, state)],
+        [
+            *(one for k, (source, state) in enumerate(both) for one in source.measurements(k, trajectory, state)),
+            *measure_boards(sources, states, trajectory, errors),
+        ],
     )
 
 

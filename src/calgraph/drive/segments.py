@@ -20,13 +20,16 @@ _TOLERANCE = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Segments:
-    """The trajectory of a sensor in segments, in order of time; each has a separate world.
+    """The trajectory of a sensor in segments, in order of time.
 
-    Motions are known within a segment only.
+    Motions are known within a world only.
     """
 
     tracks: Sequence[Track]
     """One at least, of two poses or more each, n = 2 or 3."""
+    worlds: Sequence[int] = ()
+    """Number of the world of each, where several segments are in one: a board that is seen again. All differ if
+    empty."""
 
     @property
     def start(self) -> float:
@@ -37,6 +40,16 @@ class Segments:
     def end(self) -> float:
         """Time of the last pose, s."""
         return float(self.tracks[-1].times[-1])
+
+    @property
+    def covered(self) -> float:
+        """Time during which the pose is known, s."""
+        return sum(float(track.times[-1] - track.times[0]) for track in self.tracks)
+
+    def of_frame(self, T_sensor_frame: Array, clock_offset: float) -> "Segments":
+        """The trajectory of another frame on the robot, by a clock that is ahead of the sensor's, s."""
+        moved = [Track(one.times + clock_offset, one.poses @ T_sensor_frame) for one in self.tracks]
+        return Segments(moved, self.worlds)
 
     @cached_property
     def _rates(self) -> tuple[Array, Array]:
@@ -63,11 +76,17 @@ class Segments:
         return np.asarray(np.interp(times, middle, np.clip(size, -_MAX_TURN_RATE, _MAX_TURN_RATE))), known
 
     def relative(self, starts: Array, duration: float) -> tuple[Array, NDArray[np.bool_]]:
-        """Motions (M, n+1, n+1) ``T_start_end`` from starts (M,), s, and whether one segment has both ends."""
+        """Motions (M, n+1, n+1) ``T_start_end`` from starts (M,), s, and whether one world has both ends."""
+        before, first = self._at(starts)
+        after, last = self._at(starts + duration)
+        return np.asarray(se_n.inverse(before) @ after), (first == last) & (first >= 0)
+
+    def _at(self, times: Array) -> tuple[Array, NDArray[np.intp]]:
+        """Poses (M, n+1, n+1), and numbers of their worlds; -1 where the pose is not known."""
         n = self.tracks[0].poses.shape[-1] - 1
-        motions, known = np.tile(np.eye(n + 1), (len(starts), 1, 1)), np.zeros(len(starts), dtype=bool)
-        for track in self.tracks:
-            inside = (starts >= track.times[0] - _TOLERANCE) & (starts + duration <= track.times[-1] + _TOLERANCE)
-            motions[inside] = track.relative(starts[inside], duration)
-            known |= inside
-        return motions, known
+        poses, world = np.tile(np.eye(n + 1), (len(times), 1, 1)), np.full(len(times), -1, dtype=np.intp)
+        for k, track in enumerate(self.tracks):
+            inside = (times >= track.times[0] - _TOLERANCE) & (times <= track.times[-1] + _TOLERANCE)
+            poses[inside] = track.at(times[inside])
+            world[inside] = self.worlds[k] if self.worlds else k
+        return poses, world

@@ -4,11 +4,12 @@ Sources: Tsai and Lenz, "A new technique for fully autonomous and efficient 3D r
 1989; Brookshire and Teller, "Automatic calibration of multiple coplanar sensors", 2011, for motion in the plane.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from calgraph.drive.segments import Segments
+from calgraph.errors import Rejected
 from calgraph.geometry import STDDEV_PER_MAD, Array, se_n
 
 # Rate at which turn rates are compared, Hz: above that of sweeps; a parabola refines steps of 20 ms.
@@ -19,6 +20,10 @@ _MIN_KNOWN = 0.1
 MOTION_DURATION = 1.5
 # And start this far apart, s: half of the duration, so that errors of neighbours are hardly independent.
 _MOTION_STEP = 0.5
+# Durations of motions in the frame of a board, s: they do not drift, and turns between views of a board are larger.
+_BOARD_DURATIONS = (0.75, MOTION_DURATION, 3.0, 6.0, 12.0)
+# Motions with which the random samples of three have a meaning.
+_MIN_MOTIONS = 10
 # Random samples: with half of the motions wrong, 200 of three have a right one with 1 - (7/8)^200.
 _SAMPLES = 200
 # Errors of a relative motion beyond which it counts as wrong, m and rad: odometry in the plane of offices.
@@ -51,6 +56,18 @@ class MotionStart:
     """Number of relative motions."""
     turns: Array
     """(d,) RMS turn of the sensor during a motion, about the principal axes of turning, rad, descending."""
+
+
+    def inverse(self) -> "MotionStart":
+        """The start of the root as this sensor sees it."""
+        T, information = se_n.inverse(self.T_root_sensor), np.linalg.inv(self.information)
+        inverted = np.linalg.inv(se_n.inverse_covariance(self.T_root_sensor, information))
+        return replace(self, T_root_sensor=T, clock_offset=-self.clock_offset, information=inverted)
+
+    def seen_from(self, other: "MotionStart") -> "MotionStart":
+        """The start against another sensor, from those of both against the root."""
+        T = se_n.inverse(other.T_root_sensor) @ self.T_root_sensor
+        return replace(self, T_root_sensor=T, clock_offset=self.clock_offset - other.clock_offset)
 
 
 def find_clock_offset(root: Segments, sensor: Segments, max_offset: float) -> tuple[float, float]:
@@ -86,7 +103,9 @@ def _correlate(a: Array, b: Array) -> float:
     return float(a @ b) / max(float(np.sqrt((a @ a) * (b @ b))), 1e-12)
 
 
-def solve_start(root: Segments, sensor: Segments, max_offset: float, rng: np.random.Generator) -> MotionStart:
+def solve_start(
+    root: Segments, sensor: Segments, max_offset: float, rng: np.random.Generator
+) -> MotionStart | Rejected:
     """The pose and the clock of a sensor from two trajectories.
 
     Args:
@@ -99,10 +118,15 @@ def solve_start(root: Segments, sensor: Segments, max_offset: float, rng: np.ran
     first = max(root.start, sensor.start - offset)
     last = min(root.end, sensor.end - offset) - MOTION_DURATION
     starts = np.arange(first, last, _MOTION_STEP)
-    A, root_known = root.relative(starts, MOTION_DURATION)
-    B, sensor_known = sensor.relative(starts + offset, MOTION_DURATION)
-    both = root_known & sensor_known
-    A, B = A[both], B[both]
+    motions = []
+    for duration in _BOARD_DURATIONS if root.worlds or sensor.worlds else (MOTION_DURATION,):
+        A, root_known = root.relative(starts, duration)
+        B, sensor_known = sensor.relative(starts + offset, duration)
+        both = root_known & sensor_known
+        motions.append((A[both], B[both]))
+    A, B = (np.concatenate(some) for some in zip(*motions, strict=True))
+    if len(A) < _MIN_MOTIONS:
+        return Rejected(f"it and the root moved together {len(A)} times only, {_MIN_MOTIONS} are needed")
     T = _sample_poses(A, B, rng)
     T, information, weights = _refine(T, A, B)
     vectors = se_n.log(se_n.rotation(B))

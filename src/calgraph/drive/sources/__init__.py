@@ -2,10 +2,13 @@
 
 from collections.abc import Mapping
 
+from calgraph.drive.sources.camera import CAMERA_SOURCE
 from calgraph.drive.sources.lidar import LIDAR_SOURCE
 from calgraph.drive.sources.source import Reader, Source, SourceKind
 
-SOURCES: Mapping[str, SourceKind] = {"lidar2d": LIDAR_SOURCE, "lidar3d": LIDAR_SOURCE}
+SOURCES: Mapping[str, SourceKind] = {
+    "lidar2d": LIDAR_SOURCE, "lidar3d": LIDAR_SOURCE, "camera": CAMERA_SOURCE,
+}  # fmt: skip
 """By kind of sensor, as rig.yaml states it."""
 
 __all__ = ["SOURCES", "Reader", "Source", "SourceKind"]
