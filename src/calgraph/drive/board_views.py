@@ -65,6 +65,8 @@ class SharedErrors:
     """Stated model by number of the sensor."""
     lens: Mapping[int, slice]
     """By number of the sensor, (4 + n,) of :func:`adjust_camera`."""
+    readout: Mapping[int, int]
+    """By number of the sensor, the time from the first to the last row of an image, s."""
     prints: NDArray[np.intp]
     """(B, PRINT_ERRORS) by board of the rig; boards may share them."""
     half_sizes: Array
@@ -152,11 +154,13 @@ class BoardMeasurements:
         T_camera_world = se3.inverse(at.poses @ T_root_camera)
         T_camera_board = T_camera_world @ self.T_world_board[self.board]
         residual, by_view, by_shared = self._project(T_camera_board, shared)
-        residual, by_view, by_shared = self._whiten(residual, by_view, by_shared)
         A, R_cr = T_camera_world[:, :3, :3], np.swapaxes(T_root_camera[:, :3, :3], 1, 2)
         place = -(R_cr @ T_root_camera[:, :3, 3, None])[..., 0]
+        motion = _transfer(A, place) @ np.concatenate([at.velocity, at.turn_rate], axis=1)[..., None]
+        self._add_readout(residual, by_shared, -(by_view @ motion)[..., 0], shared)
+        residual, by_view, by_shared = self._whiten(residual, by_view, by_shared)
         by_root = -by_view @ _transfer(A, place)
-        by_clock = -(by_root @ np.concatenate([at.velocity, at.turn_rate], axis=1)[:, :, None])
+        by_clock = by_view @ motion
         by_camera = -by_view @ _transfer(R_cr, np.zeros((V, 3)))
         by_board = by_view @ _transfer(A, T_camera_board[:, :3, 3])
         by_root = np.concatenate([by_root[..., :3], by_root[..., 3:] @ at.rotation_jacobian], axis=-1)
@@ -207,6 +211,17 @@ class BoardMeasurements:
             np.nan_to_num(by_view.reshape(V, 2 * N, 6)) * used[..., None],
             np.nan_to_num(by_shared.reshape(V, 2 * N, -1)) * used[..., None],
         )
+
+    def _add_readout(self, residual: Array, by_shared: Array, flow: Array, shared: Array) -> None:
+        """Adds what corners (V, 2N) that move at ``flow``, pixels per second, move until their row is read.
+
+        Rows are read around the time of the image; the flow is the same during the readout.
+        """
+        for k, column in self.errors.readout.items():
+            own = self.sensor == k
+            share = np.repeat(self.pixels[own, :, 1] / self.errors.cameras[k].height - 0.5, 2, axis=1)
+            by_shared[own, :, column] = share * flow[own]
+            residual[own] += shared[column] * by_shared[own, :, column]
 
     def _displace(self, shared: Array) -> tuple[Array, Array]:
         """Corners (V, N, 3) of erroneous prints, and their derivatives (V, N, 3, PRINT_ERRORS)."""

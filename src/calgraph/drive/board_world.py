@@ -30,6 +30,7 @@ def describe_errors(rig: Rig, used: Sequence[str]) -> tuple[SharedErrors, Array]
     """
     cameras = {used.index(name): camera for name, camera in models_of(rig).items() if name in used}
     lens: dict[int, slice] = {}
+    readout: dict[int, int] = {}
     stddev: list[float] = []
     for k, camera in cameras.items():
         prior = rig.cameras()[used[k]].uncertainty
@@ -37,7 +38,8 @@ def describe_errors(rig: Rig, used: Sequence[str]) -> tuple[SharedErrors, Array]
         first = len(stddev)
         stddev += [prior.focal_length, prior.pixel_aspect, *[prior.principal_point] * 2]
         stddev += (prior.distortion / effect).tolist()
-        lens[k] = slice(first, len(stddev))
+        lens[k], readout[k] = slice(first, len(stddev)), len(stddev)
+        stddev.append(prior.readout_time)
     boards = rig.boards
     first = len(stddev)
     if boards:
@@ -49,7 +51,7 @@ def describe_errors(rig: Rig, used: Sequence[str]) -> tuple[SharedErrors, Array]
         stddev += [board.uncertainty.bow] * 2
     half_sizes = np.array([board.size for board in boards]).reshape(-1, 2) / 2
     # Millionths of what is known to be exact.
-    return SharedErrors(cameras, lens, prints, half_sizes), np.maximum(stddev, 1e-9)
+    return SharedErrors(cameras, lens, readout, prints, half_sizes), np.maximum(stddev, 1e-9)
 
 
 def measure_boards(

@@ -207,7 +207,7 @@ def _draw_stops(times: Array, rng: np.random.Generator) -> Array:
 def _carry(times: Array, reach: tuple[float, float], rng: np.random.Generator) -> Route:
     """The place of a rig that a person carries through an area and turns to all sides."""
     positions = np.stack([0.4 * half * draw_drift(len(times), 2.5, rng) for half in reach], axis=-1)
-    yaws = rng.uniform(-np.pi, np.pi) + 2.5 * draw_drift(len(times), 2.5, rng)
+    yaws = rng.uniform(-np.pi, np.pi) + 2.5 * draw_drift(len(times), 5.0, rng)
     velocity = np.gradient(positions, INTERVAL, axis=0)
     return Route(times, positions, yaws, np.linalg.norm(velocity, axis=1), np.gradient(yaws, INTERVAL))
 
