@@ -200,9 +200,9 @@ class BoardMeasurements:
             turned = J.reshape(-1, N, 2, 3) @ T_camera_board[own, None, :3, :3] @ by_print[own]
             for b, columns in enumerate(self.errors.prints):
                 of_board = own[self.rig_board[self.board[own]] == b]
-                by_shared[of_board[:, None, None, None], np.arange(N)[:, None, None], np.arange(2)[:, None], columns] = (
-                    turned[self.rig_board[self.board[own]] == b]
-                )
+                by_shared[
+                    of_board[:, None, None, None], np.arange(N)[:, None, None], np.arange(2)[:, None], columns
+                ] = turned[self.rig_board[self.board[own]] == b]
         used = np.repeat(self.used, 2, axis=1)
         # Corners that a distorted lens cannot project yet have no weight.
         used = used * np.isfinite(residual).reshape(V, -1)

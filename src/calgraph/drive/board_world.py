@@ -55,10 +55,7 @@ def describe_errors(rig: Rig, used: Sequence[str]) -> tuple[SharedErrors, Array]
 
 
 def measure_boards(
-    sources: Sequence[Source],
-    states: Sequence[SensorState],
-    trajectory: SplineTrajectory,
-    errors: SharedErrors,
+    sources: Sequence[Source], states: Sequence[SensorState], trajectory: SplineTrajectory, errors: SharedErrors
 ) -> list[BoardMeasurements]:
     """The views of boards during a trajectory, with start poses of the boards by them; one object or none."""
     views = [

@@ -16,7 +16,8 @@ from calgraph.drive.options import DriveOptions
 from calgraph.drive.segments import Segments
 from calgraph.drive.sources import SOURCES, Reader, Source
 from calgraph.drive.sources.camera import CameraSource, find_boards
-from calgraph.drive.start import MotionStart, explain_failure, solve_start
+from calgraph.drive.start import MotionStart
+from calgraph.drive.start_tree import solve_starts
 from calgraph.drive.states import SensorState
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se_n
@@ -28,12 +29,6 @@ from calgraph.result import Calibration
 from calgraph.result.finding import Finding
 from calgraph.surfaces.trajectory import SplineTrajectory, Track, fit_spline
 
-# Least time in which a sensor and the root measure both, s: some twenty relative motions.
-_MIN_COMMON_TIME = 10.0
-# Share of the time that the best trajectory covers, with which the root's is taken: LiDARs start at other times.
-_MIN_COVERAGE = 0.8
-# Largest difference of clocks that is searched for, s.
-_MAX_CLOCK_OFFSET = 0.6
 # Length of a part with a separate world, s, and how many are adjusted: its unknowns are eliminated densely, 300
 # control points of 6 in space, or of 3 in the plane, where cells are met again later. Parts that turn most are
 # used.
@@ -77,7 +72,7 @@ def calibrate_sources(
         progress: called with the stage and the share that is done.
     """
     tracks = _track_sensors(rig, sources, options, progress)
-    starts, tracks[rig.root] = _solve_starts(rig, tracks, options.seed)
+    starts, tracks[rig.root] = solve_starts(rig.root, tracks, options.seed)
     used = [rig.root, *(name for name, start in starts.items() if isinstance(start, MotionStart))]
     adjusted = None
     if len(used) > 1:
@@ -127,63 +122,6 @@ def _track_sensors(
 
 def _track_source(source: Source, rng: np.random.Generator) -> Segments | Rejected:
     return source.track(rng)
-
-
-def _solve_starts(
-    rig: Rig, tracks: Mapping[str, Segments | Rejected], seed: int
-) -> tuple[dict[str, MotionStart | Rejected], Segments | Rejected]:
-    """The start pose and clock of each sensor but the root, or why it has none; and the root's trajectory.
-
-    Where the root sees boards now and then, sensors are compared with the one that has the longest trajectory.
-    """
-    reference = _choose_reference(rig, tracks)
-    by_reference = {
-        name: _solve_start(reference, name, tracks, np.random.default_rng([seed, k, 2]))
-        for k, name in enumerate(tracks)
-        if name != reference
-    }
-    if reference == rig.root:
-        return by_reference, tracks[reference]
-    of_root, along = by_reference.pop(rig.root), tracks[reference]
-    if isinstance(of_root, Rejected) or isinstance(along, Rejected):
-        reason = of_root.reason if isinstance(of_root, Rejected) else ""
-        return {
-            name: Rejected(f"the root {rig.root} has no pose on {reference}: {reason}")
-            for name in tracks
-            if name != rig.root
-        }, tracks[rig.root]
-    starts: dict[str, MotionStart | Rejected] = {
-        name: start if isinstance(start, Rejected) else start.seen_from(of_root)
-        for name, start in by_reference.items()
-    }
-    starts[reference] = of_root.inverse()
-    ordered = {name: starts[name] for name in tracks if name != rig.root}
-    return ordered, along.of_frame(of_root.T_root_sensor, of_root.clock_offset)
-
-
-def _choose_reference(rig: Rig, tracks: Mapping[str, Segments | Rejected]) -> str:
-    """The sensor whose trajectory covers most of the time; the root, if it covers nearly as much."""
-    covered = {name: 0.0 if isinstance(track, Rejected) else track.covered for name, track in tracks.items()}
-    best = max(covered, key=lambda name: covered[name])
-    return rig.root if covered[rig.root] >= _MIN_COVERAGE * covered[best] else best
-
-
-def _solve_start(
-    reference: str, name: str, tracks: Mapping[str, Segments | Rejected], rng: np.random.Generator
-) -> MotionStart | Rejected:
-    """The start pose and clock of a sensor against the reference, or why it has none."""
-    first, track = tracks[reference], tracks[name]
-    if isinstance(track, Rejected):
-        return track
-    if isinstance(first, Rejected):
-        return Rejected(f"the root {reference} has no trajectory: {first.reason}")
-    if min(first.end, track.end) - max(first.start, track.start) < _MIN_COMMON_TIME:
-        return Rejected(f"it and the root measured together for under {_MIN_COMMON_TIME:g} s")
-    start = solve_start(first, track, _MAX_CLOCK_OFFSET, rng)
-    if isinstance(start, Rejected):
-        return start
-    failure = explain_failure(start, name)
-    return Rejected(failure) if failure else start
 
 
 def _adjust(

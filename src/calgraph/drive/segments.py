@@ -39,7 +39,7 @@ class Segments:
     @property
     def end(self) -> float:
         """Time of the last pose, s."""
-        return float(self.tracks[-1].times[-1])
+        return max(float(track.times[-1]) for track in self.tracks)
 
     @property
     def covered(self) -> float:
@@ -51,6 +51,12 @@ class Segments:
         moved = [Track(one.times + clock_offset, one.poses @ T_sensor_frame) for one in self.tracks]
         return Segments(moved, self.worlds)
 
+    def joined(self, other: "Segments") -> "Segments":
+        """The segments of both, which are of one frame and clock, and have worlds in common."""
+        order = np.argsort([one.times[0] for one in (*self.tracks, *other.tracks)], kind="stable")
+        tracks, worlds = (*self.tracks, *other.tracks), (*self.worlds, *other.worlds)
+        return Segments([tracks[k] for k in order], [worlds[k] for k in order])
+
     @cached_property
     def _rates(self) -> tuple[Array, Array]:
         """Times (M,), s, in the middle between two poses, and turn rates (M, d) in the sensor's frame, rad/s."""
@@ -59,7 +65,9 @@ class Segments:
             moved = se_n.log(se_n.rotation(se_n.inverse(track.poses[:-1]) @ track.poses[1:]))
             rates.append(moved / np.maximum(np.diff(track.times), 1e-3)[:, None])
             middle.append((track.times[:-1] + track.times[1:]) / 2)
-        return np.concatenate(middle), np.concatenate(rates)
+        times = np.concatenate(middle)
+        order = np.argsort(times, kind="stable")
+        return times[order], np.concatenate(rates)[order]
 
     def turn_rates(self, times: Array) -> tuple[Array, NDArray[np.bool_]]:
         """Turn rates (M,), rad/s, and whether they are known, at times (M,): not in long gaps between segments.
@@ -70,9 +78,11 @@ class Segments:
         middle, rates = self._rates
         size = rates[:, 0] if rates.shape[1] == 1 else np.linalg.norm(rates, axis=1)
         known = np.ones(len(times), dtype=bool)
-        for before, after in zip(self.tracks, self.tracks[1:], strict=False):
-            if after.times[0] - before.times[-1] > _MAX_GAP:
-                known &= (times <= before.times[-1]) | (times >= after.times[0])
+        end = self.tracks[0].times[-1]
+        for track in self.tracks[1:]:
+            if track.times[0] - end > _MAX_GAP:
+                known &= (times <= end) | (times >= track.times[0])
+            end = max(end, track.times[-1])
         return np.asarray(np.interp(times, middle, np.clip(size, -_MAX_TURN_RATE, _MAX_TURN_RATE))), known
 
     def relative(self, starts: Array, duration: float) -> tuple[Array, NDArray[np.bool_]]:

@@ -24,6 +24,10 @@ _MOTION_STEP = 0.5
 _BOARD_DURATIONS = (0.75, MOTION_DURATION, 3.0, 6.0, 12.0)
 # Motions with which the random samples of three have a meaning.
 _MIN_MOTIONS = 10
+# Poses by boards are this many times as precise as those of odometry that counts as right.
+_BOARD_PRECISION = 3.0
+# Offsets of clocks around one by turn rates that are compared, s: errors of 50 ms turn a motion by a degree or two.
+_CLOCK_STEPS = (np.linspace(-0.3, 0.3, 13), np.linspace(-0.04, 0.04, 9))
 # Random samples: with half of the motions wrong, 200 of three have a right one with 1 - (7/8)^200.
 _SAMPLES = 200
 # Errors of a relative motion beyond which it counts as wrong, m and rad: odometry in the plane of offices.
@@ -56,7 +60,8 @@ class MotionStart:
     """Number of relative motions."""
     turns: Array
     """(d,) RMS turn of the sensor during a motion, about the principal axes of turning, rad, descending."""
-
+    by_boards: bool = False
+    """Whether the clock is that of motions before boards, which turn rates show poorly."""
 
     def inverse(self) -> "MotionStart":
         """The start of the root as this sensor sees it."""
@@ -115,6 +120,29 @@ def solve_start(
         rng: for random samples.
     """
     offset, correlation = find_clock_offset(root, sensor, max_offset)
+    if root.worlds or sensor.worlds:
+        offset = _search_clock(root, sensor, offset, rng)
+    A, B = _pair_motions(root, sensor, offset)
+    if len(A) < _MIN_MOTIONS:
+        return Rejected(f"it and the root moved together {len(A)} times only, {_MIN_MOTIONS} are needed")
+    T = _sample_poses(A, B, rng)
+    T, information, weights = _refine(T, A, B)
+    vectors = se_n.log(se_n.rotation(B))
+    turns = np.linalg.svd(vectors, compute_uv=False) / np.sqrt(len(B))
+    return MotionStart(
+        T,
+        offset,
+        information,
+        float(np.mean(weights > 0.25)),
+        correlation,
+        len(A),
+        turns,
+        by_boards=bool(root.worlds or sensor.worlds),
+    )
+
+
+def _pair_motions(root: Segments, sensor: Segments, offset: float) -> tuple[Array, Array]:
+    """Motions (K, n+1, n+1) of the root and of the sensor during the same times, with the sensor's clock offset."""
     first = max(root.start, sensor.start - offset)
     last = min(root.end, sensor.end - offset) - MOTION_DURATION
     starts = np.arange(first, last, _MOTION_STEP)
@@ -125,18 +153,29 @@ def solve_start(
         both = root_known & sensor_known
         motions.append((A[both], B[both]))
     A, B = (np.concatenate(some) for some in zip(*motions, strict=True))
-    if len(A) < _MIN_MOTIONS:
-        return Rejected(f"it and the root moved together {len(A)} times only, {_MIN_MOTIONS} are needed")
-    T = _sample_poses(A, B, rng)
-    T, information, weights = _refine(T, A, B)
-    vectors = se_n.log(se_n.rotation(B))
-    turns = np.linalg.svd(vectors, compute_uv=False) / np.sqrt(len(B))
-    return MotionStart(T, offset, information, float(np.mean(weights > 0.25)), correlation, len(A), turns)
+    return A, B
+
+
+def _search_clock(root: Segments, sensor: Segments, offset: float, rng: np.random.Generator) -> float:
+    """The clock offset near one by turn rates at which motions agree best, s.
+
+    Boards are in view now and then only, and images are rarer than turns: correlation is wrong by up to 0.2 s.
+    """
+    scale = _scale(root.tracks[0].poses.shape[-1] - 1) / _BOARD_PRECISION
+    for steps in _CLOCK_STEPS:
+        found = []
+        for candidate in offset + steps:
+            A, B = _pair_motions(root, sensor, candidate)
+            if len(A) >= _MIN_MOTIONS:
+                errors = _errors(_refine(_sample_poses(A, B, rng), A, B)[0], A, B) / scale
+                found.append((float(np.mean(np.minimum(np.sum(errors**2, axis=1), 1.0))), float(candidate)))
+        offset = min(found)[1] if found else offset
+    return offset
 
 
 def explain_failure(start: MotionStart, name: str) -> str:
     """Why a start is not to be relied on, and what to drive instead; empty if it is."""
-    if start.correlation < _MIN_CORRELATION:
+    if start.correlation < _MIN_CORRELATION and not start.by_boards:
         return (
             f"its turn rates do not agree with the root's (correlation {start.correlation:.2f}): its clock is "
             "half a second off or more, or its odometry failed; drive slower, where walls and furniture are near"

@@ -93,7 +93,7 @@ def linearize_points(
     scale = 1 + np.array([state.range_scale for state in states])[sensor[hit]]
     residual = local[:, 0] * scale
     by_pose = np.concatenate([normals, turn], axis=1) * scale[:, None]
-    by_control = (joined["basis"][:, :, None] * by_pose[:, None, :]).reshape(len(hit), -1)
+    by_control = (joined["basis"][:, :, None] * by_pose[:, None, :]).reshape(len(hit), 4 * by_pose.shape[1])
     by_sensor = np.einsum("ni,nij->nj", normals, joined["by_sensor"]) * scale[:, None]
     by_sensor[:, -1] += local[:, 0]
     return SurfacePoints(

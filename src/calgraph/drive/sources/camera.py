@@ -80,7 +80,10 @@ class CameraSource:
         return no_points(3)
 
     def measurements(
-        self, sensor: int, trajectory: SplineTrajectory, state: SensorState  # noqa: ARG002
+        self,
+        sensor: int,
+        trajectory: SplineTrajectory,
+        state: SensorState,  # noqa: ARG002
     ) -> Sequence[Measurements]:
         """None: views of all cameras are measurements together, as they share boards."""
         return ()
@@ -125,9 +128,7 @@ def find_boards(
         return {}, {}
     names = {rig.sensors[name].topic: name for name in cameras}
     detectors = {
-        name: CameraDetector(
-            rig.boards, camera, rig.cameras()[name].noise, rig.settings.detection.camera
-        )
+        name: CameraDetector(rig.boards, camera, rig.cameras()[name].noise, rig.settings.detection.camera)
         for name, camera in cameras.items()
     }
     frames: dict[str, str] = {}
@@ -168,9 +169,7 @@ def _is_same(before: Array, after: Array) -> bool:
     return before.size > 0 and before.shape == after.shape and float(np.abs(before - after).mean()) < _MIN_CHANGE
 
 
-def _search(
-    detector: CameraDetector, name: str, message: Image | DetectedCorners
-) -> tuple[str, list[BoardView]]:
+def _search(detector: CameraDetector, name: str, message: Image | DetectedCorners) -> tuple[str, list[BoardView]]:
     """The boards in an image of a camera."""
     found = detector.find([message])
     if isinstance(found, Rejected):
