@@ -199,7 +199,7 @@ def _reduce_part(
     H, g = on_surfaces.information, on_surfaces.gradient
     H, g = _insert_unknowns(H, g, len(g), len(shared))
     H, g = _insert_unknowns(H, g, control.size, unknowns)
-    _add_motion_prior(H, g, part.trajectory)
+    _add_motion_prior(H, g, part.trajectory, None if part.size is None else len(g) - len(shared) + part.size)
     _add_measurements(H, g, part, states, free, shared)
     C = control.size + unknowns
     H_c, H_cp, H_p = H[:C, :C], H[:C, C:], H[C:, C:]
@@ -247,8 +247,12 @@ def _add_measurements(
         first += one.unknown_count
 
 
-def _add_motion_prior(H: Array, g: Array, trajectory: SplineTrajectory) -> None:
-    """Adds what is known of accelerations, and holds the middle control point."""
+def _add_motion_prior(H: Array, g: Array, trajectory: SplineTrajectory, size: int | None = None) -> None:
+    """Adds what is known of accelerations, and holds the middle control point.
+
+    In a world whose relative size is one of the unknowns, accelerations are relative to it: noise of trajectories
+    would else make the world smaller.
+    """
     control = trajectory.control
     K, columns = control.shape
     n = trajectory.reference.poses.shape[-1] - 1
@@ -262,6 +266,13 @@ def _add_motion_prior(H: Array, g: Array, trajectory: SplineTrajectory) -> None:
             for c in range(columns):
                 H[(index + a) * columns + c, (index + b) * columns + c] += wa * wb / stddev[c] ** 2
     g[: K * columns] += gradient.ravel()
+    if size is not None:
+        gradient[:, n:] = 0.0
+        change = float(np.sum(second[:, :n] * np.diff(control, 2, axis=0)[:, :n]))
+        H[: K * columns, size] -= gradient.ravel()
+        H[size, : K * columns] -= gradient.ravel()
+        H[size, size] += change
+        g[size] -= change
     middle = K // 2 * columns + np.arange(columns)
     H[middle, middle] += _GAUGE**-2.0
 

@@ -56,3 +56,5 @@ class DrivePart:
     """Of the root, by its clock."""
     measurements: Sequence[Measurements] = ()
     """Of the trajectory, besides points."""
+    size: int | None = None
+    """Number of the shared unknown that is the relative size of this world, where no ranges measure it."""

@@ -168,6 +168,7 @@ def _gather_part(
     """What all sensors measured during a trajectory."""
     start, end = trajectory.start, trajectory.end
     both = list(zip(sources, states, strict=True))
+    size = None if any(not isinstance(source, CameraSource) for source in sources) else int(errors.prints[0, 0])
     return DrivePart(
         [source.points(start + state.clock_offset, end + state.clock_offset) for source, state in both],
         trajectory,
@@ -175,6 +176,7 @@ def _gather_part(
             *(one for k, (source, state) in enumerate(both) for one in source.measurements(k, trajectory, state)),
             *measure_boards(sources, states, trajectory, errors),
         ],
+        size,
     )
 
 
