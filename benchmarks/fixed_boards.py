@@ -61,9 +61,7 @@ def make_sources(rig: Rig, drive: SimulatedDrive) -> dict[str, Source]:
     return sources
 
 
-def locate_boards(
-    seen: Sequence[SimulatedView], boards: Sequence[WallBoard], camera: CameraModel
-) -> CameraSource:
+def locate_boards(seen: Sequence[SimulatedView], boards: Sequence[WallBoard], camera: CameraModel) -> CameraSource:
     """The views of boards by simulated corners."""
     views = []
     for one in seen:
@@ -74,7 +72,9 @@ def locate_boards(
     return CameraSource(sorted(views, key=lambda view: view.time))
 
 
-def compute_errors(drive: SimulatedDrive, calibration: Calibration) -> dict[str, tuple[float, float, float, float]]:
+def compute_errors(
+    drive: SimulatedDrive, calibration: Calibration
+) -> dict[str, tuple[float, float, float, float]]:
     """By sensor: error, mm and degrees, squared Mahalanobis distance over 6, error of the clock, ms."""
     truth = drive.truth
     T_first_root = truth.T_root_sensor[calibration.root]
@@ -137,7 +137,8 @@ def main() -> None:
                 mm, degrees, nees, clock = np.array(rows).T
                 print(
                     f"{rig_name} {path}: median {np.median(mm):.1f} mm {np.median(degrees):.3f}°, at most "
-                    f"{mm.max():.1f} mm {degrees.max():.3f}°, NEES {nees.mean():.2f} (median {np.median(nees):.2f}), "
+                    f"{mm.max():.1f} mm {degrees.max():.3f}°, NEES {nees.mean():.2f} (median {np.median(nees):.2f}"
+                    "), "
                     f"clock {np.median(np.abs(clock)):.1f} ms, {len(rows)} poses",
                     flush=True,
                 )

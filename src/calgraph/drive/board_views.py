@@ -5,9 +5,9 @@ For corner c of board b, which camera i measures at time t,
     r = π_i(T_ri⁻¹ T_wr(t - o_i)⁻¹ T_wb x_c) - u_c
 
 with the pose ``T_wb`` of the board in the world of the part, the camera's model ``π_i`` with errors of its
-intrinsics, and the printed corner ``x_c`` with those of print and bow. The corners of one image are wrong together,
-by motion blur, the time of its rows, and what models of lens and print leave: besides its own noise, each has a
-share in a displacement of the view, and in a linear distortion of it. Both are eliminated.
+intrinsics, and the printed corner ``x_c`` with those of print and bow; rows of an image are read in turn. The
+corners of one image are wrong together, by motion blur and what models of lens and print leave: besides its own
+noise, each has a share in a displacement of the view, and in a linear distortion of it. Both are eliminated.
 """
 
 from collections.abc import Mapping, Sequence
@@ -30,7 +30,7 @@ PRINT_ERRORS = 4
 _MAX_CORNERS = 24
 # Least standard deviations, pixels: of the finders' corners, and of a view's displacement by anything else.
 _MIN_NOISE, _MIN_BIAS = 0.05, 0.05
-# Squared whitened displacement and distortion (6 in all) of a view from which its weight falls: 1 of 20 exceeds it.
+# Squared whitened displacement and distortion (6 in all) of a view from which its weight falls: of 1 in 20.
 _MAX_SQUARE = 12.6
 
 
@@ -177,8 +177,11 @@ class BoardMeasurements:
         )
 
     def _project(self, T_camera_board: Array, shared: Array) -> tuple[Array, Array, Array]:
-        """Reprojection errors (V, 2N), pixels, derivatives by the board's pose before the camera, along its axes
-        and about its origin (V, 2N, 6), and by what is shared (V, 2N, G)."""
+        """Reprojection errors (V, 2N), pixels, and their derivatives (V, 2N, 6) and (V, 2N, G).
+
+        The first are by motions of the board along the camera's axes and about its origin, the others by what is
+        shared.
+        """
         V, N = self.used.shape
         residual, by_view = np.zeros((V, N, 2)), np.zeros((V, N, 2, 6))
         by_shared = np.zeros((V, N, 2, len(shared)))
@@ -287,8 +290,7 @@ class BoardMeasurements:
 
 
 def _transfer(R: Array, place: Array) -> Array:
-    """(V, 6, 6) that maps motions of a frame at a place (V, 3) to those of points about the origin, along axes
-    turned by R (V, 3, 3)."""
+    """(V, 6, 6) from motions of a frame at a place (V, 3) to those about the origin, along axes turned by R."""
     M = np.zeros((len(R), 6, 6))
     M[:, :3, :3] = M[:, 3:, 3:] = R
     M[:, :3, 3:] = so3.hat(place) @ R

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from calgraph.config import Rig
-from calgraph.drive.board_views import BoardMeasurements, BoardView, SharedErrors
+from calgraph.drive.board_views import BoardMeasurements, SharedErrors
 from calgraph.drive.sources.camera import CameraSource, models_of
 from calgraph.drive.sources.source import Source
 from calgraph.drive.states import SensorState

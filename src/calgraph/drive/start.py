@@ -20,13 +20,13 @@ _MIN_KNOWN = 0.1
 MOTION_DURATION = 1.5
 # And start this far apart, s: half of the duration, so that errors of neighbours are hardly independent.
 _MOTION_STEP = 0.5
-# Durations of motions in the frame of a board, s: they do not drift, and turns between views of a board are larger.
+# Durations of motions in the frame of a board, s: they do not drift, and turns between far views are larger.
 _BOARD_DURATIONS = (0.75, MOTION_DURATION, 3.0, 6.0, 12.0)
 # Motions with which the random samples of three have a meaning.
 _MIN_MOTIONS = 10
 # Poses by boards are this many times as precise as those of odometry that counts as right.
 _BOARD_PRECISION = 3.0
-# Offsets of clocks around one by turn rates that are compared, s: errors of 50 ms turn a motion by a degree or two.
+# Offsets of clocks around one by turn rates that are compared, s: 50 ms are a degree or two of a turn.
 _CLOCK_STEPS = (np.linspace(-0.3, 0.3, 13), np.linspace(-0.04, 0.04, 9))
 # Random samples: with half of the motions wrong, 200 of three have a right one with 1 - (7/8)^200.
 _SAMPLES = 200
@@ -65,9 +65,12 @@ class MotionStart:
 
     def inverse(self) -> "MotionStart":
         """The start of the root as this sensor sees it."""
-        T, information = se_n.inverse(self.T_root_sensor), np.linalg.inv(self.information)
-        inverted = np.linalg.inv(se_n.inverse_covariance(self.T_root_sensor, information))
-        return replace(self, T_root_sensor=T, clock_offset=-self.clock_offset, information=inverted)
+        T = self.T_root_sensor
+        covariance: Array = np.asarray(np.linalg.inv(np.asarray(self.information)), dtype=np.float64)
+        information = np.asarray(np.linalg.inv(np.asarray(se_n.inverse_covariance(T, covariance))))
+        return replace(
+            self, T_root_sensor=se_n.inverse(T), clock_offset=-self.clock_offset, information=information
+        )
 
     def seen_from(self, other: "MotionStart") -> "MotionStart":
         """The start against another sensor, from those of both against the root."""
@@ -142,7 +145,7 @@ def solve_start(
 
 
 def _pair_motions(root: Segments, sensor: Segments, offset: float) -> tuple[Array, Array]:
-    """Motions (K, n+1, n+1) of the root and of the sensor during the same times, with the sensor's clock offset."""
+    """Motions (K, n+1, n+1) of the root and of the sensor during the same times, by a clock offset."""
     first = max(root.start, sensor.start - offset)
     last = min(root.end, sensor.end - offset) - MOTION_DURATION
     starts = np.arange(first, last, _MOTION_STEP)

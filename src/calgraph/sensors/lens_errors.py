@@ -7,7 +7,6 @@ import numpy as np
 from calgraph.geometry import Array
 from calgraph.sensors.camera_model import CameraModel
 
-
 ESTIMATED_COEFFICIENTS = {"pinhole": 5, "fisheye": 4}
 """Number of estimated distortion coefficients: those of the denominator of a rational model, which come after
 these, have nearly the same effect."""

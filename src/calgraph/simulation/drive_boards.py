@@ -89,7 +89,8 @@ def hang_boards(
     Raises:
         InputError: the surroundings have too few walls.
     """
-    errors, found = scenario.camera_errors, []
+    errors = scenario.camera_errors
+    found: list[WallBoard] = []
     scale, aspect = errors.print_scale * rng.normal(), errors.print_aspect * rng.normal()
     stretch = (1 + scale) * np.array([1 + aspect / 2, 1 - aspect / 2])
     for _ in range(_DRAWS):

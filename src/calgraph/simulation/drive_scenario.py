@@ -8,7 +8,7 @@ from calgraph.simulation.drive_motion import PathKind
 from calgraph.simulation.drive_world import WorldKind
 
 DriveSensorKind = Literal["lidar", "solid_state", "scanner", "odometry", "trajectory", "gyroscope", "camera"]
-"""Spinning or solid-state 3-D LiDAR, 2-D scanner, wheel odometry, trajectory of another program, gyroscope, camera."""
+"""Spinning or solid-state 3-D LiDAR, 2-D scanner, wheel odometry, trajectory of a program, gyroscope, camera."""
 RigName = Literal[
     "two_lidars", "three_lidars", "four_lidars", "lidar_and_solid_state", "lidar_and_scanner", "two_scanners",
     "lidar_and_odometry", "lidar_and_trajectory", "lidar_and_gyroscope", "mixed", "scanner_270",

@@ -23,8 +23,8 @@ from calgraph.sensors import CameraModel, DetectedCorners, Image
 from calgraph.sensors.lens_errors import with_estimated_distortion
 from calgraph.surfaces.trajectory import SplineTrajectory, Track
 
-# Least time between images that are searched for boards, s: finding tags takes 30 to 100 ms, and a robot that drives
-# at 1 m/s has moved by 0.1 m.
+# Least time between images that are searched for boards, s: finding tags takes 30 to 100 ms, and a robot that
+# drives at 1 m/s has moved by 0.1 m.
 _MIN_INTERVAL = 0.095
 # Images that differ from the last one that was searched by less than this on average, grey values of 255, show the
 # same: noise of small pictures is below 1. A few are searched anyway, each time after _MAX_REST, s.
@@ -59,8 +59,8 @@ class CameraSource:
         count = sum(len(track.times) for track in tracks)
         if count < _MIN_VIEWS:
             return Rejected(
-                f"it detected boards in {count} successive images; a drive needs {_MIN_VIEWS}: hang boards where it "
-                "looks, and drive slower before them"
+                f"it detected boards in {count} successive images; a drive needs {_MIN_VIEWS}: hang boards where "
+                "it looks, and drive slower before them"
             )
         return Segments(tracks, [views[0].board for views in segments])
 
@@ -81,8 +81,8 @@ class CameraSource:
 
     def measurements(
         self,
-        sensor: int,
-        trajectory: SplineTrajectory,
+        sensor: int,  # noqa: ARG002
+        trajectory: SplineTrajectory,  # noqa: ARG002
         state: SensorState,  # noqa: ARG002
     ) -> Sequence[Measurements]:
         """None: views of all cameras are measurements together, as they share boards."""
@@ -192,8 +192,8 @@ def models_of(rig: Rig) -> dict[str, CameraModel]:
     for name in rig.cameras():
         if name not in models:
             raise InputError(
-                f"sensors.{name}.intrinsics: a drive does not estimate them: give intrinsics or a camera_info topic; "
-                "calgraph intrinsics finds them from images of a board"
+                f"sensors.{name}.intrinsics: a drive does not estimate them: give intrinsics or a camera_info "
+                "topic; calgraph intrinsics finds them from images of a board"
             )
     return {name: with_estimated_distortion(camera) for name, camera in models.items()}
 

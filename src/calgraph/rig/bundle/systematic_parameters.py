@@ -23,11 +23,7 @@ from calgraph.rig.bundle.range_observations import RangeObservations, bow_shape
 from calgraph.rig.bundle.residual_distortion import ResidualDistortion
 from calgraph.sensors import DISTORTION_NAMES, CameraModel
 from calgraph.sensors.kinds.stated import BeamError, RangeUncertainty
-from calgraph.sensors.lens_errors import (
-    ESTIMATED_COEFFICIENTS,
-    displacement_at_corner,
-    with_estimated_distortion,
-)
+from calgraph.sensors.lens_errors import ESTIMATED_COEFFICIENTS, displacement_at_corner, with_estimated_distortion
 
 DISTORTION, RESIDUAL_DISTORTION, RINGS, TAGS = "distortion", "residual distortion", "rings", "tags"
 """Families of parameters, see :class:`SystematicParameter`."""
