@@ -7,11 +7,12 @@ import numpy as np
 
 from calgraph.config import Rig
 from calgraph.drive.adjustment import Adjustment
-from calgraph.drive.evidence import collect_pictures
+from calgraph.drive.board_views import BoardMeasurements
 from calgraph.drive.start import MotionStart
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2
-from calgraph.result import Calibration, Edge, Evidence, FitError, Pictures, SensorPose, Verdict
+from calgraph.result import Calibration, Edge, Evidence, FitError, SensorPose, Verdict
+from calgraph.result.estimated_parameter import EstimatedParameter
 from calgraph.result.finding import Finding
 from calgraph.result.sensor_pose import UNMEASURED_IN_PLANE
 from calgraph.verdict.grades import LONE_ROOT, collect_findings, grade_pose
@@ -24,6 +25,8 @@ _UNVERIFIED = (
 )
 # Surfaces that two sensors have to share: with fewer, single ones that moved or are mistaken decide.
 _MIN_SHARED_CELLS = 30
+# Images of boards that a camera needs: single ones that are mistaken do not decide then.
+_MIN_VIEWS = 30
 # Squared last step, in standard deviations, from which the adjustment has not converged.
 _MAX_SQUARED_STEP = 25.0
 
@@ -42,6 +45,8 @@ class DriveResult:
     """None where only the root has a trajectory."""
     findings: Sequence[Finding]
     """What does not fit the rig in the messages."""
+    systematic: tuple[EstimatedParameter, ...] = ()
+    """Errors of lenses and prints."""
 
 
 def assemble_drive(rig: Rig, result: DriveResult) -> Calibration:
@@ -82,18 +87,14 @@ def assemble_drive(rig: Rig, result: DriveResult) -> Calibration:
         root=rig.root,
         sensors=tuple(sensors),
         joint_covariance=covariance,
+        systematic=result.systematic,
         evidence=Evidence(
             estimator="joint",
             tolerance=rig.tolerance,
             edges=tuple(_list_edges(rig, result)),
             unconnected=unconnected,
             remarks=tuple(finding.text for finding in result.findings),
-            fit={
-                name: FitError(int(adjusted.point_counts[k]), "m", float(adjusted.residual_rms[k]))
-                for k, name in enumerate(names)
-            }
-            if adjusted
-            else {},
+            fit=_describe_fit(names, adjusted) if adjusted else {},
         ),
         pictures=collect_pictures(used, result.starts, adjusted.parts, adjusted.states)
         if adjusted
@@ -107,12 +108,41 @@ def _find_contradictions(adjusted: Adjustment, k: int) -> list[str]:
     if adjusted.squared_step > _MAX_SQUARED_STEP:
         reasons.append("the joint adjustment has not converged")
     shared = int(adjusted.shared_cells[k].sum() - adjusted.shared_cells[k, k])
-    if shared < _MIN_SHARED_CELLS:
+    views = len(measure_views(adjusted, k))
+    if views and views < _MIN_VIEWS:
+        reasons.append(
+            f"it saw boards in {views} images only, fewer than {_MIN_VIEWS}: hang boards where it looks, and "
+            "drive before them for longer"
+        )
+    if not views and shared < _MIN_SHARED_CELLS:
         reasons.append(
             f"it passed only {shared} of the surfaces that another sensor passed, fewer than {_MIN_SHARED_CELLS}: "
             "drive loops, so that all sensors pass the same places"
         )
     return [*reasons, _UNVERIFIED]
+
+
+def _describe_fit(names: Sequence[str], adjusted: Adjustment) -> dict[str, FitError]:
+    """Residuals of each sensor: reprojection errors of corners, or distances of points from surfaces."""
+    found = {}
+    for k, name in enumerate(names):
+        views = measure_views(adjusted, k)
+        found[name] = FitError(int(adjusted.point_counts[k]), "m", float(adjusted.residual_rms[k]))
+        if len(views):
+            corners = views[:, 0].sum()
+            found[name] = FitError(int(corners), "px", float(np.sqrt(views[:, 1].sum() / (2 * corners))))
+    return found
+
+
+def measure_views(adjusted: Adjustment, k: int) -> Array:
+    """(V, 2) number of corners, and squared reprojection error, pixels², of each image of a board by a sensor."""
+    found = [np.zeros((0, 2))]
+    for part in adjusted.parts:
+        for one in part.measurements:
+            if isinstance(one, BoardMeasurements):
+                views = one.measure_views(part.trajectory, adjusted.states, adjusted.shared)
+                found.append(views[views[:, 0] == k, 1:])
+    return np.concatenate(found)
 
 
 def _list_edges(rig: Rig, result: DriveResult) -> list[Edge]:

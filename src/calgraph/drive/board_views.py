@@ -94,6 +94,8 @@ class BoardMeasurements:
     rig_board: Index
     """(B,) index among the rig's boards."""
     errors: SharedErrors
+    whitened: bool = True
+    """Whether residuals are in standard deviations, and not in pixels."""
 
     @classmethod
     def of_views(
@@ -138,6 +140,16 @@ class BoardMeasurements:
         inside = np.flatnonzero((times >= trajectory.start) & (times <= trajectory.end))
         return self._select(inside)._linearize(times[inside], trajectory, states, shared)
 
+    def measure_views(self, trajectory: SplineTrajectory, states: Sequence[SensorState], shared: Array) -> Array:
+        """(V, 3) number of the camera, number of corners, and squared reprojection error of each view, pixels²."""
+        rows = replace(self, whitened=False).linearize(trajectory, states, shared)
+        width = 2 * self.used.shape[1]
+        square = np.sum(rows.residual.reshape(-1, width) ** 2, axis=1)
+        offsets = np.array([state.clock_offset for state in states])
+        times = self.times - offsets[self.sensor]
+        inside = (times >= trajectory.start) & (times <= trajectory.end)
+        return np.column_stack([rows.sensor.reshape(-1, width)[:, 0], self.used[inside].sum(axis=1), square])
+
     def _select(self, kept: Index) -> "BoardMeasurements":
         return replace(
             self,
@@ -158,7 +170,8 @@ class BoardMeasurements:
         place = -(R_cr @ T_root_camera[:, :3, 3, None])[..., 0]
         motion = _transfer(A, place) @ np.concatenate([at.velocity, at.turn_rate], axis=1)[..., None]
         self._add_readout(residual, by_shared, -(by_view @ motion)[..., 0], shared)
-        residual, by_view, by_shared = self._whiten(residual, by_view, by_shared)
+        if self.whitened:
+            residual, by_view, by_shared = self._whiten(residual, by_view, by_shared)
         by_root = -by_view @ _transfer(A, place)
         by_clock = by_view @ motion
         by_camera = -by_view @ _transfer(R_cr, np.zeros((V, 3)))

@@ -1,15 +1,18 @@
 """Start values of boards fixed in the room, and the trajectory that they give where no other sensor does."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from calgraph.config import Rig
-from calgraph.drive.board_views import BoardMeasurements, SharedErrors
+from calgraph.drive.board_views import PRINT_ERRORS, BoardMeasurements, SharedErrors
 from calgraph.drive.sources.camera import CameraSource, models_of
 from calgraph.drive.sources.source import Source
 from calgraph.drive.states import SensorState
 from calgraph.geometry import Array, se3, se_n
+from calgraph.result.estimated_parameter import EstimatedParameter
+from calgraph.sensors import DISTORTION_NAMES
 from calgraph.sensors.lens_errors import displacement_at_corner
 from calgraph.surfaces.trajectory import SplineTrajectory, Track
 
@@ -19,39 +22,65 @@ _MIN_VIEWS = 3
 _MAX_SPREAD = 0.3, 0.3
 # Time between views of a board within which poses are interpolated, s: accelerations displace by a centimetre.
 _MAX_GAP = 0.25
+# Standard deviation of what is stated to be exact, relative to its size: it has to be positive.
+_EXACT = 1e-9
 # Views at one time are averaged over this, s.
 _BIN = 0.05
 
 
-def describe_errors(rig: Rig, used: Sequence[str]) -> tuple[SharedErrors, Array]:
-    """The errors of lenses and prints, and their prior standard deviations (G,), 0 replaced by a tiny number.
+def describe_errors(rig: Rig, used: Sequence[str]) -> tuple[SharedErrors, tuple[EstimatedParameter, ...], Array]:
+    """The errors of lenses and prints: their places, what they are, and prior standard deviations (G,).
 
-    All prints share scale and aspect: they are of one printer, and paper swells alike.
+    Exact ones have tiny standard deviations. All prints share scale and aspect: they are of one printer, and paper
+    swells alike.
     """
     cameras = {used.index(name): camera for name, camera in models_of(rig).items() if name in used}
     lens: dict[int, slice] = {}
     readout: dict[int, int] = {}
+    found: list[EstimatedParameter] = []
     stddev: list[float] = []
+
+    def add(of: str, quantity: str, unit: str, stated: float, prior: float, scale: float = 1.0) -> int:
+        prior = max(prior, _EXACT)
+        found.append(EstimatedParameter(of, quantity, unit, stated, prior * scale, stated, prior * scale))
+        stddev.append(prior)
+        return len(stddev) - 1
+
     for k, camera in cameras.items():
-        prior = rig.cameras()[used[k]].uncertainty
-        effect = np.maximum(displacement_at_corner(camera), 1e-9)
-        first = len(stddev)
-        stddev += [prior.focal_length, prior.pixel_aspect, *[prior.principal_point] * 2]
-        stddev += (prior.distortion / effect).tolist()
-        lens[k], readout[k] = slice(first, len(stddev)), len(stddev)
-        stddev.append(prior.readout_time)
-    boards = rig.boards
-    first = len(stddev)
+        name, prior = used[k], rig.cameras()[used[k]].uncertainty
+        (fx, fy), center = camera.focal.tolist(), camera.principal_point.tolist()
+        mean = (fx + fy) / 2
+        first = add(name, "focal length", "px", mean, prior.focal_length, mean)
+        add(name, "pixel aspect", "", fx / fy, prior.pixel_aspect, fx / fy)
+        for quantity, stated in zip(("cx", "cy"), center, strict=True):
+            add(name, quantity, "px", stated, prior.principal_point)
+        effect = np.maximum(displacement_at_corner(camera), _EXACT)
+        names = DISTORTION_NAMES[camera.model]
+        for quantity, stated, pixels in zip(names, camera.distortion.tolist(), effect.tolist(), strict=False):
+            add(name, quantity, "", stated, prior.distortion / pixels)
+        readout[k] = add(name, "readout time", "s", 0.0, prior.readout_time)
+        lens[k] = slice(first, readout[k])
+    boards = rig.boards if cameras else ()
+    prints = np.zeros((len(boards), PRINT_ERRORS), dtype=np.intp)
     if boards:
-        stddev += [max(board.uncertainty.print_scale for board in boards)]
-        stddev += [max(board.uncertainty.print_aspect for board in boards)]
-    prints = np.zeros((len(boards), 4), dtype=np.intp)
+        of = "boards" if len(boards) > 1 else "board"
+        prints[:, 0] = add(of, "print scale", "", 1.0, max(board.uncertainty.print_scale for board in boards))
+        prints[:, 1] = add(of, "print aspect", "", 1.0, max(board.uncertainty.print_aspect for board in boards))
     for b, board in enumerate(boards):
-        prints[b] = first, first + 1, len(stddev), len(stddev) + 1
-        stddev += [board.uncertainty.bow] * 2
+        of = f"board {b + 1}" if len(boards) > 1 else "board"
+        prints[b, 2:] = [add(of, f"bow {axis}", "m", 0.0, board.uncertainty.bow) for axis in "xy"]
     half_sizes = np.array([board.size for board in boards]).reshape(-1, 2) / 2
-    # Millionths of what is known to be exact.
-    return SharedErrors(cameras, lens, readout, prints, half_sizes), np.maximum(stddev, 1e-9)
+    return SharedErrors(cameras, lens, readout, prints, half_sizes), tuple(found), np.array(stddev)
+
+
+def state_estimates(
+    errors: Sequence[EstimatedParameter], prior: Array, value: Array, stddev: Array
+) -> tuple[EstimatedParameter, ...]:
+    """The errors of :func:`describe_errors` with values (G,) and standard deviations (G,) from the solution."""
+    return tuple(
+        replace(one, value=one.stated + one.prior / p * v, stddev=one.prior / p * s)
+        for one, p, v, s in zip(errors, prior.tolist(), value.tolist(), stddev.tolist(), strict=True)
+    )
 
 
 def measure_boards(

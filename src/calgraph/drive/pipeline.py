@@ -10,7 +10,7 @@ from calgraph.config import Rig
 from calgraph.drive.adjustment import Adjustment, AdjustmentPriors, adjust_drive
 from calgraph.drive.assemble import DriveResult, assemble_drive
 from calgraph.drive.board_views import SharedErrors
-from calgraph.drive.board_world import chain_boards, describe_errors, measure_boards
+from calgraph.drive.board_world import chain_boards, describe_errors, measure_boards, state_estimates
 from calgraph.drive.measurements import DrivePart
 from calgraph.drive.options import DriveOptions
 from calgraph.drive.segments import Segments
@@ -26,6 +26,7 @@ from calgraph.recording import Recording, resolve_intrinsics
 from calgraph.recording.input_checks import InputMonitor
 from calgraph.recording.sensor_topics import check_sensor_topics
 from calgraph.result import Calibration
+from calgraph.result.estimated_parameter import EstimatedParameter
 from calgraph.result.finding import Finding
 from calgraph.surfaces.trajectory import SplineTrajectory, Track, fit_spline
 
@@ -74,10 +75,11 @@ def calibrate_sources(
     tracks = _track_sensors(rig, sources, options, progress)
     starts, tracks[rig.root] = solve_starts(rig.root, tracks, options.seed)
     used = [rig.root, *(name for name, start in starts.items() if isinstance(start, MotionStart))]
-    adjusted = None
+    adjusted: Adjustment | None = None
+    systematic: tuple[EstimatedParameter, ...] = ()
     if len(used) > 1:
-        adjusted = _adjust(rig, used, sources, tracks, starts, options.seed, progress)
-    result = DriveResult(used, frames, starts, adjusted, findings)
+        adjusted, systematic = _adjust(rig, used, sources, tracks, starts, options.seed, progress)
+    result = DriveResult(used, frames, starts, adjusted, findings, systematic)
     return assemble_drive(rig, result)
 
 
@@ -132,8 +134,8 @@ def _adjust(
     starts: Mapping[str, MotionStart | Rejected],
     seed: int,
     progress: Progress,
-) -> Adjustment:
-    """The joint solution of the sensors that have a start."""
+) -> tuple[Adjustment, tuple[EstimatedParameter, ...]]:
+    """The joint solution of the sensors that have a start, and the errors of lenses and prints."""
     root = tracks[rig.root]
     assert isinstance(root, Segments)
     n = dimension_of(rig)
@@ -148,7 +150,7 @@ def _adjust(
     if len(cameras) == len(used):
         chained = chain_boards(cameras, dict(enumerate(states)))
         root = Segments((chained,)) if chained else root
-    errors, shared = describe_errors(rig, used)
+    errors, described, shared = describe_errors(rig, used)
     spacing = float(np.clip(max(one.gap for one in thinned), _KNOT_SPACING, _MAX_KNOT_SPACING))
     parts = [
         _gather_part(
@@ -159,7 +161,8 @@ def _adjust(
     progress("adjusting", 0.0)
     stddev = np.array([SOURCES[rig.sensors[name].kind].stddev(rig.sensors[name], n) for name in used])
     priors = replace(_fix_root(stddev), shared=shared)
-    return adjust_drive(parts, states, priors, lambda done: progress("adjusting", done))
+    adjusted = adjust_drive(parts, states, priors, lambda done: progress("adjusting", done))
+    return adjusted, state_estimates(described, shared, adjusted.shared, adjusted.shared_stddev)
 
 
 def _gather_part(

@@ -66,8 +66,8 @@ class MotionStart:
     def inverse(self) -> "MotionStart":
         """The start of the root as this sensor sees it."""
         T = self.T_root_sensor
-        covariance: Array = np.asarray(np.linalg.inv(np.asarray(self.information)), dtype=np.float64)
-        information = np.asarray(np.linalg.inv(np.asarray(se_n.inverse_covariance(T, covariance))))
+        covariance: Array = np.asarray(np.linalg.pinv(np.asarray(self.information)), dtype=np.float64)
+        information = np.asarray(np.linalg.pinv(np.asarray(se_n.inverse_covariance(T, covariance))))
         return replace(
             self, T_root_sensor=se_n.inverse(T), clock_offset=-self.clock_offset, information=information
         )
