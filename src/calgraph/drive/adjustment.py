@@ -74,6 +74,9 @@ class Adjustment:
 
 # Distances from a surface within which points are of it, m, by iteration: from errors of the start to noise.
 _GATES = (0.3, 0.2, 0.15, 0.12, 0.1, *[0.09] * 8)
+# Iterations after which noise of measurements is estimated with the covariance of the trajectory, which takes as long
+# as an iteration; start values have converged.
+_REWEIGHTED = (4, 6, 9)
 # Start values of standard deviations, m: range noise of LiDARs, and what plaster and doors deviate from planes.
 _START_WHITE, _START_VIEW = 0.02, 0.01
 # Least ones: quantised ranges, and walls that are better than any.
@@ -115,6 +118,10 @@ def adjust_drive(
         deviation = np.concatenate([_deviation(states, start)[free], shared])
         g = sum((one.gradient for one in reduced), deviation * information)
         step = -np.asarray(np.linalg.solve(H, g), dtype=np.float64)
+        if k in _REWEIGHTED:
+            parts = [
+                _reweight_part(part, one, states, shared) for part, one in zip(parts, reduced, strict=True)
+            ]
         full = np.zeros(free.shape)
         full[free] = step[:count]
         shared = shared + step[count:]
@@ -181,6 +188,22 @@ def _move_part(part: DrivePart, change: Array) -> DrivePart:
             one.moved(some) for one, some in zip(part.measurements, np.split(change, edges)[1:-1], strict=True)
         ],
     )
+
+
+def _reweight_part(
+    part: DrivePart, reduced: _Reduced, states: Sequence[SensorState], shared: Array
+) -> DrivePart:
+    """The part with measurements whose noise allows for what the trajectory follows."""
+    if not part.measurements:
+        return part
+    covariance = cho_solve(reduced.factor, np.eye(len(reduced.part_gradient)), check_finite=False)
+    size = part.trajectory.control.size
+    first, found = size, []
+    for one in part.measurements:
+        columns = np.r_[0:size, first : first + one.unknown_count]
+        found.append(one.reweighted(part.trajectory, states, shared, covariance[np.ix_(columns, columns)]))
+        first += one.unknown_count
+    return replace(part, measurements=found)
 
 
 def _reduce_part(

@@ -29,7 +29,9 @@ PRINT_ERRORS = 4
 # Corners of a view that are used: more have the same view bias.
 _MAX_CORNERS = 24
 # Least standard deviations, pixels: of the finders' corners, and of a view's displacement by anything else.
-_MIN_NOISE, _MIN_BIAS = 0.05, 0.05
+_MIN_NOISE, _MIN_BIAS = 0.05, 0.02
+# Least share of the squared displacements of views that the fit leaves: below, other sensors are far less precise.
+_MIN_LEFT = 0.05
 # Squared whitened displacement and distortion (6 in all) of a view from which its weight falls: of 1 in 20.
 _MAX_SQUARE = 12.6
 
@@ -96,6 +98,9 @@ class BoardMeasurements:
     errors: SharedErrors
     whitened: bool = True
     """Whether residuals are in standard deviations, and not in pixels."""
+    left: Array | None = None
+    """(V, 6) share of the squares of displacement and distortion of each view that the trajectory does not follow;
+    1 if None."""
 
     @classmethod
     def of_views(
@@ -135,26 +140,48 @@ class BoardMeasurements:
 
     def linearize(self, trajectory: SplineTrajectory, states: Sequence[SensorState], shared: Array) -> LinearRows:
         """See :class:`Measurements`."""
-        offsets = np.array([state.clock_offset for state in states])
-        times = self.times - offsets[self.sensor]
-        inside = np.flatnonzero((times >= trajectory.start) & (times <= trajectory.end))
-        return self._select(inside)._linearize(times[inside], trajectory, states, shared)
+        inside = self._find_inside(trajectory, states)
+        offsets = np.array([state.clock_offset for state in states])[self.sensor]
+        return self._select(inside)._linearize((self.times - offsets)[inside], trajectory, states, shared)
+
+    def reweighted(
+        self, trajectory: SplineTrajectory, states: Sequence[SensorState], shared: Array, covariance: Array
+    ) -> "BoardMeasurements":
+        """See :class:`Measurements`: REML for the standard deviations of displacements and distortions."""
+        inside = self._find_inside(trajectory, states)
+        rows = self.linearize(trajectory, states, shared)
+        N = self.used.shape[1]
+        controls = rows.by_control.indices.reshape(len(inside), 2 * N, -1)[:, 0]
+        boards = rows.by_unknown.indices.reshape(len(inside), 2 * N, -1)[:, 0] + trajectory.control.size
+        columns = np.concatenate([controls, boards], axis=1)
+        J = np.concatenate(
+            [x.data.reshape(len(inside), 2 * N, -1) for x in (rows.by_control, rows.by_unknown)], axis=2
+        )
+        G = np.swapaxes(self._select(inside)._bias_basis(), 1, 2) @ J
+        followed = np.einsum("vik,vkl,vil->vi", G, covariance[columns[:, :, None], columns[:, None]], G)
+        left = np.ones((len(self.times), 6))
+        left[inside] = np.clip(1 - followed, 0.0, 1.0)
+        return replace(self, left=left)
+
+    def _find_inside(self, trajectory: SplineTrajectory, states: Sequence[SensorState]) -> Index:
+        """Indices of the views within the time of a trajectory."""
+        times = self.times - np.array([state.clock_offset for state in states])[self.sensor]
+        return np.flatnonzero((times >= trajectory.start) & (times <= trajectory.end))
 
     def measure_views(self, trajectory: SplineTrajectory, states: Sequence[SensorState], shared: Array) -> Array:
         """(V, 3) number of the camera, number of corners, and squared reprojection error of each view, pixels²."""
         rows = replace(self, whitened=False).linearize(trajectory, states, shared)
         width = 2 * self.used.shape[1]
         square = np.sum(rows.residual.reshape(-1, width) ** 2, axis=1)
-        offsets = np.array([state.clock_offset for state in states])
-        times = self.times - offsets[self.sensor]
-        inside = (times >= trajectory.start) & (times <= trajectory.end)
-        return np.column_stack([rows.sensor.reshape(-1, width)[:, 0], self.used[inside].sum(axis=1), square])
+        count = self.used[self._find_inside(trajectory, states)].sum(axis=1)
+        return np.column_stack([rows.sensor.reshape(-1, width)[:, 0], count, square])
 
     def _select(self, kept: Index) -> "BoardMeasurements":
         return replace(
             self,
             sensor=self.sensor[kept], board=self.board[kept], times=self.times[kept],
             corners=self.corners[kept], pixels=self.pixels[kept], used=self.used[kept],
+            left=None if self.left is None else self.left[kept],
         )  # fmt: skip
 
     def _linearize(
@@ -275,7 +302,8 @@ class BoardMeasurements:
             for columns in (slice(0, 2), slice(2, 6)):
                 # Of a single corner, as coefficients grow with the root of their number.
                 square = (coefficients[own, columns] / np.sqrt(count[own, None])) ** 2
-                spread = STDDEV_PER_MAD**2 * np.median(square)
+                left = 1.0 if self.left is None else max(float(self.left[own, columns].mean()), _MIN_LEFT)
+                spread = STDDEV_PER_MAD**2 * np.median(square) / left
                 bias = np.sqrt(max(spread - noise**2 / float(np.mean(count[own])), _MIN_BIAS**2))
                 stddev[own, columns] = np.sqrt(noise**2 + count[own, None] * bias**2)
         square = np.sum((coefficients / stddev) ** 2, axis=1)

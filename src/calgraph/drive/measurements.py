@@ -45,6 +45,19 @@ class Measurements(Protocol):
         """The measurements with their unknowns after a step (E,)."""
         ...
 
+    def reweighted(
+        self, trajectory: SplineTrajectory, states: Sequence[SensorState], shared: Array, covariance: Array
+    ) -> "Measurements":
+        """The measurements with noise that allows for what the trajectory follows.
+
+        Args:
+            trajectory: as of :meth:`linearize`.
+            states: as of :meth:`linearize`.
+            shared: as of :meth:`linearize`.
+            covariance: (C + E, C + E) of control points and unknowns.
+        """
+        ...
+
 
 @dataclass(frozen=True, eq=False)
 class DrivePart:
