@@ -74,8 +74,8 @@ class Adjustment:
 
 # Distances from a surface within which points are of it, m, by iteration: from errors of the start to noise.
 _GATES = (0.3, 0.2, 0.15, 0.12, 0.1, *[0.09] * 8)
-# Iterations after which noise of measurements is estimated with the covariance of the trajectory, which takes as long
-# as an iteration; start values have converged.
+# Iterations after which noise of measurements is estimated with the covariance of the trajectory, which takes as
+# long as an iteration; start values have converged.
 _REWEIGHTED = (4, 6, 9)
 # Start values of standard deviations, m: range noise of LiDARs, and what plaster and doors deviate from planes.
 _START_WHITE, _START_VIEW = 0.02, 0.01
@@ -119,9 +119,7 @@ def adjust_drive(
         g = sum((one.gradient for one in reduced), deviation * information)
         step = -np.asarray(np.linalg.solve(H, g), dtype=np.float64)
         if k in _REWEIGHTED:
-            parts = [
-                _reweight_part(part, one, states, shared) for part, one in zip(parts, reduced, strict=True)
-            ]
+            parts = [_reweight_part(part, one, states, shared) for part, one in zip(parts, reduced, strict=True)]
         full = np.zeros(free.shape)
         full[free] = step[:count]
         shared = shared + step[count:]
@@ -190,9 +188,7 @@ def _move_part(part: DrivePart, change: Array) -> DrivePart:
     )
 
 
-def _reweight_part(
-    part: DrivePart, reduced: _Reduced, states: Sequence[SensorState], shared: Array
-) -> DrivePart:
+def _reweight_part(part: DrivePart, reduced: _Reduced, states: Sequence[SensorState], shared: Array) -> DrivePart:
     """The part with measurements whose noise allows for what the trajectory follows."""
     if not part.measurements:
         return part

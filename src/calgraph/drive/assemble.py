@@ -27,6 +27,8 @@ _UNVERIFIED = (
 _MIN_SHARED_CELLS = 30
 # Images of boards that a camera needs: single ones that are mistaken do not decide then.
 _MIN_VIEWS = 30
+# RMS reprojection error above which a solution is wrong, pixels: motion blur of a slow drive is less.
+_MAX_REPROJECTION_ERROR = 3.0
 # Squared last step, in standard deviations, from which the adjustment has not converged.
 _MAX_SQUARED_STEP = 25.0
 
@@ -108,12 +110,18 @@ def _find_contradictions(adjusted: Adjustment, k: int) -> list[str]:
     if adjusted.squared_step > _MAX_SQUARED_STEP:
         reasons.append("the joint adjustment has not converged")
     shared = int(adjusted.shared_cells[k].sum() - adjusted.shared_cells[k, k])
-    views = len(measure_views(adjusted, k))
+    measured = measure_views(adjusted, k)
+    views = len(measured)
     if views and views < _MIN_VIEWS:
         reasons.append(
             f"it saw boards in {views} images only, fewer than {_MIN_VIEWS}: hang boards where it looks, and "
             "drive before them for longer"
         )
+    if views:
+        corners, squares = measured[:, 0].sum(), measured[:, 1].sum()
+        error = float(np.sqrt(squares / (2 * corners)))
+        if error > _MAX_REPROJECTION_ERROR:
+            reasons.append(f"boards are {error:.1f} px from where they should be in its images")
     if not views and shared < _MIN_SHARED_CELLS:
         reasons.append(
             f"it passed only {shared} of the surfaces that another sensor passed, fewer than {_MIN_SHARED_CELLS}: "

@@ -32,6 +32,8 @@ _MAX_CORNERS = 24
 _MIN_NOISE, _MIN_BIAS = 0.05, 0.02
 # Least share of the squared displacements of views that the fit leaves: below, other sensors are far less precise.
 _MIN_LEFT = 0.05
+# Errors of a corner beyond which it is left out, of the image's width.
+_MAX_ERROR = 0.5
 # Squared whitened displacement and distortion (6 in all) of a view from which its weight falls: of 1 in 20.
 _MAX_SQUARE = 12.6
 
@@ -246,9 +248,10 @@ class BoardMeasurements:
                 by_shared[
                     of_board[:, None, None, None], np.arange(N)[:, None, None], np.arange(2)[:, None], columns
                 ] = turned[self.rig_board[self.board[own]] == b]
-        used = np.repeat(self.used, 2, axis=1)
-        # Corners that a distorted lens cannot project yet have no weight.
-        used = used * np.isfinite(residual).reshape(V, -1)
+        # Corners that cannot be projected, or are far off, have no weight: derivatives have no bound near a camera.
+        error = np.linalg.norm(residual, axis=-1)
+        widths = np.array([self.errors.cameras[k].width for k in self.sensor.tolist()])
+        used = np.repeat(self.used * (error < _MAX_ERROR * widths[:, None]), 2, axis=1)
         return (
             np.nan_to_num(residual.reshape(V, -1)) * used,
             np.nan_to_num(by_view.reshape(V, 2 * N, 6)) * used[..., None],

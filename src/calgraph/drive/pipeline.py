@@ -19,7 +19,7 @@ from calgraph.drive.sources.camera import CameraSource, find_boards
 from calgraph.drive.start import MotionStart
 from calgraph.drive.start_tree import solve_starts
 from calgraph.drive.states import SensorState
-from calgraph.errors import Rejected
+from calgraph.errors import CalibrationError, Rejected
 from calgraph.geometry import Array, se_n
 from calgraph.parallel.progress import Progress, no_progress
 from calgraph.recording import Recording, resolve_intrinsics
@@ -161,7 +161,13 @@ def _adjust(
     progress("adjusting", 0.0)
     stddev = np.array([SOURCES[rig.sensors[name].kind].stddev(rig.sensors[name], n) for name in used])
     priors = replace(_fix_root(stddev), shared=shared)
-    adjusted = adjust_drive(parts, states, priors, lambda done: progress("adjusting", done))
+    try:
+        adjusted = adjust_drive(parts, states, priors, lambda done: progress("adjusting", done))
+    except np.linalg.LinAlgError as error:
+        raise CalibrationError(
+            "the joint adjustment has no solution: start values are wrong, as odometry failed; drive slower, "
+            "where walls and furniture are near"
+        ) from error
     return adjusted, state_estimates(described, shared, adjusted.shared, adjusted.shared_stddev)
 
 

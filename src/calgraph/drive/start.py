@@ -124,7 +124,7 @@ def solve_start(
     """
     offset, correlation = find_clock_offset(root, sensor, max_offset)
     if root.worlds or sensor.worlds:
-        offset = _search_clock(root, sensor, offset, rng)
+        offset = _search_clock(root, sensor, offset, max_offset, rng)
     A, B = _pair_motions(root, sensor, offset)
     if len(A) < _MIN_MOTIONS:
         return Rejected(f"it and the root moved together {len(A)} times only, {_MIN_MOTIONS} are needed")
@@ -159,7 +159,9 @@ def _pair_motions(root: Segments, sensor: Segments, offset: float) -> tuple[Arra
     return A, B
 
 
-def _search_clock(root: Segments, sensor: Segments, offset: float, rng: np.random.Generator) -> float:
+def _search_clock(
+    root: Segments, sensor: Segments, offset: float, max_offset: float, rng: np.random.Generator
+) -> float:
     """The clock offset near one by turn rates at which motions agree best, s.
 
     Boards are in view now and then only, and images are rarer than turns: correlation is wrong by up to 0.2 s.
@@ -167,7 +169,7 @@ def _search_clock(root: Segments, sensor: Segments, offset: float, rng: np.rando
     scale = _scale(root.tracks[0].poses.shape[-1] - 1) / _BOARD_PRECISION
     for steps in _CLOCK_STEPS:
         found = []
-        for candidate in offset + steps:
+        for candidate in np.clip(offset + steps, -max_offset, max_offset):
             A, B = _pair_motions(root, sensor, candidate)
             if len(A) >= _MIN_MOTIONS:
                 errors = _errors(_refine(_sample_poses(A, B, rng), A, B)[0], A, B) / scale
