@@ -248,7 +248,7 @@ class BoardMeasurements:
                 by_shared[
                     of_board[:, None, None, None], np.arange(N)[:, None, None], np.arange(2)[:, None], columns
                 ] = turned[self.rig_board[self.board[own]] == b]
-        # Corners that cannot be projected, or are far off, have no weight: derivatives have no bound near a camera.
+        # Corners that cannot be projected, or are far off, have no weight: derivatives have no bound there.
         error = np.linalg.norm(residual, axis=-1)
         widths = np.array([self.errors.cameras[k].width for k in self.sensor.tolist()])
         used = np.repeat(self.used * (error < _MAX_ERROR * widths[:, None]), 2, axis=1)
