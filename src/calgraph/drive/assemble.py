@@ -8,10 +8,11 @@ import numpy as np
 from calgraph.config import Rig
 from calgraph.drive.adjustment import Adjustment
 from calgraph.drive.board_views import BoardMeasurements
+from calgraph.drive.evidence import collect_pictures
 from calgraph.drive.start import MotionStart
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2
-from calgraph.result import Calibration, Edge, Evidence, FitError, SensorPose, Verdict
+from calgraph.result import Calibration, Edge, Evidence, FitError, Pictures, SensorPose, Verdict
 from calgraph.result.estimated_parameter import EstimatedParameter
 from calgraph.result.finding import Finding
 from calgraph.result.sensor_pose import UNMEASURED_IN_PLANE

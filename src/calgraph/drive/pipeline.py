@@ -50,7 +50,6 @@ def calibrate_drive(
     rig = resolve_intrinsics(rig, recording)
     monitor = InputMonitor(rig, recording.start)
     sources, frames = _read_sources(rig, recording, monitor, options, progress)
-    progress("reading", 1.0)
     return calibrate_sources(rig, sources, frames, monitor.findings(), options, progress)
 
 
@@ -105,6 +104,8 @@ def _read_sources(
         if message.frame_id:
             frames.setdefault(name, message.frame_id)
         readers[name].add(message)
+        progress("reading", (record.arrival - recording.start) / max(recording.end - recording.start, 1e-9))
+    progress("reading", 1.0)
     read = {name: reader.finish() for name, reader in readers.items()}
     return {name: cameras[name] if name in cameras else read[name] for name in rig.sensors}, frames
 
