@@ -113,7 +113,7 @@ def test_cameras_need_boards_in_their_surroundings() -> None:
         "target": {"kind": "surroundings"},
         "sensors": {"camera": {"kind": "camera", "topic": "/c"}},
     }
-    with pytest.raises(ValueError, match=r"must list the boards in the room that cameras see \(camera\)"):
+    with pytest.raises(ValueError, match=r"must list the boards in the room that cameras detect \(camera\)"):
         Rig.model_validate(content)
     board = {"size": [0.5, 0.5], "tags": [{"id": 0, "size": 0.3}]}
     rig = Rig.model_validate({**content, "target": {"kind": "surroundings", "boards": [board]}})

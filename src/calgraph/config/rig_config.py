@@ -146,7 +146,7 @@ class Rig(StrictModel):
                 )
         if self.is_drive and self.cameras() and not self.boards:
             cameras = ", ".join(self.cameras())
-            raise invalid("target.boards", f"must list the boards in the room that cameras see ({cameras})")
+            raise invalid("target.boards", f"must list the boards in the room that cameras detect ({cameras})")
         return self
 
     @model_validator(mode="after")

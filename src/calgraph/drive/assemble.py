@@ -115,8 +115,8 @@ def _find_contradictions(adjusted: Adjustment, k: int) -> list[str]:
     views = len(measured)
     if views and views < _MIN_VIEWS:
         reasons.append(
-            f"it saw boards in {views} images only, fewer than {_MIN_VIEWS}: hang boards where it looks, and "
-            "drive before them for longer"
+            f"it detected boards in {views} images only, fewer than {_MIN_VIEWS}: put more boards into its "
+            "field of view, and drive before them for longer"
         )
     if views:
         corners, squares = measured[:, 0].sum(), measured[:, 1].sum()

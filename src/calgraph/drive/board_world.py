@@ -32,7 +32,7 @@ def describe_errors(rig: Rig, used: Sequence[str]) -> tuple[SharedErrors, tuple[
     """The errors of lenses and prints: their places, what they are, and prior standard deviations (G,).
 
     Exact ones have tiny standard deviations. All prints share scale and aspect: they are of one printer, and paper
-    swells alike.
+    swells equally.
     """
     cameras = {used.index(name): camera for name, camera in models_of(rig).items() if name in used}
     lens: dict[int, slice] = {}
@@ -116,9 +116,9 @@ def _average(poses: Array) -> Array:
 
 
 def chain_boards(sources: Mapping[int, CameraSource], states: Mapping[int, SensorState]) -> Track | None:
-    """The trajectory of the root by its clock, in the world of the boards that cameras see one after another.
+    """The trajectory of the root by its clock, in the world of the boards that cameras detect one after another.
 
-    Boards are connected where two of them are seen at one time, by whatever cameras. Others are left out.
+    Boards are connected where two of them are detected at one time, by any cameras. Others are left out.
 
     Args:
         sources: cameras by number of the sensor.

@@ -64,7 +64,7 @@ class MotionStart:
     """Whether the clock is that of motions before boards, which turn rates show poorly."""
 
     def inverse(self) -> "MotionStart":
-        """The start of the root as this sensor sees it."""
+        """The start of the root against this sensor."""
         T = self.T_root_sensor
         covariance: Array = np.asarray(np.linalg.pinv(np.asarray(self.information)), dtype=np.float64)
         information = np.asarray(np.linalg.pinv(np.asarray(se_n.inverse_covariance(T, covariance))))
@@ -164,7 +164,7 @@ def _search_clock(
 ) -> float:
     """The clock offset near one by turn rates at which motions agree best, s.
 
-    Boards are in view now and then only, and images are rarer than turns: correlation is wrong by up to 0.2 s.
+    Boards are in view for seconds only, and images are rarer than turns: correlation is wrong by up to 0.2 s.
     """
     scale = _scale(root.tracks[0].poses.shape[-1] - 1) / _BOARD_PRECISION
     for steps in _CLOCK_STEPS:

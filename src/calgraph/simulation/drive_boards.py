@@ -24,7 +24,7 @@ _HEIGHTS, _DISTANCES = (0.5, 1.8), (1.0, 5.0)
 """Of the middles of boards over the floor, and from the route, m."""
 _DRAWS = 2000
 _MIN_TAG_PIXELS, _MIN_COSINE, _MAX_BLUR = 22.0, 0.35, 5.0
-"""Tags that are smaller, seen more from the side, or blurred by more pixels are not detected."""
+"""Tags that are smaller, more slanted, or blurred by more pixels are not detected."""
 _OUTLIERS = 0.01
 """Probability that a blurred or badly lit view has corners that are wrong together."""
 _OUTLIER_SIZE = 1.5
@@ -133,7 +133,7 @@ def _find_wall(surfaces: Sequence[Surface], place: Array, direction: Array) -> t
 
 
 def make_wall_board(number: int) -> Board:
-    """A board with four tags of its own."""
+    """A board with four tags that no other has."""
     places = ((-1, 1), (1, 1), (1, -1), (-1, -1))
     tags = tuple(
         Tag(id=4 * number + k, size=_TAG, center=(x * _TAG_CENTRE, y * _TAG_CENTRE))

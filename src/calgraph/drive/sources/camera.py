@@ -33,7 +33,7 @@ _SMALL_STEP = 16
 # Views of a board at rest have one view bias: its corners have to move by this, pixels, until another counts,
 # or _MAX_REST has passed.
 _MIN_MOTION = 2.0
-# Time between views of a board up to which a camera has seen it all the time, s.
+# Time between views of a board up to which a camera has observed it all the time, s.
 _MAX_GAP = 0.5
 # Views with which a camera has a trajectory: some ten relative motions of 1.5 s at 5 Hz.
 _MIN_VIEWS = 30
@@ -42,7 +42,7 @@ _Decoder = Callable[[], Image | DetectedCorners]
 
 @dataclass(frozen=True, eq=False)
 class CameraSource:
-    """The boards that a camera saw; implements :class:`Source`."""
+    """The boards that a camera detected; implements :class:`Source`."""
 
     views: Sequence[BoardView]
     """By ascending time."""
@@ -59,8 +59,8 @@ class CameraSource:
         count = sum(len(track.times) for track in tracks)
         if count < _MIN_VIEWS:
             return Rejected(
-                f"it detected boards in {count} successive images; a drive needs {_MIN_VIEWS}: hang boards where "
-                "it looks, and drive slower before them"
+                f"it detected boards in {count} successive images; a drive needs {_MIN_VIEWS}: put more "
+                "boards into its field of view, and drive slower before them"
             )
         return Segments(tracks, [views[0].board for views in segments])
 
@@ -105,7 +105,7 @@ def split_views(views: Sequence[BoardView]) -> list[list[BoardView]]:
             current.append(view)
         elif not current or view.time - current[-1].time > _MAX_GAP:
             found.append([view])
-        # Another board takes over where the current one is not seen any more: not while it is.
+        # Another board takes over where the current one is not detected any more: not while it is.
     return found
 
 
@@ -118,7 +118,7 @@ def _make_track(views: Sequence[BoardView]) -> Track:
 def find_boards(
     rig: Rig, recording: Recording, monitor: InputMonitor, engine: Engine, progress: Progress
 ) -> tuple[dict[str, CameraSource], dict[str, str]]:
-    """What each camera saw of the rig's boards, and the frames that images state.
+    """What each camera detected of the rig's boards, and the frames that images state.
 
     Raises:
         InputError: the intrinsics of a camera are not known.
