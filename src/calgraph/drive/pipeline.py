@@ -178,7 +178,7 @@ def _gather_part(
     """What all sensors measured during a trajectory."""
     start, end = trajectory.start, trajectory.end
     both = list(zip(sources, states, strict=True))
-    size = None if any(not isinstance(source, CameraSource) for source in sources) else int(errors.prints[0, 0])
+    size = int(errors.prints[0, 0]) if errors.cameras else None
     return DrivePart(
         [source.points(start + state.clock_offset, end + state.clock_offset) for source, state in both],
         trajectory,

@@ -28,8 +28,8 @@ class Segments:
     tracks: Sequence[Track]
     """One at least, of two poses or more each, n = 2 or 3."""
     worlds: Sequence[int] = ()
-    """Number of the world of each, where several segments are in one: a board that is detected again. All differ if
-    empty."""
+    """Number of the world of each, where several segments are in one: a board that is detected again. All differ
+    if empty."""
 
     @property
     def start(self) -> float:
