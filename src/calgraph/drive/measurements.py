@@ -70,5 +70,5 @@ class DrivePart:
     measurements: Sequence[Measurements] = ()
     """Of the trajectory, besides points."""
     size: int | None = None
-    """Number of the shared unknown that is the relative size of this world, as far as only priors determine it: the
-    scale of prints. Ranges may have a scale, too, and then change with it."""
+    """Number of the shared unknown that is the relative size of this world, which only priors determine: the scale of
+    prints. Scales of ranges change with it."""
