@@ -70,5 +70,5 @@ class DrivePart:
     measurements: Sequence[Measurements] = ()
     """Of the trajectory, besides points."""
     size: int | None = None
-    """Number of the shared unknown that is the relative size of this world, which only priors determine: the scale of
-    prints. Scales of ranges change with it."""
+    """Number of the shared unknown that is the relative size of this world, which only priors determine: the scale
+    of prints. Scales of ranges change with it."""
