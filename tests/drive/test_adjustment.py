@@ -236,7 +236,7 @@ def test_eliminated_equations_are_those_of_all_unknowns(n: int) -> None:
     part, states = disturbed(n)
     noise = NoiseModel(np.array([0.01, 0.02]), 0.005)
     free = priors(n).stddev > 0
-    found = _reduce_part(part, states, noise, 0.3, free)
+    found = _reduce_part(part, states, noise, 0.3, free, np.zeros(0))
     at, surfaces = linearize_points(part, states, 0.3)
     _, group = np.unique(np.stack([at.surface, at.sensor, at.view], axis=1), axis=0, return_inverse=True)
     group = group.ravel()

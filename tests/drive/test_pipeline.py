@@ -1,6 +1,7 @@
 """Whole drives: from simulated messages to poses, and the reasons where there are none."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -106,13 +107,19 @@ def test_a_start_that_the_drive_does_not_determine_is_explained(one: MotionStart
     assert bool(explained) == bool(reason)
 
 
-def test_cameras_are_not_calibrated_from_surroundings() -> None:
-    content = {
+def test_cameras_need_boards_in_their_surroundings() -> None:
+    content: dict[str, Any] = {
         "root": "camera",
         "target": {"kind": "surroundings"},
         "sensors": {"camera": {"kind": "camera", "topic": "/c"}},
     }
-    with pytest.raises(ValueError, match=r"must be one of .*gyroscope with surroundings, got camera"):
+    with pytest.raises(ValueError, match=r"must list the boards in the room that cameras detect \(camera\)"):
+        Rig.model_validate(content)
+    board = {"size": [0.5, 0.5], "tags": [{"id": 0, "size": 0.3}]}
+    rig = Rig.model_validate({**content, "target": {"kind": "surroundings", "boards": [board]}})
+    assert len(rig.boards) == 1
+    content["sensors"]["camera"]["kind"] = "depth_camera"
+    with pytest.raises(ValueError, match=r"must be one of .*gyroscope with surroundings, got depth_camera"):
         Rig.model_validate(content)
 
 

@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from calgraph.drive.segments import Segments
-from calgraph.drive.start import solve_start
+from calgraph.drive.start import MotionStart, solve_start
 from calgraph.geometry import Array, se_n
 from calgraph.surfaces.trajectory import Track
 
@@ -54,6 +54,7 @@ def test_a_sensor_whose_worlds_differ_between_segments_has_a_start(offset: float
     poses = path(TIMES + 0.03) @ T_ROOT_SENSOR
     sensor = in_segments(TIMES + 0.03 + offset, poses, (2, 14), (17, 30), (36, 58))
     start = solve_start(root, sensor, 0.5, np.random.default_rng(0))
+    assert isinstance(start, MotionStart)
     assert start.clock_offset == pytest.approx(offset, abs=0.003)
     assert start.inliers == 1
     # Interpolated between poses of 10 Hz.

@@ -108,6 +108,7 @@ def test_the_sign_of_turns_decides_in_the_plane() -> None:
 def test_exact_tracks_of_one_clock_give_the_pose(n: int) -> None:
     root, sensor = tracks(n)
     start = solve_start(whole(root), whole(sensor), 0.0, np.random.default_rng(0))
+    assert isinstance(start, MotionStart)
     assert_allclose(se_n.difference(start.T_root_sensor, mounted(n)), 0, atol=1e-6)
     assert start.inliers == 1
     assert start.clock_offset == 0
@@ -119,6 +120,7 @@ def test_tracks_of_different_clocks_give_pose_and_offset(n: int) -> None:
     """Interpolated between poses of 20 Hz."""
     root, sensor = tracks(n, OFFSET)
     start = solve_start(whole(root), whole(sensor), 0.5, np.random.default_rng(0))
+    assert isinstance(start, MotionStart)
     assert start.clock_offset == pytest.approx(OFFSET, abs=0.002)
     assert_allclose(se_n.difference(start.T_root_sensor, mounted(n)), 0, atol=5e-3)
 
@@ -159,6 +161,7 @@ def test_inliers_are_the_share_of_motions_that_agree(n: int) -> None:
     for time in np.arange(5, 60, 10):
         poses[sensor.times >= time, 0, n] += 1.0
     start = solve_start(whole(root), whole(replace(sensor, poses=poses)), 0.5, np.random.default_rng(0))
+    assert isinstance(start, MotionStart)
     assert start.inliers == pytest.approx(1 - 18 / 117, abs=0.01)
     assert_allclose(se_n.difference(start.T_root_sensor, mounted(n)), 0, atol=2e-3)
 

@@ -22,7 +22,7 @@ Seconds = Annotated[float, Strict(), Field(ge=0, allow_inf_nan=False)]
 Window = tuple[Seconds, Seconds]
 Instant = Annotated[float, Strict(), Field(allow_inf_nan=False)]
 Spread = Annotated[float, Strict(), _POSITIVE, limit_to(60, "s")]
-DRIVE_KINDS = ("lidar2d", "lidar3d", "trajectory", "gyroscope")
+DRIVE_KINDS = ("lidar2d", "lidar3d", "camera", "trajectory", "gyroscope")
 """Kinds of sensors that are calibrated from a drive."""
 CaptureMode = Literal["rest", "snapshots", "synchronized"]
 
@@ -151,6 +151,9 @@ class Rig(StrictModel):
                 raise invalid(key, f"needs target: {{kind: surroundings}}, a robot that drives, got {sensor.kind}")
         if self.sensors[self.root].kind == "gyroscope":
             raise invalid("root", f"must be a sensor with a trajectory, got the gyroscope {self.root!r}")
+        if self.is_drive and self.cameras() and not self.boards:
+            cameras = ", ".join(self.cameras())
+            raise invalid("target.boards", f"must list the boards in the room that cameras detect ({cameras})")
         return self
 
     @model_validator(mode="after")
@@ -170,9 +173,11 @@ class Rig(StrictModel):
 
     @property
     def boards(self) -> tuple[Board, ...]:
-        """The boards to detect; empty if the target is not a board."""
+        """The boards to detect; empty if the target has none."""
         if isinstance(self.target, Board):
             return (self.target,)
+        if isinstance(self.target, Surroundings):
+            return self.target.boards
         return self.target if isinstance(self.target, tuple) else ()
 
     @property

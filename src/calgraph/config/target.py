@@ -303,6 +303,8 @@ class Surroundings(StrictModel):
     """What a robot drives past: walls, floors and furniture, at unknown places."""
 
     kind: Literal["surroundings"] = "surroundings"
+    boards: tuple[Board, ...] = ()
+    """Boards that are fixed there, for cameras."""
 
 
 def _kind_of_target(value: Any) -> str | None:

@@ -11,17 +11,19 @@ part of the drive; what remains are the errors of the sensors.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
+from scipy.sparse import csr_array, hstack
 
-from calgraph.drive.measurements import DrivePart, LinearRows, Measurements, NoisyMeasurements
+from calgraph.drive.measurements import DrivePart
 from calgraph.drive.states import SensorState
 from calgraph.drive.surface_elimination import NoiseModel, SurfaceEquations, eliminate_surfaces
 from calgraph.drive.surface_points import linearize_points
-from calgraph.geometry import Array, se_n
+from calgraph.geometry import Array, Index, se_n
 from calgraph.surfaces.trajectory import SplineTrajectory
 
 
@@ -37,6 +39,8 @@ class AdjustmentPriors:
     """(S,) m."""
     range_scale: Array
     """(S,)."""
+    shared: Array = field(default_factory=lambda: np.zeros(0))
+    """(G,) of the unknowns that measurements of all parts share."""
 
     @property
     def stddev(self) -> Array:
@@ -63,10 +67,17 @@ class Adjustment:
     """(S,) number of these."""
     squared_step: float
     """Squared last step of the sensors' parameters, in their standard deviations."""
+    shared: Array = field(default_factory=lambda: np.zeros(0))
+    """(G,) the unknowns that measurements of all parts share,"""
+    shared_stddev: Array = field(default_factory=lambda: np.zeros(0))
+    """(G,) and their standard deviations."""
 
 
 # Distances from a surface within which points are of it, m, by iteration: from errors of the start to noise.
 _GATES = (0.3, 0.2, 0.15, 0.12, 0.1, *[0.09] * 8)
+# Iteration from which noise of measurements is estimated again in each, with variances of the trajectory: start
+# values have converged.
+_REWEIGHTED = 4
 # Start values of standard deviations, m: range noise of LiDARs, and what plaster and doors deviate from planes.
 _START_WHITE, _START_VIEW = 0.02, 0.01
 # Least ones: quantised ranges, and walls that are better than any.
@@ -76,8 +87,6 @@ _ACCELERATION, _TURN_ACCELERATION = 5.0, 10.0
 # Standard deviation with which the middle control point is held, m and rad: it only fixes the world, which
 # the poses of sensors do not depend on.
 _GAUGE = 1e-3
-# Residuals of a kind of measurement of which the variance is computed, which takes time.
-_VARIANCES = 300
 
 
 def adjust_drive(
@@ -100,29 +109,34 @@ def adjust_drive(
     noise = NoiseModel(np.full(len(states), _START_WHITE), _START_VIEW)
     parts = list(parts)
     reduced: list[_Reduced] = []
-    step: Array = np.zeros(int(free.sum()))
+    count, shared = int(free.sum()), np.zeros(len(priors.shared))
+    information = np.concatenate([prior[free], priors.shared]) ** -2.0
+    step: Array = np.zeros(count + len(shared))
     H: Array = np.eye(len(step), dtype=np.float64)
     for k, gate in enumerate(_GATES):
-        reduced = [_reduce_part(part, states, noise, gate, free) for part in parts]
-        H = sum((one.information for one in reduced), np.diag(prior[free] ** -2.0))
-        deviation = _deviation(states, start)
-        g = sum((one.gradient for one in reduced), deviation[free] / prior[free] ** 2)
+        reduced = [_reduce_part(part, states, noise, gate, free, shared) for part in parts]
+        H = sum((one.information for one in reduced), np.diag(information))
+        deviation = np.concatenate([_deviation(states, start)[free], shared])
+        g = sum((one.gradient for one in reduced), deviation * information)
         step = -np.asarray(np.linalg.solve(H, g), dtype=np.float64)
+        if k >= _REWEIGHTED:
+            parts = [_reweight_part(part, one, states, shared) for part, one in zip(parts, reduced, strict=True)]
         full = np.zeros(free.shape)
-        full[free] = step
+        full[free] = step[:count]
+        shared = shared + step[count:]
         states = [state.moved(one) for state, one in zip(states, full, strict=True)]
-        parts = [
-            _move_part(part, one.measurements, one.back_substitute(step))
-            for part, one in zip(parts, reduced, strict=True)
-        ]
+        parts = [_move_part(part, one.back_substitute(step)) for part, one in zip(parts, reduced, strict=True)]
         noise = _estimate_noise(reduced, noise)
         progress((k + 1) / len(_GATES))
+    covariance = np.asarray(np.linalg.inv(H), dtype=np.float64)
     return Adjustment(
-        states, parts, np.asarray(np.linalg.inv(H), dtype=np.float64), free, noise,
+        states, parts, covariance[:count, :count], free, noise,
         shared_cells=np.sum([one.surfaces.shared for one in reduced], axis=0),
         residual_rms=noise.white,
         point_counts=np.sum([one.surfaces.white[:, 1] for one in reduced], axis=0),
         squared_step=float(step @ H @ step),
+        shared=shared,
+        shared_stddev=np.sqrt(np.diag(covariance)[count:]),
     )  # fmt: skip
 
 
@@ -155,8 +169,6 @@ class _Reduced:
     """(C',)."""
     surfaces: SurfaceEquations
     """With statistics of the noise."""
-    measurements: Sequence[Measurements]
-    """Those of the part, with noise estimated from their residuals."""
 
     def back_substitute(self, step: Array) -> Array:
         """(C',) the change of the part's unknowns that goes with a step of the sensors."""
@@ -164,30 +176,56 @@ class _Reduced:
         return np.asarray(change, dtype=np.float64)
 
 
-def _move_part(part: DrivePart, measurements: Sequence[Measurements], change: Array) -> DrivePart:
-    """The part with its unknowns changed, and with measurements that have another noise."""
+def _move_part(part: DrivePart, change: Array) -> DrivePart:
+    """The part with its unknowns changed."""
     size = part.trajectory.control.size
     edges = np.cumsum([size, *(one.unknown_count for one in part.measurements)])
     return replace(
         part,
         trajectory=part.trajectory.moved(change[:size].reshape(part.trajectory.control.shape)),
         measurements=[
-            one.moved(some) for one, some in zip(measurements, np.split(change, edges)[1:-1], strict=True)
+            one.moved(some) for one, some in zip(part.measurements, np.split(change, edges)[1:-1], strict=True)
         ],
     )
 
 
+def _reweight_part(part: DrivePart, reduced: _Reduced, states: Sequence[SensorState], shared: Array) -> DrivePart:
+    """The part with measurements whose noise is estimated again."""
+    control = np.arange(part.trajectory.control.size)
+    first, found = len(control), []
+    for one in part.measurements:
+        columns = np.concatenate([control, first + np.arange(one.unknown_count)])
+        variance_of = partial(_find_variances, reduced.factor, columns)
+        found.append(one.reweighted(part.trajectory, states, shared, variance_of))
+        first += one.unknown_count
+    return replace(part, measurements=found)
+
+
+def _find_variances(factor: tuple[Array, bool], columns: Index, J: csr_array) -> Array:
+    """(M,) of linear functions (M, K) of some of the unknowns with the Cholesky factor of their information."""
+    wide = np.zeros((len(factor[0]), J.shape[0]))
+    wide[columns] = J.toarray().T
+    return np.asarray(np.sum(wide * cho_solve(factor, wide, check_finite=False), axis=0))
+
+
 def _reduce_part(
-    part: DrivePart, states: Sequence[SensorState], noise: NoiseModel, gate: float, free: NDArray[np.bool_]
+    part: DrivePart,
+    states: Sequence[SensorState],
+    noise: NoiseModel,
+    gate: float,
+    free: NDArray[np.bool_],
+    shared: Array,
 ) -> _Reduced:
-    """The normal equations of the sensors' free parameters from a part, at the present states."""
+    """The normal equations of the sensors' free parameters and what parts share, at the present states."""
     at, surfaces = linearize_points(part, states, gate)
     control = part.trajectory.control
     on_surfaces = eliminate_surfaces(at, len(surfaces.keys), noise, free, len(control))
     unknowns = sum(one.unknown_count for one in part.measurements)
-    H, g = _insert_unknowns(on_surfaces.information, on_surfaces.gradient, control.size, unknowns)
-    _add_motion_prior(H, g, part.trajectory)
-    measured = _add_measurements(H, g, part, states, free)
+    H, g = on_surfaces.information, on_surfaces.gradient
+    H, g = _insert_unknowns(H, g, len(g), len(shared))
+    H, g = _insert_unknowns(H, g, control.size, unknowns)
+    _add_motion_prior(H, g, part.trajectory, None if part.size is None else len(g) - len(shared) + part.size)
+    _add_measurements(H, g, part, states, free, shared)
     C = control.size + unknowns
     H_c, H_cp, H_p = H[:C, :C], H[:C, C:], H[C:, C:]
     factor = cho_factor(H_c, lower=True, check_finite=False)
@@ -196,7 +234,6 @@ def _reduce_part(
         H_p - H_cp.T @ eliminated[:, :-1],
         g[C:] - H_cp.T @ eliminated[:, -1],
         factor, H_cp, g[:C], on_surfaces,
-        [_estimate_own_noise(one, *some, factor) for one, some in zip(part.measurements, measured, strict=True)],
     )  # fmt: skip
 
 
@@ -211,52 +248,36 @@ def _insert_unknowns(H: Array, g: Array, at: int, count: int) -> tuple[Array, Ar
 
 
 def _add_measurements(
-    H: Array, g: Array, part: DrivePart, states: Sequence[SensorState], free: NDArray[np.bool_]
-) -> list[tuple[LinearRows, int]]:
-    """Adds measurements of the trajectory, whose unknowns follow the control points.
-
-    Returns:
-        The rows of each, and the number of its first unknown.
-    """
-    number = np.full(free.shape, -1)
-    number[free] = len(g) - free.sum() + np.arange(free.sum())
-    first = part.trajectory.control.size
-    measured = []
+    H: Array, g: Array, part: DrivePart, states: Sequence[SensorState], free: NDArray[np.bool_], shared: Array
+) -> None:
+    """Adds measurements of the trajectory, whose unknowns follow the control points."""
+    size, parameters = part.trajectory.control.size, int(free.sum())
+    first = size
     for one in part.measurements:
-        rows = one.linearize(part.trajectory, states[one.sensor])
-        used = number[one.sensor] >= 0
-        # Only some control points matter to the measurements of a part.
-        touched = np.unique(rows.by_control.indices)
-        J = np.column_stack([rows.by_control[:, touched].toarray(), rows.by_unknown, rows.by_sensor[:, used]])
-        columns = np.concatenate([
-            touched, first + np.arange(one.unknown_count), number[one.sensor][used]
-        ])  # fmt: skip
-        H[np.ix_(columns, columns)] += J.T @ J
-        g[columns] += J.T @ rows.residual
-        measured.append((rows, first))
+        rows = one.linearize(part.trajectory, states, shared)
+        by_sensor = np.zeros((len(rows.residual), *free.shape))
+        by_sensor[np.arange(len(rows.residual)), rows.sensor] = rows.by_sensor
+        after = len(g) - parameters - len(shared) - first - one.unknown_count
+        J = hstack([
+            rows.by_control,
+            csr_array((len(rows.residual), first - size)),
+            rows.by_unknown,
+            csr_array((len(rows.residual), after)),
+            csr_array(by_sensor[:, free]),
+            csr_array(rows.by_shared),
+        ]).tocsr()  # fmt: skip
+        square = (J.T @ J).tocoo()
+        H[square.row, square.col] += square.data
+        g += J.T @ rows.residual
         first += one.unknown_count
-    return measured
 
 
-def _estimate_own_noise(
-    one: Measurements, rows: LinearRows, first: int, factor: tuple[Array, bool]
-) -> Measurements:
-    """Measurements with their noise estimated again, by the factor of the information of the part's unknowns."""
-    if not isinstance(one, NoisyMeasurements):
-        return one
-    # Variances of neighbours are nearly equal, but for those of the unknowns, which are last.
-    M = len(rows.residual)
-    last = np.arange(M - one.unknown_count, M)
-    chosen = np.union1d(np.arange(0, M, max(M // _VARIANCES, 1)), last)
-    J = np.zeros((len(chosen), len(factor[0])))
-    J[:, : rows.by_control.shape[1]] = rows.by_control[chosen].toarray()
-    J[:, first : first + one.unknown_count] = rows.by_unknown[chosen]
-    variance = np.sum(J.T * cho_solve(factor, J.T, check_finite=False), axis=0)
-    return one.with_noise_of(rows, variance[np.searchsorted(chosen, np.arange(M), side="right") - 1])
+def _add_motion_prior(H: Array, g: Array, trajectory: SplineTrajectory, size: int | None = None) -> None:
+    """Adds what is known of accelerations, and holds the middle control point.
 
-
-def _add_motion_prior(H: Array, g: Array, trajectory: SplineTrajectory) -> None:
-    """Adds what is known of accelerations, and holds the middle control point."""
+    In a world whose relative size is one of the unknowns, accelerations are relative to it: noise of trajectories
+    would else make the world smaller.
+    """
     control = trajectory.control
     K, columns = control.shape
     n = trajectory.reference.poses.shape[-1] - 1
@@ -270,6 +291,13 @@ def _add_motion_prior(H: Array, g: Array, trajectory: SplineTrajectory) -> None:
             for c in range(columns):
                 H[(index + a) * columns + c, (index + b) * columns + c] += wa * wb / stddev[c] ** 2
     g[: K * columns] += gradient.ravel()
+    if size is not None:
+        gradient[:, n:] = 0.0
+        change = float(np.sum(second[:, :n] * np.diff(control, 2, axis=0)[:, :n]))
+        H[: K * columns, size] -= gradient.ravel()
+        H[size, : K * columns] -= gradient.ravel()
+        H[size, size] += change
+        g[size] -= change
     middle = K // 2 * columns + np.arange(columns)
     H[middle, middle] += _GAUGE**-2.0
 

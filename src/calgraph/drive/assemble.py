@@ -1,17 +1,19 @@
 """Assembles the Calibration of a drive: poses with verdicts, and why sensors have none."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from calgraph.config import Rig
 from calgraph.drive.adjustment import Adjustment
+from calgraph.drive.board_views import BoardMeasurements
 from calgraph.drive.evidence import collect_pictures
 from calgraph.drive.start import MotionStart
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2
 from calgraph.result import Calibration, Edge, Evidence, FitError, Pictures, SensorPose, Verdict
+from calgraph.result.estimated_parameter import EstimatedParameter
 from calgraph.result.finding import Finding
 from calgraph.verdict.grades import LONE_ROOT, collect_findings, grade_pose
 
@@ -24,6 +26,10 @@ _UNVERIFIED = (
 )
 # Surfaces that two sensors have to share: with fewer, single ones that moved or are mistaken decide.
 _MIN_SHARED_CELLS = 30
+# Images of boards that a camera needs: single ones that are mistaken do not decide then.
+_MIN_VIEWS = 30
+# RMS reprojection error above which a solution is wrong, pixels: motion blur of a slow drive is less.
+_MAX_REPROJECTION_ERROR = 3.0
 # Squared last step, in standard deviations, from which the adjustment has not converged.
 _MAX_SQUARED_STEP = 25.0
 
@@ -42,6 +48,10 @@ class DriveResult:
     """None where only the root has a trajectory."""
     findings: Sequence[Finding]
     """What does not fit the rig in the messages."""
+    views: Mapping[str, Array] = field(default_factory=dict)
+    """By sensor that was adjusted, the images of boards; see :func:`measure_views`."""
+    systematic: tuple[EstimatedParameter, ...] = ()
+    """Errors of lenses and prints."""
 
 
 def assemble_drive(rig: Rig, result: DriveResult) -> Calibration:
@@ -50,6 +60,7 @@ def assemble_drive(rig: Rig, result: DriveResult) -> Calibration:
     names = used if adjusted else [rig.root]
     covariance, clocks = _lift_covariance(adjusted) if adjusted else (np.zeros((6, 6)), np.zeros(1))
     by_sensor = collect_findings(result.findings)
+    boards = any(len(views) for views in result.views.values())
     sensors = []
     for k, name in enumerate(names):
         spec, block = rig.sensors[name], slice(6 * k, 6 * k + 6)
@@ -61,7 +72,7 @@ def assemble_drive(rig: Rig, result: DriveResult) -> Calibration:
             assert adjusted is not None
             verdict = grade_pose(
                 name, spec.kind, T, np.nan_to_num(covariance[block, block]),
-                [*by_sensor.get(name, ()), *_find_contradictions(adjusted, k)],
+                [*by_sensor.get(name, ()), *_find_contradictions(adjusted, k, result.views[name], boards=boards)],
                 tolerance=rig.tolerance, settings=rig.settings.diagnostics.verdict,
                 data="motions and surfaces" if adjusted.point_counts.any() else "motions",
                 advice=_ADVICE if adjusted.point_counts[k] else _MOTION_ADVICE,
@@ -83,19 +94,14 @@ def assemble_drive(rig: Rig, result: DriveResult) -> Calibration:
         root=rig.root,
         sensors=tuple(sensors),
         joint_covariance=covariance,
+        systematic=result.systematic,
         evidence=Evidence(
             estimator="joint",
             tolerance=rig.tolerance,
             edges=tuple(_list_edges(rig, result)),
             unconnected=unconnected,
             remarks=(*(finding.text for finding in result.findings), *_list_remarks(rig, names)),
-            fit={
-                name: FitError(int(adjusted.point_counts[k]), "m", float(adjusted.residual_rms[k]))
-                for k, name in enumerate(names)
-                if adjusted.point_counts[k]
-            }
-            if adjusted
-            else {},
+            fit=_describe_fit(names, adjusted, result.views) if adjusted else {},
         ),
         pictures=collect_pictures(used, result.starts, adjusted.parts, adjusted.states)
         if adjusted
@@ -103,19 +109,29 @@ def assemble_drive(rig: Rig, result: DriveResult) -> Calibration:
     )
 
 
-def _find_contradictions(adjusted: Adjustment, k: int) -> list[str]:
-    """Why the pose of a sensor cannot be good."""
+def _find_contradictions(adjusted: Adjustment, k: int, views: Array, *, boards: bool) -> list[str]:
+    """Why the pose of a sensor with images of boards (V, 2) cannot be good."""
     reasons = []
     if adjusted.squared_step > _MAX_SQUARED_STEP:
         reasons.append("the joint adjustment has not converged")
     measuring = adjusted.point_counts > 0
     shared = int(adjusted.shared_cells[k].sum() - adjusted.shared_cells[k, k])
+    if 0 < len(views) < _MIN_VIEWS:
+        reasons.append(
+            f"it detected boards in {len(views)} images only, fewer than {_MIN_VIEWS}: put more boards into its "
+            "field of view, and drive before them for longer"
+        )
+    if len(views):
+        corners, squares = views.sum(axis=0)
+        error = float(np.sqrt(squares / (2 * corners)))
+        if error > _MAX_REPROJECTION_ERROR:
+            reasons.append(f"boards are {error:.1f} px from where they should be in its images")
     if measuring[k] and measuring.sum() > 1 and shared < _MIN_SHARED_CELLS:
         reasons.append(
             f"it passed only {shared} of the surfaces that another sensor passed, fewer than {_MIN_SHARED_CELLS}: "
             "drive loops, so that all sensors pass the same places"
         )
-    return [*reasons, _UNVERIFIED] if measuring.any() else reasons
+    return [*reasons, _UNVERIFIED] if measuring.any() or boards else reasons
 
 
 def _list_remarks(rig: Rig, names: Sequence[str]) -> list[str]:
@@ -125,6 +141,29 @@ def _list_remarks(rig: Rig, names: Sequence[str]) -> list[str]:
         for name in names
         if rig.sensors[name].kind == "gyroscope"
     ]
+
+
+def _describe_fit(names: Sequence[str], adjusted: Adjustment, views: Mapping[str, Array]) -> dict[str, FitError]:
+    """Residuals of each sensor: reprojection errors of corners, or distances of points from surfaces."""
+    found = {}
+    for k, name in enumerate(names):
+        corners, squares = views[name].sum(axis=0)
+        if corners:
+            found[name] = FitError(int(corners), "px", float(np.sqrt(squares / (2 * corners))))
+        elif adjusted.point_counts[k]:
+            found[name] = FitError(int(adjusted.point_counts[k]), "m", float(adjusted.residual_rms[k]))
+    return found
+
+
+def measure_views(adjusted: Adjustment, k: int) -> Array:
+    """(V, 2) number of corners, and squared reprojection error, pixels², of each image of a board by a sensor."""
+    found = [np.zeros((0, 2))]
+    for part in adjusted.parts:
+        for one in part.measurements:
+            if isinstance(one, BoardMeasurements):
+                views = one.measure_views(part.trajectory, adjusted.states, adjusted.shared)
+                found.append(views[views[:, 0] == k, 1:])
+    return np.concatenate(found)
 
 
 def _list_edges(rig: Rig, result: DriveResult) -> list[Edge]:

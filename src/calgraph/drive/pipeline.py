@@ -1,33 +1,36 @@
 """Drives: from one recording of a robot that drives to the poses of its LiDARs, which may share no view."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 
 from calgraph.config import Rig
 from calgraph.drive.adjustment import Adjustment, AdjustmentPriors, adjust_drive
-from calgraph.drive.assemble import DriveResult, assemble_drive
+from calgraph.drive.assemble import DriveResult, assemble_drive, measure_views
+from calgraph.drive.board_views import SharedErrors
+from calgraph.drive.board_world import chain_boards, describe_errors, measure_boards, state_estimates
 from calgraph.drive.measurements import DrivePart
 from calgraph.drive.options import DriveOptions
 from calgraph.drive.root_change import change_root
 from calgraph.drive.segments import Segments
 from calgraph.drive.sources import SOURCES, Reader, Source
-from calgraph.drive.start import MotionStart, StartMotion, explain_failure, solve_start
+from calgraph.drive.sources.camera import CameraSource, find_boards
+from calgraph.drive.start import MotionStart, StartMotion
+from calgraph.drive.start_tree import choose_lead, solve_starts
 from calgraph.drive.states import SensorState
-from calgraph.errors import Rejected
+from calgraph.errors import CalibrationError, Rejected
 from calgraph.geometry import Array, se_n
 from calgraph.parallel.progress import Progress, no_progress
-from calgraph.recording import Recording
+from calgraph.recording import Recording, resolve_intrinsics
 from calgraph.recording.input_checks import InputMonitor
 from calgraph.recording.sensor_topics import check_sensor_topics
 from calgraph.result import Calibration
+from calgraph.result.estimated_parameter import EstimatedParameter
+from calgraph.result.finding import Finding
 from calgraph.surfaces.trajectory import SplineTrajectory, Track, fit_spline
 
-# Least time in which a sensor and the root measure both, s: some twenty relative motions.
-_MIN_COMMON_TIME = 10.0
-# Largest difference of clocks that is searched for, s.
-_MAX_CLOCK_OFFSET = 0.6
 # Length of a part with a separate world, s, and how many are adjusted: its unknowns are eliminated densely, 300
 # control points of 6 in space, or of 3 in the plane, where cells are met again later. Parts that turn most are
 # used.
@@ -45,26 +48,58 @@ def calibrate_drive(
     Args, Returns and Raises as for :func:`calgraph.calibrate_rig`.
     """
     check_sensor_topics(rig, recording)
+    rig = resolve_intrinsics(rig, recording)
     monitor = InputMonitor(rig, recording.start)
-    sources, frames = _read_sources(rig, recording, monitor, options.seed, progress)
+    sources, frames = _read_sources(rig, recording, monitor, options, progress)
+    return calibrate_sources(rig, sources, frames, monitor.findings(), options, progress)
+
+
+def calibrate_sources(
+    rig: Rig,
+    sources: Mapping[str, Source],
+    frames: Mapping[str, str],
+    findings: Sequence[Finding],
+    options: DriveOptions,
+    progress: Progress = no_progress,
+) -> Calibration:
+    """The calibration from what sensors measured, by name.
+
+    Args:
+        rig: with the intrinsics of all cameras.
+        sources: of all its sensors.
+        frames: that messages state.
+        findings: what does not fit the rig in the messages.
+        options: of the calibration.
+        progress: called with the stage and the share that is done.
+    """
     tracks = _track_sensors(rig, sources, options, progress)
     lead = _select_lead(rig, tracks)
-    starts = _solve_starts(rig, lead, tracks, options.seed)
+    motions = {name: _select_motion(rig, lead, name) for name in rig.sensors}
+    starts = solve_starts(lead, tracks, motions, options.seed)
     used = [lead, *(name for name, start in starts.items() if isinstance(start, MotionStart))]
-    adjusted = None
+    adjusted: Adjustment | None = None
+    views: dict[str, Array] = {}
+    systematic: tuple[EstimatedParameter, ...] = ()
     if len(used) > 1 and rig.root in used:
-        adjusted = _adjust(rig, used, sources, tracks, starts, options.seed, progress)
+        adjusted, systematic = _adjust(rig, used, sources, tracks, starts, options.seed, progress)
+        views = {name: measure_views(adjusted, k) for k, name in enumerate(used)}
     if lead != rig.root:
         used, starts, adjusted = _express_in_root(rig.root, used, starts, adjusted)
-    result = DriveResult(used, frames, starts, adjusted, monitor.findings())
+    result = DriveResult(used, frames, starts, adjusted, findings, views, systematic)
     return assemble_drive(rig, result)
 
 
 def _select_lead(rig: Rig, tracks: Mapping[str, Segments | Rejected]) -> str:
-    """The sensor for which poses and trajectory are solved: a LiDAR, whose surfaces need its trajectory only."""
-    surfaces = [name for name, spec in rig.sensors.items() if SOURCES[spec.kind].has_surfaces]
-    tracked = [name for name in surfaces if isinstance(tracks[name], Segments)]
-    return rig.root if rig.root in surfaces or not tracked else tracked[0]
+    """The sensor for which poses and trajectory are solved.
+
+    It is a LiDAR, whose surfaces need its trajectory only; else one with a place that covers most of the time.
+    """
+    tracked = {name: track for name, track in tracks.items() if isinstance(track, Segments)}
+    kinds = {name: SOURCES[rig.sensors[name].kind] for name in tracked}
+    candidates = [name for name in tracked if kinds[name].has_surfaces] or [
+        name for name in tracked if kinds[name].has_place
+    ]
+    return choose_lead(rig.root, {name: tracked[name] for name in candidates}) if candidates else rig.root
 
 
 def _express_in_root(
@@ -78,30 +113,35 @@ def _express_in_root(
     number = used.index(root)
     if adjusted is not None:
         adjusted = change_root(adjusted, number)
-    return [root, *(name for name in used if name != root)], {used[0]: of_root, **others}, adjusted
+    seen = {
+        name: start if isinstance(start, Rejected) else start.seen_from(of_root) for name, start in others.items()
+    }
+    return [root, *(name for name in used if name != root)], {used[0]: of_root.inverse(), **seen}, adjusted
 
 
 def dimension_of(rig: Rig) -> int:
-    """2 of rigs whose LiDARs all measure in one plane, otherwise 3."""
+    """2 of rigs without cameras whose LiDARs all measure in one plane, otherwise 3."""
     lidars = {spec.kind for spec in rig.sensors.values() if SOURCES[spec.kind].has_surfaces}
-    return 2 if lidars == {"lidar2d"} else 3
+    return 2 if lidars == {"lidar2d"} and not rig.cameras() else 3
 
 
 def _read_sources(
-    rig: Rig, recording: Recording, monitor: InputMonitor, seed: int, progress: Progress
+    rig: Rig, recording: Recording, monitor: InputMonitor, options: DriveOptions, progress: Progress
 ) -> tuple[dict[str, Source], dict[str, str]]:
     """What each sensor measured, and the frames that messages state."""
+    cameras, frames = find_boards(rig, recording, monitor, options.engine, progress)
     # One topic of tf has the trajectories of several frames.
     names: dict[str, list[str]] = {}
     for name, topic in rig.topics.items():
-        names.setdefault(topic, []).append(name)
+        if name not in cameras:
+            names.setdefault(topic, []).append(name)
     n = dimension_of(rig)
     readers: dict[str, Reader] = {
-        name: SOURCES[spec.kind].make_reader(rig, name, recording, n, np.random.default_rng([seed, k]))
+        name: make_reader(rig, name, recording, n, np.random.default_rng([options.seed, k]))
         for k, (name, spec) in enumerate(rig.sensors.items())
+        if (make_reader := SOURCES[spec.kind].make_reader)
     }
-    frames: dict[str, str] = {}
-    for record in monitor.observe(recording.records(list(names))):
+    for record in monitor.observe(recording.records(list(names))) if names else ():
         message = record.decode()
         for name in names[record.topic]:
             if message.frame_id:
@@ -109,7 +149,8 @@ def _read_sources(
             readers[name].add(message)
         progress("reading", (record.arrival - recording.start) / max(recording.end - recording.start, 1e-9))
     progress("reading", 1.0)
-    return {name: reader.finish() for name, reader in readers.items()}, frames
+    read = {name: reader.finish() for name, reader in readers.items()}
+    return {name: cameras[name] if name in cameras else read[name] for name in rig.sensors}, frames
 
 
 def _track_sensors(
@@ -129,35 +170,12 @@ def _track_source(source: Source, rng: np.random.Generator) -> Segments | Reject
     return source.track(rng)
 
 
-def _solve_starts(
-    rig: Rig, lead: str, tracks: Mapping[str, Segments | Rejected], seed: int
-) -> dict[str, MotionStart | Rejected]:
-    """The start pose and clock of each sensor but the one that leads, or why it has none."""
-    root = tracks[lead]
-    starts: dict[str, MotionStart | Rejected] = {}
-    for k, (name, track) in enumerate(tracks.items()):
-        if name == lead:
-            continue
-        if isinstance(track, Rejected):
-            starts[name] = track
-        elif isinstance(root, Rejected):
-            starts[name] = Rejected(f"the root {lead} has no trajectory: {root.reason}")
-        elif min(root.end, track.end) - max(root.start, track.start) < _MIN_COMMON_TIME:
-            starts[name] = Rejected(f"it and the root measured together for under {_MIN_COMMON_TIME:g} s")
-        else:
-            motion = _select_motion(rig, lead, name)
-            start = solve_start(root, track, _MAX_CLOCK_OFFSET, np.random.default_rng([seed, k, 2]), motion)
-            failure = explain_failure(start, name, motion)
-            starts[name] = Rejected(failure) if failure else start
-    return starts
-
-
 def _select_motion(rig: Rig, lead: str, name: str) -> StartMotion:
-    """What the start of a sensor is found from: surfaces that both measure would be missed at a wrong height."""
+    """What the start of a sensor is found from: surfaces or boards would be missed at a wrong height."""
     if not SOURCES[rig.sensors[name].kind].has_place:
         return "turn"
-    both = all(SOURCES[rig.sensors[one].kind].has_surfaces for one in (lead, name))
-    return "free" if both or dimension_of(rig) == 2 else "level"
+    kinds = {rig.sensors[lead].kind, rig.sensors[name].kind}
+    return "level" if "trajectory" in kinds and dimension_of(rig) == 3 else "free"
 
 
 def _adjust(
@@ -168,8 +186,8 @@ def _adjust(
     starts: Mapping[str, MotionStart | Rejected],
     seed: int,
     progress: Progress,
-) -> Adjustment:
-    """The joint solution of the sensors that have a start."""
+) -> tuple[Adjustment, tuple[EstimatedParameter, ...]]:
+    """The joint solution of the sensors that have a start, and the errors of lenses and prints."""
     n = dimension_of(rig)
     states = [SensorState(np.eye(n + 1))]
     for name in used[1:]:
@@ -178,33 +196,51 @@ def _adjust(
         states.append(SensorState(start.T_root_sensor, start.clock_offset))
     rng = np.random.default_rng([seed, len(rig.sensors)])
     thinned = [sources[name].thin(rng) for name in used]
+    root = tracks[used[0]]
+    assert isinstance(root, Segments)
+    cameras = {k: source for k, source in enumerate(thinned) if isinstance(source, CameraSource)}
+    if len(cameras) == len(used):
+        chained = chain_boards(cameras, dict(enumerate(states)))
+        root = Segments((chained,)) if chained else root
+    errors, described, shared = describe_errors(rig, used)
     # LiDARs measure the trajectory between poses of other sensors.
     measuring = [k for k, name in enumerate(used) if SOURCES[rig.sensors[name].kind].has_surfaces]
     gap = max(thinned[k].gap for k in measuring or range(len(used)))
     spacing = float(np.clip(gap, _KNOT_SPACING, _MAX_KNOT_SPACING))
-    root = tracks[used[0]]
-    assert isinstance(root, Segments)
     parts = [
         _gather_part(
-            thinned, states, fit_spline(track.between(start - spacing, end + spacing), start, end, spacing)
+            thinned, states, fit_spline(track.between(start - spacing, end + spacing), start, end, spacing), errors
         )
         for track, start, end in _select_parts(root, _PART_DURATION[n])
     ]
     progress("adjusting", 0.0)
     stddev = np.array([SOURCES[rig.sensors[name].kind].stddev(rig.sensors[name], n) for name in used])
-    return adjust_drive(parts, states, _fix_root(stddev), lambda done: progress("adjusting", done))
+    priors = replace(_fix_root(stddev), shared=shared)
+    try:
+        adjusted = adjust_drive(parts, states, priors, lambda done: progress("adjusting", done))
+    except np.linalg.LinAlgError as error:
+        raise CalibrationError(
+            "the joint adjustment has no solution: start values are wrong, as odometry failed; drive slower, "
+            "where walls and furniture are near"
+        ) from error
+    return adjusted, state_estimates(described, shared, adjusted.shared, adjusted.shared_stddev)
 
 
 def _gather_part(
-    sources: Sequence[Source], states: Sequence[SensorState], trajectory: SplineTrajectory
+    sources: Sequence[Source], states: Sequence[SensorState], trajectory: SplineTrajectory, errors: SharedErrors
 ) -> DrivePart:
     """What all sensors measured during a trajectory."""
     start, end = trajectory.start, trajectory.end
     both = list(zip(sources, states, strict=True))
+    size = int(errors.prints[0, 0]) if errors.cameras else None
     return DrivePart(
         [source.points(start + state.clock_offset, end + state.clock_offset) for source, state in both],
         trajectory,
-        [one for k, (source, state) in enumerate(both) for one in source.measurements(k, trajectory, state)],
+        [
+            *(one for k, (source, state) in enumerate(both) for one in source.measurements(k, trajectory, state)),
+            *measure_boards(sources, states, trajectory, errors),
+        ],
+        size,
     )
 
 

@@ -10,12 +10,13 @@ the motion, which is constant for some seconds: errors of odometry persist. What
 heavy-tailed (slip).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.sparse import csr_array
+from scipy.sparse import csr_array, hstack
 
-from calgraph.drive.measurements import LinearRows
+from calgraph.drive.measurements import MAX_VARIANCES, LinearRows, VarianceOf
 from calgraph.drive.states import SensorState
 from calgraph.geometry import Array, Index, se_n, so3
 from calgraph.surfaces.trajectory import SplinePoses, SplineTrajectory
@@ -77,9 +78,9 @@ class RelativeMotions:
         """E."""
         return len(self.unknowns)
 
-    def linearize(self, trajectory: SplineTrajectory, state: SensorState) -> LinearRows:
+    def linearize(self, trajectory: SplineTrajectory, states: Sequence[SensorState], shared: Array) -> LinearRows:
         """The A K errors, axis by axis, then the E unknowns against their priors."""
-        errors, by_control, by_sensor, design = self.evaluate(trajectory, state)
+        errors, by_control, by_sensor, design = self.evaluate(trajectory, states[self.sensor])
         residual = (errors.T[:, :, None] / self.noise[:, None, None])[..., 0]
         weight = np.sqrt((_FREEDOM + 1) / (_FREEDOM + residual**2)) / self.noise[:, None]
         A, K = residual.shape
@@ -92,20 +93,28 @@ class RelativeMotions:
         columns = by_sensor.shape[-1]
         return LinearRows(
             np.concatenate([errors.T.ravel() * scale, prior @ self.unknowns]),
+            np.full(A * K + E, self.sensor),
             _stack_rows(by_control, trajectory, scale, E),
             np.concatenate([by_sensor.swapaxes(0, 1).reshape(A * K, columns) * scale[:, None],
                             np.zeros((E, columns))]),
-            own,
+            csr_array(own),
+            np.zeros((A * K + E, len(shared))),
         )  # fmt: skip
 
     def moved(self, step: Array) -> "RelativeMotions":
         """See :class:`calgraph.drive.measurements.Measurements`."""
         return replace(self, unknowns=self.unknowns + step)
 
-    def with_noise_of(self, rows: LinearRows, variance: Array) -> "RelativeMotions":
-        """Standard deviations from weighted residuals and the variances that remain of them (A K + E,) (EM)."""
-        A, K = len(self.axes), len(self.starts)
-        expected = rows.residual**2 + variance
+    def reweighted(
+        self, trajectory: SplineTrajectory, states: Sequence[SensorState], shared: Array, variance_of: VarianceOf
+    ) -> "RelativeMotions":
+        """Standard deviations from weighted residuals and the variances that remain of them (EM)."""
+        rows = self.linearize(trajectory, states, shared)
+        A, K, M = len(self.axes), len(self.starts), len(rows.residual)
+        # Those of the unknowns, which are last, are not nearly equal.
+        chosen = np.union1d(np.arange(0, M, max(M // MAX_VARIANCES, 1)), np.arange(A * K, M))
+        variance = variance_of(csr_array(hstack([rows.by_control[chosen], rows.by_unknown[chosen]])))
+        expected = rows.residual**2 + variance[np.searchsorted(chosen, np.arange(M), side="right") - 1]
         of_noise = expected[: A * K].reshape(A, K).mean(axis=1)
         # A few drifts of one axis do not determine their spread.
         drifts = expected[A * K + len(self.priors) :].reshape(-1, A) * self.drift**2

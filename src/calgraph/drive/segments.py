@@ -20,13 +20,16 @@ _TOLERANCE = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Segments:
-    """The trajectory of a sensor in segments, in order of time; each has a separate world.
+    """The trajectory of a sensor in segments, in order of time.
 
-    Motions are known within a segment only.
+    Motions are known within a world only.
     """
 
     tracks: Sequence[Track]
     """One at least, of two poses or more each, n = 2 or 3."""
+    worlds: Sequence[int] = ()
+    """Number of the world of each, where several segments are in one: a board that is detected again. All differ
+    if empty."""
 
     @property
     def start(self) -> float:
@@ -36,7 +39,23 @@ class Segments:
     @property
     def end(self) -> float:
         """Time of the last pose, s."""
-        return float(self.tracks[-1].times[-1])
+        return max(float(track.times[-1]) for track in self.tracks)
+
+    @property
+    def covered(self) -> float:
+        """Time during which the pose is known, s."""
+        return sum(float(track.times[-1] - track.times[0]) for track in self.tracks)
+
+    def of_frame(self, T_sensor_frame: Array, clock_offset: float) -> "Segments":
+        """The trajectory of another frame on the robot, by a clock that is ahead of the sensor's, s."""
+        moved = [Track(one.times + clock_offset, one.poses @ T_sensor_frame) for one in self.tracks]
+        return Segments(moved, self.worlds)
+
+    def joined(self, other: "Segments") -> "Segments":
+        """The segments of both, which are of one frame and clock, and have worlds in common."""
+        order = np.argsort([one.times[0] for one in (*self.tracks, *other.tracks)], kind="stable")
+        tracks, worlds = (*self.tracks, *other.tracks), (*self.worlds, *other.worlds)
+        return Segments([tracks[k] for k in order], [worlds[k] for k in order])
 
     @cached_property
     def _rates(self) -> tuple[Array, Array]:
@@ -46,7 +65,9 @@ class Segments:
             moved = se_n.log(se_n.rotation(se_n.inverse(track.poses[:-1]) @ track.poses[1:]))
             rates.append(moved / np.maximum(np.diff(track.times), 1e-3)[:, None])
             middle.append((track.times[:-1] + track.times[1:]) / 2)
-        return np.concatenate(middle), np.concatenate(rates)
+        times = np.concatenate(middle)
+        order = np.argsort(times, kind="stable")
+        return times[order], np.concatenate(rates)[order]
 
     def turn_rates(self, times: Array) -> tuple[Array, NDArray[np.bool_]]:
         """Turn rates (M,), rad/s, and whether they are known, at times (M,): not in long gaps between segments.
@@ -57,17 +78,25 @@ class Segments:
         middle, rates = self._rates
         size = rates[:, 0] if rates.shape[1] == 1 else np.linalg.norm(rates, axis=1)
         known = np.ones(len(times), dtype=bool)
-        for before, after in zip(self.tracks, self.tracks[1:], strict=False):
-            if after.times[0] - before.times[-1] > _MAX_GAP:
-                known &= (times <= before.times[-1]) | (times >= after.times[0])
+        end = self.tracks[0].times[-1]
+        for track in self.tracks[1:]:
+            if track.times[0] - end > _MAX_GAP:
+                known &= (times <= end) | (times >= track.times[0])
+            end = max(end, track.times[-1])
         return np.asarray(np.interp(times, middle, np.clip(size, -_MAX_TURN_RATE, _MAX_TURN_RATE))), known
 
     def relative(self, starts: Array, duration: float) -> tuple[Array, NDArray[np.bool_]]:
-        """Motions (M, n+1, n+1) ``T_start_end`` from starts (M,), s, and whether one segment has both ends."""
+        """Motions (M, n+1, n+1) ``T_start_end`` from starts (M,), s, and whether one world has both ends."""
+        before, first = self._at(starts)
+        after, last = self._at(starts + duration)
+        return np.asarray(se_n.inverse(before) @ after), (first == last) & (first >= 0)
+
+    def _at(self, times: Array) -> tuple[Array, NDArray[np.intp]]:
+        """Poses (M, n+1, n+1), and numbers of their worlds; -1 where the pose is not known."""
         n = self.tracks[0].poses.shape[-1] - 1
-        motions, known = np.tile(np.eye(n + 1), (len(starts), 1, 1)), np.zeros(len(starts), dtype=bool)
-        for track in self.tracks:
-            inside = (starts >= track.times[0] - _TOLERANCE) & (starts + duration <= track.times[-1] + _TOLERANCE)
-            motions[inside] = track.relative(starts[inside], duration)
-            known |= inside
-        return motions, known
+        poses, world = np.tile(np.eye(n + 1), (len(times), 1, 1)), np.full(len(times), -1, dtype=np.intp)
+        for k, track in enumerate(self.tracks):
+            inside = (times >= track.times[0] - _TOLERANCE) & (times <= track.times[-1] + _TOLERANCE)
+            poses[inside] = track.at(times[inside])
+            world[inside] = self.worlds[k] if self.worlds else k
+        return poses, world

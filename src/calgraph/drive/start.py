@@ -4,12 +4,13 @@ Sources: Tsai and Lenz, "A new technique for fully autonomous and efficient 3D r
 1989; Brookshire and Teller, "Automatic calibration of multiple coplanar sensors", 2011, for motion in the plane.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
 from calgraph.drive.segments import Segments
+from calgraph.errors import Rejected
 from calgraph.geometry import STDDEV_PER_MAD, Array, se2, se_n, so3
 
 # Rate at which turn rates are compared, Hz: above that of sweeps; a parabola refines steps of 20 ms.
@@ -20,6 +21,14 @@ _MIN_KNOWN = 0.1
 MOTION_DURATION = 1.5
 # And start this far apart, s: half of the duration, so that errors of neighbours are hardly independent.
 _MOTION_STEP = 0.5
+# Durations of motions in the frame of a board, s: they do not drift, and turns between far views are larger.
+_BOARD_DURATIONS = (0.75, MOTION_DURATION, 3.0, 6.0, 12.0)
+# Motions with which the random samples of three have a meaning.
+_MIN_MOTIONS = 10
+# Poses by boards are this many times as precise as those of odometry that counts as right.
+_BOARD_PRECISION = 3.0
+# Offsets of clocks around one by turn rates that are compared, s: 50 ms are a degree or two of a turn.
+_CLOCK_STEPS = (np.linspace(-0.3, 0.3, 13), np.linspace(-0.04, 0.04, 9))
 # Random samples: with half of the motions wrong, 200 of three have a right one with 1 - (7/8)^200.
 _SAMPLES = 200
 # Errors of a relative motion beyond which it counts as wrong, m and rad: odometry in the plane of offices.
@@ -52,6 +61,22 @@ class MotionStart:
     """Number of relative motions."""
     turns: Array
     """(d,) RMS turn of the sensor during a motion, about the principal axes of turning, rad, descending."""
+    by_boards: bool = False
+    """Whether the clock is that of motions before boards, which turn rates show poorly."""
+
+    def inverse(self) -> "MotionStart":
+        """The start of the root against this sensor."""
+        T = self.T_root_sensor
+        covariance: Array = np.asarray(np.linalg.pinv(np.asarray(self.information)), dtype=np.float64)
+        information = np.asarray(np.linalg.pinv(np.asarray(se_n.inverse_covariance(T, covariance))))
+        return replace(
+            self, T_root_sensor=se_n.inverse(T), clock_offset=-self.clock_offset, information=information
+        )
+
+    def seen_from(self, other: "MotionStart") -> "MotionStart":
+        """The start against another sensor, from those of both against the root."""
+        T = se_n.inverse(other.T_root_sensor) @ self.T_root_sensor
+        return replace(self, T_root_sensor=T, clock_offset=self.clock_offset - other.clock_offset)
 
 
 StartMotion = Literal["free", "level", "turn"]
@@ -93,7 +118,7 @@ def _correlate(a: Array, b: Array) -> float:
 
 def solve_start(
     root: Segments, sensor: Segments, max_offset: float, rng: np.random.Generator, motion: StartMotion = "free"
-) -> MotionStart:
+) -> MotionStart | Rejected:
     """The pose and the clock of a sensor from two trajectories.
 
     Args:
@@ -106,13 +131,12 @@ def solve_start(
             positions.
     """
     offset, correlation = find_clock_offset(root, sensor, max_offset)
-    first = max(root.start, sensor.start - offset)
-    last = min(root.end, sensor.end - offset) - MOTION_DURATION
-    starts = np.arange(first, last, _MOTION_STEP)
-    A, root_known = root.relative(starts, MOTION_DURATION)
-    B, sensor_known = sensor.relative(starts + offset, MOTION_DURATION)
-    both = root_known & sensor_known
-    A, B = A[both], B[both]
+    boards = bool(root.worlds or sensor.worlds)
+    if boards:
+        offset = _search_clock(root, sensor, offset, max_offset, rng)
+    A, B = _pair_motions(root, sensor, offset)
+    if len(A) < _MIN_MOTIONS:
+        return Rejected(f"it and the root moved together {len(A)} times only, {_MIN_MOTIONS} are needed")
     turns = _measure_turns(B)
     if motion == "turn":
         T, information, weights = _solve_rotation(A, B)
@@ -120,7 +144,42 @@ def solve_start(
         T, information, weights = _solve_level(A, B, rng)
     else:
         T, information, weights = _refine(_sample_poses(A, B, rng), A, B)
-    return MotionStart(T, offset, information, float(np.mean(weights > 0.25)), correlation, len(A), turns)
+    inliers = float(np.mean(weights > 0.25))
+    return MotionStart(T, offset, information, inliers, correlation, len(A), turns, boards)
+
+
+def _pair_motions(root: Segments, sensor: Segments, offset: float) -> tuple[Array, Array]:
+    """Motions (K, n+1, n+1) of the root and of the sensor during the same times, by a clock offset."""
+    first = max(root.start, sensor.start - offset)
+    last = min(root.end, sensor.end - offset) - MOTION_DURATION
+    starts = np.arange(first, last, _MOTION_STEP)
+    motions = []
+    for duration in _BOARD_DURATIONS if root.worlds or sensor.worlds else (MOTION_DURATION,):
+        A, root_known = root.relative(starts, duration)
+        B, sensor_known = sensor.relative(starts + offset, duration)
+        both = root_known & sensor_known
+        motions.append((A[both], B[both]))
+    A, B = (np.concatenate(some) for some in zip(*motions, strict=True))
+    return A, B
+
+
+def _search_clock(
+    root: Segments, sensor: Segments, offset: float, max_offset: float, rng: np.random.Generator
+) -> float:
+    """The clock offset near one by turn rates at which motions agree best, s.
+
+    Boards are in view for seconds only, and images are rarer than turns: correlation is wrong by up to 0.2 s.
+    """
+    scale = _scale(root.tracks[0].poses.shape[-1] - 1) / _BOARD_PRECISION
+    for steps in _CLOCK_STEPS:
+        found = []
+        for candidate in np.clip(offset + steps, -max_offset, max_offset):
+            A, B = _pair_motions(root, sensor, candidate)
+            if len(A) >= _MIN_MOTIONS:
+                errors = _errors(_refine(_sample_poses(A, B, rng), A, B)[0], A, B) / scale
+                found.append((float(np.mean(np.minimum(np.sum(errors**2, axis=1), 1.0))), float(candidate)))
+        offset = min(found)[1] if found else offset
+    return offset
 
 
 def _measure_turns(motions: Array) -> Array:
@@ -131,7 +190,7 @@ def _measure_turns(motions: Array) -> Array:
 
 def explain_failure(start: MotionStart, name: str, motion: StartMotion = "free") -> str:
     """Why a start is not to be relied on, and what to drive instead; empty if it is."""
-    if start.correlation < _MIN_CORRELATION:
+    if start.correlation < _MIN_CORRELATION and not start.by_boards:
         return (
             f"its turn rates do not agree with the root's (correlation {start.correlation:.2f}): its clock is "
             "half a second off or more, or its odometry failed; drive slower, where walls and furniture are near"

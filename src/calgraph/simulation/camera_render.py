@@ -74,11 +74,32 @@ def build_render_context(
     rays = camera.rays(pixels).reshape(camera.height, camera.width, 3)
     coarse = rays[::_COARSE_STEP, ::_COARSE_STEP] @ T_world_camera[:3, :3].T
     coarse = np.where(np.isfinite(coarse), coarse, [0.0, 0.0, 1.0])
+    planes = np.ascontiguousarray(np.moveaxis(rays, -1, 0), dtype=np.float32)
+    background = _render_room(coarse, T_world_camera, environment, planes.shape[1:], rng)
+    return RenderContext(T_world_camera, planes, coarse, background)
+
+
+def move_render_context(
+    context: RenderContext, T_world_camera: Array, environment: Sequence[Solid], rng: np.random.Generator
+) -> RenderContext:
+    """The context of a camera that has moved; with an equal generator, surfaces have equal textures."""
+    coarse = context.coarse_rays @ (T_world_camera[:3, :3] @ context.T_world_camera[:3, :3].T).T
+    background = _render_room(coarse, T_world_camera, environment, context.background.shape, rng)
+    return RenderContext(T_world_camera, context.rays, coarse, background)
+
+
+def _render_room(
+    coarse: Array,
+    T_world_camera: Array,
+    environment: Sequence[Solid],
+    shape: tuple[int, ...],
+    rng: np.random.Generator,
+) -> Gray:
+    """The image (height, width) of a room with a random texture, by coarse rays in the world frame."""
     gray, ranges = _shade(coarse, T_world_camera, environment)
     points = T_world_camera[:3, 3] + np.where(np.isfinite(ranges), ranges, 0)[..., None] * coarse
-    background = _upsample(gray * (1 + 0.25 * _random_texture(points, rng)))[: camera.height, : camera.width]
-    planes = np.ascontiguousarray(np.moveaxis(rays, -1, 0), dtype=np.float32)
-    return RenderContext(T_world_camera, planes, coarse, np.ascontiguousarray(background))
+    image = _upsample(gray * (1 + 0.25 * _random_texture(points, rng)))[: shape[0], : shape[1]]
+    return np.ascontiguousarray(image)
 
 
 def draw_board_and_operator(
@@ -94,7 +115,7 @@ def draw_board_and_operator(
         operator: the person behind it.
     """
     _draw_solids(image, context, operator)
-    _draw_board(image, context, T_world_board, board)
+    draw_board(image, context, T_world_board, board)
 
 
 def blur_image(image: Gray, blur: float) -> Gray:
@@ -128,7 +149,7 @@ def draw_noise_pool(camera: CameraModel, sigma: float, rng: np.random.Generator)
     return NoisePool(np.clip(noise.round(), -127, 127).astype(np.int8))
 
 
-def _draw_board(image: Gray, context: RenderContext, T_world_board: Array, board: PrintedBoard) -> None:
+def draw_board(image: Gray, context: RenderContext, T_world_board: Array, board: PrintedBoard) -> None:
     """Draws the board over the image, in place."""
     T_board_camera = se3.inverse(T_world_board) @ context.T_world_camera
     window = _board_window(context, T_board_camera, board.size)

@@ -15,7 +15,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from calgraph.geometry import Array, se3, so3
 
-PathKind = Literal["ordinary", "planar", "straight", "constant_turn", "turn_on_spot"]
+PathKind = Literal["ordinary", "planar", "straight", "constant_turn", "turn_on_spot", "stops", "carried"]
 
 INTERVAL = 0.01
 """Between samples of the motion, s."""
@@ -90,7 +90,9 @@ def draw_route(
         rng: for the route.
     """
     times = np.arange(-MARGIN, duration + MARGIN, INTERVAL)
-    targets = _draw_speeds(times, kind != "constant_turn", rng)
+    if kind == "carried":
+        return _carry(times, reach, rng)
+    targets = _draw_stops(times, rng) if kind == "stops" else _draw_speeds(times, kind != "constant_turn", rng)
     if kind == "straight":
         # No driver holds a line better than half a degree.
         speeds = _limit(targets, _MAX_ACCELERATION)
@@ -148,6 +150,14 @@ def draw_motion(
     return Motion(route.times, np.column_stack([route.positions, z, route.yaws, pitch, roll]))
 
 
+def carry_motion(route: Route, rng: np.random.Generator) -> Motion:
+    """A rig in the hands of a person: it tilts by some 15 degrees, and hands tremble."""
+    count = len(route.times)
+    height = 0.5 + 0.15 * draw_drift(count, 1.5, rng)
+    pitch, roll = (0.25 * draw_drift(count, 1.0, rng) + 0.003 * draw_drift(count, 0.05, rng) for _ in range(2))
+    return Motion(route.times, np.column_stack([route.positions, height, route.yaws, pitch, roll]))
+
+
 def draw_drift(count: int, correlation: float, rng: np.random.Generator) -> Array:
     """(count,) a smooth random process of unit variance, correlated over some seconds, at :data:`INTERVAL`."""
     width = correlation / INTERVAL
@@ -182,6 +192,24 @@ def _draw_speeds(times: Array, varied: bool, rng: np.random.Generator) -> Array:
             speeds[(times >= time) & (times < time + length)] = speed
             time += length
     return speeds
+
+
+def _draw_stops(times: Array, rng: np.random.Generator) -> Array:
+    """(K,) wanted speeds of a robot that stops every four or five seconds, m/s."""
+    speeds, time = np.zeros(len(times)), -MARGIN
+    while time < times[-1]:
+        for length, speed in ((rng.uniform(2.0, 3.2), rng.uniform(0.5, 1.0)), (rng.uniform(1.5, 2.0), 0.0)):
+            speeds[(times >= time) & (times < time + length)] = speed
+            time += length
+    return speeds
+
+
+def _carry(times: Array, reach: tuple[float, float], rng: np.random.Generator) -> Route:
+    """The place of a rig that a person carries through an area and turns to all sides."""
+    positions = np.stack([0.4 * half * draw_drift(len(times), 2.5, rng) for half in reach], axis=-1)
+    yaws = rng.uniform(-np.pi, np.pi) + 2.5 * draw_drift(len(times), 5.0, rng)
+    velocity = np.gradient(positions, INTERVAL, axis=0)
+    return Route(times, positions, yaws, np.linalg.norm(velocity, axis=1), np.gradient(yaws, INTERVAL))
 
 
 def _limit(wanted: Array, rate: float) -> Array:

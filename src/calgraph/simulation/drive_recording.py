@@ -11,6 +11,8 @@ from rosbags.typesys.store import Typestore
 from calgraph.geometry import Array, so3
 from calgraph.io.text_writing import save_yaml
 from calgraph.recording.writer import RecordingWriter, serialize_message
+from calgraph.sensors import CameraInfo
+from calgraph.simulation.drive_images import render_images
 from calgraph.simulation.drive_scenario import DRIVE_KINDS, RANGING, DriveScenario
 from calgraph.simulation.drive_simulation import SimulatedDrive, simulate_drive
 from calgraph.simulation.truth import GroundTruth, save_truth
@@ -25,7 +27,8 @@ _Event = tuple[int, str, str, bytes | memoryview]
 def record_drive(scenario: DriveScenario, out: Path, progress: Callable[[int, int], None] | None = None) -> None:
     """Writes ``out/recording`` (rosbag2, MCAP), ``out/rig.yaml``, ``out/truth.yaml`` and ``out/trajectory.txt``.
 
-    Poses of other programs are nav_msgs/Odometry, rates of gyroscopes sensor_msgs/Imu. The last file is the root's
+    Poses of other programs are nav_msgs/Odometry, rates of gyroscopes sensor_msgs/Imu, images
+    of cameras are rendered. The last file is the root's
     true trajectory, a row per pose: stamp, x, y, z, qx, qy, qz, qw.
 
     Args:
@@ -43,7 +46,7 @@ def record_drive(scenario: DriveScenario, out: Path, progress: Callable[[int, in
             writer.write_serialized(topic, ros_type, data, arrival)
             if progress is not None:
                 progress(done, len(events))
-    sensors = {
+    sensors: dict[str, dict[str, Any]] = {
         sensor.name: {
             "kind": DRIVE_KINDS[sensor.kind],
             "topic": drive.topics[sensor.name],
@@ -51,7 +54,15 @@ def record_drive(scenario: DriveScenario, out: Path, progress: Callable[[int, in
         }
         for sensor in scenario.sensors
     }
-    save_yaml(out / "rig.yaml", {"root": drive.root, "target": {"kind": "surroundings"}, "sensors": sensors})
+    for name in drive.truth.boards.cameras:
+        topics = {"topic": f"/{name}/image_raw/compressed", "camera_info": f"/{name}/camera_info"}
+        sensors[name] = {"kind": "camera", **topics, "frame_id": name}
+    target: dict[str, Any] = {"kind": "surroundings"}
+    if drive.truth.boards.boards:
+        target["boards"] = [
+            one.board.model_dump(mode="json", exclude_defaults=True) for one in drive.truth.boards.boards
+        ]
+    save_yaml(out / "rig.yaml", {"root": drive.root, "target": target, "sensors": sensors})
     truth = drive.truth
     save_truth(
         out / "truth.yaml",
@@ -85,12 +96,20 @@ def _list_events(drive: SimulatedDrive) -> Iterator[_Event]:
     def arrival(name: str, end: float) -> int:
         return round(1e9 * (end - offsets[name] + rng.uniform(*_LATENCY_RANGE)))
 
-    ranging = [drive.topics[one.name] for one in drive.scenario.sensors if one.kind in RANGING]
-    for record in drive.recording.records(ranging) if ranging else ():
-        message = record.decode()
-        name = record.topic.split("/")[1]
-        end = message.stamp + getattr(message, "duration", 0.0)
-        yield arrival(name, end), record.topic, *serialize_message(store, message)
+    ranging = [sensor.name for sensor in drive.scenario.sensors if sensor.kind in RANGING]
+    for name, topic in ((name, drive.topics[name]) for name in ranging):
+        for message in drive.messages[topic]:
+            end = message.stamp + getattr(message, "duration", 0.0)
+            yield arrival(name, end), topic, *serialize_message(store, message)
+    for mount in drive.truth.mounts:
+        if mount.sensor.kind != "camera":
+            continue
+        name, camera = mount.sensor.name, drive.truth.boards.cameras[mount.sensor.name].stated
+        for image in render_images(drive, mount):
+            at = arrival(name, image.stamp)
+            yield at, f"/{name}/image_raw/compressed", *serialize_message(store, image, "jpeg")
+            info = CameraInfo(image.stamp, name, camera)
+            yield at, f"/{name}/camera_info", *serialize_message(store, info)
     for name, (stamps, poses) in drive.trajectories.items():
         for stamp, T in zip(stamps.tolist(), poses, strict=True):
             ros_type, content = _odometry(store, stamp, name, T)

@@ -15,6 +15,8 @@ _DRAWS = 300
 """Of the pose of a sensor, until it shares no view with others."""
 _GAP = np.radians(1.0)
 """Between fields that share no view, rad."""
+_OPTICAL = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])
+"""Axes of a camera that looks ahead: z ahead, x to the right, y down."""
 _DISTANCES = (0.3, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0)
 """At which fields are compared, m."""
 
@@ -120,6 +122,8 @@ def _draw_mount(
         R = so3.exp(tilt) @ so3.exp(np.array([0.0, 0.0, bearing + centre])) @ np.diag([1.0, -1.0, -1.0])
     else:
         R = so3.exp(tilt) @ so3.exp(np.array([0.0, 0.0, bearing - centre]))
+    if sensor.kind == "camera":
+        R = so3.exp(tilt) @ so3.exp(np.array([0.0, 0.0, bearing])) @ _OPTICAL
     if sensor.kind in ("trajectory", "gyroscope"):
         R = so3.exp(rng.uniform(-1, 1, 3) * np.pi / 2)
     T = se3.pose(R, place)

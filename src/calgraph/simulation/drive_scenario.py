@@ -8,16 +8,16 @@ from calgraph.errors import InputError
 from calgraph.simulation.drive_motion import PathKind
 from calgraph.simulation.drive_world import WorldKind
 
-DriveSensorKind = Literal["lidar", "solid_state", "scanner", "odometry", "trajectory", "gyroscope"]
-"""Spinning or solid-state 3-D LiDAR, 2-D scanner, wheel odometry, trajectory of another program, gyroscope."""
+DriveSensorKind = Literal["lidar", "solid_state", "scanner", "odometry", "trajectory", "gyroscope", "camera"]
+"""Spinning or solid-state 3-D LiDAR, 2-D scanner, wheel odometry, trajectory of a program, gyroscope, camera."""
 RigName = Literal[
     "two_lidars", "three_lidars", "four_lidars", "lidar_and_solid_state", "lidar_and_scanner", "two_scanners",
     "lidar_and_odometry", "lidar_and_trajectory", "lidar_and_gyroscope", "mixed", "scanner_270",
-    "trajectories",
+    "trajectories", "cameras_and_lidar", "three_cameras",
 ]  # fmt: skip
 DRIVE_KINDS: Mapping[DriveSensorKind, str] = {
     "lidar": "lidar3d", "solid_state": "lidar3d", "scanner": "lidar2d", "odometry": "trajectory",
-    "trajectory": "trajectory", "gyroscope": "gyroscope",
+    "trajectory": "trajectory", "gyroscope": "gyroscope", "camera": "camera",
 }  # fmt: skip
 """The kinds by which rig.yaml calls them."""
 RANGING = ("lidar", "solid_state", "scanner")
@@ -59,6 +59,32 @@ EXACT = RangeErrors(*12 * (0.0,))
 
 
 @dataclass(frozen=True)
+class CameraErrors:
+    """What is wrong with cameras and boards. Each draws its values from these spreads."""
+
+    corner: float = 0.1
+    """Standard deviation of a detected corner, pixels; blur adds to it."""
+    focal: float = 0.002
+    """Standard deviation of the focal length relative to the stated one."""
+    centre: float = 2.0
+    """Standard deviation of the principal point from the stated one, pixels."""
+    distortion: float = 1.0
+    """Standard deviation of the displacement that the stated distortion lacks at the image's corner, pixels."""
+    exposure: float = 0.004
+    """s."""
+    readout: float = 0.008
+    """From the first to the last row, s."""
+    stamp_jitter: float = 0.0005
+    """Standard deviation of the stamp of an image, s."""
+    print_scale: float = 0.002
+    """Standard deviation of the relative scale of all prints, by one printer."""
+    print_aspect: float = 0.001
+    """Standard deviation of their ratio of width to height."""
+    bow: float = 0.0007
+    """Standard deviation of the bow of each board along each axis, m."""
+
+
+@dataclass(frozen=True)
 class DriveSensor:
     """A sensor of the robot."""
 
@@ -93,6 +119,14 @@ def _apart(count: int, sector: float) -> tuple[DriveSensor, ...]:
     )
 
 
+def _cameras() -> tuple[DriveSensor, ...]:
+    """Three cameras 120 degrees apart, which see no board together."""
+    return tuple(
+        DriveSensor(f"camera_{name}", "camera", bearing, 75.0, 10.0, max_tilt=15.0)
+        for name, bearing in (("front", 0.0), ("left", 120.0), ("right", -120.0))
+    )
+
+
 _GYROSCOPE = DriveSensor("gyroscope", "gyroscope", rate=100.0)
 _ODOMETRY = DriveSensor("odometry", "odometry", rate=50.0, max_tilt=0.0)
 _TRAJECTORY = DriveSensor("trajectory", "trajectory", rate=30.0)
@@ -115,6 +149,8 @@ STANDARD_RIGS: dict[RigName, tuple[DriveSensor, ...]] = {
     "lidar_and_gyroscope": (_apart(2, 130.0)[0], _GYROSCOPE),
     "mixed": (*_apart(2, 130.0), _ODOMETRY, _TRAJECTORY, _GYROSCOPE),
     "trajectories": (_TRAJECTORY, replace(_TRAJECTORY, name="trajectory_rear", rate=20.0), _GYROSCOPE),
+    "cameras_and_lidar": (DriveSensor("lidar", sector=240.0, step=1.6), *_cameras()),
+    "three_cameras": _cameras(),
     "scanner_270": (DriveSensor("laser_front", "scanner", 0.0, 270.0, 40.0, 0.5, 1, 0.0, 0.0, 30.0), _ODOMETRY),
 }
 """Sensors by name of the rig; those that measure ranges share no view, and the first is the root."""
@@ -172,6 +208,11 @@ class DriveScenario:
     bounce: float = 1.0
     """Size of the suspension's motion; none on planar paths."""
     errors: RangeErrors = field(default_factory=RangeErrors)
+    boards: int = 6
+    """Boards on walls, where the robot has cameras."""
+    image_size: tuple[int, int] = (800, 600)
+    """Of cameras, pixels."""
+    camera_errors: CameraErrors = field(default_factory=CameraErrors)
     faults: DriveFaults = field(default_factory=DriveFaults)
     start_time: float = 1_700_000_000.0
     """Stamp at the start of the recording, s."""
@@ -193,5 +234,5 @@ class DriveScenario:
     @property
     def faulty(self) -> str:
         """The sensor that faults concern."""
-        ranging = [sensor.name for sensor in self.sensors if sensor.kind in RANGING]
-        return self.faults.sensor or (ranging or [sensor.name for sensor in self.sensors])[-1]
+        seeing = [sensor.name for sensor in self.sensors if sensor.kind in (*RANGING, "camera")]
+        return self.faults.sensor or (seeing or [sensor.name for sensor in self.sensors])[-1]

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
@@ -10,7 +11,25 @@ from calgraph.geometry import Array, se3, so3
 from calgraph.recording.in_memory import MessageRecording
 from calgraph.sensors import LaserScan, Message, PointCloud, Pose, TurnRate
 from calgraph.simulation.drive_beams import draw_scanner_errors, measure, sweep_columns
-from calgraph.simulation.drive_motion import INTERVAL, MARGIN, Motion, Route, draw_drift, draw_motion, draw_route
+from calgraph.simulation.drive_boards import (
+    DriveCamera,
+    SimulatedBoards,
+    SimulatedView,
+    board_surface,
+    detect_corners,
+    draw_camera,
+    hang_boards,
+)
+from calgraph.simulation.drive_motion import (
+    INTERVAL,
+    MARGIN,
+    Motion,
+    Route,
+    carry_motion,
+    draw_drift,
+    draw_motion,
+    draw_route,
+)
 from calgraph.simulation.drive_robot import DriveMount, draw_robot_size, mount_sensors
 from calgraph.simulation.drive_scenario import RANGING, DriveScenario, DriveSensor, DriveSensorKind
 from calgraph.simulation.drive_world import LAYOUTS, DriveWorld, build_world, draw_bodies
@@ -19,7 +38,7 @@ _BLOCK_COLUMNS = 3000
 """Columns cast together: bounds memory, and keeps arrays in the processor's cache."""
 _TOPICS: Mapping[DriveSensorKind, str] = {
     "lidar": "points", "solid_state": "points", "scanner": "scan", "odometry": "odometry",
-    "trajectory": "odometry", "gyroscope": "imu",
+    "trajectory": "odometry", "gyroscope": "imu", "camera": "image_raw/compressed",
 }  # fmt: skip
 
 
@@ -44,6 +63,8 @@ class DriveTruth:
     motion: Motion
     """Of the base, at true times from the start of the recording."""
     world: DriveWorld
+    boards: SimulatedBoards
+    """Boards on walls, and cameras."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,19 +73,30 @@ class SimulatedDrive:
 
     scenario: DriveScenario
     root: str
-    recording: MessageRecording
+    messages: Mapping[str, Sequence[Message]]
     """Clouds with times and rings on ``/NAME/points``, scans on ``/NAME/scan``, poses of other programs on
     ``/NAME/odometry``, and rates of gyroscopes on ``/NAME/imu``."""
     trajectories: Mapping[str, tuple[Array, Array]]
     """By sensor, stamps (N,) of its clock, s, and poses (N, 4, 4) from its frame to a world frame that differs."""
     rates: Mapping[str, tuple[Array, Array]]
     """By gyroscope, stamps (N,) of its clock, s, and angular velocities (N, 3) in its frame, rad/s."""
+    corners: Mapping[str, list[SimulatedView]]
+    """By camera, what it would detect of boards."""
     truth: DriveTruth
 
     @property
     def topics(self) -> Mapping[str, str]:
         """Topic by sensor."""
         return {one.name: topic_of(one) for one in self.scenario.sensors}
+
+    @cached_property
+    def recording(self) -> MessageRecording:
+        """All messages but images, as a recording.
+
+        Raises:
+            InputError: there are none.
+        """
+        return MessageRecording(self.messages)
 
 
 def topic_of(sensor: DriveSensor) -> str:
@@ -87,13 +119,20 @@ def simulate_drive(scenario: DriveScenario) -> SimulatedDrive:
     route = draw_route(scenario.path, LAYOUTS[kind].reach, scenario.duration, scenario.slip, route_rng)
     clearance = 0.3 + float(np.hypot(0.8 * size[0], size[1] / 2))
     uneven = scenario.path != "planar" and kind != "corridor"
-    ramps = scenario.path == "ordinary" and kind in ("room", "hall", "yard")
+    ramps = scenario.path in ("ordinary", "stops") and kind in ("room", "hall", "yard")
     world = build_world(kind, route, clearance, uneven, ramps, scenario.glass, world_rng)
     cars = scenario.cars if kind in ("hall", "yard") else 0
     bodies = draw_bodies(route, clearance, scenario.people, cars, scenario.faults.truck, body_rng)
     world = DriveWorld(world.floor, world.surfaces, bodies)
     bounce = 0.0 if scenario.path == "planar" else scenario.bounce
-    motion = draw_motion(route, world.ground_height, (0.6 * size[0], 0.8 * size[1]), bounce, motion_rng)
+    if scenario.path == "carried":
+        motion = carry_motion(route, motion_rng)
+    else:
+        motion = draw_motion(route, world.ground_height, (0.6 * size[0], 0.8 * size[1]), bounce, motion_rng)
+    boards = _draw_boards(scenario, route, mounts, world)
+    walls = world.surfaces
+    world = DriveWorld(world.floor, (*walls, *(board_surface(one) for one in boards.boards)), bodies)
+    corners: dict[str, list[SimulatedView]] = {}
     messages: dict[str, Sequence[Message]] = {}
     trajectories, rates = {}, {}
     for index, mount in enumerate(mounts):
@@ -101,6 +140,8 @@ def simulate_drive(scenario: DriveScenario) -> SimulatedDrive:
         name = mount.sensor.name
         if mount.sensor.kind in RANGING:
             messages[topic_of(mount.sensor)] = _simulate_scanner(scenario, world, motion, mount, rng)
+        elif mount.sensor.kind == "camera":
+            corners[name] = detect_corners(scenario, mount, motion, boards, walls, rng)
         elif mount.sensor.kind == "odometry":
             trajectories[name] = _simulate_odometry(scenario, route, mount, rng)
         elif mount.sensor.kind == "trajectory":
@@ -116,8 +157,22 @@ def simulate_drive(scenario: DriveScenario) -> SimulatedDrive:
         messages[f"/{name}/imu"] = [
             TurnRate(stamp, name, rate) for stamp, rate in zip(stamps.tolist(), some, strict=True)
         ]
-    truth = _drive_truth(scenario, mounts, motion, world)
-    return SimulatedDrive(scenario, truth.root, MessageRecording(messages), trajectories, rates, truth)
+    truth = _drive_truth(scenario, mounts, motion, world, boards)
+    return SimulatedDrive(scenario, truth.root, messages, trajectories, rates, corners, truth)
+
+
+def _draw_boards(
+    scenario: DriveScenario, route: Route, mounts: tuple[DriveMount, ...], world: DriveWorld
+) -> SimulatedBoards:
+    """Boards and cameras, of a robot with cameras."""
+    rng = np.random.default_rng((scenario.seed, 6))
+    cameras: dict[str, DriveCamera] = {
+        mount.sensor.name: draw_camera(mount.sensor.sector, scenario.image_size, scenario.camera_errors, rng)
+        for mount in mounts
+        if mount.sensor.kind == "camera"
+    }
+    boards = hang_boards(scenario, route, world.surfaces, rng) if cameras else ()
+    return SimulatedBoards(boards, cameras)
 
 
 def sensor_poses(mount: DriveMount, motion: Motion, times: Array) -> Array:
@@ -240,7 +295,11 @@ def _simulate_gyroscope(
 
 
 def _drive_truth(
-    scenario: DriveScenario, mounts: tuple[DriveMount, ...], motion: Motion, world: DriveWorld
+    scenario: DriveScenario,
+    mounts: tuple[DriveMount, ...],
+    motion: Motion,
+    world: DriveWorld,
+    boards: SimulatedBoards,
 ) -> DriveTruth:
     root = mounts[0]
     T_root_base, T_root_base_after = (se3.inverse(T) for T in (root.T_base_sensor, root.T_base_sensor_after))
@@ -256,4 +315,5 @@ def _drive_truth(
         mounts,
         motion,
         world,
+        boards,
     )

@@ -126,7 +126,8 @@ class ReliefShape:
         if not len(self.amplitudes):
             result[rays] = t[rays]
             return result
-        o, d, t = origins[:, rays].T, directions[:, rays].T, t[rays]
+        # Of a camera's rays all begin in one place.
+        o, d, t = np.broadcast_to(origins, directions.shape)[:, rays].T, directions[:, rays].T, t[rays]
         for _ in range(_NEWTON_STEPS):
             points = o + t[:, None] * d
             gap = points[:, 2] - self.height_at(points[:, :2])

@@ -5,6 +5,7 @@ Internally rays are (3, N) arrays: NumPy is several times faster on long rows th
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -96,11 +97,22 @@ class CylinderShape:
 Shape = RectangleShape | BoxShape | CylinderShape
 
 
+class CastShape(Protocol):
+    """What rays can be cast at."""
+
+    @property
+    def bounding_radius(self) -> float:
+        """Radius of the sphere around the origin that holds the shape, m."""
+
+    def distance(self, origins: Array, directions: Array) -> Array:
+        """Distances (N,) along rays (3, N) in the shape's frame, infinite where they miss."""
+
+
 @dataclass(frozen=True, eq=False)
 class Solid:
     """A shape somewhere in the world."""
 
-    shape: Shape
+    shape: CastShape
     T_world_shape: Array
     """(4, 4)."""
     brightness: float = 128.0

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 
+from calgraph.drive.sources.camera import CAMERA_SOURCE
 from calgraph.drive.sources.gyroscope import GYROSCOPE_SOURCE
 from calgraph.drive.sources.lidar import LIDAR_SOURCE
 from calgraph.drive.sources.source import Reader, Source, SourceKind
@@ -10,6 +11,7 @@ from calgraph.drive.sources.trajectory import TRAJECTORY_SOURCE
 SOURCES: Mapping[str, SourceKind] = {
     "lidar2d": LIDAR_SOURCE,
     "lidar3d": LIDAR_SOURCE,
+    "camera": CAMERA_SOURCE,
     "trajectory": TRAJECTORY_SOURCE,
     "gyroscope": GYROSCOPE_SOURCE,
 }

@@ -73,8 +73,9 @@ class Reader(Protocol):
 class SourceKind:
     """How a kind of sensor is used in a drive."""
 
-    make_reader: Callable[[Rig, str, Recording, int, np.random.Generator], Reader]
-    """Of the rig, the sensor's name, the recording, the dimension of the drive (2 or 3), and for random draws."""
+    make_reader: Callable[[Rig, str, Recording, int, np.random.Generator], Reader] | None
+    """Of the rig, the sensor's name, the recording, the dimension of the drive (2 or 3), and for random draws;
+    None of cameras, whose images are searched by several processes."""
     stddev: Callable[[SensorSpec, int], Array]
     """(n + d + 3,) standard deviations before the adjustment, by what rig.yaml states and the dimension: pose,
     clock, range bias and scale; 0 of what it has not, or what nothing measures."""

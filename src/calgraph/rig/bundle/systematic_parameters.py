@@ -23,10 +23,7 @@ from calgraph.rig.bundle.range_observations import RangeObservations, bow_shape
 from calgraph.rig.bundle.residual_distortion import ResidualDistortion
 from calgraph.sensors import DISTORTION_NAMES, CameraModel
 from calgraph.sensors.kinds.stated import BeamError, RangeUncertainty
-
-_ESTIMATED_COEFFICIENTS = {"pinhole": 5, "fisheye": 4}
-"""Number of estimated distortion coefficients: those of the denominator of a rational model, which come after
-these, have nearly the same effect."""
+from calgraph.sensors.lens_errors import ESTIMATED_COEFFICIENTS, displacement_at_corner, with_estimated_distortion
 
 DISTORTION, RESIDUAL_DISTORTION, RINGS, TAGS = "distortion", "residual distortion", "rings", "tags"
 """Families of parameters, see :class:`SystematicParameter`."""
@@ -190,7 +187,7 @@ def _add_to_camera(
     prints: Sequence["_Print"],
     number: Index,
 ) -> CornerObservations:
-    camera = _with_estimated_distortion(views.camera)
+    camera = with_estimated_distortion(views.camera)
     corner_number = number[view_indices(views.start, len(views.pixels))]
     behind = np.unique(corner_number[views.printed.on_back])
     prints = [replace(one, on_back=b in behind) for b, one in enumerate(prints)]
@@ -246,32 +243,13 @@ def _lens_parameters(name: str, camera: CameraModel, spec: CameraSpec) -> Iterat
     )  # fmt: skip
     for quantity, stated in zip(("cx", "cy"), camera.principal_point.tolist(), strict=True):
         yield SystematicParameter(name, quantity, "px", prior.principal_point, stated=stated)
-    effect = _displacement_at_corner(camera)
-    estimated = _ESTIMATED_COEFFICIENTS[camera.model]
+    effect = displacement_at_corner(camera)
+    estimated = ESTIMATED_COEFFICIENTS[camera.model]
     for i, (quantity, stated) in enumerate(zip(DISTORTION_NAMES[camera.model], camera.distortion, strict=False)):
         coefficient = SystematicParameter(
             name, quantity, "", prior.distortion / effect[i], stated=stated, family=DISTORTION
         )
         yield coefficient if i < estimated else None
-
-
-def _with_estimated_distortion(camera: CameraModel) -> CameraModel:
-    """The camera with zeros for the coefficients that it does not state."""
-    missing = max(_ESTIMATED_COEFFICIENTS[camera.model] - len(camera.distortion), 0)
-    return replace(camera, distortion=np.append(camera.distortion, np.zeros(missing)))
-
-
-def _displacement_at_corner(camera: CameraModel) -> Array:
-    """(n,) displacement of the pixel at a corner of the image by one unit of each distortion coefficient, px."""
-    size = np.array([camera.width, camera.height], dtype=np.float64)
-    corner = np.where(camera.principal_point > size / 2, 0.0, size)
-    # A model may end within the image: the farthest valid pixel towards the corner counts.
-    share = np.linspace(1.0, 0.1, 19)[:, None]
-    rays = camera.rays(camera.principal_point + share * (corner - camera.principal_point))
-    valid = rays[np.isfinite(rays).all(axis=-1)]
-    if not len(valid):
-        return np.ones(len(camera.distortion))
-    return np.asarray(np.linalg.norm(camera.project_by_intrinsics(valid[:1])[0, :, 4:], axis=0))
 
 
 # Usual thickness of a board with a print on either side, m: panels are 2 to 6 mm thick, films less.

@@ -9,11 +9,12 @@ from calgraph.config import CameraSpec, Rig
 from calgraph.geometry import Array, Index, so3
 from calgraph.result import Correction
 from calgraph.result.finding import Finding
-from calgraph.rig.bundle.corner_observations import CornerObservations, project_by_lens
+from calgraph.rig.bundle.corner_observations import CornerObservations
 from calgraph.rig.bundle.observations import relative_poses
 from calgraph.rig.bundle.range_observations import RangeObservations
 from calgraph.rig.bundle.solution import RigSolution, SolvedBundle
 from calgraph.sensors.kinds.stated import list_turns
+from calgraph.sensors.lens_errors import project_by_lens
 from calgraph.verdict.parameter_estimates import describe_deviation, format_size
 
 

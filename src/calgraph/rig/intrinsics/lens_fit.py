@@ -20,11 +20,12 @@ from calgraph.result import state_intrinsics
 from calgraph.rig.bundle.board_observations import BoardObservation
 from calgraph.rig.bundle.bundle_setup import build_bundle
 from calgraph.rig.bundle.bundle_solver import COARSE_TOLERANCE, Bundle, MinimizedBundle, minimize_bundle
-from calgraph.rig.bundle.corner_observations import CornerObservations, adjust_camera
+from calgraph.rig.bundle.corner_observations import CornerObservations
 from calgraph.rig.captures.detect import CaptureSet
 from calgraph.rig.detection.board_views import BoardView
 from calgraph.rig.intrinsics.start import IntrinsicsStart
 from calgraph.sensors import CameraModel
+from calgraph.sensors.lens_errors import adjust_camera
 
 _RATIOS = np.geomspace(0.02, 100.0, 150)
 """RMS of a field over the noise that are compared: smaller ones have no effect, larger ones are a wrong model."""

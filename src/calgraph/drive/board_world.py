@@ -1,0 +1,178 @@
+"""Start values of boards fixed in the room, and the trajectory that they give where no other sensor does."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from calgraph.config import Rig
+from calgraph.drive.board_views import PRINT_ERRORS, BoardMeasurements, SharedErrors
+from calgraph.drive.sources.camera import CameraSource, models_of
+from calgraph.drive.sources.source import Source
+from calgraph.drive.states import SensorState
+from calgraph.geometry import Array, se3, se_n
+from calgraph.result.estimated_parameter import EstimatedParameter
+from calgraph.sensors import DISTORTION_NAMES
+from calgraph.sensors.lens_errors import displacement_at_corner
+from calgraph.surfaces.trajectory import SplineTrajectory, Track
+
+# Views with which a board is used in a part: one may be an outlier.
+_MIN_VIEWS = 3
+# Poses of a board, by single views, that agree with the others: with wrong tilts and odometry's drift, m and rad.
+_MAX_SPREAD = 0.3, 0.3
+# Time between views of a board within which poses are interpolated, s: accelerations displace by a centimetre.
+_MAX_GAP = 0.25
+# Standard deviation of what is stated to be exact, relative to its size: it has to be positive.
+_EXACT = 1e-9
+# Views at one time are averaged over this, s.
+_BIN = 0.05
+
+
+def describe_errors(rig: Rig, used: Sequence[str]) -> tuple[SharedErrors, tuple[EstimatedParameter, ...], Array]:
+    """The errors of lenses and prints: their places, what they are, and prior standard deviations (G,).
+
+    Exact ones have tiny standard deviations. All prints share scale and aspect: they are of one printer, and paper
+    swells equally.
+    """
+    cameras = {used.index(name): camera for name, camera in models_of(rig).items() if name in used}
+    lens: dict[int, slice] = {}
+    readout: dict[int, int] = {}
+    found: list[EstimatedParameter] = []
+    stddev: list[float] = []
+
+    def add(of: str, quantity: str, unit: str, stated: float, prior: float, scale: float = 1.0) -> int:
+        prior = max(prior, _EXACT)
+        found.append(EstimatedParameter(of, quantity, unit, stated, prior * scale, stated, prior * scale))
+        stddev.append(prior)
+        return len(stddev) - 1
+
+    for k, camera in cameras.items():
+        name, prior = used[k], rig.cameras()[used[k]].uncertainty
+        (fx, fy), center = camera.focal.tolist(), camera.principal_point.tolist()
+        mean = (fx + fy) / 2
+        first = add(name, "focal length", "px", mean, prior.focal_length, mean)
+        add(name, "pixel aspect", "", fx / fy, prior.pixel_aspect, fx / fy)
+        for quantity, stated in zip(("cx", "cy"), center, strict=True):
+            add(name, quantity, "px", stated, prior.principal_point)
+        effect = np.maximum(displacement_at_corner(camera), _EXACT)
+        names = DISTORTION_NAMES[camera.model]
+        for quantity, stated, pixels in zip(names, camera.distortion.tolist(), effect.tolist(), strict=False):
+            add(name, quantity, "", stated, prior.distortion / pixels)
+        readout[k] = add(name, "readout time", "s", 0.0, prior.readout_time)
+        lens[k] = slice(first, readout[k])
+    boards = rig.boards if cameras else ()
+    prints = np.zeros((len(boards), PRINT_ERRORS), dtype=np.intp)
+    if boards:
+        of = "boards" if len(boards) > 1 else "board"
+        prints[:, 0] = add(of, "print scale", "", 1.0, max(board.uncertainty.print_scale for board in boards))
+        prints[:, 1] = add(of, "print aspect", "", 1.0, max(board.uncertainty.print_aspect for board in boards))
+    for b, board in enumerate(boards):
+        of = f"board {b + 1}" if len(boards) > 1 else "board"
+        prints[b, 2:] = [add(of, f"bow {axis}", "m", 0.0, board.uncertainty.bow) for axis in "xy"]
+    half_sizes = np.array([board.size for board in boards]).reshape(-1, 2) / 2
+    return SharedErrors(cameras, lens, readout, prints, half_sizes), tuple(found), np.array(stddev)
+
+
+def state_estimates(
+    errors: Sequence[EstimatedParameter], prior: Array, value: Array, stddev: Array
+) -> tuple[EstimatedParameter, ...]:
+    """The errors of :func:`describe_errors` with values (G,) and standard deviations (G,) from the solution."""
+    return tuple(
+        replace(one, value=one.stated + one.prior / p * v, stddev=one.prior / p * s)
+        for one, p, v, s in zip(errors, prior.tolist(), value.tolist(), stddev.tolist(), strict=True)
+    )
+
+
+def measure_boards(
+    sources: Sequence[Source], states: Sequence[SensorState], trajectory: SplineTrajectory, errors: SharedErrors
+) -> list[BoardMeasurements]:
+    """The views of boards during a trajectory, with start poses of the boards by them; one object or none."""
+    views = [
+        (k, view)
+        for k, (source, state) in enumerate(zip(sources, states, strict=True))
+        if isinstance(source, CameraSource)
+        for view in source.views
+        # Clocks may shift a view out of the part; it is left out then.
+        if trajectory.start <= view.time - state.clock_offset <= trajectory.end
+    ]
+    by_board: dict[int, list[Array]] = {}
+    for k, view in views:
+        T_world_root = trajectory.at(np.array([view.time - states[k].clock_offset])).poses[0]
+        T = T_world_root @ states[k].T_root_sensor @ view.T_camera_board
+        by_board.setdefault(view.board, []).append(T)
+    poses = {b: _average(np.array(some)) for b, some in by_board.items() if len(some) >= _MIN_VIEWS}
+    kept = [(k, view) for k, view in views if view.board in poses]
+    return [BoardMeasurements.of_views(kept, poses, errors)] if kept else []
+
+
+def _average(poses: Array) -> Array:
+    """The mean of poses (N, 4, 4) that agree with the one which most agree with."""
+    some = poses[:: max(len(poses) // 100, 1)]
+    distance = np.linalg.norm(some[:, None, :3, 3] - poses[None, :, :3, 3], axis=-1) / _MAX_SPREAD[0]
+    turn = se_n.rotation_angle(np.swapaxes(some[:, None, :3, :3], -1, -2) @ poses[None, :, :3, :3])
+    cost = np.minimum(distance**2 + (turn / _MAX_SPREAD[1]) ** 2, 1.0)
+    near = poses[cost[np.argmin(cost.sum(axis=1))] < 1.0]
+    return se3.pose(se_n.nearest_rotation(near[:, :3, :3].mean(axis=0)), near[:, :3, 3].mean(axis=0))
+
+
+def chain_boards(sources: Mapping[int, CameraSource], states: Mapping[int, SensorState]) -> Track | None:
+    """The trajectory of the root by its clock, in the world of the boards that cameras detect one after another.
+
+    Boards are connected where two of them are detected at one time, by any cameras. Others are left out.
+
+    Args:
+        sources: cameras by number of the sensor.
+        states: their start values.
+    """
+    by_board: dict[int, list[tuple[float, Array]]] = {}
+    for k, source in sources.items():
+        for view in source.views:
+            T_board_root = se3.inverse(states[k].T_root_sensor @ view.T_camera_board)
+            by_board.setdefault(view.board, []).append((view.time - states[k].clock_offset, T_board_root))
+    tracks = {b: _merge(some) for b, some in by_board.items() if len(some) >= _MIN_VIEWS}
+    if not tracks:
+        return None
+    first = max(tracks, key=lambda b: len(tracks[b].times))
+    T_world_board = {first: np.eye(4)}
+    pairs = {(a, b): _compare(tracks[a], tracks[b]) for a in tracks for b in tracks if a < b}
+    while True:
+        links = [
+            (len(found), a, b)
+            for (a, b), found in pairs.items()
+            if (a in T_world_board) != (b in T_world_board) and len(found) >= _MIN_VIEWS
+        ]
+        if not links:
+            break
+        _, a, b = max(links)
+        T_a_b = _average(pairs[a, b])
+        if a in T_world_board:
+            T_world_board[b] = T_world_board[a] @ T_a_b
+        else:
+            T_world_board[a] = T_world_board[b] @ se3.inverse(T_a_b)
+    return _merge([
+        (time, T_world_board[b] @ T)
+        for b in T_world_board
+        for time, T in zip(tracks[b].times.tolist(), tracks[b].poses, strict=True)
+    ])  # fmt: skip
+
+
+def _merge(poses: Sequence[tuple[float, Array]]) -> Track:
+    """Poses in order of time; those of about one time are averaged."""
+    times = np.array([time for time, _ in poses])
+    T = np.array([one for _, one in poses])
+    _, group = np.unique(np.floor(times / _BIN).astype(np.int64), return_inverse=True)
+    count = np.bincount(group)
+    mean = np.zeros((len(count), 4, 4))
+    np.add.at(mean, group, T)
+    mean /= count[:, None, None]
+    return Track(
+        np.bincount(group, times) / count, se3.pose(se_n.nearest_rotation(mean[:, :3, :3]), mean[:, :3, 3])
+    )
+
+
+def _compare(a: Track, b: Track) -> Array:
+    """(M, 4, 4) ``T_a_b`` of two boards from the poses of the root in both their frames, at the times of a."""
+    after = np.clip(np.searchsorted(b.times, a.times), 1, len(b.times) - 1)
+    within = (a.times >= b.times[after - 1]) & (a.times <= b.times[after])
+    within &= b.times[after] - b.times[after - 1] <= _MAX_GAP
+    return np.asarray(a.poses[within] @ se3.inverse(b.at(a.times[within])))
