@@ -75,7 +75,7 @@ def check(
     no_cache: NoCacheOption = False,
     json: Annotated[bool, typer.Option("--json", help="Print check.json.")] = False,
 ) -> None:
-    """Check given extrinsics of a rig or network by a recording: pass, warn or fail, by sensor and axis, and why.
+    """Check given extrinsics of a rig, network or robot by a recording: pass, warn or fail, by sensor and axis.
 
     A sensor fails along an axis if the error of FILE exceeds the tolerance and is
     significant. Warnings: a significant error within the tolerance, or a recording
@@ -122,6 +122,8 @@ def _compare(
     rig: Rig, recordings: list[str], given: ExtrinsicsFile, seed: int, cache: RecordingCache, engine: Engine
 ) -> tuple[Calibration, "ExtrinsicsComparison", Rig]:
     """The calibration from the recording, the comparison with the given poses, and the resolved rig."""
+    from calgraph.drive.audit import compare_drive_extrinsics
+    from calgraph.drive.options import DriveOptions
     from calgraph.network.options import NetworkOptions
     from calgraph.network.pipeline import compare_network_extrinsics
     from calgraph.rig.verification import compare_extrinsics
@@ -130,6 +132,10 @@ def _compare(
         options = NetworkOptions(seed=seed, engine=engine, cache=cache)
         with open_recordings(recordings, rig.settings.limits) as recording, progress_bars() as progress:
             return *compare_network_extrinsics(rig, recording, given, options, progress), rig
+    if rig.is_drive:
+        driven = DriveOptions(seed=seed, engine=engine)
+        with open_recordings(recordings, rig.settings.limits) as recording, progress_bars() as progress:
+            return *compare_drive_extrinsics(rig, recording, given, driven, progress), rig
     problem = _problem(rig, recordings, seed, cache, engine)
     return *compare_extrinsics(problem, given), problem.rig
 

@@ -11,7 +11,7 @@ from calgraph.drive.evidence import collect_pictures
 from calgraph.drive.start import MotionStart
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2
-from calgraph.result import Calibration, Edge, Evidence, FitError, Pictures, SensorPose, Verdict
+from calgraph.result import BaseFrame, Calibration, Edge, Evidence, FitError, Pictures, SensorPose, Verdict
 from calgraph.result.finding import Finding
 from calgraph.result.sensor_pose import UNMEASURED_IN_PLANE
 from calgraph.verdict.grades import LONE_ROOT, collect_findings, grade_pose
@@ -42,6 +42,8 @@ class DriveResult:
     """None where only the root has a trajectory."""
     findings: Sequence[Finding]
     """What does not fit the rig in the messages."""
+    base: BaseFrame | None = None
+    """The vehicle's frame, where rig.yaml states that there is one."""
 
 
 def assemble_drive(rig: Rig, result: DriveResult) -> Calibration:
@@ -56,7 +58,8 @@ def assemble_drive(rig: Rig, result: DriveResult) -> Calibration:
         state = adjusted.states[k] if adjusted else None
         T = np.eye(4) if state is None else _lift_pose(state.T_root_sensor)
         if k == 0:
-            verdict = Verdict("good") if adjusted else LONE_ROOT
+            located = result.base is not None and result.base.known
+            verdict = Verdict("good") if len(names) > 1 or located else LONE_ROOT
         else:
             assert adjusted is not None
             verdict = grade_pose(
@@ -82,6 +85,7 @@ def assemble_drive(rig: Rig, result: DriveResult) -> Calibration:
         root=rig.root,
         sensors=tuple(sensors),
         joint_covariance=covariance,
+        base=result.base,
         evidence=Evidence(
             estimator="joint",
             tolerance=rig.tolerance,

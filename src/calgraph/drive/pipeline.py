@@ -8,6 +8,7 @@ import numpy as np
 from calgraph.config import Rig
 from calgraph.drive.adjustment import Adjustment, AdjustmentPriors, adjust_drive
 from calgraph.drive.assemble import DriveResult, assemble_drive
+from calgraph.drive.base_verdict import assess_base
 from calgraph.drive.measurements import DrivePart
 from calgraph.drive.options import DriveOptions
 from calgraph.drive.segments import Segments
@@ -50,9 +51,9 @@ def calibrate_drive(
     starts = _solve_starts(rig, tracks, options.seed)
     used = [rig.root, *(name for name, start in starts.items() if isinstance(start, MotionStart))]
     adjusted = None
-    if len(used) > 1:
+    if len(used) > 1 or (rig.base and isinstance(tracks[rig.root], Segments)):
         adjusted = _adjust(rig, used, sources, tracks, starts, options.seed, progress)
-    result = DriveResult(used, frames, starts, adjusted, monitor.findings())
+    result = DriveResult(used, frames, starts, adjusted, monitor.findings(), assess_base(rig, adjusted))
     return assemble_drive(rig, result)
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
@@ -228,7 +229,10 @@ class MatchedPoses:
         elif np.isinf(factor):
             remedy = f"no recording decides {sensor}, as the given pose itself is too uncertain"
         elif factor > _MAX_FACTOR:
-            remedy = f"{data} that determine {sensor} in other directions than these"
+            what = data if used else "motions"
+            remedy = f"{what} that determine {sensor} in other directions than these"
+        elif not used:
+            remedy = f"a recording that is at least {np.ceil(10 * factor) / 10:g} times as long"
         else:
             remedy = f"at least {int(np.ceil(factor * used))} {data} of {sensor} like the {used} that were used"
         sources = "".join(f"; {clause}" for clause in self._describe_sources(sensor, undecided))
@@ -252,6 +256,26 @@ class MatchedPoses:
             (axis.stddev / axis.max_stddev, i, axis.axis) for one, i, axis in undecided if one == sensor
         )[1:]
         return describe_largest(self.estimated.budget.shares_by_source(k), axis, f"{name} of {sensor}")
+
+
+def compare_poses(
+    matched: MatchedPoses, residuals: Mapping[str, ResidualComparison] = MappingProxyType({})
+) -> ExtrinsicsComparison:
+    """Compares given extrinsics with estimated ones, in the frame in which the fewest sensors fail.
+
+    A sensor fails along an axis if its error exceeds the tolerance and is significant, over all six axes and along
+    that axis. Significant errors within the tolerance are warnings, and so are axes whose uncertainty exceeds the
+    tolerance. If the root has moved, all others appear to have moved.
+
+    Args:
+        matched: the extrinsics and the estimate.
+        residuals: by sensor, under both.
+    """
+    comparisons = [matched.compare_in_frame(reference, residuals) for reference in matched.frames]
+    in_root = next(c for c in comparisons if c.reference == matched.estimated.root)
+    # If one sensor fails, it or the reference has moved: the frame of the root is kept.
+    best = min(comparisons, key=lambda c: len(c.failed)) if len(in_root.failed) > 1 else in_root
+    return best if len(best.failed) < len(in_root.failed) else in_root
 
 
 def match_poses(
