@@ -48,7 +48,7 @@ _NO_FRONT = Rejected("the vehicle hardly drove straight on, without which nothin
 # Share of the way ahead: with less, a vehicle that reverses for long may be taken for one that drives ahead.
 _MIN_AHEAD = 0.6
 # Standard deviation of the slip, s²/m: tyres of rubber take 8 to 20 g per radian of their slip angle.
-_SLIP = 0.008
+_SLIP, _NO_SLIP = 0.008, 1e-6
 # Distances from the axle to the middle of the vehicle, m: of robots, and of cars.
 _HALF_WHEELBASES = (0.0, 0.2, 0.4, 0.6, 0.8, 1.1, 1.4)
 # What all measurements of the floor have in common, m and rad: ranges at grazing incidence, and beams' elevations,
@@ -134,11 +134,9 @@ def _choose_places(measure: Callable[[Array], "Chords"], pose: Array) -> Array:
 
 
 def _scatter_of_level(chords: "Chords") -> float:
-    """Median deviation of the floor's normals in the frame of the root."""
-    normals = chords.level[np.isfinite(chords.level).all(axis=2)][:, :3]
-    if not len(normals):
-        return np.inf
-    return float(np.median(measure_lengths(normals - np.median(normals, axis=0))))
+    """Mean deviation of the floor's normals in the frame of the root, rad."""
+    known = np.isfinite(chords.level).all(axis=2)
+    return _fit_level(chords.level[known], chords.acceleration[known])[1] if known.any() else np.inf
 
 
 def _measure_chords(
@@ -229,28 +227,31 @@ def join_chords(poses: Array, level: Array, part: int = 0) -> Chords:
 
 
 def scatter_of(chords: Chords, pose: Array) -> Array | Rejected:
-    """Covariance (6, 6) of a pose by its scatter when intervals are left out (jackknife)."""
+    """Covariance (6, 6) of a pose: its scatter when intervals are left out (jackknife), and what slip changes."""
     fitted = [fit_pose(chords.select(chords.block != one)) for one in np.unique(chords.block)]
     poses = [one for one in fitted if not isinstance(one, Rejected)]
     if len(poses) < max(_MIN_BLOCKS, len(fitted)):
         return Rejected("the drive is too short for the vehicle's frame: drive for a minute, with curves")
     errors = se3.difference(np.array(poses), pose)
     errors = errors - errors.mean(axis=0)
-    return np.asarray((len(errors) - 1) / len(errors) * errors.T @ errors)
+    # Tyres slip in other ways than the model has: what it corrects is as uncertain as it is large.
+    without = fit_pose(chords, _NO_SLIP)
+    by_slip = np.zeros(6) if isinstance(without, Rejected) else se3.difference(without, pose)
+    return np.asarray((len(errors) - 1) / len(errors) * errors.T @ errors + np.outer(by_slip, by_slip))
 
 
-def fit_pose(chords: Chords) -> Array | Rejected:
-    """(4, 4) ``T_base_root``, with y = 0."""
+def fit_pose(chords: Chords, max_slip: float = _SLIP) -> Array | Rejected:
+    """(4, 4) ``T_base_root``, with y = 0; the slip of tyres has a standard deviation, s²/m."""
     known = np.isfinite(chords.level).all(axis=2)
     if not known.any():
         return Rejected("no floor was found below the root's path: no scanner measures where the vehicle drives")
-    mean = _fit_level(chords.level[known], chords.acceleration[known])
+    mean, _ = _fit_level(chords.level[known], chords.acceleration[known])
     up = mean[:3] / np.linalg.norm(mean[:3])
     height = -float(up @ mean[3:])
     R = axes_from(up)
     # The point of the floor below the root moves against its turns.
     steps = (chords.shift - np.cross(chords.turn, height * up)) @ R
-    fitted = fit_axle(steps[..., :2], chords.turn @ up)
+    fitted = fit_axle(steps[..., :2], chords.turn @ up, max_slip)
     if isinstance(fitted, Rejected):
         return fitted
     angle, x = fitted
@@ -258,8 +259,10 @@ def fit_pose(chords: Chords) -> Array | Rejected:
     return np.asarray(se3.pose(R_root_base.T, np.array([-x, 0.0, height])))
 
 
-def _fit_level(level: Array, acceleration: Array) -> Array:
-    """(6,) of normals and points (K, 6) at rest: bodies lean out of curves, and dive when they brake.
+def _fit_level(level: Array, acceleration: Array) -> tuple[Array, float]:
+    """(6,) of normals and points (K, 6) at rest, and the mean deviation of normals.
+
+    Bodies lean out of curves, and dive when they brake.
 
     Outliers, as on the edges of ramps, weigh little (Geman–McClure).
     """
@@ -274,15 +277,17 @@ def _fit_level(level: Array, acceleration: Array) -> Array:
         weight = (1 + np.sum((error / (3 * scale)) ** 2, axis=1)) ** -2.0
         N = (design * weight[:, None]).T @ design + np.diag([0.0, 1.0, 1.0]) * 1e-3
         solution = np.linalg.solve(N, (design * weight[:, None]).T @ level)
-    return np.asarray(solution[0])
+    error = level - design @ solution
+    return np.asarray(solution[0]), float(measure_lengths(error[:, :3]).mean())
 
 
-def fit_axle(steps: Array, turns: Array) -> tuple[float, float] | Rejected:
+def fit_axle(steps: Array, turns: Array, max_slip: float = _SLIP) -> tuple[float, float] | Rejected:
     """The vehicle's heading in the plane, rad, and the distance of its axle ahead of the root, m.
 
     Args:
         steps: (C, S, 2) of the point below the root, along the root's level axes, m.
         turns: (C, S) to the left, rad.
+        max_slip: standard deviation of κ before the drive, s²/m.
     """
     shift, turn = steps.sum(axis=1), turns.sum(axis=1)
     moving = (np.linalg.norm(shift, axis=1) > _STANDING[0]) | (np.abs(turn) > _STANDING[1])
@@ -293,7 +298,7 @@ def fit_axle(steps: Array, turns: Array) -> tuple[float, float] | Rejected:
     for _ in range(20):
         # e = left · shift + B (x, κ); the best (x, κ) of each heading leaves a quadratic form of it.
         B = np.column_stack([turn, slip])
-        N = (B * weight[:, None]).T @ B + np.diag([1e-9, (scale / _SLIP) ** 2])
+        N = (B * weight[:, None]).T @ B + np.diag([1e-9, (scale / max_slip) ** 2])
         C = (B * weight[:, None]).T @ shift
         M = (shift * weight[:, None]).T @ shift - C.T @ np.linalg.solve(N, C)
         values, vectors = np.linalg.eigh(M)
