@@ -123,7 +123,7 @@ def floor_points(path: Array, rng: np.random.Generator, slope: float = 0.0, ceil
     table = along[0] + rng.uniform(1.5, 3.0, (1000, 2))
     z = [slope * xy[:, 0], np.full(len(table), 0.7), ceiling + 0 * xy[:, 0]]
     points = np.column_stack([np.concatenate([xy, table, xy]), np.concatenate(z)])
-    return np.asarray(points + rng.normal(0, 0.003, points.shape))
+    return np.asarray(points + rng.normal(0, 0.003, points.shape), dtype=np.float64)
 
 
 @pytest.mark.parametrize("inverted", [False, True])
@@ -148,7 +148,7 @@ def test_floor_below_a_path_gives_height_and_tilt(inverted: bool) -> None:
 def adjusted_drive(poses: Array, points: Array) -> Adjustment:
     """A drive that is adjusted without errors: one part, one sensor with some range bias left."""
     n = poses.shape[-1] - 1
-    times = STEP * np.arange(len(poses))
+    times = STEP * np.arange(len(poses), dtype=np.float64)
     trajectory = fit_spline(Track(times, poses), 0.0, float(times[-1]), STEP)
     at = trajectory.at(np.linspace(0, times[-1], len(points))).poses
     local = (se_n.transpose(se_n.rotation(at)) @ (points - se_n.translation(at))[:, :, None])[..., 0]

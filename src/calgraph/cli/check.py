@@ -75,12 +75,13 @@ def check(
     no_cache: NoCacheOption = False,
     json: Annotated[bool, typer.Option("--json", help="Print check.json.")] = False,
 ) -> None:
-    """Check given extrinsics of a rig, network or robot by a recording: pass, warn or fail, by sensor and axis.
+    """Check given extrinsics of a rig or network by a recording: pass, warn or fail, by sensor and axis, and why.
 
     A sensor fails along an axis if the error of FILE exceeds the tolerance and is
     significant. Warnings: a significant error within the tolerance, or a recording
     that does not decide. Of a network, the smallest set of scanners whose movement
     explains the differences is named: a minute of ordinary traffic is sufficient.
+    Of a robot that drives, a minute of ordinary driving is.
 
     Exit code 0: pass or warn; 1: a sensor fails, or nothing could be calibrated; 2: invalid input.
     """

@@ -1,4 +1,4 @@
-"""What is said of the vehicle's frame: its verdict, and what the drive leaves open."""
+"""The verdict on the frame of a vehicle, and what the drive leaves open."""
 
 import numpy as np
 

@@ -75,7 +75,7 @@ def _find_vertical(points: Array, poses: Array, up: Array) -> Array:
     R = se_n.rotation(poses)
     turns = se_n.log(R[1:] @ se_n.transpose(R[:-1]))
     mean = (R @ up).mean(axis=0)
-    # A vehicle that hardly turns sways as much about other axes: it is as level as its root.
+    # A vehicle that hardly turns leans as much about other axes: it is as level as its root.
     moments = turns.T @ turns + _LITTLE_TURN**2 * np.outer(mean, mean)
     axis = np.linalg.eigh(moments)[1][:, -1]
     axis = axis * np.sign(axis @ mean)

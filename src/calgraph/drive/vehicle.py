@@ -37,7 +37,7 @@ _CHORD = 6
 _BLOCK = 7
 # More than a part has.
 _MAX_BLOCKS = 10**6
-# Least number of such intervals: with fewer, their scatter says little.
+# Least number of such intervals: with fewer, their scatter is no standard deviation.
 _MIN_BLOCKS = 6
 # Motions of a chord below which the vehicle stands, m and rad: ten times the noise of a trajectory.
 _STANDING = 0.02, 0.01
