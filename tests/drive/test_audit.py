@@ -4,7 +4,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.drive_scenes import PERIOD, beams_in_plane, scan
 
 from calgraph.config import Rig
 from calgraph.drive.audit import compare_drive_extrinsics, compare_with_drive
@@ -14,6 +13,7 @@ from calgraph.recording import MessageRecording
 from calgraph.result import Calibration, ExtrinsicsFile, SensorPose, Verdict
 from calgraph.result.frame_tree import FrameLink, FrameTree
 from calgraph.sensors import LaserScan
+from drive_scenes import PERIOD, beams_in_plane, scan
 
 POSES = {
     "front": np.eye(4),
