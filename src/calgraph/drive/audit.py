@@ -28,7 +28,8 @@ def compare_drive_extrinsics(
 
 def compare_with_drive(rig: Rig, calibration: Calibration, given: ExtrinsicsFile) -> ExtrinsicsComparison:
     """Comparison with what a drive gave; poses that something contradicts fail no given ones."""
-    found = compare_poses(match_poses(calibration, given, rig.tolerance, rig.settings.diagnostics.verdict))
+    settings = rig.settings.diagnostics.verdict
+    found = compare_poses(match_poses(calibration, given, rig.tolerance, settings, "motions"))
     contradicted = {one.name for one in calibration.sensors if _is_contradicted(rig, one)}
     if found.reference in contradicted:
         contradicted |= {one.sensor for one in found.sensors}

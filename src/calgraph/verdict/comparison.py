@@ -135,6 +135,8 @@ class MatchedPoses:
     """Frame in the file by sensor, of all sensors that the file contains; the root is among them."""
     tolerance: Tolerance
     settings: VerdictSettings
+    data: str = ""
+    """What the estimates are from, in the plural; captures or tracks if empty."""
 
     @property
     def T_root_sensor(self) -> dict[str, Array]:
@@ -221,7 +223,7 @@ class MatchedPoses:
         if not undecided:
             return ""
         factor, sensor = max((axis.captures_needed, name) for name, _, axis in undecided)
-        data = "tracks" if self.estimated.planar else "captures"
+        data = self.data or ("tracks" if self.estimated.planar else "captures")
         used = sum(row.used for row in self.estimated.evidence.captures if row.sensor == sensor)
         known = next((one for one in self.estimated.evidence.remedies if one.sensor == sensor), None)
         if known and reference == self.estimated.root and all(axis.of_estimate for _, _, axis in undecided):
@@ -229,8 +231,7 @@ class MatchedPoses:
         elif np.isinf(factor):
             remedy = f"no recording decides {sensor}, as the given pose itself is too uncertain"
         elif factor > _MAX_FACTOR:
-            what = data if used else "motions"
-            remedy = f"{what} that determine {sensor} in other directions than these"
+            remedy = f"{data} that determine {sensor} in other directions than these"
         elif not used:
             remedy = f"a recording that is at least {np.ceil(10 * factor) / 10:g} times as long"
         else:
@@ -279,7 +280,7 @@ def compare_poses(
 
 
 def match_poses(
-    estimated: Calibration, given: ExtrinsicsFile, tolerance: Tolerance, settings: VerdictSettings
+    estimated: Calibration, given: ExtrinsicsFile, tolerance: Tolerance, settings: VerdictSettings, data: str = ""
 ) -> MatchedPoses:
     """Matches the sensors of a calibration with the frames of given extrinsics.
 
@@ -288,7 +289,7 @@ def match_poses(
     """
     frame_ids = {sensor.name: sensor.frame_id for sensor in estimated.sensors}
     given.frame_of_sensor(estimated.root, frame_ids)
-    return MatchedPoses(estimated, given, given.frames_of_sensors(frame_ids), tolerance, settings)
+    return MatchedPoses(estimated, given, given.frames_of_sensors(frame_ids), tolerance, settings, data)
 
 
 def _grade_axes(
