@@ -14,11 +14,14 @@ import numpy as np
 import pytest
 from typer.testing import Result
 
+from calgraph.cli.calibrate import fail_if_not_calibrated
 from calgraph.config import load_rig
 from calgraph.config.settings import AveragingMethod, RigStart
+from calgraph.errors import CalibrationError
 from calgraph.io.text_writing import save_yaml
 from calgraph.recording import RecordingWriter, open_recording
-from calgraph.result import load_calibration
+from calgraph.result import BaseFrame, Calibration, SensorPose, Verdict, load_calibration
+from calgraph.result.sensor_pose import Grade
 from calgraph.sensors import CameraInfo, LaserScan
 from calgraph.simulation import load_truth
 
@@ -213,3 +216,11 @@ def stopped(simulated: Path, place: Path, by: signal.Signals) -> tuple[int, str,
         process.send_signal(by)
         _, stderr = process.communicate(timeout=60)
     return process.returncode, stderr, names(place)
+
+
+@pytest.mark.parametrize(("grade", "strict"), [("unobservable", False), ("weak", True)])
+def test_a_frame_of_the_vehicle_counts_as_a_sensor_does(grade: Grade, strict: bool) -> None:
+    root = SensorPose("lidar", None, "lidar", "lidar3d", np.eye(4), Verdict("good"))
+    base = BaseFrame("base_link", "rear", Verdict(grade, "no floor"))
+    with pytest.raises(CalibrationError, match=r"^base_link is (not calibrated|weak)"):
+        fail_if_not_calibrated(Calibration("lidar", (root,), np.zeros((6, 6)), base=base), strict=strict)

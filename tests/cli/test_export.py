@@ -13,7 +13,7 @@ import pytest
 from ruamel.yaml import YAML
 from typer.testing import Result
 
-from calgraph.result import Verdict, load_calibration, read_extrinsics, save_calibration
+from calgraph.result import BaseFrame, Verdict, load_calibration, read_extrinsics, save_calibration
 from calgraph.result.sensor_pose import Grade
 
 Run = Callable[..., Result]
@@ -255,3 +255,19 @@ def test_a_distance_is_refused_with_other_formats(run: Run, out: Path) -> None:
     result = run("export", out, "-f", "tf", "--distance", "4.5")
     assert result.exit_code == 2
     assert "--distance: goes with --format corrections" in result.stderr
+
+
+@pytest.mark.parametrize(("grade", "code"), [("good", 0), ("weak", 1)])
+def test_a_weak_frame_of_a_vehicle_is_refused(
+    run: Run, out: Path, tmp_path: Path, grade: Grade, code: int
+) -> None:
+    calibration = load_calibration(out / "calibration.yaml")
+    good = (replace(sensor, verdict=Verdict("good")) for sensor in calibration.sensors)
+    base = BaseFrame("base_link", "rear", Verdict(grade, "y is open"), np.eye(4), np.eye(6))
+    save_calibration(replace(calibration, sensors=tuple(good), base=base), tmp_path / "calibration.yaml")
+    result = run("export", tmp_path, "-f", "urdf")
+    assert result.exit_code == code
+    assert ("base_link is weak: y is open; give --force" in result.stderr) == (grade == "weak")
+    assert ('<link name="base_link"/>' in result.stdout) == (grade == "good")
+    left_out = run("export", tmp_path, "-f", "urdf", "--only", "good")
+    assert ("Left out: base_link is weak: y is open" in left_out.stderr) == (grade == "weak")

@@ -12,6 +12,7 @@ from calgraph.cli.printing import print_budget, print_calibration, print_errors,
 from calgraph.config import Tolerance
 from calgraph.geometry import se3, so3
 from calgraph.result import (
+    BaseFrame,
     Calibration,
     ErrorBudget,
     ErrorSource,
@@ -288,3 +289,21 @@ def test_the_largest_sources_of_the_worst_axes_are_printed(
 
 def test_without_a_budget_nothing_is_printed(calibration: Calibration, capsys: pytest.CaptureFixture[str]) -> None:
     assert printed(lambda: print_budget(calibration), capsys) == []
+
+
+def test_the_root_on_the_vehicle_is_printed_with_what_is_not_measured(
+    calibration: Calibration, capsys: pytest.CaptureFixture[str]
+) -> None:
+    covariance = np.diag([4e-6, 0.0, 9e-6, 1e-6, 1e-6, 1e-6])
+    covariance[1], covariance[:, 1] = np.nan, np.nan
+    T = se3.pose(so3.exp(np.array([0.0, 0.0, np.pi / 2])), np.array([0.5, np.nan, 0.8]))
+    base = BaseFrame("base_link", "rear", Verdict("weak", "y is open"), T, covariance)
+    lines = printed(lambda: print_calibration(replace(calibration, base=base)), capsys)
+    start = next(k for k, line in enumerate(lines) if line.startswith("lidar in base_link"))
+    assert [line.split() for line in lines[start + 1 : start + 4]] == [
+        ["x", "0.500", "±0.002", "m"],
+        ["y", "not", "measured"],
+        ["z", "0.800", "±0.003", "m"],
+    ]
+    assert lines[start + 6].split() == ["yaw", "90.00", "±0.06°"]
+    assert lines[start + 7] == "! base_link is weak: y is open"

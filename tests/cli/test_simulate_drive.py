@@ -31,6 +31,8 @@ def test_recording_rig_and_ground_truth_are_written(run: Run, tmp_path: Path) ->
     )
     rig, truth = read_yaml(tmp_path / "a" / "rig.yaml"), load_truth(tmp_path / "a" / "truth.yaml")
     assert rig["target"] == {"kind": "surroundings"}
+    assert truth.T_base_root is not None
+    assert 0.2 <= truth.T_base_root[2, 3] <= 1.6
     assert {name: one["kind"] for name, one in rig["sensors"].items()} == {
         "lidar_front": "lidar3d", "lidar_rear": "lidar3d", "odometry": "trajectory", "trajectory": "trajectory",
         "gyroscope": "gyroscope",

@@ -332,3 +332,33 @@ sensors:
         InputError, match=r"sensors\.camera\.intrinsics: must be 'estimate', 'estimate pinhole' or "
     ):
         load_rig(path)
+
+
+DRIVE = """\
+root: lidar
+target: {kind: surroundings}
+base: BASE
+sensors: {lidar: {kind: lidar3d, topic: /points, frame_id: velodyne}}
+"""
+
+
+def test_the_base_of_a_drive_has_defaults(tmp_path: Path) -> None:
+    base = load_rig(write(tmp_path, DRIVE.replace("BASE", "{}"))).base
+    assert base is not None
+    assert (base.frame, base.axle, base.y, base.inverted) == ("base_link", "rear", None, False)
+
+
+@pytest.mark.parametrize(
+    ("base", "expected"),
+    [
+        ("{frame: velodyne}", "base.frame: is also the frame of a sensor, got 'velodyne'"),
+        ("{y: 200.0}", "base.y"),
+        ("{axle: left}", "base.axle"),
+    ],
+)
+def test_mistakes_of_the_base_are_named(tmp_path: Path, base: str, expected: str) -> None:
+    assert expected in message(tmp_path, DRIVE.replace("BASE", base))
+
+
+def test_a_board_has_no_base(tmp_path: Path) -> None:
+    assert "base: applies to robots that drive only" in message(tmp_path, GOOD + "base: {}\n")

@@ -9,8 +9,7 @@ from calgraph.config import Rig
 from calgraph.drive.options import DriveOptions
 from calgraph.drive.pipeline import calibrate_drive
 from calgraph.drive.segments import Segments
-from calgraph.drive.sources import SOURCES
-from calgraph.drive.sources.trajectory import TrajectorySource, average_poses
+from calgraph.drive.sources.trajectory import TrajectoryReader, TrajectorySource, average_poses
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se3, se_n, so3
 from calgraph.recording import MessageRecording
@@ -43,7 +42,7 @@ def make_rig(root: str, **kinds: str) -> Rig:
 def read_source(messages: list[Message]) -> TrajectorySource:
     rig = make_rig("a", a="trajectory", b="trajectory")
     recording = MessageRecording({"/a": messages})
-    reader = SOURCES["trajectory"].make_reader(rig, "a", recording, 3, np.random.default_rng(0))
+    reader = TrajectoryReader(rig, "a", recording, 3, np.random.default_rng(0))
     for message in messages:
         reader.add(message)
     source = reader.finish()
@@ -175,7 +174,7 @@ def test_a_pair_of_frames_of_tf_is_a_trajectory() -> None:
     rig = Rig.model_validate({"root": "a", "target": {"kind": "surroundings"}, "sensors": sensors})
     recording = MessageRecording({"/tf": lists})
     for name, usable in (("a", True), ("b", False)):
-        reader = SOURCES["trajectory"].make_reader(rig, name, recording, 3, np.random.default_rng(0))
+        reader = TrajectoryReader(rig, name, recording, 3, np.random.default_rng(0))
         for message in lists:
             reader.add(message)
         track = reader.finish().track(np.random.default_rng(0))

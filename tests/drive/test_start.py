@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from calgraph.drive.segments import Segments
 from calgraph.drive.start import (
     MOTION_DURATION,
+    MotionStart,
     _errors,
     _jacobian,
     _refine,

@@ -249,10 +249,12 @@ def fail_if_not_calibrated(calibration: "Calibration", *, strict: bool = False) 
     ]
     missing += [f"{mark} {text}" for mark, text in shared.items()]
     grades = {sensor.name: sensor.verdict.grade for sensor in calibration.sensors}
+    if calibration.base:
+        grades[calibration.base.frame] = calibration.base.verdict.grade
     missing += [
-        f"{sensor.name} is not calibrated: its pose is not observable"
-        for sensor in calibration.sensors
-        if sensor.verdict.grade == "unobservable" and sensor.parent is not None
+        f"{name} is not calibrated: its pose is not observable"
+        for name in grades
+        if grades[name] == "unobservable" and name != calibration.root
     ]
     if strict:
         missing += [f"{name} is weak, which --strict refuses" for name in grades if grades[name] == "weak"]

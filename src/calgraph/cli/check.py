@@ -81,6 +81,7 @@ def check(
     significant. Warnings: a significant error within the tolerance, or a recording
     that does not decide. Of a network, the smallest set of scanners whose movement
     explains the differences is named: a minute of ordinary traffic is sufficient.
+    Of a robot that drives, a minute of ordinary driving is.
 
     Exit code 0: pass or warn; 1: a sensor fails, or nothing could be calibrated; 2: invalid input.
     """
@@ -122,6 +123,8 @@ def _compare(
     rig: Rig, recordings: list[str], given: ExtrinsicsFile, seed: int, cache: RecordingCache, engine: Engine
 ) -> tuple[Calibration, "ExtrinsicsComparison", Rig]:
     """The calibration from the recording, the comparison with the given poses, and the resolved rig."""
+    from calgraph.drive.audit import compare_drive_extrinsics
+    from calgraph.drive.options import DriveOptions
     from calgraph.network.options import NetworkOptions
     from calgraph.network.pipeline import compare_network_extrinsics
     from calgraph.rig.verification import compare_extrinsics
@@ -130,6 +133,10 @@ def _compare(
         options = NetworkOptions(seed=seed, engine=engine, cache=cache)
         with open_recordings(recordings, rig.settings.limits) as recording, progress_bars() as progress:
             return *compare_network_extrinsics(rig, recording, given, options, progress), rig
+    if rig.is_drive:
+        driven = DriveOptions(seed=seed, engine=engine)
+        with open_recordings(recordings, rig.settings.limits) as recording, progress_bars() as progress:
+            return *compare_drive_extrinsics(rig, recording, given, driven, progress), rig
     problem = _problem(rig, recordings, seed, cache, engine)
     return *compare_extrinsics(problem, given), problem.rig
 

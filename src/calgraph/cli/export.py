@@ -132,9 +132,8 @@ def export(
 def _check_poses_are_good(calibration: Calibration) -> None:
     """Raises CalibrationError if a pose is not good."""
     poor = [
-        f"{_grade(sensor)}; give --force to export it as it is, or --only good to leave it out"
-        for sensor in calibration.sensors
-        if sensor.verdict.grade != "good"
+        f"{line}; give --force to export it as it is, or --only good to leave it out"
+        for line in _list_poor(calibration, calibration.sensors)
     ]
     if poor:
         raise CalibrationError("\n".join(poor))
@@ -142,14 +141,18 @@ def _check_poses_are_good(calibration: Calibration) -> None:
 
 def _print_left_out(calibration: Calibration) -> None:
     """Names the sensors that are not exported, with the reason."""
-    left_out = [_grade(s) for s in calibration.sensors if s.parent is not None and s.verdict.grade != "good"]
+    left_out = _list_poor(calibration, [s for s in calibration.sensors if s.parent is not None])
     left_out += [f"{name} is not connected: {why}" for name, why in calibration.evidence.unconnected.items()]
     for line in left_out:
         console(stderr=True).print(f"Left out: {line}", markup=False, soft_wrap=True)
 
 
-def _grade(sensor: SensorPose) -> str:
-    return f"{sensor.name} is {sensor.verdict.grade}: {sensor.verdict.reason}"
+def _list_poor(calibration: Calibration, sensors: Sequence[SensorPose]) -> list[str]:
+    """Those of sensors, and the vehicle's frame, that are not good, with the reason."""
+    verdicts = {sensor.name: sensor.verdict for sensor in sensors}
+    if calibration.base:
+        verdicts[calibration.base.frame] = calibration.base.verdict
+    return [f"{name} is {one.grade}: {one.reason}" for name, one in verdicts.items() if one.grade != "good"]
 
 
 def _parse_joints(pairs: Sequence[str]) -> dict[str, str]:

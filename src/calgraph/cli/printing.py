@@ -12,7 +12,15 @@ from rich.markup import escape
 from calgraph.cli.console import console, make_table
 from calgraph.config import Intrinsics
 from calgraph.geometry import Array, se3
-from calgraph.result import Calibration, ErrorBudget, EstimatedParameter, Provenance, SensorPose, Verdict
+from calgraph.result import (
+    BaseFrame,
+    Calibration,
+    ErrorBudget,
+    EstimatedParameter,
+    Provenance,
+    SensorPose,
+    Verdict,
+)
 from calgraph.result.exports import roll_pitch_yaw
 from calgraph.result.reasons import share_clauses
 from calgraph.sensors.kinds import KINDS
@@ -28,6 +36,8 @@ def print_calibration(calibration: Calibration) -> None:
     output = console()
     output.print(f"[bold]Poses in the frame of {escape(calibration.root)}[/] (σ: along and about its worst axis)")
     _print_poses(output, calibration)
+    if calibration.base is not None:
+        _print_base(output, calibration.root, calibration.base)
     for sensor in calibration.sensors:
         if sensor.intrinsics is not None:
             _print_intrinsics(output, calibration, sensor.name, sensor.intrinsics)
@@ -71,6 +81,20 @@ def _print_poses(output: Console, calibration: Calibration) -> None:
             _GRADES[sensor.verdict.grade] if sensor.parent is not None else "",
         )
     output.print(table)
+
+
+def _print_base(output: Console, root: str, base: BaseFrame) -> None:
+    """Prints where the root is on the vehicle, ± σ along and about the axes of the vehicle, and the verdict."""
+    output.print(
+        escape(f"{root} in {base.frame}, on the floor below the {base.axle} axle (σ: by axis)"), style="bold"
+    )
+    from calgraph.report.formatting import format_base  # as in _deviations
+
+    for axis, value in format_base(base).items():
+        output.print(f"  {axis:5} {value}")
+    if base.verdict.grade != "good":
+        verdict = f"{base.frame} is {base.verdict.grade}: {base.verdict.reason}"
+        output.print(f"{_GRADES[base.verdict.grade]} {escape(verdict)}")
 
 
 def _print_verdicts(output: Console, calibration: Calibration) -> None:

@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, Strict, model_validator
 
+from calgraph.config.base_config import Base
 from calgraph.config.board_ambiguity import check_boards_distinguishable
 from calgraph.config.settings import Settings
 from calgraph.config.target import Board, Cylinder, People, Surroundings, Target, Tolerance
@@ -77,6 +78,8 @@ class Rig(StrictModel):
     target: Target
     """The target: boards, people, a cylinder or surroundings. The command calgraph board prints the block of a
     board."""
+    base: Base | None = None
+    """The vehicle's frame, of a robot that drives."""
     capture: Capture = Capture()
     """Intervals of the recording in which the target is searched for."""
     sensors: Annotated[dict[Name, SensorSpec], Field(min_length=1)]
@@ -154,6 +157,14 @@ class Rig(StrictModel):
         if self.is_drive and self.cameras() and not self.boards:
             cameras = ", ".join(self.cameras())
             raise invalid("target.boards", f"must list the boards in the room that cameras detect ({cameras})")
+        return self
+
+    @model_validator(mode="after")
+    def _base_is_of_drives(self) -> "Rig":
+        if self.base and not self.is_drive:
+            raise invalid("base", "applies to robots that drive only: other targets do not determine it")
+        if self.base and self.base.frame in {spec.frame_id for spec in self.sensors.values()}:
+            raise invalid("base.frame", f"is also the frame of a sensor, got {self.base.frame!r}")
         return self
 
     @model_validator(mode="after")

@@ -71,6 +71,8 @@ class Adjustment:
     """(G,) the unknowns that measurements of all parts share,"""
     shared_stddev: Array = field(default_factory=lambda: np.zeros(0))
     """(G,) and their standard deviations."""
+    responses: Sequence[Array] = ()
+    """By part, (C', P) change of its unknowns, the control points first, with the free parameters."""
 
 
 # Distances from a surface within which points are of it, m, by iteration: from errors of the start to noise.
@@ -135,6 +137,7 @@ def adjust_drive(
         residual_rms=noise.white,
         point_counts=np.sum([one.surfaces.white[:, 1] for one in reduced], axis=0),
         squared_step=float(step @ H @ step),
+        responses=[one.response()[:, :count] for one in reduced],
         shared=shared,
         shared_stddev=np.sqrt(np.diag(covariance)[count:]),
     )  # fmt: skip
@@ -169,6 +172,10 @@ class _Reduced:
     """(C',)."""
     surfaces: SurfaceEquations
     """With statistics of the noise."""
+
+    def response(self) -> Array:
+        """(C', P) the change of the part's unknowns with the sensors' parameters."""
+        return -np.asarray(cho_solve(self.factor, self.with_sensors), dtype=np.float64)
 
     def back_substitute(self, step: Array) -> Array:
         """(C',) the change of the part's unknowns that goes with a step of the sensors."""

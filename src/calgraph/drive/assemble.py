@@ -12,7 +12,7 @@ from calgraph.drive.evidence import collect_pictures
 from calgraph.drive.start import MotionStart
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2
-from calgraph.result import Calibration, Edge, Evidence, FitError, Pictures, SensorPose, Verdict
+from calgraph.result import BaseFrame, Calibration, Edge, Evidence, FitError, Pictures, SensorPose, Verdict
 from calgraph.result.estimated_parameter import EstimatedParameter
 from calgraph.result.finding import Finding
 from calgraph.verdict.grades import LONE_ROOT, collect_findings, grade_pose
@@ -52,6 +52,8 @@ class DriveResult:
     """By sensor that was adjusted, the images of boards; see :func:`measure_views`."""
     systematic: tuple[EstimatedParameter, ...] = ()
     """Errors of lenses and prints."""
+    base: BaseFrame | None = None
+    """The vehicle's frame, where rig.yaml states that there is one."""
 
 
 def assemble_drive(rig: Rig, result: DriveResult) -> Calibration:
@@ -67,7 +69,8 @@ def assemble_drive(rig: Rig, result: DriveResult) -> Calibration:
         state = adjusted.states[k] if adjusted else None
         T = np.eye(4) if state is None else _lift_pose(state.T_root_sensor)
         if k == 0:
-            verdict = Verdict("good") if adjusted else LONE_ROOT
+            located = result.base is not None and result.base.known
+            verdict = Verdict("good") if len(names) > 1 or located else LONE_ROOT
         else:
             assert adjusted is not None
             verdict = grade_pose(
@@ -95,6 +98,7 @@ def assemble_drive(rig: Rig, result: DriveResult) -> Calibration:
         sensors=tuple(sensors),
         joint_covariance=covariance,
         systematic=result.systematic,
+        base=result.base,
         evidence=Evidence(
             estimator="joint",
             tolerance=rig.tolerance,

@@ -9,6 +9,7 @@ import numpy as np
 from calgraph.config import Rig
 from calgraph.drive.adjustment import Adjustment, AdjustmentPriors, adjust_drive
 from calgraph.drive.assemble import DriveResult, assemble_drive, measure_views
+from calgraph.drive.base_verdict import assess_base
 from calgraph.drive.board_views import SharedErrors
 from calgraph.drive.board_world import chain_boards, describe_errors, measure_boards, state_estimates
 from calgraph.drive.measurements import DrivePart
@@ -80,12 +81,13 @@ def calibrate_sources(
     adjusted: Adjustment | None = None
     views: dict[str, Array] = {}
     systematic: tuple[EstimatedParameter, ...] = ()
-    if len(used) > 1 and rig.root in used:
+    if rig.root in used and (len(used) > 1 or (rig.base and isinstance(tracks[lead], Segments))):
         adjusted, systematic = _adjust(rig, used, sources, tracks, starts, options.seed, progress)
         views = {name: measure_views(adjusted, k) for k, name in enumerate(used)}
     if lead != rig.root:
         used, starts, adjusted = _express_in_root(rig.root, used, starts, adjusted)
-    result = DriveResult(used, frames, starts, adjusted, findings, views, systematic)
+    base = assess_base(rig, adjusted)
+    result = DriveResult(used, frames, starts, adjusted, findings, views, systematic, base)
     return assemble_drive(rig, result)
 
 

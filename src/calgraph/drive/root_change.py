@@ -11,6 +11,9 @@ from calgraph.drive.states import SensorState
 from calgraph.geometry import Array, Index, se_n
 from calgraph.surfaces.trajectory import SplineTrajectory, Track, fit_spline
 
+# Of parameters, in m, rad and s, for derivatives of the trajectory by them.
+_STEP = 1e-5
+
 
 def change_root(adjusted: Adjustment, root: int) -> Adjustment:
     """The solution with another root, which is first; parts have no measurements any more.
@@ -33,6 +36,8 @@ def change_root(adjusted: Adjustment, root: int) -> Adjustment:
     before[adjusted.free] = np.eye(before.shape[2])
     after = np.stack([_propagate(adjusted.states, before, k, root) for k in order])
     J = after[free[order]]
+    # The parameters are as many as before.
+    back = np.linalg.inv(J) if adjusted.responses else J
     return replace(
         adjusted,
         states=states,
@@ -42,6 +47,10 @@ def change_root(adjusted: Adjustment, root: int) -> Adjustment:
         shared_cells=adjusted.shared_cells[np.ix_(order, order)],
         residual_rms=adjusted.residual_rms[order],
         point_counts=adjusted.point_counts[order],
+        responses=[
+            _restate_response(part, response, adjusted, root) @ back
+            for part, response in zip(adjusted.parts, adjusted.responses, strict=True)
+        ],
     )
 
 
@@ -68,7 +77,47 @@ def _propagate(states: Sequence[SensorState], errors: Array, k: int, root: int) 
 def _restate_part(part: DrivePart, root: SensorState, order: Index) -> DrivePart:
     """The part with the trajectory of the new root by its clock, and points in the new order of sensors."""
     spline: SplineTrajectory = part.trajectory
-    times = np.linspace(spline.start, spline.end, len(spline.control) - 2)
-    track = Track(times + root.clock_offset, spline.at(times).poses @ root.T_root_sensor)
+    track = _track_root(spline, root, _list_knots(spline) + root.clock_offset)
     start, end = float(track.times[0]), float(track.times[-1])
     return DrivePart([part.points[k] for k in order], fit_spline(track, start, end, spline.spacing))
+
+
+def _list_knots(spline: SplineTrajectory) -> Array:
+    """Times of the knots, s."""
+    return np.linspace(spline.start, spline.end, len(spline.control) - 2)
+
+
+def _track_root(spline: SplineTrajectory, root: SensorState, times: Array) -> Track:
+    """The poses of the new root at times of its clock, s."""
+    return Track(times, spline.at(times - root.clock_offset).poses @ root.T_root_sensor)
+
+
+def _restate_response(part: DrivePart, response: Array, adjusted: Adjustment, root: int) -> Array:
+    """(C, P) change of the control points of the new root's trajectory with the parameters that were free."""
+    spline, state = part.trajectory, adjusted.states[root]
+    knots = _list_knots(spline)
+    times = knots + state.clock_offset
+    n = spline.reference.poses.shape[-1] - 1
+    found = []
+    for column, full in zip(response.T * _STEP, np.eye(adjusted.free.size)[adjusted.free.ravel()], strict=True):
+        own = _STEP * full.reshape(adjusted.free.shape)[root]
+        change = column[: spline.control.size].reshape(spline.control.shape)
+        both = [
+            _track_root(spline.moved(sign * change), state.moved(sign * own), times).poses for sign in (1.0, -1.0)
+        ]
+        turned = se_n.log(se_n.transpose(se_n.rotation(both[1])) @ se_n.rotation(both[0]))
+        moved = np.concatenate([se_n.translation(both[0]) - se_n.translation(both[1]), turned], axis=1)
+        # Both are coordinates of the spline, by whose values its control points are found.
+        found.append(np.concatenate([
+            _fit_control(some, times, spline.spacing) for some in (moved[:, :n], moved[:, n:])
+        ], axis=1).ravel() / (2 * _STEP))  # fmt: skip
+    return np.array(found).T
+
+
+def _fit_control(values: Array, times: Array, spacing: float) -> Array:
+    """(C, d) control points of the spline through values (N, d) at knots."""
+    d = values.shape[1]
+    wide = np.zeros((len(values), 3))
+    wide[:, :d] = values
+    track = Track(times, se_n.pose(np.tile(np.eye(3), (len(values), 1, 1)), wide))
+    return fit_spline(track, float(times[0]), float(times[-1]), spacing).control[:, :d]

@@ -12,6 +12,8 @@ from pathlib import Path
 from calgraph.calibrate.dispatch import calibrate
 from calgraph.calibrate.result_files import format_comparison, make_provenance, write_results
 from calgraph.config import Rig, load_rig
+from calgraph.drive.audit import compare_drive_extrinsics
+from calgraph.drive.options import DriveOptions
 from calgraph.fleet.plan import RecordingTask
 from calgraph.fleet.pose_set import PoseSet
 from calgraph.fleet.recording_result import FILE_NAME, Failure, RecordingResult, SensorResult, save_result
@@ -99,13 +101,15 @@ def _analyze(options: RunOptions, task: RecordingTask, folder: Path) -> Recordin
             if rig.is_network:
                 network_options = NetworkOptions(seed=task.seed, cache=cache)
                 calibration, comparison = compare_network_extrinsics(rig, recording, given, network_options)
+            elif rig.is_drive:
+                drive_options = DriveOptions(seed=task.seed)
+                calibration, comparison = compare_drive_extrinsics(rig, recording, given, drive_options)
             else:
                 problem = build_problem(rig, recording, RigOptions(seed=task.seed, cache=cache))
                 calibration, comparison = compare_extrinsics(problem, given)
                 rig = problem.rig
         else:
-            kind = NetworkOptions if rig.is_network else RigOptions
-            calibration = calibrate(rig, recording, kind(seed=task.seed, cache=cache))
+            calibration = calibrate(rig, recording, _make_options(rig, task.seed, cache))
             rig = state_calibrated_intrinsics(resolve_intrinsics(rig, recording), calibration)
         inputs = [task.rig, task.path, *([task.reference] if task.reference else [])]
         provenance = make_provenance(options.command, inputs, recording, cache)
@@ -114,6 +118,13 @@ def _analyze(options: RunOptions, task: RecordingTask, folder: Path) -> Recordin
     if comparison and task.reference:
         write_text(folder / "check.json", format_comparison(comparison, task.reference, rig.tolerance) + "\n")
     return _describe(task, calibration, rig, given, comparison)
+
+
+def _make_options(rig: Rig, seed: int, cache: RecordingCache) -> NetworkOptions | DriveOptions | RigOptions:
+    """The options of a calibration of this kind of rig."""
+    if rig.is_drive:
+        return DriveOptions(seed=seed)
+    return NetworkOptions(seed=seed, cache=cache) if rig.is_network else RigOptions(seed=seed, cache=cache)
 
 
 def _describe(

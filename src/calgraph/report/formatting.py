@@ -2,6 +2,11 @@
 
 import math
 
+import numpy as np
+
+from calgraph.result import BaseFrame
+from calgraph.result.exports import roll_pitch_yaw
+
 
 def format_significant(value: float, significant: int = 2) -> str:
     """A number with ``significant`` digits and no exponent."""
@@ -44,3 +49,23 @@ def format_angle(radians: float) -> str:
 def format_count(number: int, noun: str) -> str:
     """``1 capture``, ``2 captures``."""
     return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
+_AXES_OF_BASE = ("x", "y", "z", "roll", "pitch", "yaw")
+
+
+def format_base(base: BaseFrame) -> dict[str, str]:
+    """By axis, the place of the root on the vehicle, m, and its roll, pitch and yaw, degrees, ± σ if measured."""
+    if not base.known:
+        return {}
+    values = [*base.T_base_root[:3, 3], *np.degrees(roll_pitch_yaw(base.T_base_root[:3, :3]))]
+    texts = {}
+    for axis, value, stddev in zip(_AXES_OF_BASE, values, base.stddev, strict=True):
+        digits, unit, scale = (3, " m", 1.0) if axis in "xyz" else (2, "°", 180 / np.pi)
+        number = f"{round(value, digits) + 0.0:.{digits}f}"
+        if np.isfinite(stddev):
+            texts[axis] = f"{number} ±{scale * stddev:.{digits}f}{unit}"
+        else:
+            stated = axis in "xyz" and np.isfinite(value)
+            texts[axis] = f"{number}{unit} (stated)" if stated else "not measured"
+    return texts

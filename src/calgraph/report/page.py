@@ -17,6 +17,7 @@ from calgraph.report.capture_view import render_captures
 from calgraph.report.coverage_view import render_coverage
 from calgraph.report.drive_view import render_drive
 from calgraph.report.floor_view import render_floor_plan
+from calgraph.report.formatting import format_base
 from calgraph.report.fused_view import render_fused_cloud
 from calgraph.report.gallery import render_gallery
 from calgraph.report.graph_view import render_graph
@@ -115,7 +116,8 @@ def _render_poses(calibration: Calibration) -> Markup:
             )
             for sensor in calibration.sensors
         ]
-    return render("poses.html", calibration=calibration, poses=poses)
+    base_axes = format_base(calibration.base) if calibration.base else {}
+    return render("poses.html", calibration=calibration, poses=poses, base_axes=base_axes)
 
 
 def _list_provenance(provenance: Provenance | None) -> list[tuple[str, str]]:

@@ -1,5 +1,6 @@
 """The calibration found: poses, covariances, evidence; and its files for other programs."""
 
+from calgraph.result.base_frame import BaseFrame
 from calgraph.result.budget import ErrorBudget, ErrorSource
 from calgraph.result.budget_file import load_pair_budget, save_budget
 from calgraph.result.calibrated_cameras import (
@@ -43,11 +44,11 @@ from calgraph.result.sensor_pose import SensorPose, StatedPose, Verdict
 from calgraph.result.table import to_dataframe
 
 __all__ = [
-    "FORMATS", "BeamView", "BoardOutline", "BoardView", "Calibration", "CaptureRow", "Correction", "DrivePath",
-    "DriveStart", "DriveView", "Edge", "ErrorBudget", "ErrorSource", "EstimatedParameter", "Evidence",
-    "ExtrinsicsFile", "FitError", "FloorView", "HeldOutError", "InputFile", "ModelledBodies", "Pictures",
-    "PriorErrors", "Provenance", "Remedy", "SensorPose", "Snapshot", "StatedPose", "Suggestion", "Verdict",
-    "apply_estimates", "calibrated_cameras", "colorize_from_snapshots", "export", "join_covariances",
+    "FORMATS", "BaseFrame", "BeamView", "BoardOutline", "BoardView", "Calibration", "CaptureRow", "Correction",
+    "DrivePath", "DriveStart", "DriveView", "Edge", "ErrorBudget", "ErrorSource", "EstimatedParameter",
+    "Evidence", "ExtrinsicsFile", "FitError", "FloorView", "HeldOutError", "InputFile", "ModelledBodies",
+    "Pictures", "PriorErrors", "Provenance", "Remedy", "SensorPose", "Snapshot", "StatedPose", "Suggestion",
+    "Verdict", "apply_estimates", "calibrated_cameras", "colorize_from_snapshots", "export", "join_covariances",
     "load_calibration", "load_pair_budget", "load_scene", "read_extrinsics", "save_budget", "save_calibration",
     "save_captures", "save_residuals", "save_scene", "state_calibrated_intrinsics", "state_intrinsics",
     "to_dataframe", "to_json",

@@ -8,6 +8,7 @@ import numpy as np
 
 from calgraph.errors import CalibrationError, InputError
 from calgraph.geometry import Array, Index, se3
+from calgraph.result.base_frame import BaseFrame
 from calgraph.result.budget import ErrorBudget
 from calgraph.result.correction import Correction
 from calgraph.result.estimated_parameter import EstimatedParameter
@@ -97,6 +98,8 @@ class Calibration:
     networks."""
     budget: ErrorBudget | None = None
     """What the covariance comes from; None of the published estimators."""
+    base: BaseFrame | None = None
+    """The root on the vehicle, of a robot that drives; None where rig.yaml states no base."""
     corrections: Mapping[str, Correction] = field(default_factory=dict)
     """By sensor, its systematic parameters with their joint covariance; of rigs."""
 

@@ -14,12 +14,13 @@ from calgraph.config import Intrinsics
 from calgraph.geometry import Array, so3
 from calgraph.io.atomic import write_atomically, write_text
 from calgraph.io.text_writing import escape_formula, flow_sequence, format_yaml, format_yaml_number
+from calgraph.result.base_frame import BaseFrame
 from calgraph.result.budget import ErrorBudget
 from calgraph.result.calibration import Calibration, Provenance
 from calgraph.result.correction import Correction
 from calgraph.result.estimated_parameter import EstimatedParameter
 from calgraph.result.evidence import CaptureRow, Edge, FitError, HeldOutError, Remedy, Suggestion
-from calgraph.result.sensor_pose import SensorPose
+from calgraph.result.sensor_pose import SensorPose, Verdict
 
 FORMAT = "calgraph/1"
 _HEADER = """\
@@ -27,7 +28,8 @@ Poses map coordinates in a sensor's frame to the root's: translation in metres, 
 covariance: of (x, y, z, rx, ry, rz) along the root's fixed axes, m and rad. joint_covariance: of all sensors,
 one after the other, in the same axes; null: not measured. residual_rms of edges in m, of kinds
 in standard deviations (1 as expected from the noise). budget: standard deviations along and about
-the axes of each sensor, by source; their squares add up to the variances.
+the axes of each sensor, by source; their squares add up to the variances. base: of the root in the
+frame of the vehicle, covariance in its axes.
 """
 _CAPTURE_COLUMNS = ("capture", "start", "end", "sensor", "used", "reason", "residual")
 
@@ -43,6 +45,7 @@ def save_calibration(calibration: Calibration, path: Path | str) -> None:
     content: dict[str, Any] = {
         "format": FORMAT,
         "root": calibration.root,
+        **({"base": _base(base)} if (base := calibration.base) else {}),
         "sensors": {sensor.name: _sensor(sensor) for sensor in calibration.sensors},
         "quality": _quality(calibration),
     }
@@ -80,6 +83,16 @@ def _capture_row(row: CaptureRow) -> tuple[object, ...]:
     used = "yes" if row.used else "no"
     sensor, reason = escape_formula(row.sensor), escape_formula(row.reason)
     return row.capture, f"{row.start:.3f}", f"{row.end:.3f}", sensor, used, reason, residual
+
+
+def _base(base: BaseFrame) -> dict[str, Any]:
+    entry: dict[str, Any] = {"frame": base.frame, "axle": base.axle}
+    if base.known:
+        t, q = base.T_base_root[:3, 3], so3.quaternion(base.T_base_root[:3, :3])
+        entry["translation"] = flow_sequence(None if np.isnan(x) else x for x in _round_digits(t, 15))
+        entry["rotation"] = flow_sequence(_round_digits(q, 14))
+        entry["covariance"] = _symmetric(base.covariance, 9)
+    return {**entry, "verdict": _verdict(base.verdict)}
 
 
 def _sensor(sensor: SensorPose) -> dict[str, Any]:
@@ -136,7 +149,7 @@ def _quality(calibration: Calibration) -> dict[str, Any]:
         "estimator": calibration.evidence.estimator,
         **({"tolerance": tolerance.model_dump()} if (tolerance := calibration.evidence.tolerance) else {}),
         **({"bodies": asdict(bodies)} if (bodies := calibration.evidence.bodies) else {}),
-        "verdicts": {s.name: _verdict(s) for s in calibration.sensors},
+        "verdicts": {s.name: _verdict(s.verdict) for s in calibration.sensors},
         "unconnected": dict(calibration.evidence.unconnected),
         **({"remarks": list(calibration.evidence.remarks)} if calibration.evidence.remarks else {}),
         "residual_rms": {
@@ -200,9 +213,9 @@ def _board_pose(T_root_board: Array) -> dict[str, Any]:
     }
 
 
-def _verdict(sensor: SensorPose) -> dict[str, str]:
-    reason = {"reason": sensor.verdict.reason} if sensor.verdict.reason else {}
-    return {"grade": sensor.verdict.grade, **reason}
+def _verdict(verdict: Verdict) -> dict[str, str]:
+    reason = {"reason": verdict.reason} if verdict.reason else {}
+    return {"grade": verdict.grade, **reason}
 
 
 def _edges(edges: Sequence[Edge]) -> str:

@@ -17,6 +17,7 @@ from calgraph.errors import InputError
 from calgraph.geometry import Array, se3
 from calgraph.io.strict_model import StrictModel, invalid
 from calgraph.io.yaml_reading import read_yaml, validate_content
+from calgraph.result.base_frame import BaseFrame
 from calgraph.result.budget import ErrorBudget, ErrorSource
 from calgraph.result.calibration import Calibration, Provenance, join_covariances
 from calgraph.result.calibration_file import FORMAT
@@ -154,6 +155,16 @@ Vector3 = tuple[Distance, Distance, Distance]
 Quaternion = Annotated[tuple[Finite, Finite, Finite, Finite], AfterValidator(_check_unit_length)]
 
 
+def _check_of_pose(rows: Matrix6) -> None:
+    """Refuses what is no covariance of a pose."""
+    covariance = to_array(rows)
+    numbers = [value for row in rows for value in row if value is not None]
+    if np.isnan(numbers).any() or np.any(np.diag(covariance) < 0):
+        raise invalid("covariance", "must have variances of 0 or more on its diagonal and no NaN")
+    check_symmetric(covariance, "covariance")
+    check_semidefinite(covariance, "covariance")
+
+
 class _Sensor(StrictModel):
     parent: str | None = None
     """The parent in the tree; none for the root."""
@@ -176,12 +187,29 @@ class _Sensor(StrictModel):
 
     @model_validator(mode="after")
     def _numbers_make_sense(self) -> "_Sensor":
-        covariance = to_array(self.covariance)
-        numbers = [value for row in self.covariance for value in row if value is not None]
-        if np.isnan(numbers).any() or np.any(np.diag(covariance) < 0):
-            raise invalid("covariance", "must have variances of 0 or more on its diagonal and no NaN")
-        check_symmetric(covariance, "covariance")
-        check_semidefinite(covariance, "covariance")
+        _check_of_pose(self.covariance)
+        return self
+
+
+class _Base(StrictModel):
+    frame: FrameName
+    """The name of the vehicle's frame."""
+    axle: Literal["rear", "front", "middle"]
+    translation: tuple[Distance | None, Distance | None, Distance | None] | None = None
+    """The root in it, m."""
+    rotation: Quaternion | None = None
+    """Of the root, unit quaternion x, y, z, w."""
+    covariance: Matrix6 | None = None
+    """In the axes of the vehicle, m and rad."""
+    verdict: Verdict
+
+    @model_validator(mode="after")
+    def _is_whole(self) -> "_Base":
+        stated = [one is not None for one in (self.translation, self.rotation, self.covariance)]
+        if any(stated) != all(stated):
+            raise invalid("", "must have translation, rotation and covariance, or none of them")
+        if self.covariance:
+            _check_of_pose(self.covariance)
         return self
 
 
@@ -323,6 +351,8 @@ class _File(StrictModel):
     """Version of the file's format."""
     root: str
     """The sensor whose frame the poses are in."""
+    base: _Base | None = None
+    """The root on the vehicle."""
     sensors: dict[Name, _Sensor]
     """The sensors with their poses."""
     quality: _Quality
@@ -433,6 +463,7 @@ def load_calibration(path: Path | str) -> Calibration:
     systematic = tuple(EstimatedParameter(**vars(one)) for one in file.systematic)
     return Calibration(
         root=file.root,
+        base=_base(file.base) if file.base else None,
         sensors=tuple(_sensor(name, file.sensors[name], quality.verdicts[name]) for name in names),
         joint_covariance=_joint_covariance(file, names),
         systematic=systematic,
@@ -457,6 +488,14 @@ def load_calibration(path: Path | str) -> Calibration:
         provenance=file.provenance,
         budget=_budget(file.budget, names) if file.budget else None,
     )
+
+
+def _base(entry: _Base) -> BaseFrame:
+    if entry.translation is None or entry.rotation is None or entry.covariance is None:
+        return BaseFrame(entry.frame, entry.axle, entry.verdict)
+    t = np.array([np.nan if value is None else value for value in entry.translation])
+    T = se3.from_xyz_quaternion(t, np.array(entry.rotation))
+    return BaseFrame(entry.frame, entry.axle, entry.verdict, T, to_array(entry.covariance))
 
 
 def _sensor(name: str, entry: _Sensor, verdict: Verdict) -> SensorPose:

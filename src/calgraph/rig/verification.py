@@ -21,7 +21,7 @@ from calgraph.rig.checks.assemble import assemble_rig
 from calgraph.rig.checks.bootstrap import BootstrapScatter, bootstrap_poses
 from calgraph.rig.checks.remedies import find_remedies
 from calgraph.rig.pipeline import solve_jointly
-from calgraph.verdict.comparison import ExtrinsicsComparison, ResidualComparison, match_poses
+from calgraph.verdict.comparison import ExtrinsicsComparison, ResidualComparison, compare_poses, match_poses
 
 
 def bootstrap_covariances(
@@ -67,12 +67,7 @@ def compare_rig_poses(
     tolerance: Tolerance,
     settings: VerdictSettings,
 ) -> ExtrinsicsComparison:
-    """Compares given extrinsics with estimated ones.
-
-    A sensor fails along an axis if its error exceeds the tolerance and is significant, over all six axes and along
-    that axis. Significant errors within the tolerance are warnings, and so are axes whose uncertainty exceeds the
-    tolerance. Where several sensors fail in the frame of the root, the frame in which the fewest fail is used: if
-    the root has moved, all others appear to have moved.
+    """Compares given extrinsics with estimated ones, see :func:`calgraph.verdict.comparison.compare_poses`.
 
     Args:
         estimated: the calibration from the recording.
@@ -85,12 +80,7 @@ def compare_rig_poses(
         InputError: the root or all other sensors are not in the file, or nothing fixed connects them there.
     """
     matched = match_poses(estimated, given, tolerance, settings)
-    residuals = _compare_residuals(solved, matched.T_root_sensor) if solved else {}
-    comparisons = [matched.compare_in_frame(reference, residuals) for reference in matched.frames]
-    in_root = next(c for c in comparisons if c.reference == estimated.root)
-    # If one sensor fails, it or the reference has moved: the frame of the root is kept.
-    best = min(comparisons, key=lambda c: len(c.failed)) if len(in_root.failed) > 1 else in_root
-    return best if len(best.failed) < len(in_root.failed) else in_root
+    return compare_poses(matched, _compare_residuals(solved, matched.T_root_sensor) if solved else {})
 
 
 def _compare_residuals(solved: SolvedBundle, T_root_sensor: Mapping[str, Array]) -> dict[str, ResidualComparison]:

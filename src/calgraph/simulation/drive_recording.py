@@ -66,7 +66,14 @@ def record_drive(scenario: DriveScenario, out: Path, progress: Callable[[int, in
     truth = drive.truth
     save_truth(
         out / "truth.yaml",
-        GroundTruth(drive.root, truth.T_root_sensor, (), truth.clock_offsets, errors=_describe_faults(scenario)),
+        GroundTruth(
+            drive.root,
+            truth.T_root_sensor,
+            (),
+            truth.clock_offsets,
+            errors=_describe_faults(scenario),
+            T_base_root=truth.T_base_root,
+        ),
     )
     rows = np.column_stack(
         [truth.times, truth.T_world_root[:, :3, 3], so3.quaternion(truth.T_world_root[:, :3, :3])]

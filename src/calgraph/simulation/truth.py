@@ -67,6 +67,8 @@ class GroundTruth:
     """The moving bodies of a network."""
     errors: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     """By scanner of a network, what is wrong with it."""
+    T_base_root: Array | None = None
+    """(4, 4) of the root on a vehicle, in the frame on the floor below the centre of its rear axle."""
 
 
 def save_truth(path: Path, truth: GroundTruth) -> None:
@@ -85,6 +87,8 @@ def save_truth(path: Path, truth: GroundTruth) -> None:
         for b in truth.boards
     ]
     content: dict[str, Any] = {"format": _FORMAT, "root": truth.root, "sensors": sensors, "captures": captures}
+    if truth.T_base_root is not None:
+        content["base"] = _pose_entry(truth.T_base_root)
     if sum(len(person.times) for person in truth.people) > _MAX_SAMPLES:
         archive = f"{path.stem}_people.npz"
         content["people"] = archive
@@ -116,6 +120,7 @@ def load_truth(path: Path) -> GroundTruth:
             {name: entry["clock_offset"] for name, entry in content["sensors"].items() if "clock_offset" in entry},
             _read_people(path, content.get("people", ())),
             {name: entry["errors"] for name, entry in content["sensors"].items() if "errors" in entry},
+            _read_pose(content["base"]) if "base" in content else None,
         )
     except KeyError as error:
         raise InputError(f"{path}: the key {error.args[0]!r} is missing") from error

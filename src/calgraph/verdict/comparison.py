@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
@@ -134,6 +135,8 @@ class MatchedPoses:
     """Frame in the file by sensor, of all sensors that the file contains; the root is among them."""
     tolerance: Tolerance
     settings: VerdictSettings
+    data: str = ""
+    """What the estimates are from, in the plural; captures or tracks if empty."""
 
     @property
     def T_root_sensor(self) -> dict[str, Array]:
@@ -220,7 +223,7 @@ class MatchedPoses:
         if not undecided:
             return ""
         factor, sensor = max((axis.captures_needed, name) for name, _, axis in undecided)
-        data = "tracks" if self.estimated.planar else "captures"
+        data = self.data or ("tracks" if self.estimated.planar else "captures")
         used = sum(row.used for row in self.estimated.evidence.captures if row.sensor == sensor)
         known = next((one for one in self.estimated.evidence.remedies if one.sensor == sensor), None)
         if known and reference == self.estimated.root and all(axis.of_estimate for _, _, axis in undecided):
@@ -229,6 +232,8 @@ class MatchedPoses:
             remedy = f"no recording decides {sensor}, as the given pose itself is too uncertain"
         elif factor > _MAX_FACTOR:
             remedy = f"{data} that determine {sensor} in other directions than these"
+        elif not used:
+            remedy = f"a recording that is at least {np.ceil(10 * factor) / 10:g} times as long"
         else:
             remedy = f"at least {int(np.ceil(factor * used))} {data} of {sensor} like the {used} that were used"
         sources = "".join(f"; {clause}" for clause in self._describe_sources(sensor, undecided))
@@ -254,8 +259,28 @@ class MatchedPoses:
         return describe_largest(self.estimated.budget.shares_by_source(k), axis, f"{name} of {sensor}")
 
 
+def compare_poses(
+    matched: MatchedPoses, residuals: Mapping[str, ResidualComparison] = MappingProxyType({})
+) -> ExtrinsicsComparison:
+    """Compares given extrinsics with estimated ones, in the frame in which the fewest sensors fail.
+
+    A sensor fails along an axis if its error exceeds the tolerance and is significant, over all six axes and along
+    that axis. Significant errors within the tolerance are warnings, and so are axes whose uncertainty exceeds the
+    tolerance. If the root has moved, all others appear to have moved.
+
+    Args:
+        matched: the extrinsics and the estimate.
+        residuals: by sensor, under both.
+    """
+    comparisons = [matched.compare_in_frame(reference, residuals) for reference in matched.frames]
+    in_root = next(c for c in comparisons if c.reference == matched.estimated.root)
+    # If one sensor fails, it or the reference has moved: the frame of the root is kept.
+    best = min(comparisons, key=lambda c: len(c.failed)) if len(in_root.failed) > 1 else in_root
+    return best if len(best.failed) < len(in_root.failed) else in_root
+
+
 def match_poses(
-    estimated: Calibration, given: ExtrinsicsFile, tolerance: Tolerance, settings: VerdictSettings
+    estimated: Calibration, given: ExtrinsicsFile, tolerance: Tolerance, settings: VerdictSettings, data: str = ""
 ) -> MatchedPoses:
     """Matches the sensors of a calibration with the frames of given extrinsics.
 
@@ -264,7 +289,7 @@ def match_poses(
     """
     frame_ids = {sensor.name: sensor.frame_id for sensor in estimated.sensors}
     given.frame_of_sensor(estimated.root, frame_ids)
-    return MatchedPoses(estimated, given, given.frames_of_sensors(frame_ids), tolerance, settings)
+    return MatchedPoses(estimated, given, given.frames_of_sensors(frame_ids), tolerance, settings, data)
 
 
 def _grade_axes(

@@ -41,6 +41,8 @@ def frame_ids(calibration: Calibration) -> dict[str, str]:
     for name, frame in by_sensor.items():
         if not frame:
             raise InputError(f"sensor {name!r} has no frame_id; give it one in rig.yaml (sensors.{name}.frame_id)")
+    if calibration.base and calibration.base.frame in by_sensor.values():
+        raise InputError(f"{calibration.base.frame!r} is the vehicle's frame, and that of a sensor, too")
     frame, count = Counter(by_sensor.values()).most_common(1)[0]
     if count > 1:
         same = [name for name in by_sensor if by_sensor[name] == frame]
@@ -68,7 +70,8 @@ def keep_good_poses(calibration: Calibration) -> Calibration:
     """
     parent_of = {sensor.name: sensor.parent for sensor in calibration.sensors}
     good = [k for k, s in enumerate(calibration.sensors) if s.parent is None or s.verdict.grade == "good"]
-    if len(good) == 1:
+    base = calibration.base if calibration.base and calibration.base.verdict.grade == "good" else None
+    if len(good) == 1 and base is None:
         raise CalibrationError("there is nothing to export: no pose is good")
     names = {calibration.sensors[k].name for k in good}
     sensors = []
@@ -81,6 +84,7 @@ def keep_good_poses(calibration: Calibration) -> Calibration:
     errors = calibration.prior_errors
     return replace(
         calibration,
+        base=base,
         sensors=tuple(sensors),
         joint_covariance=calibration.joint_covariance[np.ix_(rows, rows)],
         prior_errors=errors and replace(errors, poses=errors.poses[rows]),
@@ -88,13 +92,22 @@ def keep_good_poses(calibration: Calibration) -> Calibration:
 
 
 def tree_edges(calibration: Calibration) -> list[TreeEdge]:
-    """The edges of the tree, parents before their children; raises as :func:`frames` does."""
+    """The edges of the tree, parents before their children; the vehicle's frame is above the root.
+
+    Raises:
+        InputError: as for :func:`frame_ids`.
+    """
     frame_of = frame_ids(calibration)
     children: dict[str, list[str]] = {}
     for sensor in calibration.sensors:
         if sensor.parent is not None:
             children.setdefault(sensor.parent, []).append(sensor.name)
-    found: list[TreeEdge] = []
+    base = calibration.base
+    found = (
+        [TreeEdge(base.frame, frame_of[calibration.root], base.complete())]
+        if base is not None and base.known
+        else []
+    )
     waiting = [calibration.root]
     while waiting:
         parent = waiting.pop(0)
@@ -106,6 +119,13 @@ def tree_edges(calibration: Calibration) -> list[TreeEdge]:
 
 def describe_origin(calibration: Calibration) -> str:
     """Where the transforms are from, for the comment of a file."""
+    base = calibration.base
+    if base is not None and base.known:
+        axes = (
+            f" {', '.join(base.missing)} of {calibration.root} in it: 0, as not measured." if base.missing else ""
+        )
+        origin = f"{base.frame} is on the floor below the centre of the {base.axle} axle.{axes}"
+        return f"{describe_origin(replace(calibration, base=None))} {origin}"
     if not calibration.planar:
         return "Calibrated by calgraph."
     stated = any(sensor.stated for sensor in calibration.sensors)

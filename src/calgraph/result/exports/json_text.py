@@ -6,6 +6,7 @@ import numpy as np
 
 from calgraph.geometry import so3
 from calgraph.io.text_writing import format_json
+from calgraph.result.base_frame import BaseFrame
 from calgraph.result.calibration import Calibration
 from calgraph.result.calibration_file import FORMAT, budget_deviations
 from calgraph.result.correction import Correction
@@ -24,6 +25,7 @@ def to_json(calibration: Calibration) -> str:
         "root": calibration.root,
         "estimator": evidence.estimator,
         "bodies": evidence.bodies and vars(evidence.bodies),
+        "base": calibration.base and _base(calibration.base),
         "sensors": {sensor.name: _sensor(sensor) for sensor in calibration.sensors},
         "systematic": [vars(one) for one in calibration.systematic],
         "corrections": {name: _correction(one) for name, one in calibration.corrections.items()},
@@ -46,6 +48,10 @@ def to_json(calibration: Calibration) -> str:
             for view in pictures.floor_views
         ],
     })  # fmt: skip
+
+
+def _base(base: BaseFrame) -> dict[str, Any]:
+    return {**vars(base), "verdict": vars(base.verdict)}
 
 
 def _sensor(sensor: SensorPose) -> dict[str, Any]:

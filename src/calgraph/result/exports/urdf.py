@@ -31,8 +31,9 @@ def to_urdf(calibration: Calibration) -> str:
         InputError: a sensor has no frame_id, or two have the same.
     """
     lines = ['<?xml version="1.0"?>', f"<!-- {describe_origin(calibration)} -->", '<robot name="calgraph">']
-    lines += [f"  <link name={_quote(frame)}/>" for frame in frame_ids(calibration).values()]
-    for link in tree_edges(calibration):
+    edges, frames = tree_edges(calibration), frame_ids(calibration).values()
+    lines += [f"  <link name={_quote(frame)}/>" for frame in dict.fromkeys([*(e.parent for e in edges), *frames])]
+    for link in edges:
         lines += _joint(link)
     return "\n".join([*lines, "</robot>", ""])
 
@@ -84,6 +85,7 @@ def update_urdf(calibration: Calibration, urdf: str, joints_of_sensors: Mapping[
     joints = read_joints(urdf)
     frame_tree = frames_from_joints(joints)
     poses = _poses_of_links(calibration, frame_tree)
+    poses |= _pose_of_base(calibration, frame_tree)
     root = frame_ids(calibration)[calibration.root]
     anchor = [link for link in frame_tree.ancestry(root) if link in poses][-1]
     poses = _choose_joints(calibration, joints, frame_tree, poses, anchor, joints_of_sensors or {})
@@ -115,6 +117,16 @@ def _poses_of_links(calibration: Calibration, frame_tree: FrameTree) -> dict[str
     if not calibration.planar or stated:
         return poses
     return {frame: _keep_out_of_plane(T, frame_tree.transform(root, frame)) for frame, T in poses.items()}
+
+
+def _pose_of_base(calibration: Calibration, frame_tree: FrameTree) -> dict[str, Array]:
+    """``T_root_base`` (4, 4) of the vehicle's link, if it carries the root; what is not measured is the URDF's."""
+    base, root = calibration.base, frame_ids(calibration)[calibration.root]
+    if base is None or not base.known or base.frame not in frame_tree.ancestry(root):
+        return {}
+    before = frame_tree.transform(base.frame, root)
+    T = base.complete(before)
+    return {base.frame: se3.inverse(_keep_out_of_plane(T, before) if "z" in base.missing else T)}
 
 
 def _choose_joints(

@@ -1,0 +1,37 @@
+"""The verdict on the frame of a vehicle, and what the drive leaves open."""
+
+import numpy as np
+
+from calgraph.config import Rig
+from calgraph.drive.adjustment import Adjustment
+from calgraph.drive.vehicle import locate_root
+from calgraph.errors import Rejected
+from calgraph.geometry import se3
+from calgraph.result import BaseFrame, Verdict
+from calgraph.verdict.grades import grade_pose
+
+_ADVICE = "drive for a minute on a level floor, with curves to both sides and straight parts"
+
+
+def assess_base(rig: Rig, adjusted: Adjustment | None) -> BaseFrame | None:
+    """The root on the vehicle with a verdict; None where rig.yaml states no ``base``."""
+    base = rig.base
+    if base is None:
+        return None
+    found = locate_root(adjusted, inverted=base.inverted) if adjusted else Rejected("the root has no trajectory")
+    if isinstance(found, Rejected):
+        return BaseFrame(base.frame, base.axle, Verdict("unobservable", f"{found.reason}; {_ADVICE}"))
+    T, measured = found.T_base_root, ~np.isnan(np.diag(found.covariance))
+    t = np.where(measured[:3], T[:3, 3], np.nan)
+    t[1] = np.nan if base.y is None else base.y
+    # x, which curves determine, belongs to any vehicle; a scan plane has no height, roll and pitch.
+    covariance = np.nan_to_num(found.covariance)
+    if not measured[0]:
+        covariance[0, 0] = np.inf
+    open_side = f"y of {rig.root} in {base.frame} is not observable from a drive: measure it, and state base.y"
+    verdict = grade_pose(
+        base.frame, rig.sensors[rig.root].kind, np.eye(4), covariance, [open_side] if base.y is None else [],
+        tolerance=rig.tolerance, settings=rig.settings.diagnostics.verdict,
+        data="motions", advice=_ADVICE,
+    )  # fmt: skip
+    return BaseFrame(base.frame, base.axle, verdict, se3.pose(T[:3, :3], t), found.covariance)

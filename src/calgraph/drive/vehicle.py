@@ -1,0 +1,323 @@
+"""The frame of the vehicle: where the root is above the floor, and from the axle whose wheels do not steer.
+
+The centre of that axle moves along the vehicle and not sideways. While the vehicle moves and turns, as the root
+measures both, it has therefore moved sideways by
+
+    e = Σ ȳ · Δp  +  x Σ Δθ  +  κ Σ |v| v Δθ  =  0
+
+with the sum over steps of a tenth of a second, ``ȳ`` the vehicle's left in the middle of a step, ``Δp`` the step
+of the point of the floor below the root, ``Δθ`` the turn, ``x`` the distance to the axle, and ``κ`` the slip of
+tyres, whose angle grows with the sideways acceleration. Steps are added up before they are compared, as velocities
+are too uncertain: regression on them is biased (errors in variables). Where the axle is to the side is not in it.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, fields, replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import savgol_filter
+
+from calgraph.drive.adjustment import Adjustment
+from calgraph.drive.floor import axes_from, mean_rotations, measure_level
+from calgraph.drive.measurements import DrivePart
+from calgraph.drive.states import SensorState
+from calgraph.errors import Rejected
+from calgraph.geometry import STDDEV_PER_MAD, Array, Index, measure_lengths, se2, se3, se_n, so3
+
+# Steps in which the heading is taken from the middle, s: knots of trajectories are as dense.
+_STEP = 0.1
+# Steps over which accelerations are smoothed.
+_SMOOTHED = 7
+# Steps that are added up to a chord: 0.6 s, in which a robot moves by 100 times the noise of its trajectory.
+_CHORD = 6
+# Chords that are left out together to see how results scatter (jackknife), 4.2 s: errors of trajectories, waves of
+# floors and slip last for a second or two.
+_BLOCK = 7
+# More than a part has.
+_MAX_BLOCKS = 10**6
+# Least number of such intervals: with fewer, their scatter is no standard deviation.
+_MIN_BLOCKS = 6
+# Motions of a chord below which the vehicle stands, m and rad: ten times the noise of a trajectory.
+_STANDING = 0.02, 0.01
+# Way and turns that yaw and axle need in all, m and rad: errors of 2 mm of single chords are then 0.1 degrees, and
+# 2 mm.
+_MIN_WAY, _MIN_TURN = 3.0, 1.0
+_NO_FRONT = Rejected("the vehicle hardly drove straight on, without which nothing shows where its front is")
+# Share of the way ahead: with less, a vehicle that reverses for long may be taken for one that drives ahead.
+_MIN_AHEAD = 0.6
+# Standard deviation of the slip, s²/m: tyres of rubber take 8 to 20 g per radian of their slip angle.
+_SLIP, _NO_SLIP = 0.008, 1e-6
+# Distances from the axle to the middle of the vehicle, m: of robots, and of cars.
+_HALF_WHEELBASES = (0.0, 0.2, 0.4, 0.6, 0.8, 1.1, 1.4)
+# What all measurements of the floor have in common, m and rad: ranges at grazing incidence, and beams' elevations,
+# which makers state to 0.1 degrees, averaged over the beams that meet the floor.
+_HEIGHT_STDDEV, _TILT_STDDEV = 0.003, 3e-4
+# Length of the way for which a floor tilts to one side, m.
+_WAVE = 3.0
+
+
+@dataclass(frozen=True, eq=False)
+class VehiclePose:
+    """The root in the frame on the floor below the centre of the axle: x ahead, y to the left, z up."""
+
+    T_base_root: Array
+    """(4, 4); 0 for what the covariance does not have."""
+    covariance: Array
+    """(6, 6) in the axes of the vehicle, m and rad; NaN for what was not measured, y always."""
+
+
+def locate_root(adjusted: Adjustment, *, inverted: bool = False) -> VehiclePose | Rejected:
+    """The root on the vehicle, from the trajectory and the floor of an adjusted drive.
+
+    Args:
+        adjusted: the drive.
+        inverted: whether the root's z axis points down.
+    """
+    measure = partial(_measure_chords, inverted=inverted)
+    pose = fit_pose(measure(adjusted.parts, adjusted.states, np.zeros((2, 3))))
+    if isinstance(pose, Rejected):
+        return pose
+    places = _choose_places(partial(measure, adjusted.parts, adjusted.states), pose)
+    chords = measure(adjusted.parts, adjusted.states, places)
+    pose = fit_pose(chords)
+    if isinstance(pose, Rejected):
+        return pose
+    covariance = scatter_of(chords, pose)
+    if isinstance(covariance, Rejected):
+        return covariance
+    covariance += _floor_covariance(chords)
+    # What the drive leaves open of ranges and poses of sensors changes the trajectory, and the floor with it.
+    stddev = np.sqrt(np.diag(adjusted.covariance))
+    by_state = np.zeros((6, len(stddev)))
+    for k, step in enumerate(np.diag(stddev)):
+        moved = fit_pose(measure(*_move(adjusted, step), places))
+        by_state[:, k] = 0.0 if isinstance(moved, Rejected) else se3.difference(moved, pose) / stddev[k]
+    covariance += by_state @ adjusted.covariance @ by_state.T
+    planar = adjusted.parts[0].points[0].points.shape[1] == 2
+    known = np.array([chords.turned(pose) > _MIN_TURN, False, *[not planar] * 3, True])
+    covariance[~known], covariance[:, ~known] = np.nan, np.nan
+    return VehiclePose(se3.pose(pose[:3, :3], np.where(known[:3], pose[:3, 3], 0.0)), covariance)
+
+
+def _floor_covariance(chords: "Chords") -> Array:
+    """(6, 6) what the floor adds: it tilts to one side for metres, and is measured with errors in common."""
+    tilt = _scatter_of_level(chords)
+    places = max(float(measure_lengths(chords.shift.sum(axis=1)).sum()) / _WAVE, 1.0)
+    variance = tilt**2 / places + _TILT_STDDEV**2
+    return np.diag([0.0, 0.0, _HEIGHT_STDDEV**2, variance, variance, 0.0])
+
+
+def _move(adjusted: Adjustment, step: Array) -> tuple[list[DrivePart], list[SensorState]]:
+    """The parts with their trajectories, and the sensors, after a step (P,) of the free parameters."""
+    full = np.zeros(adjusted.free.shape)
+    full[adjusted.free] = step
+    parts = []
+    for part, response in zip(adjusted.parts, adjusted.responses, strict=True):
+        control = part.trajectory.control
+        change = (response @ step)[: control.size].reshape(control.shape)
+        parts.append(replace(part, trajectory=part.trajectory.moved(change)))
+    return parts, [state.moved(one) for state, one in zip(adjusted.states, full, strict=True)]
+
+
+def _choose_places(measure: Callable[[Array], "Chords"], pose: Array) -> Array:
+    """(2, 3) in the frame of the root: where the floor is parallel to the vehicle, and the axle.
+
+    A vehicle stands on two axles, of which one is unknown: its tilt follows the floor in the middle between them,
+    which is where the floor explains most of the tilt.
+    """
+    axle = -pose[:3, :3].T @ pose[:3, 3]
+    ahead = [axle + distance * pose[0, :3] for distance in _HALF_WHEELBASES]
+    scatter = [_scatter_of_level(measure(np.array([place, axle]))) for place in ahead]
+    return np.array([ahead[int(np.argmin(scatter))], axle])
+
+
+def _scatter_of_level(chords: "Chords") -> float:
+    """Mean deviation of the floor's normals in the frame of the root, rad."""
+    known = np.isfinite(chords.level).all(axis=2)
+    return _fit_level(chords.level[known], chords.acceleration[known])[1] if known.any() else np.inf
+
+
+def _measure_chords(
+    parts: Sequence[DrivePart], states: Sequence[SensorState], places: Array, *, inverted: bool
+) -> "Chords":
+    """The motions of all parts, with the floor below places (2, 3) in the frame of the root."""
+    up = np.array([0.0, 0.0, -1.0 if inverted else 1.0])
+    found = []
+    for k, part in enumerate(parts):
+        poses = _take_steps(part)
+        if part.points[0].points.shape[1] == 2:
+            level = np.tile([*up, 0.0, 0.0, 0.0], (len(poses) - 1, 1))
+        else:
+            # Poses of other sensors may be uncertain: their points count where the root measures no floor.
+            level = measure_level(_world_points(part, states, [0]), poses, up, places)
+            if not np.isfinite(level).all(axis=1).any():
+                level = measure_level(_world_points(part, states, range(len(states))), poses, up, places)
+        found.append(join_chords(poses, level, k))
+    return Chords(*(np.concatenate([getattr(one, f.name) for one in found]) for f in fields(Chords)))
+
+
+def _take_steps(part: DrivePart) -> Array:
+    """(K, 4, 4) poses of the root in the world of a part, a step apart."""
+    trajectory = part.trajectory
+    poses = trajectory.at(np.arange(trajectory.start, trajectory.end, _STEP)).poses
+    return se2.to_se3(poses) if poses.shape[-1] == 3 else poses
+
+
+def _world_points(part: DrivePart, states: Sequence[SensorState], sensors: Iterable[int]) -> Array:
+    """(N, 3) points of some sensors in the world of a part."""
+    world = []
+    for measured, state in ((part.points[k], states[k]) for k in sensors):
+        times = measured.times - state.clock_offset
+        inside = (times >= part.trajectory.start) & (times <= part.trajectory.end)
+        p = measured.points[inside]
+        ranges = measure_lengths(p)
+        p = p * (1 - state.range_scale - state.range_bias / ranges)[:, None]
+        T = part.trajectory.at(times[inside]).poses @ state.T_root_sensor
+        world.append((se_n.rotation(T) @ p[:, :, None])[..., 0] + se_n.translation(T))
+    return np.concatenate(world)
+
+
+@dataclass(frozen=True, eq=False)
+class Chords:
+    """Motions during C chords of S steps in the frame of the root, and the floor below it."""
+
+    shift: Array
+    """(C, S, 3) of the root along its axes in the middle of each step, m."""
+    turn: Array
+    """(C, S, 3) rotation vectors of the steps along these axes, rad."""
+    acceleration: Array
+    """(C, S, 3) along these axes, m/s²."""
+    level: Array
+    """(C, S, 6) upward normal of the floor, and a point of it, m; NaN where they are not known."""
+    block: Index
+    """(C,) number of the interval that is left out with each."""
+
+    def select(self, index: NDArray[np.bool_]) -> "Chords":
+        """Some of them."""
+        return Chords(*(getattr(self, field.name)[index] for field in fields(self)))
+
+    def turned(self, T_base_root: Array) -> float:
+        """Sum of the turns about the vertical axis to either side, rad."""
+        return float(np.abs(self.turn.sum(axis=1) @ T_base_root[2, :3]).sum())
+
+
+def join_chords(poses: Array, level: Array, part: int = 0) -> Chords:
+    """The chords of a path.
+
+    Args:
+        poses: (K, 4, 4) of the root, a step apart.
+        level: (K - 1, 6) by step, see :func:`measure_level`.
+        part: its number, so that intervals of parts differ.
+    """
+    R, t = se_n.rotation(poses), se_n.translation(poses)
+    middle = se_n.transpose(mean_rotations(poses))
+    speed = savgol_filter(np.diff(t, axis=0) / _STEP, _SMOOTHED, 2, deriv=1, delta=_STEP, axis=0)
+    used = len(level) // _CHORD * _CHORD
+    columns = (
+        np.einsum("kij,kj->ki", middle, np.diff(t, axis=0)),
+        np.einsum("kij,kj->ki", middle, se_n.log(R[1:] @ se_n.transpose(R[:-1]))),
+        np.einsum("kij,kj->ki", middle, speed),
+        level,
+    )
+    shift, turn, acceleration, floor = (one[:used].reshape(-1, _CHORD, one.shape[1]) for one in columns)
+    block = part * _MAX_BLOCKS + np.arange(used // _CHORD) // _BLOCK
+    return Chords(shift, turn, acceleration, floor, block)
+
+
+def scatter_of(chords: Chords, pose: Array) -> Array | Rejected:
+    """Covariance (6, 6) of a pose: its scatter when intervals are left out (jackknife), and what slip changes."""
+    fitted = [fit_pose(chords.select(chords.block != one)) for one in np.unique(chords.block)]
+    poses = [one for one in fitted if not isinstance(one, Rejected)]
+    if len(poses) < max(_MIN_BLOCKS, len(fitted)):
+        return Rejected("the drive is too short for the vehicle's frame: drive for a minute, with curves")
+    errors = se3.difference(np.array(poses), pose)
+    errors = errors - errors.mean(axis=0)
+    # Tyres slip in other ways than the model has: what it corrects is as uncertain as it is large.
+    without = fit_pose(chords, _NO_SLIP)
+    by_slip = np.zeros(6) if isinstance(without, Rejected) else se3.difference(without, pose)
+    return np.asarray((len(errors) - 1) / len(errors) * errors.T @ errors + np.outer(by_slip, by_slip))
+
+
+def fit_pose(chords: Chords, max_slip: float = _SLIP) -> Array | Rejected:
+    """(4, 4) ``T_base_root``, with y = 0; the slip of tyres has a standard deviation, s²/m."""
+    known = np.isfinite(chords.level).all(axis=2)
+    if not known.any():
+        return Rejected("no floor was found below the root's path: no scanner measures where the vehicle drives")
+    mean, _ = _fit_level(chords.level[known], chords.acceleration[known])
+    up = mean[:3] / np.linalg.norm(mean[:3])
+    height = -float(up @ mean[3:])
+    R = axes_from(up)
+    # The point of the floor below the root moves against its turns.
+    steps = (chords.shift - np.cross(chords.turn, height * up)) @ R
+    fitted = fit_axle(steps[..., :2], chords.turn @ up, max_slip)
+    if isinstance(fitted, Rejected):
+        return fitted
+    angle, x = fitted
+    R_root_base = R @ so3.exp(np.array([0.0, 0.0, angle]))
+    return np.asarray(se3.pose(R_root_base.T, np.array([-x, 0.0, height])))
+
+
+def _fit_level(level: Array, acceleration: Array) -> tuple[Array, float]:
+    """(6,) of normals and points (K, 6) at rest, and the mean deviation of normals.
+
+    Bodies lean out of curves, and dive when they brake.
+
+    Outliers, as on the edges of ramps, weigh little (Geman–McClure).
+    """
+    center = np.median(level, axis=0)
+    up = center[:3] / np.linalg.norm(center[:3])
+    design = np.column_stack([np.ones(len(level)), acceleration @ axes_from(up)[:, :2]])
+    solution = np.zeros((3, 6))
+    solution[0] = center
+    for _ in range(10):
+        error = level - design @ solution
+        scale = STDDEV_PER_MAD * np.median(np.abs(error), axis=0) + 1e-9
+        weight = (1 + np.sum((error / (3 * scale)) ** 2, axis=1)) ** -2.0
+        N = (design * weight[:, None]).T @ design + np.diag([0.0, 1.0, 1.0]) * 1e-3
+        solution = np.linalg.solve(N, (design * weight[:, None]).T @ level)
+    error = level - design @ solution
+    return np.asarray(solution[0]), float(measure_lengths(error[:, :3]).mean())
+
+
+def fit_axle(steps: Array, turns: Array, max_slip: float = _SLIP) -> tuple[float, float] | Rejected:
+    """The vehicle's heading in the plane, rad, and the distance of its axle ahead of the root, m.
+
+    Args:
+        steps: (C, S, 2) of the point below the root, along the root's level axes, m.
+        turns: (C, S) to the left, rad.
+        max_slip: standard deviation of κ before the drive, s²/m.
+    """
+    shift, turn = steps.sum(axis=1), turns.sum(axis=1)
+    moving = (np.linalg.norm(shift, axis=1) > _STANDING[0]) | (np.abs(turn) > _STANDING[1])
+    steps, turns, shift, turn = steps[moving], turns[moving], shift[moving], turn[moving]
+    weight = np.ones(len(turn))
+    slip = np.zeros(len(turn))
+    scale, angle, distance = 0.01, 0.0, 0.0
+    for _ in range(20):
+        # e = left · shift + B (x, κ); the best (x, κ) of each heading leaves a quadratic form of it.
+        B = np.column_stack([turn, slip])
+        N = (B * weight[:, None]).T @ B + np.diag([1e-9, (scale / max_slip) ** 2])
+        C = (B * weight[:, None]).T @ shift
+        M = (shift * weight[:, None]).T @ shift - C.T @ np.linalg.solve(N, C)
+        values, vectors = np.linalg.eigh(M)
+        if values[1] < 0.1 * _MIN_WAY:
+            return _NO_FRONT
+        left = vectors[:, 0]
+        ahead = np.array([left[1], -left[0]])
+        x, kappa = -np.linalg.solve(N, C @ left)
+        speeds = steps @ ahead
+        if speeds.sum() < 0:
+            left, ahead, x, kappa, speeds = -left, -ahead, -x, -kappa, -speeds
+        error = shift @ left + B @ (x, kappa)
+        scale = max(STDDEV_PER_MAD * float(np.median(np.abs(error))), 1e-5)
+        weight = (1 + (error / (3 * scale)) ** 2) ** -2.0
+        slip = (np.abs(speeds) * speeds * turns).sum(axis=1) / _STEP**2
+        angle, distance = float(np.arctan2(ahead[1], ahead[0])), float(x)
+    way = np.abs(speeds).sum()
+    if way < _MIN_WAY:
+        return _NO_FRONT
+    if speeds[speeds > 0].sum() < _MIN_AHEAD * way:
+        return Rejected("the vehicle drove backwards as far as ahead: drive ahead, which is where its front is")
+    return angle, distance
