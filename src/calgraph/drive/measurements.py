@@ -32,7 +32,7 @@ class LinearRows:
 VarianceOf = Callable[[csr_array], Array]
 """Variances (M,) of linear functions (M, C + E) of the control points and the unknowns of measurements."""
 MAX_VARIANCES = 300
-"""Rows of which measurements ask variances at once: these are nearly equal for neighbours."""
+"""About as many rows are asked for: variances of neighbours are nearly equal."""
 
 
 class Measurements(Protocol):

@@ -28,7 +28,7 @@ def change_root(adjusted: Adjustment, root: int) -> Adjustment:
     T_new = se_n.inverse(adjusted.states[root].T_root_sensor)
     states = [_restate(adjusted.states[k], T_new, adjusted.states[root].clock_offset) for k in order]
     free = adjusted.free.copy()
-    free[0, : p + 1], free[root, : p + 1] = free[root, : p + 1], free[0, : p + 1]
+    free[[0, root], : p + 1] = free[[root, 0], : p + 1]
     number = np.full(adjusted.free.shape, -1)
     number[adjusted.free] = np.arange(adjusted.free.sum())
     # Errors of all parameters (S, n + d + 3) by those that were free.
