@@ -57,6 +57,10 @@ _HEIGHT_STDDEV, _TILT_STDDEV = 0.003, 3e-4
 # Length of the way for which a floor tilts to one side, m.
 _WAVE = 3.0
 
+# Changes of poses and ranges by which derivatives are taken, m and rad, at most: a root whose height is not known
+# would be below the floor.
+_MAX_CHANGE = 0.02
+
 
 @dataclass(frozen=True, eq=False)
 class VehiclePose:
@@ -91,9 +95,9 @@ def locate_root(adjusted: Adjustment, *, inverted: bool = False) -> VehiclePose 
     # What the drive leaves open of ranges and poses of sensors changes the trajectory, and the floor with it.
     stddev = np.sqrt(np.diag(adjusted.covariance))
     by_state = np.zeros((6, len(stddev)))
-    for k, step in enumerate(np.diag(stddev)):
+    for k, step in enumerate(np.diag(np.minimum(stddev, _MAX_CHANGE))):
         moved = fit_pose(measure(*_move(adjusted, step), places))
-        by_state[:, k] = 0.0 if isinstance(moved, Rejected) else se3.difference(moved, pose) / stddev[k]
+        by_state[:, k] = 0.0 if isinstance(moved, Rejected) else se3.difference(moved, pose) / step[k]
     covariance += by_state @ adjusted.covariance @ by_state.T
     planar = adjusted.parts[0].points[0].points.shape[1] == 2
     known = np.array([chords.turned(pose) > _MIN_TURN, False, *[not planar] * 3, True])
