@@ -8,6 +8,7 @@ from calgraph.config import Rig
 from calgraph.drive.options import DriveOptions
 from calgraph.drive.pipeline import calibrate_sources
 from calgraph.drive.sources.camera import CameraSource, find_boards, models_of
+from calgraph.drive.start_tree import choose_lead
 from calgraph.errors import InputError
 from calgraph.geometry import se3
 from calgraph.parallel.engine import THIS_PROCESS
@@ -117,3 +118,23 @@ def test_simulated_corners_are_where_boards_are() -> None:
     # The middle of a tag's corners is not its middle in perspective; one view in a hundred is an outlier.
     assert np.median(shifts) < 0.6
     assert np.mean(np.array(shifts) > 2.0) < 0.1
+
+
+def test_a_root_that_sees_boards_for_a_shorter_time_does_not_lead() -> None:
+    """The joint solution is for the other camera, and is stated for the root, with its images of boards."""
+    rng = np.random.default_rng(3)
+    times = np.arange(0, 26, 0.1)
+    boards = place_boards(drive(times, 3), 30, rng)
+    sources = {
+        name: CameraSource(see((drive(times, 3) @ T)[:count], times[:count], boards, CAMERA, 0.1, rng))
+        for name, T, count in zip(("front", "left"), MOUNTED, (180, 260), strict=True)
+    }
+    tracks = {name: source.track(rng) for name, source in sources.items()}
+    assert choose_lead("front", tracks) == "left"
+    calibration = calibrate_sources(two_cameras(30), sources, {}, (), DriveOptions())
+    left = calibration["left"]
+    error = se3.difference(left.T_root_sensor, se3.inverse(MOUNTED[0]) @ MOUNTED[1])
+    assert np.linalg.norm(error[:3]) < 0.002
+    assert error @ np.linalg.solve(left.covariance, error) / 6 < 3
+    assert {fit.unit for fit in calibration.evidence.fit.values()} == {"px"}
+    assert set(calibration.evidence.fit) == {"front", "left"}
