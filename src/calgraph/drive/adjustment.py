@@ -22,7 +22,7 @@ from scipy.sparse import csr_array, hstack
 from calgraph.drive.measurements import DrivePart
 from calgraph.drive.states import SensorState
 from calgraph.drive.surface_elimination import NoiseModel, SurfaceEquations, eliminate_surfaces
-from calgraph.drive.surface_points import linearize_points
+from calgraph.drive.surface_points import Association, associate_points, linearize_points
 from calgraph.geometry import Array, Index, se_n
 from calgraph.surfaces.trajectory import SplineTrajectory
 
@@ -84,6 +84,7 @@ _REWEIGHTED = 4
 _START_WHITE, _START_VIEW = 0.02, 0.01
 # Least ones: quantised ranges, and walls that are better than any.
 _MIN_WHITE, _MIN_VIEW = 0.002, 0.0005
+_FIXED_STEPS = 6
 # Accelerations of a robot's motion, m/s² and rad/s², which bind the spline where nothing is measured.
 _ACCELERATION, _TURN_ACCELERATION = 5.0, 10.0
 # Standard deviation with which the middle control point is held, m and rad: it only fixes the world, which
@@ -115,8 +116,15 @@ def adjust_drive(
     information = np.concatenate([prior[free], priors.shared]) ** -2.0
     step: Array = np.zeros(count + len(shared))
     H: Array = np.eye(len(step), dtype=np.float64)
+    associations: list[Association] = []
     for k, gate in enumerate(_GATES):
-        reduced = [_reduce_part(part, states, noise, gate, free, shared) for part in parts]
+        # The last steps are on the same surfaces, so that they converge.
+        if k < len(_GATES) - _FIXED_STEPS:
+            associations = [associate_points(part, states, gate) for part in parts]
+        reduced = [
+            _reduce_part(part, states, noise, association, free, shared)
+            for part, association in zip(parts, associations, strict=True)
+        ]
         H = sum((one.information for one in reduced), np.diag(information))
         deviation = np.concatenate([_deviation(states, start)[free], shared])
         g = sum((one.gradient for one in reduced), deviation * information)
@@ -219,14 +227,14 @@ def _reduce_part(
     part: DrivePart,
     states: Sequence[SensorState],
     noise: NoiseModel,
-    gate: float,
+    association: Association,
     free: NDArray[np.bool_],
     shared: Array,
 ) -> _Reduced:
     """The normal equations of the sensors' free parameters and what parts share, at the present states."""
-    at, surfaces = linearize_points(part, states, gate)
+    at = linearize_points(part, states, association)
     control = part.trajectory.control
-    on_surfaces = eliminate_surfaces(at, len(surfaces.keys), noise, free, len(control))
+    on_surfaces = eliminate_surfaces(at, len(association.surfaces.keys), noise, free, len(control))
     unknowns = sum(one.unknown_count for one in part.measurements)
     H, g = on_surfaces.information, on_surfaces.gradient
     H, g = _insert_unknowns(H, g, len(g), len(shared))

@@ -4,11 +4,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calgraph.drive.measurements import DrivePart
 from calgraph.drive.states import SensorState
 from calgraph.geometry import Array, Index, measure_lengths, se_n
-from calgraph.surfaces.flat_cells import FlatCells, fit_flat_cells, sum_moments
+from calgraph.surfaces.flat_cells import FlatCells, fit_flat_cells, sum_moments_within
 
 
 @dataclass(frozen=True)
@@ -54,57 +55,94 @@ class SurfacePoints:
     """(N, n + d + 3)."""
 
 
-def linearize_points(
-    part: DrivePart, states: Sequence[SensorState], gate: float
-) -> tuple[SurfacePoints, FlatCells]:
-    """The residuals of the points of a part that are on surfaces."""
-    at = [_evaluate(part, k, state) for k, state in enumerate(states)]
+@dataclass(frozen=True, eq=False)
+class Association:
+    """Which points of a part are on which surfaces."""
+
+    surfaces: FlatCells
+    cell: Sequence[Index]
+    """By sensor, (N,): the surface of each of its points, -1 for none."""
+
+
+def associate_points(part: DrivePart, states: Sequence[SensorState], gate: float) -> Association:
+    """Finds surfaces at the present states, and the points within a distance of them, m.
+
+    A cell is flat if the points of each view are: where sensors do not agree on its place, it is a surface that
+    tells so, and leaving it out would favour poses with which sensors measure nothing in common.
+    """
+    at = [_evaluate(part, k, state, _select_inside(part, k, state)) for k, state in enumerate(states)]
     world = np.concatenate([one.world for one in at])
     sensor = np.repeat(np.arange(len(at)), [len(one.world) for one in at])
-    time = np.concatenate([one.time for one in at])
-    view = np.floor((time - part.trajectory.start) / _VIEW_DURATION).astype(np.intp)
-    n = world.shape[1]
-    limits = CELL_LIMITS[n]
+    view = _number_views(part, np.concatenate([one.time for one in at]))
+    limits = CELL_LIMITS[world.shape[1]]
     surfaces = fit_flat_cells(
-        sum_moments(world, limits.cell),
+        sum_moments_within(world, view * len(at) + sensor, limits.cell),
         limits.cell,
         max_thickness=gate * _THICKNESS_PER_GATE,
         min_extent=limits.min_extent,
         min_count=limits.min_count,
     )
     index = surfaces.find(world)
-    hit = np.flatnonzero(index >= 0)
-    offset = world[hit] - surfaces.center[index[hit]]
-    axes = surfaces.axes[index[hit]]
-    local = np.einsum("ni,nij->nj", offset, axes)
-    near = np.abs(local[:, 0]) < gate
-    hit, axes, local = hit[near], axes[near], local[near]
-    cells = index[hit]
-    patch = np.concatenate([np.ones((len(hit), 1)), local[:, 1:] / surfaces.extent[cells]], axis=1)
-    normals = axes[:, :, 0]
+    distance = np.einsum("ni,ni->n", world - surfaces.center[index], surfaces.normals[index])
+    index[np.abs(distance) >= gate] = -1
+    found = np.split(index, np.cumsum([len(one.world) for one in at])[:-1])
+    cells = []
+    for k, (one, hit) in enumerate(zip(found, at, strict=True)):
+        cell = np.full(len(part.points[k].times), -1)
+        cell[hit.index] = one
+        cells.append(cell)
+    return Association(surfaces, cells)
+
+
+def linearize_points(part: DrivePart, states: Sequence[SensorState], association: Association) -> SurfacePoints:
+    """The residuals of the points of a part that are on surfaces."""
+    at = [
+        _evaluate(part, k, state, _select_inside(part, k, state) & (association.cell[k] >= 0))
+        for k, state in enumerate(states)
+    ]
+    sensor = np.repeat(np.arange(len(at)), [len(one.world) for one in at])
+    cells = np.concatenate([cell[one.index] for cell, one in zip(association.cell, at, strict=True)])
     joined = {
-        name: np.concatenate([getattr(one, name) for one in at])[hit]
-        for name in ("first", "basis", "position_arm", "rotation_jacobian", "by_sensor")
+        name: np.concatenate([getattr(one, name) for one in at])
+        for name in ("world", "time", "first", "basis", "position_arm", "rotation_jacobian", "by_sensor")
     }
+    surfaces = association.surfaces
+    axes = surfaces.axes[cells]
+    local = np.einsum("ni,nij->nj", joined["world"] - surfaces.center[cells], axes)
+    patch = np.concatenate([np.ones((len(cells), 1)), local[:, 1:] / surfaces.extent[cells]], axis=1)
+    normals = axes[:, :, 0]
     turn = np.einsum(
         "ni,nij,njk->nk", normals, se_n.rotation_jacobian(joined["position_arm"]), joined["rotation_jacobian"]
     )
     # Noise is of the ranges as measured: residuals of ranges that are taken as smaller do not get smaller.
-    scale = 1 + np.array([state.range_scale for state in states])[sensor[hit]]
+    scale = 1 + np.array([state.range_scale for state in states])[sensor]
     residual = local[:, 0] * scale
     by_pose = np.concatenate([normals, turn], axis=1) * scale[:, None]
-    by_control = (joined["basis"][:, :, None] * by_pose[:, None, :]).reshape(len(hit), 4 * by_pose.shape[1])
+    by_control = (joined["basis"][:, :, None] * by_pose[:, None, :]).reshape(len(cells), 4 * by_pose.shape[1])
     by_sensor = np.einsum("ni,nij->nj", normals, joined["by_sensor"]) * scale[:, None]
     by_sensor[:, -1] += local[:, 0]
     return SurfacePoints(
-        sensor[hit], cells, view[hit], residual, patch, joined["first"], by_control, by_sensor
-    ), surfaces
+        sensor, cells, _number_views(part, joined["time"]), residual, patch, joined["first"], by_control, by_sensor
+    )
+
+
+def _number_views(part: DrivePart, times: Array) -> Index:
+    """(N,) number of the interval of each time by the root's clock."""
+    return np.floor((times - part.trajectory.start) / _VIEW_DURATION).astype(np.intp)
+
+
+def _select_inside(part: DrivePart, k: int, state: SensorState) -> NDArray[np.bool_]:
+    """(N,) which points of sensor k were measured during the trajectory."""
+    times = part.points[k].times - state.clock_offset
+    return np.asarray((times >= part.trajectory.start) & (times <= part.trajectory.end))
 
 
 @dataclass(frozen=True, eq=False)
 class _Evaluated:
     """Points of one sensor in the world, with derivatives."""
 
+    index: Index
+    """(N,) of the points among those of the sensor."""
     world: Array
     """(N, n) m."""
     time: Array
@@ -121,12 +159,10 @@ class _Evaluated:
     """(N, n, n + d + 3) of the place in the world."""
 
 
-def _evaluate(part: DrivePart, k: int, state: SensorState) -> _Evaluated:
-    """The points of sensor k during the trajectory."""
+def _evaluate(part: DrivePart, k: int, state: SensorState, used: NDArray[np.bool_]) -> _Evaluated:
+    """Some of the points of sensor k (N,), all within the trajectory."""
     measured, trajectory = part.points[k], part.trajectory
-    times = measured.times - state.clock_offset
-    inside = (times >= trajectory.start) & (times <= trajectory.end)
-    p, times = measured.points[inside], times[inside]
+    p, times = measured.points[used], measured.times[used] - state.clock_offset
     ranges = measure_lengths(p) if p.shape[1] == 3 else np.hypot(*p.T)
     direction = p / ranges[:, None]
     p = direction * (ranges * (1 - state.range_scale) - state.range_bias)[:, None]
@@ -149,5 +185,12 @@ def _evaluate(part: DrivePart, k: int, state: SensorState) -> _Evaluated:
         axis=2,
     )
     return _Evaluated(
-        arm + se_n.translation(at.poses), times, at.first, at.basis, arm, at.rotation_jacobian, by_sensor
+        np.flatnonzero(used),
+        arm + se_n.translation(at.poses),
+        times,
+        at.first,
+        at.basis,
+        arm,
+        at.rotation_jacobian,
+        by_sensor,
     )

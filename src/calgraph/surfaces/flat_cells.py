@@ -58,6 +58,21 @@ def sum_moments(points: Array, cell: float) -> CellMoments:
     return CellMoments(keys, count, np.asarray(first, dtype=np.float64), second)
 
 
+def sum_moments_within(points: Array, group: Index, cell: float) -> CellMoments:
+    """Moments of points (N, n) in cells whose scatter is that of the points of each group (N,) about its mean."""
+    total = sum_moments(points, cell)
+    of_cell = np.searchsorted(total.keys, cell_keys(points, cell))
+    _, number = np.unique(of_cell * (int(group.max(initial=0)) + 1) + group, return_inverse=True)
+    count, n = np.bincount(number), points.shape[1]
+    mean = np.stack([np.bincount(number, points[:, i]) / count for i in range(n)], axis=1)
+    off = points - mean[number]
+    second = total.first[:, :, None] * total.mean[:, None, :]
+    for i in range(n):
+        for j in range(n):
+            second[:, i, j] += np.bincount(of_cell, off[:, i] * off[:, j], len(second))
+    return CellMoments(total.keys, total.count, total.first, second)
+
+
 def merge_moments(parts: Sequence[CellMoments]) -> CellMoments:
     """The moments of the points of all parts, whose cells have the same size."""
     keys, index = np.unique(np.concatenate([part.keys for part in parts]), return_inverse=True)
