@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.linalg import cho_solve
 
 from calgraph.drive.adjustment import (
     Adjustment,
@@ -21,12 +22,20 @@ from calgraph.drive.measurements import DrivePart
 from calgraph.drive.states import SensorPoints, SensorState
 from calgraph.drive.surface_elimination import (
     NoiseModel,
+    _Fit,
+    _fit_robustly,
     _group_points,
     _robust_weights,
-    _view_information,
     _view_statistics,
 )
-from calgraph.drive.surface_points import CELL_LIMITS, _evaluate, linearize_points
+from calgraph.drive.surface_points import (
+    CELL_LIMITS,
+    _evaluate,
+    _Evaluated,
+    _select_inside,
+    associate_points,
+    linearize_points,
+)
 from calgraph.geometry import Array, se_n
 from calgraph.surfaces.flat_cells import cell_keys
 from calgraph.surfaces.trajectory import SplineTrajectory, Track, fit_spline
@@ -100,9 +109,13 @@ def priors(n: int, pose: float = 1.0) -> AdjustmentPriors:
 
 
 def scaled(scene: Scene, found: Adjustment) -> tuple[Array, float]:
-    """Errors of the free parameters over their standard deviations, and the squared ones per degree of freedom."""
+    """Errors of the free parameters over their standard deviations, and the squared ones per degree of freedom.
+
+    Errors of these scenes are independent.
+    """
     e = scene.errors(list(found.states))[found.free]
-    return e / np.sqrt(np.diag(found.covariance)), float(e @ np.linalg.solve(found.covariance, e) / len(e))
+    P = found.independent_covariance
+    return e / np.sqrt(np.diag(P)), float(e @ np.linalg.solve(P, e) / len(e))
 
 
 @pytest.fixture(scope="module")
@@ -130,13 +143,19 @@ def disturbed(n: int, seed: int = 0) -> tuple[DrivePart, list[SensorState]]:
     return replace(part, points=points), states
 
 
+def evaluate(part: DrivePart, k: int, state: SensorState) -> _Evaluated:
+    """All points of a sensor that were measured during the trajectory."""
+    return _evaluate(part, k, state, _select_inside(part, k, state))
+
+
 class FixedSurfaces:
     """Residuals at any states and trajectory, of the points and on the surfaces of a first linearization."""
 
     def __init__(self, part: DrivePart, states: list[SensorState]) -> None:
         self.part, self.states = part, states
-        self.at, surfaces = linearize_points(part, states, 0.3)
-        world = np.concatenate([_evaluate(part, k, state).world for k, state in enumerate(states)])
+        association = associate_points(part, states, 0.3)
+        self.at, surfaces = linearize_points(part, states, association), association.surfaces
+        world = np.concatenate([evaluate(part, k, state).world for k, state in enumerate(states)])
         index = surfaces.find(world)
         offset = np.einsum("ij,ij->i", world - surfaces.center[index], surfaces.normals[index])
         self.used = (index >= 0) & (np.abs(offset) < 0.3)
@@ -145,7 +164,7 @@ class FixedSurfaces:
 
     def residual(self, trajectory: SplineTrajectory, states: list[SensorState]) -> Array:
         part = replace(self.part, trajectory=trajectory)
-        world = np.concatenate([_evaluate(part, k, state).world for k, state in enumerate(states)])
+        world = np.concatenate([evaluate(part, k, state).world for k, state in enumerate(states)])
         scale = np.array([state.range_scale for state in states])[self.at.sensor]
         return np.asarray(np.einsum("ij,ij->i", world[self.used] - self.center, self.normals) * (1 + scale))
 
@@ -201,20 +220,19 @@ def test_a_state_moves_along_the_axes_of_the_root(n: int) -> None:
 
 def test_only_points_during_the_trajectory_are_used() -> None:
     part, states = disturbed(2)
-    count = len(_evaluate(part, 1, states[1]).time)
+    count = len(evaluate(part, 1, states[1]).time)
     late = replace(states[1], clock_offset=states[1].clock_offset - 1.0)
-    shifted = _evaluate(part, 1, late).time
+    shifted = evaluate(part, 1, late).time
     assert len(shifted) < count
     assert shifted.max() <= part.trajectory.end
 
 
 def test_a_surface_in_one_view_has_no_view_biases() -> None:
-    """Its bias cannot be distinguished from the surface."""
-    one, blocks = np.zeros(1, dtype=np.intp), np.eye(2)[None]
-    assert_allclose(_view_statistics(one, np.ones((1, 2)), blocks, 1), 0)
-    both = np.repeat(blocks, 2, axis=0)
-    found = _view_statistics(np.zeros(2, dtype=np.intp), np.full((2, 2), 3.0), both, 1)
-    assert_allclose(found, [4 * (3.0**2 + 1), 4])
+    """Its bias cannot be distinguished from the surface; otherwise variances of offset and slope are separate."""
+    two = np.diag([1.0, 4.0, 9.0])[None].repeat(2, axis=0)
+    fit = _Fit(np.zeros((1, 3)), two[:1], np.full((2, 3), 3.0), two, two)
+    assert_allclose(_view_statistics(fit, np.array([0, 1]), 2), 0)
+    assert_allclose(_view_statistics(fit, np.array([1, 1]), 2), [[2 * (9 + 1), 2], [2 * (9 + 4), 2]])
 
 
 def test_the_motion_prior_is_that_of_second_differences() -> None:
@@ -234,15 +252,16 @@ def test_the_motion_prior_is_that_of_second_differences() -> None:
 def test_eliminated_equations_are_those_of_all_unknowns(n: int) -> None:
     """Against the Schur complement of dense equations with all surfaces, view biases and control points."""
     part, states = disturbed(n)
-    noise = NoiseModel(np.array([0.01, 0.02]), 0.005)
+    noise = NoiseModel(np.array([0.01, 0.02]), np.array([0.005, 0.003]))
     free = priors(n).stddev > 0
-    found = _reduce_part(part, states, noise, 0.3, free, np.zeros(0))
-    at, surfaces = linearize_points(part, states, 0.3)
-    _, group = np.unique(np.stack([at.surface, at.sensor, at.view], axis=1), axis=0, return_inverse=True)
-    group = group.ravel()
-    rows, G, M = np.arange(len(group)), group.max() + 1, len(surfaces.keys)
-    surface = np.zeros(G, dtype=np.intp)
-    surface[group] = at.surface
+    association = associate_points(part, states, 0.3)
+    found = _reduce_part(part, states, noise, association, free, np.zeros(0))
+    at = linearize_points(part, states, association)
+    _, view = np.unique(np.stack([at.surface, at.sensor, at.view], axis=1), axis=0, return_inverse=True)
+    view = view.ravel()
+    rows, V, M, p = np.arange(len(view)), view.max() + 1, len(association.surfaces.keys), n + 1
+    surface = np.zeros(V, dtype=np.intp)
+    surface[view] = at.surface
     sigma = noise.white[at.sensor]
     weight = sigma**-2 * _robust_weights(at, _group_points(at, 2), sigma)
     C, columns = part.trajectory.control.size, part.trajectory.control.shape[1]
@@ -250,22 +269,23 @@ def test_eliminated_equations_are_those_of_all_unknowns(n: int) -> None:
     by_control[rows[:, None], at.first[:, None] * columns + np.arange(4 * columns)] = at.by_control
     by_state = np.zeros((len(rows), *free.shape))
     by_state[rows, at.sensor] = at.by_sensor
-    by_bias, by_surface = np.zeros((len(rows), G, n)), np.zeros((len(rows), M, n))
-    by_bias[rows, group], by_surface[rows, at.surface] = -at.patch, -at.patch
-    dense = [by_control, by_bias.reshape(-1, G * n), by_surface.reshape(-1, M * n), by_state[:, free]]
+    by_bias, by_surface = np.zeros((len(rows), V, p)), np.zeros((len(rows), M, p))
+    by_bias[rows, view], by_surface[rows, at.surface] = -at.patch, -at.patch
+    dense = [by_control, by_bias.reshape(-1, V * p), by_surface.reshape(-1, M * p), by_state[:, free]]
     J = np.concatenate(dense, axis=1)
     H, g = J.T @ (weight[:, None] * J), J.T @ (weight * at.residual)
     motion, motion_gradient = np.zeros((C, C)), np.zeros(C)
     _add_motion_prior(motion, motion_gradient, part.trajectory)
     H[:C, :C] += motion
     g[:C] += motion_gradient
-    N = np.array([at.patch[group == k].T @ (weight[group == k, None] * at.patch[group == k]) for k in range(G)])
-    h = -g[C : C + G * n].reshape(G, n)
-    for k, block in enumerate(_view_information(N, h, surface, M, noise.view)):
-        inside = slice(C + k * n, C + k * n + n)
-        H[inside, inside] += block
-    inside = slice(C + G * n, C + (G + M) * n)
-    H[inside, inside] += np.eye(M * n)
+    N = np.array([at.patch[view == k].T @ (weight[view == k, None] * at.patch[view == k]) for k in range(V)])
+    h = -g[C : C + V * p].reshape(V, p)
+    fit = _fit_robustly(N, h, surface, M, noise.view)
+    for k, inverse in enumerate(fit.bias_inverse):
+        inside = slice(C + k * p, C + k * p + p)
+        H[inside, inside] = np.linalg.inv(inverse)
+    inside = slice(C + V * p, C + (V + M) * p)
+    H[inside, inside] += np.diag([*np.ones(n), 0.02**-2] * M)
     P = int(free.sum())
     solved = np.linalg.solve(H[:-P, :-P], np.column_stack([H[:-P, -P:], g[:-P]]))
     unit = np.sqrt(np.diag(H)[-P:])
@@ -276,6 +296,30 @@ def test_eliminated_equations_are_those_of_all_unknowns(n: int) -> None:
     step = 1e-3 * np.arange(1.0, P + 1)
     change = np.linalg.solve(H[:-P, :-P], -g[:-P] - H[:-P, -P:] @ step)[:C]
     assert_allclose(found.back_substitute(step), change, rtol=1e-5, atol=1e-8)
+
+
+def test_points_contribute_the_gradient() -> None:
+    """Along the directions that sensors move in, with trajectory and surfaces following."""
+    part, states = disturbed(2)
+    free = priors(2).stddev > 0
+    noise = NoiseModel(np.array([0.01, 0.02]), np.array([0.005, 0.003]))
+    reduced = _reduce_part(part, states, noise, associate_points(part, states, 0.3), free, np.zeros(0))
+    C = part.trajectory.control.size
+    along = np.concatenate([-cho_solve(reduced.factor, reduced.with_sensors), np.eye(int(free.sum()))])
+    found = reduced.cluster_scores(int(free.sum())).scores.sum(axis=0)
+    unit = np.sqrt(np.diag(reduced.information))
+    assert reduced.surfaces.gradient.shape == (C + len(found),)
+    # But for what is known of surfaces before.
+    assert_allclose(
+        found / unit, along.T @ reduced.surfaces.gradient / unit, atol=0.02 * np.abs(found / unit).max()
+    )
+
+
+def test_the_covariance_is_at_least_that_of_independent_errors(solutions: list[tuple[Scene, Adjustment]]) -> None:
+    for _, found in solutions:
+        assert np.linalg.eigvalsh(found.covariance - found.independent_covariance).min() > -1e-15
+        ratio = np.sqrt(np.diag(found.covariance) / np.diag(found.independent_covariance))
+        assert 1 < ratio.min() <= ratio.max() < 4
 
 
 def test_errors_are_those_that_the_covariance_states(solutions: list[tuple[Scene, Adjustment]]) -> None:
@@ -305,7 +349,7 @@ def test_the_noise_is_estimated(solutions: list[tuple[Scene, Adjustment]]) -> No
     """Along normals: that of ranges by the mean cosine of incidence. There are no view biases."""
     for _, found in solutions:
         assert_allclose(found.noise.white, 0.0083, rtol=0.1)
-        assert found.noise.view < 0.002
+        assert found.noise.view[0] < 0.003
         assert_allclose(found.residual_rms, found.noise.white)
 
 
@@ -381,7 +425,7 @@ def test_parts_of_separate_worlds_are_solved_jointly() -> None:
     halves[1] = replace(halves[1], trajectory=turned(halves[1].trajectory, 2.0))
     joint = adjust_drive(halves, scene.start, priors(2))
     single = [adjust_drive([half], scene.start, priors(2)) for half in halves]
-    stddev = [np.sqrt(np.diag(one.covariance))[2:5] for one in (joint, *single)]
+    stddev = [np.sqrt(np.diag(one.independent_covariance))[2:5] for one in (joint, *single)]
     assert np.all(stddev[0] < np.minimum(stddev[1], stddev[2]))
     assert scaled(scene, joint)[1] < 3
 
@@ -436,7 +480,7 @@ def test_view_biases_are_estimated_and_in_the_covariance() -> None:
         scene = with_view_biases(simulate(2, 20.0, 50 + seed), 0.006, seed)
         found = adjust_drive([scene.part], scene.start, priors(2))
         squared.append(scaled(scene, found)[1])
-        stddev.append(found.noise.view)
+        stddev.append(found.noise.view[0])
     assert 0.0035 < min(stddev) <= max(stddev) < 0.0065
     assert 0.5 < np.mean(squared) < 2
 

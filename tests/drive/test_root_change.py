@@ -27,7 +27,16 @@ def test_states_and_covariance_are_those_of_the_new_root(n: int) -> None:
     A = rng.normal(size=(int(free.sum()),) * 2) * 1e-4
     empty = np.zeros(3)
     adjusted = Adjustment(
-        states, [], A @ A.T, free, NoiseModel(empty, 0.0), np.eye(3), np.arange(3.0), np.arange(3.0), 0.0
+        states,
+        [],
+        A @ A.T,
+        A @ A.T,
+        free,
+        NoiseModel(empty, np.zeros(2)),
+        np.eye(3),
+        np.arange(3.0),
+        np.arange(3.0),
+        0.0,
     )
     changed = change_root(adjusted, 2)
     assert_allclose(changed.states[0].T_root_sensor, np.eye(n + 1), atol=1e-12)
@@ -74,7 +83,17 @@ def test_the_trajectory_of_the_new_root_responds_as_that_of_the_old_one(n: int) 
     part = DrivePart([SensorPoints(np.zeros((0, n)), np.zeros(0))] * 2, spline)
     empty = np.zeros(2)
     adjusted = Adjustment(
-        states, [part], np.eye(P), free, NoiseModel(empty, 0.0), np.eye(2), empty, empty, 0.0, responses=[response]
+        states,
+        [part],
+        np.eye(P),
+        np.eye(P),
+        free,
+        NoiseModel(empty, np.zeros(2)),
+        np.eye(2),
+        empty,
+        empty,
+        0.0,
+        responses=[response],
     )
     changed = change_root(adjusted, 1)
     step = 1e-4 * rng.normal(size=P)

@@ -19,10 +19,10 @@ from calgraph.verdict.grades import LONE_ROOT, collect_findings, grade_pose
 
 _ADVICE = "drive longer, with more turns, so that all sensors pass the same walls and furniture"
 _MOTION_ADVICE = "drive longer, with turns to both sides, and over ramps or thresholds"
-# On real data NEES is 14 on average, and 38 at most (15 windows of a minute of an office).
+# A sensor that was bumped on the way, or a lorry that drives alongside, is not recognized yet.
 _UNVERIFIED = (
-    "poses from surroundings are at best weak in this version: their standard deviations are up to ten times too "
-    "small"
+    "poses from surroundings are at best weak in this version: a sensor that moves during the drive, and surfaces "
+    "that move along, are not recognized"
 )
 # Surfaces that two sensors have to share: with fewer, single ones that moved or are mistaken decide.
 _MIN_SHARED_CELLS = 30

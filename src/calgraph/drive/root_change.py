@@ -43,6 +43,7 @@ def change_root(adjusted: Adjustment, root: int) -> Adjustment:
         states=states,
         parts=[_restate_part(part, adjusted.states[root], order) for part in adjusted.parts],
         covariance=J @ adjusted.covariance @ J.T,
+        independent_covariance=J @ adjusted.independent_covariance @ J.T,
         free=free[order],
         shared_cells=adjusted.shared_cells[np.ix_(order, order)],
         residual_rms=adjusted.residual_rms[order],

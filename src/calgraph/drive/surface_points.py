@@ -41,12 +41,15 @@ class SurfacePoints:
     """(N,)."""
     surface: Index
     """(N,)."""
+    time: Array
+    """(N,) by the root's clock, s."""
     view: Index
     """(N,) number of the interval of time in which a sensor measured the point."""
     residual: Array
     """(N,) m."""
     patch: Array
-    """(N, n) 1, and the places on the surface in standard deviations: the derivatives by offset and slopes."""
+    """(N, n + 1) 1, the places on the surface in standard deviations, and the cosine of incidence: the derivatives
+    by offset, slopes and relief."""
     first: Index
     """(N,) first control point."""
     by_control: Array
@@ -109,8 +112,9 @@ def linearize_points(part: DrivePart, states: Sequence[SensorState], association
     surfaces = association.surfaces
     axes = surfaces.axes[cells]
     local = np.einsum("ni,nij->nj", joined["world"] - surfaces.center[cells], axes)
-    patch = np.concatenate([np.ones((len(cells), 1)), local[:, 1:] / surfaces.extent[cells]], axis=1)
     normals = axes[:, :, 0]
+    incidence = np.abs(np.einsum("ni,ni->n", normals, joined["by_sensor"][:, :, -2]))
+    patch = np.column_stack([np.ones(len(cells)), local[:, 1:] / surfaces.extent[cells], incidence])
     turn = np.einsum(
         "ni,nij,njk->nk", normals, se_n.rotation_jacobian(joined["position_arm"]), joined["rotation_jacobian"]
     )
@@ -122,7 +126,15 @@ def linearize_points(part: DrivePart, states: Sequence[SensorState], association
     by_sensor = np.einsum("ni,nij->nj", normals, joined["by_sensor"]) * scale[:, None]
     by_sensor[:, -1] += local[:, 0]
     return SurfacePoints(
-        sensor, cells, _number_views(part, joined["time"]), residual, patch, joined["first"], by_control, by_sensor
+        sensor,
+        cells,
+        joined["time"],
+        _number_views(part, joined["time"]),
+        residual,
+        patch,
+        joined["first"],
+        by_control,
+        by_sensor,
     )
 
 

@@ -1,0 +1,67 @@
+"""The covariance of a drive with errors that belong together: those of one time, and those of one place.
+
+The adjustment takes view biases as independent. They are not: a pose of the trajectory that is wrong moves all
+points of its time, and furniture, frames and doors mislead all sensors that pass them. Sums of the points'
+contributions to the gradient, over intervals of time and over blocks of the world, scatter accordingly.
+
+Sources: Liang and Zeger, "Longitudinal data analysis using generalized linear models", 1986, for the covariance
+from clusters; Cameron, Gelbach and Miller, "Robust inference with multiway clustering", 2011, for several kinds.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calgraph.geometry import Array, Index
+
+# Intervals, s, and edge length of blocks of the world, m: in a second and in half a metre errors are correlated,
+# in the time and the size of a room they are independent. On real scans 2 to 10 s differ by a tenth.
+_INTERVAL, _BLOCK = 5.0, 3.0
+# By how much the scatter is multiplied: a minute has few rooms, and errors that last through all of them, as of
+# times of beams that nobody states, do not scatter. With 1 the mean squared error over the covariance is 3.3 and
+# 5.1 on two sets of 15 windows of real scans, and 3.3 on simulated drives of two LiDARs; with 4 it is 1.1, 1.6 and
+# 1.2.
+_FACTOR = 4.0
+
+
+@dataclass(frozen=True, eq=False)
+class ClusteredScores:
+    """What the points of a part contribute to the gradient."""
+
+    scores: Array
+    """(N, P)."""
+    time: Array
+    """(N,) s."""
+    place: Array
+    """(N, n) m."""
+
+
+def widen_covariance(covariance: Array, parts: Sequence[ClusteredScores]) -> Array:
+    """The covariance (P, P) of independent errors, with the scatter of contributions by time and by place."""
+    meat = np.zeros_like(covariance)
+    for labels in (_label_times, _label_places):
+        meat += _sum_squares([_sum_clusters(part.scores, labels(part)) for part in parts])
+    return np.asarray(covariance + _FACTOR * covariance @ meat @ covariance)
+
+
+def _label_times(part: ClusteredScores) -> Index:
+    return np.unique(np.floor(part.time / _INTERVAL), return_inverse=True)[1].ravel()
+
+
+def _label_places(part: ClusteredScores) -> Index:
+    return np.unique(np.floor(part.place / _BLOCK), axis=0, return_inverse=True)[1].ravel()
+
+
+def _sum_clusters(scores: Array, label: Index) -> Array:
+    """(K, P) sums of scores (N, P) by label (N,)."""
+    sums = np.zeros((int(label.max(initial=-1)) + 1, scores.shape[1]))
+    np.add.at(sums, label, scores)
+    return sums
+
+
+def _sum_squares(sums: Sequence[Array]) -> Array:
+    """(P, P) expected square of the sum of independent clusters."""
+    joined = np.concatenate(sums)
+    count = len(joined)
+    return np.asarray(joined.T @ joined * (count / max(count - 1, 1)))
