@@ -202,7 +202,7 @@ class _Reduced:
         return np.asarray(change, dtype=np.float64)
 
     def cluster_scores(self, count: int) -> ClusteredScores:
-        """What points contribute to the gradient, first by ``count`` parameters of sensors; the trajectory follows."""
+        """What points contribute to the gradient, first by the parameters of sensors; the trajectory follows."""
         follow = self.response()[: self.control_size]
         along = np.concatenate([follow, np.eye(count, follow.shape[1])])
         return ClusteredScores(self.surfaces.scores.along(along), self.time, self.place)
