@@ -21,8 +21,8 @@ _ADVICE = "drive longer, with more turns, so that all sensors pass the same wall
 _MOTION_ADVICE = "drive longer, with turns to both sides, and over ramps or thresholds"
 # A sensor that was bumped on the way, or a lorry that drives alongside, is not recognized yet.
 _UNVERIFIED = (
-    "poses from surroundings are at best weak in this version: a sensor that moves during the drive, and surfaces "
-    "that move along, are not recognized"
+    "poses from drives are at best weak in this version: a sensor that moves on the way, and surroundings that "
+    "move along, are not recognized"
 )
 # Surfaces that two sensors have to share: with fewer, single ones that moved or are mistaken decide.
 _MIN_SHARED_CELLS = 30
@@ -62,7 +62,6 @@ def assemble_drive(rig: Rig, result: DriveResult) -> Calibration:
     names = used if adjusted else [rig.root]
     covariance, clocks = _lift_covariance(adjusted) if adjusted else (np.zeros((6, 6)), np.zeros(1))
     by_sensor = collect_findings(result.findings)
-    boards = any(len(views) for views in result.views.values())
     sensors = []
     for k, name in enumerate(names):
         spec, block = rig.sensors[name], slice(6 * k, 6 * k + 6)
@@ -75,7 +74,7 @@ def assemble_drive(rig: Rig, result: DriveResult) -> Calibration:
             assert adjusted is not None
             verdict = grade_pose(
                 name, spec.kind, T, np.nan_to_num(covariance[block, block]),
-                [*by_sensor.get(name, ()), *_find_contradictions(adjusted, k, result.views[name], boards=boards)],
+                [*by_sensor.get(name, ()), *_find_contradictions(adjusted, k, result.views[name])],
                 tolerance=rig.tolerance, settings=rig.settings.diagnostics.verdict,
                 data="motions and surfaces" if adjusted.point_counts.any() else "motions",
                 advice=_ADVICE if adjusted.point_counts[k] else _MOTION_ADVICE,
@@ -113,7 +112,7 @@ def assemble_drive(rig: Rig, result: DriveResult) -> Calibration:
     )
 
 
-def _find_contradictions(adjusted: Adjustment, k: int, views: Array, *, boards: bool) -> list[str]:
+def _find_contradictions(adjusted: Adjustment, k: int, views: Array) -> list[str]:
     """Why the pose of a sensor with images of boards (V, 2) cannot be good."""
     reasons = []
     if adjusted.squared_step > _MAX_SQUARED_STEP:
@@ -135,7 +134,7 @@ def _find_contradictions(adjusted: Adjustment, k: int, views: Array, *, boards: 
             f"it passed only {shared} of the surfaces that another sensor passed, fewer than {_MIN_SHARED_CELLS}: "
             "drive loops, so that all sensors pass the same places"
         )
-    return [*reasons, _UNVERIFIED] if measuring.any() or boards else reasons
+    return [*reasons, _UNVERIFIED]
 
 
 def _list_remarks(rig: Rig, names: Sequence[str]) -> list[str]:

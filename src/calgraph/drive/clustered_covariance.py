@@ -19,7 +19,7 @@ from calgraph.geometry import Array, Index
 # in the time and the size of a room they are independent. On real scans 2 to 10 s differ by a tenth.
 _INTERVAL, _BLOCK = 5.0, 3.0
 # By how much the scatter is multiplied: a minute has few rooms, and errors that last through all of them, as of
-# times of beams that nobody states, do not scatter. With 1 the mean squared error over the covariance is 3.3 and
+# times of beams that are not stated, do not scatter. With 1 the mean squared error over the covariance is 3.3 and
 # 5.1 on two sets of 15 windows of real scans, and 3.3 on simulated drives of two LiDARs; with 4 it is 1.1, 1.6 and
 # 1.2.
 _FACTOR = 4.0
