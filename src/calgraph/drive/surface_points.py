@@ -70,8 +70,8 @@ class Association:
 def associate_points(part: DrivePart, states: Sequence[SensorState], gate: float) -> Association:
     """Finds surfaces at the present states, and the points within a distance of them, m.
 
-    A cell is flat if the points of each view are. Cells in which sensors do not agree remain surfaces: leaving them
-    out would favour poses with which sensors measure nothing in common.
+    A cell is flat if the points of each view are. Cells in which sensors do not agree remain surfaces: without
+    them, poses with which sensors measure nothing in common would fit best.
     """
     at = [_evaluate(part, k, state, _select_inside(part, k, state)) for k, state in enumerate(states)]
     world = np.concatenate([one.world for one in at])
