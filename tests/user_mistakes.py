@@ -29,7 +29,7 @@ RIG_KEYS: Mapping[str, tuple[str, Any, str]] = {
     "an unknown kind": (
         "sensors.lidar.kind",
         "lidar",
-        "one of camera, lidar2d, lidar3d, depth_camera, got 'lidar'; did you mean",
+        "one of camera, lidar2d, lidar3d, depth_camera, trajectory, gyroscope, got 'lidar'; did you mean",
     ),
     "no kind": (
         "sensors.lidar.kind",

@@ -243,7 +243,7 @@ def test_workers_end_with_a_parent_that_is_killed() -> None:
 
 
 _STOPPED_BETWEEN_WORKERS = """
-import os, signal, sys
+import os, signal, sys, time
 from calgraph.parallel.engine import Processes
 {handler}
 forks = []
@@ -253,7 +253,8 @@ def stop_before_second(event, _arguments):
         if len(forks) == 2:
             os.kill(os.getpid(), signal.{name})
 sys.addaudithook(stop_before_second)
-list(Processes(2).map(abs, [(1,), (2,)]))
+# A second worker starts only while the first one is busy.
+list(Processes(2).map(time.sleep, [(5,), (5,)]))
 """
 
 
