@@ -135,9 +135,18 @@ def test_a_server_that_comes_back_is_connected_again_and_the_gap_is_named() -> N
         first = SdkServer()
         triggers = first.channel("/trigger", HEADER)
         source = FoxgloveSource(first.address, FAST)
-        received = asyncio.create_task(until(source, ["/trigger"], count("message", 2)))
+        arrived, both = asyncio.Event(), count("message", 2)
+
+        def enough(given: list[LiveMessage | Notice]) -> bool:
+            if messages(given):
+                arrived.set()
+            return bool(both(given))
+
+        received = asyncio.create_task(until(source, ["/trigger"], enough))
         await first.wait_for_subscriptions(1)
         triggers.log(header_bytes(1.0))
+        # A server that stops does not send what it has not sent yet.
+        await arrived.wait()
         port = first.server.port
         await asyncio.to_thread(first.server.stop)
         await asyncio.sleep(0.2)
