@@ -115,10 +115,11 @@ def _express_in_root(
     number = used.index(root)
     if adjusted is not None:
         adjusted = change_root(adjusted, number)
-    seen = {
-        name: start if isinstance(start, Rejected) else start.seen_from(of_root) for name, start in others.items()
+    moved = {
+        name: start if isinstance(start, Rejected) else start.relative_to(of_root)
+        for name, start in others.items()
     }
-    return [root, *(name for name in used if name != root)], {used[0]: of_root.inverse(), **seen}, adjusted
+    return [root, *(name for name in used if name != root)], {used[0]: of_root.inverse(), **moved}, adjusted
 
 
 def dimension_of(rig: Rig) -> int:

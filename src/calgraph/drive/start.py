@@ -73,7 +73,7 @@ class MotionStart:
             self, T_root_sensor=se_n.inverse(T), clock_offset=-self.clock_offset, information=information
         )
 
-    def seen_from(self, other: "MotionStart") -> "MotionStart":
+    def relative_to(self, other: "MotionStart") -> "MotionStart":
         """The start against another sensor, from those of both against the root."""
         T = se_n.inverse(other.T_root_sensor) @ self.T_root_sensor
         return replace(self, T_root_sensor=T, clock_offset=self.clock_offset - other.clock_offset)
