@@ -143,10 +143,7 @@ def _between(a: Shown, b: Shown, share: float) -> Shown:
 def _solids(rig: RandomRig, shown: Shown | None, sensor: str) -> tuple[Solid, ...]:
     if shown is None:
         return rig.environment
-    faces = [
-        Solid(FaceShape(rig.boards[i], rig.errors.board), T)  # type: ignore[arg-type]
-        for i, T in shown.boards_of(sensor).items()
-    ]
+    faces = [Solid(FaceShape(rig.boards[i], rig.errors.board), T) for i, T in shown.boards_of(sensor).items()]
     return (*rig.environment, *shown.people, *faces)
 
 

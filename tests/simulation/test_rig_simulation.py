@@ -25,7 +25,7 @@ from calgraph.simulation import (
 )
 from calgraph.simulation.motion import BoardPlacement
 from calgraph.simulation.robot import MountedScanner
-from calgraph.simulation.solids import CylinderShape, RectangleShape, Solid
+from calgraph.simulation.solids import BoxShape, CylinderShape, Solid
 from calgraph.simulation.world import simulate_measurement
 from simulated_captures import SimulatedCapture, simulate_background, simulate_captures
 
@@ -219,7 +219,7 @@ def test_clutter_leaves_room_for_the_operator_behind_the_farthest_board() -> Non
     world = build_world(SMALL.model_copy(update={"clutter": 40}), 3)
     for solid in world.solids_at(None)[1:]:
         shape = solid.shape
-        assert not isinstance(shape, RectangleShape)
+        assert isinstance(shape, BoxShape | CylinderShape)
         extent = shape.radius if isinstance(shape, CylinderShape) else np.hypot(shape.length, shape.width) / 2
         assert 3.3 - 1e-9 <= np.linalg.norm(solid.T_world_shape[:2, 3]) - extent <= 4.3
 
