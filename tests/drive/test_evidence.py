@@ -45,7 +45,7 @@ def simulate(n: int, T_base_root: Array, duration: float = 6.0) -> tuple[DrivePa
 
 def collect(part: DrivePart, states: list[SensorState]) -> Pictures:
     n = part.trajectory.reference.poses.shape[-1] - 1
-    start = MotionStart(np.eye(n + 1), 0.02, np.eye(n + n * (n - 1) // 2), 1.0, 1.0, 10, np.ones(n * (n - 1) // 2))
+    start = MotionStart(np.eye(n + 1), 0.02, 1.0, 1.0, 10, np.ones(n * (n - 1) // 2))
     starts: dict[str, MotionStart | Rejected] = {"rear": start, "lost": Rejected("no")}
     return collect_pictures(["front", "rear"], starts, [part], states)
 

@@ -9,7 +9,7 @@ from calgraph.config import Rig
 from calgraph.drive.options import DriveOptions
 from calgraph.drive.pipeline import calibrate_drive
 from calgraph.drive.segments import Segments
-from calgraph.drive.sources.trajectory import TrajectoryReader, TrajectorySource, average_poses
+from calgraph.drive.sources.trajectory import MotionSource, TrajectoryReader, average_poses
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se3, se_n, so3
 from calgraph.recording import MessageRecording
@@ -39,14 +39,14 @@ def make_rig(root: str, **kinds: str) -> Rig:
     return Rig.model_validate({"root": root, "target": {"kind": "surroundings"}, "sensors": sensors})
 
 
-def read_source(messages: list[Message]) -> TrajectorySource:
+def read_source(messages: list[Message]) -> MotionSource:
     rig = make_rig("a", a="trajectory", b="trajectory")
     recording = MessageRecording({"/a": messages})
     reader = TrajectoryReader(rig, "a", recording, 3, np.random.default_rng(0))
     for message in messages:
         reader.add(message)
     source = reader.finish()
-    assert isinstance(source, TrajectorySource)
+    assert isinstance(source, MotionSource)
     return source
 
 
@@ -60,9 +60,11 @@ def test_unusable_poses_are_left_out() -> None:
     assert isinstance(first, Pose)
     again = Pose(first.stamp, "", first.position + 5, first.quaternion)
     longer = [Pose(p.stamp, "", p.position, 1.3 * p.quaternion) for p in good if isinstance(p, Pose)]
-    source = read_source([*longer[100:], *longer[:100], zero, missing, again])
-    assert_allclose(source.times, times)
-    assert_allclose(source.poses, path(times), atol=1e-9)
+    segments = read_source([*longer[100:], *longer[:100], zero, missing, again]).segments
+    assert isinstance(segments, Segments)
+    (track,) = segments.tracks
+    assert_allclose(track.times, times)
+    assert_allclose(track.poses, path(times), atol=1e-9)
 
 
 @pytest.mark.parametrize(("jump", "count"), [(0.0, 1), (0.02, 1), (0.15, 2)])

@@ -87,7 +87,7 @@ def test_scans_that_were_sent_twice_count_once() -> None:
 
 
 def start(turns: tuple[float, ...], correlation: float = 0.99, inliers: float = 0.8) -> MotionStart:
-    return MotionStart(np.eye(4), 0.0, np.eye(6), inliers, correlation, 50, np.array(turns))
+    return MotionStart(np.eye(4), 0.0, inliers, correlation, 50, np.array(turns))
 
 
 @pytest.mark.parametrize(

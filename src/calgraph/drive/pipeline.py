@@ -108,18 +108,20 @@ def _express_in_root(
     root: str, used: list[str], starts: Mapping[str, MotionStart | Rejected], adjusted: Adjustment | None
 ) -> tuple[list[str], dict[str, MotionStart | Rejected], Adjustment | None]:
     """What was found for the first sensor that is used, for the root: an edge with it, and all poses."""
-    of_root, others = starts[root], {name: start for name, start in starts.items() if name != root}
+    of_root = starts[root]
     if isinstance(of_root, Rejected):
         missing = Rejected(f"the root {root} has no pose on the robot: {of_root.reason}")
-        return [root], dict.fromkeys([used[0], *others], missing), None
+        return [root], {name: missing for name in (used[0], *starts) if name != root}, None
     number = used.index(root)
     if adjusted is not None:
         adjusted = change_root(adjusted, number)
+    of_itself = replace(of_root, T_root_sensor=np.eye(len(of_root.T_root_sensor)), clock_offset=0.0)
     moved = {
         name: start if isinstance(start, Rejected) else start.relative_to(of_root)
-        for name, start in others.items()
+        for name, start in {used[0]: of_itself, **starts}.items()
+        if name != root
     }
-    return [root, *(name for name in used if name != root)], {used[0]: of_root.inverse(), **moved}, adjusted
+    return [root, *(name for name in used if name != root)], moved, adjusted
 
 
 def dimension_of(rig: Rig) -> int:

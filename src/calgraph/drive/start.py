@@ -11,7 +11,7 @@ import numpy as np
 
 from calgraph.drive.segments import Segments
 from calgraph.errors import Rejected
-from calgraph.geometry import STDDEV_PER_MAD, Array, se2, se_n, so3
+from calgraph.geometry import STDDEV_PER_MAD, Array, plane, se2, se3, se_n
 
 # Rate at which turn rates are compared, Hz: above that of sweeps; a parabola refines steps of 20 ms.
 _RATE = 50.0
@@ -51,8 +51,6 @@ class MotionStart:
     """(n+1, n+1)."""
     clock_offset: float
     """The sensor's clock minus the root's, s."""
-    information: Array
-    """(n+d, n+d) of the pose, by the scatter of the motions."""
     inliers: float
     """Share of the motions that agree."""
     correlation: float
@@ -63,15 +61,6 @@ class MotionStart:
     """(d,) RMS turn of the sensor during a motion, about the principal axes of turning, rad, descending."""
     by_boards: bool = False
     """Whether the clock is that of motions before boards, which turn rates show poorly."""
-
-    def inverse(self) -> "MotionStart":
-        """The start of the root against this sensor."""
-        T = self.T_root_sensor
-        covariance: Array = np.asarray(np.linalg.pinv(np.asarray(self.information)), dtype=np.float64)
-        information = np.asarray(np.linalg.pinv(np.asarray(se_n.inverse_covariance(T, covariance))))
-        return replace(
-            self, T_root_sensor=se_n.inverse(T), clock_offset=-self.clock_offset, information=information
-        )
 
     def relative_to(self, other: "MotionStart") -> "MotionStart":
         """The start against another sensor, from those of both against the root."""
@@ -139,13 +128,13 @@ def solve_start(
         return Rejected(f"it and the root moved together {len(A)} times only, {_MIN_MOTIONS} are needed")
     turns = _measure_turns(B)
     if motion == "turn":
-        T, information, weights = _solve_rotation(A, B)
+        T, weights = _solve_rotation(A, B)
     elif motion == "level" and min(_measure_turns(A)[1], turns[1]) < MIN_SECOND_TURN:
-        T, information, weights = _solve_level(A, B, rng)
+        T, weights = _solve_level(A, B, rng)
     else:
-        T, information, weights = _refine(_sample_poses(A, B, rng), A, B)
+        T, weights = _solve_pose(A, B, rng)
     inliers = float(np.mean(weights > 0.25))
-    return MotionStart(T, offset, information, inliers, correlation, len(A), turns, boards)
+    return MotionStart(T, offset, inliers, correlation, len(A), turns, boards)
 
 
 def _pair_motions(root: Segments, sensor: Segments, offset: float) -> tuple[Array, Array]:
@@ -170,14 +159,13 @@ def _search_clock(
 
     Boards are in view for seconds only, and images are rarer than turns: correlation is wrong by up to 0.2 s.
     """
-    scale = _scale(root.tracks[0].poses.shape[-1] - 1) / _BOARD_PRECISION
     for steps in _CLOCK_STEPS:
         found = []
         for candidate in np.clip(offset + steps, -max_offset, max_offset):
             A, B = _pair_motions(root, sensor, candidate)
             if len(A) >= _MIN_MOTIONS:
-                errors = _errors(_refine(_sample_poses(A, B, rng), A, B)[0], A, B) / scale
-                found.append((float(np.mean(np.minimum(np.sum(errors**2, axis=1), 1.0))), float(candidate)))
+                cost = _truncated(_errors(_solve_pose(A, B, rng)[0], A, B) * _BOARD_PRECISION)
+                found.append((float(np.mean(cost)), float(candidate)))
         offset = min(found)[1] if found else offset
     return offset
 
@@ -213,18 +201,25 @@ def explain_failure(start: MotionStart, name: str, motion: StartMotion = "free")
     return ""
 
 
+def _solve_pose(A: Array, B: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+    """The pose (n+1, n+1) of motions A (K, n+1, n+1) and B, and weights (K,) of these, 1 if they agree."""
+    return _refine(_sample_poses(A, B, rng), A, B)
+
+
 def _sample_poses(A: Array, B: Array, rng: np.random.Generator) -> Array:
-    """The pose (n+1, n+1) with which most motions A (K, n+1, n+1) and B agree, of random samples of three."""
+    """The pose (n+1, n+1) with which most motions agree, of random samples of three."""
     chosen = np.array([rng.choice(len(A), 3, replace=False) for _ in range(_SAMPLES)])
-    solve = _solve_in_plane if A.shape[-1] == 3 else _solve_in_space
-    T = solve(A[chosen], B[chosen])
+    find_rotations = _rotate_in_plane if A.shape[-1] == 3 else _rotate_in_space
+    R = find_rotations(A[chosen], B[chosen])
+    T = se_n.pose(R, _solve_translation(A[chosen], B[chosen], R))
     cost = np.array([_truncated(_errors(one, A, B)).sum() for one in T])
     return np.asarray(T[np.argmin(cost)])
 
 
 def _errors(T: Array, A: Array, B: Array) -> Array:
-    """(K, n+d) of ``A T`` against ``T B``."""
-    return np.asarray(se_n.difference(A @ T, T @ B))
+    """(K, n+d) of ``A T`` against ``T B``, m and rad, in the largest ones of a right motion."""
+    errors = se_n.difference(A @ T, T @ B)
+    return np.asarray(errors / _scale(len(T) - 1))
 
 
 def _scale(n: int) -> Array:
@@ -233,119 +228,60 @@ def _scale(n: int) -> Array:
 
 
 def _truncated(errors: Array) -> Array:
-    """(K,) squared errors in the largest ones, at most 1."""
-    n = 2 if errors.shape[1] == 3 else 3
-    return np.asarray(np.minimum(np.sum((errors / _scale(n)) ** 2, axis=1), 1.0))
+    """(K,) squared errors (K, n+d), at most 1."""
+    return np.asarray(np.minimum(np.sum(errors**2, axis=1), 1.0))
 
 
-def _solve_in_plane(A: Array, B: Array) -> Array:
-    """Poses (S, 3, 3) of samples (S, m, 3, 3): ``[R_A - I, -J(t_B)] (t_x, t_y, cos θ, sin θ) = -t_A``."""
+def _rotate_in_plane(A: Array, B: Array) -> Array:
+    """Rotations (S, 2, 2) of samples (S, m, 3, 3): ``[R_A - I, -J(t_B)] (t_x, t_y, cos θ, sin θ) = -t_A``."""
     x, y = B[..., 0, 2], B[..., 1, 2]
     left = A[..., :2, :2] - np.eye(2)
     right = -np.stack([np.stack([x, -y], axis=-1), np.stack([y, x], axis=-1)], axis=-2)
-    M = np.concatenate([left, right], axis=-1).reshape(len(A), -1, 4)
-    b = -A[..., :2, 2].reshape(len(A), -1)
-    solution = _solve_least_squares(M, b)
-    angle = np.arctan2(solution[:, 3], solution[:, 2])
-    # With the direction fixed, the translation is that of least squares.
-    R = se_n.exp(angle[:, None])
-    t = _solve_translation(A, B, R)
-    return se_n.pose(R, t)
+    solution = _solve_least_squares(np.concatenate([left, right], axis=-1), -A[..., :2, 2])
+    return se_n.exp(np.arctan2(solution[:, 3], solution[:, 2])[:, None])
 
 
-def _solve_in_space(A: Array, B: Array) -> Array:
-    """Poses (S, 4, 4) of samples (S, m, 4, 4): rotation vectors are turned, ``a = R b`` (Kabsch)."""
-    a, b = se_n.log(A[..., :3, :3]), se_n.log(B[..., :3, :3])
-    R = se_n.nearest_rotation(np.swapaxes(a, -1, -2) @ b)
-    return se_n.pose(R, _solve_translation(A, B, R))
-
-
-def _solve_level(A: Array, B: Array, rng: np.random.Generator) -> tuple[Array, Array, Array]:
-    """As :func:`_refine`, of motions that turn about one axis: in the plane across it, at no height along it."""
-    up_A, up_B = (np.linalg.svd(se_n.log(se_n.rotation(one)))[2][0] for one in (A, B))
-    turns_A, turns_B = (se_n.log(se_n.rotation(one)) @ up for one, up in ((A, up_A), (B, up_B)))
-    up_B = up_B * np.sign(turns_A @ turns_B)
-    level_A, level_B = _level(up_A), _level(up_B)
-    T, information, weights = _refine(
-        _sample_poses(_flatten(A, level_A), _flatten(B, level_B), rng), _flatten(A, level_A), _flatten(B, level_B)
-    )
-    lifted = se2.to_se3(T)
-    lifted[:3, :3] = level_A.T @ lifted[:3, :3] @ level_B
-    lifted[:3, 3] = level_A.T @ lifted[:3, 3]
-    to_plane = np.zeros((3, 6))
-    to_plane[:2, :3], to_plane[2, 3:] = level_A[:2], level_A[2]
-    return lifted, to_plane.T @ information @ to_plane, weights
-
-
-def _level(up: Array) -> Array:
-    """(3, 3) rotation that turns a unit vector (3,) to z."""
-    axis = np.cross(up, [0.0, 0.0, 1.0])
-    sine = float(np.linalg.norm(axis))
-    if sine < 1e-9:
-        return np.eye(3) if up[2] > 0 else np.diag([1.0, -1.0, -1.0])
-    return so3.exp(axis / sine * np.arctan2(sine, up[2]))
-
-
-def _flatten(motions: Array, level: Array) -> Array:
-    """Motions (K, 3, 3) in the plane across the axis that a rotation turns to z, from those in space."""
-    R = level @ se_n.rotation(motions) @ level.T
-    return se_n.pose(se_n.exp(se_n.log(R)[:, 2:]), (se_n.translation(motions) @ level.T)[:, :2])
-
-
-def _solve_rotation(A: Array, B: Array) -> tuple[Array, Array, Array]:
-    """As :func:`_refine`, of a sensor that measures turns only, with a constant bias: ``a = R (b - b̄) + ā``."""
+def _rotate_in_space(A: Array, B: Array) -> Array:
+    """Rotations (S, 3, 3) of samples (S, m, 4, 4): rotation vectors are turned, ``a = R b`` (Kabsch)."""
     a, b = se_n.log(se_n.rotation(A)), se_n.log(se_n.rotation(B))
-    weights = np.ones(len(a))
-    R, e = np.eye(3), a
-    for _ in range(20):
-        mean_a, mean_b = (weights @ one / weights.sum() for one in (a, b))
-        R = se_n.nearest_rotation((a - mean_a).T @ ((b - mean_b) * weights[:, None]))
-        e = a - mean_a - (b - mean_b) @ R.T
-        size = np.linalg.norm(e, axis=1)
-        weights = (1 + (size / (3 * max(float(np.median(size)), 1e-4))) ** 2) ** -2.0
-    spread = max(float(weights @ np.sum(e**2, axis=1) / (3 * weights.sum())), 1e-8)
-    lever = se_n.rotation_jacobian(a - mean_a)
-    information = np.zeros((6, 6))
-    information[3:, 3:] = np.einsum("k,kij,kil->jl", weights, lever, lever) / spread
-    return se_n.pose(R, np.zeros(3)), information, weights
+    return se_n.nearest_rotation(np.swapaxes(a, -1, -2) @ b)
 
 
 def _solve_translation(A: Array, B: Array, R: Array) -> Array:
     """(S, n) of ``(R_A - I) t = R t_B - t_A``."""
     n = A.shape[-1] - 1
-    M = (A[..., :n, :n] - np.eye(n)).reshape(len(A), -1, n)
-    b = (np.einsum("sij,smj->smi", R, B[..., :n, n]) - A[..., :n, n]).reshape(len(A), -1)
-    return _solve_least_squares(M, b)
+    turned = np.einsum("sij,smj->smi", R, se_n.translation(B))
+    return _solve_least_squares(se_n.rotation(A) - np.eye(n), turned - se_n.translation(A))
 
 
 def _solve_least_squares(M: Array, b: Array) -> Array:
-    """(S, p) of problems (S, m, p); directions that nothing determines stay near 0."""
+    """(S, p) of problems (S, m, n, p) and (S, m, n); directions that nothing determines stay near 0."""
+    M, b = M.reshape(len(M), -1, M.shape[-1]), b.reshape(len(b), -1, 1)
     # A turn by 0.01 rad determines a position no better than the largest error of a motion.
     H = np.swapaxes(M, -1, -2) @ M + 1e-4 * np.eye(M.shape[-1])
-    return np.asarray(np.linalg.solve(H, np.swapaxes(M, -1, -2) @ b[..., None])[..., 0])
+    return np.asarray(np.linalg.solve(H, np.swapaxes(M, -1, -2) @ b)[..., 0])
 
 
-def _refine(T: Array, A: Array, B: Array) -> tuple[Array, Array, Array]:
-    """The pose of least robust squared errors, its information, and the weights of motions (K,)."""
+def _refine(T: Array, A: Array, B: Array) -> tuple[Array, Array]:
+    """The pose of least robust squared errors, and the weights of motions (K,)."""
     n = T.shape[-1] - 1
-    scale = _scale(n)
     for step in range(20):
-        e = _errors(T, A, B) / scale
+        e = _errors(T, A, B)
         # The scale falls to that of the errors, which is far below the largest one where odometry is good.
         spread = (
             np.maximum(STDDEV_PER_MAD * np.median(np.abs(e), axis=0), 0.02) if step > 5 else np.ones(e.shape[1])
         )
-        e, s = e / spread, scale * spread
+        e = e / spread
         weights = (1 + np.sum(e**2, axis=1) / 9) ** -2.0
-        J = _jacobian(T, A, B) / s[:, None]
+        J = _jacobian(T, A, B) / (_scale(n) * spread)[:, None]
         H = np.einsum("k,kij,kil->jl", weights, J, J)
         g = np.einsum("k,kij,ki->j", weights, J, e)
         T = se_n.retract(T, -np.linalg.solve(H + 1e-9 * np.eye(len(H)), g))
-    return T, H, weights
+    return T, weights
 
 
 def _jacobian(T: Array, A: Array, B: Array) -> Array:
-    """(K, n+d, n+d) derivatives of the errors by the pose, for small errors of the rotation."""
+    """(K, n+d, n+d) derivatives of ``A T`` against ``T B`` by the pose, for small errors of the rotation."""
     n = T.shape[-1] - 1
     d = n * (n - 1) // 2
     J = np.zeros((len(A), n + d, n + d))
@@ -354,3 +290,31 @@ def _jacobian(T: Array, A: Array, B: Array) -> Array:
     if n == 3:
         J[:, n:, n:] = A[:, :3, :3] - np.eye(3)
     return J
+
+
+def _solve_level(A: Array, B: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+    """As :func:`_solve_pose`, of motions about one axis: in the plane across it, at no height along it."""
+    up_A, up_B = (np.linalg.svd(se_n.log(se_n.rotation(one)))[2][0] for one in (A, B))
+    turns_A, turns_B = (se_n.log(se_n.rotation(one)) @ up for one, up in ((A, up_A), (B, up_B)))
+    up_B = up_B * np.sign(turns_A @ turns_B)
+    to_A, to_B = (se3.pose(np.column_stack([plane.tangent_basis(up), up]), np.zeros(3)) for up in (up_A, up_B))
+    T, weights = _solve_pose(_flatten(to_A.T @ A @ to_A), _flatten(to_B.T @ B @ to_B), rng)
+    return to_A @ se2.to_se3(T) @ to_B.T, weights
+
+
+def _flatten(motions: Array) -> Array:
+    """Motions (K, 3, 3) in the plane across z, from those in space (K, 4, 4)."""
+    turn = se_n.log(se_n.rotation(motions))
+    return se_n.pose(se_n.exp(turn[:, 2:]), se_n.translation(motions)[:, :2])
+
+
+def _solve_rotation(A: Array, B: Array) -> tuple[Array, Array]:
+    """As :func:`_solve_pose`, of turns alone, which have a constant bias: ``a = R (b - b̄) + ā``."""
+    a, b = se_n.log(se_n.rotation(A)), se_n.log(se_n.rotation(B))
+    weights, R = np.ones(len(a)), np.eye(3)
+    for _ in range(20):
+        from_a, from_b = (one - weights @ one / weights.sum() for one in (a, b))
+        R = se_n.nearest_rotation(from_a.T @ (from_b * weights[:, None]))
+        size = np.linalg.norm(from_a - from_b @ R.T, axis=1)
+        weights = (1 + (size / (3 * max(float(np.median(size)), 1e-4))) ** 2) ** -2.0
+    return se_n.pose(R, np.zeros(3)), weights

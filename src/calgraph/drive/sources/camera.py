@@ -9,10 +9,8 @@ from calgraph.boards.camera import CameraDetector
 from calgraph.boards.detections import BoardCorners
 from calgraph.config import Rig
 from calgraph.drive.board_views import BoardView
-from calgraph.drive.measurements import Measurements
 from calgraph.drive.segments import Segments
-from calgraph.drive.sources.source import SourceKind, no_points, without_ranges
-from calgraph.drive.states import SensorPoints, SensorState
+from calgraph.drive.sources.source import Source, SourceKind, without_ranges
 from calgraph.errors import InputError, Rejected
 from calgraph.geometry import Array, se3
 from calgraph.parallel.engine import Engine
@@ -21,7 +19,7 @@ from calgraph.recording import Recording
 from calgraph.recording.input_checks import InputMonitor
 from calgraph.sensors import CameraModel, DetectedCorners, Image
 from calgraph.sensors.lens_errors import with_estimated_distortion
-from calgraph.surfaces.trajectory import SplineTrajectory, Track
+from calgraph.surfaces.trajectory import Track
 
 # Least time between images that are searched for boards, s: finding tags takes 30 to 100 ms, and a robot that
 # drives at 1 m/s has moved by 0.1 m.
@@ -41,16 +39,15 @@ _Decoder = Callable[[], Image | DetectedCorners]
 
 
 @dataclass(frozen=True, eq=False)
-class CameraSource:
-    """The boards that a camera detected; implements :class:`Source`."""
+class CameraSource(Source):
+    """The boards that a camera detected; views of all cameras are measurements together, as they share boards.
+
+    Nothing is measured between images; but with a gap of 0, LiDARs decide which motion is followed.
+    """
 
     views: Sequence[BoardView]
     """By ascending time."""
-
-    @property
-    def gap(self) -> float:
-        """Nothing is measured between images; but with 0, LiDARs decide which motion is followed."""
-        return 0.0
+    dimension: int = 3
 
     def track(self, rng: np.random.Generator) -> Segments | Rejected:  # noqa: ARG002
         """The trajectory in the frames of boards: a segment for each time during which one is in view."""
@@ -74,19 +71,6 @@ class CameraSource:
                 last[view.board] = view
                 kept.append(view)
         return CameraSource(kept)
-
-    def points(self, start: float, end: float) -> SensorPoints:  # noqa: ARG002
-        """None."""
-        return no_points(3)
-
-    def measurements(
-        self,
-        sensor: int,  # noqa: ARG002
-        trajectory: SplineTrajectory,  # noqa: ARG002
-        state: SensorState,  # noqa: ARG002
-    ) -> Sequence[Measurements]:
-        """None: views of all cameras are measurements together, as they share boards."""
-        return ()
 
 
 def _motion(before: BoardView, view: BoardView) -> float:

@@ -1,27 +1,24 @@
 """Gyroscopes in a drive: turn rates, integrated over short intervals."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-
 import numpy as np
 
 from calgraph.config import Rig
-from calgraph.drive.measurements import Measurements
 from calgraph.drive.segments import Segments
-from calgraph.drive.sources.source import SourceKind, no_points, without_ranges
-from calgraph.drive.sources.trajectory import STEP, average_poses, measure_motions
-from calgraph.drive.states import SensorPoints, SensorState
+from calgraph.drive.sources.source import SourceKind, without_ranges
+from calgraph.drive.sources.trajectory import MotionSource, split_track
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se_n, so3
 from calgraph.recording import Recording
 from calgraph.sensors import Message, TurnRate
 from calgraph.sensors.kinds import SensorSpec
-from calgraph.surfaces.trajectory import SplineTrajectory, Track
+from calgraph.surfaces.trajectory import Track
 
 # Rates below which there is no motion to compare: at 20 Hz, those of 10 s.
 _MIN_RATES = 200
 # Time without a rate after which another segment begins, s: turns change within it.
 _MAX_GAP = 0.15
+# Segments that are shorter are not used, s: ten motions.
+_MIN_SEGMENT = 1.0
 
 
 class GyroscopeReader:
@@ -36,59 +33,21 @@ class GyroscopeReader:
         if isinstance(message, TurnRate):
             self._rates.append((message.stamp, *message.rate))
 
-    def finish(self) -> "GyroscopeSource":
-        """The finite rates in order of time, the first of each stamp."""
+    def finish(self) -> MotionSource:
+        """The integral of finite rates in order of time, the first of each stamp."""
         rows = np.array(self._rates, dtype=np.float64).reshape(-1, 4)
         rows = rows[np.isfinite(rows).all(axis=1)]
         _, first = np.unique(rows[:, 0], return_index=True)
-        return GyroscopeSource(rows[first, 0], rows[first, 1:], self._dimension)
+        return MotionSource(self._split(rows[first, 0], rows[first, 1:]), self._dimension, np.arange(3, 6))
 
-
-@dataclass(frozen=True, eq=False)
-class GyroscopeSource:
-    """Turn rates of a gyroscope."""
-
-    times: Array
-    """(N,) s, ascending."""
-    rates: Array
-    """(N, 3) about its axes, rad/s."""
-    dimension: int
-    """2 or 3."""
-
-    @property
-    def gap(self) -> float:
-        """See :class:`Source`."""
-        return 0.0
-
-    def track(self, rng: np.random.Generator) -> Segments | Rejected:  # noqa: ARG002
-        """Its rotation by the integral of the rates; without a place."""
-        return self._track(STEP / 2)
-
-    def _track(self, step: float) -> Segments | Rejected:
-        """The same, with means of rotations over steps, s."""
-        if self.dimension == 2:
+    def _split(self, times: Array, rates: Array) -> Segments | Rejected:
+        """Rotations by rates (N, 3) in segments, which end at gaps."""
+        if self._dimension == 2:
             return Rejected("motion in the plane of 2-D scanners does not determine the rotation of a gyroscope")
-        if len(self.times) < _MIN_RATES:
-            return Rejected(f"it has {len(self.times)} usable turn rates; a drive needs {_MIN_RATES}")
-        tracks = []
-        for part in np.split(np.arange(len(self.times)), np.flatnonzero(np.diff(self.times) > _MAX_GAP) + 1):
-            if self.times[part[-1]] - self.times[part[0]] > 10 * STEP:
-                tracks.append(average_poses(_integrate(self.times[part], self.rates[part]), step))
-        return Segments(tracks) if tracks else Rejected("its rates have gaps: none is longer than a second")
-
-    def thin(self, rng: np.random.Generator) -> "GyroscopeSource":  # noqa: ARG002
-        """All rates."""
-        return self
-
-    def points(self, *_: float) -> SensorPoints:
-        """None."""
-        return no_points(self.dimension)
-
-    def measurements(self, k: int, trajectory: SplineTrajectory, state: SensorState, /) -> Sequence[Measurements]:
-        """Turns over short intervals."""
-        segments = self._track(STEP)
-        assert isinstance(segments, Segments)
-        return measure_motions(k, segments, trajectory, state, np.arange(3, 6), wheels=False)
+        if len(times) < _MIN_RATES:
+            return Rejected(f"it has {len(times)} usable turn rates; a drive needs {_MIN_RATES}")
+        segments = split_track(_integrate(times, rates), np.diff(times) > _MAX_GAP, _MIN_SEGMENT)
+        return segments or Rejected("its rates have gaps: none is longer than a second")
 
 
 def _integrate(times: Array, rates: Array) -> Track:

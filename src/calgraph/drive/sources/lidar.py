@@ -7,10 +7,9 @@ from itertools import pairwise
 import numpy as np
 
 from calgraph.config import Rig
-from calgraph.drive.measurements import Measurements
 from calgraph.drive.odometry import track_sensor
 from calgraph.drive.segments import Segments
-from calgraph.drive.sources.source import CLOCK_STDDEV, POSE_STDDEV, SourceKind, no_points
+from calgraph.drive.sources.source import CLOCK_STDDEV, POSE_STDDEV, Source, SourceKind
 from calgraph.drive.states import SensorPoints
 from calgraph.drive.sweeps import Sweep, read_sweep, thin_sweep
 from calgraph.errors import Rejected
@@ -49,13 +48,12 @@ class LidarReader:
 
 
 @dataclass(frozen=True, eq=False)
-class LidarSource:
+class LidarSource(Source):
     """The sweeps of a LiDAR."""
 
     sweeps: Sequence[Sweep]
     """By ascending time."""
     dimension: int
-    """2 or 3."""
     flat_in_space: bool
     """Whether it is a 2-D scanner of a rig that moves in space."""
 
@@ -81,14 +79,10 @@ class LidarSource:
         """See :class:`Source`."""
         near = [sweep for sweep in self.sweeps if start - 1.0 <= sweep.time <= end + 1.0]
         if not near:
-            return no_points(self.dimension)
+            return super().points(start, end)
         return SensorPoints(
             np.concatenate([one.points for one in near]), np.concatenate([one.times for one in near])
         )
-
-    def measurements(self, *_: object) -> Sequence[Measurements]:
-        """None: points on surfaces only."""
-        return ()
 
 
 def _range_stddev(spec: SensorSpec, n: int) -> Array:

@@ -1,5 +1,6 @@
 """What a drive needs of a sensor of any kind: a trajectory for the start, and measurements to adjust."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
@@ -26,27 +27,35 @@ _PLACE_STDDEV, _ROTATION_STDDEV = 1.0, 2.0
 CLOCK_STDDEV = 0.1
 
 
-class Source(Protocol):
+class Source(ABC):
     """What one sensor measured during a drive; immutable, and pickled to be tracked in another process."""
+
+    dimension: int
+    """2 or 3."""
 
     @property
     def gap(self) -> float:
         """Time between measurements in which nothing is measured, s; 0 of those that need no denser knots."""
-        ...
+        return 0.0
 
+    @abstractmethod
     def track(self, rng: np.random.Generator) -> Segments | Rejected:
         """The trajectory of the sensor by its own clock, or why it has none."""
-        ...
 
-    def thin(self, rng: np.random.Generator) -> "Source":
+    def thin(self, rng: np.random.Generator) -> "Source":  # noqa: ARG002
         """The source with as much of its data as is adjusted."""
-        ...
+        return self
 
-    def points(self, start: float, end: float) -> SensorPoints:
+    def points(self, start: float, end: float) -> SensorPoints:  # noqa: ARG002
         """Points on surfaces within an interval of its clock, s, with those that clocks may shift into it."""
-        ...
+        return SensorPoints(np.zeros((0, self.dimension)), np.zeros(0))
 
-    def measurements(self, k: int, trajectory: SplineTrajectory, state: SensorState, /) -> Sequence[Measurements]:
+    def measurements(
+        self,
+        k: int,  # noqa: ARG002
+        trajectory: SplineTrajectory,  # noqa: ARG002
+        state: SensorState,  # noqa: ARG002
+    ) -> Sequence[Measurements]:
         """What it measured of the trajectory itself.
 
         Args:
@@ -54,7 +63,7 @@ class Source(Protocol):
             trajectory: of the root during a part of the drive, at its start value.
             state: of the sensor, at its start value.
         """
-        ...
+        return ()
 
 
 class Reader(Protocol):
@@ -88,8 +97,3 @@ class SourceKind:
 def without_ranges(spec: SensorSpec, n: int) -> Array:  # noqa: ARG001
     """(n + d + 3,) of sensors that measure no ranges."""
     return np.array([*[_PLACE_STDDEV] * n, *[_ROTATION_STDDEV] * (n * (n - 1) // 2), CLOCK_STDDEV, 0.0, 0.0])
-
-
-def no_points(n: int) -> SensorPoints:
-    """Of sensors that measure none; n = 2 or 3."""
-    return SensorPoints(np.zeros((0, n)), np.zeros(0))

@@ -10,9 +10,9 @@ from calgraph.config import Rig
 from calgraph.drive.measurements import Measurements
 from calgraph.drive.relative_motions import gather_motions
 from calgraph.drive.segments import Segments
-from calgraph.drive.sources.source import SourceKind, no_points, without_ranges
+from calgraph.drive.sources.source import Source, SourceKind, without_ranges
 from calgraph.drive.start import MIN_SECOND_TURN, MOTION_DURATION
-from calgraph.drive.states import SensorPoints, SensorState
+from calgraph.drive.states import SensorState
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, Index, se_n, so3
 from calgraph.recording import Recording
@@ -63,7 +63,7 @@ class TrajectoryReader:
                 if (parent, pose.frame_id) == (self._spec.parent, self._spec.frame_id):
                     self._poses.append((pose.stamp, *pose.position, *pose.quaternion))
 
-    def finish(self) -> "TrajectorySource":
+    def finish(self) -> "MotionSource":
         """The poses, without those that are not usable."""
         rows = np.array(self._poses, dtype=np.float64).reshape(-1, 8)
         length = np.linalg.norm(rows[:, 4:], axis=1)
@@ -74,96 +74,84 @@ class TrajectoryReader:
         rows, length = rows[first], length[first]
         poses = se_n.pose(so3.from_quaternion(rows[:, 4:] / length[:, None]), rows[:, 1:4])
         planar = bool(len(poses)) and _is_planar(poses)
-        found = ", ".join(sorted(self._pairs)) if not len(poses) else ""
-        return TrajectorySource(rows[:, 0], poses, self._dimension, planar, found)
+        axes = np.arange(3 * self._dimension - 3)
+        return MotionSource(self._split(rows[:, 0], poses), self._dimension, axes, planar)
 
-
-@dataclass(frozen=True, eq=False)
-class TrajectorySource:
-    """The poses of a frame in a world."""
-
-    times: Array
-    """(N,) s, ascending."""
-    poses: Array
-    """(N, 4, 4)."""
-    dimension: int
-    """2 or 3."""
-    planar: bool
-    """Whether it has no height, roll and pitch, as that of wheels."""
-    other_pairs: str
-    """Without poses, frames of tf that there are instead."""
-
-    @property
-    def gap(self) -> float:
-        """See :class:`Source`."""
-        return float(np.median(np.diff(self.times)))
-
-    def track(self, rng: np.random.Generator) -> Segments | Rejected:  # noqa: ARG002
-        """The poses in segments, which end where they jump."""
-        return self._track(STEP / 2)
-
-    def _track(self, step: float) -> Segments | Rejected:
-        """The same, with means of poses over steps, s."""
-        if len(self.times) < _MIN_POSES:
-            there = f"; its topic has {self.other_pairs}: state frame_id and parent" if self.other_pairs else ""
-            return Rejected(f"it has {len(self.times)} usable poses; a drive needs {_MIN_POSES}{there}")
-        poses = self.poses
-        if self.dimension == 2:
+    def _split(self, times: Array, poses: Array) -> Segments | Rejected:
+        """The poses (N, 4, 4) in segments, which end where they jump."""
+        if len(times) < _MIN_POSES:
+            there = ", ".join(sorted(self._pairs)) if not len(times) else ""
+            there = f"; its topic has {there}: state frame_id and parent" if there else ""
+            return Rejected(f"it has {len(times)} usable poses; a drive needs {_MIN_POSES}{there}")
+        if self._dimension == 2:
             if not _is_level(poses):
                 return Rejected(
                     "its poses are not level, and 2-D scanners measure motion in a plane only: leave out either"
                 )
             yaw = np.arctan2(poses[:, 1, 0], poses[:, 0, 0])
             poses = se_n.pose(se_n.exp(yaw[:, None]), poses[:, :2, 3])
-        splits = np.split(np.arange(len(poses)), np.flatnonzero(_find_jumps(self.times, poses)) + 1)
-        long = [part for part in splits if self.times[part[-1]] - self.times[part[0]] >= _MIN_SEGMENT]
-        if not long:
-            return Rejected(f"its poses jump or have gaps: no {_MIN_SEGMENT:g} s are without")
-        return Segments([average_poses(Track(self.times[part], poses[part]), step) for part in long])
+        segments = split_track(Track(times, poses), _find_jumps(times, poses), _MIN_SEGMENT)
+        return segments or Rejected(f"its poses jump or have gaps: no {_MIN_SEGMENT:g} s are without")
 
-    def thin(self, rng: np.random.Generator) -> "TrajectorySource":  # noqa: ARG002
-        """All poses."""
-        return self
 
-    def points(self, *_: float) -> SensorPoints:
-        """None."""
-        return no_points(self.dimension)
+def split_track(track: Track, ends: NDArray[np.bool_], shortest: float) -> Segments | None:
+    """The segments of a track of N poses that ends after some of the first N - 1, of a least time, s."""
+    parts = np.split(np.arange(len(track.times)), np.flatnonzero(ends) + 1)
+    tracks = [Track(track.times[part], track.poses[part]) for part in parts]
+    long = [one for one in tracks if one.times[-1] - one.times[0] >= shortest]
+    return Segments(long) if long else None
 
-    def measurements(self, k: int, trajectory: SplineTrajectory, state: SensorState, /) -> Sequence[Measurements]:
+
+@dataclass(frozen=True, eq=False)
+class MotionSource(Source):
+    """The motions of a sensor that measures no surroundings: by another program, or the turns of a gyroscope."""
+
+    segments: Segments | Rejected
+    """All poses, of a gyroscope without a place; or why there are none."""
+    dimension: int
+    axes: Index
+    """Those of the n + d components of motions that are measured."""
+    planar: bool = False
+    """Whether it has no height, roll and pitch, as that of wheels."""
+
+    @property
+    def gap(self) -> float:
+        """See :class:`Source`."""
+        assert isinstance(self.segments, Segments)
+        return float(np.median(np.concatenate([np.diff(one.times) for one in self.segments.tracks])))
+
+    def track(self, rng: np.random.Generator) -> Segments | Rejected:  # noqa: ARG002
+        """Means of the poses over half a step."""
+        if isinstance(self.segments, Rejected):
+            return self.segments
+        return Segments([average_poses(one, STEP / 2) for one in self.segments.tracks])
+
+    def measurements(self, k: int, trajectory: SplineTrajectory, state: SensorState) -> Sequence[Measurements]:
         """Relative motions over short intervals."""
-        segments = self._track(STEP)
-        assert isinstance(segments, Segments)
-        if self.dimension == 2:
-            return measure_motions(k, segments, trajectory, state, np.arange(3), wheels=self.planar)
-        if not self.planar:
-            return measure_motions(k, segments, trajectory, state, np.arange(6), wheels=False)
+        assert isinstance(self.segments, Segments)
+        tracks = [average_poses(one, STEP) for one in self.segments.tracks]
+        if self.dimension == 2 or not self.planar:
+            return measure_motions(k, tracks, trajectory, state, self.axes, wheels=self.planar)
         # Wheels follow the floor: on the whole, height, roll and pitch do not change, but a body swings on them.
-        level = Segments([Track(one.times[::_LEVEL_STEPS], one.poses[::_LEVEL_STEPS]) for one in segments.tracks])
+        level = [Track(one.times[::_LEVEL_STEPS], one.poses[::_LEVEL_STEPS]) for one in tracks]
         return (
-            *measure_motions(k, segments, trajectory, state, np.array([0, 1, 5]), wheels=True),
+            *measure_motions(k, tracks, trajectory, state, np.array([0, 1, 5]), wheels=True),
             *measure_motions(k, level, trajectory, state, np.array([2, 3, 4]), wheels=True),
         )
 
 
 def measure_motions(
-    k: int, segments: Segments, trajectory: SplineTrajectory, state: SensorState, axes: Index, *, wheels: bool
+    k: int, tracks: Sequence[Track], trajectory: SplineTrajectory, state: SensorState, axes: Index, *, wheels: bool
 ) -> Sequence[Measurements]:
-    """Motions from pose to pose of segments within a part of the drive; see :func:`gather_motions`."""
+    """Motions from pose to pose of tracks within a part of the drive; see :func:`gather_motions`."""
     first, last = (t + state.clock_offset for t in (trajectory.start + _MARGIN, trajectory.end - _MARGIN))
-    starts, ends, motions = [], [], []
-    for track in segments.tracks:
-        inside = track.between(first, last)
-        starts.append(inside.times[:-1])
-        ends.append(inside.times[1:])
-        motions.append(se_n.inverse(inside.poses[:-1]) @ inside.poses[1:])
-    if sum(len(some) for some in starts) < 2:
+    inside = [track.between(first, last) for track in tracks]
+    starts, ends = (np.concatenate([one.times[some] for one in inside]) for some in (slice(-1), slice(1, None)))
+    if len(starts) < 2:
         return ()
-    return (
-        gather_motions(
-            k, np.concatenate(starts), np.concatenate(ends), np.concatenate(motions), axes,
-            _find_undetermined(trajectory, state, axes, wheels=wheels), wheels=wheels,
-        ),
-    )  # fmt: skip
+    motions = np.concatenate([se_n.inverse(one.poses[:-1]) @ one.poses[1:] for one in inside])
+    undetermined = _find_undetermined(trajectory, state, axes, wheels=wheels)
+    return (gather_motions(k, starts, ends, motions, axes, undetermined, wheels=wheels),)
 
 
 def _find_undetermined(trajectory: SplineTrajectory, state: SensorState, axes: Index, *, wheels: bool) -> Array:
