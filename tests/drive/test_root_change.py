@@ -5,12 +5,10 @@ import pytest
 from numpy.testing import assert_allclose
 
 from calgraph.drive.adjustment import Adjustment
-from calgraph.drive.measurements import DrivePart
 from calgraph.drive.root_change import change_root
-from calgraph.drive.states import SensorPoints, SensorState
+from calgraph.drive.states import SensorState
 from calgraph.drive.surface_elimination import NoiseModel
 from calgraph.geometry import Array, se_n
-from calgraph.surfaces.trajectory import Track, fit_spline
 
 
 @pytest.mark.parametrize("n", [2, 3])
@@ -62,51 +60,3 @@ def test_states_and_covariance_are_those_of_the_new_root(n: int) -> None:
     stated = changed.covariance[np.ix_(chosen, chosen)]
     scale = np.sqrt(np.diag(stated))
     assert_allclose(np.cov(both.T) / np.outer(scale, scale), stated / np.outer(scale, scale), atol=0.12)
-
-
-@pytest.mark.parametrize("n", [2, 3])
-def test_the_trajectory_of_the_new_root_responds_as_that_of_the_old_one(n: int) -> None:
-    rng = np.random.default_rng(1)
-    p = n + n * (n - 1) // 2
-    times: Array = np.arange(-2, 54) / 10
-    turn = np.column_stack([np.sin(times), 0.3 * np.cos(times), 0.2 * times])[:, : p - n]
-    poses = se_n.pose(se_n.exp(turn), np.column_stack([times, np.sin(times), 0.1 * times])[:, :n])
-    spline = fit_spline(Track(times, poses), 0.0, 5.0, 0.1)
-    mounted = se_n.pose(se_n.exp(rng.normal(size=p - n)), rng.normal(size=n))
-    states = [SensorState(np.eye(n + 1)), SensorState(mounted, 0.07)]
-    free = np.ones((2, p + 3), dtype=bool)
-    free[0] = free[1, p + 1 :] = False
-    P = int(free.sum())
-    # Smooth, as rotations between knots are those of the reference.
-    knots = np.arange(len(spline.control)) / 10
-    response = np.einsum("k,dp->kdp", np.sin(knots), rng.normal(size=(p, P))).reshape(-1, P)
-    part = DrivePart([SensorPoints(np.zeros((0, n)), np.zeros(0))] * 2, spline)
-    empty = np.zeros(2)
-    adjusted = Adjustment(
-        states,
-        [part],
-        np.eye(P),
-        np.eye(P),
-        free,
-        NoiseModel(empty, np.zeros(2)),
-        np.eye(2),
-        empty,
-        empty,
-        0.0,
-        responses=[response],
-    )
-    changed = change_root(adjusted, 1)
-    step = 1e-4 * rng.normal(size=P)
-    full = np.zeros(free.shape)
-    full[free] = step
-    state = states[1].moved(full[1])
-    at = np.linspace(0.5, 4.5, 50)
-    moved = spline.moved((response @ step).reshape(spline.control.shape))
-    expected = moved.at(at - state.clock_offset).poses @ state.T_root_sensor
-    other = np.zeros(free.shape)
-    other[1, :p] = se_n.difference(se_n.inverse(state.T_root_sensor), changed.states[1].T_root_sensor)
-    other[1, p] = -state.clock_offset - changed.states[1].clock_offset
-    after = changed.parts[0].trajectory
-    change = (changed.responses[0] @ other[changed.free]).reshape(after.control.shape)
-    found = se_n.difference(after.moved(change).at(at).poses, expected)
-    assert np.abs(found).max() < 0.1 * np.abs(se_n.difference(after.at(at).poses, expected)).max()

@@ -1,5 +1,7 @@
 """The vehicle's frame: paths whose axle does not slide, floors of known height and tilt."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -174,6 +176,33 @@ def test_the_root_is_located_from_an_adjusted_drive() -> None:
     assert np.abs(error[3:]).max() < 1e-3
     assert found.T_base_root[1, 3] == 0
     assert np.isnan(np.diag(found.covariance)).tolist() == [False, True, False, False, False, False]
+
+
+def test_the_root_may_be_another_sensor_than_that_of_the_trajectory() -> None:
+    """Its pose is uncertain by a centimetre ahead, and the vehicle's frame with it; it measures no points."""
+    rng = np.random.default_rng(3)
+    mounted = se3.pose(so3.exp(np.array([0.3, -0.1, 1.2])), np.array([0.4, -0.2, 0.3]))
+    lead = wander(60.0, rng) @ T_BASE_ROOT @ se3.inverse(mounted)
+    world = se3.inverse(lead[0])
+    drive = adjusted_drive(world @ lead, se3.apply(world, floor_points(lead, rng)))
+    free = np.concatenate([drive.free, np.ones((1, 9), dtype=bool)])
+    ahead = np.zeros(11)
+    ahead[2:5] = 0.01 * mounted[:3, :3] @ T_BASE_ROOT[0, :3]
+    none, tiny = SensorPoints(np.zeros((0, 3)), np.zeros(0)), np.pad(drive.covariance, (0, 9)) + 1e-14 * np.eye(11)
+    both = replace(
+        drive,
+        states=[*drive.states, SensorState(mounted)],
+        parts=[replace(part, points=[*part.points, none]) for part in drive.parts],
+        free=free, responses=[np.pad(drive.responses[0], ((0, 0), (0, 9)))],
+        covariance=tiny + np.outer(ahead, ahead),
+    )  # fmt: skip
+    found, exact = locate_root(both, 1), locate_root(replace(both, covariance=tiny), 1)
+    assert not isinstance(found, Rejected)
+    assert not isinstance(exact, Rejected)
+    error = error_of(found.T_base_root)
+    assert np.abs(error[:3]).max() < 3e-3
+    assert np.abs(error[3:]).max() < 1e-3
+    assert found.covariance[0, 0] - exact.covariance[0, 0] == pytest.approx(1e-4, rel=0.1)
 
 
 def test_what_is_uncertain_of_ranges_is_of_the_height() -> None:

@@ -74,6 +74,8 @@ class Adjustment:
     """(G,) the unknowns that measurements of all parts share,"""
     shared_stddev: Array = field(default_factory=lambda: np.zeros(0))
     """(G,) and their standard deviations."""
+    associations: Sequence[Association] = ()
+    """By part, the points on surfaces of the last steps."""
     responses: Sequence[Array] = ()
     """By part, (C', P) change of its unknowns, the control points first, with the free parameters."""
 
@@ -150,6 +152,7 @@ def adjust_drive(
         residual_rms=noise.white,
         point_counts=np.sum([one.surfaces.white[:, 1] for one in reduced], axis=0),
         squared_step=float(step @ H @ step),
+        associations=associations,
         responses=[one.response()[:, :count] for one in reduced],
         shared=shared,
         shared_stddev=np.sqrt(np.diag(widened)[count:]),

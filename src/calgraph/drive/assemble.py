@@ -8,7 +8,6 @@ import numpy as np
 from calgraph.config import Rig
 from calgraph.drive.adjustment import Adjustment
 from calgraph.drive.board_views import BoardMeasurements
-from calgraph.drive.evidence import collect_pictures
 from calgraph.drive.start import MotionStart
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2
@@ -54,6 +53,7 @@ class DriveResult:
     """Errors of lenses and prints."""
     base: BaseFrame | None = None
     """The vehicle's frame, where rig.yaml states that there is one."""
+    pictures: Pictures = field(default_factory=Pictures)
 
 
 def assemble_drive(rig: Rig, result: DriveResult) -> Calibration:
@@ -106,9 +106,7 @@ def assemble_drive(rig: Rig, result: DriveResult) -> Calibration:
             remarks=(*(finding.text for finding in result.findings), *_list_remarks(rig, names)),
             fit=_describe_fit(names, adjusted, result.views) if adjusted else {},
         ),
-        pictures=collect_pictures(used, result.starts, adjusted.parts, adjusted.states)
-        if adjusted
-        else Pictures(),
+        pictures=result.pictures,
     )
 
 

@@ -13,12 +13,14 @@ from calgraph.verdict.grades import grade_pose
 _ADVICE = "drive for a minute on a level floor, with curves to both sides and straight parts"
 
 
-def assess_base(rig: Rig, adjusted: Adjustment | None) -> BaseFrame | None:
-    """The root on the vehicle with a verdict; None where rig.yaml states no ``base``."""
+def assess_base(rig: Rig, adjusted: Adjustment | None = None, root: int = 0) -> BaseFrame | None:
+    """The root, which has a number in the solution, on the vehicle with a verdict; None without ``base``."""
     base = rig.base
     if base is None:
         return None
-    found = locate_root(adjusted, inverted=base.inverted) if adjusted else Rejected("the root has no trajectory")
+    found = (
+        locate_root(adjusted, root, inverted=base.inverted) if adjusted else Rejected("the root has no trajectory")
+    )
     if isinstance(found, Rejected):
         return BaseFrame(base.frame, base.axle, Verdict("unobservable", f"{found.reason}; {_ADVICE}"))
     T, measured = found.T_base_root, ~np.isnan(np.diag(found.covariance))

@@ -12,6 +12,7 @@ from calgraph.drive.assemble import DriveResult, assemble_drive, measure_views
 from calgraph.drive.base_verdict import assess_base
 from calgraph.drive.board_views import SharedErrors
 from calgraph.drive.board_world import chain_boards, describe_errors, measure_boards, state_estimates
+from calgraph.drive.evidence import collect_pictures
 from calgraph.drive.measurements import DrivePart
 from calgraph.drive.options import DriveOptions
 from calgraph.drive.root_change import change_root
@@ -76,18 +77,19 @@ def calibrate_sources(
     tracks = _track_sensors(rig, sources, options, progress)
     lead = _select_lead(rig, tracks)
     motions = {name: _select_motion(rig, lead, name) for name in rig.sensors}
-    starts = solve_starts(lead, tracks, motions, options.seed)
-    used = [lead, *(name for name, start in starts.items() if isinstance(start, MotionStart))]
-    adjusted: Adjustment | None = None
-    views: dict[str, Array] = {}
-    systematic: tuple[EstimatedParameter, ...] = ()
-    if rig.root in used and (len(used) > 1 or (rig.base and isinstance(tracks[lead], Segments))):
-        adjusted, systematic = _adjust(rig, used, sources, tracks, starts, options.seed, progress)
-        views = {name: measure_views(adjusted, k) for k, name in enumerate(used)}
-    if lead != rig.root:
-        used, starts, adjusted = _express_in_root(rig.root, used, starts, adjusted)
-    base = assess_base(rig, adjusted)
-    result = DriveResult(used, frames, starts, adjusted, findings, views, systematic, base)
+    from_lead = solve_starts(lead, tracks, motions, options.seed)
+    used = [lead, *(name for name, start in from_lead.items() if isinstance(start, MotionStart))]
+    starts = from_lead if lead == rig.root else _express_in_root(rig.root, lead, from_lead)
+    if rig.root not in used or not (len(used) > 1 or (rig.base and isinstance(tracks[lead], Segments))):
+        return assemble_drive(rig, DriveResult([rig.root], frames, starts, None, findings, base=assess_base(rig)))
+    adjusted, systematic = _adjust(rig, used, sources, tracks, from_lead, options.seed, progress)
+    root = used.index(rig.root)
+    views = {name: measure_views(adjusted, k) for k, name in enumerate(used)}
+    pictures, base = collect_pictures(used, starts, adjusted, root), assess_base(rig, adjusted, root)
+    if root:
+        adjusted = change_root(adjusted, root)
+        used = [rig.root, *(name for name in used if name != rig.root)]
+    result = DriveResult(used, frames, starts, adjusted, findings, views, systematic, base, pictures)
     return assemble_drive(rig, result)
 
 
@@ -105,23 +107,19 @@ def _select_lead(rig: Rig, tracks: Mapping[str, Segments | Rejected]) -> str:
 
 
 def _express_in_root(
-    root: str, used: list[str], starts: Mapping[str, MotionStart | Rejected], adjusted: Adjustment | None
-) -> tuple[list[str], dict[str, MotionStart | Rejected], Adjustment | None]:
-    """What was found for the first sensor that is used, for the root: an edge with it, and all poses."""
+    root: str, lead: str, starts: Mapping[str, MotionStart | Rejected]
+) -> dict[str, MotionStart | Rejected]:
+    """The starts of all sensors but the root against it, from those against the sensor that leads."""
     of_root = starts[root]
     if isinstance(of_root, Rejected):
         missing = Rejected(f"the root {root} has no pose on the robot: {of_root.reason}")
-        return [root], {name: missing for name in (used[0], *starts) if name != root}, None
-    number = used.index(root)
-    if adjusted is not None:
-        adjusted = change_root(adjusted, number)
-    of_itself = replace(of_root, T_root_sensor=np.eye(len(of_root.T_root_sensor)), clock_offset=0.0)
-    moved = {
+        return {name: missing for name in (lead, *starts) if name != root}
+    of_lead = replace(of_root, T_root_sensor=np.eye(len(of_root.T_root_sensor)), clock_offset=0.0)
+    return {
         name: start if isinstance(start, Rejected) else start.relative_to(of_root)
-        for name, start in {used[0]: of_itself, **starts}.items()
+        for name, start in {lead: of_lead, **starts}.items()
         if name != root
     }
-    return [root, *(name for name in used if name != root)], moved, adjusted
 
 
 def dimension_of(rig: Rig) -> int:

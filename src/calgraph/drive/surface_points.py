@@ -73,7 +73,7 @@ def associate_points(part: DrivePart, states: Sequence[SensorState], gate: float
     A cell is flat if the points of each view are. Cells in which sensors do not agree remain surfaces: without
     them, poses with which sensors measure nothing in common would fit best.
     """
-    at = [_evaluate(part, k, state, _select_inside(part, k, state)) for k, state in enumerate(states)]
+    at = [_evaluate(part, k, state, select_inside(part, k, state)) for k, state in enumerate(states)]
     world = np.concatenate([one.world for one in at])
     sensor = np.repeat(np.arange(len(at)), [len(one.world) for one in at])
     view = _number_views(part, np.concatenate([one.time for one in at]))
@@ -100,7 +100,7 @@ def associate_points(part: DrivePart, states: Sequence[SensorState], gate: float
 def linearize_points(part: DrivePart, states: Sequence[SensorState], association: Association) -> SurfacePoints:
     """The residuals of the points of a part that are on surfaces."""
     at = [
-        _evaluate(part, k, state, _select_inside(part, k, state) & (association.cell[k] >= 0))
+        _evaluate(part, k, state, select_inside(part, k, state) & (association.cell[k] >= 0))
         for k, state in enumerate(states)
     ]
     sensor = np.repeat(np.arange(len(at)), [len(one.world) for one in at])
@@ -143,7 +143,7 @@ def _number_views(part: DrivePart, times: Array) -> Index:
     return np.floor((times - part.trajectory.start) / _VIEW_DURATION).astype(np.intp)
 
 
-def _select_inside(part: DrivePart, k: int, state: SensorState) -> NDArray[np.bool_]:
+def select_inside(part: DrivePart, k: int, state: SensorState) -> NDArray[np.bool_]:
     """(N,) which points of sensor k were measured during the trajectory."""
     times = part.points[k].times - state.clock_offset
     return np.asarray((times >= part.trajectory.start) & (times <= part.trajectory.end))

@@ -72,14 +72,15 @@ class VehiclePose:
     """(6, 6) in the axes of the vehicle, m and rad; NaN for what was not measured, y always."""
 
 
-def locate_root(adjusted: Adjustment, *, inverted: bool = False) -> VehiclePose | Rejected:
+def locate_root(adjusted: Adjustment, root: int = 0, *, inverted: bool = False) -> VehiclePose | Rejected:
     """The root on the vehicle, from the trajectory and the floor of an adjusted drive.
 
     Args:
         adjusted: the drive.
+        root: number of the sensor that is the root.
         inverted: whether the root's z axis points down.
     """
-    measure = partial(_measure_chords, inverted=inverted)
+    measure = partial(_measure_chords, root=root, inverted=inverted)
     pose = fit_pose(measure(adjusted.parts, adjusted.states, np.zeros((2, 3))))
     if isinstance(pose, Rejected):
         return pose
@@ -144,28 +145,28 @@ def _scatter_of_level(chords: "Chords") -> float:
 
 
 def _measure_chords(
-    parts: Sequence[DrivePart], states: Sequence[SensorState], places: Array, *, inverted: bool
+    parts: Sequence[DrivePart], states: Sequence[SensorState], places: Array, *, root: int, inverted: bool
 ) -> "Chords":
     """The motions of all parts, with the floor below places (2, 3) in the frame of the root."""
     up = np.array([0.0, 0.0, -1.0 if inverted else 1.0])
     found = []
     for k, part in enumerate(parts):
-        poses = _take_steps(part)
+        poses = _take_steps(part, states[root].T_root_sensor)
         if part.points[0].points.shape[1] == 2:
             level = np.tile([*up, 0.0, 0.0, 0.0], (len(poses) - 1, 1))
         else:
             # Poses of other sensors may be uncertain: their points count where the root measures no floor.
-            level = measure_level(_world_points(part, states, [0]), poses, up, places)
+            level = measure_level(_world_points(part, states, [root]), poses, up, places)
             if not np.isfinite(level).all(axis=1).any():
                 level = measure_level(_world_points(part, states, range(len(states))), poses, up, places)
         found.append(join_chords(poses, level, k))
     return Chords(*(np.concatenate([getattr(one, f.name) for one in found]) for f in fields(Chords)))
 
 
-def _take_steps(part: DrivePart) -> Array:
+def _take_steps(part: DrivePart, T_lead_root: Array) -> Array:
     """(K, 4, 4) poses of the root in the world of a part, a step apart."""
     trajectory = part.trajectory
-    poses = trajectory.at(np.arange(trajectory.start, trajectory.end, _STEP)).poses
+    poses = trajectory.at(np.arange(trajectory.start, trajectory.end, _STEP)).poses @ T_lead_root
     return se2.to_se3(poses) if poses.shape[-1] == 3 else poses
 
 
