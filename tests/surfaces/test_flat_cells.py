@@ -6,6 +6,7 @@ from numpy.testing import assert_allclose
 
 from calgraph.geometry import Array
 from calgraph.surfaces.flat_cells import (
+    CellLimits,
     CellMoments,
     FlatCells,
     cell_keys,
@@ -18,7 +19,7 @@ NOISE = 0.01
 
 
 def fit(points: Array, cell: float = 1.0) -> FlatCells:
-    return fit_flat_cells(sum_moments(points, cell), cell, max_thickness=0.05, min_extent=0.1, min_count=10)
+    return fit_flat_cells(sum_moments(points, cell), CellLimits(cell, 10, 0.1), 0.05)
 
 
 def on_plane(normal: Array, center: Array, count: int, rng: np.random.Generator) -> Array:

@@ -52,13 +52,6 @@ def test_headings_are_interpolated_the_short_way_past_half_a_turn() -> None:
     assert_allclose(track.at(np.array([0.5]))[0, :2, :2], -np.eye(2), atol=1e-12)
 
 
-@DIMENSIONS
-def test_relative_motions_lead_from_starts_to_ends(n: int) -> None:
-    track = curve(n)
-    motion = track.relative(np.array([1.0, 4.0]), 1.5)
-    assert_allclose(track.at(np.array([1.0, 4.0])) @ motion, track.at(np.array([2.5, 5.5])), atol=1e-12)
-
-
 def test_the_part_of_a_track_has_the_times_of_an_interval() -> None:
     part = curve(2).between(2.0, 3.0)
     assert_allclose(part.times, np.linspace(2, 3, 11))

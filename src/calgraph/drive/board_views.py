@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array, hstack
 
-from calgraph.drive.measurements import MAX_VARIANCES, LinearRows, VarianceOf
+from calgraph.drive.measurements import MAX_VARIANCES, LinearRows, VarianceOf, sparse_rows
 from calgraph.drive.states import SensorState
 from calgraph.geometry import STDDEV_PER_MAD, Array, Index, se3, se_n, so3
 from calgraph.sensors import CameraModel
@@ -157,7 +157,7 @@ class BoardMeasurements:
         # Six of each view; only their mean by camera is used.
         chosen = np.arange(0, len(inside), max(6 * len(inside) // MAX_VARIANCES, 1))
         Q = self._select(inside[chosen])._bias_basis()
-        onto_basis = _sparse_rows(np.swapaxes(Q, 1, 2), Q.shape[1] * chosen, len(rows.residual))
+        onto_basis = sparse_rows(np.swapaxes(Q, 1, 2), Q.shape[1] * chosen, len(rows.residual))
         J = csr_array(onto_basis @ hstack([rows.by_control, rows.by_unknown]).tocsr())
         share = np.clip(1 - variance_of(J), 0.0, 1.0).reshape(-1, 6)
         left = np.ones((len(self.times), 6))
@@ -211,9 +211,9 @@ class BoardMeasurements:
         return LinearRows(
             residual.ravel(),
             np.repeat(self.sensor, rows),
-            _sparse_rows(by_control, 6 * at.first, trajectory.control.size),
+            sparse_rows(by_control, 6 * at.first, trajectory.control.size),
             np.concatenate([by_camera, by_clock, none], axis=-1).reshape(V * rows, -1),
-            _sparse_rows(by_board, 6 * self.board, self.unknown_count),
+            sparse_rows(by_board, 6 * self.board, self.unknown_count),
             by_shared.reshape(V * rows, -1),
         )
 
@@ -338,11 +338,3 @@ def _transfer(R: Array, place: Array) -> Array:
     M[:, :3, :3] = M[:, 3:, 3:] = R
     M[:, :3, 3:] = so3.hat(place) @ R
     return M
-
-
-def _sparse_rows(blocks: Array, first: Index, columns: int) -> csr_array:
-    """(V R, columns) of blocks (V, R, k) whose columns begin at ``first`` (V,)."""
-    V, R, k = blocks.shape
-    index = np.broadcast_to((first[:, None] + np.arange(k))[:, None], blocks.shape)
-    pointer = np.arange(V * R + 1) * k
-    return csr_array((blocks.ravel(), index.ravel(), pointer), shape=(V * R, columns))

@@ -3,12 +3,12 @@
 import numpy as np
 from scipy.spatial import cKDTree
 
+from calgraph.drive.surface_points import CELL_LIMITS
 from calgraph.geometry import Array, se_n
 from calgraph.surfaces.flat_cells import FlatCells, fit_flat_cells, sum_moments
 
-# Edge of the cells in which floors are recognised, m, their thickness with waves, m, their least extent, m, and
-# the least number of points.
-_CELL, _THICKNESS, _EXTENT, _COUNT = 1.0, 0.03, 0.12, 15
+# Cells in which floors are recognised, as in the adjustment, and their thickness with waves, m.
+_LIMITS, _THICKNESS = CELL_LIMITS[3], 0.03
 # Edge of the cells whose means are its places, m.
 _FINE = 0.3
 # Root of the sum of squared turns of steps below which turns do not show what is level, rad.
@@ -42,7 +42,7 @@ def measure_level(points: Array, poses: Array, up: Array, places: Array) -> Arra
     root = (se_n.translation(poses[1:]) + se_n.translation(poses[:-1])) / 2 @ axes
     level = np.full((len(root), 6), np.nan)
     floor = _select_floor(points, root)
-    if len(floor) < _COUNT:
+    if len(floor) < _LIMITS.min_count:
         return level
     cells = sum_moments(floor, _FINE).mean
     at = root[:, None] + np.einsum("kij,pj->kpi", R, places)
@@ -88,8 +88,7 @@ def _find_vertical(points: Array, poses: Array, up: Array) -> Array:
 
 
 def _fit_cells(points: Array) -> FlatCells:
-    moments = sum_moments(points, _CELL)
-    return fit_flat_cells(moments, _CELL, max_thickness=_THICKNESS, min_extent=_EXTENT, min_count=_COUNT)
+    return fit_flat_cells(sum_moments(points, _LIMITS.cell), _LIMITS, _THICKNESS)
 
 
 def _select_floor(points: Array, place: Array) -> Array:

@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
+import numpy as np
 from scipy.sparse import csr_array
 
 from calgraph.drive.states import SensorPoints, SensorState
@@ -27,6 +28,14 @@ class LinearRows:
     """(M, E) by the unknowns of the measurements themselves."""
     by_shared: Array
     """(M, G) by the unknowns that all parts of the drive share."""
+
+
+def sparse_rows(blocks: Array, first: Index, columns: int) -> csr_array:
+    """(V R, columns) of blocks (V, R, k) whose columns begin at ``first`` (V,)."""
+    V, R, k = blocks.shape
+    index = np.broadcast_to((first[:, None] + np.arange(k))[:, None], blocks.shape)
+    pointer = np.arange(V * R + 1) * k
+    return csr_array((blocks.ravel(), index.ravel(), pointer), shape=(V * R, columns))
 
 
 VarianceOf = Callable[[csr_array], Array]

@@ -7,33 +7,26 @@ voxel mapping for accurate online LiDAR odometry", 2022, for planes in voxels.
 
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from calgraph.drive.sweeps import Sweep, thin_sweep
 from calgraph.geometry import Array, se_n
-from calgraph.surfaces.flat_cells import CellMoments, FlatCells, fit_flat_cells, merge_moments, sum_moments
+from calgraph.surfaces.flat_cells import (
+    CellLimits,
+    CellMoments,
+    FlatCells,
+    fit_flat_cells,
+    merge_moments,
+    sum_moments,
+)
 from calgraph.surfaces.trajectory import Track
 
-
-@dataclass(frozen=True)
-class OdometryLimits:
-    """What depends on whether surfaces are lines of one scan plane, or planes in space."""
-
-    cell: float
-    """Edge length of the cells, m."""
-    min_count: int
-    """Least number of points in a cell."""
-
-
 # Cells hold 20 or more points of a room at 10 m, and are smaller than most furniture; planes need more points than
-# lines, of at least two rings.
-_LIMITS = {2: OdometryLimits(0.3, 4), 3: OdometryLimits(1.0, 6)}
+# lines, of at least two rings. With 0.06 m of noise a normal within 0.1 rad needs more than 0.05 m.
+_LIMITS = {2: CellLimits(0.3, 4, 0.05), 3: CellLimits(1.0, 6, 0.05)}
 # Standard deviation of points from a flat cell, m: range noise, doors in walls, and drift over the recent sweeps.
 _MAX_THICKNESS = 0.1
-# Least extent of a surface in a cell: with 0.06 m of noise a normal within 0.1 rad needs more than this, m.
-_MIN_EXTENT = 0.05
 # A new key sweep is taken after this motion, m and rad, and this many of the last ones are the map.
 _KEY_DISTANCE, _KEY_ANGLE, _KEY_TIME, _KEY_SWEEPS = 0.3, 0.17, 0.5, 50
 # Gauss–Newton ends where a step is below a tenth of a millimetre.
@@ -72,13 +65,7 @@ def track_sensor(sweeps: Sequence[Sweep], points: int, rng: np.random.Generator)
         if last_key is None or _is_far(last_key[1], poses[-1]) or sweep.time - last_key[0] > _KEY_TIME:
             last_key = sweep.time, poses[-1]
             key_moments.append(sum_moments(_to_world(sweep, poses[-1], velocity), limits.cell))
-            surfaces = fit_flat_cells(
-                merge_moments(key_moments),
-                limits.cell,
-                max_thickness=_MAX_THICKNESS,
-                min_extent=_MIN_EXTENT,
-                min_count=limits.min_count,
-            )
+            surfaces = fit_flat_cells(merge_moments(key_moments), limits, _MAX_THICKNESS)
     return Track(np.array([sweep.time for sweep in sweeps]), np.array(poses))
 
 

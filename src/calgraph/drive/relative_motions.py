@@ -14,9 +14,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.sparse import csr_array, hstack
+from scipy.sparse import csr_array, hstack, vstack
 
-from calgraph.drive.measurements import MAX_VARIANCES, LinearRows, VarianceOf
+from calgraph.drive.measurements import MAX_VARIANCES, LinearRows, VarianceOf, sparse_rows
 from calgraph.drive.states import SensorState
 from calgraph.geometry import Array, Index, se_n, so3
 from calgraph.surfaces.trajectory import SplinePoses, SplineTrajectory
@@ -81,25 +81,26 @@ class RelativeMotions:
     def linearize(self, trajectory: SplineTrajectory, states: Sequence[SensorState], shared: Array) -> LinearRows:
         """The A K errors, axis by axis, then the E unknowns against their priors."""
         errors, by_control, by_sensor, design = self.evaluate(trajectory, states[self.sensor])
-        residual = (errors.T[:, :, None] / self.noise[:, None, None])[..., 0]
-        weight = np.sqrt((_FREEDOM + 1) / (_FREEDOM + residual**2)) / self.noise[:, None]
-        A, K = residual.shape
-        scale = weight.ravel()
-        E = len(self.unknowns)
-        prior = self._prior_rows()
-        own = np.zeros((A * K + E, E))
-        own[: A * K] = design.swapaxes(0, 1).reshape(A * K, E) * scale[:, None]
-        own[A * K :] = prior
-        columns = by_sensor.shape[-1]
+        residual = errors.T / self.noise[:, None]
+        scale = np.ravel(np.sqrt((_FREEDOM + 1) / (_FREEDOM + residual**2)) / self.noise[:, None])
+        prior, (columns, size) = self._prior_rows(), (trajectory.control.shape[1], trajectory.control.size)
+
+        def by_axis(J: Array) -> Array:
+            return np.asarray(J.swapaxes(0, 1).reshape(len(scale), -1) * scale[:, None])
+
+        ends = [
+            sparse_rows(by_axis(J)[:, None], columns * np.tile(first, len(self.axes)), size)
+            for first, J in by_control
+        ]
+        own = np.concatenate([by_axis(design), prior])
         return LinearRows(
             np.concatenate([errors.T.ravel() * scale, prior @ self.unknowns]),
-            np.full(A * K + E, self.sensor),
-            _stack_rows(by_control, trajectory, scale, E),
-            np.concatenate([by_sensor.swapaxes(0, 1).reshape(A * K, columns) * scale[:, None],
-                            np.zeros((E, columns))]),
+            np.full(len(own), self.sensor),
+            csr_array(vstack([sum(ends), csr_array((len(prior), size))])),
+            np.pad(by_axis(by_sensor), ((0, len(prior)), (0, 0))),
             csr_array(own),
-            np.zeros((A * K + E, len(shared))),
-        )  # fmt: skip
+            np.zeros((len(own), len(shared))),
+        )
 
     def moved(self, step: Array) -> "RelativeMotions":
         """See :class:`calgraph.drive.measurements.Measurements`."""
@@ -176,42 +177,31 @@ class RelativeMotions:
         """
         n = self._n
         before, after = (_place(trajectory, times, state) for times in (self.starts, self.ends))
-        R0 = se_n.rotation(before.poses)
-        back = se_n.transpose(R0)
-        moved = se_n.translation(after.poses) - se_n.translation(before.poses)
-        t_D = (back @ moved[:, :, None])[..., 0]
-        t_M = se_n.translation(self.motions)
-        R_D = back @ se_n.rotation(after.poses)
-        turn, whole = se_n.log(R_D @ se_n.transpose(se_n.rotation(self.motions))), se_n.log(R_D)
-        design = self._design(np.concatenate([t_D, whole], axis=1)[:, self.axes])
-        errors = np.concatenate([t_D - t_M, turn], axis=1)[:, self.axes] + design @ self.unknowns
+        moved = se_n.inverse(before.poses) @ after.poses
+        difference, whole = (se_n.difference(moved, one) for one in (self.motions, np.eye(n + 1)))
+        design = self._design(whole[:, self.axes])
         F = len(self.priors)
         scales = self.unknowns[F - len(self._scaled) : F] @ self._scaled
-        # Of a turn of the start, x0, and of the end, x1, about the world's axes.
-        lever = back @ se_n.rotation_jacobian(moved)
-        d = turn.shape[1]
-        spin, of_whole = np.ones((2, len(turn), 1, 1))
-        if n == 3:
-            spin, of_whole = (so3.left_jacobian_inverse(one) @ back for one in (turn, whole))
-        to_error = []
-        for sign, end in ((-1.0, before), (1.0, after)):
-            block, scaled = np.zeros((2, len(turn), n + d, n + d))
-            block[:, :n, :n] = sign * back
-            block[:, n:, n:], scaled[:, n:, n:] = sign * spin, sign * of_whole
-            if sign < 0:
-                block[:, :n, n:] = -lever
-            scaled[:, :n] = block[:, :n]
-            to_error.append((block[:, self.axes] + scales[:, None] * scaled[:, self.axes], end))
-        by_state = np.asarray(sum(block @ end.by_state for block, end in to_error))
+        by_motion = _by_pose(difference)[:, self.axes] + scales[:, None] * _by_pose(whole)[:, self.axes]
+        by_ends = [by_motion @ J for J in se_n.relative_pose_jacobians(before.poses, after.poses)]
+        by_state = by_ends[0] @ before.by_state + by_ends[1] @ after.by_state
         u = self.undetermined
         by_state[:, :, : len(u)] -= (by_state[:, :, : len(u)] @ u)[:, :, None] * u
         by_control = tuple(
-            (end.first, (end.basis[:, None, :, None] * (block @ end.by_control)[:, :, None, :]).reshape(
-                len(turn), len(self.axes), -1
+            (end.first, (end.basis[:, None, :, None] * (J @ end.by_control)[:, :, None, :]).reshape(
+                *by_motion.shape[:2], -1
             ))
-            for block, end in to_error
+            for J, end in zip(by_ends, (before, after), strict=True)
         )  # fmt: skip
-        return errors, by_control, by_state, design
+        return difference[:, self.axes] + design @ self.unknowns, by_control, by_state, design
+
+
+def _by_pose(difference: Array) -> Array:
+    """(K, n + d, n + d) derivatives of differences (K, n + d) of poses by the first ones."""
+    J = np.zeros((len(difference), *[difference.shape[1]] * 2)) + np.eye(difference.shape[1])
+    if difference.shape[1] == 6:
+        J[:, 3:, 3:] = so3.left_jacobian_inverse(difference[:, 3:])
+    return J
 
 
 @dataclass(frozen=True, eq=False)
@@ -232,37 +222,15 @@ class _Placed:
 
 def _place(trajectory: SplineTrajectory, times: Array, state: SensorState) -> _Placed:
     at: SplinePoses = trajectory.at(times - state.clock_offset)
-    T = state.T_root_sensor
-    R = se_n.rotation(at.poses)
-    arm = R @ se_n.translation(T)
-    K, n = arm.shape
-    d = at.turn_rate.shape[1]
-    swing = se_n.rotation_jacobian(arm)
-    by_control, by_state = np.zeros((K, n + d, n + d)), np.zeros((K, n + d, n + d + 3))
-    by_control[:, :n, :n] = np.eye(n)
-    by_control[:, :n, n:] = swing @ at.rotation_jacobian
-    by_control[:, n:, n:] = at.rotation_jacobian
-    by_state[:, :n, :n] = R
-    by_state[:, n:, n : n + d] = R if n == 3 else 1.0
-    by_state[:, :n, n + d] = -(at.velocity + (swing @ at.turn_rate[:, :, None])[..., 0])
-    by_state[:, n:, n + d] = -at.turn_rate
+    R, T = se_n.rotation(at.poses), state.T_root_sensor
+    n = len(T) - 1
+    from_root = np.zeros_like(se_n.rotation_adjoint(R)) + np.eye(n + at.turn_rate.shape[1])
+    from_root[:, :n, n:] = se_n.rotation_jacobian(R @ se_n.translation(T))
+    by_control = from_root.copy()
+    by_control[:, :, n:] = from_root[:, :, n:] @ at.rotation_jacobian
+    by_clock = -from_root @ np.concatenate([at.velocity, at.turn_rate], axis=1)[:, :, None]
+    by_state = np.concatenate([se_n.rotation_adjoint(R), by_clock, np.zeros((*by_control.shape[:2], 2))], axis=2)
     return _Placed(at.poses @ T, at.first, at.basis, by_control, by_state)
-
-
-def _stack_rows(
-    by_control: tuple[tuple[Index, Array], ...], trajectory: SplineTrajectory, scale: Array, more: int
-) -> csr_array:
-    """(A K + more, C) derivatives by control points, scaled, axis by axis, with empty rows at the end."""
-    rows, columns, values = [], [], []
-    size, width = trajectory.control.size, trajectory.control.shape[1]
-    for first, J in by_control:
-        K, A, count = J.shape
-        rows.append(np.repeat(np.arange(A * K), count))
-        columns.append(np.tile(first[:, None] * width + np.arange(count), (A, 1, 1)).ravel())
-        values.append((J.swapaxes(0, 1).reshape(A * K, count) * scale[:, None]).ravel())
-    return csr_array(
-        (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape=(len(scale) + more, size)
-    )
 
 
 def _by_axis(values: tuple[float, float], axes: Index, n: int) -> Array:

@@ -16,7 +16,8 @@ def change_root(adjusted: Adjustment, root: int) -> Adjustment:
         root: number of the new one, whose pose is free in all axes.
     """
     S, columns = adjusted.free.shape
-    p = columns - 3
+    n = len(adjusted.states[root].T_root_sensor) - 1
+    p = n * (n + 1) // 2
     order = [root, *(k for k in range(S) if k != root)]
     of_root = adjusted.states[root]
     T_new = se_n.inverse(of_root.T_root_sensor)
@@ -24,7 +25,7 @@ def change_root(adjusted: Adjustment, root: int) -> Adjustment:
     J = np.zeros((S, columns, S, columns))
     for row, k in enumerate(order):
         by_root, by_own = se_n.relative_pose_jacobians(of_root.T_root_sensor, adjusted.states[k].T_root_sensor)
-        J[row, p:, k, p:] = np.eye(3)
+        J[row, p:, k, p:] = np.eye(columns - p)
         J[row, :p, k, :p] = by_own
         J[row, :p, root, :p] += by_root
         J[row, p, root, p] -= 1.0

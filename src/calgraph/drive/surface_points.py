@@ -9,20 +9,7 @@ from numpy.typing import NDArray
 from calgraph.drive.measurements import DrivePart
 from calgraph.drive.states import SensorState
 from calgraph.geometry import Array, Index, measure_lengths, se_n
-from calgraph.surfaces.flat_cells import FlatCells, fit_flat_cells, sum_moments_within
-
-
-@dataclass(frozen=True)
-class CellLimits:
-    """What counts as a surface."""
-
-    cell: float
-    """Edge length, m."""
-    min_count: int
-    """Least number of points in a cell."""
-    min_extent: float
-    """Least standard deviation along each direction, m."""
-
+from calgraph.surfaces.flat_cells import CellLimits, FlatCells, fit_flat_cells, sum_moments_within
 
 # Lines need fewer points than planes; a patch must extend far enough for slopes to be determined.
 CELL_LIMITS = {2: CellLimits(0.5, 8, 0.08), 3: CellLimits(1.0, 15, 0.12)}
@@ -78,13 +65,8 @@ def associate_points(part: DrivePart, states: Sequence[SensorState], gate: float
     sensor = np.repeat(np.arange(len(at)), [len(one.world) for one in at])
     view = _number_views(part, np.concatenate([one.time for one in at]))
     limits = CELL_LIMITS[world.shape[1]]
-    surfaces = fit_flat_cells(
-        sum_moments_within(world, view * len(at) + sensor, limits.cell),
-        limits.cell,
-        max_thickness=gate * _THICKNESS_PER_GATE,
-        min_extent=limits.min_extent,
-        min_count=limits.min_count,
-    )
+    moments = sum_moments_within(world, view * len(at) + sensor, limits.cell)
+    surfaces = fit_flat_cells(moments, limits, gate * _THICKNESS_PER_GATE)
     index = surfaces.find(world)
     distance = np.einsum("ni,ni->n", world - surfaces.center[index], surfaces.normals[index])
     index[np.abs(distance) >= gate] = -1

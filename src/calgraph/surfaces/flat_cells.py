@@ -94,6 +94,18 @@ def cell_keys(points: Array, cell: float) -> NDArray[np.int64]:
     return keys
 
 
+@dataclass(frozen=True)
+class CellLimits:
+    """What counts as a surface, besides its thickness."""
+
+    cell: float
+    """Edge length of the cells, m."""
+    min_count: int
+    """Least number of points in a cell."""
+    min_extent: float
+    """Least standard deviation along each direction of the surface, m."""
+
+
 @dataclass(frozen=True, eq=False)
 class FlatCells:
     """The cells whose points lie on a plane, or in 2-D on a line, by ascending key."""
@@ -143,22 +155,13 @@ class FlatCells:
         return np.where(self.keys[at] == keys, at, -1)
 
 
-def fit_flat_cells(
-    moments: CellMoments, cell: float, *, max_thickness: float, min_extent: float, min_count: int
-) -> FlatCells:
-    """The cells of moments that are flat.
-
-    Args:
-        moments: of cells of this size.
-        cell: edge length, m.
-        max_thickness: standard deviation of points along the normal, m.
-        min_extent: least standard deviation along each direction of the surface, m.
-        min_count: least number of points.
-    """
+def fit_flat_cells(moments: CellMoments, limits: CellLimits, max_thickness: float) -> FlatCells:
+    """The cells of moments that are flat: points along the normal have a standard deviation of this at most, m."""
     values, vectors = moments.principal
-    flat = (moments.count >= min_count) & (values[:, 0] <= max_thickness**2) & (values[:, 1] >= min_extent**2)
+    flat = (moments.count >= limits.min_count) & (values[:, 0] <= max_thickness**2)
+    flat &= values[:, 1] >= limits.min_extent**2
     return FlatCells(
-        cell,
+        limits.cell,
         moments.keys[flat],
         moments.mean[flat],
         vectors[flat],

@@ -36,10 +36,6 @@ class Track:
         inside = (self.times >= start) & (self.times <= end)
         return Track(self.times[inside], self.poses[inside])
 
-    def relative(self, starts: Array, duration: float) -> Array:
-        """Motions (M, n+1, n+1) ``T_start_end`` during intervals of a duration, s, from starts (M,)."""
-        return np.asarray(se_n.inverse(self.at(starts)) @ self.at(starts + duration))
-
 
 @dataclass(frozen=True, eq=False)
 class SplinePoses:
