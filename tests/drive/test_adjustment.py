@@ -32,9 +32,9 @@ from calgraph.drive.surface_points import (
     CELL_LIMITS,
     _evaluate,
     _Evaluated,
-    _select_inside,
     associate_points,
     linearize_points,
+    select_inside,
 )
 from calgraph.geometry import Array, se_n
 from calgraph.surfaces.flat_cells import cell_keys
@@ -145,7 +145,7 @@ def disturbed(n: int, seed: int = 0) -> tuple[DrivePart, list[SensorState]]:
 
 def evaluate(part: DrivePart, k: int, state: SensorState) -> _Evaluated:
     """All points of a sensor that were measured during the trajectory."""
-    return _evaluate(part, k, state, _select_inside(part, k, state))
+    return _evaluate(part, k, state, select_inside(part, k, state))
 
 
 class FixedSurfaces:

@@ -8,6 +8,7 @@ import numpy as np
 from calgraph.config import Rig
 from calgraph.drive.adjustment import Adjustment
 from calgraph.drive.board_views import BoardMeasurements
+from calgraph.drive.sources.camera import MIN_VIEWS
 from calgraph.drive.start import MotionStart
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2
@@ -25,8 +26,6 @@ _UNVERIFIED = (
 )
 # Surfaces that two sensors have to share: with fewer, single ones that moved or are mistaken decide.
 _MIN_SHARED_CELLS = 30
-# Images of boards that a camera needs: single ones that are mistaken do not decide then.
-_MIN_VIEWS = 30
 # RMS reprojection error above which a solution is wrong, pixels: motion blur of a slow drive is less.
 _MAX_REPROJECTION_ERROR = 3.0
 # Squared last step, in standard deviations, from which the adjustment has not converged.
@@ -66,7 +65,7 @@ def assemble_drive(rig: Rig, result: DriveResult) -> Calibration:
     for k, name in enumerate(names):
         spec, block = rig.sensors[name], slice(6 * k, 6 * k + 6)
         state = adjusted.states[k] if adjusted else None
-        T = np.eye(4) if state is None else _lift_pose(state.T_root_sensor)
+        T = np.eye(4) if state is None else se2.to_se3(state.T_root_sensor)
         if k == 0:
             located = result.base is not None and result.base.known
             verdict = Verdict("good") if len(names) > 1 or located else LONE_ROOT
@@ -117,9 +116,9 @@ def _find_contradictions(adjusted: Adjustment, k: int, views: Array) -> list[str
         reasons.append("the joint adjustment has not converged")
     measuring = adjusted.point_counts > 0
     shared = int(adjusted.shared_cells[k].sum() - adjusted.shared_cells[k, k])
-    if 0 < len(views) < _MIN_VIEWS:
+    if 0 < len(views) < MIN_VIEWS:
         reasons.append(
-            f"it detected boards in {len(views)} images only, fewer than {_MIN_VIEWS}: put more boards into its "
+            f"it detected boards in {len(views)} images only, fewer than {MIN_VIEWS}: put more boards into its "
             "field of view, and drive before them for longer"
         )
     if len(views):
@@ -176,11 +175,6 @@ def _list_edges(rig: Rig, result: DriveResult) -> list[Edge]:
         else Edge(rig.root, name, 0, 0, False, empty, note=start.reason)
         for name, start in result.starts.items()
     ]
-
-
-def _lift_pose(T: Array) -> Array:
-    """(4, 4) of a pose in the plane or in space."""
-    return se2.to_se3(T) if len(T) == 3 else T
 
 
 def _lift_covariance(adjusted: Adjustment) -> tuple[Array, Array]:

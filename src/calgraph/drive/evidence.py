@@ -42,7 +42,7 @@ def collect_pictures(
         spline, at = part.trajectory, linearize_points(part, adjusted.states, association)
         times = np.append(np.arange(spline.start, spline.end - 1e-3, _PATH_STEP), spline.end)
         R = _find_level(spline, times, association, at)
-        T_world_root = _lift(spline.at(times).poses @ T_lead_root)
+        T_world_root = se2.to_se3(spline.at(times).poses @ T_lead_root)
         paths.append(DrivePath(times - origin, se3.pose(R, np.zeros(3)) @ T_world_root))
         # Surfaces have moved since points were taken to be on them.
         counts = np.maximum(np.bincount(at.surface), 1)
@@ -66,7 +66,7 @@ def collect_pictures(
                     )
                 )  # fmt: skip
     before = [
-        DriveStart(name, _lift(start.T_root_sensor), start.clock_offset)
+        DriveStart(name, se2.to_se3(start.T_root_sensor), start.clock_offset)
         for name, start in starts.items()
         if name in names and isinstance(start, MotionStart)
     ]
@@ -86,7 +86,7 @@ def _find_level(spline: SplineTrajectory, times: Array, association: Association
     Of a trajectory at times (K,), s, and of its points on surfaces.
     """
     R, normals = np.eye(3), _raise(association.surfaces.normals)[at.surface]
-    poses = _lift(spline.at(times).poses)
+    poses = se2.to_se3(spline.at(times).poses)
     if spline.reference.poses.shape[-1] == 4:
         rates = spline.at(times).turn_rate
         up = np.linalg.eigh(rates.T @ rates)[1][:, -1]
@@ -106,11 +106,6 @@ def _find_level(spline: SplineTrajectory, times: Array, association: Association
     extent = np.ptp(poses[:, :3, 3] @ R.T @ so3.exp(np.array([0, 0, yaw])), axis=0)
     yaw += np.pi / 2 * (extent[1] > extent[0])
     return np.asarray(so3.exp(np.array([0, 0, -yaw])) @ R)
-
-
-def _lift(T: Array) -> Array:
-    """Poses (..., 4, 4) of poses in the plane or in space."""
-    return se2.to_se3(T) if T.shape[-1] == 3 else T
 
 
 def _raise(vectors: Array) -> Array:

@@ -156,8 +156,7 @@ def _minimize(
 
 def _velocity(before: Array, pose: Array, duration: float) -> Array:
     """(n + d,) in the moving frame."""
-    moved = se_n.inverse(before) @ pose
-    return np.concatenate([se_n.translation(moved), se_n.log(se_n.rotation(moved))]) / max(duration, 1e-3)
+    return se_n.difference(se_n.inverse(before) @ pose, np.eye(len(pose))) / max(duration, 1e-3)
 
 
 def _is_far(key: Array, pose: Array) -> bool:

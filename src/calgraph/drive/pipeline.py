@@ -94,16 +94,13 @@ def calibrate_sources(
 
 
 def _select_lead(rig: Rig, tracks: Mapping[str, Segments | Rejected]) -> str:
-    """The sensor for which poses and trajectory are solved.
-
-    It is a LiDAR, whose surfaces need its trajectory only; else one with a place that covers most of the time.
-    """
-    tracked = {name: track for name, track in tracks.items() if isinstance(track, Segments)}
-    kinds = {name: SOURCES[rig.sensors[name].kind] for name in tracked}
-    candidates = [name for name in tracked if kinds[name].has_surfaces] or [
-        name for name in tracked if kinds[name].has_place
-    ]
-    return choose_lead(rig.root, {name: tracked[name] for name in candidates}) if candidates else rig.root
+    """The sensor for which poses and trajectory are solved: a LiDAR, whose surfaces need its trajectory only."""
+    kinds = {
+        name: SOURCES[rig.sensors[name].kind] for name, track in tracks.items() if isinstance(track, Segments)
+    }
+    lidars = [name for name, kind in kinds.items() if kind.has_surfaces]
+    candidates = lidars or [name for name, kind in kinds.items() if kind.has_place]
+    return choose_lead(rig.root, {name: tracks[name] for name in candidates}) if candidates else rig.root
 
 
 def _express_in_root(

@@ -183,16 +183,11 @@ class RelativeMotions:
         F = len(self.priors)
         scales = self.unknowns[F - len(self._scaled) : F] @ self._scaled
         by_motion = _by_pose(difference)[:, self.axes] + scales[:, None] * _by_pose(whole)[:, self.axes]
-        by_ends = [by_motion @ J for J in se_n.relative_pose_jacobians(before.poses, after.poses)]
-        by_state = by_ends[0] @ before.by_state + by_ends[1] @ after.by_state
+        ends = [by_motion @ J for J in se_n.relative_pose_jacobians(before.poses, after.poses)]
+        by_state = ends[0] @ before.by_state + ends[1] @ after.by_state
         u = self.undetermined
         by_state[:, :, : len(u)] -= (by_state[:, :, : len(u)] @ u)[:, :, None] * u
-        by_control = tuple(
-            (end.first, (end.basis[:, None, :, None] * (J @ end.by_control)[:, :, None, :]).reshape(
-                *by_motion.shape[:2], -1
-            ))
-            for J, end in zip(by_ends, (before, after), strict=True)
-        )  # fmt: skip
+        by_control = ((before.first, ends[0] @ before.by_control), (after.first, ends[1] @ after.by_control))
         return difference[:, self.axes] + design @ self.unknowns, by_control, by_state, design
 
 
@@ -211,13 +206,11 @@ class _Placed:
     poses: Array
     """(K, n+1, n+1)."""
     first: Index
-    """(K,)."""
-    basis: Array
-    """(K, 4)."""
+    """(K,) control point,"""
     by_control: Array
-    """(K, n + d, n + d) by the values of the spline."""
+    """(K, n + d, 4 (n + d)) by it and the three after it,"""
     by_state: Array
-    """(K, n + d, n + d + 3)."""
+    """(K, n + d, n + d + 3) and by the state of the sensor."""
 
 
 def _place(trajectory: SplineTrajectory, times: Array, state: SensorState) -> _Placed:
@@ -226,11 +219,12 @@ def _place(trajectory: SplineTrajectory, times: Array, state: SensorState) -> _P
     n = len(T) - 1
     from_root = np.zeros_like(se_n.rotation_adjoint(R)) + np.eye(n + at.turn_rate.shape[1])
     from_root[:, :n, n:] = se_n.rotation_jacobian(R @ se_n.translation(T))
-    by_control = from_root.copy()
-    by_control[:, :, n:] = from_root[:, :, n:] @ at.rotation_jacobian
+    by_value = from_root.copy()
+    by_value[:, :, n:] = from_root[:, :, n:] @ at.rotation_jacobian
+    by_control = (at.basis[:, None, :, None] * by_value[:, :, None]).reshape(*by_value.shape[:2], -1)
     by_clock = -from_root @ np.concatenate([at.velocity, at.turn_rate], axis=1)[:, :, None]
-    by_state = np.concatenate([se_n.rotation_adjoint(R), by_clock, np.zeros((*by_control.shape[:2], 2))], axis=2)
-    return _Placed(at.poses @ T, at.first, at.basis, by_control, by_state)
+    by_state = np.concatenate([se_n.rotation_adjoint(R), by_clock, np.zeros((*by_value.shape[:2], 2))], axis=2)
+    return _Placed(at.poses @ T, at.first, by_control, by_state)
 
 
 def _by_axis(values: tuple[float, float], axes: Index, n: int) -> Array:

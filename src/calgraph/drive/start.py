@@ -126,10 +126,10 @@ def solve_start(
     A, B = _pair_motions(root, sensor, offset)
     if len(A) < _MIN_MOTIONS:
         return Rejected(f"it and the root moved together {len(A)} times only, {_MIN_MOTIONS} are needed")
-    turns = _measure_turns(B)
+    turns, _ = measure_turns(B)
     if motion == "turn":
         T, weights = _solve_rotation(A, B)
-    elif motion == "level" and min(_measure_turns(A)[1], turns[1]) < MIN_SECOND_TURN:
+    elif motion == "level" and min(measure_turns(A)[0][1], turns[1]) < MIN_SECOND_TURN:
         T, weights = _solve_level(A, B, rng)
     else:
         T, weights = _solve_pose(A, B, rng)
@@ -170,10 +170,11 @@ def _search_clock(
     return offset
 
 
-def _measure_turns(motions: Array) -> Array:
-    """(d,) RMS turns of motions about the principal axes of turning, rad, descending."""
+def measure_turns(motions: Array) -> tuple[Array, Array]:
+    """RMS turns (d,) of motions about the principal axes of turning, rad, descending; and these axes (d, d)."""
     vectors = se_n.log(se_n.rotation(motions))
-    return np.asarray(np.linalg.svd(vectors, compute_uv=False) / np.sqrt(len(motions)))
+    _, turns, axes = np.linalg.svd(vectors, full_matrices=False)
+    return np.asarray(turns / np.sqrt(len(motions))), np.asarray(axes)
 
 
 def explain_failure(start: MotionStart, name: str, motion: StartMotion = "free") -> str:
@@ -283,18 +284,14 @@ def _refine(T: Array, A: Array, B: Array) -> tuple[Array, Array]:
 def _jacobian(T: Array, A: Array, B: Array) -> Array:
     """(K, n+d, n+d) derivatives of ``A T`` against ``T B`` by the pose, for small errors of the rotation."""
     n = T.shape[-1] - 1
-    d = n * (n - 1) // 2
-    J = np.zeros((len(A), n + d, n + d))
-    J[:, :n, :n] = A[:, :n, :n] - np.eye(n)
+    J = se_n.rotation_adjoint(se_n.rotation(A)) - np.eye(n * (n + 1) // 2)
     J[:, :n, n:] = -se_n.rotation_jacobian(B[:, :n, n] @ T[:n, :n].T)
-    if n == 3:
-        J[:, n:, n:] = A[:, :3, :3] - np.eye(3)
     return J
 
 
 def _solve_level(A: Array, B: Array, rng: np.random.Generator) -> tuple[Array, Array]:
     """As :func:`_solve_pose`, of motions about one axis: in the plane across it, at no height along it."""
-    up_A, up_B = (np.linalg.svd(se_n.log(se_n.rotation(one)))[2][0] for one in (A, B))
+    up_A, up_B = (measure_turns(one)[1][0] for one in (A, B))
     turns_A, turns_B = (se_n.log(se_n.rotation(one)) @ up for one, up in ((A, up_A), (B, up_B)))
     up_B = up_B * np.sign(turns_A @ turns_B)
     to_A, to_B = (se3.pose(np.column_stack([plane.tangent_basis(up), up]), np.zeros(3)) for up in (up_A, up_B))

@@ -166,8 +166,7 @@ def _measure_chords(
 def _take_steps(part: DrivePart, T_lead_root: Array) -> Array:
     """(K, 4, 4) poses of the root in the world of a part, a step apart."""
     trajectory = part.trajectory
-    poses = trajectory.at(np.arange(trajectory.start, trajectory.end, _STEP)).poses @ T_lead_root
-    return se2.to_se3(poses) if poses.shape[-1] == 3 else poses
+    return se2.to_se3(trajectory.at(np.arange(trajectory.start, trajectory.end, _STEP)).poses @ T_lead_root)
 
 
 def _world_points(part: DrivePart, states: Sequence[SensorState], sensors: Iterable[int]) -> Array:

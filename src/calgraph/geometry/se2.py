@@ -39,7 +39,9 @@ def angle(T: Array) -> Array:
 
 
 def to_se3(T: Array) -> Array:
-    """The same poses in space (..., 4, 4): in the plane z = 0, turned about z."""
+    """The same poses in space (..., 4, 4): in the plane z = 0, turned about z; those in space as they are."""
+    if T.shape[-1] == 4:
+        return T
     lifted = np.zeros((*T.shape[:-2], 4, 4))
     lifted[..., :2, :2], lifted[..., :2, 3] = T[..., :2, :2], T[..., :2, 2]
     lifted[..., 2, 2] = lifted[..., 3, 3] = 1

@@ -33,8 +33,9 @@ _SMALL_STEP = 16
 _MIN_MOTION = 2.0
 # Time between views of a board up to which a camera has observed it all the time, s.
 _MAX_GAP = 0.5
-# Views with which a camera has a trajectory: some ten relative motions of 1.5 s at 5 Hz.
-_MIN_VIEWS = 30
+# Views with which a camera has a trajectory, and may be good: some ten relative motions of 1.5 s at 5 Hz; single ones
+# that are mistaken do not decide.
+MIN_VIEWS = 30
 _Decoder = Callable[[], Image | DetectedCorners]
 
 
@@ -54,9 +55,9 @@ class CameraSource(Source):
         segments = [views for views in split_views(self.views) if len(views) > 1]
         tracks = [_make_track(views) for views in segments]
         count = sum(len(track.times) for track in tracks)
-        if count < _MIN_VIEWS:
+        if count < MIN_VIEWS:
             return Rejected(
-                f"it detected boards in {count} successive images; a drive needs {_MIN_VIEWS}: put more "
+                f"it detected boards in {count} successive images; a drive needs {MIN_VIEWS}: put more "
                 "boards into its field of view, and drive slower before them"
             )
         return Segments(tracks, [views[0].board for views in segments])

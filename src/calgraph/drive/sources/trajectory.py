@@ -11,7 +11,7 @@ from calgraph.drive.measurements import Measurements
 from calgraph.drive.relative_motions import gather_motions
 from calgraph.drive.segments import Segments
 from calgraph.drive.sources.source import Source, SourceKind, without_ranges
-from calgraph.drive.start import MIN_SECOND_TURN, MOTION_DURATION
+from calgraph.drive.start import MIN_SECOND_TURN, MOTION_DURATION, measure_turns
 from calgraph.drive.states import SensorState
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, Index, se_n, so3
@@ -165,9 +165,9 @@ def _find_undetermined(trajectory: SplineTrajectory, state: SensorState, axes: I
         change[:3] = state.T_root_sensor[:3, 2]
         return change
     times = np.arange(trajectory.start, trajectory.end - MOTION_DURATION, MOTION_DURATION / 3)
-    R, later = (se_n.rotation(trajectory.at(some).poses) for some in (times, times + MOTION_DURATION))
-    _, turns, about = np.linalg.svd(se_n.log(se_n.transpose(R) @ later), full_matrices=False)
-    if turns[1] < MIN_SECOND_TURN * np.sqrt(len(times)):
+    before, after = (trajectory.at(some).poses for some in (times, times + MOTION_DURATION))
+    turns, about = measure_turns(se_n.inverse(before) @ after)
+    if turns[1] < MIN_SECOND_TURN:
         # The height of a trajectory, or the rotation of a gyroscope about the vertical.
         change[3 if axes.min() >= n else 0 :][:3] = about[0]
     return change
@@ -215,7 +215,7 @@ def _find_jumps(times: Array, poses: Array) -> NDArray[np.bool_]:
     n = poses.shape[-1] - 1
     duration = np.diff(times)
     moved = se_n.inverse(poses[:-1]) @ poses[1:]
-    rates = np.concatenate([se_n.translation(moved), se_n.log(se_n.rotation(moved))], axis=1) / duration[:, None]
+    rates = se_n.difference(moved, np.eye(n + 1)) / duration[:, None]
     jumps = duration > _MAX_GAP
     if len(rates) < 4:
         return np.asarray(jumps)
