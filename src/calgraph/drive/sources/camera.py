@@ -33,8 +33,8 @@ _SMALL_STEP = 16
 _MIN_MOTION = 2.0
 # Time between views of a board up to which a camera has observed it all the time, s.
 _MAX_GAP = 0.5
-# Views with which a camera has a trajectory, and may be good: some ten relative motions of 1.5 s at 5 Hz; single ones
-# that are mistaken do not decide.
+# Views with which a camera has a trajectory, and may be good: some ten relative motions of 1.5 s at 5 Hz. Single
+# ones that are mistaken do not decide.
 MIN_VIEWS = 30
 _Decoder = Callable[[], Image | DetectedCorners]
 
