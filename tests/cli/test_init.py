@@ -106,6 +106,17 @@ def test_two_real_scanners_are_named_after_their_topics(
     assert {name: s.topic for name, s in rig.sensors.items()} == {"front": "/front_scan", "rear": "/rear_scan"}
 
 
+def test_a_drive_is_drafted_with_surroundings(run: Run, tmp_path: Path) -> None:
+    simulated = run("simulate", "drive", "-o", tmp_path / "drive", "--duration", "12", "--rig", "two_scanners")
+    assert simulated.exit_code == 0, simulated.output
+    result = run("init", tmp_path / "drive" / "recording", "-o", tmp_path / "rig.yaml")
+    assert result.exit_code == 0, result.output
+    assert "it is of a robot that drives, as what scanners measure changes in" in " ".join(result.stderr.split())
+    draft, truth = load_rig(tmp_path / "rig.yaml"), load_rig(tmp_path / "drive" / "rig.yaml")
+    assert draft.is_drive
+    assert {s.topic: s.kind for s in draft.sensors.values()} == {s.topic: s.kind for s in truth.sensors.values()}
+
+
 def test_an_existing_file_is_kept(run: Run, simulated: Path, drafted: Path) -> None:
     drafted.write_text("mine")
     result = run("init", simulated / "recording", "-o", drafted)

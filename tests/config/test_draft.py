@@ -176,6 +176,58 @@ def test_no_sensor_is_refused() -> None:
         draft_rig([event("/heartbeat", 10)], "bag")
 
 
+DRIVES = "what scanners measure changes in 80% of all directions"
+
+
+def odometry(name: str, topic_type: str = "nav_msgs/msg/Odometry") -> FoundTopic:
+    return FoundTopic(name, topic_type, "other", 500, problem="its messages are not read")
+
+
+def drafted_drive(tmp_path: Path, *topics: FoundTopic) -> Rig:
+    (tmp_path / "rig.yaml").write_text(draft_rig(topics, "bag", drive=DRIVES), encoding="utf-8")
+    return load_rig(tmp_path / "rig.yaml")
+
+
+def test_a_drive_has_surroundings_with_the_reason(tmp_path: Path) -> None:
+    rig = drafted_drive(tmp_path, scan("/a/scan"), cloud("/b/points"))
+    assert (rig.is_drive, list(rig.sensors)) == (True, ["b", "a"])
+    text = (tmp_path / "rig.yaml").read_text("utf-8")
+    assert f"taken for a robot that drives, as {DRIVES}." in text
+    assert "state your board" not in text
+    assert "capture" not in text
+
+
+def test_what_two_scanners_do_not_need_is_a_comment_in_a_drive(tmp_path: Path) -> None:
+    """A draft with a camera would need its boards."""
+    depth = FoundTopic("/depth/image", IMAGE, "depth_camera", 100)
+    others = odometry("/odom"), image("/cam/image_raw"), depth
+    rig = drafted_drive(tmp_path, cloud("/a/points"), cloud("/b/points"), *others)
+    assert list(rig.sensors) == ["a", "b"]
+    text = (tmp_path / "rig.yaml").read_text("utf-8")
+    assert "#     kind: trajectory\n#     topic: /odom  # 500 messages" in text
+    assert "#     topic: /cam/image_raw  # 100 messages" in text
+    assert "Cameras need boards that are fixed in the room" in text
+    assert "/depth/image (sensor_msgs/msg/Image): is of a kind that a drive does not calibrate" in text
+
+
+def test_one_scanner_is_drafted_with_trajectories_and_gyroscopes(tmp_path: Path) -> None:
+    topics = cloud("/a/points"), odometry("/odom"), odometry("/imu/data", "sensor_msgs/msg/Imu")
+    rig = drafted_drive(tmp_path, *topics, odometry("/tf", "tf2_msgs/msg/TFMessage"))
+    assert {spec.topic: spec.kind for spec in rig.sensors.values()} == {
+        "/a/points": "lidar3d",
+        "/odom": "trajectory",
+        "/imu/data": "gyroscope",
+    }
+    text = (tmp_path / "rig.yaml").read_text("utf-8")
+    assert "/tf (tf2_msgs/msg/TFMessage): kind: trajectory with frame_id" in text
+
+
+def test_without_a_target_the_message_names_surroundings(tmp_path: Path) -> None:
+    (tmp_path / "rig.yaml").write_text("root: a\nsensors: {a: {kind: lidar3d, topic: /a}}\n", encoding="utf-8")
+    with pytest.raises(InputError, match=r"target: is missing .*\{kind: surroundings\} for a robot that drives"):
+        load_rig(tmp_path / "rig.yaml")
+
+
 kinds: st.SearchStrategy[Kind] = st.sampled_from(["camera", "lidar2d", "lidar3d", "camera_info", "event", "other"])
 # Text that YAML files can hold: no surrogates, no control characters.
 words = st.text(st.characters(exclude_categories=("Cs", "Cc", "Cn")), min_size=1, max_size=8)

@@ -16,6 +16,7 @@ from calgraph.io.atomic import write_text
 from calgraph.printing import format_target, read_boards
 from calgraph.recording import Recording, correct_stamps, find_topics, open_recording
 from calgraph.recording.clocks import compare_clocks
+from calgraph.recording.moving_robot import find_moving_robot
 from calgraph.rig.captures.capture_mode import RecognizedMode, recognize_recording
 from calgraph.rig.captures.empty_start import find_empty_start
 from calgraph.sensors.kinds import KINDS
@@ -44,12 +45,15 @@ def init(
         topics = find_topics(opened)
         timed = [topic.name for topic in topics if topic.kind in KINDS or topic in find_triggers(topics)[0]]
         by_one_clock = correct_stamps(opened, compare_clocks(opened, timed).certain_offsets())
-        background = find_background(by_one_clock, topics, boards)
-        found = find_mode(by_one_clock, topics, background)
+        robot = None if boards else find_moving_robot(by_one_clock, topics)
+        background = None if robot else find_background(by_one_clock, topics, boards)
+        found = None if robot else find_mode(by_one_clock, topics, background)
         mode = FoundMode(found.mode, found.reason) if found else None
-        text = draft_rig(topics, recording, target, background, mode)
+        text = draft_rig(topics, recording, target, background, mode, robot.reason if robot else "")
     write_text(out, text)
-    todo = "go through its comments" if board else "state your board in it, and go through its comments"
+    todo = "go through its comments" if board or robot else "state your board in it, and go through its comments"
+    if robot:
+        todo += f"; it is of a robot that drives, as {robot.reason}"
     console(stderr=True).print(f"Wrote {out}: {todo}", markup=False)
 
 

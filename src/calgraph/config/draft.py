@@ -5,12 +5,12 @@ import re
 import shlex
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
-from calgraph.config.rig_config import CaptureMode
+from calgraph.config.rig_config import DRIVE_KINDS, CaptureMode
 from calgraph.errors import InputError
-from calgraph.sensors.kinds import KINDS, KindName
+from calgraph.sensors.kinds import KINDS, TF_TYPES, KindName, motion_kind_of
 
 Kind = KindName | Literal["camera_info", "event", "other"]
 
@@ -43,6 +43,18 @@ _NO_TARGET = """\
 _NO_TARGET_OF_SCANNERS = """\
 # Or, for scanners that are fixed in a building, the people who walked through:
 # target: {kind: people}
+"""
+_SURROUNDINGS = """\
+# CHECK: this is taken for a robot that drives, as {reason}.
+# A drive needs no target: sensors are calibrated by the walls, floors and furniture that they pass one after the
+# other. If a board was shown to sensors at rest instead, state it here: calgraph board prints its block.
+target:
+  kind: surroundings
+# To get the root on the vehicle, too:
+# base: {{frame: base_link, axle: rear}}
+"""
+_OPTIONAL = """\
+# These can take part, too: take their # away. Cameras need boards that are fixed in the room, as target.boards.\
 """
 _NO_INTRINSICS = (
     "    # No usable camera_info was found: intrinsics are estimated from the same images. State them if they\n"
@@ -115,6 +127,7 @@ def draft_rig(
     target: str = "",
     background: FoundBackground | None = None,
     mode: FoundMode | None = None,
+    drive: str = "",
 ) -> str:
     """The text of a rig.yaml with every sensor found, one for each camera however many topics it has.
 
@@ -124,11 +137,14 @@ def draft_rig(
         target: the block of the target; without one, the draft has a comment in its place, and does not load.
         background: the time without board and operator, if one was found.
         mode: how the recording shows the board, if that is known; its triggers come first.
+        drive: why it is of a robot that drives, which needs no target; empty where it is not.
 
     Raises:
         InputError: there is no sensor among the topics.
     """
-    sensors, unused = _assign_topics(topics)
+    sensors, unused = _assign_topics([_claim_motion(topic) for topic in topics] if drive else topics)
+    if drive:
+        return _draft_drive(topics, recording, drive, sensors, unused)
     if not sensors:
         found = "; ".join(_list_unused(topics, unused)) or "none"
         raise InputError(
@@ -145,6 +161,46 @@ def draft_rig(
         _capture(topics, background, mode),
         _sensors(sensors),
         _unused_topics(topics, unused),
+    ]
+    return "\n".join(part for part in parts if part)
+
+
+def _claim_motion(topic: FoundTopic) -> FoundTopic:
+    """The topic as that of a kind that is calibrated in a drive only, if it is one; tf has several frames."""
+    kind = motion_kind_of(topic.type)
+    if topic.type in TF_TYPES:
+        return replace(topic, problem="kind: trajectory with frame_id and parent takes the poses of one frame")
+    return replace(topic, kind=kind, problem="") if kind else topic
+
+
+def _draft_drive(
+    topics: Sequence[FoundTopic],
+    recording: str,
+    reason: str,
+    sensors: Sequence[_Sensor],
+    unused: Mapping[str, str],
+) -> str:
+    """The text of a rig.yaml of a robot that drives.
+
+    What may be redundant, as an odometry beside two scanners, or needs boards in the room, is a comment.
+    """
+    scanners = [one for one in sensors if one.topic.kind in ("lidar2d", "lidar3d")]
+    motions = [one for one in sensors if KINDS[one.topic.kind].detects == "motion"]
+    cameras = [one for one in sensors if one.topic.kind == "camera"]
+    used = scanners if len(scanners) > 1 else [*scanners, *motions]
+    optional = [f"# {line}" for one in [*motions, *cameras] if one not in used for line in _sensor(one, False)]
+    left_out = {
+        one.topic.name: "is of a kind that a drive does not calibrate"
+        for one in sensors
+        if one.topic.kind not in DRIVE_KINDS
+    }
+    parts = [
+        _head(recording, board=False),
+        _root(used),
+        _SURROUNDINGS.format(reason=_single_line(reason)),
+        _sensors(used),
+        "\n".join([_OPTIONAL, *optional, ""]) if optional else "",
+        _unused_topics(topics, {**unused, **left_out}),
     ]
     return "\n".join(part for part in parts if part)
 
@@ -236,7 +292,7 @@ def _find_camera_info(image: FoundTopic, infos: Sequence[FoundTopic], cameras: i
     return by_name or (in_frame[0] if len(in_frame) == 1 else None) or (alone[0] if len(alone) == 1 else None)
 
 
-def _head(recording: str, topics: Sequence[str], *, ros: bool) -> str:
+def _head(recording: str, topics: Sequence[str] = (), *, ros: bool = False, board: bool = True) -> str:
     named = " ".join(shlex.quote(_single_line(name)) for name in topics)
     more = (
         "# To record more, and to mark each time from which on the board rests:\n"
@@ -245,7 +301,7 @@ def _head(recording: str, topics: Sequence[str], *, ros: bool) -> str:
     )
     return (
         f"# Drafted by calgraph init from the topics of {_single_line(recording)}.\n"
-        "# Go through the comments, state your board, then run\n"
+        f"# Go through the comments, {'state your board, ' if board else ''}then run\n"
         "#   calgraph calibrate rig.yaml RECORDING -o result\n"
         f"{more if ros else ''}"
     )
@@ -340,6 +396,8 @@ def _sensor(sensor: _Sensor, own_clock: bool) -> list[str]:
         ]
     if own_clock:
         lines.append("    clock_offset: estimate      # from the motion of the board; leave it out for one clock")
+    if KINDS[topic.kind].detects == "motion":
+        return [*lines, "    # frame_id: name            # the frame that moves; exports need it"]
     if topic.frame_id:
         lines.append(f"    frame_id: {_format_scalar(topic.frame_id)}")
     else:

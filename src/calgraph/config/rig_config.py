@@ -76,8 +76,7 @@ class Rig(StrictModel):
     root: str
     """The sensor whose frame everything is expressed in."""
     target: Target
-    """The target: boards, people, a cylinder or surroundings. The command calgraph board prints the block of a
-    board."""
+    """A board (calgraph board prints it), people, a cylinder, or {kind: surroundings} for a robot that drives."""
     base: Base | None = None
     """The vehicle's frame, of a robot that drives."""
     capture: Capture = Capture()

@@ -27,7 +27,10 @@ KINDS: dict[str, SensorKind] = {
 _KIND_OF_TYPE = {name: kind.name for kind in KINDS.values() if kind.detects != "motion" for name in kind.types}
 SENSOR_TYPES = frozenset(_KIND_OF_TYPE)
 """Types of the topics of sensors that detect targets, of ROS and of plain folders."""
-MOTION_TYPES = frozenset(name for kind in KINDS.values() if kind.detects == "motion" for name in kind.types)
+_MOTION_KIND_OF_TYPE = {
+    name: kind.name for kind in KINDS.values() if kind.detects == "motion" for name in kind.types
+}
+MOTION_TYPES = frozenset(_MOTION_KIND_OF_TYPE)
 """Types of the topics of kinds that are calibrated in a drive only."""
 
 
@@ -35,6 +38,11 @@ def recognize_kind(topic_type: str, first: Message | None = None) -> KindName | 
     """The kind of the sensor that sends messages of a type, from its first message where there is one."""
     claimed = (kind.name for kind in KINDS.values() if first is not None and kind.claims(first))
     return cast("KindName | None", next(claimed, _KIND_OF_TYPE.get(topic_type)))
+
+
+def motion_kind_of(topic_type: str) -> KindName | None:
+    """The kind that is calibrated in a drive only and whose messages are of a type; None of other types."""
+    return cast("KindName | None", _MOTION_KIND_OF_TYPE.get(topic_type))
 
 
 def list_beam_errors(kind: KindName) -> tuple[BeamError, ...]:
@@ -48,5 +56,5 @@ __all__ = [
     "DepthCameraUncertainty", "DepthNoise", "GyroscopeSpec", "KindName", "Lidar2dSpec", "Lidar2dUncertainty",
     "Lidar3dSpec", "Lidar3dUncertainty", "OpticalSpec", "PixelNoise", "RangeNoise", "SensorKind", "SensorSpec",
     "TrajectorySpec",
-    "list_beam_errors", "recognize_kind",
+    "list_beam_errors", "motion_kind_of", "recognize_kind",
 ]  # fmt: skip
