@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array, hstack
 
-from calgraph.drive.measurements import MAX_VARIANCES, LinearRows, VarianceOf, sparse_rows
+from calgraph.drive.measurements import MAX_VARIANCES, LinearRows, VarianceOf, place_sensor, sparse_rows
 from calgraph.drive.states import SensorState
 from calgraph.geometry import STDDEV_PER_MAD, Array, Index, se3, se_n, so3
 from calgraph.sensors import CameraModel
@@ -188,31 +188,22 @@ class BoardMeasurements:
     def _linearize(
         self, times: Array, trajectory: SplineTrajectory, states: Sequence[SensorState], shared: Array
     ) -> LinearRows:
-        V = len(times)
-        at = trajectory.at(times)
         T_root_camera = np.array([state.T_root_sensor for state in states])[self.sensor]
-        T_camera_world = se3.inverse(at.poses @ T_root_camera)
-        T_camera_board = T_camera_world @ self.T_world_board[self.board]
-        residual, by_view, by_shared = self._project(T_camera_board, shared)
-        A, R_cr = T_camera_world[:, :3, :3], np.swapaxes(T_root_camera[:, :3, :3], 1, 2)
-        place = -(R_cr @ T_root_camera[:, :3, 3, None])[..., 0]
-        motion = _transfer(A, place) @ np.concatenate([at.velocity, at.turn_rate], axis=1)[..., None]
-        self._add_readout(residual, by_shared, -(by_view @ motion)[..., 0], shared)
+        placed = place_sensor(trajectory, times, T_root_camera)
+        T_world_board = self.T_world_board[self.board]
+        residual, by_view, by_shared = self._project(se3.inverse(placed.poses) @ T_world_board, shared)
+        from_camera, from_board = se_n.relative_pose_jacobians(placed.poses, T_world_board)
+        by_clock = by_view @ from_camera @ placed.by_state[:, :, 6, None]
+        self._add_readout(residual, by_shared, -by_clock[..., 0], shared)
         if self.whitened:
             residual, by_view, by_shared = self._whiten(residual, by_view, by_shared)
-        by_root = -by_view @ _transfer(A, place)
-        by_clock = by_view @ motion
-        by_camera = -by_view @ _transfer(R_cr, np.zeros((V, 3)))
-        by_board = by_view @ _transfer(A, T_camera_board[:, :3, 3])
-        by_root = np.concatenate([by_root[..., :3], by_root[..., 3:] @ at.rotation_jacobian], axis=-1)
-        by_control = (at.basis[:, None, :, None] * by_root[:, :, None, :]).reshape(*residual.shape, -1)
-        rows = residual.shape[1]
-        none = np.zeros((V, rows, 2))
+        by_camera, by_board = by_view @ from_camera, by_view @ from_board
+        V, rows = residual.shape
         return LinearRows(
             residual.ravel(),
             np.repeat(self.sensor, rows),
-            sparse_rows(by_control, 6 * at.first, trajectory.control.size),
-            np.concatenate([by_camera, by_clock, none], axis=-1).reshape(V * rows, -1),
+            sparse_rows(by_camera @ placed.by_control, 6 * placed.first, trajectory.control.size),
+            (by_camera @ placed.by_state).reshape(V * rows, -1),
             sparse_rows(by_board, 6 * self.board, self.unknown_count),
             by_shared.reshape(V * rows, -1),
         )
@@ -220,7 +211,7 @@ class BoardMeasurements:
     def _project(self, T_camera_board: Array, shared: Array) -> tuple[Array, Array, Array]:
         """Reprojection errors (V, 2N), pixels, and their derivatives (V, 2N, 6) and (V, 2N, G).
 
-        The first are by motions of the board along the camera's axes and about its origin, the others by what is
+        The first are by motions of the board along the camera's axes and about its own origin, the others by what is
         shared.
         """
         V, N = self.used.shape
@@ -237,7 +228,8 @@ class BoardMeasurements:
             x = points[own].reshape(-1, 3)
             pixels, J = adjusted.project_with_jacobian(x)
             residual[own] = pixels.reshape(-1, N, 2) - self.pixels[own]
-            by_view[own] = np.concatenate([J, -J @ so3.hat(x)], axis=-1).reshape(-1, N, 2, 6)
+            arm = (points[own] - T_camera_board[own, None, :3, 3]).reshape(-1, 3)
+            by_view[own] = np.concatenate([J, -J @ so3.hat(arm)], axis=-1).reshape(-1, N, 2, 6)
             by_shared[own, :, :, self.errors.lens[k]] = project_by_lens(camera, adjusted, x).reshape(
                 len(own), N, 2, -1
             )
@@ -330,11 +322,3 @@ class BoardMeasurements:
         Q = np.zeros((V, N, 2, 3, 2))
         Q[:, :, 0, :, 0] = Q[:, :, 1, :, 1] = q
         return Q.reshape(V, 2 * N, 6)
-
-
-def _transfer(R: Array, place: Array) -> Array:
-    """(V, 6, 6) from motions of a frame at a place (V, 3) to those about the origin, along axes turned by R."""
-    M = np.zeros((len(R), 6, 6))
-    M[:, :3, :3] = M[:, 3:, 3:] = R
-    M[:, :3, 3:] = so3.hat(place) @ R
-    return M

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from calgraph.drive.states import SensorPoints, SensorState
-from calgraph.geometry import Array, Index
+from calgraph.geometry import Array, Index, se_n
 from calgraph.surfaces.trajectory import SplineTrajectory
 
 
@@ -36,6 +36,36 @@ def sparse_rows(blocks: Array, first: Index, columns: int) -> csr_array:
     index = np.broadcast_to((first[:, None] + np.arange(k))[:, None], blocks.shape)
     pointer = np.arange(V * R + 1) * k
     return csr_array((blocks.ravel(), index.ravel(), pointer), shape=(V * R, columns))
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedSensor:
+    """Poses of a sensor at K times, with derivatives of their errors along and about the world's axes."""
+
+    poses: Array
+    """(K, n+1, n+1) ``T_world_sensor``."""
+    first: Index
+    """(K,) control point,"""
+    by_control: Array
+    """(K, n + d, 4 (n + d)) by it and the three after it,"""
+    by_state: Array
+    """(K, n + d, n + d + 3) and by the state of the sensor."""
+
+
+def place_sensor(trajectory: SplineTrajectory, times: Array, T_root_sensor: Array) -> PlacedSensor:
+    """Poses by the trajectory of the root, at times (K,) by its clock, s, of one or K poses on it."""
+    at = trajectory.at(times)
+    R, T = se_n.rotation(at.poses), at.poses @ T_root_sensor
+    n = T.shape[-1] - 1
+    adjoint = se_n.rotation_adjoint(R)
+    from_root = np.zeros_like(adjoint) + np.eye(adjoint.shape[-1])
+    from_root[:, :n, n:] = se_n.rotation_jacobian(se_n.translation(T) - se_n.translation(at.poses))
+    by_value = from_root.copy()
+    by_value[:, :, n:] = from_root[:, :, n:] @ at.rotation_jacobian
+    by_control = (at.basis[:, None, :, None] * by_value[:, :, None]).reshape(*by_value.shape[:2], -1)
+    by_clock = -from_root @ np.concatenate([at.velocity, at.turn_rate], axis=1)[:, :, None]
+    by_state = np.concatenate([adjoint, by_clock, np.zeros((*by_clock.shape[:2], 2))], axis=2)
+    return PlacedSensor(T, at.first, by_control, by_state)
 
 
 VarianceOf = Callable[[csr_array], Array]

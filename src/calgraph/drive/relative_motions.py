@@ -16,10 +16,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.sparse import csr_array, hstack, vstack
 
-from calgraph.drive.measurements import MAX_VARIANCES, LinearRows, VarianceOf, sparse_rows
+from calgraph.drive.measurements import MAX_VARIANCES, LinearRows, VarianceOf, place_sensor, sparse_rows
 from calgraph.drive.states import SensorState
 from calgraph.geometry import Array, Index, se_n, so3
-from calgraph.surfaces.trajectory import SplinePoses, SplineTrajectory
+from calgraph.surfaces.trajectory import SplineTrajectory
 
 # Degrees of freedom of Student's t for errors: wheels slip, trackers lose features.
 _FREEDOM = 4.0
@@ -176,7 +176,10 @@ class RelativeMotions:
         (K,) and (K, A, 4 (n + d)).
         """
         n = self._n
-        before, after = (_place(trajectory, times, state) for times in (self.starts, self.ends))
+        before, after = (
+            place_sensor(trajectory, times - state.clock_offset, state.T_root_sensor)
+            for times in (self.starts, self.ends)
+        )
         moved = se_n.inverse(before.poses) @ after.poses
         difference, whole = (se_n.difference(moved, one) for one in (self.motions, np.eye(n + 1)))
         design = self._design(whole[:, self.axes])
@@ -197,34 +200,6 @@ def _by_pose(difference: Array) -> Array:
     if difference.shape[1] == 6:
         J[:, 3:, 3:] = so3.left_jacobian_inverse(difference[:, 3:])
     return J
-
-
-@dataclass(frozen=True, eq=False)
-class _Placed:
-    """Poses of the sensor in the world at K times, with derivatives of (place, turn about the world's axes)."""
-
-    poses: Array
-    """(K, n+1, n+1)."""
-    first: Index
-    """(K,) control point,"""
-    by_control: Array
-    """(K, n + d, 4 (n + d)) by it and the three after it,"""
-    by_state: Array
-    """(K, n + d, n + d + 3) and by the state of the sensor."""
-
-
-def _place(trajectory: SplineTrajectory, times: Array, state: SensorState) -> _Placed:
-    at: SplinePoses = trajectory.at(times - state.clock_offset)
-    R, T = se_n.rotation(at.poses), state.T_root_sensor
-    n = len(T) - 1
-    from_root = np.zeros_like(se_n.rotation_adjoint(R)) + np.eye(n + at.turn_rate.shape[1])
-    from_root[:, :n, n:] = se_n.rotation_jacobian(R @ se_n.translation(T))
-    by_value = from_root.copy()
-    by_value[:, :, n:] = from_root[:, :, n:] @ at.rotation_jacobian
-    by_control = (at.basis[:, None, :, None] * by_value[:, :, None]).reshape(*by_value.shape[:2], -1)
-    by_clock = -from_root @ np.concatenate([at.velocity, at.turn_rate], axis=1)[:, :, None]
-    by_state = np.concatenate([se_n.rotation_adjoint(R), by_clock, np.zeros((*by_value.shape[:2], 2))], axis=2)
-    return _Placed(at.poses @ T, at.first, by_control, by_state)
 
 
 def _by_axis(values: tuple[float, float], axes: Index, n: int) -> Array:
