@@ -211,7 +211,7 @@ class BoardMeasurements:
     def _project(self, T_camera_board: Array, shared: Array) -> tuple[Array, Array, Array]:
         """Reprojection errors (V, 2N), pixels, and their derivatives (V, 2N, 6) and (V, 2N, G).
 
-        The first are by motions of the board along the camera's axes and about its own origin, the others by what is
+        The first are by motions of the board along the camera's axes, about its own origin, the others by what is
         shared.
         """
         V, N = self.used.shape

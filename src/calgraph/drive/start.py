@@ -85,12 +85,12 @@ def find_clock_offset(root: Segments, sensor: Segments, max_offset: float) -> tu
     times = np.arange(start, end, 1 / _RATE)
     own, own_known = root.turn_rates(times)
     lags = np.arange(-max_offset, max_offset + 0.5 / _RATE, 1 / _RATE)
-    padded, known = sensor.turn_rates(np.arange(start - max_offset, end + max_offset + 1 / _RATE, 1 / _RATE))
     scores = np.zeros(len(lags))
-    for k in range(len(lags)):
-        both = own_known & known[k : k + len(own)]
+    for k, lag in enumerate(lags):
+        rates, known = sensor.turn_rates(times + lag)
+        both = own_known & known
         if both.sum() > _MIN_KNOWN * len(own):
-            scores[k] = _correlate(own[both], padded[k : k + len(own)][both])
+            scores[k] = _correlate(own[both], rates[both])
     best = int(np.argmax(scores))
     shift = 0.0
     if 0 < best < len(lags) - 1:
