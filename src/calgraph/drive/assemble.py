@@ -19,11 +19,6 @@ from calgraph.verdict.grades import LONE_ROOT, collect_findings, grade_pose
 
 _ADVICE = "drive longer, with more turns, so that all sensors pass the same walls and furniture"
 _MOTION_ADVICE = "drive longer, with turns to both sides, and over ramps or thresholds"
-# A sensor that was bumped on the way, or a lorry that drives alongside, is not recognized yet.
-_UNVERIFIED = (
-    "poses from drives are at best weak in this version: a sensor that moves on the way, and surroundings that "
-    "move along, are not recognized"
-)
 # Surfaces that two sensors have to share: with fewer, single ones that moved or are mistaken decide.
 _MIN_SHARED_CELLS = 30
 # Images of boards that a camera needs: single ones that are mistaken do not decide then.
@@ -134,7 +129,7 @@ def _find_contradictions(adjusted: Adjustment, k: int, views: Array) -> list[str
             f"it passed only {shared} of the surfaces that another sensor passed, fewer than {_MIN_SHARED_CELLS}: "
             "drive loops, so that all sensors pass the same places"
         )
-    return [*reasons, _UNVERIFIED]
+    return reasons
 
 
 def _list_remarks(rig: Rig, names: Sequence[str]) -> list[str]:

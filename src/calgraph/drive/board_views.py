@@ -211,6 +211,7 @@ class BoardMeasurements:
         return LinearRows(
             residual.ravel(),
             np.repeat(self.sensor, rows),
+            np.repeat(times, rows),
             _sparse_rows(by_control, 6 * at.first, trajectory.control.size),
             np.concatenate([by_camera, by_clock, none], axis=-1).reshape(V * rows, -1),
             _sparse_rows(by_board, 6 * self.board, self.unknown_count),

@@ -12,6 +12,7 @@ from calgraph.drive.assemble import DriveResult, assemble_drive, measure_views
 from calgraph.drive.base_verdict import assess_base
 from calgraph.drive.board_views import SharedErrors
 from calgraph.drive.board_world import chain_boards, describe_errors, measure_boards, state_estimates
+from calgraph.drive.changes import describe_changes
 from calgraph.drive.measurements import DrivePart
 from calgraph.drive.options import DriveOptions
 from calgraph.drive.root_change import change_root
@@ -84,6 +85,8 @@ def calibrate_sources(
     if rig.root in used and (len(used) > 1 or (rig.base and isinstance(tracks[lead], Segments))):
         adjusted, systematic = _adjust(rig, used, sources, tracks, starts, options.seed, progress)
         views = {name: measure_views(adjusted, k) for k, name in enumerate(used)}
+        begin = adjusted.parts[0].trajectory.start
+        findings = [*findings, *describe_changes(adjusted.changes, used, rig.root, begin)]
     if lead != rig.root:
         used, starts, adjusted = _express_in_root(rig.root, used, starts, adjusted)
     base = assess_base(rig, adjusted)

@@ -91,9 +91,13 @@ class RelativeMotions:
         own[: A * K] = design.swapaxes(0, 1).reshape(A * K, E) * scale[:, None]
         own[A * K :] = prior
         columns = by_sensor.shape[-1]
+        # The unknowns belong to no time.
+        time = np.full(A * K + E, trajectory.start)
+        time[: A * K] = np.tile((self.starts + self.ends) / 2 - states[self.sensor].clock_offset, A)
         return LinearRows(
             np.concatenate([errors.T.ravel() * scale, prior @ self.unknowns]),
             np.full(A * K + E, self.sensor),
+            time,
             _stack_rows(by_control, trajectory, scale, E),
             np.concatenate([by_sensor.swapaxes(0, 1).reshape(A * K, columns) * scale[:, None],
                             np.zeros((E, columns))]),
