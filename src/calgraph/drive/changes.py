@@ -205,7 +205,7 @@ def _test_candidates(equations: PeriodEquations, model: _Model, candidates: Sequ
         D = one.direction - A @ cho_solve(factor, HA.T @ one.direction)
         HD = H @ D
         information = one.direction.T @ HD
-        measured = int(np.sum(np.diag(information) > 0))
+        measured = max(int(np.sum(np.diag(information) > _CHANGE_INFORMATION)), 1)
         information += _CHANGE_INFORMATION * np.eye(len(information))
         gradient = one.direction.T @ g
         size = -np.linalg.solve(information, gradient)
