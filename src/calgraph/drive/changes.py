@@ -25,7 +25,7 @@ from calgraph.result.finding import Finding
 
 # Duration of a period, s: a whole number of views. Errors of points are correlated for about as long.
 PERIOD = 3.0
-# Periods that a step needs before and after it: the scatter of fewer says nothing.
+# Periods that a step needs before and after it: fewer have no scatter.
 _MIN_PERIODS = 2
 # Probability with which one change is found where there is none, beside the correlation over longer times that
 # SCATTER_FACTOR stands for. In 30 minutes of real scans the statistics reach 0.6 of the limit, in simulated drives
@@ -35,7 +35,7 @@ _FALSE_ALARM = 0.01
 _CHANGE_INFORMATION = 1.0
 # Sensors whose changes have a likelihood smaller than the largest by less than this factor are all named.
 _INDISTINGUISHABLE_RATIO = 1e4
-# Changes that are found: more say that something changes all the time.
+# Changes that are found: with more, something changes all the time.
 _MAX_CHANGES = 4
 
 
