@@ -245,11 +245,9 @@ def describe_changes(changes: Sequence[Change], names: Sequence[str], root: str,
 def _describe_change(change: Change, sensor: str, start: float) -> str:
     when = "in the course of the drive" if change.time is None else f"{change.time - start:.0f} s from the start"
     if change.kind == "clock":
-        verb = "drifts" if change.time is None else "jumped"
-        return (
-            f"the clock of {sensor} {verb} by {1000 * abs(change.size[0]):.1f} ms {when}: "
-            "synchronize the clocks, and record again"
-        )
+        milliseconds = 1000 * abs(change.size[0])
+        changed = f"drifts by {milliseconds:.1f} ms" if change.time is None else f"jumped by {milliseconds:.1f} ms"
+        return f"the clock of {sensor} {changed} {when}: synchronize the clocks, and record again"
     n = 2 if len(change.size) == 3 else 3
     mm, degrees = 1000 * np.linalg.norm(change.size[:n]), np.degrees(np.linalg.norm(change.size[n:]))
     return (
