@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from calgraph.calibrate.dispatch import calibrate
-from calgraph.config import Rig
+from calgraph.config import Rig, Tolerance
 from calgraph.drive.options import DriveOptions
 from calgraph.drive.pipeline import calibrate_drive
 from calgraph.drive.start import MotionStart, explain_failure
@@ -30,14 +30,14 @@ def test_lidars_without_a_common_view_are_calibrated_from_a_drive() -> None:
     sensors = tuple(replace(one, step=1.6) for one in STANDARD_RIGS["two_lidars"])
     drive = simulate_drive(DriveScenario(seed=1, duration=25.0, sensors=sensors))
     rig = surroundings("lidar3d", lidar_front="/lidar_front/points", lidar_rear="/lidar_rear/points")
+    rig = rig.model_copy(update={"tolerance": Tolerance(translation=0.05, rotation=1.0)})
     calibration = calibrate_drive(rig, drive.recording, DriveOptions())
     rear = calibration["lidar_rear"]
     error = se3.difference(rear.T_root_sensor, drive.truth.T_root_sensor["lidar_rear"])
     assert np.linalg.norm(error[:3]) < 0.02
     assert np.degrees(np.linalg.norm(error[3:])) < 0.2
     assert rear.clock_offset == pytest.approx(drive.truth.clock_offsets["lidar_rear"], abs=0.002)
-    assert rear.verdict.grade == "weak"
-    assert "at best weak in this version" in rear.verdict.reason
+    assert rear.verdict.grade == "good", rear.verdict.reason
 
 
 ANGLES = np.radians(np.arange(-90, 90, 1.0))

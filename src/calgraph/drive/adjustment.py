@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse import csr_array, hstack
 
+from calgraph.drive.changes import PERIOD, Change, PeriodEquations, find_changes
 from calgraph.drive.clustered_covariance import ClusteredScores, widen_covariance
 from calgraph.drive.measurements import DrivePart
 from calgraph.drive.states import SensorState
@@ -76,6 +77,8 @@ class Adjustment:
     """(G,) and their standard deviations."""
     associations: Sequence[Association] = ()
     """By part, the points on surfaces of the last steps."""
+    changes: Sequence[Change] = ()
+    """Of poses and clocks during the drive, by number of the sensors that were solved for."""
     responses: Sequence[Array] = ()
     """By part, (C', P) change of its unknowns, the control points first, with the free parameters."""
 
@@ -156,6 +159,7 @@ def adjust_drive(
         responses=[one.response()[:, :count] for one in reduced],
         shared=shared,
         shared_stddev=np.sqrt(np.diag(widened)[count:]),
+        changes=find_changes(_release_periods(parts, states, noise, associations, priors, start, shared), states),
     )  # fmt: skip
 
 
@@ -170,6 +174,48 @@ def _deviation(states: Sequence[SensorState], start: Sequence[SensorState]) -> A
         ]
         for state, first in zip(states, start, strict=True)
     ])  # fmt: skip
+
+
+def _count_periods(part: DrivePart) -> int:
+    return max(int((part.trajectory.end - part.trajectory.start) // PERIOD), 1)
+
+
+def _number_periods(part: DrivePart, times: Array, periods: int) -> Index:
+    """(N,) the period of each time; what is left of the last one belongs to it."""
+    return np.clip((times - part.trajectory.start) // PERIOD, 0, periods - 1).astype(np.intp)
+
+
+def _release_periods(
+    parts: Sequence[DrivePart],
+    states: Sequence[SensorState],
+    noise: NoiseModel,
+    associations: Sequence[Association],
+    priors: AdjustmentPriors,
+    start: Sequence[SensorState],
+    shared: Array,
+) -> PeriodEquations:
+    """The equations with a state of each sensor in each period of all parts."""
+    prior = priors.stddev
+    free = prior > 0
+    counts = [_count_periods(part) for part in parts]
+    (S, F), K = free.shape, sum(counts)
+    states_count = S * K * F
+    H, g = np.zeros((states_count + len(shared),) * 2), np.zeros(states_count + len(shared))
+    first = 0
+    for part, association, count in zip(parts, associations, counts, strict=True):
+        reduced = _reduce_part(part, states, noise, association, free, shared, count)
+        sensor, period, column = np.nonzero(np.repeat(free[:, None], count, axis=1))
+        own = (sensor * K + first + period) * F + column
+        rows = np.concatenate([own, np.arange(states_count, len(g))])
+        H[np.ix_(rows, rows)] += reduced.information
+        g[rows] += reduced.gradient
+        first += count
+    ends = [
+        part.trajectory.start + PERIOD * np.arange(1, count + 1) for part, count in zip(parts, counts, strict=True)
+    ]
+    information = np.concatenate([np.where(free, prior, 1.0).ravel(), priors.shared]) ** -2.0
+    deviation = np.concatenate([np.where(free, _deviation(states, start), 0.0).ravel(), shared])
+    return PeriodEquations(H, g, free, np.concatenate(ends), information, deviation * information)
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,9 +296,16 @@ def _reduce_part(
     association: Association,
     free: NDArray[np.bool_],
     shared: Array,
+    periods: int = 1,
 ) -> _Reduced:
-    """The normal equations of the sensors' free parameters and what parts share, at the present states."""
+    """The normal equations of the sensors' free parameters and what parts share, at the present states.
+
+    With several periods, each sensor has parameters of its own in each of them: (S, periods) of its free ones.
+    """
     at = linearize_points(part, states, association)
+    free = np.repeat(free, periods, axis=0)
+    at = replace(at, sensor=at.sensor * periods + _number_periods(part, at.time, periods))
+    noise = replace(noise, white=np.repeat(noise.white, periods))
     control = part.trajectory.control
     on_surfaces = eliminate_surfaces(at, len(association.surfaces.keys), noise, free, len(control))
     unknowns = sum(one.unknown_count for one in part.measurements)
@@ -260,7 +313,7 @@ def _reduce_part(
     H, g = _insert_unknowns(H, g, len(g), len(shared))
     H, g = _insert_unknowns(H, g, control.size, unknowns)
     _add_motion_prior(H, g, part.trajectory, None if part.size is None else len(g) - len(shared) + part.size)
-    _add_measurements(H, g, part, states, free, shared)
+    _add_measurements(H, g, part, states, free, shared, periods)
     C = control.size + unknowns
     H_c, H_cp, H_p = H[:C, :C], H[:C, C:], H[C:, C:]
     factor = cho_factor(H_c, lower=True, check_finite=False)
@@ -284,7 +337,13 @@ def _insert_unknowns(H: Array, g: Array, at: int, count: int) -> tuple[Array, Ar
 
 
 def _add_measurements(
-    H: Array, g: Array, part: DrivePart, states: Sequence[SensorState], free: NDArray[np.bool_], shared: Array
+    H: Array,
+    g: Array,
+    part: DrivePart,
+    states: Sequence[SensorState],
+    free: NDArray[np.bool_],
+    shared: Array,
+    periods: int,
 ) -> None:
     """Adds measurements of the trajectory, whose unknowns follow the control points."""
     size, parameters = part.trajectory.control.size, int(free.sum())
@@ -292,7 +351,8 @@ def _add_measurements(
     for one in part.measurements:
         rows = one.linearize(part.trajectory, states, shared)
         by_sensor = np.zeros((len(rows.residual), *free.shape))
-        by_sensor[np.arange(len(rows.residual)), rows.sensor] = rows.by_sensor
+        column = rows.sensor * periods + _number_periods(part, rows.time, periods)
+        by_sensor[np.arange(len(column)), column] = rows.by_sensor
         after = len(g) - parameters - len(shared) - first - one.unknown_count
         J = hstack([
             rows.by_control,

@@ -19,10 +19,10 @@ from calgraph.verdict.grades import LONE_ROOT, collect_findings, grade_pose
 
 _ADVICE = "drive longer, with more turns, so that all sensors pass the same walls and furniture"
 _MOTION_ADVICE = "drive longer, with turns to both sides, and over ramps or thresholds"
-# A sensor that was bumped on the way, or a lorry that drives alongside, is not recognized yet.
+# Of motions and boards: a height was 27 mm off at a stated 8 mm with cameras, the NEES of trajectories up to 5.
 _UNVERIFIED = (
-    "poses from drives are at best weak in this version: a sensor that moves on the way, and surroundings that "
-    "move along, are not recognized"
+    "it and the root do not both measure surfaces: standard deviations from trajectories and boards were up to "
+    "three times too small in tests, so that such poses are weak in this version"
 )
 # Surfaces that two sensors have to share: with fewer, single ones that moved or are mistaken decide.
 _MIN_SHARED_CELLS = 30
@@ -115,6 +115,8 @@ def _find_contradictions(adjusted: Adjustment, k: int, views: Array) -> list[str
     if adjusted.squared_step > _MAX_SQUARED_STEP:
         reasons.append("the joint adjustment has not converged")
     measuring = adjusted.point_counts > 0
+    if not (measuring[0] and measuring[k]):
+        reasons.append(_UNVERIFIED)
     shared = int(adjusted.shared_cells[k].sum() - adjusted.shared_cells[k, k])
     if 0 < len(views) < MIN_VIEWS:
         reasons.append(
@@ -131,7 +133,7 @@ def _find_contradictions(adjusted: Adjustment, k: int, views: Array) -> list[str
             f"it passed only {shared} of the surfaces that another sensor passed, fewer than {_MIN_SHARED_CELLS}: "
             "drive loops, so that all sensors pass the same places"
         )
-    return [*reasons, _UNVERIFIED]
+    return reasons
 
 
 def _list_remarks(rig: Rig, names: Sequence[str]) -> list[str]:

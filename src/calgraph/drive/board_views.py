@@ -202,6 +202,7 @@ class BoardMeasurements:
         return LinearRows(
             residual.ravel(),
             np.repeat(self.sensor, rows),
+            np.repeat(times, rows),
             sparse_rows(by_camera @ placed.by_control, 6 * placed.first, trajectory.control.size),
             (by_camera @ placed.by_state).reshape(V * rows, -1),
             sparse_rows(by_board, 6 * self.board, self.unknown_count),

@@ -20,6 +20,8 @@ class LinearRows:
     """(M,)."""
     sensor: Index
     """(M,) number of the sensor."""
+    time: Array
+    """(M,) by the root's clock, s."""
     by_control: csr_array
     """(M, C) by the control points of the trajectory, row by row."""
     by_sensor: Array

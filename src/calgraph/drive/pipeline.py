@@ -12,6 +12,7 @@ from calgraph.drive.assemble import DriveResult, assemble_drive, measure_views
 from calgraph.drive.base_verdict import assess_base
 from calgraph.drive.board_views import SharedErrors
 from calgraph.drive.board_world import chain_boards, describe_errors, measure_boards, state_estimates
+from calgraph.drive.changes import describe_changes
 from calgraph.drive.evidence import collect_pictures
 from calgraph.drive.measurements import DrivePart
 from calgraph.drive.options import DriveOptions
@@ -85,6 +86,8 @@ def calibrate_sources(
     adjusted, systematic = _adjust(rig, used, sources, tracks, from_lead, options.seed, progress)
     root = used.index(rig.root)
     views = {name: measure_views(adjusted, k) for k, name in enumerate(used)}
+    begin = adjusted.parts[0].trajectory.start
+    findings = [*findings, *describe_changes(adjusted.changes, used, rig.root, begin)]
     pictures, base = collect_pictures(used, starts, adjusted, root), assess_base(rig, adjusted, root)
     if root:
         adjusted = change_root(adjusted, root)

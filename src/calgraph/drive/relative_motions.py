@@ -93,9 +93,15 @@ class RelativeMotions:
             for first, J in by_control
         ]
         own = np.concatenate([by_axis(design), prior])
+        # The unknowns belong to no time.
+        time = np.full(len(own), trajectory.start)
+        time[: len(scale)] = np.tile(
+            (self.starts + self.ends) / 2 - states[self.sensor].clock_offset, len(self.axes)
+        )
         return LinearRows(
             np.concatenate([errors.T.ravel() * scale, prior @ self.unknowns]),
             np.full(len(own), self.sensor),
+            time,
             csr_array(vstack([sum(ends), csr_array((len(prior), size))])),
             np.pad(by_axis(by_sensor), ((0, len(prior)), (0, 0))),
             csr_array(own),

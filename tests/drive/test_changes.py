@@ -1,0 +1,172 @@
+"""Changes of poses and clocks during a drive: found, named and measured, and not found where there are none."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from numpy.typing import NDArray
+
+from calgraph.drive.adjustment import AdjustmentPriors, adjust_drive
+from calgraph.drive.changes import Change, PeriodEquations, describe_changes, find_changes
+from calgraph.drive.measurements import DrivePart
+from calgraph.drive.states import SensorPoints, SensorState
+from calgraph.geometry import Array, se2, se_n
+from calgraph.surfaces.trajectory import Track, fit_spline
+from drive_scenes import beams_in_plane, drive, scan
+
+SENSORS, PERIODS, STATES = 3, 10, 6
+T_ROOT_SENSOR = [
+    se2.pose(0.0, np.zeros(2)),
+    se2.pose(2.0, np.array([-0.5, 0.2])),
+    se2.pose(-1.0, np.array([0.4, 0])),
+]
+ENDS: Array = 3.0 * np.arange(1.0, PERIODS + 1)
+
+
+def equations_of(change: Array, rng: np.random.Generator) -> PeriodEquations:
+    """Of states that are measured once a period, with a change (S, K, F) in their standard deviations of 1 mm."""
+    free: NDArray[np.bool_] = np.ones((SENSORS, STATES), dtype=bool)
+    free[0] = False
+    shape = (SENSORS, PERIODS, STATES)
+    measured = change + rng.normal(size=shape)
+    measured -= measured.mean(axis=1, keepdims=True)
+    used = np.broadcast_to(free[:, None], shape)
+    information = np.asarray(np.where(used, 1e6, 0.0), dtype=np.float64).ravel()
+    gradient = np.asarray(np.where(used, -1e3 * measured, 0.0), dtype=np.float64).ravel()
+    return PeriodEquations(
+        np.diag(information), gradient, free, ENDS, np.ones(SENSORS * STATES), np.zeros(SENSORS * STATES)
+    )
+
+
+def changed(sensor: int, column: int, function: Array) -> Array:
+    change = np.zeros((SENSORS, PERIODS, STATES))
+    change[sensor, :, column] = function
+    return change
+
+
+STATES_OF = [SensorState(T) for T in T_ROOT_SENSOR]
+
+
+def find(change: Array, seed: int = 0) -> list[Change]:
+    return find_changes(equations_of(change, np.random.default_rng(seed)), STATES_OF)
+
+
+def test_noise_alone_is_no_change() -> None:
+    """None of 200: the limit leaves room for errors of neighbours that are correlated."""
+    assert sum(bool(find(np.zeros((SENSORS, PERIODS, STATES)), seed)) for seed in range(200)) == 0
+
+
+def test_a_sensor_that_moves_is_named_with_time_and_size() -> None:
+    (found,) = find(changed(2, 0, np.where(ENDS > 12, 20.0, 0.0)))
+    assert (found.sensors, found.kind, found.time) == ((2,), "pose", 12.0)
+    assert_allclose(found.size, [0.02, 0, 0], atol=0.002)
+
+
+def test_a_clock_that_drifts_is_named_with_the_drift_in_all() -> None:
+    (found,) = find(changed(1, 3, np.linspace(0, 30, PERIODS)))
+    assert (found.sensors, found.kind, found.time) == ((1,), "clock", None)
+    assert_allclose(found.size, [0.03], atol=0.003)
+
+
+def test_two_changes_are_found_one_beside_the_other() -> None:
+    found = find(changed(2, 0, np.where(ENDS > 12, 20.0, 0.0)) + changed(1, 3, np.where(ENDS > 18, 25.0, 0.0)))
+    assert {(one.sensors, one.kind, one.time) for one in found} == {((2,), "pose", 12.0), ((1,), "clock", 18.0)}
+
+
+def test_a_root_that_moves_is_named_instead_of_all_others() -> None:
+    """A turn of the root by 30 mrad moves the others by the opposite turn about its origin."""
+    change = np.zeros((SENSORS, PERIODS, STATES))
+    for k in (1, 2):
+        x, y = se_n.translation(T_ROOT_SENSOR[k])
+        change[k, ENDS > 15, :3] = 30 * np.array([y, -x, -1])
+    (found,) = find(change)
+    assert (found.sensors, found.time) == ((0,), 15.0)
+    assert_allclose(found.size, [0, 0, 0.03], atol=0.003)
+
+
+def test_of_two_sensors_both_are_named() -> None:
+    equations = equations_of(changed(1, 0, np.where(ENDS > 12, 20.0, 0.0)), np.random.default_rng(0))
+    size = 2 * PERIODS * STATES
+    pair = replace(
+        equations,
+        information=equations.information[:size, :size],
+        gradient=equations.gradient[:size],
+        free=equations.free[:2],
+        prior_information=np.ones(2 * STATES),
+        prior_gradient=np.zeros(2 * STATES),
+    )
+    (found,) = find_changes(pair, STATES_OF[:2])
+    assert found.sensors == (0, 1)
+
+
+def test_a_short_drive_is_not_tested() -> None:
+    equations = equations_of(np.zeros((SENSORS, PERIODS, STATES)), np.random.default_rng(0))
+    assert (
+        find_changes(replace(equations, ends=ENDS[:3], information=np.eye(54), gradient=np.zeros(54)), STATES_OF)
+        == []
+    )
+
+
+def simulate(seed: int, bump: Array, clock: float) -> tuple[DrivePart, list[SensorState]]:
+    """20 s of two scanners, the second of which is moved, and its clock set, after 12 s."""
+    rng = np.random.default_rng(seed)
+    T = se2.pose(2.5, np.array([-0.4, 0.1]))
+    points = []
+    for mounted in (np.eye(3), T):
+        parts = []
+        for after in (False, True):
+            moved = se_n.retract(mounted, bump) if after and mounted is T else mounted
+            sweeps = scan(beams_in_plane(6.0), moved, 20.0, 0.01, rng)
+            x, times = (np.concatenate([getattr(one, name) for one in sweeps]) for name in ("points", "times"))
+            own = (times >= 12) == after
+            parts.append((x[own], times[own] + (clock if after and mounted is T else 0.0)))
+        x, times = (np.concatenate(both) for both in zip(*parts, strict=True))
+        points.append(SensorPoints(x, times))
+    times = np.arange(201) / 10
+    # Walls are not on edges of cells.
+    track = Track(times, se2.pose(0.3, np.array([0.2, 0.1])) @ drive(times, 2))
+    return DrivePart(points, fit_spline(track, 0.1, 19.8, 0.25)), [SensorState(np.eye(3)), SensorState(T)]
+
+
+def solve(seed: int, bump: Array, clock: float) -> list[Change]:
+    part, states = simulate(seed, bump, clock)
+    priors = AdjustmentPriors(
+        np.array([np.zeros(3), np.ones(3)]), np.array([0, 0.5]), np.full(2, 0.02), np.full(2, 0.002)
+    )
+    return list(adjust_drive([part], states, priors).changes)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_drives_without_changes_have_none(seed: int) -> None:
+    assert solve(seed, np.zeros(3), 0.0) == []
+
+
+def test_a_bump_in_a_drive_is_found() -> None:
+    (found,) = solve(0, np.array([0.03, 0.0, 0.01]), 0.0)
+    assert (found.kind, found.time) == ("pose", 12.1)
+    assert_allclose(found.size, [0.03, 0.0, 0.01], atol=0.008)
+
+
+def test_a_clock_that_jumps_in_a_drive_is_found() -> None:
+    found = solve(0, np.zeros(3), 0.03)
+    assert (found[0].kind, found[0].time) == ("clock", 12.1)
+    assert found[0].size[0] == pytest.approx(0.03, abs=0.006)
+
+
+def test_descriptions_state_what_when_and_what_to_do() -> None:
+    changes = [
+        Change((1,), "pose", 12.0, (0.003, 0.004, 0.01)), Change((2,), "clock", None, (-0.02,)),
+        Change((0, 2), "clock", 15.0, (0.02,)),
+    ]  # fmt: skip
+    moved, drifts, jumped = describe_changes(changes, ["front", "rear", "left"], "front", 2.0)
+    assert moved.text.startswith("rear moved by 5.0 mm and 0.57° 10 s from the start: fix it to the robot")
+    assert drifts.text.startswith("the clock of left drifts by 20.0 ms in the course of the drive: synchronize")
+    assert jumped.text.startswith("the clock of front or left jumped by 20.0 ms 13 s from the start")
+    assert (moved.sensors, drifts.sensors) == (("rear",), ("left",))
+    assert jumped.sensors == ("front", "rear", "left")
+
+
+def test_all_poses_are_weak_where_the_published_root_moved() -> None:
+    (found,) = describe_changes([Change((1,), "pose", 12.0, (0.1, 0, 0))], ["front", "rear", "left"], "rear", 0.0)
+    assert found.sensors == ("front", "rear", "left")
