@@ -53,8 +53,13 @@ def test_people_before_scanners_at_rest_are_no_drive(blocked: int) -> None:
 
 @pytest.mark.parametrize(("count", "drives"), [(20, False), (100, True)])
 def test_snapshots_from_several_places_are_no_drive(count: int, drives: bool) -> None:
-    places = np.linspace(-3, 3, count).tolist()
-    scans = [scan_room([float(k)], x, 0)[0] for k, x in enumerate(places)]
+    """Of a scanner that turns as well."""
+    measured = [scan_room([0.0], x, 0)[0] for x in np.linspace(-3, 3, count).tolist()]
+    scans: list[Message] = [
+        LaserScan(float(k), "", ANGLES, np.roll(one.ranges, 5 * k))
+        for k, one in enumerate(measured)
+        if isinstance(one, LaserScan)
+    ]
     recording = MessageRecording({"/a": scans})
     assert (find_moving_robot(recording, list_topics(recording, {"/a": "lidar2d"})) is not None) == drives
 
