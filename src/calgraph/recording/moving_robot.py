@@ -20,7 +20,7 @@ _MESSAGES, _LAG = 24, 6
 _CELL = np.radians(2.0)
 # Change of the nearest range that is something else, m, and relative to it: noise and sights along walls are less.
 _MIN_CHANGE, _MIN_CHANGE_RATIO = 0.2, 0.05
-# Share of directions that change, in the median over the recording, from which a scanner of a kind moves. On drives
+# Share of directions that change, in the median over the recording, from which a scanner moves. On drives
 # with turns, simulated and real, a scan plane has 0.8 and more, and a cloud, in which floors do not change, 0.35
 # and more, but for corridors. People and boards before scanners at rest change 0.24 and 0.08 at most.
 _MIN_SHARE = {"lidar2d": 0.5, "lidar3d": 0.3}
