@@ -65,7 +65,12 @@ class MotionStart:
     def relative_to(self, other: "MotionStart") -> "MotionStart":
         """The start against another sensor, from those of both against the root."""
         T = se_n.inverse(other.T_root_sensor) @ self.T_root_sensor
-        return replace(self, T_root_sensor=T, clock_offset=self.clock_offset - other.clock_offset)
+        return replace(
+            self,
+            T_root_sensor=T,
+            clock_offset=self.clock_offset - other.clock_offset,
+            correlation=min(self.correlation, other.correlation),
+        )
 
 
 StartMotion = Literal["free", "level", "turn"]
