@@ -35,6 +35,7 @@ from scipy.stats import chi2
 from calgraph.config import Rig, Tolerance
 from calgraph.drive.options import DriveOptions
 from calgraph.drive.pipeline import calibrate_drive
+from calgraph.drive.sweeps import MIN_RANGE
 from calgraph.errors import CalgraphError
 from calgraph.geometry import Array, Index, se2, se3
 from calgraph.recording import MessageRecording
@@ -70,8 +71,9 @@ WRONG = tuple(
     kind for kind in KINDS if kind not in ("ordinary", "planar", "clocks_half_a_second", "corridor_both_ways")
 )
 """The kinds that determine too little, or in which something is wrong."""
-REAL_MAX_RANGE = 40.0
-"""Larger ranges are no returns, m."""
+REAL_MIN_RANGE, REAL_MAX_RANGE = MIN_RANGE, 40.0
+"""Smaller ranges are those that the command leaves out, which in another frame it could not; larger ones are no
+returns, m."""
 
 
 @dataclass(frozen=True)
@@ -269,7 +271,8 @@ def read_scans(path: Path) -> tuple[Array, Array]:
                 ranges.append(np.array(words[2:362], dtype=np.float64))
                 stamps.append(float(words[362 + 6]))
     measured = np.array(ranges)
-    return np.array(stamps), np.where(measured < REAL_MAX_RANGE, measured, np.inf)
+    used = (measured >= REAL_MIN_RANGE) & (measured < REAL_MAX_RANGE)
+    return np.array(stamps), np.where(used, measured, np.inf)
 
 
 def read_window(path: Path, window: int, frame: str) -> tuple[MessageRecording, Truth, dict[str, str]]:
@@ -285,9 +288,10 @@ def read_window(path: Path, window: int, frame: str) -> tuple[MessageRecording, 
     messages: dict[str, list[LaserScan]] = {"/right/scan": [], "/left/scan": []}
     for stamp, measured in zip(stamps[inside], ranges[inside], strict=True):
         messages["/right/scan"].append(LaserScan(float(stamp), "right", bearings[:180], measured[:180]))
+        # Beams without a return stay, at some place of theirs, so that others keep their numbers.
         hit = np.isfinite(measured[180:])
-        ends = se2.apply(T_left_root, measured[180:][hit, None] * directions[hit])
-        angles, lengths = np.arctan2(ends[:, 1], ends[:, 0]), np.hypot(*ends.T)
+        ends = se2.apply(T_left_root, np.where(hit, measured[180:], 1.0)[:, None] * directions)
+        angles, lengths = np.arctan2(ends[:, 1], ends[:, 0]), np.where(hit, np.hypot(*ends.T), np.inf)
         messages["/left/scan"].append(LaserScan(float(stamp + clock), "left", angles, lengths))
     truth = Truth({"right": np.eye(4), "left": se2.to_se3(T_root_left)}, {"right": 0.0, "left": clock})
     return MessageRecording(messages), truth, {"right": "lidar2d", "left": "lidar2d"}

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array, hstack
 
 from calgraph.drive.measurements import MAX_VARIANCES, LinearRows, VarianceOf
-from calgraph.drive.states import SensorState
+from calgraph.drive.states import BESIDE_POSE, SensorState
 from calgraph.geometry import STDDEV_PER_MAD, Array, Index, se3, se_n, so3
 from calgraph.sensors import CameraModel
 from calgraph.sensors.lens_errors import adjust_camera, project_by_lens
@@ -207,7 +207,7 @@ class BoardMeasurements:
         by_root = np.concatenate([by_root[..., :3], by_root[..., 3:] @ at.rotation_jacobian], axis=-1)
         by_control = (at.basis[:, None, :, None] * by_root[:, :, None, :]).reshape(*residual.shape, -1)
         rows = residual.shape[1]
-        none = np.zeros((V, rows, 2))
+        none = np.zeros((V, rows, BESIDE_POSE - 1))
         return LinearRows(
             residual.ravel(),
             np.repeat(self.sensor, rows),

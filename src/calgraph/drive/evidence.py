@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from calgraph.drive.measurements import DrivePart
 from calgraph.drive.start import MotionStart
-from calgraph.drive.states import SensorState
+from calgraph.drive.states import SensorPoints, SensorState
 from calgraph.drive.surface_points import CELL_LIMITS
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2, se3, se_n, so3
@@ -69,7 +69,7 @@ def _find_surfaces(
 ) -> list[DriveView]:
     """All points that are on surfaces, with absolute times."""
     placed = [
-        _place_points(measured.points, measured.times, part.trajectory, state)
+        _place_points(measured, part.trajectory, state)
         for measured, state in zip(part.points, states, strict=True)
     ]
     sensor = np.repeat(np.arange(len(placed)), [len(times) for times, *_ in placed])
@@ -102,12 +102,12 @@ def _find_surfaces(
 
 
 def _place_points(
-    points: Array, times: Array, trajectory: SplineTrajectory, state: SensorState
+    measured: SensorPoints, trajectory: SplineTrajectory, state: SensorState
 ) -> tuple[Array, Array, Array, Array]:
     """Times (N,) by the root's clock, and points (N, n): corrected, in the world, and relative to the sensor."""
-    times = times - state.clock_offset
+    times = state.date(measured)
     inside = (times >= trajectory.start) & (times <= trajectory.end)
-    points, times = points[inside], times[inside]
+    points, times = measured.points[inside], times[inside]
     ranges = np.linalg.norm(points, axis=1, keepdims=True)
     points = points * (1 - state.range_scale - state.range_bias / np.maximum(ranges, 1e-9))
     T = trajectory.at(times).poses @ state.T_root_sensor

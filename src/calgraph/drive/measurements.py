@@ -22,7 +22,7 @@ class LinearRows:
     by_control: csr_array
     """(M, C) by the control points of the trajectory, row by row."""
     by_sensor: Array
-    """(M, n + d + 3) by the state of the sensor."""
+    """(M, n + d + 6) by the state of the sensor."""
     by_unknown: csr_array
     """(M, E) by the unknowns of the measurements themselves."""
     by_shared: Array

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.sparse import csr_array, hstack
 
 from calgraph.drive.measurements import MAX_VARIANCES, LinearRows, VarianceOf
-from calgraph.drive.states import SensorState
+from calgraph.drive.states import BESIDE_POSE, SensorState
 from calgraph.geometry import Array, Index, se_n, so3
 from calgraph.surfaces.trajectory import SplinePoses, SplineTrajectory
 
@@ -171,7 +171,7 @@ class RelativeMotions:
     ) -> tuple[Array, tuple[tuple[Index, Array], ...], Array, Array]:
         """Errors (K, A), their derivatives by the control points at both ends, by state and by unknowns.
 
-        The last are (K, A, n + d + 3) and (K, A, E). The derivatives at an end are the first control point
+        The last are (K, A, n + d + 6) and (K, A, E). The derivatives at an end are the first control point
         (K,) and (K, A, 4 (n + d)).
         """
         n = self._n
@@ -227,7 +227,7 @@ class _Placed:
     by_control: Array
     """(K, n + d, n + d) by the values of the spline."""
     by_state: Array
-    """(K, n + d, n + d + 3)."""
+    """(K, n + d, n + d + 6)."""
 
 
 def _place(trajectory: SplineTrajectory, times: Array, state: SensorState) -> _Placed:
@@ -238,7 +238,7 @@ def _place(trajectory: SplineTrajectory, times: Array, state: SensorState) -> _P
     K, n = arm.shape
     d = at.turn_rate.shape[1]
     swing = se_n.rotation_jacobian(arm)
-    by_control, by_state = np.zeros((K, n + d, n + d)), np.zeros((K, n + d, n + d + 3))
+    by_control, by_state = np.zeros((K, n + d, n + d)), np.zeros((K, n + d, n + d + BESIDE_POSE))
     by_control[:, :n, :n] = np.eye(n)
     by_control[:, :n, n:] = swing @ at.rotation_jacobian
     by_control[:, n:, n:] = at.rotation_jacobian

@@ -7,7 +7,7 @@ import numpy as np
 
 from calgraph.drive.adjustment import Adjustment
 from calgraph.drive.measurements import DrivePart
-from calgraph.drive.states import SensorState
+from calgraph.drive.states import BESIDE_POSE, SensorState
 from calgraph.geometry import Array, Index, se_n
 from calgraph.surfaces.trajectory import SplineTrajectory, Track, fit_spline
 
@@ -23,7 +23,7 @@ def change_root(adjusted: Adjustment, root: int) -> Adjustment:
         root: number of the new one, whose pose is free in all axes.
     """
     S, columns = adjusted.free.shape
-    p = columns - 3
+    p = columns - BESIDE_POSE
     order = np.array([root, *(k for k in range(S) if k != root)])
     T_new = se_n.inverse(adjusted.states[root].T_root_sensor)
     states = [_restate(adjusted.states[k], T_new, adjusted.states[root].clock_offset) for k in order]
@@ -31,7 +31,7 @@ def change_root(adjusted: Adjustment, root: int) -> Adjustment:
     free[[0, root], : p + 1] = free[[root, 0], : p + 1]
     number = np.full(adjusted.free.shape, -1)
     number[adjusted.free] = np.arange(adjusted.free.sum())
-    # Errors of all parameters (S, n + d + 3) by those that were free.
+    # Errors of all parameters (S, n + d + 6) by those that were free.
     before = np.zeros((S, columns, int(adjusted.free.sum())))
     before[adjusted.free] = np.eye(before.shape[2])
     after = np.stack([_propagate(adjusted.states, before, k, root) for k in order])
@@ -60,11 +60,11 @@ def _restate(state: SensorState, T_new_old: Array, clock: float) -> SensorState:
 
 
 def _propagate(states: Sequence[SensorState], errors: Array, k: int, root: int) -> Array:
-    """(n + d + 3, P) errors of ``T_r⁻¹ T_k`` and of the clock along the new root's axes, from those of all."""
+    """(n + d + 6, P) errors of ``T_r⁻¹ T_k`` and of the clock along the new root's axes, from those of all."""
     T_r, T_k = states[root].T_root_sensor, states[k].T_root_sensor
     n = len(T_r) - 1
     own, of_root = errors[k], errors[root]
-    p = own.shape[0] - 3
+    p = own.shape[0] - BESIDE_POSE
     back = se_n.transpose(se_n.rotation(T_r))
     lever = se_n.rotation_jacobian(se_n.translation(T_k) - se_n.translation(T_r))
     moved = own.copy()
