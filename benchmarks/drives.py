@@ -35,7 +35,6 @@ from scipy.stats import chi2
 from calgraph.config import Rig, Tolerance
 from calgraph.drive.options import DriveOptions
 from calgraph.drive.pipeline import calibrate_drive
-from calgraph.drive.sweeps import MIN_RANGE
 from calgraph.errors import CalgraphError
 from calgraph.geometry import Array, Index, se2, se3
 from calgraph.recording import MessageRecording
@@ -71,9 +70,8 @@ WRONG = tuple(
     kind for kind in KINDS if kind not in ("ordinary", "planar", "clocks_half_a_second", "corridor_both_ways")
 )
 """The kinds that determine too little, or in which something is wrong."""
-REAL_MIN_RANGE, REAL_MAX_RANGE = MIN_RANGE, 40.0
-"""Smaller ranges are those that the command leaves out, which in another frame it could not; larger ones are no
-returns, m."""
+REAL_MAX_RANGE = 40.0
+"""Larger ranges are no returns, m."""
 
 
 @dataclass(frozen=True)
@@ -271,8 +269,7 @@ def read_scans(path: Path) -> tuple[Array, Array]:
                 ranges.append(np.array(words[2:362], dtype=np.float64))
                 stamps.append(float(words[362 + 6]))
     measured = np.array(ranges)
-    used = (measured >= REAL_MIN_RANGE) & (measured < REAL_MAX_RANGE)
-    return np.array(stamps), np.where(used, measured, np.inf)
+    return np.array(stamps), np.where(measured < REAL_MAX_RANGE, measured, np.inf)
 
 
 def read_window(path: Path, window: int, frame: str) -> tuple[MessageRecording, Truth, dict[str, str]]:

@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose
 from calgraph.drive.adjustment import Adjustment
 from calgraph.drive.measurements import DrivePart
 from calgraph.drive.root_change import change_root
-from calgraph.drive.states import SensorPoints, SensorState
+from calgraph.drive.states import BESIDE_POSE, SensorPoints, SensorState
 from calgraph.drive.surface_elimination import NoiseModel
 from calgraph.geometry import Array, se_n
 from calgraph.surfaces.trajectory import Track, fit_spline
@@ -22,7 +22,7 @@ def test_states_and_covariance_are_those_of_the_new_root(n: int) -> None:
         return se_n.pose(se_n.exp(rng.normal(size=p - n)), rng.normal(size=n))
 
     states = [SensorState(np.eye(n + 1)), SensorState(pose(), 0.1, 0.01), SensorState(pose(), -0.2)]
-    free = np.ones((3, p + 3), dtype=bool)
+    free = np.ones((3, p + BESIDE_POSE), dtype=bool)
     free[0, : p + 1] = free[2, p + 1 :] = False
     A = rng.normal(size=(int(free.sum()),) * 2) * 1e-4
     empty = np.zeros(3)
@@ -74,7 +74,7 @@ def test_the_trajectory_of_the_new_root_responds_as_that_of_the_old_one(n: int) 
     spline = fit_spline(Track(times, poses), 0.0, 5.0, 0.1)
     mounted = se_n.pose(se_n.exp(rng.normal(size=p - n)), rng.normal(size=n))
     states = [SensorState(np.eye(n + 1)), SensorState(mounted, 0.07)]
-    free = np.ones((2, p + 3), dtype=bool)
+    free = np.ones((2, p + BESIDE_POSE), dtype=bool)
     free[0] = free[1, p + 1 :] = False
     P = int(free.sum())
     # Smooth, as rotations between knots are those of the reference.

@@ -14,8 +14,8 @@ MIN_RANGE = 0.5
 # Farther surfaces are met by few beams, at footprints of decimetres, m.
 MAX_RANGE = 80.0
 # Sweeps before and after one through whose stamps a line is fitted: over some seconds, periods of motors stay the
-# same, and stamps that are rounded to 10 ms have an error of 0.5 ms. Fewer sweeps than these determine no line.
-_LINE, _MIN_LINE = 15, 5
+# same, and stamps that are rounded to 10 ms have an error of 0.4 ms. Fewer sweeps than these determine no line.
+_LINE, _MIN_LINE = 30, 5
 # By how much a step differs from a multiple of the period, as a share of it, where a clock jumped.
 _MAX_IRREGULARITY = 0.25
 # Until the weights of stamps that are late stay the same.
@@ -111,7 +111,7 @@ def smooth_stamps(stamps: Array) -> tuple[float, Array]:
         slope = (s * sxy - sx * sy) / (s * sxx - sx**2)
         level = (sy - slope * sx) / s
         r = y - level[:, None] - slope[:, None] * x
-        scale = 2 * STDDEV_PER_MAD * np.median(np.abs(r[weight > 0])) + 1e-6
+        scale = 3 * STDDEV_PER_MAD * np.median(np.abs(r[weight > 0])) + 1e-6
         robust = weight / (1 + (r / scale) ** 2) ** 2
     smooth = stamps.copy()
     smooth[used] += level
