@@ -61,7 +61,7 @@ def test_rounded_stamps_are_smoothed_where_scans_were_lost() -> None:
     late[[20, 150]] += 0.05
     stamps = np.floor(late * 100) / 100
     period, smooth = smooth_stamps(stamps)
-    assert abs(period - 0.2133) < 0.005
+    assert abs(period - 0.2133) < 0.0005
     error = smooth - true - np.median(smooth - true)
     assert np.std(stamps - late) > 0.0025
     assert np.std(error) < 0.0008

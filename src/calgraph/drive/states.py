@@ -21,7 +21,7 @@ class SensorPoints:
     times: Array
     """(N,) by its clock, s."""
     timing: Array = field(default_factory=lambda: np.zeros(TIMING))
-    """(N, 3), or (3,) of all: what its errors of timing add to these times, s, each in units of its own: the sweep
+    """(N, 3), or (3,) of all: what its errors of timing add to these times, s, each in separate units: the sweep
     from the first to the last beam, and the delay of odd beams, in periods; the irregularity of stamps, as a share
     of that which was smoothed."""
 

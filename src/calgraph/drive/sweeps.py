@@ -115,4 +115,5 @@ def smooth_stamps(stamps: Array) -> tuple[float, Array]:
         robust = weight / (1 + (r / scale) ** 2) ** 2
     smooth = stamps.copy()
     smooth[used] += level
-    return period, smooth
+    # Rounded steps have another median than mean.
+    return (float(steps[~broken].sum() / count[~broken].sum()) if used.any() else period), smooth
