@@ -285,9 +285,10 @@ def read_window(path: Path, window: int, frame: str) -> tuple[MessageRecording, 
     messages: dict[str, list[LaserScan]] = {"/right/scan": [], "/left/scan": []}
     for stamp, measured in zip(stamps[inside], ranges[inside], strict=True):
         messages["/right/scan"].append(LaserScan(float(stamp), "right", bearings[:180], measured[:180]))
+        # Beams without a return stay, at some place of theirs, so that others keep their numbers.
         hit = np.isfinite(measured[180:])
-        ends = se2.apply(T_left_root, measured[180:][hit, None] * directions[hit])
-        angles, lengths = np.arctan2(ends[:, 1], ends[:, 0]), np.hypot(*ends.T)
+        ends = se2.apply(T_left_root, np.where(hit, measured[180:], 1.0)[:, None] * directions)
+        angles, lengths = np.arctan2(ends[:, 1], ends[:, 0]), np.where(hit, np.hypot(*ends.T), np.inf)
         messages["/left/scan"].append(LaserScan(float(stamp + clock), "left", angles, lengths))
     truth = Truth({"right": np.eye(4), "left": se2.to_se3(T_root_left)}, {"right": 0.0, "left": clock})
     return MessageRecording(messages), truth, {"right": "lidar2d", "left": "lidar2d"}

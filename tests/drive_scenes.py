@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from calgraph.drive.states import TIMING
 from calgraph.drive.sweeps import Sweep
 from calgraph.geometry import Array, se_n
 
@@ -92,5 +93,7 @@ def scan(
         T = path(start + within, n) @ T_root_sensor
         rays = (se_n.rotation(T) @ directions[:, :, None])[..., 0]
         ranges = ROOMS[n].measure(se_n.translation(T), rays) + rng.normal(0, noise, len(rays))
-        sweeps.append(Sweep(float(start + within[-1] / 2), directions * ranges[:, None], start + within))
+        times = start + within
+        exact = np.zeros((len(times), TIMING))
+        sweeps.append(Sweep(float(start + within[-1] / 2), directions * ranges[:, None], times, exact))
     return sweeps

@@ -3,6 +3,7 @@
 The world is turned against the walls, as that of odometry is: walls along the edges of cells are no surfaces.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,7 +20,7 @@ from calgraph.drive.adjustment import (
     adjust_drive,
 )
 from calgraph.drive.measurements import DrivePart
-from calgraph.drive.states import SensorPoints, SensorState
+from calgraph.drive.states import BESIDE_POSE, TIMING, SensorPoints, SensorState
 from calgraph.drive.surface_elimination import (
     NoiseModel,
     _Fit,
@@ -64,13 +65,14 @@ class Scene:
     start: list[SensorState]
 
     def errors(self, states: list[SensorState]) -> Array:
-        """(S, n + d + 3)."""
+        """(S, n + d + 6)."""
         return np.array([
             [
                 *se_n.difference(one.T_root_sensor, true.T_root_sensor),
                 one.clock_offset - true.clock_offset,
                 one.range_bias - true.range_bias,
                 one.range_scale - true.range_scale,
+                *(one.timing - true.timing),
             ]
             for one, true in zip(states, self.truth, strict=True)
         ])  # fmt: skip
@@ -98,14 +100,10 @@ def simulate(n: int, duration: float, seed: int) -> Scene:
     return Scene(DrivePart(points, fit_spline(track, 0.1, duration - 0.2, 0.25)), truth, start)
 
 
-def priors(n: int, pose: float = 1.0) -> AdjustmentPriors:
+def priors(n: int, pose: float = 1.0, timing: Sequence[float] = (0.0, 0.0, 0.0)) -> AdjustmentPriors:
     size = n + n * (n - 1) // 2
-    return AdjustmentPriors(
-        np.array([np.zeros(size), np.full(size, pose)]),
-        np.array([0, PRIOR_CLOCK]),
-        np.full(2, PRIOR_BIAS),
-        np.full(2, PRIOR_SCALE),
-    )
+    errors = PRIOR_BIAS, PRIOR_SCALE, *timing
+    return AdjustmentPriors(np.array([[*[0.0] * (size + 1), *errors], [*[pose] * size, PRIOR_CLOCK, *errors]]))
 
 
 def scaled(scene: Scene, found: Adjustment) -> tuple[Array, float]:
@@ -132,14 +130,15 @@ def disturbed(n: int, seed: int = 0) -> tuple[DrivePart, list[SensorState]]:
     change = rng.normal(size=scene.part.trajectory.control.shape) * np.repeat([0.02, 0.05], [n, size - n])
     part = replace(scene.part, trajectory=scene.part.trajectory.moved(change))
     states = [
-        state.moved(np.array([*rng.normal(0, 0.02, size), 0.01 * sign, 0.02 * sign, 0.02 * sign]))
+        state.moved(np.array([*rng.normal(0, 0.02, size), *np.array([0.01, 0.02, 0.02, 0.1, 0.1, 0.1]) * sign]))
         for state, sign in zip(scene.start, (1.0, -1.0), strict=True)
     ]
     # Changes of clocks move no point beyond the ends.
     points = []
     for measured in part.points:
         inner = (measured.times > part.trajectory.start + 0.1) & (measured.times < part.trajectory.end - 0.1)
-        points.append(SensorPoints(measured.points[inner], measured.times[inner]))
+        timing = rng.normal(0, 0.1, (int(inner.sum()), TIMING))
+        points.append(SensorPoints(measured.points[inner], measured.times[inner], timing))
     return replace(part, points=points), states
 
 
@@ -193,10 +192,14 @@ def test_derivatives_by_control_points_are_those_of_the_residuals(fixed: FixedSu
             assert_allclose(found, (ahead - behind) / (2 * step), atol=1e-7)
 
 
-@pytest.mark.parametrize("name", ["pose", "clock", "bias", "scale"])
+@pytest.mark.parametrize("name", ["pose", "clock", "bias", "scale", "timing"])
 def test_derivatives_by_states_are_those_of_the_residuals(fixed: FixedSurfaces, name: str) -> None:
     step, size = 1e-6, fixed.at.by_sensor.shape[1]
-    columns = {"pose": range(size - 3), "clock": [size - 3], "bias": [size - 2], "scale": [size - 1]}[name]
+    pose = size - BESIDE_POSE
+    columns = {
+        "pose": range(pose), "clock": [pose], "bias": [pose + 1], "scale": [pose + 2],
+        "timing": range(pose + 3, size),
+    }[name]  # fmt: skip
     for c in columns:
         change = step * np.eye(size)[c]
         ahead, behind = (
@@ -208,13 +211,14 @@ def test_derivatives_by_states_are_those_of_the_residuals(fixed: FixedSurfaces, 
 
 @DIMENSIONS
 def test_a_state_moves_along_the_axes_of_the_root(n: int) -> None:
-    state = SensorState(MOUNTED[n], 0.1, 0.2, 0.3)
+    state = SensorState(MOUNTED[n], 0.1, 0.2, 0.3, np.array([0.4, 0.5, 0.6]))
     size = n + n * (n - 1) // 2
-    step = np.arange(size + 3) / 100
+    step = np.arange(size + BESIDE_POSE) / 100
     moved = state.moved(step)
     assert_allclose(se_n.difference(moved.T_root_sensor, MOUNTED[n]), step[:size])
     assert_allclose(
-        [moved.clock_offset, moved.range_bias, moved.range_scale], np.add(step[size:], [0.1, 0.2, 0.3])
+        [moved.clock_offset, moved.range_bias, moved.range_scale, *moved.timing],
+        step[size:] + np.arange(1, 7) / 10,
     )
 
 
@@ -402,8 +406,9 @@ def test_the_prior_draws_a_common_range_scale_back() -> None:
 def test_deviations_are_those_from_the_prior() -> None:
     """Its poses and clocks are those of the start; range errors are zero."""
     start = [SensorState(MOUNTED[2], 0.1, 0.2, 0.3)]
-    step = np.array([0.01, 0.02, 0.03, 0.04, 0.05, 0.06])
-    assert_allclose(_deviation([start[0].moved(step)], start), [[0.01, 0.02, 0.03, 0.04, 0.25, 0.36]])
+    step = np.arange(1, 10) / 100
+    expected = [[0.01, 0.02, 0.03, 0.04, 0.25, 0.36, 0.07, 0.08, 0.09]]
+    assert_allclose(_deviation([start[0].moved(step)], start), expected)
 
 
 def test_a_prior_holds_the_pose() -> None:

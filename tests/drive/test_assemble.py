@@ -12,7 +12,7 @@ from calgraph.config import Rig
 from calgraph.drive.adjustment import Adjustment
 from calgraph.drive.assemble import DriveResult, assemble_drive
 from calgraph.drive.start import MotionStart
-from calgraph.drive.states import SensorState
+from calgraph.drive.states import BESIDE_POSE, SensorState
 from calgraph.drive.surface_elimination import NoiseModel
 from calgraph.result.finding import Finding
 
@@ -25,7 +25,7 @@ RIG = Rig.model_validate({
 
 def solution() -> Adjustment:
     """Two LiDARs with standard deviations of 1 mm and 1 mrad, and 200 surfaces in common."""
-    free: NDArray[np.bool_] = np.ones((2, 9), dtype=bool)
+    free: NDArray[np.bool_] = np.ones((2, 6 + BESIDE_POSE), dtype=bool)
     free[0, :7] = False
     P = 1e-6 * np.eye(int(free.sum()))
     T_front_rear = np.eye(4)

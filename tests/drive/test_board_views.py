@@ -11,7 +11,7 @@ from calgraph.drive.board_views import BoardMeasurements, BoardView, SharedError
 from calgraph.drive.board_world import chain_boards, measure_boards
 from calgraph.drive.measurements import DrivePart
 from calgraph.drive.sources.camera import CameraSource, split_views
-from calgraph.drive.states import SensorPoints, SensorState
+from calgraph.drive.states import BESIDE_POSE, SensorPoints, SensorState
 from calgraph.geometry import Array, se3
 from calgraph.sensors import CameraModel
 from calgraph.surfaces.trajectory import SplineTrajectory, Track, fit_spline
@@ -62,7 +62,7 @@ def test_derivatives_are_those_of_the_residuals(seed: int) -> None:
     h = 1e-6
     for _ in range(3):
         control = rng.normal(size=trajectory.control.shape) * h
-        of_sensor = rng.normal(size=(3, 9)) * h
+        of_sensor = rng.normal(size=(3, 6 + BESIDE_POSE)) * h
         boards, others = rng.normal(size=no_bias.unknown_count) * h, rng.normal(size=len(shared)) * h
         numeric = (
             residual(control, of_sensor, boards, shared + others)
@@ -105,9 +105,9 @@ def solve_two_cameras(duration: float, seed: int, bias: float) -> tuple[Adjustme
     )
     none = SensorPoints(np.zeros((0, 3)), np.zeros(0))
     part = DrivePart([none, none], trajectory, measure_boards(sources, start, trajectory, errors), 18)
-    stddev = np.array([[0.0] * 6, [10.0] * 6])
-    exact = np.full(21, 1e-9)
-    priors = AdjustmentPriors(stddev, np.array([0.0, 0.1]), np.zeros(2), np.zeros(2), exact)
+    stddev = np.zeros((2, 6 + BESIDE_POSE))
+    stddev[1, :7] = [*[10.0] * 6, 0.1]
+    priors = AdjustmentPriors(stddev, np.full(21, 1e-9))
     found = adjust_drive([part], start, priors)
     state = found.states[1]
     return found, np.array([*se3.difference(state.T_root_sensor, T), state.clock_offset - 0.013])

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from calgraph.drive.adjustment import AdjustmentPriors, adjust_drive
 from calgraph.drive.changes import Change, PeriodEquations, describe_changes, find_changes
 from calgraph.drive.measurements import DrivePart
-from calgraph.drive.states import SensorPoints, SensorState
+from calgraph.drive.states import BESIDE_POSE, SensorPoints, SensorState
 from calgraph.geometry import Array, se2, se_n
 from calgraph.surfaces.trajectory import Track, fit_spline
 from drive_scenes import beams_in_plane, drive, scan
 
-SENSORS, PERIODS, STATES = 3, 10, 6
+SENSORS, PERIODS, STATES = 3, 10, 3 + BESIDE_POSE
 T_ROOT_SENSOR = [
     se2.pose(0.0, np.zeros(2)),
     se2.pose(2.0, np.array([-0.5, 0.2])),
@@ -102,8 +102,11 @@ def test_of_two_sensors_both_are_named() -> None:
 
 def test_a_short_drive_is_not_tested() -> None:
     equations = equations_of(np.zeros((SENSORS, PERIODS, STATES)), np.random.default_rng(0))
+    size = SENSORS * 3 * STATES
     assert (
-        find_changes(replace(equations, ends=ENDS[:3], information=np.eye(54), gradient=np.zeros(54)), STATES_OF)
+        find_changes(
+            replace(equations, ends=ENDS[:3], information=np.eye(size), gradient=np.zeros(size)), STATES_OF
+        )
         == []
     )
 
@@ -131,9 +134,8 @@ def simulate(seed: int, bump: Array, clock: float) -> tuple[DrivePart, list[Sens
 
 def solve(seed: int, bump: Array, clock: float) -> list[Change]:
     part, states = simulate(seed, bump, clock)
-    priors = AdjustmentPriors(
-        np.array([np.zeros(3), np.ones(3)]), np.array([0, 0.5]), np.full(2, 0.02), np.full(2, 0.002)
-    )
+    errors = 0.02, 0.002, 0.0, 0.0, 0.0
+    priors = AdjustmentPriors(np.array([[*[0.0] * 4, *errors], [*[1.0] * 3, 0.5, *errors]]))
     return list(adjust_drive([part], states, priors).changes)
 
 

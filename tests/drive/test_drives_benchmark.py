@@ -36,7 +36,7 @@ def test_halves_of_real_scans_are_one_scan_by_the_ground_truth(tmp_path: Path, f
     assert right.stamp == pytest.approx(130.0)
     assert left.stamp - right.stamp == pytest.approx(truth.clock_offsets["left"])
     np.testing.assert_allclose(right.points[0], [0.0, -1.0, 0.0], atol=1e-9)
-    assert len(left.points) == 179
+    assert left.valid.tolist() == [False] + [True] * 179
     ends = se3.apply(truth.T_root_sensor["left"], left.points)
     np.testing.assert_allclose(
         ends[-1], [2 * np.cos(np.radians(89.5)), 2 * np.sin(np.radians(89.5)), 0], atol=1e-9

@@ -62,7 +62,7 @@ def test_a_drive_that_begins_in_motion_is_tracked() -> None:
     """Nothing is known of the velocity in the first sweep, which is the first map."""
     sweeps = planar_sweeps(0)[30:]
     since = sweeps[0].time
-    shifted = [Sweep(one.time - since, one.points, one.times - since) for one in sweeps]
+    shifted = [replace(one, time=one.time - since, times=one.times - since) for one in sweeps]
     distance, angle = errors(track_sensor(shifted, 600, np.random.default_rng(0)), np.eye(3), since)
     assert distance[-1] < 0.05
     assert angle[-1] < 0.5

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from calgraph.drive.relative_motions import RelativeMotions, gather_motions
-from calgraph.drive.states import SensorState
+from calgraph.drive.states import BESIDE_POSE, SensorState
 from calgraph.geometry import Array, Index, se_n
 from calgraph.surfaces.trajectory import SplineTrajectory, Track, fit_spline
 
@@ -68,7 +68,7 @@ def test_the_derivatives_are_those_of_the_errors(n: int, gyroscope: bool) -> Non
     rows = replace(one, noise=np.full(len(one.noise), 1e6)).linearize(spline, [state], NONE)
     scale = 1e6 / np.sqrt(5 / 4)
     M, step = errors.size, 1e-6
-    for k, change in enumerate(step * np.eye(n + d + 3)[:-2]):
+    for k, change in enumerate(step * np.eye(n + d + BESIDE_POSE)[: n + d + 1]):
         both = [one.evaluate(spline, state.moved(sign * change))[0] for sign in (1, -1)]
         assert_allclose(by_state[:, :, k], (both[0] - both[1]) / (2 * step), atol=2e-6)
     by_control = rows.by_control.toarray()[:M] * scale

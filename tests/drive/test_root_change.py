@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose
 
 from calgraph.drive.adjustment import Adjustment
 from calgraph.drive.root_change import change_root
-from calgraph.drive.states import SensorState
+from calgraph.drive.states import BESIDE_POSE, SensorState
 from calgraph.drive.surface_elimination import NoiseModel
 from calgraph.geometry import Array, se_n
 
@@ -20,7 +20,7 @@ def test_states_and_covariance_are_those_of_the_new_root(n: int) -> None:
         return se_n.pose(se_n.exp(rng.normal(size=p - n)), rng.normal(size=n))
 
     states = [SensorState(np.eye(n + 1)), SensorState(pose(), 0.1, 0.01), SensorState(pose(), -0.2)]
-    free = np.ones((3, p + 3), dtype=bool)
+    free = np.ones((3, p + BESIDE_POSE), dtype=bool)
     free[0, : p + 1] = free[2, p + 1 :] = False
     A = rng.normal(size=(int(free.sum()),) * 2) * 1e-4
     empty = np.zeros(3)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from calgraph.drive.adjustment import Adjustment
 from calgraph.drive.floor import measure_level
 from calgraph.drive.measurements import DrivePart
-from calgraph.drive.states import SensorPoints, SensorState
+from calgraph.drive.states import BESIDE_POSE, TIMING, SensorPoints, SensorState
 from calgraph.drive.surface_elimination import NoiseModel
 from calgraph.drive.vehicle import fit_pose, join_chords, locate_root, scatter_of
 from calgraph.errors import Rejected
@@ -154,8 +154,8 @@ def adjusted_drive(poses: Array, points: Array) -> Adjustment:
     trajectory = fit_spline(Track(times, poses), 0.0, float(times[-1]), STEP)
     at = trajectory.at(np.linspace(0, times[-1], len(points))).poses
     local = (se_n.transpose(se_n.rotation(at)) @ (points - se_n.translation(at))[:, :, None])[..., 0]
-    free: NDArray[np.bool_] = np.zeros((1, n + n * (n - 1) // 2 + 3), dtype=bool)
-    free[0, -2:] = True
+    free: NDArray[np.bool_] = np.zeros((1, n + n * (n - 1) // 2 + BESIDE_POSE), dtype=bool)
+    free[0, -TIMING - 2 : -TIMING] = True
     part = DrivePart([SensorPoints(local, np.linspace(0, times[-1], len(points)))], trajectory)
     return Adjustment(
         [SensorState(np.eye(n + 1))], [part], np.diag([1e-6, 1e-8]), np.diag([1e-6, 1e-8]),

@@ -33,21 +33,11 @@ from calgraph.surfaces.trajectory import SplineTrajectory
 class AdjustmentPriors:
     """Standard deviations of what is known before, by sensor."""
 
-    pose: Array
-    """(S, n+d); the root's are 0: fixed."""
-    clock: Array
-    """(S,) s."""
-    range_bias: Array
-    """(S,) m."""
-    range_scale: Array
-    """(S,)."""
+    stddev: Array
+    """(S, n + d + 6) in the order of :meth:`SensorState.moved`; 0 of what is fixed, as are pose and clock of
+    the root."""
     shared: Array = field(default_factory=lambda: np.zeros(0))
     """(G,) of the unknowns that measurements of all parts share."""
-
-    @property
-    def stddev(self) -> Array:
-        """(S, n + d + 3)."""
-        return np.column_stack([self.pose, self.clock, self.range_bias, self.range_scale])
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,11 +47,11 @@ class Adjustment:
     states: Sequence[SensorState]
     parts: Sequence[DrivePart]
     covariance: Array
-    """(P, P) of the parameters (S, n + d + 3) that are free, in their order."""
+    """(P, P) of the parameters (S, n + d + 6) that are free, in their order."""
     independent_covariance: Array
     """(P, P) that it would be if the errors of all views were independent."""
     free: NDArray[np.bool_]
-    """(S, n + d + 3): which these are."""
+    """(S, n + d + 6): which these are."""
     noise: NoiseModel
     shared_cells: Array
     """(S, S) number of surfaces that both sensors measured."""
@@ -164,13 +154,14 @@ def adjust_drive(
 
 
 def _deviation(states: Sequence[SensorState], start: Sequence[SensorState]) -> Array:
-    """(S, n + d + 3) of the states from those of the prior."""
+    """(S, n + d + 6) of the states from those of the prior."""
     return np.array([
         [
             *se_n.difference(state.T_root_sensor, first.T_root_sensor),
             state.clock_offset - first.clock_offset,
             state.range_bias,
             state.range_scale,
+            *state.timing,
         ]
         for state, first in zip(states, start, strict=True)
     ])  # fmt: skip

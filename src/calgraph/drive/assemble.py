@@ -10,6 +10,7 @@ from calgraph.drive.adjustment import Adjustment
 from calgraph.drive.board_views import BoardMeasurements
 from calgraph.drive.sources.camera import MIN_VIEWS
 from calgraph.drive.start import MotionStart
+from calgraph.drive.states import BESIDE_POSE
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se2
 from calgraph.result import BaseFrame, Calibration, Edge, Evidence, FitError, Pictures, SensorPose, Verdict
@@ -194,7 +195,7 @@ def _list_edges(rig: Rig, result: DriveResult) -> list[Edge]:
 def _lift_covariance(adjusted: Adjustment) -> tuple[Array, Array]:
     """Covariance (6S, 6S) of all poses, NaN where nothing is measured, and (S,) of clock offsets, s."""
     count, columns = adjusted.free.shape
-    axes = np.arange(6) if columns == 9 else np.array([0, 1, 5])
+    axes = np.arange(6) if columns == 6 + BESIDE_POSE else np.array([0, 1, 5])
     # A plane, or a gyroscope, does not measure all axes.
     measured = np.zeros((count, 6), dtype=bool)
     measured[:, axes] = adjusted.free[:, : len(axes)]

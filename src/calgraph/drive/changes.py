@@ -19,7 +19,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.special import chdtri
 
 from calgraph.drive.clustered_covariance import SCATTER_FACTOR
-from calgraph.drive.states import SensorState
+from calgraph.drive.states import BESIDE_POSE, SensorState
 from calgraph.geometry import Array, se_n
 from calgraph.result.finding import Finding
 
@@ -146,8 +146,8 @@ def _change_states(
 ) -> Array:
     """(S, F, c) change of all states with that of the pose (n + d,) or the clock (1,) of one sensor."""
     S, F = free.shape
-    pose = np.arange(F - 3)
-    columns = pose if kind == "pose" else np.array([F - 3])
+    pose = np.arange(F - BESIDE_POSE)
+    columns = pose if kind == "pose" else np.array([F - BESIDE_POSE])
     change = np.zeros((S, F, len(columns)))
     for k in [sensor] if sensor else range(1, S):
         change[k, columns] = np.eye(len(columns)) * (1 if sensor else -1)

@@ -7,7 +7,7 @@ import numpy as np
 from calgraph.drive.adjustment import Adjustment
 from calgraph.drive.measurements import DrivePart
 from calgraph.drive.start import MotionStart
-from calgraph.drive.states import SensorState
+from calgraph.drive.states import BESIDE_POSE, SensorState
 from calgraph.drive.surface_points import Association, SurfacePoints, linearize_points, select_inside
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, plane, se2, se3, se_n, so3
@@ -48,7 +48,7 @@ def collect_pictures(
         counts = np.maximum(np.bincount(at.surface), 1)
         residual = at.residual - (np.bincount(at.surface, at.residual) / counts)[at.surface]
         # The derivative by the bias of ranges: normals point away from the sensor.
-        away = np.where(at.by_sensor[:, -2] > 0, -1.0, 1.0)
+        away = np.where(at.by_sensor[:, 1 - BESIDE_POSE] > 0, -1.0, 1.0)
         normals = _raise(association.surfaces.normals)[at.surface] @ R.T * away[:, None]
         measured_by = np.zeros((len(association.surfaces.keys), len(names)), dtype=np.bool_)
         measured_by[at.surface, at.sensor] = True

@@ -7,7 +7,7 @@ from typing import Protocol
 import numpy as np
 from scipy.sparse import csr_array
 
-from calgraph.drive.states import SensorPoints, SensorState
+from calgraph.drive.states import BESIDE_POSE, SensorPoints, SensorState
 from calgraph.geometry import Array, Index, se_n
 from calgraph.surfaces.trajectory import SplineTrajectory
 
@@ -25,7 +25,7 @@ class LinearRows:
     by_control: csr_array
     """(M, C) by the control points of the trajectory, row by row."""
     by_sensor: Array
-    """(M, n + d + 3) by the state of the sensor."""
+    """(M, n + d + 6) by the state of the sensor."""
     by_unknown: csr_array
     """(M, E) by the unknowns of the measurements themselves."""
     by_shared: Array
@@ -51,7 +51,7 @@ class PlacedSensor:
     by_control: Array
     """(K, n + d, 4 (n + d)) by it and the three after it,"""
     by_state: Array
-    """(K, n + d, n + d + 3) and by the state of the sensor."""
+    """(K, n + d, n + d + 6) and by the state of the sensor."""
 
 
 def place_sensor(trajectory: SplineTrajectory, times: Array, T_root_sensor: Array) -> PlacedSensor:
@@ -66,7 +66,7 @@ def place_sensor(trajectory: SplineTrajectory, times: Array, T_root_sensor: Arra
     by_value[:, :, n:] = from_root[:, :, n:] @ at.rotation_jacobian
     by_control = (at.basis[:, None, :, None] * by_value[:, :, None]).reshape(*by_value.shape[:2], -1)
     by_clock = -from_root @ np.concatenate([at.velocity, at.turn_rate], axis=1)[:, :, None]
-    by_state = np.concatenate([adjoint, by_clock, np.zeros((*by_clock.shape[:2], 2))], axis=2)
+    by_state = np.concatenate([adjoint, by_clock, np.zeros((*by_clock.shape[:2], BESIDE_POSE - 1))], axis=2)
     return PlacedSensor(T, at.first, by_control, by_state)
 
 

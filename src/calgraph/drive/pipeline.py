@@ -1,7 +1,6 @@
 """Drives: from one recording of a robot that drives to the poses of its LiDARs, which may share no view."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -22,7 +21,7 @@ from calgraph.drive.sources import SOURCES, Reader, Source
 from calgraph.drive.sources.camera import CameraSource, find_boards
 from calgraph.drive.start import MotionStart, StartMotion
 from calgraph.drive.start_tree import choose_lead, solve_starts
-from calgraph.drive.states import SensorState
+from calgraph.drive.states import BESIDE_POSE, SensorState
 from calgraph.errors import CalibrationError, Rejected
 from calgraph.geometry import Array, se_n
 from calgraph.parallel.progress import Progress, no_progress
@@ -218,7 +217,8 @@ def _adjust(
     ]
     progress("adjusting", 0.0)
     stddev = np.array([SOURCES[rig.sensors[name].kind].stddev(rig.sensors[name], n) for name in used])
-    priors = replace(_fix_root(stddev), shared=shared)
+    stddev[0, : 1 - BESIDE_POSE] = 0.0
+    priors = AdjustmentPriors(stddev, shared)
     try:
         adjusted = adjust_drive(parts, states, priors, lambda done: progress("adjusting", done))
     except np.linalg.LinAlgError as error:
@@ -260,10 +260,3 @@ def _select_parts(root: Segments, duration: float) -> list[tuple[Track, float, f
             turned.append(float(turn[(track.times[1:] > a) & (track.times[1:] <= b)].sum()))
     best = np.sort(np.argsort(-np.array(turned), kind="stable")[:_MAX_PARTS])
     return [parts[k] for k in best]
-
-
-def _fix_root(stddev: Array) -> AdjustmentPriors:
-    """Priors from standard deviations (S, n + d + 3); pose and clock of the root, which is the first, are 0."""
-    stddev = stddev.copy()
-    stddev[0, :-2] = 0.0
-    return AdjustmentPriors(stddev[:, :-3], stddev[:, -3], stddev[:, -2], stddev[:, -1])

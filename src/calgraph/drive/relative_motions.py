@@ -178,7 +178,7 @@ class RelativeMotions:
     ) -> tuple[Array, tuple[tuple[Index, Array], ...], Array, Array]:
         """Errors (K, A), their derivatives by the control points at both ends, by state and by unknowns.
 
-        The last are (K, A, n + d + 3) and (K, A, E). The derivatives at an end are the first control point
+        The last are (K, A, n + d + 6) and (K, A, E). The derivatives at an end are the first control point
         (K,) and (K, A, 4 (n + d)).
         """
         n = self._n

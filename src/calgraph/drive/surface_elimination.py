@@ -87,7 +87,7 @@ def eliminate_surfaces(
         at: the points.
         surfaces: number of surfaces.
         noise: of the points.
-        free: (S, n + d + 3) the parameters of sensors that are estimated.
+        free: (S, n + d + 6) the parameters of sensors that are estimated.
         controls: number of control points.
     """
     views = _group_points(at, len(free))

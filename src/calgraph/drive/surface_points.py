@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calgraph.drive.measurements import DrivePart
-from calgraph.drive.states import SensorState
+from calgraph.drive.states import BESIDE_POSE, TIMING, SensorState
 from calgraph.geometry import Array, Index, measure_lengths, se_n
 from calgraph.surfaces.flat_cells import CellLimits, FlatCells, fit_flat_cells, sum_moments_within
 
@@ -42,7 +42,7 @@ class SurfacePoints:
     by_control: Array
     """(N, 4 (n + d))."""
     by_sensor: Array
-    """(N, n + d + 3)."""
+    """(N, n + d + 6)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +95,8 @@ def linearize_points(part: DrivePart, states: Sequence[SensorState], association
     axes = surfaces.axes[cells]
     local = np.einsum("ni,nij->nj", joined["world"] - surfaces.center[cells], axes)
     normals = axes[:, :, 0]
-    incidence = np.abs(np.einsum("ni,ni->n", normals, joined["by_sensor"][:, :, -2]))
+    bias = joined["by_sensor"].shape[2] - BESIDE_POSE + 1
+    incidence = np.abs(np.einsum("ni,ni->n", normals, joined["by_sensor"][:, :, bias]))
     patch = np.column_stack([np.ones(len(cells)), local[:, 1:] / surfaces.extent[cells], incidence])
     turn = np.einsum(
         "ni,nij,njk->nk", normals, se_n.rotation_jacobian(joined["position_arm"]), joined["rotation_jacobian"]
@@ -106,7 +107,7 @@ def linearize_points(part: DrivePart, states: Sequence[SensorState], association
     by_pose = np.concatenate([normals, turn], axis=1) * scale[:, None]
     by_control = (joined["basis"][:, :, None] * by_pose[:, None, :]).reshape(len(cells), 4 * by_pose.shape[1])
     by_sensor = np.einsum("ni,nij->nj", normals, joined["by_sensor"]) * scale[:, None]
-    by_sensor[:, -1] += local[:, 0]
+    by_sensor[:, bias + 1] += local[:, 0]
     return SurfacePoints(
         sensor,
         cells,
@@ -127,7 +128,7 @@ def _number_views(part: DrivePart, times: Array) -> Index:
 
 def select_inside(part: DrivePart, k: int, state: SensorState) -> NDArray[np.bool_]:
     """(N,) which points of sensor k were measured during the trajectory."""
-    times = part.points[k].times - state.clock_offset
+    times = state.date(part.points[k])
     return np.asarray((times >= part.trajectory.start) & (times <= part.trajectory.end))
 
 
@@ -150,13 +151,13 @@ class _Evaluated:
     rotation_jacobian: Array
     """(N, d, d) of :class:`SplinePoses`."""
     by_sensor: Array
-    """(N, n, n + d + 3) of the place in the world."""
+    """(N, n, n + d + 6) of the place in the world."""
 
 
 def _evaluate(part: DrivePart, k: int, state: SensorState, used: NDArray[np.bool_]) -> _Evaluated:
     """Some of the points of sensor k (N,), all within the trajectory."""
     measured, trajectory = part.points[k], part.trajectory
-    p, times = measured.points[used], measured.times[used] - state.clock_offset
+    p, times = measured.points[used], state.date(measured)[used]
     ranges = measure_lengths(p) if p.shape[1] == 3 else np.hypot(*p.T)
     direction = p / ranges[:, None]
     p = direction * (ranges * (1 - state.range_scale) - state.range_bias)[:, None]
@@ -168,13 +169,16 @@ def _evaluate(part: DrivePart, k: int, state: SensorState, used: NDArray[np.bool
     arm = np.einsum("nij,nj->ni", R_world, x_root)
     beam = np.einsum("nij,nj->ni", R_world, direction @ R_sensor.T)
     spin = np.einsum("nij,nj->ni", se_n.rotation_jacobian(arm), at.turn_rate)
+    by_time = (at.velocity + spin)[:, :, None]
+    timing = np.broadcast_to(measured.timing, (len(used), TIMING))[used]
     by_sensor = np.concatenate(
         [
             R_world,
             R_world @ se_n.rotation_jacobian(turned),
-            -(at.velocity + spin)[:, :, None],
+            -by_time,
             -beam[:, :, None],
             -(ranges[:, None] * beam)[:, :, None],
+            by_time * timing[:, None, :],
         ],
         axis=2,
     )

@@ -173,7 +173,7 @@ def _world_points(part: DrivePart, states: Sequence[SensorState], sensors: Itera
     """(N, 3) points of some sensors in the world of a part."""
     world = []
     for measured, state in ((part.points[k], states[k]) for k in sensors):
-        times = measured.times - state.clock_offset
+        times = state.date(measured)
         inside = (times >= part.trajectory.start) & (times <= part.trajectory.end)
         p = measured.points[inside]
         ranges = measure_lengths(p)

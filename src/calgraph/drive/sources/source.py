@@ -10,7 +10,7 @@ import numpy as np
 from calgraph.config import Rig
 from calgraph.drive.measurements import Measurements
 from calgraph.drive.segments import Segments
-from calgraph.drive.states import SensorPoints, SensorState
+from calgraph.drive.states import BESIDE_POSE, SensorPoints, SensorState
 from calgraph.errors import Rejected
 from calgraph.geometry import Array
 from calgraph.recording import Recording
@@ -86,8 +86,8 @@ class SourceKind:
     """Of the rig, the sensor's name, the recording, the dimension of the drive (2 or 3), and for random draws;
     None of cameras, whose images are searched by several processes."""
     stddev: Callable[[SensorSpec, int], Array]
-    """(n + d + 3,) standard deviations before the adjustment, by what rig.yaml states and the dimension: pose,
-    clock, range bias and scale; 0 of what it has not, or what nothing measures."""
+    """(n + d + 6,) standard deviations before the adjustment, by what rig.yaml states and the dimension: pose,
+    clock, range bias and scale, and timing; 0 of what it has not, or what nothing measures."""
     has_surfaces: bool = False
     """Whether it measures points on surfaces."""
     has_place: bool = True
@@ -95,5 +95,7 @@ class SourceKind:
 
 
 def without_ranges(spec: SensorSpec, n: int) -> Array:  # noqa: ARG001
-    """(n + d + 3,) of sensors that measure no ranges."""
-    return np.array([*[_PLACE_STDDEV] * n, *[_ROTATION_STDDEV] * (n * (n - 1) // 2), CLOCK_STDDEV, 0.0, 0.0])
+    """(n + d + 6,) of sensors that measure no ranges."""
+    return np.array(
+        [*[_PLACE_STDDEV] * n, *[_ROTATION_STDDEV] * (n * (n - 1) // 2), CLOCK_STDDEV, *[0.0] * (BESIDE_POSE - 1)]
+    )
