@@ -56,7 +56,7 @@ def estimate(base: Array, rng: np.random.Generator | None = None, noise: float =
     if rng is not None:
         wrong = np.repeat(rng.normal(size=(len(root) // 10 + 1, 6)), 10, axis=0)[: len(root)]
         root = se3.retract(root, (wrong + rng.normal(size=wrong.shape)) * noise)
-    chords = join_chords(root, level_of(T_BASE_ROOT, len(root) - 1))
+    chords = join_chords(root, level_of(T_BASE_ROOT, len(root) - 1), np.zeros(3))
     pose = fit_pose(chords)
     assert not isinstance(pose, Rejected)
     covariance = scatter_of(chords, pose)
@@ -94,7 +94,7 @@ def test_slip_of_tyres_is_allowed_for() -> None:
 def test_a_vehicle_that_only_turns_on_the_spot_has_no_front(share: float) -> None:
     base = wander(60.0, np.random.default_rng(0))
     base[:, :3, 3] *= share
-    found = fit_pose(join_chords(base @ T_BASE_ROOT, level_of(T_BASE_ROOT, len(base) - 1)))
+    found = fit_pose(join_chords(base @ T_BASE_ROOT, level_of(T_BASE_ROOT, len(base) - 1), np.zeros(3)))
     assert isinstance(found, Rejected)
     assert "hardly drove straight on" in found.reason
 
@@ -111,7 +111,7 @@ def test_turns_on_the_spot_determine_the_place_of_the_axle() -> None:
 def test_a_drive_to_and_fro_does_not_show_the_front() -> None:
     half = wander(30.0, np.random.default_rng(0))
     base = np.concatenate([half, half[::-1]])
-    found = fit_pose(join_chords(base @ T_BASE_ROOT, level_of(T_BASE_ROOT, len(base) - 1)))
+    found = fit_pose(join_chords(base @ T_BASE_ROOT, level_of(T_BASE_ROOT, len(base) - 1), np.zeros(3)))
     assert isinstance(found, Rejected)
     assert "backwards as far as ahead" in found.reason
 
