@@ -90,6 +90,25 @@ def test_slip_of_tyres_is_allowed_for() -> None:
     assert abs(error_of(pose)[0]) < 2e-3
 
 
+def test_a_body_dives_by_the_acceleration_of_its_axle() -> None:
+    """The root, 1.5 m ahead, is accelerated backwards in all curves: of it, the pitch at rest would be wrong."""
+    T_base_root = se3.pose(np.eye(3), np.array([1.5, 0.0, 0.9]))
+    base = wander(60.0, np.random.default_rng(0), turn=0.8)
+    velocity = np.gradient(base[:, :3, 3], STEP, axis=0)
+    acceleration = np.einsum("kji,kj->ki", base[:, :3, :3], np.gradient(velocity, STEP, axis=0))[:, 0]
+    lean = so3.exp(-0.01 * acceleration[:, None] * np.array([0.0, 1.0, 0.0]))
+    root = base @ se3.pose(lean, np.zeros(3)) @ T_base_root
+    level = level_of(T_base_root, len(base) - 1)
+    level[:, :3] = lean[:-1, 2]
+    errors = []
+    for axle in (-T_base_root[:3, 3], np.zeros(3)):
+        pose = fit_pose(join_chords(root, level, axle))
+        assert not isinstance(pose, Rejected)
+        errors.append(abs(error_of(pose, T_base_root)[4]))
+    assert errors[0] < 1e-4
+    assert errors[1] > 5e-4
+
+
 @pytest.mark.parametrize("share", [0.0, 0.05])
 def test_a_vehicle_that_only_turns_on_the_spot_has_no_front(share: float) -> None:
     base = wander(60.0, np.random.default_rng(0))
