@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from calgraph.config import Base
+from calgraph.config.base_config import Base
 from calgraph.drive.options import DriveOptions
 from calgraph.drive.pipeline import calibrate_drive
 from calgraph.errors import CalgraphError
@@ -71,7 +71,9 @@ def main() -> None:
         )
         print(f"{one.rig} {one.seed} {errors} NEES {one.nees:.2f} {one.grade} {one.text[:100]}")
     located = [one for one in frames if np.isfinite(one.nees)]
-    print(f"\n{len(located)} of {len(frames)} drives have a frame; y null in {sum(one.y_is_null for one in frames)}")
+    print(
+        f"\n{len(located)} of {len(frames)} drives have a frame; y null in {sum(one.y_is_null for one in frames)}"
+    )
     for axis, unit in zip(AXES, ("mm", "mm", "°", "°", "°"), strict=True):
         errors = finite([getattr(one, axis) for one in frames])
         if len(errors):
@@ -80,7 +82,9 @@ def main() -> None:
                 f"{axis:6} mean {errors.mean():7.3f}, RMS {np.sqrt(np.mean(errors**2)):.3f}, "
                 f"median size {np.median(sizes):.3f}, at most {sizes.max():.3f} {unit}"
             )
-    print(f"NEES {np.mean([one.nees for one in located]):.2f}, median {np.median([one.nees for one in located]):.2f}")
+    print(
+        f"NEES {np.mean([one.nees for one in located]):.2f}, median {np.median([one.nees for one in located]):.2f}"
+    )
 
 
 def run(rig: str, seed: int, duration: float) -> Frame:
@@ -90,22 +94,24 @@ def run(rig: str, seed: int, duration: float) -> Frame:
     stated = stated.model_copy(update={"base": Base(frame="base_link", axle="rear")})
     try:
         base = calibrate_drive(stated, drive.recording, DriveOptions(seed=seed)).base
-    except CalgraphError as error:
-        return Frame(rig, seed, duration, text=str(error))
-    if base is None or base.T_base_root is None or base.covariance is None:
-        return Frame(rig, seed, duration, text="" if base is None else base.verdict.reason)
-    found = base.T_base_root.copy()
-    y_is_null = bool(np.isnan(found[1, 3]))
-    found[1, 3] = drive.truth.T_base_root[1, 3]
-    error = se3.difference(found, drive.truth.T_base_root)
+    except CalgraphError as failure:
+        return Frame(rig, seed, duration, text=str(failure))
+    assert base is not None
     variances = np.diag(base.covariance)
     known = np.flatnonzero(np.isfinite(variances))
-    squared = error[known] @ np.linalg.solve(base.covariance[np.ix_(known, known)], error[known])
+    if not base.known or not len(known):
+        return Frame(rig, seed, duration, text=base.verdict.reason)
+    found = base.T_base_root.copy()
+    y_is_null = bool(np.isnan(found[1, 3]))
+    found[:3, 3] = np.where(np.isnan(found[:3, 3]), drive.truth.T_base_root[:3, 3], found[:3, 3])
+    error = se3.difference(found, drive.truth.T_base_root)
+    squared = float(error[known] @ np.linalg.solve(base.covariance[np.ix_(known, known)], error[known]))
     unit, of_axes = np.repeat([1000.0, np.degrees(1.0)], 3), [0, 2, 3, 4, 5]
-    errors = np.where(np.isfinite(variances), error * unit, np.nan)[of_axes].tolist()
-    stddevs = (np.sqrt(variances) * unit)[of_axes].tolist()
-    nees = float(squared) / len(known)
-    return Frame(rig, seed, duration, *errors, *stddevs, nees, base.verdict.grade, y_is_null, base.verdict.reason)
+    sizes = np.concatenate([
+        np.where(np.isfinite(variances), error * unit, np.nan)[of_axes], (np.sqrt(variances) * unit)[of_axes]
+    ]).tolist()  # fmt: skip
+    verdict = base.verdict
+    return Frame(rig, seed, duration, *sizes, squared / len(known), verdict.grade, y_is_null, verdict.reason)
 
 
 if __name__ == "__main__":

@@ -30,9 +30,9 @@ from calgraph.geometry import STDDEV_PER_MAD, Array, Index, measure_lengths, se2
 _STEP = 0.1
 # Steps over which accelerations are smoothed.
 _SMOOTHED = 7
-# Steps that are added up to a chord, 2.4 s: errors of places cancel but for those of its ends, so that residuals of
-# simulated drives are 8 mm for chords of 0.1 s and of 4.8 s. Errors of yaw (RMS of 8 drives) are 0.17 degrees with
-# chords of 0.6 s, 0.12 with 1.2 s, and 0.08 with 2.4 s and 4.8 s.
+# Steps that are added up to a chord, 2.4 s: errors of places cancel but for those of its ends. Residuals of simulated
+# drives are 8 mm for chords of 0.1 s and of 4.8 s, and errors of yaw (RMS of 8 drives) 0.17 degrees with chords of
+# 0.6 s, 0.12 with 1.2 s, and 0.08 with 2.4 s and 4.8 s.
 _CHORD = 24
 # Errors of chords beyond which these weigh little, in their robust standard deviation (Geman–McClure): jumps of
 # trajectories. Drives of 30 s have a dozen chords, of which narrower limits choose some.
@@ -172,7 +172,7 @@ def _take_steps(part: DrivePart) -> Array:
 
 
 def _world_points(part: DrivePart, states: Sequence[SensorState]) -> Array:
-    """(N, 3) points of all sensors in the world of a part: one that looks ahead hardly sees where it drives."""
+    """(N, 3) points of all sensors in the world of a part: one that looks ahead hardly measures where it drives."""
     world = []
     for measured, state in zip(part.points, states, strict=True):
         times = measured.times - state.clock_offset
@@ -215,8 +215,8 @@ def join_chords(poses: Array, level: Array, axle: Array, part: int = 0) -> Chord
     Args:
         poses: (K, 4, 4) of the root, a step apart.
         level: (K - 1, 6) by step, see :func:`measure_level`.
-        axle: (3,) its place in the frame of the root, m: a root ahead of it is accelerated backwards in all curves,
-            by up to 0.5 m/s², which does not make the body dive.
+        axle: (3,) its place in the frame of the root, m: a root ahead of it is accelerated backwards in all
+            curves, by up to 0.5 m/s², which does not make the body dive.
         part: its number, so that intervals of parts differ.
     """
     R, t = se_n.rotation(poses), se_n.translation(poses)
