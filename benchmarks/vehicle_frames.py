@@ -71,20 +71,18 @@ def main() -> None:
         )
         print(f"{one.rig} {one.seed} {errors} NEES {one.nees:.2f} {one.grade} {one.text[:100]}")
     located = [one for one in frames if np.isfinite(one.nees)]
-    print(
-        f"\n{len(located)} of {len(frames)} drives have a frame; y null in {sum(one.y_is_null for one in frames)}"
-    )
+    count = sum(one.y_is_null for one in located)
+    print(f"\n{len(located)} of {len(frames)} drives have a frame; y is null in {count}")
     for axis, unit in zip(AXES, ("mm", "mm", "°", "°", "°"), strict=True):
-        errors = finite([getattr(one, axis) for one in frames])
-        if len(errors):
-            sizes = np.abs(errors)
+        found = finite([getattr(one, axis) for one in frames])
+        if len(found):
+            sizes = np.abs(found)
             print(
-                f"{axis:6} mean {errors.mean():7.3f}, RMS {np.sqrt(np.mean(errors**2)):.3f}, "
+                f"{axis:6} mean {found.mean():7.3f}, RMS {np.sqrt(np.mean(found**2)):.3f}, "
                 f"median size {np.median(sizes):.3f}, at most {sizes.max():.3f} {unit}"
             )
-    print(
-        f"NEES {np.mean([one.nees for one in located]):.2f}, median {np.median([one.nees for one in located]):.2f}"
-    )
+    distances = np.array([one.nees for one in located])
+    print(f"NEES {distances.mean():.2f}, median {np.median(distances):.2f}, at most {distances.max():.2f}")
 
 
 def run(rig: str, seed: int, duration: float) -> Frame:
@@ -110,8 +108,10 @@ def run(rig: str, seed: int, duration: float) -> Frame:
     sizes = np.concatenate([
         np.where(np.isfinite(variances), error * unit, np.nan)[of_axes], (np.sqrt(variances) * unit)[of_axes]
     ]).tolist()  # fmt: skip
-    verdict = base.verdict
-    return Frame(rig, seed, duration, *sizes, squared / len(known), verdict.grade, y_is_null, verdict.reason)
+    return Frame(
+        rig, seed, duration, **dict(zip([*AXES, *(f"{axis}_stddev" for axis in AXES)], sizes, strict=True)),
+        nees=squared / len(known), grade=base.verdict.grade, y_is_null=y_is_null, text=base.verdict.reason,
+    )  # fmt: skip
 
 
 if __name__ == "__main__":

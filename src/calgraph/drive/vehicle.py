@@ -30,9 +30,9 @@ from calgraph.geometry import STDDEV_PER_MAD, Array, Index, measure_lengths, se2
 _STEP = 0.1
 # Steps over which accelerations are smoothed.
 _SMOOTHED = 7
-# Steps that are added up to a chord, 2.4 s: errors of places cancel but for those of its ends. Residuals of simulated
-# drives are 8 mm for chords of 0.1 s and of 4.8 s, and errors of yaw (RMS of 8 drives) 0.17 degrees with chords of
-# 0.6 s, 0.12 with 1.2 s, and 0.08 with 2.4 s and 4.8 s.
+# Steps that are added up to a chord, 2.4 s: errors of places cancel but for those of its ends. On simulated drives
+# residuals are 8 mm for chords of 0.1 s and of 4.8 s, and errors of yaw (RMS of 8 drives) 0.18 degrees with chords
+# of 0.6 s, 0.11 with 1.2 s, 0.07 with 2.4 s, and 0.08 with 4.8 s.
 _CHORD = 24
 # Errors of chords beyond which these weigh little, in their robust standard deviation (Geman–McClure): jumps of
 # trajectories. Drives of 30 s have a dozen chords, of which narrower limits choose some.
@@ -172,7 +172,7 @@ def _take_steps(part: DrivePart) -> Array:
 
 
 def _world_points(part: DrivePart, states: Sequence[SensorState]) -> Array:
-    """(N, 3) points of all sensors in the world of a part: one that looks ahead hardly measures where it drives."""
+    """(N, 3) points of all sensors in the world of a part: one hardly measures where it drives."""
     world = []
     for measured, state in zip(part.points, states, strict=True):
         times = measured.times - state.clock_offset
