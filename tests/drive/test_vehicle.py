@@ -195,6 +195,28 @@ def test_the_root_is_located_from_an_adjusted_drive() -> None:
     assert np.isnan(np.diag(found.covariance)).tolist() == [False, True, False, False, False, False]
 
 
+@pytest.mark.parametrize(("stddev", "low"), [(0.2, False), (0.003, True)])
+def test_sensors_whose_poses_are_uncertain_measure_no_floor(stddev: float, low: bool) -> None:
+    """Another one states a floor 0.2 m below that of the root, where the root measures its own as well."""
+    rng = np.random.default_rng(3)
+    root = wander(60.0, rng) @ T_BASE_ROOT
+    world = se3.inverse(root[0])
+    drive = adjusted_drive(world @ root, se3.apply(world, floor_points(root, rng)))
+    part = drive.parts[0]
+    free = np.repeat(drive.free, 2, axis=0)
+    free[1] = [True] * 6 + [False] * 3
+    below = SensorState(se3.pose(np.eye(3), -0.2 * T_BASE_ROOT[2, :3]))
+    both = Adjustment(**{
+        **vars(drive), "free": free, "states": [*drive.states, below],
+        "parts": [DrivePart([part.points[0], part.points[0]], part.trajectory)],
+        "covariance": np.diag([1e-6, 1e-8, *[stddev**2] * 3, *[1e-6] * 3]),
+        "responses": [np.zeros((part.trajectory.control.size, 8))],
+    })  # fmt: skip
+    found = locate_root(both)
+    assert not isinstance(found, Rejected)
+    assert (abs(error_of(found.T_base_root)[2]) > 0.05) == low
+
+
 def test_what_is_uncertain_of_ranges_is_of_the_height() -> None:
     """Points 0.9 m below, all of them: a range bias moves the floor by as much at right incidence."""
     rng = np.random.default_rng(3)

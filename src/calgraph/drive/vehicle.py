@@ -11,7 +11,7 @@ tyres, whose angle grows with the sideways acceleration. Steps are added up befo
 are too uncertain: regression on them is biased (errors in variables). Where the axle is to the side is not in it.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import partial
 
@@ -59,6 +59,9 @@ _HALF_WHEELBASES = (0.0, 0.2, 0.4, 0.6, 0.8, 1.1, 1.4)
 # What all measurements of the floor have in common, m and rad: ranges at grazing incidence, and beams' elevations,
 # which makers state to 0.1 degrees, averaged over the beams that meet the floor.
 _HEIGHT_STDDEV, _TILT_STDDEV = 0.003, 3e-4
+# Standard deviations of a sensor's pose up to which its points are of the root's floor, m and rad: twice those of
+# usual drives of 30 s, and what the surroundings' waves are.
+_LOCATED = 0.03, 0.01
 # Length of the way for which a floor tilts to one side, m.
 _WAVE = 3.0
 
@@ -84,7 +87,7 @@ def locate_root(adjusted: Adjustment, *, inverted: bool = False) -> VehiclePose 
         adjusted: the drive.
         inverted: whether the root's z axis points down.
     """
-    measure = partial(_measure_chords, inverted=inverted)
+    measure = partial(_measure_chords, inverted=inverted, sensors=_select_located(adjusted))
     pose = fit_pose(measure(adjusted.parts, adjusted.states, np.zeros((2, 3))))
     if isinstance(pose, Rejected):
         return pose
@@ -149,9 +152,14 @@ def _scatter_of_level(chords: "Chords") -> float:
 
 
 def _measure_chords(
-    parts: Sequence[DrivePart], states: Sequence[SensorState], places: Array, *, inverted: bool
+    parts: Sequence[DrivePart],
+    states: Sequence[SensorState],
+    places: Array,
+    *,
+    inverted: bool,
+    sensors: Sequence[int],
 ) -> "Chords":
-    """The motions of all parts, with the floor below places (2, 3) in the frame of the root."""
+    """The motions of all parts, with the floor that sensors measure below places (2, 3) in the root's frame."""
     up = np.array([0.0, 0.0, -1.0 if inverted else 1.0])
     found = []
     for k, part in enumerate(parts):
@@ -159,7 +167,9 @@ def _measure_chords(
         if part.points[0].points.shape[1] == 2:
             level = np.tile([*up, 0.0, 0.0, 0.0], (len(poses) - 1, 1))
         else:
-            level = measure_level(_world_points(part, states), poses, up, places)
+            level = measure_level(_world_points(part, states, sensors), poses, up, places)
+            if not np.isfinite(level).all(axis=1).any():
+                level = measure_level(_world_points(part, states, range(len(states))), poses, up, places)
         found.append(join_chords(poses, level, places[1], k))
     return Chords(*(np.concatenate([getattr(one, f.name) for one in found]) for f in fields(Chords)))
 
@@ -171,10 +181,22 @@ def _take_steps(part: DrivePart) -> Array:
     return se2.to_se3(poses) if poses.shape[-1] == 3 else poses
 
 
-def _world_points(part: DrivePart, states: Sequence[SensorState]) -> Array:
-    """(N, 3) points of all sensors in the world of a part: one hardly measures where it drives."""
+def _select_located(adjusted: Adjustment) -> list[int]:
+    """Numbers of the root, and of sensors whose poses are known well enough to measure its floor.
+
+    A root that looks ahead hardly measures where it drives; one whose pose is off by metres finds floors anywhere.
+    """
+    stddev = np.zeros(adjusted.free.shape)
+    stddev[adjusted.free] = np.sqrt(np.diag(adjusted.covariance))
+    n = adjusted.states[0].T_root_sensor.shape[0] - 1
+    located = (stddev[:, :n] < _LOCATED[0]).all(axis=1) & (stddev[:, n:-3] < _LOCATED[1]).all(axis=1)
+    return [int(k) for k in np.flatnonzero(located)]
+
+
+def _world_points(part: DrivePart, states: Sequence[SensorState], sensors: Iterable[int]) -> Array:
+    """(N, 3) points of some sensors in the world of a part."""
     world = []
-    for measured, state in zip(part.points, states, strict=True):
+    for measured, state in ((part.points[k], states[k]) for k in sensors):
         times = measured.times - state.clock_offset
         inside = (times >= part.trajectory.start) & (times <= part.trajectory.end)
         p = measured.points[inside]
