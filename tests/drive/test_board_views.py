@@ -77,6 +77,20 @@ def test_derivatives_are_those_of_the_residuals(seed: int) -> None:
         assert_allclose(numeric, analytic, atol=2e-3, rtol=1e-4)
 
 
+def test_noise_is_that_of_the_corners_and_settles() -> None:
+    """0.2 pixels; solutions and noise that is estimated again without end would follow each other to and fro."""
+    measured, trajectory, states, shared = measure(6.0, 0)
+    found = measured
+    for _ in range(10):
+        again = found.reweighted(trajectory, states, shared, lambda J: np.zeros(J.shape[0]))
+        assert isinstance(again, BoardMeasurements)
+        settled, found = again is found, again
+    assert settled
+    assert found.spreads is not None
+    assert_allclose(found.spreads[1:, 0], 0.2, rtol=0.1)
+    assert found.spreads[1:, 1:].max() < 0.1
+
+
 def solve_two_cameras(duration: float, seed: int, bias: float) -> tuple[Adjustment, Array]:
     """Two cameras that look apart, the first is the root; and the errors (7,) of the second's pose and clock.
 

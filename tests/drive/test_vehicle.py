@@ -58,7 +58,7 @@ def estimate(base: Array, rng: np.random.Generator | None = None, noise: float =
     if rng is not None:
         wrong = np.repeat(rng.normal(size=(len(root) // 10 + 1, 6)), 10, axis=0)[: len(root)]
         root = se3.retract(root, (wrong + rng.normal(size=wrong.shape)) * noise)
-    chords = join_chords(root, level_of(T_BASE_ROOT, len(root) - 1))
+    chords = join_chords(root, level_of(T_BASE_ROOT, len(root) - 1), np.zeros(3))
     pose = fit_pose(chords)
     assert not isinstance(pose, Rejected)
     covariance = scatter_of(chords, pose)
@@ -92,11 +92,30 @@ def test_slip_of_tyres_is_allowed_for() -> None:
     assert abs(error_of(pose)[0]) < 2e-3
 
 
+def test_a_body_dives_by_the_acceleration_of_its_axle() -> None:
+    """The root, 1.5 m ahead, is accelerated backwards in all curves: of it, the pitch at rest would be wrong."""
+    T_base_root = se3.pose(np.eye(3), np.array([1.5, 0.0, 0.9]))
+    base = wander(60.0, np.random.default_rng(0), turn=0.8)
+    velocity = np.gradient(base[:, :3, 3], STEP, axis=0)
+    acceleration = np.einsum("kji,kj->ki", base[:, :3, :3], np.gradient(velocity, STEP, axis=0))[:, 0]
+    lean = so3.exp(-0.01 * acceleration[:, None] * np.array([0.0, 1.0, 0.0]))
+    root = base @ se3.pose(lean, np.zeros(3)) @ T_base_root
+    level = level_of(T_base_root, len(base) - 1)
+    level[:, :3] = lean[:-1, 2]
+    errors = []
+    for axle in (-T_base_root[:3, 3], np.zeros(3)):
+        pose = fit_pose(join_chords(root, level, axle))
+        assert not isinstance(pose, Rejected)
+        errors.append(abs(error_of(pose, T_base_root)[4]))
+    assert errors[0] < 1e-4
+    assert errors[1] > 5e-4
+
+
 @pytest.mark.parametrize("share", [0.0, 0.05])
 def test_a_vehicle_that_only_turns_on_the_spot_has_no_front(share: float) -> None:
     base = wander(60.0, np.random.default_rng(0))
     base[:, :3, 3] *= share
-    found = fit_pose(join_chords(base @ T_BASE_ROOT, level_of(T_BASE_ROOT, len(base) - 1)))
+    found = fit_pose(join_chords(base @ T_BASE_ROOT, level_of(T_BASE_ROOT, len(base) - 1), np.zeros(3)))
     assert isinstance(found, Rejected)
     assert "hardly drove straight on" in found.reason
 
@@ -113,7 +132,7 @@ def test_turns_on_the_spot_determine_the_place_of_the_axle() -> None:
 def test_a_drive_to_and_fro_does_not_show_the_front() -> None:
     half = wander(30.0, np.random.default_rng(0))
     base = np.concatenate([half, half[::-1]])
-    found = fit_pose(join_chords(base @ T_BASE_ROOT, level_of(T_BASE_ROOT, len(base) - 1)))
+    found = fit_pose(join_chords(base @ T_BASE_ROOT, level_of(T_BASE_ROOT, len(base) - 1), np.zeros(3)))
     assert isinstance(found, Rejected)
     assert "backwards as far as ahead" in found.reason
 
@@ -185,15 +204,16 @@ def test_the_root_may_be_another_sensor_than_that_of_the_trajectory() -> None:
     lead = wander(60.0, rng) @ T_BASE_ROOT @ se3.inverse(mounted)
     world = se3.inverse(lead[0])
     drive = adjusted_drive(world @ lead, se3.apply(world, floor_points(lead, rng)))
-    free = np.concatenate([drive.free, np.ones((1, 9), dtype=bool)])
-    ahead = np.zeros(11)
+    ahead = np.zeros(8 + BESIDE_POSE)
     ahead[2:5] = 0.01 * mounted[:3, :3] @ T_BASE_ROOT[0, :3]
-    none, tiny = SensorPoints(np.zeros((0, 3)), np.zeros(0)), np.pad(drive.covariance, (0, 9)) + 1e-14 * np.eye(11)
+    none, more = SensorPoints(np.zeros((0, 3)), np.zeros(0)), 6 + BESIDE_POSE
+    free = np.concatenate([drive.free, np.ones((1, more), dtype=bool)])
+    tiny = np.pad(drive.covariance, (0, more)) + 1e-14 * np.eye(2 + more)
     both = replace(
         drive,
         states=[*drive.states, SensorState(mounted)],
         parts=[replace(part, points=[*part.points, none]) for part in drive.parts],
-        free=free, responses=[np.pad(drive.responses[0], ((0, 0), (0, 9)))],
+        free=free, responses=[np.pad(drive.responses[0], ((0, 0), (0, more)))],
         covariance=tiny + np.outer(ahead, ahead),
     )  # fmt: skip
     found, exact = locate_root(both, 1), locate_root(replace(both, covariance=tiny), 1)
@@ -203,6 +223,28 @@ def test_the_root_may_be_another_sensor_than_that_of_the_trajectory() -> None:
     assert np.abs(error[:3]).max() < 3e-3
     assert np.abs(error[3:]).max() < 1e-3
     assert found.covariance[0, 0] - exact.covariance[0, 0] == pytest.approx(1e-4, rel=0.1)
+
+
+@pytest.mark.parametrize(("stddev", "low"), [(0.2, False), (0.003, True)])
+def test_sensors_whose_poses_are_uncertain_measure_no_floor(stddev: float, low: bool) -> None:
+    """Another one states a floor 0.2 m below that of the root, where the root measures its own as well."""
+    rng = np.random.default_rng(3)
+    root = wander(60.0, rng) @ T_BASE_ROOT
+    world = se3.inverse(root[0])
+    drive = adjusted_drive(world @ root, se3.apply(world, floor_points(root, rng)))
+    part = drive.parts[0]
+    free = np.repeat(drive.free, 2, axis=0)
+    free[1] = [True] * 6 + [False] * BESIDE_POSE
+    below = SensorState(se3.pose(np.eye(3), -0.2 * T_BASE_ROOT[2, :3]))
+    both = Adjustment(**{
+        **vars(drive), "free": free, "states": [*drive.states, below],
+        "parts": [DrivePart([part.points[0], part.points[0]], part.trajectory)],
+        "covariance": np.diag([1e-6, 1e-8, *[stddev**2] * 3, *[1e-6] * 3]),
+        "responses": [np.zeros((part.trajectory.control.size, 8))],
+    })  # fmt: skip
+    found = locate_root(both)
+    assert not isinstance(found, Rejected)
+    assert (abs(error_of(found.T_base_root)[2]) > 0.05) == low
 
 
 def test_what_is_uncertain_of_ranges_is_of_the_height() -> None:

@@ -32,6 +32,9 @@ _MAX_CORNERS = 24
 _MIN_NOISE, _MIN_BIAS = 0.05, 0.02
 # Least share of the squared displacements of views that the fit leaves: below, other sensors are far less precise.
 _MIN_LEFT = 0.05
+# Times that noise is estimated again; it is kept from then on: standard deviations of few views are differences
+# of medians, which solutions follow to and fro (squared steps of 0.1 to 4 without end).
+_UPDATES = 5
 # Errors of a corner beyond which it is left out, of the image's width.
 _MAX_ERROR = 0.5
 # Squared whitened displacement and distortion (6 in all) of a view from which its weight falls: of 1 in 20.
@@ -103,6 +106,11 @@ class BoardMeasurements:
     left: Array | None = None
     """(V, 6) share of the squares of displacement and distortion of each view that the trajectory does not follow;
     1 if None."""
+    spreads: Array | None = None
+    """(S, 3) by number of the sensor, standard deviations of a corner by noise, displacement and distortion of its
+    view, pixels; those of the residuals if None."""
+    updates: int = 0
+    """How many times noise was estimated again."""
 
     @classmethod
     def of_views(
@@ -151,7 +159,7 @@ class BoardMeasurements:
     ) -> "BoardMeasurements":
         """See :class:`Measurements`: REML for the standard deviations of displacements and distortions."""
         inside = self._find_inside(trajectory, states)
-        if not len(inside):
+        if not len(inside) or self.updates == _UPDATES:
             return self
         rows = self.linearize(trajectory, states, shared)
         # Six of each view; only their mean by camera is used.
@@ -162,7 +170,10 @@ class BoardMeasurements:
         share = np.clip(1 - variance_of(J), 0.0, 1.0).reshape(-1, 6)
         left = np.ones((len(self.times), 6))
         left[inside] = share[np.searchsorted(chosen, np.arange(len(inside)), side="right") - 1]
-        return replace(self, left=left)
+        plain = replace(self, whitened=False).linearize(trajectory, states, shared)
+        found = replace(self, left=left)._select(inside)
+        spreads = found._estimate_spreads(plain.residual.reshape(len(inside), -1), len(states))
+        return replace(self, left=left, spreads=spreads, updates=self.updates + 1)
 
     def _find_inside(self, trajectory: SplineTrajectory, states: Sequence[SensorState]) -> Index:
         """Indices of the views within the time of a trajectory."""
@@ -286,21 +297,11 @@ class BoardMeasurements:
         """
         Q = self._bias_basis()
         coefficients = np.einsum("vni,vn->vi", Q, residual)
-        around = residual - np.einsum("vni,vi->vn", Q, coefficients)
-        count = self.used.sum(axis=1)
-        sigma, stddev = np.ones(len(residual)), np.ones((len(residual), 6))
-        for k in np.unique(self.sensor):
-            own = self.sensor == k
-            degrees = np.maximum(2 * count[own] - 6, 1)
-            noise = max(float(np.sqrt(np.median(np.sum(around[own] ** 2, axis=1) / degrees))), _MIN_NOISE)
-            sigma[own] = noise
-            for columns in (slice(0, 2), slice(2, 6)):
-                # Of a single corner, as coefficients grow with the root of their number.
-                square = (coefficients[own, columns] / np.sqrt(count[own, None])) ** 2
-                left = 1.0 if self.left is None else max(float(self.left[own, columns].mean()), _MIN_LEFT)
-                spread = STDDEV_PER_MAD**2 * np.median(square) / left
-                bias = np.sqrt(max(spread - noise**2 / float(np.mean(count[own])), _MIN_BIAS**2))
-                stddev[own, columns] = np.sqrt(noise**2 + count[own, None] * bias**2)
+        spreads = self.spreads
+        if spreads is None:
+            spreads = self._estimate_spreads(residual, int(self.sensor.max(initial=0)) + 1)
+        sigma, biases = spreads[self.sensor, 0], np.repeat(spreads[self.sensor, 1:], [2, 4], axis=1)
+        stddev = np.sqrt(sigma[:, None] ** 2 + self.used.sum(axis=1)[:, None] * biases**2)
         square = np.sum((coefficients / stddev) ** 2, axis=1)
         weight = np.sqrt(np.minimum(1.0, np.sqrt(_MAX_SQUARE / np.maximum(square, 1e-12))))
 
@@ -311,6 +312,26 @@ class BoardMeasurements:
             return np.asarray((scaled + change) * weight[:, None, None])
 
         return whiten(residual[..., None])[..., 0], whiten(by_view), whiten(by_shared)
+
+    def _estimate_spreads(self, residual: Array, count: int) -> Array:
+        """(S, 3) of :attr:`spreads` from residuals (V, 2N) in pixels."""
+        Q = self._bias_basis()
+        coefficients = np.einsum("vni,vn->vi", Q, residual)
+        around = residual - np.einsum("vni,vi->vn", Q, coefficients)
+        corners = self.used.sum(axis=1)
+        spreads = np.ones((count, 3))
+        for k in np.unique(self.sensor):
+            own = self.sensor == k
+            degrees = np.maximum(2 * corners[own] - 6, 1)
+            noise = max(float(np.sqrt(np.median(np.sum(around[own] ** 2, axis=1) / degrees))), _MIN_NOISE)
+            spreads[k, 0] = noise
+            for column, columns in ((1, slice(0, 2)), (2, slice(2, 6))):
+                # Of a single corner, as coefficients grow with the root of their number.
+                square = (coefficients[own, columns] / np.sqrt(corners[own, None])) ** 2
+                left = 1.0 if self.left is None else max(float(self.left[own, columns].mean()), _MIN_LEFT)
+                spread = STDDEV_PER_MAD**2 * np.median(square) / left
+                spreads[k, column] = np.sqrt(max(spread - noise**2 / float(np.mean(corners[own])), _MIN_BIAS**2))
+        return spreads
 
     def _bias_basis(self) -> Array:
         """(V, 2N, 6) orthonormal: displacements along u and v, then linear distortions of a view."""

@@ -20,6 +20,11 @@ _MAX_SLOPE = 0.25
 _NEAR, _MIN_NEAR, _MIN_SPREAD = 0.6, 4.0, 0.3
 # Distance from the path within which level cells are compared, m.
 _BESIDE = 4.0
+# Distance from the plane of a cell of the floor beyond which points are of what stands on it, m: with waves, the
+# floor itself is within three standard deviations of 0.02 m.
+_ABOVE = 0.05
+# Heights of places over a plane beyond which these are not of it, m (Geman–McClure), and steps of the fit: ramps.
+_ROUGH, _STEPS = 0.03, 4
 # Of the floor's height below the root, between the lowest and the highest place of a slope, m.
 _FLOOR_BAND = 0.15
 
@@ -58,13 +63,18 @@ def _fit_planes(cells: Array, at: Array) -> tuple[Array, Array]:
     k, offset = near["i"], cells[near["j"]] - at[near["i"]]
     weight = np.exp(-0.5 * (near["v"] / _NEAR) ** 2)
     design = np.column_stack([np.ones(len(k)), offset])
-    products = [[np.bincount(k, weight * a * b, len(at)) for a in design.T] for b in design.T]
-    moments = np.moveaxis(np.array(products), 2, 0)
-    N, right = moments[:, :3, :3], moments[:, :3, 3:]
-    # Where cells are on one side only, their slopes are not extrapolated.
-    enough = (N[:, 0, 0] > _MIN_NEAR) & (np.linalg.eigvalsh(N)[:, 0] > _MIN_SPREAD)
+    robust: Array = np.ones(len(k))
     plane = np.full((len(at), 3), np.nan)
-    plane[enough] = np.linalg.solve(N[enough], right[enough])[..., 0]
+    for _ in range(_STEPS):
+        products = [[np.bincount(k, weight * robust * a * b, len(at)) for a in design.T] for b in design.T]
+        moments = np.moveaxis(np.array(products), 2, 0)
+        N, right = moments[:, :3, :3], moments[:, :3, 3:]
+        # Where cells are on one side only, their slopes are not extrapolated.
+        enough = (N[:, 0, 0] > _MIN_NEAR) & (np.linalg.eigvalsh(N)[:, 0] > _MIN_SPREAD)
+        plane = np.full((len(at), 3), np.nan)
+        plane[enough] = np.linalg.solve(N[enough], right[enough])[..., 0]
+        off = np.nan_to_num(offset[:, 2] - np.einsum("ni,ni->n", design[:, :3], plane[k]))
+        robust = (1 + (off / _ROUGH) ** 2) ** -2.0
     upward = np.column_stack([-plane[:, 1:], np.ones(len(plane))])
     below = np.column_stack([at[:, :2], at[:, 2] + plane[:, 0]])
     return upward / np.linalg.norm(upward, axis=1, keepdims=True), below
@@ -108,7 +118,8 @@ def _select_floor(points: Array, place: Array) -> Array:
     height = np.median(heights[np.abs(heights - height) < _FLOOR_BAND])
     index = cells.find(points)
     of_floor = candidate & (np.abs(below - height) < _FLOOR_BAND)
-    return np.asarray(points[(index >= 0) & of_floor[index]])
+    above = np.abs(np.einsum("ni,ni->n", points - cells.center[index], cells.normals[index]))
+    return np.asarray(points[(index >= 0) & of_floor[index] & (above < _ABOVE)])
 
 
 def axes_from(z: Array) -> Array:

@@ -1,6 +1,7 @@
 """Drives: from one recording of a robot that drives to the poses of its LiDARs, which may share no view."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -23,7 +24,7 @@ from calgraph.drive.start import MotionStart, StartMotion
 from calgraph.drive.start_tree import choose_lead, solve_starts
 from calgraph.drive.states import BESIDE_POSE, SensorState
 from calgraph.errors import CalibrationError, Rejected
-from calgraph.geometry import Array, se_n
+from calgraph.geometry import se_n
 from calgraph.parallel.progress import Progress, no_progress
 from calgraph.recording import Recording, resolve_intrinsics
 from calgraph.recording.input_checks import InputMonitor
