@@ -190,9 +190,9 @@ def _select_located(adjusted: Adjustment, root: int) -> list[int]:
     stddev = np.zeros(adjusted.free.shape)
     stddev[adjusted.free] = np.sqrt(np.diag(adjusted.covariance))
     n = adjusted.states[0].T_root_sensor.shape[0] - 1
-    located = (stddev[:, :n] < _LOCATED[0]).all(axis=1) & (stddev[:, n:-BESIDE_POSE] < _LOCATED[1]).all(axis=1)
-    located[root] = True
-    return [int(k) for k in np.flatnonzero(located)]
+    placed, turned = stddev[:, :n] < _LOCATED[0], stddev[:, n:-BESIDE_POSE] < _LOCATED[1]
+    located = np.flatnonzero(placed.all(axis=1) & turned.all(axis=1))
+    return sorted({root, *located.tolist()})
 
 
 def _world_points(part: DrivePart, states: Sequence[SensorState], sensors: Iterable[int]) -> Array:
