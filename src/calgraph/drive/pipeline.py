@@ -21,6 +21,7 @@ from calgraph.drive.segments import Segments
 from calgraph.drive.sources import SOURCES, Reader, Source
 from calgraph.drive.sources.camera import CameraSource, find_boards
 from calgraph.drive.start import MotionStart, StartMotion
+from calgraph.drive.start_heights import add_heights
 from calgraph.drive.start_tree import choose_lead, solve_starts
 from calgraph.drive.states import BESIDE_POSE, SensorState
 from calgraph.errors import CalibrationError, Rejected
@@ -78,7 +79,7 @@ def calibrate_sources(
     tracks = _track_sensors(rig, sources, options, progress)
     lead = _select_lead(rig, tracks)
     motions = {name: _select_motion(rig, lead, name) for name in rig.sensors}
-    from_lead = solve_starts(lead, tracks, motions, options.seed)
+    from_lead = add_heights(solve_starts(lead, tracks, motions, options.seed), lead, sources)
     used = [lead, *(name for name, start in from_lead.items() if isinstance(start, MotionStart))]
     starts = from_lead if lead == rig.root else _express_in_root(rig.root, lead, from_lead)
     if rig.root not in used or not (len(used) > 1 or (rig.base and isinstance(tracks[lead], Segments))):
@@ -174,11 +175,11 @@ def _track_source(source: Source, rng: np.random.Generator) -> Segments | Reject
 
 
 def _select_motion(rig: Rig, lead: str, name: str) -> StartMotion:
-    """What the start of a sensor is found from: surfaces or boards would be missed at a wrong height."""
+    """What the start of a sensor is found from: boards would be missed at a wrong height."""
     if not SOURCES[rig.sensors[name].kind].has_place:
         return "turn"
     kinds = {rig.sensors[lead].kind, rig.sensors[name].kind}
-    return "level" if "trajectory" in kinds and dimension_of(rig) == 3 else "free"
+    return "level" if "camera" not in kinds and dimension_of(rig) == 3 else "free"
 
 
 def _adjust(

@@ -59,6 +59,8 @@ class MotionStart:
     """Number of relative motions."""
     turns: Array
     """(d,) RMS turn of the sensor during a motion, about the principal axes of turning, rad, descending."""
+    axis: Array | None = None
+    """(3,) about which alone the root turned, in its frame, where the pose is at no height along it."""
     by_boards: bool = False
     """Whether the clock is that of motions before boards, which turn rates show poorly."""
 
@@ -131,15 +133,16 @@ def solve_start(
     A, B = _pair_motions(root, sensor, offset)
     if len(A) < _MIN_MOTIONS:
         return Rejected(f"it and the root moved together {len(A)} times only, {_MIN_MOTIONS} are needed")
-    turns, _ = measure_turns(B)
+    turns, axis = measure_turns(B)[0], None
     if motion == "turn":
         T, weights = _solve_rotation(A, B)
     elif motion == "level" and min(measure_turns(A)[0][1], turns[1]) < MIN_SECOND_TURN:
+        axis = measure_turns(A)[1][0]
         T, weights = _solve_level(A, B, rng)
     else:
         T, weights = _solve_pose(A, B, rng)
     inliers = float(np.mean(weights > 0.25))
-    return MotionStart(T, offset, inliers, correlation, len(A), turns, boards)
+    return MotionStart(T, offset, inliers, correlation, len(A), turns, axis, boards)
 
 
 def _pair_motions(root: Segments, sensor: Segments, offset: float) -> tuple[Array, Array]:

@@ -1,0 +1,77 @@
+"""Heights of LiDARs on a robot that turned about one axis only, by the floor or the ceiling that they measure."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from calgraph.drive.sources.lidar import LidarSource
+from calgraph.drive.sources.source import Source
+from calgraph.drive.start import MotionStart
+from calgraph.errors import Rejected
+from calgraph.geometry import Array, se_n
+
+# Distances along the axis of turning that are compared, m, in steps that range noise and waves of floors fill;
+# at points that are no farther than this, m: the axis is known to a degree.
+_STEP, _NEAREST, _FARTHEST, _MAX_RANGE = 0.05, 0.1, 6.0, 10.0
+# Share of the points that the floor has to have: a shelf has less.
+_MIN_SHARE = 0.1
+# Sweeps whose points are taken: floors are the same all the time.
+_SWEEPS = 40
+
+
+def add_heights(
+    starts: Mapping[str, MotionStart | Rejected], lead: str, sources: Mapping[str, Source]
+) -> dict[str, MotionStart | Rejected]:
+    """The starts with the heights of LiDARs over what they and the sensor that leads measure below or above them.
+
+    Args:
+        starts: by sensor; those by motions in the plane are at height 0.
+        lead: the sensor that they are against.
+        sources: by sensor.
+    """
+    root = sources[lead]
+    return {
+        name: _add_height(start, start.axis, name, root, source)
+        if isinstance(start, MotionStart)
+        and start.axis is not None
+        and isinstance(root, LidarSource)
+        and isinstance(source := sources[name], LidarSource)
+        else start
+        for name, start in starts.items()
+    }
+
+
+def _add_height(
+    start: MotionStart, up: Array, name: str, root: LidarSource, sensor: LidarSource
+) -> MotionStart | Rejected:
+    ups = up, se_n.rotation(start.T_root_sensor).T @ up
+    found = []
+    for sign in (1.0, -1.0):
+        (height, share), (other, other_share) = (
+            _find_level(source, -sign * axis) for source, axis in zip((root, sensor), ups, strict=True)
+        )
+        found.append((min(share, other_share), sign * (other - height)))
+    share, height = max(found)
+    if share < _MIN_SHARE:
+        return Rejected(
+            f"the robot turned about one axis only, and {name} and the root do not both measure the floor, which "
+            f"leaves the height of {name} open: drive over ramps, too, or let both measure the floor"
+        )
+    T = start.T_root_sensor.copy()
+    T[:3, 3] += height * up
+    return replace(start, T_root_sensor=T)
+
+
+def _find_level(source: LidarSource, down: Array) -> tuple[float, float]:
+    """The distance of the level surface with most points along a direction (3,), m, and their share."""
+    sweeps = source.sweeps[:: max(len(source.sweeps) // _SWEEPS, 1)]
+    points = np.concatenate([sweep.points for sweep in sweeps])
+    points = points[np.linalg.norm(points, axis=1) < _MAX_RANGE]
+    distance = points @ down
+    edges = np.arange(_NEAREST, _FARTHEST, _STEP)
+    counts = np.histogram(distance, edges)[0]
+    # Noise spreads a floor over neighbouring steps.
+    best = int(np.argmax(np.convolve(counts, np.ones(3), mode="same")))
+    near = np.abs(distance - (edges[best] + _STEP / 2)) < 1.5 * _STEP
+    return float(np.median(distance[near])) if near.any() else 0.0, float(near.sum()) / max(len(points), 1)
