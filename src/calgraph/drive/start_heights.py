@@ -59,7 +59,7 @@ def _add_height(
             f"leaves the height of {name} open: drive over ramps, too, or let both measure the floor"
         )
     T = start.T_root_sensor.copy()
-    T[:3, 3] += height * up
+    T[:3, 3] += (height - T[:3, 3] @ up) * up
     return replace(start, T_root_sensor=T)
 
 

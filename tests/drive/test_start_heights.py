@@ -1,0 +1,63 @@
+"""Heights of LiDARs on a robot that drives on a flat floor."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from calgraph.drive.sources.lidar import LidarSource
+from calgraph.drive.start import MotionStart
+from calgraph.drive.start_heights import add_heights
+from calgraph.drive.sweeps import Sweep
+from calgraph.errors import Rejected
+from calgraph.geometry import Array, se3, so3
+
+UP = so3.exp(np.array([0.2, -0.1, 0.3])) @ [0.0, 0.0, 1.0]
+T_ROOT_SENSOR = se3.pose(so3.exp(np.array([0.1, -0.2, 2.5])), np.array([-0.5, 0.1, 0.2]))
+
+
+def source(T_world_sensor: Array, walls: int, rng: np.random.Generator, floor: bool = True) -> LidarSource:
+    """Points of a floor at z = 0, of a ceiling at 2.7 m with fewer, and of walls in between."""
+    level = rng.uniform(-5, 5, (900, 3)) * [1, 1, 0] + rng.normal(0, 0.02, (900, 3))
+    level[600:, 2] += 2.7
+    angle = rng.uniform(0, 2 * np.pi, walls)
+    around = np.stack([6 * np.cos(angle), 6 * np.sin(angle), rng.uniform(0, 2.7, walls)], axis=1)
+    points = se3.apply(se3.inverse(T_world_sensor), np.concatenate([level if floor else level[:0], around]))
+    return LidarSource([Sweep(0.0, points, np.zeros(len(points)), np.zeros(3))], 3, False)
+
+
+def find(start_height: float, sign: float, floor: bool = True) -> MotionStart | Rejected:
+    """The start of a sensor whose height is wrong, by an axis of turning that points up or down."""
+    rng = np.random.default_rng(0)
+    R = so3.exp(np.array([0.3, 0.2, 0.1]))
+    # The root is 0.9 m above the floor; its axis of turning is vertical.
+    T_world_root = se3.pose(R, np.array([0.0, 0, 0.9]))
+    axis = sign * R.T @ [0.0, 0, 1]
+    T = T_ROOT_SENSOR.copy()
+    T[:3, 3] += start_height * axis
+    start = MotionStart(T, 0.0, 0.7, 0.99, 50, np.array([0.3, 0.0, 0.0]), axis)
+    sources = {
+        "root": source(T_world_root, 300, rng),
+        "rear": source(T_world_root @ T_ROOT_SENSOR, 500, rng, floor),
+    }
+    return add_heights({"rear": start}, "root", sources)["rear"]
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("height", [0.0, -0.4])
+def test_the_height_is_that_at_which_both_measure_one_floor(height: float, sign: float) -> None:
+    found = find(height, sign)
+    assert isinstance(found, MotionStart)
+    assert_allclose(found.T_root_sensor, T_ROOT_SENSOR, atol=0.01)
+
+
+def test_without_a_common_floor_the_height_is_open() -> None:
+    found = find(0.0, 1.0, floor=False)
+    assert isinstance(found, Rejected)
+    assert "rear and the root do not both measure the floor" in found.reason
+
+
+def test_other_starts_stay() -> None:
+    start = MotionStart(T_ROOT_SENSOR, 0.0, 0.7, 0.99, 50, np.full(3, 0.3))
+    rejected = Rejected("why")
+    sources = dict.fromkeys(("root", "rear", "left"), LidarSource([], 3, False))
+    assert add_heights({"rear": start, "left": rejected}, "root", sources) == {"rear": start, "left": rejected}
