@@ -202,8 +202,10 @@ def _test_candidates(equations: PeriodEquations, model: _Model, candidates: Sequ
     tests = []
     for one in candidates:
         # The change, with the model following it.
-        D = one.direction - A @ cho_solve(factor, HA.T @ one.direction)
-        HD = H @ D
+        rows = np.flatnonzero(one.direction.any(axis=1))
+        moved = one.direction[rows]
+        follow = cho_solve(factor, HA[rows].T @ moved)
+        D, HD = one.direction - A @ follow, H[:, rows] @ moved - HA @ follow
         information = one.direction.T @ HD
         measured = max(int(np.sum(np.diag(information) > _CHANGE_INFORMATION)), 1)
         information += _CHANGE_INFORMATION * np.eye(len(information))
