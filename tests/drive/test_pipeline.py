@@ -78,9 +78,10 @@ def test_a_sensor_with_few_sweeps_has_a_reason() -> None:
 
 
 def test_scans_that_were_sent_twice_count_once() -> None:
-    """Positions cannot be told from one place, but turns can: the reason is not that there are too few scans."""
-    headings = 0.5 * np.sin(np.linspace(0, 12, 150))
-    scans = room_scans(np.zeros((150, 2)), headings, 0.0)
+    """The second copy of a scan is at the same time as the first."""
+    phase = np.linspace(0, 6, 150)
+    positions = np.stack([1.5 * np.sin(phase), 0.8 * np.sin(1.5 * phase)], axis=1)
+    scans = room_scans(positions, 0.5 * np.sin(2 * phase), 0.0)
     recording = MessageRecording({"/a": scans, "/b": [scan for scan in scans for _ in range(2)]})
     calibration = calibrate_drive(surroundings("lidar2d", a="/a", b="/b"), recording, DriveOptions())
     np.testing.assert_allclose(calibration["b"].T_root_sensor, np.eye(4), atol=0.01)
@@ -99,6 +100,7 @@ def start(turns: tuple[float, ...], correlation: float = 0.99, inliers: float = 
         (start((0.02, 0.02, 0.01)), "hardly turned"),
         (start((0.1, 0.01, 0.01)), "about one axis only"),
         (start((0.1, 0.05, 0.01), inliers=0.2), "only 20% of its motions"),
+        (replace(start((0.1,)), travel=0.1), "turned about one point only (other motion is 0.10 m in 1.5 s)"),
     ],
 )
 def test_a_start_that_the_drive_does_not_determine_is_explained(one: MotionStart, reason: str) -> None:

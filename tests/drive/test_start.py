@@ -16,6 +16,7 @@ from calgraph.drive.start import (
     _sample_poses,
     _scale,
     _solve_pose,
+    explain_failure,
     find_clock_offset,
     solve_start,
 )
@@ -176,3 +177,29 @@ def test_the_jacobian_is_the_derivative_of_the_errors(n: int) -> None:
     for k, change in enumerate(step * np.eye(J.shape[-1])):
         numerical = _errors(se_n.retract(T, change), A, B) - _errors(se_n.retract(T, -change), A, B)
         assert_allclose(J[:, :, k], numerical * _scale(n) / (2 * step), atol=1e-8)
+
+
+@pytest.mark.parametrize("point", [(0.0, 0.0), (0.5, -0.3), (2.0, 0.0)])
+def test_turns_about_one_point_leave_the_side_open(point: tuple[float, float]) -> None:
+    """A robot that turns on the spot, or drives a circle of 2 m: odometry is exact but for 5 mm and 0.1°."""
+    rng = np.random.default_rng(0)
+    times = np.arange(600) / 10
+    heading = 0.6 * np.sin(0.9 * times) + 0.4 * times + 0.2 * np.sin(1.7 * times)
+    R = se_n.exp(heading[:, None])
+    center = np.array(point)
+    root = se_n.pose(R, center - R @ center)
+    noisy = [
+        se_n.retract(one, rng.normal(size=(600, 3)) * [0.005, 0.005, 0.002]) for one in (root, root @ mounted(2))
+    ]
+    start = solve_start(whole(Track(times, noisy[0])), whole(Track(times, noisy[1])), 0.5, rng)
+    assert isinstance(start, MotionStart)
+    assert start.travel < 0.05
+    assert "turned about one point only" in explain_failure(start, "rear")
+
+
+def test_a_drive_with_curves_leaves_no_side_open() -> None:
+    root, sensor = tracks(2)
+    start = solve_start(whole(root), whole(sensor), 0.5, np.random.default_rng(0))
+    assert isinstance(start, MotionStart)
+    assert start.travel > 0.5
+    assert explain_failure(start, "rear") == ""

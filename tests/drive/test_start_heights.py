@@ -34,7 +34,7 @@ def find(start_height: float, sign: float, floor: bool = True) -> MotionStart | 
     axis = sign * R.T @ [0.0, 0, 1]
     T = T_ROOT_SENSOR.copy()
     T[:3, 3] += start_height * axis
-    start = MotionStart(T, 0.0, 0.7, 0.99, 50, np.array([0.3, 0.0, 0.0]), axis)
+    start = MotionStart(T, 0.0, 0.7, 0.99, 50, np.array([0.3, 0.0, 0.0]), axis=axis)
     sources = {
         "root": source(T_world_root, 300, rng),
         "rear": source(T_world_root @ T_ROOT_SENSOR, 500, rng, floor),

@@ -39,6 +39,9 @@ _MIN_CORRELATION = 0.6
 # RMS turns of motions that determine a pose, rad: ten times the error of odometry's rotation, 0.2 degrees, about
 # the main axis; about a second axis five times.
 _MIN_TURN, MIN_SECOND_TURN = 0.035, 0.0175
+# Travel of motions in the plane that determines where a sensor looks, m: more than the largest error of one. It is
+# 0.01 to 0.07 of robots that turn on the spot, or drive a circle, and 0.46 and more of others.
+_MIN_TRAVEL = 0.2
 # Share of motions that has to agree: with fewer, another pose may have as many.
 _MIN_INLIERS = 0.3
 
@@ -59,6 +62,9 @@ class MotionStart:
     """Number of relative motions."""
     turns: Array
     """(d,) RMS turn of the sensor during a motion, about the principal axes of turning, rad, descending."""
+    travel: float = np.inf
+    """RMS of the part of motions in the plane that turns about one fixed point do not explain, m; infinite in
+    space, where turns about two axes determine the rotation."""
     axis: Array | None = None
     """(3,) about which alone the root turned, in its frame, where the pose is at no height along it."""
     by_boards: bool = False
@@ -133,16 +139,18 @@ def solve_start(
     A, B = _pair_motions(root, sensor, offset)
     if len(A) < _MIN_MOTIONS:
         return Rejected(f"it and the root moved together {len(A)} times only, {_MIN_MOTIONS} are needed")
-    turns, axis = measure_turns(B)[0], None
+    turns, axis, travel = measure_turns(B)[0], None, np.inf
     if motion == "turn":
         T, weights = _solve_rotation(A, B)
     elif motion == "level" and min(measure_turns(A)[0][1], turns[1]) < MIN_SECOND_TURN:
         axis = measure_turns(A)[1][0]
-        T, weights = _solve_level(A, B, rng)
+        T, weights, travel = _solve_level(A, B, rng)
     else:
         T, weights = _solve_pose(A, B, rng)
+        if A.shape[-1] == 3:
+            travel = _measure_travel(T, A, B, weights)
     inliers = float(np.mean(weights > 0.25))
-    return MotionStart(T, offset, inliers, correlation, len(A), turns, axis, boards)
+    return MotionStart(T, offset, inliers, correlation, len(A), turns, travel, axis, boards)
 
 
 def _pair_motions(root: Segments, sensor: Segments, offset: float) -> tuple[Array, Array]:
@@ -201,6 +209,12 @@ def explain_failure(start: MotionStart, name: str, motion: StartMotion = "free")
         return (
             f"the robot turned about one axis only ({np.degrees(start.turns[1]):.1f}° about others in "
             f"{MOTION_DURATION:g} s), which leaves the height of {name} and a rotation open: drive over ramps, too"
+        )
+    if start.travel < _MIN_TRAVEL:
+        return (
+            f"the robot turned about one point only (other motion is {start.travel:.2f} m in "
+            f"{MOTION_DURATION:g} s), which leaves open to which side of it {name} is and how it is turned: "
+            "drive curves in both directions"
         )
     if start.inliers < _MIN_INLIERS:
         return (
@@ -297,14 +311,26 @@ def _jacobian(T: Array, A: Array, B: Array) -> Array:
     return J
 
 
-def _solve_level(A: Array, B: Array, rng: np.random.Generator) -> tuple[Array, Array]:
-    """As :func:`_solve_pose`, of motions about one axis: in the plane across it, at no height along it."""
+def _measure_travel(T: Array, A: Array, B: Array, weights: Array) -> float:
+    """:attr:`MotionStart.travel` of motions (K, 3, 3) with a pose of the sensor and weights (K,)."""
+    J = _jacobian(T, A, B)[:, :2]
+    H = np.einsum("k,kij,kil->jl", weights, J, J) + 1e-9 * np.eye(3)
+    left = H[2, 2] - H[2, :2] @ np.linalg.solve(H[:2, :2], H[:2, 2])
+    return float(np.sqrt(max(left, 0.0) / max(weights.sum(), 1e-9)))
+
+
+def _solve_level(A: Array, B: Array, rng: np.random.Generator) -> tuple[Array, Array, float]:
+    """As :func:`_solve_pose`, of motions about one axis: in the plane across it, at no height along it.
+
+    The last is :attr:`MotionStart.travel`.
+    """
     up_A, up_B = (measure_turns(one)[1][0] for one in (A, B))
     turns_A, turns_B = (se_n.log(se_n.rotation(one)) @ up for one, up in ((A, up_A), (B, up_B)))
     up_B = up_B * np.sign(turns_A @ turns_B)
     to_A, to_B = (se3.pose(np.column_stack([plane.tangent_basis(up), up]), np.zeros(3)) for up in (up_A, up_B))
-    T, weights = _solve_pose(_flatten(to_A.T @ A @ to_A), _flatten(to_B.T @ B @ to_B), rng)
-    return to_A @ se2.to_se3(T) @ to_B.T, weights
+    A, B = _flatten(to_A.T @ A @ to_A), _flatten(to_B.T @ B @ to_B)
+    T, weights = _solve_pose(A, B, rng)
+    return to_A @ se2.to_se3(T) @ to_B.T, weights, _measure_travel(T, A, B, weights)
 
 
 def _flatten(motions: Array) -> Array:
