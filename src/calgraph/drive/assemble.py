@@ -28,7 +28,7 @@ _UNVERIFIED = (
 # Surfaces that two sensors have to share: with fewer, single ones that moved or are mistaken decide.
 _MIN_SHARED_CELLS = 30
 # Correlation of the turn rates of two LiDARs below which one of them followed something that moves along, or lost
-# its way: 0.65 to 0.93 beside a lorry, at least 0.948 in 30 minutes of real scans, usually 0.99.
+# its way: 0.65 to 0.93 beside a lorry, at least 0.948 in 15 minutes of real scans, usually 0.99.
 _MIN_CORRELATION = 0.94
 # RMS reprojection error above which a solution is wrong, pixels: motion blur of a slow drive is less.
 _MAX_REPROJECTION_ERROR = 3.0

@@ -18,7 +18,7 @@ _MIN_COUNT, _MIN_DURATION = 50, 10.0
 _MESSAGES, _LAG = 24, 6
 # Edge of the cells in which directions are compared, 2°: several beams of any scanner.
 _CELL = np.radians(2.0)
-# Change of the nearest range that is something else, m, and relative to it: noise and sights along walls are less.
+# Change of the nearest range that is something else, m, and relative to it: noise is less, and beams along walls.
 _MIN_CHANGE, _MIN_CHANGE_RATIO = 0.2, 0.05
 # Share of directions that change, in the median over the recording, from which a scanner moves. On drives
 # with turns, simulated and real, a scan plane has 0.8 and more, and a cloud, in which floors do not change, 0.35
