@@ -24,7 +24,7 @@ _MIN_POINTS = 5
 
 
 def measure_agreement(parts: Sequence[DrivePart], states: Sequence[SensorState]) -> Array:
-    """(S, S) by how many surfaces the maps of two sensors agree, in the direction of walls in which these are least.
+    """(S, S) by how many surfaces the maps of two sensors agree, along the direction of walls with the fewest.
 
     Surfaces on which they agree count as 1, others as -1, by the squares of their normals along a direction; the
     worst direction counts, and the worst but one in space, which has a floor.
