@@ -16,8 +16,8 @@ of straight ahead are taken as two scanners that share no view, the second in an
 which are known exactly. Windows are a minute each, the first starts after 30 s. The halves of a scan are 3 ms
 apart, so that clocks are known to 4 ms only.
 
-Audits: poses that are good are compared, as ``calgraph check`` compares them, with the true ones (false alarms) and
-with ones that are moved by 5, 20 and 50 mm and a hundredth of that number in degrees, each in 32 directions.
+Audits: poses that are good are compared, as ``calgraph check`` compares them, with the true ones (false alarms)
+and with ones that are moved by 5, 20 and 50 mm and a hundredth of that number in degrees, in 32 directions each.
 """
 
 import bz2

@@ -65,6 +65,26 @@ def test_a_solution_that_is_not_to_be_trusted_is_weak(change: dict[str, Any], re
     assert reason in text
 
 
+@pytest.mark.parametrize(("agreeing", "grade_of_both"), [([(0, 1), (1, 2)], "good"), ([(1, 2)], "weak")])
+def test_maps_agree_with_that_of_the_root_by_chains(agreeing: list[tuple[int, int]], grade_of_both: str) -> None:
+    """Two sensors whose maps agree with each other only may have the same wrong odometry."""
+    names = ["front", "rear", "right"]
+    sensors = {name: {"kind": "lidar3d", "topic": f"/{name}"} for name in names}
+    rig = Rig.model_validate({"root": "front", "target": {"kind": "surroundings"}, "sensors": sensors})
+    two, agreement = solution(), np.zeros((3, 3))
+    for i, j in agreeing:
+        agreement[i, j] = agreement[j, i] = 20.0
+    free = two.free[[0, 1, 1]]
+    P = 1e-6 * np.eye(int(free.sum()))
+    three = replace(
+        two, states=[*two.states, two.states[1]], covariance=P, independent_covariance=P, free=free,
+        agreement=agreement, residual_rms=np.full(3, 0.02), point_counts=np.full(3, 1e5),
+    )  # fmt: skip
+    views = dict.fromkeys(names, np.zeros((0, 2)))
+    found = assemble_drive(rig, DriveResult(names, {}, {"rear": START, "right": START}, three, [], views))
+    assert [found[name].verdict.grade for name in names[1:]] == [grade_of_both] * 2
+
+
 def test_lidars_whose_turn_rates_agree_in_part_are_weak() -> None:
     """Beside a lorry the correlation is 0.65 to 0.93, and on real scans at least 0.948."""
     assert grade(solution(), replace(START, correlation=0.95))[0] == "good"
