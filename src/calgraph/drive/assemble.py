@@ -26,8 +26,8 @@ _UNVERIFIED = (
     "it and the root do not both measure surfaces: standard deviations from trajectories and boards were up to "
     "three times too small in tests, so that such poses are weak in this version"
 )
-# Surfaces by which maps of two sensors have to agree in each direction, chained to the root: 14 and more in drives of
-# 30 s and 15 minutes of real scans, 2.5 at most for 6 sensors whose odometry failed and 4 beside lorries.
+# Surfaces by which maps of two sensors have to agree in each direction, chained to the root: 14 and more in drives
+# of 30 s and 15 minutes of real scans, 2.5 at most for 6 sensors whose odometry failed and 4 beside lorries.
 _MIN_AGREEMENT = 8.0
 # Correlation of the turn rates of two LiDARs below which one of them followed something that moves along, or lost
 # its way: 0.65 to 0.93 beside a lorry, at least 0.948 in 15 minutes of real scans, usually 0.99.
