@@ -7,14 +7,13 @@ from pathlib import Path
 
 from calgraph.config import Rig
 from calgraph.config.settings import LiveNetworkSettings
-from calgraph.errors import RecordingError, Rejected
-from calgraph.live.capture_finder import SILENCE, name_sensors
+from calgraph.live.capture_finder import name_sensors
 from calgraph.live.live_timeline import LiveTimeline
 from calgraph.live.network_solution import LiveNetworkSolution, solve_recording
+from calgraph.live.recorded_session import PAUSE, RecordedSession
 from calgraph.live.sensor_solution import SensorSolution
-from calgraph.live.session import ALL_DONE, Session, SessionPools
-from calgraph.live.source import LiveMessage
-from calgraph.live.state import Advice, Phase, SceneState, SensorState, SessionState
+from calgraph.live.session import SessionPools
+from calgraph.live.state import Advice, Phase, SceneState, SessionState
 from calgraph.live.tracked_intervals import MIN_INTERVAL
 from calgraph.result.reasons import split_clauses
 
@@ -84,25 +83,8 @@ Solve = Callable[[Rig, Path, LiveNetworkSolution | None], LiveNetworkSolution | 
 """Calibrates from a recording; defined at module level. See :func:`solve_recording`."""
 
 
-# Maximum share of the time in which solutions are computed.
-_MAX_LOAD = 0.5
-
-
-class NetworkSession(Session):
-    """Calibrates a network of scanners from its growing recording, as often as one process allows.
-
-    Everything that is shown besides rates is computed from the
-    recording, so that a session that is resumed needs nothing else.
-
-    Args:
-        rig: the network, as its user wrote it.
-        source: name of the source.
-        pools: where it computes: ``solving``.
-        recording: path of the recording that receives the messages.
-        print_line: takes a line on poses that are all within tolerance.
-        solve: calibrates.
-        clock: time by which the load is limited, s.
-    """
+class NetworkSession(RecordedSession[LiveNetworkSolution]):
+    """Calibrates a network of scanners from its growing recording; see :class:`RecordedSession`."""
 
     def __init__(
         self,
@@ -115,35 +97,16 @@ class NetworkSession(Session):
         solve: Solve = solve_recording,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        super().__init__(rig, source, pools, print_line)
-        self._recording, self._solve, self._clock = recording, solve, clock
-        self._sensor_of = {topic: name for name, topic in rig.topics.items()}
-        self.timeline = LiveTimeline(rig.sensors)
-        self.solution: LiveNetworkSolution | None = None
-        """The last one; None before the first."""
+        super().__init__(rig, source, pools, recording, print_line, solve=solve, clock=clock)
         self._forecast = Forecast(rig.settings.live.network)
         self._scene: SceneState | None = None
-        self._began, self._next = 0.0, -math.inf
-        """When the last solution began and when the next may, s."""
-
-    def feed(self, message: LiveMessage) -> None:
-        """Takes a message that has been recorded; scans are read from the recording, by another process."""
-        self.timeline.note_arrival(message.arrival / 1e9)
-        name = self._sensor_of.get(message.channel.topic)
-        if name is not None:
-            try:
-                self.timeline.add(name, message.read(self._source, self.rig.settings.limits))
-            except RecordingError as error:
-                self.timeline.sensors[name].note_malformed(str(error))
-        self.advance()
 
     def describe(self) -> SessionState:
         """The session now, without what concerns source, recorder and end."""
         rig, solution = self.rig, self.solution
         solved = {one.name: one for one in solution.scanners} if solution else {}
-        sensors = (_describe_sensor(one, rig, self.timeline, solved.get(one)) for one in rig.sensors)
         done = solution is not None and solution.done
-        phase, headline = _describe_phase(rig, self.timeline, solution, self._forecast)
+        phase, headline = self.find_unheard() or _describe_phase(solution, self._forecast)
         lag = _describe_lag(self.timeline, solution)
         return SessionState(
             kind="network",
@@ -151,7 +114,7 @@ class NetworkSession(Session):
             headline=headline,
             source=self._source,
             root=rig.root,
-            sensors=tuple(sensors),
+            sensors=tuple(self.describe_sensor(name, solved.get(name)) for name in rig.sensors),
             advice=None if solution is None or done else _advise(solution, self._forecast),
             tolerance_mm=1000 * rig.tolerance.translation,
             tolerance_degrees=rig.tolerance.rotation,
@@ -160,41 +123,20 @@ class NetworkSession(Session):
             scene=self._scene,
         )
 
-    def advance(self) -> None:
-        """Calibrates if the process is free, the load allows it, and there is something new."""
-        settings, begin = self.rig.settings.live.network, self.timeline.start
-        if begin is None or not self._solver.idle or self._clock() < self._next:
-            return
-        until = begin + settings.first if self.solution is None else self.solution.end + PAUSE
-        if self.timeline.latest_arrival < until:
-            return
-        self._began = self._clock()
-        self._solver.run(self._set_solution, self._solve, self.rig, self._recording, self.solution)
+    def is_due(self) -> bool:
+        """See :meth:`RecordedSession.is_due`."""
+        begin = self.timeline.start or 0.0
+        first = begin + self.rig.settings.live.network.first
+        return self.timeline.latest_arrival >= (self.solution.end + PAUSE if self.solution else first)
 
-    def _set_solution(self, solution: LiveNetworkSolution | Rejected | None) -> None:
-        # The process rests as long as it worked, where half of the time is allowed.
-        now = self._clock()
-        self._next = now + max(PAUSE, (now - self._began) * (1 / _MAX_LOAD - 1))
-        if isinstance(solution, Rejected):
-            self._problem = f"No poses from the recording until now: {solution.reason}"
-        elif solution is not None:
-            if solution.done and not (self.solution and self.solution.done):
-                self._print_line(ALL_DONE)
-            self.solution, self._problem = solution, ""
-            self._forecast.add(solution)
-            connected = tuple(one for one in solution.scanners if one.T_root_sensor is not None)
-            self._scene = SceneState(connected, floor=solution.grid) if solution.grid else None
+    def take(self, solution: LiveNetworkSolution) -> None:
+        """See :meth:`RecordedSession.take`."""
+        self._forecast.add(solution)
+        connected = tuple(one for one in solution.scanners if one.T_root_sensor is not None)
+        self._scene = SceneState(connected, floor=solution.grid) if solution.grid else None
 
 
-def _describe_phase(
-    rig: Rig, timeline: LiveTimeline, solution: LiveNetworkSolution | None, forecast: Forecast
-) -> tuple[Phase, str]:
-    unheard = [name for name in rig.sensors if timeline.age(name) is None]
-    silent = [name for name in rig.sensors if _describe_silence(name, timeline)]
-    if unheard:
-        return "connecting", f"Waiting for messages of {name_sensors(unheard)}"
-    if silent:
-        return "measuring", f"{name_sensors(silent)}: no messages any more"
+def _describe_phase(solution: LiveNetworkSolution | None, forecast: Forecast) -> tuple[Phase, str]:
     if solution is None:
         return "measuring", "Walk through the views of all scanners, one after the other and back again"
     if solution.problem:
@@ -249,10 +191,6 @@ def _advise(solution: LiveNetworkSolution, forecast: Forecast) -> Advice | None:
     return Advice("; ".join(sentences), expected=expected)
 
 
-# Minimum time from the end of a solution to the next, s, so that there is something new.
-PAUSE = 2.0
-
-
 def _describe_lag(timeline: LiveTimeline, solution: LiveNetworkSolution | None) -> str:
     """That what is shown is old, or of a part of the recording only; empty if it is not."""
     if solution is None or timeline.start is None:
@@ -269,24 +207,3 @@ def _describe_lag(timeline: LiveTimeline, solution: LiveNetworkSolution | None) 
             f"Poses are of {solution.used / 60:.0f} of {whole / 60:.0f} minutes: all are calibrated at the end"
         )
     return "; ".join(notes)
-
-
-def _describe_sensor(name: str, rig: Rig, timeline: LiveTimeline, solved: SensorSolution | None) -> SensorState:
-    difference = timeline.find_wrong_clocks().get(name, 0.0)
-    clock = f"its clock is {abs(difference):.1f} s {'ahead of' if difference > 0 else 'behind'} the others"
-    silence = _describe_silence(name, timeline)
-    problems = timeline.sensors[name].describe_malformed(), silence, clock if difference else ""
-    state = SensorState(
-        name=name,
-        kind=rig.sensors[name].kind,
-        rate=timeline.sensors[name].rate,
-        problem="; ".join(filter(None, problems)),
-        reason=solved.reason if solved else "",
-        captures=solved.tracks if solved else 0,
-    )
-    return state.with_pose(solved, rig.root)
-
-
-def _describe_silence(name: str, timeline: LiveTimeline) -> str:
-    age = timeline.age(name)
-    return f"no messages for {age:.0f} s" if age is not None and age > SILENCE else ""

@@ -1,0 +1,136 @@
+"""A live session of which poses are computed from its growing recording, as often as one process allows."""
+
+import math
+import time
+from abc import abstractmethod
+from collections.abc import Callable
+from pathlib import Path
+from typing import Generic, Protocol, TypeVar
+
+from calgraph.config import Rig
+from calgraph.errors import RecordingError, Rejected
+from calgraph.live.capture_finder import SILENCE, name_sensors
+from calgraph.live.live_timeline import LiveTimeline
+from calgraph.live.sensor_solution import SensorSolution
+from calgraph.live.session import ALL_DONE, Session, SessionPools
+from calgraph.live.source import LiveMessage
+from calgraph.live.state import Phase, SensorState
+
+# Maximum share of the time in which solutions are computed.
+_MAX_LOAD = 0.5
+# Minimum time from the end of a solution to the next, s, so that there is something new.
+PAUSE = 2.0
+
+
+class Solution(Protocol):
+    """What a recording gave until some time."""
+
+    @property
+    def done(self) -> bool:
+        """Whether all sensors have good poses."""
+        ...
+
+
+S = TypeVar("S", bound=Solution)
+
+
+class RecordedSession(Session, Generic[S]):
+    """Everything that is shown of poses is computed from the recording, so that sessions that are resumed go on.
+
+    Args:
+        rig: as its user wrote it.
+        source: name of the source.
+        pools: where it computes: ``solving``.
+        recording: path of the recording that receives the messages.
+        print_line: takes a line on poses that are all within tolerance.
+        solve: calibrates from the rig, the path of the recording, and the last solution, if there is one; None
+            without messages. Defined at module level.
+        clock: time by which the load is limited, s.
+    """
+
+    def __init__(
+        self,
+        rig: Rig,
+        source: str,
+        pools: SessionPools,
+        recording: Path,
+        print_line: Callable[[str], object],
+        *,
+        solve: Callable[[Rig, Path, S | None], S | None],
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        super().__init__(rig, source, pools, print_line)
+        self._recording, self._solve, self._clock = recording, solve, clock
+        self.timeline = LiveTimeline(rig.sensors)
+        self.solution: S | None = None
+        """The last one; None before the first."""
+        self._began, self._next = 0.0, -math.inf
+        """When the last solution began and when the next may, s."""
+
+    def feed(self, message: LiveMessage) -> None:
+        """Takes a message that has been recorded; what it measured is read by another process."""
+        self.timeline.note_arrival(message.arrival / 1e9)
+        for name, topic in self.rig.topics.items():
+            if topic == message.channel.topic:
+                try:
+                    self.timeline.add(name, message.read(self._source, self.rig.settings.limits))
+                except RecordingError as error:
+                    self.timeline.sensors[name].note_malformed(str(error))
+        self.advance()
+
+    def advance(self) -> None:
+        """Calibrates if the process is free, the load allows it, and there is something new."""
+        if self.timeline.start is None or not self._solver.idle or self._clock() < self._next:
+            return
+        if not self.is_due():
+            return
+        self._began = self._clock()
+        self._solver.run(self._set_solution, self._solve, self.rig, self._recording, self.solution)
+
+    @abstractmethod
+    def is_due(self) -> bool:
+        """Whether there is something to calibrate from that the last solution did not have."""
+
+    @abstractmethod
+    def take(self, solution: S) -> None:
+        """Takes a solution."""
+
+    def _set_solution(self, solution: S | Rejected | None) -> None:
+        # The process rests as long as it worked, where half of the time is allowed.
+        now = self._clock()
+        self._next = now + max(PAUSE, (now - self._began) * (1 / _MAX_LOAD - 1))
+        if isinstance(solution, Rejected):
+            self._problem = f"No poses from the recording until now: {solution.reason}"
+        elif solution is not None:
+            if solution.done and not (self.solution and self.solution.done):
+                self._print_line(ALL_DONE)
+            self.solution, self._problem = solution, ""
+            self.take(solution)
+
+    def find_unheard(self) -> tuple[Phase, str] | None:
+        """The phase and its headline while a sensor sends nothing."""
+        if unheard := [name for name in self.rig.sensors if self.timeline.age(name) is None]:
+            return "connecting", f"Waiting for messages of {name_sensors(unheard)}"
+        if silent := [name for name in self.rig.sensors if self._describe_silence(name)]:
+            return "measuring", f"{name_sensors(silent)}: no messages any more"
+        return None
+
+    def describe_sensor(self, name: str, solved: SensorSolution | None) -> SensorState:
+        """A sensor, by its messages and its last pose."""
+        difference = self.timeline.find_wrong_clocks().get(name, 0.0)
+        clock = f"its clock is {abs(difference):.1f} s {'ahead of' if difference > 0 else 'behind'} the others"
+        times = self.timeline.sensors[name]
+        problems = times.describe_malformed(), self._describe_silence(name), clock if difference else ""
+        state = SensorState(
+            name=name,
+            kind=self.rig.sensors[name].kind,
+            rate=times.rate,
+            problem="; ".join(filter(None, problems)),
+            reason=solved.reason if solved else "",
+            captures=solved.tracks if solved else 0,
+        )
+        return state.with_pose(solved, self.rig.root)
+
+    def _describe_silence(self, name: str) -> str:
+        age = self.timeline.age(name)
+        return f"no messages for {age:.0f} s" if age is not None and age > SILENCE else ""
