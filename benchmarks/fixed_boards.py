@@ -55,7 +55,7 @@ def make_sources(rig: Rig, drive: SimulatedDrive) -> dict[str, Source]:
         if name in models:
             sources[name] = locate_boards(drive.corners[name], drive.truth.boards.boards, models[name])
             continue
-        reader = LidarReader(rig, name, None, 3, np.random.default_rng(k))  # type: ignore[arg-type]
+        reader = LidarReader(rig, name, 3, np.random.default_rng(k))
         for message in drive.messages[spec.topic]:
             reader.add(message)
         sources[name] = reader.finish()

@@ -26,6 +26,26 @@ class ImmediateExecutor(Executor):
         return future
 
 
+class WaitingExecutor(Executor):
+    """Computes nothing until it is told to; calls are counted."""
+
+    def __init__(self) -> None:
+        self.calls: list[tuple[Future[Any], Callable[..., Any], tuple[Any, ...]]] = []
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **_: Any) -> Future[Any]:
+        future: Future[Any] = Future()
+        self.calls.append((future, fn, args))
+        return future
+
+    def finish(self, result: object) -> None:
+        """The last call returns, or raises."""
+        future = self.calls[-1][0]
+        if isinstance(result, Exception):
+            future.set_exception(result)
+        else:
+            future.set_result(result)
+
+
 class GivenSession(Session):
     """A session of a state that it is given; it computes nothing, and keeps what the operator wants."""
 

@@ -41,8 +41,7 @@ def make_rig(root: str, **kinds: str) -> Rig:
 
 def read_source(messages: list[Message]) -> MotionSource:
     rig = make_rig("a", a="trajectory", b="trajectory")
-    recording = MessageRecording({"/a": messages})
-    reader = TrajectoryReader(rig, "a", recording, 3, np.random.default_rng(0))
+    reader = TrajectoryReader(rig, "a", 3, np.random.default_rng(0))
     for message in messages:
         reader.add(message)
     source = reader.finish()
@@ -174,9 +173,8 @@ def test_a_pair_of_frames_of_tf_is_a_trajectory() -> None:
     tf = {"kind": "trajectory", "topic": "/tf"}
     sensors = {"a": {**tf, "frame_id": "base", "parent": "odom"}, "b": {**tf, "frame_id": "base", "parent": "map"}}
     rig = Rig.model_validate({"root": "a", "target": {"kind": "surroundings"}, "sensors": sensors})
-    recording = MessageRecording({"/tf": lists})
     for name, usable in (("a", True), ("b", False)):
-        reader = TrajectoryReader(rig, name, recording, 3, np.random.default_rng(0))
+        reader = TrajectoryReader(rig, name, 3, np.random.default_rng(0))
         for message in lists:
             reader.add(message)
         track = reader.finish().track(np.random.default_rng(0))

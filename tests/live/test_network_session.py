@@ -1,11 +1,8 @@
 """A live session of a network: when it calibrates, and what it states."""
 
-from collections.abc import Callable
-from concurrent.futures import Executor, Future
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +15,7 @@ from calgraph.live.sensor_solution import SensorSolution
 from calgraph.live.session import SessionPools
 from calgraph.live.source import LiveMessage
 from calgraph.sensors import LaserScan
-from live_sessions import make_live_message
+from live_sessions import WaitingExecutor, make_live_message
 
 EPOCH = 1_700_000_000.0
 NAMES = ("a", "b", "c")
@@ -35,26 +32,6 @@ def posed(name: str, grade: str, uncertainty: float, reason: str = "") -> Sensor
     """A scanner with a pose, standard deviations of 2 mm and 2 mrad."""
     covariance, stddev = np.eye(3) * 4e-6, np.full(6, 0.002)
     return SensorSolution(name, "lidar2d", np.eye(4), stddev, covariance, uncertainty, grade, reason)
-
-
-class WaitingExecutor(Executor):
-    """Computes nothing until it is told to; calls are counted."""
-
-    def __init__(self) -> None:
-        self.calls: list[tuple[Future[Any], Callable[..., Any], tuple[Any, ...]]] = []
-
-    def submit(self, fn: Callable[..., Any], /, *args: Any, **_: Any) -> Future[Any]:
-        future: Future[Any] = Future()
-        self.calls.append((future, fn, args))
-        return future
-
-    def finish(self, result: object) -> None:
-        """The last call returns, or raises."""
-        future = self.calls[-1][0]
-        if isinstance(result, Exception):
-            future.set_exception(result)
-        else:
-            future.set_result(result)
 
 
 class Fed:

@@ -185,10 +185,3 @@ def test_one_process_uses_a_session_until_it_is_killed(session: Path) -> None:
         holder.send_signal(signal.SIGKILL)
         holder.wait()
     resume_session(session).close()
-
-
-def test_a_drive_is_no_live_session() -> None:
-    lidars = {name: {"kind": "lidar3d", "topic": f"/{name}"} for name in ("front", "rear")}
-    rig = Rig.model_validate({"root": "front", "target": {"kind": "surroundings"}, "sensors": lidars})
-    with pytest.raises(InputError, match="must be board or people for calgraph live, got surroundings"):
-        prepare_live_rig(rig)

@@ -124,7 +124,7 @@ def _create_session(
         )
     rig = load_rig_with(rig_file, overrides)
     _open_source(source, rig, speed)
-    return create_session(out, rig_file, rig if rig.is_network else prepare_live_rig(rig), source)
+    return create_session(out, rig_file, prepare_live_rig(rig), source)
 
 
 def _check_alone(rig_file: Path | None, out: Path | None, overrides: list[str] | None) -> None:

@@ -141,7 +141,7 @@ def _read_sources(
             names.setdefault(topic, []).append(name)
     n = dimension_of(rig)
     readers: dict[str, Reader] = {
-        name: make_reader(rig, name, recording, n, np.random.default_rng([options.seed, k]))
+        name: make_reader(rig, name, n, np.random.default_rng([options.seed, k]))
         for k, (name, spec) in enumerate(rig.sensors.items())
         if (make_reader := SOURCES[spec.kind].make_reader)
     }

@@ -12,22 +12,19 @@ TRIGGER_TOPIC = "/calgraph/trigger"
 
 
 def prepare_live_rig(rig: Rig) -> Rig:
-    """The rig whose recording is calibrated at the end: with the session's trigger, and a background window.
+    """The rig that is calibrated at the end: one with a board has the session's trigger, and a background window.
 
     Raises:
-        InputError: a sensor's images are to be converted, as those of a depth camera, or the robot drives.
+        InputError: a sensor's images are to be converted, as those of a depth camera.
     """
-    if rig.is_drive:
-        raise InputError(
-            "target.kind: must be board or people for calgraph live, got surroundings; record a bag, and give it "
-            "to calgraph calibrate"
-        )
     for name, spec in rig.sensors.items():
         if KINDS[spec.kind].convert:
             raise InputError(
                 f"sensors.{name}: calgraph live does not take the images of a {KINDS[spec.kind].title}; record a "
                 "bag, and give it to calgraph calibrate"
             )
+    if rig.is_network or rig.is_drive:
+        return rig
     background = rig.capture.background or (0.0, rig.settings.live.capture.background)
     capture = Capture(background=background, trigger=TRIGGER_TOPIC, exclude=rig.capture.exclude)
     return rig.model_copy(update={"capture": capture})

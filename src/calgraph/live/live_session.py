@@ -10,6 +10,7 @@ from typing import Any, cast
 from calgraph.config import Rig
 from calgraph.errors import CalibrationError, RecordingError
 from calgraph.io.termination import handle_interrupt
+from calgraph.live.drive_session import DriveSession
 from calgraph.live.job_queue import Post
 from calgraph.live.live_rig import list_intrinsics_topics
 from calgraph.live.network_session import NetworkSession
@@ -47,8 +48,8 @@ async def record_session(
     sensors = frozenset(rig.topics.values())
     # Cameras have one of several, or none where rig.yaml is to state the intrinsics.
     intrinsics = frozenset(topic for topics in list_intrinsics_topics(rig).values() for topic in topics)
-    # Networks are calibrated again from the whole recording.
-    max_wait = 0.0 if rig.is_network else rig.settings.live.capture.timeout
+    # Networks and drives are calibrated again from the whole recording.
+    max_wait = 0.0 if rig.is_network or rig.is_drive else rig.settings.live.capture.timeout
 
     async def receive() -> None:
         # A generator, whose connection is closed with it.
@@ -172,7 +173,7 @@ def _open_pools(rig: Rig, post: Post) -> Iterator[SessionPools]:
         if rig.is_network:
             yield SessionPools(solving, 1, solving, post)
             return
-        processes = count_analysis_processes(rig)
+        processes = 1 if rig.is_drive else count_analysis_processes(rig)
         with worker_pool(processes) as analysis:
             yield SessionPools(analysis, processes, solving, post)
 
@@ -183,6 +184,8 @@ def _make_session(
     """A session that goes on where the recording in the folder ends."""
     if rig.is_network:
         return NetworkSession(rig, source, pools, folder.recording, print_line)
+    if rig.is_drive:
+        return DriveSession(rig, source, pools, folder.recording, print_line)
     session = RigSession(rig, source, pools, solve_captures, exclude=folder.exclude, print_line=print_line)
     if folder.last_arrival() >= 0:
         with open_recording(folder.recording, rig.settings.limits) as recording:
@@ -209,7 +212,7 @@ async def _run(rig: Rig, source: Source, folder: SessionFolder, session: Session
         if folder.last_arrival() < 0:
             raise CalibrationError(f"{folder.recording}: no message was recorded")
         session.show_end("finishing", "The whole recording is being calibrated")
-        if rig.is_network or session.state().captures:
+        if rig.is_network or rig.is_drive or session.state().captures:
             end = await options.calibrate(folder)
         else:
             end = FinalCalibration(_NOT_CALIBRATED, _NO_CAPTURES, None)

@@ -3,23 +3,21 @@
 Poses, covariances and verdicts are those of ``calgraph calibrate`` on the same tracks.
 """
 
-import logging
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from calgraph.config import Rig
 from calgraph.errors import CalgraphError, Rejected
 from calgraph.live.floor_grid import FloorGrid, build_floor_grid
+from calgraph.live.recorded_files import open_growing
 from calgraph.live.sensor_solution import SensorSolution, describe_sensors
 from calgraph.live.tracked_intervals import TrackingProgress, join_tracks, select_intervals, track_recording
 from calgraph.network.options import NetworkOptions
 from calgraph.network.pipeline import calibrate_tracks
 from calgraph.network.tracking.track import ScannerTracks
 from calgraph.network.tracking.track_scanner import MAX_SCAN_GAP
-from calgraph.recording import Recording, open_recording
+from calgraph.recording import Recording
 from calgraph.recording.input_checks import InputMonitor
 from calgraph.result import Calibration
 
@@ -67,13 +65,8 @@ def solve_recording(rig: Rig, path: Path, last: LiveNetworkSolution | None) -> L
         The solution; None as long as the recording has no message.
     """
     begin = time.perf_counter()
-    with _without_warnings():
-        try:
-            recording = open_recording(path, rig.settings.limits)
-        except CalgraphError:
-            return None  # its first chunk is not complete yet
-        with recording:
-            return _solve(rig, recording, last, begin)
+    with open_growing(path, rig.settings.limits) as recording:
+        return _solve(rig, recording, last, begin) if recording else None
 
 
 # Processor time of a solution, s, above which the next is computed from fewer intervals; those that add least are
@@ -123,15 +116,3 @@ def _add_tracks(scanner: SensorSolution, found: ScannerTracks | Rejected) -> Sen
     if isinstance(found, Rejected):
         return replace(scanner, reason=scanner.reason or found.reason)
     return replace(scanner, tracks=len(found.tracks))
-
-
-@contextmanager
-def _without_warnings() -> Iterator[None]:
-    """Recordings that are being written to have no end, which needs no warning."""
-    log = logging.getLogger("calgraph.recording")
-    level = log.level
-    log.setLevel(logging.ERROR)
-    try:
-        yield
-    finally:
-        log.setLevel(level)

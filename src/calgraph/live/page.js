@@ -20,6 +20,9 @@ const OFFLINE = {
 const END_SIGNALS = { finished: "done", failed: "refused" };
 const LABELS = { waiting: "Hold still", measuring: "Measuring", background: "Wait", connecting: "Wait" };
 
+const SPACE_TITLES = { rig: "Sensors and boards", network: "Floor plan", drive: "Poses" };
+const ADVICE_TITLES = { rig: "Next board pose", network: "Next walk", drive: "What to drive" };
+
 let state = null;
 
 const send = connect((changes) => {
@@ -38,10 +41,11 @@ function show(before) {
   setText(byId("headline"), state.headline);
   byId("headline").classList.toggle("long", state.headline.length > LONG);
   setText(byId("sensors-title"), state.kind === "network" ? "Scanners" : "Sensors");
-  setText(byId("space-title"), state.kind === "network" ? "Floor plan" : "Sensors and boards");
+  setText(byId("space-title"), SPACE_TITLES[state.kind]);
   showEvent(before);
   showOverall();
   showAdvice();
+  showNeeds();
   showSensors(state);
   showScene(state);
   showRecorder();
@@ -93,12 +97,28 @@ function showAdvice() {
   const { advice } = state;
   byId("advice").hidden = !advice || state.done || ENDING.has(state.phase);
   if (!advice) return;
-  setText(byId("advice-title"), state.kind === "network" ? "Next walk" : "Next board pose");
+  setText(byId("advice-title"), ADVICE_TITLES[state.kind]);
   setText(byId("advice-text"), advice.text);
   setOptionalText(byId("advice-expected"), advice.expected);
   setPicture(byId("advice-picture"), advice.picture);
   setPicture(byId("large-picture"), advice.picture);
   byId("enlarge").hidden = !advice.picture;
+}
+
+/** What a drive has of what it needs, as bars. */
+function showNeeds() {
+  const list = byId("needs");
+  while (list.children.length > state.needs.length) list.lastChild.remove();
+  while (list.children.length < state.needs.length) {
+    list.append(make("li", "", make("span"), make("span", "amount"), make("div", "bar", make("span"))));
+  }
+  state.needs.forEach(({ label, text, progress, optional }, index) => {
+    const item = list.children[index];
+    item.className = progress >= 1 ? "within" : "";
+    setText(item.children[0], optional ? `${label} (if the floor permits)` : label);
+    setText(item.children[1], text);
+    item.children[2].firstChild.style.width = `${100 * Math.min(progress, 1)}%`;
+  });
 }
 
 function showRecorder() {
@@ -124,8 +144,10 @@ function showControls() {
   byId("automatic").setAttribute("aria-pressed", state.automatic);
   byId("manual").setAttribute("aria-pressed", !state.automatic);
   byId("trigger").disabled = !CAPTURING.has(state.phase);
-  setText(byId("trigger-label"), LABELS[state.phase] ?? "Capture");
-  setText(byId("trigger-note"), describeTrigger());
+  const isDrive = state.kind === "drive";
+  if (isDrive && state.phase === "waiting") byId("trigger").disabled = true;
+  setText(byId("trigger-label"), isDrive ? "Calibrate" : LABELS[state.phase] ?? "Capture");
+  setText(byId("trigger-note"), isDrive ? "what was recorded so far, and drive on" : describeTrigger());
   byId("discard").disabled = state.captures === 0;
   byId("report").hidden = !state.report;
 }
@@ -179,5 +201,5 @@ window.addEventListener("keydown", (event) => {
   const isOnControl = event.target.closest?.("button, a, dialog");
   if (event.code !== "Space" || event.repeat || isOnControl || byId("confirm").open) return;
   event.preventDefault();
-  if (state?.kind === "rig" && !byId("trigger").disabled) press("trigger");
+  if (state?.kind !== "network" && !byId("trigger").disabled) press("trigger");
 });

@@ -1,10 +1,15 @@
 """The files of a recording that is made in several runs: a rosbag2 folder, as the tools of ROS 2 read it."""
 
+import logging
 import os
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from calgraph.config.settings import LimitSettings
+from calgraph.errors import CalgraphError
+from calgraph.recording import Recording, open_recording
 from calgraph.recording.bag_metadata import RecordedFile
 from calgraph.recording.chunk_limits import open_reader
 from calgraph.recording.unfinished_mcap import finish_mcap
@@ -67,6 +72,33 @@ def read_files(folder: Path, limits: LimitSettings) -> tuple[RecordedFile, ...]:
             files.append(RecordedFile(path, reader.start_time, reader.end_time - 1, tuple(reader.connections)))
             reader.close()
     return tuple(files)
+
+
+@contextmanager
+def open_growing(path: Path, limits: LimitSettings) -> Iterator[Recording | None]:
+    """A recording that may still be written to; None before its first chunk is complete.
+
+    It has no end yet, which needs no warning.
+    """
+    log = logging.getLogger("calgraph.recording")
+    level = log.level
+    log.setLevel(logging.ERROR)
+    try:
+        recording = _open_if_readable(path, limits)
+        if recording is None:
+            yield None
+            return
+        with recording:
+            yield recording
+    finally:
+        log.setLevel(level)
+
+
+def _open_if_readable(path: Path, limits: LimitSettings) -> Recording | None:
+    try:
+        return open_recording(path, limits)
+    except CalgraphError:
+        return None
 
 
 def _list_files(folder: Path) -> list[Path]:

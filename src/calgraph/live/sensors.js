@@ -53,10 +53,10 @@ function updateCard(card, sensor, state) {
   const isOpen = sensor.stddev_mm !== null;
   element.dataset.state = sensor.problem ? "problem" : sensor.progress >= 1 ? "within" : isOpen ? "open" : "none";
   element.dataset.board = sensor.sees_board === null ? "unknown" : sensor.sees_board ? "yes" : "no";
-  setOptionalText(part.board, state.kind === "network" ? sensor.reason : describeBoard(sensor));
+  setOptionalText(part.board, state.kind === "rig" ? describeBoard(sensor) : sensor.reason);
   setText(part.precision, describePrecision(sensor, isRoot, state));
   setOptionalText(part.tolerance, isRoot ? "" : describeTolerance(sensor, state));
-  setText(part.captures, state.kind === "network" ? describeTracks(sensor) : formatCount(sensor.captures, "capture"));
+  setText(part.captures, state.kind === "rig" ? formatCount(sensor.captures, "capture") : describeMessages(sensor, state.kind));
   setOptionalText(part.problem, sensor.problem);
   const percent = Math.round(100 * sensor.progress);
   bar.firstChild.style.width = `${percent}%`;
@@ -85,11 +85,12 @@ function describeTolerance(sensor, state) {
   return `tolerance ${formatLength(state.tolerance_mm)} mm · ${formatLength(state.tolerance_degrees)}°`;
 }
 
-function describeTracks(sensor) {
-  const rate = sensor.rate ? `${formatLength(sensor.rate)} scans/s` : "no scans";
+function describeMessages(sensor, kind) {
+  const noun = kind === "network" ? "scans" : "messages";
+  const rate = sensor.rate ? `${formatLength(sensor.rate)} ${noun}/s` : `no ${noun}`;
   const offset = sensor.clock_ms === null ? null : Math.round(sensor.clock_ms);
   const clock = offset === null ? "" : ` · clock ${offset > 0 ? "+" : ""}${offset}\u00a0ms`;
-  return `${formatCount(sensor.captures, "track")} · ${rate}${clock}`;
+  return `${kind === "network" ? `${formatCount(sensor.captures, "track")} · ` : ""}${rate}${clock}`;
 }
 
 /** Shares of the regions of an image, or of directions around a scanner from above, of which forward is up. */

@@ -15,7 +15,8 @@ is triggered, and the board still moves; ``measuring``: sensors measure the boar
 recording is calibrated as a whole; ``failed``: the session ended with an error."""
 
 Action = Literal["trigger", "automatic", "manual", "discard", "finish"]
-"""What an operator wants. ``trigger``: take a capture as soon as the board rests; ``automatic`` and ``manual``:
+"""What an operator wants. ``trigger``: take a capture as soon as the board rests, or calibrate what was driven;
+``automatic`` and ``manual``:
 whether captures are taken without the button; ``discard``: leave out the last capture; ``finish``: end the
 recording, and calibrate it."""
 
@@ -82,6 +83,27 @@ class Advice:
 
 
 @dataclass(frozen=True)
+class Need:
+    """Something that a calibration needs of a drive."""
+
+    label: str
+    """"Turned left"."""
+    text: str
+    """How much there is of how much: "40 of 90°"."""
+    progress: float
+    """The ratio; 1 and more where it suffices."""
+    advice: str
+    """What to do for more: "turn more to the left"."""
+    optional: bool = False
+    """Whether a calibration may do without."""
+
+    @property
+    def done(self) -> bool:
+        """Whether it suffices."""
+        return self.progress >= 1
+
+
+@dataclass(frozen=True)
 class CaptureEvent:
     """The last capture that was taken or refused; the page sounds once for each number."""
 
@@ -125,7 +147,7 @@ class SceneState:
 class SessionState:
     """A session at one moment."""
 
-    kind: Literal["rig", "network"]
+    kind: Literal["rig", "network", "drive"]
     phase: Phase
     headline: str
     """One sentence: what the operator should do or wait for."""
@@ -149,3 +171,5 @@ class SessionState:
     """None before the first poses."""
     report: bool = False
     """Whether a report is there."""
+    needs: tuple[Need, ...] = ()
+    """Of a drive."""

@@ -8,7 +8,6 @@ from calgraph.drive.sources.source import SourceKind, without_ranges
 from calgraph.drive.sources.trajectory import MotionSource, split_track
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, se_n, so3
-from calgraph.recording import Recording
 from calgraph.sensors import Message, TurnRate
 from calgraph.sensors.kinds import SensorSpec
 from calgraph.surfaces.trajectory import Track
@@ -24,7 +23,7 @@ _MIN_SEGMENT = 1.0
 class GyroscopeReader:
     """Keeps turn rates."""
 
-    def __init__(self, _: Rig, __: str, ___: Recording, dimension: int, ____: np.random.Generator) -> None:
+    def __init__(self, _: Rig, __: str, dimension: int, ___: np.random.Generator) -> None:
         self._dimension = dimension
         self._rates: list[tuple[float, ...]] = []
 

@@ -14,7 +14,6 @@ from calgraph.drive.states import SensorPoints
 from calgraph.drive.sweeps import Sweep, read_sweep, smooth_times, thin_sweep
 from calgraph.errors import Rejected
 from calgraph.geometry import Array
-from calgraph.recording import Recording
 from calgraph.sensors import LaserScan, Message, PointCloud
 from calgraph.sensors.kinds import SensorSpec
 from calgraph.sensors.kinds.stated import RangeUncertainty
@@ -32,7 +31,7 @@ _TIMING_STDDEV = (0.5, 0.5, 1.0)
 class LidarReader:
     """Keeps the sweeps of a LiDAR, thinned."""
 
-    def __init__(self, rig: Rig, name: str, _: Recording, dimension: int, rng: np.random.Generator) -> None:
+    def __init__(self, rig: Rig, name: str, dimension: int, rng: np.random.Generator) -> None:
         self._flat, self._dimension, self._rng = rig.sensors[name].kind == "lidar2d", dimension, rng
         self._stamps: list[float] = []
         self._sweeps: list[Sweep] = []

@@ -13,7 +13,6 @@ from calgraph.drive.segments import Segments
 from calgraph.drive.states import BESIDE_POSE, SensorPoints, SensorState
 from calgraph.errors import Rejected
 from calgraph.geometry import Array
-from calgraph.recording import Recording
 from calgraph.sensors import Message
 from calgraph.sensors.kinds import SensorSpec
 from calgraph.surfaces.trajectory import SplineTrajectory
@@ -82,9 +81,9 @@ class Reader(Protocol):
 class SourceKind:
     """How a kind of sensor is used in a drive."""
 
-    make_reader: Callable[[Rig, str, Recording, int, np.random.Generator], Reader] | None
-    """Of the rig, the sensor's name, the recording, the dimension of the drive (2 or 3), and for random draws;
-    None of cameras, whose images are searched by several processes."""
+    make_reader: Callable[[Rig, str, int, np.random.Generator], Reader] | None
+    """Of the rig, the sensor's name, the dimension of the drive (2 or 3), and for random draws; None of cameras,
+    whose images are searched by several processes."""
     stddev: Callable[[SensorSpec, int], Array]
     """(n + d + 6,) standard deviations before the adjustment, by what rig.yaml states and the dimension: pose,
     clock, range bias and scale, and timing; 0 of what it has not, or what nothing measures."""

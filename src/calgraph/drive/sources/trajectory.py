@@ -15,7 +15,6 @@ from calgraph.drive.start import MIN_SECOND_TURN, MOTION_DURATION, measure_turns
 from calgraph.drive.states import SensorState
 from calgraph.errors import Rejected
 from calgraph.geometry import Array, Index, se_n, so3
-from calgraph.recording import Recording
 from calgraph.sensors import Message, Pose, TransformList
 from calgraph.sensors.kinds import TrajectorySpec
 from calgraph.surfaces.trajectory import SplineTrajectory, Track
@@ -46,7 +45,7 @@ _MARGIN = 0.2
 class TrajectoryReader:
     """Keeps the poses of one frame."""
 
-    def __init__(self, rig: Rig, name: str, _: Recording, dimension: int, __: np.random.Generator) -> None:
+    def __init__(self, rig: Rig, name: str, dimension: int, _: np.random.Generator) -> None:
         spec = rig.sensors[name]
         assert isinstance(spec, TrajectorySpec)
         self._spec, self._dimension = spec, dimension
