@@ -1,11 +1,15 @@
 """Scans that state no times of beams: what the joint solution finds of them, over what it finds without."""
 
 from collections.abc import Sequence
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
 
+from calgraph.config import Rig
 from calgraph.drive.adjustment import Adjustment, AdjustmentPriors, adjust_drive
+from calgraph.drive.assemble import describe_sensor_errors
 from calgraph.drive.measurements import DrivePart
 from calgraph.drive.states import TIMING, SensorPoints, SensorState
 from calgraph.drive.sweeps import Sweep, smooth_times
@@ -62,6 +66,38 @@ def test_times_of_beams_are_found(found: Adjustment) -> None:
     for state in found.states:
         assert state.timing[1] * PERIOD == pytest.approx(ODD, abs=1e-3)
         assert state.timing[0] * PERIOD == pytest.approx(SWEEP, abs=3e-3)
+
+
+def test_errors_of_ranges_and_times_are_stated_with_their_units(found: Adjustment) -> None:
+    sensors = {name: {"kind": "lidar2d", "topic": f"/{name}"} for name in "ab"}
+    rig = Rig.model_validate({"root": "a", "target": {"kind": "surroundings"}, "sensors": sensors})
+    errors = {(one.of, one.quantity): one for one in describe_sensor_errors(rig, ["a", "b"], found)}
+    for name in "ab":
+        sweep, odd = errors[name, "time from first to last beam"], errors[name, "delay of odd beams"]
+        assert (sweep.unit, odd.unit) == ("s", "s")
+        assert sweep.value == pytest.approx(SWEEP, abs=4 * sweep.stddev)
+        assert odd.value == pytest.approx(ODD, abs=4 * odd.stddev)
+        assert odd.prior == pytest.approx(PERIOD / 2, rel=0.01)
+        assert 1e-5 < odd.stddev < 0.002
+        bias, scale = errors[name, "range bias"], errors[name, "range scale"]
+        assert abs(bias.value) < 4 * bias.stddev < 0.05
+        assert scale.value == pytest.approx(1, abs=4 * scale.stddev)
+    assert len(errors) == 8
+
+
+def test_times_that_clouds_state_have_no_errors() -> None:
+    points = SensorPoints(np.ones((5, 2)), np.zeros(5))
+    part = SimpleNamespace(points=[points, points])
+    adjusted = cast(Adjustment, SimpleNamespace(
+        states=[SensorState(np.eye(3), range_scale=0.01), SensorState(np.eye(3))], parts=[part],
+        free=np.ones((2, 9), dtype=bool), covariance=np.eye(18), point_counts=np.array([5, 0]),
+    ))  # fmt: skip
+    sensors = {name: {"kind": "lidar2d", "topic": f"/{name}"} for name in "ab"}
+    rig = Rig.model_validate({"root": "a", "target": {"kind": "surroundings"}, "sensors": sensors})
+    bias, scale = describe_sensor_errors(rig, ["a", "b"], adjusted)
+    assert (bias.of, bias.quantity, scale.quantity) == ("a", "range bias", "range scale")
+    # Points are multiplied by 1 - 0.01.
+    assert scale.value == pytest.approx(1 / 0.99)
 
 
 def test_poses_are_better_than_without(found: Adjustment) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 from calgraph.config import Rig
 from calgraph.drive.adjustment import Adjustment
 from calgraph.drive.board_views import BoardMeasurements
+from calgraph.drive.sources import SOURCES
 from calgraph.drive.sources.camera import MIN_VIEWS
 from calgraph.drive.start import MotionStart
 from calgraph.drive.states import BESIDE_POSE
@@ -38,6 +39,13 @@ _MAX_REPROJECTION_ERROR = 3.0
 _MAX_SQUARED_STEP = 25.0
 
 
+# What a sensor's state has beside pose and clock: quantity, unit, and the value without errors.
+_SENSOR_ERRORS = (
+    ("range bias", "m", 0.0), ("range scale", "", 1.0), ("time from first to last beam", "s", 0.0),
+    ("delay of odd beams", "s", 0.0),
+)  # fmt: skip
+
+
 @dataclass(frozen=True, eq=False)
 class DriveResult:
     """What the stages of a drive's calibration found."""
@@ -55,7 +63,7 @@ class DriveResult:
     views: Mapping[str, Array] = field(default_factory=dict)
     """By sensor that was adjusted, the images of boards; see :func:`measure_views`."""
     systematic: tuple[EstimatedParameter, ...] = ()
-    """Errors of lenses and prints."""
+    """Errors of lenses, prints, ranges, and times of beams."""
     base: BaseFrame | None = None
     """The vehicle's frame, where rig.yaml states that there is one."""
     pictures: Pictures = field(default_factory=Pictures)
@@ -116,6 +124,27 @@ def assemble_drive(rig: Rig, result: DriveResult) -> Calibration:
         ),
         pictures=result.pictures,
     )
+
+
+def describe_sensor_errors(rig: Rig, names: Sequence[str], adjusted: Adjustment) -> tuple[EstimatedParameter, ...]:
+    """Errors of ranges and times of beams from the joint solution with its parts.
+
+    Those of times are of scans that do not state them.
+    """
+    variance = np.zeros(adjusted.free.shape)
+    variance[adjusted.free] = np.diag(adjusted.covariance)
+    found = []
+    for k in np.flatnonzero(adjusted.point_counts).tolist():
+        name, state = names[k], adjusted.states[k]
+        spec, n = rig.sensors[name], len(state.T_root_sensor) - 1
+        timing = np.concatenate([np.atleast_2d(part.points[k].timing) for part in adjusted.parts])
+        units = np.array([1.0, 1.0, *timing.max(axis=0)[:2]])
+        prior = SOURCES[spec.kind].stddev(spec, n)[1 - BESIDE_POSE : -1] * units
+        values = np.array([state.range_bias, 1 / (1 - state.range_scale), *state.timing[:2]]) * units
+        stddev = np.sqrt(variance[k, 1 - BESIDE_POSE : -1]) * units
+        rows = zip(_SENSOR_ERRORS, prior.tolist(), values.tolist(), stddev.tolist(), strict=True)
+        found += [EstimatedParameter(name, *error, *numbers) for error, *numbers in rows if numbers[0] > 0]
+    return tuple(found)
 
 
 def _find_contradictions(adjusted: Adjustment, k: int, views: Array, start: MotionStart | Rejected) -> list[str]:

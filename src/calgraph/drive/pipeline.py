@@ -8,7 +8,7 @@ import numpy as np
 
 from calgraph.config import Rig
 from calgraph.drive.adjustment import Adjustment, AdjustmentPriors, adjust_drive
-from calgraph.drive.assemble import DriveResult, assemble_drive, measure_views
+from calgraph.drive.assemble import DriveResult, assemble_drive, describe_sensor_errors, measure_views
 from calgraph.drive.base_verdict import assess_base
 from calgraph.drive.board_views import SharedErrors
 from calgraph.drive.board_world import chain_boards, describe_errors, measure_boards, state_estimates
@@ -85,6 +85,7 @@ def calibrate_sources(
     if rig.root not in used or not (len(used) > 1 or (rig.base and isinstance(tracks[lead], Segments))):
         return assemble_drive(rig, DriveResult([rig.root], frames, starts, None, findings, base=assess_base(rig)))
     adjusted, systematic = _adjust(rig, used, sources, tracks, from_lead, options.seed, progress)
+    systematic += describe_sensor_errors(rig, used, adjusted)
     root = used.index(rig.root)
     views = {name: measure_views(adjusted, k) for k, name in enumerate(used)}
     begin = adjusted.parts[0].trajectory.start
