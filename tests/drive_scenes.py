@@ -1,6 +1,6 @@
 """Rooms of boxes, in the plane or in space, that moving range sensors measure; their poses are known."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 from calgraph.drive.states import TIMING
 from calgraph.drive.sweeps import Sweep
 from calgraph.geometry import Array, se_n
+from calgraph.sensors import LaserScan, Message
 
 PERIOD = 0.1
 """Of sweeps, s."""
@@ -97,3 +98,17 @@ def scan(
         exact = np.zeros((len(times), TIMING))
         sweeps.append(Sweep(float(start + within[-1] / 2), directions * ranges[:, None], times, exact))
     return sweeps
+
+
+def scan_drive(poses: Mapping[str, Array], duration: float) -> dict[str, list[Message]]:
+    """By topic, scans of 2-D scanners with poses (4, 4) in the plane during a drive, s."""
+    rng, beams = np.random.default_rng(0), beams_in_plane(1.0)
+    angles = np.arctan2(beams[0][:, 1], beams[0][:, 0])
+    increment = PERIOD * 0.75 / (len(angles) - 1)
+    return {
+        f"/{name}": [
+            LaserScan(float(sweep.times[0]), name, angles, np.hypot(*sweep.points.T), increment)
+            for sweep in scan(beams, T[np.ix_([0, 1, 3], [0, 1, 3])], duration, 0.01, rng)
+        ]
+        for name, T in poses.items()
+    }

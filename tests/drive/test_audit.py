@@ -12,8 +12,7 @@ from calgraph.geometry import Array, se3, so3
 from calgraph.recording import MessageRecording
 from calgraph.result import Calibration, ExtrinsicsFile, SensorPose, Verdict
 from calgraph.result.frame_tree import FrameLink, FrameTree
-from calgraph.sensors import LaserScan
-from drive_scenes import PERIOD, beams_in_plane, scan
+from drive_scenes import scan_drive
 
 POSES = {
     "front": np.eye(4),
@@ -90,26 +89,13 @@ def test_what_would_decide_is_a_longer_recording() -> None:
 def test_scanners_are_audited_from_messages() -> None:
     """In the plane, from a simulated drive of 32 s, with one scanner moved by 10 cm in the file."""
     T_front_rear = se3.pose(so3.exp(np.array([0.0, 0.0, 3.0])), np.array([-0.8, 0.2, 0.0]))
-    rng = np.random.default_rng(0)
-    poses = {"front": np.eye(3), "rear": np.eye(3)}
-    poses["rear"][:2, :2], poses["rear"][:2, 2] = T_front_rear[:2, :2], T_front_rear[:2, 3]
-    beams = beams_in_plane(1.0)
-    angles = np.arctan2(beams[0][:, 1], beams[0][:, 0])
-    messages = {
-        f"/{name}": [
-            LaserScan(
-                float(sweep.times[0]), name, angles, np.hypot(*sweep.points.T), PERIOD * 0.75 / (len(angles) - 1)
-            )
-            for sweep in scan(beams, T, 32.0, 0.01, rng)
-        ]
-        for name, T in poses.items()
-    }
+    messages = scan_drive({"front": np.eye(4), "rear": T_front_rear}, 32.0)
     rig = Rig.model_validate(
         {
             "root": "front",
             "target": {"kind": "surroundings"},
             "base": {"y": 0.0},
-            "sensors": {name: {"kind": "lidar2d", "topic": f"/{name}"} for name in poses},
+            "sensors": {name: {"kind": "lidar2d", "topic": f"/{name}"} for name in ("front", "rear")},
         }
     )
     moved = se3.retract(T_front_rear, np.array([0.1, 0.0, 0.0, 0.0, 0.0, 0.0]))

@@ -15,6 +15,7 @@ from calgraph.fleet.plan import RobotPlan
 from calgraph.fleet.recording_result import Failure, RecordingResult
 from calgraph.fleet.run import RobotResult, collect_robots
 from calgraph.fleet.tables import write_tables
+from calgraph.fleet.wording import format_turn
 from fleet_scenes import draw_poses, make_robot, make_task, measure_poses
 
 STEP = np.array([0.0, 0.01, 0.0, 0.0, 0.0, 0.0])
@@ -107,3 +108,8 @@ def test_what_is_not_finite_is_null(robots: tuple[RobotResult, ...], tmp_path: P
     with closing(sqlite3.connect(tmp_path / "fleet.sqlite")) as tables:
         found = tables.execute("SELECT sigma_x FROM poses WHERE sensor = 'camera' AND recording = 'day-0'")
         assert found.fetchall() == [(None,)]
+
+
+def test_turns_of_rounding_are_zero() -> None:
+    assert format_turn(7e-15, np.radians(0.048)) == "0° ± 0.048°"
+    assert format_turn(np.radians(0.31), np.radians(0.048)) == "0.31° ± 0.048°"

@@ -15,7 +15,11 @@ from calgraph.fleet.plan import RecordingTask
 from calgraph.fleet.recording_result import FILE_NAME, Failure, RecordingResult, load_result, save_result
 from calgraph.fleet.recording_task import RunOptions, analyze_recording
 from calgraph.fleet.run import analyze_recordings, find_finished
+from calgraph.geometry import se3, so3
+from calgraph.io.text_writing import format_yaml
 from calgraph.parallel.engine import THIS_PROCESS, Processes
+from calgraph.recording import RecordingWriter
+from drive_scenes import scan_drive
 from fleet_scenes import draw_poses, make_result, make_task, measure_poses
 
 OPTIONS = RunOptions("calgraph fleet")
@@ -126,3 +130,33 @@ def test_failures_are_results_unless_they_are_to_be_repeated(tmp_path: Path) -> 
     assert failed.failure == Failure("input", f"{task.rig}: does not exist; check the path")
     assert list(find_finished([task])) == [task]
     assert find_finished([task], retry_failed=True) == {}
+
+
+@pytest.mark.slow
+def test_a_drive_is_checked_without_a_board(tmp_path: Path) -> None:
+    """Of a robot whose file states the pose of one of its scanners 10 cm off."""
+    T = se3.pose(so3.exp(np.array([0.0, 0.0, 3.0])), np.array([-0.8, 0.2, 0.0]))
+    with RecordingWriter(tmp_path / "drive") as writer:
+        for topic, scans in scan_drive({"front": np.eye(4), "rear": T}, 32.0).items():
+            for message in scans:
+                writer.write(topic, replace(message, stamp=1e9 + message.stamp), 1e9 + message.stamp)
+    sensors = {name: {"kind": "lidar2d", "topic": f"/{name}"} for name in ("front", "rear")}
+    rig = {"root": "front", "target": {"kind": "surroundings"}, "sensors": sensors}
+    (tmp_path / "rig.yaml").write_text(format_yaml(rig))
+    found = []
+    for shift in (0.0, 0.1):
+        frame = {"header": {"frame_id": "front"}, "child_frame_id": "rear"}
+        turn = dict(zip("xyzw", so3.quaternion(T[:3, :3]).tolist(), strict=True))
+        place = dict(zip("xyz", (T[:3, 3] + [shift, 0, 0]).tolist(), strict=True))
+        transform = {**frame, "transform": {"translation": place, "rotation": turn}}
+        (tmp_path / "given.yaml").write_text(format_yaml({"transforms": [transform]}))
+        task = replace(
+            make_task(tmp_path), action="check", rig=tmp_path / "rig.yaml", path=tmp_path / "drive",
+            reference=tmp_path / "given.yaml",
+        )  # fmt: skip
+        found.append(analyze_recording(OPTIONS, task))
+    right, wrong = found
+    assert right.failure is wrong.failure is None
+    assert right.failed_checks == ()
+    assert wrong.failed_checks == ("rear",)
+    assert (tmp_path / "robots" / "a" / "day-0" / "check.json").is_file()

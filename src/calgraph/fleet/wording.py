@@ -58,11 +58,15 @@ def describe_move(comparison: Comparison, move: Move) -> str:
     )
 
 
+# rad; of sensors that have only shifted, in files of 15 digits.
+_ROUNDING = 1e-9
+
+
 def format_change(distance: float, stddev: float) -> str:
     """A distance with its standard deviation, as 10.2 ± 0.9 mm."""
     return f"{1000 * distance:.1f} ± {format_length(stddev)}"
 
 
 def format_turn(angle: float, stddev: float) -> str:
-    """An angle with its standard deviation."""
-    return f"{format_angle(angle)} ± {format_angle(stddev)}"
+    """An angle with its standard deviation; 0 where it is rounding."""
+    return f"{format_angle(angle if angle > _ROUNDING else 0.0)} ± {format_angle(stddev)}"
