@@ -141,6 +141,32 @@ def walks() -> str:
     return svg(680, 310, parts)
 
 
+def drives() -> str:
+    """Floor plans: a drive that determines poses, and ways that do not."""
+    parts = []
+    t = np.linspace(0, 1, 160)
+    for x0, good in ((20, True), (360, False)):
+        parts.append(line([(x0, 30), (x0 + 300, 30), (x0 + 300, 250), (x0, 250), (x0, 30)], INK, 3))
+        parts += [
+            shape([(x0 + x, y), (x0 + x + 30, y), (x0 + x + 30, y + 22), (x0 + x, y + 22)], PALE)
+            for x, y in ((20, 45), (250, 60), (135, 215), (30, 200))
+        ]
+        if good:
+            x, y = 150 + 100 * np.sin(2 * np.pi * t + 0.3), 140 + 62 * np.sin(4 * np.pi * t + 0.6)
+            parts.append(line(list(zip(x0 + x, y, strict=True)), GOOD, 2.5))
+            parts.append(shape([(x0 + 218, 70), (x0 + 246, 84), (x0 + 236, 104), (x0 + 208, 90)], BOARD))
+            parts.append(text(x0 + 204, 84, "ramp", BOARD, "end"))
+            words = "curves to both sides, loops, and a ramp or threshold"
+        else:
+            circle = x0 + 90 + 45 * np.cos(2 * np.pi * t), 140 + 45 * np.sin(2 * np.pi * t)
+            parts.append(line(list(zip(*circle, strict=True)), BAD, 2.5))
+            parts.append(line([(x0 + 205, 235), (x0 + 205, 45)], BAD, 2.5))
+            parts.append(disc(x0 + 260, 160, 7, BAD))
+            words = "one circle, straight on, or turns on the spot only"
+        parts.append(text(x0 + 150, 276, words, GOOD if good else BAD))
+    return svg(680, 290, parts)
+
+
 TILTS = (2, 5, 10, 20, 30, 40)
 COUNTS = {9: "#b3362b", 18: "#c98a1b", 36: "#2a7f3f"}
 SEEDS = range(3)
@@ -198,5 +224,5 @@ def tilt_chart() -> str:
 
 
 if __name__ == "__main__":
-    for draw in (places, tilts, holding, walks, tilt_chart):
+    for draw in (places, tilts, holding, walks, drives, tilt_chart):
         (IMAGES / f"recording_{draw.__name__}.svg").write_text(draw(), encoding="utf-8")

@@ -8,6 +8,8 @@ from importlib import import_module
 
 _NAMES = {
     "calgraph.network.pipeline": "calibrate_network calibrate_tracks",
+    "calgraph.drive.pipeline": "calibrate_drive",
+    "calgraph.drive.options": "DriveOptions",
     "calgraph.rig.pipeline": (
         "build_problem build_problem_from_captures calibrate_detections calibrate_rig solve_problem"
     ),
@@ -15,7 +17,7 @@ _NAMES = {
     "calgraph.rig.captures.from_detections": "captures_from_detections",
     "calgraph.config": (
         "Board CameraSpec Cylinder DepthCameraSpec Intrinsics Lidar2dSpec Lidar3dSpec People PixelNoise "
-        "RangeNoise Rig Tag load_rig"
+        "RangeNoise Rig Surroundings Tag load_rig"
     ),
     "calgraph.boards.detections": "BoardCorners PlanePatch Segment",
     "calgraph.rig.detection.from_measurements": (

@@ -14,8 +14,11 @@ from calgraph.config import People as People
 from calgraph.config import PixelNoise as PixelNoise
 from calgraph.config import RangeNoise as RangeNoise
 from calgraph.config import Rig as Rig
+from calgraph.config import Surroundings as Surroundings
 from calgraph.config import Tag as Tag
 from calgraph.config import load_rig as load_rig
+from calgraph.drive.options import DriveOptions as DriveOptions
+from calgraph.drive.pipeline import calibrate_drive as calibrate_drive
 from calgraph.errors import CalgraphError as CalgraphError
 from calgraph.errors import CalibrationError as CalibrationError
 from calgraph.errors import InputError as InputError

@@ -18,7 +18,7 @@ from playwright.sync_api import Browser, Page, sync_playwright
 from calgraph.config.settings import PageSettings
 from calgraph.live.floor_grid import FloorGrid
 from calgraph.live.sensor_solution import SensorSolution
-from calgraph.live.state import Advice, CaptureEvent, RecorderState, SceneState, SensorState, SessionState
+from calgraph.live.state import Advice, CaptureEvent, Need, RecorderState, SceneState, SensorState, SessionState
 from live_pages import PATIENCE, GivenSession, ServedPage
 
 CHROMIUM = shutil.which("chromium")
@@ -130,6 +130,37 @@ def test_sensors_are_shown_with_board_precision_problem_and_picture(opened: Open
     camera.locator("img.view").wait_for()
     assert opened.page.locator(".card .problem").nth(2).inner_text() == "no message for 6 s"
     assert "1 of" not in opened.page.locator("#summary").inner_text()
+
+
+def test_a_drive_shows_what_it_has_of_what_it_needs(opened: Opened) -> None:
+    needs = (
+        Need("Turned left", "40 of 90°", 0.44, "turn more to the left"),
+        Need("Travelled", "30 of 10 m", 3.0, "travel further"),
+        Need("About another axis", "0.2 of 1.0°", 0.2, "drive over a ramp", optional=True),
+    )
+    drive = replace(
+        RIG, kind="drive", phase="measuring", headline="Turn more to the left", needs=needs,
+        sensors=(SensorState("lidar", "lidar3d", rate=10.0), SensorState("rear", "lidar3d", reason="few turns")),
+        advice=Advice("turn more to the left"),
+    )  # fmt: skip
+    opened.show(drive)
+    page = opened.page
+    assert page.locator("#needs li").all_inner_texts() == [
+        "Turned left\n40 of 90°", "Travelled\n30 of 10 m",
+        "About another axis (if the floor permits)\n0.2 of 1.0°",
+    ]  # fmt: skip
+    assert page.locator("#needs li.within").count() == 1
+    assert page.locator("#advice-title").inner_text() == "What to drive"
+    assert page.locator(".card").nth(1).locator(".board").inner_text() == "few turns"
+    assert page.locator(".card .captures").all_inner_texts() == ["10 messages/s", "no messages"]
+    assert not page.locator("#discard").is_visible()
+    page.locator("#trigger").click()
+    assert opened.session.next_command() == "trigger"
+    opened.show(replace(drive, phase="waiting", headline="What was recorded is being calibrated: drive on"))
+    assert page.locator("#trigger").is_disabled()
+    for size in (SMALL, PORTRAIT, LANDSCAPE, WIDE):
+        page.set_viewport_size({"width": size[0], "height": size[1]})
+        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
 
 
 def test_names_of_sensors_are_text(opened: Opened) -> None:

@@ -88,8 +88,9 @@ def live(
     """Record a running robot, watch sensors and captures on a phone, and calibrate.
 
     Records the topics of RIG.yaml into SESSION/recording, and shows captures, standard deviations and the next
-    board pose on a page. When the operator or the source ends the session, the recording is calibrated into
-    SESSION/result as calgraph calibrate does it with SESSION/rig.yaml.
+    board pose on a page; of a robot that drives, how it has turned and travelled, and what to drive. When the
+    operator or the source ends the session, the recording is calibrated into SESSION/result as calgraph calibrate
+    does it with SESSION/rig.yaml.
 
     Exit code: that of calgraph calibrate; 130 if it was interrupted by Ctrl-C.
     """

@@ -47,7 +47,7 @@ _KNOT_SPACING, _MAX_KNOT_SPACING = 0.1, 0.25
 def calibrate_drive(
     rig: Rig, recording: Recording, options: DriveOptions, progress: Progress = no_progress
 ) -> Calibration:
-    """Calibrates LiDARs of a robot from a drive: odometry of each, start by motion, joint adjustment.
+    """Calibrates the sensors of a robot from a drive through surroundings, without a target and a common view.
 
     Args, Returns and Raises as for :func:`calgraph.calibrate_rig`.
     """

@@ -39,7 +39,7 @@ class DriveMotion:
 
 
 def select_measuring(rig: Rig) -> str | None:
-    """The sensor that tells motion alone, the root if it can: a LiDAR, else a trajectory, else a gyroscope."""
+    """The sensor that motion is measured by: the root if it can be, else a LiDAR, a trajectory or a gyroscope."""
     flat = dimension_of(rig) == 2
     names = {
         name: SOURCES[spec.kind]
@@ -53,7 +53,7 @@ def select_measuring(rig: Rig) -> str | None:
 def measure_motions(
     rig: Rig, name: str, source: str, messages: Sequence[LiveMessage], after: float
 ) -> DriveMotion | Rejected:
-    """The motions of a sensor by its odometry in a world of its own, as ``calgraph calibrate`` finds them.
+    """The motions of a sensor by its odometry, as ``calgraph calibrate`` finds them.
 
     Args:
         rig: the robot.
@@ -83,7 +83,7 @@ def list_needs(rig: Rig, seconds: float, motion: DriveMotion, name: str | None) 
         rig: the robot.
         seconds: that were recorded.
         motion: so far, of a sensor whose z axis points upwards more than downwards.
-        name: of this sensor; None if no sensor tells motion by itself.
+        name: of this sensor; None if no sensor measures motion.
     """
     progress = f"{seconds:.0f} of {_DURATION:.0f} s"
     time = Need("Time", progress, seconds / _DURATION, f"drive on: {progress}")
