@@ -67,6 +67,8 @@ class DriveSession(RecordedSession[LiveDriveSolution]):
     ``pools.analysis`` measures motion; see :class:`RecordedSession` for the rest.
     """
 
+    solve = staticmethod(solve_drive)
+
     def __init__(
         self,
         rig: Rig,
@@ -75,10 +77,9 @@ class DriveSession(RecordedSession[LiveDriveSolution]):
         recording: Path,
         print_line: Callable[[str], object],
         *,
-        solve: Callable[[Rig, Path, LiveDriveSolution | None], LiveDriveSolution | None] = solve_drive,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        super().__init__(rig, source, pools, recording, print_line, solve=solve, clock=clock)
+        super().__init__(rig, source, pools, recording, print_line, clock=clock)
         self._queue = JobQueue(pools.analysis, 1, pools.post, self.advance)
         self._queues.append(self._queue)
         self._measuring = select_measuring(rig)
@@ -135,9 +136,6 @@ class DriveSession(RecordedSession[LiveDriveSolution]):
         if self.solution is None:
             return all(need.optional or need.done for need in self._list_needs())
         return not self.solution.done and self.timeline.latest_arrival >= self.solution.end + _AGAIN
-
-    def take(self, solution: LiveDriveSolution) -> None:
-        """See :meth:`RecordedSession.take`."""
 
     def describe(self) -> SessionState:
         """The session now, without what concerns source, recorder and end."""

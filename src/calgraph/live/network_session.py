@@ -1,18 +1,14 @@
 """A live session of a network: from its messages to poses again and again, and what people should do."""
 
 import math
-import time
-from collections.abc import Callable
-from pathlib import Path
+from functools import cached_property
 
-from calgraph.config import Rig
 from calgraph.config.settings import LiveNetworkSettings
 from calgraph.live.capture_finder import name_sensors
 from calgraph.live.live_timeline import LiveTimeline
 from calgraph.live.network_solution import LiveNetworkSolution, solve_recording
 from calgraph.live.recorded_session import PAUSE, RecordedSession
 from calgraph.live.sensor_solution import SensorSolution
-from calgraph.live.session import SessionPools
 from calgraph.live.state import Advice, Phase, SceneState, SessionState
 from calgraph.live.tracked_intervals import MIN_INTERVAL
 from calgraph.result.reasons import split_clauses
@@ -79,27 +75,15 @@ class Forecast:
         return minutes if minutes <= self._settings.max_minutes else None
 
 
-Solve = Callable[[Rig, Path, LiveNetworkSolution | None], LiveNetworkSolution | None]
-"""Calibrates from a recording; defined at module level. See :func:`solve_recording`."""
-
-
 class NetworkSession(RecordedSession[LiveNetworkSolution]):
     """Calibrates a network of scanners from its growing recording; see :class:`RecordedSession`."""
 
-    def __init__(
-        self,
-        rig: Rig,
-        source: str,
-        pools: SessionPools,
-        recording: Path,
-        print_line: Callable[[str], object],
-        *,
-        solve: Solve = solve_recording,
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
-        super().__init__(rig, source, pools, recording, print_line, solve=solve, clock=clock)
-        self._forecast = Forecast(rig.settings.live.network)
-        self._scene: SceneState | None = None
+    solve = staticmethod(solve_recording)
+    _scene: SceneState | None = None
+
+    @cached_property
+    def _forecast(self) -> Forecast:
+        return Forecast(self.rig.settings.live.network)
 
     def describe(self) -> SessionState:
         """The session now, without what concerns source, recorder and end."""

@@ -43,10 +43,12 @@ class RecordedSession(Session, Generic[S]):
         pools: where it computes: ``solving``.
         recording: path of the recording that receives the messages.
         print_line: takes a line on poses that are all within tolerance.
-        solve: calibrates from the rig, the path of the recording, and the last solution, if there is one; None
-            without messages. Defined at module level.
         clock: time by which the load is limited, s.
     """
+
+    solve: Callable[[Rig, Path, S | None], S | None]
+    """Calibrates from the rig, the path of the recording, and the last solution, if there is one; None without
+    messages. Defined at module level."""
 
     def __init__(
         self,
@@ -56,11 +58,10 @@ class RecordedSession(Session, Generic[S]):
         recording: Path,
         print_line: Callable[[str], object],
         *,
-        solve: Callable[[Rig, Path, S | None], S | None],
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         super().__init__(rig, source, pools, print_line)
-        self._recording, self._solve, self._clock = recording, solve, clock
+        self._recording, self._clock = recording, clock
         self.timeline = LiveTimeline(rig.sensors)
         self.solution: S | None = None
         """The last one; None before the first."""
@@ -85,13 +86,12 @@ class RecordedSession(Session, Generic[S]):
         if not self.is_due():
             return
         self._began = self._clock()
-        self._solver.run(self._set_solution, self._solve, self.rig, self._recording, self.solution)
+        self._solver.run(self._set_solution, self.solve, self.rig, self._recording, self.solution)
 
     @abstractmethod
     def is_due(self) -> bool:
         """Whether there is something to calibrate from that the last solution did not have."""
 
-    @abstractmethod
     def take(self, solution: S) -> None:
         """Takes a solution."""
 
