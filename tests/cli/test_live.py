@@ -261,3 +261,26 @@ def test_mistakes_are_refused_before_anything_is_written(
     assert result.exit_code == 2
     assert message in result.stderr
     assert not out.exists()
+
+
+def test_a_drive_is_recorded_and_calibrated(run: Run, tmp_path: Path) -> None:
+    run(
+        "simulate",
+        "drive",
+        "-o",
+        tmp_path / "drive",
+        "--rig",
+        "two_scanners",
+        "--path",
+        "planar",
+        "--duration",
+        14,
+    )
+    live = start(tmp_path / "drive", tmp_path / "session")
+    assert live.wait() in {0, 1}, live.lines
+    with open_recording(tmp_path / "drive" / "recording") as source:
+        counts = {topic.name: topic.count for topic in source.topics}
+    with open_recording(tmp_path / "session" / "recording") as recorded:
+        assert {topic.name: topic.count for topic in recorded.topics} == counts
+    assert read_yaml(tmp_path / "session" / "rig.yaml")["target"] == {"kind": "surroundings"}
+    assert (tmp_path / "session" / "result" / "report.html").is_file()
