@@ -1,6 +1,7 @@
 """Whole drives: from simulated messages to poses, and the reasons where there are none."""
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,11 +13,12 @@ from calgraph.drive.options import DriveOptions
 from calgraph.drive.pipeline import calibrate_drive
 from calgraph.drive.start import MotionStart, explain_failure
 from calgraph.errors import InputError
-from calgraph.geometry import Array, se3
-from calgraph.recording import MessageRecording
+from calgraph.geometry import Array, se3, so3
+from calgraph.recording import MessageRecording, RecordingWriter, open_recording
 from calgraph.rig.options import RigOptions
 from calgraph.sensors import LaserScan
 from calgraph.simulation import STANDARD_RIGS, DriveScenario, simulate_drive
+from drive_scenes import scan_drive
 
 
 def surroundings(kind: str, **topics: str) -> Rig:
@@ -155,3 +157,21 @@ def test_progress_begins_with_each_step() -> None:
     # What the report shows is of the same drive.
     assert [view.sensor for view in calibration.pictures.drive_views] == ["a", "b"]
     assert calibration.pictures.drive_paths[0].times[-1] == pytest.approx(19.9, abs=0.2)
+
+
+@pytest.mark.slow
+def test_a_clock_that_is_hours_off_is_corrected_by_arrivals(tmp_path: Path) -> None:
+    off, T = 7351.3, se3.pose(so3.exp(np.array([0.0, 0.0, 3.0])), np.array([-0.8, 0.2, 0.0]))
+    with RecordingWriter(tmp_path / "drive") as writer:
+        for topic, scans in scan_drive({"front": np.eye(4), "rear": T}, 24.0).items():
+            for one in scans:
+                stamp = 1e9 + one.stamp
+                late = off if topic == "/rear" else 0.0
+                writer.write(topic, replace(one, stamp=stamp + late), stamp + 0.02)
+    rig = surroundings("lidar2d", front="/front", rear="/rear")
+    with open_recording(tmp_path / "drive") as recording:
+        found = calibrate_drive(rig, recording, DriveOptions())
+    rear = found["rear"]
+    assert rear.clock_offset == pytest.approx(off, abs=0.01)
+    assert np.linalg.norm(rear.T_root_sensor[:2, 3] - T[:2, 3]) < 0.02
+    assert any("the stamps of rear" in one and "were corrected" in one for one in found.evidence.remarks)

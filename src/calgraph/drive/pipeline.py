@@ -27,13 +27,14 @@ from calgraph.drive.states import BESIDE_POSE, SensorState
 from calgraph.errors import CalibrationError, Rejected
 from calgraph.geometry import se_n
 from calgraph.parallel.progress import Progress, no_progress
-from calgraph.recording import Recording, resolve_intrinsics
+from calgraph.recording import NO_CACHE, Recording, resolve_intrinsics
 from calgraph.recording.input_checks import InputMonitor
 from calgraph.recording.sensor_topics import check_sensor_topics
 from calgraph.result import Calibration
 from calgraph.result.estimated_parameter import EstimatedParameter
 from calgraph.result.finding import Finding
 from calgraph.surfaces.trajectory import SplineTrajectory, Track, fit_spline
+from calgraph.verdict.recorded_clocks import add_clock_offsets, correct_clocks
 
 # Length of a part with a separate world, s, and how many are adjusted: its unknowns are eliminated densely, 300
 # control points of 6 in space, or of 3 in the plane, where cells are met again later. Parts that turn most are
@@ -53,9 +54,11 @@ def calibrate_drive(
     """
     check_sensor_topics(rig, recording)
     rig = resolve_intrinsics(rig, recording)
+    recording, offsets, corrected = correct_clocks(rig, recording, NO_CACHE)
     monitor = InputMonitor(rig, recording.start)
     sources, frames = _read_sources(rig, recording, monitor, options, progress)
-    return calibrate_sources(rig, sources, frames, monitor.findings(), options, progress)
+    findings = [*corrected, *monitor.findings()]
+    return add_clock_offsets(calibrate_sources(rig, sources, frames, findings, options, progress), rig, offsets)
 
 
 def calibrate_sources(

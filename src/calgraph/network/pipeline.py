@@ -24,7 +24,6 @@ from calgraph.network.graph.network_initialization import NetworkInitialization
 from calgraph.network.joint.estimate import NetworkSolution, solve_network
 from calgraph.network.joint.scanner_prior import ScannerPrior
 from calgraph.network.options import NetworkOptions
-from calgraph.network.recorded_clocks import add_clock_offsets, correct_clocks
 from calgraph.network.scanner_pairs import CorrectedPairs, average_pairs, pair_scanners
 from calgraph.network.step_log import log_network
 from calgraph.network.timed_tracks import track_with_beam_times
@@ -40,6 +39,7 @@ from calgraph.result import Calibration, ExtrinsicsFile
 from calgraph.result.finding import Finding
 from calgraph.verdict.comparison import ExtrinsicsComparison
 from calgraph.verdict.grades import max_good_stddev
+from calgraph.verdict.recorded_clocks import add_clock_offsets, correct_clocks
 
 
 def calibrate_network(

@@ -1,4 +1,4 @@
-"""The clocks of a network's scanners, as far as arrivals determine them."""
+"""The clocks of sensors, as far as arrivals determine them."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -15,7 +15,7 @@ def correct_clocks(
 ) -> tuple[Recording, dict[str, float], list[Finding]]:
     """The recording by one clock, the offsets subtracted by topic, s, and a remark on each.
 
-    What remains, some tenths of a second, is estimated from tracks.
+    What remains, some tenths of a second, is estimated from what sensors measure.
     """
     clocks = compare_clocks(recording, list(rig.topics.values()), cache)
     offsets = clocks.certain_offsets()
